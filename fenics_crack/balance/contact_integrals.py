@@ -47,7 +47,7 @@ from fenics_crack.numerics.fourier import balanced, from_complex, instants, samp
 
 
 class ContactForces(ABC):
-    """Coefficients of the contact forces of a wave s, and their derivatives.
+    """Coefficients of the contact forces of a gap s, and their derivatives.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class ContactForces(ABC):
 
 @dataclass(frozen=True)
 class ContactIntegrals(ABC):
-    """A way of integrating the contact forces of waves s (2H+1, n_pairs).
+    """A way of integrating the contact forces of gaps s (2H+1, n_pairs).
 
     Attributes
     ----------

@@ -116,11 +116,6 @@ class Bifurcation(Described):
         """The exact orbit there; InputError on a curve of harmonic balance."""
         return self.point.orbit(0)
 
-    @property
-    def gap_coefficients(self) -> np.ndarray:
-        """Closing of the pairs there: (2H+1, n_pairs) [m]."""
-        return self.solution.gap_coefficients
-
     def to_dict(self) -> dict[str, Any]:
         """Kind, value of the curve's parameter, and load frequency."""
         return with_frequency({"kind": self.kind, "value": self.value, "omega": self.omega})

@@ -61,7 +61,7 @@ def reduce_structure(
     *,
     modes: int | None = None,
     method: str = "free_interface",
-    judged: bool = True,
+    reference: bool = True,
 ) -> ReducedStructure:
     """Reduce a structure to a few coordinates (collective).
 
@@ -84,7 +84,7 @@ def reduce_structure(
         than 600 are; without damping, or with a matrix, 20.
     method : "massless" or "free_interface"
         Columns of T beside the modes.
-    judged : bool
+    reference : bool
         Keep what estimates the error of the reduction, too: twice the modes, or more static shapes.
 
     Returns
@@ -115,7 +115,7 @@ def reduce_structure(
         raise InputError("modes", modes, f"a whole number from 1 to n_dofs = {structure.n_dofs}")
 
     if method == "massless":
-        return _massless(structure, int(modes), judged=judged)
+        return _massless(structure, int(modes), assessed=reference)
 
     if modal:  # more modes at once, which are kept
         damped_modes(structure)
@@ -126,14 +126,14 @@ def reduce_structure(
         with _regular(own, structure, held=bool(squares[0] > 0.0)) as factor:
             static = _static_shapes(structure, factor, kept, squares)
             static = independent_part(structure, structure.mass, kept, static)
-            if not judged:
+            if not reference:
                 return _reduced(structure, kept, squares, static, None)
             following = [static, factor.solve(times(structure.mass, static).T).T]
             if rule is None and structure.damping_matrix is not None:
                 damping = times(structure.damping_matrix, np.hstack([kept, static]))
                 following.append(factor.solve(damping.T).T)
-    reference = _reduced(structure, kept, squares, np.hstack(following), None)
-    return _reduced(structure, kept, squares, static, reference)
+    finer = _reduced(structure, kept, squares, np.hstack(following), None)
+    return _reduced(structure, kept, squares, static, finer)
 
 
 def _static_shapes(
@@ -149,7 +149,7 @@ def _static_shapes(
     return found[:, ~_rounding(left, static.modal.T, squares)]
 
 
-def _massless(structure: Structure, modes: int, *, judged: bool) -> MasslessStructure:
+def _massless(structure: Structure, modes: int, *, assessed: bool) -> MasslessStructure:
     """Modes and the rest without mass; its reference, by which it is assessed, has twice the modes,
     or ten more: where these leave something for every pair, without which it has mass, and no more
     than half of what the kept ones leave; else it has all modes."""
@@ -159,9 +159,9 @@ def _massless(structure: Structure, modes: int, *, judged: bool) -> MasslessStru
     sources = sparse.hstack([structure.gap, structure.force[loaded].T]).tocsr()
     begin("factor of the stiffness")
     with Factor(structure.stiffness, definite=True) as factor:
-        counts = (more, modes) if judged else (modes,)
+        counts = (more, modes) if assessed else (modes,)
         squares, shapes, static, compliance = _left_out(structure, factor, counts, sources)
-        if judged and more < twice and more == most:
+        if assessed and more < twice and more == most:
             here, between = slice(structure.n_pairs), slice(modes, more)
             seen = static[more].modal[here, between]
             kept = np.sum(seen**2 / squares[between], axis=1)

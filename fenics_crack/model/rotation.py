@@ -240,7 +240,7 @@ class Ritz:
         for speed in np.linspace(start, stop, SPEEDS):
             own = np.isclose(speed, rotation.speed, rtol=1e-12, atol=0.0)
             there = structure if own else rotation.at(float(speed))
-            part = reduce_structure(there, modes=modes, method="free_interface", judged=False)
+            part = reduce_structure(there, modes=modes, method="free_interface", reference=False)
             shapes, omega = part.basis, part.omega
             if tied:
                 found = solve_modes(there, tied, lips="tied")

@@ -203,7 +203,7 @@ def reduced(study: Study, *, judged: bool = True) -> Study:
     if kept is None:
         return study
     settled = scene.replace({"reduction.method": kept.method, "reduction.modes": kept.modes})
-    structure = reduce_structure(whole, modes=kept.modes, method=kept.method, judged=judged)
+    structure = reduce_structure(whole, modes=kept.modes, method=kept.method, reference=judged)
     return replace(study, scene=settled, structure=structure)
 
 

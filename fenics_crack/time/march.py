@@ -233,7 +233,7 @@ class TimeHistory(Tabular):
     def by_period(self, values: np.ndarray) -> np.ndarray:
         """Fold a record (n, ...) at the load's period: (periods kept, steps_per_period, ...).
 
-        The mean over the first axis is the phase-averaged wave, the standard deviation its spread.
+        The mean over the first axis is the phase average, the standard deviation its spread.
         """
         periods = len(values) // self.steps_per_period
         return values.reshape(periods, self.steps_per_period, *values.shape[1:])

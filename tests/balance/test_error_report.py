@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 import pytest
 from helpers import OMEGA_0, chain, mean_square, oscillator, resized, true_error
@@ -265,19 +263,6 @@ def test_tolerance_with_stiff_contact(soft_plate: fc.Structure) -> None:
     exact = fc.solve_harmonic_balance(soft_plate, 1000.0, law, harmonics=140, initial=found)
     assert true_error(found, exact) < 1e-2
     assert 10 < found.harmonics < 80
-
-
-def test_tolerance_out_of_reach(soft_plate: fc.Structure, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The best solution is returned, with the word of what it lacks; it is solved all the same.
-    With ``throw`` it is an error."""
-    monkeypatch.setattr("fenics_crack.balance.harmonic_balance.MAX_HARMONICS", 40)
-    law = fc.UnilateralPenalty(1e11)
-    missed = r"solved; error [\d.]+ %, 0.001 % was asked; what helps: more damping.* \(H = 40\)"
-    with pytest.raises(fc.ConvergenceError, match=missed):
-        fc.solve_harmonic_balance(soft_plate, 1000.0, law, tolerance=1e-5)
-    best = fc.solve_harmonic_balance(soft_plate, 1000.0, law, tolerance=1e-5, throw=False)
-    assert best.converged and best.harmonics == 40 and re.match(missed, best.status)
-    assert 1e-5 < best.report.total < 1e-2
 
 
 @pytest.mark.nightly

@@ -1,14 +1,12 @@
 """Backbones: free periodic motions over their energy."""
 
-from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import scipy.linalg
 import scipy.special
-from helpers import Cubic, chain_stiffness, log_slope, oscillator, wrap
+from helpers import Cubic, chain_stiffness, log_slope, oscillator
 
 import fenics_crack as fc
 
@@ -308,18 +306,3 @@ def test_bad_arguments_and_unfinished_backbones() -> None:
         fc.follow_backbone(structure, law, 1, 0.1, 10.0, most_points=5)
     curve = fc.follow_backbone(structure, law, 1, 0.1, 10.0, most_points=5, throw=False)
     assert not curve.complete and len(curve.omega) == 6
-
-
-def test_interrupted_backbone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ctrl-C returns what was found."""
-
-    def interrupted(follow: Callable[..., Iterator[Any]], path: Any) -> Iterator[Any]:
-        points = follow(path)
-        yield next(points)
-        if path.family.energy is None:
-            raise KeyboardInterrupt
-        yield from points
-
-    wrap(monkeypatch, "fenics_crack.curves.free_motion.MotionPath.__iter__", interrupted)
-    curve = fc.follow_backbone(two_masses(), fc.UnilateralPenalty(10.0), 1, 0.02, 1.0)
-    assert (curve.complete, curve.status, len(curve.omega)) == (False, "interrupted", 2)

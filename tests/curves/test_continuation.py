@@ -1,8 +1,5 @@
 """Response curves by arc-length continuation."""
 
-import io
-import re
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -11,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.linalg
-from helpers import Cubic, amplitudes, oscillator, random_stiffness, to_complex, two_masses, wrap
+from helpers import Cubic, amplitudes, oscillator, random_stiffness, to_complex, two_masses
 
 import fenics_crack as fc
 from fenics_crack import continue_frequency
@@ -376,36 +373,6 @@ def test_points_come_one_by_one(tmp_path: Path) -> None:
     assert np.array_equal(again.omega, part.omega) and np.array_equal(again.stable, part.stable)
 
 
-def test_interruption_keeps_what_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ctrl-C ends a curve early, but loses nothing."""
-    structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(1.0)
-    calls = []
-
-    def progress(self: fc.Continuation) -> float:
-        calls.append(1)
-        if len(calls) == 20:
-            raise KeyboardInterrupt
-        return 0.5
-
-    monkeypatch.setattr(fc.Continuation, "progress", progress)
-    curve = continue_frequency(structure, 2.0, 0.3, law, progress=True)
-    assert not curve.complete and curve.status == "interrupted" and len(curve) == 20
-
-
-def test_the_bar_counts_whole_per_cents(monkeypatch: pytest.MonkeyPatch) -> None:
-    """On a terminal of unknown width, too."""
-    shown = io.StringIO()
-
-    def narrow(bar: Callable[..., Any], **options: Any) -> Any:
-        return bar(**options, ncols=0, file=shown, mininterval=0.0)
-
-    wrap(monkeypatch, "fenics_crack.curves.follow.tqdm", narrow)
-    law = fc.UnilateralPenalty(1.0)
-    assert continue_frequency(oscillator(0.02, 0.1), 2.0, 0.3, law, progress=True).complete
-    counts = re.findall(r"% (\S+)/100 ", shown.getvalue())
-    assert len(counts) > 10 and counts[-1] == "100" and all(map(str.isdigit, counts))
-
-
 @pytest.mark.parametrize(
     ("key", "arguments"),
     [
@@ -471,6 +438,9 @@ def test_branch_only_from_where_one_begins() -> None:
     with pytest.raises(fc.InputError, match="fold"):
         fc.follow_branch(curve, curve.bifurcations[0])
     wrong = replace(curve.bifurcations[0], kind="period_doubling")
+    with pytest.raises(fc.InputError, match="of kind branch_point"):
+        fc.follow_branch(curve, wrong)
+    wrong = replace(curve.bifurcations[0], kind="branch_point")
     with pytest.raises(fc.InputError, match="either side"):
         fc.follow_branch(curve, wrong, 1.9, 2.0)
     with pytest.raises(fc.InputError, match="harmonics"):
@@ -542,20 +512,6 @@ def test_load_does_not_pass_zero_without_clearance() -> None:
     )
     curve = fc.continue_parameter(open_, 1.2, law, "load", 1.0, -1.0)
     assert curve.complete and len(curve) < 500
-
-
-def test_an_end_that_cannot_be_landed_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What was found until then is returned with its status, or comes with the error, judged."""
-    monkeypatch.setattr("fenics_crack.numerics.path.Target.locate", lambda *_: None)
-    given: dict[str, Any] = {"harmonics": 5, "stability": True}
-    law = fc.UnilateralPenalty(1.0)
-    found = fc.continue_frequency(oscillator(), 1.0, 1.3, law, throw=False, **given)
-    assert not found.complete and found.status == "no solution at the very end"
-    assert len(found) > 3 and 1.25 < found.values.max() < 1.3
-    assert set(found.verdicts) <= {"stable", "unstable"}
-    with pytest.raises(fc.ConvergenceError, match=r"no solution at the very end at 1\.") as raised:
-        fc.continue_frequency(oscillator(), 1.0, 1.3, law, **given)
-    assert np.array_equal(raised.value.found.values, found.values)
 
 
 def test_branch_points_are_where_a_multiplier_is_one() -> None:

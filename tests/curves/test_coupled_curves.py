@@ -180,22 +180,10 @@ def test_eight_pairs_over_a_resonance(curve: fc.ResponseCurve) -> None:
     assert turns == 2 and folds(curve)[0] > folds(curve)[1]
     assert_solutions(curve, 25)
     fold = curve.bifurcations[0]
-    np.testing.assert_array_equal(fold.gap_coefficients, fold.solution.gap_coefficients)
     assert fold.solution.static_above == curve.static_above
     np.testing.assert_allclose(
         fold.point.unknowns[0], fold.solution.slow_gap_coefficients, atol=1e-18
     )
-
-
-def test_without_a_matrix_the_same_curve(
-    curve: fc.ResponseCurve, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """J is not formed: the sign of its determinant is unknown, the path and its folds are not."""
-    monkeypatch.setattr("fenics_crack.balance.contact_system.MATRIX_FREE", 10)
-    other = fc.continue_frequency(curve.structure, *SPAN, RIGID, harmonics=6)
-    assert other.complete
-    assert folds(other) == pytest.approx(folds(curve), rel=1e-8)
-    assert other.amplitude(0).max() == pytest.approx(curve.amplitude(0).max(), rel=1e-3)
 
 
 def test_small_structure_with_fast_modes() -> None:

@@ -7,11 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import chain, dense, dense_matrices, relative
-from test_reduced import flexibility, reduced
+from test_reduced import reduced
 
 import fenics_crack as fc
-from fenics_crack.model.modal import all_modes
-from fenics_crack.model.modes import damped_modes, damped_range, projected_damping
 
 RAYLEIGH = fc.RayleighDamping(0.05, 0.03)
 LAW = fc.UnilateralPenalty(4.0)
@@ -144,9 +142,6 @@ def test_equals_the_matrix() -> None:
     one, other = (fc.solve_harmonic_balance(s, 0.9, LAW, harmonics=15) for s in (structure, same))
     assert relative(one.displacement_coefficients, other.displacement_coefficients) < 1e-10
     assert one.report.total == pytest.approx(other.report.total, rel=1e-6)
-    modes = all_modes(structure)
-    assert modes.damping.ndim == 1
-    np.testing.assert_array_equal(modes.damping, RAYLEIGH.rate(modes.squares))
     one, other = (fc.floquet(s, one).multipliers[0] for s in (structure, same))
     assert abs(one) == pytest.approx(abs(other), rel=1e-9)
 
@@ -156,16 +151,13 @@ def test_reduced() -> None:
     structure = chain("rayleigh", 60)
     reduced = fc.reduce_structure(structure, modes=20)
     assert reduced.damping == RAYLEIGH and reduced.reference.damping == RAYLEIGH
-    modes = all_modes(reduced)
-    np.testing.assert_array_equal(modes.damping, RAYLEIGH.rate(modes.squares))
-    np.testing.assert_allclose(
-        projected_damping(structure, reduced.basis), dense(reduced.damping_matrix), atol=1e-12
-    )
+    projected = reduced.basis.T @ dense_matrices(structure)[1] @ reduced.basis
+    np.testing.assert_allclose(projected, dense(reduced.damping_matrix), atol=1e-12)
     same = fc.reduce_structure(with_matrix(structure), modes=20)
     one, other = (fc.solve_harmonic_balance(s, 0.4, LAW, harmonics=9) for s in (reduced, same))
     assert relative(one.gap_coefficients, other.gap_coefficients) < 1e-9
     later = fc.reduce_structure(structure.damped(None), modes=20).damped(RAYLEIGH)
-    np.testing.assert_array_equal(all_modes(later).damping, RAYLEIGH.rate(all_modes(later).squares))
+    np.testing.assert_allclose(dense(later.damping_matrix), projected, atol=1e-12)
     assert later.varied(damping=2.0).damping == RAYLEIGH.scaled(2.0)
 
 
@@ -197,7 +189,7 @@ def test_plate_in_its_sparse_matrices(soft_plate: fc.Structure) -> None:
     expected = rule.mass * dense(plate.mass) + rule.stiffness * dense(plate.stiffness)
     np.testing.assert_allclose(dense(matrix), expected, rtol=1e-14)
     assert matrix.getInfo()["nz_used"] <= plate.stiffness.getInfo()["nz_used"]
-    assert plate.damping_matrix is matrix and damped_modes(plate) is None
+    assert plate.damping_matrix is matrix
     twice = plate.varied(damping=2.0)
     assert twice.damping == rule.scaled(2.0)
     np.testing.assert_allclose(dense(twice.damping_matrix), 2.0 * expected, rtol=1e-14)
@@ -214,59 +206,7 @@ def test_curve_over_the_factor() -> None:
     assert relative(curve.solution(-1).gap_coefficients, end.gap_coefficients) < 1e-8
 
 
-# --- what is damped -------------------------------------------------------------------------------
-def test_range_of_damped_modes() -> None:
-    """The highest damped mode, where there are others above it."""
-    structure = chain("none", 30)
-    omega = fc.solve_modes(structure, 30).omega
-    ratios = [0.1, 0.0, 0.1, 0.0]
-    for damping, expected in (
-        (None, (0, 0.0)),
-        (fc.ModalDamping(0.0), (0, 0.0)),
-        (fc.ModalDamping(0.0, 3), (0, 0.0)),
-        (fc.RayleighDamping(), (0, 0.0)),
-        (fc.ModalDamping(0.01), None),
-        (fc.ModalDamping(0.01, 30), None),
-        (fc.ModalDamping([0.01] * 30), None),
-        (fc.RayleighDamping(0.1), None),
-        (fc.RayleighDamping(0.0, 0.1), None),
-        (fc.ModalDamping(0.01, 4), (4, omega[3])),
-        (fc.ModalDamping(ratios, 4), (2, omega[2])),
-        (fc.ModalDamping([0.01] * 12 + [0.0] * 18), (12, omega[11])),
-    ):
-        found = damped_range(structure.damped(damping))
-        assert found == (expected and pytest.approx(expected, rel=1e-9)), damping
-    assert damped_range(chain("matrix")) is None
-    assert damped_range(chain("modal").varied(damping=0.0)) == (0, 0.0)
-
-
-def test_range_of_a_reduced_structure() -> None:
-    """That of the whole where its damping is projected; nothing is left out where all is damped."""
-    structure = chain("none", 60)
-    few = structure.damped(fc.ModalDamping(0.02, 8))
-    last = fc.solve_modes(structure, 8).omega[-1]
-    for modes in (5, 8, 20):
-        reduced = fc.reduce_structure(few, modes=modes)
-        assert damped_range(reduced) == pytest.approx((8, last), rel=1e-9)
-        assert damped_range(reduced.damped(fc.ModalDamping(0.02))) is None
-        assert damped_range(reduced.damped(None)) == (0, 0.0)
-    for rule in (fc.ModalDamping(0.02), RAYLEIGH):
-        assert damped_range(fc.reduce_structure(structure.damped(rule), modes=8)) is None
-
-
 # --- lips without mass ----------------------------------------------------------------------------
-
-
-def three_rigid_modes(damping: Any = None) -> fc.Structure:
-    """20 dofs, two pairs, a load on the rigid modes too."""
-    rng = np.random.default_rng(0)
-    root = rng.normal(size=(20, 17))
-    gap = np.zeros((20, 2))
-    gap[[3, 7], 0], gap[[11, 2], 1] = (1.0, -1.0), (1.0, -1.0)
-    return fc.Structure.from_matrices(
-        np.diag(rng.uniform(1.0, 2.0, 20)), root @ root.T, gap, force_cos=rng.normal(size=20),
-        damping=damping,
-    )  # fmt: skip
 
 
 def test_damping_matrix_couples_the_modes() -> None:
@@ -276,48 +216,3 @@ def test_damping_matrix_couples_the_modes() -> None:
     made = reduced(structure, 6)
     assert made.rate.shape == (6, 6)
     assert relative(made.rate, made.basis.T @ damping @ made.basis) < 1e-9
-    assert relative(all_modes(made.varied(damping=3.0)).damping, 3.0 * made.rate) < 1e-12
-
-
-def test_motions_as_a_rigid_body() -> None:
-    """Three of them: kept at frequency zero, with what a matrix damps of them; fewer modes than
-    that are refused."""
-    structure = three_rigid_modes(0.1 * np.eye(20))
-    for modes in (1, 2):
-        with pytest.raises(fc.InputError, match=r"^modes = .*at least 3"):
-            reduced(structure, modes)
-    for modes in (3, 6):
-        made = reduced(structure, modes)
-        assert np.array_equal(made.omega == 0.0, np.arange(modes) < 3)
-        assert all_modes(made).unconstrained
-        rate = all_modes(made).damping
-        rate = rate if rate.ndim == 2 else np.diag(rate)
-        assert relative(rate, 0.1 * made.basis.T @ made.basis) < 1e-8
-        gap = structure.gap.toarray()
-        assert relative(made.residual, gap.T @ flexibility(structure, modes) @ gap) < 1e-9
-        for found, expected in zip(
-            (row[1:] for row in made_seen(made)), (row[1:] for row in made_seen(structure)),
-            strict=True,
-        ):  # fmt: skip
-            assert relative(found, expected) < (0.3 if modes == 3 else 0.1)
-    assert all_modes(reduced(chain("none", 9, unconstrained=True), 1)).unconstrained
-
-
-def made_seen(structure: fc.Structure) -> tuple[np.ndarray, np.ndarray]:
-    """R_1 and the gap's first harmonic at a low frequency (the mean would fly off), as rows."""
-    mass, damping, stiffness = dense_matrices(structure.whole)
-    gap, omega = structure.whole.gap.toarray(), 0.1
-    if structure is structure.whole:
-        solved = np.linalg.solve(
-            stiffness - omega**2 * mass + 1j * omega * damping,
-            np.column_stack([gap, structure.force[1]]),
-        )
-        moved = gap.T @ solved
-        return np.array([moved[:, :2] * 0.0, moved[:, :2]]), np.array([moved[:, 2], moved[:, 2]])
-    modes = all_modes(structure)
-    receptance = modes.receptance(np.array([omega]))
-    matrix = modes.seen_by_pairs(receptance)[0] + structure.residual  # type: ignore[attr-defined]
-    load = structure.force[1] @ modes.shapes
-    shape = modes.respond(receptance[0], load + 0j)
-    linear = shape @ modes.pairs + structure.force[1] @ modes.static_pairs
-    return np.array([0.0 * matrix, matrix]), np.array([linear, linear])

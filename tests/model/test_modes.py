@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import gc
 import re
-import weakref
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 import scipy.linalg
-from helpers import DAMPINGS, chain, chain_stiffness, dense_matrices, log_slope
+from helpers import chain_stiffness, dense, log_slope
 from mpi4py import MPI
 
 import fenics_crack as fc
@@ -25,13 +23,6 @@ from fenics_crack import (
     reduce_structure,
     solve_modes,
 )
-from fenics_crack.balance import compliance
-from fenics_crack.balance.compliance import FactoredCompliance, load_coefficients
-from fenics_crack.basics.ranks import gather_rows
-from fenics_crack.model import modes as model_modes
-from fenics_crack.model.factor import distributed
-from fenics_crack.model.modal import all_modes
-from fenics_crack.model.modes import damped_modes, damped_range, largest_frequency, times
 
 
 def random_matrices(n: int, rigid: int = 0, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -136,30 +127,6 @@ def test_signs(n: int) -> None:
     np.testing.assert_allclose(modes.shapes, exact / np.linalg.norm(exact, axis=0), atol=1e-10)
 
 
-def test_largest_frequency() -> None:
-    """The largest frequency is LAPACK's, and with four times the mass half of it."""
-    mass, stiffness = random_matrices(30)
-    structure = Structure.from_matrices(mass, stiffness, None)
-    expected = np.sqrt(scipy.linalg.eigvalsh(stiffness, mass)[-1])
-    assert largest_frequency(structure) == pytest.approx(expected, rel=1e-6)
-    heavy = Structure.from_matrices(4.0 * mass, stiffness, None)
-    assert largest_frequency(heavy) == pytest.approx(expected / 2.0, rel=1e-6)
-
-
-def test_a_diverging_structure_is_refused() -> None:
-    """A negative eigenvalue is no frequency; it is found even where it is not near zero, and where
-    a structure was not made from matrices."""
-    whole = Structure.from_matrices(np.eye(39), np.eye(39), None)
-    for lowest in (-1.0, -100.0):
-        stiffness = np.diag([lowest, 2.0, 3.0, 4.0, *np.arange(5.0, 40.0)])
-        with pytest.raises(InputError, match="1 negative eigenvalue"):
-            Structure.from_matrices(np.eye(39), stiffness, None)
-        diverging = whole._changed(stiffness=distributed(stiffness, whole.comm))
-        with pytest.raises(InputError, match="positive semidefinite") as caught:
-            solve_modes(diverging, 2)
-        assert caught.value.key == "stiffness"
-
-
 @pytest.mark.parametrize("n", [1, 2, 3, 10])
 @pytest.mark.parametrize("free", [False, True])
 def test_equal_frequencies_of_a_few_masses(n: int, free: bool) -> None:
@@ -203,37 +170,6 @@ def test_count_that_cannot_be(count: Any) -> None:
 
 
 # --- modal damping --------------------------------------------------------------------------------
-def test_damped_modes() -> None:
-    """The rate of mode j is 2 xi_j omega_j; M Phi is the mass times the shapes; made only once."""
-    mass, stiffness = random_matrices(10)
-    ratios = [0.01, 0.02, 0.03]
-    structure = Structure.from_matrices(mass, stiffness, None, damping=ModalDamping(ratios, 3))
-    damped = damped_modes(structure)
-    assert damped is not None
-    squares = scipy.linalg.eigvalsh(stiffness, mass)[:3]
-    np.testing.assert_allclose(damped.rate, 2.0 * np.array(ratios) * np.sqrt(squares), rtol=1e-8)
-    np.testing.assert_allclose(damped.mass_shapes, mass @ damped.shapes, rtol=1e-12, atol=1e-14)
-    assert damped_modes(structure) is damped
-    assert damped_modes(structure.damped(None)) is None
-    everywhere = damped_modes(structure.damped(ModalDamping(0.1)))
-    assert everywhere is not None and len(everywhere.omega) == 10
-
-
-@pytest.mark.parametrize(
-    ("key", "damping"),
-    [
-        ("damping ratio", ModalDamping([0.1, 0.1])),
-        ("damping ratio", ModalDamping([0.1, 0.1], 3)),
-        ("damping ratio", ModalDamping([0.1] * 11)),
-        ("damping modes", ModalDamping(0.1, 11)),
-    ],
-)
-def test_damping_that_does_not_fit(key: str, damping: ModalDamping) -> None:
-    """As many ratios as modes, and no more modes than dofs."""
-    structure = Structure.from_matrices(*random_matrices(10), None, damping=damping)
-    with pytest.raises(InputError) as caught:
-        damped_modes(structure)
-    assert caught.value.key == key
 
 
 # --- against closed forms and published values ----------------------------------------------------
@@ -263,7 +199,7 @@ def test_order_of_convergence(cells: str, order: int, rate: float) -> None:
         dofs = structure.nodes.dofs[:, 1]
         exact = np.zeros((structure.n_dofs, 1))
         exact[dofs[dofs >= 0], 0] = np.sin(np.pi / 2 * structure.nodes.points[dofs >= 0, 1])
-        axial = np.argmax(np.abs(modes.shapes.T @ times(structure.mass, exact)))
+        axial = np.argmax(np.abs(modes.shapes.T @ dense(structure.mass) @ exact))
         errors.append(modes.omega[axial] / (np.pi / 2) - 1.0)
     assert min(errors) > 0.0
     assert log_slope(sizes, errors) == pytest.approx(-rate, abs=0.15)
@@ -321,38 +257,6 @@ def test_length_without_a_frequency(paper_scene: Scene) -> None:
 
 
 # --- several ranks --------------------------------------------------------------------------------
-def modes_of(scene: Scene, count: int, comm: MPI.Comm) -> dict[str, Any]:
-    """Frequencies, and the shapes at the nodes sorted by position (collective)."""
-    structure = build_structure(scene, comm)
-    modes = solve_modes(structure, count)
-    assert structure.nodes is not None
-    padded = np.concatenate([modes.shapes, np.zeros((1, count))])  # clamped dofs are number -1
-    local = structure.nodes.dofs - np.where(structure.nodes.dofs >= 0, structure.first_dof, 0)
-    points = gather_rows(comm, structure.nodes.points)
-    shapes = gather_rows(comm, padded[local])
-    return {
-        "omega": modes.omega,
-        "shapes": shapes[np.lexsort(points.round(9).T)],
-        "largest": largest_frequency(structure),
-    }
-
-
-@pytest.mark.mpi
-def test_two_ranks_find_the_same_modes(on_ranks: Callable[..., Any]) -> None:
-    """Frequencies to 1e-9, and shapes with the same signs, of a symmetric plate.
-
-    Its shapes have their largest component twice, as the last lines show, with the same or the
-    opposite sign.
-    """
-    scene, count = plate(5, 6), 8
-    parallel, alone = on_ranks(modes_of, scene, count), modes_of(scene, count, MPI.COMM_SELF)
-    np.testing.assert_allclose(parallel["omega"], alone["omega"], rtol=1e-9)
-    np.testing.assert_allclose(parallel["shapes"], alone["shapes"], atol=1e-6)
-    assert parallel["largest"] == pytest.approx(alone["largest"], rel=1e-6)
-    shapes = alone["shapes"]
-    largest = np.abs(shapes).max(axis=(0, 1))
-    twice = np.sum(np.abs(shapes) > (1.0 - 1e-6) * largest, axis=(0, 1))
-    assert np.all(twice >= 2)
 
 
 def spread_modes(comm: MPI.Comm) -> tuple[Any, ...]:
@@ -388,12 +292,6 @@ def test_modes_of_a_massless_reduction(wide_plate: Structure) -> None:
     np.testing.assert_allclose(expanded, whole.shapes, atol=1e-9 * np.abs(whole.shapes).max())
     with pytest.raises(InputError, match="a whole number from 1 to n_modes = 6"):
         solve_modes(reduced, 7)
-    known = damped_modes(reduced)
-    assert known is not None and known.shapes.shape == (reduced.n_dofs, 6)
-    assert damped_range(reduced) is None
-    assert damped_range(reduced.damped(ModalDamping((0.1, 0.1, 0.0, 0.0, 0.0, 0.0)))) == (
-        2, pytest.approx(reduced.omega[1]),
-    )  # fmt: skip
 
 
 def test_another_damping_of_a_varied_massless_reduction(wide_plate: Structure) -> None:
@@ -409,107 +307,3 @@ def test_another_damping_of_a_varied_massless_reduction(wide_plate: Structure) -
 
 
 # --- computed once --------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def eigensolutions(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Sizes of the eigenproblems that are solved from now on."""
-    asked: list[int] = []
-
-    def counted(solve: Callable[..., Any]) -> Callable[..., Any]:
-        def call(first: Any, *others: Any) -> Any:
-            asked.append(others[0] if isinstance(first, fc.Structure) else len(first))
-            return solve(first, *others)
-
-        return call
-
-    monkeypatch.setattr(scipy.linalg, "eigh", counted(scipy.linalg.eigh))
-    for module in (model_modes, compliance):
-        monkeypatch.setattr(module, "solve_modes", counted(fc.solve_modes))
-    return asked
-
-
-@pytest.mark.parametrize("damping", DAMPINGS)
-def test_modes_of_varied_copies(damping: str, eigensolutions: list[int]) -> None:
-    """Nothing is computed again, whichever asks first; the damping is the varied one."""
-    structure = chain(damping)
-    half = structure.varied(damping=0.5, load=3.0)
-    none, other = half.varied(damping=0.0), structure.varied(clearance=0.1)
-    matrix = dense_matrices(structure)[1]
-    first = all_modes(half)
-    assert eigensolutions
-    del eigensolutions[:]
-    for varied, factor in ((structure, 1.0), (half, 0.5), (none, 0.0), (other, 1.0)):
-        found = all_modes(varied)
-        assert found.shapes is first.shapes and found.pairs is first.pairs
-        expected = factor * found.shapes.T @ matrix @ found.shapes
-        inside = np.diag(found.damping) if found.damping.ndim == 1 else found.damping
-        np.testing.assert_allclose(inside, expected, atol=1e-10)
-        known = damped_modes(varied)
-        assert (known is None) == (damping in ("rayleigh", "matrix", "none"))
-        if known is not None:
-            ratio = np.asarray(varied.damping.ratio)
-            np.testing.assert_allclose(known.rate, 2.0 * ratio * known.omega, rtol=1e-14)
-    assert eigensolutions == []
-
-
-@pytest.mark.parametrize("damping", DAMPINGS)
-def test_high_harmonics_of_varied_copies(damping: str, eigensolutions: list[int]) -> None:
-    """Beyond the factored harmonics the modes serve; they are those of the first structure."""
-    structure = chain(damping, 30)
-    varied = structure.varied(damping=0.5)
-    found = []
-    for one in (structure, varied, fc.Structure.from_matrices(
-        structure.mass, structure.stiffness, structure.gap, damping=varied.damping
-    )):  # fmt: skip
-        del eigensolutions[:]
-        factored = FactoredCompliance(one, 0.2, load_coefficients(one, 3, 1))
-        found.append(factored.beyond(6))
-        factored.destroy()
-        assert (eigensolutions == []) == (one is varied)
-    np.testing.assert_allclose(found[1], found[2], rtol=1e-7, atol=1e-12)
-    if damping != "none":
-        assert np.abs(found[1] - found[0]).max() > 1e-9
-
-
-@pytest.mark.drawn(2)
-@pytest.mark.parametrize("kind", ["modal", "matrix"])
-@pytest.mark.parametrize("parameter", ["damping", "load", "clearance"])
-def test_curves_solve_no_further_eigenproblem(
-    parameter: str, kind: str, eigensolutions: list[int]
-) -> None:
-    """Nor do the solutions on them, with their error reports, and their stability."""
-    reduced = fc.reduce_structure(chain(kind, 30), modes=8)
-    law = fc.UnilateralPenalty(4.0)
-    first = fc.solve_harmonic_balance(reduced, 0.3, law)
-    fc.floquet(reduced, first)
-    start, end = (0.0, 0.1) if parameter == "clearance" else (1.0, 1.5)
-    del eigensolutions[:]
-    curve = fc.continue_parameter(reduced, 0.3, law, parameter, start, end, stability=True)
-    assert len(curve) > 3 and curve.complete
-    for index in (0, len(curve) // 2, len(curve) - 1):
-        solution = curve.solution(index)
-        assert solution.report.reduction > 0.0
-        fc.floquet(solution.structure, solution)
-    assert eigensolutions == []
-
-
-def test_nothing_is_kept_alive(wide_plate: fc.Structure) -> None:
-    """Structures are freed as soon as nobody refers to them: they are in no cycles."""
-    gc.collect()
-    gc.disable()
-    try:
-        plate = fc.Structure.from_matrices(
-            wide_plate.mass, wide_plate.stiffness, wide_plate.gap, damping=fc.ModalDamping(0.01)
-        )
-        reduced = fc.reduce_structure(plate, modes=8)
-        varied = reduced.varied(damping=2.0)
-        for one in (plate, reduced, varied):
-            all_modes(one)
-        alive = [weakref.ref(one) for one in (plate, reduced, varied)]
-        del plate, reduced, one
-        assert all(one() is not None for one in alive)  # the copy needs them
-        del varied
-        assert all(one() is None for one in alive)
-    finally:
-        gc.enable()

@@ -19,12 +19,12 @@ class ReferenceFlow:
         self.damping = np.diag(modes.damping) if modes.damping.ndim == 1 else modes.damping
         self.compliance = flow.residual + np.diag(flow.softness)
         self.force, self.gap, self.fastest = flow.force, flow.gap, max(flow.fastest, omega)
-        self._known: dict = {}
+        self.sets: dict = {}
 
-    def _set(self, closed: tuple) -> tuple:
+    def set_of(self, closed: tuple) -> tuple:
         """Eigenvalues and vectors of (q, q', 1, cos, sin), and rows of the answers there."""
-        if closed in self._known:
-            return self._known[closed]
+        if closed in self.sets:
+            return self.sets[closed]
         m, here = len(self.squares), np.array(closed, dtype=bool)
         inverse = np.zeros_like(self.compliance)
         inverse[np.ix_(here, here)] = np.linalg.inv(self.compliance[np.ix_(here, here)])
@@ -41,7 +41,7 @@ class ReferenceFlow:
         values, vectors = np.linalg.eig(scale[:, None] * matrix / scale)
         left = np.linalg.inv(vectors) * scale
         vectors = vectors / scale[:, None]
-        self._known[closed] = found = values, vectors, left, answers @ vectors
+        self.sets[closed] = found = values, vectors, left, answers @ vectors
         return found
 
     def contact(self, state: np.ndarray, time: float) -> tuple:
@@ -61,10 +61,10 @@ class ReferenceFlow:
         step = 2.0 * np.pi / self.fastest / self.points
         closed = self.contact(state, now)
         while True:
-            values, vectors, left, rows = self._set(closed)
+            values, vectors, left, rows = self.set_of(closed)
             waves = [1.0, np.cos(self.omega * now), np.sin(self.omega * now)]
             weights = left @ np.concatenate([state, waves])
-            length, found = self._leaves(values, rows * weights, end - now, step)
+            length, found = self.leaves(values, rows * weights, end - now, step)
             times = instants[len(states) :]
             times = times[times <= now + length] if found else times
             states.extend((vectors @ (np.exp(values * (t - now)) * weights)).real for t in times)
@@ -77,7 +77,7 @@ class ReferenceFlow:
             closed = tuple(np.array(closed) ^ np.isin(range(len(closed)), found))
             events += len(found)
 
-    def _leaves(
+    def leaves(
         self, values: np.ndarray, rows: np.ndarray, left: float, step: float
     ) -> tuple[float, list[int]]:
         """When the first answers fall through zero, and which; none: what is left."""

@@ -1,4 +1,5 @@
-"""Curves of exact orbits, against closed forms and a flow that shares no code with them."""
+"""Parts of curves that the public face does not show: paths of exact orbits against closed forms
+and a flow that shares no code with them, the linear flow of smooth laws, what is interrupted."""
 
 from __future__ import annotations
 
@@ -11,6 +12,7 @@ import pytest
 from helpers import OMEGA_0, ROOT, chain, oscillator, two_masses
 from mpi4py import MPI
 from rotating import cracked
+from test_coupled_curves import SPAN, folds, steel
 
 import fenics_crack as fc
 from fenics_crack.curves.growing import branch_start
@@ -24,7 +26,22 @@ from fenics_crack.numerics.newton import point_on_path
 from fenics_crack.numerics.path import Path, PathOptions, Target
 
 sys.path.insert(0, str(ROOT / "tests" / "motion"))
+import io
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import scipy.linalg
+import scipy.special
+from helpers import Cubic, dense_matrices, relative, wrap
 from reference import ReferenceFlow
+from scipy.integrate import solve_ivp
+
+from fenics_crack import continue_frequency
+from fenics_crack.basics.errors import INTERRUPTED
+from fenics_crack.curves import orbit_continuation
+from fenics_crack.curves.stability import monodromy
+from fenics_crack.model.modal import all_modes
 
 LAW = fc.UnilateralPenalty(100.0)
 EXACT = {
@@ -242,19 +259,18 @@ def test_one_by_one_is_the_same(stop: OrbitContinuation) -> None:
 
 
 def test_goes_on_where_it_was_stopped(stop: OrbitContinuation) -> None:
-    """From a curve with too few points, which says so."""
+    """By too few points at first, and it says so; more are then allowed."""
     problem, half = fc.Problem(two_masses(), 0.6, LAW), len(stop.points) // 2
     first = stop.curve.orbit(0)  # type: ignore[attr-defined]
     short = OrbitContinuation(problem, "omega", 0.6, 0.9, initial=first, most_points=half)
     short.run()
     assert not short.complete and short.status == f"{half} points were not enough"
-    part: Any = short.curve
-    path = OrbitContinuation(problem, "omega", 0.6, 0.9, initial=part, most_points=3000)
-    path.run()
-    found = [one.value for one in path.curve.bifurcations]
+    part, short.most_points = short.curve, 3000
+    short.run()
+    found = [one.value for one in short.curve.bifurcations]
     expected = [one.value for one in special(stop)]
-    assert path.complete and found == pytest.approx(expected, rel=1e-8)
-    assert path.curve.values[: half + 1] == pytest.approx(part.values, rel=1e-12)
+    assert short.complete and found == pytest.approx(expected, rel=1e-8)
+    assert short.curve.values[: half + 1] == pytest.approx(part.values, rel=1e-12)
 
 
 def test_turns_back_past_its_start(stop: OrbitContinuation) -> None:
@@ -362,3 +378,267 @@ def test_several_changes_are_parted_below_the_floor() -> None:
     observed = np.array([row(-0.999, 0.99 + 0.1j), row(-1.001, 1.0 + 0.1j)])
     points: Any = SimpleNamespace(observed=observed, lengths=np.array([0.0, 1e-6]))
     assert MultiplierControl(1.0).too_long(points).tolist() == [True]
+
+
+# --- the linear flow of smooth laws ---------------------------------------------------------------
+
+
+def integrated(law: Any, found: fc.PeriodicSolution) -> np.ndarray:
+    """M of the modes that move by SciPy's integrator, the law evaluated at its own instants."""
+    modes, residual = all_modes(found.structure), found.residual
+    if found.static_above is not None:
+        modes = modes.below(found.static_above)
+    n, unit = len(modes.squares), np.eye(found.structure.n_pairs)
+    damping = np.diag(modes.damping) if modes.damping.ndim == 1 else modes.damping
+
+    def rate(time: float, state: np.ndarray) -> np.ndarray:
+        moved = state.reshape(2 * n, 2 * n)
+        slope = np.diag(law.tangent(found.gap(np.array([time])))[0])
+        if residual is not None:  # d lambda / ds of lambda = h(s - R lambda)
+            slope = slope @ np.linalg.inv(unit + residual @ slope)
+        push = modes.squares[:, None] * moved[:n] + damping @ moved[n:]
+        push += modes.pairs @ (slope @ (modes.pairs.T @ moved[:n]))
+        return np.concatenate([moved[n:], -push]).ravel()
+
+    run = solve_ivp(
+        rate, (0.0, found.period), np.eye(2 * n).ravel(), "DOP853", rtol=1e-9, atol=1e-11
+    )
+    matrix: np.ndarray = run.y[:, -1].reshape(2 * n, 2 * n)
+    return matrix
+
+
+@pytest.mark.parametrize("damping", ["modal", "matrix", "overdamped"])
+def test_against_an_integrator(damping: str) -> None:
+    """Three pairs with clearances, and modes that do not oscillate at all."""
+    structure = chain("matrix" if damping == "matrix" else "modal")
+    if damping == "overdamped":
+        mass, _, stiffness = dense_matrices(structure)
+        structure = fc.Structure.from_matrices(
+            mass, stiffness, structure.gap.toarray(), force_cos=structure.force[1],
+            damping=fc.ModalDamping([1.5] * 4 + [0.1] * 6), clearance=structure.clearance,
+        )  # fmt: skip
+    law = fc.SmoothedPenalty(np.array([3.0, 5.0, 9.0]), 4.0)
+    found = fc.solve_harmonic_balance(structure, 1.1, law, harmonics=20)
+    exact = integrated(law, found)
+    matrix = monodromy(structure, law, found.gap_coefficients, found.base_omega)
+    assert relative(matrix, exact) < 2e-6
+    stability = fc.floquet(structure, found)
+    largest = np.abs(np.linalg.eigvals(exact)).max()
+    assert abs(stability.multipliers[0]) == pytest.approx(largest, rel=1e-6)
+    assert stability.verdict == ("stable" if largest < 1.0 else "unstable")
+    assert stability.uncertainty < 1e-3
+
+
+@pytest.mark.usefixtures("predicted_errors")
+def test_pairs_behind_a_compliance() -> None:
+    """Lips without mass: modes alone move, tied by the slopes of lambda(s)."""
+    structure = fc.reduce_structure(chain("modal"), modes=4, method="massless")
+    law = fc.SmoothedPenalty(20.0, 4.0)
+    found = fc.solve_harmonic_balance(structure, 1.1, law, harmonics=8)
+    gap, above = found.slow_gap_coefficients, found.static_above
+    assert found.residual is not None
+    matrix = monodromy(structure, law, gap, found.base_omega, above)
+    assert relative(matrix, integrated(law, found)) < 2e-6
+    assert fc.floquet(structure, found).verdict != "undecided"
+
+
+@dataclass(frozen=True)
+class Square:
+    """lambda = c g^2 / 2, whose stiffness is the gap."""
+
+    stiffness: float = 1.0
+
+    def force(self, gap: np.ndarray) -> np.ndarray:
+        """c g^2 / 2."""
+        return 0.5 * self.stiffness * gap**2
+
+    def tangent(self, gap: np.ndarray) -> np.ndarray:
+        """c g."""
+        return self.stiffness * gap
+
+    def scaled(self, factor: float) -> Square:
+        """The same with another c."""
+        return Square(factor * self.stiffness)
+
+
+@pytest.mark.parametrize(("order", "even"), [(1, True), (2, True), (2, False), (3, False)])
+def test_mathieu(order: int, even: bool) -> None:
+    """x'' + (a - 2 q cos 2t) x = 0 has at the characteristic values a_r(q), b_r(q) the multiplier
+    (-1)^r, twice, in a period pi."""
+    q = 5.0
+    characteristic = scipy.special.mathieu_a if even else scipy.special.mathieu_b
+    one = np.ones((1, 1))
+    structure = fc.Structure.from_matrices(one, characteristic(order, q) * one, one)
+    gap = np.array([[0.0], [-2.0 * q], [0.0]])
+    matrix = monodromy(structure, Square(), gap, 2.0)
+    assert np.trace(matrix) == pytest.approx(2.0 * (-1.0) ** order, abs=2e-5)
+    assert np.linalg.det(matrix) == pytest.approx(1.0, abs=1e-5)
+
+
+def test_without_pairs() -> None:
+    """The multipliers of the modes, exp(-c T / 2) in size."""
+    structure = fc.Structure.from_matrices(
+        np.eye(2), np.diag([1.0, 2.0]), np.zeros((2, 0)), force_cos=[1.0, 0.0],
+        damping=0.1 * np.eye(2),
+    )  # fmt: skip
+    linear = fc.solve_linear(structure, 0.7, harmonics=3)
+    found = fc.floquet(structure, linear, fc.SmoothedPenalty(1.0, 1.0))
+    assert found.verdict == "stable"
+    assert np.abs(found.multipliers) == pytest.approx(np.exp(-0.05 * linear.period), rel=1e-9)
+
+
+def test_many_at_once_are_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many stretches of the period are advanced together."""
+    structure, law = chain("matrix"), fc.SmoothedPenalty(3.0, 4.0)
+    gap = fc.solve_harmonic_balance(structure, 1.1, law, harmonics=6).gap_coefficients
+    one = monodromy(structure, law, gap, 1.1)
+    monkeypatch.setattr("fenics_crack.curves.stability.CACHED", 1)
+    assert relative(monodromy(structure, law, gap, 1.1), one) < 1e-10
+
+
+# --- curves ---------------------------------------------------------------------------------------
+
+
+def test_points_of_a_duffing_curve_are_judged_as_solutions_are() -> None:
+    """Up, back and up again: the middle is unstable, and verdicts change at the folds alone, where
+    a multiplier passes 1."""
+    structure, law = oscillator(0.05, 1.0), Cubic(0.1)
+    curve = fc.continue_frequency(structure, 0.5, 3.0, law, harmonics=10, stability=True)
+    assert [one.kind for one in curve.bifurcations] == ["fold", "fold"]
+    high, low = (one.value for one in curve.bifurcations)
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(curve.omega)))) + 1
+    middle = np.arange(turns[0] + 1, turns[1])
+    assert set(curve.verdicts[middle]) == {"unstable"}
+    others = np.delete(curve.verdicts, np.arange(turns[0] - 1, turns[1] + 2))
+    assert set(others) == {"stable"} and low < high
+    for one in curve.bifurcations:
+        values = fc.floquet(structure, one.solution).multipliers
+        assert np.abs(values - 1.0).min() < 1e-3
+    for place in range(0, len(curve), 20):
+        alone = fc.floquet(structure, curve.solution(place))
+        assert curve.verdicts[place] == alone.verdict
+        assert abs(curve.multipliers[place]) == pytest.approx(abs(alone.multipliers[0]), rel=1e-9)
+
+
+def test_rigid_contact_of_pairs_with_mass_has_no_verdicts() -> None:
+    """Said before anything is followed, with what to do instead."""
+    structure, law = chain("modal"), fc.UnilateralConstraint()
+    with pytest.raises(fc.InputError, match="massless"):
+        fc.Continuation(fc.Problem(structure, 1.0, law), "omega", 1.0, 1.2, stability=True)
+    with pytest.raises(fc.InputError, match="massless"):
+        fc.continue_frequency(structure, 1.0, 1.2, law, stability=True)
+
+
+# --- what is interrupted, or lost -----------------------------------------------------------------
+
+
+def test_interrupted_backbone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C returns what was found."""
+
+    def interrupted(follow: Callable[..., Iterator[Any]], path: Any) -> Iterator[Any]:
+        points = follow(path)
+        yield next(points)
+        if path.family.energy is None:
+            raise KeyboardInterrupt
+        yield from points
+
+    wrap(monkeypatch, "fenics_crack.curves.free_motion.MotionPath.__iter__", interrupted)
+    curve = fc.follow_backbone(two_masses(), fc.UnilateralPenalty(10.0), 1, 0.02, 1.0)
+    assert (curve.complete, curve.status, len(curve.omega)) == (False, "interrupted", 2)
+
+
+def test_interruption_keeps_what_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C ends a curve early, but loses nothing."""
+    structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(1.0)
+    calls = []
+
+    def progress(self: fc.Continuation) -> float:
+        calls.append(1)
+        if len(calls) == 20:
+            raise KeyboardInterrupt
+        return 0.5
+
+    monkeypatch.setattr(fc.Continuation, "progress", progress)
+    curve = continue_frequency(structure, 2.0, 0.3, law, progress=True)
+    assert not curve.complete and curve.status == "interrupted" and len(curve) == 20
+
+
+def test_the_bar_counts_whole_per_cents(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a terminal of unknown width, too."""
+    shown = io.StringIO()
+
+    def narrow(bar: Callable[..., Any], **options: Any) -> Any:
+        return bar(**options, ncols=0, file=shown, mininterval=0.0)
+
+    wrap(monkeypatch, "fenics_crack.curves.follow.tqdm", narrow)
+    law = fc.UnilateralPenalty(1.0)
+    assert continue_frequency(oscillator(0.02, 0.1), 2.0, 0.3, law, progress=True).complete
+    counts = re.findall(r"% (\S+)/100 ", shown.getvalue())
+    assert len(counts) > 10 and counts[-1] == "100" and all(map(str.isdigit, counts))
+
+
+def test_an_end_that_cannot_be_landed_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What was found until then is returned with its status, or comes with the error, judged."""
+    monkeypatch.setattr("fenics_crack.numerics.path.Target.locate", lambda *_: None)
+    given: dict[str, Any] = {"harmonics": 5, "stability": True}
+    law = fc.UnilateralPenalty(1.0)
+    found = fc.continue_frequency(oscillator(), 1.0, 1.3, law, throw=False, **given)
+    assert not found.complete and found.status == "no solution at the very end"
+    assert len(found) > 3 and 1.25 < found.values.max() < 1.3
+    assert set(found.verdicts) <= {"stable", "unstable"}
+    with pytest.raises(fc.ConvergenceError, match=r"no solution at the very end at 1\.") as raised:
+        fc.continue_frequency(oscillator(), 1.0, 1.3, law, **given)
+    assert np.array_equal(raised.value.found.values, found.values)
+
+
+STOP = fc.UnilateralPenalty(100.0)
+
+
+def test_ctrl_c_keeps_the_points(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those that were found until then."""
+    record, count = OrbitContinuation._record, 0
+
+    def interrupted(path: OrbitContinuation, points: object) -> object:
+        nonlocal count
+        count += 1
+        if count > 20:
+            raise KeyboardInterrupt
+        return record(path, points)
+
+    monkeypatch.setattr(OrbitContinuation, "_record", interrupted)
+    curve = fc.continue_frequency(two_masses(), 0.6, 0.9, STOP, tolerance=1e-2, progress=True)
+    assert curve.status == INTERRUPTED and len(curve) == 21 and not curve.complete
+
+
+def test_begins_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where no orbit is found at the start, by a curve from the end; or it says that there is
+    none."""
+    whole = fc.continue_frequency(two_masses(), 0.6, 0.9, STOP, tolerance=1e-2)
+    search = orbit_continuation.initial_orbit
+
+    def lost(problem: fc.Problem, initial: fc.PeriodicSolution | None = None) -> object:
+        return replace(search(problem, initial), orbit=None, reason="lost")
+
+    def lost_at_start(problem: fc.Problem, initial: fc.PeriodicSolution | None = None) -> object:
+        return (lost if problem.omega == 0.6 else search)(problem, initial)
+
+    monkeypatch.setattr(orbit_continuation, "initial_orbit", lost_at_start)
+    curve = fc.continue_frequency(whole.structure, 0.6, 0.9, STOP, tolerance=1e-2)
+    assert curve.complete and curve.values[-1] == 0.9 and "not by the first" in curve.status
+    assert curve.states[0] == pytest.approx(whole.states[0], rel=1e-6)
+    monkeypatch.setattr(orbit_continuation, "initial_orbit", lost)
+    with pytest.raises(fc.ConvergenceError, match=r"no exact orbit at 0.6 rad/s: lost"):
+        fc.continue_frequency(whole.structure, 0.6, 0.9, STOP, tolerance=1e-2)
+
+
+def test_without_a_matrix_the_same_curve(monkeypatch: pytest.MonkeyPatch) -> None:
+    """J is not formed: the sign of its determinant is unknown, the path and its folds are not."""
+    plate = fc.reduce_structure(steel("all"), modes=5, method="massless")
+    curves = []
+    for limit in (10_000, 10):
+        monkeypatch.setattr("fenics_crack.balance.contact_system.MATRIX_FREE", limit)
+        curves.append(fc.continue_frequency(plate, *SPAN, fc.UnilateralConstraint(), harmonics=6))
+    formed, other = curves
+    assert other.complete and len(folds(formed)) == 2
+    assert folds(other) == pytest.approx(folds(formed), rel=1e-8)
+    assert other.amplitude(0).max() == pytest.approx(formed.amplitude(0).max(), rel=1e-3)
