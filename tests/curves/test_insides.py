@@ -520,6 +520,56 @@ def test_points_of_a_duffing_curve_are_judged_as_solutions_are() -> None:
         assert abs(curve.multipliers[place]) == pytest.approx(abs(alone.multipliers[0]), rel=1e-9)
 
 
+@pytest.fixture(scope="module")
+def doubling() -> fc.ResponseCurve:
+    """A smoothed stop as stiff as the mass's own spring, over twice its frequency."""
+    law = fc.SmoothedPenalty(1.0, 20.0)
+    return fc.continue_frequency(oscillator(), 1.5, 3.0, law, harmonics=12, stability=True)
+
+
+def test_period_doublings_of_a_smooth_law(doubling: fc.ResponseCurve) -> None:
+    """Between two points: a multiplier is -1 by an integrator, too; verdicts change there."""
+    assert [one.kind for one in doubling.bifurcations] == 2 * ["period_doubling"]
+    for one in doubling.bifurcations:
+        values = np.linalg.eigvals(integrated(doubling.contact, one.solution))
+        assert np.abs(values + 1.0).min() < 1e-4
+    first, second = (one.value for one in doubling.bifurcations)
+    unstable = (doubling.omega > first) & (doubling.omega < second)
+    assert np.array_equal(doubling.verdicts == "unstable", unstable)
+
+
+def test_branch_of_twice_the_period_of_a_smooth_law(doubling: fc.ResponseCurve) -> None:
+    """It begins where the multiplier is -1, stable where the old one is not."""
+    branch = fc.follow_branch(doubling, doubling.bifurcations[0], stability=True)
+    assert branch.status == "joined the branch that it left"
+    assert np.mean(branch.verdicts == "stable") > 0.8
+    assert branch.omega[-1] == pytest.approx(doubling.bifurcations[1].value, rel=1e-2)
+
+
+def test_neimark_sacker_point_of_a_smooth_law() -> None:
+    """Two masses and a rounded stop: a pair leaves the unit circle, by an integrator, too."""
+    stiffness = np.array([[1.0, -1.0], [-1.0, 2.0]])
+    structure = fc.Structure.from_matrices(
+        np.eye(2), stiffness, [1.0, 0.0], force_cos=[0.0, 0.1], clearance=1.0,
+        damping=0.03 * stiffness,
+    )  # fmt: skip
+    law = fc.SmoothedPenalty(20.0, 30.0)
+    curve = fc.continue_frequency(structure, 0.6, 0.9, law, harmonics=20, stability=True)
+    found = [one for one in curve.bifurcations if one.kind == "neimark_sacker"]
+    assert found
+    for one in found:
+        values = np.linalg.eigvals(integrated(law, one.solution))
+        pair = values[np.abs(values.imag) > 1e-3]
+        assert np.abs(np.abs(pair) - 1.0).min() < 1e-4
+
+
+def test_judged_again(doubling: fc.ResponseCurve) -> None:
+    """The same verdicts and bifurcations, each once."""
+    again = fc.judge_curve(doubling)
+    assert np.array_equal(again.verdicts, doubling.verdicts)
+    assert [one.value for one in again.bifurcations] == [one.value for one in doubling.bifurcations]
+
+
 def test_rigid_contact_of_pairs_with_mass_has_no_verdicts() -> None:
     """Said before anything is followed, with what to do instead."""
     structure, law = chain("modal"), fc.UnilateralConstraint()
