@@ -95,7 +95,7 @@ class Beam:
 
     @cache  # noqa: B019
     def frequencies(self, share: float) -> np.ndarray:
-        """Of the first three modes in bending of the plate in plane stress, lips open [rad/s]."""
+        """Of the first three modes in bending of the plate in plane stress, crack open [rad/s]."""
         structure = fc.build_structure(self.scene(share))
         modes = fc.solve_modes(structure, 4)
         assert structure.nodes is not None
@@ -165,9 +165,9 @@ def open_crack_in_a_beam() -> list[Row]:
     and agrees with the ratios of another program, which used the polynomial of Zheng and
     Kessissoglou (J. Sound Vib. 273, 2004, 457-475); of those the largest difference is a row.
 
-    fenics_crack solves plane stress on nine-node quadrilaterals, graded towards the tip, with open
-    lips. Ratios are compared and not frequencies, which for mode 3 of the second beam differ by 5 %
-    because of shear. Fits of the spring differ among themselves by 0.2 %.
+    fenics_crack solves plane stress on nine-node quadrilaterals, graded towards the tip, with an
+    open crack. Ratios are compared and not frequencies, which for mode 3 of the second beam differ
+    by 5 % because of shear. Fits of the spring differ among themselves by 0.2 %.
 
     Where beam theory does not hold: an edge crack off the middle line also couples bending to
     extension, which the spring leaves out. In mode 3 of the deep beam this makes 0.4 % with a crack
@@ -249,10 +249,10 @@ def draw_breathing(axes: Any) -> None:
 def breathing_crack_in_a_beam() -> list[Row]:
     """Beams with a breathing crack: their resonance.
 
-    The beam of 300 x 20 x 20 mm with a crack of half its depth, loaded at its tip; the lips do not
-    penetrate (8 modes, lips without mass, 0.2 % of critical damping, `fc.continue_frequency` with
-    H = 5). Without load and damping, `fc.follow_backbone` with a penalty of 1e10 N/m a pair gives
-    the frequency of the free motion (H = 7), here for both of the
+    The beam of 300 x 20 x 20 mm with a crack of half its depth, loaded at its tip; the crack faces
+    do not penetrate (8 modes, crack faces without mass, 0.2 % of critical damping,
+    `fc.continue_frequency` with H = 5). Without load and damping, `fc.follow_backbone` with a
+    penalty of 1e10 N/m a pair gives the frequency of the free motion (H = 7), here for both of the
     [beams with an open crack](open_crack_in_a_beam.md) and for several depths.
 
     Reference: a bilinear oscillator spends a half period of either stiffness, so that it resonates

@@ -108,12 +108,12 @@ def draw_frequencies(axes: Any) -> None:
 
 @case(draw=draw_frequencies, maker=calculix)
 def calculix_frequencies() -> list[Row]:
-    """CalculiX: natural frequencies with lips open and tied.
+    """CalculiX: natural frequencies with the crack open and bonded.
 
     The paper's square plate of 0.1 m, E = 2e9 Pa, 7800 kg/m^3, with a crack to its middle, on 16 x
     16 quadrilaterals or as many pairs of triangles, and on quadrilaterals graded towards the tip.
-    Both programs get the same nodes and cells. Tied lips are B^T u = 0: equations there, Lagrange
-    multipliers here.
+    Both programs get the same nodes and cells. A bonded crack is B^T u = 0: equations there,
+    Lagrange multipliers here.
 
     Quadratic quadrilaterals have nine nodes here and eight there (CPS8, CPE8), which is a smaller
     space: the middle node follows from the other eight, u9 = -(u1 + ... + u4) / 4 +
@@ -214,8 +214,8 @@ def calculix_crack_opening() -> list[Row]:
     """CalculiX: a crack that is pulled open.
 
     The plate of [natural frequencies](calculix_frequencies.md), triangles, nu = 0.3, pulled at its
-    upper edge with 1 Pa: the same nodes and the same forces on them. Openings of lip nodes, from
-    the mouth (position 0) towards the tip, and the work of the forces.
+    upper edge with 1 Pa: the same nodes and the same forces on them. Openings of nodes of the crack
+    faces, from the mouth (position 0) towards the tip, and the work of the forces.
     """
     structure, *both = opened()
     assert structure.pairs is not None
@@ -305,7 +305,7 @@ def calculix_breathing_plate() -> list[Row]:
 
     The square plate of 0.1 m, 10 mm thick, nu = 0.3, with a crack to its middle: 8 x 4 bilinear
     cells, four pairs. Damping C = 1e-5 s K; 10 N sin(2000 t) along the upper edge at the corner;
-    the lips press with 1e11 Pa for each metre of depth.
+    the crack faces press with 1e11 Pa for each metre of depth.
 
     Reference: CalculiX with its own contact and its own integration in time (`*DYNAMIC`, steps of
     1/200 of a period and shorter ones where contact begins). It takes bricks, a layer between two
@@ -370,7 +370,7 @@ def draw_vibrating_tip(axes: Any) -> None:
     """K_I over time."""
     time, ours, theirs = vibrating_tip()
     axes.plot(1e3 * time, ours, label="fenics_crack, interaction integral")
-    axes.plot(1e3 * time[::16], theirs[::16], "kx", ms=4, label="CalculiX, opening of the lips")
+    axes.plot(1e3 * time[::16], theirs[::16], "kx", ms=4, label="CalculiX, crack opening")
     axes.axhline(0.0, color="0.7", lw=1)
     axes.set(xlabel="t [ms]", ylabel="K_I [Pa m$^{1/2}$]")
     axes.legend(fontsize="x-small")
@@ -380,15 +380,15 @@ def draw_vibrating_tip(axes: Any) -> None:
 def calculix_stress_intensity() -> list[Row]:
     """CalculiX: stress intensity of a plate that vibrates from rest.
 
-    The square plate of [natural frequencies](calculix_frequencies.md) without damping, whose lips
-    never touch, under 1 N sin(1500 t) at its upper corner, from rest: its first natural vibration
-    is in the motion, too. Both programs get the same nodes, graded towards the tip, 24 elements
-    along a lip.
+    The square plate of [natural frequencies](calculix_frequencies.md) without damping, whose crack
+    faces never touch, under 1 N sin(1500 t) at its upper corner, from rest: its first natural
+    vibration is in the motion, too. Both programs get the same nodes, graded towards the tip, 24
+    elements along a crack face.
 
     Reference: CalculiX integrates in time by itself (`*DYNAMIC, DIRECT`, 80 equal steps a period of
     the load), with its own elements of eight nodes, in plane strain with the constants of plane
-    stress. It has no stress intensity: of its displacements, the opening of the lips from 3 to
-    15 mm from the tip, times E / 8 (2 pi / r)^1/2, is K_I where a straight line through it meets
+    stress. It has no stress intensity: of its displacements, the opening of the crack faces from 3
+    to 15 mm from the tip, times E / 8 (2 pi / r)^1/2, is K_I where a straight line through it meets
     r = 0. Ours is the interaction integral over `fc.integrate`, 30 modes and the statics that they
     leave out, 640 steps a period. So both the motion and the way to K_I are other ones. By its own
     opening on 16 elements, in the same way, our K_I is 0.5 % less.
@@ -451,9 +451,9 @@ def calculix_solids() -> list[Row]:
     """CalculiX: a solid beam with a crack through it.
 
     A steel cantilever of 300 x 20 x 20 mm, E = 206e9 Pa, nu = 0.3, 7850 kg/m^3, whole and with a
-    crack 6 mm deep, 80 mm from the clamp, whose lips are open. Both programs get the same
-    tetrahedra with ten nodes (C3D10); what a crack is, CalculiX only knows from nodes that exist
-    twice. CalculiX prints seven digits. As another gmsh makes other tetrahedra, rows are
+    crack 6 mm deep, 80 mm from the clamp, whose faces are open. Both programs get the same
+    tetrahedra with ten nodes (C3D10); for CalculiX the crack consists of nodes that exist twice.
+    CalculiX prints seven digits. As another gmsh makes other tetrahedra, rows are
     quotients: ours over CalculiX's.
 
     Then the same file goes the other way: CalculiX writes its matrices (`*FREQUENCY,

@@ -249,8 +249,8 @@ def bar_against_a_wall() -> list[Row]:
     rho c v = 4e9 Pa until the wave is back after 2 L / c, and leaves at 1e-4 s; the whole bar then
     flies back at 100 m/s.
 
-    Here: 200 linear elements reduced to 100 modes with lips without mass, contact without
-    penetration, 100 exponential steps in 1.4e-4 s.
+    Here: 200 linear elements reduced to 100 modes with crack faces without mass, contact
+    without penetration, 100 exponential steps in 1.4e-4 s.
     """
     history = flying_bar()
     force, step = history.contact_force[:, 0], history.time[1]

@@ -31,7 +31,7 @@ def calculix() -> str | None:
 def mesh_lines(structure: fc.Structure, scene: fc.Scene, element: str) -> list[str]:
     """Nodes, elements, material and clamp of a plate, or of a solid of C3D10.
 
-    The nodes of the lips are double, as ours are. Nodes and dofs count from 1. Numbers
+    The nodes of the crack faces are double, as ours are. Nodes and dofs count from 1. Numbers
     may have 20 characters. Of plates all but CPS8 are in plane strain: they get E (1 + 2 nu) /
     (1 + nu)^2 and nu / (1 + nu), with which plane strain is plane stress with E and nu. C3D8 is a
     layer of bricks of the plate's thickness between two planes; the nodes of the second have the
@@ -195,7 +195,7 @@ def transient(
 def linear_transient(
     scene: fc.Scene, structure: fc.Structure, element: str, steps: int, periods: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The same from rest in equal steps, of a plate of plane elements whose lips pass each other;
+    """The same from rest in equal steps, of a plate of plane elements without contact;
     of nodes that such an element lacks the displacement is zero."""
     lines, load = (
         mesh_lines(structure, scene, element),

@@ -160,7 +160,7 @@ def csr(matrix: Any) -> sparse.csr_matrix:
 
 
 def pull(scene: fc.Scene) -> float:
-    """Work of a uniform traction of 1 on the upper edge: f . u, with open lips."""
+    """Work of a uniform traction of 1 on the upper edge: f . u, with an open crack."""
     structure = fc.build_structure(scene)
     force = structure.force[0]
     found = scipy.sparse.linalg.spsolve(csr(structure.stiffness).tocsc(), force, "MMD_AT_PLUS_A")
@@ -230,7 +230,7 @@ def stress_intensity_factors() -> list[Row]:
 
     Strips of width W and height 4 W under uniform traction with an edge crack, a crack in the
     centre and two edge cracks; F = K_I / (s sqrt(pi a)). K_I follows from the energy release rate,
-    the difference of two solutions with cracks 4 % of a apart; the lips are open.
+    the difference of two solutions with cracks 4 % of a apart; the crack faces are open.
 
     Reference: Tada, Paris and Irwin, The Stress Analysis of Cracks Handbook (edge crack: as in
     Anderson, Fracture Mechanics, table 2.4). The formulas are good to 0.5 %, 0.1 % and 0.5 %. The

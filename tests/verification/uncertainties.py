@@ -47,8 +47,8 @@ def true_errors_over_stated_ones() -> list[Row]:
     """True errors over those that `fenics-crack verify` states.
 
     A plate of 0.1 x 0.1 m with an edge crack to its middle, clamped below and pulled to and fro at
-    its upper edge, breathes: four pairs of lips with mass, a penalty law, seven harmonics, ten
-    modes, 90 bilinear elements (`demos/sweep.toml`, with a traction instead of the force at a
+    its upper edge, breathes: four pairs on crack faces with mass, a penalty law, seven harmonics,
+    ten modes, 90 bilinear elements (`demos/sweep.toml`, with a traction instead of the force at a
     point, under which the displacement has no limit). `fc.verify` states what mesh, modes and
     harmonics contribute to the error of each number.
 
