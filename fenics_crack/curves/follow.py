@@ -245,7 +245,7 @@ def follow_branch(
     curve : ResponseCurve
         The old branch.
     bifurcation : Bifurcation
-        One of its bifurcations: a "branch_point", or of exact orbits a "period_doubling".
+        One of its bifurcations, of kind "period_doubling" or "branch_point".
     start, end : float, optional
         Range of the parameter; default: the curve's own.
     progress, throw, **options
@@ -268,9 +268,8 @@ def follow_branch(
     --------
     >>> branch = fc.follow_branch(doubling, doubling.bifurcations[0])
     """
+    kinds = ("period_doubling", "branch_point")
     check_kind("curve", curve, ResponseCurve)
-    exact = isinstance(curve, OrbitCurve)
-    kinds = ("period_doubling", "branch_point") if exact else ("branch_point",)
     if not isinstance(bifurcation, Bifurcation) or bifurcation.kind not in kinds:
         kind = getattr(bifurcation, "kind", type(bifurcation).__name__)
         raise InputError("bifurcation", kind, "a Bifurcation of kind " + " or ".join(kinds))
@@ -291,8 +290,8 @@ def follow_branch(
         samples=curve.problem.samples and doubled * curve.problem.samples,
         subharmonic=doubled * curve.subharmonic,
     )
-    span = curve.parameter, start, end
-    initial = (curve, bifurcation) if isinstance(curve, OrbitCurve) else bifurcation
+    exact, span = isinstance(curve, OrbitCurve), (curve.parameter, start, end)
+    initial = (curve, bifurcation) if exact else bifurcation
     return _run(_grown(exact, problem, span, initial, options), progress, throw)
 
 
