@@ -31,8 +31,6 @@ import numpy as np
 
 MOST_BYTES = 2**31
 """Bytes of a file of a mesh, a matrix or a result, and of the numbers in it."""
-MOST_TEXT = 2**26
-"""Bytes of a text that is read whole, such as a scene or a table: a million rows have 40 MiB."""
 FOREIGN = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "HYDRA_", "HDF5_")
 """Variables that are hidden from a reader: it is no rank, and loads no plug-ins."""
 SURROUNDINGS = {
@@ -83,8 +81,9 @@ def bytes_of(path: str | Path, most: int | None = MOST_BYTES, *, links: bool = T
     return found.st_size
 
 
-def content_of(path: str | Path, most: int = MOST_TEXT, *, links: bool = True) -> bytes:
-    """Content of a file that is read whole; OSError as of :func:`bytes_of`."""
+def content_of(path: str | Path, most: int = 2**26, *, links: bool = True) -> bytes:
+    """Content of a file that is read whole, as a scene or a table, whose million rows have 40 MiB;
+    OSError as of :func:`bytes_of`."""
     bytes_of(path, most, links=links)
     return Path(path).read_bytes()
 

@@ -194,21 +194,16 @@ class Console:
             LOGGER.warning("%s", text)
 
     @contextmanager
-    def timed(self, name: str) -> Iterator[None]:
-        """Print how long a part took, if verbose."""
-        started = time.perf_counter()
-        yield
-        if self.verbose:
-            LOGGER.info("%s: %.2f s", name, time.perf_counter() - started)
-
-    @contextmanager
     def stage(self, name: str, *, bars: bool = False) -> Iterator[None]:
-        """The same, and unless quiet is requested the stages of that part while they are done:
-        where no progress is shown, now and then, and none beside ``bars`` of all that is done."""
-        silent = self.quiet or (bars and self.progress)
-        with self.timed(name), nullcontext() if silent else StageLines(kept=self.progress):
+        """Print how long a part took, if verbose, and unless quiet is requested its stages while
+        they are done: where no progress is shown, now and then, and none beside ``bars`` of all
+        that is done."""
+        started, silent = time.perf_counter(), self.quiet or (bars and self.progress)
+        with nullcontext() if silent else StageLines(kept=self.progress):
             begin(name)
             yield
+        if self.verbose:
+            LOGGER.info("%s: %.2f s", name, time.perf_counter() - started)
 
 
 def make_writable(folder: Path, comm: MPI.Comm) -> None:
