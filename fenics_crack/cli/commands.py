@@ -16,8 +16,7 @@ from fenics_crack.basics.ranks import on_root, uninterrupted
 from fenics_crack.basics.tables import RPM, counted, quantity, speed_in_words
 from fenics_crack.cli.account import Account, account_of_sweep
 from fenics_crack.cli.given import Console, Inputs, keep_before
-from fenics_crack.cli.results import account_of
-from fenics_crack.scene.words import value_in_words
+from fenics_crack.cli.results import account_of, priors_in_words
 from fenics_crack.study import run as runs
 from fenics_crack.study.plausibility import coriolis_in_words, remarks_on_scene
 from fenics_crack.study.run import Run
@@ -243,10 +242,7 @@ def identify(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     on_root(console.comm, write)
     console.table(found.table())
     console.note(f"{found.verdict}: {found.reason}")
-    priors = (
-        f"{key} = {value_in_words(f'identify.{key}', one)}" for key, one in found.priors.items()
-    )
-    console.note(f"priors: {', '.join(priors)}")
+    console.note(priors_in_words(found.priors))
     console.remark(*found.remarks, *remarks_on_scene(scene))
     console.note(*(f"next to measure: {advice}" for advice in found.advice))
     names = f"posterior.{console.pictures}, fit.csv, where_to_measure.csv"

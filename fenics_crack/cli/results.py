@@ -735,6 +735,12 @@ def _identified(stored: Stored) -> Identified:
     return Identified(scene, summary, picture)
 
 
+def priors_in_words(priors: Mapping[str, float]) -> str:
+    """Priors of an identification by their keys: "priors: young_deviation = 0.03, ..."."""
+    pairs = ((key, value_in_words(f"identify.{key}", value)) for key, value in priors.items())
+    return f"priors: {', '.join(f'{key} = {value}' for key, value in pairs)}"
+
+
 def _account_of_identified(found: Identified) -> Account:
     """Verdict, estimates with their intervals, and the fit."""
     from fenics_crack.monitoring.identification.result import (
@@ -742,24 +748,22 @@ def _account_of_identified(found: Identified) -> Account:
     )
 
     values, rows = found.summary, []
+    priors = values.get("priors", {})
+    share = f"{100.0 * priors.get('confidence', 0.95):g} %"
     for key, value in values["estimate"].items():
         ends = values["intervals"].get(key)  # of a word there are none
         limits = [value_in_words(key, end) for end in ends] if ends else ["", ""]
         rows.append([key_in_words(key), value_in_words(key, value), *limits])
-    summary = Table(("unknown", "estimate", "95 % from", "to"), rows)
-    where = [f"{key} {value} (95 %: {low} to {high})" for key, value, low, high in rows if low]
+    summary = Table(("unknown", "estimate", f"{share} from", "to"), rows)
+    where = [f"{key} {value} ({share}: {low} to {high})" for key, value, low, high in rows if low]
     said = [*(where if values["verdict"] == "crack" else []), values["reason"]]
     facts = [f"{values['verdict']}: {'; '.join(said)}"]
+    facts += [priors_in_words(priors)] if priors else []
     facts += [f"remark: {remark}" for remark in values["remarks"]]
     facts += [f"next to measure: {advice}" for advice in values["advice"]]
-    priors = [
-        [key, value_in_words(f"identify.{key}", one)]
-        for key, one in values.get("priors", {}).items()
-    ]
     tables = {
         "Unknowns": summary,
         "Measurements and predictions of the estimate": Table(FITTED, values["measurements"]),
-        "Priors, keys of [identify]": Table(("key", "value"), priors),
     }
     return Account("identify", summary, facts=facts, warnings=values["warnings"], tables=tables)
 

@@ -172,11 +172,6 @@ class Whole:
         unsure = table.stiffening_deviation * (1.0 - elastic) * kelvin * every
         return table.before_deviation * clamp, np.column_stack([kelvin, unsure])
 
-    def _frequencies_at(self, rpm: float) -> np.ndarray:
-        """Natural frequencies at another speed, nan for the rotor's own: (n,) [Hz]."""
-        faster = 1.0 if np.isnan(rpm) else RPM * rpm / self.speed
-        return self.modes_at(faster)[0] / TURN
-
     def check(self, measurements: Measurements, loads: Sequence[float], *, other: bool) -> None:
         """Raise InputError for frequencies of loads, of which the scene has these [Hz], and natural
         ones in another unit than Hz, in rad/s all of them where the plate may be an ``other`` one;
@@ -188,7 +183,8 @@ class Whole:
                 raise InputError(f"measurements.frequency, {row.name}", row.frequency, allowed)
         rows = [row for row in measurements.rows if row.natural and row.value > 0.0]
         rows = [row for row in rows if row.mode <= len(self.frequencies)]
-        known = [self._frequencies_at(row.rpm) for row in rows]
+        speeds = [1.0 if np.isnan(row.rpm) else RPM * row.rpm / self.speed for row in rows]
+        known = [self.modes_at(faster)[0] / TURN for faster in speeds]
         pairs = zip(rows, known, strict=True)
         units = [_unit(row.value / there[row.mode - 1]) for row, there in pairs]
         for unit in FACTORS:

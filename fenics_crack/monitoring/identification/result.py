@@ -29,8 +29,8 @@ from fenics_crack.basics.errors import InputError, check_number
 from fenics_crack.basics.tables import Table, Tabular, counted
 from fenics_crack.files.store import IDENTIFICATION, write
 from fenics_crack.monitoring.identification.measurements import Measurement, Measurements
-from fenics_crack.monitoring.identification.model import Model, Quantities
-from fenics_crack.monitoring.identification.nuisance import OF_SIZE, Whole
+from fenics_crack.monitoring.identification.model import Model, Passages, Quantities
+from fenics_crack.monitoring.identification.nuisance import OF_SIZE
 from fenics_crack.monitoring.identification.options import OPTIONS
 from fenics_crack.monitoring.identification.posterior import (
     Branch,
@@ -40,6 +40,7 @@ from fenics_crack.monitoring.identification.posterior import (
     with_prior,
 )
 from fenics_crack.scene.scene import Scene, unit_of
+from fenics_crack.scene.tables import Identify
 from fenics_crack.scene.words import key_in_words, value_in_words
 
 # --- where to measure -----------------------------------------------------------------------------
@@ -195,19 +196,13 @@ def _known(
 
 def _more_probes(made: Sequence[Measurement]) -> list[Measurement]:
     """Possible displacements of one more probe, at 24 phases of the period."""
-    groups: dict[tuple[float, str], list[float]] = {}
-    for row in made:
-        if row.quantity == "displacement":
-            groups.setdefault((row.frequency, row.point), []).append(row.deviation)
-    phases = 2.0 * np.pi * np.arange(24) / 24
-    return [
-        Measurement(
-            "displacement", 0.0, float(np.median(own)), frequency=frequency, point=point,
-            phase=float(phase),
-        )
-        for (frequency, point), own in groups.items()
-        for phase in phases
-    ]  # fmt: skip
+    phases, found = 2.0 * np.pi * np.arange(24) / 24, []
+    for passages in Passages.among(made, ()):
+        rows = [made[place] for place in passages.rows]
+        deviation = float(np.median([row.deviation for row in rows]))
+        one = replace(rows[0], value=0.0, deviation=deviation)
+        found += [replace(one, phase=phase) for phase in phases.tolist()]
+    return found
 
 
 def _seen(
@@ -266,15 +261,16 @@ class Identification(Tabular):
     @property
     def priors(self) -> dict[str, float]:
         """Priors and levels of confidence by their keys of ``[identify]``."""
-        return _whole_of(self).table.priors
+        return self._table.priors
 
     @property
-    def _confidence(self) -> float:
-        return self.scene.given("identify").confidence
+    def _table(self) -> Identify:
+        """The table ``[identify]`` with the standard deviation of the temperature."""
+        return next(iter(self.posterior.branches.values())).likelihood.quantities.model.whole.table
 
     @cached_property
     def _parts(self) -> list[tuple[str, np.ndarray, float]]:
-        return self.posterior.parts(self._confidence, OPTIONS.least_part)
+        return self.posterior.parts(self._table.confidence, OPTIONS.least_part)
 
     @cached_property
     def _at(self) -> tuple[Branch, np.ndarray]:
@@ -291,7 +287,7 @@ class Identification(Tabular):
     @property
     def intervals(self) -> dict[str, tuple[float, float]]:
         """Interval of each unknown with the probability ``identify.confidence``."""
-        found, share = self.posterior.interval, self._confidence
+        found, share = self.posterior.interval, self._table.confidence
         return {key: found(place, share) for place, key in enumerate(self.unknown)}
 
     @property
@@ -351,7 +347,7 @@ class Identification(Tabular):
                 raise InputError("values", dict(values), f"with {', '.join(missing)}")
             if all(values[key] == word for key, word in model.fixed.items()):
                 x = np.array([float(values[key]) for key in model.keys])
-                return branch.at(x) >= self.posterior.level(share or self._confidence)
+                return branch.at(x) >= self.posterior.level(share or self._table.confidence)
         return False
 
     def where_to_measure(
@@ -466,7 +462,7 @@ class Identification(Tabular):
             ]
             found.append(f"these cracks cannot be distinguished: {'; '.join(cracks)}")
         found += _of_fit(self)
-        for place, beyond, bound in self.posterior.cut(self._confidence):
+        for place, beyond, bound in self.posterior.cut(self._table.confidence):
             key = self.unknown[place]
             where = f"{beyond} {value_in_words(key, bound)}"
             found.append(f"{key_in_words(key)} may be {where}, outside the bounds of the search")
@@ -560,7 +556,7 @@ def _conditions(found: Identification) -> list[str]:
 def _if_alone(found: Identification) -> str:
     """Condition of the verdict, in words, where two cracks have as many unknowns as there are
     measured modes, or more, so that no misfit excludes two; else empty."""
-    table, rows = found.scene.given("identify"), found.measurements.rows
+    table, rows = found._table, found.measurements.rows
     keys = [axis.key for axis in table.unknown if not isinstance(axis.values[0], str)]
     numbers = len(table.mesh_axes) + sum(key.startswith("crack.") for key in keys)
     modes = {row.mode for row in rows if row.quantity != "frequency_uncracked"}
@@ -574,7 +570,7 @@ def _if_as_before(found: Identification) -> str:
     """Condition of the verdict, in words, where a plate without a crack does not explain the
     measurements, but would with changes since before as large as a clamp can make; or where it
     does, but only by the prior of changes since before; else empty."""
-    table, rows = found.scene.given("identify"), found.measurements.rows
+    table, rows = found._table, found.measurements.rows
     plain, known = found.plain, any(row.quantity == "frequency_uncracked" for row in rows)
     heat = abs(0.5 * table.temperature_coefficient * found.priors["temperature_deviation"])
     least = 1.0 - table.confidence
@@ -612,17 +608,11 @@ def _if_warmer(found: Identification) -> str:
     return f"; with {_modulus(found, found.posterior)}"
 
 
-def _whole_of(found: Identification) -> Whole:
-    """The plate without its crack."""
-    return next(iter(found.posterior.branches.values())).likelihood.quantities.model.whole
-
-
 def _modulus(found: Identification, posterior: Posterior) -> str:
     """Posterior mean of the change of Young's modulus, in words: "a Young's modulus 1 % lower than
     before, as about 25 K more make it"."""
-    whole = _whole_of(found)
-    kelvin = whole.table.priors["temperature_deviation"] * posterior.temperature_change
-    change = whole.table.temperature_coefficient * kelvin
+    kelvin = found.priors["temperature_deviation"] * posterior.temperature_change
+    change = found.priors["temperature_coefficient"] * kelvin
     way = "lower" if change < 0.0 else "higher"
     how = f"as about {abs(kelvin):.2g} K {'more' if kelvin > 0.0 else 'less'} make it"
     return f"a Young's modulus {abs(change):.2%} {way} than before, {how}"

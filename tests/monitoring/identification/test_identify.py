@@ -687,11 +687,15 @@ def test_other_units(scene: fc.Scene, folder: Path, factor: float, unit: str) ->
 
 
 def test_one_frequency(scene: fc.Scene, folder: Path) -> None:
-    """With little information the estimate is within its own intervals."""
+    """With little information the estimate is within its own intervals, which are narrower of a
+    smaller probability; the key of that and the priors are in the result."""
     one = fc.Measurements(measured(scene, {"crack.length": 0.03, "crack.height": 0.09}, 1).rows[:1])
     found = fc.identify(scene, one, folder=folder)
+    half = fc.identify(scene.replace({"identify.confidence": 0.5}), one, folder=folder)
     for key, (low, high) in found.intervals.items():
         assert low < found.estimate[key] < high
+        assert low < half.intervals[key][0] < half.intervals[key][1] < high
+    assert (half.priors["confidence"], half.priors["young_deviation"]) == (0.5, 0.03)
 
 
 def test_command(
