@@ -262,7 +262,7 @@ def refined(
         lambda x: both(x.tobytes())[1],
         bounds=(np.minimum(low, 0.0), np.maximum(high, 0.0)),
         method="dogbox",
-        ftol=ROBUST_SETTLED**2,
+        ftol=ROBUST_SETTLED,
         xtol=ROBUST_SETTLED,
         gtol=None,
     )
