@@ -38,7 +38,14 @@ from fenics_crack.monitoring.tip_timing.harmonics import (
     rounding,
     taken,
 )
-from fenics_crack.monitoring.tip_timing.robust import LEVELS, Noise, refined, reweighted, student
+from fenics_crack.monitoring.tip_timing.robust import (
+    LEVELS,
+    ROBUST_SETTLED,
+    Noise,
+    refined,
+    reweighted,
+    student,
+)
 from fenics_crack.numerics.fourier import waves
 
 MOST_FREQUENCIES = 10**8
@@ -233,7 +240,8 @@ class _Sought:
             slope -= given @ np.linalg.lstsq(given, slope, rcond=1e-10)[0]
             return root[:, 0] * left, slope
 
-        refined(residuals, *([(end - omega) / unit] for end in self._ends))
+        low, high = ([(end - omega) / unit] for end in self._ends)
+        refined(residuals, low, high, ROBUST_SETTLED**2)  # peaks are compared by their sums
         return moved, fit
 
     def best(self) -> tuple[TipFit, float]:

@@ -244,6 +244,7 @@ def refined(
     function: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
     low: Sequence[float] | np.ndarray,
     high: Sequence[float] | np.ndarray,
+    gain: float = ROBUST_SETTLED,
 ) -> np.ndarray:
     """Find unknowns (m,) by least squares, from 0 on, and return their residuals (n,).
 
@@ -254,6 +255,8 @@ def refined(
         with those that are found last.
     low, high : (m,)
         Bounds of the unknowns.
+    gain : float
+        Relative reduction of the sum of squares by the last step.
     """
     both = lru_cache(maxsize=1)(lambda key: function(np.frombuffer(key)))
     found = least_squares(
@@ -262,7 +265,7 @@ def refined(
         lambda x: both(x.tobytes())[1],
         bounds=(np.minimum(low, 0.0), np.maximum(high, 0.0)),
         method="dogbox",
-        ftol=ROBUST_SETTLED,
+        ftol=gain,
         xtol=ROBUST_SETTLED,
         gtol=None,
     )
