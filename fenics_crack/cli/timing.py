@@ -100,7 +100,9 @@ def _warnings_of(arrivals: ArrivalTimes, scene: Scene, run: Run[Any] | None) -> 
             seen, own = (speed_in_words(speed, scene.in_rpm) for speed in speeds)
             yield f"the arrivals are of {seen}, [rotation] has {own}: are they in seconds?"
         return
-    yield from filter(None, [scene_timing.run_up_ends(scene, run)])
+    yield from filter(
+        None, (scene_timing.of_another_scene(scene, run), scene_timing.run_up_ends(scene, run))
+    )
     if isinstance(run.result, PeriodicSolution):
         found = run.result
         yield from of_error(run.scene, found.report, found.harmonics)

@@ -131,6 +131,26 @@ def test_doubts_of_the_vibration_itself(tmp_path: Path, capsys: pytest.CaptureFi
     assert "warning: the estimated relative error of the gap is" in capsys.readouterr().err
 
 
+def test_a_result_of_another_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its arrivals are of its own scene; a warning has what differs here, but for what is
+    looked at and sought."""
+    scene, out = written(tmp_path), ["--output", str(tmp_path)]
+    assert main(["solve", scene, *out, "--quiet"]) == 0
+    other = "warning: the arrivals are those of a result with excitation.omega = 1800 rad/s; the "
+    other += "vibration is sought by this scene, which has excitation.omega = 1500 rad/s"
+    changed = {
+        "tip_timing.order=4": False,
+        'output.quantities=["opening"]': False,
+        "excitation.omega=1500.0": True,
+    }
+    for change, warned in changed.items():
+        capsys.readouterr()
+        assert main(["timing", scene, str(tmp_path / "solution.h5"), *out, "--set", change]) == 0
+        assert (other in " ".join(capsys.readouterr().err.split())) == warned
+    assert main(["timing", scene, *out]) == 0
+    assert "this scene" not in capsys.readouterr().err
+
+
 def test_a_result_that_does_not_say_how_the_rotor_turns(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

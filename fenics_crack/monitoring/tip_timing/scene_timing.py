@@ -13,8 +13,10 @@ from fenics_crack.basics.progress import begin
 from fenics_crack.basics.ranks import MPI, gather_rows
 from fenics_crack.basics.tables import RPM, TURN, speed_in_words
 from fenics_crack.curves.curve import ResponseCurve
+from fenics_crack.fem.build import with_crack_length
 from fenics_crack.fem.lips import SAME
 from fenics_crack.files.results import Result
+from fenics_crack.files.store import with_full_paths
 from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes
 from fenics_crack.monitoring.tip_timing.fit_frequency import fit_frequency
 from fenics_crack.monitoring.tip_timing.fit_order import TipTrack, fit_order, track_order
@@ -22,12 +24,16 @@ from fenics_crack.monitoring.tip_timing.harmonics import ORDERS, TipFit
 from fenics_crack.monitoring.tip_timing.passages import Follows, PassageFit, find_passages
 from fenics_crack.monitoring.tip_timing.simulate import run_up_points, tip_timing
 from fenics_crack.numerics.equations import ROUNDING
-from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.scene import LOOKED_AT, Scene
 from fenics_crack.scene.tables import Rotation, TipTiming
+from fenics_crack.scene.words import differences
 from fenics_crack.study.campbell import Campbell, campbell
 from fenics_crack.study.plausibility import FASTEST
 from fenics_crack.study.run import Run, load_run, solve
 
+DECIDED = (*LOOKED_AT, "reduction")
+"""Tables of a scene that may differ from those of a result: those that choose results, and those
+that a run decides itself."""
 FARTHEST = 0.1
 """Maximum distance of a resonance from a mode, relative to its frequency."""
 
@@ -95,6 +101,16 @@ def _stable_part(curve: ResponseCurve) -> ResponseCurve:
     if lost is None or len(points) < 2:
         return curve
     return curve.part(points)
+
+
+def of_another_scene(scene: Scene, run: Run[Any]) -> str:
+    """Return the difference of a result's scene from this one, in words; "" if there is none
+    (collective)."""
+    both = with_crack_length(scene, run.structure.comm), run.scene
+    compared = [with_full_paths(one).replace(dict.fromkeys(DECIDED)) for one in both]
+    here, there = differences(compared)
+    words = f"the arrivals are those of a result with {there}; the vibration is sought by this "
+    return words + f"scene, which has {here}" if here else ""
 
 
 def remarks_on_arrivals(arrivals: ArrivalTimes) -> list[str]:

@@ -320,6 +320,58 @@ def test_one_probe_sees_no_whole_order(noise: float, sine: fc.PeriodicSolution) 
 # --- a laboratory's errors ------------------------------------------------------------------------
 
 
+@NIGHTLY
+def test_scan_finds_harmonics_too(breathing: fc.PeriodicSolution) -> None:
+    """Frequency and ratio of a breathing crack from two probes, which see every phase."""
+    true = amplitudes(breathing.coefficients_at([0])[:, 0])
+    arrivals = measured(breathing, 0.01 * true[0], speed=193.7, probes=FOUR[:2], revolutions=200)
+    fit = fc.fit_frequency(arrivals, 700.0, 1500.0, harmonics=3)
+    assert fit.omega == pytest.approx(1000.0, rel=1e-5)
+    assert abs(fit.ratio()[0] - true[1] / true[0]) < 4.0 * fit.ratio()[1] < 0.02
+
+
+@NIGHTLY
+def test_outliers_varying_speeds_and_errors_of_probes_and_marks(sine: fc.PeriodicSolution) -> None:
+    """A frequency at a speed that varies by 0.5 %, marks with errors of 5 ns, 1 % of arrivals
+    wrong; and an order beside it whose interval knows of the probes' errors."""
+    rng, speed, turns, deviation = np.random.default_rng(3), 193.7, 200, np.radians(0.01)
+    probes = np.radians([0.0, 17.0, 41.0, 86.0, 140.0, 205.0, 288.0])
+    fits = []
+    for seed in range(4, 12):
+        rng = np.random.default_rng(seed)
+        grid = np.linspace(-8.0, 2.0 * np.pi * (turns + 2), 40_000)
+        pace = speed * (1.0 + 2.5e-3 * np.sin(grid / 31.0 + seed))
+        time = np.concatenate([[0.0], np.cumsum(np.diff(grid) / (0.5 * (pace[1:] + pace[:-1])))])
+        errors = deviation * rng.standard_normal(len(probes))
+        targets = 2.0 * np.pi * np.arange(turns)[:, None] + probes + errors
+        angle = targets
+        for _ in range(6):
+            moved = 1e-3 * np.cos(6.0 * angle) + 2e-4 * np.cos(
+                1000.0 * np.interp(angle, grid, time)
+            )
+            angle = targets - moved / RADIUS
+        seen = np.interp(angle, grid, time) + 2e-8 * rng.standard_normal(angle.shape)
+        seen[rng.random(seen.shape) < 0.01] += 3e-5
+        marks = np.interp(2.0 * np.pi * np.arange(turns + 1), grid, time)
+        marks += 5e-9 * rng.standard_normal(len(marks))
+        arrivals = fc.ArrivalTimes(seen, marks, probes, RADIUS)
+        assert arrivals.steady
+        fits.append(fc.fit_order(arrivals, angle_deviation=deviation))
+        assert fits[-1].order == 6 and not fits[-1].does_not_fit
+        [line] = fits[-1].asynchronous  # no others, of the order seen at where that moves the tip
+        assert abs(line.omega - 1000.0) < 4.0 * line.order_error * line.speed < 0.05
+        assert line.amplitudes[0] == pytest.approx(2e-4, rel=0.02)
+        assert f"beside {line.omega:.6g} rad/s" in repr(fits[-1])
+    alone = fc.fit_frequency(arrivals, 900.0, 1100.0, angle_deviation=1.0)
+    assert alone.omega == pytest.approx(1000.0, rel=1e-4)
+    scores = [(fit.amplitudes[0] - 1e-3) / fit.amplitude_errors[0] for fit in fits]
+    assert 0.4 < np.std(scores) < 1.8 and np.abs(scores).max() < 3.5
+    assert sum(fit.in_doubt for fit in fits) <= 2  # two means that are off look like a harmonic
+    # Without the probes' errors the fit is known not to fit, or its errors follow from the misfit.
+    blind = fc.fit_order(arrivals, [6])
+    assert blind.does_not_fit and blind.amplitude_errors[0] > 1e-5
+
+
 @pytest.mark.parametrize("records", [3, pytest.param(10, marks=NIGHTLY)])
 def test_marks_that_jitter_are_no_vibration(records: int, sine: fc.PeriodicSolution) -> None:
     """Marks ten times as uncertain as arrivals move all probes of a revolution: that is no
