@@ -72,7 +72,7 @@ OF_TIPS: dict[str, tuple[str, str]] = {
     "K_max": ("largest stress intensity K_I", "Pa m^0.5"),
     "K_min": ("smallest K_I", "Pa m^0.5"),
     "delta_K": ("range of K_I", "Pa m^0.5"),
-    "delta_K_effective": ("range of K_I while the tip is open", "Pa m^0.5"),
+    "delta_K_effective": ("range of K_I while the crack tip is open", "Pa m^0.5"),
     "K_II_max": ("largest stress intensity K_II, of either sign", "Pa m^0.5"),
 }
 """Quantities of the crack tip whose effective range is the largest; available for plates, where a

@@ -621,7 +621,7 @@ def draw_stress_intensity(found: StressIntensity, **where: Unpack[Where]) -> Fig
     >>> figure = fc.draw_stress_intensity(fc.stress_intensity(fc.solve(scene)), path="tips.png")
     """
     [panel] = picture = Picture(**where)
-    time, shut = found.time - found.time[0], "the tip is closed"
+    time, shut = found.time - found.time[0], "crack tip closed"
     styles = zip(found.tips, distinct_colours(len(found.tips)), strict=True)
     for number, (tip, colour) in enumerate(styles):
         one, two = found.one[:, number], found.two[:, number]

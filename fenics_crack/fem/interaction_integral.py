@@ -52,7 +52,8 @@ class Tip:
     Attributes
     ----------
     name : str
-        "the tip", of a crack inside "the left tip"; of several cracks "the tip of crack 1".
+        "the crack tip", of a crack inside "the left crack tip"; of several cracks "the crack tip of crack
+        1".
     crack : int
         Number of the crack, from 0.
     point, ahead : (2,) [m], (2,)
@@ -79,11 +80,11 @@ def find_tips(dofs: Dofs) -> list[Tip]:
     for crack, lip in enumerate(lips):
         assert isinstance(lip, Lip)
         several = f" of crack {crack + 1}" if len(lips) > 1 else ""
-        ends = [("tip", lip.points, lip.position[-1])]
+        ends = [("crack tip", lip.points, lip.position[-1])]
         if not lip.has_mouth:
             ends = [
-                ("right tip", lip.points, lip.position[-1]),
-                ("left tip", lip.points[::-1], 0.0),
+                ("right crack tip", lip.points, lip.position[-1]),
+                ("left crack tip", lip.points[::-1], 0.0),
             ]
         for name, points, position in ends:
             tip = points[-1]

@@ -427,7 +427,7 @@ ABOUT: dict[str, tuple[str, str]] = {
     "response": ("m", "half peak-to-peak, at the load"),
     "largest": ("Pa m^0.5", "K_I over a cycle"),
     "smallest": ("Pa m^0.5", "K_I over a cycle"),
-    "effective": ("Pa m^0.5", "range of K_I while the tip is open"),
+    "effective": ("Pa m^0.5", "range of K_I while the crack tip is open"),
     "sliding": ("Pa m^0.5", "largest K_II"),
     "cosines": ("m", "motions; harmonics 0 to H; dofs"),
 }

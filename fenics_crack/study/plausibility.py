@@ -541,7 +541,7 @@ def _tip_speed(scene: Scene, table: Rotation, radius: float) -> Remarks:
         given.append((key, value, speed, "curve.parameter = 'rpm'"))
     for key, value, speed, instead in given:
         if speed * radius > FASTEST:
-            text = f"the tip moves at {speed * radius:.3g} m/s, where the fastest have 700"
+            text = f"the blade tip moves at {speed * radius:.3g} m/s, where the fastest have 700"
             if value == speed and RPM * speed * radius <= FASTEST:
                 text += f"; in revolutions per minute? then use {instead}"
             yield Remark(key, value, text)

@@ -616,7 +616,7 @@ class StressIntensity(Tabular):
     time : (n,) [s]
         Over one period of a solution, or the record of a motion in time.
     tips : tuple of str
-        Names of the crack tips: "the tip", "the left tip", "the tip of crack 2".
+        Names: "the crack tip", "the left crack tip", "the crack tip of crack 2".
     points, ahead : (n_tips, 2) [m], (n_tips, 2)
         Where they are, and where the cracks run straight on.
     one, two : (n, n_tips) [Pa m^1/2]

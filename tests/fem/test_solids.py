@@ -448,7 +448,7 @@ def test_the_tip_of_a_solid_is_its_farthest_node_from_the_axis() -> None:
         axes = {"rotation.axis": axis, "rotation.center": center}
         turning = box.replace(axes | {speed: 6000.0})
         [remark] = remarks_on_structure(turning, structure)
-        assert f"the tip moves at {6000.0 * away:.3g} m/s" in str(remark)
+        assert f"the blade tip moves at {6000.0 * away:.3g} m/s" in str(remark)
         assert "use rotation.rpm" in str(remark)
         assert not remarks_on_structure(turning.replace({speed: 600.0}), structure)
 

@@ -99,7 +99,7 @@ def test_crack_in_the_middle() -> None:
     """Both tips."""
     inside = strip(crack__edge=None, crack__center=0.05, crack__length=0.04)
     found = of(inside)
-    assert found.tips == ("the right tip", "the left tip")
+    assert found.tips == ("the right crack tip", "the left crack tip")
     assert found.points == pytest.approx(np.array([[0.07, 0.2], [0.03, 0.2]]))
     exact = STRESS * math.sqrt(math.pi * 0.02) * centre_in_tension(0.4)
     assert found.one.mean(axis=0) == pytest.approx([exact, exact], rel=0.01)
@@ -411,4 +411,4 @@ def test_file_paths_are_left() -> None:
     """The demo's mesh of one's own has tips, too."""
     scene = fc.Scene.load(Path(DEMOS) / "inclined_crack.toml")
     found = of(scene)
-    assert found.tips == ("the tip",) and found.largest[0] > 0.0
+    assert found.tips == ("the crack tip",) and found.largest[0] > 0.0
