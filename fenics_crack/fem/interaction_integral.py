@@ -52,8 +52,8 @@ class Tip:
     Attributes
     ----------
     name : str
-        "the crack tip", of a crack inside "the left crack tip"; of several cracks "the crack tip of crack
-        1".
+        "the crack tip"; of a crack inside "the left crack tip"; of several cracks
+        "the crack tip of crack 1".
     crack : int
         Number of the crack, from 0.
     point, ahead : (2,) [m], (2,)
