@@ -274,7 +274,7 @@ COMMANDS = {
         f"{SOLVED} --pictures",
     ),
     "timing": (
-        "arrival times of the blade tip at the probes of [tip_timing], and the vibration in them",
+        "arrivals of the blade tip at the probes of [tip_timing], and the vibration in them",
         "scene arrivals --blade=N --set --output --pictures",
     ),
     "identify": (
