@@ -237,7 +237,7 @@ TABLE = [
     ("timing scene.toml tip_timing.tip_radius=1 tip_timing.probes=[1] tip_timing.frequencies=[1,2] tip_timing.subharmonic=2", "tip_timing.subharmonic = 2: must be 1 with tip_timing.frequencies"),
     ("timing scene.toml tip_timing.tip_radius=1 tip_timing.probes=[1] tip_timing.frequencies=[1,2] tip_timing.orders=[2]", "tip_timing.orders = (2.0,): not allowed with tip_timing.frequencies"),
     ("timing scene.toml --quiet tip_timing.tip_radius=1 tip_timing.probes=[1] tip_timing.order=2", "tip_timing.probes = '1 probe at "),
-    ("timing scene.toml tip_timing.tip_radius=1e-9 tip_timing.probes=[1] tip_timing.order=2", "tip_timing.tip_radius = 1e-09: must be so large that the tip never moves backwards"),
+    ("timing scene.toml tip_timing.tip_radius=1e-9 tip_timing.probes=[1] tip_timing.order=2", "tip_timing.tip_radius = 1e-09: must be so large that the blade tip never moves backwards"),
     ("timing scene.toml tip_timing.tip_radius=1 tip_timing.probes=[1] tip_timing.order=2 tip_timing.revolutions=100000000", "tip_timing.revolutions = 100000000: must be fewer: 1e+07 passages at most"),
     ("timing scene.toml tip_timing.tip_radius=1 tip_timing.probes=[1] tip_timing.order=2 tip_timing.clock=1", "tip_timing.clock = 1.0: must be less than a revolution takes, "),
     ("timing scene.toml tip_timing.tip_radius=1 tip_timing.probes=[1] tip_timing.order=2 tip_timing.noise=20", "tip_timing.noise = 20.0: must be less than a revolution takes, "),

@@ -57,6 +57,8 @@ class Wave:
         style.
     time, values : (n,)
         [s], [m].
+    spread : (n,) [m] or None
+        Half-width of a band around the curve, for example the standard deviation of a mean wave.
     """
 
     label: str
@@ -64,6 +66,7 @@ class Wave:
     values: np.ndarray
     colour: str = "blue"
     style: str = "-"
+    spread: np.ndarray | None = None
 
 
 def draw_waves(
@@ -85,7 +88,7 @@ def draw_waves(
     period : float [s], optional
         Unit of the time axis; default: seconds.
     zero : str, optional
-        Legend entry of a line at zero, for example "lips touch".
+        Legend entry of a line at zero, for example "crack faces touch".
     **where
         ``axes``, or ``ax``: where to draw, by default in a new figure; ``path``: where to save the
         new figure; ``title`` of the picture; ``legend=False``: without a legend.
@@ -106,6 +109,9 @@ def draw_waves(
         time = wave.time / period if period else wave.time
         colour = COLOURS.get(wave.colour, wave.colour)
         panel.plot(time, wave.values, wave.style, color=colour, label=wave.label, lw=1.6)
+        if wave.spread is not None:
+            low, high = wave.values - wave.spread, wave.values + wave.spread
+            panel.fill_between(time, low, high, color=colour, alpha=0.2, lw=0)
     if zero is not None:
         panel.axhline(0.0, color=COLOURS["grey"], lw=0.8, label=zero)
     if period:

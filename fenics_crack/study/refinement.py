@@ -105,13 +105,7 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
     study = replace(study, scene=_settled(own))
     numbers = numbers_of(own, own.result)
     runs = _Runs(study, own, numbers)
-    found = Verification(
-        study.scene,
-        numbers.values,
-        numbers.units,
-        failures=tuple(runs.failures),
-        verdicts=_doubtful(OWN, own),
-    )
+    found = Verification(study.scene, numbers.values, numbers.units, verdicts=_doubtful(OWN, own))
     for cause, part_of in PARTS.items():
         try:
             found.take(cause, part_of(runs))
@@ -121,7 +115,7 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
             many, parts = found.counts[cause], found.parts[cause]
             found.take("shift", (many[:: len(many) - 1], _carried(own, numbers, parts)))
     found.verdicts.update(runs.verdicts)
-    return found
+    return replace(found, failures=tuple(runs.failures))
 
 
 def _varied(study: Study, scene: Scene) -> Study:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import DEMOS, chain, log_slope, relative, resized, true_error
-from test_insides import random_gaps
+from test_inside_balance import random_gaps
 
 import fenics_crack as fc
 from fenics_crack import integrate_exponential

@@ -30,7 +30,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
 from switching import switching_instants
-from test_insides import grazing_gaps, random_gaps
+from test_inside_balance import grazing_gaps, random_gaps
 
 import fenics_crack as fc
 from fenics_crack import Continuation
@@ -60,7 +60,7 @@ from fenics_crack.numerics.path import Ended, Fold, Path, PathOptions, Target
 OTHERS = [
     ROOT / "tests" / name
     for name in (
-        "model/test_insides.py",
+        "model/test_inside_model.py",
         "motion/test_contact_flow.py", "numerics/test_paths.py", "time/test_compiled_marches.py",
     )
 ]  # fmt: skip
