@@ -194,6 +194,7 @@ def test_solid_blade(tmp_path: Path) -> None:
     assert len(list((tmp_path / "breathing").glob("*.vtu"))) == 24
 
 
+@pytest.mark.nightly
 def test_growth(tmp_path: Path) -> None:
     """On few lengths: at the resonance that moves a plate lives for far fewer cycles."""
     coarse = {

@@ -140,6 +140,7 @@ def in_a_process(words: list[str]) -> tuple[int, str, str]:
     return done.returncode, done.stdout, done.stderr
 
 
+@pytest.mark.nightly
 @pytest.mark.mpi
 @pytest.mark.usefixtures("not_drawn")
 def test_shell_blocks_run(

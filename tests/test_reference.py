@@ -18,6 +18,7 @@ import fenics_crack as fc
 pytestmark = pytest.mark.usefixtures("not_laid_out")
 
 
+@pytest.mark.nightly
 def test_site_builds_and_names_everything(tmp_path: Path) -> None:
     """Sphinx warns of text that it cannot read and of references that lead nowhere."""
     builder = ["sphinx", "-b", "singlehtml"]  # one page, which takes a fifth less

@@ -177,6 +177,7 @@ def test_an_answer(number: int, capsys: pytest.CaptureFixture[str]) -> None:
     assert "NOT CONVERGED" not in said and "not complete" not in said.lower()
 
 
+@pytest.mark.nightly
 def test_what_is_answered(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Every line of the table, in its order and in one folder, of a coarser plate."""
     assert len(ROWS) >= 20

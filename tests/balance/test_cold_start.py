@@ -34,6 +34,7 @@ def test_bilinear_oscillator(stiffness: float, harmonics: int) -> None:
         )
 
 
+@pytest.mark.nightly
 def test_breathing_plate(breathing_plate: fc.Structure) -> None:
     """18 pairs on the reduced structure, soft and stiff, H = 5 and 10, at and above resonance: from
     fewer harmonics, and by the continuation in the contact compliance."""

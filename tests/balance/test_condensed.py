@@ -320,8 +320,15 @@ def solutions(scene: fc.Scene, comm: MPI.Comm) -> dict[str, Any]:
 @pytest.mark.mpi
 @pytest.mark.parametrize(
     ("mesh", "pairs"),
-    [({"mesh.order": 2, "mesh.columns": 8, "mesh.rows": 10}, 8), ({}, 4)],
-    ids=["factored", "small"],
+    [
+        pytest.param(
+            {"mesh.order": 2, "mesh.columns": 8, "mesh.rows": 10},
+            8,
+            id="factored",
+            marks=pytest.mark.nightly,
+        ),
+        pytest.param({}, 4, id="small"),
+    ],
 )
 def test_same_solution_on_one_and_two_ranks(
     paper_scene: fc.Scene, on_ranks: Callable[..., Any], mesh: dict[str, Any], pairs: int

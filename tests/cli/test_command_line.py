@@ -222,7 +222,8 @@ def test_check_proposes_a_curve_through_the_resonance(
     assert not [name for name in rows if name.startswith("proposed")] and "curve.start" not in told
 
 
-@pytest.mark.parametrize("kind", [pytest.param([], marks=pytest.mark.nightly), ["--blade"]])
+@pytest.mark.nightly
+@pytest.mark.parametrize("kind", [[], ["--blade"]])
 def test_the_sweep_of_a_new_scene_meets_its_tolerance(kind: list[str], tmp_path: Path) -> None:
     """The cases of the template whose errors by harmonics, and by modes, are the largest."""
     path, key = tmp_path / "plate.toml", "rotation.rpm" if kind else "excitation.frequency"
@@ -357,10 +358,9 @@ def test_bad_input_on_two_ranks(tmp_path: Path) -> None:
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.nightly
 @pytest.mark.mpi
-@pytest.mark.parametrize(
-    "number", [signal.SIGUSR1, pytest.param(signal.SIGINT, marks=pytest.mark.nightly)]
-)
+@pytest.mark.parametrize("number", [signal.SIGUSR1, signal.SIGINT])
 def test_a_signal_to_mpirun_alone(tmp_path: Path, number: int) -> None:
     """SIGUSR1 goes to the ranks, which end by themselves, with the tables of what was found. At
     SIGINT mpirun soon kills them, and its code is its own; the cases stay."""
@@ -511,7 +511,7 @@ def codes(words: list[str], comm: Any) -> list[int]:
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("name", ["curve", "integration"])
+@pytest.mark.parametrize("name", [pytest.param("curve", marks=pytest.mark.nightly), "integration"])
 def test_plot_on_two_ranks(
     results: Path, tmp_path: Path, name: str, on_ranks: Callable[..., Any]
 ) -> None:

@@ -193,6 +193,7 @@ def test_sweep_fits_on_one_screen(
     assert "a smaller harmonic_balance.tolerance" in err  # not: more harmonics
 
 
+@pytest.mark.nightly
 def test_sweep_of_few_modes(
     scene: fc.Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
@@ -324,6 +325,7 @@ def test_errors_without_the_mesh_are_told_of_every_number(
     assert "error due to the mesh not included: mesh.error = false" in told.err
 
 
+@pytest.mark.nightly
 def test_a_steady_load_moves_nothing(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     """Whether it opens the crack or closes it: amplitude and harmonics are 0, not rounding, and the
     file is read again, though all gaps of closed lips are rounding."""

@@ -26,6 +26,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.nightly
 def test_a_scene_that_sweeps_over_one_of_its_loads(results: Path, tmp_path: Path) -> None:
     """Beside one without a sweep: a key of the sweep has a number in it, and no value there."""
     load = {"loads.1.point": "[0.05,0.1]", "loads.1.force_sin": "[1.0,0.0]"}

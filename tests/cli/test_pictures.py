@@ -221,6 +221,7 @@ def write_on_ranks(scene: fc.Scene, folder: str, comm: Any) -> float:
     return fc.write_period(solution, target / "crack.pvd", frames=4, material=scene.material)
 
 
+@pytest.mark.nightly
 @pytest.mark.mpi
 def test_two_ranks_write_the_same(
     small_scene: fc.Scene, on_ranks: Callable[..., Any], tmp_path: Path

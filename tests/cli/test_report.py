@@ -100,9 +100,8 @@ def test_nothing_is_external(folder: Path) -> None:
     assert not re.search(r"https?:|//[a-z]|@import|url\(", text)
 
 
-@pytest.mark.parametrize(
-    ("kind", "begin"), [pytest.param("pdf", b"%PDF", marks=pytest.mark.nightly), ("svg", b"<?xml")]
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize(("kind", "begin"), [("pdf", b"%PDF"), ("svg", b"<?xml")])
 def test_vector_graphics(folder: Path, tmp_path: Path, kind: str, begin: bytes) -> None:
     """Every picture but the animation, of every result, of a scene and of several curves."""
     for name in FILES:

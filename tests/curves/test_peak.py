@@ -215,10 +215,9 @@ def looked_at(scene: fc.Scene, comm: MPI.Comm) -> list[float]:
     ]
 
 
+@pytest.mark.nightly
 @pytest.mark.mpi
-@pytest.mark.parametrize(
-    "changes", [{}, pytest.param(POINT, marks=pytest.mark.nightly)], ids=["load", "point"]
-)
+@pytest.mark.parametrize("changes", [{}, POINT], ids=["load", "point"])
 def test_two_ranks(changes: dict[str, Any], on_ranks: Callable[..., Any]) -> None:
     """They share the mesh, and speak of the same dof."""
     scene = fc.Scene.load(STEEL).replace(COARSE | changes)

@@ -104,6 +104,7 @@ def test_from_matrices_to_a_verdict(scene: Scene) -> None:
     assert run.result.stability is not None and run.result.stability.verdict == "stable"
 
 
+@pytest.mark.nightly
 def test_from_the_shell(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Modes are drawn on the model's bricks; a load beside its nodes gets a remark."""
     words = [str(folder / "scene.toml"), "--set", "excitation.point=[0.001,0.02,0.0]"]

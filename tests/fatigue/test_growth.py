@@ -105,6 +105,7 @@ def test_block_loading_of_a_strip() -> None:
     assert found.time[-1] == pytest.approx(lasting, rel=1e-9)
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("errors_left_out", "predicted_errors")
 def test_run_up_through_the_resonance(tmp_path: Path) -> None:
     """A list of frequencies as close as the half width of the resonance, with the cycles of a
@@ -220,6 +221,7 @@ def driven() -> fc.Growth:
     return fc.grow(plate(), comm=MPI.COMM_SELF)
 
 
+@pytest.mark.nightly
 def test_fixed_frequency_passes_a_maximum(driven: fc.Growth) -> None:
     """The natural frequency falls to the load's and below: the response has its maximum there, and
     growth slows again."""
@@ -368,6 +370,7 @@ found = fc.grow(plate(), sys.argv[1])
 """
 
 
+@pytest.mark.nightly
 def test_goes_on_where_it_was_killed(tmp_path: Path, driven: fc.Growth) -> None:
     """By kill -9 while it works; the same call then ends with the same numbers, and solves less."""
     words = [sys.executable, "-c", GROW, str(tmp_path)]
@@ -398,6 +401,7 @@ def lives(comm: MPI.Comm) -> list[float]:
     return comm.allgather(fc.grow(plate(), comm=comm).life)
 
 
+@pytest.mark.nightly
 @pytest.mark.mpi
 def test_ranks_share_the_lengths(on_ranks: Callable[..., Any], driven: fc.Growth) -> None:
     """With the same result."""

@@ -93,6 +93,7 @@ def vibrating(scene: Scene, comm: MPI.Comm) -> list[float]:
     return [*omega, *sizes, run.result.indicators().closed_share]
 
 
+@pytest.mark.nightly
 @pytest.mark.mpi
 def test_ranks_share_the_blade(on_ranks: Callable[..., Any]) -> None:
     """Two ranks find the frequencies of one and, next to the resonance, which magnifies rounding,

@@ -1181,6 +1181,7 @@ def test_coriolis_force_of_a_whirling_bar() -> None:
     assert not np.any(coriolis_shifts(plate, speed * axis[[1, 0, 2]]))
 
 
+@pytest.mark.nightly
 def test_check_tells_where_the_order_meets_a_twisted_blade() -> None:
     """S is the slope of w^2 over W^2, as between two speeds next to the blade's; at the speed told,
     two thirds of its own, the breathing frequency is that of the order to three thousandths."""

@@ -89,6 +89,7 @@ def test_nothing_acts_on_ranks(tmp_path: Path, found: dict[str, object]) -> None
     assert checked(tmp_path, program, **MPI_ENVIRONMENT) == found
 
 
+@pytest.mark.nightly
 def test_pictures_keep_their_style(tmp_path: Path) -> None:
     """Of a mesh, as of everything else."""
     drawn = []

@@ -50,6 +50,7 @@ def test_too_many_cells(change: str, tmp_path: Path) -> None:
     assert code == 2 and "mesh.lip_elements" in said[-1]
 
 
+@pytest.mark.nightly
 def test_too_many_points(tmp_path: Path) -> None:
     """A hundred thousand of them; a hundred are watched."""
     path = scene_of(tmp_path)
@@ -134,6 +135,7 @@ def test_contact_that_nothing_makes(
 # --- caches ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.nightly
 def test_a_cache_that_cannot_be_written(tmp_path: Path) -> None:
     """One line more, and the answer."""
     kept = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fenics"

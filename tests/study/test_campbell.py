@@ -73,6 +73,7 @@ def test_a_crack_that_is_held_is_not_bilinear(
     assert {"open": share == 0.0, "tied": share == 1.0}.get(does, 0.0 < share < 1.0)
 
 
+@pytest.mark.nightly
 def test_a_crack_that_is_held_partly_open() -> None:
     """A steady load that presses one crack together and opens another, under a small load: neither
     breathes, and the frequency is that with stiff springs across the gaps of the pressed pairs."""

@@ -334,6 +334,7 @@ def test_rows_are_ordered_for_their_dimension() -> None:
     assert ordered_by(75, 2, 2) == least_fill
 
 
+@pytest.mark.nightly
 def test_what_was_prepared_is_given_back(paper_scene: fc.Scene) -> None:
     """Matrices, factors and communicators of a scene are freed by the next ones: below 0.2 MiB in
     one of two stretches, as what is lost each time grows in both, and a heap now and then."""

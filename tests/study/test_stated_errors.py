@@ -405,6 +405,7 @@ def test_of_modes_and_of_a_curve(scene: fc.Scene, run: fc.Run) -> None:
         run.peak()
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("not_drawn")
 def test_words_and_files(
     scene: fc.Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]

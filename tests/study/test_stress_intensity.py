@@ -400,6 +400,7 @@ def test_a_tip_next_to_an_edge(tmp_path: Path) -> None:
     assert "solution_waves.png" in drawn and "solution_tips.png" not in drawn
 
 
+@pytest.mark.nightly
 def test_same_on_two_ranks(on_ranks: Callable[..., Any]) -> None:
     """A mesh that is spread over ranks has the same."""
     scene = strip(SWING, mesh__lip_elements=4)

@@ -258,6 +258,7 @@ def motion(scene: fc.Scene, comm: MPI.Comm) -> np.ndarray:
     return np.hstack([history.gap, history.displacement([corner])])
 
 
+@pytest.mark.nightly
 @pytest.mark.mpi
 def test_same_motion_on_one_and_two_ranks(
     paper_scene: fc.Scene, on_ranks: Callable[..., Any]

@@ -258,6 +258,7 @@ noise = 2e-8
 )
 
 
+@pytest.mark.nightly
 def test_arrivals_at_other_speeds_of_the_rotor(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -321,6 +322,7 @@ def test_cases_are_added_next_to_resonance(tmp_path: Path) -> None:
     assert len(lengths) > 5 + 4 and len(set(lengths)) == len(lengths)  # 4 halfway between
 
 
+@pytest.mark.nightly
 def test_a_crack_that_stays_open_is_not_excluded(tmp_path: Path) -> None:
     """The pull of the rotor holds it open: no harmonics, as without a crack. Of those that were
     solved one breathes, where its resonance is; splines through its harmonics and the zeros of the
@@ -346,10 +348,8 @@ def test_a_crack_that_stays_open_is_not_excluded(tmp_path: Path) -> None:
     assert any("the solved cases, near crack.length = 0.0105" in r for r in found.remarks)
 
 
-@pytest.mark.parametrize(
-    ("lips", "verdict"),
-    [pytest.param("open", "crack", marks=pytest.mark.nightly), ("tied", "undecided")],
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize(("lips", "verdict"), [("open", "crack"), ("tied", "undecided")])
 def test_resonances_of_cracks_that_a_load_holds(folder: Path, lips: str, verdict: str) -> None:
     """At speed a crack of 8 mm may stay open or shut, by the pull and how strongly it vibrates.
     Taken for one that breathes half of the time it was one of 10.5 mm, or none at all."""
@@ -445,7 +445,8 @@ def test_resonances_are_near_bilinear_frequencies(scene: fc.Scene, mode: int, sh
     assert low < peak < high
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(n, marks=pytest.mark.nightly) for n in (1, 2))])
+@pytest.mark.nightly
+@pytest.mark.parametrize("seed", [0, 1, 2])
 def test_no_crack_is_claimed(scene: fc.Scene, folder: Path, seed: int) -> None:
     """On plates without one."""
     rows = measured(scene, {"crack": None, "contact": None}, seed)
@@ -472,6 +473,7 @@ def test_coarser_mesh_for_most(scene: fc.Scene, tmp_path: Path) -> None:
     assert found[0.5].contains(truth) and off[0] < off[1]
 
 
+@pytest.mark.nightly
 def test_edges_of_the_same_frequencies(scene: fc.Scene, folder: Path) -> None:
     """It is said; and with the edge unknown both cracks are reported."""
     rows = measured(scene, {"crack.length": 0.02, "crack.height": 0.08}, 5)
@@ -635,9 +637,8 @@ def test_as_few_modes_as_two_cracks_have_unknowns(scene: fc.Scene, folder: Path)
         assert ("IF IT IS ONE CRACK" in repr(found)) == few
 
 
-@pytest.mark.parametrize(
-    ("height", "cut"), [(0.148, True), pytest.param(0.2 / 2, False, marks=pytest.mark.nightly)]
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize(("height", "cut"), [(0.148, True), (0.2 / 2, False)])
 def test_intervals_that_the_bounds_cut(
     scene: fc.Scene, folder: Path, height: float, cut: bool
 ) -> None:
@@ -822,6 +823,7 @@ def command_of_one_unknown(folder: Path) -> list[str]:
     return [*words, "--output", str(folder / "out")]
 
 
+@pytest.mark.nightly
 def test_beside_other_results(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A report of all files in its folder has the sweeps, one of which is a single case and has no
     picture, and has what was inferred; alone, too, and not without the files beside it."""

@@ -727,6 +727,7 @@ def test_stops_at_ctrl_c(
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize(("lost", "used"), [([2], True), ([4], False), ([1, 2], False)])
 def test_cases_that_failed(
     lost: list[int],

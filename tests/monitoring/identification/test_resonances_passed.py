@@ -116,7 +116,7 @@ def _hertz(blade: fc.Scene, rpm: float, kind: str) -> float:
     return float(fc.solve_modes(own, 1).omega[0]) / TURN
 
 
-@pytest.mark.drawn(1)
+@pytest.mark.nightly
 @pytest.mark.parametrize("kind", ["open", "bilinear"])
 def test_lips_at_resonances(scene: fc.Scene, folder: Path, kind: str) -> None:
     """Open at all speeds, or breathing half of the time at all: no frequency distinguishes them, so
