@@ -59,6 +59,7 @@ def names() -> dict[str, Any]:
     return made
 
 
+@pytest.mark.drawn(30)
 @pytest.mark.usefixtures("not_drawn")
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_examples_run(

@@ -662,6 +662,9 @@ DAMPINGS = {
 
 
 # --- against dense matrices -----------------------------------------------------------------------
+
+
+@pytest.mark.drawn(10)
 @pytest.mark.parametrize("omega", [0.0, 0.5, 7.77, 20.0, 300.0])
 @pytest.mark.parametrize("damping", DAMPINGS.values(), ids=DAMPINGS)
 def test_against_dense_matrices(damping: Any, omega: float) -> None:
@@ -737,6 +740,7 @@ def check_near_resonance(structure: Structure, mode: int, offset: float) -> None
         assert relative_error(stiffness.compliance(), gap.T @ inverse @ gap) < 1e-8
 
 
+@pytest.mark.drawn(10)
 @pytest.mark.parametrize("offset", OFFSETS)
 @pytest.mark.parametrize("ratio", [0.1, 0.001])
 def test_near_a_resonance(ratio: float, offset: float) -> None:
@@ -745,6 +749,7 @@ def test_near_a_resonance(ratio: float, offset: float) -> None:
         check_near_resonance(random_structure(ModalDamping(ratio)), mode, offset)
 
 
+@pytest.mark.drawn(10)
 @pytest.mark.parametrize("offset", OFFSETS)
 @pytest.mark.parametrize("ratio", [0.1, 0.001])
 def test_paper_plate_near_a_resonance(
@@ -755,6 +760,7 @@ def test_paper_plate_near_a_resonance(
         check_near_resonance(paper_structure.damped(ModalDamping(ratio)), mode, offset)
 
 
+@pytest.mark.drawn(10)
 @pytest.mark.parametrize("offset", OFFSETS)
 @pytest.mark.parametrize("split", [0.0, 1e-12, 1e-7, 1e-3])
 def test_near_several_resonances_at_once(split: float, offset: float) -> None:

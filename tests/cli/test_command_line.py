@@ -132,7 +132,7 @@ QUIET = {line.split()[0]: line for line, expected in reversed(REMARKS) if expect
 """The first line of each command that has a remark."""
 
 
-@pytest.mark.drawn(10)
+@pytest.mark.drawn(4)
 @pytest.mark.parametrize(("line", "expected"), REMARKS, ids=[line for line, _ in REMARKS])
 def test_harmonics_that_nothing_damps(
     line: str, expected: str, tmp_path: Path, capsys: pytest.CaptureFixture

@@ -321,7 +321,10 @@ def test_path_leads_to_an_orbit(paper_structure: fc.Structure) -> None:
     assert off == pytest.approx(5.96e-3, rel=1e-3)
 
 
-@pytest.mark.parametrize(("omega", "verdict"), [(0.5, "stable"), (0.05, "undecided")])
+@pytest.mark.parametrize(
+    ("omega", "verdict"),
+    [pytest.param(0.5, "stable", marks=pytest.mark.nightly), (0.05, "undecided")],
+)
 def test_slow_load_beside_high_modes(omega: float, verdict: str) -> None:
     """Modes of 1 and 3e4 rad/s: a period has more pieces than a search had. Where two can be
     followed Newton's method finds the orbit; else more harmonics tell the error, and a line why

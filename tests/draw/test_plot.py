@@ -112,6 +112,7 @@ def test_on_axes_that_are_given(
         draw(results, path=tmp_path / "drawn.xls")
 
 
+@pytest.mark.drawn(6)
 @pytest.mark.parametrize("name", DRAWN)
 def test_on_a_new_figure(
     name: str, results: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -151,6 +151,7 @@ def test_mean_load_keeps_lips_apart_or_together() -> None:
         assert all(any(text in word for word in words) for text in texts)
 
 
+@pytest.mark.drawn(5)
 @pytest.mark.parametrize("demo", sorted(DEMOS.glob("*.toml")), ids=lambda path: path.stem)
 def test_no_remark_on_demos(demo: object) -> None:
     """Every scene of demos is usual."""
@@ -369,6 +370,7 @@ def plate(changes: dict[str, object] | None = None) -> fc.Scene:
     return fc.Scene.from_mapping(PLATE).replace(changes or {})
 
 
+@pytest.mark.nightly
 def test_failed_runs_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     """One that does not converge leaves two sizes and a factor of 3; two leave a cause unknown: of
     a smoothed law, which has no exact orbit."""

@@ -589,6 +589,7 @@ def test_nothing_fits(scene: fc.Scene, folder: Path) -> None:
     assert "two cracks, one of another kind or elsewhere, or a wrong measurement" in found.reason
 
 
+@pytest.mark.nightly
 def test_one_wrong_measurement(scene: fc.Scene, folder: Path) -> None:
     """Is named where no crack explains them all; frequencies that are said to be known better than
     they can be are said."""
