@@ -48,7 +48,7 @@ LARGE_ERROR = 0.05
 PARTS = ("truncation", "reduction", "sampling", "residual")
 """Parts of a total error; of equal ones the first is reported."""
 
-SLIGHT = 0.05
+SETTLED_STEP = 0.05
 """Relative size of the second Newton step up to which an error counts as estimated."""
 
 
@@ -262,7 +262,7 @@ def _improvement(
     if solved:
         step = first.solve(known - first.residual)
         again = first.solve(known - system.linearise(start + step).residual)
-        settled = SLIGHT * np.linalg.norm(step)
+        settled = SETTLED_STEP * np.linalg.norm(step)
         if np.linalg.norm(again) < max(settled, KNOWN * np.linalg.norm(start)):
             step = step + again
             return first.gap_of(step), first.force_of(step)[:rows]

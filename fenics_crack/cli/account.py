@@ -84,7 +84,7 @@ IN_A_TEST = {
     "swells and falls slowly, and lines appear on both sides of the load's frequency",
 }
 """Meaning of bifurcations to somebody at a test rig, by their kinds."""
-MEASURED = ("m", "N", "Pa m^0.5")
+UNITS_WITH_ROUNDING = ("m", "N", "Pa m^0.5")
 """Units in which values up to 1e-15 are rounding, and written as 0."""
 
 
@@ -276,7 +276,7 @@ def _rounded(table: Table) -> Table:
     place = table.columns.index("unit") if "unit" in table.columns else None
 
     def rounded(value: Any, unit: str) -> Any:
-        known = isinstance(value, float) and unit in MEASURED
+        known = isinstance(value, float) and unit in UNITS_WITH_ROUNDING
         return 0.0 if known and abs(value) <= 1e-15 else value
 
     rows = []
@@ -319,7 +319,7 @@ def readable_rows(table: Table) -> Table:
 
 def _readable(name: str, value: Any, unit: str) -> tuple[str, Any]:
     known = isinstance(value, float) and np.isfinite(value)
-    if known and unit in MEASURED:
+    if known and unit in UNITS_WITH_ROUNDING:
         return name, quantity(value, unit)
     if known and name.startswith("relative "):
         return name, percent(value)

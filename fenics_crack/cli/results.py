@@ -68,7 +68,7 @@ from fenics_crack.study.plausibility import highest_omega
 from fenics_crack.study.prepare import Watched
 from fenics_crack.study.run import Run, run_of
 from fenics_crack.study.stated_errors import largest_left_out
-from fenics_crack.study.tip_and_clamp import asked_along_curve, asked_of_motion
+from fenics_crack.study.tip_and_clamp import quantities_along_curve, quantities_of_motion
 from fenics_crack.study.verification import Verification, verification_of
 from fenics_crack.sweep.result import SweepResult
 from fenics_crack.time.march import TimeHistory
@@ -318,7 +318,7 @@ def _quantities(run: Run[Any], values: Mapping[str, object]) -> Table:
     if not run.structure.n_pairs:  # no errors were estimated
         values = {n: v for n, v in values.items() if not n.endswith(("_error", "_share"))}
     rows += _named(OF_LIPS, values)
-    rows += _named(QUANTITIES, asked_of_motion(run, run.result))
+    rows += _named(QUANTITIES, quantities_of_motion(run, run.result))
     if run.structure.n_pairs and isinstance(run.result, PeriodicSolution):
         near = bilinear_frequencies(run.structure).nearest(omega)
         rows += (
@@ -681,7 +681,7 @@ def _along(run: Run[ResponseCurve], curve: ResponseCurve) -> Columns:
             found[with_unit(watched.column(name), unit)] = getattr(indicators, name)
     for name, (_, unit) in OF_LIPS.items():
         found[with_unit(name, unit)] = getattr(seen[0], name)
-    for name, values in asked_along_curve(run, curve).items():
+    for name, values in quantities_along_curve(run, curve).items():
         found[with_unit(name, QUANTITIES[name][1])] = values
     near = _natural_along(run, np.asarray(seen[0].omega)).nearest(seen[0].omega)
     return found | {with_unit(name, unit): value for name, _, unit, value in _with_hertz(near)}

@@ -42,7 +42,12 @@ import numpy as np
 from tqdm import tqdm
 
 from fenics_crack.balance.contact_integrals import contact_integrals
-from fenics_crack.balance.error_report import SLIGHT, ErrorReport, mean_square, moving_mean_square
+from fenics_crack.balance.error_report import (
+    SETTLED_STEP,
+    ErrorReport,
+    mean_square,
+    moving_mean_square,
+)
 from fenics_crack.balance.more_modes import UNKNOWN
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import (
@@ -171,7 +176,7 @@ class Backbone(Tabular):
         left = motion.linearise(known, math.log(energy)).residual
         wider = FreeMotion(rest, integrals.widened(harmonics), omega)
         change = wider.linearise(start, math.log(energy)).residual
-        sharp = SLIGHT * float(np.linalg.norm(change) / np.linalg.norm(start))
+        sharp = SETTLED_STEP * float(np.linalg.norm(change) / np.linalg.norm(start))
         sharp = max(sharp, wider.rounding(math.log(energy)))
         found = solve_at(wider, start, math.log(energy), tolerance=sharp)
         truncation, waves = UNKNOWN, np.zeros((2, 2 * harmonics + 1, self.structure.n_pairs))

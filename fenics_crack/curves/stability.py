@@ -37,7 +37,7 @@ from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.basics.errors import ConvergenceError, InputError, check_count, check_kind
 from fenics_crack.basics.tables import percent
 from fenics_crack.model.contact import ContactLaw, check_law, check_slope, is_rigid, smooth_forces
-from fenics_crack.model.modal import CACHED, AllModes, all_modes, is_small
+from fenics_crack.model.modal import CACHE_SIZE, AllModes, all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.attractors import Attractor, in_the_long_run
 from fenics_crack.motion.flow import exact_flow
@@ -96,7 +96,7 @@ def _product(
     else:
         kicks = h * smooth_forces(contact, modes.residual, values)[1]
     stretches = 1
-    while stretches**2 < count and stretches * (2 * n) ** 2 < CACHED:
+    while stretches**2 < count and stretches * (2 * n) ** 2 < CACHE_SIZE:
         stretches *= 2
     along = kicks.reshape(stretches, count // stretches, *kicks.shape[1:])
     moved = modes.transition(h)[0]

@@ -37,7 +37,7 @@ from fenics_crack.scene.tables import Growth as Law
 from fenics_crack.study.run import solve
 from fenics_crack.study.stated_errors import stated_errors
 from fenics_crack.sweep.file import NUMBERED
-from fenics_crack.sweep.result import UNSOUGHT, SweepResult, resonates, run_sweep
+from fenics_crack.sweep.result import NO_PEAK_SOUGHT, SweepResult, resonates, run_sweep
 
 # --- the result, and its file ---------------------------------------------------------------------
 
@@ -308,7 +308,7 @@ def _checked(scene: Scene) -> Scene:
         allowed = "another one with excitation.order: the speed of the rotor sets the frequency"
         raise InputError("growth.drive", law.drive, allowed)
     if law.drive == "resonance" and not resonates(scene):
-        raise InputError("growth.drive", law.drive, f"another one {UNSOUGHT}")
+        raise InputError("growth.drive", law.drive, f"another one {NO_PEAK_SOUGHT}")
     width = scene.geometry.sides[0]
     if not crack.length < law.until < width:
         allowed = f"between crack.length = {crack.length:g} and geometry.width = {width:g}"

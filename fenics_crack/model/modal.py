@@ -20,7 +20,7 @@ from fenics_crack.numerics.equations import EPSILON
 SMALL = 600
 """Maximum dofs of a structure that is decomposed into all of its modes, and maximum unknowns with
 which better equations are tried: dense matrices of this size take a part of a second."""
-CACHED = 2**16
+CACHE_SIZE = 2**16
 """Modal coordinates that are computed at a time, as a cache holds them."""
 
 

@@ -42,7 +42,7 @@ KINDS = ("force", "pressure", "traction")
 """Kinds of the loads at a point or on an edge."""
 MOST_POINTS = 100
 """Points of ``[output.points]``: every quantity of each is computed, printed and written."""
-LEAST_OF_AN_UNKNOWN = 4
+MIN_VALUES = 4
 """Minimum values of an unknown, as its interpolation requires."""
 
 
@@ -883,10 +883,10 @@ class Identify(Table):
         for axis in self.unknown:
             words = [isinstance(value, str) for value in axis.values]
             if not all(words):
-                fine = not any(words) and len(axis.values) >= LEAST_OF_AN_UNKNOWN
+                fine = not any(words) and len(axis.values) >= MIN_VALUES
                 fine = fine and bool(np.all(np.diff(axis.values) > 0))
                 if not fine:
-                    allowed = f"words, or {LEAST_OF_AN_UNKNOWN} or more numbers in ascending order"
+                    allowed = f"words, or {MIN_VALUES} or more numbers in ascending order"
                     raise InputError(f'identify.unknown."{axis.key}"', axis.values, allowed)
 
     def _check_meshes(self) -> None:
@@ -902,8 +902,8 @@ class Identify(Table):
                     allowed = f"a word, or one of {', '.join(sorted(named))}"
                     raise InputError(key, name, allowed)
         for axis in self.mesh_axes:
-            if len(axis.values) < LEAST_OF_AN_UNKNOWN:
-                allowed = f"{LEAST_OF_AN_UNKNOWN} or more different ones"
+            if len(axis.values) < MIN_VALUES:
+                allowed = f"{MIN_VALUES} or more different ones"
                 raise InputError(f"identify.meshes, {axis.key}", axis.values, allowed)
         there = [tuple(dict(one.values)[a.key] for a in self.mesh_axes) for one in self.meshes]
         every = itertools.product(*(axis.values for axis in self.mesh_axes))

@@ -60,7 +60,7 @@ from fenics_crack.study.tip_and_clamp import (
     numbers_at_clamp,
     numbers_at_tips,
     periods_of,
-    prepare_asked,
+    prepare_quantities,
     tip_rows,
 )
 from fenics_crack.study.verification import Verification, verification_of
@@ -276,7 +276,7 @@ def solve_prepared(
     """The same of a scene that is prepared; reduced, if its modes are chosen (collective).
     Without a tolerance it is sought from a solution of the same structure, if there is one, and at
     another frequency than the scene's, if that is given."""
-    prepare_asked(whole)  # before anything is solved: it may be refused
+    prepare_quantities(whole)  # before anything is solved: it may be refused
     scene, law = whole.scene, whole.contact
     omega, table = omega or scene.excitation.omega, scene.harmonic_balance
     if law is None:
@@ -370,7 +370,7 @@ def curve(
     if is_rigid(law) and not study.structure.light_lips:
         allowed = "'penalty' or 'smoothed', or used with reduction.method = 'massless', for a curve"
         raise InputError("contact.law", "unilateral", allowed)
-    prepare_asked(study)  # before the curve: it may be refused
+    prepare_quantities(study)  # before the curve: it may be refused
     options: dict[str, Any] = {"stability": table.stability, "progress": progress, "throw": False}
     if balance.tolerance is None:
         options |= {"harmonics": balance.harmonics, "samples": balance.samples}
@@ -443,7 +443,7 @@ def integrate(
     study = prepare(scene, comm)
     structure, omega, law = study.structure, scene.excitation.omega, _needed_law(study)
     method = _method(study, table, law)
-    prepare_asked(study)  # before the integration: it may be refused
+    prepare_quantities(study)  # before the integration: it may be refused
     start: PeriodicSolution | tuple[np.ndarray, np.ndarray] | None = None
     if table.deflection is not None:
         weights = np.zeros((3, 3))

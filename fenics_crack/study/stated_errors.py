@@ -68,7 +68,7 @@ from fenics_crack.study.coarser_mesh import (
     why_failed,
 )
 from fenics_crack.study.prepare import REFUSALS, Study
-from fenics_crack.study.tip_and_clamp import asked_of_motion
+from fenics_crack.study.tip_and_clamp import quantities_of_motion
 from fenics_crack.study.verification import UNCHANGED, GridConvergence, Varied, Verification
 
 ANSWER = (
@@ -122,7 +122,7 @@ def numbers_of(study: Study, found: PeriodicSolution, mode: int | None = None) -
                 least = rounding if unit == "m" and name in OF_LIPS else 0.0
                 if abs(value) > (UNCHANGED if unit == "1" else least):
                     values[column], units[column] = value, unit.replace("1", "")
-    for name, value in asked_of_motion(study, found).items():
+    for name, value in quantities_of_motion(study, found).items():
         if not math.isnan(value):  # what is seen may not be known
             values[name], units[name] = value, QUANTITIES[name][1]
     natural = bilinear_frequencies(structure)

@@ -26,7 +26,7 @@ from fenics_crack.study.prepare import Study
 from fenics_crack.time.march import TimeHistory
 
 
-def prepare_asked(study: Study) -> None:
+def prepare_quantities(study: Study) -> None:
     """Make what the quantities of a study are found with, once for its structure (collective)."""
     names = asked_quantities(study.scene)
     if _AT_TIPS & set(names):
@@ -35,7 +35,7 @@ def prepare_asked(study: Study) -> None:
         study.structure.once(_inertia_rows)
 
 
-def asked_of_motion(study: Study, motion: PeriodicSolution | TimeHistory) -> dict[str, float]:
+def quantities_of_motion(study: Study, motion: PeriodicSolution | TimeHistory) -> dict[str, float]:
     """The quantities of a solution or a time integration that its scene requests (collective)."""
     names = asked_quantities(study.scene)
     found: dict[str, float] = {}
@@ -47,7 +47,7 @@ def asked_of_motion(study: Study, motion: PeriodicSolution | TimeHistory) -> dic
     return {name: found[name] for name in names}
 
 
-def asked_along_curve(study: Study, curve: ResponseCurve) -> dict[str, np.ndarray]:
+def quantities_along_curve(study: Study, curve: ResponseCurve) -> dict[str, np.ndarray]:
     """The quantities that its scene requests at every point of a curve, each (n,) (collective)."""
     names = asked_quantities(study.scene)
     found: list[dict[str, float]] = [{} for _ in range(len(curve))]

@@ -27,7 +27,7 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCES
 from fenics_crack.study.plausibility import damping_ratios
 from fenics_crack.study.prepare import REFUSALS, Study, law_of, prepare
-from fenics_crack.study.tip_and_clamp import asked_of_motion, prepare_asked
+from fenics_crack.study.tip_and_clamp import prepare_quantities, quantities_of_motion
 from fenics_crack.sweep.file import AT_POINTS, OPEN, PHASES, YET, of_load
 from fenics_crack.sweep.plan import Chunk
 
@@ -122,7 +122,7 @@ def build(scene: Scene, comm: MPI.Comm, asked: Asked, last: Geometry | None = No
         method = "off" if scene.reduction is None else scene.reduction.method
         allowed = f"one that leaves fewer than {structure.n_dofs} coordinates"
         raise InputError("reduction.method", method, allowed)
-    prepare_asked(study)
+    prepare_quantities(study)
     lengths = [crack.length for crack in study.scene.all_cracks.values()]
     named = [watched for watched in study.watched if watched.name]
     rows = np.zeros((0, structure.n_dofs))
@@ -190,7 +190,7 @@ def solve_chunk(
             if not asked.judged:
                 found.pop("reduction_error")
             found |= _seen(solution, case, geometry)
-            found |= asked_of_motion(geometry.study, solution)
+            found |= quantities_of_motion(geometry.study, solution)
             if asked.verdicts and case.harmonic_balance.error:
                 found |= cases.verdict(solution)
                 found["status"] += found.pop("remark", "")

@@ -79,7 +79,7 @@ from fenics_crack.sweep.plan import Plan
 
 DRAWN = ("amplitude", "opening", "ratio_2_1", "ratio_3_1", "closed_share", "mean_shift")
 """Quantities that are drawn where the scene does not choose."""
-UNSOUGHT = "without contact, and with [rotation]"
+NO_PEAK_SOUGHT = "without contact, and with [rotation]"
 """Scenes whose largest response over the load's frequency is not sought."""
 STATES = np.array([state.name.lower() for state in State])
 """Words for the states."""
@@ -141,7 +141,7 @@ def run_sweep(
     check_scene(scene)
     table: Sweep = scene.given("sweep")
     if table.at_resonance and not resonates(scene):
-        raise InputError("sweep.at_resonance", True, f"false {UNSOUGHT}")
+        raise InputError("sweep.at_resonance", True, f"false {NO_PEAK_SOUGHT}")
     count = table.shape[-1]
     if outside := [place for place in natural if place not in range(count)]:
         raise InputError("natural", outside, f"places on the last axis, 0 to {count - 1}")
@@ -185,7 +185,7 @@ def _passing_file() -> str:
 
 def resonates(scene: Scene) -> bool:
     """Return True if the largest response over the load's frequency can be sought; else a scene is
-    as :data:`UNSOUGHT` says."""
+    as :data:`NO_PEAK_SOUGHT` says."""
     return scene.contact is not None and scene.speed == 0.0
 
 

@@ -55,7 +55,7 @@ from fenics_crack.model.contact import (
     solve_complementarity,
 )
 from fenics_crack.model.factor import Factor, weighted_sum
-from fenics_crack.model.modal import CACHED, all_modes, is_small
+from fenics_crack.model.modal import CACHE_SIZE, all_modes, is_small
 from fenics_crack.model.modes import damped_modes, largest_frequency, times
 from fenics_crack.model.reduced import INSTEAD, check_mass
 from fenics_crack.model.structure import RayleighDamping, Structure
@@ -259,7 +259,7 @@ class _ModalDifferences(Scheme):
 
     def fill(self, window: Window, number: int) -> None:
         modes, asked, count = self._modes, self._asked, len(window.gap)
-        some = max(1, CACHED // len(modes.squares))
+        some = max(1, CACHE_SIZE // len(modes.squares))
         for first in range(0, count, some):
             place = slice(first, min(first + some, count))
             shape = np.empty((place.stop - first, len(modes.squares)))

@@ -38,7 +38,7 @@ from fenics_crack.monitoring.identification.posterior import Likelihood, Posteri
 from fenics_crack.monitoring.identification.result import Identification
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene
-from fenics_crack.scene.tables import LEAST_OF_AN_UNKNOWN, Identify, Sweep
+from fenics_crack.scene.tables import MIN_VALUES, Identify, Sweep
 from fenics_crack.scene.words import check_scene
 from fenics_crack.study.coarser_mesh import finer_mesh
 from fenics_crack.sweep.result import SweepResult, by_reason, run_sweep
@@ -362,7 +362,7 @@ def solve_forward(
         return found
 
     numbers = sum(not isinstance(axis.values[0], str) for axis in table.unknown)
-    count = LEAST_OF_AN_UNKNOWN - (numbers > 2)  # values of the finer sweep and of that between
+    count = MIN_VALUES - (numbers > 2)  # values of the finer sweep and of that between
     meshes = [Axis(MESH, table.mesh_files)] if table.meshes else []
 
     def others(
