@@ -72,8 +72,8 @@ name = "fenics_crack.kernel._kernel"
 spec = importlib.util.spec_from_file_location(name, sys.argv[1])
 sys.modules[name] = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(sys.modules[name])
-sys.exit(pytest.main(["-q", "-x", "-n", "0", "-p", "no:cacheprovider", "-m", "not slow and not mpi",
-                      *sys.argv[2:]]))
+which = "not nightly and not slow and not mpi"
+sys.exit(pytest.main(["-q", "-x", "-n", "0", "-p", "no:cacheprovider", "-m", which, *sys.argv[2:]]))
 """
 
 
