@@ -233,7 +233,11 @@ def _solver(structure: Structure, prefix: str, count: int, krylov: int) -> Any:
 
 def _solve(solver: Any, count: int) -> None:
     solver.setFromOptions()
-    solver.solve()
+    try:
+        solver.solve()
+    except PETSc.Error as error:  # rounding leaves the mass indefinite in what SLEPc spans
+        solver.destroy()
+        raise ConvergenceError(f"modes: SLEPc cannot find {count}: {LOST}") from error
     found = solver.getConverged()
     if found < count:
         solver.destroy()
