@@ -15,6 +15,7 @@ from helpers import chain, dense, dense_matrices, log_slope, oscillator, random_
 from mpi4py import MPI
 from scipy.integrate import quad
 from switching import switching_instants
+from test_indicators import bilinear_wave
 from test_to_tolerance import OMEGA, bouncing
 
 import fenics_crack as fc
@@ -1121,15 +1122,6 @@ def test_force_of_each_crack() -> None:
         given = None if cracks is None else np.array(cracks)
         found = contact_extremes(-np.ones((2, 3)), force, given)
         assert (found["contact_force"], found["crack_force"]) == (4.0, expected)
-
-
-def bilinear_wave(ratio: float, count: int) -> np.ndarray:
-    """A free motion of x'' + x = 0 for x < 0, x'' + r^2 x = 0 for x > 0, over one period."""
-    open_share = ratio / (1.0 + ratio)
-    time = np.arange(count) / count
-    closed = np.sin(np.pi * time / (1.0 - open_share)) / ratio
-    open_part = -np.sin(np.pi * (time - (1.0 - open_share)) / open_share)
-    return np.where(time < 1.0 - open_share, closed, open_part)
 
 
 @pytest.mark.parametrize("ratio", [1.2, 2.0, 4.0])

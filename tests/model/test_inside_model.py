@@ -13,6 +13,7 @@ import scipy.linalg
 import scipy.optimize
 from helpers import DAMPINGS, chain, dense_matrices, random_stiffness, relative
 from mpi4py import MPI
+from test_modes import plate, random_matrices
 from test_reduced import flexibility, reduced
 
 import fenics_crack as fc
@@ -361,29 +362,6 @@ def test_forces_that_do_not_exist_are_an_error() -> None:
 
 
 # --- modes, once computed -------------------------------------------------------------------------
-
-
-def random_matrices(n: int, rigid: int = 0, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Random mass, and stiffness with a null space of some dimension."""
-    rng = np.random.default_rng(seed)
-    root = rng.standard_normal((n, n))
-    mass = root @ root.T / n + np.eye(n)
-    root = rng.standard_normal((n, n - rigid)) * 10.0 ** rng.uniform(-1.0, 1.0, n - rigid)
-    return mass, root @ root.T
-
-
-def plate(columns: int, rows: int, **changes: Any) -> Scene:
-    """An uncracked unit square, E = rho = 1, on a grid; some keys changed."""
-    scene = Scene.from_mapping(
-        {
-            "geometry": {"width": 1.0, "height": 1.0, "thickness": 1.0},
-            "material": {"young": 1.0, "poisson": 0.3, "density": 1.0},
-            "damping": {"ratio": 0.001},
-            "excitation": {"omega": 1.0, "point": [0.0, 1.0]},
-            "mesh": {"layout": "grid", "columns": columns, "rows": rows},
-        }
-    )
-    return scene.replace(changes)
 
 
 def test_largest_frequency() -> None:

@@ -15,6 +15,7 @@ import scipy.sparse as sparse
 from helpers import DEMOS, chain_stiffness
 from mpi4py import MPI
 from petsc4py import PETSc
+from test_verify import plate
 
 import fenics_crack as fc
 from fenics_crack.balance.solution import Solver
@@ -350,24 +351,6 @@ def test_what_was_prepared_is_given_back(paper_scene: fc.Scene) -> None:
 
 
 # --- how the commands compute ---------------------------------------------------------------------
-
-PLATE: dict[str, Any] = {
-    "geometry": {"width": 0.1, "height": 0.1, "thickness": 1.0},
-    "crack": {"edge": "left", "height": 0.05, "length": 0.05},
-    "material": {"young": 2e9, "poisson": 0.3, "density": 7800.0},
-    "damping": {"ratio": 0.01},
-    "excitation": {"omega": 2000.0, "point": [0.1, 0.1], "force_sin": [100.0, 0.0]},
-    "contact": {"stiffness_per_area": 5e10},
-    "mesh": {"layout": "graded", "size": 0.03, "lip_elements": 2, "grading": 2.0},
-    "reduction": {"modes": 6},
-    "output": {"quantities": ["amplitude", "ratio_2_1", "opening"]},
-}
-"""Two pairs, 15 elements."""
-
-
-def plate(changes: dict[str, object] | None = None) -> fc.Scene:
-    """The plate with some keys changed."""
-    return fc.Scene.from_mapping(PLATE).replace(changes or {})
 
 
 @pytest.mark.nightly
