@@ -373,12 +373,20 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
 }
 
 
-KEYS_OF_SCENES = {"bash": "_fenics_crack_keys"}
-PATHS = {
+COMPLETED_KEYS = {
+    "bash": "_fenics_crack_keys", "zsh": "_fenics_crack_keys", "fish": "(_fenics_crack_keys)",
+}  # fmt: skip
+COMPLETED_PATHS = {
     "bash": "_shtab_compgen_files", "zsh": "_files",
     "fish": "(__fish_complete_path (commandline -ct))",
 }  # fmt: skip
-"""Completion of ``--set`` and of paths, by shell, as shtab takes it."""
+"""Completion of ``--set`` and of paths, by shell, as shtab takes it; the function behind the first,
+whose body has the keys of scenes."""
+KEY_FUNCTIONS = {
+    "bash": '_fenics_crack_keys() {{ compgen -W "{}" -- "$1"; }}',
+    "zsh": "_fenics_crack_keys() {{ compadd {}; }}",
+    "fish": "function _fenics_crack_keys; string split ' ' '{}'; end",
+}
 
 
 class Parser(argparse.ArgumentParser):
@@ -417,8 +425,7 @@ class Completion(argparse.Action):
         except ImportError:
             parser.error("--completion needs shtab: python -m pip install shtab")
         keys = " ".join(known_keys())
-        KEYS_OF_SCENES.update(zsh=f"({keys})", fish=keys)
-        preamble = {"bash": f'_fenics_crack_keys() {{ compgen -W "{keys}" -- "$1"; }}'}
+        preamble = {shell: text.format(keys) for shell, text in KEY_FUNCTIONS.items()}
         print(shtab.complete(parser, given[1], preamble=preamble))
         parser.exit()
 
@@ -450,7 +457,7 @@ def parser() -> argparse.ArgumentParser:
             explained, options = ARGUMENTS[argument]
             added = command.add_argument(argument.partition("=")[0], help=explained, **options)
             if argument == "--set" or options.get("type") is path:
-                shells = KEYS_OF_SCENES if argument == "--set" else PATHS
+                shells = COMPLETED_KEYS if argument == "--set" else COMPLETED_PATHS
                 added.complete = shells  # type: ignore[attr-defined]
         loud = command.add_mutually_exclusive_group()
         loud.add_argument("--quiet", action="store_true", help="print the table and nothing else")
