@@ -727,6 +727,8 @@ def _identified(stored: Stored) -> Identified:
         scene, summary = stored.scene(), json.loads(parts["summary"])
         if scene is None:
             raise LookupError("scene")
+        if "priors" not in summary:
+            raise LookupError("priors")
     drawn = b""
     with suppress(OSError):
         drawn = content_of(picture, links=False)
@@ -748,8 +750,7 @@ def _account_of_identified(found: Identified) -> Account:
     )
 
     values, rows = found.summary, []
-    priors = values.get("priors", {})
-    share = f"{100.0 * priors.get('confidence', 0.95):g} %"
+    share = f"{100.0 * values['priors']['confidence']:g} %"
     for key, value in values["estimate"].items():
         ends = values["intervals"].get(key)  # of a word there are none
         limits = [value_in_words(key, end) for end in ends] if ends else ["", ""]
@@ -758,7 +759,7 @@ def _account_of_identified(found: Identified) -> Account:
     where = [f"{key} {value} ({share}: {low} to {high})" for key, value, low, high in rows if low]
     said = [*(where if values["verdict"] == "crack" else []), values["reason"]]
     facts = [f"{values['verdict']}: {'; '.join(said)}"]
-    facts += [priors_in_words(priors)] if priors else []
+    facts.append(priors_in_words(values["priors"]))
     facts += [f"remark: {remark}" for remark in values["remarks"]]
     facts += [f"next to measure: {advice}" for advice in values["advice"]]
     tables = {
