@@ -379,6 +379,7 @@ LARGEST_SIDE = 20.0
 """Maximum plausible side of a plate [m]."""
 FASTEST = 1000.0
 """Maximum plausible speed of a blade tip [m/s]; the longest blades have 700."""
+TOO_FAST = "the blade tip moves at {:.3g} m/s, where the fastest have 700"
 
 
 class Usual(NamedTuple):
@@ -541,7 +542,7 @@ def _tip_speed(scene: Scene, table: Rotation, radius: float) -> Remarks:
         given.append((key, value, speed, "curve.parameter = 'rpm'"))
     for key, value, speed, instead in given:
         if speed * radius > FASTEST:
-            text = f"the blade tip moves at {speed * radius:.3g} m/s, where the fastest have 700"
+            text = TOO_FAST.format(speed * radius)
             if value == speed and RPM * speed * radius <= FASTEST:
                 text += f"; in revolutions per minute? then use {instead}"
             yield Remark(key, value, text)

@@ -28,7 +28,7 @@ from fenics_crack.scene.scene import LOOKED_AT, Scene
 from fenics_crack.scene.tables import Rotation, TipTiming
 from fenics_crack.scene.words import differences
 from fenics_crack.study.campbell import Campbell, campbell
-from fenics_crack.study.plausibility import FASTEST
+from fenics_crack.study.plausibility import FASTEST, TOO_FAST
 from fenics_crack.study.run import Run, load_run, solve
 
 DECIDED = (*LOOKED_AT, "reduction")
@@ -117,8 +117,8 @@ def remarks_on_arrivals(arrivals: ArrivalTimes) -> list[str]:
     """Return remarks on measured arrivals with unusual values: numbers in another unit."""
     found, speed = [], arrivals.mean_speed * arrivals.tip_radius
     if speed > FASTEST:
-        text = f"the blade tip moves at {speed:.3g} m/s, where the fastest have 700: are speed, "
-        found.append(text + "or times, and tip_radius in the units of their headings?")
+        units = "are speed, or times, and tip_radius in the units of their headings?"
+        found.append(f"{TOO_FAST.format(speed)}: {units}")
     if len(arrivals.probes) > 1 and np.degrees(arrivals.probes[-1]) < TURN:
         within = float(np.degrees(np.ptp(arrivals.probes)))
         found.append(f"all probes are within {within:.3g} degrees: are angles in rad?")
