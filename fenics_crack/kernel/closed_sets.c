@@ -1,5 +1,6 @@
 #include "closed_sets.h"
 
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -9,39 +10,47 @@
 #include "sets.h"
 
 struct closed_sets {
-    int modes, pairs;
-    const double *rows, *d;
+    int modes, pairs, contacts; /* of contact: with friction twice the pairs */
+    const double *rows, *d, *friction;
     long most, kept;
-    double *room; /* (p, p + m), or (p, p) and three times (TERMS, p) */
+    double *room; /* (r, r + m), or (r, r) and three times (TERMS, r) */
+    int *pivots;  /* (r) */
     int next;     /* bucket that is emptied */
     closed_set *bucket[BUCKETS];
 };
 
 static size_t bytes(long count) { return (size_t)count * sizeof(double); }
 
-closed_sets *new_closed_sets(int modes, int pairs, const double *rows, const double *d, long most)
+closed_sets *new_closed_sets(int modes, int pairs, const double *rows, const double *d,
+                             const double *friction, long most)
 {
-    const long rest = modes > 3 * TERMS ? modes : 3 * TERMS;
+    const long rest = modes > 3 * TERMS ? modes : 3 * TERMS, contacts = friction ? 2L * pairs : pairs;
     closed_sets *s = calloc(1, sizeof(closed_sets));
     if (!s) return NULL;
     s->modes = modes;
     s->pairs = pairs;
+    s->contacts = (int)contacts;
     s->rows = rows;
     s->d = d;
+    s->friction = friction;
     s->most = most;
-    s->room = malloc(bytes(pairs * (pairs + rest) + 1));
-    if (s->room) return s;
-    free(s);
+    s->room = malloc(bytes(contacts * (2 * contacts + rest) + 1));
+    s->pivots = malloc((size_t)(contacts + 1) * sizeof(int));
+    if (s->room && s->pivots) return s;
+    free_closed_sets(s);
     return NULL;
 }
 
 /* Whether products with P_A S P_A^T are shorter than with its factors. */
-static int has_many(const closed_sets *s, int size) { return 2 * size > s->modes; }
+static int has_many(const closed_sets *s, int size)
+{
+    return s->friction ? size > 0 : 2 * size > s->modes;
+}
 
 static long numbers_of(const closed_sets *s, long size)
 {
-    const long m = s->modes;
-    return size * size + 2 * m * size + s->pairs + (has_many(s, (int)size) ? m * m : 0);
+    const long m = s->modes, wide = s->friction ? s->contacts : size;
+    return size * wide + 2 * m * size + s->contacts + (has_many(s, (int)size) ? m * m : 0);
 }
 
 /* Forgets sets, bucket by bucket, until so many numbers are kept: of a motion that passes more sets
@@ -65,12 +74,86 @@ void free_closed_sets(closed_sets *s)
 {
     forget(s, -1);
     free(s->room);
+    free(s->pivots);
     free(s);
+}
+
+/* What presses on the modes, (size, m) rows of the set's own and what they push. */
+static void press(const closed_sets *s, closed_set *a, const double *own)
+{
+    const int m = s->modes, size = a->size;
+    for (int i = 0; i < size; i++)
+        for (int j = 0; j < m; j++) a->pairs[(long)j * size + i] = own[(long)i * m + j];
+    if (a->stiffness) multiply_matrices(m, size, m, a->pairs, a->pushed, 0.0, a->stiffness);
+}
+
+/* The tangential force of a slipping pair, relative to its normal one. */
+static double slope_of(const closed_sets *s, const closed_set *a, int pair)
+{
+    const int state = a->closed[pair];
+    return state == SLIP_UP ? s->friction[pair] : state == SLIP_DOWN ? -s->friction[pair] : 0.0;
+}
+
+/* The same with friction; 1 where det A is not positive. */
+static int fill_with_friction(closed_sets *s, closed_set *a)
+{
+    const int m = s->modes, p = s->pairs, r = s->contacts, size = a->size;
+    double *matrix = s->room, *column = matrix + (long)size * size, *own = s->room;
+    for (int i = 0, normal = 0, tangent = a->closing; i < p; i++) {
+        if (a->closed[i]) a->members[normal++] = i;
+        if (a->closed[i] == STICK) a->members[tangent++] = p + i;
+    }
+    for (int i = 0; i < size; i++) {
+        const double *d = s->d + (long)a->members[i] * r;
+        for (int j = 0; j < size; j++) {
+            const int row = a->members[j];
+            double *entry = matrix + (long)i * size + j;
+            *entry = d[row];
+            if (j < a->closing) *entry += slope_of(s, a, row) * d[p + row];
+        }
+    }
+    if (factor(size, matrix, s->pivots) || !(sign_of_factored(size, matrix, s->pivots) > 0.0))
+        return 1;
+    memset(a->inverse, 0, bytes((long)size * r));
+    for (int k = 0; k < r; k++) a->scale[k] = 1.0;
+    for (int j = 0; j < size; j++) {
+        double *forces = a->inverse + (long)j * r;
+        for (int i = 0; i < size; i++) column[i] = i == j;
+        solve_factored(size, matrix, s->pivots, column);
+        for (int i = 0; i < size; i++) {
+            const int row = a->members[i];
+            forces[row] += column[i];
+            if (i < a->closing) forces[p + row] += slope_of(s, a, row) * column[i];
+        }
+        a->scale[a->members[j]] = fabs(forces[a->members[j]]);
+    }
+    multiply_matrices(size, r, m, a->inverse, s->rows, 0.0, a->pushed);
+    for (int i = 0; i < size; i++)
+        memcpy(own + (long)i * m, s->rows + (long)a->members[i] * m, bytes(m));
+    press(s, a, own);
+    return 0;
+}
+
+void force_gaps(closed_sets *s, const closed_set *a, int count, const double *held, double *gaps,
+                double *forces)
+{
+    const int r = s->contacts, size = a->size;
+    double *own = s->room;
+    for (int t = 0; t < count; t++)
+        for (int i = 0; i < size; i++) own[(long)t * size + i] = gaps[(long)t * r + a->members[i]];
+    for (int i = a->closing; i < size; i++) own[i] -= held[a->members[i] - s->pairs];
+    multiply_matrices(count, size, r, own, a->inverse, 0.0, forces);
+    for (int t = 0; t < count; t++)
+        for (int i = 0; i < r; i++) {
+            const double *d = s->d + (long)i * r, *force = forces + (long)t * r;
+            gaps[(long)t * r + i] -= dot(r, d, force);
+        }
 }
 
 /* What a set is known by, whatever has been asked for before: 0, or 1 where D_AA is singular. */
 static int fill(closed_sets *s, closed_set *a)
 {
+    if (s->friction) return fill_with_friction(s, a);
     const int m = s->modes, p = s->pairs, size = a->size;
     double *closed = s->room;
     for (int i = 0, in = 0, out = size; i < p; i++) a->members[a->closed[i] ? in++ : out++] = i;
@@ -83,10 +166,9 @@ static int fill(closed_sets *s, closed_set *a)
     for (int i = 0; i < size; i++) {
         a->scale[a->members[i]] = a->inverse[(long)i * (size + 1)];
         memcpy(closed + (long)i * m, s->rows + (long)a->members[i] * m, bytes(m));
-        for (int j = 0; j < m; j++) a->pairs[(long)j * size + i] = closed[(long)i * m + j];
     }
     multiply_matrices(size, size, m, a->inverse, closed, 0.0, a->pushed);
-    if (a->stiffness) multiply_matrices(m, size, m, a->pairs, a->pushed, 0.0, a->stiffness);
+    press(s, a, closed);
     return 0;
 }
 
@@ -117,8 +199,8 @@ void answer_gaps(closed_sets *s, const closed_set *a, int count, const double *g
 /* NULL without memory. */
 static closed_set *room_for(const closed_sets *s, int size, const signed char *closed)
 {
-    const long m = s->modes, p = s->pairs;
-    closed_set *made = calloc(1, sizeof(closed_set) + (size_t)p * (sizeof(int) + 1));
+    const long m = s->modes, p = s->pairs, r = s->contacts, wide = s->friction ? r : size;
+    closed_set *made = calloc(1, sizeof(closed_set) + (size_t)r * sizeof(int) + (size_t)p);
     if (!made) return NULL;
     made->inverse = malloc(bytes(numbers_of(s, size) + 1));
     if (!made->inverse) {
@@ -126,12 +208,12 @@ static closed_set *room_for(const closed_sets *s, int size, const signed char *c
         return NULL;
     }
     made->size = size;
-    made->pairs = made->inverse + (long)size * size;
+    made->pairs = made->inverse + size * wide;
     made->pushed = made->pairs + m * size;
     made->scale = made->pushed + m * size;
-    made->stiffness = has_many(s, size) ? made->scale + p : NULL;
+    made->stiffness = has_many(s, size) ? made->scale + r : NULL;
     made->members = (int *)(made + 1);
-    made->closed = (signed char *)(made->members + p);
+    made->closed = (signed char *)(made->members + r);
     memcpy(made->closed, closed, (size_t)p);
     return made;
 }
@@ -142,12 +224,15 @@ const closed_set *closed_set_of(closed_sets *s, const signed char *closed)
     closed_set **bucket = &s->bucket[bucket_of(p, closed)];
     for (closed_set *a = *bucket; a; a = a->next)
         if (!memcmp(a->closed, closed, (size_t)p)) return a;
-    int size = 0;
-    for (int i = 0; i < p; i++) size += closed[i];
+    int closing = 0, size;
+    for (int i = 0; i < p; i++) closing += closed[i] != OPEN;
+    size = closing;
+    for (int i = 0; s->friction && i < p; i++) size += closed[i] == STICK;
     const long needed = numbers_of(s, size);
     forget(s, s->most - needed);
     closed_set *made = room_for(s, size, closed);
     if (!made) return NULL;
+    made->closing = closing;
     if (fill(s, made)) {
         free(made->inverse);
         free(made);

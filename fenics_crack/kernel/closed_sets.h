@@ -3,26 +3,43 @@
 #ifndef CLOSED_SETS_H
 #define CLOSED_SETS_H
 
-/* A set A of `size` closed pairs, with S = (D_AA)^-1. */
+/* Of a pair; without friction a closed one is in the first state behind OPEN. Of SLIP_UP the
+ * tangential gap grows. */
+enum { OPEN, STICK, SLIP_UP, SLIP_DOWN };
+
+/* A set A of `size` closed pairs, with S = (D_AA)^-1.
+ *
+ * With friction there are contact rows of the normals of all p pairs and behind them of their
+ * tangents, and a set has a state of each pair. Its `size` rows are the normals of the closed pairs
+ * and the tangents of those that stick. With x the forces on these rows, all are lambda = E x, where E
+ * adds +-mu x of a slipping pair's normal to its tangent, and
+ *
+ *     r = s_rows - [0; h],     A = D_rows E,     lambda = E A^-1 r = L r,
+ *
+ * h the place where a pair sticks. A is not symmetric while a pair slips.
+ */
 typedef struct closed_set {
     struct closed_set *next;
-    int size;
-    double *inverse;     /* (size, size) S */
+    int size, closing;   /* rows, and those of normals among them */
+    double *inverse;     /* (size, size) S, or with friction (size, rows) L^T */
     double *pairs;       /* (m, size) P_A */
-    double *pushed;      /* (size, m) S P_A^T */
+    double *pushed;      /* (size, m) S P_A^T, or L^T P^T */
     double *stiffness;   /* (m, m) P_A S P_A^T where the pairs are many, else NULL */
-    double *scale;       /* (p) what turns gaps into answers: S_jj, or 1 */
-    int *members;        /* (p) the pairs of A, then the others, each in ascending order */
+    double *scale;       /* (rows) what turns gaps into answers: S_jj, or 1 */
+    int *members;        /* (rows) the rows of A, then without friction the others, each in
+                          * ascending order */
     signed char *closed; /* (p) */
 } closed_set;
 
 typedef struct closed_sets closed_sets;
 
-/* Of pairs with rows P^T (p, m) and a positive definite compliance D (p, p), which must stay; at most
- * `most` numbers are kept. NULL without memory. */
-closed_sets *new_closed_sets(int modes, int pairs, const double *rows, const double *d, long most);
+/* Of pairs with rows P^T (p, m) and a positive definite compliance D (p, p), which must stay, with
+ * coefficients of friction (p), or NULL; at most `most` numbers are kept. NULL without memory. */
+closed_sets *new_closed_sets(int modes, int pairs, const double *rows, const double *d,
+                             const double *friction, long most);
 void free_closed_sets(closed_sets *s);
-/* Valid until the next one is asked for; NULL where D_AA is singular, or without memory. */
+/* Valid until the next one is asked for; NULL where D_AA is singular, with friction where det A is not
+ * positive and the answer not the only one, or without memory. */
 const closed_set *closed_set_of(closed_sets *s, const signed char *closed);
 /* The set that answers gaps s (p), from a guess of it, and the answers (p): pairs whose answer is
  * negative are turned, all at once or, where that goes round, the first of them alone (sets.h). NULL
@@ -32,5 +49,9 @@ const closed_set *set_at(closed_sets *s, const double *gap, signed char *closed,
  * openings D_.A f - s of the others. */
 void answer_gaps(closed_sets *s, const closed_set *a, int count, const double *gaps,
                  double *answers);
+/* With friction: of a series of gaps s (count, rows), whose stuck pairs are held in places h (p), the
+ * forces lambda (count, rows), and in place of the gaps s - D lambda. */
+void force_gaps(closed_sets *s, const closed_set *a, int count, const double *held, double *gaps,
+                double *forces);
 
 #endif

@@ -21,15 +21,20 @@ struct flow {
     double *room;
     double *columns;                 /* (m, p) P */
     double *weights;                 /* (TERMS, LOAD) of the load's rows */
-    double *series, *gaps, *answers; /* (TERMS, m), (TERMS, p), (TERMS, p) of q, s, i */
-    double *allowed;                 /* (p) what of a negative answer is rounding */
-    double *value, *falling;         /* (STEPS + 1, p) answers at steps' ends; (p) */
-    double *near, *force;            /* (p) s of a state, its forces */
-    double *seen, *drag;             /* (p), (m) */
-    double *turned;                  /* (LOAD, m + p) derivative of the load */
-    double *pulled;                  /* (LOAD, m) of a load, (LOAD, p) */
+    int rows;                        /* of contact, r */
+    double *series, *gaps, *answers; /* (TERMS, m), (TERMS, r), (TERMS, r) of q, s, i */
+    double *forces, *reached;        /* (TERMS, r) of lambda and g, with friction only */
+    double *held;                    /* (p) h */
+    double *allowed;                 /* (r) what of a negative answer is rounding */
+    double *value, *falling;         /* (STEPS + 1, r) answers at steps' ends; (r) */
+    double *near, *force;            /* (r) s of a state, its forces */
+    double *seen, *drag;             /* (r), (m) */
+    double *turned;                  /* (LOAD, m + r) derivative of the load */
+    double *pulled;                  /* (LOAD, m) of a load, (LOAD, r) */
     double *source, *motion;         /* (TERMS, m), (TERMS + 2, m) of another series */
     signed char *closed;             /* (p) */
+    signed char *zeros;              /* (r) first terms of answers that are 0 by how a state began */
+    double length, slope, fell;      /* of the piece; of the answer that fell first at an instant */
 };
 
 static size_t bytes(long count) { return (size_t)count * sizeof(double); }
@@ -85,13 +90,21 @@ static int order_for(double x)
 /* pulled = what a load and its gaps, through the forces of the closed pairs, drive. */
 static void pull(flow *f, const closed_set *a, const double *force, const double *gap)
 {
-    const int m = f->of.modes, p = f->of.pairs, size = a->size;
+    const int m = f->of.modes, size = a->size;
     double *closed = f->pulled + LOAD * m;
     for (int k = 0, at = 0; k < LOAD; k++)
-        for (int i = 0; i < p; i++)
-            if (a->closed[i]) closed[at++] = gap[k * p + i];
+        for (int i = 0; i < size; i++) closed[at++] = gap[k * f->rows + a->members[i]];
     multiply_matrices(LOAD, size, m, closed, a->pushed, 0.0, f->pulled);
     for (int j = 0; j < LOAD * m; j++) f->pulled[j] = force[j] - f->pulled[j];
+}
+
+/* next += gain times what the places push at which pairs stick. */
+static void hold(flow *f, const closed_set *a, double gain, double *next)
+{
+    const int m = f->of.modes, closing = a->closing, count = a->size - closing;
+    for (int i = 0; i < count; i++)
+        f->seen[i] = gain * f->held[a->members[closing + i] - f->of.pairs];
+    add_rows(count, m, a->pushed + (long)closing * m, f->seen, next);
 }
 
 /* Series of q of a piece, from a state; with `sources`, a load (TERMS, m) is added. */
@@ -116,6 +129,7 @@ WIDE static void expand(flow *f, const closed_set *a, const double *force, const
             next[j] = c * cosine[j] + s * sine[j] - gain * squares[j] * now[j] - loss * drag[j];
         if (mean != 0.0) add_rows(1, m, f->pulled, &mean, next);
         if (sources) add_rows(1, m, sources + (long)n * m, &gain, next);
+        if (n == 0 && f->of.friction) hold(f, a, gain, next);
         if (a->stiffness) {
             for (int j = 0; j < m; j++) drag[j] = -gain * now[j];
             add_rows(m, m, a->stiffness, drag, next);
@@ -128,19 +142,51 @@ WIDE static void expand(flow *f, const closed_set *a, const double *force, const
     }
 }
 
+/* Answers with friction, whose first terms are 0 where a state has just begun so. */
+static void answer_states(flow *f, const closed_set *a)
+{
+    const int p = f->of.pairs, r = f->rows, terms = f->order + 1;
+    for (int i = 0; i < p; i++) {
+        const int state = a->closed[i];
+        const double mu = f->of.friction[i], way = state == SLIP_UP ? 1.0 : -1.0;
+        for (int n = 0; n < terms; n++) {
+            const double *force = f->forces + (long)n * r, *gap = f->reached + (long)n * r;
+            double *one = f->answers + (long)n * r + i, *other = one + p;
+            if (state == OPEN) {
+                *one = -gap[i];
+                *other = n == 0;
+            } else if (state == STICK) {
+                *one = mu * force[i] - force[p + i];
+                *other = mu * force[i] + force[p + i];
+            } else {
+                *one = force[i];
+                *other = n + 1 < terms ? way * (n + 1) * gap[r + p + i] : 0.0;
+            }
+        }
+    }
+    for (int k = 0; k < r; k++)
+        for (int n = 0; n < f->zeros[k]; n++) f->answers[(long)n * r + k] = 0.0;
+}
+
 /* Series of the gaps s and of the answers, and what is rounding in these where the series holds. */
 static void answer(flow *f, const closed_set *a, const double *gap)
 {
-    const int m = f->of.modes, p = f->of.pairs, terms = f->order + 1;
-    multiply_matrices(terms, LOAD, p, f->weights, gap, 0.0, f->gaps);
-    multiply_matrices(terms, m, p, f->series, f->columns, 1.0, f->gaps);
-    answer_gaps(f->known, a, terms, f->gaps, f->answers);
+    const int m = f->of.modes, r = f->rows, terms = f->order + 1;
+    multiply_matrices(terms, LOAD, r, f->weights, gap, 0.0, f->gaps);
+    multiply_matrices(terms, m, r, f->series, f->columns, 1.0, f->gaps);
+    if (!f->of.friction) {
+        answer_gaps(f->known, a, terms, f->gaps, f->answers);
+        return;
+    }
+    memcpy(f->reached, f->gaps, bytes((long)terms * r));
+    force_gaps(f->known, a, terms, f->held, f->reached, f->forces);
+    answer_states(f, a);
 }
 
 static void round_off(flow *f, const closed_set *a, double length)
 {
-    const double largest = series_size(f->of.pairs, f->order, f->gaps, length);
-    for (int i = 0; i < f->of.pairs; i++) f->allowed[i] = AS_ZERO * largest * a->scale[i];
+    const double largest = series_size(f->rows, f->order, f->gaps, length);
+    for (int i = 0; i < f->rows; i++) f->allowed[i] = AS_ZERO * largest * a->scale[i];
 }
 
 static void state_at(const flow *f, double length, double time, double *state)
@@ -159,7 +205,7 @@ static void state_at(const flow *f, double length, double time, double *state)
 static double falls(const flow *f, int pair, double low, double high, double before, double first,
                     double last)
 {
-    const int p = f->of.pairs;
+    const int p = f->rows;
     double other, bottom, fall, rise;
     if (last >= -f->allowed[pair]) {
         /* Both ends positive, but a minimum between them may not be. */
@@ -201,10 +247,10 @@ WIDE static int may_fall(int p, const double *restrict low, const double *restri
     return count > 0.0;
 }
 
-/* The first pair that changes its state, and when; -1: none before `end`. */
+/* The answer that falls first, and when; -1: none before `end`. */
 static int next_event(flow *f, double step, double end, double *when)
 {
-    const int p = f->of.pairs;
+    const int p = f->rows;
     const int steps = (int)fmin(fmax(ceil(end / step), 3), STEPS); /* three show how answers bend */
     double at[TIMES];
     for (int k = 0; k <= steps; k++) at[k] = k < steps ? k * end / steps : end;
@@ -229,15 +275,21 @@ static int next_event(flow *f, double step, double end, double *when)
 
 /* --- motions ---------------------------------------------------------------------------------- */
 
-/* The set of closed pairs of a state, from a guess or, with NULL, from its gaps; and their forces.
- * Returns 1 where none answers it. */
+/* The set of closed pairs of a state, from a guess or, with NULL, from its gaps; with friction that of
+ * the guess; and their forces. Returns 1 where none answers it. */
 static int contact_at(flow *f, double omega, double time, const double *state, const signed char *guess)
 {
-    const int m = f->of.modes, p = f->of.pairs;
+    const int m = f->of.modes, p = f->of.pairs, r = f->rows;
     wave(f, omega, time, 0.0, 0);
-    multiply(p, m, f->of.rows, state, f->near);
-    add_rows(LOAD, p, f->of.gap, f->weights, f->near);
+    multiply(r, m, f->of.rows, state, f->near);
+    add_rows(LOAD, r, f->of.gap, f->weights, f->near);
     for (int i = 0; i < p; i++) f->closed[i] = guess ? guess[i] : f->near[i] > 0.0;
+    if (f->of.friction) {
+        const closed_set *a = closed_set_of(f->known, f->closed);
+        if (!a) return 1;
+        force_gaps(f->known, a, 1, f->held, f->near, f->force);
+        return 0;
+    }
     if (!set_at(f->known, f->near, f->closed, f->force)) return 1;
     for (int i = 0; i < p; i++)
         if (!f->closed[i]) f->force[i] = 0.0;
@@ -248,26 +300,63 @@ static int contact_at(flow *f, double omega, double time, const double *state, c
 static void sample(const flow *f, flow_motion *m, const signed char *closed, double length,
                    double end, int last)
 {
-    const int n = f->of.modes, p = f->of.pairs;
+    const int n = f->of.modes, p = f->of.pairs, r = f->rows, both = f->of.friction ? 2 * r : p;
     for (; m->sampled < m->count; m->sampled++) {
         const double at = fmax(0.0, (m->instants[m->sampled] - m->now) / length);
+        const double time = fmin(at, end);
         const long row = m->sampled;
+        double *found = m->answers + row * both;
         if (!last && at >= end) break;
-        state_at(f, length, fmin(at, end), m->states + row * 2 * n);
-        series_at(p, f->order, f->answers, fmin(at, end), m->answers + row * p, f->value);
+        state_at(f, length, time, m->states + row * 2 * n);
+        series_at(r, f->order, f->of.friction ? f->forces : f->answers, time, found, f->value);
+        if (f->of.friction) series_at(r, f->order, f->reached, time, found + r, f->value);
         memcpy(m->closed + row * p, closed, (size_t)p);
     }
 }
 
 /* Another piece of the track, in the last interval or in a new one. */
-static void passed(flow_motion *m, int p, const signed char *closed, double length)
+static void passed(const flow *f, flow_motion *m, const signed char *closed, double length)
 {
-    if (m->passed && !memcmp(m->sets + (long)(m->passed - 1) * p, closed, (size_t)p)) {
-        m->lengths[m->passed - 1] += length;
+    const int p = f->of.pairs, last = m->passed - 1;
+    const int goes_on = f->of.friction ? last >= 0 && m->causes[last] < 0
+                                       : last >= 0 && !memcmp(m->sets + (long)last * p, closed, (size_t)p);
+    if (goes_on) {
+        m->lengths[last] += length;
         return;
     }
     memcpy(m->sets + (long)m->passed * p, closed, (size_t)p);
+    if (f->of.friction) m->causes[m->passed] = -1;
     m->lengths[m->passed++] = length;
+}
+
+/* A pair leaves its state, as one of the answers fell at a time of the piece behind others at the same
+ * instant or, `first`, not; of the last interval is kept what changes of it will need. */
+static void turn(flow *f, flow_motion *m, int fallen, double when, int first)
+{
+    const int p = f->of.pairs, r = f->rows, pair = fallen % p, interval = m->passed - 1;
+    const int state = f->closed[pair], by_rate = state >= SLIP_UP && fallen >= p;
+    signed char *zeros = f->zeros;
+    double slope, rate;
+    if (first) memset(zeros, 0, (size_t)r);
+    m->causes[interval] = fallen;
+    m->firsts[interval] = first ? interval : m->firsts[interval - 1];
+    const double place = column_at(r, f->order, f->reached, p + pair, 0, when, &rate);
+    column_at(r, f->order, f->answers, fallen, 0, when, &slope);
+    if (first) f->slope = slope / f->length;
+    m->ratios[interval] = by_rate && first ? 0.0 : rate / f->length / f->slope;
+    f->closed[pair] = state == OPEN || by_rate ? STICK
+                      : state == STICK         ? (fallen < p ? SLIP_UP : SLIP_DOWN)
+                                               : OPEN;
+    if (!(by_rate && first))
+        for (int k = 0; k < r; k++) zeros[k] = zeros[k] != 0;
+    zeros[pair] = zeros[p + pair] = 0;
+    if (f->closed[pair] == STICK) {
+        f->held[pair] = place;
+        if (state != SLIP_DOWN) zeros[pair] = 1;
+        if (state != SLIP_UP) zeros[p + pair] = 1;
+        if (by_rate && first) zeros[state == SLIP_UP ? pair : p + pair] = 2;
+    }
+    if (f->closed[pair] == OPEN) zeros[pair] = 1;
 }
 
 static int finite_state(int count, const double *state)
@@ -280,10 +369,16 @@ static int finite_state(int count, const double *state)
 /* With the set of closed pairs at its beginning, or NULL where none is near. */
 static int advance(flow *f, flow_motion *m, const signed char *guess)
 {
-    const int p = f->of.pairs;
+    const int p = f->of.pairs, friction = f->of.friction != NULL;
     const double rate = fastest(f, m->omega), longest = FLOW_REACH / rate;
     double stayed = 0.0, allowed = longest;
+    int at_once = 0; /* events at one instant */
     signed char *closed = f->closed;
+    if (friction) {
+        guess = m->stuck;
+        memcpy(f->held, m->held, bytes(p));
+        memset(f->zeros, 0, (size_t)f->rows);
+    }
     if (contact_at(f, m->omega, m->now, m->state, guess)) return FLOW_LOST;
     for (; m->now < m->end; m->pieces++) {
         const double length = fmin(allowed, m->end - m->now);
@@ -292,30 +387,40 @@ static int advance(flow *f, flow_motion *m, const signed char *guess)
         if (m->passed == m->most) return FLOW_INTERVALS;
         f->order = order_for(length * rate);
         const closed_set *a = closed_set_of(f->known, closed);
-        if (!a) return FLOW_MEMORY;
+        if (!a) return friction ? FLOW_LOST : FLOW_MEMORY;
         wave(f, m->omega, m->now, length, 0);
         expand(f, a, f->of.force, f->of.gap, NULL, length, m->state);
         answer(f, a, f->of.gap);
         double end = series_reach(f->of.modes, f->order, f->series, fmin(1.0, left));
-        end = series_reach(p, f->order, f->gaps, end);
+        end = series_reach(f->rows, f->order, f->gaps, end);
         if (!(end > 0.0)) return FLOW_LOST;
         round_off(f, a, end);
         double when = end;
-        const int pair = next_event(f, 1.0 / (GRID * length * rate), end, &when);
-        const int last = pair < 0 && end == left;
+        const int fallen = next_event(f, 1.0 / (GRID * length * rate), end, &when);
+        const int last = fallen < 0 && end == left;
         sample(f, m, closed, length, when, last);
         state_at(f, length, when, m->state);
         if (!finite_state(2 * f->of.modes, m->state)) return FLOW_LOST;
-        passed(m, p, closed, when * length);
+        passed(f, m, closed, when * length);
         m->now = last ? m->end : m->now + when * length;
         stayed += when * length;
         allowed = longest;
-        if (pair < 0) continue;
-        closed[pair] = !closed[pair];
+        if (friction && fallen < 0) memset(f->zeros, 0, (size_t)f->rows);
+        at_once = fallen < 0 ? 0 : when > ROUNDING ? 1 : at_once + 1;
+        if (fallen < 0) continue;
+        if (friction) {
+            f->length = length;
+            turn(f, m, fallen, when, at_once == 1);
+            if (at_once > 6 * p) return FLOW_LOST;
+        } else closed[fallen] = !closed[fallen];
         /* Those between which a crack closes are short, and a short series has few terms. */
         allowed = fmin(longest, fmax(1.0 / (GRID * rate), 2.0 * stayed));
         stayed = 0.0;
         m->events++;
+    }
+    if (friction) {
+        memcpy(m->stuck, closed, (size_t)p);
+        memcpy(m->held, f->held, bytes(p));
     }
     return FLOW_DONE;
 }
@@ -333,11 +438,185 @@ static const closed_set *enter(flow *f, const flow_track *track, int interval, d
     return closed_set_of(f->known, track->sets + (long)interval * f->of.pairs);
 }
 
+/* --- changes where pairs stick ---------------------------------------------------------------- */
+
+/* What the answer k is of forces, with weights u (r), and of one gap or its rate: its row is returned,
+ * and -1 where it is of forces alone. */
+static int answer_row(const flow *f, const closed_set *a, int k, double *u, double *sign)
+{
+    const int p = f->of.pairs, r = f->rows, i = k % p, state = a->closed[i];
+    const double other = k < p ? -1.0 : 1.0;
+    memset(u, 0, bytes(r));
+    *sign = state == OPEN ? -1.0 : state == SLIP_UP ? 1.0 : -1.0;
+    if (state == STICK) {
+        u[i] = f->of.friction[i];
+        u[p + i] = other;
+        return -1;
+    }
+    if (state != OPEN && k < p) {
+        u[i] = 1.0;
+        return -1;
+    }
+    const int row = state == OPEN ? i : k;
+    for (int q = 0; q < r; q++) u[q] = -*sign * f->of.compliance[(long)row * r + q];
+    return row;
+}
+
+/* Columns (m, c) of changes of q and of their rates, and (p, c) of h. */
+typedef struct {
+    int count;
+    double *moved, *rate, *held;
+    double *terms;         /* (3, m, c) of a series */
+    double *pushed, *push; /* (m, r), (m, c) by the places */
+    double *matrix;        /* (m, m) stiffness of a set */
+    double *fell, *own;    /* (c) of the answer that fell first; (c) */
+    double *weights;       /* (r) */
+} changes;
+
+/* found (c) = sign times a gap and weights u (r) of forces, of changes x (m, c) of q or of their
+ * rates, of which those of places know nothing. */
+static void changed(const flow *f, const closed_set *a, const changes *c, int row, double sign,
+                    const double *x, double *found)
+{
+    const int m = f->of.modes, p = f->of.pairs, r = f->rows;
+    memset(found, 0, bytes(c->count));
+    for (int j = 0; j < m; j++) {
+        double weight = row < 0 ? 0.0 : sign * f->of.rows[(long)row * m + j];
+        for (int i = 0; i < a->size; i++)
+            weight += a->pairs[(long)j * a->size + i] * dot(r, a->inverse + (long)i * r, c->weights);
+        add_rows(1, c->count, x + (long)j * c->count, &weight, found);
+    }
+    if (x != c->moved) return;
+    for (int i = a->closing; i < a->size; i++) {
+        const double weight = -dot(r, a->inverse + (long)i * r, c->weights);
+        add_rows(1, c->count, c->held + (long)(a->members[i] - p) * c->count, &weight, found);
+    }
+}
+
+/* At the end of an interval a pair leaves its state. */
+static void change_state(flow *f, const flow_track *track, int interval, const closed_set *a,
+                         changes *c)
+{
+    const int p = f->of.pairs, r = f->rows, fallen = track->causes[interval];
+    if (fallen < 0) return;
+    const int pair = fallen % p, state = a->closed[pair], by_rate = state >= SLIP_UP && fallen >= p;
+    if (track->firsts[interval] == interval) {
+        double sign;
+        const int row = answer_row(f, a, fallen, c->weights, &sign);
+        changed(f, a, c, row, sign, by_rate ? c->rate : c->moved, c->fell);
+    }
+    double *held = c->held + (long)pair * c->count;
+    if (state == OPEN || by_rate) {
+        const double late = -track->ratios[interval];
+        for (int q = 0; q < r; q++) c->weights[q] = -f->of.compliance[(long)(p + pair) * r + q];
+        changed(f, a, c, p + pair, 1.0, c->moved, c->own);
+        memcpy(held, c->own, bytes(c->count));
+        if (late != 0.0) add_rows(1, c->count, c->fell, &late, held);
+    } else memset(held, 0, bytes(c->count));
+}
+
+/* Changes over a length. */
+static void change_along(flow *f, const closed_set *a, double length, double longest, changes *c)
+{
+    const int m = f->of.modes, p = f->of.pairs, stuck = a->size - a->closing, n = c->count;
+    const long all = (long)m * n;
+    const int pieces = (int)ceil(length / longest);
+    double *before = c->terms, *now = before + all, *next = now + all;
+    for (long i = 0; i < m; i++)
+        for (long j = 0; j < m; j++)
+            c->matrix[i * m + j] = (a->stiffness ? a->stiffness[j * m + i] : 0.0)
+                                   + (i == j ? f->of.squares[j] : 0.0);
+    memset(c->push, 0, bytes(all));
+    for (int i = 0; i < stuck; i++)
+        for (int j = 0; j < m; j++)
+            add_rows(1, n, c->held + (long)(a->members[a->closing + i] - p) * n,
+                     a->pushed + (long)(a->closing + i) * m + j, c->push + (long)j * n);
+    if (pieces) length /= pieces;
+    f->order = order_for(length / longest * FLOW_REACH);
+    for (int piece = 0; piece < pieces; piece++) {
+        memcpy(before, c->moved, bytes(all));
+        for (long i = 0; i < all; i++) now[i] = length * c->rate[i];
+        for (long i = 0; i < all; i++) c->moved[i] += now[i];
+        for (int k = 0; k + 2 <= f->order; k++) {
+            const double gain = -length * length / ((k + 1) * (k + 2)), loss = -length / (k + 2);
+            double *spent = before;
+            multiply_matrices(m, m, n, c->matrix, before, 0.0, next);
+            if (k == 0)
+                for (long i = 0; i < all; i++) next[i] -= c->push[i];
+            if (f->of.coupled) {
+                multiply_matrices(m, m, n, f->of.damping, now, gain / loss, next);
+                for (long i = 0; i < all; i++) next[i] *= loss;
+            } else
+                for (int j = 0; j < m; j++)
+                    for (long i = (long)j * n; i < (long)(j + 1) * n; i++)
+                        next[i] = gain * next[i] + loss * f->of.damping[j] * now[i];
+            for (long i = 0; i < all; i++) {
+                c->moved[i] += next[i];
+                c->rate[i] += (k + 2) / length * next[i];
+            }
+            before = now;
+            now = next;
+            next = spent;
+        }
+    }
+}
+
+/* The derivative (2 m + p, 2 m + p) by z and h. */
+static int tangent_with_friction(flow *f, const flow_track *track, double *tangent)
+{
+    const long m = f->of.modes, p = f->of.pairs, r = f->rows, n = 2 * m + p;
+    const double longest = FLOW_REACH / fastest(f, 0.0);
+    double *room = malloc(bytes(4 * m * n + m * m + 2 * n + r));
+    if (!room) return FLOW_MEMORY;
+    changes c = {.count = (int)n, .moved = tangent, .rate = tangent + m * n,
+                 .held = tangent + 2 * m * n, .terms = room, .push = room + 3 * m * n};
+    c.matrix = c.push + m * n;
+    c.fell = c.matrix + m * m;
+    c.own = c.fell + n;
+    c.weights = c.own + n;
+    memset(tangent, 0, bytes(n * n));
+    for (long i = 0; i < n; i++) tangent[i * (n + 1)] = 1.0;
+    for (int k = 0; k < track->intervals; k++) {
+        const closed_set *a = closed_set_of(f->known, track->sets + (long)k * p);
+        if (!a) {
+            free(room);
+            return FLOW_MEMORY;
+        }
+        change_along(f, a, track->lengths[k], longest, &c);
+        change_state(f, track, k, a, &c);
+    }
+    free(room);
+    return finite_state((int)(n * n), tangent) ? FLOW_DONE : FLOW_LOST;
+}
+
+/* At the end of a series of changes, that of the answer that fell is f->fell, and f->held those of h. */
+static void change_places(flow *f, const flow_track *track, int interval, const closed_set *a,
+                          const double *gap, double length, double end)
+{
+    const int m = f->of.modes, p = f->of.pairs, r = f->rows, terms = f->order + 1;
+    const int fallen = track->causes[interval];
+    if (fallen < 0) return;
+    const int pair = fallen % p, state = a->closed[pair], by_rate = state >= SLIP_UP && fallen >= p;
+    double *force = f->force, *near = f->near, *rate = f->falling, sign;
+    multiply_matrices(terms, LOAD, r, f->weights, gap, 0.0, f->reached);
+    multiply_matrices(terms, m, r, f->series, f->columns, 1.0, f->reached);
+    force_gaps(f->known, a, terms, f->held, f->reached, f->forces);
+    series_at(r, f->order, f->forces, end, force, rate);
+    series_at(r, f->order, f->reached, end, near, rate);
+    if (track->firsts[interval] == interval) {
+        const int row = answer_row(f, a, fallen, f->value, &sign);
+        f->fell = row < 0 ? dot(r, force, f->value) : sign * (by_rate ? rate[row] / length : near[row]);
+    }
+    f->held[pair] = state == OPEN || by_rate ? near[p + pair] - track->ratios[interval] * f->fell
+                                             : 0.0;
+}
+
 int flow_column(flow *f, const flow_track *track, const double *force, const double *gap,
-                int by_time, double *state)
+                int by_time, double *state, double *held)
 {
     const double longest = FLOW_REACH / fastest(f, track->omega);
     double now = track->start;
+    if (held) memcpy(f->held, held, bytes(f->of.pairs));
     for (int k = 0; k < track->intervals; k++) {
         double length;
         const closed_set *a = enter(f, track, k, longest, &length);
@@ -350,15 +629,17 @@ int flow_column(flow *f, const flow_track *track, const double *force, const dou
             state_at(f, length, end, state);
             left -= end;
             now += end * length;
+            if (held && !(left > 0.0)) change_places(f, track, k, a, gap, length, end);
         }
     }
+    if (held) memcpy(held, f->held, bytes(f->of.pairs));
     return FLOW_DONE;
 }
 
-int flow_by_omega(flow *f, const flow_track *track, double *state)
+int flow_by_omega(flow *f, const flow_track *track, double *state, double *held)
 {
     /* d/d omega of c cos(omega t) + s sin(omega t) is t times s cos - c sin. */
-    const int m = f->of.modes, p = f->of.pairs;
+    const int m = f->of.modes, p = f->rows;
     double *force = f->turned, *gap = force + LOAD * m;
     memset(force, 0, bytes(m));
     memset(gap, 0, bytes(p));
@@ -371,7 +652,8 @@ int flow_by_omega(flow *f, const flow_track *track, double *state)
         gap[p + i] = f->of.gap[2 * p + i];
         gap[2 * p + i] = -f->of.gap[p + i];
     }
-    return flow_column(f, track, force, gap, 1, state);
+    if (held) memset(held, 0, bytes(f->of.pairs));
+    return flow_column(f, track, force, gap, 1, state, held);
 }
 
 /* What drives the derivative of a motion, of which the series are known: -C' q' and P_A S D' lambda,
@@ -387,8 +669,10 @@ static void drive(flow *f, const closed_set *a, const double *damping, const dou
             damp(f, damping, f->series + (n + 1L) * m, f->drag);
             for (int j = 0; j < m; j++) source[j] = -(n + 1) / length * f->drag[j];
         }
-        for (int i = 0, at = 0; compliance && i < p; i++)
-            if (a->closed[i]) f->seen[at++] = compliance[i] * f->answers[(long)n * p + i];
+        for (int i = 0; compliance && i < a->size; i++) {
+            const int row = a->members[i];
+            f->seen[i] = compliance[row] * f->answers[(long)n * p + row];
+        }
         if (compliance) add_rows(a->size, m, a->pushed, f->seen, source);
     }
 }
@@ -400,7 +684,7 @@ int flow_by_structure(flow *f, const flow_track *track, const double *start, con
     const int m = f->of.modes;
     double *still = f->turned, *here = f->motion + (long)TERMS * m, *series = f->series;
     double now = track->start;
-    memset(still, 0, bytes(LOAD * (m + f->of.pairs)));
+    memset(still, 0, bytes(LOAD * (m + f->rows)));
     memset(state, 0, bytes(2 * m));
     memcpy(here, start, bytes(2 * m));
     for (int k = 0; k < track->intervals; k++) {
@@ -427,13 +711,15 @@ int flow_by_structure(flow *f, const flow_track *track, const double *start, con
     return finite_state(2 * m, state) ? FLOW_DONE : FLOW_LOST;
 }
 
-int flow_rate(flow *f, double omega, double time, const double *state, double *rate)
+int flow_rate(flow *f, double omega, double time, const double *state, const signed char *stuck,
+              const double *held, double *rate)
 {
     const int m = f->of.modes;
     double *faster = rate + m;
-    if (contact_at(f, omega, time, state, NULL)) return 1;
+    if (held) memcpy(f->held, held, bytes(f->of.pairs));
+    if (contact_at(f, omega, time, state, stuck)) return 1;
     memcpy(rate, state + m, bytes(m));
-    multiply(m, f->of.pairs, f->columns, f->force, faster);
+    multiply(m, f->rows, f->columns, f->force, faster);
     damp(f, f->of.damping, rate, f->drag);
     for (int j = 0; j < m; j++)
         faster[j] = -faster[j] - f->drag[j] - f->of.squares[j] * state[j];
@@ -446,13 +732,14 @@ int flow_tangent(flow *f, const flow_track *track, double *tangent)
     const long size = 2L * f->of.modes, half = size * f->of.modes, p = f->of.pairs;
     const double unit = fastest(f, 0.0);
     int apart = 1;
+    if (f->of.friction) return tangent_with_friction(f, track, tangent);
     if (!f->exponential)
         f->exponential = new_exponentials(f->of.modes, f->of.coupled, f->of.squares,
                                           f->of.damping, unit);
     if (!f->exponential) return FLOW_MEMORY;
     memset(tangent, 0, bytes(2 * half));
     for (long i = 0; i < size; i++) tangent[i * (size + 1)] = i < f->of.modes ? unit : 1.0;
-    for (int k = 0, next; k < track->intervals; k = next) {
+    for (int k = 0, next; k < track->intervals; k = next) { /* those of one set together */
         const signed char *closed = track->sets + k * p;
         const closed_set *a = closed_set_of(f->known, closed);
         double length = track->lengths[k];
@@ -495,12 +782,12 @@ int flow_carry(flow *f, const flow_track *track, int nodes, const int *ends, con
     const long size = 2L * f->of.modes;
     double *still = f->turned; /* no load */
     flow_track part = *track;
-    memset(still, 0, bytes(LOAD * (f->of.modes + f->of.pairs)));
+    memset(still, 0, bytes(LOAD * (f->of.modes + f->rows)));
     for (int i = 0; i < nodes; i++, changes += size, excess += size) {
         double *next = changes + size;
         part.intervals = ends[i] - (i ? ends[i - 1] : 0);
         memcpy(next, changes, bytes(size));
-        const int outcome = flow_column(f, &part, still, still + LOAD * f->of.modes, 0, next);
+        const int outcome = flow_column(f, &part, still, still + LOAD * f->of.modes, 0, next, NULL);
         if (outcome != FLOW_DONE) return outcome;
         for (long j = 0; j < size; j++) next[j] += excess[j];
         part.sets += (long)part.intervals * f->of.pairs;
@@ -525,15 +812,18 @@ static double *copied(double **place, const double *from, long count)
 
 flow *new_flow(const flow_parts *given)
 {
-    const long m = given->modes, p = given->pairs, damping = given->coupled ? m * m : m;
-    const long room = m + damping + p * p + 2 * p * m + TERMS * (LOAD + m + 2 * p) + (STEPS + 2) * p
-                      + 4 * p + m + 2 * LOAD * (m + p) + (2 * TERMS + 2) * m;
+    const long m = given->modes, pairs = given->pairs, damping = given->coupled ? m * m : m;
+    const long p = given->friction ? 2 * pairs : pairs;
+    const long room = m + damping + p * p + 2 * p * m + TERMS * (LOAD + m + 4 * p) + (STEPS + 2) * p
+                      + 6 * p + m + 2 * LOAD * (m + p) + (2 * TERMS + 2) * m;
     flow *f = calloc(1, sizeof(flow));
     if (!f) return NULL;
     f->of = *given;
     f->room = malloc(bytes(room + 1));
     f->closed = malloc((size_t)p + 1);
-    if (!f->room || !f->closed) {
+    f->zeros = calloc((size_t)p + 1, 1);
+    f->rows = (int)p;
+    if (!f->room || !f->closed || !f->zeros) {
         free_flow(f);
         return NULL;
     }
@@ -542,6 +832,10 @@ flow *new_flow(const flow_parts *given)
     f->of.damping = copied(&place, given->damping, damping);
     f->of.rows = copied(&place, given->rows, p * m);
     f->of.compliance = copied(&place, given->compliance, p * p);
+    if (given->friction) f->of.friction = copied(&place, given->friction, pairs);
+    f->held = taken(&place, p);
+    f->forces = taken(&place, TERMS * p);
+    f->reached = taken(&place, TERMS * p);
     f->columns = taken(&place, m * p);
     for (long i = 0; i < p; i++)
         for (long j = 0; j < m; j++) f->columns[j * p + i] = given->rows[i * m + j];
@@ -560,7 +854,8 @@ flow *new_flow(const flow_parts *given)
     f->pulled = taken(&place, LOAD * (m + p));
     f->source = taken(&place, TERMS * m);
     f->motion = taken(&place, (TERMS + 2) * m);
-    f->known = new_closed_sets((int)m, (int)p, f->of.rows, f->of.compliance, given->most);
+    f->known = new_closed_sets((int)m, (int)pairs, f->of.rows, f->of.compliance, f->of.friction,
+                               given->most);
     if (f->known) return f;
     free_flow(f);
     return NULL;
@@ -579,6 +874,7 @@ void free_flow(flow *f)
     if (f->known) free_closed_sets(f->known);
     if (f->exponential) free_exponentials(f->exponential);
     free(f->closed);
+    free(f->zeros);
     free(f->room);
     free(f);
 }

@@ -10,7 +10,16 @@
  *
  * While the set A of closed pairs stays, lambda_A = S s_A, S = (D_AA)^-1, and the answers i = N_A s
  * (sets.h: forces of closed pairs, openings of the others) stay positive. An event is where one of
- * them does not. Loads f and l have rows of their mean and of the cosine and sine of a frequency omega, of
+ * them does not.
+ *
+ * With friction there are two rows of contact a pair, r = 2 p: the normals of all pairs, then their
+ * tangents. Of each set (closed_sets.h) the answers, two a pair, are
+ *
+ *     open:   -g_n, 1;    stick:   mu l_n - l_t, mu l_n + l_t;    slip:   l_n, +-g_t',
+ *
+ * with g = s - D lambda. A pair that begins to stick is held where it is, at h = g_t, its only memory.
+ *
+ * Loads f and l have rows of their mean and of the cosine and sine of a frequency omega, of
  * which nothing else depends.
  */
 typedef struct {
@@ -18,10 +27,11 @@ typedef struct {
     int coupled;              /* whether the damping couples the modes */
     const double *squares;    /* (m) Lambda */
     const double *damping;    /* (m) or (m, m) C */
-    const double *rows;       /* (p, m) P^T */
-    const double *compliance; /* (p, p) D */
+    const double *rows;       /* (r, m) P^T */
+    const double *compliance; /* (r, r) D */
+    const double *friction;   /* (p) mu > 0; NULL: none, and r = p */
     const double *force;      /* (3, m) f */
-    const double *gap;        /* (3, p) l */
+    const double *gap;        /* (3, r) l */
     double fastest;           /* of the squares of all sets' frequencies the largest one's root */
     long most;                /* numbers of sets of closed pairs that are kept */
 } flow_parts;
@@ -49,11 +59,16 @@ typedef struct {
     int most, passed;        /* intervals between events, allowed and passed */
     signed char *sets;       /* (most, p) their closed pairs */
     double *lengths;         /* (most) */
+    signed char *stuck;      /* (p) states of the pairs, here and at the end; friction only, as all of */
+    double *held;            /* (p) h, likewise */
+    int *causes;             /* (most) of the answers (r) the one that ended an interval, or -1 */
+    int *firsts;             /* (most) the interval that ended first at that instant */
+    double *ratios;          /* (most) g_t' of the pair over the slope of the answer that did */
     int events;
     int count, sampled;      /* instants at which the motion is kept, and how many are done */
     const double *instants;  /* (count) ascending, from now to end */
     double *states;          /* (count, 2 m) */
-    double *answers;         /* (count, p) i */
+    double *answers;         /* (count, p) i, or with friction (count, 2 r) lambda and g */
     signed char *closed;     /* (count, p) */
 } flow_motion;
 
@@ -65,24 +80,31 @@ typedef struct {
     int intervals;
     const signed char *sets;
     const double *lengths;
+    const int *causes, *firsts; /* friction only */
+    const double *ratios;
 } flow_track;
 
 /* The derivative of the flow over a track, (2 m, 2 m). Forces are continuous, so it is the product of
- * the sets' exponentials. FLOW_DONE, FLOW_LOST or FLOW_MEMORY. */
+ * the sets' exponentials. FLOW_DONE, FLOW_LOST or FLOW_MEMORY. With friction that of the state and of
+ * the places h, (2 m + p, 2 m + p): where a pair begins to stick, as an answer phi falls,
+ *
+ *     dh = dg_t - g_t' / phi' dphi. */
 int flow_tangent(flow *f, const flow_track *track, double *tangent);
 /* The derivative of the state by a parameter of the load, whose derivatives are given as the load
  * is, or with `by_time` those divided by the time: state (2 m) at the start and at the end of a
- * track. */
+ * track, and with friction held (p) of h likewise, else NULL. */
 int flow_column(flow *f, const flow_track *track, const double *force, const double *gap,
-                int by_time, double *state);
+                int by_time, double *state, double *held);
 /* The same by omega: state (2 m), from 0 at the start. */
-int flow_by_omega(flow *f, const flow_track *track, double *state);
+int flow_by_omega(flow *f, const flow_track *track, double *state, double *held);
 /* The same by a parameter of the structure: of a motion from the state `start`, given the derivatives of
  * the damping, as the flow's own, and of the diagonal of the compliance (p); NULL: it does not change. */
 int flow_by_structure(flow *f, const flow_track *track, const double *start, const double *damping,
                       const double *compliance, double *state);
-/* The state's derivative by the time (2 m): 0, or 1 where no set of closed pairs answers it. */
-int flow_rate(flow *f, double omega, double time, const double *state, double *rate);
+/* The state's derivative by the time (2 m), with friction from the pairs' states and places, else
+ * NULL: 0, or 1 where no set of closed pairs answers it. */
+int flow_rate(flow *f, double omega, double time, const double *state, const signed char *stuck,
+              const double *held, double *rate);
 /* The motion over each of `nodes` equal parts of a period, from a wave's states (nodes, 2 m) at their
  * starts: moved (nodes, 2 m), the states at their ends, and ends (nodes), the intervals passed up to
  * there. What is allowed, and the room for the tracks behind each other, are those of m. */
