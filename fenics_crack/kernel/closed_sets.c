@@ -6,6 +6,7 @@
 
 #include "lapack.h"
 #include "pivots.h"
+#include "rounding.h"
 #include "series.h"
 #include "sets.h"
 
@@ -257,6 +258,73 @@ const closed_set *set_at(closed_sets *s, const double *gap, signed char *closed,
             if (closed[i] ? answers[i] > 0.0 : answers[i] >= 0.0) continue;
             if (!wrong || turn < PIVOTS) closed[i] = !closed[i];
             wrong = 1;
+        }
+        if (!wrong) return a;
+    }
+    return NULL;
+}
+
+/* The state that follows from forces, gaps and the place of a pair in one; a number is negative where
+ * it is by more than is allowed for rounding. */
+static int next_state(const closed_sets *s, const closed_set *a, int pair, const double *held,
+                      const double *gaps, const double *forces, double force, double gap)
+{
+    const int other = s->pairs + pair, state = a->closed[pair];
+    const double pressed = forces[pair], pulled = forces[other], moved = gaps[other] - held[pair];
+    const double cone = s->friction[pair] * pressed;
+    if (state == OPEN) return gaps[pair] > gap ? STICK : OPEN;
+    if (pressed <= 0.0) return OPEN;
+    if (state == STICK)
+        return pulled > cone + force ? SLIP_UP : pulled < -cone - force ? SLIP_DOWN : STICK;
+    return (state == SLIP_UP ? moved : -moved) < -gap ? STICK : state;
+}
+
+/* States by one pair after the other, each as if the forces on the others stayed (Jourdan, Alart and
+ * Jean, Computer Methods in Applied Mechanics and Engineering 155 (1998) 31). */
+static void relax(const closed_sets *s, const double *held, const double *given, signed char *closed,
+                  double *forces)
+{
+    const int p = s->pairs, r = s->contacts;
+    for (int turn = 0; turn < PIVOTS; turn++)
+        for (int i = 0; i < p; i++) {
+            const double *normal = s->d + (long)i * r, *tangent = normal + (long)p * r;
+            const double mu = s->friction[i], nn = normal[i], nt = normal[p + i], tt = tangent[p + i];
+            double *press = forces + i, *pull = press + p;
+            *press = *pull = 0.0;
+            const double s_n = given[i] - dot(r, normal, forces);
+            const double s_t = given[p + i] - held[i] - dot(r, tangent, forces);
+            closed[i] = s_n > 0.0 ? STICK : OPEN;
+            if (closed[i] == OPEN) continue;
+            *press = (tt * s_n - nt * s_t) / (nn * tt - nt * nt);
+            *pull = (nn * s_t - nt * s_n) / (nn * tt - nt * nt);
+            if (fabs(*pull) <= mu * *press) continue;
+            const double slope = *pull > 0.0 ? mu : -mu;
+            closed[i] = *pull > 0.0 ? SLIP_UP : SLIP_DOWN;
+            *press = fmax(0.0, s_n / (nn + slope * nt));
+            *pull = slope * *press;
+        }
+}
+
+const closed_set *states_at(closed_sets *s, const double *held, signed char *closed, double *gaps,
+                            double *forces)
+{
+    const int p = s->pairs, r = s->contacts;
+    double *given = s->room + (long)r * (2 * r), largest = 0.0;
+    for (int i = 0; i < r; i++) largest = fmax(largest, fabs(gaps[i]));
+    for (int i = 0; i < p; i++) largest = fmax(largest, fabs(held[i]));
+    memcpy(given, gaps, bytes(r));
+    for (long turn = 0; turn < 2 * PIVOTS; turn++) {
+        if (turn == PIVOTS) relax(s, held, given, closed, forces);
+        const closed_set *a = closed_set_of(s, closed);
+        if (!a) return NULL;
+        memcpy(gaps, given, bytes(r));
+        force_gaps(s, a, 1, held, gaps, forces);
+        int wrong = 0;
+        for (int i = 0; i < p; i++) {
+            const double gap = AS_ZERO * largest, force = gap * a->scale[i];
+            const int next = next_state(s, a, i, held, gaps, forces, force, gap);
+            wrong |= next != closed[i];
+            closed[i] = (signed char)next;
         }
         if (!wrong) return a;
     }

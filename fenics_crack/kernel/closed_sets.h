@@ -53,5 +53,10 @@ void answer_gaps(closed_sets *s, const closed_set *a, int count, const double *g
  * forces lambda (count, rows), and in place of the gaps s - D lambda. */
 void force_gaps(closed_sets *s, const closed_set *a, int count, const double *held, double *gaps,
                 double *forces);
+/* With friction: the set that answers gaps s (r) of pairs that stuck in places h (p) until now, from a
+ * guess of it, the forces (r), and in place of the gaps s - D lambda. A pair sticks while its forces
+ * stay in Coulomb's cone, and slips away from its place else. NULL as set_at. */
+const closed_set *states_at(closed_sets *s, const double *held, signed char *closed, double *gaps,
+                            double *forces);
 
 #endif

@@ -39,6 +39,11 @@ struct flow {
 
 static size_t bytes(long count) { return (size_t)count * sizeof(double); }
 
+static long numbers_of_state(const flow *f)
+{
+    return 2L * f->of.modes + (f->of.friction ? f->of.pairs : 0);
+}
+
 /* No set turns faster, nor does the load. */
 static double fastest(const flow *f, double omega)
 {
@@ -275,8 +280,7 @@ static int next_event(flow *f, double step, double end, double *when)
 
 /* --- motions ---------------------------------------------------------------------------------- */
 
-/* The set of closed pairs of a state, from a guess or, with NULL, from its gaps; with friction that of
- * the guess; and their forces. Returns 1 where none answers it. */
+/* The set of closed pairs of a state, from a guess or, with NULL, from its gaps; and their forces. Returns 1 where none answers it. */
 static int contact_at(flow *f, double omega, double time, const double *state, const signed char *guess)
 {
     const int m = f->of.modes, p = f->of.pairs, r = f->rows;
@@ -285,10 +289,8 @@ static int contact_at(flow *f, double omega, double time, const double *state, c
     add_rows(LOAD, r, f->of.gap, f->weights, f->near);
     for (int i = 0; i < p; i++) f->closed[i] = guess ? guess[i] : f->near[i] > 0.0;
     if (f->of.friction) {
-        const closed_set *a = closed_set_of(f->known, f->closed);
-        if (!a) return 1;
-        force_gaps(f->known, a, 1, f->held, f->near, f->force);
-        return 0;
+        memcpy(f->held, state + 2 * m, bytes(p));
+        return !states_at(f->known, f->held, f->closed, f->near, f->force);
     }
     if (!set_at(f->known, f->near, f->closed, f->force)) return 1;
     for (int i = 0; i < p; i++)
@@ -339,7 +341,7 @@ static void turn(flow *f, flow_motion *m, int fallen, double when, int first)
     double slope, rate;
     if (first) memset(zeros, 0, (size_t)r);
     m->causes[interval] = fallen;
-    m->firsts[interval] = first ? interval : m->firsts[interval - 1];
+    m->firsts[interval] = (signed char)first;
     const double place = column_at(r, f->order, f->reached, p + pair, 0, when, &rate);
     column_at(r, f->order, f->answers, fallen, 0, when, &slope);
     if (first) f->slope = slope / f->length;
@@ -366,6 +368,17 @@ static int finite_state(int count, const double *state)
     return sum == 0.0;
 }
 
+/* The places of a state where a motion ends: where pairs stick, or where they are. */
+static void place_at_end(const flow *f, double when, double *state)
+{
+    const int p = f->of.pairs;
+    double rate;
+    for (int i = 0; i < p; i++)
+        state[2 * f->of.modes + i] =
+            f->closed[i] == STICK ? f->held[i]
+                                  : column_at(f->rows, f->order, f->reached, p + i, 0, when, &rate);
+}
+
 /* With the set of closed pairs at its beginning, or NULL where none is near. */
 static int advance(flow *f, flow_motion *m, const signed char *guess)
 {
@@ -374,12 +387,8 @@ static int advance(flow *f, flow_motion *m, const signed char *guess)
     double stayed = 0.0, allowed = longest;
     int at_once = 0; /* events at one instant */
     signed char *closed = f->closed;
-    if (friction) {
-        guess = m->stuck;
-        memcpy(f->held, m->held, bytes(p));
-        memset(f->zeros, 0, (size_t)f->rows);
-    }
     if (contact_at(f, m->omega, m->now, m->state, guess)) return FLOW_LOST;
+    memset(f->zeros, 0, (size_t)f->rows);
     for (; m->now < m->end; m->pieces++) {
         const double length = fmin(allowed, m->end - m->now);
         const double left = (m->end - m->now) / length;
@@ -405,7 +414,8 @@ static int advance(flow *f, flow_motion *m, const signed char *guess)
         m->now = last ? m->end : m->now + when * length;
         stayed += when * length;
         allowed = longest;
-        if (friction && fallen < 0) memset(f->zeros, 0, (size_t)f->rows);
+        if (friction && last) place_at_end(f, when, m->state);
+        if (fallen < 0) memset(f->zeros, 0, (size_t)f->rows);
         at_once = fallen < 0 ? 0 : when > ROUNDING ? 1 : at_once + 1;
         if (fallen < 0) continue;
         if (friction) {
@@ -417,10 +427,6 @@ static int advance(flow *f, flow_motion *m, const signed char *guess)
         allowed = fmin(longest, fmax(1.0 / (GRID * rate), 2.0 * stayed));
         stayed = 0.0;
         m->events++;
-    }
-    if (friction) {
-        memcpy(m->stuck, closed, (size_t)p);
-        memcpy(m->held, f->held, bytes(p));
     }
     return FLOW_DONE;
 }
@@ -493,14 +499,29 @@ static void changed(const flow *f, const closed_set *a, const changes *c, int ro
     }
 }
 
+/* c->own = change of where a pair is that does not stick. */
+static void change_place(const flow *f, const closed_set *a, int pair, changes *c)
+{
+    const int row = f->of.pairs + pair, r = f->rows;
+    for (int q = 0; q < r; q++) c->weights[q] = -f->of.compliance[(long)row * r + q];
+    changed(f, a, c, row, 1.0, c->moved, c->own);
+}
+
+static int sticks_throughout(const flow *f, const flow_track *track, int pair)
+{
+    for (int k = 0; k < track->intervals; k++)
+        if (track->sets[(long)k * f->of.pairs + pair] != STICK) return 0;
+    return 1;
+}
+
 /* At the end of an interval a pair leaves its state. */
 static void change_state(flow *f, const flow_track *track, int interval, const closed_set *a,
                          changes *c)
 {
-    const int p = f->of.pairs, r = f->rows, fallen = track->causes[interval];
+    const int p = f->of.pairs, fallen = track->causes[interval];
     if (fallen < 0) return;
     const int pair = fallen % p, state = a->closed[pair], by_rate = state >= SLIP_UP && fallen >= p;
-    if (track->firsts[interval] == interval) {
+    if (track->firsts[interval]) {
         double sign;
         const int row = answer_row(f, a, fallen, c->weights, &sign);
         changed(f, a, c, row, sign, by_rate ? c->rate : c->moved, c->fell);
@@ -508,8 +529,7 @@ static void change_state(flow *f, const flow_track *track, int interval, const c
     double *held = c->held + (long)pair * c->count;
     if (state == OPEN || by_rate) {
         const double late = -track->ratios[interval];
-        for (int q = 0; q < r; q++) c->weights[q] = -f->of.compliance[(long)(p + pair) * r + q];
-        changed(f, a, c, p + pair, 1.0, c->moved, c->own);
+        change_place(f, a, pair, c);
         memcpy(held, c->own, bytes(c->count));
         if (late != 0.0) add_rows(1, c->count, c->fell, &late, held);
     } else memset(held, 0, bytes(c->count));
@@ -564,6 +584,7 @@ static void change_along(flow *f, const closed_set *a, double length, double lon
 /* The derivative (2 m + p, 2 m + p) by z and h. */
 static int tangent_with_friction(flow *f, const flow_track *track, double *tangent)
 {
+    const closed_set *a = NULL;
     const long m = f->of.modes, p = f->of.pairs, r = f->rows, n = 2 * m + p;
     const double longest = FLOW_REACH / fastest(f, 0.0);
     double *room = malloc(bytes(4 * m * n + m * m + 2 * n + r));
@@ -577,7 +598,7 @@ static int tangent_with_friction(flow *f, const flow_track *track, double *tange
     memset(tangent, 0, bytes(n * n));
     for (long i = 0; i < n; i++) tangent[i * (n + 1)] = 1.0;
     for (int k = 0; k < track->intervals; k++) {
-        const closed_set *a = closed_set_of(f->known, track->sets + (long)k * p);
+        a = closed_set_of(f->known, track->sets + (long)k * p);
         if (!a) {
             free(room);
             return FLOW_MEMORY;
@@ -585,38 +606,52 @@ static int tangent_with_friction(flow *f, const flow_track *track, double *tange
         change_along(f, a, track->lengths[k], longest, &c);
         change_state(f, track, k, a, &c);
     }
+    for (int i = 0; i < p && a; i++) {
+        double *place = c.held + i * n;
+        if (a->closed[i] != STICK) {
+            change_place(f, a, i, &c);
+            memcpy(place, c.own, bytes(n));
+        } else if (sticks_throughout(f, track, i)) memset(place, 0, bytes(n));
+    }
     free(room);
     return finite_state((int)(n * n), tangent) ? FLOW_DONE : FLOW_LOST;
 }
 
-/* At the end of a series of changes, that of the answer that fell is f->fell, and f->held those of h. */
+/* At the end of a series of changes a pair may leave its state, and the motion end: that of the answer
+ * that fell is f->fell, and f->held those of h. */
 static void change_places(flow *f, const flow_track *track, int interval, const closed_set *a,
                           const double *gap, double length, double end)
 {
     const int m = f->of.modes, p = f->of.pairs, r = f->rows, terms = f->order + 1;
-    const int fallen = track->causes[interval];
-    if (fallen < 0) return;
-    const int pair = fallen % p, state = a->closed[pair], by_rate = state >= SLIP_UP && fallen >= p;
+    const int fallen = track->causes[interval], last = interval + 1 == track->intervals;
     double *force = f->force, *near = f->near, *rate = f->falling, sign;
+    if (fallen < 0 && !last) return;
     multiply_matrices(terms, LOAD, r, f->weights, gap, 0.0, f->reached);
     multiply_matrices(terms, m, r, f->series, f->columns, 1.0, f->reached);
     force_gaps(f->known, a, terms, f->held, f->reached, f->forces);
     series_at(r, f->order, f->forces, end, force, rate);
     series_at(r, f->order, f->reached, end, near, rate);
-    if (track->firsts[interval] == interval) {
-        const int row = answer_row(f, a, fallen, f->value, &sign);
-        f->fell = row < 0 ? dot(r, force, f->value) : sign * (by_rate ? rate[row] / length : near[row]);
+    if (fallen >= 0) {
+        const int pair = fallen % p, state = a->closed[pair], by_rate = state >= SLIP_UP && fallen >= p;
+        if (track->firsts[interval]) {
+            const int row = answer_row(f, a, fallen, f->value, &sign);
+            f->fell = row < 0 ? dot(r, force, f->value)
+                              : sign * (by_rate ? rate[row] / length : near[row]);
+        }
+        f->held[pair] = state == OPEN || by_rate
+                            ? near[p + pair] - track->ratios[interval] * f->fell
+                            : 0.0;
     }
-    f->held[pair] = state == OPEN || by_rate ? near[p + pair] - track->ratios[interval] * f->fell
-                                             : 0.0;
+    for (int i = 0; i < p && last; i++)
+        if (a->closed[i] != STICK) f->held[i] = near[p + i];
 }
 
 int flow_column(flow *f, const flow_track *track, const double *force, const double *gap,
-                int by_time, double *state, double *held)
+                int by_time, double *state)
 {
     const double longest = FLOW_REACH / fastest(f, track->omega);
-    double now = track->start;
-    if (held) memcpy(f->held, held, bytes(f->of.pairs));
+    double now = track->start, *places = state + 2 * f->of.modes;
+    if (f->of.friction) memcpy(f->held, places, bytes(f->of.pairs));
     for (int k = 0; k < track->intervals; k++) {
         double length;
         const closed_set *a = enter(f, track, k, longest, &length);
@@ -629,21 +664,21 @@ int flow_column(flow *f, const flow_track *track, const double *force, const dou
             state_at(f, length, end, state);
             left -= end;
             now += end * length;
-            if (held && !(left > 0.0)) change_places(f, track, k, a, gap, length, end);
+            if (f->of.friction && !(left > 0.0)) change_places(f, track, k, a, gap, length, end);
         }
     }
-    if (held) memcpy(held, f->held, bytes(f->of.pairs));
+    if (f->of.friction) memcpy(places, f->held, bytes(f->of.pairs));
     return FLOW_DONE;
 }
 
-int flow_by_omega(flow *f, const flow_track *track, double *state, double *held)
+int flow_by_omega(flow *f, const flow_track *track, double *state)
 {
     /* d/d omega of c cos(omega t) + s sin(omega t) is t times s cos - c sin. */
     const int m = f->of.modes, p = f->rows;
     double *force = f->turned, *gap = force + LOAD * m;
     memset(force, 0, bytes(m));
     memset(gap, 0, bytes(p));
-    memset(state, 0, bytes(2 * m));
+    memset(state, 0, bytes(numbers_of_state(f)));
     for (int j = 0; j < m; j++) {
         force[m + j] = f->of.force[2 * m + j];
         force[2 * m + j] = -f->of.force[m + j];
@@ -652,8 +687,7 @@ int flow_by_omega(flow *f, const flow_track *track, double *state, double *held)
         gap[p + i] = f->of.gap[2 * p + i];
         gap[2 * p + i] = -f->of.gap[p + i];
     }
-    if (held) memset(held, 0, bytes(f->of.pairs));
-    return flow_column(f, track, force, gap, 1, state, held);
+    return flow_column(f, track, force, gap, 1, state);
 }
 
 /* What drives the derivative of a motion, of which the series are known: -C' q' and P_A S D' lambda,
@@ -711,19 +745,25 @@ int flow_by_structure(flow *f, const flow_track *track, const double *start, con
     return finite_state(2 * m, state) ? FLOW_DONE : FLOW_LOST;
 }
 
-int flow_rate(flow *f, double omega, double time, const double *state, const signed char *stuck,
-              const double *held, double *rate)
+int flow_rate(flow *f, double omega, double time, const double *state, double *rate)
 {
-    const int m = f->of.modes;
+    const int m = f->of.modes, p = f->of.pairs, r = f->rows;
     double *faster = rate + m;
-    if (held) memcpy(f->held, held, bytes(f->of.pairs));
-    if (contact_at(f, omega, time, state, stuck)) return 1;
+    if (contact_at(f, omega, time, state, NULL)) return 1;
     memcpy(rate, state + m, bytes(m));
     multiply(m, f->rows, f->columns, f->force, faster);
     damp(f, f->of.damping, rate, f->drag);
     for (int j = 0; j < m; j++)
         faster[j] = -faster[j] - f->drag[j] - f->of.squares[j] * state[j];
     add_rows(LOAD, m, f->of.force, f->weights, faster);
+    if (!f->of.friction) return 0;
+    f->order = 1;
+    wave(f, omega, time, 1.0, 0);
+    multiply(r, m, f->of.rows, rate, f->near);
+    add_rows(LOAD, r, f->of.gap, f->weights + LOAD, f->near);
+    memset(f->held, 0, bytes(p)); /* places where pairs stick stay */
+    force_gaps(f->known, closed_set_of(f->known, f->closed), 1, f->held, f->near, f->force);
+    for (int i = 0; i < p; i++) rate[2 * m + i] = f->closed[i] == STICK ? 0.0 : f->near[p + i];
     return 0;
 }
 
@@ -757,7 +797,7 @@ int flow_tangent(flow *f, const flow_track *track, double *tangent)
 int flow_wave(flow *f, flow_motion *m, int nodes, double period, const double *states,
               double *moved, int *ends)
 {
-    const long size = 2L * f->of.modes;
+    const long size = numbers_of_state(f);
     flow_motion part = *m;
     memcpy(moved, states, bytes(nodes * size));
     for (int i = 0; i < nodes; i++) {
@@ -771,6 +811,8 @@ int flow_wave(flow *f, flow_motion *m, int nodes, double period, const double *s
         part.most -= part.passed;
         part.sets += (long)part.passed * f->of.pairs;
         part.lengths += part.passed;
+        if (f->of.friction)
+            part.causes += part.passed, part.firsts += part.passed, part.ratios += part.passed;
         part.passed = 0;
     }
     return FLOW_DONE;
@@ -779,7 +821,7 @@ int flow_wave(flow *f, flow_motion *m, int nodes, double period, const double *s
 int flow_carry(flow *f, const flow_track *track, int nodes, const int *ends, const double *excess,
                double *changes)
 {
-    const long size = 2L * f->of.modes;
+    const long size = numbers_of_state(f);
     double *still = f->turned; /* no load */
     flow_track part = *track;
     memset(still, 0, bytes(LOAD * (f->of.modes + f->rows)));
@@ -787,11 +829,13 @@ int flow_carry(flow *f, const flow_track *track, int nodes, const int *ends, con
         double *next = changes + size;
         part.intervals = ends[i] - (i ? ends[i - 1] : 0);
         memcpy(next, changes, bytes(size));
-        const int outcome = flow_column(f, &part, still, still + LOAD * f->of.modes, 0, next, NULL);
+        const int outcome = flow_column(f, &part, still, still + LOAD * f->of.modes, 0, next);
         if (outcome != FLOW_DONE) return outcome;
         for (long j = 0; j < size; j++) next[j] += excess[j];
         part.sets += (long)part.intervals * f->of.pairs;
         part.lengths += part.intervals;
+        if (f->of.friction)
+            part.causes += part.intervals, part.firsts += part.intervals, part.ratios += part.intervals;
     }
     return FLOW_DONE;
 }

@@ -17,7 +17,9 @@
  *
  *     open:   -g_n, 1;    stick:   mu l_n - l_t, mu l_n + l_t;    slip:   l_n, +-g_t',
  *
- * with g = s - D lambda. A pair that begins to stick is held where it is, at h = g_t, its only memory.
+ * with g = s - D lambda. A pair that begins to stick is held where it is, at h = g_t, its only memory:
+ * h is part of the state, which has n = 2 m + p numbers, without friction n = 2 m; of a pair that does
+ * not stick it is g_t.
  *
  * Loads f and l have rows of their mean and of the cosine and sine of a frequency omega, of
  * which nothing else depends.
@@ -54,16 +56,15 @@ enum { FLOW_DONE, FLOW_PIECES, FLOW_INTERVALS, FLOW_LOST, FLOW_MEMORY };
 
 typedef struct {
     double omega, now, end;
-    double *state;           /* (2 m) q, q', here and at the end */
+    double *state;           /* (n) q, q', here and at the end, and with friction (p) h */
     int most_pieces, pieces; /* of the series, allowed and made */
     int most, passed;        /* intervals between events, allowed and passed */
     signed char *sets;       /* (most, p) their closed pairs */
     double *lengths;         /* (most) */
-    signed char *stuck;      /* (p) states of the pairs, here and at the end; friction only, as all of */
-    double *held;            /* (p) h, likewise */
-    int *causes;             /* (most) of the answers (r) the one that ended an interval, or -1 */
-    int *firsts;             /* (most) the interval that ended first at that instant */
-    double *ratios;          /* (most) g_t' of the pair over the slope of the answer that did */
+    int *causes;             /* (most) of the answers (r) the one that ended an interval, or -1; with
+                              * friction only, as the next two */
+    signed char *firsts;     /* (most) whether it fell before others at that instant */
+    double *ratios;          /* (most) g_t' of the pair over the slope of the first one */
     int events;
     int count, sampled;      /* instants at which the motion is kept, and how many are done */
     const double *instants;  /* (count) ascending, from now to end */
@@ -80,38 +81,39 @@ typedef struct {
     int intervals;
     const signed char *sets;
     const double *lengths;
-    const int *causes, *firsts; /* friction only */
+    const int *causes; /* friction only */
+    const signed char *firsts;
     const double *ratios;
 } flow_track;
 
-/* The derivative of the flow over a track, (2 m, 2 m). Forces are continuous, so it is the product of
- * the sets' exponentials. FLOW_DONE, FLOW_LOST or FLOW_MEMORY. With friction that of the state and of
- * the places h, (2 m + p, 2 m + p): where a pair begins to stick, as an answer phi falls,
+/* The derivative of the flow over a track, (n, n). Forces are continuous, so it is the product of
+ * the sets' exponentials. FLOW_DONE, FLOW_LOST or FLOW_MEMORY. With friction a pair begins to stick, as
+ * an answer phi falls, at
  *
- *     dh = dg_t - g_t' / phi' dphi. */
+ *     dh = dg_t - g_t' / phi' dphi;
+ *
+ * one that sticks all the time keeps its place, whatever this is: its row is 0. */
 int flow_tangent(flow *f, const flow_track *track, double *tangent);
 /* The derivative of the state by a parameter of the load, whose derivatives are given as the load
- * is, or with `by_time` those divided by the time: state (2 m) at the start and at the end of a
- * track, and with friction held (p) of h likewise, else NULL. */
+ * is, or with `by_time` those divided by the time: state (n) at the start and at the end of a
+ * track. */
 int flow_column(flow *f, const flow_track *track, const double *force, const double *gap,
-                int by_time, double *state, double *held);
-/* The same by omega: state (2 m), from 0 at the start. */
-int flow_by_omega(flow *f, const flow_track *track, double *state, double *held);
+                int by_time, double *state);
+/* The same by omega: state (n), from 0 at the start. */
+int flow_by_omega(flow *f, const flow_track *track, double *state);
 /* The same by a parameter of the structure: of a motion from the state `start`, given the derivatives of
  * the damping, as the flow's own, and of the diagonal of the compliance (p); NULL: it does not change. */
 int flow_by_structure(flow *f, const flow_track *track, const double *start, const double *damping,
                       const double *compliance, double *state);
-/* The state's derivative by the time (2 m), with friction from the pairs' states and places, else
- * NULL: 0, or 1 where no set of closed pairs answers it. */
-int flow_rate(flow *f, double omega, double time, const double *state, const signed char *stuck,
-              const double *held, double *rate);
-/* The motion over each of `nodes` equal parts of a period, from a wave's states (nodes, 2 m) at their
- * starts: moved (nodes, 2 m), the states at their ends, and ends (nodes), the intervals passed up to
+/* The state's derivative by the time (n): 0, or 1 where no set of closed pairs answers it. */
+int flow_rate(flow *f, double omega, double time, const double *state, double *rate);
+/* The motion over each of `nodes` equal parts of a period, from a wave's states (nodes, n) at their
+ * starts: moved (nodes, n), the states at their ends, and ends (nodes), the intervals passed up to
  * there. What is allowed, and the room for the tracks behind each other, are those of m. */
 int flow_wave(flow *f, flow_motion *m, int nodes, double period, const double *states,
               double *moved, int *ends);
-/* changes (nodes + 1, 2 m) from the first one on, each carried to the next by the derivative of the
- * flow over that part of a track, and excess (nodes, 2 m) added. */
+/* changes (nodes + 1, n) from the first one on, each carried to the next by the derivative of the
+ * flow over that part of a track, and excess (nodes, n) added. */
 int flow_carry(flow *f, const flow_track *track, int nodes, const int *ends, const double *excess,
                double *changes);
 

@@ -94,8 +94,8 @@ static void form_jacobian(dense *common)
 static int by_omega(shooting_point *at, const flow_track *track, double *found)
 {
     const flow_motion *m = &at->moved;
-    if (flow_by_omega(at->of.flow, track, found, NULL)) return 1;
-    if (flow_rate(at->of.flow, m->omega, m->end, m->state, NULL, NULL, at->rate)) return 1;
+    if (flow_by_omega(at->of.flow, track, found)) return 1;
+    if (flow_rate(at->of.flow, m->omega, m->end, m->state, at->rate)) return 1;
     for (int i = 0; i < at->common.size; i++)
         found[i] = at->of.rate * (found[i] - m->end / m->omega * at->rate[i]);
     return 0;
@@ -109,7 +109,7 @@ static void by_parameter(equations *own, double *found)
     const shooting_equations *of = &at->of;
     memset(found, 0, bytes(n));
     const int failed =
-        of->force   ? flow_column(of->flow, &track, of->force_by, of->gap_by, 0, found, NULL)
+        of->force   ? flow_column(of->flow, &track, of->force_by, of->gap_by, 0, found)
         : of->rates ? flow_by_structure(of->flow, &track, at->start, of->damping_by, NULL, found)
                     : by_omega(at, &track, found);
     for (int i = 0; i < n; i++) found[i] = failed ? NAN : at->scale[i] * found[i];
