@@ -191,7 +191,7 @@ class Assessment:
             return np.inf
         assert self.flow is not None
         wave, flow = self.wave, self.flow
-        change = (self.prediction.states - self.states)[:, : flow.size // 2]
+        change = (self.prediction.states - self.states)[:, : flow.count]
         time = np.arange(len(change)) * wave.period / len(change)
         force = wave.structure.force[seen_parts(wave.structure)].T
         return relative_to_motion(

@@ -111,7 +111,7 @@ class MoreModes:
     def _gap(self, states: np.ndarray) -> np.ndarray:
         """g of states at equal parts of the period: (n, n_pairs) [m]."""
         flow = self.flow
-        slow = states[:, : flow.size // 2] @ flow.modes.pairs + self._waves(self._time) @ flow.gap
+        slow = states[:, : flow.count] @ flow.modes.pairs + self._waves(self._time) @ flow.gap
         if not np.any(flow.residual):
             return slow
         integrals = CoupledIntegrals(flow.contact, 1, residual=flow.residual)
@@ -147,7 +147,7 @@ class MoreModes:
         wave, states = self.wave, self._states
         assert states is not None
         gap, ahead = self._gap(states), self.prediction.states
-        seen, half = seen_parts(wave.structure), self.flow.size // 2
+        seen, half = seen_parts(wave.structure), self.flow.count
         moved = (ahead - states)[:, :half] @ self.flow.force[seen].T
         at_load = relative_to_motion(
             moved, wave.coordinates(self._time) @ wave.structure.force[seen].T
@@ -207,7 +207,7 @@ class MoreModes:
 
 def is_still(samples: Samples) -> bool:
     """Return True if crack faces, which the load presses together, move by rounding only."""
-    slow = samples.states[:, : samples.flow.size // 2] @ samples.flow.modes.pairs
+    slow = samples.states[:, : samples.flow.count] @ samples.flow.modes.pairs
     moved = samples.gap + samples.flow.structure.clearance
     return bool(np.linalg.norm(moved) <= NEGLIGIBLE * np.linalg.norm(slow))
 

@@ -57,7 +57,7 @@ class OrbitFamily:
         self._first = exact_flow(first.structure, first.contact)
         self._last: tuple[float, ContactFlow] | None = None
         weights = self._first.weights(self.omega(start) / self.subharmonic)
-        self.scale = weights / np.tile(weights[: self._first.size // 2], 2)
+        self.scale = weights / np.tile(weights[: self._first.count], 2)
         self.shape, self.records = self.scale.shape, self._first.size**2
         self._rest = np.zeros((2, self._first.size))
         ends = [self.unknown(self.flow(one).rest, one) for one in (start, end)]

@@ -24,7 +24,7 @@ static void change_load(const shooting_point *at, double p)
 {
     const shooting_equations *of = &at->of;
     for (int i = 0; i < LOAD * of->modes; i++) of->force[i] = at->force[i] + p * of->force_by[i];
-    for (int i = 0; i < LOAD * of->pairs; i++) of->gap[i] = at->gap[i] + p * of->gap_by[i];
+    for (int i = 0; i < LOAD * of->rows; i++) of->gap[i] = at->gap[i] + p * of->gap_by[i];
 }
 
 static int evaluate(equations *own, const double *x, double p)
@@ -65,7 +65,8 @@ static flow_track track_of(const shooting_point *at)
 {
     const flow_motion *m = &at->moved;
     return (flow_track){.omega = m->omega, .intervals = m->passed, .sets = m->sets,
-                        .lengths = m->lengths};
+                        .lengths = m->lengths, .causes = m->causes, .firsts = m->firsts,
+                        .ratios = m->ratios};
 }
 
 /* M in the unknowns; not a number where it is not known. */
@@ -131,7 +132,7 @@ static void record(equations *own, double *found)
 
 shooting_point *new_shooting_point(const shooting_equations *given)
 {
-    const long n = 2L * given->modes, intervals = given->intervals;
+    const long n = given->size, intervals = given->intervals;
     shooting_point *at = calloc(1, sizeof(shooting_point));
     if (!at) return NULL;
     at->of = *given;
@@ -140,13 +141,20 @@ shooting_point *new_shooting_point(const shooting_equations *given)
         .solve_nearly = solve_nearly_dense, .by_parameter = by_parameter, .sign = sign_of_dense,
         .records = (int)(n * n), .record = record};
     const int failed = make_dense(&at->common, (int)n, form_jacobian);
-    const long load = given->force ? LOAD * (given->modes + given->pairs) : 0;
+    const long load = given->force ? LOAD * (given->modes + given->rows) : 0;
     at->scale = malloc(bytes(5 * n + n * n + load + given->rates));
     at->moved.most_pieces = given->pieces;
     at->moved.most = given->intervals;
     at->moved.sets = malloc((size_t)(intervals * given->pairs + 1));
     at->moved.lengths = malloc(bytes(intervals));
-    if (failed || !(at->scale && at->moved.sets && at->moved.lengths)) {
+    if (given->friction) {
+        at->moved.causes = malloc((size_t)intervals * sizeof(int));
+        at->moved.firsts = malloc((size_t)intervals);
+        at->moved.ratios = malloc(bytes(intervals));
+    }
+    const int recorded = at->moved.causes && at->moved.firsts && at->moved.ratios;
+    if (failed || !(at->scale && at->moved.sets && at->moved.lengths)
+        || (given->friction && !recorded)) {
         free_shooting_point(at);
         return NULL;
     }
@@ -161,7 +169,7 @@ shooting_point *new_shooting_point(const shooting_equations *given)
     if (load) {
         at->force = at->damping + given->rates, at->gap = at->force + LOAD * given->modes;
         memcpy(at->force, given->force, bytes(LOAD * given->modes));
-        memcpy(at->gap, given->gap, bytes(LOAD * given->pairs));
+        memcpy(at->gap, given->gap, bytes(LOAD * given->rows));
     }
     return at;
 }
@@ -172,6 +180,9 @@ void free_shooting_point(shooting_point *at)
     free(at->scale);
     free(at->moved.sets);
     free(at->moved.lengths);
+    free(at->moved.causes);
+    free(at->moved.firsts);
+    free(at->moved.ratios);
     free(at);
 }
 

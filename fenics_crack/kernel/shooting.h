@@ -15,12 +15,14 @@
 typedef struct {
     flow *flow;
     int modes, pairs;
+    int size, rows;        /* numbers of a state, n, and of rows of contact, r (flow.h) */
+    int friction;          /* whether there is */
     double base, rate;     /* of omega */
     double turns;          /* 2 pi times the load's periods in one of the orbit */
-    const double *scale;   /* (2 m) */
-    const double *rest;    /* x_0 and x_1, (2, 2 m); NULL: 0 */
+    const double *scale;   /* (n) */
+    const double *rest;    /* x_0 and x_1, (2, n); NULL: 0 */
     int pieces, intervals;
-    double *force, *gap;   /* the flow's own load, (3, m) and (3, p); NULL: it does not change */
+    double *force, *gap;   /* the flow's own load, (3, m) and (3, r); NULL: it does not change */
     const double *force_by, *gap_by; /* load_1 */
     int rates;                       /* numbers of the damping; 0: it does not change */
     const double *damping, *damping_by; /* C_0 and C_1, as the flow's own */
@@ -36,7 +38,7 @@ equations *equations_of_shooting(shooting_point *at);
 int switches_of(const shooting_point *at);
 /* Of the Taylor series in it. */
 int pieces_of(const shooting_point *at);
-/* M of the last evaluation, (2 m, 2 m), in the unknowns x: 0, or 1 where there is none. */
+/* M of the last evaluation, (n, n), in the unknowns x: 0, or 1 where there is none. */
 int tangent_of(shooting_point *at, double *found);
 
 #endif

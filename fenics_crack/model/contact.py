@@ -191,6 +191,68 @@ class UnilateralConstraint:
         return self
 
 
+@dataclass(frozen=True)
+class CoulombFriction:
+    """Coulomb friction beside a law of normal contact, in two dimensions.
+
+        |lambda_t| <= mu lambda_n,      h' = 0 where <,      lambda_t h' >= 0 where =,
+
+    with the tangential force lambda_t, on the left of the equation of motion as lambda_n, and h =
+    g_t - lambda_t / k_t, the place of the slider in the tangential gap g_t: a pair that is closed
+    sticks or slips. One coefficient holds at rest and in motion.
+
+    Attributes
+    ----------
+    law : UnilateralPenalty or UnilateralConstraint
+        Of normal contact.
+    coefficient : float or (n_pairs,)
+        mu.
+    tangential_stiffness : float or (n_pairs,) [N/m]
+        k_t; infinite: without elastic slip.
+
+    Raises
+    ------
+    InputError
+        The law is another one, or a number is not positive.
+    """
+
+    law: Any
+    coefficient: float | np.ndarray
+    tangential_stiffness: float | np.ndarray = np.inf
+
+    def __post_init__(self) -> None:
+        if not is_unilateral(self.law):
+            raise InputError("law", self.law, "UnilateralPenalty or UnilateralConstraint")
+        mu = _positive("friction coefficient", self.coefficient, each_pair=True)
+        object.__setattr__(self, "coefficient", mu)
+        if not np.array_equal(self.tangential_stiffness, np.inf):
+            stiffness = _positive("tangential stiffness", self.tangential_stiffness, each_pair=True)
+            object.__setattr__(self, "tangential_stiffness", stiffness)
+
+    @property
+    def stiffness(self) -> float | np.ndarray:
+        """Of the law of normal contact [N/m]."""
+        return self.law.stiffness
+
+    def force(self, gap: np.ndarray) -> np.ndarray:
+        """lambda_n(g) [N]."""
+        return np.asarray(self.law.force(gap))
+
+    def tangent(self, gap: np.ndarray) -> np.ndarray:
+        """d lambda_n / d g [N/m]."""
+        return np.asarray(self.law.tangent(gap))
+
+    def scaled(self, factor: float) -> CoulombFriction:
+        """The same with factor * k and factor * k_t."""
+        stiffness = np.multiply(factor, self.tangential_stiffness)
+        return replace(self, law=self.law.scaled(factor), tangential_stiffness=stiffness)
+
+
+def friction_of(contact: object) -> CoulombFriction | None:
+    """The friction of a law; None without."""
+    return contact if isinstance(contact, CoulombFriction) else None
+
+
 @lru_cache
 def gauss(count: int) -> tuple[np.ndarray, np.ndarray]:
     """Gauss's nodes between 0 and 1, and their weights: for means of forces between two gaps."""
@@ -207,12 +269,12 @@ def potential(contact: ContactLaw, gap: np.ndarray) -> np.ndarray:
 
 def is_rigid(contact: object) -> TypeGuard[UnilateralConstraint]:
     """Return True if no force follows from the gap: :class:`UnilateralConstraint`."""
-    return isinstance(contact, UnilateralConstraint)
+    return isinstance(getattr(contact, "law", contact), UnilateralConstraint)
 
 
 def is_piecewise_linear(contact: object) -> TypeGuard[UnilateralPenalty]:
     """Return True if lambda = k max(0, g), linear between switching instants: the penalty law."""
-    return isinstance(contact, UnilateralPenalty)
+    return isinstance(getattr(contact, "law", contact), UnilateralPenalty)
 
 
 def is_unilateral(contact: object) -> bool:

@@ -19,6 +19,7 @@ Computers & Structures 267 (2022) 106810.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -32,11 +33,12 @@ from fenics_crack.model.contact import (
     KEPT,
     ContactLaw,
     check_law,
+    friction_of,
     is_regular,
     is_rigid,
     is_unilateral,
 )
-from fenics_crack.model.modal import all_modes, is_small
+from fenics_crack.model.modal import AllModes, all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.fourier import waves
 
@@ -89,16 +91,34 @@ def _refused(structure: Structure, contact: ContactLaw) -> InputError | None:
         return InputError("contact", contact, "UnilateralPenalty or UnilateralConstraint")
     if not is_small(structure):
         return InputError("structure", f"{structure.n_dofs} dofs", "reduced, on one rank")
-    if is_rigid(contact) and not is_regular(all_modes(structure).below(None).static_part()):
+    softness = _softness(structure, contact)
+    static = _modes(structure, contact).below(None).static_part()
+    if not np.all(softness) and not is_regular(static + np.diag(softness)):
         allowed = "one whose faces have no mass: reduce_structure(structure, method='massless')"
         return InputError("structure", repr(structure), allowed)
     return None
 
 
+def _modes(structure: Structure, contact: ContactLaw) -> AllModes:
+    """All modes, with friction seen by normals and tangents."""
+    return all_modes(structure, tangential=True) if friction_of(contact) else all_modes(structure)
+
+
+def _softness(structure: Structure, contact: ContactLaw) -> np.ndarray:
+    """1 / kappa of the pairs, with friction behind it 1 / k_t [m/N]."""
+    friction, ones = friction_of(contact), np.ones(structure.n_pairs)
+    found = ones / np.asarray(contact.stiffness, dtype=float)
+    if friction is None:
+        return found
+    return np.concatenate([found, ones / np.asarray(friction.tangential_stiffness, dtype=float)])
+
+
 class Flow:
     """The flow of a small structure under its own load.
 
-    States are (2 n_modes,) arrays (q, q') of modal coordinates.
+    States are (2 n_modes,) arrays (q, q') of modal coordinates, with friction (2 n_modes +
+    n_pairs,): behind them where the pairs stick, or are. Contact rows are the pairs' normals, with
+    friction behind them their tangents.
 
     Attributes
     ----------
@@ -120,26 +140,41 @@ class Flow:
 
     def __init__(self, structure: Structure, contact: ContactLaw) -> None:
         self.structure, self.contact = structure, contact
-        self.modes = modes = all_modes(structure).below(None)
-        pairs = structure.n_pairs
+        self.friction = friction_of(contact)
+        self.modes = modes = _modes(structure, contact).below(None)
         self.residual = modes.static_part()
-        self.softness = np.ones(pairs) / np.asarray(contact.stiffness, dtype=float)
+        self.softness = _softness(structure, contact)
         self.compliance = self.residual + np.diag(self.softness)
         self.force = np.ascontiguousarray(structure.force @ modes.shapes)
-        self.gap = np.zeros((3, pairs))
+        self.gap = np.zeros((3, len(self.softness)))
         if modes.static_loads is not None:
-            self.gap += structure.apply_bt(structure.force @ modes.static_loads)
-        self.gap[0] -= structure.clearance
+            moved = structure.force @ modes.static_loads
+            self.gap[:, : structure.n_pairs] += structure.apply_bt(moved)
+            if self.friction:
+                self.gap[:, structure.n_pairs :] += moved @ structure.tangential
+        self.gap[0, : structure.n_pairs] -= structure.clearance
+
+    @property
+    def count(self) -> int:
+        """Number of modes."""
+        return len(self.modes.squares)
 
     @property
     def size(self) -> int:
         """Numbers of a state."""
-        return 2 * len(self.modes.squares)
+        return 2 * self.count + (self.structure.n_pairs if self.friction else 0)
 
     def state(self, displacement: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        """State of a displacement and a velocity (..., n_dofs)."""
+        """State of a displacement and a velocity (..., n_dofs); with friction as if pairs stuck
+        where these leave them."""
         inverse = self.modes.inverse.T
-        return np.concatenate([displacement @ inverse, velocity @ inverse], axis=-1)
+        parts = [displacement @ inverse, velocity @ inverse]
+        if self.friction:
+            parts.append(
+                parts[0] @ self.modes.pairs[:, self.structure.n_pairs :]
+                + self.gap[0, self.structure.n_pairs :]
+            )
+        return np.concatenate(parts, axis=-1)
 
     def displacement(
         self,
@@ -151,7 +186,7 @@ class Flow:
         """Displacement of the structure's own dofs, or of some, in states and under contact forces
         at phases of the load: (n, n_dofs) [m]."""
         modes = self.modes
-        found: np.ndarray = states[:, : len(modes.squares)] @ modes.shapes[dofs].T
+        found: np.ndarray = states[:, : self.count] @ modes.shapes[dofs].T
         if modes.static_loads is not None and modes.static_pairs is not None:
             found += waves(phase) @ (self.structure.force @ modes.static_loads[:, dofs])
             found -= force @ modes.static_pairs[dofs].T
@@ -166,21 +201,24 @@ class ContactFlow(Flow):
 
     def __init__(self, structure: Structure, contact: ContactLaw) -> None:
         super().__init__(structure, contact)
-        modes, (count, pairs) = self.modes, self.modes.pairs.shape
+        modes, pairs = self.modes, structure.n_pairs
         stiffness = np.diag(modes.squares) + modes.pairs @ np.linalg.solve(
             self.compliance, modes.pairs.T
         )
         self.fastest = _fastest(float(np.linalg.eigvalsh(stiffness)[-1]), modes.damping)
         """Bound of the rates at which any set of closed pairs turns or decays [1/s]."""
+        coefficient = None
+        if self.friction:
+            coefficient = np.broadcast_to(self.friction.coefficient, pairs).astype(float)
         parts = Struct(
-            "flow_parts", modes=count, pairs=pairs, coupled=modes.damping.ndim == 2,
+            "flow_parts", modes=self.count, pairs=pairs, friction=coefficient, coupled=modes.damping.ndim == 2,
             squares=doubles(modes.squares), damping=doubles(modes.damping),
             rows=doubles(modes.pairs.T), compliance=doubles(self.compliance), force=self.force,
             gap=self.gap, fastest=self.fastest, most=int(KEPT * machine_memory()) // 8,
         )  # fmt: skip
         self.handle = owned(kernel.new_flow(parts.at), kernel.free_flow)
         """The kernel's own object."""
-        self._sets, self._lengths = np.empty((0, pairs), dtype=bool), np.empty(0)
+        self._intervals = 0
 
     @cached_property
     def rest(self) -> np.ndarray:
@@ -206,7 +244,11 @@ class ContactFlow(Flow):
         """Return the weights that make the norm of a state that of its energy, (2 n_modes,); modes
         slower than a frequency [rad/s] count as if they had it."""
         rates = np.sqrt(np.maximum(self.modes.squares, base_omega**2))
-        return np.concatenate([rates, np.ones_like(rates)])
+        parts = [rates, np.ones_like(rates)]
+        if self.friction:  # of springs as stiff as a pair that sticks alone
+            pairs = self.structure.n_pairs
+            parts.append(1.0 / np.sqrt(np.diag(self.compliance)[pairs:]))
+        return np.concatenate(parts)
 
     def advance(
         self,
@@ -226,18 +268,18 @@ class ContactFlow(Flow):
         ConvergenceError
             It takes more than the budget allows, or is not finite.
         """
-        pairs = len(self.softness)
         end_state = np.array(state, dtype=float).reshape(self.size)
         instants = np.zeros(0) if instants is None else doubles(instants)
-        states, answers = np.empty((len(instants), self.size)), np.empty((len(instants), pairs))
-        closed = np.empty((len(instants), pairs), dtype=bool)
-        given, sets, lengths = self._motion(
+        count, rows, pairs = len(instants), len(self.softness), self.structure.n_pairs
+        states = np.empty((count, 2 * self.count))
+        answers = np.empty((count, 2 * rows if self.friction else rows))
+        closed = np.empty((count, pairs), dtype=np.int8)
+        given, record = self._motion(
             budget, omega=omega, now=start, end=start + duration, state=end_state,
-            count=len(instants), instants=instants, states=states, answers=answers, closed=closed,
+            count=count, instants=instants, states=states, answers=answers, closed=closed,
         )  # fmt: skip
         _check(kernel.flow_advance(self.handle, given.at), given.at.events)
-        passed = given.at.passed
-        track = Track(self, omega, start, sets[:passed].copy(), lengths[:passed].copy())
+        track = Track(self, omega, start, **record(given.at.passed))
         samples = Samples(self, omega, instants, states, answers, closed)
         return Motion(end_state, int(given.at.events), int(given.at.pieces), track, samples)
 
@@ -252,28 +294,36 @@ class ContactFlow(Flow):
         """
         states = doubles(states)
         moved, ends = np.empty_like(states), np.empty(len(states), dtype=np.intc)
-        given, sets, lengths = self._motion(None, omega=omega)
+        given, record = self._motion(None, omega=omega)
         outcome = kernel.flow_wave(
             self.handle, given.at, len(states), period, pointer(states), pointer(moved),
             pointer(ends),
         )  # fmt: skip
         _check(outcome, given.at.events)
-        passed = given.at.passed
-        return moved, Track(self, omega, 0.0, sets[:passed].copy(), lengths[:passed].copy()), ends
+        return moved, Track(self, omega, 0.0, **record(given.at.passed)), ends
 
     def _motion(
         self, budget: Budget | None, **members: Any
-    ) -> tuple[Struct, np.ndarray, np.ndarray]:
-        """Return the kernel's motion, and its arrays for a track."""
+    ) -> tuple[Struct, Callable[[int], dict[str, np.ndarray]]]:
+        """Return the kernel's motion, and what copies the arrays of its track."""
         budget = budget or Budget()
-        if len(self._lengths) < budget.intervals:
-            self._sets = np.empty((budget.intervals, len(self.softness)), dtype=bool)
-            self._lengths = np.empty(budget.intervals)
+        if self._intervals < budget.intervals:
+            self._intervals = most = budget.intervals
+            self._record = {
+                "sets": np.empty((most, self.structure.n_pairs), dtype=np.int8),
+                "lengths": np.empty(most),
+            }
+            if self.friction:
+                self._record |= {
+                    "causes": np.empty(most, dtype=np.intc),
+                    "firsts": np.empty(most, dtype=np.int8),
+                    "ratios": np.empty(most),
+                }
+        arrays = self._record
         given = Struct(
-            "flow_motion", most_pieces=budget.pieces, most=budget.intervals, sets=self._sets,
-            lengths=self._lengths, **members,
-        )  # fmt: skip
-        return given, self._sets, self._lengths
+            "flow_motion", most_pieces=budget.pieces, most=budget.intervals, **arrays, **members
+        )
+        return given, lambda passed: {name: one[:passed].copy() for name, one in arrays.items()}
 
 
 @dataclass(frozen=True)
@@ -285,8 +335,11 @@ class Track:
     flow : ContactFlow
     omega, start : float
         Of the load [rad/s]; when it begins [s].
-    sets : (n, n_pairs) bool
+    sets : (n, n_pairs) int
+        States of the pairs: 0 open, 1 closed, with friction 1 stuck, 2 and 3 slipping.
     lengths : (n,) [s]
+    causes, firsts, ratios : (n,)
+        Of friction, how intervals end (``kernel/flow.h``).
     """
 
     flow: ContactFlow
@@ -294,18 +347,22 @@ class Track:
     start: float
     sets: np.ndarray
     lengths: np.ndarray
+    causes: np.ndarray | None = None
+    firsts: np.ndarray | None = None
+    ratios: np.ndarray | None = None
 
     @property
     def closed_share(self) -> float:
         """Part of the motion in which a pair is closed, mean over the pairs, of which there are
         some."""
-        return float(self.lengths @ self.sets.mean(axis=1) / self.lengths.sum())
+        return float(self.lengths @ (self.sets > 0).mean(axis=1) / self.lengths.sum())
 
     @cached_property
     def _known(self) -> Struct:
         return Struct(
             "flow_track", omega=self.omega, start=self.start, intervals=len(self.lengths),
-            sets=self.sets, lengths=self.lengths,
+            sets=self.sets, lengths=self.lengths, causes=self.causes, firsts=self.firsts,
+            ratios=self.ratios,
         )  # fmt: skip
 
     @cached_property
@@ -359,7 +416,9 @@ class Samples:
     ----------
     time : (n,) [s]
     states : (n, 2 n_modes)
-    closed : (n, n_pairs) bool
+        q and q'.
+    contact : (n, n_pairs) int
+        States of the pairs, as in :class:`Track`.
     """
 
     flow: ContactFlow
@@ -367,23 +426,44 @@ class Samples:
     time: np.ndarray
     states: np.ndarray
     answers: np.ndarray
-    """(n, n_pairs): forces [N] of closed pairs, openings [m] of the others."""
-    closed: np.ndarray
+    """(n, n_pairs): forces [N] of closed pairs, openings [m] of the others; with friction the forces
+    on all rows, and the gaps without those of springs, (n, 4 n_pairs)."""
+    contact: np.ndarray
+
+    @property
+    def closed(self) -> np.ndarray:
+        """Closed pairs: (n, n_pairs) bool."""
+        return self.contact > 0
+
+    @cached_property
+    def forces(self) -> np.ndarray:
+        """Contact forces on all rows: (n, n_rows) [N]."""
+        if self.flow.friction:
+            return self.answers[:, : len(self.flow.softness)]
+        return np.where(self.closed, np.maximum(self.answers, 0.0), 0.0)
+
+    @cached_property
+    def gaps(self) -> np.ndarray:
+        """Gaps of all rows: (n, n_rows) [m]."""
+        moved = self.forces * self.flow.softness
+        if self.flow.friction:
+            return self.answers[:, len(self.flow.softness) :] + moved
+        return np.where(self.closed, moved, -self.answers)
 
     @property
     def force(self) -> np.ndarray:
-        """Contact force: (n, n_pairs) [N]."""
-        return np.where(self.closed, np.maximum(self.answers, 0.0), 0.0)
+        """Normal contact force: (n, n_pairs) [N]."""
+        return self.forces[:, : self.flow.structure.n_pairs]
 
     @property
     def gap(self) -> np.ndarray:
         """g, positive where a pair penetrates: (n, n_pairs) [m]."""
-        return np.where(self.closed, self.force * self.flow.softness, -self.answers)
+        return self.gaps[:, : self.flow.structure.n_pairs]
 
     @property
     def displacement(self) -> np.ndarray:
         """Displacement of the structure's own dofs: (n, n_dofs) [m]."""
-        return self.flow.displacement(self.states, self.force, self.omega * self.time)
+        return self.flow.displacement(self.states, self.forces, self.omega * self.time)
 
 
 @dataclass(frozen=True)

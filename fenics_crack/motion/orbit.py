@@ -328,7 +328,7 @@ def _step(
         changes = track.carried(inverse(change, sharp), excess, ends)[:-1]
     except (ConvergenceError, np.linalg.LinAlgError, ValueError):
         return None
-    count = flow.size // 2
+    count = flow.count
     gap, moved = states[:, :count] @ flow.modes.pairs, changes[:, :count] @ flow.modes.pairs
     return Prediction(relative_to_motion(moved, gap), states + changes, track, inverse)
 

@@ -108,8 +108,9 @@ class ShootingEquations(Equations):
         if rest is not None:
             changed["rest"] = rest
         self._given = Struct(
-            "shooting_equations", flow=flow.handle, modes=flow.size // 2,
-            pairs=len(flow.softness), base=omega[0], rate=omega[1],
+            "shooting_equations", flow=flow.handle, modes=flow.count,
+            pairs=flow.structure.n_pairs, rows=len(flow.softness), size=flow.size,
+            friction=flow.friction is not None, base=omega[0], rate=omega[1],
             turns=2.0 * np.pi * subharmonic, scale=scale, pieces=Budget.pieces,
             intervals=Budget.intervals, **changed,
         )  # fmt: skip
@@ -198,7 +199,7 @@ class FlowOrbits(ShootingEquations):
         self, flow: ContactFlow, omega: float, state: np.ndarray, subharmonic: int = 1
     ) -> None:
         weights = flow.weights(omega / subharmonic)
-        weights /= np.tile(weights[: flow.size // 2], 2)
+        weights /= np.resize(weights[: flow.count], flow.size)
         scale = weights / (float(np.linalg.norm(weights * state)) or 1.0)
         super().__init__(flow, scale, (0.0, omega), subharmonic)
         self.omega, self.start = omega, scale * state

@@ -146,7 +146,7 @@ class _ByEvents(Scheme):
         window.load_motion[:] = moved[:-1, asked.load_rows] * _load_sizes(asked)
 
     def state(self) -> tuple[np.ndarray, np.ndarray]:
-        rate = self._flow.modes.shapes @ self._state[self._flow.size // 2 :]
+        rate = self._flow.modes.shapes @ self._state[self._flow.count :]
         return self._motion.copy(), rate
 
 
