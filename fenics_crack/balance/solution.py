@@ -277,6 +277,13 @@ class PeriodicSolution(Wave, Described):
         """The exact orbit whose Fourier coefficients these are; None where they are balanced."""
         return self.assessment.own
 
+    @cached_property
+    def friction_left_out(self) -> float:
+        """Up to about what friction would change of an amplitude, relative: half of
+        :attr:`PeriodicOrbit.friction_cap` of its exact orbit; nan where that is not known."""
+        orbit = self.orbit or (self.assessment.orbit if self.assessment.accepted else None)
+        return math.nan if orbit is None else 0.5 * orbit.friction_cap
+
     def displacement(self, time: np.ndarray, dofs: Sequence[int | None] = (None,)) -> np.ndarray:
         """Displacement of dofs, or of the watched one, at times [s]: (len(time), len(dofs)) [m]
         (collective)."""
@@ -358,6 +365,8 @@ class PeriodicSolution(Wave, Described):
         if self.stability is not None:
             found["verdict"] = self.stability.verdict
             found["multiplier"] = float(abs(self.stability.multipliers[0]))
+            if not math.isnan(self.friction_left_out):
+                found["friction_left_out"] = self.friction_left_out
         found |= {"converged": self.converged, "iterations": int(self.iterations)}
         return with_frequency(found) | {"status": str(self.status)}
 

@@ -62,9 +62,13 @@ from fenics_crack.scene.words import check_scene
 LIPS = ("lower_lip", "upper_lip")
 
 
-def pair_lips(scene: Scene, dofs: Dofs) -> tuple[sparse.csr_matrix, Pairs]:
-    """Pair what is in the same place of both faces, crack by crack: the rows of B of this rank's
-    free dofs, and where the pairs are (collective).
+def pair_lips(
+    scene: Scene, dofs: Dofs
+) -> tuple[sparse.csr_matrix, sparse.csr_matrix | None, Pairs]:
+    """Pair what is in the same place of both faces, crack by crack: the rows of B and of B_t of
+    this rank's free dofs, and where the pairs are (collective).
+
+    B_t is B with each node's normal turned by a right angle; a solid has none.
 
     The pairs of a crack are ordered from its mouth to its tip, or from the left to the right tip;
     of a solid from the front to the mouth.
@@ -77,7 +81,7 @@ def pair_lips(scene: Scene, dofs: Dofs) -> tuple[sparse.csr_matrix, Pairs]:
     dimension, plate = scene.dimension, dofs.plate
     if not plate.cracked:
         none = np.zeros((0, dimension)), np.zeros(0), np.zeros(0, dtype=int), np.zeros(0)
-        return sparse.csr_matrix((len(dofs.free), 0)), Pairs(*none)
+        return sparse.csr_matrix((len(dofs.free), 0)), None, Pairs(*none)
     make = _of_nodes if dimension == 2 else _of_patches
     space, weights, columns = make(dofs, thickness(scene, dofs.space), plate.along(*LIPS))
     first = space.dofmap.index_map.local_range[0]
@@ -94,9 +98,21 @@ def pair_lips(scene: Scene, dofs: Dofs) -> tuple[sparse.csr_matrix, Pairs]:
         lower, upper, cracks, positions = (x[chosen] for x in (lower, upper, cracks, positions))
         places = {name: number for number, name in enumerate(places)}
     gap = columns[:, lower[:, 0].astype(int)] + columns[:, upper[:, 0].astype(int)]
-    gap = sparse.csr_matrix(gap[dofs.free])
-    gap.eliminate_zeros()
-    return gap, Pairs(lower[:, 2:], lower[:, 1], cracks, positions, places)
+    tangential = _free_rows(_turned(gap), dofs) if dimension == 2 else None
+    found = Pairs(lower[:, 2:], lower[:, 1], cracks, positions, places)
+    return _free_rows(gap, dofs), tangential, found
+
+
+def _turned(columns: Any) -> sparse.csr_matrix:
+    """Columns of nodes' vectors in a plane, (n_nodes * 2, m), turned by a right angle."""
+    turn = sparse.kron(sparse.eye(columns.shape[0] // 2), [[0.0, -1.0], [1.0, 0.0]])
+    return turn.tocsr() @ columns
+
+
+def _free_rows(columns: Any, dofs: Dofs) -> sparse.csr_matrix:
+    found = sparse.csr_matrix(columns.tocsr()[dofs.free])
+    found.eliminate_zeros()
+    return found
 
 
 def _of_nodes(dofs: Dofs, t: Any, lips: Any) -> tuple[Any, np.ndarray, sparse.csc_matrix]:
@@ -206,7 +222,7 @@ def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     space = compat.function_space(plate.mesh, scene.mesh.order)
     dofs = Dofs(plate, space, comm)
     stiffness, mass = _matrices(scene, space)
-    gap, pairs = pair_lips(scene, dofs)
+    gap, tangential, pairs = pair_lips(scene, dofs)
     force, watched = assemble_loads(scene, dofs, mass)
     clamp = clamp_of(dofs, mass, force)
     structure = Structure(
@@ -220,7 +236,7 @@ def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
         pairs=pairs,
         watched=watched,
         clamp=clamp,
-    )
+    ).with_tangents(tangential)
     if scene.speed > 0.0:
         begin("rotation")
         structure = rotation_of(scene, dofs, structure).at(scene.speed)

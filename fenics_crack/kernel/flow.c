@@ -212,6 +212,8 @@ static double falls(const flow *f, int pair, double low, double high, double bef
 {
     const int p = f->rows;
     double other, bottom, fall, rise;
+    /* Rates jump where another pair leaves its state. */
+    if (f->of.friction && first < -f->allowed[pair]) return fmax(low, ROUNDING);
     if (last >= -f->allowed[pair]) {
         /* Both ends positive, but a minimum between them may not be. */
         column_at(p, f->order, f->answers, pair, 0, low, &fall);

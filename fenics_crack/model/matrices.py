@@ -619,6 +619,16 @@ def checked(
     }
 
 
+def checked_tangential(given: Any, parts: Mapping[str, Any]) -> sparse.csr_matrix:
+    """This rank's rows of B_t, of as many pairs as other parts of a structure have."""
+    n, own = parts["mass"].size[0], slice(*parts["mass"].owner_range)
+    found = whole_rows("tangential", given, n)
+    if found.shape[1] != parts["gap"].shape[1]:
+        allowed = f"of shape ({n}, {parts['gap'].shape[1]}), as gap is"
+        raise InputError("tangential", found.shape, allowed)
+    return found[own]
+
+
 def lumped_mass(mass: Any) -> Any:
     """The diagonal matrix of the row sums; InputError where one is not positive (collective)."""
     ones, sums = mass.createVecs()

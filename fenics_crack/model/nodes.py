@@ -137,6 +137,8 @@ class Coordinates(Hinted):
         The ranks that share the structure.
     gap : scipy.sparse.csr_matrix
         B, the rows owned by this rank: (n_local, n_pairs).
+    tangential : scipy.sparse.csr_matrix or None
+        B_t, likewise: tangential gaps g_t = B_t^T u, of faces in a plane.
     force : (3, n_local) [N]
         Mean, cosine and sine part of the load on the first harmonic.
     nodes : Nodes or None
@@ -151,6 +153,7 @@ class Coordinates(Hinted):
     comm: MPI.Comm
     mass: Any
     gap: sparse.csr_matrix
+    tangential: sparse.csr_matrix | None
     force: np.ndarray
     nodes: Nodes | None
     pairs: Pairs

@@ -26,7 +26,7 @@ from mpi4py import MPI
 from fenics_crack.basics.errors import InputError
 from fenics_crack.model.factor import AT_A_TIME, Factor, distributed
 from fenics_crack.model.modes import NEGLIGIBLE, times
-from fenics_crack.model.structure import DampingRule, Structure
+from fenics_crack.model.structure import DampingRule, Structure, read_only_rows
 from fenics_crack.numerics.equations import EPSILON
 
 INSTEAD = "reduce with method = 'free_interface', or march by integrate_exponential"
@@ -68,7 +68,10 @@ class ReducedStructure(Structure):
         reference: ReducedStructure | None = None,
     ) -> None:
         pairs, force = whole.apply_bt(basis.T), whole.sum_over_ranks(whole.force @ basis)
-        self._make(whole, squares, damping, pairs, force, np.zeros((0, 0)))
+        tangents = None
+        if whole.tangential is not None:
+            tangents = whole.sum_over_ranks(basis.T @ whole.tangential)
+        self._make(whole, squares, damping, pairs, tangents, force, np.zeros((0, 0)))
         self._hold(basis=basis, reference=reference)
 
     def _make(
@@ -77,6 +80,7 @@ class ReducedStructure(Structure):
         squares: np.ndarray,
         damping: DampingRule | np.ndarray | None,
         pairs: np.ndarray,
+        tangents: np.ndarray | None,
         force: np.ndarray,
         compliance: np.ndarray,
     ) -> None:
@@ -95,6 +99,7 @@ class ReducedStructure(Structure):
             nodes=whole.nodes,
             pairs=whole.pairs,
         )
+        self._hold(tangential=None if tangents is None else read_only_rows(tangents))
         self._hold(omega=np.sqrt(np.maximum(squares, 0.0)), _whole=whole)
 
     @property
@@ -247,7 +252,7 @@ class MasslessStructure(MasslessInterface):
         u = Phi q + G (f - B lambda),        G = K^-1 - Phi Lambda^-1 Phi^T,
 
     Lambda the squares of the modes' frequencies. The coordinates are those of the modes and,
-    without mass, the forces c on which G acts: u = Phi q + G X c, X = [B, f].
+    without mass, the forces c on which G acts: u = Phi q + G X c, X = [B, B_t, f].
 
     Attributes
     ----------
@@ -271,11 +276,14 @@ class MasslessStructure(MasslessInterface):
         static: ResidualFlexibility,
         reference: MasslessStructure | None,
     ) -> None:
-        """Take Phi^T B (n_modes, n_pairs), the load on all coordinates (3, n_dofs), and S."""
+        """Take Phi^T [B, B_t] (n_modes, n_pairs or 2 n_pairs), the load on all coordinates (3,
+        n_dofs), and S."""
         if isinstance(damping, DampingRule):
             damping = damping.of_kept(len(squares))
-        seen = np.vstack([pairs, compliance[:, : whole.n_pairs]])
-        self._make(whole, squares, damping, seen, force, compliance)
+        seen = np.vstack([pairs, compliance[:, : pairs.shape[1]]])
+        normal, tangents = np.split(seen, [whole.n_pairs], axis=1)
+        known = None if whole.tangential is None else tangents
+        self._make(whole, squares, damping, normal, known, force, compliance)
         self._hold(flexibility=_pseudoinverse(compliance), reference=reference, _static=static)
 
     @property

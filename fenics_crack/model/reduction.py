@@ -156,7 +156,9 @@ def _massless(structure: Structure, modes: int, *, assessed: bool) -> MasslessSt
     twice, most = modes + max(modes, 10), structure.n_dofs - structure.n_pairs
     more = min(twice, most) if most > modes else structure.n_dofs
     loaded = structure.sum_over_ranks((structure.force**2).sum(axis=1)) > 0.0
-    sources = sparse.hstack([structure.gap, structure.force[loaded].T]).tocsr()
+    contact = [structure.gap] + ([] if structure.tangential is None else [structure.tangential])
+    rows = structure.n_pairs * len(contact)
+    sources = sparse.hstack([*contact, structure.force[loaded].T]).tocsr()
     begin("factor of the stiffness")
     with Factor(structure.stiffness, definite=True) as factor:
         counts = (more, modes) if assessed else (modes,)
@@ -174,7 +176,7 @@ def _massless(structure: Structure, modes: int, *, assessed: bool) -> MasslessSt
     seen = static[more].modal.T
     force = structure.sum_over_ranks(structure.force @ shapes)
     # The amplitudes of the load's parts are unknowns whose force is S times themselves.
-    patterns = np.hstack([np.zeros((3, structure.n_pairs)), np.eye(3)[:, loaded]])
+    patterns = np.hstack([np.zeros((3, rows)), np.eye(3)[:, loaded]])
     own, reference = structure.damping, None
     modal = isinstance(own, ModalDamping)
     for count in counts:
@@ -186,7 +188,7 @@ def _massless(structure: Structure, modes: int, *, assessed: bool) -> MasslessSt
             structure,
             squares[:count],
             own if modal else _damping(structure, shapes[:, :count], squares[:count]),
-            seen[:count, : structure.n_pairs],
+            seen[:count, :rows],
             np.hstack([force[:, :count], patterns @ left]),
             left,
             static=static[count],

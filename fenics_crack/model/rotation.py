@@ -212,7 +212,7 @@ class Ritz:
         V^T f at rest.
     centrifugal : (n,)
         V^T f_c.
-    mass, gap
+    mass, gap, tangential
         The mass as a matrix of PETSc's, and V^T B.
     modes : int
         Number of modes with mass.
@@ -227,6 +227,7 @@ class Ritz:
     centrifugal: np.ndarray
     mass: Any
     gap: sparse.csr_matrix
+    tangential: sparse.csr_matrix | None
     modes: int
 
     @classmethod
@@ -277,6 +278,7 @@ class Ritz:
             structure.sum_over_ranks(rotation.force @ basis),
             distributed(sparse.diags(inverse), MPI.COMM_SELF),
             read_only_rows(structure.apply_bt(basis.T)),
+            _tangents(structure, basis),
             modes,
         )
 
@@ -343,6 +345,7 @@ class RunUpStructure(MasslessInterface):
             pairs=ritz.whole.pairs,
         )
         omega = 1.0 / np.sqrt(inverse)
+        self._hold(tangential=ritz.tangential)
         self._hold(basis=ritz.basis, omega=omega, reference=None, _whole=ritz.whole)
         left = factor.T @ factor - static @ static.T
         self._hold(speed=speed, shapes=static * omega, left=left, _ritz=ritz, _dense=stiffness)
@@ -384,6 +387,12 @@ class RunUpStructure(MasslessInterface):
     def damped(self, damping: DampingRule | None) -> RunUpStructure:
         """Return this structure with a modal or Rayleigh damping, or none."""
         raise InputError("damping", damping, "that of the structure from which this one was made")
+
+
+def _tangents(structure: Structure, basis: np.ndarray) -> sparse.csr_matrix | None:
+    if structure.tangential is None:
+        return None
+    return read_only_rows(structure.sum_over_ranks(basis.T @ structure.tangential))
 
 
 def _stiffness(structure: Structure) -> Any:

@@ -34,6 +34,7 @@ from fenics_crack.basics.threads import alone
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.matrices import (
     checked,
+    checked_tangential,
     lumped_mass,
     numbers,
     per_pair,
@@ -200,7 +201,7 @@ class Structure(Coordinates):
 
     Attributes
     ----------
-    comm, gap, force, nodes, pairs, watched
+    comm, gap, tangential, force, nodes, pairs, watched
         As of :class:`fenics_crack.model.nodes.Coordinates`.
     mass, stiffness : PETSc.Mat
         (n, n), symmetric; [kg], [N/m].
@@ -248,7 +249,7 @@ class Structure(Coordinates):
             mass=mass, stiffness=stiffness, force=force, clearance=clearance, damping=damping,
             nodes=nodes, pairs=pairs or Pairs(), watched=watched, clamp=clamp,
         )  # fmt: skip
-        self._hold(gap=read_only_rows(gap))
+        self._hold(gap=read_only_rows(gap), tangential=None)
         self._hold(comm=mass.comm.tompi4py(), damping_factor=1.0, _original=None, _known={})
 
     def __repr__(self) -> str:
@@ -323,9 +324,17 @@ class Structure(Coordinates):
 
         def held(one: Structure) -> Structure:
             matrix = with_springs(one.stiffness, one.gap, springs)
-            return one._changed(stiffness=matrix, gap=gap, clearance=np.zeros(0), pairs=Pairs())
+            return one._changed(
+                stiffness=matrix, gap=gap, tangential=None, clearance=np.zeros(0), pairs=Pairs()
+            )
 
         return _turning(self, held)
+
+    def with_tangents(self, tangential: sparse.spmatrix | None) -> Self:
+        """Return this structure with B_t (n_local, n_pairs), or without."""
+        rows = None if tangential is None else read_only_rows(tangential)
+        kept = {"damping": self.damping, "damping_factor": 1.0}
+        return self._copied(tangential=rows, **kept, _original=None, _known={})
 
     def placed(self, nodes: Nodes, pairs: Pairs) -> Structure:
         """Return this structure with the places of its nodes and pairs."""
@@ -395,8 +404,10 @@ class Structure(Coordinates):
         return {name: change(part) for name, part in held.items() if part is not None}
 
     def _changed(self, **changes: Any) -> Structure:
+        tangential = changes.pop("tangential", self.tangential)
         kept = "mass stiffness gap force clearance damping nodes pairs watched clamp".split()
-        return Structure(**({name: getattr(self, name) for name in kept} | changes))
+        found = Structure(**({name: getattr(self, name) for name in kept} | changes))
+        return found.with_tangents(tangential)
 
     @classmethod
     @alone()
@@ -411,6 +422,7 @@ class Structure(Coordinates):
         force_cos: Any = None,
         force_mean: Any = None,
         clearance: Any = 0.0,
+        tangential: Any = None,
         damping: Any = None,
         comm: MPI.Comm = MPI.COMM_SELF,
     ) -> Structure:
@@ -427,6 +439,8 @@ class Structure(Coordinates):
             Load on the first harmonic, and its mean.
         clearance : float or (n_pairs,) [m]
             g0; negative for preload.
+        tangential : (n, n_pairs) or (n,)
+            B_t, for friction.
         damping : ModalDamping, RayleighDamping, (n, n) matrix or None
             Modal or Rayleigh damping, or C [N s/m] in any of the forms above.
         comm : MPI.Comm
@@ -440,10 +454,12 @@ class Structure(Coordinates):
         """
         forces = {"force_mean": force_mean, "force_cos": force_cos, "force_sin": force_sin}
         parts = checked(mass, stiffness, gap, forces, clearance, comm)
+        if tangential is not None:
+            tangential = checked_tangential(tangential, parts)
         if not isinstance(damping, DampingRule | None):
             made = parts["mass"]
             damping = petsc_matrix("damping", damping, made.comm.tompi4py(), made.size[0])
-        return cls(**parts, damping=damping)
+        return cls(**parts, damping=damping).with_tangents(tangential)
 
 
 def _in_words(structure: Structure) -> str:

@@ -35,7 +35,6 @@ from fenics_crack.model.contact import (
     check_law,
     friction_of,
     is_regular,
-    is_rigid,
     is_unilateral,
 )
 from fenics_crack.model.modal import AllModes, all_modes, is_small
@@ -211,8 +210,9 @@ class ContactFlow(Flow):
         if self.friction:
             coefficient = np.broadcast_to(self.friction.coefficient, pairs).astype(float)
         parts = Struct(
-            "flow_parts", modes=self.count, pairs=pairs, friction=coefficient, coupled=modes.damping.ndim == 2,
-            squares=doubles(modes.squares), damping=doubles(modes.damping),
+            "flow_parts", modes=self.count, pairs=pairs, friction=coefficient,
+            coupled=modes.damping.ndim == 2, squares=doubles(modes.squares),
+            damping=doubles(modes.damping),
             rows=doubles(modes.pairs.T), compliance=doubles(self.compliance), force=self.force,
             gap=self.gap, fastest=self.fastest, most=int(KEPT * machine_memory()) // 8,
         )  # fmt: skip
@@ -426,8 +426,8 @@ class Samples:
     time: np.ndarray
     states: np.ndarray
     answers: np.ndarray
-    """(n, n_pairs): forces [N] of closed pairs, openings [m] of the others; with friction the forces
-    on all rows, and the gaps without those of springs, (n, 4 n_pairs)."""
+    """(n, n_pairs): forces [N] of closed pairs, openings [m] of the others; with friction (n, 4
+    n_pairs): the forces on all rows, and the gaps without those of springs."""
     contact: np.ndarray
 
     @property

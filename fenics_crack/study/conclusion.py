@@ -10,7 +10,7 @@ import numpy as np
 
 from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.basics.errors import INTERRUPTED
-from fenics_crack.basics.tables import closing_sentence, error_in_words, in_unit, quantity
+from fenics_crack.basics.tables import closing_sentence, error_in_words, in_unit, percent, quantity
 from fenics_crack.curves.curve import ResponseCurve, parameter_axis
 from fenics_crack.curves.peak import AT_END
 from fenics_crack.model.modal import is_small
@@ -58,6 +58,8 @@ class Answer(Study):
         return self.watched[0].dof
 
 
+FRICTION_MATTERS = 0.01
+"""What friction could change, relative, up to which nothing is said of it."""
 LINEAR = "no contact pair opens and closes: the vibration is linear"
 
 
@@ -164,6 +166,9 @@ def _others(run: Answer) -> list[str]:
     said = []
     if run.structure.n_pairs and found.contact is not None and not found.breathes:
         said.append(LINEAR)
+    least = max(run.scene.harmonic_balance.tolerance or 0.0, FRICTION_MATTERS)
+    if found.friction_left_out > least:
+        said.append(f"friction left out: up to about {percent(min(found.friction_left_out, 1.0))}")
     return [*said, *in_place_of(found.stability, found.amplitude(run.watched_dof))]
 
 

@@ -1,0 +1,144 @@
+"""The exact flow with friction: laws at every instant, derivatives, known motions; and what
+friction could do where it is left out."""
+
+import numpy as np
+import pytest
+
+import fenics_crack as fc
+from fenics_crack.model.contact import CoulombFriction
+from fenics_crack.motion.flow import ContactFlow
+from fenics_crack.motion.orbit import find_orbit
+
+RIGID = fc.UnilateralConstraint()
+
+
+def random_flow(seed: int, pairs: int, mu: float) -> ContactFlow:
+    """Of a random structure with faces without mass."""
+    draw = np.random.default_rng(seed)
+    n = 4 * pairs + 12
+    root = draw.normal(size=(n, n))
+    stiffness = root @ root.T / n + 0.1 * np.eye(n)
+    structure = fc.Structure.from_matrices(
+        np.eye(n),
+        stiffness,
+        draw.normal(size=(n, pairs)),
+        tangential=draw.normal(size=(n, pairs)),
+        force_sin=draw.normal(size=n),
+        force_cos=draw.normal(size=n),
+        clearance=0.2 * draw.normal(size=pairs),
+        damping=fc.ModalDamping(0.01),
+    )
+    reduced = fc.reduce_structure(structure, modes=6, method="massless", reference=False)
+    return ContactFlow(reduced, CoulombFriction(RIGID, mu))
+
+
+@pytest.mark.parametrize(("pairs", "mu"), [(1, 0.3), (2, 0.05), (3, 0.6), (5, 0.2)])
+def test_laws_at_every_instant(pairs: int, mu: float) -> None:
+    """Signorini's conditions and Coulomb's, at 1,000 instants of a motion; pairs that slip go where
+    their friction does not push."""
+    flow = random_flow(pairs, pairs, mu)
+    time = np.linspace(0.0, 60.0, 1000)
+    found = flow.advance(np.zeros(flow.size), 0.8, 60.0, instants=time).samples
+    normal, pulled = np.split(found.forces, 2, axis=1)
+    gap, moved = np.split(found.gaps, 2, axis=1)
+    large, long = np.abs(found.forces).max(), np.abs(found.gaps).max()
+    assert {0, 1, 2, 3} <= set(np.unique(found.contact))
+    assert normal.min() >= -1e-12 * large
+    assert gap.max() <= 1e-12 * long
+    assert np.abs(normal * gap).max() <= 1e-12 * large * long
+    assert (np.abs(pulled) - mu * normal).max() <= 1e-12 * large
+    step, stays = np.diff(moved, axis=0), found.contact[1:] == found.contact[:-1]
+    for state, sign in ((2, 1.0), (3, -1.0)):
+        slips = stays & (found.contact[1:] == state)
+        assert (sign * step[slips]).min() >= -1e-4 * long  # or it has turned twice
+        assert pulled[1:][slips] == pytest.approx(sign * mu * normal[1:][slips], abs=1e-12 * large)
+
+
+@pytest.mark.parametrize(("pairs", "mu"), [(1, 0.3), (2, 0.05), (3, 0.6), (5, 0.2)])
+def test_derivative_by_state_and_places(pairs: int, mu: float) -> None:
+    """M against central differences, through all events, of a motion under way."""
+    flow, omega = random_flow(10 + pairs, pairs, mu), 0.8
+    period = 2.0 * np.pi / omega
+    start = flow.advance(np.zeros(flow.size), omega, 3.0 * period).state
+    motion = flow.advance(start, omega, period)
+    assert motion.events > 2
+    draw = np.random.default_rng(1)
+    stuck = motion.track.sets[0] == 1
+    for _ in range(3):
+        change = draw.normal(size=flow.size)
+        change[2 * flow.count :][~stuck] = 0.0  # where they are follows
+        step = 1e-7
+        ends = [flow.advance(start + s * change, omega, period).state for s in (step, -step)]
+        expected = (ends[0] - ends[1]) / (2.0 * step)
+        known = motion.track.tangent @ change
+        moves = ~np.concatenate(
+            [np.zeros(2 * flow.count, dtype=bool), (motion.track.sets == 1).all(axis=0)]
+        )
+        size = np.abs(known).max()
+        assert known[moves] == pytest.approx(expected[moves], abs=1e-6 * size)
+
+
+def jenkins(limit: float) -> ContactFlow:
+    """An oscillator x with a spring k_t that slips under constant pressure, mu = 1."""
+    structure = fc.Structure.from_matrices(
+        np.eye(2),
+        np.eye(2),
+        np.array([0.0, 1.0]),
+        tangential=np.array([1.0, 0.0]),
+        force_cos=np.array([1.0, 0.0]),
+        force_mean=np.array([0.0, 2.0 * limit]),  # half of it on the spring
+        damping=fc.ModalDamping(0.02),
+    )
+    return ContactFlow(structure, CoulombFriction(fc.UnilateralPenalty(1.0), 1.0, 0.5))
+
+
+def test_jenkins_oscillator() -> None:
+    """Amplitude and loss of the exact orbit; the loss per period by the closed form of a slide of
+    this amplitude, 4 F (A - F / k_t), and by the balance of energies."""
+    limit, omega = 0.3, 0.9
+    flow, period = jenkins(limit), 2.0 * np.pi / 0.9
+    start = np.zeros(flow.size)
+    start[: flow.count] = flow.rest[: flow.count]
+    for _ in range(40):
+        start = flow.advance(start, omega, period).state
+    orbit = find_orbit(flow, omega, start)
+    assert orbit is not None
+    time = np.arange(20_000) * period / 20_000
+    x = orbit.displacement_at(time)[:, 0]
+    amplitude = 0.5 * np.ptp(x)
+    assert amplitude == pytest.approx(3.69236, abs=1e-5)
+    assert 4.0 * limit * (amplitude - limit / 0.5) == pytest.approx(3.71084, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("name", "modes", "ratio", "omega", "low", "high"),
+    [
+        ("inclined_crack", 10, 0.005, 22368.14, 3.6, 6.5),
+        ("breathing_plate", 10, 0.01, 2000.0, 6.6, 9.6),
+        ("blade", 20, 0.001, 4875.75, 0.005, 0.02),
+    ],
+)
+def test_what_friction_could_do(
+    name: str, modes: int, ratio: float, omega: float, low: float, high: float
+) -> None:
+    """Much for plates whose crack slides, nothing for the blade."""
+    whole = fc.build_structure(fc.Scene.load(f"demos/{name}.toml"))
+    if name != "blade":
+        whole = whole.damped(fc.ModalDamping(ratio, modes))
+    reduced = fc.reduce_structure(whole, modes=modes, method="massless", reference=False)
+    flow = ContactFlow(reduced, RIGID)
+    state = np.zeros(flow.size)
+    for _ in range(40):
+        state = flow.advance(state, omega, 2.0 * np.pi / omega).state
+    orbit = find_orbit(flow, omega, state)
+    assert orbit is not None
+    assert low < orbit.friction_cap < high
+
+
+def test_last_line_says_what_friction_could_do() -> None:
+    """For a crack that slides; of the blade nothing."""
+    inclined, blade = (
+        str(fc.solve(fc.Scene.load(f"demos/{name}.toml"))) for name in ("inclined_crack", "blade")
+    )
+    assert "friction left out: up to about 100 %" in inclined
+    assert "friction" not in blade
