@@ -365,8 +365,6 @@ class PeriodicSolution(Wave, Described):
         if self.stability is not None:
             found["verdict"] = self.stability.verdict
             found["multiplier"] = float(abs(self.stability.multipliers[0]))
-            if not math.isnan(self.friction_left_out):
-                found["friction_left_out"] = self.friction_left_out
         found |= {"converged": self.converged, "iterations": int(self.iterations)}
         return with_frequency(found) | {"status": str(self.status)}
 

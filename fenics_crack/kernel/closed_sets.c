@@ -11,12 +11,13 @@
 #include "sets.h"
 
 struct closed_sets {
-    int modes, pairs, contacts; /* of contact: with friction twice the pairs */
+    int modes, pairs, contacts; /* contacts: the rows r, with friction twice the pairs */
     const double *rows, *d, *friction;
     long most, kept;
-    double *room; /* (r, r + m), or (r, r) and three times (TERMS, r) */
-    int *pivots;  /* (r) */
-    int next;     /* bucket that is emptied */
+    double *room;  /* (r, 2 r + m), or (r, r) and three times (TERMS, r) */
+    double *given; /* (r) gaps whose states are sought */
+    int *pivots;   /* (r) */
+    int next;      /* bucket that is emptied */
     closed_set *bucket[BUCKETS];
 };
 
@@ -35,9 +36,12 @@ closed_sets *new_closed_sets(int modes, int pairs, const double *rows, const dou
     s->d = d;
     s->friction = friction;
     s->most = most;
-    s->room = malloc(bytes(contacts * (2 * contacts + rest) + 1));
+    s->room = malloc(bytes(contacts * (2 * contacts + rest + 1) + 1));
     s->pivots = malloc((size_t)(contacts + 1) * sizeof(int));
-    if (s->room && s->pivots) return s;
+    if (s->room && s->pivots) {
+        s->given = s->room + contacts * (2 * contacts + rest);
+        return s;
+    }
     free_closed_sets(s);
     return NULL;
 }
@@ -79,7 +83,7 @@ void free_closed_sets(closed_sets *s)
     free(s);
 }
 
-/* What presses on the modes, (size, m) rows of the set's own and what they push. */
+/* How a set presses on the modes, by its own rows (size, m) and what they push. */
 static void press(const closed_sets *s, closed_set *a, const double *own)
 {
     const int m = s->modes, size = a->size;
@@ -95,7 +99,7 @@ static double slope_of(const closed_sets *s, const closed_set *a, int pair)
     return state == SLIP_UP ? s->friction[pair] : state == SLIP_DOWN ? -s->friction[pair] : 0.0;
 }
 
-/* The same with friction; 1 where det A is not positive. */
+/* What a set is known by with friction: 0, or 1 where det A is not positive. */
 static int fill_with_friction(closed_sets *s, closed_set *a)
 {
     const int m = s->modes, p = s->pairs, r = s->contacts, size = a->size;
@@ -264,8 +268,8 @@ const closed_set *set_at(closed_sets *s, const double *gap, signed char *closed,
     return NULL;
 }
 
-/* The state that follows from forces, gaps and the place of a pair in one; a number is negative where
- * it is by more than is allowed for rounding. */
+/* The state of a pair that follows from its forces, gaps and place in one; up to a force and a gap they
+ * are rounding. */
 static int next_state(const closed_sets *s, const closed_set *a, int pair, const double *held,
                       const double *gaps, const double *forces, double force, double gap)
 {
@@ -309,7 +313,7 @@ const closed_set *states_at(closed_sets *s, const double *held, signed char *clo
                             double *forces)
 {
     const int p = s->pairs, r = s->contacts;
-    double *given = s->room + (long)r * (2 * r), largest = 0.0;
+    double *given = s->given, largest = 0.0;
     for (int i = 0; i < r; i++) largest = fmax(largest, fabs(gaps[i]));
     for (int i = 0; i < p; i++) largest = fmax(largest, fabs(held[i]));
     memcpy(given, gaps, bytes(r));

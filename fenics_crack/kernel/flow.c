@@ -720,6 +720,7 @@ int flow_by_structure(flow *f, const flow_track *track, const double *start, con
     const int m = f->of.modes;
     double *still = f->turned, *here = f->motion + (long)TERMS * m, *series = f->series;
     double now = track->start;
+    if (f->of.friction) return FLOW_LOST; /* not yet: where pairs stick changes, too */
     memset(still, 0, bytes(LOAD * (m + f->rows)));
     memset(state, 0, bytes(2 * m));
     memcpy(here, start, bytes(2 * m));

@@ -10,6 +10,7 @@ struct shooting_point {
     dense common;
     shooting_equations of;
     flow_motion moved;
+    int rows;  /* of contact, r */
     int known; /* whether M is */
     double parameter;
     double *scale, *residual, *state, *rate, *tangent;
@@ -24,7 +25,7 @@ static void change_load(const shooting_point *at, double p)
 {
     const shooting_equations *of = &at->of;
     for (int i = 0; i < LOAD * of->modes; i++) of->force[i] = at->force[i] + p * of->force_by[i];
-    for (int i = 0; i < LOAD * of->rows; i++) of->gap[i] = at->gap[i] + p * of->gap_by[i];
+    for (int i = 0; i < LOAD * at->rows; i++) of->gap[i] = at->gap[i] + p * of->gap_by[i];
 }
 
 static int evaluate(equations *own, const double *x, double p)
@@ -132,20 +133,23 @@ static void record(equations *own, double *found)
 
 shooting_point *new_shooting_point(const shooting_equations *given)
 {
-    const long n = given->size, intervals = given->intervals;
+    const long pairs = given->pairs, intervals = given->intervals;
+    const long n = 2L * given->modes + (given->friction ? pairs : 0);
+    const long rows = given->friction ? 2 * pairs : pairs;
     shooting_point *at = calloc(1, sizeof(shooting_point));
     if (!at) return NULL;
     at->of = *given;
+    at->rows = (int)rows;
     at->common.own = (equations){
         .unknowns = (int)n, .evaluate = evaluate, .residual = residual, .solve = solve_dense,
         .solve_nearly = solve_nearly_dense, .by_parameter = by_parameter, .sign = sign_of_dense,
         .records = (int)(n * n), .record = record};
     const int failed = make_dense(&at->common, (int)n, form_jacobian);
-    const long load = given->force ? LOAD * (given->modes + given->rows) : 0;
+    const long load = given->force ? LOAD * (given->modes + rows) : 0;
     at->scale = malloc(bytes(5 * n + n * n + load + given->rates));
     at->moved.most_pieces = given->pieces;
     at->moved.most = given->intervals;
-    at->moved.sets = malloc((size_t)(intervals * given->pairs + 1));
+    at->moved.sets = malloc((size_t)(intervals * pairs + 1));
     at->moved.lengths = malloc(bytes(intervals));
     if (given->friction) {
         at->moved.causes = malloc((size_t)intervals * sizeof(int));
@@ -169,7 +173,7 @@ shooting_point *new_shooting_point(const shooting_equations *given)
     if (load) {
         at->force = at->damping + given->rates, at->gap = at->force + LOAD * given->modes;
         memcpy(at->force, given->force, bytes(LOAD * given->modes));
-        memcpy(at->gap, given->gap, bytes(LOAD * given->rows));
+        memcpy(at->gap, given->gap, bytes(LOAD * rows));
     }
     return at;
 }

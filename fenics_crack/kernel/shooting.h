@@ -15,8 +15,7 @@
 typedef struct {
     flow *flow;
     int modes, pairs;
-    int size, rows;        /* numbers of a state, n, and of rows of contact, r (flow.h) */
-    int friction;          /* whether there is */
+    int friction;          /* whether there is: then n = 2 m + p and r = 2 p, else 2 m and p (flow.h) */
     double base, rate;     /* of omega */
     double turns;          /* 2 pi times the load's periods in one of the orbit */
     const double *scale;   /* (n) */

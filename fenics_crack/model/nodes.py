@@ -264,6 +264,12 @@ class Coordinates(Hinted):
         """B^T u of displacements (m, n_local): (m, n_pairs) on every rank (collective)."""
         return self.sum_over_ranks((self.gap.T @ displacement.T).T)
 
+    def apply_tangential(self, displacement: np.ndarray) -> np.ndarray | None:
+        """B_t^T u, likewise; None without B_t (collective)."""
+        if self.tangential is None:
+            return None
+        return self.sum_over_ranks((self.tangential.T @ displacement.T).T)
+
     def apply_b(self, pair_force: np.ndarray) -> np.ndarray:
         """B lambda of forces on the pairs (m, n_pairs): (m, n_local)."""
         return (self.gap @ pair_force.T).T

@@ -26,7 +26,7 @@ from mpi4py import MPI
 from fenics_crack.basics.errors import InputError
 from fenics_crack.model.factor import AT_A_TIME, Factor, distributed
 from fenics_crack.model.modes import NEGLIGIBLE, times
-from fenics_crack.model.structure import DampingRule, Structure, read_only_rows
+from fenics_crack.model.structure import DampingRule, Structure
 from fenics_crack.numerics.equations import EPSILON
 
 INSTEAD = "reduce with method = 'free_interface', or march by integrate_exponential"
@@ -68,9 +68,7 @@ class ReducedStructure(Structure):
         reference: ReducedStructure | None = None,
     ) -> None:
         pairs, force = whole.apply_bt(basis.T), whole.sum_over_ranks(whole.force @ basis)
-        tangents = None
-        if whole.tangential is not None:
-            tangents = whole.sum_over_ranks(basis.T @ whole.tangential)
+        tangents = whole.apply_tangential(basis.T)
         self._make(whole, squares, damping, pairs, tangents, force, np.zeros((0, 0)))
         self._hold(basis=basis, reference=reference)
 
@@ -99,7 +97,7 @@ class ReducedStructure(Structure):
             nodes=whole.nodes,
             pairs=whole.pairs,
         )
-        self._hold(tangential=None if tangents is None else read_only_rows(tangents))
+        self._hold_tangents(tangents)
         self._hold(omega=np.sqrt(np.maximum(squares, 0.0)), _whole=whole)
 
     @property

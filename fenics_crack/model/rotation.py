@@ -227,7 +227,7 @@ class Ritz:
     centrifugal: np.ndarray
     mass: Any
     gap: sparse.csr_matrix
-    tangential: sparse.csr_matrix | None
+    tangential: np.ndarray | None
     modes: int
 
     @classmethod
@@ -278,7 +278,7 @@ class Ritz:
             structure.sum_over_ranks(rotation.force @ basis),
             distributed(sparse.diags(inverse), MPI.COMM_SELF),
             read_only_rows(structure.apply_bt(basis.T)),
-            _tangents(structure, basis),
+            structure.apply_tangential(basis.T),
             modes,
         )
 
@@ -345,7 +345,7 @@ class RunUpStructure(MasslessInterface):
             pairs=ritz.whole.pairs,
         )
         omega = 1.0 / np.sqrt(inverse)
-        self._hold(tangential=ritz.tangential)
+        self._hold_tangents(ritz.tangential)
         self._hold(basis=ritz.basis, omega=omega, reference=None, _whole=ritz.whole)
         left = factor.T @ factor - static @ static.T
         self._hold(speed=speed, shapes=static * omega, left=left, _ritz=ritz, _dense=stiffness)
@@ -387,12 +387,6 @@ class RunUpStructure(MasslessInterface):
     def damped(self, damping: DampingRule | None) -> RunUpStructure:
         """Return this structure with a modal or Rayleigh damping, or none."""
         raise InputError("damping", damping, "that of the structure from which this one was made")
-
-
-def _tangents(structure: Structure, basis: np.ndarray) -> sparse.csr_matrix | None:
-    if structure.tangential is None:
-        return None
-    return read_only_rows(structure.sum_over_ranks(basis.T @ structure.tangential))
 
 
 def _stiffness(structure: Structure) -> Any:

@@ -332,9 +332,13 @@ class Structure(Coordinates):
 
     def with_tangents(self, tangential: sparse.spmatrix | None) -> Self:
         """Return this structure with B_t (n_local, n_pairs), or without."""
-        rows = None if tangential is None else read_only_rows(tangential)
         kept = {"damping": self.damping, "damping_factor": 1.0}
-        return self._copied(tangential=rows, **kept, _original=None, _known={})
+        found = self._copied(**kept, _original=None, _known={})
+        found._hold_tangents(tangential)
+        return found
+
+    def _hold_tangents(self, tangential: Any) -> None:
+        self._hold(tangential=None if tangential is None else read_only_rows(tangential))
 
     def placed(self, nodes: Nodes, pairs: Pairs) -> Structure:
         """Return this structure with the places of its nodes and pairs."""

@@ -91,8 +91,10 @@ def _refused(structure: Structure, contact: ContactLaw) -> InputError | None:
     if not is_small(structure):
         return InputError("structure", f"{structure.n_dofs} dofs", "reduced, on one rank")
     softness = _softness(structure, contact)
+    if np.all(softness):
+        return None
     static = _modes(structure, contact).below(None).static_part()
-    if not np.all(softness) and not is_regular(static + np.diag(softness)):
+    if not is_regular(static + np.diag(softness)):
         allowed = "one whose faces have no mass: reduce_structure(structure, method='massless')"
         return InputError("structure", repr(structure), allowed)
     return None
@@ -150,7 +152,7 @@ class Flow:
             moved = structure.force @ modes.static_loads
             self.gap[:, : structure.n_pairs] += structure.apply_bt(moved)
             if self.friction:
-                self.gap[:, structure.n_pairs :] += moved @ structure.tangential
+                self.gap[:, structure.n_pairs :] += structure.apply_tangential(moved)
         self.gap[0, : structure.n_pairs] -= structure.clearance
 
     @property
@@ -222,19 +224,25 @@ class ContactFlow(Flow):
 
     @cached_property
     def rest(self) -> np.ndarray:
-        """State of rest under the load's mean alone, without its rigid-body part: (2 n_modes,)."""
-        modes = self.modes
+        """State of rest under the load's mean alone, without its rigid-body part and, with friction,
+        tangential forces: (size,)."""
+        modes, count = self.modes, self.structure.n_pairs
         soft = np.zeros_like(modes.squares)
         np.divide(1.0, modes.squares, out=soft, where=modes.squares > 0.0)
-        moved, held = soft[:, None] * modes.pairs, soft * self.force[0]
-        gap = held @ modes.pairs + self.gap[0]  # while all pairs are open
+        pairs, compliance = modes.pairs[:, :count], self.compliance[:, :count]
+        moved, held = soft[:, None] * pairs, soft * self.force[0]
+        gap, force = held @ pairs + self.gap[0, :count], np.zeros(count)  # while all are open
         if np.any(gap > 0.0):
             from scipy.optimize import nnls  # takes a while
 
             # D lambda - gap and lambda are >= 0, one of both 0: min |L^T lambda - L^-1 gap|.
-            root = np.linalg.cholesky(self.compliance + modes.pairs.T @ moved)
-            held = held - moved @ nnls(root.T, np.linalg.solve(root, gap))[0]
-        return np.concatenate([held, np.zeros_like(held)])
+            root = np.linalg.cholesky(compliance[:count] + pairs.T @ moved)
+            force = nnls(root.T, np.linalg.solve(root, gap))[0]
+            held = held - moved @ force
+        parts = [held, np.zeros_like(held)]
+        if self.friction:
+            parts.append((held @ modes.pairs + self.gap[0] - compliance @ force)[count:])
+        return np.concatenate(parts)
 
     def pieces(self, duration: float) -> float:
         """Return the number of Taylor pieces of a motion so long [s] without events."""

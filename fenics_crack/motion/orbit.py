@@ -190,7 +190,7 @@ class PeriodicOrbit(Described):
         moved = slow @ modes.pairs[:, count:] - samples.force @ residual[:, :count].T
         if modes.static_loads is not None:
             phases = waves(self.omega * samples.time)
-            moved += phases @ (structure.force @ modes.static_loads @ structure.tangential)
+            moved += phases @ structure.apply_tangential(structure.force @ modes.static_loads)
         highest = np.where(samples.closed, moved, -np.inf).max(axis=0)
         lowest = np.where(samples.closed, moved, np.inf).min(axis=0)
         ranges = np.where(samples.closed.any(axis=0), highest - lowest, 0.0)

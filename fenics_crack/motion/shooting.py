@@ -109,8 +109,8 @@ class ShootingEquations(Equations):
             changed["rest"] = rest
         self._given = Struct(
             "shooting_equations", flow=flow.handle, modes=flow.count,
-            pairs=flow.structure.n_pairs, rows=len(flow.softness), size=flow.size,
-            friction=flow.friction is not None, base=omega[0], rate=omega[1],
+            pairs=flow.structure.n_pairs, friction=flow.friction is not None,
+            base=omega[0], rate=omega[1],
             turns=2.0 * np.pi * subharmonic, scale=scale, pieces=Budget.pieces,
             intervals=Budget.intervals, **changed,
         )  # fmt: skip

@@ -54,6 +54,24 @@ def test_laws_at_every_instant(pairs: int, mu: float) -> None:
         assert pulled[1:][slips] == pytest.approx(sign * mu * normal[1:][slips], abs=1e-12 * large)
 
 
+@pytest.mark.parametrize("pairs", [1, 2, 4])
+def test_laws_from_any_state(pairs: int) -> None:
+    """From states that no motion has led to the forces of the first instant are found, too."""
+    states, draw = set(), np.random.default_rng(2)
+    for _ in range(20):
+        flow = random_flow(pairs, pairs, 0.3)  # which knows no sets yet
+        start = draw.normal(size=flow.size)
+        found = flow.advance(start, 0.8, 1e-3, instants=np.zeros(1)).samples
+        normal, pulled = np.split(found.forces, 2, axis=1)
+        gap = found.gaps[:, :pairs]
+        large, long = np.abs(found.answers[:, : 2 * pairs]).max(), np.abs(found.gaps).max()
+        assert normal.min() >= -1e-12 * large
+        assert gap.max() <= 1e-12 * long
+        assert (np.abs(pulled) - 0.3 * normal).max() <= 1e-12 * large
+        states |= set(found.contact.ravel().tolist())
+    assert states == {0, 1, 2, 3}
+
+
 @pytest.mark.parametrize(("pairs", "mu"), [(1, 0.3), (2, 0.05), (3, 0.6), (5, 0.2)])
 def test_derivative_by_state_and_places(pairs: int, mu: float) -> None:
     """M against central differences, through all events, of a motion under way."""
@@ -97,8 +115,7 @@ def test_jenkins_oscillator() -> None:
     this amplitude, 4 F (A - F / k_t), and by the balance of energies."""
     limit, omega = 0.3, 0.9
     flow, period = jenkins(limit), 2.0 * np.pi / 0.9
-    start = np.zeros(flow.size)
-    start[: flow.count] = flow.rest[: flow.count]
+    start = flow.rest
     for _ in range(40):
         start = flow.advance(start, omega, period).state
     orbit = find_orbit(flow, omega, start)
