@@ -224,8 +224,8 @@ class ContactFlow(Flow):
 
     @cached_property
     def rest(self) -> np.ndarray:
-        """State of rest under the load's mean alone, without its rigid-body part and, with friction,
-        tangential forces: (size,)."""
+        """State of rest under the load's mean alone, without its rigid-body part and, with
+        friction, tangential forces: (size,)."""
         modes, count = self.modes, self.structure.n_pairs
         soft = np.zeros_like(modes.squares)
         np.divide(1.0, modes.squares, out=soft, where=modes.squares > 0.0)

@@ -61,7 +61,8 @@ OTHERS = [
     ROOT / "tests" / name
     for name in (
         "model/test_inside_model.py",
-        "motion/test_contact_flow.py", "numerics/test_paths.py", "time/test_compiled_marches.py",
+        "motion/test_contact_flow.py", "motion/test_inside_friction.py",
+        "numerics/test_paths.py", "time/test_compiled_marches.py",
     )
 ]  # fmt: skip
 """Other files whose tests are run with it."""
