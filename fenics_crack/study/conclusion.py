@@ -59,7 +59,7 @@ class Answer(Study):
 
 
 FRICTION_MATTERS = 0.01
-"""What friction could change, relative, up to which nothing is said of it."""
+"""Smallest relative change by friction that is reported."""
 LINEAR = "no contact pair opens and closes: the vibration is linear"
 
 
