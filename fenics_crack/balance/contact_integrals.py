@@ -395,16 +395,20 @@ class CoupledForces(ContactForces):
         return tangent_by_means(self.means(basis))
 
     def identity_plus(self, matrices: np.ndarray, basis: np.ndarray | None = None) -> np.ndarray:
-        found = self.tangent(basis)
-        even, odd = found[1::2], found[2::2]
-        real, imaginary = matrices[1:].real, matrices[1:].imag
-        jacobian = np.empty_like(found)
-        jacobian[0] = matrices[0].real @ found[0]
-        jacobian[1::2] = np.matmul(real, even) + np.matmul(imaginary, odd)
-        jacobian[2::2] = np.matmul(real, odd) - np.matmul(imaginary, even)
-        whole = jacobian.reshape(found.shape[2], -1)
-        whole.flat[:: len(whole) + 1] += 1.0
-        return whole
+        return plus_identity(matrices, self.tangent(basis))
+
+
+def plus_identity(matrices: np.ndarray, tangent: np.ndarray) -> np.ndarray:
+    """I + R T from R_k (H+1, n, n) and T (2H+1, n, (2H+1) n)."""
+    even, odd = tangent[1::2], tangent[2::2]
+    real, imaginary = matrices[1:].real, matrices[1:].imag
+    jacobian = np.empty_like(tangent)
+    jacobian[0] = matrices[0].real @ tangent[0]
+    jacobian[1::2] = np.matmul(real, even) + np.matmul(imaginary, odd)
+    jacobian[2::2] = np.matmul(real, odd) - np.matmul(imaginary, even)
+    whole = jacobian.reshape(tangent.shape[2], -1)
+    whole.flat[:: len(whole) + 1] += 1.0
+    return whole
 
 
 class _Known:

@@ -46,6 +46,13 @@ closed_sets *new_closed_sets(int modes, int pairs, const double *rows, const dou
     return NULL;
 }
 
+int pairs_of(const closed_sets *s) { return s->pairs; }
+
+const double *row_of_compliance(const closed_sets *s, int row)
+{
+    return s->d + (long)row * s->contacts;
+}
+
 /* Whether products with P_A S P_A^T are shorter than with its factors. */
 static int has_many(const closed_sets *s, int size)
 {

@@ -38,6 +38,8 @@ typedef struct closed_sets closed_sets;
 closed_sets *new_closed_sets(int modes, int pairs, const double *rows, const double *d,
                              const double *friction, long most);
 void free_closed_sets(closed_sets *s);
+int pairs_of(const closed_sets *s);
+const double *row_of_compliance(const closed_sets *s, int row);
 /* Valid until the next one is asked for; NULL where D_AA is singular, with friction where det A is not
  * positive and the answer not the only one, or without memory. */
 const closed_set *closed_set_of(closed_sets *s, const signed char *closed);

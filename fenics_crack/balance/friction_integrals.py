@@ -1,0 +1,135 @@
+"""Fourier coefficients of contact forces with friction, by alternating between frequency and time.
+
+The gaps s (2 n_pairs: normals, then tangents) of N instants are marched through two periods: at each
+instant the forces follow from s and from the places h where pairs stuck until then,
+
+    lambda = L (s - [0; h]),        h = g_t of pairs that do not stick,
+
+(:mod:`fenics_crack.model.contact`, ``kernel/friction_waves.c``). The first period forgets where the
+march began, but for pairs that stick all the time: these are tied where the gaps were at first. The
+derivative goes through the same march, h with it.
+
+Source: Cameron and Griffin, Journal of Applied Mechanics 56 (1989) 149-154.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from fenics_crack.balance.contact_integrals import ContactForces, ContactIntegrals, plus_identity
+from fenics_crack.basics.errors import ConvergenceError
+from fenics_crack.basics.threads import machine_memory
+from fenics_crack.kernel import kernel, owned, pointer, shaped
+from fenics_crack.model.contact import KEPT, CoulombFriction
+from fenics_crack.numerics.fourier import balanced, sampled, waves
+
+SAMPLES = 32
+"""Instants for each harmonic."""
+
+
+@dataclass(frozen=True)
+class FrictionIntegrals(ContactIntegrals):
+    """Forces of normals and tangents that R_inf (2 n_pairs, 2 n_pairs) couples."""
+
+    handle: Any = field(init=False, repr=False, compare=False)
+    coupled: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        assert self.residual is not None and isinstance(self.law, CoulombFriction)
+        rows = len(self.residual)
+        softness = np.broadcast_to(self.springs, rows) + self.softness * self.unit
+        compliance = np.ascontiguousarray(self.residual + np.diag(softness))
+        mu = np.broadcast_to(self.law.coefficient, rows // 2).astype(float)
+        held = np.zeros((rows, 1)), compliance, mu
+        object.__setattr__(self, "_held", held)
+        most = int(KEPT * machine_memory()) // 8
+        made = kernel.new_closed_sets(1, rows // 2, *map(pointer, held), most)
+        object.__setattr__(self, "handle", owned(made, kernel.free_closed_sets))
+
+    @cached_property
+    def springs(self) -> np.ndarray:
+        """1/k of the normals, then of the tangents: (2 n_pairs,) [m/N]."""
+        assert self.residual is not None and isinstance(self.law, CoulombFriction)
+        ones = np.ones(len(self.residual) // 2)
+        both = self.law.stiffness, self.law.tangential_stiffness
+        return np.concatenate([ones / np.asarray(one, dtype=float) for one in both])
+
+    @property
+    def samples(self) -> int:
+        """N."""
+        return max(128, SAMPLES * self.harmonics)
+
+    def march(self, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Forces, states and places at instants of a period, of values (n, 2 n_pairs).
+
+        Raises ConvergenceError where an instant has no forces.
+        """
+        count, rows = gap.shape
+        gap = shaped(gap, count, rows)
+        held = gap[0, rows // 2 :].copy()
+        forces, places = np.empty_like(gap), np.empty((count, rows // 2))
+        states = np.empty((count, rows // 2), dtype=np.int8)
+        if kernel.march_friction(
+            self.handle, count, 2, *map(pointer, (gap, held, forces, states, places))
+        ):
+            raise ConvergenceError("contact: no forces were found at an instant of the period")
+        return forces, states, places
+
+    def forces(self, gap: np.ndarray) -> np.ndarray:
+        return self.march(gap)[0]
+
+    def linearise(self, gap: np.ndarray) -> FrictionForces:
+        return FrictionForces(self, gap)
+
+    def widened(self, harmonics: int) -> Self:
+        return replace(self, harmonics=harmonics)
+
+
+class FrictionForces(ContactForces):
+    """At a wave of gaps."""
+
+    def __init__(self, integrals: FrictionIntegrals, gap: np.ndarray) -> None:
+        self._integrals, self._rows = integrals, gap.shape
+        values = sampled(gap, integrals.samples)
+        self._forces, self.states, self.places = integrals.march(values)
+        self.force = balanced(self._forces, integrals.harmonics)
+
+    def apply(self, change: np.ndarray) -> np.ndarray:
+        return self._of_values(sampled(change, self._integrals.samples))
+
+    def _of_values(self, values: np.ndarray) -> np.ndarray:
+        values, found = np.ascontiguousarray(values), np.empty_like(self._forces)
+        arrays = map(pointer, (self.states, values, found))
+        if kernel.friction_changes(self._integrals.handle, len(values), *arrays):
+            raise MemoryError("friction")
+        return balanced(found, self._integrals.harmonics)
+
+    def tangent(self, basis: np.ndarray | None = None) -> np.ndarray:
+        """U^T T U for unknowns ordered (row, column of U): (2H+1, n, (2H+1) n)."""
+        rows, pairs = self._rows
+        seen = np.eye(pairs) if basis is None else np.ascontiguousarray(basis)
+        count, n = self._integrals.samples, seen.shape[1]
+        phase = 2.0 * np.pi / count * np.arange(count)
+        values = waves(phase, np.arange(1, rows // 2 + 1))
+        means = 2.0 / count * values
+        means[:, 0] *= 0.5
+        found = np.empty((rows, n, rows * n))
+        if kernel.friction_tangent(
+            self._integrals.handle, count, pointer(self.states), rows, pointer(values),
+            pointer(means), n, pointer(seen), pointer(found),
+        ):  # fmt: skip
+            raise MemoryError("friction")
+        return found
+
+    def identity_plus(self, matrices: np.ndarray, basis: np.ndarray | None = None) -> np.ndarray:
+        return plus_identity(matrices, self.tangent(basis))
+
+    def by_softness(self) -> np.ndarray:
+        return self._of_values(-self._integrals.unit * self._forces)
+
+    def by_stiffness(self) -> np.ndarray:
+        return self._of_values(self._forces * self._integrals.springs)

@@ -1,0 +1,107 @@
+#include "friction_waves.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+#include "lapack.h"
+#include "series.h"
+
+static size_t bytes(long count) { return (size_t)count * sizeof(double); }
+
+int march_friction(closed_sets *s, int count, int turns, const double *gaps, double *held,
+                   double *forces, signed char *states, double *places)
+{
+    const int p = pairs_of(s), r = 2 * p;
+    double *gap = malloc(bytes(r + 1));
+    signed char *now = calloc((size_t)p + 1, 1);
+    int failed = !gap || !now;
+    for (long t = 0; t < (long)turns * count && !failed; t++) {
+        const long at = t % count;
+        memcpy(gap, gaps + at * r, bytes(r));
+        failed = !states_at(s, held, now, gap, forces + at * r);
+        for (int i = 0; i < p && !failed; i++)
+            if (now[i] != STICK) held[i] = gap[p + i];
+        memcpy(states + at * p, now, (size_t)p);
+        memcpy(places + at * p, held, bytes(p));
+    }
+    free(gap);
+    free(now);
+    return failed;
+}
+
+int friction_changes(closed_sets *s, int count, const signed char *states, const double *gaps,
+                     double *forces)
+{
+    const int p = pairs_of(s), r = 2 * p;
+    double *room = calloc((size_t)(p + r) + 1, sizeof(double));
+    if (!room) return 1;
+    double *held = room, *gap = room + p;
+    for (long t = 0; t < 2L * count; t++) {
+        const long at = t % count;
+        const closed_set *a = closed_set_of(s, states + at * p);
+        if (!a) {
+            free(room);
+            return 1;
+        }
+        memcpy(gap, gaps + at * r, bytes(r));
+        force_gaps(s, a, 1, held, gap, forces + at * r);
+        for (int i = 0; i < p; i++)
+            if (a->closed[i] != STICK) held[i] = gap[p + i];
+    }
+    free(room);
+    return 0;
+}
+
+int friction_tangent(closed_sets *s, int count, const signed char *states, int rows,
+                     const double *waves, const double *means, int n, const double *basis,
+                     double *tangent)
+{
+    const int p = pairs_of(s), r = 2 * p;
+    const long columns = (long)rows * n;
+    double *room = malloc(bytes(columns * (r + p + n) + (long)r * n + 2L * r + 1));
+    if (!room) return 1;
+    double *change = room, *held = change + columns * r, *moved = held + columns * p;
+    double *seen = moved + columns * n, *weights = seen + (long)r * n;
+    memset(held, 0, bytes(columns * p));
+    memset(tangent, 0, bytes(columns * columns));
+    for (long t = 0; t < 2L * count; t++) {
+        const long at = t % count;
+        const closed_set *a = closed_set_of(s, states + at * p);
+        const double *wave = waves + at * rows, *mean = means + at * rows;
+        if (!a) {
+            free(room);
+            return 1;
+        }
+        for (int i = 0; i < a->size; i++) { /* ds - dh of the set's rows */
+            const double *own = basis + (long)a->members[i] * n;
+            double *row = change + i * columns;
+            for (int j = 0; j < rows; j++)
+                for (int b = 0; b < n; b++) row[(long)j * n + b] = wave[j] * own[b];
+            if (i < a->closing) continue;
+            const double *place = held + (a->members[i] - p) * columns;
+            for (long c = 0; c < columns; c++) row[c] -= place[c];
+        }
+        for (int i = 0; i < p; i++) { /* dh = U w - D_t L r */
+            if (a->closed[i] == STICK) continue;
+            const double *d = row_of_compliance(s, p + i), *own = basis + (long)(p + i) * n;
+            double *place = held + i * columns;
+            for (int j = 0; j < rows; j++)
+                for (int b = 0; b < n; b++) place[(long)j * n + b] = wave[j] * own[b];
+            for (int k = 0; k < a->size; k++) weights[k] = -dot(r, d, a->inverse + (long)k * r);
+            add_rows(a->size, (int)columns, change, weights, place);
+        }
+        if (t < count || !a->size) continue;
+        /* U^T d lambda = (L^T U)^T r, and its coefficients. */
+        multiply_matrices(a->size, r, n, a->inverse, basis, 0.0, seen);
+        memset(moved, 0, bytes(columns * n));
+        for (int b = 0; b < n; b++) {
+            for (int k = 0; k < a->size; k++) weights[k] = seen[(long)k * n + b];
+            add_rows(a->size, (int)columns, change, weights, moved + b * columns);
+        }
+        for (int j = 0; j < rows; j++)
+            for (long c = 0; c < columns * n; c++)
+                tangent[(long)j * n * columns + c] += mean[j] * moved[c];
+    }
+    free(room);
+    return 0;
+}
