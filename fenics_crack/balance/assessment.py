@@ -84,8 +84,12 @@ class Assessment:
     def states(self) -> np.ndarray:
         """States of the solution at equal parts of its period: (32, 2 n_modes)."""
         assert self.flow is not None
-        displacement = self.wave.displacement_coefficients
-        return wave_states(self.flow, displacement, self.wave.base_omega)
+        wave, flow = self.wave, self.flow
+        found = wave_states(flow, wave.displacement_coefficients, wave.base_omega)
+        if flow.friction:
+            time = wave.period / len(found) * np.arange(len(found))
+            found[:, 2 * flow.count :] = wave.sticking_places(time)
+        return found
 
     @cached_property
     def prediction(self) -> Prediction | None:
@@ -213,5 +217,5 @@ def distance(wave: Wave, orbit: PeriodicOrbit) -> float:
     samples = orbit.sampled
     if is_still(samples):
         return 0.0
-    moved = samples.gap + wave.structure.clearance
-    return relative_to_motion(samples.gap - wave.gap(samples.time), moved)
+    moved = samples.gaps + wave.seen.clearance
+    return relative_to_motion(samples.gaps - wave.gaps_and_forces(samples.time)[0], moved)

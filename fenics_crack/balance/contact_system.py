@@ -34,17 +34,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from fenics_crack.balance.compliance import Compliance, ModalPart, resized_compliance
-from fenics_crack.balance.contact_integrals import ContactIntegrals, CoupledIntegrals, respond
+from fenics_crack.balance.contact_integrals import ContactIntegrals, respond
+from fenics_crack.balance.friction_integrals import FrictionIntegrals, coupled_integrals
 from fenics_crack.basics.errors import ConvergenceError, InputError
 from fenics_crack.kernel import Struct, kernel, owned, pointer, shaped
-from fenics_crack.model.contact import ContactLaw, is_rigid
+from fenics_crack.model.contact import ContactLaw, friction_of, is_rigid, seen_by
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import (
@@ -175,6 +176,10 @@ class ContactSystem:
             least = max(least, float(np.linalg.eigvalsh(self.residual + np.diag(springs))[0]))
         return 1.0 / max(least, 1e-300)
 
+    def along_friction(self) -> FrictionPath:
+        """The same equations, whose parameter is the share of the coefficient of friction."""
+        return FrictionPath(self.compliance, self.integrals)
+
     def softened(self) -> ContactSystem:
         """The same equations, whose parameter starts where pairs hardly touch each other."""
         largest = float(np.abs(self.moving).sum(axis=2).max())
@@ -185,6 +190,18 @@ class ContactSystem:
         """The same equations with more harmonics, to the accuracy of an error estimate."""
         compliance = resized_compliance(self.compliance, harmonics)
         return ContactSystem(compliance, self.integrals.widened(harmonics))
+
+
+class FrictionPath(ContactSystem):
+    """:class:`ContactSystem` from contact without friction, at p = 0, to that with all of it."""
+
+    def linearise(self, unknown: np.ndarray, parameter: float = 1.0) -> ContactPoint:
+        """The equations at s with a share of the coefficient of friction."""
+        assert isinstance(self.integrals, FrictionIntegrals)
+        part = replace(self.integrals, share=max(parameter, 0.0))
+        return ContactPoint(
+            self, unknown, part, lambda at: respond(self.moving, at.forces.by_share())
+        )
 
 
 class ContactPoint(DenseLinearisation):
@@ -275,6 +292,8 @@ class Wave:
     force_coefficients: np.ndarray
     subharmonic: int
     static_above: float | None = None
+    tangential_gap_coefficients: np.ndarray | None = None
+    tangential_force_coefficients: np.ndarray | None = None
 
     @property
     def harmonics(self) -> int:
@@ -294,41 +313,94 @@ class Wave:
     @cached_property
     def residual(self) -> np.ndarray | None:
         """R_inf, the residual flexibility, which responds quasi-statically to contact forces:
-        (n_pairs, n_pairs) [m/N]; None without."""
+        (n_rows, n_rows) [m/N]; None without. Rows are those of the pairs, with friction of their
+        normals and behind them of their tangents."""
         if self.static_above is None:
             return None
-        return all_modes(self.structure).static_part(self.static_above)
+        return all_modes(self.seen).static_part(self.static_above)
 
     @cached_property
-    def _forces(self) -> CoupledIntegrals:
-        """lambda(s) with a residual flexibility."""
+    def seen(self) -> Structure:
+        """The structure with its rows as pairs."""
+        return seen_by(self.contact, self.structure)
+
+    @property
+    def gap_rows(self) -> np.ndarray:
+        """Coefficients of the gaps of all rows: (2H+1, n_rows) [m]."""
+        return _beside(self.gap_coefficients, self.tangential_gap_coefficients)
+
+    @property
+    def force_rows(self) -> np.ndarray:
+        """Coefficients of the forces on all rows: (2H+1, n_rows) [N]."""
+        return _beside(self.force_coefficients, self.tangential_force_coefficients)
+
+    @cached_property
+    def _integrals(self) -> ContactIntegrals:
+        """lambda(s) with a residual flexibility, or with friction."""
         assert self.contact is not None
-        return CoupledIntegrals(self.contact, self.harmonics, residual=self.residual)
+        found, rows = self.residual, self.seen.n_pairs
+        residual = np.zeros((rows, rows)) if found is None else found
+        return coupled_integrals(self.contact, self.harmonics, residual)
 
     @property
     def slow_gap_coefficients(self) -> np.ndarray:
-        """Coefficients of s = g + R_inf lambda, the gap less its quasi-static part: (2H+1,
-        n_pairs)."""
+        """Coefficients of s = g + R_inf lambda, the gaps of all rows less their quasi-static part:
+        (2H+1, n_rows)."""
         if self.residual is None:
-            return self.gap_coefficients
-        return self.gap_coefficients + self.force_coefficients @ self.residual
+            return self.gap_rows
+        return self.gap_rows + self.force_rows @ self.residual
+
+    def gaps_and_forces(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Gaps [m] and contact forces [N] of all rows at times [s]: (len(time), n_rows) each."""
+        slow, force = self._slow(time), self._forces(time)
+        return slow if self.residual is None else slow - force @ self.residual, force
 
     def gap(self, time: np.ndarray) -> np.ndarray:
         """g at times [s]: (len(time), n_pairs) [m]. Where some of it answers contact forces at
         once, s(t) - R_inf lambda(s(t)), with its kinks."""
-        slow = evaluate(self.slow_gap_coefficients, self.base_omega, time)
         if self.residual is None:
-            return slow
-        return slow - self.contact_force(time) @ self.residual
+            return evaluate(self.gap_coefficients, self.base_omega, time)
+        return self.gaps_and_forces(time)[0][:, : self.structure.n_pairs]
 
     def contact_force(self, time: np.ndarray) -> np.ndarray:
         """Contact force at times [s]: (len(time), n_pairs) [N], lambda(g(t)) or lambda(s(t)); of a
         constraint of uncoupled pairs, eps max(0, g + lambda / eps) of the waves."""
-        gap = evaluate(self.slow_gap_coefficients, self.base_omega, time)
+        return self._forces(time)[:, : self.structure.n_pairs]
+
+    def tangential_gap(self, time: np.ndarray) -> np.ndarray:
+        """g_t of contact with friction at times [s]: (len(time), n_pairs) [m]."""
+        self._check_friction()
+        return self.gaps_and_forces(time)[0][:, self.structure.n_pairs :]
+
+    def tangential_force(self, time: np.ndarray) -> np.ndarray:
+        """lambda_t of contact with friction at times [s]: (len(time), n_pairs) [N]."""
+        self._check_friction()
+        return self._forces(time)[:, self.structure.n_pairs :]
+
+    def sticking_places(self, time: np.ndarray) -> np.ndarray:
+        """h of contact with friction, the place in the tangential gap where a pair sticks or would,
+        at times [s]: (len(time), n_pairs) [m]."""
+        self._check_friction()
+        assert isinstance(self._integrals, FrictionIntegrals)
+        return self._integrals.at(self.slow_gap_coefficients, self.base_omega * time)[1]
+
+    def _check_friction(self) -> None:
+        if friction_of(self.contact) is None:
+            raise InputError("contact", self.contact, "CoulombFriction")
+
+    def _slow(self, time: np.ndarray) -> np.ndarray:
+        return evaluate(self.slow_gap_coefficients, self.base_omega, time)
+
+    def _forces(self, time: np.ndarray) -> np.ndarray:
+        """Contact forces on all rows at times [s]: (len(time), n_rows) [N]."""
+        if friction_of(self.contact) is not None:
+            assert isinstance(self._integrals, FrictionIntegrals)
+            return self._integrals.at(self.slow_gap_coefficients, self.base_omega * time)[0]
+        gap = self._slow(time)
         if self.contact is None:
             return np.zeros_like(gap)
         if self.residual is not None:
-            return self._forces.forces(gap)
+            return self._integrals.forces(gap)
         if not is_rigid(self.contact):
             return self.contact.force(gap)
         assert self.contact.weight is not None
@@ -340,10 +412,14 @@ class Wave:
         found = evaluate(self.displacement_coefficients, self.base_omega, time)
         if self.static_above is not None:
             # The quasi-static part follows the forces as they are, with their kinks.
-            waves = evaluate(self.force_coefficients, self.base_omega, time)
-            moved = all_modes(self.structure).moved_at_once(self.static_above)
-            found -= (self.contact_force(time) - waves) @ moved.T
+            waves = evaluate(self.force_rows, self.base_omega, time)
+            moved = all_modes(self.seen).moved_at_once(self.static_above)
+            found -= (self._forces(time) - waves) @ moved.T
         return found
+
+
+def _beside(normal: np.ndarray, tangential: np.ndarray | None) -> np.ndarray:
+    return normal if tangential is None else np.hstack([normal, tangential])
 
 
 # --- in the kernel --------------------------------------------------------------------------------

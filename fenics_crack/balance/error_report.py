@@ -33,7 +33,7 @@ from fenics_crack.balance.contact_system import ContactPoint, ContactSystem, Wav
 from fenics_crack.balance.more_modes import UNKNOWN, seen_parts
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.tables import Described
-from fenics_crack.model.contact import REGULAR, UnilateralPenalty, is_regular, is_rigid
+from fenics_crack.model.contact import REGULAR, as_penalty, is_regular, is_rigid
 from fenics_crack.model.modal import SMALL, all_modes
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.model.reduced import ReducedStructure
@@ -125,11 +125,11 @@ def estimate_errors(
     """Estimate the errors of a solution, given as the equations there and by what the exact flow
     says of it; with ``search`` its orbit is looked for (collective)."""
     structure, wave = problem.structure, known.wave
-    expanded = structure.apply_bt(wave.displacement_coefficients)
-    expanded[0] -= structure.clearance
+    expanded = problem.seen.apply_bt(wave.displacement_coefficients)
+    expanded[0] -= problem.seen.clearance
 
     def relative(change: np.ndarray) -> float:
-        return relative_size(change, at, structure.clearance)
+        return relative_size(change, at, problem.seen.clearance)
 
     finer, sampling = at.system.integrals.finer(), 0.0
     if finer is not None:
@@ -152,7 +152,7 @@ def estimate_errors(
         truncation=truncation,
         sampling=sampling,
         reduction=lost[0],
-        penetration=relative(_penetration(at)),
+        penetration=relative(_penetration(at, problem)),
         displacement=min(at_load + lost[1], UNKNOWN),
     )
 
@@ -164,8 +164,8 @@ NOT_ESTIMATED = ErrorReport(*[math.nan] * 6)
 def of_no_solution(at: ContactPoint, problem: Problem) -> ErrorReport:
     """The report of equations that are not solved: their residual, and that no error is known."""
     residual, penetration = (
-        relative_size(change, at, problem.structure.clearance)
-        for change in (at.residual, _penetration(at))
+        relative_size(change, at, problem.seen.clearance)
+        for change in (at.residual, _penetration(at, problem))
     )
     return ErrorReport(residual, UNKNOWN, 0.0, 0.0, penetration, UNKNOWN)
 
@@ -207,7 +207,7 @@ def _errors(
     equations; :data:`UNKNOWN` where these were not solved."""
     if changes is None:
         return UNKNOWN, UNKNOWN
-    gap = relative_size(changes[0], at, wave.structure.clearance)
+    gap = relative_size(changes[0], at, wave.seen.clearance)
     at_load = _at_load(wave, structure, better.displacement(at.force + changes[1]))
     return min(gap, UNKNOWN), min(at_load, UNKNOWN)
 
@@ -288,11 +288,11 @@ def _lost_in_reduction(at: ContactPoint, wave: Wave, problem: Problem) -> Errors
         other = replace(other, static_above=problem.cutoff)
         residual = at.system.residual
         if is_rigid(problem.contact) and not is_regular(
-            all_modes(reference).static_part(problem.cutoff)
+            all_modes(other.seen).static_part(problem.cutoff)
         ):
             assert residual is not None
             nearly = len(residual) / (REGULAR * np.trace(residual))  # a constraint to rounding
-            other = replace(other, contact=UnilateralPenalty(float(nearly)))
+            other = replace(other, contact=as_penalty(problem.contact, float(nearly)))
         better = other.compliance()
         system = other.system(better)
         assert system.residual is not None
@@ -305,11 +305,11 @@ def _lost_in_reduction(at: ContactPoint, wave: Wave, problem: Problem) -> Errors
     return _errors(at, wave, changes, reference, better)
 
 
-def _penetration(at: ContactPoint) -> np.ndarray:
+def _penetration(at: ContactPoint, problem: Problem) -> np.ndarray:
     """Coefficients whose mean square is that of max(g, 0)."""
     integrals, count = at.system.integrals, max(512, 8 * len(at.gap))
     if integrals.coupled:  # g has more harmonics than are kept
-        inside = at.force / np.asarray(integrals.law.stiffness)  # but of a smoothed law
+        inside = (at.force * integrals.springs)[:, : problem.structure.n_pairs]
         return np.sqrt(inside[:1] ** 2 + 0.5 * np.sum(inside[1:] ** 2, axis=0, keepdims=True))
     inside = np.maximum(sampled(at.gap, count), 0.0)
     return np.sqrt(np.mean(inside**2, axis=0, keepdims=True))

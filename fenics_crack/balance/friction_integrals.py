@@ -1,7 +1,7 @@
 """Fourier coefficients of contact forces with friction, by alternating between frequency and time.
 
-The gaps s (2 n_pairs: normals, then tangents) of N instants are marched through two periods: at each
-instant the forces follow from s and from the places h where pairs stuck until then,
+The gaps s (2 n_pairs: normals, then tangents) of N instants are marched through two periods: at
+each instant the forces follow from s and from the places h where pairs stuck until then,
 
     lambda = L (s - [0; h]),        h = g_t of pairs that do not stick,
 
@@ -20,30 +20,52 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from fenics_crack.balance.contact_integrals import ContactForces, ContactIntegrals, plus_identity
+from fenics_crack.balance.contact_integrals import (
+    ContactForces,
+    ContactIntegrals,
+    CoupledIntegrals,
+    plus_identity,
+)
 from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.basics.threads import machine_memory
 from fenics_crack.kernel import kernel, owned, pointer, shaped
-from fenics_crack.model.contact import KEPT, CoulombFriction
-from fenics_crack.numerics.fourier import balanced, sampled, waves
+from fenics_crack.model.contact import KEPT, ContactLaw, CoulombFriction, friction_of, springs_of
+from fenics_crack.numerics.fourier import balanced, evaluate, sampled, waves
 
-SAMPLES = 32
-"""Instants for each harmonic."""
+def coupled_integrals(
+    law: ContactLaw, harmonics: int, residual: np.ndarray, samples: int | None = None
+) -> ContactIntegrals:
+    """The integrals of pairs that R_inf couples; with friction of normals and tangents."""
+    kind = CoupledIntegrals if friction_of(law) is None else FrictionIntegrals
+    return kind(law, harmonics, residual=residual, samples=samples)
+
+
+SAMPLES, FEWEST = 32, 128
+"""Instants for each harmonic, and at least."""
 
 
 @dataclass(frozen=True)
 class FrictionIntegrals(ContactIntegrals):
-    """Forces of normals and tangents that R_inf (2 n_pairs, 2 n_pairs) couples."""
+    """Forces of normals and tangents that R_inf (2 n_pairs, 2 n_pairs) couples.
 
+    Attributes
+    ----------
+    samples : int or None
+        N; None: 32 H, or 128 where that is more.
+    share : float
+        Of the coefficient of friction, that of the law times this.
+    """
+
+    samples: int | None = field(default=None, kw_only=True)
+    share: float = field(default=1.0, kw_only=True)
     handle: Any = field(init=False, repr=False, compare=False)
     coupled: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         assert self.residual is not None and isinstance(self.law, CoulombFriction)
         rows = len(self.residual)
-        softness = np.broadcast_to(self.springs, rows) + self.softness * self.unit
-        compliance = np.ascontiguousarray(self.residual + np.diag(softness))
-        mu = np.broadcast_to(self.law.coefficient, rows // 2).astype(float)
+        compliance = self.compliance
+        mu = self.share * np.broadcast_to(self.law.coefficient, rows // 2)
         held = np.zeros((rows, 1)), compliance, mu
         object.__setattr__(self, "_held", held)
         most = int(KEPT * machine_memory()) // 8
@@ -51,17 +73,22 @@ class FrictionIntegrals(ContactIntegrals):
         object.__setattr__(self, "handle", owned(made, kernel.free_closed_sets))
 
     @cached_property
+    def compliance(self) -> np.ndarray:
+        """D = R_inf + I/k, and the softness in series: (2 n_pairs, 2 n_pairs) [m/N]."""
+        assert self.residual is not None
+        softness = self.springs + self.softness * self.unit
+        return np.ascontiguousarray(self.residual + np.diag(softness))
+
+    @cached_property
     def springs(self) -> np.ndarray:
         """1/k of the normals, then of the tangents: (2 n_pairs,) [m/N]."""
-        assert self.residual is not None and isinstance(self.law, CoulombFriction)
-        ones = np.ones(len(self.residual) // 2)
-        both = self.law.stiffness, self.law.tangential_stiffness
-        return np.concatenate([ones / np.asarray(one, dtype=float) for one in both])
+        assert self.residual is not None
+        return springs_of(self.law, len(self.residual) // 2)
 
     @property
-    def samples(self) -> int:
+    def instants(self) -> int:
         """N."""
-        return max(128, SAMPLES * self.harmonics)
+        return self.samples or max(FEWEST, SAMPLES * self.harmonics)
 
     def march(self, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Forces, states and places at instants of a period, of values (n, 2 n_pairs).
@@ -82,11 +109,24 @@ class FrictionIntegrals(ContactIntegrals):
     def forces(self, gap: np.ndarray) -> np.ndarray:
         return self.march(gap)[0]
 
+    def at(self, gap: np.ndarray, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Forces (n, 2 n_pairs) [N] and places h (n, n_pairs) [m] at phases (n,) of a wave of gaps,
+        (2H+1, 2 n_pairs)."""
+        count, turn = self.instants, 2.0 * np.pi
+        every = np.concatenate([turn / count * np.arange(count), np.mod(phase, turn)])
+        passed, place = np.unique(every, return_inverse=True)
+        forces, _, places = self.march(evaluate(gap, 1.0, passed))
+        asked = place[count:]
+        return forces[asked], places[asked]
+
     def linearise(self, gap: np.ndarray) -> FrictionForces:
         return FrictionForces(self, gap)
 
+    def finer(self) -> Self:
+        return replace(self, samples=4 * self.instants)
+
     def widened(self, harmonics: int) -> Self:
-        return replace(self, harmonics=harmonics)
+        return replace(self, harmonics=harmonics, samples=None)
 
 
 class FrictionForces(ContactForces):
@@ -94,12 +134,12 @@ class FrictionForces(ContactForces):
 
     def __init__(self, integrals: FrictionIntegrals, gap: np.ndarray) -> None:
         self._integrals, self._rows = integrals, gap.shape
-        values = sampled(gap, integrals.samples)
+        values = sampled(gap, integrals.instants)
         self._forces, self.states, self.places = integrals.march(values)
         self.force = balanced(self._forces, integrals.harmonics)
 
     def apply(self, change: np.ndarray) -> np.ndarray:
-        return self._of_values(sampled(change, self._integrals.samples))
+        return self._of_values(sampled(change, self._integrals.instants))
 
     def _of_values(self, values: np.ndarray) -> np.ndarray:
         values, found = np.ascontiguousarray(values), np.empty_like(self._forces)
@@ -112,7 +152,7 @@ class FrictionForces(ContactForces):
         """U^T T U for unknowns ordered (row, column of U): (2H+1, n, (2H+1) n)."""
         rows, pairs = self._rows
         seen = np.eye(pairs) if basis is None else np.ascontiguousarray(basis)
-        count, n = self._integrals.samples, seen.shape[1]
+        count, n = self._integrals.instants, seen.shape[1]
         phase = 2.0 * np.pi / count * np.arange(count)
         values = waves(phase, np.arange(1, rows // 2 + 1))
         means = 2.0 / count * values
@@ -133,3 +173,15 @@ class FrictionForces(ContactForces):
 
     def by_stiffness(self) -> np.ndarray:
         return self._of_values(self._forces * self._integrals.springs)
+
+    def by_share(self) -> np.ndarray:
+        """Derivative of the coefficients by the share of the coefficient of friction: with lambda =
+        E x, f = E' x of pairs that slip, and D E x = s - h there, it is f and what changes - D f of
+        the gaps make of the forces."""
+        integrals = self._integrals
+        pairs = self._rows[1] // 2
+        signs = 1.0 * (self.states == kernel.SLIP_UP) - (self.states == kernel.SLIP_DOWN)
+        found = np.zeros_like(self._forces)
+        found[:, pairs:] = signs * integrals.law.coefficient * self._forces[:, :pairs]
+        compliance = integrals.compliance
+        return balanced(found, integrals.harmonics) + self._of_values(-found @ compliance)

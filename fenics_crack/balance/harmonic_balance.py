@@ -443,7 +443,7 @@ def _sought(
         if initial is not None and initial.orbit is not None:
             known = initial.orbit
             if initial.structure is problem.structure and known.subharmonic == problem.subharmonic:
-                yield known.sampled.states[:: INSTANTS // PARTS]
+                yield known.sampled.whole_states[:: INSTANTS // PARTS]
         for count in SearchOptions.harmonics:
             few = problem.with_harmonics(count * problem.subharmonic)
             near = _begun(solver, few).attempt(initial, wholly=False, reported=False)[1]
@@ -508,10 +508,7 @@ def solution_of_orbit(problem: Problem, orbit: PeriodicOrbit, tolerance: float) 
 def wave_of(problem: Problem, orbit: PeriodicOrbit, known: OrbitCoefficients) -> PeriodicSolution:
     """An orbit's motion with the harmonics of a problem."""
     rows = slice(2 * problem.harmonics + 1)
-    wave = Wave(
-        problem.structure, problem.omega, problem.contact, known.displacement[rows],
-        known.gap[rows], known.force[rows], problem.subharmonic, problem.static_cutoff,
-    )  # fmt: skip
+    wave = problem.wave_of(known.displacement[rows], known.gap[rows], known.force[rows])
     return PeriodicSolution(**vars(wave), assessment=Assessment(wave, orbit))
 
 

@@ -13,8 +13,8 @@ from functools import cached_property
 
 import numpy as np
 
-from fenics_crack.balance.contact_integrals import CoupledIntegrals
 from fenics_crack.balance.contact_system import Wave
+from fenics_crack.balance.friction_integrals import coupled_integrals
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import NEGLIGIBLE, times
@@ -80,26 +80,28 @@ class MoreModes:
         every = slice(None, None, INSTANTS // PARTS)
         if self.accepted:
             assert self.nearest is not None
-            few, force = self.nearest.sampled.states[every], self.nearest.sampled.force
+            sampled = self.nearest.sampled
+            few, force = sampled.whole_states[every], sampled.forces
         elif self.step is not None:
-            few, force = self.step.states, wave.contact_force(time)
+            few, force = self.step.states, wave.gaps_and_forces(time)[1]
         else:
             return None
-        shape, speed = np.split(few, 2, axis=1)
+        count = self.fewer.count
+        shape, speed, places = np.split(few, [count, 2 * count], axis=1)
         if massless(wave.structure) is None:
-            return self._expanded(shape, speed)
+            return self._expanded(shape, speed, places)
         static = self._static(time, force, shape.shape[1])
         rate = (np.roll(static, -1, axis=0) - np.roll(static, 1, axis=0)) / (2.0 * time[1])
-        return np.hstack([shape, static[every], speed, rate[every]])
+        return np.hstack([shape, static[every], speed, rate[every], places])
 
-    def _expanded(self, shape: np.ndarray, speed: np.ndarray) -> np.ndarray:
+    def _expanded(self, shape: np.ndarray, speed: np.ndarray, places: np.ndarray) -> np.ndarray:
         """States of the reference of modal ones of a structure with mass."""
         structure, reference = self.wave.structure, self.flow.structure
         assert isinstance(structure, ReducedStructure) and isinstance(reference, ReducedStructure)
         whole = structure.whole
         moved = times(whole.mass, structure.basis)
         map_to = whole.sum_over_ranks(reference.basis.T @ moved) @ self.fewer.modes.shapes
-        return self.flow.state(shape @ map_to.T, speed @ map_to.T)
+        return self.flow.state(shape @ map_to.T, speed @ map_to.T, places)
 
     def _static(self, time: np.ndarray, force: np.ndarray, kept: int) -> np.ndarray:
         """The new modes under the load and contact forces at times."""
@@ -114,7 +116,7 @@ class MoreModes:
         slow = states[:, : flow.count] @ flow.modes.pairs + self._waves(self._time) @ flow.gap
         if not np.any(flow.residual):
             return slow
-        integrals = CoupledIntegrals(flow.contact, 1, residual=flow.residual)
+        integrals = coupled_integrals(flow.contact, 1, flow.residual)
         return slow - integrals.forces(slow) @ flow.residual
 
     def _waves(self, time: np.ndarray) -> np.ndarray:
@@ -161,18 +163,18 @@ class MoreModes:
         few, many = self.nearest, self.orbit
         if few is None or many is None:
             return self.changes
-        gap, seen = few.sampled.gap, seen_parts(few.flow.structure)
+        gap, seen = few.sampled.gaps, seen_parts(few.flow.structure)
         moved, more = (
             orbit.sampled.displacement @ orbit.flow.structure.force[seen].T for orbit in (few, many)
         )
-        of_gap = self._of_gap(many.sampled.gap - gap, gap)
+        of_gap = self._of_gap(many.sampled.gaps - gap, gap)
         return min(of_gap, UNKNOWN), min(relative_to_motion(more - moved, moved), UNKNOWN)
 
     def _of_gap(self, change: np.ndarray, gap: np.ndarray) -> float:
         """A change relative to what moves of B^T u; 0 where that is rounding."""
         if self.nearest is not None and is_still(self.nearest.sampled):
             return 0.0
-        return relative_to_motion(change, gap + self.wave.structure.clearance)
+        return relative_to_motion(change, gap + self.wave.seen.clearance)
 
     @cached_property
     def orbit(self) -> PeriodicOrbit | None:
@@ -208,7 +210,7 @@ class MoreModes:
 def is_still(samples: Samples) -> bool:
     """Return True if crack faces, which the load presses together, move by rounding only."""
     slow = samples.states[:, : samples.flow.count] @ samples.flow.modes.pairs
-    moved = samples.gap + samples.flow.structure.clearance
+    moved = samples.gaps + samples.flow.clearance
     return bool(np.linalg.norm(moved) <= NEGLIGIBLE * np.linalg.norm(slow))
 
 

@@ -9,6 +9,8 @@ fewer      the linear solution; with many unknowns or pairs that are seen throug
            compliance (:mod:`contact_system`) the solution with half the harmonics, which comes
            from that with half of those, and so on; many from the exact orbit next to a solution
            with fewer, which is near whatever their number
+without    with friction: the solution without, and the path from there on which the coefficient of
+           friction grows
 path       where the continuation in the compliance in series with every pair has its end,
            followed by arc-length through its folds, from where the solution is unique and close to
            the linear one
@@ -36,11 +38,12 @@ from fenics_crack.balance.compliance import (
 )
 from fenics_crack.balance.contact_integrals import (
     ContactIntegrals,
-    CoupledIntegrals,
     ExactIntegrals,
     contact_integrals,
+    respond,
 )
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem, Wave, default_weight
+from fenics_crack.balance.friction_integrals import coupled_integrals
 from fenics_crack.basics.errors import (
     MAX_SAMPLES,
     InputError,
@@ -51,7 +54,16 @@ from fenics_crack.basics.errors import (
 from fenics_crack.basics.progress import begin
 from fenics_crack.basics.threads import machine_memory
 from fenics_crack.kernel import kernel
-from fenics_crack.model.contact import ContactLaw, check_law, is_regular, is_rigid
+from fenics_crack.model.contact import (
+    ContactLaw,
+    check_law,
+    friction_of,
+    is_regular,
+    is_rigid,
+    normal_law,
+    seen_by,
+    springs_of,
+)
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import flow_of
@@ -87,6 +99,11 @@ SINGULAR = (
 )
 """Allowed values where R_inf, the quasi-static compliance of a rigid contact, is singular to
 rounding."""
+WITHOUT_GIVE = (
+    "a penalty with a tangential stiffness, or crack faces without mass, "
+    "reduce_structure(structure, method='massless'): pairs that stick must give a little"
+)
+"""Allowed values where pairs with friction have nothing in series."""
 MATRICES = 4
 """Dense matrices of the size of the Jacobian that are held at a time, or stiffnesses of coupled
 pairs at all instants."""
@@ -175,17 +192,30 @@ class Problem:
         return None if self.residual is None else self.cutoff
 
     @cached_property
+    def seen(self) -> Structure:
+        """The structure with all gaps on which contact acts as its pairs: with friction normal and
+        tangential ones."""
+        return seen_by(self.contact, self.structure)
+
+    @property
+    def friction(self) -> bool:
+        """True if the tangential forces of pairs are balanced, too."""
+        return friction_of(self.contact) is not None
+
+    @cached_property
     def residual(self) -> np.ndarray | None:
         """R_inf, the residual flexibility in series with contact; None where there is none.
 
         Crack faces with mass have one if the law is rigid, or so stiff against it that
         they bounce at frequencies which H harmonics do not resolve."""
         structure, contact = self.structure, self.contact
+        if self.friction:
+            return self._residual_with_friction
         light, rigid = structure.light_lips, is_rigid(contact)
         projected = is_rigid(contact) and contact.weight is not None and not light
         if projected or not is_small(structure):
             return None
-        found = all_modes(structure).static_part(self.cutoff)
+        found = all_modes(self.seen).static_part(self.cutoff)
         if not light and not rigid:
             asked = self.static_above is not None and np.any(found)
             # A penalty k is stiff from k R_inf = 100 on.
@@ -195,6 +225,16 @@ class Problem:
             if light:
                 raise InputError("contact law", "unilateral", SINGULAR)
             return None
+        return found
+
+    @property
+    def _residual_with_friction(self) -> np.ndarray | None:
+        """That of normals and tangents, which all see what they have in series."""
+        small, springs = is_small(self.structure), springs_of(self.contact, self.structure.n_pairs)
+        found = all_modes(self.seen).static_part(self.cutoff) if small else None
+        at_once = np.diag(springs) if found is None else found + np.diag(springs)
+        if not np.all(springs) and not is_regular(at_once):
+            raise InputError("contact", self.contact, WITHOUT_GIVE)
         return found
 
     def seen_alike(self, cutoff: float) -> Problem:
@@ -207,7 +247,7 @@ class Problem:
     @property
     def projected(self) -> bool:
         """True if the constraint is balanced in frequency: that of pairs without coupling."""
-        return is_rigid(self.contact) and self.residual is None
+        return is_rigid(self.contact) and self.residual is None and not self.friction
 
     def weighted(self, compliance: Compliance) -> Problem:
         """The same with the weight of a projection."""
@@ -223,18 +263,26 @@ class Problem:
     def wave(self, at: ContactPoint) -> Wave:
         """The motion that belongs to a point of the equations (collective)."""
         displacement = at.system.compliance.displacement(at.force)
+        return self.wave_of(displacement, at.gap, at.force)
+
+    def wave_of(self, displacement: np.ndarray, gap: np.ndarray, force: np.ndarray) -> Wave:
+        """The motion of coefficients of the displacement, and of the gaps and forces of all
+        rows."""
+        count = self.structure.n_pairs
+        tangential = (gap[:, count:], force[:, count:]) if self.friction else (None, None)
         return Wave(
-            self.structure, self.omega, self.contact, displacement, at.gap, at.force,
-            self.subharmonic, self.static_cutoff,
+            self.structure, self.omega, self.contact, displacement, gap[:, :count],
+            force[:, :count], self.subharmonic, self.static_cutoff, *tangential,
         )  # fmt: skip
 
     def integrals(self) -> ContactIntegrals:
         """Return the integrals of the contact force; those of a projection by its weight."""
         contact, harmonics = self.contact, self.harmonics
         if self.residual is not None:
-            return CoupledIntegrals(
-                contact, harmonics, residual=self.residual, samples=self.samples
-            )
+            return coupled_integrals(contact, harmonics, self.residual, self.samples)
+        if self.friction:
+            nothing = np.zeros((self.seen.n_pairs,) * 2)
+            return coupled_integrals(contact, harmonics, nothing, self.samples)
         if is_rigid(contact):
             assert contact.weight is not None
             each = np.eye(self.structure.n_pairs) / contact.weight
@@ -243,7 +291,7 @@ class Problem:
 
     def compliance(self) -> Compliance:
         """Compliance at the multiples of the base frequency, to be destroyed (collective)."""
-        return dynamic_compliance(self.structure, self.base_omega, self.harmonics, self.subharmonic)
+        return dynamic_compliance(self.seen, self.base_omega, self.harmonics, self.subharmonic)
 
     def with_harmonics(self, harmonics: int) -> Problem:
         """The same with other harmonics."""
@@ -384,7 +432,9 @@ class Search:
         system, problem = self.system, self.problem
         for start in starts:
             yield "full Newton steps", self._near(system, start)
-        if problem is not None:
+        if problem is not None and problem.friction:
+            yield "from contact without friction", self._add_friction(problem)
+        elif problem is not None:
             many = system.residual is not None or system.size > kernel.MANY
             enough = problem.subharmonic if many else problem.harmonics
             counts = halved(problem.harmonics, enough)
@@ -426,6 +476,26 @@ class Search:
         if self.system.integrals.coupled and counts[-1] <= many:
             yield from self._next_to_orbit(problem, at)
 
+    def _add_friction(self, problem: Problem) -> Iterator[np.ndarray]:
+        """The solution without friction, and where that leads to as friction grows."""
+        free, system = replace(problem, contact=normal_law(problem.contact)), self.system
+        compliance = free.compliance()
+        try:
+            search = Search(free.system(compliance), free, self.tolerance, self.share)
+            at = search.solve()
+        finally:
+            compliance.destroy()
+        self.iterations += search.iterations
+        if not search.converged:
+            return
+        force = np.zeros(system.shape)
+        force[:, : at.unknown.shape[1]] = search.system.integrals.force(at.unknown)
+        start = system.linear - respond(system.moving, force)
+        yield start
+        path = self._followed(system.along_friction(), start)
+        if path is not None:
+            yield path
+
     def _next_to_orbit(self, problem: Problem, at: ContactPoint | None) -> Iterator[np.ndarray]:
         """The slow gap of the exact orbit next to a solution with fewer harmonics, or from rest;
         where it does not take long to find."""
@@ -446,18 +516,21 @@ class Search:
         left."""
         system = self.system.softened()
         begun = self._steps(system, system.linear, at=0.0)
-        if begun is None:
-            return
+        end = None if begun is None else self._followed(system, begun.unknown)
+        if end is not None:
+            yield end
+
+    def _followed(self, system: ContactSystem, begun: np.ndarray) -> np.ndarray | None:
+        """The end of the path of a system from its solution at p = 0, at p = 1."""
         left = 1 + max(0, int(self._most) - self.iterations)
         at_once = min(PathOptions.at_once, 1 + left // STALL)
         options = replace(NARROW, rounding=self._rounding, max_steps=left, at_once=at_once)
-        path = Path(system, point_on_path(system, begun.unknown, 0.0), options, [Target(1.0)])
+        path = Path(system, point_on_path(system, begun, 0.0), options, [Target(1.0)])
         for point in path.points():
             self.iterations += point.iterations
             if self._spent:
-                return
-        if path.ended is Ended.MET:
-            yield path.last.unknown
+                return None
+        return path.last.unknown if path.ended is Ended.MET else None
 
 
 def halved(harmonics: int, enough: int) -> list[int]:

@@ -241,6 +241,10 @@ class PeriodicSolution(Wave, Described):
     static_above : float or None
         Modes of higher frequencies [rad/s] respond quasi-statically to contact forces, as all that
         a massless reduction truncates does (:class:`fenics_crack.Problem`); None: none does.
+    tangential_gap_coefficients : (2H+1, n_pairs) [m] or None
+        g_t = B_t^T u of contact with friction, likewise.
+    tangential_force_coefficients : (2H+1, n_pairs) [N] or None
+        Friction force, likewise.
     converged : bool
         True if the residual met the tolerance.
     status : str
@@ -473,8 +477,9 @@ class Solver:
         system, starts = problem.system(compliance), []
         if initial is not None:
             times = problem.subharmonic // initial.subharmonic
-            slow = system.slow(initial.gap_coefficients, initial.force_coefficients, times)
-            starts.append(slow)
+            rows = initial.gap_rows, initial.force_rows
+            if rows[0].shape[1] == system.shape[1]:  # else the other one is without friction
+                starts.append(system.slow(*rows, times))
         search = Search(system, problem, self.residual_tolerance, share)
         at = search.solve(*starts)
         # The kernel's points do not know the forces.

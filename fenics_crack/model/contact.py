@@ -253,6 +253,32 @@ def friction_of(contact: object) -> CoulombFriction | None:
     return contact if isinstance(contact, CoulombFriction) else None
 
 
+def normal_law(contact: ContactLaw) -> ContactLaw:
+    """The law of normal contact alone."""
+    return contact.law if isinstance(contact, CoulombFriction) else contact
+
+
+def as_penalty(contact: ContactLaw, stiffness: float) -> ContactLaw:
+    """The law with a penalty in the place of its normal contact [N/m]."""
+    penalty = UnilateralPenalty(stiffness)
+    return replace(contact, law=penalty) if isinstance(contact, CoulombFriction) else penalty
+
+
+def seen_by(contact: object, structure: Structure) -> Structure:
+    """The structure with all gaps on which a law acts as its pairs: with friction the normal ones,
+    and behind them the tangential ones."""
+    return structure if friction_of(contact) is None else structure.with_tangential_pairs()
+
+
+def springs_of(contact: ContactLaw, pairs: int) -> np.ndarray:
+    """1/k of the pairs, with friction behind it 1/k_t: (n_pairs,) or (2 n_pairs,) [m/N]."""
+    friction, ones = friction_of(contact), np.ones(pairs)
+    found = ones / np.asarray(contact.stiffness, dtype=float)
+    if friction is None:
+        return found
+    return np.concatenate([found, ones / np.asarray(friction.tangential_stiffness, dtype=float)])
+
+
 @lru_cache
 def gauss(count: int) -> tuple[np.ndarray, np.ndarray]:
     """Gauss's nodes between 0 and 1, and their weights: for means of forces between two gaps."""

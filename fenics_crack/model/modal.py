@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
-import scipy.sparse as sparse
 
-from fenics_crack.basics.errors import ConvergenceError, InputError
+from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.kernel import kernel
 from fenics_crack.model.modes import AS_ZERO, NEGLIGIBLE, damped_modes, damping_in, solve_modes
 from fenics_crack.model.reduced import MasslessInterface
@@ -237,25 +236,16 @@ class AllModes:
         return found
 
 
-def all_modes(structure: Structure, *, tangential: bool = False) -> AllModes:
-    """All modes of a small structure, computed once for it and its varied copies; its pairs seen by
-    their normals, and ``tangential`` behind these by their tangents.
-
-    Raises
-    ------
-    InputError
-        It has no tangents.
-    """
-    if tangential and structure.tangential is None:
-        raise InputError("structure", repr(structure), "one with tangents, of faces in a plane")
-    modes = structure.once(_with_tangents if tangential else _all_modes)
+def all_modes(structure: Structure) -> AllModes:
+    """All modes of a small structure, computed once for it and its varied copies."""
+    modes = structure.once(_all_modes)
     factor = structure.damping_factor
     return modes if factor == 1.0 else replace(modes, damping=factor * modes.damping)
 
 
 def _all_modes(structure: Structure) -> AllModes:
     if isinstance(structure, MasslessInterface):
-        return _of_interface(structure, structure.gap.toarray())
+        return _of_interface(structure)
     known = damped_modes(structure)
     if known is not None and len(known.omega) == structure.n_dofs:
         squares, shapes, damping = known.omega**2, known.shapes, known.rate
@@ -268,15 +258,8 @@ def _all_modes(structure: Structure) -> AllModes:
     return AllModes(squares, shapes, damping, (structure.gap.T @ shapes).T, unconstrained)
 
 
-def _with_tangents(structure: Structure) -> AllModes:
-    both = sparse.hstack([structure.gap, structure.tangential]).toarray()
-    if isinstance(structure, MasslessInterface):
-        return _of_interface(structure, both)
-    modes = _all_modes(structure)
-    return replace(modes, pairs=modes.shapes.T @ both)
-
-
-def _of_interface(structure: MasslessInterface, gap: np.ndarray) -> AllModes:
+def _of_interface(structure: MasslessInterface) -> AllModes:
+    gap = structure.gap.toarray()
     shapes, squares = structure.shapes, structure.omega**2
     at_once = structure.left @ gap
     residual = gap.T @ at_once

@@ -337,6 +337,23 @@ class Structure(Coordinates):
         found._hold_tangents(tangential)
         return found
 
+    def with_tangential_pairs(self) -> Structure:
+        """This structure with tangential gaps behind the normal ones as further pairs, B = [B_n,
+        B_t] (n_local, 2 n_pairs), without a clearance: all gaps on which contact with friction
+        acts.
+
+        Raises
+        ------
+        InputError
+            It has no tangents.
+        """
+        if self.tangential is None:
+            raise InputError("structure", repr(self), "one with tangents, of faces in a plane")
+        known = self.once(_with_tangential_pairs)
+        clearance = np.concatenate([self.clearance, np.zeros(self.n_pairs)])
+        kept = {"force": self.force, "clamp": self.clamp, "damping_factor": self.damping_factor}
+        return known._copied(clearance=clearance, _original=known, **kept)
+
     def _hold_tangents(self, tangential: Any) -> None:
         self._hold(tangential=None if tangential is None else read_only_rows(tangential))
 
@@ -480,6 +497,12 @@ def _weights(load: Any) -> np.ndarray:
     if weights.shape not in ((), (3, 3)) or not np.all(np.isfinite(weights)):
         raise InputError("load", load, "a finite number, or a finite matrix of shape (3, 3)")
     return weights
+
+
+def _with_tangential_pairs(structure: Structure) -> Structure:
+    both = read_only_rows(sparse.hstack([structure.gap, structure.tangential]))
+    kept = {"damping": structure.damping, "damping_factor": 1.0}
+    return structure._copied(gap=both, tangential=None, _original=None, _known={}, **kept)
 
 
 def _turning(structure: Structure, change: Callable[[Structure], Structure]) -> Structure:

@@ -36,8 +36,10 @@ from fenics_crack.model.contact import (
     friction_of,
     is_regular,
     is_unilateral,
+    seen_by,
+    springs_of,
 )
-from fenics_crack.model.modal import AllModes, all_modes, is_small
+from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.fourier import waves
 
@@ -90,28 +92,14 @@ def _refused(structure: Structure, contact: ContactLaw) -> InputError | None:
         return InputError("contact", contact, "UnilateralPenalty or UnilateralConstraint")
     if not is_small(structure):
         return InputError("structure", f"{structure.n_dofs} dofs", "reduced, on one rank")
-    softness = _softness(structure, contact)
+    softness = springs_of(contact, structure.n_pairs)
     if np.all(softness):
         return None
-    static = _modes(structure, contact).below(None).static_part()
+    static = all_modes(seen_by(contact, structure)).below(None).static_part()
     if not is_regular(static + np.diag(softness)):
         allowed = "one whose faces have no mass: reduce_structure(structure, method='massless')"
         return InputError("structure", repr(structure), allowed)
     return None
-
-
-def _modes(structure: Structure, contact: ContactLaw) -> AllModes:
-    """All modes, with friction seen by normals and tangents."""
-    return all_modes(structure, tangential=True) if friction_of(contact) else all_modes(structure)
-
-
-def _softness(structure: Structure, contact: ContactLaw) -> np.ndarray:
-    """1 / kappa of the pairs, with friction behind it 1 / k_t [m/N]."""
-    friction, ones = friction_of(contact), np.ones(structure.n_pairs)
-    found = ones / np.asarray(contact.stiffness, dtype=float)
-    if friction is None:
-        return found
-    return np.concatenate([found, ones / np.asarray(friction.tangential_stiffness, dtype=float)])
 
 
 class Flow:
@@ -125,8 +113,10 @@ class Flow:
     ----------
     structure : Structure
     contact : ContactLaw
+    clearance : (n_rows,) [m]
+        g0 of the rows; of tangents zero.
     modes : AllModes
-        Modes that move.
+        Modes that move, and the rows as their pairs.
     residual : (n_pairs, n_pairs) [m/N]
         R_inf.
     softness : (n_pairs,) [m/N]
@@ -142,18 +132,17 @@ class Flow:
     def __init__(self, structure: Structure, contact: ContactLaw) -> None:
         self.structure, self.contact = structure, contact
         self.friction = friction_of(contact)
-        self.modes = modes = _modes(structure, contact).below(None)
+        seen = seen_by(contact, structure)
+        self.clearance = seen.clearance
+        self.modes = modes = all_modes(seen).below(None)
         self.residual = modes.static_part()
-        self.softness = _softness(structure, contact)
+        self.softness = springs_of(contact, structure.n_pairs)
         self.compliance = self.residual + np.diag(self.softness)
         self.force = np.ascontiguousarray(structure.force @ modes.shapes)
         self.gap = np.zeros((3, len(self.softness)))
         if modes.static_loads is not None:
-            moved = structure.force @ modes.static_loads
-            self.gap[:, : structure.n_pairs] += structure.apply_bt(moved)
-            if self.friction:
-                self.gap[:, structure.n_pairs :] += structure.apply_tangential(moved)
-        self.gap[0, : structure.n_pairs] -= structure.clearance
+            self.gap += seen.apply_bt(structure.force @ modes.static_loads)
+        self.gap[0] -= self.clearance
 
     @property
     def count(self) -> int:
@@ -165,16 +154,17 @@ class Flow:
         """Numbers of a state."""
         return 2 * self.count + (self.structure.n_pairs if self.friction else 0)
 
-    def state(self, displacement: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        """State of a displacement and a velocity (..., n_dofs); with friction as if pairs stuck
-        where these leave them."""
-        inverse = self.modes.inverse.T
+    def state(
+        self, displacement: np.ndarray, velocity: np.ndarray, places: np.ndarray | None = None
+    ) -> np.ndarray:
+        """State of a displacement and a velocity (..., n_dofs); with friction of pairs that stick
+        in places, by default where these leave them without contact forces."""
+        inverse, count = self.modes.inverse.T, self.structure.n_pairs
         parts = [displacement @ inverse, velocity @ inverse]
         if self.friction:
-            parts.append(
-                parts[0] @ self.modes.pairs[:, self.structure.n_pairs :]
-                + self.gap[0, self.structure.n_pairs :]
-            )
+            if places is None:
+                places = parts[0] @ self.modes.pairs[:, count:] + self.gap[0, count:]
+            parts.append(places)
         return np.concatenate(parts, axis=-1)
 
     def displacement(
@@ -457,6 +447,16 @@ class Samples:
         if self.flow.friction:
             return self.answers[:, len(self.flow.softness) :] + moved
         return np.where(self.closed, moved, -self.answers)
+
+    @property
+    def places(self) -> np.ndarray:
+        """With friction h, where pairs stick or would: (n, n_pairs) [m]; else (n, 0)."""
+        return self.answers[:, len(self.flow.softness) + self.flow.structure.n_pairs :]
+
+    @property
+    def whole_states(self) -> np.ndarray:
+        """States of the flow: (n, size)."""
+        return np.hstack([self.states, self.places])
 
     @property
     def force(self) -> np.ndarray:

@@ -182,7 +182,8 @@ class PeriodicOrbit(Described):
         flow, structure = self.flow, self.flow.structure
         if flow.friction or structure.tangential is None:
             return math.nan
-        modes, count = all_modes(structure, tangential=True).below(None), structure.n_pairs
+        seen, count = structure.with_tangential_pairs(), structure.n_pairs
+        modes = all_modes(seen).below(None)
         residual, samples = modes.static_part()[count:], self.sampled
         if not count or not is_regular(residual[:, count:]):
             return math.nan
@@ -241,7 +242,7 @@ class PeriodicOrbit(Described):
             means[2 * order - 1], means[2 * order] = wave.real, wave.imag
             wave *= first
         return OrbitCoefficients(
-            means @ samples.gap, means @ samples.force, means @ samples.displacement
+            means @ samples.gaps, means @ samples.forces, means @ samples.displacement
         )
 
     # --- shown ------------------------------------------------------------------------------------
@@ -270,8 +271,9 @@ class OrbitCoefficients:
 
     Attributes
     ----------
-    gap : (2H+1, n_pairs) [m]
-    force : (2H+1, n_pairs) [N]
+    gap : (2H+1, n_rows) [m]
+        Of all rows: with friction tangential gaps, too.
+    force : (2H+1, n_rows) [N]
     displacement : (2H+1, n_dofs) [m]
     """
 
@@ -325,7 +327,8 @@ def predicted_with_more_modes(
     by the whole step.
     """
     weights = flow.weights(omega / subharmonic)
-    kept = np.arange(flow.size).reshape(2, -1)[:, :modes].ravel()
+    first = np.arange(modes)
+    kept = np.concatenate([first, flow.count + first, np.arange(2 * flow.count, flow.size)])
 
     def precondition(change: np.ndarray) -> np.ndarray:
         found = change.copy()
