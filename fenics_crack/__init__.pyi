@@ -60,6 +60,7 @@ from fenics_crack.fem.plate import write_msh as write_msh
 from fenics_crack.files.results import load as load
 from fenics_crack.files.results import save as save
 from fenics_crack.model.contact import ContactLaw as ContactLaw
+from fenics_crack.model.contact import CoulombFriction as CoulombFriction
 from fenics_crack.model.contact import SmoothedPenalty as SmoothedPenalty
 from fenics_crack.model.contact import UnilateralConstraint as UnilateralConstraint
 from fenics_crack.model.contact import UnilateralPenalty as UnilateralPenalty

@@ -306,7 +306,7 @@ def solve_to_tolerance(
     whole = solver.problem.structure
     if reduced_to is None and not (is_small(whole) or isinstance(whole, ReducedStructure)):
         reduced_to = partial(_without_mass, whole)
-    most = min(max(modes, FORMED // 2), whole.n_dofs)
+    most = min(max(modes, FORMED), whole.n_dofs)
     best = last = None
     while True:
         if reduced_to is not None:

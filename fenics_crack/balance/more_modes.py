@@ -202,7 +202,7 @@ class MoreModes:
     def _foreseen(self, verdict: str) -> bool:
         """Return True if the multipliers of M along the motion contradict a verdict."""
         step = self.prediction
-        if step is None or self.flow.size > FORMED:
+        if step is None or self.flow.count > FORMED:
             return False
         return bool((abs(eigenvalues(step.monodromy)[0]) < 1.0) != (verdict == "stable"))
 

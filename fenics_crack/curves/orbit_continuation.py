@@ -36,7 +36,7 @@ def has_orbits(problem: Problem, parameter: str, start: float, end: float) -> bo
     few modes that the monodromy matrix is formed, and the load is not too slow."""
     check_range(problem, parameter, start, end)
     flow = flow_of(problem.structure, problem.contact)
-    if flow is None or flow.size > FORMED:
+    if flow is None or flow.count > FORMED:
         return False
     ends = [FAMILIES[parameter].vary(problem, value).omega for value in (start, end)]
     return not any(too_slow(flow, omega, problem.subharmonic) for omega in ends)

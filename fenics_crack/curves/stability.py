@@ -190,7 +190,7 @@ def shoot(
     if found is None:
         start = orbits.state(orbits.followed(settle))
         found = find_orbit(orbits.flow, solution.omega, start, subharmonic=periods)
-        if found is None and orbits.flow.size <= FORMED:
+        if found is None and orbits.flow.count <= FORMED:
             begun = FlowOrbits(orbits.flow, solution.omega, start, periods)
             found = by_homotopy(begun, SearchOptions())
     if found is not None and found.residual > tolerance:  # its last step was short, but M is large
@@ -291,10 +291,10 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
     """
     check_kind("solution", solution, PeriodicSolution)
     known = replace(solution, structure=structure).assessment
-    followed = known.flow is not None and known.flow.size <= FORMED
+    followed = known.flow is not None and known.flow.count <= FORMED
     verdict = stability_of(known).verdict if followed else "no exact flow"
     if verdict != "unstable":
-        allowed = f"an unstable one by its exact orbit, of at most {FORMED // 2} modes"
+        allowed = f"an unstable one by its exact orbit, of at most {FORMED} modes"
         raise InputError("solution", verdict, allowed)
     orbit = known.orbit
     assert orbit is not None
@@ -321,7 +321,7 @@ def from_rest(solution: PeriodicSolution) -> Attractor | None:
     whether it settles to another motion than a solution (collective); None where there is no exact
     flow, or more than 120 modes."""
     flow = solution.assessment.flow
-    if flow is None or flow.size > FORMED:
+    if flow is None or flow.count > FORMED:
         return None
     rest = np.zeros(flow.size)
     orbits = FlowOrbits(flow, solution.omega, solution.assessment.states[0])
@@ -344,7 +344,7 @@ def _along_the_wave(known: Assessment, reason: str) -> Stability:
     """Without an orbit: the multipliers of the flow along the solution, which say nothing."""
     assert known.flow is not None
     values = np.full(known.flow.size, np.nan + 0j)
-    if known.prediction is not None and known.flow.size <= FORMED:
+    if known.prediction is not None and known.flow.count <= FORMED:
         values = eigenvalues(known.prediction.monodromy)
     return Stability(values, "undecided", np.nan, reason=reason)
 

@@ -29,26 +29,48 @@ int march_friction(closed_sets *s, int count, int turns, const double *gaps, dou
     return failed;
 }
 
+/* Whether a pair begins to stick behind an instant, which is when its place is held. */
+static int begins_to_stick(const signed char *now, const signed char *next, int pair)
+{
+    return now[pair] != STICK && next[pair] == STICK;
+}
+
+static int some_begin_to_stick(const signed char *now, const signed char *next, int pairs)
+{
+    for (int i = 0; i < pairs; i++)
+        if (begins_to_stick(now, next, i)) return 1;
+    return 0;
+}
+
 int friction_changes(closed_sets *s, int count, const signed char *states, const double *gaps,
                      double *forces)
 {
     const int p = pairs_of(s), r = 2 * p;
-    double *room = calloc((size_t)(p + r) + 1, sizeof(double));
-    if (!room) return 1;
-    double *held = room, *gap = room + p;
+    double *held = calloc((size_t)p + 1, sizeof(double));
+    if (!held) return 1;
     for (long t = 0; t < 2L * count; t++) {
         const long at = t % count;
+        const signed char *next = states + (t + 1) % count * p;
+        const int memory = some_begin_to_stick(states + at * p, next, p);
+        if (t < count && !memory) continue;
         const closed_set *a = closed_set_of(s, states + at * p);
         if (!a) {
-            free(room);
+            free(held);
             return 1;
         }
-        memcpy(gap, gaps + at * r, bytes(r));
-        force_gaps(s, a, 1, held, gap, forces + at * r);
-        for (int i = 0; i < p; i++)
-            if (a->closed[i] != STICK) held[i] = gap[p + i];
+        const double *gap = gaps + at * r;
+        double *force = forces + at * r;
+        memset(force, 0, bytes(r));
+        for (int i = 0; i < a->size; i++) {
+            const int row = a->members[i];
+            const double moved = gap[row] - (i < a->closing ? 0.0 : held[row - p]);
+            add_rows(1, r, a->inverse + (long)i * r, &moved, force);
+        }
+        for (int i = 0; i < p && memory; i++)
+            if (begins_to_stick(a->closed, next, i))
+                held[i] = gap[p + i] - dot(r, row_of_compliance(s, p + i), force);
     }
-    free(room);
+    free(held);
     return 0;
 }
 
@@ -66,6 +88,8 @@ int friction_tangent(closed_sets *s, int count, const signed char *states, int r
     memset(tangent, 0, bytes(columns * columns));
     for (long t = 0; t < 2L * count; t++) {
         const long at = t % count;
+        const signed char *next = states + (t + 1) % count * p;
+        if (t < count && !some_begin_to_stick(states + at * p, next, p)) continue;
         const closed_set *a = closed_set_of(s, states + at * p);
         const double *wave = waves + at * rows, *mean = means + at * rows;
         if (!a) {
@@ -82,7 +106,7 @@ int friction_tangent(closed_sets *s, int count, const signed char *states, int r
             for (long c = 0; c < columns; c++) row[c] -= place[c];
         }
         for (int i = 0; i < p; i++) { /* dh = U w - D_t L r */
-            if (a->closed[i] == STICK) continue;
+            if (!begins_to_stick(a->closed, next, i)) continue;
             const double *d = row_of_compliance(s, p + i), *own = basis + (long)(p + i) * n;
             double *place = held + i * columns;
             for (int j = 0; j < rows; j++)

@@ -52,8 +52,8 @@ FLOWS, SHORTEST = 20, 1e-3
 PIECES = 20_000
 """Search budget in Taylor pieces: a second, with many pairs; more where M is formed and a period of
 a slow load has many by itself."""
-FORMED = 240
-"""Maximum size of a state for which M is formed."""
+FORMED = 120
+"""Maximum modes of a flow of which M is formed."""
 PRODUCTS, BLUNT = 60, 0.25
 """Maximum products with M in a solution, and the relative residual of a step which is only
 compared."""
@@ -289,7 +289,7 @@ def affordable(
     slow; or so many periods have no more pieces, but for events, than it may take. Large states of
     crack faces with mass, which bounce, are not tried: from their harmonic-balance solutions
     Newton's method leads to no orbit."""
-    if flow.size <= FORMED:
+    if flow.count <= FORMED:
         return not too_slow(flow, omega, subharmonic)
     pieces = flow.pieces(2.0 * np.pi * subharmonic / omega)
     return flow.structure.light_lips and periods * pieces <= PIECES
@@ -298,7 +298,7 @@ def affordable(
 def too_slow(flow: ContactFlow, omega: float, subharmonic: int = 1) -> bool:
     """Return True if two periods of a small state exceed the budget, without events."""
     pieces = flow.pieces(2.0 * np.pi * subharmonic / omega)
-    return flow.size <= FORMED and 2.0 * pieces > Budget.pieces
+    return flow.count <= FORMED and 2.0 * pieces > Budget.pieces
 
 
 def predicted(
@@ -372,7 +372,7 @@ def _step(
 def _inverse(flow: ContactFlow, track: Track, weights: np.ndarray) -> Inverse:
     """b to (I - M)^-1 b, exactly, or of large states to a relative residual in the norm of the
     energy."""
-    if flow.size <= FORMED:
+    if flow.count <= FORMED:
         factors = factored(np.eye(flow.size) - track.tangent)
         if not (np.isfinite(factors[0]).all() and np.diag(factors[0]).all()):
             raise np.linalg.LinAlgError("I - M is singular")
@@ -424,7 +424,7 @@ class _Search:
         self._flow, self._omega = flow, omega
         self._period = 2.0 * np.pi * subharmonic / omega
         most = PIECES
-        if flow.size <= FORMED and not too_slow(flow, omega, subharmonic):
+        if flow.count <= FORMED and not too_slow(flow, omega, subharmonic):
             most = max(most, math.ceil(FLOWS * flow.pieces(self._period)))
         self._left = Budget(pieces=most)
         self._weights = flow.weights(omega / subharmonic)
@@ -436,7 +436,7 @@ class _Search:
 
     def leads_to_orbit(self, inverse: Inverse | None) -> bool:
         """Return True if the search ends with an orbit."""
-        formed = self._flow.size <= FORMED
+        formed = self._flow.count <= FORMED
         closed, shortest = (LOCATED, SHORTEST) if formed else (CLOSE, 0.1)
         self.motion = self._follow(self.state)
         share, own = 1.0, False  # whether the derivative is that of the motion here

@@ -117,10 +117,10 @@ def search_orbit(
         orbit = find_orbit(flow, omega, states[0], subharmonic=subharmonic)
         if orbit is not None and not any(equal(orbit, other) for other in met):
             met.append(orbit)
-        if orbit is not None and (not any_other or flow.size > FORMED or orbit.is_stable):
+        if orbit is not None and (not any_other or flow.count > FORMED or orbit.is_stable):
             break
     if met:
-        if any_other and flow.size <= FORMED:
+        if any_other and flow.count <= FORMED:
             met.sort(key=lambda one: not one.is_stable)
         return OrbitSearch(met[0], tuple(met[1:]), "exact orbit by Newton's method")
     for states in tried:
@@ -135,7 +135,7 @@ def search_orbit(
     start = tried[-1][0] if tried else np.zeros(flow.size)
     options = options or SearchOptions()
     orbits = FlowOrbits(flow, omega, start, subharmonic)
-    if tried and flow.size <= FORMED and (orbit := by_homotopy(orbits, options)) is not None:
+    if tried and flow.count <= FORMED and (orbit := by_homotopy(orbits, options)) is not None:
         return OrbitSearch(orbit, (), "exact orbit along a path from the motion")
     return _by_recurrence(orbits, options)
 

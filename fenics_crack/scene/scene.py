@@ -547,6 +547,9 @@ def _check_dimension(scene: Scene) -> None:
         allowed = "'graded' or 'file' with geometry.kind = 'solid'"
         mesh.require(mesh.layout != "grid", "layout", allowed)
         mesh.leave_out(("cells",), "geometry.kind = 'solid', which is meshed by tetrahedra")
+        if scene.contact is not None and scene.contact.friction:
+            allowed = "0, or left out, with geometry.kind = 'solid': friction is not there yet"
+            scene.contact.require(False, "friction", allowed)
     if dimension == 2 or mesh.layout != "file":
         geometry.given("thickness", "given: a finite number > 0")
 

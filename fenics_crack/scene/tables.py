@@ -405,6 +405,12 @@ class Contact(Table):
     """"unilateral": no penetration."""
     sharpness: float | None = positive(None, unit="1/m")
     """s of the smoothed law."""
+    friction: float = not_negative(0.0)
+    """Coefficient of Coulomb friction between the faces of a plate's cracks, at rest and in
+    motion."""
+    tangential_stiffness_per_area: float | None = positive(None, unit="N/m^3")
+    """Stiffness of pairs that stick, per area of the crack face. Left out: infinite, of crack faces
+    without mass."""
     pairs: str = choice("all", "mouth", default="all")
     """Every pair of crack-face nodes, or of each crack only the one at the mouth, or in the middle
     of a crack inside the plate."""
@@ -421,6 +427,10 @@ class Contact(Table):
             self.given("sharpness", f"given with {law}")
         else:
             self.leave_out(("sharpness",), law)
+        if not self.friction:
+            self.leave_out(("tangential_stiffness_per_area",), "contact.friction = 0")
+        elif self.law == "smoothed":
+            self.require(False, "friction", f"0, or left out, with {law}")
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from fenics_crack.basics.threads import machine_memory
 from fenics_crack.fem.build import assemble, with_crack_length
 from fenics_crack.model.contact import (
     ContactLaw,
+    CoulombFriction,
     SmoothedPenalty,
     UnilateralConstraint,
     UnilateralPenalty,
@@ -332,7 +333,13 @@ def law_of(scene: Scene, structure: Structure) -> ContactLaw | None:
     """The contact law of a scene's pairs; None if there are no pairs."""
     if structure.n_pairs == 0 or scene.contact is None:
         return None
-    return contact_law(scene.contact, structure)
+    contact, kept = scene.contact, reduction_of(scene, structure)
+    massless = structure.light_lips or (kept is not None and kept.method == "massless")
+    if contact.friction and not massless:  # pairs that stick must give a little
+        also = "with friction of crack faces that keep their mass; or reduction.method = 'massless'"
+        contact.require(contact.law == "penalty", "law", f"'penalty' {also}")
+        contact.given("tangential_stiffness_per_area", f"given [N/m^3] {also}")
+    return contact_law(contact, structure)
 
 
 def contact_law(contact: Contact, structure: Structure | None = None) -> ContactLaw:
@@ -364,16 +371,33 @@ def contact_law(contact: Contact, structure: Structure | None = None) -> Contact
     """
     if not isinstance(contact, Contact):
         raise InputError("contact", contact, "the contact table of a scene")
+    law = _normal_law(contact, structure)
+    if not contact.friction:
+        return law
+    if structure is not None and structure.tangential is None:
+        allowed = "0, or left out, of a structure without tangents"
+        raise InputError("contact.friction", contact.friction, allowed)
+    per_area = contact.tangential_stiffness_per_area
+    if per_area is None:
+        return CoulombFriction(law, contact.friction)
+    areas = _areas("tangential_stiffness_per_area", per_area, structure)
+    return CoulombFriction(law, contact.friction, per_area * areas)
+
+
+def _areas(key: str, value: float, structure: Structure | None) -> np.ndarray:
+    """Areas of the pairs; InputError where they are not known."""
+    if structure is None or structure.pair_areas is None:
+        allowed = "used with a structure made from a mesh: contact_law(scene.contact, structure)"
+        raise InputError(f"contact.{key}", value, allowed)
+    return structure.pair_areas
+
+
+def _normal_law(contact: Contact, structure: Structure | None) -> ContactLaw:
     if contact.law == "unilateral":
         return UnilateralConstraint()
     stiffness: float | np.ndarray | None = contact.stiffness
-    if contact.stiffness_per_area is not None:
-        if structure is None or structure.pair_areas is None:
-            allowed = (
-                "used with a structure made from a mesh: contact_law(scene.contact, structure)"
-            )
-            raise InputError("contact.stiffness_per_area", contact.stiffness_per_area, allowed)
-        stiffness = contact.stiffness_per_area * structure.pair_areas
+    if (per_area := contact.stiffness_per_area) is not None:
+        stiffness = per_area * _areas("stiffness_per_area", per_area, structure)
     assert stiffness is not None
     if contact.law == "smoothed":
         assert contact.sharpness is not None
