@@ -45,7 +45,7 @@ from fenics_crack.balance.contact_integrals import ContactIntegrals, respond
 from fenics_crack.balance.friction_integrals import FrictionIntegrals, coupled_integrals
 from fenics_crack.basics.errors import ConvergenceError, InputError
 from fenics_crack.kernel import Struct, kernel, owned, pointer, shaped
-from fenics_crack.model.contact import ContactLaw, friction_of, is_rigid, seen_by
+from fenics_crack.model.contact import ContactLaw, friction_of, is_rigid, seen_by, springs_of
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import (
@@ -126,9 +126,8 @@ class ContactSystem:
         )  # fmt: skip
 
     def _springs(self, law: ContactLaw) -> np.ndarray:
-        """1/k of each pair [m/N]."""
-        found = 1.0 / np.asarray(law.stiffness, dtype=float)
-        return np.broadcast_to(found, self.shape[1:])
+        """1/k of each row [m/N]."""
+        return springs_of(law, self.shape[1] // (1 if friction_of(law) is None else 2))
 
     @cached_property
     def moving_seen(self) -> np.ndarray:

@@ -19,8 +19,10 @@ import scipy.linalg
 from fenics_crack.balance.compliance import ModalCompliance
 from fenics_crack.balance.contact_integrals import ContactIntegrals, respond
 from fenics_crack.balance.contact_system import CompiledEquations, ContactPoint, ContactSystem
+from fenics_crack.balance.friction_integrals import FrictionForces
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.errors import InputError, check_number, check_omega
+from fenics_crack.model.contact import friction_of
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import DIFFERENCE, least_residual
@@ -39,7 +41,7 @@ class Family(ABC):
             allowed = 'a penalty, or a structure of reduce_structure(method="massless")'
             raise InputError("contact", problem.contact, allowed)
         self.problem, self.start, self.end = problem, start, end
-        self._compliance = ModalCompliance(problem.structure, problem.base_omega, problem.load)
+        self._compliance = ModalCompliance(problem.seen, problem.base_omega, problem.load)
         self._last: tuple[float, ContactSystem] | None = None
         first = self.system(start)
         self.shape, self.matrix_free = first.shape, first.matrix_free
@@ -142,8 +144,8 @@ class Family(ABC):
 
     @property
     def means(self) -> int:
-        """Number of unknowns, the first ones, that are mean values: a mean gap of each pair."""
-        return self.problem.structure.n_pairs
+        """Number of unknowns, the first ones, that are mean values: a mean gap of each row."""
+        return int(self.shape[1])
 
     def rounding(self, parameter: float) -> float:
         """Return the rounding error of |F| / |x| near a point of a curve.
@@ -300,6 +302,37 @@ class StiffnessFamily(Family):
         return first.compile(first.linear, first.moving, growth=growth)
 
 
+class FrictionFamily(Family):
+    """v: factor of the coefficient of friction."""
+
+    name = "friction"
+
+    @classmethod
+    def check(cls, structure: Structure, key: str, value: float) -> None:
+        super().check(structure, key, value)
+        if structure.tangential is None:
+            allowed = "another one: the structure has no tangents"
+            raise InputError("parameter", "friction", allowed)
+
+    @classmethod
+    def vary(cls, problem: Problem, value: float) -> Problem:
+        friction = friction_of(problem.contact)
+        if friction is None:
+            raise InputError("parameter", "friction", "another one: the law has no friction")
+        coefficient = np.multiply(value, friction.coefficient)
+        return replace(problem, contact=replace(friction, coefficient=coefficient))
+
+    def _make(self, value: float) -> ContactSystem:
+        return self.at(value).system(self._compliance)
+
+    def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
+        assert isinstance(at.forces, FrictionForces)
+        return respond(at.system.moving, at.forces.by_share()) / value
+
+    def _compile(self, first: ContactSystem) -> None:
+        return None
+
+
 class SpeedFamily(Family):
     """v: speed of the rotor [rad/s], the load's frequency in a constant ratio to it.
 
@@ -337,7 +370,7 @@ class SpeedFamily(Family):
 
     def _make(self, value: float) -> ContactSystem:
         problem = self.at(value)
-        compliance = ModalCompliance(problem.structure, problem.base_omega, problem.load)
+        compliance = ModalCompliance(problem.seen, problem.base_omega, problem.load)
         return problem.system(compliance)
 
     def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
@@ -366,6 +399,7 @@ FAMILIES: dict[str, type[Family]] = {
         StiffnessFamily,
         DampingFamily,
         ClearanceFamily,
+        FrictionFamily,
         SpeedFamily,
     )
 }

@@ -32,7 +32,8 @@ class HarmonicCurve(ResponseCurve):
         As of any :class:`ResponseCurve`.
     unknowns : (n, 2H+1, n_pairs) [m]
         Unknowns: gap coefficients, or those of the slow gap s = g + R_inf lambda where
-        pairs are seen through R_inf.
+        pairs are seen through R_inf; with friction (n, 2H+1, 2 n_pairs), tangential gaps behind
+        the normal ones.
     samples : int or None
         As given when it was followed.
     multipliers : (n,) complex or None
@@ -71,9 +72,10 @@ class HarmonicCurve(ResponseCurve):
 
     @cached_property
     def gap_coefficients(self) -> np.ndarray:
+        count = self.structure.n_pairs
         if self.static_above is None:
-            return self.unknowns
-        return np.array([at.gap for at in self._linearised()])
+            return self.unknowns[..., :count]
+        return np.array([at.gap[:, :count] for at in self._linearised()])
 
     def solution(self, index: int, *, search: bool = True) -> PeriodicSolution:
         problem = self.problem_of(index)
@@ -116,9 +118,9 @@ class HarmonicCurve(ResponseCurve):
     def seen_through(
         self, rows: np.ndarray
     ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-        moved = None
+        moved, count = None, self.structure.n_pairs
         if self.static_above is not None:
-            moved = rows @ all_modes(self.structure).moved_at_once(self.static_above)
+            moved = rows @ all_modes(self.problem.seen).moved_at_once(self.static_above)
         for at in self._linearised():
             assert isinstance(at.system.compliance, ModalCompliance)
             waves = at.system.compliance.seen_through(rows, at.force)
@@ -127,4 +129,4 @@ class HarmonicCurve(ResponseCurve):
             if moved is not None:
                 # The quasi-static part follows the forces as they are, with their kinks.
                 motion -= (force - evaluate(at.force, 1.0, PHASES)) @ moved.T
-            yield waves, motion, gap, force
+            yield waves, motion, gap[:, :count], force[:, :count]

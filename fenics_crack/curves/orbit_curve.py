@@ -99,7 +99,8 @@ class OrbitCurve(ResponseCurve):
         """Closing of the pairs, by the exact integrals of the orbits, with 40 harmonics of their
         period: (n, 81, n_pairs) [m]."""
         orbits = (self.orbit(index) for index in range(len(self)))
-        return np.array([one.coefficients(HARMONICS).gap for one in orbits])
+        count = self.structure.n_pairs
+        return np.array([one.coefficients(HARMONICS).gap[:, :count] for one in orbits])
 
     def seen_through(
         self, rows: np.ndarray

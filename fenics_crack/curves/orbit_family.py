@@ -15,7 +15,8 @@ variation, over damping and stiffness
     dq'' + C dq' + Lambda dq + P_A S P_A^T dq = -C' q' + P_A S D' lambda_A,
 
 ' the derivative by p, S = (D_AA)^-1 of the compliance D of the closed pairs A. Over the speed, with
-which modes change, it is a forward difference: another flow a point.
+which modes change, it is a forward difference: another flow a point; so it is with friction over
+damping, stiffness and the coefficient of friction.
 """
 
 from __future__ import annotations
@@ -56,8 +57,7 @@ class OrbitFamily:
         first = self.at(start)
         self._first = exact_flow(first.structure, first.contact)
         self._last: tuple[float, ContactFlow] | None = None
-        weights = self._first.weights(self.omega(start) / self.subharmonic)
-        self.scale = weights / np.tile(weights[: self._first.count], 2)
+        self.scale = self._first.amplitude_weights(self.omega(start) / self.subharmonic)
         self.shape, self.records = self.scale.shape, self._first.size**2
         self._rest = np.zeros((2, self._first.size))
         ends = [self.unknown(self.flow(one).rest, one) for one in (start, end)]
@@ -106,7 +106,8 @@ class OrbitFamily:
     def _modes(self, value: float) -> np.ndarray:
         """States of the first flow to those where the speed has a value."""
         change = self.flow(value).modes.inverse @ self._first.modes.shapes
-        return np.kron(np.eye(2), change)
+        places = np.eye(self._first.size - 2 * self._first.count)
+        return scipy.linalg.block_diag(change, change, places)
 
     def _motion(self, unknown: np.ndarray, parameter: float, part: float = 1.0) -> Motion:
         """Over a part of the period."""
@@ -147,7 +148,7 @@ class OrbitFamily:
     @cached_property
     def compiled(self) -> ShootingEquations | None:
         """The same equations in the kernel; None where it does not have them."""
-        if self.name in ("stiffness", "speed"):
+        if not self._follows:
             return None
         omega = self.omega(self.start), self.omega(self.end) - self.omega(self.start)
         flow = self._first
@@ -163,6 +164,14 @@ class OrbitFamily:
             problem = self.at(origin)  # its own flow: it changes
             flow = exact_flow(problem.structure, problem.contact)
         return ShootingEquations(flow, self.scale, omega, self.subharmonic, **changed)
+
+    @property
+    def _follows(self) -> bool:
+        """True if one flow follows the parameter."""
+        changes = {"stiffness", "speed", "friction"}
+        if self._first.friction:  # where pairs stick depends on the damping, too
+            changes.add("damping")
+        return self.name not in changes
 
     def rounding(self, parameter: float) -> float:
         """Return the rounding error of |F| / |x|."""
@@ -189,7 +198,7 @@ class OrbitFamily:
             return self._of_unknowns(motion.track.tangent, value)
 
         def by_parameter() -> np.ndarray:
-            if self.name == "speed":
+            if self.name == "speed" or self._first.friction:
                 step = DIFFERENCE if parameter < 0.5 else -DIFFERENCE
                 return (self.moved(unknown, parameter + step) - unknown - residual) / step
             state = self.state(unknown, value)

@@ -36,7 +36,13 @@ from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.basics.errors import ConvergenceError, InputError, check_count, check_kind
 from fenics_crack.basics.tables import percent
-from fenics_crack.model.contact import ContactLaw, check_law, check_slope, is_rigid, smooth_forces
+from fenics_crack.model.contact import (
+    ContactLaw,
+    check_law,
+    check_slope,
+    is_unilateral,
+    smooth_forces,
+)
 from fenics_crack.model.modal import CACHE_SIZE, AllModes, all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.attractors import Attractor, in_the_long_run
@@ -134,7 +140,8 @@ def orbits_near(
 ) -> FlowOrbits:
     """Orbits of the exact flow."""
     flow = exact_flow(structure, contact)
-    state = flow.state(*initial_state(structure, solution))
+    places = solution.sticking_places(np.zeros(1))[0] if flow.friction else None
+    state = flow.state(*initial_state(structure, solution), places)
     return FlowOrbits(flow, solution.omega, state, solution.subharmonic)
 
 
@@ -249,7 +256,7 @@ def floquet(
         raise InputError("solution", f"{solution.structure.n_dofs} dofs", "of this structure")
     known = replace(solution, structure=structure, contact=contact).assessment
     if known.flow is None:
-        if is_rigid(contact) or not is_small(structure):
+        if is_unilateral(contact) or not is_small(structure):
             exact_flow(structure, contact)  # says what is missing
         return _by_waves(structure, solution, contact)
     return stability_of(known)
@@ -302,7 +309,7 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
     values, vectors = np.linalg.eig(orbits.of_unknowns(orbit.monodromy))
     leading = int(np.abs(values).argmax())
     mu, change = values[leading], vectors[:, leading].real
-    moved = moving_size(orbits.scale * orbit.sampled.states) / np.sqrt(len(orbit.sampled.states))
+    moved = moving_size(orbits.scale * orbit.sampled.whole_states) / np.sqrt(len(orbit.sampled.states))
     change *= 0.01 * moved / np.linalg.norm(change)
     found: list[Attractor] = []
     for start in (orbits.start + change, orbits.start - change)[: 2 if mu == abs(mu) else 1]:

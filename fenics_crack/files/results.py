@@ -21,7 +21,14 @@ from fenics_crack.curves.harmonic_curve import HarmonicCurve
 from fenics_crack.curves.orbit_curve import OrbitCurve
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.files.store import Stored, check_shapes, read, write
-from fenics_crack.model.contact import ContactLaw, UnilateralConstraint, is_rigid, is_unilateral
+from fenics_crack.model.contact import (
+    ContactLaw,
+    UnilateralConstraint,
+    friction_of,
+    is_rigid,
+    is_unilateral,
+    seen_by,
+)
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import NEGLIGIBLE, Modes
 from fenics_crack.model.reduction import reduce_structure
@@ -227,8 +234,12 @@ def _pack_solution(solution: PeriodicSolution) -> Parts:
         solution, "displacement_coefficients", "report", "stability", "others", "assessment"
     )
     parts |= {f"error_{name}": value for name, value in asdict(solution.report).items()}
-    if is_rigid(solution.contact):
-        parts["weight"] = solution.contact.weight
+    tangential = [name for name in parts if name.startswith("tangential_")]
+    if friction_of(solution.contact) is None:
+        for name in tangential:
+            del parts[name]
+        if is_rigid(solution.contact):
+            parts["weight"] = solution.contact.weight
     if solution.stability is not None:
         parts |= asdict(solution.stability)
     return parts | _law_parts(solution.contact, solution.structure)
@@ -237,7 +248,8 @@ def _pack_solution(solution: PeriodicSolution) -> Parts:
 def _unpack_solution(parts: Parts, structure: Structure, contact: Law) -> PeriodicSolution:
     gap = parts["gap_coefficients"]
     shape = len(gap) | 1, gap.shape[-1]
-    check_shapes(parts, {"gap_coefficients": shape, "force_coefficients": shape})
+    waves = "gap_coefficients", "force_coefficients"
+    check_shapes(parts, dict.fromkeys([*waves, *(f"tangential_{name}" for name in waves)], shape))
     check_shapes(parts, {"multipliers": (max(np.size(parts.get("multipliers")), 1),)})
     _check_pairs(structure, gap)
     _take_law(parts, contact, structure)
@@ -262,15 +274,18 @@ def solution_from(parts: Parts, structure: Structure, contact: Law) -> PeriodicS
     """
     gap, force = parts["gap_coefficients"], parts["force_coefficients"]
     _check_pairs(structure, gap)
-    if is_rigid(contact):
+    if is_rigid(contact) and friction_of(contact) is None:
         contact = UnilateralConstraint(parts.pop("weight", None))
     report = ErrorReport(**{f.name: parts.pop(f"error_{f.name}") for f in fields(ErrorReport)})
     judged = {f.name: parts.pop(f.name) for f in fields(Stability) if f.name in parts}
     omega, subharmonic = parts["omega"], parts["subharmonic"]
     if not omega >= 0.0 or subharmonic < 1:
         raise ValueError("its frequency does not fit")
-    compliance = dynamic_compliance(structure, omega / subharmonic, len(gap) // 2, subharmonic)
-    displacement = compliance.displacement(force)
+    tangential = parts.get("tangential_force_coefficients")
+    rows = force if tangential is None else np.hstack([force, tangential])
+    seen = seen_by(contact, structure)
+    compliance = dynamic_compliance(seen, omega / subharmonic, len(gap) // 2, subharmonic)
+    displacement = compliance.displacement(rows)
     compliance.destroy()
     solution = PeriodicSolution(
         structure=structure,
@@ -474,7 +489,8 @@ LAW_GAPS = np.concatenate([sign * np.logspace(-12, 1, 27) for sign in (-1.0, 1.0
 def _law_parts(contact: Law, structure: Structure) -> Parts:
     """Name, stiffness and sharpness of a law, or forces of one's own, by which a file identifies
     it."""
-    values = {f"law_{name}": getattr(contact, name, None) for name in ("stiffness", "sharpness")}
+    names = ("stiffness", "sharpness", "coefficient", "tangential_stiffness")
+    values = {f"law_{name}": getattr(contact, name, None) for name in names}
     known = {name: value for name, value in values.items() if value is not None}
     if contact is not None and "law_sharpness" not in known and not is_unilateral(contact):
         with np.errstate(all="ignore"):  # gaps far from the structure's
@@ -486,7 +502,7 @@ def _law_parts(contact: Law, structure: Structure) -> Parts:
 def _take_law(parts: Parts, contact: Law, structure: Structure) -> None:
     """Take the law out of the datasets; raise InputError unless it is the one given."""
     now = _law_parts(contact, structure)
-    names = ("law", "law_stiffness", "law_sharpness", "law_force")
+    names = {"law", "law_stiffness", "law_sharpness", "law_force"} | now.keys()
     then = {name: parts.pop(name) for name in names if name in parts}
     force, forces = now.pop("law_force", None), then.pop("law_force", None)
     same = now.keys() == then.keys() and now["law"] == then["law"]

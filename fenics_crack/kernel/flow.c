@@ -282,13 +282,21 @@ static int next_event(flow *f, double step, double end, double *when)
 
 /* --- motions ---------------------------------------------------------------------------------- */
 
-/* The set of closed pairs of a state, from a guess or, with NULL, from its gaps; and their forces. Returns 1 where none answers it. */
-static int contact_at(flow *f, double omega, double time, const double *state, const signed char *guess)
+/* The gaps s of a state. */
+static void gaps_at(flow *f, double omega, double time, const double *state)
 {
-    const int m = f->of.modes, p = f->of.pairs, r = f->rows;
     wave(f, omega, time, 0.0, 0);
-    multiply(r, m, f->of.rows, state, f->near);
-    add_rows(LOAD, r, f->of.gap, f->weights, f->near);
+    multiply(f->rows, f->of.modes, f->of.rows, state, f->near);
+    add_rows(LOAD, f->rows, f->of.gap, f->weights, f->near);
+}
+
+/* The set of closed pairs of a state, from a guess or, with NULL, from its gaps; and their forces.
+ * Returns 1 where none answers it. */
+static int contact_at(flow *f, double omega, double time, const double *state,
+                      const signed char *guess)
+{
+    const int m = f->of.modes, p = f->of.pairs;
+    gaps_at(f, omega, time, state);
     for (int i = 0; i < p; i++) f->closed[i] = guess ? guess[i] : f->near[i] > 0.0;
     if (f->of.friction) {
         memcpy(f->held, state + 2 * m, bytes(p));
@@ -748,11 +756,18 @@ int flow_by_structure(flow *f, const flow_track *track, const double *start, con
     return finite_state(2 * m, state) ? FLOW_DONE : FLOW_LOST;
 }
 
-int flow_rate(flow *f, double omega, double time, const double *state, double *rate)
+int flow_rate(flow *f, double omega, double time, const signed char *closed, const double *state,
+              double *rate)
 {
     const int m = f->of.modes, p = f->of.pairs, r = f->rows;
+    const closed_set *a = f->of.friction ? closed_set_of(f->known, closed) : NULL;
     double *faster = rate + m;
-    if (contact_at(f, omega, time, state, NULL)) return 1;
+    if (f->of.friction) { /* where a pair slips its place does not tell which way, or if at all */
+        if (!a) return 1;
+        gaps_at(f, omega, time, state);
+        memcpy(f->held, state + 2 * m, bytes(p));
+        force_gaps(f->known, a, 1, f->held, f->near, f->force);
+    } else if (contact_at(f, omega, time, state, NULL)) return 1;
     memcpy(rate, state + m, bytes(m));
     multiply(m, f->rows, f->columns, f->force, faster);
     damp(f, f->of.damping, rate, f->drag);
@@ -765,8 +780,8 @@ int flow_rate(flow *f, double omega, double time, const double *state, double *r
     multiply(r, m, f->of.rows, rate, f->near);
     add_rows(LOAD, r, f->of.gap, f->weights + LOAD, f->near);
     memset(f->held, 0, bytes(p)); /* places where pairs stick stay */
-    force_gaps(f->known, closed_set_of(f->known, f->closed), 1, f->held, f->near, f->force);
-    for (int i = 0; i < p; i++) rate[2 * m + i] = f->closed[i] == STICK ? 0.0 : f->near[p + i];
+    force_gaps(f->known, a, 1, f->held, f->near, f->force);
+    for (int i = 0; i < p; i++) rate[2 * m + i] = closed[i] == STICK ? 0.0 : f->near[p + i];
     return 0;
 }
 

@@ -105,8 +105,10 @@ int flow_by_omega(flow *f, const flow_track *track, double *state);
  * the damping, as the flow's own, and of the diagonal of the compliance (p); NULL: it does not change. */
 int flow_by_structure(flow *f, const flow_track *track, const double *start, const double *damping,
                       const double *compliance, double *state);
-/* The state's derivative by the time (n): 0, or 1 where no set of closed pairs answers it. */
-int flow_rate(flow *f, double omega, double time, const double *state, double *rate);
+/* The state's derivative by the time (n), with friction of pairs in states `closed`: 0, or 1 where no
+ * set of closed pairs answers it. */
+int flow_rate(flow *f, double omega, double time, const signed char *closed, const double *state,
+              double *rate);
 /* The motion over each of `nodes` equal parts of a period, from a wave's states (nodes, n) at their
  * starts: moved (nodes, n), the states at their ends, and ends (nodes), the intervals passed up to
  * there. What is allowed, and the room for the tracks behind each other, are those of m. */

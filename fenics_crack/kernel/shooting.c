@@ -97,7 +97,8 @@ static int by_omega(shooting_point *at, const flow_track *track, double *found)
 {
     const flow_motion *m = &at->moved;
     if (flow_by_omega(at->of.flow, track, found)) return 1;
-    if (flow_rate(at->of.flow, m->omega, m->end, m->state, at->rate)) return 1;
+    const signed char *closed = m->sets + (long)(m->passed - 1) * at->of.pairs;
+    if (flow_rate(at->of.flow, m->omega, m->end, closed, m->state, at->rate)) return 1;
     for (int i = 0; i < at->common.size; i++)
         found[i] = at->of.rate * (found[i] - m->end / m->omega * at->rate[i]);
     return 0;

@@ -248,6 +248,13 @@ class ContactFlow(Flow):
             parts.append(1.0 / np.sqrt(np.diag(self.compliance)[pairs:]))
         return np.concatenate(parts)
 
+    def amplitude_weights(self, base_omega: float) -> np.ndarray:
+        """Return the same weights over the modes' rates: 1 of displacements, (size,)."""
+        weights = self.weights(base_omega)
+        rates = weights[: self.count]
+        places = np.full(self.size - 2 * self.count, rates[0])
+        return weights / np.concatenate([rates, rates, places])
+
     def advance(
         self,
         state: np.ndarray,

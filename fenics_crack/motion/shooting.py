@@ -198,8 +198,7 @@ class FlowOrbits(ShootingEquations):
     def __init__(
         self, flow: ContactFlow, omega: float, state: np.ndarray, subharmonic: int = 1
     ) -> None:
-        weights = flow.weights(omega / subharmonic)
-        weights /= np.resize(weights[: flow.count], flow.size)
+        weights = flow.amplitude_weights(omega / subharmonic)
         scale = weights / (float(np.linalg.norm(weights * state)) or 1.0)
         super().__init__(flow, scale, (0.0, omega), subharmonic)
         self.omega, self.start = omega, scale * state
