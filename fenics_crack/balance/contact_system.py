@@ -42,7 +42,11 @@ import numpy as np
 
 from fenics_crack.balance.compliance import Compliance, ModalPart, resized_compliance
 from fenics_crack.balance.contact_integrals import ContactIntegrals, respond
-from fenics_crack.balance.friction_integrals import FrictionIntegrals, coupled_integrals
+from fenics_crack.balance.friction_integrals import (
+    FrictionForces,
+    FrictionIntegrals,
+    coupled_integrals,
+)
 from fenics_crack.basics.errors import ConvergenceError, InputError
 from fenics_crack.kernel import Struct, kernel, owned, pointer, shaped
 from fenics_crack.model.contact import ContactLaw, friction_of, is_rigid, seen_by, springs_of
@@ -198,9 +202,7 @@ class FrictionPath(ContactSystem):
         """The equations at s with a share of the coefficient of friction."""
         assert isinstance(self.integrals, FrictionIntegrals)
         part = replace(self.integrals, share=max(parameter, 0.0))
-        return ContactPoint(
-            self, unknown, part, lambda at: respond(self.moving, at.forces.by_share())
-        )
+        return ContactPoint(self, unknown, part, by_friction)
 
 
 class ContactPoint(DenseLinearisation):
@@ -526,6 +528,12 @@ class CompiledPoint(Linearisation):
     def sign(self) -> float:
         at = self.system.evaluated(self)
         return float(at.sign(at))
+
+
+def by_friction(at: ContactPoint) -> np.ndarray:
+    """Derivative of F by the share of the coefficient of friction."""
+    assert isinstance(at.forces, FrictionForces)
+    return respond(at.system.moving, at.forces.by_share())
 
 
 def _given_compliance(shape: tuple[int, ...], compliance: np.ndarray | ModalPart) -> dict[str, Any]:

@@ -32,6 +32,7 @@ from fenics_crack.kernel import kernel, owned, pointer, shaped
 from fenics_crack.model.contact import KEPT, ContactLaw, CoulombFriction, friction_of, springs_of
 from fenics_crack.numerics.fourier import balanced, evaluate, sampled, waves
 
+
 def coupled_integrals(
     law: ContactLaw, harmonics: int, residual: np.ndarray, samples: int | None = None
 ) -> ContactIntegrals:
@@ -178,8 +179,8 @@ class FrictionForces(ContactForces):
         """Derivative of the coefficients by the share of the coefficient of friction: with lambda =
         E x, f = E' x of pairs that slip, and D E x = s - h there, it is f and what changes - D f of
         the gaps make of the forces."""
-        integrals = self._integrals
-        pairs = self._rows[1] // 2
+        integrals, pairs = self._integrals, self._rows[1] // 2
+        assert isinstance(integrals.law, CoulombFriction)
         signs = 1.0 * (self.states == kernel.SLIP_UP) - (self.states == kernel.SLIP_DOWN)
         found = np.zeros_like(self._forces)
         found[:, pairs:] = signs * integrals.law.coefficient * self._forces[:, :pairs]

@@ -32,7 +32,6 @@ import numpy as np
 
 from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.compliance import DynamicStiffness, ModalCompliance, load_coefficients
-from fenics_crack.balance.contact_system import Wave
 from fenics_crack.balance.error_report import ErrorReport, beside
 from fenics_crack.balance.more_modes import UNKNOWN
 from fenics_crack.balance.problem import Problem, check_memory

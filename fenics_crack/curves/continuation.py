@@ -43,8 +43,9 @@ class Continuation(Growing):
         first point's H.
     parameter : str
         "omega": load frequency [rad/s]; "load", "stiffness", "damping": factor of the structure's
-        load, of the contact stiffness, of the structure's damping, 1 being as given; "clearance":
-        added to that of every pair [m]; "speed": of the rotor [rad/s], which ``omega`` follows.
+        load, of the contact stiffness, of the structure's damping, 1 being as given, and so
+        "friction": of its coefficient; "clearance": added to that of every pair [m]; "speed": of
+        the rotor [rad/s], which ``omega`` follows.
     start, end : float
         Its values; the end may be below the start.
     initial : PeriodicSolution or Bifurcation, optional

@@ -42,6 +42,7 @@ PARAMETERS = {
     "stiffness": "contact stiffness, as a multiple of the scene's [-]",
     "damping": "damping, as a multiple of the scene's [-]",
     "clearance": "clearance added to the scene's [m]",
+    "friction": "coefficient of friction, as a multiple of the scene's [-]",
     "speed": "rotor speed [rad/s]",
 }
 """Parameters of a curve, by their names in :attr:`ResponseCurve.parameter`."""
@@ -162,7 +163,7 @@ class ResponseCurve(Tabular):
         Whose solutions they are, small or reduced, and the law of all pairs: as given, not as the
         parameter varies them.
     parameter : str
-        "omega", "load", "stiffness", "damping", "clearance" or "speed".
+        "omega", "load", "stiffness", "damping", "clearance", "friction" or "speed".
     values : (n,)
         Of the parameter: load frequencies [rad/s], factors, clearances added [m], or speeds of the
         rotor [rad/s].

@@ -18,8 +18,12 @@ import scipy.linalg
 
 from fenics_crack.balance.compliance import ModalCompliance
 from fenics_crack.balance.contact_integrals import ContactIntegrals, respond
-from fenics_crack.balance.contact_system import CompiledEquations, ContactPoint, ContactSystem
-from fenics_crack.balance.friction_integrals import FrictionForces
+from fenics_crack.balance.contact_system import (
+    CompiledEquations,
+    ContactPoint,
+    ContactSystem,
+    by_friction,
+)
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.errors import InputError, check_number, check_omega
 from fenics_crack.model.contact import friction_of
@@ -326,8 +330,7 @@ class FrictionFamily(Family):
         return self.at(value).system(self._compliance)
 
     def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
-        assert isinstance(at.forces, FrictionForces)
-        return respond(at.system.moving, at.forces.by_share()) / value
+        return by_friction(at) / value
 
     def _compile(self, first: ContactSystem) -> None:
         return None

@@ -146,7 +146,7 @@ def continue_parameter(
         As in :func:`continue_frequency`.
     omega : float
         Load frequency [rad/s].
-    parameter : "load", "stiffness", "damping", "clearance" or "speed"
+    parameter : "load", "stiffness", "damping", "clearance", "friction" or "speed"
         As in :class:`Continuation`. With "speed" the structure is one of
         :func:`fenics_crack.run_up_structure`; the load's frequency stays in the ratio to the speed
         that ``omega`` has to the structure's own: that is the engine order.

@@ -309,7 +309,9 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
     values, vectors = np.linalg.eig(orbits.of_unknowns(orbit.monodromy))
     leading = int(np.abs(values).argmax())
     mu, change = values[leading], vectors[:, leading].real
-    moved = moving_size(orbits.scale * orbit.sampled.whole_states) / np.sqrt(len(orbit.sampled.states))
+    moved = moving_size(orbits.scale * orbit.sampled.whole_states) / np.sqrt(
+        len(orbit.sampled.states)
+    )
     change *= 0.01 * moved / np.linalg.norm(change)
     found: list[Attractor] = []
     for start in (orbits.start + change, orbits.start - change)[: 2 if mu == abs(mu) else 1]:

@@ -607,8 +607,8 @@ class Curve(Table):
     """As ``stop``."""
     stop: float = number()
     """Of the parameter: load frequencies [rad/s] or, with "frequency", [Hz]; factors of load,
-    stiffness or damping; clearances added [m]; or, with an engine order, speeds of the rotor
-    [rad/s] or, with "rpm", in revolutions per minute."""
+    stiffness, damping or friction; clearances added [m]; or, with an engine order, speeds of the
+    rotor [rad/s] or, with "rpm", in revolutions per minute."""
     parameter: str = choice(
         "omega",
         "frequency",
@@ -616,6 +616,7 @@ class Curve(Table):
         "stiffness",
         "damping",
         "clearance",
+        "friction",
         "speed",
         "rpm",
         default="omega",
@@ -627,7 +628,7 @@ class Curve(Table):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.require(self.start != self.stop, "stop", f"other than curve.start = {self.start:g}")
-        if self.parameter in ("omega", "frequency", "stiffness", "speed", "rpm"):
+        if self.parameter in ("omega", "frequency", "stiffness", "friction", "speed", "rpm"):
             least = max(1e-12 * max(self.start, self.stop), 0.0)  # else rounding takes it to 0
             for name in ("start", "stop"):
                 allowed = f"a number > 0 with curve.parameter = {self.parameter!r}"
