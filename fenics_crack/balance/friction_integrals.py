@@ -104,7 +104,7 @@ class FrictionIntegrals(ContactIntegrals):
         if kernel.march_friction(
             self.handle, count, 2, *map(pointer, (gap, held, forces, states, places))
         ):
-            raise ConvergenceError("contact: no forces were found at an instant of the period")
+            raise ConvergenceError("contact: an instant of the period has not one solution")
         return forces, states, places
 
     def forces(self, gap: np.ndarray) -> np.ndarray:

@@ -33,10 +33,24 @@ from fenics_crack.balance.error_report import (
 )
 from fenics_crack.balance.problem import Problem, Search
 from fenics_crack.basics.errors import ConvergenceError
-from fenics_crack.basics.tables import Described, Tabular, counted, quantity, with_frequency
-from fenics_crack.model.contact import check_slope, is_unilateral
+from fenics_crack.basics.tables import (
+    OF_FRICTION,
+    OF_LIPS,
+    Described,
+    Tabular,
+    counted,
+    quantity,
+    with_frequency,
+)
+from fenics_crack.model.contact import (
+    ContactLaw,
+    CoulombFriction,
+    check_slope,
+    friction_of,
+    is_unilateral,
+)
 from fenics_crack.model.modes import NEGLIGIBLE
-from fenics_crack.motion.orbit import PeriodicOrbit
+from fenics_crack.motion.orbit import KNOWN, PeriodicOrbit
 from fenics_crack.motion.search import SearchOptions
 from fenics_crack.numerics.fourier import evaluate, resized, sampled
 
@@ -77,6 +91,11 @@ class Indicators(Tabular):
         change; of matrices that of all pairs.
     closed_share : [-]
         Part of the period in which a pair carries a contact force, mean over the pairs.
+    friction_loss : [J]
+        Work of friction in a period of the response, of all pairs; nan without friction, as are
+        the next two.
+    stick_share, slip_share : [-]
+        Part of the period in which a closed pair sticks and slips, mean over the pairs.
     """
 
     omega: Any
@@ -96,6 +115,9 @@ class Indicators(Tabular):
     contact_force: Any
     crack_force: Any
     closed_share: Any
+    friction_loss: Any
+    stick_share: Any
+    slip_share: Any
 
     def to_dict(self) -> dict[str, Any]:
         """Numbers by name, or along a curve columns."""
@@ -143,17 +165,25 @@ def indicators_of(
     return Indicators(omega, amplitude, *seen, **lips)
 
 
-CONTACT = ("opening", "penetration", "contact_force", "crack_force", "closed_share")
+CONTACT = (*OF_LIPS, *OF_FRICTION)
 
 
 def contact_extremes(
-    gap: np.ndarray, force: np.ndarray, cracks: np.ndarray | None = None
+    gap: np.ndarray,
+    force: np.ndarray,
+    cracks: np.ndarray | None = None,
+    contact: ContactLaw | None = None,
 ) -> dict[str, float]:
     """Opening [m], penetration [m] and force [N], the largest of any pair; the largest force of a
-    crack, and the share of the time closed, mean over the pairs: of gaps and forces over time
-    (n, n_pairs), with the crack of each pair, by default one of all. Empty without pairs."""
+    crack, and the share of the time closed, mean over the pairs: of gaps and forces at equal parts
+    of a period (n, n_pairs), with the crack of each pair, by default one of all. Empty without
+    pairs. With friction the gaps and forces of all rows, (n, 2 n_pairs), and what it does."""
     if not gap.shape[1]:
         return {}
+    if (friction := friction_of(contact)) is not None:
+        (gap, slide), (force, drag) = (np.hsplit(one, 2) for one in (gap, force))
+        of_friction = friction_numbers(friction, slide, force, drag)
+        return contact_extremes(gap, force, cracks) | of_friction
     cracks = np.zeros(gap.shape[1], dtype=int) if cracks is None else cracks
     of_cracks = [force[:, cracks == crack].sum(axis=1) for crack in np.unique(cracks)]
     return {
@@ -162,6 +192,21 @@ def contact_extremes(
         "contact_force": float(force.max()),
         "crack_force": float(np.max(of_cracks)),
         "closed_share": float(np.mean(force > 0.0)),
+    }
+
+
+def friction_numbers(
+    friction: CoulombFriction, slide: np.ndarray, force: np.ndarray, drag: np.ndarray
+) -> dict[str, float]:
+    """The loss by friction in a period [J], int lambda_t g_t' dt by the trapezoidal rule, and the
+    shares of it in which pairs stick and slip, means over the pairs: of tangential gaps, contact
+    forces and friction forces at equal parts of it (n, n_pairs)."""
+    ahead = np.roll(drag, -1, axis=0) + drag
+    slips = np.abs(drag) >= (1.0 - KNOWN) * friction.coefficient * force
+    return {
+        "friction_loss": float(0.5 * np.sum(ahead * (np.roll(slide, -1, axis=0) - slide))),
+        "stick_share": float(np.mean((force > 0.0) & ~slips)),
+        "slip_share": float(np.mean((force > 0.0) & slips)),
     }
 
 
@@ -315,9 +360,8 @@ class PeriodicSolution(Wave, Described):
     @cached_property
     def _extremes(self) -> dict[str, float]:
         """Extremes of gap and contact force in the period."""
-        time = self.instants()
-        cracks = self.structure.pairs.cracks
-        return contact_extremes(self.gap(time), self.contact_force(time), cracks)
+        gaps, forces = self.gaps_and_forces(self.instants())
+        return contact_extremes(gaps, forces, self.structure.pairs.cracks, self.contact)
 
     def coefficients_at(self, dofs: Sequence[int | None] = (None,)) -> np.ndarray:
         """Coefficients of the displacement of dofs: (2H+1, len(dofs)) [m] (collective)."""

@@ -59,6 +59,12 @@ OF_LIPS: dict[str, tuple[str, str]] = {
     "closed_share": ("contact duty cycle, mean over pairs", "1"),
 }
 """Quantities of all crack faces."""
+OF_FRICTION: dict[str, tuple[str, str]] = {
+    "friction_loss": ("friction loss of a period", "J"),
+    "stick_share": ("share of the period in which pairs stick, mean over pairs", "1"),
+    "slip_share": ("share of the period in which pairs slip, mean over pairs", "1"),
+}
+"""Quantities of all crack faces, with friction."""
 OF_FREQUENCIES: dict[str, tuple[str, str]] = {
     "omega_open": ("natural frequency, crack open", "rad/s"),
     "omega_tied": ("natural frequency, crack bonded", "rad/s"),
@@ -86,11 +92,12 @@ OF_CLAMP: dict[str, tuple[str, str]] = {
     "reaction_moment": ("largest moment of the clamp, about its centre", "N m"),
 }
 """Quantities of the clamp; available for meshes at rest, where a scene requests them."""
-QUANTITIES = OF_POINTS | OF_LIPS | OF_FREQUENCIES | OF_TIPS | OF_GROWTH | OF_CLAMP
+QUANTITIES = OF_POINTS | OF_LIPS | OF_FRICTION | OF_FREQUENCIES | OF_TIPS | OF_GROWTH | OF_CLAMP
 """All quantities."""
 SHORT = (
     "amplitude", "ratio_2_1", "ratio_3_1", "ratio_half_1", "ratio_largest", "mean_shift", "opening",
-    "penetration", "contact_force", "crack_force", "closed_share", "over_open", "over_bilinear",
+    "penetration", "contact_force", "crack_force", "closed_share", *OF_FRICTION, "over_open",
+    "over_bilinear",
 )  # fmt: skip
 """Quantities printed where a scene does not choose."""
 _UNITS = {

@@ -215,6 +215,19 @@ def of_stability(
     yield text + (f"; {' or '.join(hints)} may decide it" if hints else "")
 
 
+def of_friction(found: PeriodicSolution) -> Iterator[str]:
+    """A warning where contact has nearly more than one solution at an instant."""
+    flow = found.assessment.flow
+    if flow is None or flow.friction is None:
+        return
+    largest, critical = float(np.max(flow.friction.coefficient)), flow.critical_friction
+    if largest > 0.5 * critical:
+        yield (
+            f"the coefficient of friction, {largest:g}, is above half of {critical:.2g}, from which "
+            "on the contact forces of an instant need not be the only ones"
+        )
+
+
 def of_more_modes(found: PeriodicSolution, verdict: str) -> Iterator[str]:
     """A warning of a solution whose orbit has another verdict with twice the modes or more
     (collective)."""

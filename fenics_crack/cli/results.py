@@ -19,6 +19,7 @@ from fenics_crack.basics.errors import INTERRUPTED, ConvergenceError, InputError
 from fenics_crack.basics.tables import (
     FEW_ROWS,
     OF_FREQUENCIES,
+    OF_FRICTION,
     OF_LIPS,
     OF_POINTS,
     QUANTITIES,
@@ -46,6 +47,7 @@ from fenics_crack.cli.account import (
     in_short,
     largest_seen,
     of_error,
+    of_friction,
     of_more_modes,
     of_size,
     of_stability,
@@ -138,6 +140,7 @@ def _account_of_solution(run: Run[PeriodicSolution]) -> Account:
         if found.stability is not None:
             warnings += of_more_modes(found, found.stability.verdict)
         warnings += of_size(run, largest_seen(run))
+        warnings += of_friction(found)
         warnings += run.stated.dents if run.stated is not None else ()
     return Account(
         "solution",
@@ -318,7 +321,7 @@ def _quantities(run: Run[Any], values: Mapping[str, object]) -> Table:
         rows += _of_point(watched, run.result.indicators(watched.dof).to_dict())
     if not run.structure.n_pairs:  # no errors were estimated
         values = {n: v for n, v in values.items() if not n.endswith(("_error", "_share"))}
-    rows += _named(OF_LIPS, values)
+    rows += _named(OF_LIPS | OF_FRICTION, values)
     rows += _named(QUANTITIES, quantities_of_motion(run, run.result))
     if run.structure.n_pairs and isinstance(run.result, PeriodicSolution):
         near = bilinear_frequencies(run.structure).nearest(omega)
@@ -680,7 +683,7 @@ def _along(run: Run[ResponseCurve], curve: ResponseCurve) -> Columns:
     for watched, indicators in zip(run.watched, seen, strict=True):
         for name, (_, unit) in OF_POINTS.items():
             found[with_unit(watched.column(name), unit)] = getattr(indicators, name)
-    for name, (_, unit) in OF_LIPS.items():
+    for name, (_, unit) in (OF_LIPS | (OF_FRICTION if run.scene.has_friction else {})).items():
         found[with_unit(name, unit)] = getattr(seen[0], name)
     for name, values in quantities_along_curve(run, curve).items():
         found[with_unit(name, QUANTITIES[name][1])] = values

@@ -169,6 +169,8 @@ def _contact(study: Study, figures: KeyFigures) -> dict[str, object]:
     if law is None or contact is None:
         return rows
     rows["contact law"] = contact.law
+    if contact.friction:
+        rows["coefficient of friction"] = contact.friction
     if not is_rigid(law):
         stiffness = np.broadcast_to(law.stiffness, study.structure.n_pairs)
         rows["softest pair [N/m]"] = float(stiffness.min())

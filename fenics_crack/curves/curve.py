@@ -261,7 +261,7 @@ class ResponseCurve(Tabular):
     ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
         """Products of rows (m, n_dofs) with the motion at every point: their coefficients
         (2H+1, m), and over 256 instants the products (256, m), the gaps [m] and the contact forces
-        [N] (256, n_pairs)."""
+        [N] of all rows, with friction tangential ones behind the normal ones (256, n_rows)."""
         raise NotImplementedError
 
     # --- stability --------------------------------------------------------------------------------
@@ -371,8 +371,8 @@ class ResponseCurve(Tabular):
             found = list(self.seen_through(rows))
             seen = np.array([waves.T for waves, _, _, _ in found])
             sizes = np.array([np.ptp(motion, axis=0) / 2.0 for _, motion, _, _ in found])
-            cracks = structure.pairs.cracks
-            self._lips[:] = [contact_extremes(gap, force, cracks) for _, _, gap, force in found]
+            known = structure.pairs.cracks, self.contact
+            self._lips[:] = [contact_extremes(gap, force, *known) for _, _, gap, force in found]
             self._seen.update(zip(new, zip(seen.swapaxes(0, 1), sizes.T, strict=True), strict=True))
         return [self._seen[dof] for dof in asked]
 

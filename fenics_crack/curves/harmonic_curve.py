@@ -118,7 +118,7 @@ class HarmonicCurve(ResponseCurve):
     def seen_through(
         self, rows: np.ndarray
     ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-        moved, count = None, self.structure.n_pairs
+        moved = None
         if self.static_above is not None:
             moved = rows @ all_modes(self.problem.seen).moved_at_once(self.static_above)
         for at in self._linearised():
@@ -129,4 +129,4 @@ class HarmonicCurve(ResponseCurve):
             if moved is not None:
                 # The quasi-static part follows the forces as they are, with their kinks.
                 motion -= (force - evaluate(at.force, 1.0, PHASES)) @ moved.T
-            yield waves, motion, gap[:, :count], force[:, :count]
+            yield waves, motion, gap, force

@@ -111,4 +111,4 @@ class OrbitCurve(ResponseCurve):
             period, instants = 2.0 * np.pi / base, PHASES / base
             samples = self.flow(value).advance(state, omega, period, instants=instants).samples
             motion = samples.displacement @ rows.T
-            yield balanced(motion, HARMONICS), motion, samples.gap, samples.force
+            yield balanced(motion, HARMONICS), motion, samples.gaps, samples.forces

@@ -213,6 +213,28 @@ class ContactFlow(Flow):
         self._intervals = 0
 
     @cached_property
+    def critical_friction(self) -> float:
+        """Least coefficient of friction with which contact has not one answer, det A(mu) = 0, found
+        in 400 states of the pairs drawn at random; infinite without one.
+
+        Rows of A are those of closed pairs' normals and stuck pairs' tangents, A = D_rows (E_0 +
+        mu E_1): mu = -1 / a real negative eigenvalue of (D_rows E_0)^-1 D_rows E_1.
+        """
+        count, found = self.structure.n_pairs, [np.inf]
+        random = np.random.default_rng(1)
+        for states in random.integers(0, 4, (400, count)):
+            closed, stuck = np.flatnonzero(states), np.flatnonzero(states == kernel.STICK)
+            rows = np.concatenate([closed, count + stuck])
+            part = self.compliance[rows]
+            by_friction = np.zeros((len(rows), len(rows)))
+            signs = 1.0 * (states == kernel.SLIP_UP) - (states == kernel.SLIP_DOWN)
+            by_friction[:, : len(closed)] = part[:, count + closed] * signs[closed]
+            values = np.linalg.eigvals(np.linalg.solve(part[:, rows], by_friction))
+            real = values.real[(values.imag == 0.0) & (values.real < 0.0)]
+            found.extend(-1.0 / real)
+        return float(min(found))
+
+    @cached_property
     def rest(self) -> np.ndarray:
         """State of rest under the load's mean alone, without its rigid-body part and, with
         friction, tangential forces: (size,)."""
@@ -519,7 +541,7 @@ def _check(outcome: int, events: int) -> None:
     words = {
         kernel.FLOW_PIECES: "the highest modes are too fast for that long",
         kernel.FLOW_INTERVALS: "the pairs open and close without end",
-        kernel.FLOW_LOST: "the motion is not finite",
+        kernel.FLOW_LOST: "the motion is not finite, or its contact forces have not one solution",
     }
     raise ConvergenceError(f"events: {words[outcome]} (after {events} events)")
 

@@ -233,6 +233,12 @@ class Scene(Hinted):
         return 2 if self.geometry is None else self.geometry.dimension
 
     @property
+    def has_friction(self) -> bool:
+        """True if there is friction between crack faces, in a case of the sweep at least."""
+        own = self.contact is not None and self.contact.friction > 0.0
+        return own or any(self.swept.get("contact.friction", ()))
+
+    @property
     def has_other_loads(self) -> bool:
         """True if there is a load beside the force at ``excitation.point``."""
         return bool(self.loads) or self.base is not None or self.structure is not None
@@ -356,6 +362,8 @@ def without_tips(scene: Scene) -> str:
         return "with geometry.kind = 'solid': stress intensities are of plates"
     if not scene.all_cracks and (scene.contact is None or scene.mesh.layout != "file"):
         return "without a crack, which has a stress intensity"
+    if scene.has_friction:
+        return "with contact.friction: stress intensities leave out what friction does at the faces"
     return ""
 
 

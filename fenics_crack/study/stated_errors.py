@@ -51,7 +51,7 @@ from fenics_crack.balance.harmonic_balance import solve_linear, wave_of
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, Solver, contact_extremes, indicators_of
 from fenics_crack.basics.errors import MOST_HARMONICS
-from fenics_crack.basics.tables import OF_LIPS, OF_POINTS, QUANTITIES, frequency_axis
+from fenics_crack.basics.tables import OF_FRICTION, OF_LIPS, OF_POINTS, QUANTITIES, frequency_axis
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import KINDS, NEGLIGIBLE, Modes, bilinear_frequencies
@@ -73,7 +73,7 @@ from fenics_crack.study.verification import UNCHANGED, GridConvergence, Varied, 
 
 ANSWER = (
     "amplitude", "ratio_2_1", "ratio_3_1", "ratio_largest", "mean_shift", "opening", "crack_force",
-    "closed_share",
+    "closed_share", "friction_loss", "slip_share",
 )  # fmt: skip
 """Quantities whose errors are stated where the scene does not choose."""
 ORDERS = CLAMP, TIP
@@ -116,7 +116,7 @@ def numbers_of(study: Study, found: PeriodicSolution, mode: int | None = None) -
         seen = found.indicators(watched.dof)
         rounding = NEGLIGIBLE * (seen.amplitude + abs(seen.mean))  # of closed pairs
         for name in chosen:
-            if name in OF_POINTS or name in OF_LIPS:
+            if name in OF_POINTS or name in OF_LIPS or name in OF_FRICTION:
                 column = watched.column(name) if name in OF_POINTS else name
                 value, unit = float(getattr(seen, name)), QUANTITIES[name][1]
                 least = rounding if unit == "m" and name in OF_LIPS else 0.0
@@ -335,7 +335,7 @@ def _of_orbit(
     problem = Problem(structure, found.omega, law, harmonics, subharmonic=found.subharmonic)
     wave = wave_of(problem, orbit, orbit.coefficients(harmonics))
     samples = orbit.samples(found.instants())
-    lips = contact_extremes(samples.gap, samples.force, structure.pairs.cracks)
+    lips = contact_extremes(samples.gaps, samples.forces, structure.pairs.cracks, law)
     lips["closed_share"] = orbit.motion.track.closed_share
     return numbers_of(study, wave, mode).values | lips
 

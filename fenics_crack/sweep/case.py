@@ -194,7 +194,7 @@ def solve_chunk(
             if asked.verdicts and case.harmonic_balance.error:
                 found |= cases.verdict(solution)
                 found["status"] += found.pop("remark", "")
-            found |= {"gap": solution.gap_coefficients, "force": solution.force_coefficients}
+            found |= {"gap": solution.gap_rows, "force": solution.force_rows}
         except REFUSALS as error:
             cases = Cases(geometry)
             found["status"] = str(error)

@@ -33,7 +33,7 @@ import numpy as np
 
 from fenics_crack.basics.atomic_files import not_written, put, whole_file
 from fenics_crack.basics.errors import FEW_MODES, InputError, WriteError
-from fenics_crack.basics.tables import OF_FREQUENCIES, OF_LIPS, OF_POINTS, QUANTITIES
+from fenics_crack.basics.tables import OF_FREQUENCIES, OF_FRICTION, OF_LIPS, OF_POINTS, QUANTITIES
 from fenics_crack.basics.untrusted_files import MOST_BYTES, bytes_of
 from fenics_crack.files import store
 from fenics_crack.files.store import about
@@ -120,13 +120,14 @@ def columns_of(scene: Scene) -> dict[str, tuple[str, str]]:
         for point in scene.point_names
         for name, unit in (AT_POINTS | PHASES).items()
     }
-    return COLUMNS | asked | at_points
+    sliding = {name: (unit, "f8") for name, (_, unit) in OF_FRICTION.items()}
+    return COLUMNS | (sliding if scene.has_friction else {}) | asked | at_points
 
 
 class SweepFile:
     """A sweep's file, open for writing; continued if it exists, else made.
 
-    ``harmonics`` and ``pairs`` are upper bounds for all cases, ``omitted`` names what is not asked
+    ``harmonics`` and ``rows`` are upper bounds for all cases, ``omitted`` names what is not asked
     of them. Raises InputError if the file cannot be written, cases are left and another program is
     writing it, it is not a sweep of this scene, or other cases would have other columns than those
     in it.
@@ -142,12 +143,12 @@ class SweepFile:
     """
 
     def __init__(
-        self, path: Path, scene: Scene, harmonics: int, pairs: int, omitted: Sequence[str] = ()
+        self, path: Path, scene: Scene, harmonics: int, rows: int, omitted: Sequence[str] = ()
     ) -> None:
         self._path, self._columns = path, columns_of(scene)
         try:
             there = os.path.lexists(path)
-            made = None if there else _made(path, scene, harmonics, pairs, omitted)
+            made = None if there else _made(path, scene, harmonics, rows, omitted)
             bytes_of(path, None, links=False)  # nothing is written elsewhere
             self._file = os.open(path, os.O_RDWR)
             try:
@@ -256,13 +257,13 @@ def _stored(value: Any, size: int) -> Any:
 
 
 def _made(
-    path: Path, scene: Scene, harmonics: int, pairs: int, omitted: Sequence[str]
+    path: Path, scene: Scene, harmonics: int, rows: int, omitted: Sequence[str]
 ) -> store.Stored | None:
     """A new file; None where another program has been quicker."""
     shape = scene.given("sweep").shape
     sizes = {name: (unit, kind, shape) for name, (unit, kind) in _kept(scene).items()}
-    if pairs:
-        wave = (*shape, 2 * harmonics + 1, pairs)
+    if rows:
+        wave = (*shape, 2 * harmonics + 1, rows)
         sizes |= {name: (unit, "f8", wave) for name, unit in WAVES.items()}
     with contextlib.suppress(FileExistsError):
         with (
@@ -470,7 +471,8 @@ def read_columns(stored: store.Stored, scene: Scene) -> dict[str, np.ndarray]:
 
 
 def read_waves(path: Path, index: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Gap [m] and force [N] coefficients of a case that converged: (2H+1, n_pairs) each."""
+    """Gap [m] and force [N] coefficients of a case that converged, with friction tangential ones
+    behind the normal ones: (2H+1, n_rows) each."""
     stored = store.header(path)
     stored.check_kind(KIND)
     found = _waves(stored, index)

@@ -25,6 +25,7 @@ OF_FORCES = {f"excitation.{name}" for name in FORCES}
 SAME_GEOMETRY = {
     *FREQUENCIES, *OF_FORCES,
     "contact.stiffness", "contact.stiffness_per_area", "contact.law", "contact.sharpness",
+    "contact.friction", "contact.tangential_stiffness_per_area",
     "harmonic_balance.harmonics", "harmonic_balance.samples", "harmonic_balance.tolerance",
 }  # fmt: skip
 """Keys that change neither mesh, matrices and modes nor the place of the load; clearances, too."""
@@ -44,6 +45,7 @@ class Plan:
     def __init__(self, scene: Scene) -> None:
         table, self._swept = scene.given("sweep"), scene.swept
         self._base = scene.replace({"sweep": None})
+        self._rows = 2 if scene.has_friction else 1  # of each pair
         self.shape: tuple[int, ...] = table.shape  # of the table of cases
         self.reduction_swept = "reduction.method" in self._swept
         free = _free_keys(scene, self._swept)
@@ -75,9 +77,9 @@ class Plan:
         return [[c for row in of_one for c in np.array_split(row, pieces)] for of_one in rows]
 
     @property
-    def pairs(self) -> int:
-        """Bound of the pairs of all geometries."""
-        return max(pairs for pairs, _ in self.sizes)
+    def rows(self) -> int:
+        """Bound of the gaps of all geometries: of pairs, and with friction tangential ones."""
+        return self._rows * max(pairs for pairs, _ in self.sizes)
 
     @cached_property
     def sizes(self) -> list[tuple[int, float]]:

@@ -153,7 +153,7 @@ def run_sweep(
         omitted = [name for name, yes in wanted.items() if not yes]
         omitted += [f"vibration_{place}" for place in sorted(natural)]
         where = Path(path or _passing_file())
-        file = SweepFile(where, scene, plan.harmonics, plan.pairs, omitted)
+        file = SweepFile(where, scene, plan.harmonics, plan.rows, omitted)
         managers.append(Manager(plan, file, comm.size, progress=progress))
         return Asked(
             plan.unit_loads,
@@ -325,7 +325,14 @@ class SweepResult(Tabular):
         InputError
             There is no such case, or it was not solved.
         """
-        return read_waves(self.path, self._place(index))[0]
+        place = self._place(index)
+        rows, case = read_waves(self.path, place)[0], self._plan.case(place)
+        assert isinstance(case, Scene)
+        return rows[:, : rows.shape[1] // 2] if case.has_friction else rows
+
+    @property
+    def _plan(self) -> Plan:
+        return Plan(self.scene)
 
     def solution(self, index: tuple[int, ...] | int) -> PeriodicSolution:
         """The solution of a case that converged; its structure is built again.
@@ -337,7 +344,7 @@ class SweepResult(Tabular):
         """
         place = self._place(index)
         header(self.path).check_files(self.scene)
-        plan = Plan(self.scene)
+        plan = self._plan
         case = plan.case(place)
         assert isinstance(case, Scene)
         length = float(self["crack_length"][place])
@@ -349,18 +356,22 @@ class SweepResult(Tabular):
         if law is None:
             return solve_linear(structure, omega, harmonics=case.harmonic_balance.harmonics)
         gap, force = read_waves(self.path, place)
+        count = structure.n_pairs
         problem = Problem(structure, omega, law, len(gap) // 2)
         parts: dict[str, Any] = {
             "omega": omega,
             "subharmonic": 1,
-            "gap_coefficients": gap,
-            "force_coefficients": force,
+            "gap_coefficients": gap[:, :count],
+            "force_coefficients": force[:, :count],
             "static_above": problem.static_cutoff,
             "status": str(self["status"][place]),
             "iterations": int(self["iterations"][place]),
             "error_penetration": float(self["penetration_share"][place]),
             "error_displacement": 0.0,
         }
+        if problem.friction:
+            parts["tangential_gap_coefficients"] = gap[:, count:]
+            parts["tangential_force_coefficients"] = force[:, count:]
         for name in ("residual", "truncation", "sampling", "reduction"):
             parts[f"error_{name}"] = float(self[f"{name}_error"][place])
         if problem.projected:

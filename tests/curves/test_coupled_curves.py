@@ -123,7 +123,7 @@ def test_all_modes_are_the_structure_itself() -> None:
     whole = fc.reduce_structure(structure, modes=6, method="massless")
     found = fc.continue_frequency(whole, 0.5, 1.2, law, harmonics=6)
     assert found.static_above is not None and ordinary.static_above is None
-    assert ordinary.gap_coefficients is ordinary.unknowns
+    np.testing.assert_array_equal(ordinary.gap_coefficients, ordinary.unknowns)
     assert found.omega == pytest.approx(ordinary.omega, rel=1e-7)
     np.testing.assert_allclose(found.unknowns, ordinary.unknowns, atol=1e-6)
     for dof in (1, 5):
