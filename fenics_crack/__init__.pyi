@@ -29,6 +29,7 @@ from fenics_crack.curves.verdicts import judge_curve as judge_curve
 from fenics_crack.draw.animation import animate_period as animate_period
 from fenics_crack.draw.plot import Wave as Wave
 from fenics_crack.draw.plot import draw_contact_map as draw_contact_map
+from fenics_crack.draw.plot import draw_friction_loops as draw_friction_loops
 from fenics_crack.draw.plot import draw_laws as draw_laws
 from fenics_crack.draw.plot import draw_map as draw_map
 from fenics_crack.draw.plot import draw_orbits as draw_orbits

@@ -195,6 +195,12 @@ def contact_extremes(
     }
 
 
+def slipping(friction: CoulombFriction, force: np.ndarray, drag: np.ndarray) -> np.ndarray:
+    """Where pairs slip, by their contact and friction forces (n, n_pairs): (n, n_pairs) bool."""
+    limit = (1.0 - KNOWN) * friction.coefficient * force
+    return np.asarray((force > 0.0) & (np.abs(drag) >= limit))
+
+
 def friction_numbers(
     friction: CoulombFriction, slide: np.ndarray, force: np.ndarray, drag: np.ndarray
 ) -> dict[str, float]:
@@ -202,11 +208,11 @@ def friction_numbers(
     shares of it in which pairs stick and slip, means over the pairs: of tangential gaps, contact
     forces and friction forces at equal parts of it (n, n_pairs)."""
     ahead = np.roll(drag, -1, axis=0) + drag
-    slips = np.abs(drag) >= (1.0 - KNOWN) * friction.coefficient * force
+    slips = slipping(friction, force, drag)
     return {
         "friction_loss": float(0.5 * np.sum(ahead * (np.roll(slide, -1, axis=0) - slide))),
         "stick_share": float(np.mean((force > 0.0) & ~slips)),
-        "slip_share": float(np.mean((force > 0.0) & slips)),
+        "slip_share": float(np.mean(slips)),
     }
 
 

@@ -223,8 +223,8 @@ def of_friction(found: PeriodicSolution) -> Iterator[str]:
     largest, critical = float(np.max(flow.friction.coefficient)), flow.critical_friction
     if largest > 0.5 * critical:
         yield (
-            f"the coefficient of friction, {largest:g}, is above half of {critical:.2g}, from which "
-            "on the contact forces of an instant need not be the only ones"
+            f"the coefficient of friction, {largest:g}, is above half of {critical:.2g}, from "
+            "which on the contact forces of an instant need not be the only ones"
         )
 
 

@@ -40,6 +40,7 @@ from fenics_crack.draw.figure import Picture, distinct_colours
 from fenics_crack.draw.plot import (
     Wave,
     draw_contact_map,
+    draw_friction_loops,
     draw_map,
     draw_orbits,
     draw_response,
@@ -52,6 +53,7 @@ from fenics_crack.draw.plot_mesh import draw_mesh, draw_modes
 from fenics_crack.draw.plot_study import draw_growth, draw_verification
 from fenics_crack.fatigue.growth import Growth
 from fenics_crack.files.store import Stored, read, versions
+from fenics_crack.model.contact import friction_of
 from fenics_crack.model.modes import LIPS, Modes, n_tied_modes, solve_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.fields import Axis
@@ -204,6 +206,9 @@ def _solution(run: Run[PeriodicSolution], file: File) -> None:
     _waves(run, found.omega, path=file("solution_waves"), title=title)
     draw_spectrum(found, dof, path=file("solution_spectrum"), title=title)
     draw_orbits(found, dof, path=file("solution_orbits"), title=title)
+    if friction_of(found.contact) is not None:
+        heading = f"Friction, {frequency_in_words(run.scene, found.omega)}"
+        draw_friction_loops(found, path=file("solution_friction_loops"), title=heading)
     if found.structure.whole.meshed is not None:
         from fenics_crack.draw.animation import animate_period  # VTK
 

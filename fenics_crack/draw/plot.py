@@ -1,5 +1,5 @@
 """Pictures of motions and of what they depend on: waves, contact laws, where crack faces touch,
-responses, maps, spectra, orbits in the phase plane, what opens a crack's tips."""
+responses, maps, spectra, orbits in the phase plane, loops of friction, what opens crack tips."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from fenics_crack.balance.error_report import LARGE_ERROR
-from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.balance.solution import PeriodicSolution, slipping
 from fenics_crack.basics.errors import InputError
-from fenics_crack.basics.tables import readable
+from fenics_crack.basics.tables import quantity, readable
 from fenics_crack.draw.figure import (
     COLOURS,
     STYLE,
@@ -31,7 +31,7 @@ from fenics_crack.draw.figure import (
     upright,
 )
 from fenics_crack.fem.nodal_mesh import NodalMesh
-from fenics_crack.model.contact import ContactLaw, is_rigid
+from fenics_crack.model.contact import ContactLaw, friction_of, is_rigid
 from fenics_crack.model.nodes import AXES, Pairs
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import DIFFERENCE
@@ -600,6 +600,57 @@ def _orbit(
     label_axis(axes.xaxis, quantity, "m")
     label_axis(axes.yaxis, "velocity", "m/s")
     axes.margins(0.08)
+
+
+LOOPS = 4
+"""Pairs whose loops are drawn: those of the largest friction losses."""
+
+
+def draw_friction_loops(solution: PeriodicSolution, **where: Unpack[Where]) -> Figure:
+    """Draw the friction force over the tangential gap of the pairs that lose most by friction, at
+    most four, thick where they slip (collective).
+
+    The area of a loop is the loss in a period.
+
+    Parameters
+    ----------
+    solution : PeriodicSolution
+        Result to draw, with friction.
+    **where
+        ``axes`` (one), ``path``, ``title``, as of :func:`draw_waves`.
+
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
+    Raises
+    ------
+    InputError
+        There is no friction, or there are several axes.
+
+    Examples
+    --------
+    >>> figure = fc.draw_friction_loops(solution, path="loops.png")
+    """
+    friction = friction_of(solution.contact)
+    if friction is None:
+        raise InputError("solution", "no friction", "one with CoulombFriction")
+    time = np.append(solution.instants(), solution.period)
+    (_, slide), (normal, drag) = (np.hsplit(one, 2) for one in solution.gaps_and_forces(time))
+    slips = slipping(friction, normal, drag)
+    loss = np.sum(0.5 * (drag[1:] + drag[:-1]) * np.diff(slide, axis=0), axis=0)
+    [panel] = picture = Picture(size=(6.4, 4.6), comm=solution.structure.comm, **where)
+    chosen = np.argsort(-loss, kind="stable")[: min(LOOPS, len(loss))]
+    for pair, colour in zip(chosen.tolist(), distinct_colours(len(chosen)), strict=True):
+        of_pair = f"{solution.structure.where(pair)}: {quantity(float(loss[pair]), 'J')}"
+        panel.plot(slide[:, pair], drag[:, pair], color=colour, lw=1.1, label=of_pair)
+        sliding = np.where(slips[:, pair], slide[:, pair], np.nan)
+        panel.plot(sliding, drag[:, pair], color=colour, lw=3.2)
+    panel.axhline(0.0, color="black", lw=0.6)
+    label_axis(panel.xaxis, "tangential gap", "m")
+    label_axis(panel.yaxis, "friction force", "N")
+    return picture.finished()
 
 
 def draw_stress_intensity(found: StressIntensity, **where: Unpack[Where]) -> Figure:
