@@ -69,6 +69,7 @@ from fenics_crack.model.modes import BilinearFrequencies as BilinearFrequencies
 from fenics_crack.model.modes import Modes as Modes
 from fenics_crack.model.modes import bilinear_frequencies as bilinear_frequencies
 from fenics_crack.model.modes import solve_modes as solve_modes
+from fenics_crack.model.periodic_load import load_harmonics as load_harmonics
 from fenics_crack.model.reduced import MasslessStructure as MasslessStructure
 from fenics_crack.model.reduced import ReducedStructure as ReducedStructure
 from fenics_crack.model.reduction import reduce_structure as reduce_structure

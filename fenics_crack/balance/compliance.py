@@ -44,7 +44,7 @@ from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import damped_modes, projected_damping, solve_modes
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.fourier import from_complex, resized, to_complex
+from fenics_crack.numerics.fourier import from_complex, resized, stretched, to_complex
 
 DEFLATION_BAND = 1e-2
 """A mode is dealt with by itself where |1 - (omega/omega_j)^2| is below this."""
@@ -155,10 +155,7 @@ def dynamic_compliance(
 
 def load_coefficients(structure: Structure, harmonics: int, subharmonic: int) -> np.ndarray:
     """c: coefficients of the load, (2H+1, n_local) [N]."""
-    load = np.zeros((2 * harmonics + 1, structure.n_local))
-    load[0] = structure.force[0]
-    load[2 * subharmonic - 1 : 2 * subharmonic + 1] = structure.force[1:]
-    return load
+    return resized(stretched(structure.force, subharmonic), harmonics)
 
 
 @dataclass(frozen=True)

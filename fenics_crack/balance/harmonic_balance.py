@@ -34,7 +34,7 @@ from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.compliance import DynamicStiffness, ModalCompliance, load_coefficients
 from fenics_crack.balance.error_report import ErrorReport, beside
 from fenics_crack.balance.more_modes import UNKNOWN
-from fenics_crack.balance.problem import Problem, check_memory
+from fenics_crack.balance.problem import Problem, check_memory, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import (
     ConvergenceError,
@@ -61,15 +61,17 @@ from fenics_crack.numerics.fourier import from_complex, to_complex
 from fenics_crack.numerics.newton import relative_to_motion
 
 
-def solve_linear(structure: Structure, omega: float, *, harmonics: int = 5) -> PeriodicSolution:
+def solve_linear(
+    structure: Structure, omega: float, *, harmonics: int | None = None
+) -> PeriodicSolution:
     """Steady vibration with crack faces that pass through each other, A u = c (collective).
 
     Parameters
     ----------
     structure, omega
         As in :class:`fenics_crack.Problem`.
-    harmonics : int
-        H; all beyond the first are zero.
+    harmonics : int, optional
+        H; all beyond those of the load are zero. Default: 5, or as many as the load has.
 
     Returns
     -------
@@ -88,7 +90,9 @@ def solve_linear(structure: Structure, omega: float, *, harmonics: int = 5) -> P
     >>> linear = fc.solve_linear(structure, 2000.0)
     """
     check_omega(omega)
-    check_count("harmonics", harmonics, 1)
+    least = least_harmonics(structure, 1)
+    harmonics = max(Problem.harmonics, least) if harmonics is None else harmonics
+    check_count("harmonics", harmonics, least)
     found = _without_contact(structure, omega, harmonics)
     reference = structure.reference if isinstance(structure, ReducedStructure) else None
     if reference is None:
@@ -99,7 +103,7 @@ def solve_linear(structure: Structure, omega: float, *, harmonics: int = 5) -> P
 def _without_contact(structure: Structure, omega: float, harmonics: int) -> PeriodicSolution:
     load = to_complex(load_coefficients(structure, harmonics, 1))
     amplitude = np.zeros_like(load)
-    for k in (0, 1):
+    for k in range(len(load)):
         if np.any(structure.sum_over_ranks(np.abs(load[k]).sum(keepdims=True))):
             amplitude[k] = _linear_amplitude(structure, k * omega, load[k])
     displacement = from_complex(amplitude)
@@ -248,7 +252,8 @@ def solve_harmonic_balance(
     if harmonics is None:
         check_count("subharmonic", subharmonic, 1)
         few = Problem.harmonics
-        harmonics = max(few, subharmonic) if tolerance is None else few * subharmonic
+        harmonics = few if tolerance is None else few * subharmonic
+        harmonics = max(harmonics, least_harmonics(structure, subharmonic))
     problem = Problem(structure, omega, contact, harmonics, samples, subharmonic)
     if samples is not None:
         check_count("samples", samples, 4 * harmonics + 1)
@@ -444,7 +449,7 @@ def _sought(
             if initial.structure is problem.structure and known.subharmonic == problem.subharmonic:
                 yield known.sampled.whole_states[:: INSTANTS // PARTS]
         for count in SearchOptions.harmonics:
-            few = problem.with_harmonics(count * problem.subharmonic)
+            few = problem.with_harmonics(problem.few_harmonics(count))
             near = _begun(solver, few).attempt(initial, wholly=False, reported=False)[1]
             if near.converged:
                 balanced.append(near)
@@ -475,7 +480,7 @@ def solution_of_orbit(problem: Problem, orbit: PeriodicOrbit, tolerance: float) 
     """The solution with the fewest harmonics of an orbit that meet a tolerance, no fewer than a
     problem has; its errors are those of the coefficients left out, and of the modes."""
     most = MAX_HARMONICS * problem.subharmonic
-    known = orbit.coefficients(SearchOptions.harmonics[-1] * problem.subharmonic)
+    known = orbit.coefficients(problem.few_harmonics(SearchOptions.harmonics[-1]))
 
     def wave_with(harmonics: int) -> PeriodicSolution:
         nonlocal known
@@ -483,7 +488,9 @@ def solution_of_orbit(problem: Problem, orbit: PeriodicOrbit, tolerance: float) 
             known = orbit.coefficients(harmonics)
         return wave_of(problem.with_harmonics(harmonics), orbit, known)
 
-    reduction, at_load = _lost(problem, wave_with(SearchOptions.harmonics[0] * problem.subharmonic))
+    reduction, at_load = _lost(
+        problem, wave_with(problem.few_harmonics(SearchOptions.harmonics[0]))
+    )
     goal = _goal(tolerance, reduction)
     fewer, found = 0, wave_with(problem.harmonics)
     while not found.assessment.distance <= goal and found.harmonics < most:
@@ -518,7 +525,7 @@ def _lost(problem: Problem, found: PeriodicSolution) -> tuple[float, float]:
         return 0.0, 0.0
     if (more := found.assessment.more_modes) is not None:
         return more.distances
-    few = problem.with_harmonics(SearchOptions.harmonics[-1] * found.subharmonic)
+    few = problem.with_harmonics(problem.few_harmonics(SearchOptions.harmonics[-1]))
     report = Solver(few).attempt(found, wholly=False)[1].report
     return report.reduction, report.displacement
 

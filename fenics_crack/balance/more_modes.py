@@ -35,7 +35,7 @@ from fenics_crack.motion.orbit import (
     predicted_with_more_modes,
 )
 from fenics_crack.motion.search import PARTS
-from fenics_crack.numerics.fourier import waves
+from fenics_crack.numerics.fourier import waves_of
 from fenics_crack.numerics.newton import relative_to_motion
 
 UNKNOWN = 1.0
@@ -120,8 +120,8 @@ class MoreModes:
         return slow - integrals.forces(slow) @ flow.residual
 
     def _waves(self, time: np.ndarray) -> np.ndarray:
-        """Return the load's time functions: mean, cosine and sine."""
-        return waves(self.wave.omega * time)
+        """Return the load's time functions: mean, cosines and sines."""
+        return waves_of(self.flow.force, self.wave.omega * time)
 
     @property
     def _time(self) -> np.ndarray:
@@ -215,8 +215,8 @@ def is_still(samples: Samples) -> bool:
 
 
 def seen_parts(structure: Structure) -> np.ndarray:
-    """By which parts of the load the displacement at it is seen: (3,) bool; those that vibrate, if
-    there are some (collective)."""
+    """By which parts of the load the displacement at it is seen: (2K+1,) bool; those that vibrate,
+    if there are some (collective)."""
     found = structure.sum_over_ranks(np.sum(structure.force**2, axis=1)) > 0.0
     found[0] &= not found[1:].any()
     return np.asarray(found)

@@ -154,7 +154,7 @@ class Problem:
     def __post_init__(self) -> None:
         check_omega(self.omega)
         check_count("subharmonic", self.subharmonic, 1)
-        check_count("harmonics", self.harmonics, self.subharmonic)
+        check_count("harmonics", self.harmonics, self.least_harmonics)
         check_law(self.structure, self.contact, rigid=True)
         if self.structure.n_pairs == 0:
             raise InputError(
@@ -168,6 +168,16 @@ class Problem:
                 raise InputError("samples", self.samples, f"at most {MAX_SAMPLES}")
         if self.static_above is not None:
             check_number("static_above", min(self.static_above, 1e300), 0.0)  # inf: none
+
+    @property
+    def least_harmonics(self) -> int:
+        """The highest harmonic of the load, in the response's order."""
+        return least_harmonics(self.structure, self.subharmonic)
+
+    def few_harmonics(self, count: int) -> int:
+        """Harmonics of the response of a number of the load's frequency, or as many as the load
+        has."""
+        return max(count * self.subharmonic, self.least_harmonics)
 
     @property
     def base_omega(self) -> float:
@@ -296,6 +306,11 @@ class Problem:
     def with_harmonics(self, harmonics: int) -> Problem:
         """The same with other harmonics."""
         return self if harmonics == self.harmonics else replace(self, harmonics=harmonics)
+
+
+def least_harmonics(structure: Structure, subharmonic: int) -> int:
+    """The highest harmonic of a structure's load, in the order of a response."""
+    return subharmonic * (len(structure.force) // 2)
 
 
 def check_memory(structure: Structure, harmonics: int) -> None:
@@ -436,7 +451,7 @@ class Search:
             yield "from contact without friction", self._add_friction(problem)
         elif problem is not None:
             many = system.residual is not None or system.size > kernel.MANY
-            enough = problem.subharmonic if many else problem.harmonics
+            enough = problem.least_harmonics if many else problem.harmonics
             counts = halved(problem.harmonics, enough)
             name = "from fewer harmonics" if many else "full Newton steps"
             yield name, self._climb(problem, counts)
@@ -455,7 +470,7 @@ class Search:
     def _climb(self, problem: Problem, counts: list[int]) -> Iterator[np.ndarray]:
         """Guesses for the last of some numbers of harmonics: the solution with the number before,
         for the first the linear one; where one is not found it is left out."""
-        many = SearchOptions.harmonics[-1] * problem.subharmonic
+        many = problem.few_harmonics(SearchOptions.harmonics[-1])
         at: ContactPoint | None = None
         for count in counts:
             if count > many:

@@ -76,7 +76,7 @@ class OrbitContinuation(Growing):
         if tolerance is None:
             tolerance = initial[0].tolerance if isinstance(initial, tuple) else TOLERANCE
         check_number("tolerance", tolerance, 0.0, above=True)
-        problem = problem.with_harmonics(FEWEST * problem.subharmonic)
+        problem = problem.with_harmonics(problem.few_harmonics(FEWEST))
         super().__init__(problem, parameter, start, end, **steps)
         self._tolerance = tolerance
         self._family = family = OrbitFamily(self._problem, parameter, start, end)

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from fenics_crack.balance.harmonic_balance import solution_of_orbit, wave_of
-from fenics_crack.balance.problem import Problem
+from fenics_crack.balance.problem import Problem, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.curve import PHASES, ResponseCurve
 from fenics_crack.motion.flow import ContactFlow, exact_flow
@@ -56,7 +56,9 @@ class OrbitCurve(ResponseCurve):
     @cached_property
     def problem(self) -> Problem:
         """Problem solved at the first point; its harmonics are the fewest of a solution."""
-        omega, least = float(self.omega[0]), FEWEST * self.subharmonic
+        omega = float(self.omega[0])
+        fewest = FEWEST * self.subharmonic
+        least = max(fewest, least_harmonics(self._structure, self.subharmonic))
         return Problem(self._structure, omega, self.contact, least, subharmonic=self.subharmonic)
 
     @cached_property

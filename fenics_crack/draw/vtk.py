@@ -330,7 +330,7 @@ class PeriodFields:
         self.displacement = self.mesh.field(solution.displacement_field(self.time))
         self.magnification = float(magnification or tenth(self.displacement, self.mesh.size))
         self.force, self.areas = solution.contact_force(self.time), structure.pair_areas
-        parts = self.mesh.field(structure.force).reshape(3, -1)
+        parts = self.mesh.field(structure.force).reshape(len(structure.force), -1)
         load = evaluate(parts, solution.omega, self.time)
         self.load = load.reshape(self.displacement.shape)
         if self.mesh.dimension == 3 and structure.n_pairs:

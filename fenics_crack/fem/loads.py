@@ -31,14 +31,15 @@ from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.elasticity import thickness
 from fenics_crack.fem.plate import Dofs
 from fenics_crack.model.nodes import Clamp, nearest_node, nodes_at
+from fenics_crack.model.periodic_load import read_wave
 from fenics_crack.scene.fields import Vector
 from fenics_crack.scene.scene import Scene
-from fenics_crack.scene.tables import Load
+from fenics_crack.scene.tables import Load, add_harmonics
 
 
 def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.ndarray | None]:
-    """Mean, cosine and sine part of the load on all dofs that this rank owns, clamped ones too,
-    (3, n_dofs) [N], and what is watched of the free ones (n_local,).
+    """Mean, and cosine and sine part of each order, of the load on all dofs that this rank owns,
+    clamped ones too, (2K+1, n_dofs) [N], and what is watched of the free ones (n_local,).
 
     The watched displacement is the product of u with that vector [m]; None: the dof that
     carries most of the load. ``mass`` is the mass matrix with the clamped rows (collective).
@@ -49,11 +50,12 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
         A load is off the mesh, where the plate is clamped, or on a crack, where there are two
         faces.
     """
-    force, watched = np.zeros((3, len(dofs.numbers))), None
+    rows = 2 * scene.highest_order + 1
+    force, watched = np.zeros((rows, len(dofs.numbers))), None
     excitation = scene.excitation
     point = excitation.point if excitation.point is not None else dofs.plate.points.get("load")
     if point is not None:
-        parts = (excitation.force_mean, excitation.force_cos, excitation.force_sin)
+        parts = parts_of(scene)
         share = _share_at(scene, dofs, "excitation.point", point)
         force += _point_force(dofs, "excitation.point", point, share, parts)
         if (scene.has_other_loads or scene.speed > 0.0) and any(map(any, parts)):
@@ -66,12 +68,13 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
         key = f"loads.{number}"
         if load.point is not None:
             forces, at = load.parts("force"), _share_at(scene, dofs, f"{key}.point", load.point)
-            force += _point_force(dofs, f"{key}.point", load.point, at, forces)
+            own = _point_force(dofs, f"{key}.point", load.point, at, forces)
+            force[: len(own)] += own
             if watched is None and any(map(any, forces)):
                 watched = _at_nodes(dofs, at, _unit(forces))[dofs.free]
         else:
             own = _edge_force(scene, dofs, key, load)
-            force += own
+            force[: len(own)] += own
             if watched is None and np.any(gather_rows(dofs.comm, own.ravel())):
                 watched = _middle_of(dofs, str(load.edge), own)
     if scene.base is not None:
@@ -85,6 +88,31 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
         along_x = [np.eye(dofs.dimension)[0].tolist()]
         watched = _point_force(dofs, "excitation.point", point, share, along_x)[0, dofs.free]
     return force, watched
+
+
+def parts_of(scene: Scene) -> list[Vector]:
+    """Mean, and cosine and sine part of each order, of the force of the excitation [N]; as many as
+    the scene's loads have."""
+    excitation, zero = scene.excitation, (0.0,) * scene.dimension
+    given = excitation.force_mean, excitation.force_cos, excitation.force_sin
+    rows = [part or zero for part in given] + [zero] * (2 * scene.highest_order - 2)
+    for one in excitation.harmonics:
+        sized = len(one.cos) == scene.dimension
+        excitation.require(sized, "harmonics", f"of {scene.dimension} components each")
+    add_harmonics(rows, excitation.harmonics)
+    if excitation.wave is not None:
+        for row, part in enumerate(of_wave(scene)[0]):
+            rows[row] = tuple(np.add(rows[row], part).tolist())
+    return rows
+
+
+def of_wave(scene: Scene) -> tuple[np.ndarray, float]:
+    """Mean and harmonics of the excitation's table (2K+1, dimension) [N], and what they leave out
+    of it, relative."""
+    excitation = scene.excitation
+    assert excitation.wave is not None
+    key = excitation.name_of("wave")
+    return read_wave(key, excitation.wave, excitation.wave_harmonics, scene.dimension)
 
 
 def _unit(parts: Sequence[Vector]) -> Vector:
@@ -148,7 +176,7 @@ def _at_nodes(dofs: Dofs, share: np.ndarray, vector: Vector) -> np.ndarray:
 
 
 def _edge_force(scene: Scene, dofs: Dofs, key: str, load: Load) -> np.ndarray:
-    """Tractions and pressures on an edge as consistent nodal forces: (3, n_dofs)."""
+    """Tractions and pressures on an edge as consistent nodal forces: (2K+1, n_dofs)."""
     assert load.edge is not None
     check_choice(f"{key}.edge", load.edge, sorted(set(dofs.plate.groups) - {"clamp"}))
     edge = dofs.plate.along(load.edge)
@@ -175,9 +203,9 @@ def _middle_of(dofs: Dofs, edge: str, force: np.ndarray) -> np.ndarray:
     to its middle: (n_local,)."""
     by_dof = np.zeros_like(force)
     by_dof[:, dofs.free] = force[:, dofs.free]
-    sums = np.abs(dofs.comm.allgather(by_dof.reshape(3, -1, dofs.dimension).sum(axis=1))).sum(
-        axis=(0, 1)
-    )
+    sums = np.abs(
+        dofs.comm.allgather(by_dof.reshape(len(force), -1, dofs.dimension).sum(axis=1))
+    ).sum(axis=(0, 1))
     direction = tuple(np.eye(dofs.dimension)[int(np.argmax(sums))].tolist())
     nodes = dofs.nodes_on(edge)
     every = gather_rows(dofs.comm, dofs.points[nodes])
@@ -188,7 +216,7 @@ def _middle_of(dofs: Dofs, edge: str, force: np.ndarray) -> np.ndarray:
 
 
 def clamp_of(dofs: Dofs, mass: Any, force: np.ndarray) -> Clamp:
-    """The clamp of a mesh, from the mass matrix and the load (3, n_dofs) with the clamped rows
+    """The clamp of a mesh, from the mass matrix and the load (2K+1, n_dofs) with the clamped rows
     (collective)."""
     held = gather_rows(dofs.comm, dofs.points[dofs.nodes_on("clamp")])
     center = np.round(0.5 * (held.min(axis=0) + held.max(axis=0)), 12) + 0.0

@@ -98,6 +98,10 @@ def _made(scene: Scene, table: Table, rule: DampingRule | None, comm: MPI.Comm) 
                 if dof >= 0:
                     force[dof, 0] += value
             parts[name] = force
+    if scene.highest_order > 1:
+        excitation = scene.excitation
+        allowed = "left out with [structure]: Structure.from_matrices takes force_harmonics"
+        excitation.require(False, (excitation.wave and "wave") or "harmonics", allowed)
     made = Structure.from_matrices(**parts, comm=comm)
     return made if nodes is None else made.placed(nodes, pairs)
 

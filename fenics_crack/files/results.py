@@ -464,7 +464,7 @@ def _unpack_history(parts: Parts, structure: Structure, contact: Law) -> TimeHis
 
 
 def _couplings(structure: Structure) -> np.ndarray:
-    """B^T and the load, by which a file identifies the dofs: (n_pairs + 3, n_local)."""
+    """B^T and the load, by which a file identifies the dofs: (n_pairs + 2K+1, n_local)."""
     return np.vstack([structure.gap.toarray().T, structure.force])
 
 
@@ -473,7 +473,8 @@ def _signs(structure: Structure, then: np.ndarray) -> np.ndarray:
     now = _couplings(structure)
     if then.shape != now.shape:
         found = f"{structure.n_local} dofs, {structure.n_pairs} pairs"
-        allowed = f"one with {then.shape[1]} dofs and {len(then) - 3} pairs"
+        count = len(then) - len(structure.force)
+        allowed = f"one with {then.shape[1]} dofs and {count} pairs"
         raise InputError("structure", found, allowed)
     signs = np.where((then * now).sum(axis=0) < 0.0, -1.0, 1.0)
     largest = np.abs(then).max(axis=1, initial=0.0, keepdims=True)

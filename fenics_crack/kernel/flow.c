@@ -20,8 +20,9 @@ struct flow {
     exponentials *exponential;
     double *room;
     double *columns;                 /* (m, p) P */
-    double *weights;                 /* (TERMS, LOAD) of the load's rows */
+    double *weights;                 /* (TERMS, loads) of the load's rows */
     int rows;                        /* of contact, r */
+    int loads;                       /* rows of the load, 2 K + 1 */
     double *series, *gaps, *answers; /* (TERMS, m), (TERMS, r), (TERMS, r) of q, s, i */
     double *forces, *reached;        /* (TERMS, r) of lambda and g, with friction only */
     double *held;                    /* (p) h */
@@ -29,8 +30,8 @@ struct flow {
     double *value, *falling;         /* (STEPS + 1, r) answers at steps' ends; (r) */
     double *near, *force;            /* (r) s of a state, its forces */
     double *seen, *drag;             /* (r), (m) */
-    double *turned;                  /* (LOAD, m + r) derivative of the load */
-    double *pulled;                  /* (LOAD, m) of a load, (LOAD, r) */
+    double *turned;                  /* (loads, m + r) derivative of the load */
+    double *pulled;                  /* (loads, m) of a load, (loads, r) */
     double *source, *motion;         /* (TERMS, m), (TERMS + 2, m) of another series */
     signed char *closed;             /* (p) */
     signed char *zeros;              /* (r) first terms of answers that are 0 by how a state began */
@@ -47,7 +48,7 @@ static long numbers_of_state(const flow *f)
 /* No set turns faster, nor does the load. */
 static double fastest(const flow *f, double omega)
 {
-    return fmax(fmax(f->of.fastest, omega), 1e-300);
+    return fmax(fmax(f->of.fastest, f->of.harmonics * omega), 1e-300);
 }
 
 /* y = C x of a damping. */
@@ -65,20 +66,23 @@ static void damp(const flow *f, const double *damping, const double *x, double *
  * load times the time. */
 static void wave(flow *f, double omega, double now, double length, int by_time)
 {
-    const double c = cos(omega * now), s = sin(omega * now);
-    double *w = f->weights, size = 1.0;
-    for (int n = 0; n <= f->order; n++, w += LOAD) {
-        const double sign = n & 2 ? -size : size;
-        w[MEAN] = n == 0;
-        w[COSINE] = n & 1 ? -sign * s : sign * c;
-        w[SINE] = n & 1 ? sign * c : sign * s;
-        size *= omega * length / (n + 1);
+    const int loads = f->loads;
+    for (int k = 1; 2 * k < loads; k++) {
+        const double own = k * omega, c = cos(own * now), s = sin(own * now);
+        double *w = f->weights + 2 * k - 1, size = 1.0;
+        for (int n = 0; n <= f->order; n++, w += loads) {
+            const double sign = n & 2 ? -size : size;
+            w[0] = n & 1 ? -sign * s : sign * c;
+            w[1] = n & 1 ? sign * c : sign * s;
+            size *= own * length / (n + 1);
+        }
     }
+    for (int n = 0; n <= f->order; n++) f->weights[n * loads] = n == 0;
     if (!by_time) return;
     for (int n = f->order; n >= 0; n--)
-        for (int k = 0; k < LOAD; k++) {
-            double *own = f->weights + n * LOAD + k;
-            *own = now * *own + (n ? length * *(own - LOAD) : 0.0);
+        for (int k = 0; k < loads; k++) {
+            double *own = f->weights + n * loads + k;
+            *own = now * *own + (n ? length * *(own - loads) : 0.0);
         }
 }
 
@@ -96,11 +100,11 @@ static int order_for(double x)
 static void pull(flow *f, const closed_set *a, const double *force, const double *gap)
 {
     const int m = f->of.modes, size = a->size;
-    double *closed = f->pulled + LOAD * m;
-    for (int k = 0, at = 0; k < LOAD; k++)
+    double *closed = f->pulled + f->loads * m;
+    for (int k = 0, at = 0; k < f->loads; k++)
         for (int i = 0; i < size; i++) closed[at++] = gap[k * f->rows + a->members[i]];
-    multiply_matrices(LOAD, size, m, closed, a->pushed, 0.0, f->pulled);
-    for (int j = 0; j < LOAD * m; j++) f->pulled[j] = force[j] - f->pulled[j];
+    multiply_matrices(f->loads, size, m, closed, a->pushed, 0.0, f->pulled);
+    for (int j = 0; j < f->loads * m; j++) f->pulled[j] = force[j] - f->pulled[j];
 }
 
 /* next += gain times what the places push at which pairs stick. */
@@ -118,7 +122,7 @@ WIDE static void expand(flow *f, const closed_set *a, const double *force, const
 {
     const int m = f->of.modes, size = a->size;
     const double *restrict squares = f->of.squares;
-    const double *restrict cosine = f->pulled + COSINE * m, *restrict sine = f->pulled + SINE * m;
+    const double *restrict cosine = f->pulled + m, *restrict sine = cosine + m;
     double *restrict seen = f->seen, *restrict drag = f->drag;
     pull(f, a, force, gap);
     memcpy(f->series, state, bytes(m));
@@ -127,12 +131,16 @@ WIDE static void expand(flow *f, const closed_set *a, const double *force, const
         const double *restrict now = f->series + (long)n * m, *restrict rate = now + m;
         double *restrict next = f->series + (long)(n + 2) * m;
         const double gain = length * length / ((n + 1) * (n + 2)), loss = length / (n + 2);
-        const double *w = f->weights + n * LOAD;
-        const double mean = gain * w[MEAN], c = gain * w[COSINE], s = gain * w[SINE];
+        const double *w = f->weights + n * f->loads;
+        const double mean = gain * w[0], c = gain * w[1], s = gain * w[2];
         damp(f, f->of.damping, rate, drag);
         for (int j = 0; j < m; j++)
             next[j] = c * cosine[j] + s * sine[j] - gain * squares[j] * now[j] - loss * drag[j];
         if (mean != 0.0) add_rows(1, m, f->pulled, &mean, next);
+        for (int k = 3; k < f->loads; k++) {
+            const double weight = gain * w[k];
+            add_rows(1, m, f->pulled + (long)k * m, &weight, next);
+        }
         if (sources) add_rows(1, m, sources + (long)n * m, &gain, next);
         if (n == 0 && f->of.friction) hold(f, a, gain, next);
         if (a->stiffness) {
@@ -177,7 +185,7 @@ static void answer_states(flow *f, const closed_set *a)
 static void answer(flow *f, const closed_set *a, const double *gap)
 {
     const int m = f->of.modes, r = f->rows, terms = f->order + 1;
-    multiply_matrices(terms, LOAD, r, f->weights, gap, 0.0, f->gaps);
+    multiply_matrices(terms, f->loads, r, f->weights, gap, 0.0, f->gaps);
     multiply_matrices(terms, m, r, f->series, f->columns, 1.0, f->gaps);
     if (!f->of.friction) {
         answer_gaps(f->known, a, terms, f->gaps, f->answers);
@@ -287,7 +295,7 @@ static void gaps_at(flow *f, double omega, double time, const double *state)
 {
     wave(f, omega, time, 0.0, 0);
     multiply(f->rows, f->of.modes, f->of.rows, state, f->near);
-    add_rows(LOAD, f->rows, f->of.gap, f->weights, f->near);
+    add_rows(f->loads, f->rows, f->of.gap, f->weights, f->near);
 }
 
 /* The set of closed pairs of a state, from a guess or, with NULL, from its gaps; and their forces.
@@ -636,7 +644,7 @@ static void change_places(flow *f, const flow_track *track, int interval, const 
     const int fallen = track->causes[interval], last = interval + 1 == track->intervals;
     double *force = f->force, *near = f->near, *rate = f->falling, sign;
     if (fallen < 0 && !last) return;
-    multiply_matrices(terms, LOAD, r, f->weights, gap, 0.0, f->reached);
+    multiply_matrices(terms, f->loads, r, f->weights, gap, 0.0, f->reached);
     multiply_matrices(terms, m, r, f->series, f->columns, 1.0, f->reached);
     force_gaps(f->known, a, terms, f->held, f->reached, f->forces);
     series_at(r, f->order, f->forces, end, force, rate);
@@ -681,22 +689,24 @@ int flow_column(flow *f, const flow_track *track, const double *force, const dou
     return FLOW_DONE;
 }
 
+/* d/d omega of c cos(k omega t) + s sin(k omega t) is t times k (s cos - c sin). */
+static void turn_load(int loads, int n, const double *rows, double *turned)
+{
+    memset(turned, 0, bytes(n));
+    for (int k = 1; 2 * k < loads; k++) {
+        const double *cosine = rows + (2L * k - 1) * n, *sine = cosine + n;
+        double *own = turned + (2L * k - 1) * n;
+        for (int j = 0; j < n; j++) own[j] = k * sine[j], own[n + j] = -k * cosine[j];
+    }
+}
+
 int flow_by_omega(flow *f, const flow_track *track, double *state)
 {
-    /* d/d omega of c cos(omega t) + s sin(omega t) is t times s cos - c sin. */
-    const int m = f->of.modes, p = f->rows;
-    double *force = f->turned, *gap = force + LOAD * m;
-    memset(force, 0, bytes(m));
-    memset(gap, 0, bytes(p));
+    const int m = f->of.modes;
+    double *force = f->turned, *gap = force + f->loads * m;
     memset(state, 0, bytes(numbers_of_state(f)));
-    for (int j = 0; j < m; j++) {
-        force[m + j] = f->of.force[2 * m + j];
-        force[2 * m + j] = -f->of.force[m + j];
-    }
-    for (int i = 0; i < p; i++) {
-        gap[p + i] = f->of.gap[2 * p + i];
-        gap[2 * p + i] = -f->of.gap[p + i];
-    }
+    turn_load(f->loads, m, f->of.force, force);
+    turn_load(f->loads, f->rows, f->of.gap, gap);
     return flow_column(f, track, force, gap, 1, state);
 }
 
@@ -729,7 +739,7 @@ int flow_by_structure(flow *f, const flow_track *track, const double *start, con
     double *still = f->turned, *here = f->motion + (long)TERMS * m, *series = f->series;
     double now = track->start;
     if (f->of.friction) return FLOW_LOST; /* not yet: where pairs stick changes, too */
-    memset(still, 0, bytes(LOAD * (m + f->rows)));
+    memset(still, 0, bytes(f->loads * (m + f->rows)));
     memset(state, 0, bytes(2 * m));
     memcpy(here, start, bytes(2 * m));
     for (int k = 0; k < track->intervals; k++) {
@@ -743,7 +753,7 @@ int flow_by_structure(flow *f, const flow_track *track, const double *start, con
             drive(f, a, damping, compliance, length);
             double end = series_reach(m, f->order, series, fmin(1.0, left));
             f->series = f->motion;
-            expand(f, a, still, still + LOAD * m, f->source, length, state);
+            expand(f, a, still, still + f->loads * m, f->source, length, state);
             end = series_reach(m, f->order, f->series, end);
             if (end > 0.0) state_at(f, length, end, state);
             f->series = series;
@@ -773,12 +783,12 @@ int flow_rate(flow *f, double omega, double time, const signed char *closed, con
     damp(f, f->of.damping, rate, f->drag);
     for (int j = 0; j < m; j++)
         faster[j] = -faster[j] - f->drag[j] - f->of.squares[j] * state[j];
-    add_rows(LOAD, m, f->of.force, f->weights, faster);
+    add_rows(f->loads, m, f->of.force, f->weights, faster);
     if (!f->of.friction) return 0;
     f->order = 1;
     wave(f, omega, time, 1.0, 0);
     multiply(r, m, f->of.rows, rate, f->near);
-    add_rows(LOAD, r, f->of.gap, f->weights + LOAD, f->near);
+    add_rows(f->loads, r, f->of.gap, f->weights + f->loads, f->near);
     memset(f->held, 0, bytes(p)); /* places where pairs stick stay */
     force_gaps(f->known, a, 1, f->held, f->near, f->force);
     for (int i = 0; i < p; i++) rate[2 * m + i] = closed[i] == STICK ? 0.0 : f->near[p + i];
@@ -842,12 +852,12 @@ int flow_carry(flow *f, const flow_track *track, int nodes, const int *ends, con
     const long size = numbers_of_state(f);
     double *still = f->turned; /* no load */
     flow_track part = *track;
-    memset(still, 0, bytes(LOAD * (f->of.modes + f->rows)));
+    memset(still, 0, bytes(f->loads * (f->of.modes + f->rows)));
     for (int i = 0; i < nodes; i++, changes += size, excess += size) {
         double *next = changes + size;
         part.intervals = ends[i] - (i ? ends[i - 1] : 0);
         memcpy(next, changes, bytes(size));
-        const int outcome = flow_column(f, &part, still, still + LOAD * f->of.modes, 0, next);
+        const int outcome = flow_column(f, &part, still, still + f->loads * f->of.modes, 0, next);
         if (outcome != FLOW_DONE) return outcome;
         for (long j = 0; j < size; j++) next[j] += excess[j];
         part.sets += (long)part.intervals * f->of.pairs;
@@ -875,9 +885,9 @@ static double *copied(double **place, const double *from, long count)
 flow *new_flow(const flow_parts *given)
 {
     const long m = given->modes, pairs = given->pairs, damping = given->coupled ? m * m : m;
-    const long p = given->friction ? 2 * pairs : pairs;
-    const long room = m + damping + p * p + 2 * p * m + TERMS * (LOAD + m + 4 * p) + (STEPS + 2) * p
-                      + 6 * p + m + 2 * LOAD * (m + p) + (2 * TERMS + 2) * m;
+    const long p = given->friction ? 2 * pairs : pairs, loads = 2L * given->harmonics + 1;
+    const long room = m + damping + p * p + 2 * p * m + TERMS * (loads + m + 4 * p) + (STEPS + 2) * p
+                      + 6 * p + m + 2 * loads * (m + p) + (2 * TERMS + 2) * m;
     flow *f = calloc(1, sizeof(flow));
     if (!f) return NULL;
     f->of = *given;
@@ -885,6 +895,7 @@ flow *new_flow(const flow_parts *given)
     f->closed = malloc((size_t)p + 1);
     f->zeros = calloc((size_t)p + 1, 1);
     f->rows = (int)p;
+    f->loads = (int)loads;
     if (!f->room || !f->closed || !f->zeros) {
         free_flow(f);
         return NULL;
@@ -901,7 +912,7 @@ flow *new_flow(const flow_parts *given)
     f->columns = taken(&place, m * p);
     for (long i = 0; i < p; i++)
         for (long j = 0; j < m; j++) f->columns[j * p + i] = given->rows[i * m + j];
-    f->weights = taken(&place, TERMS * LOAD);
+    f->weights = taken(&place, TERMS * loads);
     f->series = taken(&place, TERMS * m);
     f->gaps = taken(&place, TERMS * p);
     f->answers = taken(&place, TERMS * p);
@@ -912,8 +923,8 @@ flow *new_flow(const flow_parts *given)
     f->force = taken(&place, p);
     f->seen = taken(&place, p);
     f->drag = taken(&place, m);
-    f->turned = taken(&place, LOAD * (m + p));
-    f->pulled = taken(&place, LOAD * (m + p));
+    f->turned = taken(&place, loads * (m + p));
+    f->pulled = taken(&place, loads * (m + p));
     f->source = taken(&place, TERMS * m);
     f->motion = taken(&place, (TERMS + 2) * m);
     f->known = new_closed_sets((int)m, (int)pairs, f->of.rows, f->of.compliance, f->of.friction,

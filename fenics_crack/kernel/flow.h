@@ -21,8 +21,8 @@
  * h is part of the state, which has n = 2 m + p numbers, without friction n = 2 m; of a pair that does
  * not stick it is g_t.
  *
- * Loads f and l have rows of their mean and of the cosine and sine of a frequency omega, of
- * which nothing else depends.
+ * Loads f and l have rows of their mean and of the cosines and sines of k omega, k = 1 .. K, of which
+ * nothing else depends.
  */
 typedef struct {
     int modes, pairs;
@@ -32,16 +32,14 @@ typedef struct {
     const double *rows;       /* (r, m) P^T */
     const double *compliance; /* (r, r) D */
     const double *friction;   /* (p) mu > 0; NULL: none, and r = p */
-    const double *force;      /* (3, m) f */
-    const double *gap;        /* (3, r) l */
+    int harmonics;            /* K > 0 */
+    const double *force;      /* (2 K + 1, m) f */
+    const double *gap;        /* (2 K + 1, r) l */
     double fastest;           /* of the squares of all sets' frequencies the largest one's root */
     long most;                /* numbers of sets of closed pairs that are kept */
 } flow_parts;
 
 typedef struct flow flow;
-
-/* Rows of a load, and how many. */
-enum { MEAN, COSINE, SINE, LOAD };
 
 /* All but the load is copied, which must stay. NULL without memory. */
 flow *new_flow(const flow_parts *given);

@@ -33,16 +33,19 @@ int march_central(const central_differences *s, int first, int steps, double *ga
 {
     const vibration *v = &s->body;
     const int n = v->modes, p = v->pairs;
-    const double *mean = v->load, *cosine = mean + n, *sine = cosine + n;
     double *restrict q = s->shape, *restrict d = s->increment;
     double *restrict r = v->room, *restrict a = r + n, *restrict reached = a + n;
     for (int step = 0; step < steps; step++, gap += p, force += p, shape += n) {
-        const double *wave = v->waves + 3 * (size_t)(first + step);
+        const double *wave = v->waves + v->loads * (size_t)(first + step);
         memcpy(shape, q, n * sizeof(double));
         gaps_of(v, q, gap);
         /* r = f - w^2 q - P lambda. */
-        for (int j = 0; j < n; j++)
-            r[j] = mean[j] + wave[1] * cosine[j] + wave[2] * sine[j] - v->squares[j] * q[j];
+        memcpy(r, v->load, n * sizeof(double));
+        for (int k = 1; k < v->loads; k++) {
+            const double *row = v->load + (size_t)k * n;
+            for (int j = 0; j < n; j++) r[j] += wave[k] * row[j];
+        }
+        for (int j = 0; j < n; j++) r[j] -= v->squares[j] * q[j];
         if (v->springs) {
             penalty(v, gap, force);
             take(p, n, v->rows, force, r);

@@ -1,6 +1,6 @@
 /* Marches of a small structure, step by step, in its modal coordinates
  *
- *     q'' + c q' + w^2 q + P lambda = f(t),     gap = P^T q - g0,      f = f_0 + f_c cos + f_s sin,
+ *     q'' + c q' + w^2 q + P lambda = f(t),     gap = P^T q - g0,      f = f_0 + sum_k f_ck cos + f_sk sin,
  *
  * with n modes and p pairs. "By mode" is an array (n) where the damping c leaves the modes
  * uncoupled, and a matrix (n, n) where it couples them.
@@ -17,8 +17,9 @@ typedef struct {
     const double *rows;      /* (p, n) P^T */
     const double *clearance; /* (p) g0 */
     const double *springs;   /* (p) k of the penalty law; NULL: rigid contact */
-    const double *load;      /* (3, n) f_0, f_c, f_s */
-    const double *waves;     /* (instants, 3) 1, cos, sin of a period */
+    int loads;               /* rows of the load: its mean, then a cosine and a sine of each order */
+    const double *load;      /* (loads, n) */
+    const double *waves;     /* (instants, loads) 1, cos, sin ... of a period */
     double *room;            /* (2 n + p) */
 } vibration;
 

@@ -11,6 +11,7 @@ struct shooting_point {
     shooting_equations of;
     flow_motion moved;
     int rows;  /* of contact, r */
+    int loads; /* rows of the load */
     int known; /* whether M is */
     double parameter;
     double *scale, *residual, *state, *rate, *tangent;
@@ -24,8 +25,8 @@ static size_t bytes(long count) { return (size_t)count * sizeof(double); }
 static void change_load(const shooting_point *at, double p)
 {
     const shooting_equations *of = &at->of;
-    for (int i = 0; i < LOAD * of->modes; i++) of->force[i] = at->force[i] + p * of->force_by[i];
-    for (int i = 0; i < LOAD * at->rows; i++) of->gap[i] = at->gap[i] + p * of->gap_by[i];
+    for (int i = 0; i < at->loads * of->modes; i++) of->force[i] = at->force[i] + p * of->force_by[i];
+    for (int i = 0; i < at->loads * at->rows; i++) of->gap[i] = at->gap[i] + p * of->gap_by[i];
 }
 
 static int evaluate(equations *own, const double *x, double p)
@@ -136,17 +137,18 @@ shooting_point *new_shooting_point(const shooting_equations *given)
 {
     const long pairs = given->pairs, intervals = given->intervals;
     const long n = 2L * given->modes + (given->friction ? pairs : 0);
-    const long rows = given->friction ? 2 * pairs : pairs;
+    const long rows = given->friction ? 2 * pairs : pairs, loads = 2L * given->harmonics + 1;
     shooting_point *at = calloc(1, sizeof(shooting_point));
     if (!at) return NULL;
     at->of = *given;
     at->rows = (int)rows;
+    at->loads = (int)loads;
     at->common.own = (equations){
         .unknowns = (int)n, .evaluate = evaluate, .residual = residual, .solve = solve_dense,
         .solve_nearly = solve_nearly_dense, .by_parameter = by_parameter, .sign = sign_of_dense,
         .records = (int)(n * n), .record = record};
     const int failed = make_dense(&at->common, (int)n, form_jacobian);
-    const long load = given->force ? LOAD * (given->modes + rows) : 0;
+    const long load = given->force ? loads * (given->modes + rows) : 0;
     at->scale = malloc(bytes(5 * n + n * n + load + given->rates));
     at->moved.most_pieces = given->pieces;
     at->moved.most = given->intervals;
@@ -172,9 +174,9 @@ shooting_point *new_shooting_point(const shooting_equations *given)
     at->start = at->tangent + n * n;
     at->damping = at->start + n;
     if (load) {
-        at->force = at->damping + given->rates, at->gap = at->force + LOAD * given->modes;
-        memcpy(at->force, given->force, bytes(LOAD * given->modes));
-        memcpy(at->gap, given->gap, bytes(LOAD * rows));
+        at->force = at->damping + given->rates, at->gap = at->force + loads * given->modes;
+        memcpy(at->force, given->force, bytes(loads * given->modes));
+        memcpy(at->gap, given->gap, bytes(loads * rows));
     }
     return at;
 }

@@ -15,13 +15,15 @@
 typedef struct {
     flow *flow;
     int modes, pairs;
+    int harmonics;         /* K */
     int friction;          /* whether there is: then n = 2 m + p and r = 2 p, else 2 m and p (flow.h) */
     double base, rate;     /* of omega */
     double turns;          /* 2 pi times the load's periods in one of the orbit */
     const double *scale;   /* (n) */
     const double *rest;    /* x_0 and x_1, (2, n); NULL: 0 */
     int pieces, intervals;
-    double *force, *gap;   /* the flow's own load, (3, m) and (3, r); NULL: it does not change */
+    double *force, *gap;   /* the flow's own load, (2 K + 1, m) and (2 K + 1, r); NULL: it does
+                            * not change */
     const double *force_by, *gap_by; /* load_1 */
     int rates;                       /* numbers of the damping; 0: it does not change */
     const double *damping, *damping_by; /* C_0 and C_1, as the flow's own */

@@ -38,11 +38,12 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from fenics_crack.basics.errors import InputError, reading
+from fenics_crack.basics.errors import InputError, check_count, reading
 from fenics_crack.basics.ranks import gather_rows, on_each
 from fenics_crack.basics.tables import counted
 from fenics_crack.basics.untrusted_files import allowance, bytes_of, lines_of
 from fenics_crack.model.factor import TOLERATED, Factor, distributed, factored_sum, weighted_sum
+from fenics_crack.numerics.fourier import resized
 from fenics_crack.scene.fields import LARGEST
 
 DIRECTIONS = {"UX": 1, "UY": 2, "UZ": 3, "ROTX": 4, "ROTY": 5, "ROTZ": 6}
@@ -603,13 +604,7 @@ def checked(
         value = f"zero in column {empty[0] + 1} of {gap.shape[1]}"
         allowed = "a pair in each: a gap that depends on no displacement never opens or closes"
         raise InputError("gap", value, allowed)
-    force = np.zeros((3, n))
-    for row, (name, part) in zip(force, forces.items(), strict=True):
-        if part is not None:
-            column = whole_rows(name, part, n)
-            if column.shape != (n, 1):
-                raise InputError(name, column.shape, f"of shape ({n},)")
-            row[:] = column.toarray().ravel()
+    force = np.array([_of_dofs(name, part, n) for name, part in forces.items()])
     return {
         "mass": mass,
         "stiffness": stiffness,
@@ -617,6 +612,35 @@ def checked(
         "force": force[:, own],
         "clearance": per_pair("clearance", clearance, gap.shape[1]),
     }
+
+
+def _of_dofs(name: str, given: Any, n: int) -> np.ndarray:
+    """A vector (n,), zero where it is None; InputError for another shape."""
+    if given is None:
+        return np.zeros(n)
+    column = whole_rows(name, given, n)
+    if column.shape != (n, 1):
+        raise InputError(name, column.shape, f"of shape ({n},)")
+    return np.asarray(column.toarray().ravel(), dtype=float)
+
+
+def with_harmonics(
+    force: np.ndarray, given: Mapping[int, tuple[Any, Any]], mass: Any
+) -> np.ndarray:
+    """This rank's mean, cosine and sine part of a load (3, n_local) with further harmonics, by
+    their orders cosine and sine part: (2K+1, n_local)."""
+    n, own = mass.size[0], slice(*mass.owner_range)
+    if not isinstance(given, Mapping):
+        raise InputError("force_harmonics", given, "cosine and sine part by the order")
+    for order in given:
+        check_count("order in force_harmonics", order, 1)
+    found = resized(force, max(given, default=1))
+    for order, both in given.items():
+        name = f"force_harmonics[{order}]"
+        if not isinstance(both, tuple | list) or len(both) != 2:
+            raise InputError(name, both, "(cosine, sine), each (n,) or None")
+        found[2 * order - 1 : 2 * order + 1] += [_of_dofs(name, part, n)[own] for part in both]
+    return found
 
 
 def checked_tangential(given: Any, parts: Mapping[str, Any]) -> sparse.csr_matrix:

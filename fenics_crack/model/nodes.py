@@ -139,8 +139,8 @@ class Coordinates(Hinted):
         B, the rows owned by this rank: (n_local, n_pairs).
     tangential : scipy.sparse.csr_matrix or None
         B_t, likewise: tangential gaps g_t = B_t^T u, of faces in a plane.
-    force : (3, n_local) [N]
-        Mean, cosine and sine part of the load on the first harmonic.
+    force : (2K+1, n_local) [N]
+        Mean of the load, then cosine and sine part of its harmonics 1 to K.
     nodes : Nodes or None
         Positions of the dofs where there is a mesh.
     pairs : Pairs

@@ -176,7 +176,8 @@ def _massless(structure: Structure, modes: int, *, assessed: bool) -> MasslessSt
     seen = static[more].modal.T
     force = structure.sum_over_ranks(structure.force @ shapes)
     # The amplitudes of the load's parts are unknowns whose force is S times themselves.
-    patterns = np.hstack([np.zeros((3, rows)), np.eye(3)[:, loaded]])
+    parts = len(loaded)
+    patterns = np.hstack([np.zeros((parts, rows)), np.eye(parts)[:, loaded]])
     own, reference = structure.damping, None
     modal = isinstance(own, ModalDamping)
     for count in counts:

@@ -18,7 +18,7 @@ K phi_j = omega_j^2 M phi_j with phi_i^T M phi_j = delta_ij:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, Self, TypeVar
@@ -39,6 +39,7 @@ from fenics_crack.model.matrices import (
     numbers,
     per_pair,
     petsc_matrix,
+    with_harmonics,
     with_springs,
 )
 from fenics_crack.model.nodes import Clamp, Coordinates, Nodes, Pairs
@@ -391,9 +392,9 @@ class Structure(Coordinates):
 
         Parameters
         ----------
-        load : float or (3, 3)
-            Factor, or the matrix that maps mean, cosine and sine part to the new ones. Left out
-            where the structure rotates, whose mean load holds the centrifugal one.
+        load : float or (2K+1, 2K+1)
+            Factor, or the matrix that maps its rows, mean, cosine and sine parts, to the new ones.
+            Left out where the structure rotates, whose mean load holds the centrifugal one.
         damping : float
             Factor >= 0.
         clearance : float or (n_pairs,) [m]
@@ -404,7 +405,7 @@ class Structure(Coordinates):
         InputError
             A value cannot be used.
         """
-        weights = _weights(load)
+        weights = _weights(load, len(self.force))
         if self.whole.rotation is not None and not (weights.ndim == 0 and weights == 1.0):
             allowed = "1 for a structure that rotates: part of its mean load is centrifugal"
             raise InputError("load", load, allowed)
@@ -442,6 +443,7 @@ class Structure(Coordinates):
         force_sin: Any = None,
         force_cos: Any = None,
         force_mean: Any = None,
+        force_harmonics: Mapping[int, tuple[Any, Any]] | None = None,
         clearance: Any = 0.0,
         tangential: Any = None,
         damping: Any = None,
@@ -458,6 +460,8 @@ class Structure(Coordinates):
             B; None: no pairs.
         force_sin, force_cos, force_mean : (n,) [N] or None
             Load on the first harmonic, and its mean.
+        force_harmonics : dict of int to (cosine, sine), or None
+            Further harmonics of the load by their orders, (n,) [N] each, or None.
         clearance : float or (n_pairs,) [m]
             g0; negative for preload.
         tangential : (n, n_pairs) or (n,)
@@ -475,6 +479,7 @@ class Structure(Coordinates):
         """
         forces = {"force_mean": force_mean, "force_cos": force_cos, "force_sin": force_sin}
         parts = checked(mass, stiffness, gap, forces, clearance, comm)
+        parts["force"] = with_harmonics(parts["force"], force_harmonics or {}, parts["mass"])
         if tangential is not None:
             tangential = checked_tangential(tangential, parts)
         if not isinstance(damping, DampingRule | None):
@@ -491,11 +496,12 @@ def _in_words(structure: Structure) -> str:
     return f"{pairs}, {'no damping' if damping is None else 'damping matrix'}"
 
 
-def _weights(load: Any) -> np.ndarray:
-    """A factor of a load, or the matrix that maps its parts to others; checked."""
+def _weights(load: Any, rows: int) -> np.ndarray:
+    """A factor of a load, or the matrix that maps its parts to others, of so many rows; checked."""
     weights = numbers(load)
-    if weights.shape not in ((), (3, 3)) or not np.all(np.isfinite(weights)):
-        raise InputError("load", load, "a finite number, or a finite matrix of shape (3, 3)")
+    if weights.shape not in ((), (rows, rows)) or not np.all(np.isfinite(weights)):
+        allowed = f"a finite number, or a finite matrix of shape ({rows}, {rows})"
+        raise InputError("load", load, allowed)
     return weights
 
 

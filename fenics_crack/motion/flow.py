@@ -41,7 +41,7 @@ from fenics_crack.model.contact import (
 )
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.fourier import waves
+from fenics_crack.numerics.fourier import waves_of
 
 
 @dataclass(frozen=True)
@@ -123,9 +123,9 @@ class Flow:
         1 / kappa, zero where contact is rigid.
     compliance : (n_pairs, n_pairs) [m/N]
         R_inf + I/kappa.
-    force : (3, n_modes)
-        f: mean, cosine and sine.
-    gap : (3, n_pairs) [m]
+    force : (2K+1, n_modes)
+        f: mean, and cosine and sine of each order.
+    gap : (2K+1, n_pairs) [m]
         l, likewise.
     """
 
@@ -139,7 +139,7 @@ class Flow:
         self.softness = springs_of(contact, structure.n_pairs)
         self.compliance = self.residual + np.diag(self.softness)
         self.force = np.ascontiguousarray(structure.force @ modes.shapes)
-        self.gap = np.zeros((3, len(self.softness)))
+        self.gap = np.zeros((len(self.force), len(self.softness)))
         if modes.static_loads is not None:
             self.gap += seen.apply_bt(structure.force @ modes.static_loads)
         self.gap[0] -= self.clearance
@@ -179,7 +179,9 @@ class Flow:
         modes = self.modes
         found: np.ndarray = states[:, : self.count] @ modes.shapes[dofs].T
         if modes.static_loads is not None and modes.static_pairs is not None:
-            found += waves(phase) @ (self.structure.force @ modes.static_loads[:, dofs])
+            found += waves_of(self.force, phase) @ (
+                self.structure.force @ modes.static_loads[:, dofs]
+            )
             found -= force @ modes.static_pairs[dofs].T
         return found
 
@@ -206,6 +208,7 @@ class ContactFlow(Flow):
             coupled=modes.damping.ndim == 2, squares=doubles(modes.squares),
             damping=doubles(modes.damping),
             rows=doubles(modes.pairs.T), compliance=doubles(self.compliance), force=self.force,
+            harmonics=len(self.force) // 2,
             gap=self.gap, fastest=self.fastest, most=int(KEPT * machine_memory()) // 8,
         )  # fmt: skip
         self.handle = owned(kernel.new_flow(parts.at), kernel.free_flow)

@@ -44,7 +44,7 @@ from fenics_crack.model.contact import is_regular
 from fenics_crack.model.modal import all_modes
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, Samples, Track
 from fenics_crack.numerics.equations import CLOSE, LOCATED, factored, solve_factored
-from fenics_crack.numerics.fourier import waves
+from fenics_crack.numerics.fourier import waves_of
 from fenics_crack.numerics.newton import FORCING, gmres, relative_to_motion
 
 FLOWS, SHORTEST = 20, 1e-3
@@ -190,7 +190,7 @@ class PeriodicOrbit(Described):
         slow, rates = np.split(samples.states, 2, axis=1)
         moved = slow @ modes.pairs[:, count:] - samples.force @ residual[:, :count].T
         if modes.static_loads is not None:
-            phases = waves(self.omega * samples.time)
+            phases = waves_of(flow.force, self.omega * samples.time)
             moved += phases @ structure.apply_tangential(structure.force @ modes.static_loads)
         highest = np.where(samples.closed, moved, -np.inf).max(axis=0)
         lowest = np.where(samples.closed, moved, np.inf).min(axis=0)

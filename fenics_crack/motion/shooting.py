@@ -80,8 +80,8 @@ class ShootingEquations(Equations):
     subharmonic : int
         The load's periods in one of the orbit.
     load : (force, gap), optional
-        Rates of the flow's own load, (3, n_modes) and (3, n_pairs); the flow, at p = 0 when it is
-        given, follows p.
+        Rates of the flow's own load, (2K+1, n_modes) and (2K+1, n_pairs); the flow, at p = 0 when
+        it is given, follows p.
     damping : (array, array), optional
         Its own at p = 0, and its rate: likewise, the flow given with the largest one.
     rest : (2, 2 n_modes), optional
@@ -109,6 +109,7 @@ class ShootingEquations(Equations):
             changed["rest"] = rest
         self._given = Struct(
             "shooting_equations", flow=flow.handle, modes=flow.count,
+            harmonics=len(flow.force) // 2,
             pairs=flow.structure.n_pairs, friction=flow.friction is not None,
             base=omega[0], rate=omega[1],
             turns=2.0 * np.pi * subharmonic, scale=scale, pieces=Budget.pieces,

@@ -40,6 +40,11 @@ def waves(phase: np.ndarray, orders: ArrayLike = (1.0,)) -> np.ndarray:
     return _of_angles(np.multiply.outer(phase, orders))
 
 
+def waves_of(rows: np.ndarray, phase: np.ndarray) -> np.ndarray:
+    """1, cos theta, sin theta, cos 2 theta, ... of as many rows at phases (...): (..., rows)."""
+    return waves(phase, np.arange(1, len(rows) // 2 + 1))
+
+
 def _of_angles(angle: np.ndarray) -> np.ndarray:
     """1, cos, sin, cos, sin, ... of angles (..., K): (..., 2K+1)."""
     found = np.ones((*angle.shape[:-1], 2 * angle.shape[-1] + 1))

@@ -64,6 +64,27 @@ class MeshFile(Axis):
         return f"{_as_toml(self.key)} = {{ {pairs} }}"
 
 
+@dataclass(frozen=True)
+class Harmonic:
+    """A harmonic of a periodic load, cos cos(k omega t) + sin sin(k omega t).
+
+    Attributes
+    ----------
+    order : int
+        k.
+    cos, sin : tuple of float
+        Components; one number of a pressure.
+    """
+
+    order: int
+    cos: tuple[float, ...]
+    sin: tuple[float, ...]
+
+    def as_toml(self) -> str:
+        """As an inline table of a file."""
+        return f"{{ order = {self.order}, cos = {_as_toml(self.cos)}, sin = {_as_toml(self.sin)} }}"
+
+
 # --- how a value is read --------------------------------------------------------------------------
 
 
@@ -148,6 +169,35 @@ def _numbers_of_mesh(file: str, given: object) -> tuple[tuple[str, float], ...]:
     return tuple((_str(name), _float(number)) for name, number in given.items())
 
 
+def _harmonics(value: object) -> tuple[Harmonic, ...]:
+    """Harmonics of different orders, each by its cosine and sine or by amplitude and phase."""
+    found = tuple(one if isinstance(one, Harmonic) else _harmonic(one) for one in _list(value))
+    if len({one.order for one in found}) != len(found):
+        raise TypeError
+    return found
+
+
+def _harmonic(given: object) -> Harmonic:
+    if not isinstance(given, Mapping) or "order" not in given:
+        raise TypeError
+    order, keys = _int(given["order"]), given.keys() - {"order"}
+    if order < 1 or not keys:
+        raise TypeError
+    if keys <= {"cos", "sin"}:
+        parts = {key: _components(given[key]) for key in keys}
+        zero = (0.0,) * max(map(len, parts.values()))
+        return Harmonic(order, parts.get("cos", zero), parts.get("sin", zero))
+    if "amplitude" not in keys or not keys <= {"amplitude", "phase"}:
+        raise TypeError
+    lag = math.radians(_float(given.get("phase", 0.0)))
+    size = _components(given["amplitude"])
+    return Harmonic(order, scaled(size, math.cos(lag)), scaled(size, math.sin(lag)))
+
+
+def _components(value: object) -> tuple[float, ...]:
+    return _vector(value) if isinstance(value, list | tuple) else (_float(value),)
+
+
 def _words(value: object) -> tuple[str, ...]:
     """A list of different words."""
     words = tuple(map(_str, _list(value)))
@@ -196,6 +246,7 @@ _READERS: dict[str, Callable[[object], Any]] = {
     "tuple[Axis, ...]": _axes(Axis, _values),
     "tuple[MeshFile, ...]": _axes(MeshFile, _numbers_of_mesh),
     "tuple[Point, ...]": _axes(Point, lambda _, given: _vector(given)),
+    "tuple[Harmonic, ...]": _harmonics,
     "tuple[float, ...]": _floats,
     "tuple[str, ...]": _words,
 }
@@ -203,7 +254,8 @@ _READERS: dict[str, Callable[[object], Any]] = {
 
 
 _JSON = {"bool": "boolean", "float": "number", "int": "integer", "str": "string"}
-_JSON |= dict.fromkeys(("Pair", "Vector", "tuple[float, ...]", "tuple[str, ...]"), "array")
+_ARRAYS = ("Pair", "Vector", "tuple[Harmonic, ...]", "tuple[float, ...]", "tuple[str, ...]")
+_JSON |= dict.fromkeys(_ARRAYS, "array")
 """JSON's words for types; axes and points are objects."""
 
 
@@ -269,6 +321,15 @@ def components(letter: str, dimension: int) -> str:
 def _names(letter: str, dimension: int) -> str:
     """Return the names of a vector's numbers."""
     return f"[{', '.join(letter + axis for axis in 'xyz'[:dimension])}]"
+
+
+def of_harmonics() -> Any:
+    """Field of harmonics of a load."""
+    allowed = (
+        "a list of tables with an order, a whole number >= 1 and another in each, and cos or sin, "
+        "or amplitude and phase [degrees] by which it lags"
+    )
+    return holds(allowed, default=())
 
 
 def at_least_one(default: Any = MISSING) -> Any:
@@ -442,6 +503,8 @@ class Table(Hinted):
             value = getattr(self, name)
             if isinstance(value, tuple) and value and isinstance(value[0], Axis):
                 after += ["", f"[{self.name_of(name)}]", *(axis.as_toml() for axis in value)]
+            elif isinstance(value, tuple) and value and isinstance(value[0], Harmonic):
+                lines.append(f"{name} = [{', '.join(one.as_toml() for one in value)}]")
             elif value != item.default and name not in found:
                 lines.append(f"{name} = {_as_toml(value)}")
         return "\n".join([*lines, *after, ""])

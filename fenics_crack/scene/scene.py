@@ -51,6 +51,7 @@ from fenics_crack.scene.tables import (
     Structure,
     Sweep,
     TipTiming,
+    highest,
 )
 
 LOOKED_AT = ("curve", "integration", "sweep", "growth", "identify", "tip_timing", "output")
@@ -237,6 +238,14 @@ class Scene(Hinted):
         """True if there is friction between crack faces, in a case of the sweep at least."""
         own = self.contact is not None and self.contact.friction > 0.0
         return own or any(self.swept.get("contact.friction", ()))
+
+    @property
+    def highest_order(self) -> int:
+        """Highest multiple of the excitation's frequency at which a load acts."""
+        others = [highest(load.harmonics) for load in self.loads]
+        if self.base is not None:
+            others.append(highest(self.base.harmonics))
+        return max(self.excitation.highest, *others, 1)
 
     @property
     def has_other_loads(self) -> bool:

@@ -18,6 +18,7 @@ from fenics_crack.basics.tables import QUANTITIES, RPM, TURN
 from fenics_crack.scene.fields import (
     OR_ZERO,
     Axis,
+    Harmonic,
     MeshFile,
     Pair,
     Point,
@@ -30,6 +31,7 @@ from fenics_crack.scene.fields import (
     holds,
     not_negative,
     number,
+    of_harmonics,
     path,
     positive,
     twin,
@@ -205,7 +207,9 @@ class Damping(Table):
 
 @dataclass(frozen=True)
 class Excitation(Table):
-    """Point force f(t) = force_mean + force_cos cos(omega t) + force_sin sin(omega t)."""
+    """Point force f(t) = force_mean + force_cos cos(omega t) + force_sin sin(omega t), and
+    ``[[excitation.harmonics]]`` of further orders k, cos cos(k omega t) + sin sin(k omega t); with
+    an engine order n these act at k n times ``rotation.speed``."""
 
     omega: float = positive(None, unit="rad/s")
     """Angular frequency; with an engine order, the one that follows from it."""
@@ -218,9 +222,19 @@ class Excitation(Table):
     force_sin: Vector = vector("f", (0.0, 0.0), unit="N")
     force_cos: Vector = vector("f", (0.0, 0.0), unit="N")
     force_mean: Vector = vector("f", (0.0, 0.0), unit="N")
+    harmonics: tuple[Harmonic, ...] = of_harmonics()
+    """Further harmonics of the force [N]: ``order``, and ``cos`` and ``sin``, or ``amplitude`` and
+    ``phase`` [degrees] by which it lags."""
+    wave: str | None = path("a CSV file with a line of words, then rows of a time and forces")
+    """A table of one period of a force that is added: a time, from its beginning to its end in any
+    unit, and the components [N], linear in between; two rows of one time are a jump."""
+    wave_harmonics: int = at_least_one(20)
+    """Harmonics kept of it; what they leave out is stated."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.wave is None:
+            self.leave_out(("wave_harmonics",), "no excitation.wave")
         if self.order is not None:
             self.leave_out(("frequency", "omega"), f"excitation.order = {self.order}")
             return
@@ -252,7 +266,27 @@ class Excitation(Table):
     @property
     def force_given(self) -> str:
         """The first key of a force that is not zero; empty if there is none."""
-        return next((name for name in FORCES[::-1] if any(getattr(self, name))), "")
+        found = next((name for name in FORCES[::-1] if any(getattr(self, name))), "")
+        return found or next((n for n in ("harmonics", "wave") if getattr(self, n)), "")
+
+    @property
+    def highest(self) -> int:
+        """Highest order of its harmonics."""
+        of_wave = self.wave_harmonics if self.wave is not None else 1
+        return max(highest(self.harmonics), of_wave)
+
+
+def highest(harmonics: tuple[Harmonic, ...]) -> int:
+    """Highest order of some harmonics and the first."""
+    return max((one.order for one in harmonics), default=1)
+
+
+def add_harmonics(rows: list[Vector], harmonics: tuple[Harmonic, ...]) -> None:
+    """Add harmonics to the components of a mean, and of cosine and sine of each order."""
+    for one in harmonics:
+        for row, part in ((2 * one.order - 1, one.cos), (2 * one.order, one.sin)):
+            pairs = zip_longest(rows[row], part, fillvalue=0.0)
+            rows[row] = tuple(a + b for a, b in pairs)
 
 
 @dataclass(frozen=True)
@@ -278,6 +312,9 @@ class Load(Table):
     traction_mean: Vector | None = vector("t", unit="Pa")
     phase: float = number(0.0, unit="degrees")
     """Angle by which its cosine and sine lag."""
+    harmonics: tuple[Harmonic, ...] = of_harmonics()
+    """Further harmonics, ``[[loads.harmonics]]``, as of the excitation: of the force at a point; on
+    an edge of the traction, or with one number of the pressure [Pa]."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -292,7 +329,10 @@ class Load(Table):
             else (pressures + tractions, forces)
         )
         self.leave_out(others, "edge" if self.point is None else "point")
-        some = any(getattr(self, name) is not None for name in allowed)
+        some = any(getattr(self, name) is not None for name in allowed) or bool(self.harmonics)
+        if self.point is not None:
+            vectors = all(len(one.cos) > 1 for one in self.harmonics)
+            self.require(vectors, "harmonics", "vectors at a point: components of a force")
         self.require(some, allowed[-1], f"given, or another of {', '.join(allowed[:-1])}")
         if all(getattr(self, name) is None for name in allowed if not name.endswith("_mean")):
             self.leave_out(("phase",), "a mean load alone")
@@ -302,15 +342,19 @@ class Load(Table):
         return tuple(f"{kind}_{part}" for part in ("mean", "cos", "sin"))
 
     def parts(self, kind: str) -> list[Vector]:
-        """Mean, cosine and sine part of the "force" or the "traction"; of the "pressure" (p,);
-        without numbers where they are not given."""
+        """Mean, and cosine and sine part of each order, of the "force" or the "traction"; of the
+        "pressure" (p,); without numbers where they are not given."""
         values = [getattr(self, name) for name in self._names(kind)]
         mean, cosine, sine = (
             v if isinstance(v, tuple) else () if v is None else (v,) for v in values
         )
         c, s = math.cos(math.radians(self.phase)), math.sin(math.radians(self.phase))
         both = list(zip_longest(cosine, sine, fillvalue=0.0))
-        return [mean, tuple(c * a - s * b for a, b in both), tuple(s * a + c * b for a, b in both)]
+        first = [tuple(c * a - s * b for a, b in both), tuple(s * a + c * b for a, b in both)]
+        rows: list[Vector] = [mean, *first, *((),) * (2 * highest(self.harmonics) - 2)]
+        scalar = kind == "pressure"
+        add_harmonics(rows, tuple(h for h in self.harmonics if (len(h.cos) == 1) == scalar))
+        return rows
 
 
 @dataclass(frozen=True)
@@ -323,19 +367,25 @@ class Base(Table):
 
     acceleration_sin: Vector | None = vector("a", unit="m/s^2")
     acceleration_cos: Vector | None = vector("a", unit="m/s^2")
+    harmonics: tuple[Harmonic, ...] = of_harmonics()
+    """Further harmonics of the acceleration, ``[[base.harmonics]]``, as of the excitation."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        moving = any(any(part) for part in (self.acceleration_cos, self.acceleration_sin) if part)
+        given = (self.acceleration_cos, self.acceleration_sin)
+        moving = bool(self.harmonics) or any(any(part) for part in given if part)
         self.require(moving, "acceleration_sin", "given, or acceleration_cos, not zero")
 
     @property
-    def accelerations(self) -> tuple[Vector, Vector]:
-        """Cosine and sine part [m/s^2]."""
+    def accelerations(self) -> list[Vector]:
+        """Cosine and sine part of each order [m/s^2]."""
         parts = (self.acceleration_cos, self.acceleration_sin)
-        size = max(len(part) for part in parts if part is not None)
-        cosine, sine = (part or (0.0,) * size for part in parts)
-        return cosine, sine
+        size = max(len(part) for part in (*parts, *(h.cos for h in self.harmonics)) if part)
+        zero = (0.0,) * size
+        rows: list[Vector] = [zero] * (2 * highest(self.harmonics) + 1)
+        rows[1:3] = [part or zero for part in parts]
+        add_harmonics(rows, self.harmonics)
+        return rows[1:]
 
     @property
     def direction(self) -> Vector:

@@ -141,7 +141,8 @@ def _free_keys(scene: Scene, swept: Collection[str]) -> set[str]:
     """Keys whose values share a geometry; loads beside the force at ``excitation.point`` are part
     of it, and so are clearances of matrices."""
     free = SAME_GEOMETRY | {key for key in swept if re.fullmatch(r"crack.*\.clearance", key)}
-    others = scene.has_other_loads or scene.rotation is not None
+    more = bool(scene.excitation.harmonics) or scene.excitation.wave is not None
+    others = scene.has_other_loads or scene.rotation is not None or more
     if others or any(key.startswith(("base.", "loads.", "rotation.")) for key in swept):
         free -= OF_FORCES
     return free

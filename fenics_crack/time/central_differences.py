@@ -233,7 +233,8 @@ class _ModalDifferences(Scheme):
             "vibration", modes=count, pairs=pairs, coupled=modes.damping.ndim == 2,
             squares=rows(modes.squares), rows=rows(modes.pairs.T),
             clearance=np.broadcast_to(np.asarray(asked.structure.clearance, float), pairs).copy(),
-            springs=springs, load=rows(asked.structure.force @ modes.shapes), waves=asked.waves,
+            springs=springs, load=rows(asked.structure.force @ modes.shapes),
+            waves=asked.waves, loads=len(asked.structure.force),
             room=np.empty(2 * count + pairs),
         )  # fmt: skip
         self._known = Struct(
@@ -251,8 +252,8 @@ class _ModalDifferences(Scheme):
     def _acceleration(self, velocity: np.ndarray) -> np.ndarray:
         """f - w^2 q - P lambda - c v at phase zero of the load; forces of a constraint, which
         belong to the next step, are left out."""
-        modes, mean_and_cosine = self._modes, self._asked.structure.force[:2].sum(axis=0)
-        found = mean_and_cosine @ modes.shapes - modes.squares * self._shape
+        modes, force = self._modes, self._asked.structure.force
+        found = (force[0] + force[1::2].sum(axis=0)) @ modes.shapes - modes.squares * self._shape
         if not self._asked.rigid:
             found -= modes.pairs @ self._asked.contact.force(self._gap())
         return np.asarray(found - modes.damped(velocity))

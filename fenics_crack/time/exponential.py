@@ -33,7 +33,7 @@ from fenics_crack.kernel import Struct, kernel, pointer, shaped
 from fenics_crack.model.contact import ActiveSets, ContactLaw
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import Flow, check_exact, doubles
-from fenics_crack.numerics.fourier import waves
+from fenics_crack.numerics.fourier import derivative, from_complex, to_complex, waves_of
 
 
 class ExponentialFlow(Flow):
@@ -64,10 +64,13 @@ class ExponentialFlow(Flow):
         moved_gap = modes.pairs.T @ pushed[:count]
         self.gap_rows = np.hstack([modes.pairs.T, np.zeros((pairs, count))])
         mean = modes.steady_response(0.0, self.force[0] + 0j).real
-        first = modes.steady_response(omega, self.force[1] - 1j * self.force[2])
-        shape = np.vstack([mean, first.real, -first.imag])
-        rate = np.vstack([0.0 * mean, -omega * first.imag, -omega * first.real])
-        instants = waves(2.0 * np.pi * np.arange(steps) / steps)
+        moving = [
+            modes.steady_response(order * omega, load)
+            for order, load in enumerate(to_complex(self.force)[1:], 1)
+        ]
+        shape = from_complex(np.array([mean, *moving]))
+        rate = derivative(shape, omega)
+        instants = waves_of(self.force, 2.0 * np.pi * np.arange(steps) / steps)
         self.steady = instants @ np.hstack([shape, rate])
         self.linear_gap = instants @ (shape @ modes.pairs + self.gap)
         self._static = ActiveSets(self.compliance)

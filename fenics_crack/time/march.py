@@ -37,7 +37,7 @@ from fenics_crack.model.contact import ContactLaw, check_law, is_rigid
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.fourier import balanced, derivative, evaluate, waves
+from fenics_crack.numerics.fourier import balanced, derivative, evaluate, waves_of
 from fenics_crack.numerics.newton import moving_size
 
 MEMORY_LIMIT = 2**31
@@ -153,8 +153,10 @@ class March:
 
     @cached_property
     def waves(self) -> np.ndarray:
-        """1, cos and sin of the load's phase at the instants of a period: (N, 3)."""
-        return waves(2.0 * np.pi * np.arange(self.steps_per_period) / self.steps_per_period)
+        """1, cos and sin of the multiples of the load's phase at the instants of a period: (N,
+        2K+1)."""
+        instants = np.arange(self.steps_per_period) / self.steps_per_period
+        return waves_of(self.structure.force, 2.0 * np.pi * instants)
 
     @cached_property
     def load(self) -> np.ndarray:
