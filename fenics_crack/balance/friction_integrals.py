@@ -29,7 +29,7 @@ from fenics_crack.balance.contact_integrals import (
 from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.basics.threads import machine_memory
 from fenics_crack.kernel import kernel, owned, pointer, shaped
-from fenics_crack.model.contact import KEPT, ContactLaw, CoulombFriction, friction_of, springs_of
+from fenics_crack.model.contact import KEPT, ContactLaw, friction_of, springs_of
 from fenics_crack.numerics.fourier import balanced, evaluate, sampled, waves
 
 
@@ -63,10 +63,11 @@ class FrictionIntegrals(ContactIntegrals):
     coupled: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        assert self.residual is not None and isinstance(self.law, CoulombFriction)
+        friction = friction_of(self.law)
+        assert self.residual is not None and friction is not None
         rows = len(self.residual)
         compliance = self.compliance
-        mu = self.share * np.broadcast_to(self.law.coefficient, rows // 2)
+        mu = self.share * np.broadcast_to(friction.coefficient, rows // 2)
         held = np.zeros((rows, 1)), compliance, mu
         object.__setattr__(self, "_held", held)
         most = int(KEPT * machine_memory()) // 8
@@ -180,9 +181,10 @@ class FrictionForces(ContactForces):
         E x, f = E' x of pairs that slip, and D E x = s - h there, it is f and what changes - D f of
         the gaps make of the forces."""
         integrals, pairs = self._integrals, self._rows[1] // 2
-        assert isinstance(integrals.law, CoulombFriction)
+        friction = friction_of(integrals.law)
+        assert friction is not None
         signs = 1.0 * (self.states == kernel.SLIP_UP) - (self.states == kernel.SLIP_DOWN)
         found = np.zeros_like(self._forces)
-        found[:, pairs:] = signs * integrals.law.coefficient * self._forces[:, :pairs]
+        found[:, pairs:] = signs * friction.coefficient * self._forces[:, :pairs]
         compliance = integrals.compliance
         return balanced(found, integrals.harmonics) + self._of_values(-found @ compliance)

@@ -120,8 +120,13 @@ class Indicators(Tabular):
     slip_share: Any
 
     def to_dict(self) -> dict[str, Any]:
-        """Numbers by name, or along a curve columns."""
-        return {item.name: np.asarray(getattr(self, item.name)).tolist() for item in fields(self)}
+        """Numbers by name, or along a curve columns; those of friction where there is some."""
+        columns = {item.name: np.asarray(getattr(self, item.name)) for item in fields(self)}
+        return {
+            name: column.tolist()
+            for name, column in columns.items()
+            if name not in OF_FRICTION or not np.all(np.isnan(column))
+        }
 
     def _title(self) -> str:
         if np.ndim(self.omega):
@@ -367,7 +372,8 @@ class PeriodicSolution(Wave, Described):
     def _extremes(self) -> dict[str, float]:
         """Extremes of gap and contact force in the period."""
         gaps, forces = self.gaps_and_forces(self.instants())
-        return contact_extremes(gaps, forces, self.structure.pairs.cracks, self.contact)
+        found = contact_extremes(gaps, forces, self.structure.pairs.cracks, self.contact)
+        return found if self.orbit is None else found | self.orbit.sliding
 
     def coefficients_at(self, dofs: Sequence[int | None] = (None,)) -> np.ndarray:
         """Coefficients of the displacement of dofs: (2H+1, len(dofs)) [m] (collective)."""

@@ -100,7 +100,7 @@ def _made(scene: Scene, table: Table, rule: DampingRule | None, comm: MPI.Comm) 
             parts[name] = force
     if scene.highest_order > 1:
         excitation = scene.excitation
-        allowed = "left out with [structure]: Structure.from_matrices takes force_harmonics"
+        allowed = "left out with [structure]: in Python Structure.with_harmonics adds them"
         excitation.require(False, (excitation.wave and "wave") or "harmonics", allowed)
     made = Structure.from_matrices(**parts, comm=comm)
     return made if nodes is None else made.placed(nodes, pairs)

@@ -627,16 +627,16 @@ def _of_dofs(name: str, given: Any, n: int) -> np.ndarray:
 def with_harmonics(
     force: np.ndarray, given: Mapping[int, tuple[Any, Any]], mass: Any
 ) -> np.ndarray:
-    """This rank's mean, cosine and sine part of a load (3, n_local) with further harmonics, by
-    their orders cosine and sine part: (2K+1, n_local)."""
+    """This rank's rows of a load (2K+1, n_local) with further harmonics,
+    cosine and sine part by their orders: (2K+1, n_local)."""
     n, own = mass.size[0], slice(*mass.owner_range)
     if not isinstance(given, Mapping):
-        raise InputError("force_harmonics", given, "cosine and sine part by the order")
+        raise InputError("harmonics", given, "cosine and sine part by the order")
     for order in given:
-        check_count("order in force_harmonics", order, 1)
-    found = resized(force, max(given, default=1))
+        check_count("order in harmonics", order, 1)
+    found = resized(force, max([len(force) // 2, *given]))
     for order, both in given.items():
-        name = f"force_harmonics[{order}]"
+        name = f"harmonics[{order}]"
         if not isinstance(both, tuple | list) or len(both) != 2:
             raise InputError(name, both, "(cosine, sine), each (n,) or None")
         found[2 * order - 1 : 2 * order + 1] += [_of_dofs(name, part, n)[own] for part in both]

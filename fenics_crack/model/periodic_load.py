@@ -12,6 +12,7 @@ by parts over each stretch, and by Parseval's theorem so is what K harmonics lea
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -50,9 +51,7 @@ def load_harmonics(time: object, values: object, harmonics: int) -> tuple[np.nda
     Examples
     --------
     >>> square, error = fc.load_harmonics([0.0, 0.5, 0.5, 1.0], [1.0, 1.0, -1.0, -1.0], 9)
-    >>> structure = fc.Structure.from_matrices(mass, stiffness, gap, force_harmonics={
-    ...     k: (square[2 * k - 1] * force, square[2 * k] * force) for k in range(1, 10)
-    ... })
+    >>> sine = square[2::2]
     """
     at, found = numbers(time), numbers(values)
     check_count("harmonics", harmonics, 1)
@@ -93,7 +92,8 @@ def read_wave(key: str, path: str, harmonics: int, dimension: int) -> tuple[np.n
         The file cannot be read, or is no such table.
     """
     allowed = f"a CSV file with a line of words, then rows of a time and {dimension} forces [N]"
-    with reading(key, path, allowed):
+    with reading(key, path, allowed), warnings.catch_warnings():
+        warnings.simplefilter("error")  # of a file without rows
         table = np.loadtxt(Path(path), delimiter=",", skiprows=1, ndmin=2, encoding="utf-8")
     if table.shape[1] != dimension + 1:
         raise InputError(key, path, allowed)

@@ -338,6 +338,27 @@ class Structure(Coordinates):
         found._hold_tangents(tangential)
         return found
 
+    def with_harmonics(self, harmonics: Mapping[int, tuple[Any, Any]]) -> Structure:
+        """Return this structure with further harmonics of its load.
+
+        Parameters
+        ----------
+        harmonics : dict of int to (cosine, sine)
+            By their orders k, multiples of the load's frequency: f_c and f_s of f_c cos(k w t) +
+            f_s sin(k w t), (n,) [N] or None, whole on every rank; of the first it is added.
+
+        Raises
+        ------
+        InputError
+            An order or a shape does not fit; or the structure is reduced, whose load is that of
+            the whole one.
+        """
+        if self.whole is not self:
+            raise InputError("structure", repr(self), "one that is not reduced")
+        kept = {"damping": self.damping, "damping_factor": 1.0}
+        force = with_harmonics(self.force, harmonics, self.mass)
+        return self._copied(force=force, clamp=None, _original=None, _known={}, **kept)
+
     def with_tangential_pairs(self) -> Structure:
         """This structure with tangential gaps behind the normal ones as further pairs, B = [B_n,
         B_t] (n_local, 2 n_pairs), without a clearance: all gaps on which contact with friction
@@ -443,7 +464,6 @@ class Structure(Coordinates):
         force_sin: Any = None,
         force_cos: Any = None,
         force_mean: Any = None,
-        force_harmonics: Mapping[int, tuple[Any, Any]] | None = None,
         clearance: Any = 0.0,
         tangential: Any = None,
         damping: Any = None,
@@ -459,9 +479,7 @@ class Structure(Coordinates):
         gap : (n, n_pairs) or (n,)
             B; None: no pairs.
         force_sin, force_cos, force_mean : (n,) [N] or None
-            Load on the first harmonic, and its mean.
-        force_harmonics : dict of int to (cosine, sine), or None
-            Further harmonics of the load by their orders, (n,) [N] each, or None.
+            Load on the first harmonic, and its mean; others by :meth:`with_harmonics`.
         clearance : float or (n_pairs,) [m]
             g0; negative for preload.
         tangential : (n, n_pairs) or (n,)
@@ -479,7 +497,6 @@ class Structure(Coordinates):
         """
         forces = {"force_mean": force_mean, "force_cos": force_cos, "force_sin": force_sin}
         parts = checked(mass, stiffness, gap, forces, clearance, comm)
-        parts["force"] = with_harmonics(parts["force"], force_harmonics or {}, parts["mass"])
         if tangential is not None:
             tangential = checked_tangential(tangential, parts)
         if not isinstance(damping, DampingRule | None):

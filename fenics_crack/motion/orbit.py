@@ -30,7 +30,7 @@ import math
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import Any
 
@@ -214,6 +214,15 @@ class PeriodicOrbit(Described):
         """g at times [s]: (len(time), n_pairs) [m]."""
         return self._at(time, "gap")
 
+    def tangential_gap_at(self, time: np.ndarray) -> np.ndarray:
+        """g_t of contact with friction at times [s]: (len(time), n_pairs) [m]; else (len(time),
+        0)."""
+        return self._at(time, "gaps")[:, self.flow.structure.n_pairs :]
+
+    def tangential_force_at(self, time: np.ndarray) -> np.ndarray:
+        """Friction force at times [s]: likewise [N]."""
+        return self._at(time, "forces")[:, self.flow.structure.n_pairs :]
+
     def force_at(self, time: np.ndarray) -> np.ndarray:
         """Contact force at times [s]: (len(time), n_pairs) [N]."""
         return self._at(time, "force")
@@ -226,13 +235,8 @@ class PeriodicOrbit(Described):
         """Fourier coefficients, by Gauss's rule on each part of the period in which no pair opens
         or closes."""
         base = self.omega / self.subharmonic
-        turn = self.motion.track.lengths * (self.flow.fastest + harmonics * base)
-        parts = np.maximum(np.ceil(turn / kernel.FLOW_REACH), 1).astype(int)
-        length = np.repeat(self.motion.track.lengths / parts, parts)
-        start = np.concatenate([[0.0], np.cumsum(length)[:-1]])
-        nodes, weights = np.polynomial.legendre.leggauss(2 * kernel.FLOW_REACH)
-        time = (start[:, None] + 0.5 * length[:, None] * (1.0 + nodes)).ravel()
-        share = (0.5 * length[:, None] * weights).ravel() / self.period
+        time, length = self._nodes(harmonics * base)
+        share = (0.5 * length[:, None] * gauss_nodes()[1]).ravel() / self.period
         samples = self.samples(time)
         means = np.empty((2 * harmonics + 1, len(time)))
         means[0] = share
@@ -244,6 +248,63 @@ class PeriodicOrbit(Described):
         return OrbitCoefficients(
             means @ samples.gaps, means @ samples.forces, means @ samples.displacement
         )
+
+    def _nodes(self, omega: float) -> tuple[np.ndarray, np.ndarray]:
+        """Gauss's nodes on each part of the period in which no pair opens, closes, sticks or slips,
+        and waves of up to a frequency [rad/s] turn little: times [s], and the parts' lengths."""
+        turn = self.motion.track.lengths * (self.flow.fastest + omega)
+        parts = np.maximum(np.ceil(turn / kernel.FLOW_REACH), 1).astype(int)
+        length = np.repeat(self.motion.track.lengths / parts, parts)
+        start = np.concatenate([[0.0], np.cumsum(length)[:-1]])
+        return (start[:, None] + 0.5 * length[:, None] * (1.0 + gauss_nodes()[0])).ravel(), length
+
+    @cached_property
+    def work(self) -> Work:
+        """Work of the load, the damping and friction in the period, exact: on each part of it by
+        Gauss's rule, with the derivatives of the polynomials through his nodes."""
+        flow = self.flow
+        time, length = self._nodes(len(flow.force) // 2 * self.omega)
+        samples, (_, weights, turn) = self.samples(time), gauss_nodes()
+
+        def over(force: np.ndarray, moved: np.ndarray) -> np.ndarray:
+            """int F x' dt of columns at the nodes."""
+            force, moved = (one.reshape(len(length), len(weights), -1) for one in (force, moved))
+            return np.asarray(np.einsum("k,pkc,pkc->c", weights, force, turn @ moved))
+
+        load = waves_of(flow.force, self.omega * time) @ flow.structure.force
+        rates = samples.states[:, flow.count :]
+        share = (0.5 * length[:, None] * weights).ravel()
+        damping = float(share @ np.sum(rates * flow.modes.damped(rates), axis=1))
+        count = flow.structure.n_pairs
+        friction = np.zeros(count)
+        if flow.friction:
+            friction = over(samples.forces[:, count:], samples.gaps[:, count:])
+        return Work(float(over(load, samples.displacement).sum()), damping, friction)
+
+    @cached_property
+    def sliding(self) -> dict[str, float]:
+        """With friction the loss in the period [J], and the shares of it in which pairs stick and
+        slip, means over the pairs, by the names of :class:`Indicators`; else nothing."""
+        if not self.flow.friction:
+            return {}
+        track = self.motion.track
+        states = {
+            "stick_share": track.sets == kernel.STICK,
+            "slip_share": track.sets > kernel.STICK,
+        }
+        shares = {
+            name: float(track.lengths @ np.mean(which, axis=1) / track.lengths.sum())
+            for name, which in states.items()
+        }
+        return {"friction_loss": float(self.work.friction.sum())} | shares
+
+    @property
+    def stuck(self) -> np.ndarray:
+        """Numbers (k,) of the pairs that stick all the time: their places are what their history
+        has left, and they take no part in the multipliers. None without friction."""
+        sets = self.motion.track.sets
+        every = self.flow.friction is not None and np.all(sets == kernel.STICK, axis=0)
+        return np.flatnonzero(every)
 
     # --- shown ------------------------------------------------------------------------------------
 
@@ -263,6 +324,34 @@ class PeriodicOrbit(Described):
             f"largest multiplier {abs(self.multipliers[0]):.6g} of {len(self.multipliers)}, "
             f"{counted(self.events, 'event')}, residual {self.residual:.2g}"
         )
+
+
+@dataclass(frozen=True)
+class Work:
+    """Work in a period.
+
+    Attributes
+    ----------
+    load, damping : float [J]
+        Done by the load, and lost by damping.
+    friction : (n_pairs,) [J]
+        Lost by the friction of each pair, int lambda_t g_t' dt; the load's is the sum of all.
+    """
+
+    load: float
+    damping: float
+    friction: np.ndarray
+
+
+@lru_cache
+def gauss_nodes() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Nodes between -1 and 1 and weights of Gauss's rule on a part of a period, and the matrix that
+    makes derivatives there of values there."""
+    nodes, weights = np.polynomial.legendre.leggauss(2 * kernel.FLOW_REACH)
+    values = np.polynomial.legendre.legvander(nodes, len(nodes) - 1)
+    slopes = np.polynomial.legendre.legder(np.eye(len(nodes)))
+    turned = np.polynomial.legendre.legval(nodes, slopes).T
+    return nodes, weights, np.linalg.solve(values.T, turned.T).T
 
 
 @dataclass(frozen=True)

@@ -185,7 +185,9 @@ def _harmonic(given: object) -> Harmonic:
         raise TypeError
     if keys <= {"cos", "sin"}:
         parts = {key: _components(given[key]) for key in keys}
-        zero = (0.0,) * max(map(len, parts.values()))
+        zero, *others = {(0.0,) * len(part) for part in parts.values()}
+        if others:
+            raise TypeError
         return Harmonic(order, parts.get("cos", zero), parts.get("sin", zero))
     if "amplitude" not in keys or not keys <= {"amplitude", "phase"}:
         raise TypeError
@@ -195,7 +197,8 @@ def _harmonic(given: object) -> Harmonic:
 
 
 def _components(value: object) -> tuple[float, ...]:
-    return _vector(value) if isinstance(value, list | tuple) else (_float(value),)
+    """A vector, or the one number of a pressure."""
+    return _vector(value if isinstance(value, list | tuple) else [value], (1, 2, 3))
 
 
 def _words(value: object) -> tuple[str, ...]:
@@ -534,7 +537,7 @@ class Table(Hinted):
         """
         tables = [cls, *(table for table in Table.__subclasses__() if table is not cls)]
         own = [cls.name_of(name) for name in near(key, cls.keys())]
-        same = [table.name_of(key) for table in tables if key in table.keys()]
+        same = with_key(key, tables)
         every = {name: table.name_of(name) for table in tables[::-1] for name in table.keys()}
         similar = [every[name] for name in near(key, every, 0.8)]
         return own or same or similar
@@ -580,3 +583,10 @@ class Table(Hinted):
                 raise InputError(cls.name_of(key), None, f"given: {item.metadata['allowed']}")
         cls.check_twins(values)
         return cls(**values)
+
+
+def with_key(key: str, tables: Iterable[type[Table]]) -> list[str]:
+    """A key with the tables that have it; those last where it is a list of tables."""
+    known = [table for table in tables if key in table.keys()]
+    known.sort(key=lambda table: table.keys()[key].default == ())
+    return [table.name_of(key) for table in known]

@@ -29,7 +29,7 @@ from fenics_crack.basics.suggestions import (
 )
 from fenics_crack.basics.tables import OF_CLAMP, OF_GROWTH, OF_TIPS, RPM, TURN, frequency_axis
 from fenics_crack.basics.untrusted_files import text_of
-from fenics_crack.scene.fields import Axis, Point, Table, components, named
+from fenics_crack.scene.fields import Axis, Point, Table, components, named, with_key
 from fenics_crack.scene.tables import (
     Base,
     Contact,
@@ -119,6 +119,8 @@ class Scene(Hinted):
             allowed = "left out without a rotation.speed > 0"
             self.excitation.require(self.speed > 0.0, "order", allowed)
             object.__setattr__(self, "excitation", self.excitation.at_speed(self.speed))
+        balance = self.harmonic_balance.of_load(self.highest_order)
+        object.__setattr__(self, "harmonic_balance", balance)
         if self.curve is not None and self.curve.followed[0] == "speed":
             allowed = "another one without an excitation.order, which needs a rotation"
             self.curve.require(self.excitation.order is not None, "parameter", allowed)
@@ -856,7 +858,7 @@ def _meant(name: str) -> list[str]:
     if key:
         every = {kind.name_of(key) for kind in _TABLES.values() for key in kind.keys()}
         return near(name, every, 0.8) or sorted(full for full in every if full.endswith(f".{key}"))
-    same = dict.fromkeys(kind.name_of(table) for kind in _TABLES.values() if table in kind.keys())
+    same = dict.fromkeys(with_key(table, _TABLES.values()))
     return list(same) or near(table, _TABLES)
 
 

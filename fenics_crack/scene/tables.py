@@ -518,6 +518,17 @@ class HarmonicBalance(Table):
             f"a whole number from {least} (4 harmonics + 1) to {MAX_SAMPLES}, or left out",
         )
 
+    def of_load(self, highest: int) -> HarmonicBalance:
+        """The same with as many harmonics as a load has, unless fewer are given."""
+        least = f"a whole number >= {highest}, the highest order of the load"
+        fits = self.harmonics >= highest
+        self.require(fits or "harmonics" in self.derived, "harmonics", least)
+        if fits:
+            return self
+        found = copy(self)
+        object.__setattr__(found, "harmonics", highest)
+        return found
+
     @property
     def derived(self) -> set[str]:
         """The keys that are not given, and have their defaults."""

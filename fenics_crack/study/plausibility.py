@@ -26,8 +26,9 @@ from typing import NamedTuple
 import numpy as np
 
 from fenics_crack.basics.ranks import gather_rows
-from fenics_crack.basics.tables import RPM, TURN, ranging
+from fenics_crack.basics.tables import RPM, TURN, percent, ranging
 from fenics_crack.fem.lips import SAME
+from fenics_crack.fem.loads import of_wave
 from fenics_crack.model.contact import solve_complementarity
 from fenics_crack.model.factor import Factor
 from fenics_crack.model.modes import (
@@ -433,7 +434,9 @@ class Remark:
 def remarks_on_scene(scene: Scene) -> list[Remark]:
     """Return the remarks on the scene alone, without any computation."""
     rules = (
-        (_usual, _probes) if scene.structure else (_usual, _plate, _faces, _rotor, _load, _probes)
+        (_usual, _probes)
+        if scene.structure
+        else (_usual, _plate, _faces, _rotor, _wave, _load, _probes)
     )
     return [remark for rule in rules for remark in rule(scene)]
 
@@ -560,11 +563,19 @@ def _probes(scene: Scene) -> Remarks:
         yield Remark("tip_timing.probes", list(table.probes), text)
 
 
+def _wave(scene: Scene) -> Remarks:
+    """What the harmonics of the load's table leave out of it."""
+    load = scene.excitation
+    if load.wave is not None:
+        text = f"{load.wave_harmonics} harmonics leave out {percent(of_wave(scene)[1])} of what "
+        yield Remark("excitation.wave", load.wave, f"{text}changes in it (root mean square)")
+
+
 def _load(scene: Scene) -> Remarks:
     load = scene.excitation
     if scene.has_other_loads:
         return
-    if not np.any([load.force_sin, load.force_cos, load.force_mean]):
+    if not load.force_given:
         text = "no force at all: excitation.force_sin, force_cos and force_mean are zero"
         yield Remark("excitation.force_sin", list(load.force_sin), text)
 

@@ -48,7 +48,7 @@ import numpy as np
 
 from fenics_crack.balance.error_report import LARGE_ERROR, ErrorReport
 from fenics_crack.balance.harmonic_balance import solve_linear, wave_of
-from fenics_crack.balance.problem import Problem
+from fenics_crack.balance.problem import Problem, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, Solver, contact_extremes, indicators_of
 from fenics_crack.basics.errors import MOST_HARMONICS
 from fenics_crack.basics.tables import OF_FRICTION, OF_LIPS, OF_POINTS, QUANTITIES, frequency_axis
@@ -336,7 +336,7 @@ def _of_orbit(
     wave = wave_of(problem, orbit, orbit.coefficients(harmonics))
     samples = orbit.samples(found.instants())
     lips = contact_extremes(samples.gaps, samples.forces, structure.pairs.cracks, law)
-    lips["closed_share"] = orbit.motion.track.closed_share
+    lips |= {"closed_share": orbit.motion.track.closed_share} | orbit.sliding
     return numbers_of(study, wave, mode).values | lips
 
 
@@ -349,6 +349,7 @@ def _coarser_mesh(study: Study, near: PeriodicSolution, own: Numbers, of_peak: b
         return coarse
     twin, counts, ratio = coarse
     few = max(near.harmonics // 2, min(near.harmonics, _highest(study, near)))
+    few = max(few, least_harmonics(near.structure, near.subharmonic))
     half = _solved(study, near.omega, few, near)
     with_few = numbers_of(study, half, own.mode)
     mode = _moving(study, half)

@@ -11,7 +11,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.balance.harmonic_balance import solve_beside, solve_linear
-from fenics_crack.balance.problem import Problem, check_memory
+from fenics_crack.balance.problem import Problem, check_memory, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, Solver, indicators_of
 from fenics_crack.basics.errors import ConvergenceError, InputError
 from fenics_crack.basics.ranks import gather_rows
@@ -19,6 +19,7 @@ from fenics_crack.basics.tables import with_frequency
 from fenics_crack.curves.peak import top_of
 from fenics_crack.curves.stability import floquet
 from fenics_crack.fem.build import clearance_of
+from fenics_crack.fem.loads import parts_of
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import BilinearFrequencies, bilinear_frequencies
@@ -255,6 +256,7 @@ class Cases:
         few = PEAK_HARMONICS
         if table.tolerance is None:
             few = min(few, table.harmonics)
+        few = max(few, least_harmonics(self._structure, 1))
         problem = Problem(self._structure, middle, self._law, few, table.samples)
         step = ratio * middle / PEAK_STEPS
         lowest = (1.0 - 2.0 * ratio) * float(nearest["omega_open"])
@@ -379,11 +381,9 @@ def _load_row(solution: PeriodicSolution, case: Scene) -> dict[str, np.ndarray]:
     """The displacement of the load's point in the load's direction from the coordinates; nothing
     without a load.
 
-    The direction is that of the larger of the sine and the cosine part, of the mean if there is
-    neither. The load vector f of a force F at the point x gives the displacement: f . u = F . u(x).
+    The direction is that of the largest of the sine and the cosine parts, of the mean if there is
+    none. The load vector f of a force F at the point x gives the displacement: f . u = F . u(x).
     """
-    sizes = {name: float(np.linalg.norm(getattr(case.excitation, name))) for name in FORCES}
-    name = max(("force_sin", "force_cos"), key=sizes.__getitem__)
-    if sizes[name] == 0.0:
-        name = "force_mean"
-    return {"": solution.structure.force[FORCES.index(name)] / sizes[name]} if sizes[name] else {}
+    sizes = np.linalg.norm(parts_of(case), axis=1)
+    row = len(sizes) - 1 - int(np.argmax(sizes[:0:-1])) if np.any(sizes[1:]) else 0
+    return {"": solution.structure.force[row] / sizes[row]} if sizes[row] else {}

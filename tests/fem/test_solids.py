@@ -412,7 +412,7 @@ def test_cases_of_a_sweep_are_known_without_a_mesh(monkeypatch: pytest.MonkeyPat
         assert found == [True, True, False]
         with pytest.raises(InputError, match="a combination can be used"):
             Plan(swept.replace({"sweep.over": {"crack.length": [0.5, 0.6]}}))
-    assert plan.pairs == max(bound for bound, _ in plan.sizes) > 0
+    assert plan.rows == max(bound for bound, _ in plan.sizes) > 0
     assert plan.sizes[2] == (0, 0.0)
 
 

@@ -14,7 +14,7 @@ HARMONICS = {k: 1.0 / k**1.5 for k in range(2, 6)}
 LAW = fc.UnilateralPenalty(20.0)
 
 
-def loaded(*, tangents: bool = False) -> fc.Structure:
+def loaded() -> fc.Structure:
     """A damped chain with two pairs under a mean load and five harmonics of all phases."""
     random = np.random.default_rng(5)
     stiffness, mass = chain_stiffness(random.uniform(1.0, 3.0, N + 1)), random.uniform(1.0, 2.0, N)
@@ -22,11 +22,12 @@ def loaded(*, tangents: bool = False) -> fc.Structure:
     gap[[0, 1, 3, 4], [0, 0, 1, 1]] = -1.0, 1.0, -1.0, 1.0
     parts = {k: tuple(size * random.normal(size=(2, N))) for k, size in HARMONICS.items()}
     first = random.normal(size=(3, N))
-    return fc.Structure.from_matrices(
+    one = fc.Structure.from_matrices(
         np.diag(mass), stiffness, gap, damping=0.1 * np.diag(mass) + 0.05 * stiffness,
-        force_mean=0.3 * first[0], force_cos=first[1], force_sin=first[2], force_harmonics=parts,
-        clearance=0.05, tangential=np.roll(gap, 1, axis=0) if tangents else None,
+        force_mean=0.3 * first[0], force_cos=first[1], force_sin=first[2],
+        clearance=0.05,
     )  # fmt: skip
+    return one.with_harmonics(parts)
 
 
 def dense(structure: fc.Structure) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -187,6 +188,7 @@ def test_bad_tables(time: list[float], values: list[float], key: str) -> None:
 
 
 def test_bad_harmonics() -> None:
+    plain = fc.Structure.from_matrices(np.eye(3), np.eye(3), None)
     for given in ({0: (None, None)}, {2: (np.zeros(2), None)}, {2: 1.0}, [1]):
-        with pytest.raises(fc.InputError, match="force_harmonics"):
-            fc.Structure.from_matrices(np.eye(3), np.eye(3), None, force_harmonics=given)  # type: ignore[arg-type]
+        with pytest.raises(fc.InputError, match="harmonics"):
+            plain.with_harmonics(given)  # type: ignore[arg-type]

@@ -20,7 +20,7 @@ from fenics_crack import InputError, Scene
         ({"material.densty": 1.0}, "did you mean material.density? "),
         ({"excitation.freqency": 1.0}, "did you mean excitation.frequency? "),
         ({"excitation.force": [1.0, 0.0]}, "did you mean excitation.force_sin or excitation.force"),
-        ({"harmonic_balance.harmonic": 1}, "did you mean harmonic_balance.harmonics? "),
+        ({"harmonic_balance.harmonic": 1}, "did you mean harmonic_balance.harmonics or "),
         # a key of another table, misspelt or not
         ({"crack.stiffness": 1e9}, "did you mean damping.stiffness or contact.stiffness or "),
         ({"geometry.lenght": 0.1}, "did you mean crack.length? "),
@@ -29,7 +29,7 @@ from fenics_crack import InputError, Scene
         ({"meshh": {}}, "did you mean mesh? "),
         ({"Crack": {}}, "did you mean crack? "),
         ({"harmonic-balance": {}}, "did you mean harmonic_balance? "),
-        ({"harmonics": 5}, "did you mean harmonic_balance.harmonics? "),
+        ({"harmonics": 5}, "did you mean harmonic_balance.harmonics or "),
         # a word
         ({"contact.law": "unilatral"}, "'unilateral'; did you mean 'unilateral'?"),
         ({"mesh.layout": "Grid"}, "did you mean 'grid'?"),
@@ -54,7 +54,7 @@ def test_in_a_file(changes: dict[str, Any], question: str) -> None:
         ("crack.lenght", "did you mean crack.length? known keys: edge,"),
         ("crak.length", "did you mean crack.length? known tables: geometry,"),
         ("length", "did you mean crack.length? "),
-        ("curve.harmonics", "did you mean harmonic_balance.harmonics? "),
+        ("curve.harmonics", "did you mean harmonic_balance.harmonics or "),
         ("rubbish", "left out; known tables: "),
         ("crack.rubbish", "left out; known keys: "),
     ],

@@ -1,0 +1,245 @@
+"""Friction between crack faces: published figures, closed forms, laws kept by solutions."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize_scalar
+
+import fenics_crack as fc
+
+RIGID = fc.UnilateralConstraint()
+HERTZ = 2.0 * np.pi
+
+
+@cache
+def plate(name: str, ratio: float) -> tuple[fc.Structure, fc.Structure]:
+    """A demonstration's plate with 10 modes and faces without mass, and its whole."""
+    whole = fc.build_structure(fc.Scene.load(f"demos/{name}.toml"))
+    whole = whole.damped(fc.ModalDamping(ratio, 10))
+    return fc.reduce_structure(whole, modes=10, method="massless"), whole
+
+
+def solved(name: str, ratio: float, omega: float, mu: float) -> fc.PeriodicSolution:
+    """Its exact orbit."""
+    structure, _ = plate(name, ratio)
+    law = fc.CoulombFriction(RIGID, mu)
+    found = fc.solve_harmonic_balance(structure, omega, law, tolerance=0.05, throw=False)
+    assert found.orbit is not None
+    return found
+
+
+# --- one oscillator -------------------------------------------------------------------------------
+
+
+def jenkins() -> tuple[fc.Structure, fc.CoulombFriction]:
+    """m = k = 1, xi = 0.02, k_t = 0.5, load cos(w t), under a constant pressure of 0.3, mu = 1."""
+    structure = fc.Structure.from_matrices(
+        np.eye(2), np.eye(2), [0.0, 1.0], tangential=[1.0, 0.0],
+        force_cos=[1.0, 0.0], force_mean=[0.0, 0.6], damping=fc.ModalDamping(0.02),
+    )  # fmt: skip
+    return structure, fc.CoulombFriction(fc.UnilateralPenalty(1.0), 1.0, 0.5)
+
+
+def test_jenkins_oscillator() -> None:
+    """Figures of an independent event-driven integration; harmonic balance with one harmonic."""
+    structure, law = jenkins()
+    found = fc.solve_harmonic_balance(structure, 0.9, law, tolerance=1e-4)
+    assert found.orbit is not None
+    assert found.amplitude(0) == pytest.approx(3.69236, abs=5e-4)
+    assert found.orbit.work.friction[0] == pytest.approx(3.71084, abs=5e-6)
+    assert found.indicators(0).friction_loss == pytest.approx(3.71084, abs=5e-6)
+    one = fc.solve_harmonic_balance(structure, 0.9, law, harmonics=1, samples=8192)
+    first = np.hypot(*one.displacement_coefficients[1:3, 0])
+    assert first == pytest.approx(3.6668244, abs=5e-7)
+
+
+def test_loss_of_a_slide() -> None:
+    """4 F (A - F / k_t) of a slide between -A and A."""
+    structure, law = jenkins()
+    for omega in (0.7, 0.9, 1.1):
+        orbit = fc.solve_harmonic_balance(structure, omega, law, tolerance=1e-3).orbit
+        assert orbit is not None
+        ends = []
+        for sign in (1.0, -1.0):
+            time = np.linspace(0.0, orbit.period, 400)
+            near = time[np.argmax(sign * orbit.tangential_gap_at(time)[:, 0])]
+            best = minimize_scalar(
+                lambda t, s=sign, o=orbit: -s * o.tangential_gap_at(np.array([t]))[0, 0],
+                bounds=(near - time[1], near + time[1]), method="bounded",
+                options={"xatol": 1e-10},
+            )  # fmt: skip
+            ends.append(-best.fun)
+        size = 0.5 * sum(ends)
+        assert orbit.work.friction[0] == pytest.approx(4.0 * 0.3 * (size - 0.6), rel=1e-9)
+
+
+def test_no_friction_in_the_limit() -> None:
+    """With mu -> 0 the solution without friction; 0 itself is that law."""
+    structure, _ = plate("inclined_crack", 0.005)
+    omega = 3183.0 * HERTZ
+    free = fc.solve_harmonic_balance(structure, omega, RIGID, tolerance=0.05, throw=False)
+    found = solved("inclined_crack", 0.005, omega, 1e-6)
+    assert found.amplitude() == pytest.approx(free.amplitude(), rel=1e-5)
+    scene = fc.Scene.load("demos/inclined_crack.toml")
+    none = fc.contact_law(scene.replace({"contact.friction": 0.0}).contact, plate_whole())
+    assert isinstance(none, fc.UnilateralPenalty)
+
+
+def plate_whole() -> fc.Structure:
+    return plate("inclined_crack", 0.005)[1]
+
+
+# --- plates ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "ratio", "omega", "mu", "tip", "share", "largest"),
+    [
+        ("breathing_plate", 0.01, 2000.0, 0.1, 1.17736, 0.204, 0.774081),
+        ("breathing_plate", 0.01, 2000.0, 0.5, 1.16578, 0.599, 0.842048),
+        ("inclined_crack", 0.005, 3560 * HERTZ, 0.3, 37.19496, 0.814, 0.935906),
+        ("inclined_crack", 0.005, 3183 * HERTZ, 0.3, 3.98644, 0.319, 0.959036),
+    ],
+)
+def test_orbits(
+    name: str, ratio: float, omega: float, mu: float, tip: float, share: float, largest: float
+) -> None:
+    """Half peak-to-peak of the modes' part of the watched motion [um], loss by friction over that
+    by damping, largest multiplier: of a prototype that shares no code with the program. The work of
+    the load is that of both losses."""
+    found = solved(name, ratio, omega, mu)
+    orbit, (structure, whole) = found.orbit, plate(name, ratio)
+    assert orbit is not None
+    modal = orbit.sampled.states[:, : orbit.flow.count] @ structure.basis[whole.watched_dof]
+    assert np.ptp(modal) / 2e-6 == pytest.approx(tip, rel=3e-4)
+    work = orbit.work
+    assert work.friction.sum() / work.damping == pytest.approx(share, abs=6e-4)
+    assert abs(orbit.multipliers[0]) == pytest.approx(largest, abs=2e-4)
+    assert work.load == pytest.approx(work.damping + work.friction.sum(), rel=1e-9)
+    assert found.report.truncation < 0.025
+
+
+def test_laws_kept_by_harmonic_balance() -> None:
+    """The forces of a wave keep Signorini's conditions and Coulomb's; the losses are stated."""
+    structure, _ = plate("inclined_crack", 0.005)
+    law = fc.CoulombFriction(RIGID, 0.3)
+    found = fc.solve_harmonic_balance(structure, 3183.0 * HERTZ, law, harmonics=20)
+    time = np.linspace(0.0, found.period, 500)
+    normal, drag = found.contact_force(time), found.tangential_force(time)
+    gap = found.gap(time)
+    assert normal.min() >= 0.0 and gap.max() <= 1e-12 * np.abs(gap).max() + 1e-18
+    assert np.all(np.abs(drag) <= 0.3 * normal * (1.0 + 1e-9) + 1e-12)
+    exact = solved("inclined_crack", 0.005, 3183.0 * HERTZ, 0.3)
+    assert exact.orbit is not None
+    expected, seen = exact.orbit.sliding, found.indicators()
+    assert seen.friction_loss == pytest.approx(expected["friction_loss"], rel=0.01)
+    assert seen.slip_share == pytest.approx(expected["slip_share"], abs=0.01)
+    assert seen.stick_share + seen.slip_share == pytest.approx(seen.closed_share, abs=1e-12)
+    slide = found.tangential_gap(time) - exact.orbit.tangential_gap_at(time)
+    assert np.abs(slide).max() < 0.02 * np.ptp(exact.orbit.tangential_gap_at(time))
+
+
+def test_resonance_that_friction_halves() -> None:
+    """Full Newton steps do not arrive: the coefficient grows along a path."""
+    structure, _ = plate("inclined_crack", 0.005)
+    law = fc.CoulombFriction(RIGID, 0.3)
+    found = fc.solve_harmonic_balance(structure, 3560.0 * HERTZ, law, harmonics=20)
+    exact = solved("inclined_crack", 0.005, 3560.0 * HERTZ, 0.3)
+    free = fc.solve_harmonic_balance(structure, 3560.0 * HERTZ, RIGID, harmonics=20)
+    assert found.amplitude() == pytest.approx(exact.amplitude(), rel=0.02)
+    assert exact.amplitude() < 0.52 * free.amplitude()
+    assert fc.floquet(structure, found).verdict == "stable"
+
+
+# --- a published example --------------------------------------------------------------------------
+
+
+def beam() -> tuple[np.ndarray, np.ndarray]:
+    """Stiffness and mass of NLstep's example 02 [t, mm, s]: a clamped Euler-Bernoulli beam 2000 x
+    100 x 300 of 8 elements, dofs w and w' of the nodes 2 to 9."""
+    n, length, young, density = 8, 250.0, 185e3, 7.83e-9
+    height, width = 100.0, 300.0
+    bending, line = young * width * height**3 / 12.0, density * width * height
+    l = length
+    k = bending / l**3 * np.array(
+        [[12, 6 * l, -12, 6 * l], [6 * l, 4 * l * l, -6 * l, 2 * l * l],
+         [-12, -6 * l, 12, -6 * l], [6 * l, 2 * l * l, -6 * l, 4 * l * l]]
+    )  # fmt: skip
+    m = line * l / 420.0 * np.array(
+        [[156, 22 * l, 54, -13 * l], [22 * l, 4 * l * l, 13 * l, -3 * l * l],
+         [54, 13 * l, 156, -22 * l], [-13 * l, -3 * l * l, -22 * l, 4 * l * l]]
+    )  # fmt: skip
+    stiffness, mass = np.zeros((2, 2 * n + 2, 2 * n + 2))
+    for element in range(n):
+        at = slice(2 * element, 2 * element + 4)
+        stiffness[at, at] += k
+        mass[at, at] += m
+    return stiffness[2:, 2:], mass[2:, 2:]
+
+
+def test_nlstep_example_02() -> None:
+    """A cantilever with friction at a node: |U_1| of the tip [mm] at three frequencies."""
+    stiffness, mass = beam()
+    n, node, tip = len(mass), 4, 14  # w of the fourth node, and of the last one
+    free = np.sqrt(np.abs(np.linalg.eigvals(np.linalg.solve(mass, stiffness))))
+    assert np.sort(free)[:2] == pytest.approx([123.3406, 773.0225], rel=1e-6)
+    held = np.delete(np.arange(n), node)
+    part = np.ix_(held, held)
+    stuck = np.sort(
+        np.sqrt(np.abs(np.linalg.eigvals(np.linalg.solve(mass[part], stiffness[part]))))
+    )
+    assert stuck[:2] == pytest.approx([248.9733, 1660.4750], rel=1e-4)  # printed: of fewer modes
+    # The pressure is that of a mass of its own on a spring, which the friction does not move.
+    both = [np.zeros((n + 1, n + 1)) for _ in range(2)]
+    for whole, own, last in zip(both, (mass, stiffness), (1.0, 1e4), strict=True):
+        whole[:n, :n], whole[n, n] = own, last
+    gap, tangent, load, press = np.zeros((4, n + 1))
+    gap[n], tangent[node], load[tip], press[n] = 1.0, 1.0, 200.0, 3000.0
+    structure = fc.Structure.from_matrices(
+        *both, gap, tangential=tangent, force_cos=load, force_mean=press,
+        damping=fc.RayleighDamping(2.0 * 0.05 * stuck[0], 0.0),
+    )  # fmt: skip
+    reduced = fc.reduce_structure(structure, modes=6, method="massless")
+    law = fc.CoulombFriction(fc.UnilateralPenalty(1e4), 1.0)
+    for omega, size in ((302.574, 0.067693), (254.682, 0.073542), (225.0, 0.080962)):
+        found = fc.solve_harmonic_balance(reduced, omega, law, tolerance=1e-3, throw=False)
+        assert found.orbit is not None
+        assert found.indicators(tip).harmonic_1 == pytest.approx(size, rel=5e-3)
+
+
+# --- what cannot be used --------------------------------------------------------------------------
+
+
+def test_refusals() -> None:
+    structure, law = jenkins()
+    for bad in (-0.1, 0.0, np.nan, "much"):
+        with pytest.raises(fc.InputError, match="friction coefficient"):
+            fc.CoulombFriction(RIGID, bad)  # type: ignore[arg-type]
+    with pytest.raises(fc.InputError, match="UnilateralPenalty or UnilateralConstraint"):
+        fc.CoulombFriction(fc.SmoothedPenalty(1.0, 1.0), 0.3)
+    stiff = fc.CoulombFriction(fc.UnilateralPenalty(1.0), 0.3)
+    with pytest.raises(fc.InputError, match=r"tangential stiffness.*without mass"):
+        fc.solve_harmonic_balance(structure, 1.0, stiff, harmonics=3)
+    plain = fc.Structure.from_matrices(
+        np.eye(2), np.eye(2), [0.0, 1.0], force_cos=[1.0, 0.0], damping=0.1 * np.eye(2)
+    )
+    with pytest.raises(fc.InputError, match="one with tangents"):
+        fc.solve_harmonic_balance(plain, 1.0, law, harmonics=3)
+    solution = fc.solve_harmonic_balance(plain, 1.0, fc.UnilateralPenalty(1.0), harmonics=3)
+    for ask in (solution.tangential_gap, solution.tangential_force):
+        with pytest.raises(fc.InputError, match="CoulombFriction"):
+            ask(np.zeros(1))
+    with pytest.raises(fc.InputError, match="no friction"):
+        fc.draw_friction_loops(solution)
+
+
+def test_more_than_one_answer() -> None:
+    """Two pairs coupled so strongly that the forces of an instant need not be the only ones."""
+    structure, _ = jenkins()
+    flow = fc.solve_harmonic_balance(structure, 0.9, jenkins()[1], harmonics=3).assessment.flow
+    assert flow is not None and flow.critical_friction == np.inf  # pressure and slide are apart
+    plates = solved("inclined_crack", 0.005, 3183.0 * HERTZ, 0.3).assessment.flow
+    assert plates is not None and 4.0 < plates.critical_friction < 8.0
