@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -26,10 +26,8 @@ from fenics_crack.balance.contact_integrals import (
     CoupledIntegrals,
     plus_identity,
 )
-from fenics_crack.basics.errors import ConvergenceError
-from fenics_crack.basics.threads import machine_memory
-from fenics_crack.kernel import kernel, owned, pointer, shaped
-from fenics_crack.model.contact import KEPT, ContactLaw, friction_of, springs_of
+from fenics_crack.kernel import kernel, pointer
+from fenics_crack.model.contact import ContactLaw, FrictionSets, friction_of, springs_of
 from fenics_crack.numerics.fourier import balanced, evaluate, sampled, waves
 
 
@@ -59,20 +57,14 @@ class FrictionIntegrals(ContactIntegrals):
 
     samples: int | None = field(default=None, kw_only=True)
     share: float = field(default=1.0, kw_only=True)
-    handle: Any = field(init=False, repr=False, compare=False)
+    sets: FrictionSets = field(init=False, repr=False, compare=False)
     coupled: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         friction = friction_of(self.law)
         assert self.residual is not None and friction is not None
-        rows = len(self.residual)
-        compliance = self.compliance
-        mu = self.share * np.broadcast_to(friction.coefficient, rows // 2)
-        held = np.zeros((rows, 1)), compliance, mu
-        object.__setattr__(self, "_held", held)
-        most = int(KEPT * machine_memory()) // 8
-        made = kernel.new_closed_sets(1, rows // 2, *map(pointer, held), most)
-        object.__setattr__(self, "handle", owned(made, kernel.free_closed_sets))
+        share = np.multiply(self.share, friction.coefficient)
+        object.__setattr__(self, "sets", FrictionSets(self.compliance, share))
 
     @cached_property
     def compliance(self) -> np.ndarray:
@@ -95,18 +87,9 @@ class FrictionIntegrals(ContactIntegrals):
     def march(self, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Forces, states and places at instants of a period, of values (n, 2 n_pairs).
 
-        Raises ConvergenceError where an instant has no forces.
+        Raises as :meth:`FrictionSets.solve`.
         """
-        count, rows = gap.shape
-        gap = shaped(gap, count, rows)
-        held = gap[0, rows // 2 :].copy()
-        forces, places = np.empty_like(gap), np.empty((count, rows // 2))
-        states = np.empty((count, rows // 2), dtype=np.int8)
-        if kernel.march_friction(
-            self.handle, count, 2, *map(pointer, (gap, held, forces, states, places))
-        ):
-            raise ConvergenceError("contact: an instant of the period has not one solution")
-        return forces, states, places
+        return self.sets.solve(gap, gap[0, gap.shape[1] // 2 :], turns=2)
 
     def forces(self, gap: np.ndarray) -> np.ndarray:
         return self.march(gap)[0]
@@ -146,7 +129,7 @@ class FrictionForces(ContactForces):
     def _of_values(self, values: np.ndarray) -> np.ndarray:
         values, found = np.ascontiguousarray(values), np.empty_like(self._forces)
         arrays = map(pointer, (self.states, values, found))
-        if kernel.friction_changes(self._integrals.handle, len(values), *arrays):
+        if kernel.friction_changes(self._integrals.sets.handle, len(values), *arrays):
             raise MemoryError("friction")
         return balanced(found, self._integrals.harmonics)
 
@@ -161,7 +144,7 @@ class FrictionForces(ContactForces):
         means[:, 0] *= 0.5
         found = np.empty((rows, n, rows * n))
         if kernel.friction_tangent(
-            self._integrals.handle, count, pointer(self.states), rows, pointer(values),
+            self._integrals.sets.handle, count, pointer(self.states), rows, pointer(values),
             pointer(means), n, pointer(seen), pointer(found),
         ):  # fmt: skip
             raise MemoryError("friction")

@@ -42,13 +42,7 @@ from fenics_crack.basics.tables import (
     quantity,
     with_frequency,
 )
-from fenics_crack.model.contact import (
-    ContactLaw,
-    CoulombFriction,
-    check_slope,
-    friction_of,
-    is_unilateral,
-)
+from fenics_crack.model.contact import check_slope, coefficient_of, is_unilateral
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.motion.orbit import KNOWN, PeriodicOrbit
 from fenics_crack.motion.search import SearchOptions
@@ -177,17 +171,18 @@ def contact_extremes(
     gap: np.ndarray,
     force: np.ndarray,
     cracks: np.ndarray | None = None,
-    contact: ContactLaw | None = None,
+    coefficient: float | np.ndarray | None = None,
 ) -> dict[str, float]:
     """Opening [m], penetration [m] and force [N], the largest of any pair; the largest force of a
     crack, and the share of the time closed, mean over the pairs: of gaps and forces at equal parts
     of a period (n, n_pairs), with the crack of each pair, by default one of all. Empty without
-    pairs. With friction the gaps and forces of all rows, (n, 2 n_pairs), and what it does."""
+    pairs. With a coefficient of friction the gaps and forces of all rows, (n, 2 n_pairs), and what
+    it does."""
     if not gap.shape[1]:
         return {}
-    if (friction := friction_of(contact)) is not None:
+    if coefficient is not None:
         (gap, slide), (force, drag) = (np.hsplit(one, 2) for one in (gap, force))
-        of_friction = friction_numbers(friction, slide, force, drag)
+        of_friction = friction_numbers(coefficient, slide, force, drag)
         return contact_extremes(gap, force, cracks) | of_friction
     cracks = np.zeros(gap.shape[1], dtype=int) if cracks is None else cracks
     of_cracks = [force[:, cracks == crack].sum(axis=1) for crack in np.unique(cracks)]
@@ -200,20 +195,20 @@ def contact_extremes(
     }
 
 
-def slipping(friction: CoulombFriction, force: np.ndarray, drag: np.ndarray) -> np.ndarray:
+def slipping(coefficient: float | np.ndarray, force: np.ndarray, drag: np.ndarray) -> np.ndarray:
     """Where pairs slip, by their contact and friction forces (n, n_pairs): (n, n_pairs) bool."""
-    limit = (1.0 - KNOWN) * friction.coefficient * force
+    limit = (1.0 - KNOWN) * coefficient * force
     return np.asarray((force > 0.0) & (np.abs(drag) >= limit))
 
 
 def friction_numbers(
-    friction: CoulombFriction, slide: np.ndarray, force: np.ndarray, drag: np.ndarray
+    coefficient: float | np.ndarray, slide: np.ndarray, force: np.ndarray, drag: np.ndarray
 ) -> dict[str, float]:
     """The loss by friction in a period [J], int lambda_t g_t' dt by the trapezoidal rule, and the
     shares of it in which pairs stick and slip, means over the pairs: of tangential gaps, contact
     forces and friction forces at equal parts of it (n, n_pairs)."""
     ahead = np.roll(drag, -1, axis=0) + drag
-    slips = slipping(friction, force, drag)
+    slips = slipping(coefficient, force, drag)
     return {
         "friction_loss": float(0.5 * np.sum(ahead * (np.roll(slide, -1, axis=0) - slide))),
         "stick_share": float(np.mean((force > 0.0) & ~slips)),
@@ -372,7 +367,9 @@ class PeriodicSolution(Wave, Described):
     def _extremes(self) -> dict[str, float]:
         """Extremes of gap and contact force in the period."""
         gaps, forces = self.gaps_and_forces(self.instants())
-        found = contact_extremes(gaps, forces, self.structure.pairs.cracks, self.contact)
+        found = contact_extremes(
+            gaps, forces, self.structure.pairs.cracks, coefficient_of(self.contact)
+        )
         return found if self.orbit is None else found | self.orbit.sliding
 
     def coefficients_at(self, dofs: Sequence[int | None] = (None,)) -> np.ndarray:

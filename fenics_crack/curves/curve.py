@@ -31,7 +31,7 @@ from fenics_crack.basics.tables import (
 from fenics_crack.curves.family import FAMILIES
 from fenics_crack.curves.peak import Peak, Top, damping_by_width, top_of
 from fenics_crack.curves.stability import floquet
-from fenics_crack.model.contact import ContactLaw
+from fenics_crack.model.contact import ContactLaw, coefficient_of
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import PeriodicOrbit
@@ -371,7 +371,7 @@ class ResponseCurve(Tabular):
             found = list(self.seen_through(rows))
             seen = np.array([waves.T for waves, _, _, _ in found])
             sizes = np.array([np.ptp(motion, axis=0) / 2.0 for _, motion, _, _ in found])
-            known = structure.pairs.cracks, self.contact
+            known = structure.pairs.cracks, coefficient_of(self.contact)
             self._lips[:] = [contact_extremes(gap, force, *known) for _, _, gap, force in found]
             self._seen.update(zip(new, zip(seen.swapaxes(0, 1), sizes.T, strict=True), strict=True))
         return [self._seen[dof] for dof in asked]

@@ -31,7 +31,7 @@ from fenics_crack.draw.figure import (
     upright,
 )
 from fenics_crack.fem.nodal_mesh import NodalMesh
-from fenics_crack.model.contact import ContactLaw, friction_of, is_rigid
+from fenics_crack.model.contact import ContactLaw, coefficient_of, is_rigid
 from fenics_crack.model.nodes import AXES, Pairs
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import DIFFERENCE
@@ -633,12 +633,12 @@ def draw_friction_loops(solution: PeriodicSolution, **where: Unpack[Where]) -> F
     --------
     >>> figure = fc.draw_friction_loops(solution, path="loops.png")
     """
-    friction = friction_of(solution.contact)
-    if friction is None:
+    coefficient = coefficient_of(solution.contact)
+    if coefficient is None:
         raise InputError("solution", "no friction", "one with CoulombFriction")
     time = np.append(solution.instants(), solution.period)
     (_, slide), (normal, drag) = (np.hsplit(one, 2) for one in solution.gaps_and_forces(time))
-    slips = slipping(friction, normal, drag)
+    slips = slipping(coefficient, normal, drag)
     loss = np.sum(0.5 * (drag[1:] + drag[:-1]) * np.diff(slide, axis=0), axis=0)
     [panel] = picture = Picture(size=(6.4, 4.6), comm=solution.structure.comm, **where)
     chosen = np.argsort(-loss, kind="stable")[: min(LOOPS, len(loss))]

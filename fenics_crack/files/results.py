@@ -148,9 +148,12 @@ def type_of(stored: Stored) -> type[Result]:
 
 
 def _fields(result: Result, *apart: str) -> Parts:
-    """Return the fields of a result besides its structure, its law and the fields kept apart."""
+    """Return the fields of a result besides its structure, its law and the fields kept apart; those
+    of friction where there is some."""
     apart = ("structure", "contact", *apart)
-    return {f.name: getattr(result, f.name) for f in fields(result) if f.name not in apart}
+    found = {f.name: getattr(result, f.name) for f in fields(result) if f.name not in apart}
+    own = [name for name in found if name == "friction" or name.startswith("tangential_")]
+    return {name: one for name, one in found.items() if name not in own or one is not None}
 
 
 def _motion(result: Result, watched: Mapping[str, np.ndarray]) -> Parts:
@@ -234,12 +237,8 @@ def _pack_solution(solution: PeriodicSolution) -> Parts:
         solution, "displacement_coefficients", "report", "stability", "others", "assessment"
     )
     parts |= {f"error_{name}": value for name, value in asdict(solution.report).items()}
-    tangential = [name for name in parts if name.startswith("tangential_")]
-    if friction_of(solution.contact) is None:
-        for name in tangential:
-            del parts[name]
-        if is_rigid(solution.contact):
-            parts["weight"] = solution.contact.weight
+    if is_rigid(solution.contact) and friction_of(solution.contact) is None:
+        parts["weight"] = solution.contact.weight
     if solution.stability is not None:
         parts |= asdict(solution.stability)
     return parts | _law_parts(solution.contact, solution.structure)
@@ -342,19 +341,26 @@ def _pack_orbit_curve(curve: OrbitCurve) -> Parts:
     """Its states by displacements and velocities of the structure's dofs, whose signs are known."""
     parts = _pack_curve(curve)
     points = curve.at_bifurcations.part(slice(1, -1))
-    parts["states"] = _of_dofs(curve)
-    parts["bifurcation_states"] = _of_dofs(points)
+    parts["states"], places = _of_dofs(curve)
+    parts["bifurcation_states"], those_of_points = _of_dofs(points)
+    if friction_of(curve.contact) is not None:
+        parts |= {"places": places, "bifurcation_places": those_of_points}
     parts["bifurcation_multipliers"] = points.multipliers
     return parts | {"couplings": _couplings(curve.structure)}
 
 
-def _of_dofs(curve: OrbitCurve) -> np.ndarray:
-    """Displacements [m] and velocities [m/s] of the modes that move, by dof: (n, 2, n_dofs)."""
+def _of_dofs(curve: OrbitCurve) -> tuple[np.ndarray, np.ndarray]:
+    """Displacements [m] and velocities [m/s] of the modes that move, by dof: (n, 2, n_dofs); and
+    behind them the places where pairs with friction stick: (n, n_pairs) [m], else (n, 0)."""
     found = np.zeros((len(curve), 2, curve.structure.n_dofs))
+    rubs = friction_of(curve.contact) is not None
+    places = np.zeros((len(curve), curve.structure.n_pairs if rubs else 0))
     for place, value in enumerate(curve.values):
         shapes = all_modes(curve.problem_at(float(value)).structure).shapes
-        found[place] = curve.states[place].reshape(2, -1) @ shapes.T
-    return found
+        moved, held = np.split(curve.states[place], [2 * shapes.shape[1]])
+        found[place] = moved.reshape(2, -1) @ shapes.T
+        places[place] = held
+    return found, places
 
 
 def _taken_curve(parts: Parts, structure: Structure, contact: Law) -> tuple[Structure, Shapes]:
@@ -374,11 +380,12 @@ def _taken_curve(parts: Parts, structure: Structure, contact: Law) -> tuple[Stru
 def _unpack_harmonic_curve(parts: Parts, structure: Structure, contact: Law) -> HarmonicCurve:
     structure, shapes = _taken_curve(parts, structure, contact)
     unknowns, kinds = parts["unknowns"], parts["kinds"]
-    _check_pairs(structure, unknowns)
-    shapes["unknowns"] = parts["values"].size, unknowns.shape[1] | 1, structure.n_pairs
+    seen = seen_by(contact, structure)
+    _check_pairs(seen, unknowns)
+    shapes["unknowns"] = parts["values"].size, unknowns.shape[1] | 1, seen.n_pairs
     for number in range(len(kinds)):
         name = f"bifurcation_{number}"
-        shapes[name] = len(parts[name]) | 1, structure.n_pairs
+        shapes[name] = len(parts[name]) | 1, seen.n_pairs
     check_shapes(parts, shapes)
     del parts["kinds"]
     values = parts.pop("bifurcation_values").tolist()
@@ -400,25 +407,32 @@ def _unpack_orbit_curve(parts: Parts, structure: Structure, contact: Law) -> Orb
     signs = _signs(structure, parts.pop("couplings"))
     shapes["states"] = parts["values"].size, 2, structure.n_dofs
     shapes["bifurcation_states"] = len(parts["kinds"]), 2, structure.n_dofs
+    shapes["places"] = parts["values"].size, structure.n_pairs
+    shapes["bifurcation_places"] = len(parts["kinds"]), structure.n_pairs
     check_shapes(parts, shapes)
     kinds, values = parts.pop("kinds"), parts.pop("bifurcation_values")
+    nothing = np.zeros((len(parts["states"]), 0)), np.zeros((len(kinds), 0))
+    places = parts.pop("places", nothing[0]), parts.pop("bifurcation_places", nothing[1])
     special = signs * parts.pop("bifurcation_states"), parts.pop("bifurcation_multipliers")
     known: Parts = {"structure": structure, "contact": contact, "bifurcations": ()}
     curve = OrbitCurve(**(known | parts))
-    curve = replace(curve, states=_modal(curve, curve.values, signs * curve.states))
+    curve = replace(curve, states=_modal(curve, curve.values, signs * curve.states, places[0]))
     if not curve.orbit(0).residual <= 1e-4:  # nan neither
         raise InputError("structure", "another load, mesh or material", "that of the file")
-    points = zip(kinds, values.tolist(), _modal(curve, values, special[0]), special[1], strict=True)
+    states = _modal(curve, values, special[0], places[1])
+    points = zip(kinds, values.tolist(), states, special[1], strict=True)
     found = [curve.bifurcation(kind, at, z, np.array([mu])) for kind, at, z, mu in points]
     return replace(curve, bifurcations=tuple(found))
 
 
-def _modal(curve: OrbitCurve, values: np.ndarray, of_dofs: np.ndarray) -> np.ndarray:
-    """States (n, 2 n_modes) of displacements and velocities (n, 2, n_dofs)."""
+def _modal(
+    curve: OrbitCurve, values: np.ndarray, of_dofs: np.ndarray, places: np.ndarray
+) -> np.ndarray:
+    """States of displacements and velocities (n, 2, n_dofs), and of places (n, n_pairs or 0)."""
     found = []
-    for value, moved in zip(values.tolist(), of_dofs, strict=True):
+    for value, moved, held in zip(values.tolist(), of_dofs, places, strict=True):
         inverse = all_modes(curve.problem_at(value).structure).inverse
-        found.append((moved @ inverse.T).ravel())
+        found.append(np.append((moved @ inverse.T).ravel(), held))
     return np.array(found)
 
 
@@ -450,7 +464,8 @@ def _unpack_history(parts: Parts, structure: Structure, contact: Law) -> TimeHis
     signs = _signs(structure, parts.pop("couplings"))
     count, dofs = parts["time"].size, parts["recorded_dofs"]
     shapes: Shapes = {"time": (count,), "recorded_dofs": (dofs.size,)}
-    shapes |= {name: (count, structure.n_pairs) for name in ("gap", "contact_force")}
+    of_pairs = "gap", "contact_force", "tangential_gap", "tangential_force"
+    shapes |= {name: (count, structure.n_pairs) for name in of_pairs}
     shapes |= {"recorded": (count, dofs.size), "final_state": (2, structure.n_local)}
     check_shapes(parts, shapes)
     if parts["steps_per_period"] < 1 or count % parts["steps_per_period"]:

@@ -26,6 +26,17 @@ static void penalty(const vibration *v, const double *gap, double *force)
     for (int i = 0; i < v->pairs; i++) force[i] = gap[i] > 0.0 ? v->springs[i] * gap[i] : 0.0;
 }
 
+/* Forces with friction of gaps s (r), in whose place s - D lambda comes, and where pairs are held from
+ * here on. Returns 1 where there are none. */
+static int rub(closed_sets *known, double *held, signed char *states, double *gap, double *force)
+{
+    const int p = pairs_of(known);
+    if (!states_at(known, held, states, gap, force)) return 1;
+    for (int i = 0; i < p; i++)
+        if (states[i] != STICK) held[i] = gap[p + i];
+    return 0;
+}
+
 /* --- central differences --------------------------------------------------------------------- */
 
 int march_central(const central_differences *s, int first, int steps, double *gap, double *force,
@@ -47,7 +58,10 @@ int march_central(const central_differences *s, int first, int steps, double *ga
         }
         for (int j = 0; j < n; j++) r[j] -= v->squares[j] * q[j];
         if (v->springs) {
-            penalty(v, gap, force);
+            if (v->friction) {
+                memcpy(reached, gap, p * sizeof(double));
+                if (rub(v->friction, v->held, v->states, reached, force)) return step;
+            } else penalty(v, gap, force);
             take(p, n, v->rows, force, r);
         }
         /* d = keep d + gain r. */
@@ -89,7 +103,7 @@ static void transition(const exponential *s, const double *restrict x, double *r
 int march_exponential(const exponential *s, int steps, double *states, double *forces,
                       signed char *closed)
 {
-    const int n = s->modes, p = s->pairs;
+    const int n = s->modes, p = s->pairs, pairs = s->friction ? p / 2 : p;
     double *restrict z = s->room, *restrict reached = z + 2 * n, *restrict gap = reached + 2 * n;
     double *restrict both = gap + p;
     for (int j = 0; j < 2 * n; j++) z[j] = states[j] - s->steady[j];
@@ -100,15 +114,17 @@ int march_exponential(const exponential *s, int steps, double *states, double *f
         const signed char *guess = closed;
         states += 2 * n;
         forces += p;
-        closed += p;
+        closed += pairs;
         /* s = Q (E z - G lambda) + l. */
         transition(s, z, reached);
         for (int i = 0; i < p; i++) {
             gap[i] = linear[i] + dot(n, s->rows + (size_t)i * n, reached)
                      - dot(p, s->gaps + (size_t)i * p, before);
-            closed[i] = guess[i];
         }
-        if (forces_at(s->contact, gap, NULL, closed, forces)) return step - 1;
+        memcpy(closed, guess, (size_t)pairs);
+        if (s->friction ? rub(s->friction, s->held, closed, gap, forces)
+                        : forces_at(s->contact, gap, NULL, closed, forces))
+            return step - 1;
         for (int i = 0; i < p; i++) both[i] = before[i] + forces[i];
         take(p, 2 * n, s->pushed, both, reached);
         for (int j = 0; j < 2 * n; j++) {

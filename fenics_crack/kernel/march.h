@@ -8,6 +8,7 @@
 #ifndef MARCH_H
 #define MARCH_H
 
+#include "closed_sets.h"
 #include "sets.h"
 
 typedef struct {
@@ -17,6 +18,9 @@ typedef struct {
     const double *rows;      /* (p, n) P^T */
     const double *clearance; /* (p) g0 */
     const double *springs;   /* (p) k of the penalty law; NULL: rigid contact */
+    closed_sets *friction;   /* of springs alone; NULL: none, else p rows are normals, then tangents */
+    double *held;            /* (p / 2) where pairs stick or are, here and at the end */
+    signed char *states;     /* (p / 2) their states */
     int loads;               /* rows of the load: its mean, then a cosine and a sine of each order */
     const double *load;      /* (loads, n) */
     const double *waves;     /* (instants, loads) 1, cos, sin ... of a period */
@@ -58,12 +62,14 @@ typedef struct {
     const double *gaps;    /* (p, p) [P^T 0] G */
     const double *linear;  /* (instants, p) l: the gap of the steady motion */
     const double *steady;  /* (instants, 2 n) */
-    sets *contact;         /* of D */
+    sets *contact;         /* of D; NULL with friction */
+    closed_sets *friction; /* of D; NULL: none, else p rows are normals, then tangents */
+    double *held;          /* (p / 2) where pairs stick or are, here and at the end */
     double *room;          /* (4 n + 2 p) */
 } exponential;
 
-/* March from phase zero. states (steps + 1, 2 n), forces and closed (steps + 1, p): their first rows
- * are given. Returns the steps made: fewer if forces were not found. */
+/* March from phase zero. states (steps + 1, 2 n), forces (steps + 1, p) and closed (steps + 1, p), with
+ * friction (steps + 1, p / 2) states of pairs: their first rows are given. Returns the steps made: fewer if forces were not found. */
 int march_exponential(const exponential *s, int steps, double *states, double *forces,
                       signed char *closed);
 

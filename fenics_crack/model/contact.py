@@ -253,6 +253,12 @@ def friction_of(contact: object) -> CoulombFriction | None:
     return contact if isinstance(contact, CoulombFriction) else None
 
 
+def coefficient_of(contact: object) -> float | np.ndarray | None:
+    """mu of a law; None without friction."""
+    friction = friction_of(contact)
+    return None if friction is None else friction.coefficient
+
+
 def normal_law(contact: ContactLaw) -> ContactLaw:
     """The law of normal contact alone."""
     return contact.law if isinstance(contact, CoulombFriction) else contact
@@ -377,6 +383,45 @@ def _positive(key: str, value: object, *, each_pair: bool = False) -> float | np
         allowed = "a finite number > 0" + (", or one per pair" if each_pair else "")
         raise InputError(key, value, allowed)
     return found.copy() if found.ndim else float(found)
+
+
+class FrictionSets:
+    """Contact with friction at instants under a compliance D of normals, then tangents; what is
+    known of the states of the pairs is kept.
+
+    Attributes
+    ----------
+    compliance : (2 n_pairs, 2 n_pairs) [m/N]
+        D = R_inf + diag(1/k, 1/k_t).
+    """
+
+    def __init__(self, compliance: np.ndarray, coefficient: float | np.ndarray) -> None:
+        rows = len(compliance)
+        self.compliance = compliance = shaped(compliance, rows, rows)
+        mu = np.ascontiguousarray(np.broadcast_to(coefficient, rows // 2), dtype=float)
+        self._held = np.zeros((rows, 1)), compliance, mu  # which the kernel does not copy all
+        most = int(KEPT * machine_memory()) // 8
+        made = kernel.new_closed_sets(1, rows // 2, *map(pointer, self._held), most)
+        self.handle = owned(made, kernel.free_closed_sets)
+        """The kernel's own object."""
+
+    def solve(
+        self, gap: np.ndarray, places: np.ndarray, turns: int = 1
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Forces [N], states and places [m] at instants that follow each other, of gaps (n, 2
+        n_pairs) [m], from the places (n_pairs,) before; of the last of so many turns.
+
+        Raises ConvergenceError where an instant has no forces, or more than one solution.
+        """
+        count, rows = gap.shape
+        gap, held = shaped(gap, count, rows), np.array(places, dtype=float)
+        forces, found = np.empty_like(gap), np.empty((count, rows // 2))
+        states = np.empty((count, rows // 2), dtype=np.int8)
+        if kernel.march_friction(
+            self.handle, count, turns, *map(pointer, (gap, held, forces, states, found))
+        ):
+            raise ConvergenceError("contact: an instant has no forces, or more than one solution")
+        return forces, states, found
 
 
 KEPT = 1 / 32

@@ -53,6 +53,7 @@ from fenics_crack.balance.solution import PeriodicSolution, Solver, contact_extr
 from fenics_crack.basics.errors import MOST_HARMONICS
 from fenics_crack.basics.tables import OF_FRICTION, OF_LIPS, OF_POINTS, QUANTITIES, frequency_axis
 from fenics_crack.curves.curve import ResponseCurve
+from fenics_crack.model.contact import coefficient_of
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import KINDS, NEGLIGIBLE, Modes, bilinear_frequencies
 from fenics_crack.model.reduced import ReducedStructure
@@ -335,7 +336,9 @@ def _of_orbit(
     problem = Problem(structure, found.omega, law, harmonics, subharmonic=found.subharmonic)
     wave = wave_of(problem, orbit, orbit.coefficients(harmonics))
     samples = orbit.samples(found.instants())
-    lips = contact_extremes(samples.gaps, samples.forces, structure.pairs.cracks, law)
+    lips = contact_extremes(
+        samples.gaps, samples.forces, structure.pairs.cracks, coefficient_of(law)
+    )
     lips |= {"closed_share": orbit.motion.track.closed_share} | orbit.sliding
     return numbers_of(study, wave, mode).values | lips
 

@@ -48,11 +48,15 @@ from fenics_crack.kernel import Struct, kernel, pointer
 from fenics_crack.model.contact import (
     ActiveSets,
     ContactLaw,
+    FrictionSets,
     check_law,
+    coefficient_of,
+    friction_of,
     is_piecewise_linear,
-    is_rigid,
     potential,
+    seen_by,
     solve_complementarity,
+    springs_of,
 )
 from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.modal import CACHE_SIZE, all_modes, is_small
@@ -92,16 +96,26 @@ def stable_steps_per_period(structure: Structure, omega: float, contact: Contact
     check_mass(structure, INSTEAD)
     check_omega(omega)
     check_law(structure, contact, rigid=True)
-    rigid = is_rigid(contact)
+    springs = _springs(structure, contact)
+    seen = seen_by(contact, structure)
     if is_small(structure):
-        modes = all_modes(structure)
-        springs = np.broadcast_to(0.0 if rigid else contact.stiffness, structure.n_pairs)
+        modes = all_modes(seen)
         tied = np.diag(modes.squares) + (modes.pairs * springs) @ modes.pairs.T
         highest = float(np.sqrt(np.linalg.eigvalsh(tied)[-1]))
     else:
-        highest = largest_frequency(structure if rigid else structure.tied(contact.stiffness))
+        highest = largest_frequency(seen.tied(springs) if np.any(springs) else structure)
         collect_garbage(structure.comm)
     return int(np.floor(np.pi * highest * (1.0 + 1e-6) / omega)) + 1
+
+
+def _springs(structure: Structure, contact: ContactLaw) -> np.ndarray:
+    """Stiffness of closed pairs, with friction behind it of those that stick: (n_rows,) [N/m]; zero
+    with a constraint. InputError with friction without springs."""
+    soft = springs_of(contact, structure.n_pairs)
+    if friction_of(contact) is not None and not np.all(soft):
+        allowed = "a penalty with a tangential stiffness: crack faces have mass"
+        raise InputError("contact", contact, allowed)
+    return np.divide(1.0, soft, out=np.zeros_like(soft), where=soft > 0.0)
 
 
 def integrate_central_difference(
@@ -170,7 +184,7 @@ class _ContactEnergy:
 
     def __init__(self, asked: March, energy: float) -> None:
         self._asked, self._created, self._put_in = asked, 0.0, energy
-        pairs, rows = asked.structure.n_pairs, len(asked.load_rows)
+        pairs, rows = asked.n_rows, len(asked.load_rows)
         widths = rows, pairs, pairs, rows
         self._tail: list[np.ndarray] = [np.empty((0, width)) for width in widths]
 
@@ -180,6 +194,8 @@ class _ContactEnergy:
         parts = [np.vstack(part) for part in zip(self._tail, period, strict=True)]
         self._tail = [part[-2:] for part in parts]
         load, gap, force, motion = parts
+        count = self._asked.structure.n_pairs  # springs and friction of tangents create none
+        gap, force = gap[:, :count], force[:, :count]
         self._created -= 0.5 * float(np.sum(force[1:-1] * (gap[2:] - gap[:-2])))
         if not self._asked.rigid:
             before, after = (potential(self._asked.contact, ends) for ends in (gap[:2], gap[-2:]))
@@ -212,13 +228,21 @@ class _ModalDifferences(Scheme):
     name, remedy = NAME, REMEDY
 
     def __init__(self, asked: March) -> None:
-        self._asked, self._modes, dt = asked, all_modes(asked.structure), asked.step_size
+        self._seen = seen_by(asked.contact, asked.structure)
+        self._asked, self._modes, dt = asked, all_modes(self._seen), asked.step_size
         modes, (count, pairs) = self._modes, self._modes.pairs.shape
-        springs = None
+        springs, own = None, dict[str, Any]()
         if not asked.rigid:
-            springs = np.broadcast_to(np.asarray(asked.contact.stiffness, float), pairs).copy()
+            springs = _springs(asked.structure, asked.contact)
+        if (mu := coefficient_of(asked.contact)) is not None:
+            assert springs is not None
+            self._sets = FrictionSets(np.diag(1.0 / springs), mu)
+            self._held, states = np.zeros(pairs // 2), np.zeros(pairs // 2, dtype=np.int8)
+            own = {"friction": self._sets.handle, "held": self._held, "states": states}
         self._shape, velocity = (modes.inverse @ part for part in asked.start)
         gap = self._gap()
+        if own:
+            self._held[:] = gap[pairs // 2 :]
         if asked.rigid and np.any(gap > 0.0):  # by the least change in the norm of M
             self._shape -= modes.pairs @ solve_complementarity(modes.pairs.T @ modes.pairs, gap)
         self._increment = dt * velocity - 0.5 * dt**2 * self._acceleration(velocity)
@@ -232,10 +256,10 @@ class _ModalDifferences(Scheme):
         body = Struct(
             "vibration", modes=count, pairs=pairs, coupled=modes.damping.ndim == 2,
             squares=rows(modes.squares), rows=rows(modes.pairs.T),
-            clearance=np.broadcast_to(np.asarray(asked.structure.clearance, float), pairs).copy(),
+            clearance=np.array(self._seen.clearance, dtype=float),
             springs=springs, load=rows(asked.structure.force @ modes.shapes),
             waves=asked.waves, loads=len(asked.structure.force),
-            room=np.empty(2 * count + pairs),
+            room=np.empty(2 * count + pairs), **own,
         )  # fmt: skip
         self._known = Struct(
             "central_differences", body=body,
@@ -247,7 +271,7 @@ class _ModalDifferences(Scheme):
 
     def _gap(self) -> np.ndarray:
         """Gap at the end of the integration."""
-        return np.asarray(self._shape @ self._modes.pairs - self._asked.structure.clearance)
+        return np.asarray(self._shape @ self._modes.pairs - self._seen.clearance)
 
     def _acceleration(self, velocity: np.ndarray) -> np.ndarray:
         """f - w^2 q - P lambda - c v at phase zero of the load; forces of a constraint, which
@@ -255,8 +279,14 @@ class _ModalDifferences(Scheme):
         modes, force = self._modes, self._asked.structure.force
         found = (force[0] + force[1::2].sum(axis=0)) @ modes.shapes - modes.squares * self._shape
         if not self._asked.rigid:
-            found -= modes.pairs @ self._asked.contact.force(self._gap())
+            found -= modes.pairs @ self._forces(self._gap())
         return np.asarray(found - modes.damped(velocity))
+
+    def _forces(self, gap: np.ndarray) -> np.ndarray:
+        """Forces of gaps (n_rows,), without a constraint."""
+        if friction_of(self._asked.contact) is None:
+            return self._asked.contact.force(gap)
+        return self._sets.solve(gap[None], self._held)[0][0]
 
     def fill(self, window: Window, number: int) -> None:
         modes, asked, count = self._modes, self._asked, len(window.gap)
@@ -306,8 +336,13 @@ class _CentralDifferences(Scheme):
         self.load, self.load_rows = asked.load, asked.load_rows
         self.force = np.zeros(structure.n_pairs)
         # Only few rows of B are not zero.
-        self._gap_rows = np.flatnonzero(np.diff(structure.gap.indptr))
-        self._gap_block = structure.gap[self._gap_rows].toarray()
+        seen = seen_by(asked.contact, structure)
+        self._gap_rows = np.flatnonzero(np.diff(seen.gap.indptr))
+        self._gap_block = seen.gap[self._gap_rows].toarray()
+        self._clearance = seen.clearance
+        if (mu := coefficient_of(asked.contact)) is not None:
+            self._sets = FrictionSets(np.diag(1.0 / _springs(structure, asked.contact)), mu)
+            self._held: np.ndarray | None = None
         self._columns = asked.recorded_dofs - structure.first_dof
         self._modes, self._damping = damped_modes(structure), structure.damping_matrix
         self._x, self._y = structure.mass.createVecs()
@@ -327,6 +362,8 @@ class _CentralDifferences(Scheme):
             self._compliance = structure.apply_bt(self._push.T).T
         displacement, velocity = asked.start
         self.displacement = self._admissible(displacement)
+        if friction_of(self.contact) is not None:
+            self._held = self._measured(displacement)[structure.n_pairs :]
         # The step before from u_{-1} = u - dt v + dt^2 a / 2.
         self.increment = dt * velocity - 0.5 * dt**2 * self._acceleration(velocity)
         self._energy = _ContactEnergy(asked, self._linear_energy(velocity))
@@ -351,7 +388,7 @@ class _CentralDifferences(Scheme):
         pull = -self._times(self.structure.stiffness, self.displacement)  # f - K u - B lambda
         pull[self.load_rows] += self.load[step]
         if not self.rigid:
-            self.force = self.contact.force(self.gap)
+            self.force = self._forces(self.gap)
             pull[self._gap_rows] -= self._gap_block @ self.force
         self.increment = self.increment + self._answer(dt**2 * pull, dt * self.increment)
         if self.rigid:
@@ -360,13 +397,23 @@ class _CentralDifferences(Scheme):
             self.increment -= self._push @ self.force
         self.displacement = self.displacement + self.increment
 
+    def _forces(self, gap: np.ndarray) -> np.ndarray:
+        """Forces of gaps (n_rows,), without a constraint; with friction pairs stick from here on
+        where they are now."""
+        if friction_of(self.contact) is None:
+            return self.contact.force(gap)
+        assert self._held is not None
+        forces, _, places = self._sets.solve(gap[None], self._held)
+        self._held = places[0]
+        return forces[0]
+
     def _closing(self, motion: np.ndarray) -> np.ndarray:
         """B^T of a motion (n_local,)."""
         return self.structure.sum_over_ranks(motion[self._gap_rows] @ self._gap_block)
 
     def _measured(self, displacement: np.ndarray) -> np.ndarray:
         """Gap of a displacement (n_local,)."""
-        return self._closing(displacement) - self.structure.clearance
+        return self._closing(displacement) - self._clearance
 
     def _applied(self, operator: Callable[[Any, Any], None], rows: np.ndarray) -> np.ndarray:
         """Apply an operator of PETSc's to a vector (n_local,)."""
@@ -410,7 +457,7 @@ class _CentralDifferences(Scheme):
         right = -self._times(self.structure.stiffness, self.displacement) - self._damped(velocity)
         right[self.load_rows] += self.load[0]
         if not self.rigid:
-            force = self.contact.force(self._measured(self.displacement))
+            force = self._forces(self._measured(self.displacement))
             right[self._gap_rows] -= self._gap_block @ force
         with Factor(self.structure.mass, definite=True) as factor:
             found: np.ndarray = factor.solve(right[None])[0]

@@ -26,11 +26,13 @@ Source: Hochbruck and Ostermann, Acta Numerica 19 (2010) 209 (exponential integr
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.kernel import Struct, kernel, pointer, shaped
-from fenics_crack.model.contact import ActiveSets, ContactLaw
+from fenics_crack.model.contact import ActiveSets, ContactLaw, FrictionSets, coefficient_of
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import Flow, check_exact, doubles
 from fenics_crack.numerics.fourier import derivative, from_complex, to_complex, waves_of
@@ -46,11 +48,11 @@ class ExponentialFlow(Flow):
         In one period of the load.
     step_size : float [s]
         h.
-    gap_rows : (n_pairs, 2 n_modes)
+    gap_rows : (n_rows, 2 n_modes)
         Q.
     steady : (N, 2 n_modes)
         Steady response to the load without contact at all instants of its period.
-    linear_gap : (N, n_pairs) [m]
+    linear_gap : (N, n_rows) [m]
         Its gap.
     """
 
@@ -73,13 +75,21 @@ class ExponentialFlow(Flow):
         instants = waves_of(self.force, 2.0 * np.pi * np.arange(steps) / steps)
         self.steady = instants @ np.hstack([shape, rate])
         self.linear_gap = instants @ (shape @ modes.pairs + self.gap)
-        self._static = ActiveSets(self.compliance)
+        seen = self.compliance + moved_gap
+        own: dict[str, Any]
+        if (mu := coefficient_of(contact)) is None:
+            self._static: ActiveSets | FrictionSets = ActiveSets(self.compliance)
+            own = {"contact": ActiveSets(seen).handle}
+        else:
+            self._static = FrictionSets(self.compliance, mu)
+            self._held = np.empty(pairs // 2)
+            self._sets = FrictionSets(seen, mu)
+            own = {"friction": self._sets.handle, "held": self._held}
         self._known = Struct(
             "exponential", modes=count, pairs=pairs, instants=steps,
             coupled=modes.damping.ndim == 2, moved=moved, rows=doubles(modes.pairs.T),
             pushed=doubles(pushed.T), gaps=doubles(moved_gap), linear=self.linear_gap,
-            steady=self.steady, contact=ActiveSets(self.compliance + moved_gap).handle,
-            room=np.empty(4 * count + 2 * pairs),
+            steady=self.steady, room=np.empty(4 * count + 2 * pairs), **own,
         )  # fmt: skip
 
     def coordinates(
@@ -94,14 +104,17 @@ class ExponentialFlow(Flow):
 
         Raises ConvergenceError where the contact forces of a step are not found.
         """
-        state, pairs = shaped(state, self.size), self.structure.n_pairs
-        count = len(state)
-        total = periods * self.steps
-        states, forces = np.empty((total + 1, count)), np.empty((total + 1, pairs))
-        closed = np.empty((total + 1, pairs), dtype=bool)
+        count, pairs, total = 2 * self.count, self.structure.n_pairs, periods * self.steps
+        state, places = np.split(shaped(state, self.size), [count])
+        states, forces = np.empty((total + 1, count)), np.empty((total + 1, len(self.softness)))
+        closed = np.empty((total + 1, pairs), dtype=np.int8)
         states[0] = state
         gap = self.gap_rows @ (state - self.steady[0]) + self.linear_gap[0]
-        forces[:1], closed[:1] = self._static.solve(gap[None])
+        if isinstance(self._static, FrictionSets):
+            forces[:1], closed[:1], held = self._static.solve(gap[None], places)
+            self._held[:] = held[0]
+        else:
+            forces[:1], closed[:1] = self._static.solve(gap[None])
         done = kernel.march_exponential(
             self._known.at, total, pointer(states), pointer(forces), pointer(closed)
         )
@@ -109,7 +122,8 @@ class ExponentialFlow(Flow):
             raise ConvergenceError(
                 f"exponential: the contact forces of step {done + 1} were not found"
             )
-        return Steps(self, states, forces, closed)
+        places = self._held.copy() if self.friction else places
+        return Steps(self, states, forces, np.append(states[-1], places))
 
 
 class Steps:
@@ -119,19 +133,30 @@ class Steps:
     ----------
     states : (N + 1, 2 n_modes)
         At all instants, both ends included.
-    forces : (N + 1, n_pairs) [N]
-    closed : (N + 1, n_pairs) bool
+    forces : (N + 1, n_rows) [N]
+    end : (size,)
+        State of the flow at the end.
     """
 
     def __init__(
-        self, flow: ExponentialFlow, states: np.ndarray, forces: np.ndarray, closed: np.ndarray
+        self, flow: ExponentialFlow, states: np.ndarray, forces: np.ndarray, end: np.ndarray
     ) -> None:
-        self._flow, self.states, self.forces, self.closed = flow, states, forces, closed
+        self._flow, self.states, self.forces, self.end = flow, states, forces, end
 
     @property
-    def gap(self) -> np.ndarray:
-        """Gap at all instants but the last: (N, n_pairs) [m]."""
-        flow, count = self._flow, len(self.states) - 1
-        instants = np.arange(count) % flow.steps
-        moved = (self.states[:-1] - flow.steady[instants]) @ flow.gap_rows.T
-        return moved + flow.linear_gap[instants] - self.forces[:-1] @ flow.residual
+    def gaps(self) -> np.ndarray:
+        """Gaps of all rows at all instants: (N + 1, n_rows) [m]."""
+        flow = self._flow
+        instants = np.arange(len(self.states)) % flow.steps
+        moved = (self.states - flow.steady[instants]) @ flow.gap_rows.T
+        return np.asarray(moved + flow.linear_gap[instants] - self.forces @ flow.residual)
+
+    @property
+    def lost(self) -> float:
+        """Loss by friction over all steps [J], of the mean forces over each."""
+        flow, count = self._flow, self._flow.structure.n_pairs
+        if not flow.friction:
+            return 0.0
+        force = self.forces[:, count:]
+        places = self.gaps[:, count:] - flow.softness[count:] * force
+        return float(np.sum(0.5 * (force[1:] + force[:-1]) * np.diff(places, axis=0)))

@@ -33,7 +33,7 @@ def integrate_events(
     ----------
     structure : Structure
         At most 600 dofs; reduce a larger one first.
-    contact : UnilateralPenalty or UnilateralConstraint
+    contact : UnilateralPenalty, UnilateralConstraint or CoulombFriction of one of them
         Law of all pairs; the latter where crack faces have no mass.
     steps_per_period : int
         Instants recorded in a period; they do not change the motion.
@@ -83,7 +83,7 @@ def integrate_exponential(
     structure : Structure
         At most 600 dofs; reduce a larger one first. Without penetration crack faces have no mass
         (``reduce_structure(method="massless")``).
-    contact : UnilateralPenalty or UnilateralConstraint
+    contact : UnilateralPenalty, UnilateralConstraint or CoulombFriction of one of them
         Law of all pairs.
     steps_per_period : int
         Of the load; the error falls with its square.
@@ -141,12 +141,13 @@ class _ByEvents(Scheme):
         self._state, samples = motion.state, motion.samples
         moved = samples.displacement
         self._motion = moved[-1]
-        window.gap[:], window.force[:] = samples.gap[:-1], samples.force[:-1]
+        window.gap[:], window.force[:] = samples.gaps[:-1], samples.forces[:-1]
         window.motion[:] = moved[:-1, asked.recorded_dofs]
         window.load_motion[:] = moved[:-1, asked.load_rows] * _load_sizes(asked)
 
     def state(self) -> tuple[np.ndarray, np.ndarray]:
-        rate = self._flow.modes.shapes @ self._state[self._flow.count :]
+        count = self._flow.count
+        rate = self._flow.modes.shapes @ self._state[count : 2 * count]
         return self._motion.copy(), rate
 
 
@@ -166,7 +167,7 @@ class _ByExponentials(Scheme):
     def fill(self, window: Window, number: int) -> None:
         flow, asked = self._flow, self._asked
         steps = flow.advance(self._state)
-        window.gap[:], window.force[:] = steps.gap, steps.forces[:-1]
+        window.gap[:], window.force[:] = steps.gaps[:-1], steps.forces[:-1]
         window.motion[:] = flow.coordinates(
             steps.states[:-1], steps.forces[:-1], asked.recorded_dofs
         )
@@ -176,10 +177,10 @@ class _ByExponentials(Scheme):
             self._balance = EnergyBalance(asked, self._energy(steps, 0))
         rate = steps.states[:, len(flow.modes.squares) :]
         lost = np.einsum("nj,nj->n", flow.modes.damped(rate), rate)
-        self._lost += flow.step_size * float(np.sum(0.5 * (lost[1:] + lost[:-1])))
+        self._lost += flow.step_size * float(np.sum(0.5 * (lost[1:] + lost[:-1]))) + steps.lost
         created = self._balance.created(load_motion, self._energy(steps, -1), self._lost)
         self.book(created, self._balance.put_in)
-        self._state = steps.states[-1]
+        self._state = steps.end
         self._motion = flow.coordinates(steps.states[-1:], steps.forces[-1:])[0]
 
     def _energy(self, steps: Steps, place: int) -> float:
@@ -192,5 +193,5 @@ class _ByExponentials(Scheme):
         return 0.5 * float(elastic + rate @ rate + springs)
 
     def state(self) -> tuple[np.ndarray, np.ndarray]:
-        flow, count = self._flow, len(self._flow.modes.squares)
-        return self._motion.copy(), flow.modes.shapes @ self._state[count:]
+        flow, count = self._flow, self._flow.count
+        return self._motion.copy(), flow.modes.shapes @ self._state[count : 2 * count]

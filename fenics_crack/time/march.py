@@ -19,6 +19,7 @@ from fenics_crack.balance.solution import (
     Indicators,
     PeriodicSolution,
     contact_extremes,
+    friction_numbers,
     indicators_of,
 )
 from fenics_crack.basics.errors import (
@@ -33,7 +34,7 @@ from fenics_crack.basics.progress import begin, reaching
 from fenics_crack.basics.ranks import StopRequest, raise_together
 from fenics_crack.basics.suggestions import check_options
 from fenics_crack.basics.tables import Tabular, counted
-from fenics_crack.model.contact import ContactLaw, check_law, is_rigid
+from fenics_crack.model.contact import ContactLaw, check_law, coefficient_of, friction_of, is_rigid
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.model.structure import Structure
@@ -164,6 +165,11 @@ class March:
         return np.asarray(self.waves @ self.structure.force[:, self.load_rows])
 
     @property
+    def n_rows(self) -> int:
+        """Rows of contact: normals of all pairs, with friction behind them tangents."""
+        return self.structure.n_pairs * (1 if friction_of(self.contact) is None else 2)
+
+    @property
     def rigid(self) -> bool:
         """True if nothing penetrates."""
         return is_rigid(self.contact)
@@ -213,6 +219,12 @@ class TimeHistory(Tabular):
     a run that goes on, at the same frequency or another."""
     contact_force: np.ndarray
     """(n, n_pairs) [N]; with a constraint the mean force from this instant to the next."""
+    tangential_gap: np.ndarray | None = None
+    """g_t of contact with friction: (n, n_pairs) [m]."""
+    tangential_force: np.ndarray | None = None
+    """lambda_t, likewise [N]."""
+    friction: float | np.ndarray | None = None
+    """mu, of all pairs or of each."""
 
     KIND: ClassVar[str] = "time history"
 
@@ -325,8 +337,19 @@ class TimeHistory(Tabular):
             2.0 * np.pi * (len(self.time) - 1) / self.steps_per_period / np.ptp(self.time),
             balanced(motion[-self.steps_per_period :], known),
             float(np.ptp(motion) / 2.0),
-            contact_extremes(self.gap[last], self.contact_force[last], self.structure.pairs.cracks),
+            contact_extremes(self.gap[last], self.contact_force[last], self.structure.pairs.cracks)
+            | self._sliding,
         )
+
+    @property
+    def _sliding(self) -> dict[str, float]:
+        """What friction does in the last period."""
+        if self.friction is None:
+            return {}
+        assert self.tangential_gap is not None and self.tangential_force is not None
+        last = slice(-self.steps_per_period, None)
+        columns = self.tangential_gap, self.contact_force, self.tangential_force
+        return friction_numbers(self.friction, *(one[last] for one in columns))
 
 
 @dataclass(frozen=True)
@@ -399,7 +422,7 @@ class EnergyBalance:
 def march(asked: March, scheme: Scheme) -> TimeHistory:
     """Integrate a scheme, period by period, until it settles, and free it (collective)."""
     structure, kept, steps = asked.structure, asked.kept, asked.steps_per_period
-    widths = structure.n_pairs, structure.n_pairs, len(asked.recorded_dofs)
+    widths = asked.n_rows, asked.n_rows, len(asked.recorded_dofs)
     records: list[np.ndarray] = [np.empty((kept * steps, width)) for width in widths]
     gap, force, motion = records
     load_motion = np.empty((steps, len(asked.load_rows)))
@@ -416,7 +439,8 @@ def march(asked: March, scheme: Scheme) -> TimeHistory:
             scheme.fill(window, number)
             done = number + 1
             moved = np.concatenate(structure.comm.allgather(load_motion), axis=1)
-            now = window.gap + structure.clearance, moved  # slow modes hardly move the gaps
+            closing = window.gap[:, : structure.n_pairs] + structure.clearance
+            now = closing, moved  # slow modes hardly move the gaps
             if before is not None:
                 settled = _change(now, before)
             before = now
@@ -430,9 +454,11 @@ def march(asked: March, scheme: Scheme) -> TimeHistory:
     final_state = scheme.state()
     for item in scheme.owned:
         item.destroy()
+    pairs, coefficient = structure.n_pairs, coefficient_of(asked.contact)
+    known = coefficient is not None
     return TimeHistory(
         time=np.arange(done * steps - count, done * steps) * asked.step_size,
-        gap=gap,
+        gap=gap[:, :pairs],
         settled=settled,
         created_energy=scheme.created_share,
         periods=done,
@@ -442,7 +468,10 @@ def march(asked: March, scheme: Scheme) -> TimeHistory:
         recorded=motion,
         recorded_dofs=asked.recorded_dofs,
         final_state=final_state,
-        contact_force=force,
+        contact_force=force[:, :pairs],
+        tangential_gap=gap[:, pairs:] if known else None,
+        tangential_force=force[:, pairs:] if known else None,
+        friction=coefficient,
     )
 
 

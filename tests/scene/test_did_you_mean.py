@@ -20,7 +20,7 @@ from fenics_crack import InputError, Scene
         ({"material.densty": 1.0}, "did you mean material.density? "),
         ({"excitation.freqency": 1.0}, "did you mean excitation.frequency? "),
         ({"excitation.force": [1.0, 0.0]}, "did you mean excitation.force_sin or excitation.force"),
-        ({"harmonic_balance.harmonic": 1}, "did you mean harmonic_balance.harmonics or "),
+        ({"harmonic_balance.harmonic": 1}, "did you mean harmonic_balance.harmonics? "),
         # a key of another table, misspelt or not
         ({"crack.stiffness": 1e9}, "did you mean damping.stiffness or contact.stiffness or "),
         ({"geometry.lenght": 0.1}, "did you mean crack.length? "),

@@ -1,0 +1,146 @@
+"""Integration in time with friction, against exact orbits; friction in files and along curves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers import chain_stiffness
+from motion.test_friction import HERTZ, RIGID, jenkins, plate, solved
+
+import fenics_crack as fc
+
+
+@pytest.mark.parametrize("method", [fc.integrate_central_difference, fc.integrate_exponential])
+def test_jenkins_oscillator(method: Callable[..., fc.TimeHistory]) -> None:
+    """Half peak-to-peak and loss of the settled motion, to the order of the steps."""
+    structure, law = jenkins()
+    history = method(
+        structure, 0.9, law, periods=400, steps_per_period=1024, settle=1e-9, record_periods=4
+    )
+    seen = history.indicators(0)
+    assert seen.amplitude == pytest.approx(3.69236, rel=3e-5)
+    assert seen.friction_loss == pytest.approx(3.71084, rel=5e-5)
+    assert seen.stick_share + seen.slip_share == pytest.approx(1.0)
+    assert abs(history.created_energy) < 2e-5
+
+
+def test_exponential_steps_are_of_second_order() -> None:
+    """Of the inclined crack from the exact orbit on: gaps over the last period; losses."""
+    structure, _ = plate("inclined_crack", 0.005)
+    omega, law = 3183.0 * HERTZ, fc.CoulombFriction(RIGID, 0.3)
+    found = solved("inclined_crack", 0.005, omega, 0.3)
+    orbit, off = found.orbit, []
+    assert orbit is not None
+    size = np.ptp(orbit.gap)
+    for steps in (1024, 2048, 4096):
+        history = fc.integrate_exponential(
+            structure, omega, law, periods=150, steps_per_period=steps, initial=found,
+            record_periods=1,
+        )  # fmt: skip
+        off.append(float(np.abs(history.gap - orbit.gap_at(history.time)).max() / size))
+        assert history.tangential_gap is not None
+        slide = history.tangential_gap - orbit.tangential_gap_at(history.time)
+        assert np.abs(slide).max() < 6e-2 * (512 / steps) ** 2 * size
+        loss = history.indicators().friction_loss
+        assert loss == pytest.approx(orbit.work.friction.sum(), rel=4e-3 * (1024 / steps) ** 2)
+    assert off[-1] < 2e-5 and all(3.0 < a / b < 5.0 for a, b in pairwise(off))
+
+
+def test_events_follow_the_orbit() -> None:
+    structure, _ = plate("inclined_crack", 0.005)
+    omega, law = 3183.0 * HERTZ, fc.CoulombFriction(RIGID, 0.3)
+    found = solved("inclined_crack", 0.005, omega, 0.3)
+    assert found.orbit is not None
+    history = fc.integrate_events(
+        structure, omega, law, periods=200, steps_per_period=128, initial=found, record_periods=1
+    )
+    exact = found.orbit.gap_at(history.time)
+    np.testing.assert_allclose(history.gap, exact, atol=2e-6 * np.ptp(exact))
+
+
+def chain(unmoved: int = 0) -> fc.Structure:
+    """Six masses with two pairs that a mean load presses, and others that nothing moves."""
+    random, n = np.random.default_rng(3), 6
+    stiffness = np.eye(n + unmoved)
+    stiffness[:n, :n] = chain_stiffness(random.uniform(1.0, 3.0, n + 1))
+    gap, tangent, force = np.zeros((n + unmoved, 2)), np.zeros((n + unmoved, 2)), np.zeros((3, n))
+    gap[[0, 1], [0, 1]], tangent[[2, 4], [0, 1]], tangent[[3, 5], [0, 1]] = 1.0, 1.0, -1.0
+    force[:] = random.normal(size=(3, n))
+    force[0, :2] = 2.0
+    loads = np.pad(force, ((0, 0), (0, unmoved)))
+    return fc.Structure.from_matrices(
+        np.eye(n + unmoved), stiffness, gap, tangential=tangent, damping=fc.RayleighDamping(0.1, 0),
+        force_mean=loads[0], force_cos=loads[1], force_sin=loads[2],
+    )  # fmt: skip
+
+
+def test_pairs_with_mass() -> None:
+    """Central differences converge to the exact orbit of pairs with springs; those of a large
+    structure, step by step, are the same."""
+    law, omega, off = fc.CoulombFriction(fc.UnilateralPenalty(8.0), 0.4, 5.0), 0.9, []
+    structure = chain()
+    found = fc.solve_harmonic_balance(structure, omega, law, tolerance=1e-2, throw=False)
+    orbit = found.orbit
+    assert orbit is not None and orbit.sliding["slip_share"] > 0.02
+    for steps in (256, 512):
+        history = fc.integrate_central_difference(
+            structure, omega, law, periods=60, steps_per_period=steps, initial=found
+        )
+        last = slice(-steps, None)
+        exact = orbit.gap_at(history.time[last])
+        off.append(float(np.abs(history.gap[last] - exact).max() / np.ptp(exact)))
+    assert off[1] < 2e-3 and off[1] < 0.35 * off[0]
+    ends = [
+        fc.integrate_central_difference(one, omega, law, periods=2, steps_per_period=64)
+        for one in (structure, chain(unmoved=700))
+    ]
+    np.testing.assert_allclose(*(one.tangential_force for one in ends), atol=1e-10)  # type: ignore[misc]
+    with pytest.raises(fc.InputError, match="tangential stiffness"):
+        rigid = fc.CoulombFriction(fc.UnilateralPenalty(8.0), 0.3)
+        fc.integrate_central_difference(structure, omega, rigid, periods=1, steps_per_period=64)
+
+
+def test_files(tmp_path: Path) -> None:
+    """What friction does is read as it was written."""
+    structure, _ = plate("inclined_crack", 0.005)
+    omega, law = 3183.0 * HERTZ, fc.CoulombFriction(RIGID, 0.3)
+    found = solved("inclined_crack", 0.005, omega, 0.3)
+    fc.save(found, tmp_path / "solution.h5")
+    read = fc.load(tmp_path / "solution.h5", structure, law)
+    assert np.array_equal(read.tangential_force_coefficients, found.tangential_force_coefficients)
+    loss = found.indicators().friction_loss
+    assert read.indicators().friction_loss == pytest.approx(loss, rel=0.05)  # of its harmonics
+    with pytest.raises(fc.InputError, match="the law of the file"):
+        fc.load(tmp_path / "solution.h5", structure, fc.CoulombFriction(RIGID, 0.4))
+    history = fc.integrate_exponential(structure, omega, law, periods=2, initial=found)
+    fc.save(history, tmp_path / "history.h5")
+    again = fc.load(tmp_path / "history.h5", structure)
+    assert np.array_equal(again.tangential_gap, history.tangential_gap) and again.friction == 0.3
+
+
+@pytest.mark.parametrize("how", [{"tolerance": 0.05}, {"harmonics": 8}])
+def test_curves(tmp_path: Path, how: dict[str, float]) -> None:
+    """Over the frequency and the coefficient: points are solutions, also when read again."""
+    structure, _ = plate("inclined_crack", 0.005)
+    omega, law = 3150.0 * HERTZ, fc.CoulombFriction(RIGID, 0.3)
+    over = fc.continue_frequency(structure, omega, 1.02 * omega, law, **how)  # type: ignore[arg-type]
+    assert over.complete
+    index = len(over) // 2
+    alone = fc.solve_harmonic_balance(structure, float(over.omega[index]), law, throw=False, **how)  # type: ignore[arg-type]
+    assert over.amplitude()[index] == pytest.approx(alone.amplitude(), rel=5e-3)
+    loss = over.indicators().friction_loss
+    assert loss[index] == pytest.approx(alone.indicators().friction_loss, rel=2e-2)
+    fc.save(over, tmp_path / "curve.h5")
+    read = fc.load(tmp_path / "curve.h5", structure, law)
+    np.testing.assert_allclose(read.indicators().friction_loss, loss, rtol=1e-6)
+    rubbing = fc.continue_parameter(structure, omega, law, "friction", 1.0, 2.0, **how)  # type: ignore[arg-type]
+    assert rubbing.complete
+    harder = fc.CoulombFriction(RIGID, 0.6)
+    alone = fc.solve_harmonic_balance(structure, omega, harder, throw=False, **how)  # type: ignore[arg-type]
+    assert rubbing.amplitude()[-1] == pytest.approx(alone.amplitude(), rel=5e-3)
+    with pytest.raises(fc.InputError, match="no friction"):
+        fc.continue_parameter(structure, omega, RIGID, "friction", 1.0, 2.0, **how)  # type: ignore[arg-type]
