@@ -488,9 +488,7 @@ def solution_of_orbit(problem: Problem, orbit: PeriodicOrbit, tolerance: float) 
             known = orbit.coefficients(harmonics)
         return wave_of(problem.with_harmonics(harmonics), orbit, known)
 
-    reduction, at_load = _lost(
-        problem, wave_with(problem.few_harmonics(SearchOptions.harmonics[0]))
-    )
+    reduction, at_load = _lost(problem, wave_with)
     goal = _goal(tolerance, reduction)
     fewer, found = 0, wave_with(problem.harmonics)
     while not found.assessment.distance <= goal and found.harmonics < most:
@@ -518,15 +516,17 @@ def wave_of(problem: Problem, orbit: PeriodicOrbit, known: OrbitCoefficients) ->
     return PeriodicSolution(**vars(wave), assessment=Assessment(wave, orbit))
 
 
-def _lost(problem: Problem, found: PeriodicSolution) -> tuple[float, float]:
-    """Return the modal truncation error of the gap, and of the displacement at the load."""
-    structure = found.structure
+def _lost(problem: Problem, wave_with: Callable[[int], PeriodicSolution]) -> tuple[float, float]:
+    """Return the modal truncation error of the gap, and of the displacement at the load, of an
+    orbit, known by its waves with some harmonics."""
+    structure = problem.structure
     if not isinstance(structure, ReducedStructure) or structure.reference is None:
         return 0.0, 0.0
-    if (more := found.assessment.more_modes) is not None:
+    fewest, many = (problem.few_harmonics(SearchOptions.harmonics[place]) for place in (0, -1))
+    if (more := wave_with(fewest).assessment.more_modes) is not None:
         return more.distances
-    few = problem.with_harmonics(problem.few_harmonics(SearchOptions.harmonics[-1]))
-    report = Solver(few).attempt(found, wholly=False)[1].report
+    balance = Solver(problem.with_harmonics(many))
+    report = balance.attempt(wave_with(many), wholly=False)[1].report
     return report.reduction, report.displacement
 
 

@@ -46,7 +46,7 @@ def jenkins() -> tuple[fc.Structure, fc.CoulombFriction]:
 def test_jenkins_oscillator() -> None:
     """Figures of an independent event-driven integration; harmonic balance with one harmonic."""
     structure, law = jenkins()
-    found = fc.solve_harmonic_balance(structure, 0.9, law, tolerance=1e-4)
+    found = fc.solve_harmonic_balance(structure, 0.9, law, tolerance=1e-3)
     assert found.orbit is not None
     assert found.amplitude(0) == pytest.approx(3.69236, abs=5e-4)
     assert found.orbit.work.friction[0] == pytest.approx(3.71084, abs=5e-6)
@@ -180,17 +180,14 @@ def beam() -> tuple[np.ndarray, np.ndarray]:
     return stiffness[2:, 2:], mass[2:, 2:]
 
 
-def test_nlstep_example_02() -> None:
-    """A cantilever with friction at a node: |U_1| of the tip [mm] at three frequencies."""
+def nlstep_beam() -> tuple[fc.Structure, fc.CoulombFriction, int]:
+    """The beam with 5 modes, rubbing at its fourth node, its law, and the dof of its tip."""
     stiffness, mass = beam()
     n, node, tip = len(mass), 4, 14  # w of the fourth node, and of the last one
-    free = np.sqrt(np.abs(np.linalg.eigvals(np.linalg.solve(mass, stiffness))))
-    assert np.sort(free)[:2] == pytest.approx([123.3406, 773.0225], rel=1e-6)
     held = np.delete(np.arange(n), node)
     part = np.ix_(held, held)
-    stuck = np.sort(
-        np.sqrt(np.abs(np.linalg.eigvals(np.linalg.solve(mass[part], stiffness[part]))))
-    )
+    squares = np.linalg.eigvals(np.linalg.solve(mass[part], stiffness[part]))
+    stuck = np.sort(np.sqrt(np.abs(squares)))
     assert stuck[:2] == pytest.approx([248.9733, 1660.4750], rel=1e-4)  # printed: of fewer modes
     # The pressure is that of a mass of its own on a spring, which the friction does not move.
     both = [np.zeros((n + 1, n + 1)) for _ in range(2)]
@@ -203,9 +200,17 @@ def test_nlstep_example_02() -> None:
         damping=fc.RayleighDamping(2.0 * 0.05 * stuck[0], 0.0),
     )  # fmt: skip
     reduced = fc.reduce_structure(structure, modes=6, method="massless")
-    law = fc.CoulombFriction(fc.UnilateralPenalty(1e4), 1.0)
+    return reduced, fc.CoulombFriction(fc.UnilateralPenalty(1e4), 1.0), tip
+
+
+def test_nlstep_example_02() -> None:
+    """A cantilever with friction at a node: |U_1| of the tip [mm] at three frequencies."""
+    stiffness, mass = beam()
+    free = np.sqrt(np.abs(np.linalg.eigvals(np.linalg.solve(mass, stiffness))))
+    assert np.sort(free)[:2] == pytest.approx([123.3406, 773.0225], rel=1e-6)
+    reduced, law, tip = nlstep_beam()
     for omega, size in ((302.574, 0.067693), (254.682, 0.073542), (225.0, 0.080962)):
-        found = fc.solve_harmonic_balance(reduced, omega, law, tolerance=1e-3, throw=False)
+        found = fc.solve_harmonic_balance(reduced, omega, law, tolerance=2e-2, throw=False)
         assert found.orbit is not None
         assert found.indicators(tip).harmonic_1 == pytest.approx(size, rel=5e-3)
 

@@ -9,11 +9,15 @@ import oscillators
 import plates
 import programs
 import pytest
+import rubbing
 import uncertainties
 from book import CASES, PAGES, differences, index
 
 pytestmark = pytest.mark.verification
-FILES = (oscillators, impacts, plates, beams, elements, fronts, calculix, programs, uncertainties)
+FILES = (
+    oscillators, impacts, rubbing, plates, beams, elements, fronts, calculix, programs,
+    uncertainties,
+)  # fmt: skip
 DEAR = (
     "energy_release_on_three_meshes", "rotor_with_a_crack", "stress_intensity_along_a_front",
     "stress_intensity_factors", "true_errors_over_stated_ones",
