@@ -251,3 +251,13 @@ def test_first_notebook_in_jupyter() -> None:
     outputs = [output for cell in notebook.cells for output in cell.get("outputs", ())]
     kinds = [kind for output in outputs for kind in output.get("data", ())]
     assert kinds.count("image/png") == kinds.count("text/html") == 5
+
+
+def test_friction(tmp_path: Path) -> None:
+    """Friction halves the peak of the inclined crack; the solution without says so of itself."""
+    found = load("friction").main(tmp_path)
+    free, rubbing = found["peak without friction [m]"], found["peak with friction [m]"]
+    assert 0.45 < rubbing / free < 0.55
+    assert found["friction left out, up to about"] > 1.0
+    assert found["loss by friction over that by damping"] == pytest.approx(0.814, abs=0.005)
+    assert {"response.png", "loops.png"} == {path.name for path in tmp_path.iterdir()}

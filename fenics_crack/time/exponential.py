@@ -78,10 +78,10 @@ class ExponentialFlow(Flow):
         seen = self.compliance + moved_gap
         own: dict[str, Any]
         if (mu := coefficient_of(contact)) is None:
-            self._static: ActiveSets | FrictionSets = ActiveSets(self.compliance)
+            self._static = ActiveSets(self.compliance)
             own = {"contact": ActiveSets(seen).handle}
         else:
-            self._static = FrictionSets(self.compliance, mu)
+            self._rubbing = FrictionSets(self.compliance, mu)
             self._held = np.empty(pairs // 2)
             self._sets = FrictionSets(seen, mu)
             own = {"friction": self._sets.handle, "held": self._held}
@@ -110,8 +110,8 @@ class ExponentialFlow(Flow):
         closed = np.empty((total + 1, pairs), dtype=np.int8)
         states[0] = state
         gap = self.gap_rows @ (state - self.steady[0]) + self.linear_gap[0]
-        if isinstance(self._static, FrictionSets):
-            forces[:1], closed[:1], held = self._static.solve(gap[None], places)
+        if self.friction:
+            forces[:1], closed[:1], held = self._rubbing.solve(gap[None], places)
             self._held[:] = held[0]
         else:
             forces[:1], closed[:1] = self._static.solve(gap[None])
@@ -123,7 +123,7 @@ class ExponentialFlow(Flow):
                 f"exponential: the contact forces of step {done + 1} were not found"
             )
         places = self._held.copy() if self.friction else places
-        return Steps(self, states, forces, np.append(states[-1], places))
+        return Steps(self, states, forces, closed > 0, np.append(states[-1], places))
 
 
 class Steps:
@@ -134,14 +134,21 @@ class Steps:
     states : (N + 1, 2 n_modes)
         At all instants, both ends included.
     forces : (N + 1, n_rows) [N]
+    closed : (N + 1, n_pairs) bool
     end : (size,)
         State of the flow at the end.
     """
 
     def __init__(
-        self, flow: ExponentialFlow, states: np.ndarray, forces: np.ndarray, end: np.ndarray
+        self,
+        flow: ExponentialFlow,
+        states: np.ndarray,
+        forces: np.ndarray,
+        closed: np.ndarray,
+        end: np.ndarray,
     ) -> None:
-        self._flow, self.states, self.forces, self.end = flow, states, forces, end
+        self._flow, self.states, self.forces = flow, states, forces
+        self.closed, self.end = closed, end
 
     @property
     def gaps(self) -> np.ndarray:
