@@ -457,7 +457,11 @@ def _unpack_backbone(parts: Parts, structure: Structure, contact: Law) -> Backbo
 def _pack_history(history: TimeHistory) -> Parts:
     if history.structure.comm.size > 1:
         raise InputError("result", "spread over several ranks", "a time history of one rank")
-    return _fields(history) | {"couplings": _couplings(history.structure)}
+    parts = _fields(history) | {"couplings": _couplings(history.structure)}
+    parts["final_state"] = history.final_state[:2]
+    if history.friction is not None:
+        parts["final_places"] = history.final_state[2]
+    return parts
 
 
 def _unpack_history(parts: Parts, structure: Structure, contact: Law) -> TimeHistory:
@@ -467,10 +471,12 @@ def _unpack_history(parts: Parts, structure: Structure, contact: Law) -> TimeHis
     of_pairs = "gap", "contact_force", "tangential_gap", "tangential_force"
     shapes |= {name: (count, structure.n_pairs) for name in of_pairs}
     shapes |= {"recorded": (count, dofs.size), "final_state": (2, structure.n_local)}
+    shapes |= {"final_places": (structure.n_pairs,)}
     check_shapes(parts, shapes)
     if parts["steps_per_period"] < 1 or count % parts["steps_per_period"]:
         raise ValueError("it does not hold whole periods")
-    parts["final_state"] = tuple(signs * parts["final_state"])
+    places = (parts.pop("final_places"),) if "final_places" in parts else ()
+    parts["final_state"] = (*(signs * parts["final_state"]), *places)
     parts["recorded"] = signs[parts["recorded_dofs"] - structure.first_dof] * parts["recorded"]
     return TimeHistory(structure=structure, **parts)
 
@@ -537,7 +543,7 @@ def _check_types(kind: type[Result], parts: Parts) -> None:
     of a size that can be computed with or nan, and of them only multipliers complex."""
     kinds = {f"error_{field.name}": str(field.type) for field in fields(ErrorReport)}
     kinds |= {field.name: str(field.type) for field in (*fields(Stability), *fields(kind))}
-    kinds["final_state"] = "np.ndarray"
+    kinds |= dict.fromkeys(("final_state", "final_places"), "np.ndarray")
     for name, value in parts.items():
         declared = kinds.get(name, "").removesuffix(" | None")
         if isinstance(value, np.ndarray):

@@ -425,6 +425,7 @@ ABOUT: dict[str, tuple[str, str]] = {
     "friction": ("1", "coefficient of friction, of all pairs, or of each"),
     "recorded": ("m", "instants; recorded_dofs"),
     "final_state": ("m, m/s", "displacement and velocity; dofs"),
+    "final_places": ("m", "tangential gaps where pairs stick at the end; pairs"),
     "couplings": ("1, N", "pairs, then mean, cosine and sine part of the load; dofs"),
     "seconds": ("s", "wall-clock time"),
     "energy": ("J", "motions"),

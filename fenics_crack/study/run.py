@@ -69,7 +69,7 @@ from fenics_crack.time.central_differences import (
     stable_steps_per_period,
 )
 from fenics_crack.time.flows import integrate_events, integrate_exponential
-from fenics_crack.time.march import TimeHistory, initial_state
+from fenics_crack.time.march import TimeHistory, initial_places, initial_state
 
 Found = TypeVar("Found", bound=Result, covariant=True)
 
@@ -489,17 +489,20 @@ def _read_initial(path: str, comm: MPI.Comm) -> Stored:
 
 def _state_of(
     earlier: Run[Any], structure: Structure, table: Integration
-) -> tuple[np.ndarray, np.ndarray]:
-    """Displacement and velocity of a structure where an earlier motion of the same mesh was: a
-    solution at phase 0 of its load, a motion in time at its end (collective).
+) -> tuple[np.ndarray, ...]:
+    """Displacement and velocity, with friction also places, of a structure where an earlier motion
+    of the same mesh was: a solution at phase 0 of its load, a motion in time at its end
+    (collective).
 
     Reduced structures take it by their modes: q = Phi^T M u.
     """
     found, whole = earlier.result, structure.whole
     if isinstance(found, TimeHistory):
-        state = found.final_state
+        state, places = found.final_state[:2], found.final_state[2:]
     else:
         state = initial_state(found.structure, found)
+        known = initial_places(found.structure, found.contact, found)
+        places = () if known is None else (known,)
     moved = found.structure.expand(np.array(state))
     marks = [
         np.zeros((one.n_local, 1)) if one.nodes is None else one.nodes.points
@@ -511,7 +514,7 @@ def _state_of(
     if isinstance(structure, ReducedStructure):
         modal = whole.sum_over_ranks(times(whole.mass, moved.T).T @ structure.basis)
         moved = np.pad(modal, ((0, 0), (0, structure.n_dofs - modal.shape[1])))
-    return moved[0], moved[1]
+    return moved[0], moved[1], *places
 
 
 def _freed(study: Study) -> Study:

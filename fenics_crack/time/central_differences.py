@@ -242,7 +242,7 @@ class _ModalDifferences(Scheme):
         self._shape, velocity = (modes.inverse @ part for part in asked.start)
         gap = self._gap()
         if own:
-            self._held[:] = gap[pairs // 2 :]
+            self._held[:] = gap[pairs // 2 :] if asked.places is None else asked.places
         if asked.rigid and np.any(gap > 0.0):  # by the least change in the norm of M
             self._shape -= modes.pairs @ solve_complementarity(modes.pairs.T @ modes.pairs, gap)
         self._increment = dt * velocity - 0.5 * dt**2 * self._acceleration(velocity)
@@ -304,9 +304,10 @@ class _ModalDifferences(Scheme):
             window.load_motion[place] = shape @ modes.shapes[asked.load_rows].T
         self.book(*self._energy.of(window))
 
-    def state(self) -> tuple[np.ndarray, np.ndarray]:
+    def state(self) -> tuple[np.ndarray, ...]:
         velocity = _last_velocity(self._asked.step_size, self._increment, self._acceleration)
-        return self._modes.shapes @ self._shape, self._modes.shapes @ velocity
+        found = self._modes.shapes @ self._shape, self._modes.shapes @ velocity
+        return found if friction_of(self._asked.contact) is None else (*found, self._held.copy())
 
 
 def _inverse(dashpots: np.ndarray) -> np.ndarray:
@@ -363,7 +364,8 @@ class _CentralDifferences(Scheme):
         displacement, velocity = asked.start
         self.displacement = self._admissible(displacement)
         if friction_of(self.contact) is not None:
-            self._held = self._measured(displacement)[structure.n_pairs :]
+            still = self._measured(displacement)[structure.n_pairs :]
+            self._held = still if asked.places is None else asked.places
         # The step before from u_{-1} = u - dt v + dt^2 a / 2.
         self.increment = dt * velocity - 0.5 * dt**2 * self._acceleration(velocity)
         self._energy = _ContactEnergy(asked, self._linear_energy(velocity))
@@ -377,9 +379,13 @@ class _CentralDifferences(Scheme):
             window.motion[step] = before[self._columns]
         self.book(*self._energy.of(window))
 
-    def state(self) -> tuple[np.ndarray, np.ndarray]:
+    def state(self) -> tuple[np.ndarray, ...]:
         velocity = _last_velocity(self.step_size, self.increment, self._acceleration)
-        return self.displacement.copy(), velocity
+        found = self.displacement.copy(), velocity
+        if friction_of(self.contact) is None:
+            return found
+        assert self._held is not None
+        return (*found, self._held.copy())
 
     def advance(self, step: int) -> None:
         """Integrate from an instant, ``step`` of the period, to the next."""

@@ -13,7 +13,7 @@ import numpy as np
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modes import times
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.flow import exact_flow
+from fenics_crack.motion.flow import Flow, exact_flow
 from fenics_crack.time.exponential import ExponentialFlow, Steps
 from fenics_crack.time.march import EnergyBalance, March, Scheme, TimeHistory, Window, march
 
@@ -122,6 +122,13 @@ def _load_sizes(asked: March) -> np.ndarray:
     return np.asarray(np.linalg.norm(asked.structure.force[:, asked.load_rows], axis=0))
 
 
+def _ends(flow: Flow, motion: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Displacement and velocity, with friction also places, in a state of a flow."""
+    _, rate, places = np.split(state, [flow.count, 2 * flow.count])
+    known = motion.copy(), flow.modes.shapes @ rate
+    return (*known, places.copy()) if flow.friction else known
+
+
 class _ByEvents(Scheme):
     """The exact flow, period by period."""
 
@@ -132,7 +139,7 @@ class _ByEvents(Scheme):
         self._period = 2.0 * np.pi / asked.omega
         parts = np.arange(asked.steps_per_period + 1) / asked.steps_per_period
         self._instants = parts * self._period
-        self._state = self._flow.state(*asked.start)
+        self._state = self._flow.state(*asked.start, asked.places)
 
     def fill(self, window: Window, number: int) -> None:
         asked = self._asked
@@ -145,10 +152,8 @@ class _ByEvents(Scheme):
         window.motion[:] = moved[:-1, asked.recorded_dofs]
         window.load_motion[:] = moved[:-1, asked.load_rows] * _load_sizes(asked)
 
-    def state(self) -> tuple[np.ndarray, np.ndarray]:
-        count = self._flow.count
-        rate = self._flow.modes.shapes @ self._state[count : 2 * count]
-        return self._motion.copy(), rate
+    def state(self) -> tuple[np.ndarray, ...]:
+        return _ends(self._flow, self._motion, self._state)
 
 
 class _ByExponentials(Scheme):
@@ -160,7 +165,7 @@ class _ByExponentials(Scheme):
     def __init__(self, asked: March) -> None:
         self._asked, steps = asked, asked.steps_per_period
         self._flow = ExponentialFlow(asked.structure, asked.omega, asked.contact, steps)
-        self._state = self._flow.state(*asked.start)
+        self._state = self._flow.state(*asked.start, asked.places)
         self._balance: EnergyBalance | None = None
         self._lost = 0.0
 
@@ -192,6 +197,5 @@ class _ByExponentials(Scheme):
         springs = np.sum(flow.softness * steps.forces[place] ** 2)
         return 0.5 * float(elastic + rate @ rate + springs)
 
-    def state(self) -> tuple[np.ndarray, np.ndarray]:
-        flow, count = self._flow, self._flow.count
-        return self._motion.copy(), flow.modes.shapes @ self._state[count : 2 * count]
+    def state(self) -> tuple[np.ndarray, ...]:
+        return _ends(self._flow, self._motion, self._state)

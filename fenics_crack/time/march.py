@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import MISSING, dataclass, fields
 from functools import cached_property
 from inspect import signature
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 from tqdm import tqdm
@@ -44,6 +44,9 @@ from fenics_crack.numerics.newton import moving_size
 MEMORY_LIMIT = 2**31
 """Bytes of history on one rank beyond which recording is refused."""
 
+Initial: TypeAlias = PeriodicSolution | tuple[np.ndarray, ...] | None
+"""A solution, displacement and velocity, with friction perhaps places, or rest."""
+
 
 @dataclass(frozen=True)
 class March:
@@ -62,8 +65,10 @@ class March:
         Load periods to integrate.
     steps_per_period : int
         Instants in one load period.
-    initial : PeriodicSolution, (displacement, velocity) or None
-        State at time 0: a solution's, two arrays (n_local,) [m], [m/s], or rest.
+    initial : PeriodicSolution, (displacement, velocity), (displacement, velocity, places) or None
+        State at time 0: a solution's, arrays (n_local,) [m], [m/s], or rest; with friction also the
+        places (n_pairs,) [m] in the tangential gaps where pairs stick, by default those at time 0
+        without contact forces.
     settle : float
         Stop early when the relative change over a period is below this, of the gaps and of the
         displacement where the load acts, relative to what moves; ``distance`` of the history
@@ -86,7 +91,7 @@ class March:
     contact: ContactLaw
     periods: int
     steps_per_period: int
-    initial: PeriodicSolution | tuple[np.ndarray, np.ndarray] | None = None
+    initial: Initial = None
     settle: float = 0.0
     record_periods: int | None = None
     dofs: Sequence[int] | None = None
@@ -102,14 +107,14 @@ class March:
         check_number("settle", self.settle, 0.0)
         most = max(self.structure.comm.allgather(len(self.recorded_dofs)))
         instants = self.kept * self.steps_per_period
-        if 8 * instants * (most + 2 * self.structure.n_pairs) > MEMORY_LIMIT:
+        if 8 * instants * (most + 2 * self.n_rows) > MEMORY_LIMIT:
             raise InputError(
                 "record_periods",
                 self.record_periods,
                 f"fewer, or fewer dofs: {instants} instants of {most} dofs do not fit in "
                 f"{MEMORY_LIMIT // 2**30} GiB",
             )
-        _ = self.start
+        _ = self.start, self.places
 
     @classmethod
     def of(cls, function: Callable[..., Any], options: Mapping[str, Any], *given: Any) -> March:
@@ -134,6 +139,11 @@ class March:
     def start(self) -> tuple[np.ndarray, np.ndarray]:
         """Displacement and velocity (n_local,) at time 0."""
         return initial_state(self.structure, self.initial)
+
+    @cached_property
+    def places(self) -> np.ndarray | None:
+        """Where pairs stick at time 0: (n_pairs,) [m]; None: not stated, or without friction."""
+        return initial_places(self.structure, self.contact, self.initial)
 
     @cached_property
     def recorded_dofs(self) -> np.ndarray:
@@ -214,9 +224,10 @@ class TimeHistory(Tabular):
     recorded: np.ndarray
     """(n, n_recorded) [m], the dofs of ``recorded_dofs`` that this rank owns."""
     recorded_dofs: np.ndarray
-    final_state: tuple[np.ndarray, np.ndarray]
-    """Displacement [m] and velocity [m/s] (n_local,) at the end of the last period: ``initial`` of
-    a run that goes on, at the same frequency or another."""
+    final_state: tuple[np.ndarray, ...]
+    """Displacement [m] and velocity [m/s] (n_local,) at the end of the last period, with friction
+    also the places (n_pairs,) [m] where pairs stick: ``initial`` of a run that goes on, at the same
+    frequency or another."""
     contact_force: np.ndarray
     """(n, n_pairs) [N]; with a constraint the mean force from this instant to the next."""
     tangential_gap: np.ndarray | None = None
@@ -380,9 +391,9 @@ class Scheme(ABC):
         """Integrate period ``number``, record it, and add up its energy."""
 
     @abstractmethod
-    def state(self) -> tuple[np.ndarray, np.ndarray]:
-        """Displacement and velocity, after whole periods, from which a time integration can go
-        on."""
+    def state(self) -> tuple[np.ndarray, ...]:
+        """Displacement and velocity, with friction also places, after whole periods, from which a
+        time integration can go on."""
 
     def book(self, created: float, put_in: float) -> None:
         """State energies [J]; ConvergenceError where contact has created too much."""
@@ -490,9 +501,7 @@ def _sizes(parts: Sequence[np.ndarray]) -> list[float]:
     return [size if size > NEGLIGIBLE * max(sizes) else math.inf for size in sizes]
 
 
-def initial_state(
-    structure: Structure, initial: PeriodicSolution | tuple[np.ndarray, np.ndarray] | None
-) -> tuple[np.ndarray, np.ndarray]:
+def initial_state(structure: Structure, initial: Initial) -> tuple[np.ndarray, np.ndarray]:
     """Displacement and velocity (n_local,) at time 0: a solution's, two arrays, or rest."""
     if initial is None:
         return np.zeros(structure.n_local), np.zeros(structure.n_local)
@@ -507,8 +516,8 @@ def initial_state(
             state = tuple(numbers(part) for part in initial)
         except TypeError:
             state = ()
-    right = len(state) == 2 and all(
-        part.shape == shape and np.all(np.isfinite(part)) for part in state
+    right = len(state) in (2, 3) and all(
+        part.shape == shape and np.all(np.isfinite(part)) for part in state[:2]
     )
     error = InputError(
         "initial",
@@ -517,3 +526,22 @@ def initial_state(
     )
     raise_together(structure.comm, None if right else error)
     return state[0], state[1]
+
+
+def initial_places(
+    structure: Structure, contact: ContactLaw, initial: Initial
+) -> np.ndarray | None:
+    """Where pairs stick at time 0 (n_pairs,) [m], of a solution with friction or of three arrays;
+    else None (collective)."""
+    if friction_of(contact) is None or initial is None:
+        return None
+    if isinstance(initial, PeriodicSolution):
+        known = friction_of(initial.contact) is not None
+        return initial.sticking_places(np.zeros(1))[0] if known else None
+    if len(initial) == 2:
+        return None
+    places = numbers(initial[2])
+    right = places.shape == (structure.n_pairs,) and bool(np.all(np.isfinite(places)))
+    allowed = f"with friction finite places of pairs of shape ({structure.n_pairs},) as its third"
+    raise_together(structure.comm, None if right else InputError("initial", places.shape, allowed))
+    return places

@@ -1,0 +1,165 @@
+"""Integrators with friction: order, energy, memory from run to run; without friction as before."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from motion.test_friction import HERTZ, RIGID, jenkins, plate
+
+import fenics_crack as fc
+
+Method = Callable[..., fc.TimeHistory]
+BOTH = pytest.mark.parametrize(
+    "method", [fc.integrate_central_difference, fc.integrate_exponential]
+)
+SOFT = fc.UnilateralPenalty(8.0)
+RUBBING = fc.CoulombFriction(SOFT, 0.4, 5.0)
+
+
+def rubbing(unmoved: int = 0, pressed: float = 1.0) -> fc.Structure:
+    """Four masses on springs: a mean load presses the first on its stop; the third rubs there with
+    the fourth. Others are not moved by anything."""
+    n = 4 + unmoved
+    stiffness = np.eye(n)
+    stiffness[:4, :4] = np.diag([3.0, 4.0, 5.0, 3.0]) - np.diag([1.0, 2.0, 1.0], 1)
+    stiffness[:4, :4] -= np.diag([1.0, 2.0, 1.0], -1)
+    gap, tangent, force = np.zeros((n, 1)), np.zeros((n, 1)), np.zeros((3, n))
+    gap[0], tangent[2], tangent[3] = 1.0, 1.0, -1.0
+    force[:, :4] = [[2.0 * pressed, 0, 0, 0], [0.4, 0, 3.0, 0], [0, 0.3, 0, -2.0]]
+    return fc.Structure.from_matrices(
+        np.eye(n), stiffness, gap, tangential=tangent, damping=fc.RayleighDamping(0.1, 0.0),
+        force_mean=force[0], force_cos=force[1], force_sin=force[2],
+    )  # fmt: skip
+
+
+def last_period(method: Method, structure: fc.Structure, law: Any, steps: int) -> fc.TimeHistory:
+    """The settled motion at w = 0.9."""
+    return method(
+        structure, 0.9, law, periods=400, steps_per_period=steps, settle=1e-11, record_periods=1
+    )
+
+
+@BOTH
+def test_order(method: Method) -> None:
+    """The slide of the Jenkins oscillator against its exact orbit: order 2, fitted."""
+    structure, law = jenkins()
+    orbit = fc.solve_harmonic_balance(structure, 0.9, law, tolerance=1e-4).orbit
+    assert orbit is not None
+    counts, off = 2 ** np.arange(7, 13), []
+    for steps in counts.tolist():
+        history = last_period(method, structure, law, steps)
+        assert history.tangential_gap is not None
+        exact = orbit.tangential_gap_at(history.time)
+        off.append(np.abs(history.tangential_gap - exact).max())
+    order = -np.polyfit(np.log(counts), np.log(off), 1)[0]
+    assert order == pytest.approx(2.0, abs=0.25)
+
+
+@BOTH
+def test_loss_of_a_slide(method: Method) -> None:
+    """4 F (A - F / k_t) of the Jenkins oscillator's own slide between -A and A."""
+    structure, law = jenkins()
+    for steps in (512, 2048):
+        history = last_period(method, structure, law, steps)
+        assert history.tangential_gap is not None
+        size = 0.5 * np.ptp(history.tangential_gap)
+        loss = history.indicators(0).friction_loss
+        bound = 20.0 / steps**2  # instants beside the turning points and the ends of sticking
+        assert loss == pytest.approx(4.0 * 0.3 * (size - 0.6), abs=size * bound * 10.0)
+
+
+def test_energy_of_pairs_with_mass() -> None:
+    """Over a settled period the load's work is what damping and friction take: to rounding while
+    the pair is closed; where it opens, too, but for what closing between steps creates."""
+    for pressed, least in ((1.0, 1e-9), (0.3, 1e-4)):
+        structure, missing = rubbing(pressed=pressed), []
+        for steps in (128, 512):
+            history = last_period(fc.integrate_central_difference, structure, RUBBING, steps)
+            assert np.any(history.gap < 0.0) == (pressed < 1.0)
+            moved, phase, force = history.recorded, 0.9 * history.time[:, None], structure.force
+            load = force[0] + np.cos(phase) * force[1] + np.sin(phase) * force[2]
+            twice = np.roll(moved, -1, axis=0) - np.roll(moved, 1, axis=0)
+            work = 0.5 * np.sum(load * twice)
+            damping = 0.1 * np.sum(twice**2) / 4.0 * steps * 0.9 / (2.0 * np.pi)
+            friction = history.indicators().friction_loss
+            assert 0.02 * work < friction < work
+            missing.append(abs(work - damping - friction) / work)
+        assert missing[1] < least and missing[1] < max(1e-9, 0.25 * missing[0])
+
+
+@pytest.mark.parametrize("unmoved", [0, 700])
+def test_without_friction_central_differences(unmoved: int) -> None:
+    structure = rubbing(unmoved)
+    free, none = (
+        fc.integrate_central_difference(structure, 0.9, law, periods=3, steps_per_period=64)
+        for law in (SOFT, fc.CoulombFriction(SOFT, 1e-300, 5.0))
+    )
+    np.testing.assert_allclose(none.gap, free.gap, atol=1e-12 * np.ptp(free.gap))
+    np.testing.assert_allclose(none.recorded, free.recorded, atol=1e-12 * np.ptp(free.recorded))
+
+
+def test_without_friction_exponential_steps() -> None:
+    structure, _ = plate("inclined_crack", 0.005)
+    free, none = (
+        fc.integrate_exponential(structure, 3183.0 * HERTZ, law, periods=5, steps_per_period=256)
+        for law in (RIGID, fc.CoulombFriction(RIGID, 1e-300))
+    )
+    np.testing.assert_allclose(none.gap, free.gap, atol=1e-12 * np.ptp(free.gap))
+    force = free.contact_force
+    np.testing.assert_allclose(none.contact_force, force, atol=1e-12 * np.ptp(force))
+
+
+@pytest.mark.parametrize(
+    ("method", "unmoved", "close"),
+    [
+        (fc.integrate_central_difference, 0, 1e-3),  # the first step of a run has half its order
+        (fc.integrate_central_difference, 700, 1e-3),
+        (fc.integrate_exponential, 0, 1e-11),
+        (fc.integrate_events, 0, 1e-9),
+    ],
+)
+def test_run_that_goes_on(tmp_path: Path, method: Method, unmoved: int, close: float) -> None:
+    """Pairs remember where they stick, in files too; what forgets it goes elsewhere."""
+    structure, options = rubbing(unmoved), {"steps_per_period": 256}
+    whole = method(structure, 0.9, RUBBING, periods=5, **options)
+    first = method(structure, 0.9, RUBBING, periods=3, **options)
+    fc.save(first, tmp_path / "first.h5")
+    again = fc.load(tmp_path / "first.h5", structure)
+    assert all(map(np.array_equal, again.final_state, first.final_state))
+    assert whole.tangential_force is not None
+    size = np.ptp(whole.tangential_force)
+    off = []
+    for state in (again.final_state, again.final_state[:2]):
+        rest = method(structure, 0.9, RUBBING, periods=2, initial=state, **options)
+        assert rest.tangential_force is not None
+        off.append(np.abs(rest.tangential_force - whole.tangential_force[-512:]).max() / size)
+    assert off[0] < close < 0.02 < off[1]
+    with pytest.raises(fc.InputError, match="places"):
+        wrong = *first.final_state[:2], np.zeros(3)
+        method(structure, 0.9, RUBBING, periods=1, initial=wrong, **options)
+    free = method(structure, 0.9, SOFT, periods=1, initial=first.final_state, **options)
+    assert len(free.final_state) == 2
+
+
+@BOTH
+def test_start_on_the_orbit(method: Method) -> None:
+    """A solution hands over where its pairs stick: the first period is the orbit already, as near
+    as the harmonics are; its displacement and velocity alone begin another motion."""
+    structure = rubbing()
+    found = fc.solve_harmonic_balance(structure, 0.9, RUBBING, tolerance=1e-3, throw=False)
+    orbit, coefficients = found.orbit, found.displacement_coefficients
+    assert orbit is not None
+    orders = np.arange(1, len(coefficients) // 2 + 1)
+    velocity = 0.9 * orders @ coefficients[2::2]
+    moved = coefficients[0] + coefficients[1::2].sum(axis=0)
+    off = []
+    for start in (found, (moved, velocity)):
+        history = method(structure, 0.9, RUBBING, periods=1, steps_per_period=1024, initial=start)
+        assert history.tangential_force is not None
+        exact = orbit.tangential_force_at(history.time)
+        off.append(np.abs(history.tangential_force - exact).max() / np.ptp(exact))
+    assert off[0] < 2e-3 and off[0] < 0.1 * off[1], off
