@@ -33,7 +33,13 @@ from fenics_crack.curves.peak import Peak
 from fenics_crack.curves.stability import floquet, from_rest
 from fenics_crack.files.results import Result, save, type_of, unpack
 from fenics_crack.files.store import Stored, read
-from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid, is_unilateral
+from fenics_crack.model.contact import (
+    ContactLaw,
+    friction_of,
+    is_piecewise_linear,
+    is_rigid,
+    is_unilateral,
+)
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import Modes, solve_modes, times
 from fenics_crack.model.nodes import AXES
@@ -69,7 +75,7 @@ from fenics_crack.time.central_differences import (
     stable_steps_per_period,
 )
 from fenics_crack.time.flows import integrate_events, integrate_exponential
-from fenics_crack.time.march import TimeHistory, initial_places, initial_state
+from fenics_crack.time.march import Initial, TimeHistory, initial_places, initial_state
 
 Found = TypeVar("Found", bound=Result, covariant=True)
 
@@ -444,14 +450,15 @@ def integrate(
     structure, omega, law = study.structure, scene.excitation.omega, _needed_law(study)
     method = _method(study, table, law)
     prepare_quantities(study)  # before the integration: it may be refused
-    start: PeriodicSolution | tuple[np.ndarray, np.ndarray] | None = None
+    start: Initial = None
     if table.deflection is not None:
         weights = np.zeros((3, 3))
         weights[0] = 1.0, table.deflection, table.deflection
         static = structure.varied(load=weights)
         start = solve_harmonic_balance(static, omega, law, harmonics=1)
     elif earlier is not None:
-        start = _state_of(run_of(earlier, comm, judged=False), structure, table)
+        state = _state_of(run_of(earlier, comm, judged=False), structure, table)
+        start = state if friction_of(law) is not None else state[:2]
     if table.free:
         study = _freed(study)
         structure = study.structure

@@ -533,15 +533,14 @@ def initial_places(
 ) -> np.ndarray | None:
     """Where pairs stick at time 0 (n_pairs,) [m], of a solution with friction or of three arrays;
     else None (collective)."""
-    if friction_of(contact) is None or initial is None:
-        return None
+    rubs = friction_of(contact) is not None
     if isinstance(initial, PeriodicSolution):
-        known = friction_of(initial.contact) is not None
+        known = rubs and friction_of(initial.contact) is not None
         return initial.sticking_places(np.zeros(1))[0] if known else None
-    if len(initial) == 2:
+    if initial is None or len(initial) == 2:
         return None
     places = numbers(initial[2])
-    right = places.shape == (structure.n_pairs,) and bool(np.all(np.isfinite(places)))
-    allowed = f"with friction finite places of pairs of shape ({structure.n_pairs},) as its third"
+    right = rubs and places.shape == (structure.n_pairs,) and bool(np.all(np.isfinite(places)))
+    allowed = f"two arrays, with friction a third of finite places, of shape ({structure.n_pairs},)"
     raise_together(structure.comm, None if right else InputError("initial", places.shape, allowed))
     return places
