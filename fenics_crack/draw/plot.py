@@ -643,8 +643,9 @@ def draw_friction_loops(solution: PeriodicSolution, **where: Unpack[Where]) -> F
     [panel] = picture = Picture(size=(6.4, 4.6), comm=solution.structure.comm, **where)
     chosen = np.argsort(-loss, kind="stable")[: min(LOOPS, len(loss))]
     for pair, colour in zip(chosen.tolist(), distinct_colours(len(chosen)), strict=True):
-        of_pair = f"{solution.structure.where(pair).removeprefix('of ')}: {quantity(float(loss[pair]), 'J')}"
-        panel.plot(slide[:, pair], drag[:, pair], color=colour, lw=1.1, label=of_pair)
+        name = solution.structure.where(pair).removeprefix("of ")
+        label = f"{name}: {quantity(float(loss[pair]), 'J')}"
+        panel.plot(slide[:, pair], drag[:, pair], color=colour, lw=1.1, label=label)
         sliding = np.where(slips[:, pair], slide[:, pair], np.nan)
         panel.plot(sliding, drag[:, pair], color=colour, lw=3.2)
     panel.axhline(0.0, color="black", lw=0.6)

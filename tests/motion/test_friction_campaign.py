@@ -1,0 +1,85 @@
+"""Friction on random plates: that orbits are found, their errors and cost, and the cap of what is
+left out."""
+
+from __future__ import annotations
+
+import time
+from functools import cache
+
+import numpy as np
+import pytest
+from motion.test_friction import RIGID
+
+import fenics_crack as fc
+from fenics_crack.balance.assessment import distance
+
+pytestmark = pytest.mark.nightly
+
+
+@cache
+def built(name: str, **changes: float) -> fc.Structure:
+    """A demonstration's plate."""
+    scene = fc.Scene.load(f"demos/{name}.toml")
+    return fc.build_structure(scene.replace({f"crack.{key}": v for key, v in changes.items()}))
+
+
+def pushed(whole: fc.Structure, angle: float, ratio: float) -> fc.Structure:
+    """A plate with 10 modes, loaded at its own point from another direction."""
+    turn = np.zeros((2, whole.n_dofs))
+    dof = int(np.argmax(np.abs(whole.force).sum(axis=0))) // 2 * 2
+    turn[1, dof : dof + 2] = np.abs(whole.force).max() * np.array([np.cos(angle), np.sin(angle)])
+    unloaded = whole.damped(fc.ModalDamping(ratio, 10)).varied(load=0.0)
+    return fc.reduce_structure(
+        unloaded.with_harmonics({1: tuple(turn)}), modes=10, method="massless"
+    )
+
+
+@pytest.mark.parametrize("part", range(4))
+def test_random_plates(part: int) -> None:
+    """Ten of forty: a wave with ten harmonics and an orbit of each, the true error of the wave at
+    most twice the stated one; slipping orbits take at most twelve times as long as those without
+    friction."""
+    random, stated, ratios = np.random.default_rng(70 + part), [], []
+    for number in range(10):
+        name = ("inclined_crack", "breathing_plate")[number % 2]
+        mu = float(np.exp(random.uniform(np.log(0.05), np.log(0.8))))
+        ratio = float(np.exp(random.uniform(np.log(0.005), np.log(0.02))))
+        structure = pushed(built(name), random.uniform(0.0, 2.0 * np.pi), ratio)
+        near = fc.bilinear_frequencies(structure).omega_bilinear[random.integers(0, 2)]
+        omega, law = float(near * random.uniform(0.85, 1.15)), fc.CoulombFriction(RIGID, mu)
+        wave = fc.solve_harmonic_balance(structure, omega, law, harmonics=10)
+        begun = time.perf_counter()
+        fc.solve_harmonic_balance(structure, omega, RIGID, tolerance=0.02, throw=False)
+        free = time.perf_counter() - begun
+        found = fc.solve_harmonic_balance(structure, omega, law, tolerance=0.02, throw=False)
+        assert found.orbit is not None
+        if found.indicators().slip_share > 0.01:
+            ratios.append((time.perf_counter() - begun - free) / free)
+        if not wave.report.unknown:
+            parts = wave.report.truncation, wave.report.sampling, wave.report.residual
+            stated.append(distance(wave, found.orbit) / sum(parts))
+    assert max(stated) <= 2.0 and len(stated) >= 5
+    assert np.median(ratios) <= 12.0
+
+
+@pytest.mark.parametrize("part", range(2))
+def test_cap_of_what_is_left_out(part: int) -> None:
+    """Ten of twenty plates with a straight crack: neither the amplitude nor the loss over that by
+    damping changes by more than the cap with mu = 0.3."""
+    random = np.random.default_rng(11 + part)
+    for _ in range(10):
+        length, height = random.uniform(0.01, 0.06), random.uniform(0.03, 0.07)
+        ratio = float(np.exp(random.uniform(np.log(0.0005), np.log(0.01))))
+        whole = built("breathing_plate", first_omega=None, length=length, height=height)  # type: ignore[arg-type]
+        structure = pushed(whole, random.uniform(0.0, 2.0 * np.pi), ratio)
+        near = fc.bilinear_frequencies(structure).omega_bilinear[random.integers(0, 3)]
+        omega, law = float(near * random.uniform(0.9, 1.1)), fc.CoulombFriction(RIGID, 0.3)
+        both = [
+            fc.solve_harmonic_balance(structure, omega, one, tolerance=0.05, throw=False)
+            for one in (RIGID, law)
+        ]
+        free, rubbing = (one.orbit for one in both)
+        assert free is not None and rubbing is not None
+        change = abs(both[1].amplitude() / both[0].amplitude() - 1.0)
+        loss = rubbing.work.friction.sum() / rubbing.work.damping
+        assert max(change, loss) <= free.friction_cap
