@@ -10,6 +10,9 @@
 #include "series.h"
 #include "sets.h"
 
+/* Of a relaxation, at most; a hundred are many. */
+enum { SWEEPS = 1000 };
+
 struct closed_sets {
     int modes, pairs, contacts; /* contacts: the rows r, with friction twice the pairs */
     const double *rows, *d, *friction;
@@ -290,30 +293,40 @@ static int next_state(const closed_sets *s, const closed_set *a, int pair, const
     return (state == SLIP_UP ? moved : -moved) < -gap ? STICK : state;
 }
 
-/* States by one pair after the other, each as if the forces on the others stayed (Jourdan, Alart and
- * Jean, Computer Methods in Applied Mechanics and Engineering 155 (1998) 31). */
+/* States by one pair after the other, each as if the forces on the others stayed, until these hardly
+ * change (Jourdan, Alart and Jean, Computer Methods in Applied Mechanics and Engineering 155 (1998)
+ * 31). */
 static void relax(const closed_sets *s, const double *held, const double *given, signed char *closed,
                   double *forces)
 {
     const int p = s->pairs, r = s->contacts;
-    for (int turn = 0; turn < PIVOTS; turn++)
+    double moved = INFINITY, largest = 0.0;
+    memset(forces, 0, bytes(r));
+    for (int sweep = 0; sweep < SWEEPS && moved > AS_ZERO * largest; sweep++) {
+        moved = largest = 0.0;
         for (int i = 0; i < p; i++) {
             const double *normal = s->d + (long)i * r, *tangent = normal + (long)p * r;
             const double mu = s->friction[i], nn = normal[i], nt = normal[p + i], tt = tangent[p + i];
             double *press = forces + i, *pull = press + p;
+            const double before = *press, away = *pull;
             *press = *pull = 0.0;
             const double s_n = given[i] - dot(r, normal, forces);
             const double s_t = given[p + i] - held[i] - dot(r, tangent, forces);
             closed[i] = s_n > 0.0 ? STICK : OPEN;
-            if (closed[i] == OPEN) continue;
-            *press = (tt * s_n - nt * s_t) / (nn * tt - nt * nt);
-            *pull = (nn * s_t - nt * s_n) / (nn * tt - nt * nt);
-            if (fabs(*pull) <= mu * *press) continue;
-            const double slope = *pull > 0.0 ? mu : -mu;
-            closed[i] = *pull > 0.0 ? SLIP_UP : SLIP_DOWN;
-            *press = fmax(0.0, s_n / (nn + slope * nt));
-            *pull = slope * *press;
+            if (closed[i] == STICK) {
+                *press = (tt * s_n - nt * s_t) / (nn * tt - nt * nt);
+                *pull = (nn * s_t - nt * s_n) / (nn * tt - nt * nt);
+            }
+            if (fabs(*pull) > mu * *press) {
+                const double slope = *pull > 0.0 ? mu : -mu;
+                closed[i] = *pull > 0.0 ? SLIP_UP : SLIP_DOWN;
+                *press = fmax(0.0, s_n / (nn + slope * nt));
+                *pull = slope * *press;
+            }
+            moved = fmax(moved, fmax(fabs(*press - before), fabs(*pull - away)));
+            largest = fmax(largest, fmax(*press, fabs(*pull)));
         }
+    }
 }
 
 const closed_set *states_at(closed_sets *s, const double *held, signed char *closed, double *gaps,

@@ -370,7 +370,8 @@ class Structure(Coordinates):
             It has no tangents.
         """
         if self.tangential is None:
-            raise InputError("structure", repr(self), "one with tangents, of faces in a plane")
+            allowed = "one with tangents, of faces in a plane; on solids friction is not there yet"
+            raise InputError("structure", repr(self), allowed)
         known = self.once(_with_tangential_pairs)
         clearance = np.concatenate([self.clearance, np.zeros(self.n_pairs)])
         kept = {"force": self.force, "clamp": self.clamp, "damping_factor": self.damping_factor}

@@ -1,0 +1,103 @@
+"""Keys of friction and of loads with harmonics: what they refuse, how they are written, and what
+they make."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fenics_crack as fc
+
+RUBBING = {"contact.law": "unilateral", "contact.stiffness_per_area": None, "contact.friction": 0.3}
+
+
+def plate(**changes: object) -> fc.Scene:
+    """The inclined crack."""
+    return fc.Scene.load("demos/inclined_crack.toml").replace(changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"contact.friction": -0.1}, r"contact.friction = -0.1: must be a finite number >= 0"),
+        ({"contact.tangential_stiffness_per_area": 1e12}, r"not allowed with contact.friction = 0"),
+        (
+            {"contact.friction": 0.3, "contact.law": "smoothed", "contact.sharpness": 1e9},
+            r"contact.friction = 0.3: must be 0, or left out, with law = 'smoothed'",
+        ),
+        ({"excitation.wave_harmonics": 5}, r"not allowed with no excitation.wave"),
+        ({"excitation.harmonics": [{"order": 2}]}, r"excitation.harmonics = .*list of tables"),
+        (
+            {"excitation.harmonics": [{"order": 2, "cos": [1.0, 0.0], "phase": 3.0}]},
+            r"excitation.harmonics = .*list of tables",
+        ),
+        (
+            {
+                "excitation.harmonics": [{"order": 7, "cos": [1.0, 0.0]}],
+                "harmonic_balance.harmonics": 5,
+            },
+            r"harmonic_balance.harmonics = 5: must be a whole number >= 7, the highest order",
+        ),
+    ],
+)
+def test_refused_keys(changes: dict[str, object], message: str) -> None:
+    with pytest.raises(fc.InputError, match=message):
+        plate(**changes)
+
+
+def test_friction_needs_a_plate_whose_faces_give() -> None:
+    solid = fc.Scene.load("demos/solid_blade.toml")
+    with pytest.raises(fc.InputError, match=r"contact.friction = 0.3: .*'solid': friction is not"):
+        solid.replace({"contact.friction": 0.3})
+    heavy = plate(**RUBBING, **{"reduction.method": "free_interface", "reduction.modes": 8})
+    with pytest.raises(fc.InputError, match=r"contact.law = 'unilateral': must be 'penalty' with"):
+        fc.prepare(heavy)
+    stiff = plate(**{"contact.friction": 0.3, "reduction.method": "off"})
+    with pytest.raises(fc.InputError, match=r"contact.tangential_stiffness_per_area is missing"):
+        fc.prepare(stiff)
+    with pytest.raises(fc.InputError, match=r"K_max.*stress intensities leave out what friction"):
+        plate(**RUBBING, **{"output.quantities": ["K_max"]})
+
+
+def test_law_of_a_scene() -> None:
+    """The stiffness of pairs that stick follows from their areas."""
+    whole = fc.build_structure(plate())
+    scene = plate(**{"contact.friction": 0.3, "contact.tangential_stiffness_per_area": 1e12})
+    law = fc.contact_law(scene.contact, whole)
+    assert isinstance(law, fc.CoulombFriction) and law.coefficient == 0.3
+    np.testing.assert_allclose(law.tangential_stiffness, 1e12 * whole.pair_areas)
+    np.testing.assert_allclose(law.stiffness, 1e14 * whole.pair_areas)
+
+
+def test_harmonics_of_all_loads(tmp_path: Path) -> None:
+    """At a point, on an edge, of the clamp, by a table: rows of the load; written and read."""
+    table = tmp_path / "square.csv"
+    table.write_text("t,fx,fy\n0,5,0\n0.5,5,0\n0.5,-5,0\n1,-5,0\n")
+    base = fc.Scene.load("demos/breathing_plate.toml").replace({"excitation.force_sin": [0.0, 0.0]})
+    shaken = {"order": 2, "amplitude": [2.0, 0.0], "phase": 30.0}
+    scene = base.replace(
+        {
+            "excitation.harmonics": [{"order": 3, "sin": [0.0, 4.0]}],
+            "excitation.wave": str(table),
+            "excitation.wave_harmonics": 5,
+            "loads.1.edge": "top",
+            "loads.1.harmonics": [{"order": 2, "cos": 10.0}],
+            "base.harmonics": [shaken],
+        }
+    )
+    path = tmp_path / "scene.toml"
+    path.write_text(scene.as_toml())
+    assert fc.Scene.load(path) == scene
+    structure = fc.build_structure(scene)
+    assert structure.force.shape[0] == 11 and scene.harmonic_balance.harmonics == 5
+    alone = fc.build_structure(base.replace({"excitation.force_cos": [1.0, 0.0]})).force[1]
+    rows = structure.force
+    np.testing.assert_allclose(rows[2], 4.0 / np.pi * 5.0 * alone, rtol=1e-12)  # of the table
+    np.testing.assert_allclose(rows[10], 4.0 / (5.0 * np.pi) * 5.0 * alone, rtol=1e-12)
+    assert np.abs(rows[[0, 1, 5, 7, 8, 9]]).max() < 1e-12 and rows[[3, 4, 6]].any(axis=1).all()
+    moved = fc.build_structure(
+        base.replace({"base.acceleration_cos": [2.0, 0.0], "excitation.point": None})
+    ).force[1]
+    np.testing.assert_allclose(rows[4], 0.5 * moved, rtol=1e-9, atol=1e-12 * np.abs(moved).max())
