@@ -21,7 +21,7 @@ from fenics_crack.balance.harmonic_balance import (
     solve_linear,
     solve_to_tolerance,
 )
-from fenics_crack.balance.problem import Problem, check_memory
+from fenics_crack.balance.problem import Problem, check_memory, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import RECORDED_PERIODS, InputError
 from fenics_crack.basics.progress import begin
@@ -452,10 +452,9 @@ def integrate(
     prepare_quantities(study)  # before the integration: it may be refused
     start: Initial = None
     if table.deflection is not None:
-        weights = np.zeros((3, 3))
-        weights[0] = 1.0, table.deflection, table.deflection
-        static = structure.varied(load=weights)
-        start = solve_harmonic_balance(static, omega, law, harmonics=1)
+        static = _held(structure, table.deflection)
+        least = least_harmonics(static, 1)
+        start = solve_harmonic_balance(static, omega, law, harmonics=least)
     elif earlier is not None:
         state = _state_of(run_of(earlier, comm, judged=False), structure, table)
         start = state if friction_of(law) is not None else state[:2]
@@ -526,8 +525,15 @@ def _state_of(
 
 def _freed(study: Study) -> Study:
     """A study whose mean load acts alone."""
-    structure = study.structure.varied(load=np.diag([1.0, 0.0, 0.0]))
+    structure = _held(study.structure, 0.0)
     return replace(study, structure=structure.watching(study.watched[0].dof))
+
+
+def _held(structure: Structure, share: float) -> Structure:
+    """A structure under its mean load, and a share of the load's first harmonic, that stay."""
+    weights = np.zeros((len(structure.force),) * 2)
+    weights[0, :3] = 1.0, share, share
+    return structure.varied(load=weights)
 
 
 def _method(study: Study, table: Integration, law: ContactLaw) -> str:

@@ -71,6 +71,21 @@ def test_law_of_a_scene() -> None:
     np.testing.assert_allclose(law.stiffness, 1e14 * whole.pair_areas)
 
 
+@pytest.mark.parametrize("keys", [{"free": True, "deflection": 2.0}, {"deflection": 1.0}])
+def test_integration_from_a_deflection(keys: dict[str, object]) -> None:
+    """Under a load of several harmonics: the deflection is that of the mean and the first."""
+    harmonic = {"order": 3, "sin": [4.0, 0.0]}
+    changes = {f"integration.{key}": value for key, value in (keys | {"periods": 2}).items()}
+    scene = fc.Scene.load("demos/paper_plate.toml").replace(
+        {"contact.stiffness": 1e9, "damping.ratio": 0.02, **changes}
+    )
+    plain, more = fc.integrate(scene), scene.replace({"excitation.harmonics": [harmonic]})
+    found = fc.integrate(more)
+    assert found.result.recorded[0] == pytest.approx(plain.result.recorded[0], rel=1e-9)
+    same = np.allclose(found.result.recorded, plain.result.recorded)
+    assert same == ("free" in keys)
+
+
 def test_harmonics_of_all_loads(tmp_path: Path) -> None:
     """At a point, on an edge, of the clamp, by a table: rows of the load; written and read."""
     table = tmp_path / "square.csv"
