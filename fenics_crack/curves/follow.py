@@ -10,7 +10,7 @@ from typing import Any, TypedDict, Unpack
 import numpy as np
 from tqdm import tqdm
 
-from fenics_crack.balance.problem import ON_PATH, Problem
+from fenics_crack.balance.problem import ON_PATH, Problem, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import (
     INTERRUPTED,
@@ -310,7 +310,8 @@ def _continuation(
         raise InputError("tolerance", tolerance, "left out where harmonics are given")
     subharmonic = 1 if subharmonic is None else subharmonic
     check_count("subharmonic", subharmonic, 1)
-    harmonics = max(5, subharmonic) if harmonics is None else harmonics
+    if harmonics is None:
+        harmonics = max(Problem.harmonics, least_harmonics(structure, subharmonic))
     problem = Problem(structure, omega, contact, harmonics, samples, subharmonic)
     exact = tolerance is not None and samples is None and has_orbits(problem, *span)
     return _grown(exact, problem, span, initial, given)

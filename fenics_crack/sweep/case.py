@@ -330,8 +330,9 @@ def _around(problem: Problem, step: float, lowest: float, highest: float) -> lis
 def _beside(problem: Problem, near: PeriodicSolution | None) -> PeriodicSolution | None:
     """A solution without its errors, sought from another one, with half of its harmonics first,
     from which it is nearer; None where there is none."""
-    if near is not None and problem.harmonics >= 2 * PEAK_HARMONICS:
-        near = _beside(problem.with_harmonics(problem.harmonics // 2), near) or near
+    half = max(problem.harmonics // 2, problem.least_harmonics)
+    if near is not None and problem.harmonics >= 2 * PEAK_HARMONICS and half < problem.harmonics:
+        near = _beside(problem.with_harmonics(half), near) or near
     try:
         return Solver(problem).solve(near, reported=False)
     except ConvergenceError:
