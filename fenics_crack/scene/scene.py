@@ -27,7 +27,15 @@ from fenics_crack.basics.suggestions import (
     near_or_longer,
     written,
 )
-from fenics_crack.basics.tables import OF_CLAMP, OF_GROWTH, OF_TIPS, RPM, TURN, frequency_axis
+from fenics_crack.basics.tables import (
+    OF_CLAMP,
+    OF_FRICTION,
+    OF_GROWTH,
+    OF_TIPS,
+    RPM,
+    TURN,
+    frequency_axis,
+)
 from fenics_crack.basics.untrusted_files import text_of
 from fenics_crack.scene.fields import Axis, Point, Table, components, named, with_key
 from fenics_crack.scene.tables import (
@@ -135,8 +143,8 @@ class Scene(Hinted):
         else:
             _check_dimension(self)
             (_check_file if self.mesh.layout == "file" else _check_plate)(self)
-        for names, without in _ASKED:
-            if asked := tuple(name for name in asked_quantities(self) if name in names):
+        for names, without in (*_ASKED, (OF_FRICTION, _without_friction)):
+            if asked := tuple(name for name in self.quantities or () if name in names):
                 check_known(without(self), "output.quantities", asked)
         for name, key in _AXES:
             if (chosen := getattr(self, name)) is not None:
@@ -383,6 +391,11 @@ def _without_growth(scene: Scene) -> str:
     if scene.growth is None:
         return "without a table [growth], which has its exponent"
     return without_tips(scene)
+
+
+def _without_friction(scene: Scene) -> str:
+    """Why friction loses nothing; "" where there is friction."""
+    return "" if scene.has_friction else "without contact.friction"
 
 
 def without_clamp(scene: Scene) -> str:

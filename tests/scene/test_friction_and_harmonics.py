@@ -27,6 +27,10 @@ def plate(**changes: object) -> fc.Scene:
             {"contact.friction": 0.3, "contact.law": "smoothed", "contact.sharpness": 1e9},
             r"contact.friction = 0.3: must be 0, or left out, with law = 'smoothed'",
         ),
+        (
+            {"output.quantities": ["slip_share"]},
+            r"slip_share.*not allowed without contact.friction",
+        ),
         ({"excitation.wave_harmonics": 5}, r"not allowed with no excitation.wave"),
         ({"excitation.harmonics": [{"order": 2}]}, r"excitation.harmonics = .*list of tables"),
         (
