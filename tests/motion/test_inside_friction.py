@@ -1,10 +1,13 @@
 """The exact flow with friction: laws at every instant, derivatives, known motions."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import fenics_crack as fc
-from fenics_crack.model.contact import CoulombFriction
+from fenics_crack.balance.friction_integrals import FrictionIntegrals
+from fenics_crack.model.contact import CoulombFriction, FrictionSets
 from fenics_crack.motion.flow import ContactFlow
 from fenics_crack.motion.orbit import find_orbit
 
@@ -126,26 +129,40 @@ def test_jenkins_oscillator() -> None:
     assert 4.0 * limit * (amplitude - limit / 0.5) == pytest.approx(3.71084, abs=1e-5)
 
 
-@pytest.mark.parametrize("share", [3.0, 10.0, 30.0])
-def test_pairs_that_stick_all_the_time(share: float) -> None:
-    """A mean load keeps the inclined crack closed: all pairs are named, and the motion is the same
-    whatever the history, though the pairs stick in other places."""
-    whole = fc.build_structure(fc.Scene.load("demos/inclined_crack.toml"))
-    whole = whole.damped(fc.ModalDamping(0.005, 10))
-    weights = np.diag([0.0, 1.0, 1.0])
-    weights[0, 2] = -share  # towards the face below
-    structure = fc.reduce_structure(whole.varied(load=weights), modes=10, method="massless")
-    flow, omega = ContactFlow(structure, CoulombFriction(RIGID, 0.6)), 2.0 * np.pi * 3183.0
-    period, tips, places = 2.0 * np.pi / omega, [], []
-    draw = np.random.default_rng(4)
-    for size in (0.0, 0.05, 0.2):
-        start = flow.rest + size * np.abs(flow.rest).max() * draw.normal(size=flow.size)
-        for _ in range(400):
-            start = flow.advance(start, omega, period).state
-        orbit = find_orbit(flow, omega, start)
-        assert orbit is not None and orbit.stuck.tolist() == list(range(16))
-        modal = orbit.sampled.states[:, : flow.count] @ structure.basis[whole.watched_dof]
-        tips.append(float(np.ptp(modal)))
-        places.append(orbit.sampled.places[0])
-    assert tips == pytest.approx([tips[0]] * 3, rel=1e-9)
-    assert np.abs(places[0] - places[2]).max() > 1e-3 * np.abs(places[0]).max()
+@pytest.mark.parametrize("pairs", [1, 3])
+def test_derivatives_of_the_forces_of_a_wave(pairs: int) -> None:
+    """By the gaps, as products and as a matrix; by the coefficient: against differences, of waves
+    whose pairs open, stick and slip."""
+    draw, harmonics = np.random.default_rng(6), 4
+    root = draw.normal(size=(2 * pairs, 2 * pairs))
+    residual = 0.3 * root @ root.T / (2 * pairs) + np.eye(2 * pairs)
+    own = FrictionIntegrals(CoulombFriction(RIGID, 0.4), harmonics, residual=residual, samples=512)
+    gap = draw.normal(size=(2 * harmonics + 1, 2 * pairs))
+    gap /= np.arange(1, 2 * harmonics + 2)[:, None]
+    gap[0, :pairs] = 0.2
+    known = own.linearise(gap)
+    assert {0, 1, 2, 3} <= set(np.unique(known.states))
+    change, step = draw.normal(size=gap.shape), 1e-7
+    ends = [own.force(gap + sign * step * change) for sign in (1.0, -1.0)]
+    expected = (ends[0] - ends[1]) / (2.0 * step)
+    assert known.apply(change) == pytest.approx(expected, abs=1e-6 * np.abs(expected).max())
+    matrix = known.tangent().reshape(gap.size, gap.size)
+    product = (matrix @ change.ravel()).reshape(gap.shape)
+    assert product == pytest.approx(known.apply(change), abs=1e-12 * np.abs(expected).max())
+    ends = [replace(own, share=1.0 + sign * step).force(gap) for sign in (1.0, -1.0)]
+    expected = (ends[0] - ends[1]) / (2.0 * step)
+    assert known.by_share() == pytest.approx(expected, abs=1e-6 * np.abs(expected).max())
+
+
+def test_marches_of_one_step_or_many() -> None:
+    """The forces of instants by one march, and by marches that follow each other, are the same."""
+    draw = np.random.default_rng(8)
+    root = draw.normal(size=(6, 6))
+    sets = FrictionSets(root @ root.T / 6.0 + np.eye(6), 0.5)
+    gaps, held = draw.normal(size=(200, 6)), np.zeros(3)
+    whole = sets.solve(gaps, held)
+    for instant, gap in enumerate(gaps):
+        forces, states, places = sets.solve(gap[None], held)
+        held = places[0]
+        for part, one in zip(whole, (forces, states, places), strict=True):
+            assert part[instant] == pytest.approx(one[0], abs=1e-12)
