@@ -118,7 +118,8 @@ def linear_response(
     """Amplitudes of a dof at load frequencies with crack faces that stay open, or that stay bonded.
 
     Bonded faces have no relative normal motion and slide without friction, as those of
-    :func:`fenics_crack.solve_modes`. Mean loads, preload and clearance play no part.
+    :func:`fenics_crack.solve_modes`. Mean loads, preload and clearance play no part, nor do
+    a load's harmonics above the first: :func:`fenics_crack.solve_linear` takes them all.
 
     Parameters
     ----------

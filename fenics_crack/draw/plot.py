@@ -631,7 +631,9 @@ def draw_friction_loops(solution: PeriodicSolution, **where: Unpack[Where]) -> F
 
     Examples
     --------
-    >>> figure = fc.draw_friction_loops(solution, path="loops.png")
+    >>> law = fc.CoulombFriction(fc.UnilateralPenalty(1e9), 0.3)
+    >>> rubbing = fc.solve_harmonic_balance(structure, 2000.0, law, harmonics=20)
+    >>> figure = fc.draw_friction_loops(rubbing, path="loops.png")
     """
     coefficient = coefficient_of(solution.contact)
     if coefficient is None:

@@ -195,7 +195,7 @@ class UnilateralConstraint:
 class CoulombFriction:
     """Coulomb friction beside a law of normal contact, in two dimensions.
 
-        |lambda_t| <= mu lambda_n,      h' = 0 where <,      lambda_t h' >= 0 where =,
+        -mu lambda_n <= lambda_t <= mu lambda_n,      h' = 0 where <,      lambda_t h' >= 0 where =,
 
     with the tangential force lambda_t, on the left of the equation of motion as lambda_n, and h =
     g_t - lambda_t / k_t, the place of the slider in the tangential gap g_t: a pair that is closed
