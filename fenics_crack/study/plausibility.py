@@ -46,6 +46,7 @@ from fenics_crack.model.nodes import place_in_words
 from fenics_crack.model.reduced import ResidualFlexibility
 from fenics_crack.model.rotation import coriolis_shifts
 from fenics_crack.model.structure import ModalDamping, RayleighDamping, Structure
+from fenics_crack.numerics.fourier import to_complex
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Curve, Rotation
 from fenics_crack.scene.words import faces_in_words
@@ -160,22 +161,27 @@ def find_key_figures(study: Study) -> KeyFigures:
     watched = [one.dof for one in study.watched]
     largest, moved, breathes = 0.0, 0.0, False
     for omega in _omegas(scene, np.concatenate([modes.omega, tied.omega])):
-        change = _dynamic_part(modes.omega, ratios, omega)
-        load = change * (loads[:, 1] - 1j * loads[:, 2])
-        motion = static[1] - 1j * static[2] + load @ modes.shapes.T
-        seen = whole.values_at(np.stack([motion.real, motion.imag]), watched)
-        largest = max(largest, float(np.hypot(*seen).max(initial=0.0)))
-        if not whole.n_pairs:
-            continue
-        gap = gaps[1] - 1j * gaps[2] + load @ psi
-        moved = max(moved, float(np.abs(gap).max()))
-        compliance = lips + (psi.T * change) @ psi
-        force = np.zeros(whole.n_pairs, dtype=complex)
-        force[closed] = np.linalg.lstsq(
-            compliance[np.ix_(closed, closed)], gap[closed], rcond=None
-        )[0]
-        opened = resting - lips @ pressed + np.abs(gap - compliance @ force) >= 0.0
-        breathes = breathes or bool(np.any(np.where(closed, pressed <= np.abs(force), opened)))
+        seen, gap, apart, push = np.zeros((4, 1))  # at most: amplitudes of all harmonics
+        for k in range(1, len(whole.force) // 2 + 1):
+            change = _dynamic_part(modes.omega, ratios, k * omega)
+            load = change * to_complex(loads.T)[k]
+            motion = to_complex(static)[k] + load @ modes.shapes.T
+            parts = whole.values_at(np.stack([motion.real, motion.imag]), watched)
+            seen = seen + np.hypot(*parts)
+            if whole.n_pairs:
+                of_gap = to_complex(gaps)[k] + load @ psi
+                compliance = lips + (psi.T * change) @ psi
+                force = np.zeros(whole.n_pairs, dtype=complex)
+                force[closed] = np.linalg.lstsq(
+                    compliance[np.ix_(closed, closed)], of_gap[closed], rcond=None
+                )[0]
+                gap, push = gap + np.abs(of_gap), push + np.abs(force)
+                apart = apart + np.abs(of_gap - compliance @ force)
+        largest = max(largest, float(seen.max(initial=0.0)))
+        if whole.n_pairs:
+            moved = max(moved, float(gap.max()))
+            opened = resting - lips @ pressed + apart >= 0.0
+            breathes = breathes or bool(np.any(np.where(closed, pressed <= push, opened)))
     own = 1.0 / np.maximum(np.diagonal(lips), 1e-300)
     stiffness = None if law is None or not np.all(np.isfinite(law.stiffness)) else law.stiffness
     kept = reduction_of(scene, whole)
@@ -191,7 +197,7 @@ def find_key_figures(study: Study) -> KeyFigures:
         own_stiffness=own,
         stiffness_ratio=None if stiffness is None else stiffness / own,
         mean_opening=float(np.max(-resting, initial=0.0)) + 0.0,
-        static_motion=float(np.abs(gaps[1] - 1j * gaps[2]).max(initial=0.0)),
+        static_motion=float(np.abs(to_complex(gaps)[1:]).sum(axis=0).max(initial=0.0)),
         displacement=largest,
         gap_motion=moved,
         closed=int(closed.sum()),
