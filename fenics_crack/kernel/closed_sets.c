@@ -354,3 +354,11 @@ const closed_set *states_at(closed_sets *s, const double *held, signed char *clo
     }
     return NULL;
 }
+
+int rub(closed_sets *s, double *held, signed char *closed, double *gaps, double *forces)
+{
+    if (!states_at(s, held, closed, gaps, forces)) return 1;
+    for (int i = 0; i < s->pairs; i++)
+        if (closed[i] != STICK) held[i] = gaps[s->pairs + i];
+    return 0;
+}

@@ -60,5 +60,8 @@ void force_gaps(closed_sets *s, const closed_set *a, int count, const double *he
  * stay in Coulomb's cone, and slips away from its place else. NULL as set_at. */
 const closed_set *states_at(closed_sets *s, const double *held, signed char *closed, double *gaps,
                             double *forces);
+/* The same of one instant after the other: h becomes where pairs are held from here on. 0, or 1 where
+ * no set answers. */
+int rub(closed_sets *s, double *held, signed char *closed, double *gaps, double *forces);
 
 #endif

@@ -18,9 +18,7 @@ int march_friction(closed_sets *s, int count, int turns, const double *gaps, dou
     for (long t = 0; t < (long)turns * count && !failed; t++) {
         const long at = t % count;
         memcpy(gap, gaps + at * r, bytes(r));
-        failed = !states_at(s, held, now, gap, forces + at * r);
-        for (int i = 0; i < p && !failed; i++)
-            if (now[i] != STICK) held[i] = gap[p + i];
+        failed = rub(s, held, now, gap, forces + at * r);
         memcpy(states + at * p, now, (size_t)p);
         memcpy(places + at * p, held, bytes(p));
     }

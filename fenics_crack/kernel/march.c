@@ -26,17 +26,6 @@ static void penalty(const vibration *v, const double *gap, double *force)
     for (int i = 0; i < v->pairs; i++) force[i] = gap[i] > 0.0 ? v->springs[i] * gap[i] : 0.0;
 }
 
-/* Forces with friction of gaps s (r), in whose place s - D lambda comes, and where pairs are held from
- * here on. Returns 1 where there are none. */
-static int rub(closed_sets *known, double *held, signed char *states, double *gap, double *force)
-{
-    const int p = pairs_of(known);
-    if (!states_at(known, held, states, gap, force)) return 1;
-    for (int i = 0; i < p; i++)
-        if (states[i] != STICK) held[i] = gap[p + i];
-    return 0;
-}
-
 /* --- central differences --------------------------------------------------------------------- */
 
 int march_central(const central_differences *s, int first, int steps, double *gap, double *force,

@@ -69,7 +69,8 @@ typedef struct {
 } exponential;
 
 /* March from phase zero. states (steps + 1, 2 n), forces (steps + 1, p) and closed (steps + 1, p), with
- * friction (steps + 1, p / 2) states of pairs: their first rows are given. Returns the steps made: fewer if forces were not found. */
+ * friction (steps + 1, p / 2) states of pairs: their first rows are given. Returns the steps made:
+ * fewer if forces were not found. */
 int march_exponential(const exponential *s, int steps, double *states, double *forces,
                       signed char *closed);
 
