@@ -238,8 +238,7 @@ class AllModes:
 
 def all_modes(structure: Structure) -> AllModes:
     """All modes of a small structure, computed once for it and its varied copies."""
-    modes = structure.once(_all_modes)
-    factor = structure.damping_factor
+    modes, factor = structure.once(_all_modes), structure.damping_factor
     return modes if factor == 1.0 else replace(modes, damping=factor * modes.damping)
 
 
@@ -259,8 +258,7 @@ def _all_modes(structure: Structure) -> AllModes:
 
 
 def _of_interface(structure: MasslessInterface) -> AllModes:
-    gap = structure.gap.toarray()
-    shapes, squares = structure.shapes, structure.omega**2
+    gap, shapes, squares = structure.gap.toarray(), structure.shapes, structure.omega**2
     at_once = structure.left @ gap
     residual = gap.T @ at_once
     return AllModes(

@@ -333,8 +333,7 @@ class Structure(Coordinates):
 
     def with_tangents(self, tangential: sparse.spmatrix | None) -> Self:
         """Return this structure with B_t (n_local, n_pairs), or without."""
-        kept = {"damping": self.damping, "damping_factor": 1.0}
-        found = self._copied(**kept, _original=None, _known={})
+        found = self._anew()
         found._hold_tangents(tangential)
         return found
 
@@ -355,9 +354,7 @@ class Structure(Coordinates):
         """
         if self.whole is not self:
             raise InputError("structure", repr(self), "one that is not reduced")
-        kept = {"damping": self.damping, "damping_factor": 1.0}
-        force = with_harmonics(self.force, harmonics, self.mass)
-        return self._copied(force=force, clamp=None, _original=None, _known={}, **kept)
+        return self._anew(force=with_harmonics(self.force, harmonics, self.mass), clamp=None)
 
     def with_tangential_pairs(self) -> Structure:
         """This structure with tangential gaps behind the normal ones as further pairs, B = [B_n,
@@ -393,7 +390,12 @@ class Structure(Coordinates):
             raise InputError("damping", damping, "a ModalDamping, a RayleighDamping or None")
         kept = damping.of_kept(self.n_modes) if damping and self.light_lips else damping
         parts = self._parts(self._DAMPED_TOO, lambda part: part.damped(damping))
-        return self._copied(damping=kept, damping_factor=1.0, _original=None, _known={}, **parts)
+        return self._anew(damping=kept, **parts)
+
+    def _anew(self, **changes: Any) -> Self:
+        """A copy that is no variation of another structure: nothing is known of it yet."""
+        kept = {"damping": self.damping} if "damping" not in changes else {}
+        return self._copied(damping_factor=1.0, _original=None, _known={}, **kept, **changes)
 
     def watching(self, dof: int) -> Self:
         """Return this structure with another dof for results to be asked about."""
@@ -525,8 +527,7 @@ def _weights(load: Any, rows: int) -> np.ndarray:
 
 def _with_tangential_pairs(structure: Structure) -> Structure:
     both = read_only_rows(sparse.hstack([structure.gap, structure.tangential]))
-    kept = {"damping": structure.damping, "damping_factor": 1.0}
-    return structure._copied(gap=both, tangential=None, _original=None, _known={}, **kept)
+    return structure._anew(gap=both, tangential=None)
 
 
 def _turning(structure: Structure, change: Callable[[Structure], Structure]) -> Structure:
