@@ -201,16 +201,22 @@ def slipping(coefficient: float | np.ndarray, force: np.ndarray, drag: np.ndarra
     return np.asarray((force > 0.0) & (np.abs(drag) >= limit))
 
 
+def friction_losses(slide: np.ndarray, drag: np.ndarray) -> np.ndarray:
+    """Losses of pairs in a period, (n_pairs,) [J], int lambda_t g_t' dt by the trapezoidal rule:
+    of tangential gaps and friction forces at parts of it (n, n_pairs)."""
+    moved = np.roll(slide, -1, axis=0) - slide
+    return np.asarray(0.5 * np.sum((np.roll(drag, -1, axis=0) + drag) * moved, axis=0))
+
+
 def friction_numbers(
     coefficient: float | np.ndarray, slide: np.ndarray, force: np.ndarray, drag: np.ndarray
 ) -> dict[str, float]:
-    """The loss by friction in a period [J], int lambda_t g_t' dt by the trapezoidal rule, and the
-    shares of it in which pairs stick and slip, means over the pairs: of tangential gaps, contact
-    forces and friction forces at equal parts of it (n, n_pairs)."""
-    ahead = np.roll(drag, -1, axis=0) + drag
+    """The loss by friction in a period [J], and the shares of it in which pairs stick and slip,
+    means over the pairs: of tangential gaps, contact forces and friction forces at equal parts of
+    it (n, n_pairs)."""
     slips = slipping(coefficient, force, drag)
     return {
-        "friction_loss": float(0.5 * np.sum(ahead * (np.roll(slide, -1, axis=0) - slide))),
+        "friction_loss": float(np.sum(friction_losses(slide, drag))),
         "stick_share": float(np.mean((force > 0.0) & ~slips)),
         "slip_share": float(np.mean(slips)),
     }

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from fenics_crack.balance.error_report import LARGE_ERROR
-from fenics_crack.balance.solution import PeriodicSolution, slipping
+from fenics_crack.balance.solution import PeriodicSolution, friction_losses, slipping
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.tables import quantity, readable
 from fenics_crack.draw.figure import (
@@ -641,7 +641,7 @@ def draw_friction_loops(solution: PeriodicSolution, **where: Unpack[Where]) -> F
     time = np.append(solution.instants(), solution.period)
     (_, slide), (normal, drag) = (np.hsplit(one, 2) for one in solution.gaps_and_forces(time))
     slips = slipping(coefficient, normal, drag)
-    loss = np.sum(0.5 * (drag[1:] + drag[:-1]) * np.diff(slide, axis=0), axis=0)
+    loss = friction_losses(slide, drag)
     [panel] = picture = Picture(size=(6.4, 4.6), comm=solution.structure.comm, **where)
     chosen = np.argsort(-loss, kind="stable")[: min(LOOPS, len(loss))]
     for pair, colour in zip(chosen.tolist(), distinct_colours(len(chosen)), strict=True):
