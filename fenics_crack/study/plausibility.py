@@ -154,7 +154,8 @@ def find_key_figures(study: Study) -> KeyFigures:
     tied = tied_modes(whole, count) if whole.n_pairs else modes
     breathing = BilinearFrequencies(modes.omega, tied.omega[partners(modes, tied)])
     gaps, psi = whole.apply_bt(static), whole.apply_bt(modes.shapes.T)
-    loads = whole.sum_over_ranks(modes.shapes.T @ whole.force.T)
+    loads = whole.sum_over_ranks(whole.force @ modes.shapes)
+    amplitudes = [to_complex(rows)[1:] for rows in (static, gaps, loads)]  # of each harmonic
     resting = gaps[0] - whole.clearance  # of an open crack
     pressed = solve_complementarity(lips, resting) if whole.n_pairs else np.zeros(0)
     closed = pressed > 0.0
@@ -162,14 +163,14 @@ def find_key_figures(study: Study) -> KeyFigures:
     largest, moved, breathes = 0.0, 0.0, False
     for omega in _omegas(scene, np.concatenate([modes.omega, tied.omega])):
         seen, gap, apart, push = np.zeros((4, 1))  # at most: amplitudes of all harmonics
-        for k in range(1, len(whole.force) // 2 + 1):
+        for k, (still, still_gap, pull) in enumerate(zip(*amplitudes, strict=True), 1):
             change = _dynamic_part(modes.omega, ratios, k * omega)
-            load = change * to_complex(loads.T)[k]
-            motion = to_complex(static)[k] + load @ modes.shapes.T
+            load = change * pull
+            motion = still + load @ modes.shapes.T
             parts = whole.values_at(np.stack([motion.real, motion.imag]), watched)
             seen = seen + np.hypot(*parts)
             if whole.n_pairs:
-                of_gap = to_complex(gaps)[k] + load @ psi
+                of_gap = still_gap + load @ psi
                 compliance = lips + (psi.T * change) @ psi
                 force = np.zeros(whole.n_pairs, dtype=complex)
                 force[closed] = np.linalg.lstsq(
@@ -197,7 +198,7 @@ def find_key_figures(study: Study) -> KeyFigures:
         own_stiffness=own,
         stiffness_ratio=None if stiffness is None else stiffness / own,
         mean_opening=float(np.max(-resting, initial=0.0)) + 0.0,
-        static_motion=float(np.abs(to_complex(gaps)[1:]).sum(axis=0).max(initial=0.0)),
+        static_motion=float(np.abs(amplitudes[1]).sum(axis=0).max(initial=0.0)),
         displacement=largest,
         gap_motion=moved,
         closed=int(closed.sum()),

@@ -76,6 +76,24 @@ def test_of_what_nothing_holds() -> None:
     assert figures.gap_motion == pytest.approx(abs(moved), rel=1e-7)
 
 
+def test_all_harmonics_of_a_load_count() -> None:
+    """The motion of the faces is at most the sum of those at each multiple of the frequency."""
+    stiffness, mass = chain_stiffness(np.array([1.0, 2.0, 1.0, 0.5])), np.diag([1.0, 1.2, 0.9])
+    gap, first, third = np.array([[1.0, -1.0, 0.0], [0.5, 0.0, 1.0], [0.0, 2.0, -1.0]])
+    structure = fc.Structure.from_matrices(
+        mass, stiffness, gap, force_sin=first, damping=fc.ModalDamping(0.1)
+    )
+    figures = find_key_figures(study_of(structure.with_harmonics({3: (None, third)})))
+    squares, shapes = scipy.linalg.eigh(stiffness, mass)
+
+    def moved(omega: float, force: np.ndarray) -> float:
+        at = 1.0 / (squares - omega**2 + 0.2j * np.sqrt(squares) * omega)
+        return float(abs(gap @ (shapes * at) @ shapes.T @ force))
+
+    assert figures.gap_motion == pytest.approx(moved(1.1, first) + moved(3.3, third), rel=1e-9)
+    assert figures.static_motion == pytest.approx(moved(0.0, first) + moved(0.0, third), rel=1e-9)
+
+
 def test_all_motions_are_tied() -> None:
     """As many pairs as dofs: there is no tied motion, and a closed half takes no time."""
     structure = fc.Structure.from_matrices(
