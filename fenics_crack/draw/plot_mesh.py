@@ -24,7 +24,7 @@ def draw_mesh(structure: Structure, **where: Unpack[Where]) -> Figure:
     """Draw the mesh of a structure at rest with its named parts (collective).
 
     They are what is clamped, the crack faces, the pairs of their nodes where contact is
-    watched, and the load: arrows along its mean, cosine and sine part, each in a scale of its own.
+    watched, and the load: arrows along its mean, cosines and sines, each in a scale of its own.
 
     Parameters
     ----------
@@ -176,7 +176,7 @@ def _mode_shape(axes: Axes, mesh: NodalMesh, shape: np.ndarray) -> None:
 
 
 def _solid(picture: Picture, mesh: NodalMesh, load: np.ndarray) -> None:
-    """The mesh with what is clamped, the crack faces, and the load (3, n_nodes, 3) [N]."""
+    """The mesh with what is clamped, the crack faces, and the load (2K+1, n_nodes, 3) [N]."""
     from fenics_crack.draw import vtk
 
     plotter = vtk.off_screen_plotter()

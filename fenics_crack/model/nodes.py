@@ -380,8 +380,8 @@ class Clamp:
         Middle of the clamped nodes, between their least and largest coordinates.
     inertia : (n_rigid, n_local)
         r^T M of the free dofs; 3 motions of a plate, 6 of a solid.
-    load : (3, n_rigid) [N], [N m]
-        r^T f of the load's mean, cosine and sine part.
+    load : (2K+1, n_rigid) [N], [N m]
+        r^T f of the rows of the load.
     """
 
     center: np.ndarray

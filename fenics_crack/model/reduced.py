@@ -274,8 +274,8 @@ class MasslessStructure(MasslessInterface):
         static: ResidualFlexibility,
         reference: MasslessStructure | None,
     ) -> None:
-        """Take Phi^T [B, B_t] (n_modes, n_pairs or 2 n_pairs), the load on all coordinates (3,
-        n_dofs), and S."""
+        """Take Phi^T [B, B_t] (n_modes, n_pairs or 2 n_pairs), the load on all coordinates
+        (2K+1, n_dofs), and S."""
         if isinstance(damping, DampingRule):
             damping = damping.of_kept(len(squares))
         seen = np.vstack([pairs, compliance[:, : pairs.shape[1]]])

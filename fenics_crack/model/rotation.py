@@ -208,12 +208,12 @@ class Ritz:
         V^T K V, and V^T K_i V of K_1, K_2, K_3.
     squares_inverse : (n,)
         V^T M V, which is diagonal.
-    force : (3, n)
+    force : (2K+1, n)
         V^T f at rest.
     centrifugal : (n,)
         V^T f_c.
     mass, gap, tangential
-        The mass as a matrix of PETSc's, and V^T B.
+        The mass as a matrix of PETSc's, V^T B, and V^T B_t or None.
     modes : int
         Number of modes with mass.
     """
@@ -283,7 +283,7 @@ class Ritz:
         )
 
     def matrices(self, speed: float) -> tuple[np.ndarray, np.ndarray]:
-        """The stiffness (n, n) and the load (3, n) at a speed [rad/s]."""
+        """The stiffness (n, n) and the load (2K+1, n) at a speed [rad/s]."""
         first, second, third = speed**2 * self.stiffness
         stiffness = self.at_rest + first + second + speed**2 * third
         moved = np.linalg.solve(self.at_rest + first, speed**2 * self.centrifugal)
