@@ -324,8 +324,14 @@ def _draw_blocks(scene: Scene) -> dict[str, tuple[int, ...]]:
     _check_cells(scene, key, cells, 2 * scene.mesh.order**2)
 
     xs, ys = ([0.0, *(interval.stop for interval in side)] for side in (columns, rows))
+    rim = None if scene.disk is None else Rim.of(scene)
     add_point = gmsh.model.geo.addPoint
-    points = {(i, j): add_point(x, y, 0.0) for i, x in enumerate(xs) for j, y in enumerate(ys)}
+    feet = [0.0 if rim is None else rim.foot(x) for x in xs]
+    points = {
+        (i, j): add_point(x, y if j else feet[i], 0.0)
+        for i, x in enumerate(xs)
+        for j, y in enumerate(ys)
+    }
     doubled = [
         (i, s.row)
         for s in slits
@@ -352,12 +358,16 @@ def _draw_blocks(scene: Scene) -> dict[str, tuple[int, ...]]:
             below = upper.get((i, j), horizontal[i, j])
             loop = [below, vertical[i + 1, j], -horizontal[i, j + 1], -vertical[i, j]]
             surfaces.append(gmsh.model.geo.addPlaneSurface([gmsh.model.geo.addCurveLoop(loop)]))
+    foot = [horizontal[i, 0] for i in range(len(columns))]
+    sides: dict[str, tuple[int, list[int]]] = {"clamp": (1, foot)}
+    if rim is not None:
+        sides = rim.draw(scene, [points[i, 0] for i in range(len(xs))], foot, columns, surfaces)
     _divide(scene, surfaces)
 
     left, right = ([vertical[i, j] for j in range(len(rows))] for i in (0, len(columns)))
     groups: dict[str, tuple[int, list[int]]] = {
         "plate": (2, surfaces),
-        "clamp": (1, [horizontal[i, 0] for i in range(len(columns))]),
+        **sides,
         "lower_lip": (1, [horizontal[place] for place in upper]),
         "upper_lip": (1, list(upper.values())),
         "load": (
@@ -373,7 +383,9 @@ def _draw_blocks(scene: Scene) -> dict[str, tuple[int, ...]]:
         "top": (1, [horizontal[i, len(rows)] for i in range(len(columns))]),
     }
     curves = {name: tag for name, tag in _name(groups).items() if groups[name][0] == 1}
-    return {name: (tag,) for name, tag in (curves | {"bottom": curves["clamp"]}).items()}
+    if rim is None:
+        curves["bottom"] = curves["clamp"]
+    return {name: (tag,) for name, tag in curves.items()}
 
 
 def _name(groups: dict[str, tuple[int, list[int]]]) -> dict[str, int]:
@@ -400,6 +412,89 @@ def _divide(scene: Scene, surfaces: list[int]) -> None:
 
 def _curve(start: int, end: int, division: Interval) -> int:
     curve: int = gmsh.model.geo.addLine(start, end)
+    nodes, ratio = division.count + 1, division.progression
+    gmsh.model.geo.mesh.setTransfiniteCurve(curve, nodes, "Progression", ratio)
+    return curve
+
+
+# --- the rim below a blade of a disk --------------------------------------------------------------
+
+RIM_SIDES = ("rim_left", "rim_right")
+"""Names of the sides of a sector made here: "left" and "right" are those of its blade."""
+
+
+@dataclass(frozen=True)
+class Rim:
+    """The part of a disk's rim that belongs to one blade, between two circles around the axis.
+
+    Attributes
+    ----------
+    middle, axis : float [m]
+        Place of the blade's middle across, and of the axis along the blade.
+    inner, outer : float [m]
+        Radii.
+    half : float [rad]
+        Half of the angle of a sector.
+    """
+
+    middle: float
+    axis: float
+    inner: float
+    outer: float
+    half: float
+
+    @classmethod
+    def of(cls, scene: Scene) -> Rim:
+        """Of a scene whose sector is made here."""
+        disk = scene.disk
+        assert disk is not None
+        (_, along, through), across = scene.axis[0], 0 if scene.dimension == 2 else 2
+        middle = through if across else scene.axis[0][0]
+        radii = disk.given("inner_radius"), disk.given("outer_radius")
+        return cls(float(middle), float(along), *radii, math.pi / disk.sectors)
+
+    def foot(self, place: float) -> float:
+        """Where the blade meets the rim, at a place across."""
+        return self.axis + math.sqrt(self.outer**2 - (place - self.middle) ** 2)
+
+    def at(self, radius: float, angle: float) -> tuple[float, float]:
+        """A point, by its angle from the middle of the blade to the right."""
+        return self.middle + radius * math.sin(angle), self.axis + radius * math.cos(angle)
+
+    def draw(
+        self,
+        scene: Scene,
+        feet: list[int],
+        below: list[int],
+        columns: list[Interval],
+        surfaces: list[int],
+    ) -> dict[str, tuple[int, list[int]]]:
+        """Draw it below the curves of a plate's lower edge, in blocks; its named curves."""
+        mesh, geo = scene.mesh, gmsh.model.geo
+        size = mesh.size or scene.geometry.sides[1] / mesh.given("rows")
+        around = self.half - math.asin((columns[-1].stop - self.middle) / self.outer)
+        beside = Interval(0.0, 1.0, max(1, round(self.outer * around / size)), 1.0)
+        deep = Interval(0.0, 1.0, max(1, round((self.outer - self.inner) / size)), 1.0)
+        center = geo.addPoint(self.middle, self.axis, 0.0)
+        places = [columns[0].start, *(column.stop for column in columns)]
+        angles = [math.asin((x - self.middle) / self.outer) for x in places]
+        angles = [-self.half, *angles, self.half]
+        ends = [geo.addPoint(*self.at(self.outer, angle), 0.0) for angle in angles[:: len(angles) - 1]]
+        top = [ends[0], *feet, ends[1]]
+        low = [geo.addPoint(*self.at(self.inner, angle), 0.0) for angle in angles]
+        parts = [beside, *columns, beside]
+        radial = [_curve(one, other, deep) for one, other in zip(low, top, strict=True)]
+        inside = [_arc(*ends, center, part) for ends, part in zip(pairwise(low), parts, strict=True)]
+        outside = [_arc(top[0], top[1], center, beside), *below, _arc(*top[-2:], center, beside)]
+        for place in range(len(parts)):
+            loop = [inside[place], radial[place + 1], -outside[place], -radial[place]]
+            surfaces.append(geo.addPlaneSurface([geo.addCurveLoop(loop)]))
+        left, right = RIM_SIDES
+        return {"clamp": (1, inside), left: (1, radial[:1]), right: (1, radial[-1:])}
+
+
+def _arc(start: int, end: int, center: int, division: Interval) -> int:
+    curve: int = gmsh.model.geo.addCircleArc(start, center, end)
     nodes, ratio = division.count + 1, division.progression
     gmsh.model.geo.mesh.setTransfiniteCurve(curve, nodes, "Progression", ratio)
     return curve

@@ -42,7 +42,7 @@ from mpi4py import MPI
 from fenics_crack.basics.atomic_files import write_whole
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.progress import begin
-from fenics_crack.basics.ranks import collect_garbage, gather_rows, on_root
+from fenics_crack.basics.ranks import collect_garbage, gather_rows, on_each, on_root
 from fenics_crack.fem import compat
 from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.crack_surface import Lips
@@ -52,6 +52,7 @@ from fenics_crack.fem.loads import assemble_loads, clamp_of
 from fenics_crack.fem.matrix_files import read_structure
 from fenics_crack.fem.msh_file import check_there
 from fenics_crack.fem.plate import Dofs, build_mesh
+from fenics_crack.fem.sector import wheel_of
 from fenics_crack.model.modes import solve_modes
 from fenics_crack.model.nodes import Pairs
 from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
@@ -209,6 +210,18 @@ def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     coarser = scene.mesh.coarser
     if coarser is not None:  # which is read after all else
         on_root(comm, lambda: check_there("mesh.coarser", coarser))
+    if scene.disk is not None:  # every rank has the sector
+        structure, dofs = on_each(comm, lambda: _assembled(scene, MPI.COMM_SELF))
+        return wheel_of(scene, dofs, structure, comm)
+    structure, dofs = _assembled(scene, comm)
+    if scene.speed > 0.0:
+        begin("rotation")
+        structure = rotation_of(scene, dofs, structure).at(scene.speed)
+    return structure
+
+
+def _assembled(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
+    """The structure of a mesh at rest, of a sector with free sides, and its dofs (collective)."""
     begin("mesh")
     plate = build_mesh(scene, comm)
     begin("matrices")
@@ -236,11 +249,8 @@ def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
         pairs=pairs,
         watched=watched,
         clamp=clamp,
-    ).with_tangents(tangential)
-    if scene.speed > 0.0:
-        begin("rotation")
-        structure = rotation_of(scene, dofs, structure).at(scene.speed)
-    return structure
+    )
+    return structure.with_tangents(tangential), dofs
 
 
 # --- matrices -------------------------------------------------------------------------------------
@@ -281,13 +291,15 @@ def clearance_of(scene: Scene, pairs: Pairs) -> np.ndarray:
     if len(given) == 1:
         return np.full(len(pairs.cracks), given[0])
     cracks = int(pairs.cracks.max(initial=-1)) + 1
-    if len(given) != cracks:
+    if scene.disk is not None:  # those of each cracked blade
+        cracks //= max(len(scene.disk.cracked), 1)
+    if cracks and len(given) != cracks:
         allowed = (
             f"[crack] alone, for all, or one table for each of the {cracks} cracks of the mesh "
             "file: [crack] and then [[cracks]], from bottom to top"
         )
         raise InputError("cracks", f"{len(given)} tables with [crack]", allowed)
-    return np.asarray(given[pairs.cracks])
+    return np.asarray(given[pairs.cracks % len(given)])
 
 
 def build_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:

@@ -43,6 +43,7 @@ along the radius.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -76,17 +77,28 @@ def stress(scene: Scene, space: Any, strain: Any) -> Any:
     return young / (1.0 + poisson) * (strain + spread)
 
 
-def rotation_of(scene: Scene, dofs: Dofs, at_rest: Structure) -> Rotation:
-    """Assemble what the rotation of a scene adds to its structure at rest (collective)."""
+def rotation_of(
+    scene: Scene,
+    dofs: Dofs,
+    at_rest: Structure,
+    static: Callable[[np.ndarray], np.ndarray] | None = None,
+) -> Rotation:
+    """Assemble what the rotation of a scene adds to its structure at rest (collective).
+
+    ``static`` gives the displacement (n_local,) under a constant load on each sector of a wheel;
+    without it the structure is on its own."""
     assert scene.rotation is not None
-    space, size, (place, axis) = dofs.space, scene.dimension, scene.rotation.place
+    space, size, (place, axis) = dofs.space, scene.dimension, scene.axis
     across = (np.eye(3) - np.outer(axis, axis))[:size, :size]
     density, center, normal = constants(space, scene.material.density, place[:size], across)
     t = thickness(scene, space)
     u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
     radius = normal * (ufl.SpatialCoordinate(space.mesh) - center)
     load = compat.assembled_vector(t * density * ufl.inner(radius, v) * ufl.dx)[dofs.free]
-    moved, _ = static_state(at_rest, load, np.zeros(at_rest.n_pairs))
+    if static is not None:
+        moved = static(load)
+    else:
+        moved, _ = static_state(at_rest, load, np.zeros(at_rest.n_pairs))
     displaced = dolfinx.fem.Function(space)  # zero where the plate is clamped
     displaced.x.array[dofs.free] = moved
     displaced.x.scatter_forward()

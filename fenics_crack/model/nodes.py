@@ -38,6 +38,8 @@ class Nodes:
     numbered : fenics_crack.fem.plate.Dofs or None
         DOLFINx's mesh and the dofs on it, for what is integrated over it later: ranks may share a
         mesh that is made again in another way. None where there is none.
+    frames : (m, d, d) or None
+        Of each node the matrix that turns its displacements into those in space; None: they are.
     """
 
     points: np.ndarray
@@ -45,10 +47,12 @@ class Nodes:
     cells: np.ndarray
     vtk_type: int
     numbered: Any = None
+    frames: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        for name in ("points", "dofs", "cells"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+        for name in ("points", "dofs", "cells", "frames"):
+            if (given := getattr(self, name)) is not None:
+                object.__setattr__(self, name, read_only(given))
 
     def nearest(
         self, comm: MPI.Comm, key: str, point: Sequence[float]

@@ -343,11 +343,17 @@ class MasslessStructure(MasslessInterface):
 
     def expand(self, displacement: np.ndarray) -> np.ndarray:
         """u = Phi q + G X c of coordinates (m, n_dofs): (m, whole.n_local) (collective)."""
+        return self._whole.expand(self._one_step(displacement))
+
+    def _one_step(self, displacement: np.ndarray) -> np.ndarray:
+        """The same in the coordinates of the structure that was reduced."""
         modal, static = np.split(displacement, [self.n_modes], axis=1)
-        return self._whole.expand(modal @ self._static.shapes.T + self._static.expand(static))
+        return modal @ self._static.shapes.T + self._static.expand(static)
 
     def values_at(self, displacement: np.ndarray, dofs: Sequence[int | None]) -> np.ndarray:
         """Displacement of dofs of the whole structure from coordinates (m, n_dofs) (collective)."""
+        if self._whole.whole is not self._whole:  # itself in few coordinates
+            return self._whole.values_at(self._one_step(displacement), dofs)
         wanted = self._whole.check_dofs(dofs)
         modal, static = np.split(displacement, [self.n_modes], axis=1)
         seen = modal @ self._whole.values_at(self._static.shapes.T, dofs)

@@ -61,7 +61,7 @@ def reduce_structure(
     *,
     modes: int | None = None,
     method: str = "free_interface",
-    reference: bool = True,
+    reference: bool | int = True,
 ) -> ReducedStructure:
     """Reduce a structure to a few coordinates (collective).
 
@@ -84,8 +84,9 @@ def reduce_structure(
         than 600 are; without damping, or with a matrix, 20.
     method : "massless" or "free_interface"
         Columns of T beside the modes.
-    reference : bool
+    reference : bool or int
         Keep what estimates the error of the reduction, too: twice the modes, or more static shapes.
+        With "massless" it may be the number of modes that do.
 
     Returns
     -------
@@ -115,7 +116,7 @@ def reduce_structure(
         raise InputError("modes", modes, f"a whole number from 1 to n_dofs = {structure.n_dofs}")
 
     if method == "massless":
-        return _massless(structure, int(modes), assessed=reference)
+        return _massless(structure, int(modes), reference)
 
     if modal:  # more modes at once, which are kept
         damped_modes(structure)
@@ -149,12 +150,14 @@ def _static_shapes(
     return found[:, ~_rounding(left, static.modal.T, squares)]
 
 
-def _massless(structure: Structure, modes: int, *, assessed: bool) -> MasslessStructure:
+def _massless(structure: Structure, modes: int, assessed: bool | int) -> MasslessStructure:
     """Modes and the rest without mass; its reference, by which it is assessed, has twice the modes,
     or ten more: where these leave something for every pair, without which it has mass, and no more
-    than half of what the kept ones leave; else it has all modes."""
+    than half of what the kept ones leave; else it has all modes. Or it has so many modes."""
     twice, most = modes + max(modes, 10), structure.n_dofs - structure.n_pairs
     more = min(twice, most) if most > modes else structure.n_dofs
+    if chosen := assessed is not True and assessed > modes:
+        more = int(assessed)
     loaded = structure.sum_over_ranks((structure.force**2).sum(axis=1)) > 0.0
     contact = [structure.gap] + ([] if structure.tangential is None else [structure.tangential])
     rows = structure.n_pairs * len(contact)
@@ -163,7 +166,7 @@ def _massless(structure: Structure, modes: int, *, assessed: bool) -> MasslessSt
     with Factor(structure.stiffness, definite=True) as factor:
         counts = (more, modes) if assessed else (modes,)
         squares, shapes, static, compliance = _left_out(structure, factor, counts, sources)
-        if assessed and more < twice and more == most:
+        if assessed and not chosen and more < twice and more == most:
             here, between = slice(structure.n_pairs), slice(modes, more)
             seen = static[more].modal[here, between]
             kept = np.sum(seen**2 / squares[between], axis=1)

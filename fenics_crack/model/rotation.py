@@ -81,22 +81,28 @@ class Rotation:
         check_number("speed", speed, 0.0)
         if speed == 0.0:
             return self.at_rest
-        square, (second, third) = speed**2, self.displaced
-        still = weighted_sum(self.at_rest.stiffness, square, self.stiffness)
-        displaced = weighted_sum(second, square, third)
-        stiffness = weighted_sum(still, square, displaced)
-        displaced.destroy()
+        still, stiffness = self.stiffnesses(speed)
         with Factor(stiffness) as factor:
             if factor.negative_pivots or factor.null_pivots:
                 raise InputError("rotation.speed", speed, too_fast(self.at_rest, speed))
         with Factor(still, definite=True) as factor:
-            moved = factor.solve(square * self.force[None]).T
+            moved = factor.solve(speed**2 * self.force[None]).T
         still.destroy()
         force = self.at_rest.force.copy()
         force[0] += times(stiffness, moved)[:, 0]
         found = self.at_rest._changed(stiffness=stiffness, force=force)
         found._hold(rotation=replace(self, speed=speed))
         return found
+
+    def stiffnesses(self, speed: float) -> tuple[Any, Any]:
+        """K + W^2 K_1 of the displacement that rotation makes, and K(W) of what moves about it
+        (collective)."""
+        square, (second, third) = speed**2, self.displaced
+        still = weighted_sum(self.at_rest.stiffness, square, self.stiffness)
+        displaced = weighted_sum(second, square, third)
+        stiffness = weighted_sum(still, square, displaced)
+        displaced.destroy()
+        return still, stiffness
 
     def changed(self, change: Callable[[Structure], Structure]) -> Rotation:
         """The same of a structure that is changed."""

@@ -85,6 +85,37 @@ class Harmonic:
         return f"{{ order = {self.order}, cos = {_as_toml(self.cos)}, sin = {_as_toml(self.sin)} }}"
 
 
+@dataclass(frozen=True)
+class Mistuning:
+    """Random relative deviations of the sectors' stiffness.
+
+    Attributes
+    ----------
+    deviation : float
+        Standard deviation of independent normal numbers.
+    seed : int
+        Of NumPy's default generator.
+    """
+
+    deviation: float
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.deviation <= 0.1:
+            raise InputError(".deviation", self.deviation, "a number from 0 to 0.1")
+        if self.seed < 0:
+            raise InputError(".seed", self.seed, "a whole number >= 0")
+
+    def pattern(self, sectors: int) -> tuple[float, ...]:
+        """One deviation for each of so many sectors."""
+        random = np.random.default_rng(self.seed)
+        return tuple(random.normal(0.0, self.deviation, sectors).tolist())
+
+    def as_toml(self) -> str:
+        """As an inline table of a file."""
+        return f"{{ deviation = {_as_toml(self.deviation)}, seed = {self.seed} }}"
+
+
 # --- how a value is read --------------------------------------------------------------------------
 
 
@@ -201,6 +232,25 @@ def _components(value: object) -> tuple[float, ...]:
     return _vector(value if isinstance(value, list | tuple) else [value], (1, 2, 3))
 
 
+def _ints(value: object) -> tuple[int, ...]:
+    """A whole number, or a list of different ones."""
+    numbers = tuple(map(_int, value if isinstance(value, list | tuple) else [value]))
+    if len(set(numbers)) != len(numbers):
+        raise TypeError
+    return numbers
+
+
+def _mistuning(value: object) -> tuple[float, ...] | Mistuning:
+    """A deviation for each sector, or those of a random pattern."""
+    if isinstance(value, Mistuning):
+        return value
+    if not isinstance(value, Mapping):
+        return _floats(value)
+    if not {"deviation"} <= value.keys() <= {"deviation", "seed"}:
+        raise TypeError
+    return Mistuning(_float(value["deviation"]), _int(value.get("seed", 0)))
+
+
 def _words(value: object) -> tuple[str, ...]:
     """A list of different words."""
     words = tuple(map(_str, _list(value)))
@@ -251,6 +301,8 @@ _READERS: dict[str, Callable[[object], Any]] = {
     "tuple[Point, ...]": _axes(Point, lambda _, given: _vector(given)),
     "tuple[Harmonic, ...]": _harmonics,
     "tuple[float, ...]": _floats,
+    "tuple[float, ...] | Mistuning": _mistuning,
+    "tuple[int, ...]": _ints,
     "tuple[str, ...]": _words,
 }
 """Function that reads a value, by the type of a field that is not None."""
@@ -258,6 +310,7 @@ _READERS: dict[str, Callable[[object], Any]] = {
 
 _JSON = {"bool": "boolean", "float": "number", "int": "integer", "str": "string"}
 _ARRAYS = ("Pair", "Vector", "tuple[Harmonic, ...]", "tuple[float, ...]", "tuple[str, ...]")
+_ARRAYS += ("tuple[int, ...]",)
 _JSON |= dict.fromkeys(_ARRAYS, "array")
 """JSON's words for types; axes and points are objects."""
 
@@ -464,6 +517,11 @@ class Table(Hinted):
         return {item.name: item for item in fields(cls)}  # type: ignore[arg-type]
 
     @classmethod
+    def knows(cls, key: str) -> bool:
+        """True of a key of the table, or of one inside of it, "mistuning.seed"."""
+        return key in cls.keys()
+
+    @classmethod
     def schema(cls) -> dict[str, Any]:
         """The table as a JSON schema."""
         found: dict[str, Any] = {}
@@ -508,6 +566,8 @@ class Table(Hinted):
                 after += ["", f"[{self.name_of(name)}]", *(axis.as_toml() for axis in value)]
             elif isinstance(value, tuple) and value and isinstance(value[0], Harmonic):
                 lines.append(f"{name} = [{', '.join(one.as_toml() for one in value)}]")
+            elif isinstance(value, Mistuning):
+                lines.append(f"{name} = {value.as_toml()}")
             elif value != item.default and name not in found:
                 lines.append(f"{name} = {_as_toml(value)}")
         return "\n".join([*lines, *after, ""])

@@ -8,6 +8,7 @@ the key, the value and what is allowed, before anything is computed.
 from __future__ import annotations
 
 import dataclasses
+import math
 import re
 import tomllib
 from collections.abc import Callable, Mapping
@@ -16,6 +17,8 @@ from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
+
+import numpy as np
 
 from fenics_crack.basics.errors import InputError, reading
 from fenics_crack.basics.suggestions import (
@@ -44,6 +47,7 @@ from fenics_crack.scene.tables import (
     Crack,
     Curve,
     Damping,
+    Disk,
     Excitation,
     Geometry,
     Growth,
@@ -65,7 +69,9 @@ from fenics_crack.scene.tables import (
 LOOKED_AT = ("curve", "integration", "sweep", "growth", "identify", "tip_timing", "output")
 """Tables that choose results, and change nothing of the structure and its load."""
 
-PLATE_TABLES = ("geometry", "material", "mesh", "crack", "cracks", "loads", "base", "rotation")
+PLATE_TABLES = (
+    "geometry", "material", "mesh", "crack", "cracks", "loads", "base", "rotation", "disk",
+)  # fmt: skip
 """Tables of a plate, which matrices from elsewhere take the place of."""
 THINNEST = 1e4
 """Largest ratio of the plate's sides."""
@@ -99,6 +105,7 @@ class Scene(Hinted):
     """Loads beside the force of the excitation."""
     base: Base | None = None
     rotation: Rotation | None = None
+    disk: Disk | None = None
     structure: Structure | None = None
     harmonic_balance: HarmonicBalance = field(default_factory=HarmonicBalance)
     reduction: Reduction | None = None
@@ -123,7 +130,9 @@ class Scene(Hinted):
                 if isinstance(value, str | Path):
                     allowed += "; Scene.load(path) reads the file of a scene"
                 raise InputError(name, value, allowed)
-        if self.excitation.order is not None:
+        if self.rotation is not None:
+            self.rotation.check_place(self.disk)
+        if self.excitation.order is not None and (self.disk is None or self.speed > 0.0):
             allowed = "left out without a rotation.speed > 0"
             self.excitation.require(self.speed > 0.0, "order", allowed)
             object.__setattr__(self, "excitation", self.excitation.at_speed(self.speed))
@@ -143,6 +152,8 @@ class Scene(Hinted):
         else:
             _check_dimension(self)
             (_check_file if self.mesh.layout == "file" else _check_plate)(self)
+            if self.disk is not None:
+                _check_disk(self, self.disk)
         for names, without in (*_ASKED, (OF_FRICTION, _without_friction)):
             if asked := tuple(name for name in self.quantities or () if name in names):
                 check_known(without(self), "output.quantities", asked)
@@ -335,6 +346,26 @@ class Scene(Hinted):
         speeds = tuple(RPM * rpm for rpm in swept.get("rotation.rpm", ())) or (self.speed,)
         speeds = swept.get("rotation.speed", speeds)
         return tuple(order * speed for order in orders for speed in speeds)
+
+    @property
+    def axis(self) -> tuple[np.ndarray, np.ndarray]:
+        """A point of the rotor's axis in space [m], and its direction, of length 1."""
+        if self.disk is None:
+            assert self.rotation is not None
+            return self.rotation.place
+        if self.mesh.layout == "file":
+            point = np.array([*(self.disk.center or (0.0,)), 0.0, 0.0])[:3]
+            axis = np.array(self.disk.axis or (1.0, 0.0, 0.0))
+        else:
+            radius = self.disk.given("outer_radius")
+            across = self.geometry.sides[0 if self.dimension == 2 else 2]
+            point = np.array([0.0, -radius, 0.5 * across])
+            axis = np.array([1.0, 0.0, 0.0])
+            if self.dimension == 2:
+                point = np.array([0.5 * across, -radius, 0.0])
+        if self.dimension == 2:
+            axis = np.array([0.0, 0.0, 1.0])
+        return point, axis / np.linalg.norm(axis)
 
     @property
     def damped_modes(self) -> int | str:
@@ -586,6 +617,38 @@ def _check_dimension(scene: Scene) -> None:
         geometry.given("thickness", "given: a finite number > 0")
 
 
+def _check_disk(scene: Scene, disk: Disk) -> None:
+    """Raise InputError for what a bladed disk is not, or is not there yet."""
+    for name in ("base", "growth", "identify"):
+        if getattr(scene, name) is not None:
+            raise InputError(name, "a table", "left out with [disk]")
+    scene.excitation.given("order", "given with [disk]: the engine order, a whole number >= 1")
+    if scene.speed == 0.0:
+        allowed = "given [rad/s] with [disk] at rest, or excitation.frequency [Hz]"
+        scene.excitation.given("omega", allowed)
+    if scene.curve is not None:
+        allowed = "another one with [disk]: the load's frequency, for example"
+        scene.curve.require(scene.curve.followed[0] != "speed", "parameter", allowed)
+    for name, crack in scene.all_cracks.items():
+        with named(name):
+            crack.leave_out(("first_omega", "first_frequency"), "[disk]")
+    radii = ("inner_radius", "outer_radius")
+    if scene.mesh.layout == "file":
+        disk.leave_out(radii, "mesh.layout = 'file'")
+        return
+    disk.leave_out(("center", "axis"), "a blade on a rim that is made here")
+    inner, outer = (disk.given(key) for key in radii)
+    disk.require(inner < outer, "inner_radius", f"less than disk.outer_radius = {outer:g}")
+    geometry = scene.geometry
+    across = geometry.sides[0 if scene.dimension == 2 else 2]
+    room = 2.0 * outer * math.sin(math.pi / disk.sectors)
+    allowed = f"so large that blades {across:g} m across stand apart: their feet have {room:g} m"
+    disk.require(across < room * (1.0 - LEAST_DISTANCE), "outer_radius", allowed)
+    low = outer - math.sqrt(outer**2 - 0.25 * across**2)
+    allowed = f"less than the {outer - low:g} m at which the blade meets the rim"
+    disk.require(inner < outer - low, "inner_radius", allowed)
+
+
 def _check_plate(scene: Scene) -> None:
     geometry = scene.geometry
     _, height = (geometry.given(key) for key in ("width", "height"))
@@ -745,7 +808,7 @@ def _checked_axes(scene: Scene, name: str, given: tuple[Axis, ...]) -> tuple[Axi
     for axis in given:
         table, number, key = _parts(axis.key)
         there = number is None or number <= len(getattr(scene, table))
-        known_key = table in _SWEPT and key in _TABLES[table].keys()
+        known_key = table in _SWEPT and _TABLES[table].knows(key)
         if not (known_key and there) or axis.key in seen:
             known = ", ".join(_SWEPT)
             allowed = f"a table.key of the scene, given once, with a table of {known}"
@@ -808,7 +871,7 @@ def _changed_key(name: str, value: object) -> tuple[str, int | None, str]:
     elif (number is None) == (table in _LISTS):
         known = ", ".join(f"{table}.1.{own}" for own in kind.keys())
         raise InputError(name, value, f"left out; known keys: {known}")
-    elif key not in kind.keys():
+    elif not kind.knows(key):
         whole, _, own = key.partition(".")
         if whole in kind.keys() and own:
             raise InputError(name, value, f"changed as a whole: {table}.{whole}={{{own}=...}}")

@@ -20,6 +20,7 @@ from fenics_crack.scene.fields import (
     Axis,
     Harmonic,
     MeshFile,
+    Mistuning,
     Pair,
     Point,
     Table,
@@ -235,20 +236,21 @@ class Excitation(Table):
         super().__post_init__()
         if self.wave is None:
             self.leave_out(("wave_harmonics",), "no excitation.wave")
-        if self.order is not None:
-            self.leave_out(("frequency", "omega"), f"excitation.order = {self.order}")
-            return
-        self.given("omega", "given [rad/s], or excitation.frequency [Hz]: a finite number > 0")
+        if self.order is None:
+            self.given("omega", "given [rad/s], or excitation.frequency [Hz]: a finite number > 0")
 
     @property
     def derived(self) -> set[str]:
-        """With an order, omega too."""
-        return super().derived | ({"omega"} if self.order is not None else set())
+        """With an order at a speed, omega too."""
+        return super().derived | ({"omega"} if "_at_speed" in vars(self) else set())
 
     def at_speed(self, speed: float) -> Excitation:
         """The same with the frequency that its order makes of a rotor's speed [rad/s]."""
+        if "_at_speed" not in vars(self):
+            self.leave_out(("frequency", "omega"), f"excitation.order = {self.order} and a speed")
         found = copy(self)
         object.__setattr__(found, "omega", speed * (self.order or 0))
+        object.__setattr__(found, "_at_speed", True)
         return found
 
     @classmethod
@@ -256,8 +258,12 @@ class Excitation(Table):
         cls, values: Mapping[str, object], held: Mapping[str, object]
     ) -> dict[str, Any]:
         """As of every table; a frequency takes the place of the order, or it of that."""
-        others = {key for key in ("omega", "frequency") if values.get(key) is not None}
-        if others and "order" not in values:
+        both = ("omega", "frequency")
+        others = {key for key in both if values.get(key) is not None}
+        beside = any(held.get(key) is not None for key in both)
+        if held.get("order") is not None and beside:
+            pass  # of a bladed disk at rest, where neither makes the other
+        elif others and "order" not in values:
             values = {"order": None, **values}
         elif values.get("order", held.get("order")) is not None:
             values = {"omega": None, **values}
@@ -429,11 +435,16 @@ class Rotation(Table):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.given("speed", "given [rad/s], or rotation.rpm: a finite number >= 0")
-        if self.center is None:
-            self.given("hub_radius", "given: a finite number >= 0")
-        else:
+        if self.center is not None:
             self.leave_out(("hub_radius",), "center")
         self.require(self.axis is None or any(self.axis), "axis", "a vector that is not zero")
+
+    def check_place(self, disk: Disk | None) -> None:
+        """Raise InputError unless it is known where the axis is."""
+        if disk is not None:
+            self.leave_out(("hub_radius", "axis", "center"), "[disk], which has an axis")
+        elif self.center is None:
+            self.given("hub_radius", "given: a finite number >= 0")
 
     @property
     def place(self) -> tuple[np.ndarray, np.ndarray]:
@@ -441,6 +452,103 @@ class Rotation(Table):
         axis = np.array(self.axis or (1.0, 0.0, 0.0))
         point = self.center or (0.0, -(self.hub_radius or 0.0), 0.0)
         return np.array(point), axis / np.linalg.norm(axis)
+
+
+@dataclass(frozen=True)
+class Disk(Table):
+    """A bladed disk: the mesh is that of one sector, and is copied; some of its blades are cracked.
+
+    Sector j + 1 follows sector j in the direction that takes the side ``left`` of a sector to its
+    side ``right``, in which the rotor turns. The load acts on every blade, in the directions of the
+    blade; of an engine order E that on blade j leads the one on the first by 2 pi E (j - 1) /
+    sectors.
+
+    A plate or a solid made here is a blade on a rim: y = 0 of the blade is at the radius
+    ``outer_radius`` in the middle of its width, or of a solid of its thickness. The rim is clamped
+    at ``inner_radius``; that of a solid is as thick, along x and the axis, as the blade is wide. A
+    mesh file of one sector names the sides ``left`` and ``right``, whose nodes match.
+    """
+
+    sectors: int = holds("a whole number from 3 to 1000", lambda count: 3 <= count <= 1000)
+    cracked: tuple[int, ...] = holds(
+        "the number of a sector, from 1, or a list of different ones",
+        lambda numbers: min(numbers, default=1) >= 1,
+        (1,),
+    )
+    """Sectors whose crack is one; in the others its faces are bonded."""
+    mistuning: tuple[float, ...] | Mistuning | None = holds(
+        "a list of numbers above -0.5 and below 1, one for each sector, or a table of deviation, "
+        "from 0 to 0.1, and seed, a whole number >= 0",
+        lambda given: isinstance(given, Mistuning) or all(-0.5 < one < 1.0 for one in given),
+        None,
+    )
+    """Relative deviation of the stiffness of each sector at rest, or those of a random pattern: a
+    standard deviation and a seed."""
+    families: int = at_least_one(3)
+    """Modes of each nodal diameter that are kept; one more assesses what they leave out."""
+    inner_radius: float | None = positive(None, unit="m")
+    """Where the rim is clamped."""
+    outer_radius: float | None = positive(None, unit="m")
+    """Of the rim."""
+    center: Vector | None = vector("", unit="m")
+    """Of a mesh file: a point of the axis; default: the origin."""
+    axis: Vector | None = vector("a", of_solid=True)
+    """Of a mesh file of a solid: direction of the axis; default: x."""
+
+    _INNER: ClassVar[tuple[str, ...]] = ("deviation", "seed")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.require(max(self.cracked, default=1) <= self.sectors, "cracked",
+                     f"numbers of sectors, from 1 to disk.sectors = {self.sectors}")  # fmt: skip
+        if isinstance(self.mistuning, tuple):
+            one_each = len(self.mistuning) == self.sectors
+            allowed = f"one number for each of the {self.sectors} sectors"
+            self.require(one_each, "mistuning", allowed)
+        self.require(self.axis is None or any(self.axis), "axis", "a vector that is not zero")
+
+    @property
+    def deviations(self) -> np.ndarray:
+        """Relative deviation of each sector's stiffness: (sectors,)."""
+        if self.mistuning is None:
+            return np.zeros(self.sectors)
+        if isinstance(self.mistuning, Mistuning):
+            return np.array(self.mistuning.pattern(self.sectors))
+        return np.array(self.mistuning)
+
+    @classmethod
+    def _inner(cls, key: str) -> str:
+        """The key of the random pattern that "mistuning.seed" names; else ""."""
+        whole, _, own = key.partition(".")
+        return own if whole == "mistuning" and own in cls._INNER else ""
+
+    @classmethod
+    def knows(cls, key: str) -> bool:
+        """Those of the random pattern, too."""
+        return super().knows(key) or bool(cls._inner(key))
+
+    @classmethod
+    def checked(cls, key: str, value: object) -> Any:
+        """As of every table; of "mistuning.seed" as that of a pattern."""
+        if not (own := cls._inner(key)):
+            return super().checked(key, value)
+        pattern = super().checked("mistuning", {"deviation": 0.0, own: value})
+        return getattr(pattern, own)
+
+    @classmethod
+    def without_twins(
+        cls, values: Mapping[str, object], held: Mapping[str, object]
+    ) -> dict[str, Any]:
+        """As of every table; what names a part of the random pattern changes that."""
+        inner = {own: value for key, value in values.items() if (own := cls._inner(key))}
+        others = {key: value for key, value in values.items() if not cls._inner(key)}
+        if inner:
+            pattern = others.get("mistuning", held.get("mistuning"))
+            if isinstance(pattern, Mistuning):
+                pattern = {own: getattr(pattern, own) for own in cls._INNER}
+            whole = dict(pattern) if isinstance(pattern, Mapping) else {"deviation": 0.01}
+            others["mistuning"] = whole | inner
+        return super().without_twins(others, held)
 
 
 @dataclass(frozen=True)

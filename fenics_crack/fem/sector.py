@@ -1,0 +1,133 @@
+"""The sector of a bladed disk: its sides, whose nodes match, and the faces of its crack.
+
+The left side turned about the axis by 2 pi / N, one way or the other, is the right side, node by
+node. What is bonded in sectors without a crack are the nodes of both faces in the same place.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from mpi4py import MPI
+
+from fenics_crack.basics.errors import InputError
+from fenics_crack.fem.blocks import RIM_SIDES
+from fenics_crack.fem.elasticity import rotation_of
+from fenics_crack.fem.lips import SAME
+from fenics_crack.fem.plate import Dofs
+from fenics_crack.model.cyclic import Sector
+from fenics_crack.model.modes import times
+from fenics_crack.model.nodes import place_in_words
+from fenics_crack.model.structure import Structure
+from fenics_crack.model.wheel import Wheel
+from fenics_crack.scene.scene import Scene
+
+
+def wheel_of(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Comm) -> Wheel:
+    """The bladed disk of a scene from its sector, which every rank has (collective).
+
+    Raises
+    ------
+    InputError
+        The mesh has no sides, their nodes do not match, the crack reaches one of them, or the rotor
+        is so fast that the wheel is unstable.
+    """
+    disk = scene.disk
+    assert disk is not None
+    sector, rotation = _sector(scene, dofs, structure), None
+    if scene.speed > 0.0:
+        with sector.of_diameter(0) as bonded:
+            rotation = rotation_of(scene, dofs, structure, bonded.answers)
+        still, stiffness = rotation.stiffnesses(scene.speed)
+        force = structure.force.copy()
+        with sector.of_diameter(0, still) as bonded:
+            moved = bonded.answers(scene.speed**2 * rotation.force)
+        force[0] += times(stiffness, moved[:, None])[:, 0]
+        sector = sector.at_speed(stiffness, force)
+    return Wheel(
+        sector,
+        cracked=[number - 1 for number in disk.cracked],
+        mistuning=disk.deviations,
+        order=scene.excitation.order or 0,
+        rotation=rotation,
+        comm=comm,
+    )
+
+
+def _sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
+    disk = scene.disk
+    assert disk is not None
+    center, axis = scene.axis
+    points, size = dofs.points, float(np.ptp(dofs.points, axis=0).max())
+    names = RIM_SIDES if RIM_SIDES[0] in dofs.plate.groups else ("left", "right")
+    for name in names:
+        if name not in dofs.plate.groups:
+            allowed = "a mesh of one sector whose sides are named 'left' and 'right'"
+            raise InputError("mesh.file", f"without a side named {name!r}", allowed)
+    left, right = (dofs.nodes_on(name) for name in names)
+    space = np.zeros((len(points), 3))
+    space[:, : points.shape[1]] = points
+    turns = [_turn(axis, sign * 2.0 * math.pi / disk.sectors) for sign in (1.0, -1.0)]
+    worst = []
+    for turn in turns:
+        moved = (space[left] - center) @ turn.T + center
+        worst.append(_matched(moved, space[right]))
+    (distance, place, partner), turn = min(
+        zip(worst, turns, strict=True), key=lambda found: found[0][0]
+    )
+    if distance > SAME * size:
+        where = place_in_words(points[left[place]])
+        found = f"{len(left)} nodes of the left side and {len(right)} of the right one"
+        allowed = (
+            f"sides that match: the left one, turned about the axis by 360/{disk.sectors} degrees, "
+            f"is the right one node by node; that at {where} is {distance:.2g} m from the nearest"
+        )
+        raise InputError("mesh.file" if names[0] == "left" else "disk", found, allowed)
+    sides = np.array([left, right[partner]])
+    if len(shared := np.intersect1d(left, right)):
+        allowed = f"a disk with a hole: both sides have the node at {place_in_words(points[shared[0]])}"
+        raise InputError("mesh.file", "a sector that reaches the axis", allowed)
+    lips = _lips(dofs, points, size)
+    if len(shared := np.intersect1d(lips, sides)):
+        allowed = f"away from the sides of its sector, not at {place_in_words(points[shared[0]])}"
+        raise InputError("lips", "a crack", allowed)
+    dimension = points.shape[1]
+    turn = turn[:dimension, :dimension]
+    return Sector(
+        structure, disk.sectors, center[:dimension], turn, sides, lips, structure.stiffness
+    )
+
+
+def _turn(axis: np.ndarray, angle: float) -> np.ndarray:
+    """The rotation about an axis of length 1 (Rodrigues): (3, 3)."""
+    x, y, z = axis
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    found: np.ndarray = np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross
+    return found
+
+
+def _matched(moved: np.ndarray, places: np.ndarray) -> tuple[float, int, np.ndarray]:
+    """Largest distance of places from the nearest of others, of which one, and these; infinite
+    where they are not as many, or one is the nearest of two."""
+    from scipy.spatial import cKDTree
+
+    distance, partner = cKDTree(places).query(moved)
+    worst = int(np.argmax(distance))
+    twice = len(places) != len(moved) or len(np.unique(partner)) != len(partner)
+    return (math.inf if twice else float(distance[worst])), worst, partner
+
+
+def _lips(dofs: Dofs, points: np.ndarray, size: float) -> np.ndarray:
+    """Nodes of the lower faces of cracks, and of the upper ones in the same places: (2, p)."""
+    if not dofs.plate.cracked:
+        return np.zeros((2, 0), dtype=int)
+    lower, upper = (dofs.nodes_on(name) for name in ("lower_lip", "upper_lip"))
+    tips = np.intersect1d(lower, upper)
+    lower, upper = (np.setdiff1d(side, tips) for side in (lower, upper))
+    distance, place, partner = _matched(points[lower], points[upper])
+    if distance > SAME * size:
+        where = place_in_words(points[lower[place]])
+        allowed = f"meshed identically, so that they can be bonded, but not at {where}"
+        raise InputError("lips", f"{len(lower)} lower and {len(upper)} upper nodes", allowed)
+    return np.array([lower, upper[partner]])

@@ -1,0 +1,419 @@
+"""Cyclic symmetry: a wheel of equal sectors by one of them, a nodal diameter at a time.
+
+Frames turn with the sectors, so that all have the same K and M. With u_j the displacement of sector
+j, and m_j the part that belongs to it alone,
+
+    u_j = T_0 m_j + T_1 m_(j+1):
+
+T_1 gives the nodes of the right side what the next sector's left ones have, turned by 2 pi / N, and
+T_0 bonds the faces of the crack. Of nodal diameter n, m_(j+1) = e^(i 2 pi n / N) m_j, so
+
+    T_n = T_0 + e^(i 2 pi n / N) T_1,      K_n = T_n^H K T_n,      M_n = T_n^H M T_n,
+    K_n v = w^2 M_n v,                     n = 0 .. N/2.
+
+In real numbers, which PETSc has here, [[Re, -Im], [Im, Re]] takes the place of each, with every
+frequency twice. A load f on sector 0 alone is a sum of all nodal diameters,
+
+    u_j = 1/N sum_n e^(i 2 pi n j / N) T_n K_n^-1 T_n^H f,      n = 0 .. N - 1,
+
+whose second half is the conjugate of the first (Thomas, International Journal for Numerical Methods
+in Engineering 14, 1979, 81).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sparse
+from mpi4py import MPI
+
+from fenics_crack.model.factor import Factor, distributed
+from fenics_crack.model.modes import NEGLIGIBLE, modes_by
+from fenics_crack.model.structure import Structure
+
+
+@dataclass(frozen=True, eq=False)
+class Sector:
+    """One sector of a wheel, with free sides and an open crack, in its own frame.
+
+    Attributes
+    ----------
+    structure : Structure
+        Its matrices, gaps and load, on this rank alone.
+    count : int
+        N, the number of sectors.
+    center : (d,) [m]
+        A point of the axis.
+    turn : (d, d)
+        Q, which turns the left side to the right one, and so each sector to the next one.
+    sides : (2, m) int
+        Nodes of the left side, and those of the right one in the same order.
+    lips : (2, p) int
+        Nodes of the lower face of the crack, and those of the upper one, without the tip.
+    elastic : PETSc.Mat
+        The stiffness at rest, which mistuning multiplies.
+    """
+
+    structure: Structure
+    count: int
+    center: np.ndarray
+    turn: np.ndarray
+    sides: np.ndarray
+    lips: np.ndarray
+    elastic: Any
+
+    @property
+    def dofs(self) -> np.ndarray:
+        """Of its nodes, (n_nodes, d); -1 where they are clamped."""
+        nodes = self.structure.nodes
+        assert nodes is not None
+        return nodes.dofs
+
+    @property
+    def diameters(self) -> range:
+        """The nodal diameters 0 .. N/2."""
+        return range(self.count // 2 + 1)
+
+    def is_single(self, diameter: int) -> bool:
+        """True of the nodal diameters without a second one that turns the other way."""
+        return 2 * diameter % self.count == 0
+
+    def turned(self, times: int) -> np.ndarray:
+        """Q^times: (d, d)."""
+        return np.asarray(np.linalg.matrix_power(self.turn, times % self.count))
+
+    @cached_property
+    def own(self) -> np.ndarray:
+        """Dofs that belong to a sector with a bonded crack: all but those of the right side and of
+        the upper face."""
+        others = self.dofs[np.concatenate([self.sides[1], self.lips[1]])]
+        return np.setdiff1d(np.arange(self.structure.n_dofs), others)
+
+    @cached_property
+    def upper(self) -> np.ndarray:
+        """Dofs of the upper face."""
+        found = self.dofs[self.lips[1]].ravel()
+        return found[found >= 0]
+
+    @cached_property
+    def bonds(self) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
+        """T_0 and T_1: (n_dofs, n_own) each."""
+        place = np.full(self.structure.n_dofs, -1)
+        place[self.own] = np.arange(len(self.own))
+        shape = self.structure.n_dofs, len(self.own)
+        lower, upper = (self.dofs[nodes] for nodes in self.lips)
+        free = upper >= 0
+        rows = np.concatenate([self.own, upper[free]])
+        columns = np.concatenate([place[self.own], place[lower[free]]])
+        first = sparse.csr_matrix((np.ones(len(rows)), (rows, columns)), shape)
+        left, right = (self.dofs[nodes] for nodes in self.sides)
+        left, right = left[right[:, 0] >= 0], right[right[:, 0] >= 0]
+        rows = np.broadcast_to(right[:, :, None], (*right.shape, right.shape[1]))
+        columns = np.broadcast_to(place[left][:, None, :], rows.shape)
+        values = np.broadcast_to(self.turn, rows.shape)
+        entries = values.ravel(), (rows.ravel(), columns.ravel())
+        return first, sparse.csr_matrix(entries, shape)
+
+    @cached_property
+    def opening(self) -> sparse.csc_matrix:
+        """E, which moves the upper face by displacements of the crack: (n_dofs, n_upper)."""
+        count = len(self.upper)
+        shape = self.structure.n_dofs, count
+        return sparse.csc_matrix((np.ones(count), (self.upper, np.arange(count))), shape)
+
+    @cached_property
+    def stiffness(self) -> sparse.csr_matrix:
+        """K."""
+        return rows_of(self.structure.stiffness)
+
+    @cached_property
+    def mass(self) -> sparse.csr_matrix:
+        """M."""
+        return rows_of(self.structure.mass)
+
+    @cached_property
+    def known(self) -> dict[Any, Any]:
+        """What was found of it so far."""
+        return {}
+
+    def at_speed(self, stiffness: Any, force: np.ndarray) -> Sector:
+        """The same with the stiffness and the load of a speed of the rotor."""
+        found = self.structure._changed(stiffness=stiffness, force=force)
+        return replace(self, structure=found)
+
+    @contextmanager
+    def of_diameter(self, diameter: int, stiffness: Any = None) -> Iterator[NodalDiameter]:
+        """K_n and M_n, factored; with another stiffness than its own, if one is given."""
+        first, second = self.bonds
+        angle = 2.0 * np.pi * diameter / self.count
+        single = self.is_single(diameter)
+        factor = round(np.cos(angle)) if single else np.exp(1j * angle)
+        ties = sparse.csr_matrix(first + factor * second)
+        own = self.stiffness if stiffness is None else rows_of(stiffness)
+        matrices = [_real(ties.conj().T @ matrix @ ties) for matrix in (self.mass, own)]
+        size = matrices[0].shape[0]
+        structure = Structure(
+            *(distributed(matrix, MPI.COMM_SELF) for matrix in matrices),
+            sparse.csr_matrix((size, 0)),
+            force=np.zeros((1, size)),
+            clearance=np.zeros(0),
+        )
+        with Factor(structure.stiffness, definite=True) as factored:
+            yield NodalDiameter(diameter, ties, structure, factored)
+
+
+@dataclass(frozen=True, eq=False)
+class NodalDiameter:
+    """A nodal diameter of a wheel with bonded cracks.
+
+    Attributes
+    ----------
+    number : int
+        n.
+    ties : (n_dofs, n_own)
+        T_n.
+    structure : Structure
+        M_n and K_n in real form.
+    factor : Factor
+        Of that K_n.
+    """
+
+    number: int
+    ties: sparse.csr_matrix
+    structure: Structure
+    factor: Factor
+
+    def modes(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Frequencies (count,) [rad/s], and shapes of a sector (n_dofs, count) with v^H M v = 1."""
+        if not np.iscomplexobj(self.ties):
+            found = modes_by(self.factor, self.structure, count)
+            return found.omega, self.ties @ found.shapes
+        found = modes_by(self.factor, self.structure, 2 * count)
+        real, imaginary = np.split(found.shapes, 2)
+        both = real + 1j * imaginary
+        # Each pair of real modes is one complex one, twice over.
+        weights, mixed = np.linalg.eigh(both.conj().T @ self._times("mass", both))
+        kept = weights > NEGLIGIBLE
+        both = both @ (mixed[:, kept] / np.sqrt(weights[kept]))
+        squares, mixed = np.linalg.eigh(both.conj().T @ self._times("stiffness", both))
+        shapes = self.ties @ (both @ mixed[:, :count])
+        return np.sqrt(np.maximum(squares[:count], 0.0)), shapes
+
+    def answers(self, forces: Any) -> np.ndarray:
+        """T_n K_n^-1 T_n^H f of forces (n_dofs, m) on a sector: the same shape."""
+        seen = self.ties.conj().T @ forces
+        seen = seen.toarray() if sparse.issparse(seen) else np.asarray(seen)
+        if not np.iscomplexobj(self.ties):
+            if not np.iscomplexobj(seen):
+                return np.asarray(self.ties @ self.factor.solve(seen.T).T)
+            parts = [self.factor.solve(part.T).T for part in (seen.real, seen.imag)]
+            return np.asarray(self.ties @ (parts[0] + 1j * parts[1]))
+        real, imaginary = np.split(self.factor.solve(np.vstack([seen.real, seen.imag]).T).T, 2)
+        return np.asarray(self.ties @ (real + 1j * imaginary))
+
+    def _times(self, name: str, both: np.ndarray) -> np.ndarray:
+        """K_n or M_n times complex vectors."""
+        matrix = rows_of(getattr(self.structure, name))
+        real, imaginary = np.split(matrix @ np.vstack([both.real, both.imag]), 2)
+        return np.asarray(real + 1j * imaginary)
+
+
+def rows_of(matrix: Any) -> sparse.csr_matrix:
+    """A matrix of PETSc's on one rank as one of SciPy's."""
+    starts, columns, values = matrix.getValuesCSR()
+    return sparse.csr_matrix((values, columns, starts), matrix.size)
+
+
+def _real(matrix: sparse.spmatrix) -> sparse.csr_matrix:
+    """A real matrix as it is, and a complex one in real form."""
+    if not np.iscomplexobj(matrix):
+        return sparse.csr_matrix(matrix)
+    real, imaginary = matrix.real, matrix.imag
+    return sparse.bmat([[real, -imaginary], [imaginary, real]], format="csr")
+
+
+@dataclass(frozen=True, eq=False)
+class CyclicModes:
+    """Natural modes of a wheel of equal sectors with bonded cracks.
+
+    Sector j, from 0, moves in mode m of nodal diameter n as the real and the imaginary part of
+    v e^(i 2 pi n j / N): two modes of one frequency, of n = 0 and N/2 one.
+
+    Attributes
+    ----------
+    omega : (n_diameters, families) [rad/s]
+        Natural frequencies, of n = 0 .. N/2.
+    shapes : tuple of (n_dofs, families)
+        v of each nodal diameter, over the dofs of a sector, real or complex, with v^H M v = 1.
+    sector : Sector
+        The sector.
+    """
+
+    omega: np.ndarray
+    shapes: tuple[np.ndarray, ...]
+    sector: Sector
+
+
+@dataclass(frozen=True, eq=False)
+class CyclicBasis:
+    """Motions of a wheel with bonded cracks in which a cracked, mistuned one is sought.
+
+    Attributes
+    ----------
+    modes : CyclicModes
+        The lowest of each nodal diameter.
+    answers : tuple of (int, (n_dofs,))
+        Static answers to the load, without the part on these modes: nodal diameter, and a field of
+        sector 0 whose real part turns with the sectors as a mode's.
+    opened : (N, n_dofs, n_upper)
+        Answers of all sectors to a unit displacement of the upper face of the crack in sector 0
+        beside the lower one's, without that displacement itself.
+    """
+
+    modes: CyclicModes
+    answers: tuple[tuple[int, np.ndarray], ...]
+    opened: np.ndarray
+
+    def columns(
+        self, place: int, cracked: tuple[int, ...], rows: slice | list[int] = slice(None)
+    ) -> np.ndarray:
+        """Displacements of a sector, by its place from 0, in all motions: those of the modes, the
+        static answers, the opening of the crack of each cracked sector; (n_dofs, n), or some rows
+        of it."""
+        sector = self.modes.sector
+        parts = []
+        for diameter, shapes in enumerate(self.modes.shapes):
+            angle = 2.0 * np.pi * diameter * place / sector.count
+            if sector.is_single(diameter):
+                parts.append(round(np.cos(angle)) * shapes[rows] / np.sqrt(sector.count))
+            else:
+                turned = np.exp(1j * angle) * np.sqrt(2.0 / sector.count) * shapes[rows]
+                parts += [turned.real, turned.imag]
+        for diameter, field in self.answers:
+            angle = 2.0 * np.pi * diameter * place / sector.count
+            parts.append((np.exp(1j * angle) * field[rows]).real[:, None])
+        for one in cracked:
+            own = self.opened[(place - one) % sector.count, rows]
+            parts.append(own + sector.opening[rows] if place == one else own)
+        return np.hstack([np.asarray(part) for part in parts])
+
+
+def solve_cyclic_modes(sector: Sector, families: int, comm: MPI.Comm = MPI.COMM_SELF) -> CyclicModes:
+    """The lowest modes of each nodal diameter, which ranks share (collective)."""
+    families = min(families, len(sector.own))
+    found = _shared(sector, comm, lambda one: one.modes(families))
+    return CyclicModes(np.array([omega for omega, _ in found]), tuple(v for _, v in found), sector)
+
+
+def cyclic_basis(
+    sector: Sector, families: int, loads: tuple[tuple[int, np.ndarray], ...], comm: MPI.Comm
+) -> CyclicBasis:
+    """The basis of so many families for loads: nodal diameters, and complex forces (n_dofs,) of
+    sector 0, which turn with the sectors by e^(i 2 pi n j / N) (collective)."""
+    families = min(families, len(sector.own))
+    pulled = -sector.stiffness @ sector.opening
+
+    def solved(one: NodalDiameter) -> tuple[Any, ...]:
+        omega, shapes = one.modes(families)
+        answers = [
+            _beside_modes(one.answers(force[:, None])[:, 0], force, omega, shapes, sector)
+            for number, force in loads
+            if number == one.number
+        ]
+        return omega, shapes, answers, one.answers(pulled)
+
+    omegas, shapes, answers, static = zip(*_shared(sector, comm, solved), strict=True)
+    modes = CyclicModes(np.array(omegas), shapes, sector)
+    fields = [
+        field
+        for diameter, own in enumerate(answers)
+        for answer in own
+        for field in _both_ways(sector, diameter, answer)
+    ]
+    # A sum over all nodal diameters whose second half is the conjugate of the first.
+    opened = np.zeros((sector.count, *static[0].shape))
+    if opened.size:
+        opened = np.fft.irfft(np.array(static), sector.count, axis=0)
+    return CyclicBasis(modes, tuple(fields), opened)
+
+
+def with_side_answers(basis: CyclicBasis, comm: MPI.Comm) -> CyclicBasis:
+    """A basis with the static answers to what mistuning leaves at the sides: forces (K - w^2 M) v
+    of a sector on its right side, of which a few patterns hold those of all modes. They are added
+    to each nodal diameter, as if they were modes (collective)."""
+    sector, modes = basis.modes.sector, basis.modes
+    forces = _side_forces(modes)
+
+    def solved(one: NodalDiameter) -> np.ndarray:
+        shapes = modes.shapes[one.number]
+        answers = one.answers(forces)
+        for _ in range(2):  # once more against rounding
+            answers = answers - shapes @ (shapes.conj().T @ (sector.mass @ answers))
+            weights, mixed = np.linalg.eigh(answers.conj().T @ (sector.mass @ answers))
+            kept = weights > NEGLIGIBLE * weights[-1]
+            answers = answers @ (mixed[:, kept] / np.sqrt(weights[kept]))
+        return np.hstack([shapes, answers])
+
+    more = tuple(_shared(sector, comm, solved))
+    return replace(basis, modes=replace(modes, shapes=more))
+
+
+PATTERN = 0.01
+"""Least size of a pattern of forces on a side, relative to the largest one."""
+
+
+def _side_forces(modes: CyclicModes) -> np.ndarray:
+    """Patterns of forces on the right side of a sector, orthonormal: (n_dofs, p)."""
+    sector = modes.sector
+    right = sector.dofs[sector.sides[1]].ravel()
+    right = right[right >= 0]
+    parts = []
+    for omega, shapes in zip(modes.omega, modes.shapes, strict=True):
+        force = (sector.stiffness @ shapes - sector.mass @ shapes * omega**2)[right]
+        scaled = force / np.maximum(omega, 1e-300) ** 2
+        parts += [scaled.real, scaled.imag]
+    patterns, sizes, _ = np.linalg.svd(np.hstack(parts), full_matrices=False)
+    kept = patterns[:, sizes > PATTERN * sizes[0]]
+    found = np.zeros((sector.structure.n_dofs, kept.shape[1]))
+    found[right] = kept
+    return found
+
+
+def _shared(sector: Sector, comm: MPI.Comm, solve: Callable[[NodalDiameter], Any]) -> list[Any]:
+    """What a function finds of each nodal diameter; ranks share them (collective)."""
+    found = {}
+    for diameter in sector.diameters[comm.rank :: comm.size]:
+        with sector.of_diameter(diameter) as one:
+            found[diameter] = solve(one)
+    if comm.size > 1:
+        found = {n: values for part in comm.allgather(found) for n, values in part.items()}
+    return [found[diameter] for diameter in sector.diameters]
+
+
+def _beside_modes(
+    answer: np.ndarray, force: np.ndarray, omega: np.ndarray, shapes: np.ndarray, sector: Sector
+) -> np.ndarray:
+    """A static answer without the part on modes; nothing where that leaves rounding, and else of
+    unit energy in a sector."""
+    size = np.vdot(answer, sector.stiffness @ answer).real
+    left = answer - shapes @ ((shapes.conj().T @ force) / omega**2)
+    energy = np.vdot(left, sector.stiffness @ left).real
+    if energy <= NEGLIGIBLE * size:
+        return 0.0 * left
+    return left / np.sqrt(energy)
+
+
+def _both_ways(sector: Sector, diameter: int, answer: np.ndarray) -> list[tuple[int, np.ndarray]]:
+    """The real fields of a complex answer, its real and imaginary part as they turn: those that
+    are more than rounding."""
+    if sector.is_single(diameter):
+        parts = [answer.real, answer.imag]
+    else:
+        parts = [answer, -1j * answer]
+    least = NEGLIGIBLE * np.linalg.norm(answer)
+    return [(diameter, part) for part in parts if np.linalg.norm(part) > least]

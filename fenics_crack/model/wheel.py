@@ -1,0 +1,546 @@
+"""A bladed disk of equal sectors: mistuned, some of its blades cracked, under an engine order.
+
+The whole wheel has the dofs of each sector that belong to it alone, in the frame of that sector,
+and those of the upper face of each crack. Its matrices are those of the sector, copied; they are
+made where someone asks for them. It is solved in few coordinates of motions of the whole wheel:
+
+    u = U (q, a, d),      M = U^T M U,      K = sum_j (1 + delta_j) U_j^T K U_j,
+
+q those of the modes with bonded cracks, a those of static answers to the load, and d the
+displacements of the upper faces of cracks beside the lower ones, with the static answer of the rest
+(Craig and Bampton, AIAA Journal 6, 1968, 1313). delta_j is the mistuning of sector j: its
+stiffness at rest is multiplied by 1 + delta_j.
+
+A load that stands still in space passes the blades one after the other. Sector j, from 0, is ahead
+by j / N of a revolution: with an engine order E, and its k-th harmonic of order k E,
+
+    f_j(t) = sum_k f_k cos(k w t + 2 pi k E j / N) + g_k sin(k w t + 2 pi k E j / N),
+
+in the frame of the sector: a wave that runs against the rotation, seen from the wheel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse as sparse
+from mpi4py import MPI
+
+from fenics_crack.basics.errors import InputError, check_count
+from fenics_crack.basics.progress import begin
+from fenics_crack.model.cyclic import (
+    CyclicBasis,
+    CyclicModes,
+    Sector,
+    cyclic_basis,
+    rows_of,
+    solve_cyclic_modes,
+    with_side_answers,
+)
+from fenics_crack.model.factor import distributed
+from fenics_crack.model.matrices import numbers
+from fenics_crack.model.nodes import Nodes, Pairs
+from fenics_crack.model.reduced import ReducedStructure
+from fenics_crack.model.reduction import reduce_structure
+from fenics_crack.model.structure import Structure, read_only_rows
+
+
+class Wheel(Structure):
+    """The whole wheel; rank 0 owns all of its rows.
+
+    Displacements are those in the frame of each blade: "x" is the first blade's x, turned with the
+    blade. Nodes on a side between two sectors belong to the later one.
+
+    Attributes
+    ----------
+    sector : Sector
+        One of its sectors, in the frame of the first blade.
+    cracked : tuple of int
+        Places of the sectors with a crack, from 0.
+    mistuning : (N,)
+        Relative deviation of each sector's stiffness at rest.
+    order : int
+        Engine order of the load.
+    """
+
+    sector: Sector
+    cracked: tuple[int, ...]
+    mistuning: np.ndarray
+    order: int
+
+    def __init__(
+        self,
+        sector: Sector,
+        *,
+        cracked: Sequence[int] = (0,),
+        mistuning: Any = 0.0,
+        order: int = 1,
+        rotation: Any = None,
+        comm: MPI.Comm = MPI.COMM_SELF,
+    ) -> None:
+        structure, places = sector.structure, tuple(cracked)
+        self._hold(sector=sector, order=order, cracked=places if structure.n_pairs else ())
+        self._hold(mistuning=_deviations(mistuning, sector.count), comm=comm, rotation=rotation)
+        self._hold(damping_factor=1.0, _original=None, _known={}, clamp=None)
+        self._hold(damping=structure.damping, nodes=self._all_nodes(), pairs=self._all_pairs())
+        self._hold(gap=self._all_gaps(structure.gap), tangential=None)
+        if structure.tangential is not None:
+            self._hold_tangents(self._all_gaps(structure.tangential))
+        self._hold(clearance=np.tile(structure.clearance, len(self.cracked)))
+        self._hold(force=self._gathered(self.loads))
+        watched = structure.watched
+        if watched is None:
+            watched = np.eye(1, structure.n_dofs, structure.most_loaded())[0]
+        of_blade = np.zeros((sector.count, structure.n_dofs))
+        of_blade[self.first] = watched
+        self._hold(watched=self._gathered(of_blade[:, None])[0])
+
+    # --- its dofs ---------------------------------------------------------------------------------
+
+    @property
+    def first(self) -> int:
+        """Place of the first cracked sector, whose blade is watched; else of the first one."""
+        return self.cracked[0] if self.cracked else 0
+
+    @property
+    def n_dofs(self) -> int:
+        """Number of degrees of freedom, without clamped ones."""
+        sector = self.sector
+        return sector.count * len(sector.own) + len(self.cracked) * len(sector.upper)
+
+    @property
+    def n_local(self) -> int:
+        """All on the first rank."""
+        return self.n_dofs if self.comm.rank == 0 else 0
+
+    @property
+    def first_dof(self) -> int:
+        """Number of the first degree of freedom that this rank owns."""
+        return 0 if self.comm.rank == 0 else self.n_dofs
+
+    def of_sector(self, place: int) -> sparse.csr_matrix:
+        """The dofs of a sector, by its place from 0, from those of the wheel: (n_sector, n_dofs)."""
+        sector = self.sector
+        first, second = (sparse.coo_matrix(part) for part in sector.bonds)
+        own, after = len(sector.own), (place + 1) % sector.count
+        rows, values = [first.row, second.row], [first.data, second.data]
+        columns = [first.col + place * own, second.col + after * own]
+        if place in self.cracked:
+            kept = ~np.isin(first.row, sector.upper)
+            rows[0], columns[0], values[0] = rows[0][kept], columns[0][kept], values[0][kept]
+            count = len(sector.upper)
+            start = sector.count * own + self.cracked.index(place) * count
+            rows.append(sector.upper)
+            columns.append(start + np.arange(count))
+            values.append(np.ones(count))
+        entries = np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))
+        return sparse.csr_matrix(entries, (sector.structure.n_dofs, self.n_dofs))
+
+    def dof_of(self, blade: int, dof: int) -> int:
+        """The dof of the wheel that a dof of a sector is in one of them, by its number from 1.
+
+        Raises
+        ------
+        InputError
+            There is no such sector, or no such dof in it.
+        """
+        count, size = self.sector.count, self.sector.structure.n_dofs
+        if not 1 <= blade <= count:
+            raise InputError("blade", blade, f"a whole number from 1 to {count}")
+        if not 0 <= dof < size:
+            raise InputError("dof", dof, f"a whole number from 0 to {size - 1}")
+        row = self.of_sector(blade - 1)[dof]
+        return int(row.indices[np.argmax(np.abs(row.data))])
+
+    def blade_of(self, dof: int) -> tuple[int, int]:
+        """The number of the sector, from 1, to which a dof belongs, and the dof of the sector."""
+        sector = self.sector
+        own, count = len(sector.own), len(sector.upper)
+        if dof < sector.count * own:
+            return dof // own + 1, int(sector.own[dof % own])
+        place, rest = divmod(dof - sector.count * own, count)
+        return self.cracked[place] + 1, int(sector.upper[rest])
+
+    def dofs_of_blades(self, dof: int) -> list[int]:
+        """The dofs of all blades that are where one of the wheel is on its own."""
+        _, own = self.blade_of(dof)
+        return [self.dof_of(blade, own) for blade in range(1, self.sector.count + 1)]
+
+    def dof_name(self, dof: int) -> str:
+        """A dof in words: "x displacement at (0.1, 0.1) m of blade 3"."""
+        blade, own = self.blade_of(dof)
+        return f"{self.sector.structure.dof_name(own)} of blade {blade}"
+
+    def _all_nodes(self) -> Nodes:
+        sector, nodes = self.sector, self.sector.structure.nodes
+        assert nodes is not None
+        points, cells, frames, dofs, start = [], [], [], [], 0
+        own, number = len(sector.own), np.full(sector.structure.n_dofs, -1)
+        number[sector.own] = np.arange(own)
+        number[sector.upper] = np.arange(len(sector.upper))
+        kept, every = {}, np.arange(len(nodes.points))
+        for place in range(sector.count):
+            gone = sector.sides[1] if place in self.cracked else np.append(
+                sector.sides[1], sector.lips[1]
+            )
+            kept[place] = np.setdiff1d(every, gone)
+        starts = np.cumsum([0, *(len(kept[place]) for place in range(sector.count))])
+        numbers = np.full((sector.count, len(every)), -1)
+        for place in range(sector.count):
+            numbers[place, kept[place]] = starts[place] + np.arange(len(kept[place]))
+        for place in range(sector.count):
+            here = numbers[place].copy()
+            if place not in self.cracked:
+                here[sector.lips[1]] = here[sector.lips[0]]
+            here[sector.sides[1]] = numbers[(place + 1) % sector.count, sector.sides[0]]
+            turned = sector.turned(place)
+            of_kept = nodes.dofs[kept[place]]
+            moved = place * own + number[of_kept]
+            if place in self.cracked:
+                start = sector.count * own + self.cracked.index(place) * len(sector.upper)
+                upper = np.isin(of_kept, sector.upper)
+                moved[upper] = start + number[of_kept[upper]]
+            dofs.append(np.where(of_kept >= 0, moved, -1))
+            points.append((nodes.points[kept[place]] - sector.center) @ turned.T + sector.center)
+            frames.append(np.broadcast_to(turned, (len(kept[place]), *turned.shape)))
+            cells.append(here[nodes.cells])
+        mine = slice(None) if self.comm.rank == 0 else slice(0)
+        return Nodes(
+            np.concatenate(points)[mine],
+            np.concatenate(dofs)[mine],
+            np.concatenate(cells)[mine],
+            nodes.vtk_type,
+            frames=np.concatenate(frames)[mine],
+        )
+
+    def _all_pairs(self) -> Pairs:
+        sector, pairs = self.sector, self.sector.structure.pairs
+        if not self.cracked or pairs.points is None or pairs.cracks is None:
+            return Pairs()
+        assert pairs.areas is not None and pairs.positions is not None
+        points = [
+            (pairs.points - sector.center) @ sector.turned(place).T + sector.center
+            for place in self.cracked
+        ]
+        several, count = len(self.cracked), int(pairs.cracks.max(initial=-1)) + 1
+        places = {
+            name + f" of blade {place + 1}" * (several > 1): pair + number * len(pairs.points)
+            for number, place in enumerate(self.cracked)
+            for name, pair in pairs.places.items()
+        }
+        cracks = [pairs.cracks + number * count for number in range(several)]
+        return Pairs(
+            np.concatenate(points),
+            np.tile(pairs.areas, several),
+            np.concatenate(cracks),
+            np.tile(pairs.positions, several),
+            places,
+        )
+
+    def _all_gaps(self, gap: sparse.spmatrix) -> sparse.csr_matrix:
+        """B of all cracks, from that of one."""
+        parts = [self.of_sector(place).T @ gap for place in self.cracked]
+        whole = sparse.hstack(parts) if parts else sparse.csr_matrix((self.n_dofs, 0))
+        return read_only_rows(sparse.csr_matrix(whole)[: self.n_local])
+
+    @property
+    def loads(self) -> np.ndarray:
+        """Rows of the load on the dofs of each sector: (N, 2K+1, n_sector) [N]."""
+        sector, force = self.sector, self.sector.structure.force
+        found = np.tile(force, (sector.count, 1, 1))
+        angles = 2.0 * np.pi * self.order * np.arange(sector.count) / sector.count
+        for row in range(1, len(force), 2):
+            phase = (0.5 * (row + 1) * angles)[:, None]
+            cosine, sine = np.cos(phase), np.sin(phase)
+            found[:, row] = cosine * force[row] + sine * force[row + 1]
+            found[:, row + 1] = cosine * force[row + 1] - sine * force[row]
+        return found
+
+    def _gathered(self, rows: np.ndarray) -> np.ndarray:
+        """Forces on sectors (N, m, n_sector) as those on the wheel: (m, n_local)."""
+        found = np.zeros((rows.shape[1], self.n_dofs))
+        for place, own in enumerate(rows):
+            found += (self.of_sector(place).T @ own.T).T
+        return found[:, : self.n_local]
+
+    # --- its matrices -----------------------------------------------------------------------------
+
+    @property
+    def mass(self) -> Any:  # type: ignore[override]
+        """M: (n, n) [kg]; made when it is first requested (collective)."""
+        return self.once(_mass)
+
+    @property
+    def stiffness(self) -> Any:  # type: ignore[override]
+        """K: (n, n) [N/m], likewise."""
+        return self.once(_stiffness)
+
+    @property
+    def _size_words(self) -> str:
+        return f"{self.sector.count} sectors, {self.n_dofs} dofs"
+
+    def mistuned(self, deviations: Any) -> Wheel:
+        """The same wheel with other deviations of the sectors' stiffness, one for each or for all.
+
+        Raises
+        ------
+        InputError
+            There are more or fewer, or one leaves no stiffness.
+        """
+        return self._anew(mistuning=_deviations(deviations, self.sector.count))
+
+    def basis(self, families: int) -> CyclicBasis:
+        """The motions in which it is sought, with so many modes of each nodal diameter; found once
+        for all patterns of mistuning (collective)."""
+        loads, known = tuple(_complex_loads(self)), self.sector.known
+        key = families, self.order, b"".join(force.tobytes() for _, force in loads)
+        if key not in known:
+            begin(f"modes of {len(self.sector.diameters)} nodal diameters")
+            known[key] = cyclic_basis(self.sector, families, loads, self.comm)
+        if not np.any(self.mistuning):
+            return known[key]
+        if (also := (*key, "mistuned")) not in known:
+            begin("static answers on the sides")
+            known[also] = with_side_answers(known[key], self.comm)
+        return known[also]
+
+    def cyclic_modes(self, families: int) -> CyclicModes:
+        """The lowest modes of each nodal diameter, with bonded cracks and without mistuning
+        (collective)."""
+        check_count("families", families, 1)
+        return solve_cyclic_modes(self.sector, families, self.comm)
+
+
+def _deviations(given: Any, count: int) -> np.ndarray:
+    values = numbers(given)
+    if values.shape not in ((), (count,)) or not np.all(values > -1.0) or not np.all(values < 1e3):
+        allowed = f"one number above -1, or one for each of the {count} sectors"
+        raise InputError("mistuning", given, allowed)
+    return np.broadcast_to(values, (count,)).copy()
+
+
+def _complex_loads(wheel: Wheel) -> list[tuple[int, np.ndarray]]:
+    """The loads of each harmonic, f - i g on sector 0, by the nodal diameter in which they lie."""
+    force, count = wheel.sector.structure.force, wheel.sector.count
+    found = [(0, force[0])] if np.any(force[0]) else []
+    for row in range(1, len(force), 2):
+        part = force[row] - 1j * force[row + 1]
+        diameter = (row + 1) // 2 * wheel.order % count
+        if np.any(part):
+            beyond = 2 * diameter > count
+            found.append((count - diameter, part.conj()) if beyond else (diameter, part))
+    return found
+
+
+def _copied_matrix(wheel: Structure, weights: np.ndarray, *matrices: sparse.spmatrix) -> Any:
+    """sum_j A_j^T (R + weights_j E) A_j of the sector's matrices, R and E."""
+    assert isinstance(wheel, Wheel)
+    total = sparse.csr_matrix((wheel.n_dofs, wheel.n_dofs))
+    for place, weight in enumerate(weights):
+        own = matrices[0]
+        if weight:
+            own = own + weight * matrices[1]
+        to = wheel.of_sector(place)
+        total = total + to.T @ own @ to
+    return distributed(total[: wheel.n_local], wheel.comm)
+
+
+def _mass(wheel: Structure) -> Any:
+    assert isinstance(wheel, Wheel)
+    return _copied_matrix(wheel, np.zeros(wheel.sector.count), wheel.sector.mass)
+
+
+def _stiffness(wheel: Structure) -> Any:
+    assert isinstance(wheel, Wheel)
+    sector = wheel.sector
+    return _copied_matrix(wheel, wheel.mistuning, sector.stiffness, rows_of(sector.elastic))
+
+
+# --- in few coordinates ---------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Ritz:
+    """Matrices of the motions of a basis, for any mistuning.
+
+    Attributes
+    ----------
+    mass, stiffness : (n, n)
+        U^T M U, and U^T K U without mistuning.
+    elastic : (N, n, n)
+        U_j^T K_e U_j of each sector, K_e its stiffness at rest.
+    """
+
+    mass: np.ndarray
+    stiffness: np.ndarray
+    elastic: np.ndarray
+
+    @classmethod
+    def of(cls, basis: CyclicBasis, cracked: tuple[int, ...]) -> _Ritz:
+        """Of the cracks of some sectors."""
+        sector = basis.modes.sector
+        rest = rows_of(sector.elastic)
+        same = sector.elastic is sector.structure.stiffness
+        elastic, mass, stiffness = [], 0.0, 0.0
+        for place in range(sector.count):
+            columns = basis.columns(place, cracked)
+            elastic.append(columns.T @ (rest @ columns))
+            mass = mass + columns.T @ (sector.mass @ columns)
+            own = elastic[-1] if same else columns.T @ (sector.stiffness @ columns)
+            stiffness = stiffness + own
+        mass, stiffness = np.asarray(mass), np.asarray(stiffness)
+        return cls(0.5 * (mass + mass.T), 0.5 * (stiffness + stiffness.T), np.array(elastic))
+
+
+class WheelStructure(Structure):
+    """A wheel in the coordinates (q, a, d) of a basis; the same on every rank.
+
+    ``find_dof`` and ``values_at`` refer to the dofs of the whole wheel.
+
+    Attributes
+    ----------
+    wheel : Wheel
+        The whole one.
+    basis : CyclicBasis
+        Its motions.
+    """
+
+    wheel: Wheel
+    basis: CyclicBasis
+    _VARIED_TOO: ClassVar[tuple[str, ...]] = ("wheel",)
+
+    def __init__(self, wheel: Wheel, families: int) -> None:
+        """Take so many modes of each nodal diameter (collective)."""
+        basis, known = wheel.basis(families), wheel.sector.known
+        if (key := (basis, wheel.cracked)) not in known:
+            begin("matrices of the wheel")
+            known[key] = _Ritz.of(basis, wheel.cracked)
+        ritz: _Ritz = known[key]
+        stiffness = ritz.stiffness + np.tensordot(wheel.mistuning, ritz.elastic, 1)
+        stiffness = 0.5 * (stiffness + stiffness.T)
+        sector, pairs = wheel.sector.structure, []
+        force = np.zeros((len(sector.force), len(stiffness)))
+        tangents: list[np.ndarray] = []
+        for place, own in enumerate(wheel.loads):
+            columns = basis.columns(place, wheel.cracked)
+            force += own @ columns
+            if place in wheel.cracked:
+                pairs.append((place, columns.T @ sector.gap))
+                if sector.tangential is not None:
+                    tangents.append(columns.T @ sector.tangential)
+        self._hold(wheel=wheel, basis=basis)
+        none = np.zeros((len(stiffness), 0))
+        in_order = [dict(pairs)[place] for place in wheel.cracked]
+        super().__init__(
+            distributed(ritz.mass, MPI.COMM_SELF),
+            distributed(stiffness, MPI.COMM_SELF),
+            sparse.csr_matrix(np.hstack([none, *in_order])),
+            force=force,
+            clearance=wheel.clearance,
+            damping=wheel.damping,
+            nodes=wheel.nodes,
+            pairs=wheel.pairs,
+        )
+        if tangents:
+            order = np.argsort(np.argsort(wheel.cracked))
+            self._hold_tangents(sparse.csr_matrix(np.hstack([tangents[o] for o in order])))
+
+    def known_modes(self, *, tied: bool) -> tuple[np.ndarray, np.ndarray] | None:
+        """All with open cracks, of small dense matrices: those of equal sectors come in pairs,
+        which Krylov's method mixes with its own error."""
+        return None if tied else self.once(_all_modes)
+
+    @property
+    def whole(self) -> Wheel:
+        """The whole wheel."""
+        return self.wheel
+
+    @property
+    def _size_words(self) -> str:
+        return f"{self.n_dofs} coordinates of {self.wheel._size_words}"
+
+    def expand(self, displacement: np.ndarray) -> np.ndarray:
+        """Displacements of the wheel from coordinates (m, n_dofs): (m, wheel.n_local)."""
+        wheel = self.wheel
+        found = np.zeros((len(displacement), wheel.n_dofs))
+        if wheel.comm.rank == 0:
+            for place in range(wheel.sector.count):
+                moved = displacement @ self.basis.columns(place, wheel.cracked).T
+                own, of_wheel = self._own(place)
+                found[:, of_wheel] = moved[:, own]
+        return found[:, : wheel.n_local]
+
+    def _own(self, place: int) -> tuple[np.ndarray, np.ndarray]:
+        """Dofs of a sector that belong to it, and those of the wheel that they are."""
+        sector = self.wheel.sector
+        own, of_wheel = sector.own, place * len(sector.own) + np.arange(len(sector.own))
+        if place in self.wheel.cracked:
+            count = len(sector.upper)
+            start = sector.count * len(sector.own) + self.wheel.cracked.index(place) * count
+            own = np.append(own, sector.upper)
+            of_wheel = np.append(of_wheel, start + np.arange(count))
+        return own, of_wheel
+
+    def values_at(self, displacement: np.ndarray, dofs: Sequence[int | None]) -> np.ndarray:
+        """Displacement of dofs of the wheel from coordinates (m, n_dofs) (collective)."""
+        wanted = [self.wheel.blade_of(int(dof)) for dof in self.wheel.check_dofs(dofs)]
+        rows = np.zeros((len(wanted), self.n_dofs))
+        for blade in {blade for blade, _ in wanted}:
+            here = [row for row, (one, _) in enumerate(wanted) if one == blade]
+            own = [wanted[row][1] for row in here]
+            rows[here] = self.basis.columns(blade - 1, self.wheel.cracked, own)
+        return displacement @ rows.T
+
+
+def _all_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
+    matrices = (rows_of(part).toarray() for part in (structure.stiffness, structure.mass))
+    squares, shapes = scipy.linalg.eigh(*matrices)
+    return np.sqrt(np.maximum(squares, 0.0)), shapes
+
+
+def reduce_wheel(wheel: Wheel, families: int = 3, *, reference: bool = True) -> ReducedStructure:
+    """Reduce a wheel to its lowest modes, with crack faces without mass (collective).
+
+    The motions that are sought are those of ``families`` modes and one more of each nodal diameter
+    with bonded cracks, the static answers to the load, and the opening of each crack with the
+    static answer of the wheel. Of the modes that the mistuned wheel with open cracks has in them
+    ``families`` times as many as there are sectors are kept; one family more is the reference, by
+    which the error of the reduction is estimated.
+
+    Parameters
+    ----------
+    wheel : Wheel
+        The whole one.
+    families : int
+        Modes of each nodal diameter, and of each blade.
+    reference : bool
+        Keep what estimates the error of the reduction.
+
+    Returns
+    -------
+    ReducedStructure
+        A :class:`MasslessStructure` where there is a crack; on every rank.
+
+    Raises
+    ------
+    InputError
+        The wheel is none, or families is no whole number >= 1.
+
+    Examples
+    --------
+    >>> reduced = fc.reduce_wheel(wheel, families=3)
+    """
+    if not isinstance(wheel, Wheel):
+        raise InputError("wheel", repr(wheel), "the whole structure of a scene with [disk]")
+    check_count("families", families, 1)
+    many = families + max(families, 3)
+    one = WheelStructure(wheel, many)
+    begin("reduction")
+    most = one.n_dofs - one.n_pairs
+    count, more = (min(n * wheel.sector.count, most) for n in (families, many))
+    method = "massless" if one.n_pairs else "free_interface"
+    return reduce_structure(one, modes=count, method=method, reference=reference and more)
