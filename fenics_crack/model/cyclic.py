@@ -26,15 +26,19 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+import scipy.linalg
 import scipy.sparse as sparse
 from mpi4py import MPI
 
 from fenics_crack.model.factor import Factor, distributed
 from fenics_crack.model.modes import NEGLIGIBLE, modes_by
 from fenics_crack.model.structure import Structure
+
+
+Found = TypeVar("Found")
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,34 +141,61 @@ class Sector:
         return rows_of(self.structure.mass)
 
     @cached_property
-    def known(self) -> dict[Any, Any]:
-        """What was found of it so far."""
+    def _known(self) -> dict[tuple[Any, ...], Any]:
         return {}
+
+    def once(self, key: tuple[Any, ...], compute: Callable[[], Found]) -> Found:
+        """What was computed of it once under a name and what it depends on."""
+        if key not in self._known:
+            self._known[key] = compute()
+        found: Found = self._known[key]
+        return found
+
+    def ritz(self, shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Frequencies, ascending, and shapes with v^H M v = 1 and v^H K v diagonal, in the space of
+        others (n_dofs, m) of one nodal diameter, which may depend on each other."""
+        weights, mixed = np.linalg.eigh(shapes.conj().T @ (self.mass @ shapes))
+        kept = weights > NEGLIGIBLE * weights[-1]
+        shapes = shapes @ (mixed[:, kept] / np.sqrt(weights[kept]))
+        squares, mixed = scipy.linalg.eigh(
+            shapes.conj().T @ (self.stiffness @ shapes), shapes.conj().T @ (self.mass @ shapes)
+        )
+        return np.sqrt(np.maximum(squares, 0.0)), shapes @ mixed
 
     def at_speed(self, stiffness: Any, force: np.ndarray) -> Sector:
         """The same with the stiffness and the load of a speed of the rotor."""
         found = self.structure._changed(stiffness=stiffness, force=force)
         return replace(self, structure=found)
 
+    @cached_property
+    def _parts(self) -> dict[str, tuple[sparse.csr_matrix, ...]]:
+        return {"mass": self._by_angle(self.mass), "stiffness": self._by_angle(self.stiffness)}
+
+    def _by_angle(self, matrix: sparse.csr_matrix) -> tuple[sparse.csr_matrix, ...]:
+        """A, S and D of T_n^H K T_n = A + cos(t) S + i sin(t) D, t = 2 pi n / N."""
+        first, second = self.bonds
+        across = sparse.csr_matrix(first.T @ matrix @ second)
+        fixed = first.T @ matrix @ first + second.T @ matrix @ second
+        parts = fixed, across + across.T, across - across.T
+        return tuple(sparse.csr_matrix(part) for part in parts)
+
+    def at_diameter(self, diameter: int, parts: tuple[sparse.csr_matrix, ...]) -> sparse.csr_matrix:
+        """K_n or M_n, in real form where there are two of its kind."""
+        angle = 2.0 * np.pi * diameter / self.count
+        fixed, even, odd = parts
+        if self.is_single(diameter):
+            return fixed + round(np.cos(angle)) * even
+        real, imaginary = fixed + np.cos(angle) * even, np.sin(angle) * odd
+        return sparse.bmat([[real, -imaginary], [imaginary, real]], format="csr")
+
     @contextmanager
     def of_diameter(self, diameter: int, stiffness: Any = None) -> Iterator[NodalDiameter]:
-        """K_n and M_n, factored; with another stiffness than its own, if one is given."""
-        first, second = self.bonds
-        angle = 2.0 * np.pi * diameter / self.count
-        single = self.is_single(diameter)
-        factor = round(np.cos(angle)) if single else np.exp(1j * angle)
-        ties = sparse.csr_matrix(first + factor * second)
-        own = self.stiffness if stiffness is None else rows_of(stiffness)
-        matrices = [_real(ties.conj().T @ matrix @ ties) for matrix in (self.mass, own)]
-        size = matrices[0].shape[0]
-        structure = Structure(
-            *(distributed(matrix, MPI.COMM_SELF) for matrix in matrices),
-            sparse.csr_matrix((size, 0)),
-            force=np.zeros((1, size)),
-            clearance=np.zeros(0),
-        )
-        with Factor(structure.stiffness, definite=True) as factored:
-            yield NodalDiameter(diameter, ties, structure, factored)
+        """K_n, factored; of another stiffness than its own, if one is given."""
+        own = stiffness is None
+        parts = self._parts["stiffness"] if own else self._by_angle(rows_of(stiffness))
+        matrix = distributed(self.at_diameter(diameter, parts), MPI.COMM_SELF)
+        with Factor(matrix, definite=True) as factored:
+            yield NodalDiameter(diameter, self, matrix, factored)
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,66 +206,66 @@ class NodalDiameter:
     ----------
     number : int
         n.
-    ties : (n_dofs, n_own)
-        T_n.
-    structure : Structure
-        M_n and K_n in real form.
+    sector : Sector
+        The sector.
+    stiffness : PETSc.Mat
+        K_n in real form.
     factor : Factor
-        Of that K_n.
+        Of that.
     """
 
     number: int
-    ties: sparse.csr_matrix
-    structure: Structure
+    sector: Sector
+    stiffness: Any
     factor: Factor
+
+    @cached_property
+    def ties(self) -> sparse.csr_matrix:
+        """T_n: (n_dofs, n_own)."""
+        first, second = self.sector.bonds
+        angle = 2.0 * np.pi * self.number / self.sector.count
+        single = self.sector.is_single(self.number)
+        factor = round(np.cos(angle)) if single else np.exp(1j * angle)
+        return sparse.csr_matrix(first + factor * second)
 
     def modes(self, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Frequencies (count,) [rad/s], and shapes of a sector (n_dofs, count) with v^H M v = 1."""
-        if not np.iscomplexobj(self.ties):
-            found = modes_by(self.factor, self.structure, count)
+        mass = self.sector.at_diameter(self.number, self.sector._parts["mass"])
+        size = mass.shape[0]
+        structure = Structure(
+            distributed(mass, MPI.COMM_SELF),
+            self.stiffness,
+            sparse.csr_matrix((size, 0)),
+            force=np.zeros((1, size)),
+            clearance=np.zeros(0),
+        )
+        if self.sector.is_single(self.number):
+            found = modes_by(self.factor, structure, count)
             return found.omega, self.ties @ found.shapes
-        found = modes_by(self.factor, self.structure, 2 * count)
+        found = modes_by(self.factor, structure, 2 * count)
         real, imaginary = np.split(found.shapes, 2)
-        both = real + 1j * imaginary
         # Each pair of real modes is one complex one, twice over.
-        weights, mixed = np.linalg.eigh(both.conj().T @ self._times("mass", both))
-        kept = weights > NEGLIGIBLE
-        both = both @ (mixed[:, kept] / np.sqrt(weights[kept]))
-        squares, mixed = np.linalg.eigh(both.conj().T @ self._times("stiffness", both))
-        shapes = self.ties @ (both @ mixed[:, :count])
-        return np.sqrt(np.maximum(squares[:count], 0.0)), shapes
+        omega, shapes = self.sector.ritz(self.ties @ (real + 1j * imaginary))
+        return omega[:count], shapes[:, :count]
 
     def answers(self, forces: Any) -> np.ndarray:
         """T_n K_n^-1 T_n^H f of forces (n_dofs, m) on a sector: the same shape."""
         seen = self.ties.conj().T @ forces
         seen = seen.toarray() if sparse.issparse(seen) else np.asarray(seen)
-        if not np.iscomplexobj(self.ties):
-            if not np.iscomplexobj(seen):
-                return np.asarray(self.ties @ self.factor.solve(seen.T).T)
-            parts = [self.factor.solve(part.T).T for part in (seen.real, seen.imag)]
-            return np.asarray(self.ties @ (parts[0] + 1j * parts[1]))
-        real, imaginary = np.split(self.factor.solve(np.vstack([seen.real, seen.imag]).T).T, 2)
+        if not self.sector.is_single(self.number):
+            parts = self.factor.solve(np.vstack([seen.real, seen.imag]).T).T
+            real, imaginary = np.split(parts, 2)
+            return np.asarray(self.ties @ (real + 1j * imaginary))
+        if not np.iscomplexobj(seen):
+            return np.asarray(self.ties @ self.factor.solve(seen.T).T)
+        real, imaginary = (self.factor.solve(part.T).T for part in (seen.real, seen.imag))
         return np.asarray(self.ties @ (real + 1j * imaginary))
-
-    def _times(self, name: str, both: np.ndarray) -> np.ndarray:
-        """K_n or M_n times complex vectors."""
-        matrix = rows_of(getattr(self.structure, name))
-        real, imaginary = np.split(matrix @ np.vstack([both.real, both.imag]), 2)
-        return np.asarray(real + 1j * imaginary)
 
 
 def rows_of(matrix: Any) -> sparse.csr_matrix:
     """A matrix of PETSc's on one rank as one of SciPy's."""
     starts, columns, values = matrix.getValuesCSR()
     return sparse.csr_matrix((values, columns, starts), matrix.size)
-
-
-def _real(matrix: sparse.spmatrix) -> sparse.csr_matrix:
-    """A real matrix as it is, and a complex one in real form."""
-    if not np.iscomplexobj(matrix):
-        return sparse.csr_matrix(matrix)
-    real, imaginary = matrix.real, matrix.imag
-    return sparse.bmat([[real, -imaginary], [imaginary, real]], format="csr")
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,15 +277,15 @@ class CyclicModes:
 
     Attributes
     ----------
-    omega : (n_diameters, families) [rad/s]
-        Natural frequencies, of n = 0 .. N/2.
+    omega : tuple of (families,) [rad/s]
+        Natural frequencies of n = 0 .. N/2.
     shapes : tuple of (n_dofs, families)
         v of each nodal diameter, over the dofs of a sector, real or complex, with v^H M v = 1.
     sector : Sector
         The sector.
     """
 
-    omega: np.ndarray
+    omega: tuple[np.ndarray, ...]
     shapes: tuple[np.ndarray, ...]
     sector: Sector
 
@@ -278,6 +309,13 @@ class CyclicBasis:
     modes: CyclicModes
     answers: tuple[tuple[int, np.ndarray], ...]
     opened: np.ndarray
+
+    @property
+    def squares(self) -> np.ndarray:
+        """omega^2 of the modes of the wheel, as they come first in :meth:`columns`."""
+        single = self.modes.sector.is_single
+        both = [np.tile(w, 1 if single(n) else 2) for n, w in enumerate(self.modes.omega)]
+        return np.concatenate(both) ** 2
 
     def columns(
         self, place: int, cracked: tuple[int, ...], rows: slice | list[int] = slice(None)
@@ -306,8 +344,8 @@ class CyclicBasis:
 def solve_cyclic_modes(sector: Sector, families: int, comm: MPI.Comm = MPI.COMM_SELF) -> CyclicModes:
     """The lowest modes of each nodal diameter, which ranks share (collective)."""
     families = min(families, len(sector.own))
-    found = _shared(sector, comm, lambda one: one.modes(families))
-    return CyclicModes(np.array([omega for omega, _ in found]), tuple(v for _, v in found), sector)
+    omegas, shapes = zip(*_shared(sector, comm, lambda one: one.modes(families)), strict=True)
+    return CyclicModes(omegas, shapes, sector)
 
 
 def cyclic_basis(
@@ -328,7 +366,7 @@ def cyclic_basis(
         return omega, shapes, answers, one.answers(pulled)
 
     omegas, shapes, answers, static = zip(*_shared(sector, comm, solved), strict=True)
-    modes = CyclicModes(np.array(omegas), shapes, sector)
+    modes = CyclicModes(omegas, shapes, sector)
     fields = [
         field
         for diameter, own in enumerate(answers)
@@ -349,21 +387,19 @@ def with_side_answers(basis: CyclicBasis, comm: MPI.Comm) -> CyclicBasis:
     sector, modes = basis.modes.sector, basis.modes
     forces = _side_forces(modes)
 
-    def solved(one: NodalDiameter) -> np.ndarray:
+    def solved(one: NodalDiameter) -> tuple[np.ndarray, np.ndarray]:
         shapes = modes.shapes[one.number]
         answers = one.answers(forces)
-        for _ in range(2):  # once more against rounding
-            answers = answers - shapes @ (shapes.conj().T @ (sector.mass @ answers))
-            weights, mixed = np.linalg.eigh(answers.conj().T @ (sector.mass @ answers))
-            kept = weights > NEGLIGIBLE * weights[-1]
-            answers = answers @ (mixed[:, kept] / np.sqrt(weights[kept]))
-        return np.hstack([shapes, answers])
+        answers = answers - shapes @ (shapes.conj().T @ (sector.mass @ answers))
+        answers /= np.sqrt(np.sum(np.abs(answers) ** 2, axis=0))
+        _, answers = sector.ritz(answers)
+        return sector.ritz(np.hstack([shapes, answers]))
 
-    more = tuple(_shared(sector, comm, solved))
-    return replace(basis, modes=replace(modes, shapes=more))
+    omegas, shapes = zip(*_shared(sector, comm, solved), strict=True)
+    return replace(basis, modes=CyclicModes(omegas, shapes, sector))
 
 
-PATTERN = 0.01
+PATTERN = 0.1
 """Least size of a pattern of forces on a side, relative to the largest one."""
 
 

@@ -296,17 +296,12 @@ class Wheel(Structure):
     def basis(self, families: int) -> CyclicBasis:
         """The motions in which it is sought, with so many modes of each nodal diameter; found once
         for all patterns of mistuning (collective)."""
-        loads, known = tuple(_complex_loads(self)), self.sector.known
-        key = families, self.order, b"".join(force.tobytes() for _, force in loads)
-        if key not in known:
-            begin(f"modes of {len(self.sector.diameters)} nodal diameters")
-            known[key] = cyclic_basis(self.sector, families, loads, self.comm)
+        sector, loads = self.sector, tuple(_complex_loads(self))
+        key = "basis", families, self.order, *(force.tobytes() for _, force in loads)
+        found = sector.once(key, lambda: cyclic_basis(sector, families, loads, self.comm))
         if not np.any(self.mistuning):
-            return known[key]
-        if (also := (*key, "mistuned")) not in known:
-            begin("static answers on the sides")
-            known[also] = with_side_answers(known[key], self.comm)
-        return known[also]
+            return found
+        return sector.once(("sides", found), lambda: with_side_answers(found, self.comm))
 
     def cyclic_modes(self, families: int) -> CyclicModes:
         """The lowest modes of each nodal diameter, with bonded cracks and without mistuning
@@ -363,37 +358,34 @@ def _stiffness(wheel: Structure) -> Any:
 # --- in few coordinates ---------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class _Ritz:
-    """Matrices of the motions of a basis, for any mistuning.
-
-    Attributes
-    ----------
-    mass, stiffness : (n, n)
-        U^T M U, and U^T K U without mistuning.
-    elastic : (N, n, n)
-        U_j^T K_e U_j of each sector, K_e its stiffness at rest.
-    """
-
-    mass: np.ndarray
-    stiffness: np.ndarray
-    elastic: np.ndarray
-
-    @classmethod
-    def of(cls, basis: CyclicBasis, cracked: tuple[int, ...]) -> _Ritz:
-        """Of the cracks of some sectors."""
-        sector = basis.modes.sector
-        rest = rows_of(sector.elastic)
-        same = sector.elastic is sector.structure.stiffness
-        elastic, mass, stiffness = [], 0.0, 0.0
+def _ritz(basis: CyclicBasis, cracked: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """U^T M U and U^T K U without mistuning: the modes are those of both."""
+    sector, modes = basis.modes.sector, len(basis.squares)
+    found = []
+    for matrix, own in ((sector.mass, np.ones(modes)), (sector.stiffness, basis.squares)):
+        beside = np.zeros((0, 0))
         for place in range(sector.count):
             columns = basis.columns(place, cracked)
-            elastic.append(columns.T @ (rest @ columns))
-            mass = mass + columns.T @ (sector.mass @ columns)
-            own = elastic[-1] if same else columns.T @ (sector.stiffness @ columns)
-            stiffness = stiffness + own
-        mass, stiffness = np.asarray(mass), np.asarray(stiffness)
-        return cls(0.5 * (mass + mass.T), 0.5 * (stiffness + stiffness.T), np.array(elastic))
+            part = columns.T @ (matrix @ columns[:, modes:])
+            beside = part if not place else beside + part
+        whole = np.zeros((len(beside), len(beside)))
+        whole[:modes, :modes] = np.diag(own)
+        whole[:, modes:] = beside
+        whole[modes:] = beside.T
+        whole[modes:, modes:] = 0.5 * (beside[modes:] + beside[modes:].T)
+        found.append(whole)
+    return found[0], found[1]
+
+
+def _elastic(basis: CyclicBasis, cracked: tuple[int, ...]) -> np.ndarray:
+    """U_j^T K U_j of each sector, K its stiffness at rest: (N, n, n)."""
+    sector = basis.modes.sector
+    rest, found = rows_of(sector.elastic), []
+    for place in range(sector.count):
+        columns = basis.columns(place, cracked)
+        part = columns.T @ (rest @ columns)
+        found.append(0.5 * (part + part.T))
+    return np.array(found)
 
 
 class WheelStructure(Structure):
@@ -415,13 +407,13 @@ class WheelStructure(Structure):
 
     def __init__(self, wheel: Wheel, families: int) -> None:
         """Take so many modes of each nodal diameter (collective)."""
-        basis, known = wheel.basis(families), wheel.sector.known
-        if (key := (basis, wheel.cracked)) not in known:
-            begin("matrices of the wheel")
-            known[key] = _Ritz.of(basis, wheel.cracked)
-        ritz: _Ritz = known[key]
-        stiffness = ritz.stiffness + np.tensordot(wheel.mistuning, ritz.elastic, 1)
-        stiffness = 0.5 * (stiffness + stiffness.T)
+        begin(f"modes of {len(wheel.sector.diameters)} nodal diameters")
+        basis, cracked, once = wheel.basis(families), wheel.cracked, wheel.sector.once
+        begin("matrices of the wheel")
+        mass, stiffness = once(("matrices", basis, cracked), lambda: _ritz(basis, cracked))
+        if np.any(wheel.mistuning):
+            elastic = once(("elastic", basis, cracked), lambda: _elastic(basis, cracked))
+            stiffness = stiffness + np.tensordot(wheel.mistuning, elastic, 1)
         sector, pairs = wheel.sector.structure, []
         force = np.zeros((len(sector.force), len(stiffness)))
         tangents: list[np.ndarray] = []
@@ -436,7 +428,7 @@ class WheelStructure(Structure):
         none = np.zeros((len(stiffness), 0))
         in_order = [dict(pairs)[place] for place in wheel.cracked]
         super().__init__(
-            distributed(ritz.mass, MPI.COMM_SELF),
+            distributed(mass, MPI.COMM_SELF),
             distributed(stiffness, MPI.COMM_SELF),
             sparse.csr_matrix(np.hstack([none, *in_order])),
             force=force,
