@@ -178,7 +178,7 @@ def of_error(
         if scene.harmonic_balance.tolerance is not None:
             wanted = FINER if harmonics < MOST_HARMONICS else "more damping: H is at its limit"
     elif part == "reduction":
-        wanted = "more modes (reduction.modes)"
+        wanted = f"more modes ({scene.modes_key})"
     elif part == "sampling":
         wanted = "more samples (harmonic_balance.samples)"
     else:
@@ -228,12 +228,12 @@ def of_friction(found: PeriodicSolution) -> Iterator[str]:
         )
 
 
-def of_more_modes(found: PeriodicSolution, verdict: str) -> Iterator[str]:
+def of_more_modes(scene: Scene, found: PeriodicSolution, verdict: str) -> Iterator[str]:
     """A warning of a solution whose orbit has another verdict with twice the modes or more
     (collective)."""
     larger = found.assessment.more_modes
     if larger is not None and (said := larger.contradicts(verdict)):
-        yield f"{said}: the verdict {verdict!r} {ON_MODES}; raise reduction.modes"
+        yield f"{said}: the verdict {verdict!r} {ON_MODES}; raise {scene.modes_key}"
 
 
 def how_it_is_left(stability: Stability) -> str:
@@ -446,7 +446,7 @@ def warnings_of(found: SweepResult) -> Iterator[str]:
         yield f"{shares} of {counted(verdicts.size, 'case')}"
     yield from by_reason(found, found.undecided, "undecided")
     for said in by_reason(found, found.contradicted, f"or more whose verdict {ON_MODES}"):
-        yield f"{said}; raise reduction.modes"
+        yield f"{said}; raise {found.scene.modes_key}"
     if not found.complete:
         yield "the sweep was stopped; the same command goes on with it"
 

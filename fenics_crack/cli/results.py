@@ -138,7 +138,7 @@ def _account_of_solution(run: Run[PeriodicSolution]) -> Account:
     if found.converged:
         warnings += of_stability(scene, run, found.stability, seen)
         if found.stability is not None:
-            warnings += of_more_modes(found, found.stability.verdict)
+            warnings += of_more_modes(run.scene, found, found.stability.verdict)
         warnings += of_size(run, largest_seen(run))
         warnings += of_friction(found)
         warnings += run.stated.dents if run.stated is not None else ()
@@ -558,7 +558,7 @@ def _warnings_of_curve(run: Run[ResponseCurve]) -> Iterator[str]:
     where = f" at {_place(run, found.values[worst])}"
     yield from of_error(scene, reports[worst], solutions[worst].harmonics, where)
     if found.multipliers is not None and _passed(found, peak):
-        for said in of_more_modes(solutions[peak], found.verdicts[peak]):
+        for said in of_more_modes(run.scene, solutions[peak], found.verdicts[peak]):
             yield f"at the largest response, {said}"
     stretches = _undecided_stretches(found)
     for first, last in stretches[:1]:

@@ -50,6 +50,7 @@ def wheel_of(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Comm) -> 
         cracked=[number - 1 for number in disk.cracked],
         mistuning=disk.deviations,
         order=scene.excitation.order or 0,
+        families=disk.families,
         rotation=rotation,
         comm=comm,
     )

@@ -43,6 +43,7 @@ from fenics_crack.model.cyclic import (
 )
 from fenics_crack.model.factor import distributed
 from fenics_crack.model.matrices import numbers
+from fenics_crack.model.modes import solve_modes
 from fenics_crack.model.nodes import Nodes, Pairs
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.reduction import reduce_structure
@@ -65,8 +66,11 @@ class Wheel(Structure):
         Relative deviation of each sector's stiffness at rest.
     order : int
         Engine order of the load.
+    families : int
+        Modes of each nodal diameter, and of each blade, that are kept.
     """
 
+    families: int
     sector: Sector
     cracked: tuple[int, ...]
     mistuning: np.ndarray
@@ -79,11 +83,14 @@ class Wheel(Structure):
         cracked: Sequence[int] = (0,),
         mistuning: Any = 0.0,
         order: int = 1,
+        families: int = 3,
         rotation: Any = None,
         comm: MPI.Comm = MPI.COMM_SELF,
     ) -> None:
         structure, places = sector.structure, tuple(cracked)
-        self._hold(sector=sector, order=order, cracked=places if structure.n_pairs else ())
+        check_count("families", families, 1)
+        self._hold(sector=sector, order=order, families=families)
+        self._hold(cracked=places if structure.n_pairs else ())
         self._hold(mistuning=_deviations(mistuning, sector.count), comm=comm, rotation=rotation)
         self._hold(damping_factor=1.0, _original=None, _known={}, clamp=None)
         self._hold(damping=structure.damping, nodes=self._all_nodes(), pairs=self._all_pairs())
@@ -283,6 +290,13 @@ class Wheel(Structure):
     def _size_words(self) -> str:
         return f"{self.sector.count} sectors, {self.n_dofs} dofs"
 
+    def known_modes(self, *, tied: bool) -> tuple[np.ndarray, np.ndarray] | None:
+        """Those of its few coordinates, as many as :attr:`families` are of all sectors."""
+        few = in_few_coordinates(self)
+        count = min(self.families * self.sector.count, few.n_dofs - few.n_pairs)
+        found = solve_modes(few, count, lips="tied" if tied and few.n_pairs else "open")
+        return found.omega, few.expand(found.shapes.T).T
+
     def mistuned(self, deviations: Any) -> Wheel:
         """The same wheel with other deviations of the sectors' stiffness, one for each or for all.
 
@@ -303,11 +317,12 @@ class Wheel(Structure):
             return found
         return sector.once(("sides", found), lambda: with_side_answers(found, self.comm))
 
-    def cyclic_modes(self, families: int) -> CyclicModes:
+    def cyclic_modes(self, families: int | None = None) -> CyclicModes:
         """The lowest modes of each nodal diameter, with bonded cracks and without mistuning
         (collective)."""
-        check_count("families", families, 1)
-        return solve_cyclic_modes(self.sector, families, self.comm)
+        count = self.families if families is None else families
+        check_count("families", count, 1)
+        return solve_cyclic_modes(self.sector, count, self.comm)
 
 
 def _deviations(given: Any, count: int) -> np.ndarray:
@@ -494,21 +509,37 @@ def _all_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
     return np.sqrt(np.maximum(squares, 0.0)), shapes
 
 
-def reduce_wheel(wheel: Wheel, families: int = 3, *, reference: bool = True) -> ReducedStructure:
+def in_few_coordinates(structure: Structure) -> Structure:
+    """The same structure; of a wheel in the coordinates in which it is solved (collective)."""
+    if not isinstance(structure, Wheel):
+        return structure
+    return WheelStructure(structure, families_of_basis(structure.families))
+
+
+def families_of_basis(families: int) -> int:
+    """Modes of each nodal diameter in the basis, for so many that are kept: twice as many, or three
+    more. One more would say little where that family does not open the crack."""
+    return families + max(families, 3)
+
+
+def reduce_wheel(
+    wheel: Wheel, families: int | None = None, *, reference: bool = True
+) -> ReducedStructure:
     """Reduce a wheel to its lowest modes, with crack faces without mass (collective).
 
-    The motions that are sought are those of ``families`` modes and one more of each nodal diameter
-    with bonded cracks, the static answers to the load, and the opening of each crack with the
-    static answer of the wheel. Of the modes that the mistuned wheel with open cracks has in them
-    ``families`` times as many as there are sectors are kept; one family more is the reference, by
-    which the error of the reduction is estimated.
+    The motions that are sought are those of twice as many modes of each nodal diameter with bonded
+    cracks as ``families``, or of three more, the static answers to the load and to what mistuning
+    leaves on the sides, and the opening of each crack with the static answer of the wheel. Of the
+    modes that the mistuned wheel with open cracks has in them ``families`` times as many as there
+    are sectors are kept; all families are the reference, by which the error of the reduction is
+    estimated.
 
     Parameters
     ----------
     wheel : Wheel
         The whole one.
-    families : int
-        Modes of each nodal diameter, and of each blade.
+    families : int, optional
+        Modes of each nodal diameter, and of each blade; default: the wheel's.
     reference : bool
         Keep what estimates the error of the reduction.
 
@@ -528,8 +559,9 @@ def reduce_wheel(wheel: Wheel, families: int = 3, *, reference: bool = True) -> 
     """
     if not isinstance(wheel, Wheel):
         raise InputError("wheel", repr(wheel), "the whole structure of a scene with [disk]")
+    families = wheel.families if families is None else families
     check_count("families", families, 1)
-    many = families + max(families, 3)
+    many = families_of_basis(families)
     one = WheelStructure(wheel, many)
     begin("reduction")
     most = one.n_dofs - one.n_pairs

@@ -368,6 +368,11 @@ class Scene(Hinted):
         return point, axis / np.linalg.norm(axis)
 
     @property
+    def modes_key(self) -> str:
+        """The key by which more modes are kept."""
+        return "reduction.modes" if self.disk is None else "disk.families"
+
+    @property
     def damped_modes(self) -> int | str:
         """``damping.modes``; "all" where the damping is a matrix."""
         return "all" if self.damping is None else self.damping.modes
@@ -619,7 +624,7 @@ def _check_dimension(scene: Scene) -> None:
 
 def _check_disk(scene: Scene, disk: Disk) -> None:
     """Raise InputError for what a bladed disk is not, or is not there yet."""
-    for name in ("base", "growth", "identify"):
+    for name in ("base", "growth", "identify", "reduction"):
         if getattr(scene, name) is not None:
             raise InputError(name, "a table", "left out with [disk]")
     scene.excitation.given("order", "given with [disk]: the engine order, a whole number >= 1")

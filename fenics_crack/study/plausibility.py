@@ -46,6 +46,7 @@ from fenics_crack.model.nodes import place_in_words
 from fenics_crack.model.reduced import ResidualFlexibility
 from fenics_crack.model.rotation import coriolis_shifts
 from fenics_crack.model.structure import ModalDamping, RayleighDamping, Structure
+from fenics_crack.model.wheel import in_few_coordinates
 from fenics_crack.numerics.fourier import to_complex
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Curve, Rotation
@@ -143,7 +144,7 @@ class KeyFigures:
 def find_key_figures(study: Study) -> KeyFigures:
     """Compute the figures of a study; of a reduced one in its own coordinates, which hold static
     responses exactly (collective)."""
-    scene, whole, law = study.scene, study.structure, study.contact
+    scene, whole, law = study.scene, in_few_coordinates(study.structure), study.contact
     known = whole.known_modes(tied=False)
     count = min(N_MODES, whole.n_dofs if known is None else len(known[0]))
     with Factor(whole.stiffness, definite=True) as factor:
@@ -317,7 +318,7 @@ def proposed_curve(scene: Scene, figures: KeyFigures) -> Curve | None:
     """
     load, curve = scene.excitation, scene.curve
     parameter = "rpm" if scene.in_rpm else "speed"
-    if load.order is None:
+    if load.order is None or scene.disk is not None:
         parameter = "frequency" if scene.in_hertz else "omega"
     if curve is not None:
         parameter = curve.parameter
@@ -624,7 +625,7 @@ def _outermost(scene: Scene, structure: Structure) -> Remarks:
         return
     if table.hub_radius is not None and scene.geometry.height is not None:
         return
-    point, axis = (vector[: nodes.points.shape[1]] for vector in table.place)
+    point, axis = (vector[: nodes.points.shape[1]] for vector in scene.axis)
     away = gather_rows(structure.comm, nodes.points) - point
     across = away - np.outer(away @ axis, axis)
     yield from _tip_speed(scene, table, float(np.linalg.norm(across, axis=1).max()))
@@ -647,8 +648,11 @@ def _hub(scene: Scene, structure: Structure) -> Remarks:
 
 
 def _coriolis(scene: Scene, structure: Structure) -> Remarks:
-    """The force that is left out of solids."""
-    if scene.rotation is not None and structure.rotation is not None and scene.dimension == 3:
+    """The force that is left out of solids, and of disks."""
+    if scene.disk is not None and scene.rotation is not None and scene.speed > 0.0:
+        text = "the Coriolis force is left out, which parts the two waves of a nodal diameter"
+        yield Remark(*_speed_given(scene.rotation), text)
+    elif scene.rotation is not None and structure.rotation is not None and scene.dimension == 3:
         count = min(N_MODES, structure.n_modes)
         turning = structure.rotation.speed * scene.rotation.place[1]
         if text := coriolis_in_words(coriolis_shifts(solve_modes(structure, count), turning)):
@@ -822,6 +826,6 @@ def _modes(scene: Scene, figures: KeyFigures) -> Remarks:
     if figures.modes_below > figures.modes_kept:
         text = (
             f"harmonics up to H w reach {figures.modes_below} modes, and "
-            f"{figures.modes_kept} are kept: raise reduction.modes"
+            f"{figures.modes_kept} are kept: raise {scene.modes_key}"
         )
         yield Remark("harmonic_balance.harmonics", scene.harmonic_balance.harmonics, text)

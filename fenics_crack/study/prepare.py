@@ -34,6 +34,7 @@ from fenics_crack.model.nodes import AXES
 from fenics_crack.model.reduction import MODES, reduce_structure
 from fenics_crack.model.rotation import SPEEDS
 from fenics_crack.model.structure import Structure
+from fenics_crack.model.wheel import Wheel, families_of_basis, reduce_wheel
 from fenics_crack.scene.scene import LOOKED_AT, Scene
 from fenics_crack.scene.tables import Contact, Reduction
 
@@ -160,24 +161,34 @@ def _watched_dofs(scene: Scene, structure: Structure) -> tuple[Watched, ...]:
     if not scene.points:
         dof = structure.watched_dof
         return (Watched("", structure.dof_name(dof), dof),)
-    found = []
+    found, comm, nodes = [], structure.comm, structure.nodes
+    if isinstance(structure, Wheel):  # points are those of a blade
+        comm, nodes = MPI.COMM_SELF, structure.sector.structure.nodes
     for point in scene.points:
         key = f"output.points.{point.key}"
-        if structure.nodes is None:
+        if nodes is None:
             raise InputError(key, point.values, "left out: the structure has no positions")
-        place, dofs = structure.nodes.nearest(structure.comm, key, point.values)
+        place, dofs = nodes.nearest(comm, key, point.values)
         distance = float(np.linalg.norm(place - point.values).round(12))
         for axis, dof in zip(AXES, dofs, strict=False):
             if dof >= 0:
-                name = f"{point.key}.u{axis}"
-                found.append(Watched(name, scene.point_names[name], int(dof), distance))
+                name, own = f"{point.key}.u{axis}", int(dof)
+                if isinstance(structure, Wheel):
+                    own = structure.dof_of(structure.first + 1, own)
+                found.append(Watched(name, scene.point_names[name], own, distance))
     return tuple(found)
 
 
 def _at_another_speed(scene: Scene, like: Study) -> Structure | None:
     """The structure of a scene from that of one which differs in the rotor's speed alone, and in
-    the load's frequency; else None (collective)."""
-    other, rotation = like.scene, like.structure.whole.rotation
+    the load's frequency; of a bladed disk in its mistuning; else None (collective)."""
+    other, whole = like.scene, like.structure.whole
+    if isinstance(whole, Wheel):
+        same = dict.fromkeys(LOOKED_AT) | {"disk.mistuning": None, "excitation.omega": 1.0}
+        if scene.disk is None or scene.replace(same) != other.replace(same):
+            return None
+        return whole.mistuned(scene.disk.deviations)
+    rotation = whole.rotation
     if rotation is None or scene.speed == 0.0:
         return None
     same = {"rotation.speed": 1.0, "excitation.omega": 1.0} | dict.fromkeys(LOOKED_AT)
@@ -200,6 +211,10 @@ def reduced(study: Study, *, judged: bool = True) -> Study:
     if whole.whole is not whole:
         return study
     check_memory_of(scene, whole)
+    if isinstance(whole, Wheel):
+        assert scene.disk is not None
+        structure = reduce_wheel(whole, scene.disk.families, reference=judged)
+        return replace(study, structure=structure)
     kept = reduction_of(scene, whole)
     if kept is None:
         return study
@@ -224,6 +239,9 @@ def reduction_of(scene: Scene, structure: Structure) -> Kept | None:
     would not be reduced on one rank.
     """
     table = scene.reduction
+    if scene.disk is not None:
+        modes = scene.disk.families * scene.disk.sectors
+        return Kept("massless" if structure.n_pairs else "free_interface", modes)
     if table is None:
         few = structure.n_dofs <= FEW_DOFS
         if few and structure.comm.size == 1:
@@ -266,6 +284,8 @@ def check_memory_of(scene: Scene, structure: Structure, *, run_up: bool = False)
 
 
 def _memory_needed(scene: Scene, structure: Structure, run_up: bool) -> float:
+    if isinstance(structure, Wheel):
+        return wheel_memory(structure, families_of_basis(scene.given("disk").families))
     kept = reduction_of(scene, structure)
     if kept is None:
         return whole_memory(structure, scene.harmonic_balance.harmonics)
@@ -283,6 +303,18 @@ def reduction_memory(structure: Structure, modes: int, method: str) -> float:
     static = 8.0 * dofs * (4 * AT_A_TIME if method == "massless" else 10 * columns)
     most = max(static, _memory_for_modes(structure, kept))
     return _memory_held(structure) + _factor_memory(structure) + 8.0 * dofs * kept + most
+
+
+def wheel_memory(wheel: Wheel, families: int) -> float:
+    """The same of :func:`reduce_wheel` with a basis of so many families (collective)."""
+    sector = wheel.sector
+    size, dofs = 2 * len(sector.own), sector.structure.n_dofs
+    solid = sector.structure.nodes is not None and sector.structure.nodes.points.shape[1] == 3
+    of_modes = 2.0 * factor_memory(size, solid=solid) + 16.0 * size * krylov_vectors(families)
+    modes = 16.0 * len(sector.diameters) * dofs * families
+    # Answers to the opening of the crack by nodal diameters and by sectors, of real numbers.
+    opened = 16.0 * sector.count * dofs * len(sector.upper)
+    return _memory_held(wheel) + wheel.comm.size * (of_modes + modes + opened)
 
 
 def whole_memory(structure: Structure, harmonics: int) -> float:

@@ -131,6 +131,8 @@ def _settled(run: Run[PeriodicSolution]) -> Scene:
     if scene.harmonic_balance.tolerance is not None:
         changes["harmonic_balance.tolerance"] = None
         changes["harmonic_balance.harmonics"] = run.result.harmonics
+    if scene.disk is not None:
+        return scene.replace(changes)
     kept = reduction_of(scene, whole)
     if kept is None or kept.modes >= whole.n_dofs:
         return scene.replace(changes | {"reduction.method": "off", "reduction.modes": None})
@@ -277,12 +279,14 @@ def _modes(runs: _Runs) -> Varied:
     study, kept = runs.study, _kept_modes(runs.study)
     if isinstance(kept, str):
         return kept
-    return runs.more(study, study.scene, "reduction.modes", *kept, 1.0)
+    return runs.more(study, study.scene, study.scene.modes_key, *kept, 1.0)
 
 
 def _kept_modes(study: Study) -> tuple[int, int] | str:
     """Return how many modes are kept, of how many; or the reason why they cannot be varied."""
     kept = reduction_of(study.scene, study.structure)
+    if study.scene.disk is not None:
+        return study.scene.disk.families, study.structure.n_dofs // study.scene.disk.sectors
     if kept is None:
         return "the structure is not reduced"
     most = study.structure.n_dofs - study.structure.n_pairs

@@ -311,7 +311,8 @@ def _solve_to_tolerance(whole: Study, law: ContactLaw) -> tuple[Study, PeriodicS
     scene, structure, table = whole.scene, whole.structure, whole.scene.harmonic_balance
     first, tolerance = reduction_of(scene, structure), table.given("tolerance")
     problem = Problem(structure, scene.excitation.omega, law, table.harmonics)
-    if first is None or (scene.reduction is not None and scene.reduction.modes is not None):
+    chosen = scene.reduction is not None and scene.reduction.modes is not None
+    if first is None or chosen or scene.disk is not None:
         study = reduced(whole)
         problem = replace(problem, structure=study.structure)
         return study, solve_to_tolerance(Solver(problem, throw=False), tolerance)
