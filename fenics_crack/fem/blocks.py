@@ -461,6 +461,41 @@ class Rim:
         """A point, by its angle from the middle of the blade to the right."""
         return self.middle + radius * math.sin(angle), self.axis + radius * math.cos(angle)
 
+    def with_box(self, width: float, height: float, thickness: float) -> list[tuple[int, int]]:
+        """The volume of a solid's sector: the rim, as thick as the blade is wide, and the blade."""
+        occ = gmsh.model.occ
+        corners = [(r, a) for r in (self.inner, self.outer) for a in (-self.half, self.half)]
+        places = [self.at(*corner) for corner in corners]
+        low, low_end, top, top_end = (occ.addPoint(0.0, along, z) for z, along in places)
+        center = occ.addPoint(0.0, self.axis, self.middle)
+        curves = [
+            occ.addCircleArc(low, center, low_end), occ.addLine(low_end, top_end),
+            occ.addCircleArc(top_end, center, top), occ.addLine(top, low),
+        ]  # fmt: skip
+        face = occ.addPlaneSurface([occ.addCurveLoop(curves)])
+        rim = [one for one in occ.extrude([(2, face)], width, 0.0, 0.0) if one[0] == 3]
+        depth = 0.5 * (-self.foot(0.0) + self.outer - self.inner)
+        blade = [(3, occ.addBox(0.0, -depth, 0.0, width, height + depth, thickness))]
+        whole: list[tuple[int, int]] = occ.fuse(rim, blade)[0]
+        return whole
+
+    def name_of(self, middle: tuple[float, float, float]) -> str:
+        """The name of a face of a solid's rim, by its center of mass."""
+        across, along = middle[2] - self.middle, middle[1] - self.axis
+        radius, angle = math.hypot(across, along), math.atan2(across, along)
+        if abs(abs(angle) - self.half) < 1e-6:
+            return RIM_SIDES[int(angle > 0.0)]
+        bent = self.inner * math.sin(self.half) / self.half  # of an arc
+        return "clamp" if abs(radius - bent) < 1e-6 * self.outer else "rim"
+
+    def match(self, left: list[int], right: list[int]) -> None:
+        """Let gmsh mesh the right side of a solid as its left one, turned."""
+        c, s = math.cos(2.0 * self.half), math.sin(2.0 * self.half)
+        turn = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, c, -s, 0.0], [0.0, s, c, 0.0], [0, 0, 0, 1]])
+        place = np.array([0.0, self.axis, self.middle])
+        turn[:3, 3] = place - turn[:3, :3] @ place
+        gmsh.model.mesh.setPeriodic(2, right, left, turn.ravel().tolist())
+
     def draw(
         self,
         scene: Scene,
@@ -535,7 +570,11 @@ def _draw_solid(scene: Scene) -> None:
     _check_size(scene, gradings)
     width, height, thickness = scene.geometry.sides
     occ = gmsh.model.occ
-    box = [(3, occ.addBox(0.0, 0.0, 0.0, width, height, thickness))]
+    rim = None if scene.disk is None else Rim.of(scene)
+    if rim is None:
+        box = [(3, occ.addBox(0.0, 0.0, 0.0, width, height, thickness))]
+    else:
+        box = rim.with_box(width, height, thickness)
     cracks = list(scene.all_cracks.values())
     faces = []
     for crack in cracks:
@@ -556,8 +595,12 @@ def _draw_solid(scene: Scene) -> None:
     for _, tag in gmsh.model.getEntities(2):
         middle = occ.getCenterOfMass(2, tag)
         at = [name for name, axis, place in sides if abs(middle[axis] - place) < near]
+        if rim is not None and middle[1] < 0.0:
+            at = [rim.name_of(middle)]
         groups.setdefault(at[0] if at else "crack", (2, []))[1].append(tag)
     _name(groups)
+    if rim is not None:
+        rim.match(*(groups[name][1] for name in RIM_SIDES))
     size, around = scene.mesh.given("size"), [one.compiled() for one in gradings]
 
     def length(dimension: int, tag: int, x: float, y: float, z: float, *_: float) -> float:
@@ -668,7 +711,11 @@ def _gradings(scene: Scene) -> list[_Grading]:
 def _check_size(scene: Scene, gradings: list[_Grading]) -> None:
     """Raise InputError where gmsh would make too many cells, before it does."""
     size = scene.mesh.given("size")
-    bulk = PER_VOLUME * math.prod(scene.geometry.sides) / size**3
+    volume = math.prod(scene.geometry.sides)
+    if scene.disk is not None:
+        rim = Rim.of(scene)
+        volume += rim.half * (rim.outer**2 - rim.inner**2) * scene.geometry.sides[0]
+    bulk = PER_VOLUME * volume / size**3
     fronts = sum(one.cells(size) for one in gradings)
     key, shortest = "size", ""
     if fronts > bulk:

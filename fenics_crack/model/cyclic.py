@@ -22,8 +22,8 @@ in Engineering 14, 1979, 81).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeVar
@@ -304,11 +304,24 @@ class CyclicBasis:
     opened : (N, n_dofs, n_upper)
         Answers of all sectors to a unit displacement of the upper face of the crack in sector 0
         beside the lower one's, without that displacement itself.
+    opening : (n_dofs, n_upper)
+        That displacement.
     """
 
     modes: CyclicModes
     answers: tuple[tuple[int, np.ndarray], ...]
     opened: np.ndarray
+    opening: sparse.csc_matrix
+
+    def times(self, matrix: sparse.csr_matrix) -> CyclicBasis:
+        """The products of all fields with a matrix of the sector."""
+        shapes = tuple(matrix @ shapes for shapes in self.modes.shapes)
+        return CyclicBasis(
+            replace(self.modes, shapes=shapes),
+            tuple((diameter, matrix @ field) for diameter, field in self.answers),
+            np.array([matrix @ one for one in self.opened]),
+            sparse.csc_matrix(matrix @ self.opening),
+        )
 
     @property
     def squares(self) -> np.ndarray:
@@ -337,36 +350,72 @@ class CyclicBasis:
             parts.append((np.exp(1j * angle) * field[rows]).real[:, None])
         for one in cracked:
             own = self.opened[(place - one) % sector.count, rows]
-            parts.append(own + sector.opening[rows] if place == one else own)
+            parts.append(own + self.opening[rows] if place == one else own)
         return np.hstack([np.asarray(part) for part in parts])
 
 
 def solve_cyclic_modes(sector: Sector, families: int, comm: MPI.Comm = MPI.COMM_SELF) -> CyclicModes:
     """The lowest modes of each nodal diameter, which ranks share (collective)."""
-    families = min(families, len(sector.own))
-    omegas, shapes = zip(*_shared(sector, comm, lambda one: one.modes(families)), strict=True)
+    families, found = min(families, len(sector.own)), {}
+    for diameter in sector.diameters[comm.rank :: comm.size]:
+        with sector.of_diameter(diameter) as one:
+            found[diameter] = one.modes(families)
+    found = _of_all_ranks(found, comm)
+    omegas, shapes = zip(*(found[diameter] for diameter in sector.diameters), strict=True)
     return CyclicModes(omegas, shapes, sector)
 
 
 def cyclic_basis(
-    sector: Sector, families: int, loads: tuple[tuple[int, np.ndarray], ...], comm: MPI.Comm
+    sector: Sector,
+    families: int,
+    loads: tuple[tuple[int, np.ndarray], ...],
+    comm: MPI.Comm,
+    *,
+    mistuned: bool,
 ) -> CyclicBasis:
     """The basis of so many families for loads: nodal diameters, and complex forces (n_dofs,) of
-    sector 0, which turn with the sectors by e^(i 2 pi n j / N) (collective)."""
+    sector 0, which turn with the sectors by e^(i 2 pi n j / N); ranks share nodal diameters
+    (collective).
+
+    Of a mistuned wheel it has the static answers, too, to what mistuning leaves at the sides:
+    forces (K - w^2 M) v of a sector on its right side, of which a few patterns hold those of all
+    modes. They are added to each nodal diameter, as if they were modes.
+    """
     families = min(families, len(sector.own))
     pulled = -sector.stiffness @ sector.opening
+    # The modes of a few nodal diameters have the patterns of all.
+    first = list(dict.fromkeys((0, sector.count // 4, sector.count // 2))) if mistuned else []
+    mine = [*first, *(n for n in sector.diameters if n not in first)][comm.rank :: comm.size]
+    found: dict[int, tuple[Any, ...]] = {}
+    with ExitStack() as held:
+        ahead = {}
+        for diameter in mine:
+            if diameter in first:
+                one = held.enter_context(sector.of_diameter(diameter))
+                ahead[diameter] = one, one.modes(families)
+        seen = _of_all_ranks({n: modes for n, (_, modes) in ahead.items()}, comm)
+        forces = _side_forces(sector, [seen[n] for n in first]) if mistuned else None
 
-    def solved(one: NodalDiameter) -> tuple[Any, ...]:
-        omega, shapes = one.modes(families)
-        answers = [
-            _beside_modes(one.answers(force[:, None])[:, 0], force, omega, shapes, sector)
-            for number, force in loads
-            if number == one.number
-        ]
-        return omega, shapes, answers, one.answers(pulled)
+        def solved(one: NodalDiameter, omega: np.ndarray, shapes: np.ndarray) -> tuple[Any, ...]:
+            if forces is not None:
+                omega, shapes = _with_answers(sector, shapes, one.answers(forces))
+            answers = [
+                _beside_modes(one.answers(force[:, None])[:, 0], force, omega, shapes, sector)
+                for number, force in loads
+                if number == one.number
+            ]
+            return omega, shapes, answers, one.answers(pulled)
 
-    omegas, shapes, answers, static = zip(*_shared(sector, comm, solved), strict=True)
-    modes = CyclicModes(omegas, shapes, sector)
+        for diameter in mine:
+            if diameter in ahead:
+                one, modes = ahead[diameter]
+                found[diameter] = solved(one, *modes)
+            else:
+                with sector.of_diameter(diameter) as one:
+                    found[diameter] = solved(one, *one.modes(families))
+    found = _of_all_ranks(found, comm)
+    ordered = (found[diameter] for diameter in sector.diameters)
+    omegas, shapes, answers, static = zip(*ordered, strict=True)
     fields = [
         field
         for diameter, own in enumerate(answers)
@@ -377,39 +426,40 @@ def cyclic_basis(
     opened = np.zeros((sector.count, *static[0].shape))
     if opened.size:
         opened = np.fft.irfft(np.array(static), sector.count, axis=0)
-    return CyclicBasis(modes, tuple(fields), opened)
+    modes = CyclicModes(omegas, shapes, sector)
+    return CyclicBasis(modes, tuple(fields), opened, sector.opening)
 
 
-def with_side_answers(basis: CyclicBasis, comm: MPI.Comm) -> CyclicBasis:
-    """A basis with the static answers to what mistuning leaves at the sides: forces (K - w^2 M) v
-    of a sector on its right side, of which a few patterns hold those of all modes. They are added
-    to each nodal diameter, as if they were modes (collective)."""
-    sector, modes = basis.modes.sector, basis.modes
-    forces = _side_forces(modes)
+def _of_all_ranks(found: dict[int, Any], comm: MPI.Comm) -> dict[int, Any]:
+    """What all ranks have found of their nodal diameters (collective)."""
+    if comm.size == 1:
+        return found
+    return {n: values for part in comm.allgather(found) for n, values in part.items()}
 
-    def solved(one: NodalDiameter) -> tuple[np.ndarray, np.ndarray]:
-        shapes = modes.shapes[one.number]
-        answers = one.answers(forces)
-        answers = answers - shapes @ (shapes.conj().T @ (sector.mass @ answers))
-        answers /= np.sqrt(np.sum(np.abs(answers) ** 2, axis=0))
-        _, answers = sector.ritz(answers)
-        return sector.ritz(np.hstack([shapes, answers]))
 
-    omegas, shapes = zip(*_shared(sector, comm, solved), strict=True)
-    return replace(basis, modes=CyclicModes(omegas, shapes, sector))
+def _with_answers(
+    sector: Sector, shapes: np.ndarray, answers: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies and shapes in the space of modes and static answers."""
+    answers = answers - shapes @ (shapes.conj().T @ (sector.mass @ answers))
+    answers /= np.sqrt(np.sum(np.abs(answers) ** 2, axis=0))
+    _, answers = sector.ritz(answers)
+    return sector.ritz(np.hstack([shapes, answers]))
 
 
 PATTERN = 0.1
 """Least size of a pattern of forces on a side, relative to the largest one."""
 
 
-def _side_forces(modes: CyclicModes) -> np.ndarray:
-    """Patterns of forces on the right side of a sector, orthonormal: (n_dofs, p)."""
-    sector = modes.sector
+def _side_forces(
+    sector: Sector, modes: Sequence[tuple[np.ndarray, np.ndarray]]
+) -> np.ndarray:
+    """Patterns of forces of modes, their frequencies and shapes, on the right side of a sector,
+    orthonormal: (n_dofs, p)."""
     right = sector.dofs[sector.sides[1]].ravel()
     right = right[right >= 0]
     parts = []
-    for omega, shapes in zip(modes.omega, modes.shapes, strict=True):
+    for omega, shapes in modes:
         force = (sector.stiffness @ shapes - sector.mass @ shapes * omega**2)[right]
         scaled = force / np.maximum(omega, 1e-300) ** 2
         parts += [scaled.real, scaled.imag]
@@ -418,17 +468,6 @@ def _side_forces(modes: CyclicModes) -> np.ndarray:
     found = np.zeros((sector.structure.n_dofs, kept.shape[1]))
     found[right] = kept
     return found
-
-
-def _shared(sector: Sector, comm: MPI.Comm, solve: Callable[[NodalDiameter], Any]) -> list[Any]:
-    """What a function finds of each nodal diameter; ranks share them (collective)."""
-    found = {}
-    for diameter in sector.diameters[comm.rank :: comm.size]:
-        with sector.of_diameter(diameter) as one:
-            found[diameter] = solve(one)
-    if comm.size > 1:
-        found = {n: values for part in comm.allgather(found) for n, values in part.items()}
-    return [found[diameter] for diameter in sector.diameters]
 
 
 def _beside_modes(

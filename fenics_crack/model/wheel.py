@@ -39,7 +39,6 @@ from fenics_crack.model.cyclic import (
     cyclic_basis,
     rows_of,
     solve_cyclic_modes,
-    with_side_answers,
 )
 from fenics_crack.model.factor import distributed
 from fenics_crack.model.matrices import numbers
@@ -311,11 +310,11 @@ class Wheel(Structure):
         """The motions in which it is sought, with so many modes of each nodal diameter; found once
         for all patterns of mistuning (collective)."""
         sector, loads = self.sector, tuple(_complex_loads(self))
-        key = "basis", families, self.order, *(force.tobytes() for _, force in loads)
-        found = sector.once(key, lambda: cyclic_basis(sector, families, loads, self.comm))
-        if not np.any(self.mistuning):
-            return found
-        return sector.once(("sides", found), lambda: with_side_answers(found, self.comm))
+        mistuned = bool(np.any(self.mistuning))
+        key = "basis", families, self.order, mistuned, *(force.tobytes() for _, force in loads)
+        return sector.once(
+            key, lambda: cyclic_basis(sector, families, loads, self.comm, mistuned=mistuned)
+        )
 
     def cyclic_modes(self, families: int | None = None) -> CyclicModes:
         """The lowest modes of each nodal diameter, with bonded cracks and without mistuning
@@ -378,10 +377,10 @@ def _ritz(basis: CyclicBasis, cracked: tuple[int, ...]) -> tuple[np.ndarray, np.
     sector, modes = basis.modes.sector, len(basis.squares)
     found = []
     for matrix, own in ((sector.mass, np.ones(modes)), (sector.stiffness, basis.squares)):
-        beside = np.zeros((0, 0))
+        beside, moved = np.zeros((0, 0)), basis.times(matrix)
         for place in range(sector.count):
-            columns = basis.columns(place, cracked)
-            part = columns.T @ (matrix @ columns[:, modes:])
+            products = moved.columns(place, cracked)[:, modes:]
+            part = basis.columns(place, cracked).T @ products
             beside = part if not place else beside + part
         whole = np.zeros((len(beside), len(beside)))
         whole[:modes, :modes] = np.diag(own)
@@ -395,10 +394,9 @@ def _ritz(basis: CyclicBasis, cracked: tuple[int, ...]) -> tuple[np.ndarray, np.
 def _elastic(basis: CyclicBasis, cracked: tuple[int, ...]) -> np.ndarray:
     """U_j^T K U_j of each sector, K its stiffness at rest: (N, n, n)."""
     sector = basis.modes.sector
-    rest, found = rows_of(sector.elastic), []
+    moved, found = basis.times(rows_of(sector.elastic)), []
     for place in range(sector.count):
-        columns = basis.columns(place, cracked)
-        part = columns.T @ (rest @ columns)
+        part = basis.columns(place, cracked).T @ moved.columns(place, cracked)
         found.append(0.5 * (part + part.T))
     return np.array(found)
 
