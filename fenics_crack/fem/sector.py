@@ -7,6 +7,7 @@ node. What is bonded in sectors without a crack are the nodes of both faces in t
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from mpi4py import MPI
@@ -16,7 +17,7 @@ from fenics_crack.fem.blocks import RIM_SIDES
 from fenics_crack.fem.elasticity import rotation_of
 from fenics_crack.fem.lips import SAME
 from fenics_crack.fem.plate import Dofs
-from fenics_crack.model.cyclic import Sector
+from fenics_crack.model.cyclic import Inside, Sector
 from fenics_crack.model.modes import times
 from fenics_crack.model.nodes import place_in_words
 from fenics_crack.model.structure import Structure
@@ -37,12 +38,12 @@ def wheel_of(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Comm) -> 
     assert disk is not None
     sector, rotation = _sector(scene, dofs, structure), None
     if scene.speed > 0.0:
-        with sector.of_diameter(0) as bonded:
-            rotation = rotation_of(scene, dofs, structure, bonded.answers)
+        with sector.factored() as inside:
+            rotation = rotation_of(scene, dofs, structure, _static(inside))
         still, stiffness = rotation.stiffnesses(scene.speed)
         force = structure.force.copy()
-        with sector.of_diameter(0, still) as bonded:
-            moved = bonded.answers(scene.speed**2 * rotation.force)
+        with sector.factored(still) as inside:
+            moved = _static(inside)(scene.speed**2 * rotation.force)
         force[0] += times(stiffness, moved[:, None])[:, 0]
         sector = sector.at_speed(stiffness, force)
     return Wheel(
@@ -54,6 +55,11 @@ def wheel_of(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Comm) -> 
         rotation=rotation,
         comm=comm,
     )
+
+
+def _static(inside: Inside) -> Callable[[np.ndarray], np.ndarray]:
+    """The displacement of a sector under the same load on all."""
+    return lambda load: inside.at(0).answers(load[:, None])[:, 0]
 
 
 def _sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:

@@ -23,7 +23,7 @@ in Engineering 14, 1979, 81).
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeVar
@@ -167,35 +167,100 @@ class Sector:
         found = self.structure._changed(stiffness=stiffness, force=force)
         return replace(self, structure=found)
 
-    @cached_property
-    def _parts(self) -> dict[str, tuple[sparse.csr_matrix, ...]]:
-        return {"mass": self._by_angle(self.mass), "stiffness": self._by_angle(self.stiffness)}
+    @contextmanager
+    def factored(self, stiffness: Any = None) -> Iterator[Inside]:
+        """The stiffness of all nodal diameters, factored; another one than its own, if given."""
+        matrix = self.stiffness if stiffness is None else rows_of(stiffness)
+        blocks = Blocks.of(self, matrix)
+        left = self.dofs[self.sides[0]].ravel()
+        on_side = np.isin(self.own, left)
+        side, inside = np.flatnonzero(on_side), np.flatnonzero(~on_side)
+        first = blocks.own[inside]
+        held = distributed(first[:, inside], MPI.COMM_SELF)
+        with Factor(held, definite=True) as factor:
+            to_left, to_right = first[:, side], blocks.across[inside][:, side]
+            by_left, by_right = (factor.solve(to.T).T for to in (to_left, to_right))
+            own = (blocks.own + blocks.after)[side][:, side]
+            yield Inside(
+                self, blocks, factor, inside, side, (to_left, to_right),
+                own - to_left.T @ by_left - to_right.T @ by_right,
+                blocks.across[side][:, side] - to_left.T @ by_right,
+            )  # fmt: skip
 
-    def _by_angle(self, matrix: sparse.csr_matrix) -> tuple[sparse.csr_matrix, ...]:
-        """A, S and D of T_n^H K T_n = A + cos(t) S + i sin(t) D, t = 2 pi n / N."""
-        first, second = self.bonds
-        across = sparse.csr_matrix(first.T @ matrix @ second)
-        fixed = first.T @ matrix @ first + second.T @ matrix @ second
-        parts = fixed, across + across.T, across - across.T
-        return tuple(sparse.csr_matrix(part) for part in parts)
 
-    def at_diameter(self, diameter: int, parts: tuple[sparse.csr_matrix, ...]) -> sparse.csr_matrix:
-        """K_n or M_n, in real form where there are two of its kind."""
-        angle = 2.0 * np.pi * diameter / self.count
-        fixed, even, odd = parts
-        if self.is_single(diameter):
-            return fixed + round(np.cos(angle)) * even
-        real, imaginary = fixed + np.cos(angle) * even, np.sin(angle) * odd
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """A matrix of the sector in the dofs of its own and of the next one's.
+
+        T_n^H K T_n = K_00 + K_11 + e^(it) K_01 + e^(-it) K_01^T,      t = 2 pi n / N
+
+    Attributes
+    ----------
+    own, after, across : (n_own, n_own)
+        K_00 = T_0^T K T_0, K_11 = T_1^T K T_1 and K_01 = T_0^T K T_1.
+    """
+
+    own: sparse.csr_matrix
+    after: sparse.csr_matrix
+    across: sparse.csr_matrix
+
+    @classmethod
+    def of(cls, sector: Sector, matrix: sparse.csr_matrix) -> Blocks:
+        """Of a matrix of the sector."""
+        first, second = sector.bonds
+        pairs = ((first, first), (second, second), (first, second))
+        return cls(*(sparse.csr_matrix(one.T @ matrix @ other) for one, other in pairs))
+
+    def real(self, factor: complex) -> sparse.csr_matrix:
+        """The matrix of e^(it), in real form where that is not real."""
+        fixed, turn = self.own + self.after, self.across.T
+        if not factor.imag:
+            return fixed + factor.real * (self.across + turn)
+        real = fixed + factor.real * (self.across + turn)
+        imaginary = factor.imag * (self.across - turn)
         return sparse.bmat([[real, -imaginary], [imaginary, real]], format="csr")
 
-    @contextmanager
-    def of_diameter(self, diameter: int, stiffness: Any = None) -> Iterator[NodalDiameter]:
-        """K_n, factored; of another stiffness than its own, if one is given."""
-        own = stiffness is None
-        parts = self._parts["stiffness"] if own else self._by_angle(rows_of(stiffness))
-        matrix = distributed(self.at_diameter(diameter, parts), MPI.COMM_SELF)
-        with Factor(matrix, definite=True) as factored:
-            yield NodalDiameter(diameter, self, matrix, factored)
+
+@dataclass(frozen=True, eq=False)
+class Inside:
+    """The stiffness of a sector whose inside is eliminated, once for all nodal diameters: what is
+    left of each is a dense matrix of one side,
+
+        S_n = P + e^(it) R + e^(-it) R^T.
+
+    Attributes
+    ----------
+    sector, blocks
+        The sector, and its stiffness in blocks.
+    factor : Factor
+        Of the stiffness of the inside K_ii.
+    inside, side : (n_inside,), (n_side,) int
+        Places of the dofs inside and on the left side in those of the sector's own.
+    coupling : pair of (n_inside, n_side)
+        K_il of the left and of the right side.
+    own, across : (n_side, n_side)
+        P and R.
+    """
+
+    sector: Sector
+    blocks: Blocks
+    factor: Factor
+    inside: np.ndarray
+    side: np.ndarray
+    coupling: tuple[sparse.csr_matrix, sparse.csr_matrix]
+    own: np.ndarray
+    across: np.ndarray
+
+    @cached_property
+    def mass(self) -> Blocks:
+        """The mass of the sector in blocks."""
+        return Blocks.of(self.sector, self.sector.mass)
+
+    def at(self, diameter: int) -> NodalDiameter:
+        """One nodal diameter."""
+        angle = 2.0 * np.pi * diameter / self.sector.count
+        single = self.sector.is_single(diameter)
+        return NodalDiameter(diameter, self, complex(round(np.cos(angle)) if single else np.exp(1j * angle)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,60 +271,88 @@ class NodalDiameter:
     ----------
     number : int
         n.
-    sector : Sector
-        The sector.
-    stiffness : PETSc.Mat
-        K_n in real form.
-    factor : Factor
-        Of that.
+    inside : Inside
+        The sector's stiffness.
+    turn : complex
+        e^(i 2 pi n / N).
     """
 
     number: int
-    sector: Sector
-    stiffness: Any
-    factor: Factor
+    inside: Inside
+    turn: complex
+
+    null_pivots = 0
+
+    @cached_property
+    def _turn(self) -> Any:
+        """A real number where it is one."""
+        return self.turn if self.turn.imag else self.turn.real
 
     @cached_property
     def ties(self) -> sparse.csr_matrix:
         """T_n: (n_dofs, n_own)."""
-        first, second = self.sector.bonds
-        angle = 2.0 * np.pi * self.number / self.sector.count
-        single = self.sector.is_single(self.number)
-        factor = round(np.cos(angle)) if single else np.exp(1j * angle)
-        return sparse.csr_matrix(first + factor * second)
+        first, second = self.inside.sector.bonds
+        return sparse.csr_matrix(first + self._turn * second)
+
+    @cached_property
+    def _left(self) -> tuple[np.ndarray, sparse.csr_matrix, sparse.csr_matrix]:
+        """S_n^-1, and K_il of this nodal diameter and its adjoint."""
+        inside, turn = self.inside, self._turn
+        across = np.asarray(turn * inside.across)
+        inverse = np.linalg.inv(np.asarray(inside.own) + across + across.conj().T)
+        coupling = sparse.csr_matrix(inside.coupling[0] + turn * inside.coupling[1])
+        return inverse, coupling, sparse.csr_matrix(coupling.conj().T)
+
+    def solve(self, forces: np.ndarray) -> np.ndarray:
+        """K_n^-1 f of forces on the sector's own dofs (n_own, m): the same shape."""
+        inside, side = self.inside.inside, self.inside.side
+        inverse, coupling, adjoint = self._left
+        within = _solved(self.inside.factor, forces[inside])
+        found = np.empty(forces.shape, dtype=np.result_type(forces, inverse))
+        found[side] = inverse @ (forces[side] - adjoint @ within)
+        found[inside] = within - _solved(self.inside.factor, coupling @ found[side])
+        return found
+
+    def apply(self, right: Any, solution: Any) -> None:
+        """K_n^-1 of a vector of PETSc's in real form, as :meth:`Factor.apply`."""
+        given = right.array_r
+        if not self.turn.imag:
+            solution.array_w[:] = self.solve(given[:, None])[:, 0]
+            return
+        real, imaginary = np.split(given, 2)
+        found = self.solve((real + 1j * imaginary)[:, None])[:, 0]
+        solution.array_w[:] = np.concatenate([found.real, found.imag])
 
     def modes(self, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Frequencies (count,) [rad/s], and shapes of a sector (n_dofs, count) with v^H M v = 1."""
-        mass = self.sector.at_diameter(self.number, self.sector._parts["mass"])
-        size = mass.shape[0]
+        blocks = self.inside.mass, self.inside.blocks
+        matrices = [distributed(one.real(self.turn), MPI.COMM_SELF) for one in blocks]
+        size = matrices[0].size[0]
         structure = Structure(
-            distributed(mass, MPI.COMM_SELF),
-            self.stiffness,
-            sparse.csr_matrix((size, 0)),
-            force=np.zeros((1, size)),
-            clearance=np.zeros(0),
+            *matrices, sparse.csr_matrix((size, 0)), force=np.zeros((1, size)), clearance=np.zeros(0)
         )
-        if self.sector.is_single(self.number):
-            found = modes_by(self.factor, structure, count)
+        if not self.turn.imag:
+            found = modes_by(self, structure, count)
             return found.omega, self.ties @ found.shapes
-        found = modes_by(self.factor, structure, 2 * count)
+        found = modes_by(self, structure, 2 * count)
         real, imaginary = np.split(found.shapes, 2)
         # Each pair of real modes is one complex one, twice over.
-        omega, shapes = self.sector.ritz(self.ties @ (real + 1j * imaginary))
+        omega, shapes = self.inside.sector.ritz(self.ties @ (real + 1j * imaginary))
         return omega[:count], shapes[:, :count]
 
     def answers(self, forces: Any) -> np.ndarray:
         """T_n K_n^-1 T_n^H f of forces (n_dofs, m) on a sector: the same shape."""
         seen = self.ties.conj().T @ forces
         seen = seen.toarray() if sparse.issparse(seen) else np.asarray(seen)
-        if not self.sector.is_single(self.number):
-            parts = self.factor.solve(np.vstack([seen.real, seen.imag]).T).T
-            real, imaginary = np.split(parts, 2)
-            return np.asarray(self.ties @ (real + 1j * imaginary))
-        if not np.iscomplexobj(seen):
-            return np.asarray(self.ties @ self.factor.solve(seen.T).T)
-        real, imaginary = (self.factor.solve(part.T).T for part in (seen.real, seen.imag))
-        return np.asarray(self.ties @ (real + 1j * imaginary))
+        return np.asarray(self.ties @ self.solve(seen))
+
+
+def _solved(factor: Factor, forces: np.ndarray) -> np.ndarray:
+    """The solutions of real or complex columns."""
+    if not np.iscomplexobj(forces) or not forces.imag.any():
+        return factor.solve(np.ascontiguousarray(forces.real).T).T
+    real, imaginary = np.split(factor.solve(np.hstack([forces.real, forces.imag]).T).T, 2, axis=1)
+    return real + 1j * imaginary
 
 
 def rows_of(matrix: Any) -> sparse.csr_matrix:
@@ -357,9 +450,9 @@ class CyclicBasis:
 def solve_cyclic_modes(sector: Sector, families: int, comm: MPI.Comm = MPI.COMM_SELF) -> CyclicModes:
     """The lowest modes of each nodal diameter, which ranks share (collective)."""
     families, found = min(families, len(sector.own)), {}
-    for diameter in sector.diameters[comm.rank :: comm.size]:
-        with sector.of_diameter(diameter) as one:
-            found[diameter] = one.modes(families)
+    with sector.factored() as inside:
+        for diameter in sector.diameters[comm.rank :: comm.size]:
+            found[diameter] = inside.at(diameter).modes(families)
     found = _of_all_ranks(found, comm)
     omegas, shapes = zip(*(found[diameter] for diameter in sector.diameters), strict=True)
     return CyclicModes(omegas, shapes, sector)
@@ -387,32 +480,21 @@ def cyclic_basis(
     first = list(dict.fromkeys((0, sector.count // 4, sector.count // 2))) if mistuned else []
     mine = [*first, *(n for n in sector.diameters if n not in first)][comm.rank :: comm.size]
     found: dict[int, tuple[Any, ...]] = {}
-    with ExitStack() as held:
-        ahead = {}
-        for diameter in mine:
-            if diameter in first:
-                one = held.enter_context(sector.of_diameter(diameter))
-                ahead[diameter] = one, one.modes(families)
-        seen = _of_all_ranks({n: modes for n, (_, modes) in ahead.items()}, comm)
+    with sector.factored() as inside:
+        ahead = {n: inside.at(n).modes(families) for n in mine if n in first}
+        seen = _of_all_ranks(ahead, comm)
         forces = _side_forces(sector, [seen[n] for n in first]) if mistuned else None
-
-        def solved(one: NodalDiameter, omega: np.ndarray, shapes: np.ndarray) -> tuple[Any, ...]:
+        for diameter in mine:
+            one = inside.at(diameter)
+            omega, shapes = ahead.get(diameter) or one.modes(families)
             if forces is not None:
                 omega, shapes = _with_answers(sector, shapes, one.answers(forces))
             answers = [
                 _beside_modes(one.answers(force[:, None])[:, 0], force, omega, shapes, sector)
                 for number, force in loads
-                if number == one.number
+                if number == diameter
             ]
-            return omega, shapes, answers, one.answers(pulled)
-
-        for diameter in mine:
-            if diameter in ahead:
-                one, modes = ahead[diameter]
-                found[diameter] = solved(one, *modes)
-            else:
-                with sector.of_diameter(diameter) as one:
-                    found[diameter] = solved(one, *one.modes(families))
+            found[diameter] = omega, shapes, answers, one.answers(pulled)
     found = _of_all_ranks(found, comm)
     ordered = (found[diameter] for diameter in sector.diameters)
     omegas, shapes, answers, static = zip(*ordered, strict=True)
@@ -425,9 +507,19 @@ def cyclic_basis(
     # A sum over all nodal diameters whose second half is the conjugate of the first.
     opened = np.zeros((sector.count, *static[0].shape))
     if opened.size:
-        opened = np.fft.irfft(np.array(static), sector.count, axis=0)
+        opened = _of_sectors(np.array(static), sector)
     modes = CyclicModes(omegas, shapes, sector)
     return CyclicBasis(modes, tuple(fields), opened, sector.opening)
+
+
+def _of_sectors(fields: np.ndarray, sector: Sector) -> np.ndarray:
+    """The real fields of all sectors of those of the nodal diameters 0 .. N/2: an inverse Fourier
+    transform, by products of matrices."""
+    angles = np.outer(np.arange(sector.count), sector.diameters) * (2.0 * np.pi / sector.count)
+    twice = np.where([sector.is_single(n) for n in sector.diameters], 1.0, 2.0) / sector.count
+    flat = fields.reshape(len(fields), -1)
+    found = (twice * np.cos(angles)) @ flat.real - (twice * np.sin(angles)) @ flat.imag
+    return found.reshape(sector.count, *fields.shape[1:])
 
 
 def _of_all_ranks(found: dict[int, Any], comm: MPI.Comm) -> dict[int, Any]:

@@ -373,22 +373,34 @@ def _stiffness(wheel: Structure) -> Any:
 
 
 def _ritz(basis: CyclicBasis, cracked: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """U^T M U and U^T K U without mistuning: the modes are those of both."""
+    """U^T M U and U^T K U without mistuning. The modes are those of both; K of static answers to
+    loads and to openings of cracks is that of either kind alone, and of openings what holds the
+    upper faces."""
     sector, modes = basis.modes.sector, len(basis.squares)
-    found = []
-    for matrix, own in ((sector.mass, np.ones(modes)), (sector.stiffness, basis.squares)):
-        beside, moved = np.zeros((0, 0)), basis.times(matrix)
-        for place in range(sector.count):
-            products = moved.columns(place, cracked)[:, modes:]
-            part = basis.columns(place, cracked).T @ products
-            beside = part if not place else beside + part
-        whole = np.zeros((len(beside), len(beside)))
-        whole[:modes, :modes] = np.diag(own)
-        whole[:, modes:] = beside
-        whole[modes:] = beside.T
-        whole[modes:, modes:] = 0.5 * (beside[modes:] + beside[modes:].T)
-        found.append(whole)
-    return found[0], found[1]
+    answers = modes + len(basis.answers)
+    moved, seen = basis.times(sector.mass), slice(modes, answers)
+    mass = stiffness = np.zeros((0, 0))
+    for place in range(sector.count):
+        columns, products = (one.columns(place, cracked) for one in (basis, moved))
+        part = columns.T @ products[:, modes:]
+        energy = columns[:, seen].T @ (sector.stiffness @ columns[:, seen])
+        mass, stiffness = (mass + part, stiffness + energy) if place else (part, energy)
+    whole = [np.eye(len(mass)), np.zeros((len(mass), len(mass)))]
+    whole[0][:, modes:] = mass
+    whole[0][modes:] = mass.T
+    pulled = sector.opening.T @ sector.stiffness
+    held = [
+        np.hstack([
+            pulled @ (basis.opened[(one - other) % sector.count] + (one == other) * basis.opening)
+            for other in cracked
+        ])
+        for one in cracked
+    ]  # fmt: skip
+    whole[1][:modes, :modes] = np.diag(basis.squares)
+    whole[1][seen, seen] = stiffness
+    if held:
+        whole[1][answers:, answers:] = np.vstack(held)
+    return tuple(0.5 * (matrix + matrix.T) for matrix in whole)  # type: ignore[return-value]
 
 
 def _elastic(basis: CyclicBasis, cracked: tuple[int, ...]) -> np.ndarray:
