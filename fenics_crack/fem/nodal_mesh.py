@@ -47,6 +47,7 @@ class NodalMesh:
         self.points = gather_rows(comm, nodes.points)
         self.size = float(np.ptp(self.points, axis=0).max())
         self._dofs = gather_rows(comm, nodes.dofs)
+        self._frames = None if nodes.frames is None else gather_rows(comm, nodes.frames)
         self.clamped = np.all(self._dofs < 0, axis=1)
         self.cells = np.concatenate([c for c in comm.allgather(nodes.cells) if len(c)])
         self.vtk_type = nodes.vtk_type
@@ -55,7 +56,14 @@ class NodalMesh:
         """Nodal vectors (m, n_nodes, d) of dof values (m, n_local); zero where clamped."""
         comm = self.structure.comm
         whole = np.concatenate(comm.allgather(rows), axis=1)
-        return np.where(self._dofs >= 0, whole[:, np.maximum(self._dofs, 0)], 0.0)
+        found = np.where(self._dofs >= 0, whole[:, np.maximum(self._dofs, 0)], 0.0)
+        return found if self._frames is None else np.einsum("nij,mnj->mni", self._frames, found)
+
+    def in_frames(self, vectors: np.ndarray) -> np.ndarray:
+        """Nodal vectors (m, n_nodes, d) in the frames of the nodes, in which the dofs are."""
+        if self._frames is None:
+            return vectors
+        return np.einsum("nji,mnj->mni", self._frames, vectors)
 
     @property
     def dimension(self) -> int:

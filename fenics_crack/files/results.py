@@ -203,7 +203,7 @@ def _unpack_modes(parts: Parts, structure: Structure, contact: Law = None) -> Mo
     if not same or distance.max() > 1e-6 * mesh.size:
         raise InputError("structure", f"{len(marks)} nodes", f"that of the file, {len(then)}")
     first = whole.comm.exscan(len(whole.nodes.points)) or 0
-    mine = shapes[:, place[first : first + len(whole.nodes.points)]]
+    mine = mesh.in_frames(shapes[:, place])[:, first : first + len(whole.nodes.points)]
     free = whole.nodes.dofs >= 0
     rows = np.zeros((len(omega), whole.n_local))
     rows[:, whole.nodes.dofs[free] - whole.first_dof] = mine[:, free]

@@ -433,11 +433,11 @@ class WheelStructure(Structure):
     def __init__(self, wheel: Wheel, families: int) -> None:
         """Take so many modes of each nodal diameter (collective)."""
         begin(f"modes of {len(wheel.sector.diameters)} nodal diameters")
-        basis, cracked, once = wheel.basis(families), wheel.cracked, wheel.sector.once
+        basis = wheel.basis(families)
+        self._hold(wheel=wheel, basis=basis)
         begin("matrices of the wheel")
-        mass, stiffness = once(("matrices", basis, cracked), lambda: _ritz(basis, cracked))
-        if np.any(wheel.mistuning):
-            elastic = once(("elastic", basis, cracked), lambda: _elastic(basis, cracked))
+        mass, stiffness, elastic = self.parts
+        if len(elastic):
             stiffness = stiffness + np.tensordot(wheel.mistuning, elastic, 1)
         sector, pairs = wheel.sector.structure, []
         force = np.zeros((len(sector.force), len(stiffness)))
@@ -449,7 +449,6 @@ class WheelStructure(Structure):
                 pairs.append((place, columns.T @ sector.gap))
                 if sector.tangential is not None:
                     tangents.append(columns.T @ sector.tangential)
-        self._hold(wheel=wheel, basis=basis)
         none = np.zeros((len(stiffness), 0))
         in_order = [dict(pairs)[place] for place in wheel.cracked]
         super().__init__(
@@ -465,6 +464,18 @@ class WheelStructure(Structure):
         if tangents:
             order = np.argsort(np.argsort(wheel.cracked))
             self._hold_tangents(sparse.csr_matrix(np.hstack([tangents[o] for o in order])))
+
+    @property
+    def parts(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """U^T M U, U^T K U without mistuning, and what the deviation of each sector multiplies in
+        that: (n, n), (n, n), and (N, n, n), or (0, n, n) of a tuned wheel."""
+        basis, cracked, once = self.basis, self.wheel.cracked, self.wheel.sector.once
+        mass, stiffness = once(("matrices", basis, cracked), lambda: _ritz(basis, cracked))
+        if not np.any(self.wheel.mistuning):
+            return mass, stiffness, np.zeros((0, *mass.shape))
+        return (
+            mass, stiffness, once(("elastic", basis, cracked), lambda: _elastic(basis, cracked))
+        )  # fmt: skip
 
     def known_modes(self, *, tied: bool) -> tuple[np.ndarray, np.ndarray] | None:
         """All with open cracks, of small dense matrices: those of equal sectors come in pairs,

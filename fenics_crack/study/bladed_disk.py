@@ -1,0 +1,455 @@
+"""A bladed disk in numbers: its blades side by side, its frequencies over the nodal diameter, and
+how much mistuning amplifies the response of one blade.
+
+An engine order E excites, of the modes of a tuned wheel of N sectors, those of one nodal diameter:
+
+    n = min(E mod N, N - E mod N).
+
+In a mistuned wheel it excites all of them, and one blade may vibrate by more than any does in the
+tuned one. Whitehead's bound of that amplification, for blades alike but for their frequencies, is
+(1 + sqrt(N)) / 2 (Journal of Mechanical Engineering Science 8, 1966, 15).
+
+The response of a pattern without contact is a sum over the wheel's modes,
+
+    u(w) = sum_m phi_m (phi_m . f) / (w_m^2 - w^2 + 2 i xi_m w_m w),
+
+looked for next to the natural frequencies of the family that is excited.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import scipy.linalg
+from mpi4py import MPI
+
+from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.basics.errors import InputError, check_count, check_number
+from fenics_crack.basics.tables import Tabular, counted
+from fenics_crack.curves.curve import ResponseCurve
+from fenics_crack.fem.build import assemble
+from fenics_crack.model.cyclic import rows_of
+from fenics_crack.model.structure import DampingRule, Structure
+from fenics_crack.model.wheel import Wheel, WheelStructure, families_of_basis
+from fenics_crack.numerics.fourier import to_complex
+from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.words import check_scene
+
+PER_WIDTH = 8
+"""Frequencies in the half-power bandwidth of a mode at which a response is computed: the largest is
+then within 2e-3 of the peak of one mode, and a parabola through three within 1e-5."""
+WIDTHS = 1.5
+"""Half-power bandwidths to either side of a natural frequency in which a peak is looked for."""
+
+
+def wheel_of(structure: Structure) -> Wheel:
+    """The whole wheel of a structure, reduced or not.
+
+    Raises
+    ------
+    InputError
+        It is none of a scene with [disk].
+    """
+    if not isinstance(structure, Structure) or not isinstance(structure.whole, Wheel):
+        raise InputError("structure", repr(structure), "that of a scene with [disk]")
+    return structure.whole
+
+
+@dataclass(frozen=True, repr=False)
+class Blades(Tabular):
+    """How each blade of a bladed disk vibrates, at the dof that is watched of the first one.
+
+    Attributes
+    ----------
+    amplitude : (N,) [m]
+        Half of the peak-to-peak displacement; of a curve at the blade's largest response.
+    fundamental : (N,) complex [m]
+        Coefficients of e^(i w t): a - i b of a cos(w t) + b sin(w t).
+    second : (N,)
+        Amplitude of the second harmonic over that of the first.
+    omega : (N,) [rad/s]
+        The load's frequency.
+    mistuning : (N,)
+        Relative deviation of the sector's stiffness.
+    cracked : tuple of int
+        Numbers of the blades with a crack, from 1.
+    """
+
+    amplitude: np.ndarray
+    fundamental: np.ndarray
+    second: np.ndarray
+    omega: np.ndarray
+    mistuning: np.ndarray
+    cracked: tuple[int, ...]
+
+    KIND: ClassVar[str] = "blades"
+
+    @property
+    def phase(self) -> np.ndarray:
+        """Angle by which the first harmonic leads the load on the first blade: (N,) [rad]."""
+        return np.angle(self.fundamental)
+
+    def to_dict(self) -> dict[str, Any]:
+        """A row for every blade."""
+        numbers = range(1, len(self.amplitude) + 1)
+        return {
+            "blade": list(numbers),
+            "amplitude": self.amplitude.tolist(),
+            "phase": np.degrees(self.phase).tolist(),
+            "ratio_2_1": self.second.tolist(),
+            "frequency": (self.omega / (2.0 * np.pi)).tolist(),
+            "mistuning": self.mistuning.tolist(),
+            "crack": ["yes" if number in self.cracked else "no" for number in numbers],
+        }
+
+    def _units(self) -> dict[str, str]:
+        return {"amplitude": "m", "phase": "degrees", "frequency": "Hz"}
+
+    def _title(self) -> str:
+        largest = int(np.argmax(self.amplitude))
+        return (
+            f"{counted(len(self.amplitude), 'blade')}, the largest amplitude "
+            f"{self.amplitude[largest]:.4g} m of blade {largest + 1}"
+        )
+
+
+def blades(found: Any, dof: int | None = None) -> Blades:
+    """The vibration of every blade of a bladed disk (collective).
+
+    Parameters
+    ----------
+    found : PeriodicSolution, ResponseCurve, or a Run of one
+        Solution; of a curve each blade is taken where it moves most.
+    dof : int, optional
+        Of one blade; default: the one that is watched.
+
+    Returns
+    -------
+    Blades
+        A row for every blade.
+
+    Raises
+    ------
+    InputError
+        It is no result of a scene with [disk].
+
+    Examples
+    --------
+    >>> fc.blades(fc.solve(wheel)).amplitude.max()
+    """
+    result = getattr(found, "result", found)
+    if not isinstance(result, PeriodicSolution | ResponseCurve):
+        raise InputError("found", type(found).__name__, "a solution or a response curve")
+    curve = isinstance(result, ResponseCurve)
+    structure = result.structure if not curve else result.problem_of(0).structure
+    wheel = wheel_of(structure)
+    dofs = wheel.dofs_of_blades(wheel.watched_dof if dof is None else dof)
+    if not curve:
+        places, solutions = [0] * len(dofs), {0: result}
+    else:
+        places = [int(np.argmax(result.amplitude(one))) for one in dofs]
+        solutions = {place: result.solution(place) for place in set(places)}
+    values: list[tuple[float, complex, float, float]] = []
+    for place, one in zip(places, dofs, strict=True):
+        solution = solutions[place]
+        rows = to_complex(structure.values_at(solution.displacement_coefficients, [one]))[:, 0]
+        higher = abs(rows[2]) if len(rows) > 2 else 0.0
+        second = higher / abs(rows[1]) if rows[1] else 0.0
+        values.append((solution.amplitude(one), rows[1], second, solution.omega))
+    amplitude, fundamental, ratio, omega = map(np.array, zip(*values, strict=True))
+    cracked = tuple(place + 1 for place in wheel.cracked)
+    return Blades(amplitude, fundamental, ratio, omega, wheel.mistuning, cracked)
+
+
+# --- nodal diameters ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, repr=False)
+class NodalDiameters(Tabular):
+    """Natural frequencies of a tuned bladed disk without a crack, over the nodal diameter.
+
+    Attributes
+    ----------
+    omega : (n_diameters, families) [rad/s]
+        Of n = 0 .. N/2; those of n = 0, and of N/2, are of one mode each, others of two.
+    sectors : int
+        N.
+    order : int
+        Engine order of the load.
+    speed : float [rad/s]
+        Of the rotor; 0 at rest.
+    """
+
+    omega: np.ndarray
+    sectors: int
+    order: int
+    speed: float
+
+    KIND: ClassVar[str] = "nodal diameters"
+
+    @property
+    def excited(self) -> int:
+        """The nodal diameter that the engine order excites."""
+        rest = self.order % self.sectors
+        return min(rest, self.sectors - rest)
+
+    def to_dict(self) -> dict[str, Any]:
+        """A row for every nodal diameter; frequencies of the families."""
+        found: dict[str, Any] = {"nodal_diameter": list(range(len(self.omega)))}
+        for family, omega in enumerate(self.omega.T, 1):
+            found[f"frequency_{family}"] = (omega / (2.0 * np.pi)).tolist()
+        orders = [self._orders(n) for n in range(len(self.omega))]
+        found["engine_orders"] = orders
+        return found
+
+    def _orders(self, diameter: int) -> str:
+        """The lowest engine orders that excite a nodal diameter."""
+        first = sorted({diameter, self.sectors - diameter, self.sectors + diameter} - {0})
+        return " ".join(map(str, first))
+
+    def _units(self) -> dict[str, str]:
+        return {f"frequency_{family + 1}": "Hz" for family in range(self.omega.shape[1])}
+
+    def _title(self) -> str:
+        return f"{counted(len(self.omega), 'nodal diameter')} of {self.sectors} sectors"
+
+
+def nodal_diameters(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> NodalDiameters:
+    """Natural frequencies of a scene's bladed disk over the nodal diameter, without mistuning and
+    with bonded cracks; ranks share the nodal diameters (collective).
+
+    Parameters
+    ----------
+    scene : Scene
+        With [disk], whose families are found.
+    comm : MPI.Comm
+        Ranks that share the work.
+
+    Returns
+    -------
+    NodalDiameters
+        A row for every nodal diameter.
+
+    Raises
+    ------
+    InputError
+        The scene has no [disk], or a value that cannot be used.
+
+    Examples
+    --------
+    >>> fc.nodal_diameters(wheel).omega[2, 0]
+    """
+    wheel = _assembled(scene, comm)
+    omega = np.array(wheel.cyclic_modes().omega)
+    return NodalDiameters(omega, wheel.sector.count, wheel.order, scene.speed)
+
+
+def _assembled(scene: Scene, comm: MPI.Comm) -> Wheel:
+    check_scene(scene)
+    scene.given("disk")
+    return wheel_of(assemble(scene, comm))
+
+
+# --- patterns of mistuning ------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, repr=False)
+class Amplification(Tabular):
+    """Amplification factors of random patterns of mistuning, without contact.
+
+    Attributes
+    ----------
+    factor : (n,)
+        Largest amplitude of any blade over the frequency, relative to that of the tuned wheel
+        without a crack.
+    omega : (n,) [rad/s]
+        Where it is.
+    blade : (n,) int
+        Of which blade, from 1.
+    tuned, tuned_omega : float [m], [rad/s]
+        Largest amplitude of the tuned wheel, and where.
+    deviation, seed : float, int
+        Of the patterns: each has a seed of its own, one after the other.
+    sectors : int
+        N.
+    """
+
+    factor: np.ndarray
+    omega: np.ndarray
+    blade: np.ndarray
+    tuned: float
+    tuned_omega: float
+    deviation: float
+    seed: int
+    sectors: int
+
+    KIND: ClassVar[str] = "amplification"
+
+    @property
+    def bound(self) -> float:
+        """Whitehead's: (1 + sqrt(N)) / 2."""
+        return 0.5 * (1.0 + math.sqrt(self.sectors))
+
+    def percentile(self, percent: float) -> float:
+        """The factor that so many of the patterns do not exceed [%]."""
+        check_number("percent", percent, 0.0)
+        return float(np.percentile(self.factor, min(percent, 100.0)))
+
+    def to_dict(self) -> dict[str, Any]:
+        """A row for every pattern."""
+        seeds = range(self.seed, self.seed + len(self.factor))
+        return {
+            "seed": list(seeds),
+            "factor": self.factor.tolist(),
+            "frequency": (self.omega / (2.0 * np.pi)).tolist(),
+            "blade": self.blade.tolist(),
+        }
+
+    def _units(self) -> dict[str, str]:
+        return {"frequency": "Hz"}
+
+    def _title(self) -> str:
+        return (
+            f"{counted(len(self.factor), 'pattern')} of {100.0 * self.deviation:.3g} %, "
+            f"amplification up to {self.factor.max():.4g} (bound {self.bound:.4g})"
+        )
+
+
+def amplification(
+    scene: Scene,
+    patterns: int = 1000,
+    deviation: float = 0.01,
+    seed: int = 0,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+) -> Amplification:
+    """Amplification factors of random patterns of mistuning of a bladed disk without a crack.
+
+    The family of modes is the one whose frequency at the nodal diameter of the engine order is
+    nearest to the scene's load; what is watched is the scene's dof on every blade. Ranks share the
+    patterns (collective).
+
+    Parameters
+    ----------
+    scene : Scene
+        With [disk], whose own mistuning and cracks are left out.
+    patterns : int
+        Number of patterns.
+    deviation : float
+        Standard deviation of the relative deviations of the sectors' stiffness.
+    seed : int
+        Of the first pattern, as of ``disk.mistuning.seed``.
+    comm : MPI.Comm
+        Ranks that share the work.
+
+    Returns
+    -------
+    Amplification
+        A factor for every pattern.
+
+    Raises
+    ------
+    InputError
+        The scene has no [disk], no load that vibrates or no modal or Rayleigh damping.
+
+    Examples
+    --------
+    >>> found = fc.amplification(wheel, patterns=100, deviation=0.01)
+    >>> found.percentile(95.0) < found.bound
+    """
+    check_count("patterns", patterns, 1)
+    check_count("seed", seed, 0)
+    scene.given("disk")
+    of_pattern = {"disk.mistuning": {"deviation": float(deviation), "seed": seed}}
+    bonded = scene.replace({"disk.cracked": [], **of_pattern})
+    wheel = _assembled(bonded, comm)
+    response = _Response.of(wheel, scene.excitation.omega)
+    tuned, tuned_omega, _ = response.largest(np.zeros(wheel.sector.count))
+    found = []
+    for number in range(comm.rank, patterns, comm.size):
+        own = bonded.replace({"disk.mistuning.seed": seed + number})
+        found.append((number, *response.largest(own.given("disk").deviations)))
+    every = sorted(one for part in comm.allgather(found) for one in part)
+    _, sizes, omegas, numbers = map(np.array, zip(*every, strict=True))
+    return Amplification(
+        sizes / tuned, omegas, numbers, tuned, tuned_omega, float(deviation), seed,
+        wheel.sector.count,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Response:
+    """The response of all blades without contact, in the coordinates of a wheel.
+
+    Attributes
+    ----------
+    mass, stiffness, elastic : (n, n), (n, n), (N, n, n)
+        M, K without mistuning, and what each sector's deviation multiplies.
+    force : (n,) complex
+        First harmonic of the load, f - i g.
+    rows : (N, n)
+        The displacement that is watched on each blade.
+    damping : DampingRule
+        Of the modes.
+    first : int
+        Place of the first mode of the excited family, all of whose N are looked at.
+    """
+
+    mass: np.ndarray
+    stiffness: np.ndarray
+    elastic: np.ndarray
+    force: np.ndarray
+    rows: np.ndarray
+    damping: DampingRule
+    first: int
+
+    @classmethod
+    def of(cls, wheel: Wheel, omega: float) -> _Response:
+        """Of a wheel, next to a frequency."""
+        few = WheelStructure(wheel.mistuned(1e-3), families_of_basis(wheel.families))
+        force = few.force[1] - 1j * few.force[2]
+        if not np.any(force):
+            raise InputError("load", "steady", "one that changes in time: nothing vibrates")
+        if not isinstance(wheel.damping, DampingRule):
+            raise InputError("damping", None, "modal or Rayleigh damping, which bounds a peak")
+        modes = wheel.cyclic_modes().omega
+        count = wheel.sector.count
+        excited = min(wheel.order % count, count - wheel.order % count)
+        family = int(np.argmin(np.abs(modes[excited] - omega)))
+        single = [1 if wheel.sector.is_single(n) else 2 for n in range(len(modes))]
+        below = sum(
+            times * int(np.sum(own < modes[excited][family] * (1.0 - 1e-9)))
+            for times, own in zip(single, modes, strict=True)
+        )
+        mass, stiffness, elastic = few.parts
+        rows = few.values_at(
+            np.eye(few.n_dofs), wheel.dofs_of_blades(wheel.watched_dof)
+        ).T
+        return cls(mass, stiffness, elastic, force, rows, wheel.damping, max(below - count, 0))
+
+    def largest(self, deviations: np.ndarray) -> tuple[float, float, int]:
+        """Largest amplitude of a pattern [m], its frequency [rad/s], and the number of its
+        blade."""
+        stiffness = self.stiffness + np.tensordot(deviations, self.elastic, 1)
+        count = len(self.rows)
+        last = min(self.first + 2 * count, len(stiffness))
+        squares, shapes = scipy.linalg.eigh(stiffness, self.mass)
+        natural, rate = np.sqrt(squares), self.damping.rate(squares)
+        pull, seen = shapes.T @ self.force, self.rows @ shapes
+        near = slice(self.first, last)
+        steps = np.arange(-WIDTHS, WIDTHS + 0.5 / PER_WIDTH, 1.0 / PER_WIDTH)
+        omega = np.sort((natural[near, None] + rate[near, None] * steps).ravel())
+
+        def amplitudes(at: np.ndarray) -> np.ndarray:
+            change = squares - at[:, None] ** 2 + 1j * rate * at[:, None]
+            return np.abs((pull / change) @ seen.T)
+
+        sizes = amplitudes(omega)
+        place, blade = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
+        step = np.interp(omega[place], natural[near], rate[near]) / PER_WIDTH
+        finer = omega[place] + step * np.linspace(-1.0, 1.0, 41)
+        best = amplitudes(finer)[:, blade]
+        top = int(np.argmax(best))
+        return float(best[top]), float(finer[top]), int(blade) + 1
