@@ -40,6 +40,10 @@ from fenics_crack.draw.plot import draw_waves as draw_waves
 from fenics_crack.draw.plot_curve import draw_content as draw_content
 from fenics_crack.draw.plot_curve import draw_curve as draw_curve
 from fenics_crack.draw.plot_curve import draw_multipliers as draw_multipliers
+from fenics_crack.draw.plot_disk import draw_amplification as draw_amplification
+from fenics_crack.draw.plot_disk import draw_blades as draw_blades
+from fenics_crack.draw.plot_disk import draw_nodal_diameters as draw_nodal_diameters
+from fenics_crack.draw.plot_disk import draw_wheel as draw_wheel
 from fenics_crack.draw.plot_mesh import draw_mesh as draw_mesh
 from fenics_crack.draw.plot_mesh import draw_modes as draw_modes
 from fenics_crack.draw.plot_study import draw_arrivals as draw_arrivals
@@ -78,6 +82,8 @@ from fenics_crack.model.rotation import run_up_structure as run_up_structure
 from fenics_crack.model.structure import ModalDamping as ModalDamping
 from fenics_crack.model.structure import RayleighDamping as RayleighDamping
 from fenics_crack.model.structure import Structure as Structure
+from fenics_crack.model.wheel import Wheel as Wheel
+from fenics_crack.model.wheel import reduce_wheel as reduce_wheel
 from fenics_crack.monitoring.identification.identify import identify as identify
 from fenics_crack.monitoring.identification.measurements import Measurement as Measurement
 from fenics_crack.monitoring.identification.measurements import Measurements as Measurements
@@ -97,6 +103,12 @@ from fenics_crack.monitoring.tip_timing.simulate import tip_timing as tip_timing
 from fenics_crack.motion.attractors import Attractor as Attractor
 from fenics_crack.motion.orbit import PeriodicOrbit as PeriodicOrbit
 from fenics_crack.scene.scene import Scene as Scene
+from fenics_crack.study.bladed_disk import Amplification as Amplification
+from fenics_crack.study.bladed_disk import Blades as Blades
+from fenics_crack.study.bladed_disk import NodalDiameters as NodalDiameters
+from fenics_crack.study.bladed_disk import amplification as amplification
+from fenics_crack.study.bladed_disk import blades as blades
+from fenics_crack.study.bladed_disk import nodal_diameters as nodal_diameters
 from fenics_crack.study.campbell import Campbell as Campbell
 from fenics_crack.study.campbell import campbell as campbell
 from fenics_crack.study.prepare import Study as Study

@@ -252,12 +252,17 @@ def path(text: str) -> Path:
 
 SOLVED = "scene --set --output"
 COMMANDS = {
-    "new": ("write a commented scene to start from", "file --blade --timing --identify --solid"),
+    "new": ("write a commented scene to start from", "file --blade --timing --identify --solid --disk"),
     "check": ("mesh and assemble a scene without solving it", "scene --set"),
     "modes": ("natural frequencies and mode shapes, crack open", f"{SOLVED} --count"),
     "campbell": (
         "natural frequencies over the speed of [rotation], crack open and bonded, and a picture",
         f"{SOLVED} --count --speeds --pictures",
+    ),
+    "disk": (
+        "natural frequencies of a bladed disk over the nodal diameter, and how much random "
+        "mistuning amplifies the response of a blade, with pictures",
+        f"{SOLVED} --patterns --deviation --pictures",
     ),
     "solve": ("steady vibration at excitation.omega", SOLVED),
     "verify": (
@@ -301,6 +306,15 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     "--timing": ("of one with probes that its tip passes", {"action": "store_true"}),
     "--identify": ("of one whose crack is looked for, by a CSV file", {"action": "store_true"}),
     "--solid": ("of a blade in three dimensions", {"action": "store_true"}),
+    "--disk": ("of a bladed disk with one cracked blade", {"action": "store_true"}),
+    "--patterns": (
+        "number of random patterns of mistuning, without contact (default: 0)",
+        {"type": int, "default": 0, "metavar": "COUNT"},
+    ),
+    "--deviation": (
+        "standard deviation of each sector's stiffness in these patterns (default: 0.01)",
+        {"type": float, "default": 0.01},
+    ),
     "scene": (
         "the scene, a TOML file; of timing also a measured record, a CSV file",
         {"type": path},

@@ -13,7 +13,7 @@ import numpy as np
 
 from fenics_crack.basics.errors import FEW_MODES, INTERRUPTED, Exit, InputError, StoppedError
 from fenics_crack.basics.ranks import on_root, uninterrupted
-from fenics_crack.basics.tables import RPM, counted, quantity, speed_in_words
+from fenics_crack.basics.tables import RPM, TURN, Table, counted, quantity, speed_in_words
 from fenics_crack.cli.account import Account, account_of_sweep
 from fenics_crack.cli.given import Console, Inputs, keep_before
 from fenics_crack.cli.results import account_of, priors_in_words
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from fenics_crack.monitoring.identification.measurements import Measurements
     from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes
     from fenics_crack.scene.scene import Scene
+    from fenics_crack.study.bladed_disk import Amplification
 
 RUNS: dict[str, tuple[str, Callable[..., Run]]] = {
     "modes": ("modes", runs.modes),
@@ -164,6 +165,47 @@ def campbell(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     orders = sorted({*range(1, 9), own or 1})
     draw = partial(draw_campbell, found, orders, in_hertz=in_hertz, in_rpm=scene.in_rpm)
     return tell(account, inputs.folder, console, draw)
+
+
+def disk(given: Namespace, inputs: Inputs, console: Console) -> Exit:
+    """Frequencies over the nodal diameter, and amplification by patterns of mistuning."""
+    from fenics_crack.draw.plot_disk import draw_amplification, draw_nodal_diameters
+    from fenics_crack.study.bladed_disk import amplification, nodal_diameters
+
+    scene, comm = inputs.scene, console.comm
+    scene.given("disk")
+    if given.patterns < 0:
+        raise InputError("--patterns", given.patterns, "a whole number >= 0")
+    with console.stage("nodal diameters"):
+        found = nodal_diameters(scene, comm)
+    omega = found.omega[found.excited] / TURN
+    hertz = ", ".join(f"{one:.6g}" for one in omega)
+    excited = f"engine order {found.order} excites nodal diameter {found.excited}: {hertz} Hz"
+    left = "without the Coriolis force" if found.speed > 0.0 else ""
+    account = Account(
+        "disk", found.table(), notes=[excited, left], remarks=remarks_on_scene(scene)
+    )
+    ended = tell(account, inputs.folder, console, partial(draw_nodal_diameters, found))
+    if not given.patterns:
+        return ended
+    with console.stage("patterns of mistuning"):
+        many = amplification(scene, given.patterns, given.deviation, comm=comm)
+    shares = ", ".join(f"{many.percentile(p):.4g} ({p:g} %)" for p in (50.0, 95.0, 99.0))
+    notes = [
+        f"amplification factors that a share of the patterns does not exceed: {shares}",
+        f"the largest: {many.factor.max():.4g}; Whitehead's bound: {many.bound:.4g}",
+        f"the tuned wheel without a crack: {quantity(many.tuned, 'm')} at "
+        f"{many.tuned_omega / TURN:.6g} Hz",
+    ]
+    account = Account("amplification", many.table(), shown=_percentiles(many), notes=notes)
+    return tell(account, inputs.folder, console, partial(draw_amplification, many))
+
+
+def _percentiles(found: Amplification) -> Table:
+    """Amplification factors by shares of the patterns."""
+    shares = (5.0, 25.0, 50.0, 75.0, 95.0, 99.0, 100.0)
+    rows = [[share, found.percentile(share)] for share in shares]
+    return Table(["share of patterns [%]", "amplification factor"], rows)
 
 
 def verify(_: Namespace, inputs: Inputs, console: Console) -> Exit:

@@ -48,6 +48,8 @@ WRITTEN = (".h5", ".csv", ".json", ".png", ".pdf", ".svg")
 """Folder in which a result is kept that another one replaces, and what its files end in."""
 KINDS = ("blade", "timing", "identify")
 """Scenes that ``new`` writes besides a plate."""
+ALONE = ("solid", "disk")
+"""Scenes that have files of their own."""
 
 
 @dataclass(frozen=True)
@@ -273,11 +275,13 @@ def new(given: Namespace, _: None, console: Console) -> None:
 
     path: Path = given.file
     kinds = [kind for kind in KINDS if vars(given)[kind]]
-    if given.solid and kinds:
-        raise InputError("--solid", f"with --{kinds[0]}", "used alone: the others are plates")
+    alone = [name for name in ALONE if vars(given)[name]]
+    if alone and len(alone + kinds) > 1:
+        other = f"with --{(alone[1:] + kinds)[0]}"
+        raise InputError(f"--{alone[0]}", other, "used alone: it is another scene")
     rows = path.with_name(f"{path.stem}_measured.csv")
-    if given.solid:
-        files = {path: packaged("cli/new_solid.toml").replace("SCENE", path.name)}
+    if alone:
+        files = {path: packaged(f"cli/new_{alone[0]}.toml").replace("SCENE", path.name)}
     else:
         files = {path: new_scene(path.name, rows.name, kinds)}
     if "identify" in kinds:

@@ -209,6 +209,10 @@ def _solution(run: Run[PeriodicSolution], file: File) -> None:
     if friction_of(found.contact) is not None:
         heading = f"Friction, {frequency_in_words(run.scene, found.omega)}"
         draw_friction_loops(found, path=file("solution_friction_loops"), title=heading)
+    if run.scene.disk is not None:
+        from fenics_crack.draw.plot_disk import draw_wheel
+
+        draw_wheel(found, path=file("solution_wheel"), title=title)
     if found.structure.whole.meshed is not None:
         from fenics_crack.draw.animation import animate_period  # VTK
 
@@ -258,6 +262,11 @@ def _curve(run: Run[ResponseCurve], file: File) -> None:
     without = _without_contact(run)
     draw_curve(found, dof, path=file("curve"), title=title, in_hertz=in_hertz, behind=without)
     draw_content(found, dof, path=file("curve_content"), title=title, in_hertz=in_hertz)
+    if run.scene.disk is not None:
+        from fenics_crack.draw.plot_disk import draw_blades
+
+        heading = f"Every blade, {found.method}"
+        draw_blades(found, path=file("curve_blades"), title=heading, in_hertz=in_hertz)
     if found.multipliers is not None:
         title, path = "Largest Floquet multiplier along the curve", file("curve_multipliers")
         draw_multipliers(found, path=path, title=title, in_hertz=in_hertz)

@@ -64,6 +64,7 @@ from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Integration
 from fenics_crack.scene.words import key_in_words, value_in_words
+from fenics_crack.study.bladed_disk import blades
 from fenics_crack.study.coarser_mesh import natural_name
 from fenics_crack.study.conclusion import conclusion, known_to, unknown_error
 from fenics_crack.study.plausibility import highest_omega
@@ -149,15 +150,31 @@ def _account_of_solution(run: Run[PeriodicSolution]) -> Account:
         shown=in_short(table, scene, SHORT),
         facts=_facts(run),
         verdict=_verdict(found, seen),
-        notes=notes,
+        notes=[*notes, *_on_blades(run)],
         warnings=warnings,
-        tables=_in_numbers(table, scene),
+        tables=_in_numbers(table, scene) | _of_blades(run),
         remarks=run.remarks,
         closing=conclusion(run, len(warnings)),
         done=found.converged,
         missed=missed or bool(unknown_error(run)),
         run=run,
     )
+
+
+def _of_blades(run: Run[Any]) -> dict[str, Table]:
+    """The vibration of each blade of a bladed disk (collective)."""
+    if run.scene.disk is None:
+        return {}
+    heading = "Blades"
+    if isinstance(run.result, ResponseCurve):
+        heading += ", each at its largest response"
+    return {heading: blades(run).table()}
+
+
+def _on_blades(run: Run[Any]) -> Iterator[str]:
+    """The same as text (collective)."""
+    for heading, table in _of_blades(run).items():
+        yield f"{heading}:\n{table.formatted('text')}".rstrip()
 
 
 def _in_doubt(run: Run[PeriodicSolution]) -> dict[str, object]:
@@ -471,9 +488,9 @@ def _account_of_curve(run: Run[ResponseCurve]) -> Account:
         rows=curve_points(run, along),
         shown=in_short(few, scene, SHORT_OF_CURVE),
         facts=_facts_of_curve(run, largest),
-        notes=notes,
+        notes=[*notes, *_on_blades(run)],
         warnings=warnings,
-        tables={"Special points": in_short(special, scene, SHORT_OF_CURVE)},
+        tables={"Special points": in_short(special, scene, SHORT_OF_CURVE)} | _of_blades(run),
         remarks=run.remarks,
         closing=conclusion(run, len(warnings)),
         done=bool(found.complete) and found.status != INTERRUPTED,

@@ -130,7 +130,7 @@ class _Plate:
         self.unit_arrow = self.arrow.points.copy()
         self.room = np.zeros(3) if solid else np.array([0.0, 0.0, 2.0 * self.height])
         self.starts, self.arrows = _load_arrows(fields)
-        if np.any(fields.load):
+        if fields.has_one_load:
             plotter.add_mesh(self.arrow, color=INK["load"], **FLAT)
         self._move(0)
 
@@ -184,7 +184,7 @@ def _load_arrows(fields: PeriodFields) -> tuple[np.ndarray, np.ndarray]:
 
 def _caption(solution: PeriodicSolution, fields: PeriodFields) -> str:
     hertz = solution.omega / (2.0 * np.pi)
-    moves = "load" if np.any(fields.load) else "motion"
+    moves = "load" if fields.has_one_load else "motion"
     return (
         f"{moves} at {solution.omega:.5g} rad/s ({hertz:.4g} Hz), "
         f"displacement × {float(f'{fields.magnification:.3g}'):.10g}"
@@ -238,7 +238,7 @@ def _look_at_all(plotter: Any, fields: PeriodFields) -> float:
     if fields.mesh.dimension == 3:
         vtk.look_from_corner(plotter.renderer, fields.mesh.points)
         return float(width / height)
-    heads = np.add(*_load_arrows(fields)) if np.any(fields.load) else np.empty((0, 2))
+    heads = np.add(*_load_arrows(fields)) if fields.has_one_load else np.empty((0, 2))
     points = np.concatenate([fields.mesh.points, *fields.moved, heads])
     low, high = points.min(axis=0), points.max(axis=0)
     size, camera = fields.mesh.size, vtk.seen_parallel(plotter.renderer)
@@ -300,7 +300,7 @@ class _Page:
         lines = (
             ("at rest", True, "rest", 1.5, None),
             ("clamped", fields.mesh.clamped.any(), "rest", 6, None),
-            ("load", np.any(fields.load), "load", 3, ">"),
+            ("load", fields.has_one_load, "load", 3, ">"),
             ("crack faces", fields.cracked and fields.mesh.dimension == 2, "lips", 3, None),
             ("in contact", len(fields.areas), "contact", 0, "o"),
         )

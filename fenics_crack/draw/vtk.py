@@ -339,6 +339,12 @@ class PeriodFields:
             self.pair_nodes = self.shares = _nodes_of_pairs(structure)
 
     @property
+    def has_one_load(self) -> bool:
+        """True if there is a load of which one arrow says something: not one on each blade."""
+        nodes = self.mesh.structure.nodes
+        return bool(np.any(self.load)) and (nodes is None or nodes.frames is None)
+
+    @property
     def cracked(self) -> bool:
         """True if there are crack faces."""
         return len(self.mesh.lips if self.mesh.dimension == 2 else self.mesh.lip_facets) > 0

@@ -413,6 +413,8 @@ def without_tips(scene: Scene) -> str:
     """Why no stress intensities are known of a scene; "" of a plate with a crack."""
     if scene.structure is not None:
         return "with [structure]: stress intensities take the mesh of a plate"
+    if scene.disk is not None:
+        return "with [disk]: stress intensities are of one plate"
     if scene.dimension == 3:
         return "with geometry.kind = 'solid': stress intensities are of plates"
     if not scene.all_cracks and (scene.contact is None or scene.mesh.layout != "file"):
@@ -438,6 +440,8 @@ def without_clamp(scene: Scene) -> str:
     """Why the forces of the clamp are not known; "" where they are."""
     if scene.structure is not None:
         return "with [structure]: matrices have no clamp, a mesh has"
+    if scene.disk is not None:
+        return "with [disk]: reactions are of the clamp of one structure"
     if scene.rotation is not None:
         return "with [rotation]: reactions are of what vibrates at rest"
     return ""

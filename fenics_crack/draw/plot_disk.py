@@ -1,0 +1,255 @@
+"""Pictures of a bladed disk: its blades, its nodal diameters, and amplification by mistuning."""
+
+from __future__ import annotations
+
+from typing import Unpack
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.basics.errors import check_kind
+from fenics_crack.basics.tables import RPM, TURN, quantity, readable
+from fenics_crack.curves.curve import ResponseCurve, parameter_axis
+from fenics_crack.draw.figure import COLOURS, Picture, Where, label_axis, tenth
+from fenics_crack.fem.nodal_mesh import NodalMesh
+from fenics_crack.study.bladed_disk import Amplification, NodalDiameters, blades, wheel_of
+
+FRAMES = 48
+"""Instants of the period at which the largest displacement of each node is looked for."""
+
+
+def draw_wheel(solution: PeriodicSolution, **where: Unpack[Where]) -> Figure:
+    """Draw a bladed disk coloured by the amplitude of its vibration, with the numbers of its
+    blades (collective).
+
+    The shape is that of the instant at which the wheel moves most, magnified; the colour is the
+    largest displacement over the period, without its mean. Cracked blades have orange numbers.
+
+    Parameters
+    ----------
+    solution : PeriodicSolution
+        Of a scene with [disk].
+    **where
+        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
+
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
+    Raises
+    ------
+    InputError
+        It is no solution of a bladed disk.
+
+    Examples
+    --------
+    >>> figure = fc.draw_wheel(fc.solve(wheel).result, path="wheel.png")
+    """
+    check_kind("solution", solution, PeriodicSolution)
+    wheel = wheel_of(solution.structure)
+    mesh = NodalMesh(solution.structure)
+    time = solution.period / FRAMES * np.arange(FRAMES)
+    moved = mesh.field(solution.displacement_field(time))
+    moved = moved - moved.mean(axis=0)
+    sizes = np.linalg.norm(moved, axis=2)
+    amplitude, largest = sizes.max(axis=0), moved[int(np.argmax(sizes.max(axis=1)))]
+    [panel] = picture = Picture(size=(6.4, 6.0), comm=wheel.comm, **where)
+    factor, unit = readable(float(amplitude.max()), "m")
+    drawn = 0.5 * tenth(largest, mesh.size) * largest
+    if mesh.dimension == 2:
+        points = mesh.points + drawn
+        shown = panel.tripcolor(
+            *points.T, mesh.triangles, factor * amplitude, shading="gouraud", cmap="viridis"
+        )
+        panel.add_collection(
+            LineCollection(points[mesh.boundary], colors="black", linewidths=0.7)
+        )
+        panel.autoscale_view()
+        panel.set_aspect("equal")
+    else:
+        shown = _solid(panel, mesh, drawn, factor * amplitude)
+    panel.axis("off")
+    panel.figure.colorbar(shown, ax=panel, label=f"amplitude [{unit}]", shrink=0.7)
+    if mesh.dimension == 2:
+        _number_blades(panel, solution)
+    return picture.saved()
+
+
+def _number_blades(panel: Axes, solution: PeriodicSolution) -> None:
+    """The number of each blade, beyond the node that is farthest from the axis."""
+    wheel = wheel_of(solution.structure)
+    sector, nodes = wheel.sector, wheel.sector.structure.nodes
+    assert nodes is not None
+    away = nodes.points - sector.center
+    middle = nodes.points.mean(axis=0) - sector.center
+    reach = 1.08 * float(np.linalg.norm(away, axis=1).max())
+    for place in range(sector.count):
+        at = sector.center + reach * sector.turned(place) @ (middle / np.linalg.norm(middle))
+        colour = COLOURS["orange"] if place in wheel.cracked else COLOURS["grey"]
+        weight = "bold" if place in wheel.cracked else "normal"
+        panel.text(*at, str(place + 1), color=colour, weight=weight, ha="center", va="center")
+        panel.update_datalim([at])
+
+
+def _solid(panel: Axes, mesh: NodalMesh, drawn: np.ndarray, amplitude: np.ndarray) -> object:
+    """The surface of a solid, seen from a corner; what the scale of its colours is of."""
+    from fenics_crack.draw import vtk
+
+    plotter = vtk.off_screen_plotter()
+    surface = vtk.surface(mesh.points + drawn, mesh.boundary_facets)
+    surface["amplitude"] = amplitude
+    plotter.add_mesh(surface, scalars="amplitude", cmap="viridis", show_scalar_bar=False)
+    edges = vtk.lines(mesh.points + drawn, vtk.outline(mesh))
+    plotter.add_mesh(edges, color="black", line_width=2)
+    panel.imshow(vtk.image_of(plotter, mesh.points), interpolation="antialiased")
+    scale = panel.scatter([], [], c=[], cmap="viridis")
+    scale.set_clim(0.0, float(amplitude.max()))
+    return scale
+
+
+def draw_blades(
+    curve: ResponseCurve, dof: int | None = None, *, in_hertz: bool = True, **where: Unpack[Where]
+) -> Figure:
+    """Draw the response of every blade of a bladed disk along a curve; cracked blades are orange,
+    the whole blade with the largest response blue.
+
+    Parameters
+    ----------
+    curve : ResponseCurve
+        Of a scene with [disk].
+    dof : int, optional
+        Of one blade, whose place is taken on each; default: the watched one.
+    in_hertz : bool
+        Frequencies in Hz, else in rad/s.
+    **where
+        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
+
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
+    Raises
+    ------
+    InputError
+        It is no curve of a bladed disk.
+
+    Examples
+    --------
+    >>> figure = fc.draw_blades(fc.curve(wheel).result, path="blades.png")
+    """
+    check_kind("curve", curve, ResponseCurve)
+    wheel = wheel_of(curve.problem_of(0).structure)
+    dofs = wheel.dofs_of_blades(wheel.watched_dof if dof is None else dof)
+    lines = np.array([curve.amplitude(one) for one in dofs])
+    factor, *name = parameter_axis(curve.parameter, in_hertz)
+    [panel] = picture = Picture(comm=wheel.comm, **where)
+    whole = [place for place in range(len(dofs)) if place not in wheel.cracked]
+    peaks = lines.max(axis=1)
+    for place in whole:
+        panel.plot(factor * curve.values, lines[place], color="#b4b4b4", lw=0.8)
+    marked = [(max(whole, key=lambda place: peaks[place]), "blue", "")] if whole else []
+    marked += [(place, "orange", ", cracked") for place in wheel.cracked]
+    for place, colour, words in marked:
+        label = f"blade {place + 1}{words}, up to {quantity(float(peaks[place]), 'm')}"
+        panel.plot(factor * curve.values, lines[place], color=COLOURS[colour], lw=1.5, label=label)
+    others = len(whole) - 1
+    if others > 0:
+        panel.plot([], [], color="#b4b4b4", lw=0.8, label=f"the {others} others")
+    panel.set_yscale("log")
+    panel.set_xlabel(f"{name[0]} [{name[1]}]")
+    label_axis(panel.yaxis, "amplitude", "m")
+    return picture.finished()
+
+
+def draw_nodal_diameters(
+    found: NodalDiameters, *, families: int | None = None, **where: Unpack[Where]
+) -> Figure:
+    """Draw natural frequencies over the nodal diameter (SAFE diagram, Singh and others 1988): dots
+    of each family; of a rotor, the frequency of each engine order at the nodal diameter that it
+    excites, which goes up and down between 0 and N/2. The order of the load has a ring on each
+    family.
+
+    Parameters
+    ----------
+    found : NodalDiameters
+        Result to draw.
+    families : int, optional
+        How many; default: all.
+    **where
+        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
+
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
+    Examples
+    --------
+    >>> figure = fc.draw_nodal_diameters(fc.nodal_diameters(wheel), path="diameters.png")
+    """
+    check_kind("found", found, NodalDiameters)
+    [panel] = picture = Picture(**where)
+    shown = found.omega[:, :families] / TURN
+    diameters = np.arange(len(shown))
+    for (family, row), colour in zip(enumerate(shown.T, 1), [*COLOURS.values()] * 99, strict=False):
+        panel.plot(diameters, row, ".-", color=colour, ms=7, lw=0.8, label=f"family {family}")
+    panel.plot(
+        np.full(shown.shape[1], found.excited), shown[found.excited], "o", color="black",
+        mfc="none", ms=10, label=f"excited by order {found.order}",
+    )  # fmt: skip
+    top = 1.08 * float(shown.max())
+    if found.speed > 0.0:
+        hertz = found.speed / TURN
+        orders = np.arange(0, int(np.ceil(top / hertz)) + 1)
+        rest = orders % found.sectors
+        places = np.minimum(rest, found.sectors - rest)
+        label = f"engine orders at {found.speed / RPM:.4g} rpm"
+        panel.plot(places, hertz * orders, "x--", color="#8f8f8f", ms=4, lw=0.6, label=label)
+    panel.set(xlabel="nodal diameter", ylabel="natural frequency [Hz]", ylim=(0.0, top))
+    panel.xaxis.set_major_locator(MaxNLocator(integer=True))
+    return picture.finished()
+
+
+def draw_amplification(found: Amplification, **where: Unpack[Where]) -> Figure:
+    """Draw the distribution of the amplification factors of random patterns of mistuning: a
+    histogram, the share of patterns below a factor, and Whitehead's bound.
+
+    Parameters
+    ----------
+    found : Amplification
+        Result to draw.
+    **where
+        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
+
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
+    Examples
+    --------
+    >>> figure = fc.draw_amplification(fc.amplification(wheel, 200), path="amplification.png")
+    """
+    check_kind("found", found, Amplification)
+    [panel] = picture = Picture(**where)
+    count = len(found.factor)
+    weights = np.full(count, 100.0 / count)
+    bins = max(8, int(np.sqrt(count)))
+    panel.hist(found.factor, bins, weights=weights, color=COLOURS["blue"], alpha=0.6)
+    panel.set(xlabel="amplification factor", ylabel=f"share of {count} patterns [%]")
+    panel.axvline(found.bound, color=COLOURS["pink"], ls="--", label="Whitehead's bound")
+    percentile = found.percentile(95.0)
+    label = f"95 % of patterns below {percentile:.3g}"
+    panel.axvline(percentile, color=COLOURS["grey"], ls=":", label=label)
+    ranked = np.sort(found.factor)
+    other = panel.twinx()
+    other.plot(ranked, 100.0 * np.arange(1, count + 1) / count, color=COLOURS["orange"], lw=1.4)
+    other.set(ylabel="share below [%]", ylim=(0.0, 102.0))
+    other.yaxis.label.set_color(COLOURS["orange"])
+    return picture.finished()
