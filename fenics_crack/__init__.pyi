@@ -91,6 +91,7 @@ from fenics_crack.monitoring.identification.result import Identification as Iden
 from fenics_crack.monitoring.identification.result import Worth as Worth
 from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes as ArrivalTimes
 from fenics_crack.monitoring.tip_timing.arrival_times import read_record as read_record
+from fenics_crack.monitoring.tip_timing.arrival_times import write_record as write_record
 from fenics_crack.monitoring.tip_timing.fit_frequency import fit_frequency as fit_frequency
 from fenics_crack.monitoring.tip_timing.fit_order import TipTrack as TipTrack
 from fenics_crack.monitoring.tip_timing.fit_order import fit_order as fit_order
@@ -99,6 +100,9 @@ from fenics_crack.monitoring.tip_timing.harmonics import TipFit as TipFit
 from fenics_crack.monitoring.tip_timing.passages import PassageFit as PassageFit
 from fenics_crack.monitoring.tip_timing.passages import find_passages as find_passages
 from fenics_crack.monitoring.tip_timing.passages import fit_passage as fit_passage
+from fenics_crack.monitoring.tip_timing.scene_timing import (
+    arrivals_of_blades as arrivals_of_blades,
+)
 from fenics_crack.monitoring.tip_timing.simulate import tip_timing as tip_timing
 from fenics_crack.motion.attractors import Attractor as Attractor
 from fenics_crack.motion.orbit import PeriodicOrbit as PeriodicOrbit

@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     from fenics_crack.monitoring.identification.measurements import Measurements
     from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes
 
+    Source = ArrivalTimes | Path | dict[int, ArrivalTimes] | None
+
 COMMENTED = "cli/new_scene.toml"
 RECORDS = (".csv", ".h5")
 """Endings of files of arrivals, and of results from which arrivals are computed."""
@@ -59,8 +61,8 @@ class Inputs:
     scene: Scene
     folder: Path  # for results
     measurements: Measurements | None = None
-    arrivals: ArrivalTimes | Path | None = None  # or the result from which they are computed
-    before: ArrivalTimes | Path | None = None  # of the blade before it had a crack
+    arrivals: Source = None  # or the result from which they are computed
+    before: Source = None  # of the blade before it had a crack
 
 
 def read_inputs(given: Namespace) -> Inputs | None:
@@ -109,15 +111,21 @@ def _measurements(given: Namespace, scene: Scene, before: Path | None) -> Measur
     return rows
 
 
-def _arrivals(scene: Scene, given: Namespace, source: Path | None) -> ArrivalTimes | Path | None:
-    """Measured arrivals, of the blade that is given if the file has several; of a result its
+def _arrivals(scene: Scene, given: Namespace, source: Path | None) -> Source:
+    """Measured arrivals, of the blade that is given if the file has several, of a bladed disk of
+    all by their numbers; of a result its
     path."""
     if source is None or source.suffix.lower() == ".h5":
         return source
     table = scene.given("tip_timing")
-    from fenics_crack.monitoring.tip_timing.arrival_times import read_record
+    from fenics_crack.monitoring.tip_timing.arrival_times import probes_of_blades, read_record
 
-    blades = read_record(source, tip_radius=table.tip_radius, probes=np.radians(table.probes))
+    probes: Any = np.radians(table.probes)
+    if scene.disk is not None:
+        probes = probes_of_blades(probes, scene.disk.sectors)
+    blades = read_record(source, tip_radius=table.tip_radius, probes=probes)
+    if scene.disk is not None:
+        return one_of(blades, given.blade, source)
     [(_, arrivals), *others] = one_of(blades, given.blade, source).items()
     if others:
         raise InputError(

@@ -21,7 +21,7 @@ from fenics_crack.cli.commands import tell
 from fenics_crack.cli.given import Console, Inputs, changes, keep_before, make_writable, one_of
 from fenics_crack.draw.plot_study import draw_arrivals, draw_passages, draw_tip_fit, draw_tip_track
 from fenics_crack.monitoring.tip_timing import scene_timing
-from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes, read_record
+from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes, read_record, write_record
 from fenics_crack.monitoring.tip_timing.fit_order import TipTrack
 from fenics_crack.monitoring.tip_timing.harmonics import ORDERS, TipFit, in_words
 from fenics_crack.monitoring.tip_timing.passages import PassageFit, find_passages
@@ -55,6 +55,9 @@ def timing(given: Namespace, inputs: Inputs | None, console: Console) -> Exit:
     if inputs is None:
         return _record(given, console)
     scene, folder = inputs.scene, inputs.folder
+    if scene.disk is not None:
+        return _of_blades(inputs, console)
+    assert not isinstance(inputs.arrivals, dict)
     with console.stage("arrival times"):
         arrivals, run = scene_timing.arrivals_of(scene, inputs.arrivals, console.comm)
 
@@ -85,6 +88,53 @@ def timing(given: Namespace, inputs: Inputs | None, console: Console) -> Exit:
     warnings = [*_warnings_of(arrivals, scene, run), *account.warnings]
     found = replace(account, warnings=warnings, remarks=remarks_on_scene(scene))
     return tell(found, folder, console, draw)
+
+
+def _of_blades(inputs: Inputs, console: Console) -> Exit:
+    """The same of every blade of a bladed disk: one record of all, and a fit of each."""
+    scene, folder, source = inputs.scene, inputs.folder, inputs.arrivals
+    table = scene.given("tip_timing")
+    assert not isinstance(source, ArrivalTimes)
+    with console.stage("arrival times"):
+        blades, run = scene_timing.arrivals_of_blades(scene, source, console.comm)
+    record = folder / "arrivals.csv"
+    if run is not None:
+        on_root(console.comm, lambda: write_record(blades, record, np.radians(table.probes)))
+        console.note(f"arrivals of {counted(len(blades), 'blade')}: {record}")
+    with console.stage("vibration"):
+        fits, doubts = {}, []
+        for blade, arrivals in blades.items():
+            with within(f"blade {blade}"):
+                fit = scene_timing.vibration_in(scene, arrivals, run)
+            if not isinstance(fit, TipFit):
+                allowed = "arrivals at one speed of a bladed disk"
+                raise InputError("arrivals", str(source or "a curve"), allowed)
+            fits[blade] = fit
+            doubts += [f"blade {blade}: {text}" for text in _account_of_fit(fit, scene).warnings]
+    rows = {"blade": list(fits), **_columns_of_fits(fits)}
+    shown = Table.of(rows, UNITS)
+    largest = max(fits, key=lambda blade: float(fits[blade].amplitudes[0]))
+    draw = partial(draw_tip_fit, fits[largest], blades[largest])
+    notes = [f"the picture shows blade {largest}, whose amplitude is the largest"]
+    warnings = [*doubts, *(() if run is None else _warnings_of(blades[largest], scene, run))]
+    remarks = remarks_on_scene(scene)
+    account = Account("timing", shown, notes=notes, warnings=warnings, remarks=remarks)
+    return tell(account, folder, console, draw)
+
+
+def _columns_of_fits(fits: Mapping[int, TipFit]) -> dict[str, list[float]]:
+    """Amplitude, its error and the phase of the first harmonic, and the ratio of the second to it,
+    of several fits."""
+    found: dict[str, list[float]] = {
+        "amplitude": [float(fit.amplitudes[0]) for fit in fits.values()],
+        "amplitude_error": [float(fit.amplitude_errors[0]) for fit in fits.values()],
+        "order": [float(fit.order) for fit in fits.values()],
+    }
+    if all(np.any(np.isclose(fit.multiples, 2.0)) for fit in fits.values()):
+        ratios = [fit.ratio() for fit in fits.values()]
+        found["ratio_2_1"] = [float(ratio) for ratio, _ in ratios]
+        found["ratio_2_1_error"] = [float(error) for _, error in ratios]
+    return found
 
 
 def _size(arrivals: ArrivalTimes) -> str:

@@ -41,10 +41,11 @@ def wheel_of(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Comm) -> 
         with sector.factored() as inside:
             rotation = rotation_of(scene, dofs, structure, _static(inside))
         still, stiffness = rotation.stiffnesses(scene.speed)
-        force = structure.force.copy()
+        # K(W) u_s, with the stress and the displaced shape of bonded cracks, which the load opens.
+        force, load = structure.force.copy(), scene.speed**2 * rotation.force
         with sector.factored(still) as inside:
-            moved = _static(inside)(scene.speed**2 * rotation.force)
-        force[0] += times(stiffness, moved[:, None])[:, 0]
+            moved = _static(inside)(load)[:, None]
+        force[0] += load + (times(stiffness, moved) - times(still, moved))[:, 0]
         sector = sector.at_speed(stiffness, force)
     return Wheel(
         sector,

@@ -87,6 +87,17 @@ class Sector:
         """True of the nodal diameters without a second one that turns the other way."""
         return 2 * diameter % self.count == 0
 
+    def circumferential(self, dof: int) -> dict[int, float]:
+        """The displacement of a dof's node in the direction in which sectors follow one another, as
+        factors of the node's dofs."""
+        nodes = self.structure.nodes
+        assert nodes is not None
+        node = int(np.argwhere(nodes.dofs == dof)[0, 0])
+        # Q - Q^T = 2 sin(2 pi / N) times the cross product with the axis.
+        along = (self.turn - self.turn.T) @ (nodes.points[node] - self.center)
+        shares = zip(nodes.dofs[node].tolist(), (along / np.linalg.norm(along)).tolist(), strict=True)
+        return {one: share for one, share in shares if one >= 0 and share != 0.0}
+
     def turned(self, times: int) -> np.ndarray:
         """Q^times: (d, d)."""
         return np.asarray(np.linalg.matrix_power(self.turn, times % self.count))

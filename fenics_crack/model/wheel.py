@@ -491,6 +491,12 @@ class WheelStructure(Structure):
     def _size_words(self) -> str:
         return f"{self.n_dofs} coordinates of {self.wheel._size_words}"
 
+    def of_sectors(self, displacement: np.ndarray) -> np.ndarray:
+        """Displacements of all sectors from coordinates (n_dofs,): (n_sector, N)."""
+        every = range(self.wheel.sector.count)
+        parts = [self.basis.columns(j, self.wheel.cracked) @ displacement for j in every]
+        return np.column_stack(parts)
+
     def expand(self, displacement: np.ndarray) -> np.ndarray:
         """Displacements of the wheel from coordinates (m, n_dofs): (m, wheel.n_local)."""
         wheel = self.wheel

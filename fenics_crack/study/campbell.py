@@ -288,6 +288,9 @@ def campbell(
     >>> diagram = fc.campbell(blade, [0.0, 150.0, 300.0], count=2)
     """
     check_scene(scene)
+    if scene.disk is not None:
+        allowed = "left out of a Campbell diagram; nodal_diameters has its frequencies"
+        raise InputError("disk", "a table", allowed)
     _, axis = scene.given("rotation").place
     check_count("count", few if count is None else count, 1)
     wanted = np.atleast_1d(numbers(speeds))

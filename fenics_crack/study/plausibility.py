@@ -46,7 +46,7 @@ from fenics_crack.model.nodes import place_in_words
 from fenics_crack.model.reduced import ResidualFlexibility
 from fenics_crack.model.rotation import coriolis_shifts
 from fenics_crack.model.structure import ModalDamping, RayleighDamping, Structure
-from fenics_crack.model.wheel import in_few_coordinates
+from fenics_crack.model.wheel import WheelStructure, in_few_coordinates
 from fenics_crack.numerics.fourier import to_complex
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Curve, Rotation
@@ -219,13 +219,15 @@ def _static(factor: Factor, modes: Modes, forces: np.ndarray) -> np.ndarray:
 
 def _stiffening(whole: Structure, shape: np.ndarray) -> float:
     """d(w^2) / d(W^2) = phi^T (K_1 + K_2 + 2 W^2 K_3) phi of a mass-normalised mode (n_local,)."""
-    rotation = whole.rotation
+    rotation, shapes = whole.whole.rotation, shape[:, None]
     if rotation is None:
         return 0.0
+    if isinstance(whole, WheelStructure):
+        shapes = whole.of_sectors(shape)
     second, third = rotation.displaced
     parts = (rotation.stiffness, 1.0), (second, 1.0), (third, 2.0 * rotation.speed**2)
-    slope = sum(factor * times(matrix, shape[:, None])[:, 0] for matrix, factor in parts)
-    return float(whole.sum_over_ranks(shape @ slope))
+    slope = sum(factor * times(matrix, shapes) for matrix, factor in parts)
+    return float(whole.sum_over_ranks((shapes * slope).sum()))
 
 
 def _elements(scene: Scene, whole: Structure) -> int | None:

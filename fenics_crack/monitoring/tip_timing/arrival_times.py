@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -19,7 +19,7 @@ from typing import Any, Self
 import numpy as np
 
 from fenics_crack.basics.errors import InputError, check_count, check_number, reading
-from fenics_crack.basics.tables import RPM, TURN, Tabular, counted
+from fenics_crack.basics.tables import RPM, TURN, Table, Tabular, counted
 from fenics_crack.basics.untrusted_files import table_lines
 
 COLUMNS = ("revolution", "angle [rad]", "mark [s]", "next_mark [s]", "arrival [s]")
@@ -339,7 +339,7 @@ def read_record(
     path: str | Path,
     *,
     tip_radius: float | None = None,
-    probes: Sequence[float] | np.ndarray | None = None,
+    probes: Sequence[float] | np.ndarray | Mapping[int, np.ndarray] | None = None,
 ) -> dict[int, ArrivalTimes]:
     """Read the arrivals of one or more blades, a row for each revolution.
 
@@ -364,9 +364,10 @@ def read_record(
         The file.
     tip_radius : float [m]
         Distance of the blade tips from the axis.
-    probes : (n_probes,) [rad]
-        Angles of the probes from the blade tip's place at a mark. Default: medians of arrivals,
-        so that displacements are those from a place in the middle.
+    probes : (n_probes,) [rad], or a mapping
+        Angles of the probes from the blade tip's place at a mark, of each blade by its number where
+        they differ. Default: medians of arrivals, so that displacements are those from a place in
+        the middle.
 
     Returns
     -------
@@ -406,8 +407,54 @@ def read_record(
             if not np.any(np.isfinite(columns[name])):
                 raise InputError("path", f"{path}: {name}", "a column with finite numbers")
             seen[turns - turns[0], place] = _angles(path, name, columns[name], turns, marks)
-        found_blades[blade] = _arrivals(seen, marks, tip_radius, probes, int(turns[0]))
+        own = probes.get(blade) if isinstance(probes, Mapping) else probes
+        found_blades[blade] = _arrivals(seen, marks, tip_radius, own, int(turns[0]))
     return found_blades
+
+
+def probes_of_blades(probes: Sequence[float] | np.ndarray, count: int) -> dict[int, np.ndarray]:
+    """Angles of probes from the tip of each of so many blades at the mark, by their numbers from 1,
+    in the order of the probes: blade j + 1 is 2 pi / count ahead of blade j [rad]."""
+    angles = np.asarray(probes, dtype=float)
+    return {blade: (angles - TURN * (blade - 1) / count) % TURN for blade in range(1, count + 1)}
+
+
+def write_record(
+    blades: Mapping[int, ArrivalTimes], path: str | Path, probes: Sequence[float] | np.ndarray
+) -> None:
+    """Write the arrivals of the blades of a disk as one record, which :func:`read_record` reads: a
+    row for each revolution, a column for each blade and probe.
+
+    Parameters
+    ----------
+    blades : mapping of int to ArrivalTimes
+        The blades by their numbers, of the same marks.
+    path : str or Path
+        The file.
+    probes : (n_probes,) [rad]
+        Angles of the probes from the first blade's place at a mark, in the order of their numbers.
+
+    Raises
+    ------
+    InputError
+        The file cannot be written.
+
+    Examples
+    --------
+    >>> arrivals, run = fc.arrivals_of_blades(wheel)
+    >>> fc.write_record(arrivals, "record.csv", np.radians(wheel.tip_timing.probes))
+    """
+    first = next(iter(blades.values()))
+    columns: dict[str, Any] = {
+        "revolution": (first.first + np.arange(len(first))).tolist(),
+        "mark [s]": first.marks[:-1].tolist(),
+    }
+    own = probes_of_blades(probes, len(blades))
+    for blade, arrivals in blades.items():
+        for number, place in enumerate(np.argsort(np.argsort(own[blade])), 1):
+            columns[f"blade {blade} probe {number} [s]"] = arrivals.time[:, place].tolist()
+    columns[RADIUS] = [first.tip_radius] * len(first)
+    Table.of(columns, {}).save(path)
 
 
 def _unit(path: str | Path, name: str, known: dict[str, float]) -> float:

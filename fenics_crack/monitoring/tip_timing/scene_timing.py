@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from fenics_crack.fem.build import with_crack_length
 from fenics_crack.fem.lips import SAME
 from fenics_crack.files.results import Result
 from fenics_crack.files.store import with_full_paths
-from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes
+from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes, probes_of_blades
 from fenics_crack.monitoring.tip_timing.fit_frequency import fit_frequency
 from fenics_crack.monitoring.tip_timing.fit_order import TipTrack, fit_order, track_order
 from fenics_crack.monitoring.tip_timing.harmonics import ORDERS, TipFit
@@ -61,24 +62,103 @@ def arrivals_of(
     if isinstance(source, ArrivalTimes):
         return source, None
     table = scene.given("tip_timing")
+    run = _run_of(scene, source, comm)
+    return _computed(table, run, source, tip_direction(table, run), table.probes), run
+
+
+def arrivals_of_blades(
+    scene: Scene,
+    source: Mapping[int, ArrivalTimes] | Path | None = None,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+) -> tuple[dict[int, ArrivalTimes], Run[Result] | None]:
+    """Return arrival times of every blade of a bladed disk by the table ``[tip_timing]`` of a
+    scene, and the run that they are computed from; None for measured ones (collective).
+
+    Blade j + 1 is a sector ahead of blade j in the direction of rotation.
+
+    Parameters
+    ----------
+    scene : Scene
+        With [disk] and [tip_timing].
+    source : mapping of int to ArrivalTimes, or path, optional
+        Measured ones by the numbers of the blades; or a result of ``solve``. Default: the steady
+        vibration of the scene, which is solved.
+    comm : MPI.Comm
+        Ranks that share the structure.
+
+    Returns
+    -------
+    dict of int to ArrivalTimes, Run or None
+        The blades by their numbers, and the run.
+
+    Raises
+    ------
+    InputError
+        The scene has no such table, the source is something else, or as :func:`tip_timing`.
+
+    Examples
+    --------
+    >>> arrivals, run = fc.arrivals_of_blades(wheel)
+    """
+    if isinstance(source, Mapping):
+        return dict(source), None
+    table = scene.given("tip_timing")
+    run, found = _run_of(scene, source, comm), {}
+    wheel = run.structure.whole
+    probes = probes_of_blades(np.radians(table.probes), wheel.sector.count)
+    for blade, tip in _tips(table, run).items():
+        begin(f"arrivals of blade {blade}")
+        angles = np.degrees(np.sort(probes[blade])).tolist()
+        found[blade] = _computed(table, run, source, tip, angles, blade - 1)
+    return found, run
+
+
+def _run_of(scene: Scene, source: Path | None, comm: MPI.Comm) -> Run[Result]:
+    """The result from which arrivals are computed."""
     run: Run[Result] = solve(scene, comm) if source is None else load_run(source, comm)
     result = run.result
     if not isinstance(result, PeriodicSolution | ResponseCurve):
         raise InputError("source", str(source), "a solution, a curve, or a CSV file of arrivals")
     if isinstance(result, PeriodicSolution) and not result.converged:
         raise InputError("source", str(source or "the scene"), f"converged: {result.status}")
-    arrivals = tip_timing(
+    return run
+
+
+def _computed(
+    table: TipTiming,
+    run: Run[Any],
+    source: Path | None,
+    tip: dict[int, float],
+    degrees: Sequence[float],
+    blade: int = 0,
+) -> ArrivalTimes:
+    """Arrivals of one blade at probes, from a result."""
+    result = run.result
+    return tip_timing(
         _stable_part(result) if isinstance(result, ResponseCurve) else result,
-        tip_direction(table, run),
-        probes=np.radians(table.probes),
+        tip,
+        probes=np.radians(degrees),
         tip_radius=table.tip_radius,
         **_turning(table, run, source),
         revolutions=table.revolutions,
         noise=table.noise,
         clock=table.clock,
-        seed=table.seed,
+        seed=table.seed + blade,
     )
-    return arrivals, run
+
+
+def _tips(table: TipTiming, run: Run) -> dict[int, dict[int, float]]:
+    """The displacement of every tip in the direction of rotation, as factors of dofs."""
+    wheel = run.structure.whole
+    _, own = wheel.blade_of(run.watched_dof)
+    shares = {own: table.tangential}
+    if table.tangential is None:
+        shares = wheel.sector.circumferential(own)
+    count = wheel.sector.count
+    return {
+        blade: {wheel.dof_of(blade, dof): share for dof, share in shares.items()}
+        for blade in range(1, count + 1)
+    }
 
 
 def run_up_ends(scene: Scene, run: Run[Any]) -> str:
@@ -252,6 +332,8 @@ def tip_direction(table: TipTiming, run: Run) -> dict[int, float]:
         The blade tip of a solid lies on the axis.
     """
     whole, rotation = run.structure.whole, _carrier(table, run.scene)
+    if run.scene.disk is not None:
+        return _tips(table, run)[whole.first + 1]
     if rotation is None:
         return {run.watched_dof: 1.0 if table.tangential is None else table.tangential}
     dofs, points = (gather_rows(whole.comm, x) for x in (whole.nodes.dofs, whole.nodes.points))
