@@ -6,7 +6,7 @@ import re
 import shutil
 import subprocess
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -14,6 +14,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 import fenics_crack as fc
+from fenics_crack.model.cyclic import Sector
 
 CORNERS = {"CPE6": 6, "CPE8": 8, "CPS8": 8, "C3D8": 4, "C3D10": 10}
 """Nodes of a cell that an element of CalculiX takes, in VTK's order, which is its own."""
@@ -28,14 +29,17 @@ def calculix() -> str | None:
     return f"CalculiX {said.split()[-1]}"
 
 
-def mesh_lines(structure: fc.Structure, scene: fc.Scene, element: str) -> list[str]:
+def mesh_lines(
+    structure: fc.Structure, scene: fc.Scene, element: str, followers: Sequence[int] = ()
+) -> list[str]:
     """Nodes, elements, material and clamp of a plate, or of a solid of C3D10.
 
-    The nodes of the crack faces are double, as ours are. Nodes and dofs count from 1. Numbers
-    may have 20 characters. Of plates all but CPS8 are in plane strain: they get E (1 + 2 nu) /
-    (1 + nu)^2 and nu / (1 + nu), with which plane strain is plane stress with E and nu. C3D8 is a
-    layer of bricks of the plate's thickness between two planes; the nodes of the second have the
-    numbers of the first, increased by the number of nodes.
+    Nodes that are to follow others must not be clamped, too, and are left out there. The nodes of
+    the crack faces are double, as ours are. Nodes and dofs count from 1. Numbers may have 20
+    characters. Of plates all but CPS8 are in plane strain: they get E (1 + 2 nu) / (1 + nu)^2 and
+    nu / (1 + nu), with which plane strain is plane stress with E and nu. C3D8 is a layer of bricks
+    of the plate's thickness between two planes; the nodes of the second have the numbers of the
+    first, increased by the number of nodes.
     """
     assert structure.nodes is not None
     points, dofs = structure.nodes.points, structure.nodes.dofs
@@ -44,7 +48,7 @@ def mesh_lines(structure: fc.Structure, scene: fc.Scene, element: str) -> list[s
     cells = structure.nodes.cells[:, : CORNERS[element]]
     cells = cells if solid else _counterclockwise(points, cells)
     used = np.unique(cells)
-    clamped = np.argwhere(dofs < 0)
+    clamped, held = np.argwhere(dofs < 0), np.setdiff1d(used, followers)
     lines = ["*NODE, NSET=FRONT", *_nodes(points, used, 0, 0.0)]
     if layer:
         cells = np.hstack([cells, cells + len(points)])
@@ -64,7 +68,7 @@ def mesh_lines(structure: fc.Structure, scene: fc.Scene, element: str) -> list[s
     lines += [] if solid or layer else [f"{thickness:.13e}"]
     lines += ["*BOUNDARY"]
     for shift in (0, len(points)) if layer else (0,):
-        lines += [f"{node + 1 + shift}, {axis + 1}" for node, axis in clamped if node in used]
+        lines += [f"{node + 1 + shift}, {axis + 1}" for node, axis in clamped if node in held]
     return lines + (["FRONT, 3", "BACK, 3"] if layer else [])
 
 
@@ -84,6 +88,18 @@ def _nodes(points: np.ndarray, used: np.ndarray, shift: int, z: float) -> list[s
         f"{i + 1 + shift}, " + ", ".join(f"{x:.13e}" for x in place)
         for i, place in zip(used, places, strict=True)
     ]
+
+
+def sector_lines(sector: Sector, scene: fc.Scene) -> list[str]:
+    """Those of a sector of a bladed disk of C3D10, and the symmetry by which its sides match."""
+    left, right = sector.sides
+    lines = mesh_lines(sector.structure, scene, "C3D10", right)
+    for name, nodes in (("LEFT", left), ("RIGHT", right)):
+        lines += [f"*SURFACE, NAME={name}, TYPE=NODE", *(str(node + 1) for node in nodes)]
+    lines += ["*TIE, NAME=SIDES, CYCLIC SYMMETRY", "RIGHT, LEFT"]  # the right one follows
+    center, axis = scene.axis
+    ends = ", ".join(f"{x:.13e}" for x in (*center, *(center + axis)))
+    return [*lines, f"*CYCLIC SYMMETRY MODEL, N={sector.count}, TIE=SIDES", ends]
 
 
 def ties(structure: fc.Structure) -> list[str]:
@@ -152,11 +168,32 @@ def stored_matrices(lines: list[str], scene: fc.Scene) -> Iterator[fc.Scene]:
 
 def natural(lines: list[str], count: int, loads: list[str] | None = None) -> np.ndarray:
     """Natural angular frequencies [rad/s] of a model, about the state that loads make of it."""
+    table = _modes(lines, [str(count)], loads)
+    return np.array([float(row[2]) for row in _numbers(table) if len(row) == 5][:count])
+
+
+def nodal_diameters(
+    lines: list[str], sectors: int, families: int, loads: list[str] | None = None
+) -> np.ndarray:
+    """The same of all nodal diameters of a wheel: (N/2 + 1, families).
+
+    CalculiX takes real and imaginary parts of a sector for two, and finds each frequency twice.
+    """
+    most = sectors // 2
+    select = f"*SELECT CYCLIC SYMMETRY MODES, NMIN=0, NMAX={most}"
+    table = _modes(lines, [str(2 * families), select], loads)
+    rows = re.findall(r"^ +\d+ +\d+ +\S+E\S+ +(\S+E\S+) +\S+E\S+ +\S+E\S+$", table, re.M)
+    found = np.array(rows, dtype=float).reshape(most + 1, families, 2)
+    assert np.allclose(found[..., 0], found[..., 1], rtol=1e-6)
+    return found[..., 0]
+
+
+def _modes(lines: list[str], wanted: list[str], loads: list[str] | None) -> str:
+    """Tables of natural frequencies, of which so many are wanted."""
     if loads:
         lines = [*lines, "*STEP, NLGEOM", "*STATIC", *loads, "*END STEP"]
     step = "*STEP, PERTURBATION" if loads else "*STEP"
-    table = run([*lines, step, "*FREQUENCY", str(count), "*END STEP"])
-    return np.array([float(row[2]) for row in _numbers(table) if len(row) == 5][:count])
+    return run([*lines, step, "*FREQUENCY", *wanted, "*END STEP"])
 
 
 def static(lines: list[str], structure: fc.Structure, force: np.ndarray) -> np.ndarray:
