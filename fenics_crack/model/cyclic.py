@@ -474,32 +474,29 @@ def cyclic_basis(
     families: int,
     loads: tuple[tuple[int, np.ndarray], ...],
     comm: MPI.Comm,
-    *,
-    mistuned: bool,
 ) -> CyclicBasis:
     """The basis of so many families for loads: nodal diameters, and complex forces (n_dofs,) of
     sector 0, which turn with the sectors by e^(i 2 pi n j / N); ranks share nodal diameters
     (collective).
 
-    Of a mistuned wheel it has the static answers, too, to what mistuning leaves at the sides:
-    forces (K - w^2 M) v of a sector on its right side, of which a few patterns hold those of all
-    modes. They are added to each nodal diameter, as if they were modes.
+    It has the static answers, too, to what mistuning and cracks leave at the sides: forces
+    (K - w^2 M) v of a sector on its right side, of which a few patterns hold those of all modes.
+    They are added to each nodal diameter, as if they were modes.
     """
     families = min(families, len(sector.own))
     pulled = -sector.stiffness @ sector.opening
     # The modes of a few nodal diameters have the patterns of all.
-    first = list(dict.fromkeys((0, sector.count // 4, sector.count // 2))) if mistuned else []
+    first = list(dict.fromkeys((0, sector.count // 4, sector.count // 2)))
     mine = [*first, *(n for n in sector.diameters if n not in first)][comm.rank :: comm.size]
     found: dict[int, tuple[Any, ...]] = {}
     with sector.factored() as inside:
         ahead = {n: inside.at(n).modes(families) for n in mine if n in first}
         seen = _of_all_ranks(ahead, comm)
-        forces = _side_forces(sector, [seen[n] for n in first]) if mistuned else None
+        forces = _side_forces(sector, [seen[n] for n in first])
         for diameter in mine:
             one = inside.at(diameter)
-            omega, shapes = ahead.get(diameter) or one.modes(families)
-            if forces is not None:
-                omega, shapes = _with_answers(sector, shapes, one.answers(forces))
+            _, shapes = ahead.get(diameter) or one.modes(families)
+            omega, shapes = _with_answers(sector, shapes, one.answers(forces))
             answers = [
                 _beside_modes(one.answers(force[:, None])[:, 0], force, omega, shapes, sector)
                 for number, force in loads
@@ -510,10 +507,9 @@ def cyclic_basis(
     ordered = (found[diameter] for diameter in sector.diameters)
     omegas, shapes, answers, static = zip(*ordered, strict=True)
     fields = [
-        field
+        (diameter, field)
         for diameter, own in enumerate(answers)
-        for answer in own
-        for field in _both_ways(sector, diameter, answer)
+        for field in _independent(sector, diameter, own)
     ]
     # A sum over all nodal diameters whose second half is the conjugate of the first.
     opened = np.zeros((sector.count, *static[0].shape))
@@ -581,17 +577,21 @@ def _beside_modes(
     size = np.vdot(answer, sector.stiffness @ answer).real
     left = answer - shapes @ ((shapes.conj().T @ force) / omega**2)
     energy = np.vdot(left, sector.stiffness @ left).real
-    if energy <= NEGLIGIBLE * size:
-        return 0.0 * left
-    return left / np.sqrt(energy)
+    return left / np.sqrt(energy) if energy > NEGLIGIBLE * size else 0.0 * left
 
 
-def _both_ways(sector: Sector, diameter: int, answer: np.ndarray) -> list[tuple[int, np.ndarray]]:
-    """The real fields of a complex answer, its real and imaginary part as they turn: those that
-    are more than rounding."""
+def _independent(
+    sector: Sector, diameter: int, answers: Sequence[np.ndarray]
+) -> Iterator[np.ndarray]:
+    """Fields of one nodal diameter whose real parts, as they turn, span those of complex answers,
+    both as they are and a quarter of a period later: with unit energies, and without coupling."""
+    both = [part for answer in answers for part in (answer, -1j * answer)]
+    if not both:
+        return
+    columns = np.column_stack(both)
     if sector.is_single(diameter):
-        parts = [answer.real, answer.imag]
-    else:
-        parts = [answer, -1j * answer]
-    least = NEGLIGIBLE * np.linalg.norm(answer)
-    return [(diameter, part) for part in parts if np.linalg.norm(part) > least]
+        columns = columns.real
+    gram = (columns.conj().T @ (sector.stiffness @ columns)).real
+    weights, mixed = np.linalg.eigh(gram)
+    kept = weights > NEGLIGIBLE * max(weights[-1], 1e-300)
+    yield from (columns @ (mixed[:, kept] / np.sqrt(weights[kept]))).T

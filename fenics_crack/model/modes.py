@@ -163,8 +163,9 @@ def _space(structure: Structure, ties: Any) -> int:
 def modes_by(factor: Factor, structure: Structure, count: int, ties: Any = None) -> Modes:
     """The same of a structure with mass everywhere, by the factor of its stiffness; ``ties`` are
     the independent columns of B where the crack is bonded."""
-    if ties is None and (known := structure.known_modes(tied=False)) is not None:
-        return Modes(known[0][:count], known[1][:, :count], structure)
+    if ties is None and structure.whole is not structure:  # small and dense
+        if (known := structure.known_modes(tied=False)) is not None:
+            return Modes(known[0][:count], known[1][:, :count], structure)
     kept = structure.once(_lowest) if ties is None else []
     if kept and len(kept[0]) >= count:
         return Modes(kept[0][:count], kept[1][:, :count], structure)

@@ -310,11 +310,8 @@ class Wheel(Structure):
         """The motions in which it is sought, with so many modes of each nodal diameter; found once
         for all patterns of mistuning (collective)."""
         sector, loads = self.sector, tuple(_complex_loads(self))
-        mistuned = bool(np.any(self.mistuning))
-        key = "basis", families, self.order, mistuned, *(force.tobytes() for _, force in loads)
-        return sector.once(
-            key, lambda: cyclic_basis(sector, families, loads, self.comm, mistuned=mistuned)
-        )
+        key = "basis", families, self.order, *(force.tobytes() for _, force in loads)
+        return sector.once(key, lambda: cyclic_basis(sector, families, loads, self.comm))
 
     def cyclic_modes(self, families: int | None = None) -> CyclicModes:
         """The lowest modes of each nodal diameter, with bonded cracks and without mistuning
@@ -556,10 +553,10 @@ def reduce_wheel(
 
     The motions that are sought are those of twice as many modes of each nodal diameter with bonded
     cracks as ``families``, or of three more, the static answers to the load and to what mistuning
-    leaves on the sides, and the opening of each crack with the static answer of the wheel. Of the
-    modes that the mistuned wheel with open cracks has in them ``families`` times as many as there
-    are sectors are kept; all families are the reference, by which the error of the reduction is
-    estimated.
+    and cracks leave on the sides, and the opening of each crack with the static answer of the
+    wheel. Of the modes that the mistuned wheel with open cracks has in them ``families`` times as
+    many as there are sectors are kept; all of them are the reference, by which the error of the
+    reduction is estimated.
 
     Parameters
     ----------
@@ -592,6 +589,6 @@ def reduce_wheel(
     one = WheelStructure(wheel, many)
     begin("reduction")
     most = one.n_dofs - one.n_pairs
-    count, more = (min(n * wheel.sector.count, most) for n in (families, many))
+    count = min(families * wheel.sector.count, most)
     method = "massless" if one.n_pairs else "free_interface"
-    return reduce_structure(one, modes=count, method=method, reference=reference and more)
+    return reduce_structure(one, modes=count, method=method, reference=reference and most)

@@ -1,0 +1,135 @@
+"""Cyclic symmetry against whole wheels, which DOLFINx assembles, or copies of the sector make."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.linalg
+from helpers import csr
+from wheels import RING, SOLID, ring, wheel_of, whole_scene, write_whole
+
+import fenics_crack as fc
+from fenics_crack.model.cyclic import CyclicModes
+from fenics_crack.model.wheel import Wheel, WheelStructure
+from fenics_crack.scene.scene import Scene
+
+
+def of_wheel(found: CyclicModes) -> np.ndarray:
+    """The frequencies of the modes of the wheel, ascending."""
+    single = [found.sector.is_single(n) for n in found.sector.diameters]
+    parts = zip(found.omega, single, strict=True)
+    return np.sort(np.concatenate([np.repeat(own, 1 if one else 2) for own, one in parts]))
+
+
+@pytest.mark.parametrize("cells", ["triangle", "quadrilateral"])
+@pytest.mark.parametrize("sectors", [5, 6])
+def test_modes_are_those_of_the_whole_wheel(sectors: int, cells: str, tmp_path: Path) -> None:
+    """30 of them, of a mesh file of the whole wheel that knows nothing of sectors."""
+    scene = ring(disk__sectors=sectors, mesh__cells=cells, crack=None, contact=None)
+    wheel = wheel_of(scene)
+    write_whole(wheel, tmp_path / "whole.msh")
+    whole = fc.build_structure(whole_scene(scene, tmp_path / "whole.msh"))
+    assert whole.n_dofs == wheel.n_dofs
+    own = of_wheel(wheel.cyclic_modes(10))[:30]
+    assert own == pytest.approx(fc.solve_modes(whole, 30).omega, rel=1e-10)
+
+
+def test_rotating_modes_are_those_of_the_whole_wheel(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At 3,000 rpm about the disk's own axis, with the stress of the whole wheel."""
+    scene = ring(crack=None, contact=None, rotation__rpm=3000.0, excitation__frequency=None)
+    wheel = wheel_of(scene)
+    write_whole(wheel, tmp_path / "whole.msh")
+    plane = whole_scene(scene, tmp_path / "whole.msh")
+    turning = plane.replace({"rotation.hub_radius": 0.0, "rotation.rpm": 3000.0})
+    center = np.append(wheel.sector.center, 0.0)
+    axis = property(lambda self: (center, np.array([0.0, 0.0, 1.0])))
+    monkeypatch.setattr(Scene, "axis", axis)
+    whole = fc.build_structure(turning)
+    still = of_wheel(wheel_of(ring(crack=None, contact=None)).cyclic_modes(6))[:12]
+    own = of_wheel(wheel.cyclic_modes(6))[:12]
+    assert own == pytest.approx(fc.solve_modes(whole, 12).omega, rel=1e-8)
+    assert np.all(own[:6] > 1.0005 * still[:6])
+
+
+@pytest.mark.parametrize("given", [RING, SOLID])
+def test_coordinates_are_those_of_the_whole_matrices(given: dict[str, object]) -> None:
+    """U^T M U and U^T K U of copies of the sector, with an open crack and mistuning; the modes are
+    orthogonal, and stiffness does not couple them with the crack."""
+    scene = fc.Scene.from_mapping(given)
+    if scene.dimension == 2:
+        scene = ring(disk__sectors=4)
+    wheel = wheel_of(scene).mistuned(np.linspace(-0.02, 0.03, scene.given("disk").sectors))
+    few = WheelStructure(wheel, 2)
+    basis = few.expand(np.eye(few.n_dofs)).T
+    for name, limit in (("mass", 1e-9), ("stiffness", 1e-9)):
+        own, whole = csr(getattr(few, name)).toarray(), csr(getattr(wheel, name))
+        found = basis.T @ (whole @ basis)
+        size = np.sqrt(np.outer(np.diag(found), np.diag(found)))
+        assert np.abs((own - found) / size).max() < limit
+    assert few.gap.toarray() == pytest.approx((wheel.gap.T @ basis).T, abs=1e-9)
+    size = np.abs(few.force).max()
+    assert few.force == pytest.approx(wheel.force @ basis, abs=1e-9 * size)
+
+
+def test_equal_mistuning_scales_all_frequencies() -> None:
+    """By sqrt(1 + delta), with the crack open, too."""
+    wheel = wheel_of(ring(disk__families=2))
+    tuned = fc.reduce_wheel(wheel)
+    other = fc.reduce_wheel(wheel.mistuned(0.03))
+    assert other.omega == pytest.approx(np.sqrt(1.03) * tuned.omega, rel=1e-8)
+
+
+def test_ring_of_twelve_blades() -> None:
+    """Frequencies and peak of a tuned wheel that an independent prototype computed."""
+    wheel = wheel_of(fc.Scene.from_mapping(RING).replace({"disk.cracked": []}))
+    lowest = of_wheel(wheel.cyclic_modes(1))[:4] / (2.0 * np.pi)
+    assert lowest == pytest.approx([1365.457, 1375.865, 1375.865, 1380.345], rel=1e-3)
+    reduced = fc.reduce_wheel(wheel)
+    tips = wheel.dofs_of_blades(wheel.watched_dof)
+    omega = 2.0 * np.pi * np.linspace(1380.0, 1384.0, 81)
+    sizes = np.array([np.abs(_response(reduced, one, tips)) for one in omega])
+    top = int(np.argmax(sizes.max(axis=1)))
+    assert omega[top] / (2.0 * np.pi) == pytest.approx(1381.8, rel=1e-3)
+    assert sizes[top].max() == pytest.approx(82.24e-6, rel=1e-2)
+    assert np.ptp(sizes[top]) < 1e-8 * sizes[top].max()
+    angles = np.angle(_response(reduced, omega[top], tips))
+    steps = np.angle(np.exp(1j * (np.diff(angles) - 2.0 * np.pi * 2 / 12)))
+    assert np.abs(steps).max() < 1e-8
+
+
+def _response(reduced: fc.ReducedStructure, omega: float, dofs: list[int]) -> np.ndarray:
+    """Complex amplitudes a - i b of some dofs at one harmonic without contact."""
+    rows = fc.solve_linear(reduced, omega, harmonics=1).displacement_coefficients
+    found = reduced.values_at(rows, dofs)
+    return np.asarray(found[1] - 1j * found[2])
+
+
+def test_bonded_wheel_is_one_sector() -> None:
+    """The response of every tip of a tuned wheel is that of one sector with its complex ties."""
+    wheel = wheel_of(ring(disk__cracked=[], disk__families=6))
+    sector, order, omega = wheel.sector, wheel.order, 2.0 * np.pi * 990.0
+    first, second = sector.bonds
+    ties = (first + np.exp(2j * np.pi * order / sector.count) * second).toarray()
+    dynamic = (sector.stiffness - omega**2 * sector.mass) @ ties
+    force = sector.structure.force
+    pull = ties.conj().T @ (force[1] - 1j * force[2])
+    exact = ties @ scipy.linalg.solve(ties.conj().T @ dynamic, pull)
+    undamped = fc.reduce_wheel(wheel.damped(None))
+    _, own = wheel.blade_of(wheel.watched_dof)
+    found = _response(undamped, omega, wheel.dofs_of_blades(wheel.watched_dof))
+    turned = np.exp(2j * np.pi * order * np.arange(sector.count) / sector.count)
+    assert found == pytest.approx(exact[own] * turned, rel=1e-5)
+
+
+def test_copied_matrices_are_symmetric_and_whole() -> None:
+    """The whole wheel by its copies has the modes of its sector, and the mass of all of them."""
+    wheel = wheel_of(ring(disk__cracked=[]))
+    plain = fc.Structure.from_matrices(csr(wheel.mass), csr(wheel.stiffness), None, force_cos=None)
+    assert fc.solve_modes(plain, 12).omega == pytest.approx(
+        of_wheel(wheel.cyclic_modes(4))[:12], rel=1e-10
+    )
+    assert isinstance(wheel.whole, Wheel)

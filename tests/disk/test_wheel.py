@@ -1,0 +1,207 @@
+"""A wheel with a breathing crack: against the whole wheel, and turned by a sector."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from wheels import RING, SOLID, ring, wheel_of
+
+import fenics_crack as fc
+from fenics_crack.model.reduction import reduce_structure
+from fenics_crack.model.wheel import Wheel, WheelStructure
+
+LAW = fc.UnilateralConstraint()
+
+
+def solved(reduced: fc.Structure, hertz: float) -> fc.PeriodicSolution:
+    """With 20 harmonics."""
+    return fc.solve_harmonic_balance(reduced, 2.0 * np.pi * hertz, LAW, harmonics=20)
+
+
+def apart(found: np.ndarray, exact: np.ndarray) -> float:
+    """Relative to the norm."""
+    return float(np.linalg.norm(found - exact) / np.linalg.norm(exact))
+
+
+def differences(
+    reduced: fc.Structure, whole: fc.Structure, hertz: float, tips: list[int]
+) -> tuple[float, float, float]:
+    """Relative differences of the gap, of the worst whole blade's tip, of the cracked one's."""
+    own, exact = (solved(one, hertz) for one in (reduced, whole))
+    moved, known = (
+        one.structure.values_at(one.displacement_coefficients, tips)[1:] for one in (own, exact)
+    )
+    of_tips = np.linalg.norm(moved - known, axis=0) / np.linalg.norm(known, axis=0)
+    gap = apart(own.gap_coefficients, exact.gap_coefficients)
+    return gap, float(of_tips[1:].max()), float(of_tips[0])
+
+
+@pytest.fixture(scope="module")
+def mistuned() -> Wheel:
+    """Eight blades, 1 %, engine order 3."""
+    pattern = {"deviation": 0.01, "seed": 3}
+    return wheel_of(ring(disk__sectors=8, disk__mistuning=pattern, excitation__order=3))
+
+
+def test_three_families_are_the_whole_wheel(mistuned: Wheel) -> None:
+    """With as many modes with mass of the matrices of all sectors."""
+    whole = reduce_structure(mistuned, modes=24, method="massless", reference=False)
+    tips = mistuned.dofs_of_blades(mistuned.watched_dof)
+    reduced = fc.reduce_wheel(mistuned, 3)
+    assert reduced.omega[:8] == pytest.approx(whole.omega[:8], rel=1e-6)
+    for hertz in (1260.0, 1290.0, 1340.0, 1376.0):
+        gap, tip, cracked = differences(reduced, whole, hertz, tips)
+        assert gap < 5e-4 and tip < 1e-3 and cracked < 5e-3
+
+
+def test_error_falls_with_the_families_and_is_stated(mistuned: Wheel) -> None:
+    """Against the whole wheel with more modes than any."""
+    whole = reduce_structure(mistuned, modes=120, method="massless", reference=False)
+    tips = mistuned.dofs_of_blades(mistuned.watched_dof)
+    found = []
+    for families in (1, 3, 6):
+        reduced = fc.reduce_wheel(mistuned, families)
+        errors = [differences(reduced, whole, hertz, tips) for hertz in (1260.0, 1340.0)]
+        stated = [solved(reduced, hertz).report.reduction for hertz in (1260.0, 1340.0)]
+        for error, said in zip(errors, stated, strict=True):
+            assert error[0] < 3.0 * said
+        found.append(np.max(errors, axis=0))
+    assert np.all(np.diff(np.array(found)[:, [0, 2]], axis=0) < 0.0)
+
+
+def test_solid_wheel_is_the_whole_one() -> None:
+    """Five blades in three dimensions, mistuned."""
+    wheel = wheel_of(fc.Scene.from_mapping(SOLID))
+    wheel = wheel.mistuned([0.01, -0.012, 0.004, 0.007, -0.009])
+    whole = reduce_structure(wheel, modes=15, method="massless", reference=False)
+    reduced = fc.reduce_wheel(wheel, 3)
+    assert reduced.omega[:5] == pytest.approx(whole.omega[:5], rel=1e-6)
+    tips = wheel.dofs_of_blades(wheel.watched_dof)
+    first = reduced.omega[0] / (2.0 * np.pi)
+    for hertz in (0.98 * first, 1.01 * first):
+        gap, tip, cracked = differences(reduced, whole, hertz, tips)
+        assert gap < 5e-4 and tip < 1e-3 and cracked < 5e-3
+
+
+def test_turned_by_a_sector(mistuned: Wheel) -> None:
+    """Pattern, crack and phases turned by one sector leave every amplitude, one blade on."""
+    for shift in (1, 3):
+        turned = Wheel(
+            mistuned.sector,
+            cracked=[shift],
+            mistuning=np.roll(mistuned.mistuning, shift),
+            order=mistuned.order,
+        )
+        sizes = []
+        for wheel in (mistuned, turned):
+            found = solved(fc.reduce_wheel(wheel, 2), 1290.0)
+            dofs = wheel.dofs_of_blades(wheel.watched_dof)
+            sizes.append(np.array([found.amplitude(dof) for dof in dofs]))
+        assert np.roll(sizes[0], shift) == pytest.approx(sizes[1], rel=1e-7)
+
+
+def test_two_cracked_blades() -> None:
+    """Opposite blades of a tuned wheel with an even order move alike; their pairs are apart."""
+    wheel = wheel_of(ring(disk__cracked=[1, 4]))
+    reduced = fc.reduce_wheel(wheel, 2)
+    assert reduced.n_pairs == 2 * wheel.sector.structure.n_pairs
+    found = solved(reduced, 1250.0)
+    tips = wheel.dofs_of_blades(wheel.watched_dof)
+    moved = [found.amplitude(tip) for tip in tips]
+    assert moved[:3] == pytest.approx(moved[3:], rel=1e-7)
+    assert list(wheel.watched_pairs) == ["the mouth of blade 1", "the mouth of blade 4"]
+    places = wheel.pair_points
+    assert places is not None
+    middle = 2.0 * wheel.sector.center
+    half = reduced.n_pairs // 2
+    assert places[half:] == pytest.approx(middle - places[:half], abs=1e-12)
+
+
+def test_harmonics_of_the_load_have_their_own_orders() -> None:
+    """The second harmonic of order 2 leads by 4 x 60 degrees from blade to blade."""
+    second = {"order": 2, "cos": [0.0, 0.0], "sin": [2.0, 0.0]}
+    wheel = wheel_of(ring(excitation__harmonics=[second], disk__cracked=[]))
+    tips = wheel.dofs_of_blades(wheel.watched_dof)
+    force = wheel.force[:, tips]
+    for harmonic, order, size in ((1, 2, 1.0), (2, 4, 2.0)):
+        seen = force[2 * harmonic - 1] - 1j * force[2 * harmonic]
+        angles = 2.0 * np.pi * order * np.arange(6) / 6.0
+        first = {1: 1.0, 2: -1j}[harmonic] * size
+        assert seen == pytest.approx(first * np.exp(1j * angles), abs=1e-12)
+    moved = fc.solve_linear(fc.reduce_wheel(wheel), 2.0 * np.pi * 900.0, harmonics=2)
+    rows = moved.structure.values_at(moved.displacement_coefficients, tips)
+    both = rows[3] - 1j * rows[4]
+    assert both[1:] / both[:-1] == pytest.approx(np.exp(2j * np.pi * 4 / 6) * np.ones(5), rel=1e-8)
+
+
+def test_rotation_opens_the_crack() -> None:
+    """The mean load is that of the rotor; the first frequency rises with the speed."""
+    turning = ring(rotation__rpm=6000.0, excitation__frequency=None)
+    assert turning.excitation.omega == pytest.approx(2.0 * turning.speed)
+    wheel = wheel_of(turning)
+    reduced = fc.reduce_wheel(wheel, 2)
+    found = fc.solve_linear(reduced, 100.0, harmonics=1)
+    assert found.gap_coefficients[0].max() < 0.0  # open, all along
+    still = fc.reduce_wheel(wheel_of(ring()), 2)
+    assert np.all(reduced.omega[:6] > 1.001 * still.omega[:6])
+    # As much as the centrifugal load of the blade beyond the crack bends the section there.
+    opening = -found.gap_coefficients[0].min()
+    stress = 7800.0 * turning.speed**2 * (0.18**2 - 0.112**2) / 2.0
+    assert 0.3 < opening / (4.0 * stress * 0.004 / 2.1e11) < 6.0
+
+
+def test_expanded_displacement_is_that_of_the_blades(mistuned: Wheel) -> None:
+    """values_at and expand agree, and the pair's gap is that of the whole wheel."""
+    found = solved(fc.reduce_wheel(mistuned, 2), 1290.0)
+    rows = found.displacement_coefficients
+    whole = found.structure.expand(rows)
+    tips = mistuned.dofs_of_blades(mistuned.watched_dof)
+    seen = found.structure.values_at(rows, tips)
+    assert seen == pytest.approx(whole[:, tips], rel=1e-9, abs=1e-9 * np.abs(whole).max())
+    gap = mistuned.apply_bt(whole)
+    size = np.abs(gap).max()
+    assert gap == pytest.approx(found.gap_coefficients, abs=1e-7 * size)
+
+
+def test_names_of_dofs(mistuned: Wheel) -> None:
+    """A dof in words, and the errors of those that are none."""
+    _, own = mistuned.blade_of(mistuned.watched_dof)
+    assert mistuned.dof_name(mistuned.dof_of(3, own)).endswith("of blade 3")
+    assert mistuned.blade_of(mistuned.dof_of(3, own)) == (3, own)
+    with pytest.raises(fc.InputError, match="blade = 9: must be a whole number from 1 to 8"):
+        mistuned.dof_of(9, own)
+    with pytest.raises(fc.InputError, match="mistuning"):
+        mistuned.mistuned([0.0, 0.1])
+    with pytest.raises(fc.InputError, match="wheel"):
+        fc.reduce_wheel(WheelStructure(mistuned, 2))  # type: ignore[arg-type]
+
+
+def _ranks(path: str, comm: Any) -> list[float]:
+    """The response of all blades, and the frequencies."""
+    run = fc.solve(fc.Scene.load(path), comm)
+    amplitude = fc.blades(run).amplitude
+    return [*amplitude.tolist(), *fc.nodal_diameters(run.scene, comm).omega[:, 0].tolist()]
+
+
+def test_two_ranks_share_nodal_diameters(on_ranks: Any, tmp_path: Path) -> None:
+    """One and two ranks agree to 1e-8."""
+    from mpi4py import MPI
+
+    scene = ring(disk__mistuning={"deviation": 0.01, "seed": 1}, excitation__frequency=1290.0)
+    (tmp_path / "ring.toml").write_text(scene.as_toml())
+    path = str(tmp_path / "ring.toml")
+    assert on_ranks(_ranks, path) == pytest.approx(_ranks(path, MPI.COMM_SELF), rel=1e-8)
+
+
+@pytest.mark.nightly
+def test_isolated_resonance_of_the_cracked_blade() -> None:
+    """Of the ring of twelve, with a crack of 4 mm, that an independent prototype computed."""
+    scene = fc.Scene.from_mapping(RING).replace(
+        {"mesh.lip_elements": 6, "curve.parameter": "frequency"}
+        | {"curve.start": 1265.0, "curve.stop": 1285.0}
+    )
+    peak = fc.curve(scene).peak()
+    assert peak.omega / (2.0 * np.pi) == pytest.approx(1275.3, rel=1e-3)
