@@ -252,7 +252,10 @@ def path(text: str) -> Path:
 
 SOLVED = "scene --set --output"
 COMMANDS = {
-    "new": ("write a commented scene to start from", "file --blade --timing --identify --solid --disk"),
+    "new": (
+        "write a commented scene to start from",
+        "file --blade --timing --identify --solid --disk",
+    ),
     "check": ("mesh and assemble a scene without solving it", "scene --set"),
     "modes": ("natural frequencies and mode shapes, crack open", f"{SOLVED} --count"),
     "campbell": (

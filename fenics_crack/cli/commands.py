@@ -182,9 +182,7 @@ def disk(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     hertz = ", ".join(f"{one:.6g}" for one in omega)
     excited = f"engine order {found.order} excites nodal diameter {found.excited}: {hertz} Hz"
     left = "without the Coriolis force" if found.speed > 0.0 else ""
-    account = Account(
-        "disk", found.table(), notes=[excited, left], remarks=remarks_on_scene(scene)
-    )
+    account = Account("disk", found.table(), notes=[excited, left], remarks=remarks_on_scene(scene))
     ended = tell(account, inputs.folder, console, partial(draw_nodal_diameters, found))
     if not given.patterns:
         return ended
@@ -262,6 +260,7 @@ def identify(given: Namespace, inputs: Inputs, console: Console) -> Exit:
 
     scene, folder = inputs.scene, inputs.folder
     parts = [] if inputs.measurements is None else [inputs.measurements]
+    assert not isinstance(inputs.arrivals, dict) and not isinstance(inputs.before, dict)
     if inputs.arrivals is not None:
         parts.append(_measured_by(inputs.arrivals, scene, console))
     if inputs.before is not None:

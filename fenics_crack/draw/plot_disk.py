@@ -16,7 +16,7 @@ from fenics_crack.basics.tables import RPM, TURN, quantity, readable
 from fenics_crack.curves.curve import ResponseCurve, parameter_axis
 from fenics_crack.draw.figure import COLOURS, Picture, Where, label_axis, tenth
 from fenics_crack.fem.nodal_mesh import NodalMesh
-from fenics_crack.study.bladed_disk import Amplification, NodalDiameters, blades, wheel_of
+from fenics_crack.study.bladed_disk import Amplification, NodalDiameters, wheel_of
 
 FRAMES = 48
 """Instants of the period at which the largest displacement of each node is looked for."""
@@ -66,9 +66,7 @@ def draw_wheel(solution: PeriodicSolution, **where: Unpack[Where]) -> Figure:
         shown = panel.tripcolor(
             *points.T, mesh.triangles, factor * amplitude, shading="gouraud", cmap="viridis"
         )
-        panel.add_collection(
-            LineCollection(points[mesh.boundary], colors="black", linewidths=0.7)
-        )
+        panel.add_collection(LineCollection(points[mesh.boundary], colors="black", linewidths=0.7))
         panel.autoscale_view()
         panel.set_aspect("equal")
     else:

@@ -514,13 +514,22 @@ class Rim:
         places = [columns[0].start, *(column.stop for column in columns)]
         angles = [math.asin((x - self.middle) / self.outer) for x in places]
         angles = [-self.half, *angles, self.half]
-        ends = [geo.addPoint(*self.at(self.outer, angle), 0.0) for angle in angles[:: len(angles) - 1]]
+        ends = [
+            geo.addPoint(*self.at(self.outer, angle), 0.0) for angle in angles[:: len(angles) - 1]
+        ]
         top = [ends[0], *feet, ends[1]]
         low = [geo.addPoint(*self.at(self.inner, angle), 0.0) for angle in angles]
         parts = [beside, *columns, beside]
         radial = [_curve(one, other, deep) for one, other in zip(low, top, strict=True)]
-        inside = [_arc(*ends, center, part) for ends, part in zip(pairwise(low), parts, strict=True)]
-        outside = [_arc(top[0], top[1], center, beside), *below, _arc(*top[-2:], center, beside)]
+        inside = [
+            _arc(one, other, center, part)
+            for (one, other), part in zip(pairwise(low), parts, strict=True)
+        ]
+        outside = [
+            _arc(top[0], top[1], center, beside),
+            *below,
+            _arc(top[-2], top[-1], center, beside),
+        ]
         for place in range(len(parts)):
             loop = [inside[place], radial[place + 1], -outside[place], -radial[place]]
             surfaces.append(geo.addPlaneSurface([geo.addCurveLoop(loop)]))

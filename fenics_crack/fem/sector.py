@@ -94,7 +94,8 @@ def _sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
         raise InputError("mesh.file" if names[0] == "left" else "disk", found, allowed)
     sides = np.array([left, right[partner]])
     if len(shared := np.intersect1d(left, right)):
-        allowed = f"a disk with a hole: both sides have the node at {place_in_words(points[shared[0]])}"
+        where = place_in_words(points[shared[0]])
+        allowed = f"a disk with a hole: both sides have the node at {where}"
         raise InputError("mesh.file", "a sector that reaches the axis", allowed)
     lips = _lips(dofs, points, size)
     if len(shared := np.intersect1d(lips, sides)):

@@ -37,7 +37,6 @@ from fenics_crack.model.factor import Factor, distributed
 from fenics_crack.model.modes import NEGLIGIBLE, modes_by
 from fenics_crack.model.structure import Structure
 
-
 Found = TypeVar("Found")
 
 
@@ -95,7 +94,9 @@ class Sector:
         node = int(np.argwhere(nodes.dofs == dof)[0, 0])
         # Q - Q^T = 2 sin(2 pi / N) times the cross product with the axis.
         along = (self.turn - self.turn.T) @ (nodes.points[node] - self.center)
-        shares = zip(nodes.dofs[node].tolist(), (along / np.linalg.norm(along)).tolist(), strict=True)
+        shares = zip(
+            nodes.dofs[node].tolist(), (along / np.linalg.norm(along)).tolist(), strict=True
+        )
         return {one: share for one, share in shares if one >= 0 and share != 0.0}
 
     def turned(self, times: int) -> np.ndarray:
@@ -271,7 +272,8 @@ class Inside:
         """One nodal diameter."""
         angle = 2.0 * np.pi * diameter / self.sector.count
         single = self.sector.is_single(diameter)
-        return NodalDiameter(diameter, self, complex(round(np.cos(angle)) if single else np.exp(1j * angle)))
+        turn = complex(round(np.cos(angle)) if single else np.exp(1j * angle))
+        return NodalDiameter(diameter, self, turn)
 
 
 @dataclass(frozen=True, eq=False)
@@ -337,10 +339,14 @@ class NodalDiameter:
     def modes(self, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Frequencies (count,) [rad/s], and shapes of a sector (n_dofs, count) with v^H M v = 1."""
         blocks = self.inside.mass, self.inside.blocks
-        matrices = [distributed(one.real(self.turn), MPI.COMM_SELF) for one in blocks]
-        size = matrices[0].size[0]
+        mass, stiffness = (distributed(one.real(self.turn), MPI.COMM_SELF) for one in blocks)
+        size = mass.size[0]
         structure = Structure(
-            *matrices, sparse.csr_matrix((size, 0)), force=np.zeros((1, size)), clearance=np.zeros(0)
+            mass,
+            stiffness,
+            sparse.csr_matrix((size, 0)),
+            force=np.zeros((1, size)),
+            clearance=np.zeros(0),
         )
         if not self.turn.imag:
             found = modes_by(self, structure, count)
@@ -458,7 +464,9 @@ class CyclicBasis:
         return np.hstack([np.asarray(part) for part in parts])
 
 
-def solve_cyclic_modes(sector: Sector, families: int, comm: MPI.Comm = MPI.COMM_SELF) -> CyclicModes:
+def solve_cyclic_modes(
+    sector: Sector, families: int, comm: MPI.Comm = MPI.COMM_SELF
+) -> CyclicModes:
     """The lowest modes of each nodal diameter, which ranks share (collective)."""
     families, found = min(families, len(sector.own)), {}
     with sector.factored() as inside:
@@ -470,10 +478,7 @@ def solve_cyclic_modes(sector: Sector, families: int, comm: MPI.Comm = MPI.COMM_
 
 
 def cyclic_basis(
-    sector: Sector,
-    families: int,
-    loads: tuple[tuple[int, np.ndarray], ...],
-    comm: MPI.Comm,
+    sector: Sector, families: int, loads: tuple[tuple[int, np.ndarray], ...], comm: MPI.Comm
 ) -> CyclicBasis:
     """The basis of so many families for loads: nodal diameters, and complex forces (n_dofs,) of
     sector 0, which turn with the sectors by e^(i 2 pi n j / N); ranks share nodal diameters
@@ -505,17 +510,17 @@ def cyclic_basis(
             found[diameter] = omega, shapes, answers, one.answers(pulled)
     found = _of_all_ranks(found, comm)
     ordered = (found[diameter] for diameter in sector.diameters)
-    omegas, shapes, answers, static = zip(*ordered, strict=True)
+    omegas, every, known, static = zip(*ordered, strict=True)
     fields = [
         (diameter, field)
-        for diameter, own in enumerate(answers)
+        for diameter, own in enumerate(known)
         for field in _independent(sector, diameter, own)
     ]
     # A sum over all nodal diameters whose second half is the conjugate of the first.
     opened = np.zeros((sector.count, *static[0].shape))
     if opened.size:
         opened = _of_sectors(np.array(static), sector)
-    modes = CyclicModes(omegas, shapes, sector)
+    modes = CyclicModes(omegas, every, sector)
     return CyclicBasis(modes, tuple(fields), opened, sector.opening)
 
 
@@ -550,9 +555,7 @@ PATTERN = 0.1
 """Least size of a pattern of forces on a side, relative to the largest one."""
 
 
-def _side_forces(
-    sector: Sector, modes: Sequence[tuple[np.ndarray, np.ndarray]]
-) -> np.ndarray:
+def _side_forces(sector: Sector, modes: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
     """Patterns of forces of modes, their frequencies and shapes, on the right side of a sector,
     orthonormal: (n_dofs, p)."""
     right = sector.dofs[sector.sides[1]].ravel()

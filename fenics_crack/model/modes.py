@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from numbers import Integral
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 import scipy.linalg
@@ -160,7 +160,18 @@ def _space(structure: Structure, ties: Any) -> int:
     return structure.n_dofs - (0 if ties is None else int(ties.shape[1]))
 
 
-def modes_by(factor: Factor, structure: Structure, count: int, ties: Any = None) -> Modes:
+class Inverse(Protocol):
+    """What applies the inverse of a stiffness: a :class:`Factor`, for example."""
+
+    @property
+    def null_pivots(self) -> int:
+        """Dimension of the null space that was met."""
+
+    def apply(self, right: Any, solution: Any) -> None:
+        """Solve for a PETSc vector (collective)."""
+
+
+def modes_by(factor: Inverse, structure: Structure, count: int, ties: Any = None) -> Modes:
     """The same of a structure with mass everywhere, by the factor of its stiffness; ``ties`` are
     the independent columns of B where the crack is bonded."""
     if ties is None and structure.whole is not structure:  # small and dense
@@ -216,7 +227,7 @@ def _lowest(structure: Structure) -> list[np.ndarray]:
 class _Inverse:
     """Context that PETSc calls to apply a factor."""
 
-    def __init__(self, factor: Factor) -> None:
+    def __init__(self, factor: Inverse) -> None:
         self._factor = factor
 
     def apply(self, _: Any, right: Any, solution: Any) -> None:
@@ -248,7 +259,7 @@ def _solve(solver: Any, count: int) -> None:
 
 
 def _nearest_zero(
-    factor: Factor, structure: Structure, count: int, scale: float, ties: Any
+    factor: Inverse, structure: Structure, count: int, scale: float, ties: Any
 ) -> tuple[np.ndarray, np.ndarray]:
     """Eigenvalues omega^2, ascending, and shapes of the modes closest to zero, by the factor of K;
     where K is singular by that of K + s M."""
@@ -269,7 +280,7 @@ def krylov_vectors(count: int) -> int:
 
 
 def _krylov(
-    factor: Factor, structure: Structure, count: int, shift: float
+    factor: Inverse, structure: Structure, count: int, shift: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Eigenvalues, ascending, and mass-normalised shapes of the modes closest to a shift, by the
     factor of K - shift M."""

@@ -22,8 +22,7 @@ in the frame of the sector: a wave that runs against the rotation, seen from the
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy.linalg
@@ -129,7 +128,7 @@ class Wheel(Structure):
         return 0 if self.comm.rank == 0 else self.n_dofs
 
     def of_sector(self, place: int) -> sparse.csr_matrix:
-        """The dofs of a sector, by its place from 0, from those of the wheel: (n_sector, n_dofs)."""
+        """The dofs of a sector, by its place from 0, from those of the wheel: (n_sector, n)."""
         sector = self.sector
         first, second = (sparse.coo_matrix(part) for part in sector.bonds)
         own, after = len(sector.own), (place + 1) % sector.count
@@ -190,8 +189,10 @@ class Wheel(Structure):
         number[sector.upper] = np.arange(len(sector.upper))
         kept, every = {}, np.arange(len(nodes.points))
         for place in range(sector.count):
-            gone = sector.sides[1] if place in self.cracked else np.append(
-                sector.sides[1], sector.lips[1]
+            gone = (
+                sector.sides[1]
+                if place in self.cracked
+                else np.append(sector.sides[1], sector.lips[1])
             )
             kept[place] = np.setdiff1d(every, gone)
         starts = np.cumsum([0, *(len(kept[place]) for place in range(sector.count))])

@@ -309,8 +309,10 @@ _READERS: dict[str, Callable[[object], Any]] = {
 
 
 _JSON = {"bool": "boolean", "float": "number", "int": "integer", "str": "string"}
-_ARRAYS = ("Pair", "Vector", "tuple[Harmonic, ...]", "tuple[float, ...]", "tuple[str, ...]")
-_ARRAYS += ("tuple[int, ...]",)
+_ARRAYS = (
+    "Pair", "Vector", "tuple[Harmonic, ...]", "tuple[float, ...]", "tuple[int, ...]",
+    "tuple[str, ...]",
+)  # fmt: skip
 _JSON |= dict.fromkeys(_ARRAYS, "array")
 """JSON's words for types; axes and points are objects."""
 

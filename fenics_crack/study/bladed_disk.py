@@ -31,7 +31,6 @@ from fenics_crack.basics.errors import InputError, check_count, check_number
 from fenics_crack.basics.tables import Tabular, counted
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.fem.build import assemble
-from fenics_crack.model.cyclic import rows_of
 from fenics_crack.model.structure import DampingRule, Structure
 from fenics_crack.model.wheel import Wheel, WheelStructure, families_of_basis
 from fenics_crack.numerics.fourier import to_complex
@@ -143,11 +142,10 @@ def blades(found: Any, dof: int | None = None) -> Blades:
     result = getattr(found, "result", found)
     if not isinstance(result, PeriodicSolution | ResponseCurve):
         raise InputError("found", type(found).__name__, "a solution or a response curve")
-    curve = isinstance(result, ResponseCurve)
-    structure = result.structure if not curve else result.problem_of(0).structure
+    structure = result.structure
     wheel = wheel_of(structure)
     dofs = wheel.dofs_of_blades(wheel.watched_dof if dof is None else dof)
-    if not curve:
+    if isinstance(result, PeriodicSolution):
         places, solutions = [0] * len(dofs), {0: result}
     else:
         places = [int(np.argmax(result.amplitude(one))) for one in dofs]
@@ -424,9 +422,7 @@ class _Response:
             for times, own in zip(single, modes, strict=True)
         )
         mass, stiffness, elastic = few.parts
-        rows = few.values_at(
-            np.eye(few.n_dofs), wheel.dofs_of_blades(wheel.watched_dof)
-        ).T
+        rows = few.values_at(np.eye(few.n_dofs), wheel.dofs_of_blades(wheel.watched_dof)).T
         return cls(mass, stiffness, elastic, force, rows, wheel.damping, max(below - count, 0))
 
     def largest(self, deviations: np.ndarray) -> tuple[float, float, int]:

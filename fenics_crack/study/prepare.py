@@ -240,8 +240,8 @@ def reduction_of(scene: Scene, structure: Structure) -> Kept | None:
     """
     table = scene.reduction
     if scene.disk is not None:
-        modes = scene.disk.families * scene.disk.sectors
-        return Kept("massless" if structure.n_pairs else "free_interface", modes)
+        many = scene.disk.families * scene.disk.sectors
+        return Kept("massless" if structure.n_pairs else "free_interface", many)
     if table is None:
         few = structure.n_dofs <= FEW_DOFS
         if few and structure.comm.size == 1:

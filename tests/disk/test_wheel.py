@@ -198,9 +198,10 @@ def test_two_ranks_share_nodal_diameters(on_ranks: Any, tmp_path: Path) -> None:
 
 @pytest.mark.nightly
 def test_isolated_resonance_of_the_cracked_blade() -> None:
-    """Of the ring of twelve, with a crack of 4 mm, that an independent prototype computed."""
+    """Of the ring of twelve, with a crack of 4 mm, that an independent prototype computed with
+    elements of 0.7 mm along the crack; finer ones at its tip take 0.2 to 0.4 % from it."""
     scene = fc.Scene.from_mapping(RING).replace(
-        {"mesh.lip_elements": 6, "curve.parameter": "frequency"}
+        {"mesh.lip_elements": 6, "mesh.grading": 1.0, "curve.parameter": "frequency"}
         | {"curve.start": 1265.0, "curve.stop": 1285.0}
     )
     peak = fc.curve(scene).peak()

@@ -151,9 +151,10 @@ def _tips(table: TipTiming, run: Run) -> dict[int, dict[int, float]]:
     """The displacement of every tip in the direction of rotation, as factors of dofs."""
     wheel = run.structure.whole
     _, own = wheel.blade_of(run.watched_dof)
-    shares = {own: table.tangential}
     if table.tangential is None:
-        shares = wheel.sector.circumferential(own)
+        shares: dict[int, float] = wheel.sector.circumferential(own)
+    else:
+        shares = {own: table.tangential}
     count = wheel.sector.count
     return {
         blade: {wheel.dof_of(blade, dof): share for dof, share in shares.items()}

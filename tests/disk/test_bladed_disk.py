@@ -1,0 +1,269 @@
+"""Bladed disks from scenes: what is printed, drawn, swept and timed, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from surroundings import main
+from wheels import SOLID, ring
+
+import fenics_crack as fc
+from fenics_crack.scene.fields import Mistuning
+
+PATTERN = {"deviation": 0.01, "seed": 3}
+PROBES = [0.0, 17.0, 41.0, 58.0, 86.0, 113.0, 140.0, 178.0, 205.0, 251.0]
+
+
+@pytest.fixture(scope="module")
+def run() -> fc.Run[fc.PeriodicSolution]:
+    """Next to the resonance of the cracked blade."""
+    return fc.solve(ring(disk__mistuning=PATTERN, excitation__frequency=1270.0))
+
+
+def written(scene: fc.Scene, folder: Path) -> str:
+    """The file of a scene."""
+    file = folder / "ring.toml"
+    file.write_text(scene.as_toml(), encoding="utf-8")
+    return str(file)
+
+
+def test_blades(run: fc.Run[fc.PeriodicSolution]) -> None:
+    """The watched blade's numbers are those of the solution; mistuning is that of the scene."""
+    found = fc.blades(run)
+    assert found.amplitude[0] == pytest.approx(run.result.amplitude(run.watched_dof), rel=1e-12)
+    assert found.cracked == (1,)
+    assert found.mistuning == pytest.approx(Mistuning(0.01, 3).pattern(6))
+    assert found.second[0] > 5.0 * found.second[3]
+    table = found.table()
+    assert len(table.rows) == 6 and table.columns[1] == "amplitude [m]"
+    # Far below all resonances the blades follow their loads, 2 x 60 degrees apart.
+    still = fc.blades(fc.solve(run.scene.replace({"excitation.frequency": 60.0})))
+    steps = np.degrees(np.diff(still.phase)) % 360.0
+    assert steps == pytest.approx(120.0, abs=1.0)
+
+
+def test_blades_of_a_curve() -> None:
+    """Each where it moves most."""
+    keys = {"parameter": "frequency", "start": 1250.0, "stop": 1290.0, "stability": False}
+    scene = ring(**{f"curve__{key}": value for key, value in keys.items()})
+    curve = fc.curve(scene)
+    found, dof = fc.blades(curve), curve.watched_dof
+    assert found.amplitude[0] == pytest.approx(curve.amplitude(dof).max(), rel=1e-3)
+    assert found.omega[0] == pytest.approx(curve.omega[int(np.argmax(curve.amplitude(dof)))])
+
+
+def test_results_come_back(run: fc.Run[fc.PeriodicSolution], tmp_path: Path) -> None:
+    """Solutions and modes of a wheel from their files."""
+    run.save(tmp_path / "solution.h5")
+    again = fc.load_run(tmp_path / "solution.h5")
+    assert fc.blades(again).amplitude == pytest.approx(fc.blades(run).amplitude, rel=1e-9)
+    modes = fc.modes(run.scene, 3)
+    modes.save(tmp_path / "modes.h5")
+    found = fc.load_run(tmp_path / "modes.h5").result
+    assert isinstance(found, fc.Modes)
+    assert found.shapes == pytest.approx(modes.result.shapes, abs=1e-9)
+
+
+def test_nodal_diameters() -> None:
+    """Engine orders fold at N/2."""
+    found = fc.nodal_diameters(ring(excitation__order=10))
+    assert found.omega.shape == (4, 3) and found.excited == 2
+    assert found.to_dict()["engine_orders"] == ["6", "1 5 7", "2 4 8", "3 9"]
+    assert np.all(np.diff(found.omega, axis=1) > 0.0)
+
+
+def test_amplification() -> None:
+    """Never above Whitehead's bound; of no mistuning 1; the same as solutions of the pattern."""
+    scene = ring(excitation__frequency=1390.0)
+    found = fc.amplification(scene, 40, 0.01, seed=5)
+    assert 1.0 < found.factor.max() <= found.bound == pytest.approx(0.5 * (1.0 + np.sqrt(6.0)))
+    assert fc.amplification(scene, 2, 0.0).factor == pytest.approx(1.0, abs=1e-3)
+    place = int(np.argmax(found.factor))
+    pattern = {"deviation": 0.01, "seed": 5 + place}
+    same = {"disk.mistuning": pattern, "disk.cracked": [], "excitation.omega": found.omega[place]}
+    blades = fc.blades(fc.solve(scene.replace(same)))
+    assert int(np.argmax(blades.amplitude)) + 1 == found.blade[place]
+    assert blades.amplitude.max() == pytest.approx(found.factor[place] * found.tuned, rel=1e-4)
+
+
+def test_patterns_are_swept(tmp_path: Path) -> None:
+    """Cases of a sweep over the seed are solutions of their own patterns."""
+    over = {"disk.mistuning.seed": [1, 2]}
+    scene = ring(disk__mistuning=PATTERN, excitation__frequency=1270.0, sweep__over=over)
+    found = fc.run_sweep(scene, tmp_path / "sweep.h5")
+    alone = [
+        fc.solve(scene.replace({"disk.mistuning.seed": seed, "sweep": None})) for seed in (1, 2)
+    ]
+    sizes = [one.result.amplitude(one.watched_dof) for one in alone]
+    assert found["response"] == pytest.approx(sizes, rel=1e-3)
+    assert abs(sizes[0] - sizes[1]) > 0.01 * sizes[0]
+
+
+def test_tips_are_timed() -> None:
+    """The amplitude of every blade within three standard errors of its fit, also from the record
+    that is written."""
+    timing = {"probes": PROBES, "tip_radius": 0.18, "noise": 1e-8, "revolutions": 60}
+    changes = {f"tip_timing__{key}": value for key, value in timing.items()}
+    scene = ring(disk__mistuning=PATTERN, excitation__frequency=1380.0, **changes)
+    arrivals, run = fc.arrivals_of_blades(scene)
+    assert run is not None
+    wheel = run.structure.whole
+    _, own = wheel.blade_of(run.watched_dof)
+    shares = wheel.sector.circumferential(own)
+    for blade, seen in arrivals.items():
+        fit = fc.fit_order(seen, [2], harmonics=2)
+        dofs = [wheel.dof_of(blade, dof) for dof in shares]
+        rows = run.structure.values_at(run.result.displacement_coefficients, dofs)
+        a, b = (rows[row] @ np.array([*shares.values()]) for row in (1, 2))
+        assert abs(fit.amplitudes[0] - np.hypot(a, b)) < 3.0 * fit.amplitude_errors[0]
+        # The first harmonic over the rotor's angle, from the blade's place at the mark.
+        turned = complex(fit.coefficients[1], -fit.coefficients[2])
+        assert abs(turned - complex(a, -b)) < 4.0 * fit.amplitude_errors[0]
+
+
+def test_record_of_all_blades(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The command writes one record, and finds the same in it."""
+    timing = {"probes": PROBES, "tip_radius": 0.18, "noise": 1e-8, "revolutions": 20}
+    changes = {f"tip_timing__{key}": value for key, value in timing.items()}
+    scene = ring(disk__mistuning=PATTERN, excitation__frequency=1380.0, **changes)
+    file = written(scene, tmp_path)
+    tables = []
+    for more in ([], [str(tmp_path / "first" / "arrivals.csv")]):
+        folder = tmp_path / ("again" if more else "first")
+        words = ["timing", file, *more, "--output", str(folder), "--format", "json", "--quiet"]
+        assert main(words) == 0
+        tables.append(json.loads(capsys.readouterr().out))
+    assert [row["blade"] for row in tables[0]] == [1, 2, 3, 4, 5, 6]
+    for first, again in zip(*tables, strict=True):
+        assert again["amplitude [m]"] == pytest.approx(first["amplitude [m]"], rel=1e-6)
+
+
+def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The scene of new --disk is checked and solved; its diameters are printed and drawn."""
+    file = str(tmp_path / "disk.toml")
+    assert main(["new", file, "--disk"]) == 0
+    coarse = ["--set", "mesh.size=0.012", "--set", "mesh.error=false", "--set", "disk.sectors=6"]
+    coarse += ["--output", str(tmp_path / "out")]
+    assert main(["disk", file, *coarse, "--patterns", "5"]) == 0
+    said = capsys.readouterr()
+    assert "nodal diameter 2" in said.err and "Whitehead" in said.err
+    assert {"disk.png", "amplification.png"} <= {f.name for f in (tmp_path / "out").iterdir()}
+    assert main(["solve", file, *coarse]) in (0, 4)
+    assert "blade" in capsys.readouterr().err
+    assert main(["plot", str(tmp_path / "out" / "solution.h5")]) == 0
+    assert (tmp_path / "out" / "solution_wheel.png").exists()
+    with pytest.raises(SystemExit):
+        main(["new", file, "--disk", "--nonsense"])
+    assert main(["new", str(tmp_path / "b.toml"), "--disk", "--solid"]) == 2
+
+
+def test_pictures(run: fc.Run[fc.PeriodicSolution], tmp_path: Path) -> None:
+    """Every picture is made; a solution of a plate is refused."""
+    fc.draw_wheel(run.result, path=tmp_path / "wheel.png")
+    found = fc.nodal_diameters(ring(rotation__rpm=3000.0, excitation__frequency=None))
+    figure = fc.draw_nodal_diameters(found, families=2, path=tmp_path / "diameters.png")
+    labels = [line.get_label() for line in figure.axes[0].lines]
+    assert labels[:2] == ["family 1", "family 2"] and "engine orders at 3000 rpm" in labels
+    fc.draw_modes(fc.modes(run.scene, 2).result, path=tmp_path / "modes.png")
+    fc.write_modes(fc.modes(run.scene, 2).result, tmp_path / "modes")
+    assert len(list(tmp_path.glob("*.png"))) == 3
+
+
+@pytest.mark.nightly
+def test_solid_wheel_is_drawn(tmp_path: Path) -> None:
+    """In colours, from a corner."""
+    found = fc.solve(fc.Scene.from_mapping(SOLID))
+    fc.draw_wheel(found.result, path=tmp_path / "wheel.png")
+    assert (tmp_path / "wheel.png").stat().st_size > 10_000
+
+
+def test_sector_file(tmp_path: Path) -> None:
+    """A mesh file of one sector with its sides named gives what the built-in one gives; one whose
+    sides do not match, or have no names, is refused."""
+    scene = ring()
+    fc.write_msh(scene, tmp_path / "sector.msh")
+    text = (tmp_path / "sector.msh").read_text(errors="surrogateescape")
+    names = ("left", "edge"), ("right", "far"), ("rim_left", "left"), ("rim_right", "right")
+    for old, new in names:
+        text = text.replace(f'"{old}"', f'"{new}"')
+    named_file = tmp_path / "named.msh"
+    named_file.write_text(text, errors="surrogateescape")
+    gone = dict.fromkeys(
+        (
+            "geometry.width", "geometry.height", "mesh.size", "mesh.lip_elements",
+            "disk.inner_radius", "disk.outer_radius", "crack",
+        )
+    )  # fmt: skip
+    named = {"mesh.layout": "file", "mesh.file": str(named_file)}
+    file = scene.replace(gone | named | {"disk.center": [0.006, -0.1]})
+    own, other = (fc.nodal_diameters(one).omega for one in (scene, file))
+    assert other == pytest.approx(own, rel=1e-9)
+    sizes = [fc.blades(fc.solve(one)).amplitude for one in (scene, file)]
+    assert sizes[1] == pytest.approx(sizes[0], rel=1e-6)
+    with pytest.raises(fc.InputError, match="360/7 degrees"):
+        fc.build_structure(file.replace({"disk.sectors": 7}))
+    named_file.write_text(text.replace('"right"', '"other"'), errors="surrogateescape")
+    with pytest.raises(fc.InputError, match="whose sides are named 'left' and 'right'"):
+        fc.build_structure(file)
+
+
+WRONG: list[tuple[dict[str, Any], str]] = [
+    ({"disk.sectors": 2}, "a whole number from 3 to 1000"),
+    ({"disk.cracked": [7]}, "numbers of sectors, from 1 to disk.sectors = 6"),
+    ({"disk.cracked": [0]}, "the number of a sector, from 1"),
+    ({"disk.mistuning": [0.1, 0.0]}, "one number for each of the 6 sectors"),
+    ({"disk.mistuning": {"deviation": 0.5}}, "a number from 0 to 0.1"),
+    ({"disk.mistuning.seed": -1}, "a whole number >= 0"),
+    ({"disk.inner_radius": 0.2}, "less than disk.outer_radius"),
+    ({"disk.outer_radius": None}, "given"),
+    ({"disk.center": [0.0, 0.0]}, "a blade on a rim"),
+    ({"disk.sectors": 100}, "blades 0.012 m across stand apart"),
+    ({"excitation.order": None}, "the engine order"),
+    ({"excitation.frequency": None}, "at rest"),
+    ({"rotation.rpm": 100.0}, "excitation.order = 2 and a speed"),
+    (
+        {"rotation.rpm": 100.0, "rotation.hub_radius": 0.1, "excitation.frequency": None},
+        "which has an axis",
+    ),
+    ({"reduction.modes": 5}, r"not allowed with \[disk\]"),
+    ({"base.acceleration_sin": [1.0, 0.0]}, r"not allowed with \[disk\]"),
+    (
+        {
+            "curve.parameter": "rpm", "curve.start": 1.0, "curve.stop": 2.0,
+            "rotation.rpm": 1.0, "excitation.frequency": None,
+        },
+        "the load's frequency",
+    ),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("changes", "words"), WRONG)
+def test_refused(changes: dict[str, Any], words: str) -> None:
+    """With the key and what is allowed."""
+    with pytest.raises(fc.InputError, match=words):
+        ring().replace(changes)
+
+
+def test_refused_later() -> None:
+    """What a disk has no Campbell diagram, growth or tips for."""
+    turning = ring(rotation__rpm=3000.0, excitation__frequency=None)
+    with pytest.raises(fc.InputError, match="nodal_diameters has its frequencies"):
+        fc.campbell(turning, [100.0, 200.0])
+    with pytest.raises(fc.InputError, match=r"with \[disk\]"):
+        ring(output__quantities=["K_max"])
+    with pytest.raises(fc.InputError, match=r"scene with \[disk\]"):
+        fc.draw_wheel(fc.solve(fc.Scene.load("demos/paper_plate.toml")).result)
+
+
+def test_scene_is_written_and_read() -> None:
+    """With a random pattern, and with numbers."""
+    for pattern in (PATTERN, [0.01, 0.0, -0.01, 0.0, 0.02, 0.0]):
+        scene = ring(disk__mistuning=pattern)
+        assert fc.Scene.from_text(scene.as_toml()) == scene
+    assert ring(disk__mistuning=PATTERN).replace({"disk.mistuning.seed": 9}).given(
+        "disk"
+    ).mistuning == Mistuning(0.01, 9)
