@@ -21,8 +21,8 @@ from fenics_crack import Scene
 # fmt: off
 LISTS = {
     "SWEPT": "geometry, material, damping, excitation, mesh, contact, crack, cracks, loads, base, "
-    "rotation, structure, harmonic_balance, reduction",
-    "REMOVABLE": "contact, crack, base, rotation, structure, reduction, curve, integration, sweep, "
+    "rotation, disk, structure, harmonic_balance, reduction",
+    "REMOVABLE": "contact, crack, base, rotation, disk, structure, reduction, curve, integration, sweep, "
     "growth, identify, tip_timing, output, cracks, loads",
 }
 LISTS["TABLES"] = LISTS["SWEPT"] + ", curve, integration, sweep, growth, identify, tip_timing, output"
@@ -222,6 +222,17 @@ TABLE = [
     ("timing scene.toml tip_timing.tip_radius=1 tip_timing.probes=[2,1]", "tip_timing.probes = [2, 1]: must be a list of rising angles in degrees, from 0 to less than 360"),
     ("timing scene.toml tip_timing.tip_radius=1 tip_timing.probes=[0,360]", "tip_timing.probes = [0, 360]: must be a list of rising angles in degrees, from 0 to less than 360"),
     ("timing scene.toml tip_timing.tip_radius=1 tip_timing.probes=[]", "tip_timing.probes = []: must be a list of rising angles in degrees, from 0 to less than 360"),
+    ("check scene.toml disk.sectors=6", "excitation.order is missing: must be given with [disk]: the engine order, a whole number >= 1"),
+    ("check scene.toml disk.sectors=6 excitation.order=2", "excitation.omega is missing: must be given [rad/s] with [disk] at rest, or excitation.frequency [Hz]"),
+    ("check scene.toml disk.sectors=6 excitation.omega=2000.0 excitation.order=2", "disk.inner_radius is missing: must be given: a finite number > 0 (1e-30 to 1e+30)"),
+    ("check scene.toml disk.sectors=6 excitation.omega=2000.0 excitation.order=2 disk.inner_radius=0.2", "disk.outer_radius is missing: must be given: a finite number > 0 (1e-30 to 1e+30)"),
+    ("check scene.toml disk.sectors=6 excitation.omega=2000.0 excitation.order=2 disk.inner_radius=0.2 disk.outer_radius=0.4 reduction.modes=3", "reduction = 'a table': not allowed with [disk]"),
+    ("check scene.toml disk.sectors=6 excitation.omega=2000.0 excitation.order=2 disk.inner_radius=0.2 disk.outer_radius=0.4 disk.center=[0,0]", "disk.center = (0.0, 0.0): not allowed with a blade on a rim that is made here"),
+    ("check scene.toml disk.sectors=6 excitation.omega=2000.0 excitation.order=2 disk.inner_radius=0.5 disk.outer_radius=0.4", "disk.inner_radius = 0.5: must be less than disk.outer_radius = 0.4"),
+    ("check scene.toml disk.sectors=6 excitation.omega=2000.0 excitation.order=2 disk.inner_radius=0.398 disk.outer_radius=0.4", "disk.inner_radius = 0.398: must be less than the 0.396863 m at which the blade meets the rim"),
+    ("check scene.toml disk.sectors=6 excitation.omega=2000.0 excitation.order=2 disk.inner_radius=0.05 disk.outer_radius=0.09", "disk.outer_radius = 0.09: must be so large that blades 0.1 m across stand apart: their feet have 0.09 m"),
+    ("check scene.toml disk.sectors=6 excitation.omega=2000.0 excitation.order=2 disk.inner_radius=0.2 disk.outer_radius=0.4 disk.mistuning={deviation=0.5}", "disk.mistuning.deviation = 0.5: must be a number from 0 to 0.1"),
+    ("check scene.toml disk.sectors=6 excitation.omega=2000.0 excitation.order=2 disk.inner_radius=0.2 disk.outer_radius=0.4 disk.mistuning={deviation=0.01,seed=-1}", "disk.mistuning.seed = -1: must be a whole number >= 0"),
     ("timing scene.toml tip_timing.tip_radius=0 tip_timing.probes=[1]", "tip_timing.tip_radius = 0: must be a finite number > 0 (1e-30 to 1e+30)"),
     ("timing scene.toml tip_timing.tip_radius=1 tip_timing.probes=[1]", "tip_timing.order is missing: must be given without excitation.order: a whole number >= 1"),
     ("timing scene.toml tip_timing.tip_radius=1 tip_timing.probes=[1] tip_timing.order=0", "tip_timing.order = 0: must be a whole number >= 1"),

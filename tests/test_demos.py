@@ -253,6 +253,19 @@ def test_first_notebook_in_jupyter() -> None:
     assert kinds.count("image/png") == kinds.count("text/html") == 5
 
 
+@pytest.mark.nightly
+def test_bladed_disk(tmp_path: Path) -> None:
+    """The cracked blade has a resonance of its own, and probes find every amplitude."""
+    scene = fc.Scene.load(DEMOS / "bladed_disk.toml").replace({"mesh.size": 0.02})
+    found = load("bladed_disk").main(tmp_path, scene, 100)
+    assert 880.0 < found["resonance of the cracked blade [Hz]"] < 920.0
+    assert found["its second harmonic over the first"] > 0.02
+    assert found["largest amplification by mistuning"] < found["Whitehead's bound"]
+    assert found["tip amplitudes off by at most so many standard errors"] < 4.0
+    pictures = {"diameters", "blades", "wheel", "amplification"}
+    assert {f"{name}.png" for name in pictures} < {path.name for path in tmp_path.iterdir()}
+
+
 def test_friction(tmp_path: Path) -> None:
     """Friction halves the peak of the inclined crack; the solution without says so of itself."""
     found = load("friction").main(tmp_path)

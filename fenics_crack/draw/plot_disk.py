@@ -48,7 +48,7 @@ def draw_wheel(solution: PeriodicSolution, **where: Unpack[Where]) -> Figure:
 
     Examples
     --------
-    >>> figure = fc.draw_wheel(fc.solve(wheel).result, path="wheel.png")
+    >>> figure = fc.draw_wheel(fc.solve(disk).result, path="disk.png")
     """
     check_kind("solution", solution, PeriodicSolution)
     wheel = wheel_of(solution.structure)
@@ -139,7 +139,7 @@ def draw_blades(
 
     Examples
     --------
-    >>> figure = fc.draw_blades(fc.curve(wheel).result, path="blades.png")
+    >>> figure = fc.draw_blades(fc.curve(disk).result, path="blades.png")
     """
     check_kind("curve", curve, ResponseCurve)
     wheel = wheel_of(curve.problem_of(0).structure)
@@ -189,7 +189,7 @@ def draw_nodal_diameters(
 
     Examples
     --------
-    >>> figure = fc.draw_nodal_diameters(fc.nodal_diameters(wheel), path="diameters.png")
+    >>> figure = fc.draw_nodal_diameters(fc.nodal_diameters(disk), path="diameters.png")
     """
     check_kind("found", found, NodalDiameters)
     [panel] = picture = Picture(**where)
@@ -232,7 +232,7 @@ def draw_amplification(found: Amplification, **where: Unpack[Where]) -> Figure:
 
     Examples
     --------
-    >>> figure = fc.draw_amplification(fc.amplification(wheel, 200), path="amplification.png")
+    >>> figure = fc.draw_amplification(fc.amplification(disk, 200), path="amplification.png")
     """
     check_kind("found", found, Amplification)
     [panel] = picture = Picture(**where)

@@ -542,9 +542,9 @@ def in_few_coordinates(structure: Structure) -> Structure:
 
 
 def families_of_basis(families: int) -> int:
-    """Modes of each nodal diameter in the basis, for so many that are kept: twice as many, or three
-    more. One more would say little where that family does not open the crack."""
-    return families + max(families, 3)
+    """Modes of each nodal diameter in the basis, for so many that are kept: two more, for the next
+    family alone may not open the crack."""
+    return families + 2
 
 
 def reduce_wheel(
@@ -552,8 +552,8 @@ def reduce_wheel(
 ) -> ReducedStructure:
     """Reduce a wheel to its lowest modes, with crack faces without mass (collective).
 
-    The motions that are sought are those of twice as many modes of each nodal diameter with bonded
-    cracks as ``families``, or of three more, the static answers to the load and to what mistuning
+    The motions that are sought are those of ``families`` modes of each nodal diameter with bonded
+    cracks, and of two more, the static answers to the load and to what mistuning
     and cracks leave on the sides, and the opening of each crack with the static answer of the
     wheel. Of the modes that the mistuned wheel with open cracks has in them ``families`` times as
     many as there are sectors are kept; all of them are the reference, by which the error of the

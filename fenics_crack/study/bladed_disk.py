@@ -137,7 +137,7 @@ def blades(found: Any, dof: int | None = None) -> Blades:
 
     Examples
     --------
-    >>> fc.blades(fc.solve(wheel)).amplitude.max()
+    >>> fc.blades(fc.solve(disk)).amplitude.max()
     """
     result = getattr(found, "result", found)
     if not isinstance(result, PeriodicSolution | ResponseCurve):
@@ -238,7 +238,7 @@ def nodal_diameters(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> NodalDiame
 
     Examples
     --------
-    >>> fc.nodal_diameters(wheel).omega[2, 0]
+    >>> fc.nodal_diameters(disk).omega[2, 0]
     """
     wheel = _assembled(scene, comm)
     omega = np.array(wheel.cyclic_modes().omega)
@@ -354,7 +354,7 @@ def amplification(
 
     Examples
     --------
-    >>> found = fc.amplification(wheel, patterns=100, deviation=0.01)
+    >>> found = fc.amplification(disk, patterns=100, deviation=0.01)
     >>> found.percentile(95.0) < found.bound
     """
     check_count("patterns", patterns, 1)

@@ -219,11 +219,11 @@ def _static(factor: Factor, modes: Modes, forces: np.ndarray) -> np.ndarray:
 
 def _stiffening(whole: Structure, shape: np.ndarray) -> float:
     """d(w^2) / d(W^2) = phi^T (K_1 + K_2 + 2 W^2 K_3) phi of a mass-normalised mode (n_local,)."""
-    rotation, shapes = whole.whole.rotation, shape[:, None]
+    rotation, shapes = whole.rotation, shape[:, None]
+    if isinstance(whole, WheelStructure):
+        rotation, shapes = whole.wheel.rotation, whole.of_sectors(shape)
     if rotation is None:
         return 0.0
-    if isinstance(whole, WheelStructure):
-        shapes = whole.of_sectors(shape)
     second, third = rotation.displaced
     parts = (rotation.stiffness, 1.0), (second, 1.0), (third, 2.0 * rotation.speed**2)
     slope = sum(factor * times(matrix, shapes) for matrix, factor in parts)

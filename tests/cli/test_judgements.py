@@ -115,7 +115,7 @@ def test_verdict_that_hangs_on_modes_left_out() -> None:
     for omega, flips in ((4028.09, True), (3985.0, False)):
         found = fc.solve_harmonic_balance(study.structure, omega, study.contact, harmonics=30)
         verdict = fc.floquet(study.structure, found).verdict
-        said = [*of_more_modes(found, verdict)]
+        said = [*of_more_modes(scene, found, verdict)]
         more = fc.prepare(scene.replace({"reduction.modes": 20})).structure
         also = fc.solve_harmonic_balance(more, omega, study.contact, harmonics=60)
         other = fc.floquet(more, also).verdict

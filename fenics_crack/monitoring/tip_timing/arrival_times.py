@@ -441,8 +441,8 @@ def write_record(
 
     Examples
     --------
-    >>> arrivals, run = fc.arrivals_of_blades(wheel)
-    >>> fc.write_record(arrivals, "record.csv", np.radians(wheel.tip_timing.probes))
+    >>> arrivals, run = fc.arrivals_of_blades(disk)
+    >>> fc.write_record(arrivals, "record.csv", np.radians(disk.tip_timing.probes))
     """
     first = next(iter(blades.values()))
     columns: dict[str, Any] = {

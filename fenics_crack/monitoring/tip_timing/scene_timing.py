@@ -98,7 +98,7 @@ def arrivals_of_blades(
 
     Examples
     --------
-    >>> arrivals, run = fc.arrivals_of_blades(wheel)
+    >>> arrivals, run = fc.arrivals_of_blades(disk)
     """
     if isinstance(source, Mapping):
         return dict(source), None

@@ -1,0 +1,246 @@
+"""Bladed disks: what they cost, how near the whole wheel they are, and patterns of mistuning.
+
+The ring has blades of 80 x 12 mm in plane stress on a rim of radii 50 and 100 mm, with a crack of
+4 mm at 12 mm above the rim; xi = 0.2 %. The solid sector is a blade of 20 x 120 x 8 mm on a rim of
+150 and 180 mm, with a crack of 6 mm through its thickness.
+
+sizes       times with N = 12, 24 and 40 sectors, 3 families: the reduction, a second pattern, a
+            solution with its errors and verdict, curves with harmonics and of exact orbits
+families    1 to 4 families against the whole wheel with as many modes, and with 12 of each sector
+patterns    1,000 patterns of 1 % without a crack
+breathing   200 patterns with the crack at the resonance of its blade; 10 of them against the whole
+            wheel with 12 modes of each sector
+solid       a solid sector of 9,000 dofs, N = 24
+large       one of 36,000 dofs
+
+    OMP_NUM_THREADS=1 python benchmarks/bladed_disks.py [--quick] [--only PART] [folder]
+"""
+
+from __future__ import annotations
+
+import resource
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import common
+import numpy as np
+
+import fenics_crack as fc
+from fenics_crack.model.reduction import reduce_structure
+
+RING = fc.Scene.from_text("""
+geometry = { width = 0.012, height = 0.08, thickness = 0.02 }
+material = { young = 2.1e11, poisson = 0.3, density = 7800.0 }
+damping = { ratio = 0.002 }
+crack = { edge = "left", height = 0.012, length = 0.004 }
+contact = { law = "unilateral" }
+mesh = { layout = "graded", order = 2, size = 0.006, lip_elements = 4, error = false }
+excitation = { order = 2, frequency = 1275.0, point = [0.0, 0.08], force_cos = [1.0, 0.0] }
+disk.sectors = 12
+disk.inner_radius = 0.05
+disk.outer_radius = 0.1
+disk.mistuning = { deviation = 0.01, seed = 3 }
+""")
+SOLID = fc.Scene.from_text("""
+geometry = { kind = "solid", width = 0.02, height = 0.12, thickness = 0.008 }
+material = { young = 2.1e11, poisson = 0.3, density = 7850.0 }
+damping = { ratio = 0.002 }
+crack = { edge = "left", height = 0.006, length = 0.006 }
+contact = { law = "unilateral" }
+mesh = { layout = "graded", size = 0.0064, lip_elements = 2, error = false }
+excitation = { order = 3, frequency = 430.0, point = [0.01, 0.12, 0.004], force_cos = [0, 0, 1.0] }
+disk.sectors = 24
+disk.inner_radius = 0.15
+disk.outer_radius = 0.18
+disk.mistuning = { deviation = 0.01, seed = 3 }
+""")
+LAW = fc.UnilateralConstraint()
+HARMONICS = 20
+MANY = 12
+"""Modes of each sector of the whole wheels that others are held against."""
+
+
+def main() -> None:
+    """Run it."""
+    parts = {
+        "sizes": sizes, "families": families, "patterns": patterns, "breathing": breathing,
+        "solid": solid, "large": large,
+    }  # fmt: skip
+    common.run(__doc__, parts)
+
+
+def _save(
+    arguments: common.Arguments, name: str, columns: Sequence[str], rows: Sequence[common.Row]
+) -> None:
+    common.save_table(arguments.folder / f"{name}.csv", name, columns, rows)
+
+
+def wheel_of(scene: fc.Scene) -> fc.Wheel:
+    """The whole wheel."""
+    found = fc.build_structure(scene)
+    assert isinstance(found, fc.Wheel)
+    return found
+
+
+def timed(function: Callable[[], Any]) -> tuple[Any, float]:
+    """What a function returns, and its processor time [s]."""
+    start = time.process_time()
+    return function(), time.process_time() - start
+
+
+def with_errors(reduced: fc.Structure, hertz: float) -> fc.PeriodicSolution:
+    """A solution with its errors and its verdict."""
+    found = fc.solve_harmonic_balance(reduced, 2.0 * np.pi * hertz, LAW, harmonics=HARMONICS)
+    fc.floquet(reduced, found)
+    assert found.report.total < 1.0
+    return found
+
+
+def costs(scene: fc.Scene, hertz: tuple[float, float]) -> list[object]:
+    """Sizes and times of a wheel, and of a curve through its first family."""
+    wheel, assembled = timed(lambda: wheel_of(scene))
+    reduced, first = timed(lambda: fc.reduce_wheel(wheel))
+    other = wheel.mistuned(np.random.default_rng(1).normal(0.0, 0.01, wheel.sector.count))
+    _, again = timed(lambda: fc.reduce_wheel(other))
+    with_errors(reduced, hertz[0])
+    _, solution = timed(lambda: with_errors(reduced, 1.01 * hertz[0]))
+    ends = (2.0 * np.pi * hertz[0], 2.0 * np.pi * hertz[1])
+    curve, followed = timed(lambda: fc.continue_frequency(reduced, *ends, LAW, harmonics=10))
+    _, judged = timed(lambda: fc.judge_curve(curve))
+    orbits, exact = timed(lambda: fc.continue_frequency(reduced, *ends, LAW, tolerance=0.01))
+    return [
+        wheel.sector.count, wheel.sector.structure.n_dofs, reduced.n_modes, assembled, first, again,
+        solution, len(curve.omega), followed, judged, len(orbits.omega), exact,
+    ]  # fmt: skip
+
+
+COSTS = (
+    "sectors", "dofs of one", "modes", "mesh s", "reduction s", "another pattern s", "solution s",
+    "points", "curve s", "verdicts s", "points of orbits", "curve of orbits s",
+)  # fmt: skip
+
+
+def sizes(arguments: common.Arguments) -> None:
+    """Plane wheels."""
+    counts = (12,) if arguments.quick else (12, 24, 40)
+    made = []
+    for count in counts:
+        outer = max(0.1, 0.0035 * count)  # room for all blades
+        changes = {"disk.sectors": count, "disk.outer_radius": outer, "excitation.order": 3}
+        made.append(costs(RING.replace(changes), (1240.0, 1420.0)))
+    _save(arguments, "bladed_disk_sizes", COSTS, made)
+
+
+def difference(
+    reduced: fc.Structure, whole: fc.Structure, hertz: float, tips: list[int]
+) -> tuple[float, float, float, float]:
+    """Relative differences of the gap, of the worst whole blade and of the cracked one, and the
+    stated error of the gap by the reduction."""
+    own, exact = (with_errors(one, hertz) for one in (reduced, whole))
+    moved, known = (
+        one.structure.values_at(one.displacement_coefficients, tips)[1:] for one in (own, exact)
+    )
+    off = np.linalg.norm(moved - known, axis=0) / np.linalg.norm(known, axis=0)
+    gap = np.linalg.norm(own.gap_coefficients - exact.gap_coefficients)
+    size = np.linalg.norm(exact.gap_coefficients)
+    return float(gap / size), float(off[1:].max()), float(off[0]), own.report.reduction
+
+
+def families(arguments: common.Arguments) -> None:
+    """Families against the whole wheel."""
+    wheel = wheel_of(RING.replace({"excitation.order": 3, "mesh.size": 0.012}))
+    tips, count = wheel.dofs_of_blades(wheel.watched_dof), wheel.sector.count
+    made: list[list[object]] = []
+    many = reduce_structure(wheel, modes=MANY * count, method="massless", reference=False)
+    for kept in (3,) if arguments.quick else (1, 2, 3, 4):
+        reduced = fc.reduce_wheel(wheel, kept)
+        same = reduce_structure(wheel, modes=kept * count, method="massless", reference=False)
+        for hertz in (1260.0, 1290.0, 1340.0, 1376.0):
+            alike, exact = (difference(reduced, one, hertz, tips) for one in (same, many))
+            made.append([kept, hertz, *alike[:3], *exact])
+    names = (
+        "families", "Hz", "gap", "whole blades", "cracked blade", "gap, 12 modes", "whole, 12",
+        "cracked, 12", "stated of the gap",
+    )  # fmt: skip
+    _save(arguments, "bladed_disk_families", names, made)
+
+
+def patterns(arguments: common.Arguments) -> None:
+    """Mistuning without a crack."""
+    count = 100 if arguments.quick else 1000
+    scene = RING.replace({"excitation.frequency": 1386.0})
+    found, spent = timed(lambda: fc.amplification(scene, count, 0.01))
+    shares = (5.0, 50.0, 95.0, 99.0, 100.0)
+    row = [count, spent, found.bound, *(found.percentile(share) for share in shares)]
+    names = ("patterns", "s", "bound", "5 %", "50 %", "95 %", "99 %", "largest")
+    _save(arguments, "bladed_disk_patterns", names, [row])
+    fc.draw_amplification(found, path=arguments.folder / "bladed_disk_amplification.png")
+
+
+def breathing(arguments: common.Arguments) -> None:
+    """Mistuning with a crack, at the resonance of its blade."""
+    count, held = (10, 2) if arguments.quick else (200, 10)
+    seeds = list(range(1, count + 1))
+    over = {"sweep.over": {"disk.mistuning.seed": seeds}, "sweep.at_resonance": True}
+    balance = {"harmonic_balance.tolerance": 0.01}
+    scene = RING.replace(over | balance)
+    found, spent = timed(lambda: fc.run_sweep(scene, arguments.folder / "bladed_disk_sweep.h5"))
+    response, stated = found["response"], found["total_error"]
+    row = [
+        count, spent, response.min(), np.median(response), response.max(), np.nanmax(stated),
+        int(np.sum(found.converged)), int(np.sum(found["verdict"] == "stable")),
+    ]  # fmt: skip
+    names = ("patterns", "s", "least m", "median m", "largest m", "largest error", "converged",
+             "stable")  # fmt: skip
+    _save(arguments, "bladed_disk_breathing", names, [row])
+    wheel, made = wheel_of(RING), []
+    for place in np.linspace(0, count - 1, held).astype(int):
+        own = RING.replace({"disk.mistuning.seed": seeds[place]})
+        pattern = wheel.mistuned(own.given("disk").deviations)
+        many = reduce_structure(
+            pattern, modes=MANY * pattern.sector.count, method="massless", reference=False
+        )
+        solution = found.solution(int(place))
+        exact = fc.solve_harmonic_balance(many, solution.omega, LAW, harmonics=60, initial=None)
+        gap, known = (_resized(one.gap_coefficients) for one in (solution, exact))
+        error = np.linalg.norm(gap - known) / np.linalg.norm(known)
+        amplitude = solution.amplitude(wheel.watched_dof) / exact.amplitude(wheel.watched_dof) - 1.0
+        said = solution.report
+        made.append([
+            seeds[place], solution.omega / (2.0 * np.pi), error, said.total, error / said.total,
+            abs(amplitude), said.displacement, abs(amplitude) / said.displacement,
+        ])  # fmt: skip
+    names = ("seed", "Hz", "gap", "stated", "over stated", "amplitude", "stated of it",
+             "over stated of it")  # fmt: skip
+    _save(arguments, "bladed_disk_whole", names, made)
+
+
+def _resized(rows: np.ndarray) -> np.ndarray:
+    found = np.zeros((121, rows.shape[1]))
+    found[: len(rows)] = rows
+    return found
+
+
+def solid(arguments: common.Arguments) -> None:
+    """A solid sector of 9,000 dofs."""
+    _save(arguments, "bladed_disk_solid", COSTS, [costs(SOLID, (420.0, 450.0))])
+    _say_memory()
+
+
+def large(arguments: common.Arguments) -> None:
+    """A solid sector of 36,000 dofs; not with --quick."""
+    if arguments.quick:
+        return
+    scene = SOLID.replace({"mesh.size": 0.0035, "mesh.lip_elements": 3})
+    _save(arguments, "bladed_disk_large", COSTS, [costs(scene, (420.0, 450.0))])
+    _say_memory()
+
+
+def _say_memory() -> None:
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20  # of KiB
+    print(f"largest memory of the process: {peak:.2f} GiB")
+
+
+if __name__ == "__main__":
+    main()
