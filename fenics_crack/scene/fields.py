@@ -529,7 +529,10 @@ class Table(Hinted):
         found: dict[str, Any] = {}
         for name, item in cls.keys().items():
             kinds = str(item.type).removesuffix(" | None").split(" | ")
-            found[name] = {"type": [_JSON.get(kind, "object") for kind in kinds]}
+            types = [_JSON.get(kind, "object") for kind in kinds]
+            if "tuple[int, ...]" in kinds:  # one number stands for a list of it
+                types.append("integer")
+            found[name] = {"type": types}
             words = f"{item.metadata['allowed']} [{item.metadata['unit']}]"
             found[name]["description"] = words.removesuffix(" []")
             if "words" in item.metadata:

@@ -572,9 +572,10 @@ def test_scene_as_toml_reads_back(path: Path) -> None:
             {
                 "sweep.over": {key: OVER[key] for key in ("excitation.omega", "crack.edge")},
                 "curve.start": 1.5, "curve.stop": 2, "curve.stability": False,
-                "reduction.modes": 7, "integration.method": "events",
+                "integration.method": "events",
                 "damping.ratio": [0.1, 0.2], "damping.modes": 2,
             }
+            | ({} if scene.disk else {"reduction.modes": 7})
         )  # fmt: skip
     assert Scene.from_mapping(tomllib.loads(scene.as_toml())) == scene
 
