@@ -103,6 +103,11 @@ class Sector:
         """Q^times: (d, d)."""
         return np.asarray(np.linalg.matrix_power(self.turn, times % self.count))
 
+    def placed(self, points: np.ndarray, times: int) -> np.ndarray:
+        """Points (n, d) of the first sector where they are in another one [m]."""
+        found: np.ndarray = (points - self.center) @ self.turned(times).T + self.center
+        return found
+
     @cached_property
     def own(self) -> np.ndarray:
         """Dofs that belong to a sector with a bonded crack: all but those of the right side and of

@@ -180,59 +180,50 @@ class Wheel(Structure):
         blade, own = self.blade_of(dof)
         return f"{self.sector.structure.dof_name(own)} of blade {blade}"
 
+    def own_numbers(self, place: int) -> np.ndarray:
+        """Numbers in the wheel of a sector's dofs that belong to it alone; -1 of others:
+        (n_sector,)."""
+        sector = self.sector
+        found, own = np.full(sector.structure.n_dofs, -1), len(sector.own)
+        found[sector.own] = place * own + np.arange(own)
+        if place in self.cracked:
+            count = len(sector.upper)
+            start = sector.count * own + self.cracked.index(place) * count
+            found[sector.upper] = start + np.arange(count)
+        return found
+
     def _all_nodes(self) -> Nodes:
         sector, nodes = self.sector, self.sector.structure.nodes
         assert nodes is not None
-        points, cells, frames, dofs, start = [], [], [], [], 0
-        own, number = len(sector.own), np.full(sector.structure.n_dofs, -1)
-        number[sector.own] = np.arange(own)
-        number[sector.upper] = np.arange(len(sector.upper))
-        kept, every = {}, np.arange(len(nodes.points))
-        for place in range(sector.count):
-            gone = (
-                sector.sides[1]
-                if place in self.cracked
-                else np.append(sector.sides[1], sector.lips[1])
-            )
-            kept[place] = np.setdiff1d(every, gone)
-        starts = np.cumsum([0, *(len(kept[place]) for place in range(sector.count))])
-        numbers = np.full((sector.count, len(every)), -1)
-        for place in range(sector.count):
-            numbers[place, kept[place]] = starts[place] + np.arange(len(kept[place]))
-        for place in range(sector.count):
-            here = numbers[place].copy()
+        (left, right), (lower, upper) = sector.sides, sector.lips
+        here = np.ones((sector.count, len(nodes.points)), dtype=bool)
+        here[:, right] = False
+        here[np.ix_(np.setdiff1d(range(sector.count), self.cracked), upper)] = False
+        numbers = np.full(here.shape, -1)
+        numbers[here] = np.arange(np.count_nonzero(here))
+        points, dofs, cells, frames = [], [], [], []
+        for place, kept in enumerate(here):
+            turned, own = sector.turned(place), nodes.dofs[kept]
+            points.append(sector.placed(nodes.points[kept], place))
+            dofs.append(np.where(own >= 0, self.own_numbers(place)[own], -1))
+            frames.append(np.broadcast_to(turned, (len(own), *turned.shape)))
+            number = numbers[place].copy()
             if place not in self.cracked:
-                here[sector.lips[1]] = here[sector.lips[0]]
-            here[sector.sides[1]] = numbers[(place + 1) % sector.count, sector.sides[0]]
-            turned = sector.turned(place)
-            of_kept = nodes.dofs[kept[place]]
-            moved = place * own + number[of_kept]
-            if place in self.cracked:
-                start = sector.count * own + self.cracked.index(place) * len(sector.upper)
-                upper = np.isin(of_kept, sector.upper)
-                moved[upper] = start + number[of_kept[upper]]
-            dofs.append(np.where(of_kept >= 0, moved, -1))
-            points.append((nodes.points[kept[place]] - sector.center) @ turned.T + sector.center)
-            frames.append(np.broadcast_to(turned, (len(kept[place]), *turned.shape)))
-            cells.append(here[nodes.cells])
-        mine = slice(None) if self.comm.rank == 0 else slice(0)
-        return Nodes(
-            np.concatenate(points)[mine],
-            np.concatenate(dofs)[mine],
-            np.concatenate(cells)[mine],
-            nodes.vtk_type,
-            frames=np.concatenate(frames)[mine],
+                number[upper] = number[lower]
+            number[right] = numbers[(place + 1) % sector.count, left]
+            cells.append(number[nodes.cells])
+        mine = slice(None if self.comm.rank == 0 else 0)
+        place_of, dof_of, cell, frame = (
+            np.concatenate(part)[mine] for part in (points, dofs, cells, frames)
         )
+        return Nodes(place_of, dof_of, cell, nodes.vtk_type, frames=frame)
 
     def _all_pairs(self) -> Pairs:
         sector, pairs = self.sector, self.sector.structure.pairs
         if not self.cracked or pairs.points is None or pairs.cracks is None:
             return Pairs()
         assert pairs.areas is not None and pairs.positions is not None
-        points = [
-            (pairs.points - sector.center) @ sector.turned(place).T + sector.center
-            for place in self.cracked
-        ]
+        points = [sector.placed(pairs.points, place) for place in self.cracked]
         several, count = len(self.cracked), int(pairs.cracks.max(initial=-1)) + 1
         places = {
             name + f" of blade {place + 1}" * (several > 1): pair + number * len(pairs.points)
@@ -502,20 +493,9 @@ class WheelStructure(Structure):
         if wheel.comm.rank == 0:
             for place in range(wheel.sector.count):
                 moved = displacement @ self.basis.columns(place, wheel.cracked).T
-                own, of_wheel = self._own(place)
-                found[:, of_wheel] = moved[:, own]
+                numbers = wheel.own_numbers(place)
+                found[:, numbers[numbers >= 0]] = moved[:, numbers >= 0]
         return found[:, : wheel.n_local]
-
-    def _own(self, place: int) -> tuple[np.ndarray, np.ndarray]:
-        """Dofs of a sector that belong to it, and those of the wheel that they are."""
-        sector = self.wheel.sector
-        own, of_wheel = sector.own, place * len(sector.own) + np.arange(len(sector.own))
-        if place in self.wheel.cracked:
-            count = len(sector.upper)
-            start = sector.count * len(sector.own) + self.wheel.cracked.index(place) * count
-            own = np.append(own, sector.upper)
-            of_wheel = np.append(of_wheel, start + np.arange(count))
-        return own, of_wheel
 
     def values_at(self, displacement: np.ndarray, dofs: Sequence[int | None]) -> np.ndarray:
         """Displacement of dofs of the wheel from coordinates (m, n_dofs) (collective)."""

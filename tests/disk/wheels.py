@@ -63,9 +63,9 @@ def write_whole(wheel: Wheel, path: Path) -> None:
     used = np.unique(nodes.cells[:, :corners])
     number = np.full(len(nodes.points), -1)
     number[used] = np.arange(len(used))
-    center, points, cells = wheel.sector.center, [], []
+    points, cells = [], []
     for place in range(wheel.sector.count):
-        moved = (nodes.points[used] - center) @ wheel.sector.turned(place).T + center
+        moved = wheel.sector.placed(nodes.points[used], place)
         cells.append(number[nodes.cells[:, :corners]] + len(used) * place)
         points.append(moved)
     every, where = np.concatenate(points), np.concatenate(cells)
