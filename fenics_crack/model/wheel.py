@@ -402,6 +402,11 @@ def _elastic(basis: CyclicBasis, cracked: tuple[int, ...]) -> np.ndarray:
     return np.array(found)
 
 
+SHARE = 0.7
+"""Of what the inertia of modes that are left out makes of the compliance of the pairs, the part of
+those that the reference has; more of them let the faces bounce."""
+
+
 class WheelStructure(Structure):
     """A wheel in the coordinates (q, a, d) of a basis; the same on every rank.
 
@@ -417,6 +422,7 @@ class WheelStructure(Structure):
 
     wheel: Wheel
     basis: CyclicBasis
+    _order: np.ndarray | None = None
     _VARIED_TOO: ClassVar[tuple[str, ...]] = ("wheel",)
 
     def __init__(self, wheel: Wheel, families: int) -> None:
@@ -468,8 +474,28 @@ class WheelStructure(Structure):
 
     def known_modes(self, *, tied: bool) -> tuple[np.ndarray, np.ndarray] | None:
         """All with open cracks, of small dense matrices: those of equal sectors come in pairs,
-        which Krylov's method mixes with its own error."""
-        return None if tied else self.once(_all_modes)
+        which Krylov's method mixes with its own error. In ascending order, or as they are put in
+        order by :meth:`by_share`."""
+        if tied:
+            return None
+        omega, shapes = self.once(_all_modes)
+        order = slice(None) if self._order is None else self._order
+        return omega[order], shapes[:, order]
+
+    def by_share(self, count: int) -> tuple[WheelStructure, int]:
+        """The same with the lowest modes first, so many of them, and the others by what their
+        inertia makes of the compliance of the pairs; and how many modes have :data:`SHARE` of that.
+
+        Mode j has (psi_ij / w_j)^2 of the static compliance of pair i, psi = B^T phi, and its
+        inertia changes that by (w / w_j)^2."""
+        omega, shapes = self.once(_all_modes)
+        parts = ((self.gap.T @ shapes) / omega) ** 2
+        weights = (parts / parts.sum(axis=1, keepdims=True)).sum(axis=0) / omega**2
+        others = count + np.argsort(-weights[count:], kind="stable")
+        order = np.append(np.arange(count), others)
+        found = self._copied(_order=order, _original=self.original)
+        shares = np.cumsum(weights[others])
+        return found, count + int(np.searchsorted(shares, SHARE * shares[-1])) + 1
 
     @property
     def whole(self) -> Wheel:
@@ -533,11 +559,11 @@ def reduce_wheel(
     """Reduce a wheel to its lowest modes, with crack faces without mass (collective).
 
     The motions that are sought are those of ``families`` modes of each nodal diameter with bonded
-    cracks, and of two more, the static answers to the load and to what mistuning
-    and cracks leave on the sides, and the opening of each crack with the static answer of the
-    wheel. Of the modes that the mistuned wheel with open cracks has in them ``families`` times as
-    many as there are sectors are kept; all of them are the reference, by which the error of the
-    reduction is estimated.
+    cracks, and of two more, the static answers to the load and to what mistuning and cracks leave
+    on the sides, and the opening of each crack with the static answer of the wheel. Of the modes
+    that the mistuned wheel with open cracks has in them ``families`` times as many as there are
+    sectors are kept. The reference, by which the error of the reduction is estimated, has those
+    besides that move the cracks most.
 
     Parameters
     ----------
@@ -566,10 +592,10 @@ def reduce_wheel(
         raise InputError("wheel", repr(wheel), "the whole structure of a scene with [disk]")
     families = wheel.families if families is None else families
     check_count("families", families, 1)
-    many = families_of_basis(families)
-    one = WheelStructure(wheel, many)
+    one = WheelStructure(wheel, families_of_basis(families))
     begin("reduction")
-    most = one.n_dofs - one.n_pairs
-    count = min(families * wheel.sector.count, most)
-    method = "massless" if one.n_pairs else "free_interface"
-    return reduce_structure(one, modes=count, method=method, reference=reference and most)
+    count = min(families * wheel.sector.count, one.n_dofs - one.n_pairs)
+    if not one.n_pairs:
+        return reduce_structure(one, modes=count, method="free_interface", reference=reference)
+    one, more = one.by_share(count)
+    return reduce_structure(one, modes=count, method="massless", reference=reference and more)

@@ -67,7 +67,7 @@ def test_error_falls_with_the_families_and_is_stated(mistuned: Wheel) -> None:
         errors = [differences(reduced, whole, hertz, tips) for hertz in (1260.0, 1340.0)]
         stated = [solved(reduced, hertz).report.reduction for hertz in (1260.0, 1340.0)]
         for error, said in zip(errors, stated, strict=True):
-            assert error[0] < 3.0 * said
+            assert error[0] < (1.3 if families >= 3 else 3.0) * said
         found.append(np.max(errors, axis=0))
     assert np.all(np.diff(np.array(found)[:, [0, 2]], axis=0) < 0.0)
 
