@@ -556,7 +556,7 @@ def _with_answers(
     return sector.ritz(np.hstack([shapes, answers]))
 
 
-PATTERN = 0.1
+PATTERN = 0.5
 """Least size of a pattern of forces on a side, relative to the largest one."""
 
 

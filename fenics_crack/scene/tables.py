@@ -485,7 +485,7 @@ class Disk(Table):
     """Relative deviation of the stiffness of each sector at rest, or those of a random pattern: a
     standard deviation and a seed."""
     families: int = at_least_one(3)
-    """Modes of each nodal diameter that are kept; those of two more families, and static answers,
+    """Modes of each nodal diameter that are kept; those of four more families, and static answers,
     assess what they leave out."""
     inner_radius: float | None = positive(None, unit="m")
     """Where the rim is clamped."""
