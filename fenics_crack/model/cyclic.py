@@ -273,6 +273,13 @@ class Inside:
         """The mass of the sector in blocks."""
         return Blocks.of(self.sector, self.sector.mass)
 
+    def within(self, forces: Any) -> np.ndarray:
+        """K_ii^-1 f_i of real forces (n_dofs, m) on a sector, the same for all nodal diameters:
+        (n_inside, m)."""
+        seen = (self.sector.bonds[0].T @ forces)[self.inside]
+        seen = seen.toarray() if sparse.issparse(seen) else np.asarray(seen)
+        return self.factor.solve(seen.T).T if seen.any() else seen
+
     def at(self, diameter: int) -> NodalDiameter:
         """One nodal diameter."""
         angle = 2.0 * np.pi * diameter / self.sector.count
@@ -321,11 +328,13 @@ class NodalDiameter:
         coupling = sparse.csr_matrix(inside.coupling[0] + turn * inside.coupling[1])
         return inverse, coupling, sparse.csr_matrix(coupling.conj().T)
 
-    def solve(self, forces: np.ndarray) -> np.ndarray:
-        """K_n^-1 f of forces on the sector's own dofs (n_own, m): the same shape."""
+    def solve(self, forces: np.ndarray, within: np.ndarray | None = None) -> np.ndarray:
+        """K_n^-1 f of forces on the sector's own dofs (n_own, m), with K_ii^-1 f_i where that is
+        known: the same shape."""
         inside, side = self.inside.inside, self.inside.side
         inverse, coupling, adjoint = self._left
-        within = _solved(self.inside.factor, forces[inside])
+        if within is None:
+            within = _solved(self.inside.factor, forces[inside])
         found = np.empty(forces.shape, dtype=np.result_type(forces, inverse))
         found[side] = inverse @ (forces[side] - adjoint @ within)
         found[inside] = within - _solved(self.inside.factor, coupling @ found[side])
@@ -362,11 +371,12 @@ class NodalDiameter:
         omega, shapes = self.inside.sector.ritz(self.ties @ (real + 1j * imaginary))
         return omega[:count], shapes[:, :count]
 
-    def answers(self, forces: Any) -> np.ndarray:
-        """T_n K_n^-1 T_n^H f of forces (n_dofs, m) on a sector: the same shape."""
+    def answers(self, forces: Any, within: np.ndarray | None = None) -> np.ndarray:
+        """T_n K_n^-1 T_n^H f of forces (n_dofs, m) on a sector, with :meth:`Inside.within` of them
+        where that is known: the same shape."""
         seen = self.ties.conj().T @ forces
         seen = seen.toarray() if sparse.issparse(seen) else np.asarray(seen)
-        return np.asarray(self.ties @ self.solve(seen))
+        return np.asarray(self.ties @ self.solve(seen, within))
 
 
 def _solved(factor: Factor, forces: np.ndarray) -> np.ndarray:
@@ -503,16 +513,17 @@ def cyclic_basis(
         ahead = {n: inside.at(n).modes(families) for n in mine if n in first}
         seen = _of_all_ranks(ahead, comm)
         forces = _side_forces(sector, [seen[n] for n in first])
+        at_sides, at_lips = inside.within(forces), inside.within(pulled)
         for diameter in mine:
             one = inside.at(diameter)
             _, shapes = ahead.get(diameter) or one.modes(families)
-            omega, shapes = _with_answers(sector, shapes, one.answers(forces))
+            omega, shapes = _with_answers(sector, shapes, one.answers(forces, at_sides))
             answers = [
                 _beside_modes(one.answers(force[:, None])[:, 0], force, omega, shapes, sector)
                 for number, force in loads
                 if number == diameter
             ]
-            found[diameter] = omega, shapes, answers, one.answers(pulled)
+            found[diameter] = omega, shapes, answers, one.answers(pulled, at_lips)
     found = _of_all_ranks(found, comm)
     ordered = (found[diameter] for diameter in sector.diameters)
     omegas, every, known, static = zip(*ordered, strict=True)
@@ -535,7 +546,8 @@ def _of_sectors(fields: np.ndarray, sector: Sector) -> np.ndarray:
     angles = np.outer(np.arange(sector.count), sector.diameters) * (2.0 * np.pi / sector.count)
     twice = np.where([sector.is_single(n) for n in sector.diameters], 1.0, 2.0) / sector.count
     flat = fields.reshape(len(fields), -1)
-    found = (twice * np.cos(angles)) @ flat.real - (twice * np.sin(angles)) @ flat.imag
+    waves = np.hstack([twice * np.cos(angles), -twice * np.sin(angles)])
+    found = waves @ np.vstack([flat.real, flat.imag])
     return found.reshape(sector.count, *fields.shape[1:])
 
 
