@@ -282,7 +282,7 @@ class Wheel(Structure):
         return f"{self.sector.count} sectors, {self.n_dofs} dofs"
 
     def known_modes(self, *, tied: bool) -> tuple[np.ndarray, np.ndarray] | None:
-        """Those of its few coordinates, as many as :attr:`families` are of all sectors."""
+        """Those of its few coordinates, as many as ``families`` are of all sectors."""
         few = in_few_coordinates(self)
         count = min(self.families * self.sector.count, few.n_dofs - few.n_pairs)
         found = solve_modes(few, count, lips="tied" if tied and few.n_pairs else "open")
@@ -566,7 +566,7 @@ def reduce_wheel(
     on the sides, and the opening of each crack with the static answer of the wheel. Of the modes
     that the mistuned wheel with open cracks has in them ``families`` times as many as there are
     sectors are kept. The reference, by which the error of the reduction is estimated, has few more,
-    which stand for all that are left (:meth:`WheelStructure.with_lumped`).
+    which stand for all that are left.
 
     Parameters
     ----------
