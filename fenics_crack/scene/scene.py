@@ -326,6 +326,8 @@ class Scene(Hinted):
         changes: dict[str, object] = {"rotation": None, "curve": None, "sweep": None}
         if self.excitation.order is not None:
             changes["excitation.omega"] = self.excitation.omega
+            if self.disk is not None:  # whose order gives the phases
+                changes["excitation.order"] = self.excitation.order
         return self.replace(changes)
 
     @property

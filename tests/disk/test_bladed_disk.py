@@ -259,6 +259,13 @@ def test_refused_later() -> None:
         fc.draw_wheel(fc.solve(fc.Scene.load("demos/paper_plate.toml")).result)
 
 
+def test_at_rest() -> None:
+    """The same frequency and phases without rotation."""
+    turning = ring(rotation__rpm=3000.0, excitation__frequency=None)
+    still = turning.at_rest()
+    assert still.excitation.omega == turning.excitation.omega and still.excitation.order == 2
+
+
 def test_scene_is_written_and_read() -> None:
     """With a random pattern, and with numbers."""
     for pattern in (PATTERN, [0.01, 0.0, -0.01, 0.0, 0.02, 0.0]):
