@@ -16,6 +16,7 @@ from fenics_crack.basics.tables import RPM, TURN, quantity, readable
 from fenics_crack.curves.curve import ResponseCurve, parameter_axis
 from fenics_crack.draw.figure import COLOURS, Picture, Where, label_axis, tenth
 from fenics_crack.fem.nodal_mesh import NodalMesh
+from fenics_crack.model.wheel import excited_diameter
 from fenics_crack.study.bladed_disk import Amplification, NodalDiameters, wheel_of
 
 FRAMES = 48
@@ -205,8 +206,7 @@ def draw_nodal_diameters(
     if found.speed > 0.0:
         hertz = found.speed / TURN
         orders = np.arange(0, int(np.ceil(top / hertz)) + 1)
-        rest = orders % found.sectors
-        places = np.minimum(rest, found.sectors - rest)
+        places = [excited_diameter(order, found.sectors) for order in orders]
         label = f"engine orders at {found.speed / RPM:.4g} rpm"
         panel.plot(places, hertz * orders, "x--", color="#8f8f8f", ms=4, lw=0.6, label=label)
     panel.set(xlabel="nodal diameter", ylabel="natural frequency [Hz]", ylim=(0.0, top))

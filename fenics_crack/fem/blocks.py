@@ -411,7 +411,10 @@ def _divide(scene: Scene, surfaces: list[int]) -> None:
 
 
 def _curve(start: int, end: int, division: Interval) -> int:
-    curve: int = gmsh.model.geo.addLine(start, end)
+    return _divided(gmsh.model.geo.addLine(start, end), division)
+
+
+def _divided(curve: int, division: Interval) -> int:
     nodes, ratio = division.count + 1, division.progression
     gmsh.model.geo.mesh.setTransfiniteCurve(curve, nodes, "Progression", ratio)
     return curve
@@ -538,10 +541,7 @@ class Rim:
 
 
 def _arc(start: int, end: int, center: int, division: Interval) -> int:
-    curve: int = gmsh.model.geo.addCircleArc(start, center, end)
-    nodes, ratio = division.count + 1, division.progression
-    gmsh.model.geo.mesh.setTransfiniteCurve(curve, nodes, "Progression", ratio)
-    return curve
+    return _divided(gmsh.model.geo.addCircleArc(start, center, end), division)
 
 
 # --- a box ----------------------------------------------------------------------------------------

@@ -137,11 +137,9 @@ class Wheel(Structure):
         if place in self.cracked:
             kept = ~np.isin(first.row, sector.upper)
             rows[0], columns[0], values[0] = rows[0][kept], columns[0][kept], values[0][kept]
-            count = len(sector.upper)
-            start = sector.count * own + self.cracked.index(place) * count
             rows.append(sector.upper)
-            columns.append(start + np.arange(count))
-            values.append(np.ones(count))
+            columns.append(self.own_numbers(place)[sector.upper])
+            values.append(np.ones(len(sector.upper)))
         entries = np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))
         return sparse.csr_matrix(entries, (sector.structure.n_dofs, self.n_dofs))
 
@@ -321,16 +319,22 @@ def _deviations(given: Any, count: int) -> np.ndarray:
     return np.broadcast_to(values, (count,)).copy()
 
 
+def excited_diameter(order: int, sectors: int) -> int:
+    """The nodal diameter that an engine order excites: min(E mod N, N - E mod N)."""
+    rest = order % sectors
+    return min(rest, sectors - rest)
+
+
 def _complex_loads(wheel: Wheel) -> list[tuple[int, np.ndarray]]:
     """The loads of each harmonic, f - i g on sector 0, by the nodal diameter in which they lie."""
     force, count = wheel.sector.structure.force, wheel.sector.count
     found = [(0, force[0])] if np.any(force[0]) else []
     for row in range(1, len(force), 2):
         part = force[row] - 1j * force[row + 1]
-        diameter = (row + 1) // 2 * wheel.order % count
+        order = (row + 1) // 2 * wheel.order
         if np.any(part):
-            beyond = 2 * diameter > count
-            found.append((count - diameter, part.conj()) if beyond else (diameter, part))
+            diameter = excited_diameter(order, count)
+            found.append((diameter, part if diameter == order % count else part.conj()))
     return found
 
 
@@ -431,46 +435,43 @@ class WheelStructure(Structure):
         basis = wheel.basis(families)
         self._hold(wheel=wheel, basis=basis)
         begin("matrices of the wheel")
-        mass, stiffness, elastic = self.parts
-        if len(elastic):
-            stiffness = stiffness + np.tensordot(wheel.mistuning, elastic, 1)
-        sector, pairs = wheel.sector.structure, []
+        mass, stiffness = self.tuned
+        if np.any(wheel.mistuning):
+            stiffness = stiffness + np.tensordot(wheel.mistuning, self.elastic, 1)
+        sector = wheel.sector.structure
         force = np.zeros((len(sector.force), len(stiffness)))
-        tangents: list[np.ndarray] = []
         for place, own in enumerate(wheel.loads):
-            columns = basis.columns(place, wheel.cracked)
-            force += own @ columns
-            if place in wheel.cracked:
-                pairs.append((place, columns.T @ sector.gap))
-                if sector.tangential is not None:
-                    tangents.append(columns.T @ sector.tangential)
-        none = np.zeros((len(stiffness), 0))
-        in_order = [dict(pairs)[place] for place in wheel.cracked]
+            force += own @ basis.columns(place, wheel.cracked)
         super().__init__(
             distributed(mass, MPI.COMM_SELF),
             distributed(stiffness, MPI.COMM_SELF),
-            sparse.csr_matrix(np.hstack([none, *in_order])),
+            self._of_cracks(sector.gap),
             force=force,
             clearance=wheel.clearance,
             damping=wheel.damping,
             nodes=wheel.nodes,
             pairs=wheel.pairs,
         )
-        if tangents:
-            order = np.argsort(np.argsort(wheel.cracked))
-            self._hold_tangents(sparse.csr_matrix(np.hstack([tangents[o] for o in order])))
+        if wheel.cracked and sector.tangential is not None:
+            self._hold_tangents(self._of_cracks(sector.tangential))
+
+    def _of_cracks(self, gap: sparse.spmatrix) -> sparse.csr_matrix:
+        """U^T B of all cracks, from B of one: (n, p)."""
+        basis, cracked = self.basis, self.wheel.cracked
+        parts = [basis.columns(place, cracked).T @ gap for place in cracked]
+        return sparse.csr_matrix(np.hstack([np.zeros((len(self.tuned[0]), 0)), *parts]))
 
     @property
-    def parts(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """U^T M U, U^T K U without mistuning, and what the deviation of each sector multiplies in
-        that: (n, n), (n, n), and (N, n, n), or (0, n, n) of a tuned wheel."""
-        basis, cracked, once = self.basis, self.wheel.cracked, self.wheel.sector.once
-        mass, stiffness = once(("matrices", basis, cracked), lambda: _ritz(basis, cracked))
-        if not np.any(self.wheel.mistuning):
-            return mass, stiffness, np.zeros((0, *mass.shape))
-        return (
-            mass, stiffness, once(("elastic", basis, cracked), lambda: _elastic(basis, cracked))
-        )  # fmt: skip
+    def tuned(self) -> tuple[np.ndarray, np.ndarray]:
+        """U^T M U and U^T K U without mistuning: (n, n) each."""
+        basis, cracked = self.basis, self.wheel.cracked
+        return self.wheel.sector.once(("tuned", basis, cracked), lambda: _ritz(basis, cracked))
+
+    @property
+    def elastic(self) -> np.ndarray:
+        """What the deviation of each sector's stiffness multiplies: (N, n, n)."""
+        basis, cracked = self.basis, self.wheel.cracked
+        return self.wheel.sector.once(("elastic", basis, cracked), lambda: _elastic(basis, cracked))
 
     def known_modes(self, *, tied: bool) -> tuple[np.ndarray, np.ndarray] | None:
         """All with open cracks, of small dense matrices: those of equal sectors come in pairs,

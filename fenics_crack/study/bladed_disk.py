@@ -32,7 +32,7 @@ from fenics_crack.basics.tables import Tabular, counted
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.fem.build import assemble
 from fenics_crack.model.structure import DampingRule, Structure
-from fenics_crack.model.wheel import Wheel, WheelStructure, families_of_basis
+from fenics_crack.model.wheel import Wheel, WheelStructure, excited_diameter, families_of_basis
 from fenics_crack.numerics.fourier import to_complex
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.words import check_scene
@@ -191,8 +191,7 @@ class NodalDiameters(Tabular):
     @property
     def excited(self) -> int:
         """The nodal diameter that the engine order excites."""
-        rest = self.order % self.sectors
-        return min(rest, self.sectors - rest)
+        return excited_diameter(self.order, self.sectors)
 
     def to_dict(self) -> dict[str, Any]:
         """A row for every nodal diameter; frequencies of the families."""
@@ -406,7 +405,7 @@ class _Response:
     @classmethod
     def of(cls, wheel: Wheel, omega: float) -> _Response:
         """Of a wheel, next to a frequency."""
-        few = WheelStructure(wheel.mistuned(1e-3), families_of_basis(wheel.families))
+        few = WheelStructure(wheel, families_of_basis(wheel.families))
         force = few.force[1] - 1j * few.force[2]
         if not np.any(force):
             raise InputError("load", "steady", "one that changes in time: nothing vibrates")
@@ -414,16 +413,16 @@ class _Response:
             raise InputError("damping", None, "modal or Rayleigh damping, which bounds a peak")
         modes = wheel.cyclic_modes().omega
         count = wheel.sector.count
-        excited = min(wheel.order % count, count - wheel.order % count)
+        excited = excited_diameter(wheel.order, count)
         family = int(np.argmin(np.abs(modes[excited] - omega)))
         single = [1 if wheel.sector.is_single(n) else 2 for n in range(len(modes))]
         below = sum(
             times * int(np.sum(own < modes[excited][family] * (1.0 - 1e-9)))
             for times, own in zip(single, modes, strict=True)
         )
-        mass, stiffness, elastic = few.parts
         rows = few.values_at(np.eye(few.n_dofs), wheel.dofs_of_blades(wheel.watched_dof)).T
-        return cls(mass, stiffness, elastic, force, rows, wheel.damping, max(below - count, 0))
+        first = max(below - count, 0)
+        return cls(*few.tuned, few.elastic, force, rows, wheel.damping, first)
 
     def largest(self, deviations: np.ndarray) -> tuple[float, float, int]:
         """Largest amplitude of a pattern [m], its frequency [rad/s], and the number of its
