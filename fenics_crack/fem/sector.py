@@ -64,6 +64,8 @@ def _static(inside: Inside) -> Callable[[np.ndarray], np.ndarray]:
 
 
 def _sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
+    from scipy.spatial.transform import Rotation  # with what only meshes of sectors need
+
     disk = scene.disk
     assert disk is not None
     center, axis = scene.axis
@@ -76,7 +78,8 @@ def _sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
     left, right = (dofs.nodes_on(name) for name in names)
     space = np.zeros((len(points), 3))
     space[:, : points.shape[1]] = points
-    turns = [_turn(axis, sign * 2.0 * math.pi / disk.sectors) for sign in (1.0, -1.0)]
+    angles = (2.0 * math.pi / disk.sectors, -2.0 * math.pi / disk.sectors)
+    turns = [Rotation.from_rotvec(angle * axis).as_matrix() for angle in angles]
     worst = []
     for turn in turns:
         moved = (space[left] - center) @ turn.T + center
@@ -106,14 +109,6 @@ def _sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
     return Sector(
         structure, disk.sectors, center[:dimension], turn, sides, lips, structure.stiffness
     )
-
-
-def _turn(axis: np.ndarray, angle: float) -> np.ndarray:
-    """The rotation about an axis of length 1 (Rodrigues): (3, 3)."""
-    x, y, z = axis
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    found: np.ndarray = np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross
-    return found
 
 
 def _matched(moved: np.ndarray, places: np.ndarray) -> tuple[float, int, np.ndarray]:

@@ -360,7 +360,7 @@ class Scene(Hinted):
             axis = np.array(self.disk.axis or (1.0, 0.0, 0.0))
         else:
             radius = self.disk.given("outer_radius")
-            across = self.geometry.sides[0 if self.dimension == 2 else 2]
+            across = self.geometry.across
             point = np.array([0.0, -radius, 0.5 * across])
             axis = np.array([1.0, 0.0, 0.0])
             if self.dimension == 2:
@@ -650,8 +650,7 @@ def _check_disk(scene: Scene, disk: Disk) -> None:
     disk.leave_out(("center", "axis"), "a blade on a rim that is made here")
     inner, outer = (disk.given(key) for key in radii)
     disk.require(inner < outer, "inner_radius", f"less than disk.outer_radius = {outer:g}")
-    geometry = scene.geometry
-    across = geometry.sides[0 if scene.dimension == 2 else 2]
+    across = scene.geometry.across
     room = 2.0 * outer * math.sin(math.pi / disk.sectors)
     allowed = f"so large that blades {across:g} m across stand apart: their feet have {room:g} m"
     disk.require(across < room * (1.0 - LEAST_DISTANCE), "outer_radius", allowed)

@@ -72,6 +72,11 @@ class Geometry(Table):
         sides = (self.width, self.height, self.thickness)[: self.dimension]
         return tuple(side for side in sides if side is not None)
 
+    @property
+    def across(self) -> float:
+        """Width of a plate or thickness of a box: of a blade, along the circumference [m]."""
+        return self.sides[0 if self.dimension == 2 else 2]
+
 
 @dataclass(frozen=True)
 class Crack(Table):
