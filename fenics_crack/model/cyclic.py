@@ -22,6 +22,7 @@ in Engineering 14, 1979, 81).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -509,6 +510,7 @@ def cyclic_basis(
     first = list(dict.fromkeys((0, sector.count // 4, sector.count // 2)))
     mine = [*first, *(n for n in sector.diameters if n not in first)][comm.rank :: comm.size]
     found: dict[int, tuple[Any, ...]] = {}
+    static: dict[int, np.ndarray] = {}
     with sector.factored() as inside:
         ahead = {n: inside.at(n).modes(families) for n in mine if n in first}
         seen = _of_all_ranks(ahead, comm)
@@ -523,32 +525,33 @@ def cyclic_basis(
                 for number, force in loads
                 if number == diameter
             ]
-            found[diameter] = omega, shapes, answers, one.answers(pulled, at_lips)
-    found = _of_all_ranks(found, comm)
+            found[diameter] = omega, shapes, answers
+            static[diameter] = one.answers(pulled, at_lips)
+    found, static = _of_all_ranks(found, comm), _of_all_ranks(static, comm)
     ordered = (found[diameter] for diameter in sector.diameters)
-    omegas, every, known, static = zip(*ordered, strict=True)
+    omegas, every, known = zip(*ordered, strict=True)
     fields = [
         (diameter, field)
         for diameter, own in enumerate(known)
         for field in _independent(sector, diameter, own)
     ]
-    # A sum over all nodal diameters whose second half is the conjugate of the first.
-    opened = np.zeros((sector.count, *static[0].shape))
-    if opened.size:
-        opened = _of_sectors(np.array(static), sector)
     modes = CyclicModes(omegas, every, sector)
-    return CyclicBasis(modes, tuple(fields), opened, sector.opening)
+    return CyclicBasis(modes, tuple(fields), _of_sectors(static, sector), sector.opening)
 
 
-def _of_sectors(fields: np.ndarray, sector: Sector) -> np.ndarray:
+def _of_sectors(fields: dict[int, np.ndarray], sector: Sector) -> np.ndarray:
     """The real fields of all sectors of those of the nodal diameters 0 .. N/2: an inverse Fourier
-    transform, by products of matrices."""
+    transform, by a product of matrices. A sum over all nodal diameters, whose second half is the
+    conjugate of the first. The largest of a basis: ``fields`` are taken out as they are used."""
     angles = np.outer(np.arange(sector.count), sector.diameters) * (2.0 * np.pi / sector.count)
     twice = np.where([sector.is_single(n) for n in sector.diameters], 1.0, 2.0) / sector.count
-    flat = fields.reshape(len(fields), -1)
+    shape = sector.opening.shape
+    parts = np.empty((2, len(twice), math.prod(shape)))
+    for diameter in sector.diameters:
+        own = fields.pop(diameter).ravel()
+        parts[:, diameter] = own.real, own.imag
     waves = np.hstack([twice * np.cos(angles), -twice * np.sin(angles)])
-    found = waves @ np.vstack([flat.real, flat.imag])
-    return found.reshape(sector.count, *fields.shape[1:])
+    return (waves @ parts.reshape(2 * len(twice), -1)).reshape(sector.count, *shape)
 
 
 def _of_all_ranks(found: dict[int, Any], comm: MPI.Comm) -> dict[int, Any]:
