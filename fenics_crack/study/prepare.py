@@ -312,8 +312,9 @@ def wheel_memory(wheel: Wheel, families: int) -> float:
     solid = sector.structure.nodes is not None and sector.structure.nodes.points.shape[1] == 3
     of_modes = 2.0 * factor_memory(size, solid=solid) + 16.0 * size * krylov_vectors(families)
     modes = 16.0 * len(sector.diameters) * dofs * families
-    # Answers to the opening of the crack by nodal diameters and by sectors, of real numbers.
-    opened = 16.0 * sector.count * dofs * len(sector.upper)
+    # Answers to the opening of the crack by sectors, their products with a matrix, and as much
+    # again while either is made.
+    opened = 32.0 * sector.count * dofs * len(sector.upper)
     return _memory_held(wheel) + wheel.comm.size * (of_modes + modes + opened)
 
 
