@@ -9,6 +9,9 @@ that any of them can be repeated by itself (``--first N --cases 1``).
                  arrivals, results of every kind (bytes changed, left out, cut off; or datasets and
                  attributes changed and the digest made anew), and words on the command line; each
                  through one of the commands that read it
+    wheels       the same of bladed disks, loads with harmonics, tables of a periodic load, and
+                 friction, and the options of the command ``disk``
+    calls        functions of Python with another object for one or two of their arguments
     structures   matrices of 1 to 10 dofs with 0 to as many pairs, every form of damping, fixed and
                  free, both laws, through every command; nothing is damaged
 
@@ -17,7 +20,7 @@ The program runs in a process that is started again where it dies. What is count
     RAW          a traceback, an exit code of 1, more than one line about an input, or a library
                  that speaks for itself on standard error; a structure that is refused
     DEATH        the process ended
-    TOO LONG     more than 60 s of processor time
+    TOO LONG     more than 60 s of processor time, of wheels and calls 20 s
     TOO LARGE    more than 2 GiB of memory beside what the process has at rest
 
 The rows are added to fuzzing.csv in the folder as they are found; a run goes on where it was
@@ -44,9 +47,11 @@ import signal
 import sys
 import tempfile
 import time
+import traceback
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -61,6 +66,8 @@ from fenics_crack.cli.command_line import main
 from fenics_crack.files import store
 
 SECONDS, BYTES = 60.0, 2 * 2**30
+QUICK = {"wheels": 20.0, "calls": 20.0}
+"""Processor time of a case, of these parts less [s]; memory [bytes]."""
 WRONG = ("RAW", "DEATH", "TOO LONG", "TOO LARGE")
 CODES = {0: "done", 2: "refused", 3: "not converged", 4: "above the tolerance"}
 COLUMNS = ("part", "case", "what", "outcome", "seconds", "MiB", "message")
@@ -372,11 +379,140 @@ periods = 2
 [sweep.over]
 "excitation.omega" = [0.8, 0.9]
 """
+WHEEL = """\
+[geometry]
+width = 0.012
+height = 0.08
+thickness = 0.02
+[disk]
+sectors = 6
+inner_radius = 0.05
+outer_radius = 0.1
+cracked = 1
+mistuning = { deviation = 0.01, seed = 3 }
+families = 2
+# center = [0.0, 0.0]
+# axis = [1.0, 0.0, 0.0]
+[crack]
+edge = "left"
+height = 0.012
+length = 0.004
+[material]
+young = 2.1e11
+poisson = 0.3
+density = 7800.0
+[damping]
+ratio = 0.02
+[excitation]
+order = 2
+point = [0.0, 0.08]
+force_cos = [1.0, 0.0]
+frequency = 1300.0
+# [[excitation.harmonics]]
+# order = 2
+# sin = [0.5, 0.0]
+[contact]
+law = "unilateral"
+# friction = 0.2
+[harmonic_balance]
+harmonics = 3
+[mesh]
+layout = "graded"
+order = 1
+size = 0.02
+lip_elements = 2
+error = false
+# [rotation]
+# rpm = 3000.0
+[curve]
+parameter = "frequency"
+start = 1240.0
+stop = 1260.0
+[integration]
+periods = 2
+[sweep.over]
+"disk.mistuning.seed" = [1, 2]
+# "disk.mistuning.deviation" = [0.0, 0.01]
+"""
+FRICTION = """
+[[excitation.harmonics]]
+order = 2
+cos = [0.5, 0.0]
+sin = [0.0, 0.1]
+[[excitation.harmonics]]
+order = 3
+amplitude = [0.2, 0.0]
+phase = 30.0
+# [[loads]]
+# edge = "top"
+# pressure_sin = 1.0
+# [[loads.harmonics]]
+# order = 2
+# cos = 1.0
+# [[base.harmonics]]
+# order = 2
+# cos = [1e-3, 0.0]
+"""
+CONTACT = "[contact]\nfriction = 0.3"
+OF_WAVE = 'wave = "wave.csv"\nwave_harmonics = 3'
+WAVE = "t,fx,fy\n0,1,0\n0.5,1,0\n0.5,-1,0\n1,-1,0\n"
 COMPLETE = "complete"
 """A file that is written when all others are."""
 SCENES = ("plate.toml", "rotor.toml", "file.toml", "chain.toml")
 MESHES = ("plate.msh", "plate_22.msh", "plate_binary.msh")
 OF_SCENES = ("check", "modes", "solve", "verify", "curve", "integrate", "sweep")
+WHEELS = ("wheel.toml", "friction.toml", "wave.toml")
+OF_DISKS = [
+    "--patterns=5", "--patterns=0", "--patterns=-1", "--patterns=1e3", "--patterns=1000000000",
+    "--patterns=" + "9" * 400, "--patterns=x", "--deviation=0", "--deviation=0.05",
+    "--deviation=0.5", "--deviation=-1", "--deviation=nan", "--deviation=inf", "--deviation=1e400",
+    "--deviation=1e-300", "--deviation", "--pictures=svg", "--pictures=x", "--pictures",
+]  # fmt: skip
+OF_WHEELS = [
+    "disk.sectors=2", "disk.sectors=3", "disk.sectors=1", "disk.sectors=0", "disk.sectors=7",
+    "disk.sectors=1e9", "disk.sectors=1000000", "disk.sectors=none", "disk.cracked=[]",
+    "disk.cracked=[1,4]", "disk.cracked=[1,1]", "disk.cracked=7", "disk.cracked=0",
+    "disk.cracked='x'", "disk.cracked=none", "disk.mistuning=none", "disk.mistuning=0.01",
+    "disk.mistuning=[0.01]", "disk.mistuning=[0.01,0,0,0,0,-0.01]", "disk.mistuning=[-1,0,0,0,0,0]",
+    "disk.mistuning={}", "disk.mistuning.seed=-1", "disk.mistuning.seed=1e400",
+    "disk.mistuning.seed=99999999999999999999999", "disk.mistuning={deviation=1,seed=1}",
+    "disk.mistuning={deviation=0.05,seed=9}", "disk.families=0", "disk.families=1",
+    "disk.families=100000",
+    "disk.families='all'", "disk.inner_radius=0", "disk.inner_radius=0.1", "disk.inner_radius=1e-9",
+    "disk.outer_radius=0.05", "disk.outer_radius=0.01", "disk.outer_radius=1e9", "disk=none",
+    "disk.axis=[0,0,0]", "disk.center=[1,2,3]", "disk.axis=[0,0,1]", "mesh.layout=grid",
+    "mesh.layout=file", "mesh.file=a.msh", "mesh.lip_elements=1", "mesh.lip_elements=1000000",
+    "excitation.order=0", "excitation.order=-2", "excitation.order=1000000000",
+    "excitation.order=6", "excitation.order=2.5", "excitation.order=none",
+    "excitation.frequency=none", "excitation.frequency=0", "rotation.rpm=3000", "rotation.rpm=1e9",
+    "rotation.speed=100", "rotation.hub_radius=0.1", "geometry.kind=solid", "geometry.width=0.2",
+    "geometry.width=1e-9", "crack.height=0", "crack.height=0.08", "crack.length=0.012",
+    "crack.edge=right", "crack.height=0.02", "crack.length=0.008", "contact.friction=0.3",
+    "contact.friction=0", "contact.friction=1e9", "contact.friction=-1", "contact.friction=nan",
+    "contact.friction=[0.1]", "contact.friction=true", "contact.law=smoothed",
+    "contact.law=penalty", "excitation.wave=wave.csv", "excitation.wave=missing.csv",
+    "excitation.wave=.", "excitation.wave=/dev/null", "excitation.wave=''",
+    "excitation.wave_harmonics=5", "excitation.wave_harmonics=0",
+    "excitation.wave_harmonics=1000000", "excitation.wave_harmonics=1e400",
+    "excitation.harmonics=[]", "excitation.harmonics=1", "excitation.harmonics=none",
+    "excitation.harmonics=[{order=1,cos=[1,0]}]", "excitation.harmonics=[{order=100000,cos=[1,0]}]",
+    "excitation.harmonics=[{order=2}]", "excitation.harmonics=[{cos=[1,0]}]",
+    "excitation.harmonics=[{order=2,cos=1}]", "excitation.harmonics=[{order=2,cos=[nan,0]}]",
+    "excitation.harmonics=[{order=2,cos=[1,0]},{order=2,sin=[1,0]}]",
+    "excitation.harmonics=[{order=2,amplitude=[1,0]}]",
+    "excitation.harmonics=[{order=2,amplitude=[1,0],phase=1e400}]",
+    "excitation.harmonics=[{order=2,phase=1}]", "excitation.harmonics=[[1,2]]",
+    "excitation.harmonics.1.order=3", "excitation.harmonics.0.order=3",
+    "excitation.harmonics.9.order=3", "sweep.over={'contact.friction'=[0,0.1]}",
+    "sweep.over={'disk.mistuning.seed'=[1,'x']}", "sweep.over={'disk.sectors'=[3,4]}",
+    "sweep.over={'disk.cracked'=[1,2]}", "sweep.over={'excitation.order'=[1,2]}",
+    "sweep.over={'disk.mistuning.seed'={start=1,stop=2,count=2}}",
+    "sweep.over={'excitation.harmonics'=[1]}", "curve.parameter=friction",
+    "curve.parameter=load", "curve.parameter=disk", "harmonic_balance.tolerance=0.1",
+    "damping.ratio=0", "integration.method=events",
+    "integration.method=central", "reduction.modes=3",
+]  # fmt: skip
+"""Changes of wheels, of loads with harmonics, and of friction."""
 SETTINGS = [
     "", "=", "a", "a=", "=1", "a=1", "crack=none", "contact=none", "crack=1", "mesh.columns=4",
     "mesh.columns=1e9", "mesh.rows=3", "mesh.rows=[", "crack.length=0.03", "crack.length=nan",
@@ -427,7 +563,9 @@ def make_base(folder: Path) -> None:
     texts = {
         "plate.toml": PLATE + ORDER, "rotor.toml": PLATE.replace("omega = 2000.0", "order = 20")
         + ROTOR, "file.toml": of_file + ORDER, "chain.toml": CHAIN + OF_CHAIN,
-        "measured.csv": MEASURED,
+        "measured.csv": MEASURED, "wheel.toml": WHEEL, "wave.csv": WAVE,
+        "friction.toml": PLATE.replace("[contact]", CONTACT) + ORDER + FRICTION,
+        "wave.toml": PLATE.replace("force_sin = [1.0, 0.0]", OF_WAVE) + ORDER,
     }  # fmt: skip
     for name, text in texts.items():
         (folder / name).write_text(text)
@@ -479,10 +617,12 @@ def with_gmsh(folder: Path) -> None:
 # --- inputs ---------------------------------------------------------------------------------------
 
 
-def damaged_input(rng: random.Random, folder: Path) -> tuple[str, list[str]]:
+def damaged_input(
+    rng: random.Random, folder: Path, kind: Callable[..., Any] | None = None
+) -> tuple[str, list[str]]:
     """Damage one file in a folder with copies of all; what has been done, and the words of a
     command that reads it."""
-    kind = rng.choices(*zip(*KINDS.items(), strict=True))[0]
+    kind = kind or rng.choices(*zip(*KINDS.items(), strict=True))[0]
     what, words = kind(rng, folder)
     if words[0] not in ("check", "new", "report"):
         words = [*words, "--output", str(folder / "out")]
@@ -542,6 +682,36 @@ def _matrix(rng: random.Random, folder: Path) -> tuple[str, list[str]]:
         content = changed_file((folder / f"{name}.mtx").read_bytes(), rng, MARKET_WORDS)
         path.write_bytes({".gz": gzip.compress, ".bz2": bz2.compress}.get(packing, bytes)(content))
     return path.name, [rng.choice(["check", *OF_SCENES]), str(scene)]
+
+
+def _wheel(rng: random.Random, folder: Path) -> tuple[str, list[str]]:
+    """A scene of a wheel, of harmonics or friction, its text or a table that it names damaged, or
+    changed by words."""
+    name, kind = rng.choice(WHEELS), rng.random()
+    path = folder / name
+    if kind < 0.4:
+        text = changed_text(path.read_text(encoding="utf-8"), rng)
+        path.write_text(text, encoding="utf-8", errors="surrogatepass")
+    elif kind < 0.5:
+        name, table = "wave.csv", folder / "wave.csv"
+        path = folder / "wave.toml"
+        if rng.random() < 0.3:
+            table.write_bytes(changed_bytes(table.read_bytes(), rng))
+        else:
+            table.write_text(changed_table(WAVE, rng), errors="surrogatepass")
+    commands = [*OF_SCENES, "check", "solve", "disk", "disk", "plot", "campbell", "timing"]
+    command = rng.choice(commands)
+    words = [command, str(path)]
+    if command == "campbell":
+        words += ["--count", "2", "--speeds", "0", "100", "3"]
+    if command == "disk":
+        words += rng.sample(OF_DISKS, rng.choice([0, 1, 1, 2]))
+    if kind >= 0.5 and command != "plot":
+        of_disk = name == "wheel.toml" or rng.random() < 0.1
+        changes = [one for one in OF_WHEELS if of_disk or not one.startswith("disk")]
+        for change in rng.sample(changes, rng.choice([1, 1, 1, 2, 3])):
+            words += ["--set", change]
+    return name, words
 
 
 def _measurements(rng: random.Random, folder: Path) -> tuple[str, list[str]]:
@@ -681,6 +851,92 @@ def expected(form: tuple[Any, ...]) -> str:
     return REFUSED.get(command, "")
 
 
+# --- calls ----------------------------------------------------------------------------------------
+
+ODD: list[Any] = [
+    None, "", "x", b"x", [], [[]], {}, {"a": 1}, {1: 2}, object(), len, int, range(3), True, 0.0,
+    -1.0, 1, 1j, 7, 1000, 10**9, 2**63, 10**400, -(10**400), 1e-30, 1e30, float("nan"), np.inf,
+    "1e5", Path("missing"), "/", ".", "a\0b", [1, 2, 3], [1, None, 3], ["1", "2"], [[1], [2, 3]],
+    np.array([object()]), np.array(["a", "b"]), np.datetime64("2020"), np.ones(3), np.ones((3, 2)),
+    np.eye(6), np.zeros((0, 0)), np.zeros(0), np.full((3, 3), np.nan), np.eye(3) * 1j,
+    np.float32(1), np.int8(3), np.bool_(True), (1, 2), {1: (1.0, None)}, {2: ([1.0], [2.0, 3.0])},
+    fc.UnilateralConstraint(), fc.UnilateralPenalty(1e6), fc.ModalDamping(0.1), fc.Scene, fc,
+]  # fmt: skip
+"""Objects that somebody may give a function, and that most refuse."""
+CALLS: dict[str, tuple[str, ...]] = {
+    "Scene.schema": (), "Scene.load": ("path", "changes"), "Scene.from_mapping": ("tables",),
+    "scene.replace": ("changes",), "solve": ("scene",), "prepare": ("scene",), "curve": ("scene",),
+    "nodal_diameters": ("wheel_scene", "families"), "blades": ("run", "dof"),
+    "amplification": ("wheel_scene", "patterns", "deviation", "seed"),
+    "reduce_wheel": ("wheel", "families"), "arrivals_of_blades": ("wheel_scene", "source"),
+    "write_record": ("blades", "path", "probes"), "draw_wheel": ("solution",),
+    "draw_nodal_diameters": ("diameters",), "draw_amplification": ("amplified",),
+    "draw_blades": ("response",), "load_harmonics": ("time", "values", "harmonics"),
+    "structure.with_harmonics": ("by_order",), "structure.with_tangential_pairs": (),
+    "CoulombFriction": ("contact", "friction"), "UnilateralPenalty": ("stiffness",),
+    "draw_friction_loops": ("solution",), "draw_mesh": ("structure",),
+    "solve_harmonic_balance": ("structure", "omega", "contact"),
+    "continue_frequency": ("structure", "omega", "omega_end", "contact"),
+    "run_sweep": ("scene", "path"), "load": ("path",), "load_run": ("path",), "save": ("solution",),
+    "read_record": ("path",),
+}  # fmt: skip
+"""Functions and methods, and which of their arguments are given."""
+
+
+def changed_call(rng: random.Random, folder: Path) -> tuple[str, Callable[[], object]]:
+    """A call with other objects for some arguments: its words, and what calls it."""
+    name = rng.choice(sorted(CALLS))
+    scene = fc.Scene.load(folder / rng.choice(WHEELS))
+    of_wheel = fc.Scene.load(folder / "wheel.toml")
+    right: dict[str, Callable[[], Any]] = {
+        "scene": lambda: scene, "wheel_scene": lambda: of_wheel, "tables": dict,
+        "path": lambda: folder / "wheel.toml", "changes": dict, "families": lambda: 1,
+        "patterns": lambda: 3, "deviation": lambda: 0.01, "seed": lambda: 1,
+        "wheel": lambda: fc.build_structure(of_wheel), "run": lambda: fc.solve(of_wheel),
+        "dof": lambda: 0, "solution": lambda: fc.solve(scene).result, "source": lambda: None,
+        "response": lambda: fc.curve(of_wheel).result, "probes": lambda: [0.0, 0.3],
+        "diameters": lambda: fc.nodal_diameters(of_wheel), "blades": dict, "time": lambda: [0, 1],
+        "amplified": lambda: fc.amplification(of_wheel, patterns=2), "values": lambda: [1.0, -1.0],
+        "harmonics": lambda: 3, "by_order": lambda: {2: (None, None)}, "friction": lambda: 0.1,
+        "structure": lambda: fc.build_structure(scene),
+        "contact": lambda: fc.prepare(scene).contact, "stiffness": lambda: 1e6,
+        "omega": lambda: 2000.0, "omega_end": lambda: 2001.0,
+    }  # fmt: skip
+    names = CALLS[name]
+    odd = {
+        one: rng.choice(ODD) for one in rng.sample(names, min(len(names), rng.choice([1, 1, 2])))
+    }
+    more = {f"{rng.choice(['harmonic', 'modes', 'comm', 'x'])}": 1} if rng.random() < 0.1 else {}
+
+    def attempt() -> object:
+        owner, _, method = name.rpartition(".")
+        place = {"Scene": lambda: fc.Scene, "": lambda: fc}.get(owner) or right[owner]
+        arguments = {one: odd[one] if one in odd else right[one]() for one in names}
+        return getattr(place(), method)(*arguments.values(), **more)
+
+    return (
+        f"{name}({', '.join(f'{key}={type(value).__name__}' for key, value in odd.items())})",
+        attempt,
+    )
+
+
+def called(attempt: Callable[[], object]) -> tuple[int, str]:
+    """How a call ends, as an exit code and the last line of the program would say it: a result, an
+    InputError or a TypeError of the arguments themselves, or what did not converge."""
+    try:
+        attempt()
+    except fc.InputError as error:
+        return 2, f"fenics-crack: {error}"
+    except fc.ConvergenceError as error:
+        return 3, str(error)
+    except Exception as error:
+        *_, last = traceback.extract_tb(error.__traceback__)
+        if isinstance(error, TypeError) and last.name in ("attempt", "call"):  # as of any function
+            return 2, f"fenics-crack: {error}"
+        return 1, f"{type(error).__name__}: {error} ({Path(last.filename).name}:{last.lineno})"
+    return 0, ""
+
+
 # --- the program, in a process of its own ---------------------------------------------------------
 
 
@@ -734,11 +990,16 @@ def outcome_of(code: int, errors: str, noise: str) -> tuple[str, str]:
     return CODES[code], last if code else ""
 
 
-def draw(part: str, case: int, seed: int, folder: Path) -> tuple[str, list[str]]:
-    """The files of a case in a folder, and the command."""
+def draw(
+    part: str, case: int, seed: int, folder: Path
+) -> tuple[str, list[str] | Callable[[], object]]:
+    """The files of a case in a folder, and the command or the call."""
     if part == "structures":
         return small_structure(FORMS[case % len(FORMS)], folder)
-    return damaged_input(random.Random(f"{seed} {case}"), folder)
+    rng = random.Random(f"{seed} {case}")
+    if part == "calls":
+        return changed_call(rng, folder)
+    return damaged_input(rng, folder, _wheel if part == "wheels" else None)
 
 
 def work(connection: Connection, base: Path, folder: Path) -> None:
@@ -758,12 +1019,12 @@ def work(connection: Connection, base: Path, folder: Path) -> None:
         shutil.rmtree(folder, ignore_errors=True)
         shutil.copytree(base, folder)
         what, words = draw(part, case, seed, folder)
-        connection.send(f"{what}: {' '.join(words)}")
+        connection.send(what if callable(words) else f"{what}: {' '.join(words)}")
         os.ftruncate(log, 0)
         os.lseek(log, 0, os.SEEK_SET)
         Path("/proc/self/clear_refs").write_text("5")  # the peak begins anew
         begun = _processor_time()
-        code, errors = call(words)
+        code, errors = called(words) if callable(words) else call(words)
         seconds, peak = _processor_time() - begun, _memory("VmHWM:") - at_rest
         noise = os.pread(log, 10_000, 0).decode(errors="replace")
         outcome, message = outcome_of(code, errors, noise)
@@ -773,7 +1034,7 @@ def work(connection: Connection, base: Path, folder: Path) -> None:
                 outcome = "RAW"
         if outcome not in WRONG and peak > BYTES:
             outcome = "TOO LARGE"
-        if outcome not in WRONG and seconds > SECONDS:
+        if outcome not in WRONG and seconds > QUICK.get(part, SECONDS):
             outcome = "TOO LONG"
         connection.send(Outcome(part, case, what, outcome, seconds, peak / 2**20, message[:SHOWN]))
 
@@ -876,7 +1137,7 @@ def try_part(part: str, arguments: common.Arguments) -> None:
     if not (base / COMPLETE).exists():
         shutil.rmtree(base, ignore_errors=True)
         make_base(base)
-    most = {"inputs": 10_000, "structures": len(FORMS)}[part]
+    most = {"structures": len(FORMS)}.get(part, 10_000)
     count = arguments.cases or (300 if arguments.quick else most)
     cases = range(arguments.first, arguments.first + count)
     rows = _rows(path, part, cases)
@@ -915,14 +1176,8 @@ def _rows(path: Path, part: str, cases: range) -> list[list[str]]:
 if __name__ == "__main__":
     common.run(
         __doc__,
-        {
-            "inputs": lambda arguments: try_part("inputs", arguments),
-            "structures": lambda arguments: try_part("structures", arguments),
-        },
-        cases={
-            "type": int,
-            "help": "how many of each part (default: 10000 inputs, all structures)",
-        },
+        {part: partial(try_part, part) for part in ("inputs", "wheels", "calls", "structures")},
+        cases={"type": int, "help": "how many of each part (default: 10000, all structures)"},
         seed={"type": int, "default": 1},
         first={"type": int, "default": 0, "help": "number of the first case"},
     )

@@ -52,7 +52,9 @@ def __getattr__(name: str) -> Any:
     if isinstance(value, FunctionType):
         from fenics_crack.basics.suggestions import checked_call
 
-        value = alone()(checked_call(value, _keys if "scene" in value.__annotations__ else None))
+        keys = _keys if "scene" in value.__annotations__ else None
+        kinds = _MODULES.keys() - {"ContactLaw"}  # which is what has its members
+        value = alone()(checked_call(value, keys, kinds))
         value.__module__ = __name__  # where pickle finds this one
     globals()[name] = value
     return value

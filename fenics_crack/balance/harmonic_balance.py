@@ -41,7 +41,6 @@ from fenics_crack.basics.errors import (
     InputError,
     check_choice,
     check_count,
-    check_kind,
     check_number,
     check_omega,
 )
@@ -270,7 +269,6 @@ def solve_harmonic_balance(
 def check_initial(problem: Problem, initial: PeriodicSolution) -> None:
     """Raise InputError unless a solution can be where a problem's solution is sought from."""
     structure, subharmonic = problem.structure, problem.subharmonic
-    check_kind("initial", initial, PeriodicSolution)
     has = initial.structure.n_dofs, initial.structure.n_pairs
     gaps_only = structure.light_lips and has[1] == structure.n_pairs
     if not gaps_only and has != (structure.n_dofs, structure.n_pairs):

@@ -143,12 +143,6 @@ def check_count(key: str, value: object, least: int) -> None:
         raise InputError(key, value, "at most 1e+09")
 
 
-def check_kind(key: str, value: object, kind: type) -> None:
-    """Raise InputError unless a value is an object of a class."""
-    if not isinstance(value, kind):
-        raise InputError(key, type(value).__name__, f"a {kind.__name__}")
-
-
 def one_of(words: Iterable[str]) -> str:
     """Return the text "one of" with the allowed words."""
     return "one of " + ", ".join(map(repr, words))

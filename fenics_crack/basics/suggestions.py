@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import math
+import os
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar, cast
@@ -59,6 +60,11 @@ VERBS = {"plot": "draw", "show": "draw", "read": "load", "export": "write"}
 """First words of names, and those of this package for the same."""
 
 
+KINDS = {
+    "Scene": "a Scene, as fc.Scene.load(path) returns", "Path": "a path", "str": "a text",
+    "Mapping": "a dict", "None": "None",
+}  # fmt: skip
+"""Words for classes of arguments that are always compared; and of a scene."""
 PREFIXES = {"G": 1e9, "M": 1e6, "k": 1e3, "": 1.0, "c": 1e-2, "m": 1e-3, "u": 1e-6, "n": 1e-9}
 OTHERS = {
     ("g/cm^3", "kg/m^3"): 1e3,
@@ -159,10 +165,29 @@ def check_options(whose: str, options: Mapping[str, object], known: Collection[s
             raise InputError(key, value, allowed)
 
 
-def checked_call(function: Called, keys: Callable[[str], Sequence[str]] | None = None) -> Called:
+def check_kind(key: str, value: object, annotation: str, kinds: Collection[str]) -> None:
+    """Raise InputError where all alternatives of an annotation are among some kinds, and the value
+    is of none of them.
+
+    Classes are compared by their names: no module is imported for that.
+    """
+    wanted = [part.partition("[")[0] for part in annotation.split(" | ")]
+    names = {base.__name__ for base in type(value).__mro__}
+    for kind, name in ((Mapping, "Mapping"), (os.PathLike, "Path"), (type(None), "None")):
+        names |= {name} if isinstance(value, kind) else set()
+    if {*wanted} <= {*kinds, *KINDS} and names.isdisjoint(wanted):
+        shown = value if isinstance(value, str | int | float) else type(value).__name__
+        raise InputError(key, shown, " or ".join(KINDS.get(one) or f"a {one}" for one in wanted))
+
+
+def checked_call(
+    function: Called,
+    keys: Callable[[str], Sequence[str]] | None = None,
+    kinds: Collection[str] = (),
+) -> Called:
     """A function that refuses a call that does not fit it, with what may be meant: another
-    argument, a key of the scene that ``keys`` finds for it, or another function; and a ``comm``
-    that is no communicator."""
+    argument, a key of the scene that ``keys`` finds for it, or another function; a ``comm`` that is
+    no communicator; and what is of none of the ``kinds`` of its annotation."""
     from inspect import signature as signature_of  # takes a while: not for the program
 
     signature = signature_of(function)
@@ -190,6 +215,8 @@ def checked_call(function: Called, keys: Callable[[str], Sequence[str]] | None =
             from fenics_crack.basics.ranks import check_communicator
 
             check_communicator(given["comm"])
+        for name, value in given.items():
+            check_kind(name, value, str(signature.parameters[name].annotation), kinds)
         return function(*args, **options)
 
     return cast(Called, call)

@@ -17,7 +17,6 @@ from fenics_crack.basics.errors import (
     ConvergenceError,
     InputError,
     check_count,
-    check_kind,
     check_omega,
 )
 from fenics_crack.basics.progress import begin, reaching
@@ -269,7 +268,6 @@ def follow_branch(
     >>> branch = fc.follow_branch(doubling, doubling.bifurcations[0])
     """
     kinds = ("period_doubling", "branch_point")
-    check_kind("curve", curve, ResponseCurve)
     if not isinstance(bifurcation, Bifurcation) or bifurcation.kind not in kinds:
         kind = getattr(bifurcation, "kind", type(bifurcation).__name__)
         raise InputError("bifurcation", kind, "a Bifurcation of kind " + " or ".join(kinds))

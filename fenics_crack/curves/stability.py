@@ -34,7 +34,7 @@ from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.more_modes import UNKNOWN
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, Stability
-from fenics_crack.basics.errors import ConvergenceError, InputError, check_count, check_kind
+from fenics_crack.basics.errors import ConvergenceError, InputError, check_count
 from fenics_crack.basics.tables import percent
 from fenics_crack.model.contact import (
     ContactLaw,
@@ -186,7 +186,6 @@ def shoot(
     >>> orbit = fc.shoot(structure, solution)
     >>> distance = orbit.multipliers
     """
-    check_kind("solution", solution, PeriodicSolution)
     law = contact if contact is not None else solution.contact
     check_law(structure, law, rigid=True)
     assert law is not None
@@ -248,7 +247,6 @@ def floquet(
     >>> stability = fc.floquet(structure, solution)
     >>> verdict, reason = stability.verdict, stability.reason
     """
-    check_kind("solution", solution, PeriodicSolution)
     contact = contact if contact is not None else solution.contact
     check_law(structure, contact, rigid=True)
     assert contact is not None
@@ -296,7 +294,6 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
     >>> if fc.floquet(structure, solution).verdict == "unstable":
     ...     seen = [one.amplitudes().max() for one in fc.attractors(structure, solution)]
     """
-    check_kind("solution", solution, PeriodicSolution)
     known = replace(solution, structure=structure).assessment
     followed = known.flow is not None and known.flow.count <= FORMED
     verdict = stability_of(known).verdict if followed else "no exact flow"

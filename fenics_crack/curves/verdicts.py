@@ -22,7 +22,6 @@ from functools import partial
 import numpy as np
 
 from fenics_crack.balance.assessment import MAX_ERROR
-from fenics_crack.basics.errors import check_kind
 from fenics_crack.basics.progress import begin
 from fenics_crack.curves.curve import leading
 from fenics_crack.curves.growing import chord, points_of
@@ -64,7 +63,6 @@ def judge_curve(curve: HarmonicCurve) -> HarmonicCurve:
     >>> judged = fc.judge_curve(curve)
     >>> verdicts = judged.verdicts
     """
-    check_kind("curve", curve, HarmonicCurve)
     if not is_unilateral(curve.contact):
         return judged_by_waves(curve)
     begin("stability by exact orbits")

@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.basics.errors import check_kind
 from fenics_crack.basics.tables import RPM, TURN, quantity, readable
 from fenics_crack.curves.curve import ResponseCurve, parameter_axis
 from fenics_crack.draw.figure import COLOURS, Picture, Where, label_axis, tenth
@@ -51,7 +50,6 @@ def draw_wheel(solution: PeriodicSolution, **where: Unpack[Where]) -> Figure:
     --------
     >>> figure = fc.draw_wheel(fc.solve(disk).result, path="disk.png")
     """
-    check_kind("solution", solution, PeriodicSolution)
     wheel = wheel_of(solution.structure)
     mesh = NodalMesh(solution.structure)
     time = solution.period / FRAMES * np.arange(FRAMES)
@@ -142,7 +140,6 @@ def draw_blades(
     --------
     >>> figure = fc.draw_blades(fc.curve(disk).result, path="blades.png")
     """
-    check_kind("curve", curve, ResponseCurve)
     wheel = wheel_of(curve.problem_of(0).structure)
     dofs = wheel.dofs_of_blades(wheel.watched_dof if dof is None else dof)
     lines = np.array([curve.amplitude(one) for one in dofs])
@@ -192,7 +189,6 @@ def draw_nodal_diameters(
     --------
     >>> figure = fc.draw_nodal_diameters(fc.nodal_diameters(disk), path="diameters.png")
     """
-    check_kind("found", found, NodalDiameters)
     [panel] = picture = Picture(**where)
     shown = found.omega[:, :families] / TURN
     diameters = np.arange(len(shown))
@@ -234,7 +230,6 @@ def draw_amplification(found: Amplification, **where: Unpack[Where]) -> Figure:
     --------
     >>> figure = fc.draw_amplification(fc.amplification(disk, 200), path="amplification.png")
     """
-    check_kind("found", found, Amplification)
     [panel] = picture = Picture(**where)
     count = len(found.factor)
     weights = np.full(count, 100.0 / count)

@@ -58,7 +58,6 @@ from fenics_crack.model.nodes import Pairs
 from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Damping
-from fenics_crack.scene.words import check_scene
 
 LIPS = ("lower_lip", "upper_lip")
 
@@ -334,7 +333,6 @@ def build_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
 
 def with_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Scene:
     """Return the scene with the length found from ``crack.first_omega``, if that is given."""
-    check_scene(scene)
     if scene.crack is None or scene.crack.first_omega is None:
         return scene
     return _with_length(scene, find_crack_length(scene, comm))

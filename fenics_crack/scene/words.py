@@ -6,7 +6,6 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.tables import quantity
 from fenics_crack.scene.scene import LOOKED_AT, Scene, unit_of
 
@@ -81,12 +80,6 @@ def faces_in_words(scene: Scene) -> str:
     """Return the word for what closes: crack faces, or pairs of matrices from elsewhere."""
     matrices = scene.structure is not None and scene.structure.model is None
     return "pairs" if matrices else "crack faces"
-
-
-def check_scene(scene: Any) -> None:
-    """Raise InputError unless it is a scene: a path to one is not."""
-    if not isinstance(scene, Scene):
-        raise InputError("scene", scene, "a Scene, as fc.Scene.load(path) returns")
 
 
 def given_values(scene: Scene) -> dict[str, Any]:

@@ -35,7 +35,6 @@ from fenics_crack.model.structure import DampingRule, Structure
 from fenics_crack.model.wheel import Wheel, WheelStructure, excited_diameter, families_of_basis
 from fenics_crack.numerics.fourier import to_complex
 from fenics_crack.scene.scene import Scene
-from fenics_crack.scene.words import check_scene
 
 PER_WIDTH = 8
 """Frequencies in the half-power bandwidth of a mode at which a response is computed: the largest is
@@ -144,7 +143,7 @@ def blades(found: Any, dof: int | None = None) -> Blades:
         raise InputError("found", type(found).__name__, "a solution or a response curve")
     structure = result.structure
     wheel = wheel_of(structure)
-    dofs = wheel.dofs_of_blades(wheel.watched_dof if dof is None else dof)
+    dofs = wheel.dofs_of_blades(int(wheel.check_dofs([dof])[0]))
     if isinstance(result, PeriodicSolution):
         places, solutions = [0] * len(dofs), {0: result}
     else:
@@ -245,7 +244,6 @@ def nodal_diameters(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> NodalDiame
 
 
 def _assembled(scene: Scene, comm: MPI.Comm) -> Wheel:
-    check_scene(scene)
     scene.given("disk")
     return wheel_of(assemble(scene, comm))
 

@@ -39,7 +39,6 @@ from fenics_crack.model.modes import (
 from fenics_crack.model.rotation import Ritz, coriolis_shifts, static_state
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
-from fenics_crack.scene.words import check_scene
 from fenics_crack.study.plausibility import damping_ratios
 
 HELD = (*KINDS[:2], "partly")
@@ -287,7 +286,6 @@ def campbell(
     --------
     >>> diagram = fc.campbell(blade, [0.0, 150.0, 300.0], count=2)
     """
-    check_scene(scene)
     if scene.disk is not None:
         allowed = "left out of a Campbell diagram; nodal_diameters has its frequencies"
         raise InputError("disk", "a table", allowed)

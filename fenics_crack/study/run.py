@@ -50,7 +50,6 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.motion.attractors import SETTLED
 from fenics_crack.scene.scene import Scene, check_known, without_clamp, without_tips
 from fenics_crack.scene.tables import Integration
-from fenics_crack.scene.words import check_scene
 from fenics_crack.study.conclusion import Answer, conclusion
 from fenics_crack.study.prepare import (
     FEW_DOFS,
@@ -365,7 +364,6 @@ def curve(
     """
     from fenics_crack.curves.follow import continue_frequency, continue_parameter
 
-    check_scene(scene)
     table, balance = scene.given("curve"), scene.harmonic_balance
     parameter, start, stop = table.followed
     study = _prepare_curve(scene, comm)
@@ -442,7 +440,6 @@ def integrate(
     --------
     >>> fc.integrate(scene.replace({"integration.periods": 5})).result.settled
     """
-    check_scene(scene)
     table = scene.integration or Integration()
     if comm.size > 1 and scene.reduction is not None and scene.reduction.method == "off":
         raise InputError("reduction.method", "off", "a reduction, or one rank, for this command")

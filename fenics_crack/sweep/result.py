@@ -58,7 +58,6 @@ from fenics_crack.files.store import Stored, header
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene, unit_of
 from fenics_crack.scene.tables import Sweep
-from fenics_crack.scene.words import check_scene
 from fenics_crack.study.conclusion import at_rest
 from fenics_crack.study.prepare import law_of
 from fenics_crack.sweep.case import Asked, build
@@ -138,7 +137,6 @@ def run_sweep(
     >>> swept = scene.replace({"sweep.over": {"excitation.omega": [1900.0, 2000.0]}})
     >>> table = fc.run_sweep(swept, "sweep.h5").to_dict()
     """
-    check_scene(scene)
     table: Sweep = scene.given("sweep")
     if table.at_resonance and not resonates(scene):
         raise InputError("sweep.at_resonance", True, f"false {NO_PEAK_SOUGHT}")

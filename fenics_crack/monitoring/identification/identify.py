@@ -39,7 +39,6 @@ from fenics_crack.monitoring.identification.result import Identification
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import MIN_VALUES, Identify, Sweep
-from fenics_crack.scene.words import check_scene
 from fenics_crack.study.coarser_mesh import finer_mesh
 from fenics_crack.sweep.result import SweepResult, by_reason, run_sweep
 
@@ -106,7 +105,6 @@ def identify(
     --------
     >>> found = fc.identify(scene, "measured.csv", {"crack.length": [0.02, 0.04]})  # doctest: +SKIP
     """
-    check_scene(scene)
     if unknown is not None:
         table = scene.identify or Identify.from_mapping({"unknown": unknown})
         changed = replace(table, unknown=Identify.checked("unknown", unknown))

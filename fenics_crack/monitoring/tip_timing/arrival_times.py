@@ -444,6 +444,8 @@ def write_record(
     >>> arrivals, run = fc.arrivals_of_blades(disk)
     >>> fc.write_record(arrivals, "record.csv", np.radians(disk.tip_timing.probes))
     """
+    if not blades:
+        raise InputError("blades", blades, "arrivals of one blade or more")
     first = next(iter(blades.values()))
     columns: dict[str, Any] = {
         "revolution": (first.first + np.arange(len(first))).tolist(),
