@@ -176,7 +176,7 @@ def check_kind(key: str, value: object, annotation: str, kinds: Collection[str])
     for kind, name in ((Mapping, "Mapping"), (os.PathLike, "Path"), (type(None), "None")):
         names |= {name} if isinstance(value, kind) else set()
     if {*wanted} <= {*kinds, *KINDS} and names.isdisjoint(wanted):
-        shown = value if isinstance(value, str | int | float) else type(value).__name__
+        shown = value if isinstance(value, str | int | float | None) else type(value).__name__
         raise InputError(key, shown, " or ".join(KINDS.get(one) or f"a {one}" for one in wanted))
 
 

@@ -34,6 +34,7 @@ OUT_OF_MEMORY = ("PetscMalloc", "failed to map segment")
 """Texts by which PETSc, and the loader of a library, report too little memory."""
 TABLES = {
     "curve": ("parameter", "start"),
+    "disk": ("families",),
     "excitation": ("omega",),
     "harmonic_balance": ("harmonics", "samples", "tolerance"),
     "integration": ("steps_per_period",),

@@ -596,6 +596,9 @@ def reduce_wheel(
         raise InputError("wheel", repr(wheel), "the whole structure of a scene with [disk]")
     families = wheel.families if families is None else families
     check_count("families", families, 1)
+    most = len(wheel.sector.own) // 2  # beyond it static answers are made of modes but for rounding
+    if families > most:
+        raise InputError("families", families, f"at most {most}, half of a sector's dofs")
     one = WheelStructure(wheel, families_of_basis(families))
     begin("reduction")
     count = min(families * wheel.sector.count, one.n_dofs - one.n_pairs)

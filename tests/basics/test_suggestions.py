@@ -6,6 +6,7 @@ import importlib
 import inspect
 import pkgutil
 import re
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -60,6 +61,43 @@ def test_a_communicator_is_one(function: Any) -> None:
         with pytest.raises(fc.InputError) as caught:
             function(**given, comm=wrong)
         assert caught.value.key == "comm" and caught.value.value is wrong
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: fc.solve("plate.toml"), "scene = 'plate.toml': must be a Scene, as fc.Scene.load"),
+        (lambda: fc.load_run(1.0), "path = 1.0: must be a text or a path"),
+        (lambda: fc.load_run(fc), "path = 'module': must be a text or a path"),
+        (lambda: fc.draw_friction_loops(np.ones(3)), "solution = 'ndarray': must be a Periodic"),
+        (lambda: fc.prepare(None), "scene is missing: must be a Scene"),
+        (lambda: fc.arrivals_of_blades(None, 3), "scene is missing"),
+        (lambda: fc.write_record(3, "a.csv", []), "blades = 3: must be a dict"),
+        (lambda: fc.write_record({}, "a.csv", []), "blades = {}: must be arrivals of one"),
+    ],
+)
+def test_an_object_of_another_class(call: Callable[[], object], message: str) -> None:
+    """Is refused by the annotation of its argument, before anything asks it for an attribute."""
+    with pytest.raises(fc.InputError, match=re.escape(message)):
+        call()
+
+
+def test_what_annotations_allow() -> None:
+    """A subclass, a path of another kind, and None."""
+    structure = fc.Structure.from_matrices(np.eye(1), np.eye(1), gap=np.eye(1), force_cos=[1.0])
+
+    class Mine(fc.Structure):
+        pass
+
+    class Place:
+        def __fspath__(self) -> str:
+            return "missing.h5"
+
+    own = object.__new__(Mine)
+    vars(own).update(vars(structure))
+    fc.solve_harmonic_balance(own, 0.5, fc.UnilateralPenalty(1.0), harmonics=1, initial=None)
+    with pytest.raises(fc.InputError, match="a file that exists"):
+        fc.load_run(Place())
 
 
 @pytest.mark.parametrize(

@@ -249,7 +249,9 @@ def test_refused(changes: dict[str, Any], words: str) -> None:
 
 
 def test_refused_later() -> None:
-    """What a disk has no Campbell diagram, growth or tips for."""
+    """What a disk has no Campbell diagram, growth, tips or modes for."""
+    with pytest.raises(fc.InputError, match=r"families = 9999: must be at most \d+, half of a sec"):
+        fc.solve(ring(disk__families=9999))
     turning = ring(rotation__rpm=3000.0, excitation__frequency=None)
     with pytest.raises(fc.InputError, match="nodal_diameters has its frequencies"):
         fc.campbell(turning, [100.0, 200.0])
