@@ -709,7 +709,7 @@ def _wheel(rng: random.Random, folder: Path) -> tuple[str, list[str]]:
     if kind >= 0.5 and command != "plot":
         of_disk = name == "wheel.toml" or rng.random() < 0.1
         changes = [one for one in OF_WHEELS if of_disk or not one.startswith("disk")]
-        for change in rng.sample(changes, rng.choice([1, 1, 1, 2, 3])):
+        for change in rng.sample(changes, rng.choice([0, 1, 1, 1, 2, 3])):
             words += ["--set", change]
     return name, words
 
@@ -904,7 +904,7 @@ def changed_call(rng: random.Random, folder: Path) -> tuple[str, Callable[[], ob
     }  # fmt: skip
     names = CALLS[name]
     odd = {
-        one: rng.choice(ODD) for one in rng.sample(names, min(len(names), rng.choice([1, 1, 2])))
+        one: rng.choice(ODD) for one in rng.sample(names, min(len(names), rng.choice([0, 1, 1, 2])))
     }
     more = {f"{rng.choice(['harmonic', 'modes', 'comm', 'x'])}": 1} if rng.random() < 0.1 else {}
 

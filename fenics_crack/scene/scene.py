@@ -179,6 +179,7 @@ class Scene(Hinted):
         return first | {f"cracks.{number}": c for number, c in enumerate(self.cracks, 1)}
 
     @classmethod
+    @checked_call
     def from_mapping(
         cls,
         tables: Mapping[str, object],
@@ -200,6 +201,7 @@ class Scene(Hinted):
         return scene.replace({name: changes[name] for name in changes if name in _WITH_FILES})
 
     @classmethod
+    @checked_call
     def load(cls, path: str | Path, changes: Mapping[str, object] | None = None) -> Scene:
         """Read a scene from a TOML file, with the changes of :meth:`replace`: what is wrong in the
         file and changed does no harm.
