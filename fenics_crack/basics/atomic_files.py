@@ -2,15 +2,18 @@
 
 Everything the program writes goes through here. A file gets a hidden name first and its own once it
 is complete, so that a full disk, an error or a kill leaves what was there. A link or a pipe of that
-name, which a folder from somebody else may hold, is replaced by the file: nothing is written
-through it.
+name, which a folder from somebody else may hold, is replaced by the file, and a link in place of a
+folder below that for results is refused: nothing is written through it.
 """
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import errno
 import os
+import shutil
+import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -77,19 +80,83 @@ def whole_file(path: str | Path, key: str = "path", *, new: bool = False) -> Ite
     InputError
         As of :func:`not_written`.
     """
-    target = Path(path)
+    with _reported(path, key), _hidden(Path(path), new=new) as partial:
+        yield partial
+
+
+@contextlib.contextmanager
+def _hidden(target: Path, *, new: bool = False) -> Iterator[Path]:
     partial = target.parent / f".{os.urandom(4).hex()}.{target.name}"  # which nobody can foresee
-    with _reported(path, key):
-        try:
-            target.parent.mkdir(parents=True, exist_ok=True)
-            yield partial
-            if new:
-                os.link(partial, target)
-            else:
-                os.replace(partial, target)
-        finally:
-            with contextlib.suppress(OSError):
-                partial.unlink()
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        yield partial
+        if new:
+            os.link(partial, target)
+        else:
+            os.replace(partial, target)
+    finally:
+        with contextlib.suppress(OSError):
+            partial.unlink()
+
+
+def keep_files(names: Iterable[str], folder: Path, kept: Path) -> None:
+    """Keep the files of some names that lie in a folder in another one below it, too, where they
+    replace all of these names.
+
+    Raises
+    ------
+    OSError, InputError
+        A file cannot be kept; or as :func:`make_inner`.
+    """
+    make_inner(kept)
+    for name in names:
+        source, target = folder / name, kept / name
+        if source.is_file() and not source.is_symlink():
+            with _hidden(target) as partial:
+                try:
+                    os.link(source, partial)  # a new file takes the place of the source's name
+                except OSError:  # a file system without links
+                    shutil.copy2(source, partial)
+        elif not target.is_dir() or target.is_symlink():
+            target.unlink(missing_ok=True)
+
+
+def make_writable(folder: Path, inner: Iterable[str] = (), key: str = "--output") -> None:
+    """Make a folder for results, which may be a link.
+
+    Raises
+    ------
+    InputError
+        No file can be written there; or one of the ``inner`` folders, in which files will be
+        written, is there and refused by :func:`make_inner`.
+    """
+    for name in inner:
+        _check_inner(folder / name, key)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise not_written(key, folder, error, "a folder that can be written") from None
+
+
+def make_inner(folder: Path, key: str = "path") -> None:
+    """Make a folder below that for results; InputError where it is a link or no folder."""
+    _check_inner(folder, key)
+    with _reported(folder, key):
+        folder.mkdir(parents=True, exist_ok=True)
+
+
+def _check_inner(folder: Path, key: str) -> None:
+    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+        raise InputError(key, str(folder), "a folder, and no link to one, in which files are kept")
+
+
+def passing_folder() -> Path:
+    """A folder of this user's alone that is gone when the program ends."""
+    folder = tempfile.mkdtemp(prefix="fenics_crack-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return Path(folder)
 
 
 def put(file: int, content: bytes | memoryview, place: int) -> None:
