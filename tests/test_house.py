@@ -234,8 +234,9 @@ def test_files_have_doors() -> None:
     "text",
     [
         "open(p)", "f = open", "p.open('rb')", "(gzip.open or open)(p)", "os.open(p, 0)",
-        "os.replace(p, q)", "from os import link", "from shutil import copy2 as c", "shutil.move(p)",
-        "Path(p).read_text()", "Path(p).write_bytes(b'')", "p.unlink()", "(p / 'x').mkdir()",
+        "os.replace(p, q)", "from os import link", "from shutil import copy2 as c",
+        "shutil.move(p)", "Path(p).read_text()", "Path(p).write_bytes(b'')", "p.unlink()",
+        "(p / 'x').mkdir()",
         "np.loadtxt(p)", "np.load(p)", "np.savez(p)", "h5py.File(p)", "figure.savefig(p)",
         "tempfile.mkdtemp()", "import lzma as x",
     ],

@@ -99,16 +99,18 @@ def _hidden(target: Path, *, new: bool = False) -> Iterator[Path]:
             partial.unlink()
 
 
-def keep_files(names: Iterable[str], folder: Path, kept: Path) -> None:
+def keep_files(names: Iterable[str], folder: Path, kept: Path) -> bool:
     """Keep the files of some names that lie in a folder in another one below it, too, where they
-    replace all of these names.
+    replace all of these names; return False if there are none.
 
     Raises
     ------
-    OSError, InputError
-        A file cannot be kept; or as :func:`make_inner`.
+    OSError
+        A file cannot be kept, or the folder below is a link.
     """
-    make_inner(kept)
+    if _is_no_folder(kept):
+        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
+    kept_any = False
     for name in names:
         source, target = folder / name, kept / name
         if source.is_file() and not source.is_symlink():
@@ -117,8 +119,10 @@ def keep_files(names: Iterable[str], folder: Path, kept: Path) -> None:
                     os.link(source, partial)  # a new file takes the place of the source's name
                 except OSError:  # a file system without links
                     shutil.copy2(source, partial)
+            kept_any = True
         elif not target.is_dir() or target.is_symlink():
             target.unlink(missing_ok=True)
+    return kept_any
 
 
 def make_writable(folder: Path, inner: Iterable[str] = (), key: str = "--output") -> None:
@@ -128,10 +132,10 @@ def make_writable(folder: Path, inner: Iterable[str] = (), key: str = "--output"
     ------
     InputError
         No file can be written there; or one of the ``inner`` folders, in which files will be
-        written, is there and refused by :func:`make_inner`.
+        written, is refused by :func:`check_inner`.
     """
     for name in inner:
-        _check_inner(folder / name, key)
+        check_inner(folder / name, key)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
@@ -140,16 +144,15 @@ def make_writable(folder: Path, inner: Iterable[str] = (), key: str = "--output"
         raise not_written(key, folder, error, "a folder that can be written") from None
 
 
-def make_inner(folder: Path, key: str = "path") -> None:
-    """Make a folder below that for results; InputError where it is a link or no folder."""
-    _check_inner(folder, key)
-    with _reported(folder, key):
-        folder.mkdir(parents=True, exist_ok=True)
+def check_inner(folder: Path, key: str = "path") -> None:
+    """Raise InputError where a folder below that for results, in which files will be written, is a
+    link or no folder."""
+    if _is_no_folder(folder):
+        raise InputError(key, str(folder), "a folder for files, and no link to one")
 
 
-def _check_inner(folder: Path, key: str) -> None:
-    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
-        raise InputError(key, str(folder), "a folder, and no link to one, in which files are kept")
+def _is_no_folder(path: Path) -> bool:
+    return path.is_symlink() or (path.exists() and not path.is_dir())
 
 
 def passing_folder() -> Path:

@@ -245,7 +245,8 @@ def keep_before(table: Path, text: str, comm: MPI.Comm, *others: str) -> str:
         except OSError:  # no table of ours
             pass
         try:
-            keep_files(files, table.parent, before)
+            if not keep_files(files, table.parent, before):
+                return ""
         except OSError as error:
             return f"{before}: the previous result could not be kept here ({error.strerror})"
         return f"{before}: the previous result, which this one has replaced, is kept here"
