@@ -14,7 +14,7 @@ import errno
 import os
 import shutil
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from fenics_crack.basics.errors import InputError, WriteError
@@ -99,9 +99,9 @@ def _hidden(target: Path, *, new: bool = False) -> Iterator[Path]:
             partial.unlink()
 
 
-def keep_files(names: Iterable[str], folder: Path, kept: Path) -> bool:
+def keep_files(names: Sequence[str], folder: Path, kept: Path) -> bool:
     """Keep the files of some names that lie in a folder in another one below it, too, where they
-    replace all of these names; return False if there are none.
+    replace all of these names; return False, and change nothing, if there are none.
 
     Raises
     ------
@@ -110,22 +110,20 @@ def keep_files(names: Iterable[str], folder: Path, kept: Path) -> bool:
     """
     if _is_no_folder(kept):
         raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
-    kept_any = False
-    for name in names:
-        source, target = folder / name, kept / name
-        if source.is_file() and not source.is_symlink():
-            with _hidden(target) as partial:
-                try:
-                    os.link(source, partial)  # a new file takes the place of the source's name
-                except OSError:  # a file system without links
-                    shutil.copy2(source, partial)
-            kept_any = True
-        elif not target.is_dir() or target.is_symlink():
-            target.unlink(missing_ok=True)
-    return kept_any
+    there = [n for n in names if (folder / n).is_file() and not (folder / n).is_symlink()]
+    for name in there:
+        with _hidden(kept / name) as partial:
+            try:
+                os.link(folder / name, partial)  # a new file takes the place of the first name
+            except OSError:  # a file system without links
+                shutil.copy2(folder / name, partial)
+    for other in {*names} - {*there} if there else ():
+        if (kept / other).is_symlink() or not (kept / other).is_dir():
+            (kept / other).unlink(missing_ok=True)
+    return bool(there)
 
 
-def make_writable(folder: Path, inner: Iterable[str] = (), key: str = "--output") -> None:
+def prepare_folder(folder: Path, inner: Iterable[str] = (), key: str = "--output") -> None:
     """Make a folder for results, which may be a link.
 
     Raises

@@ -24,8 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fenics_crack.basics.atomic_files import keep_files, write_whole
-from fenics_crack.basics.atomic_files import make_writable as made_writable
+from fenics_crack.basics.atomic_files import keep_files, prepare_folder, write_whole
 from fenics_crack.basics.errors import InputError, check_count
 from fenics_crack.basics.progress import LOGGER, StageLines, begin
 from fenics_crack.basics.tables import Table
@@ -221,7 +220,7 @@ def make_writable(folder: Path, comm: MPI.Comm) -> None:
     """Make a folder for results; InputError unless files can be written there (collective)."""
     from fenics_crack.basics.ranks import on_root  # PETSc
 
-    on_root(comm, lambda: made_writable(folder, (BEFORE, PERIOD)))
+    on_root(comm, lambda: prepare_folder(folder, (BEFORE, PERIOD)))
 
 
 def keep_before(table: Path, text: str, comm: MPI.Comm, *others: str) -> str:

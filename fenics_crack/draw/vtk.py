@@ -442,7 +442,7 @@ def write_period(
     Raises
     ------
     InputError
-        The structure has no mesh, or an argument cannot be used.
+        The structure has no mesh, an argument cannot be used, or the folder of the frames is a link.
 
     Notes
     -----

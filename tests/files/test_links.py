@@ -39,6 +39,8 @@ def commands(kind: str, folder: Path) -> Callable[[Path], list[int]]:
         words = [str(scene), *rows, *more, "--output", str(output)]
         codes = [main([name, *words]) for name in names]
         own = folder / "first"
+        if kind == "blade":  # a measured record
+            codes.append(main(["timing", str(folder / "first" / "arrivals.csv"), *words[-2:]]))
         results = sorted(map(str, {*own.glob("*.h5")} - {*own.glob("*_*.h5")}))
         codes += [main(["plot", one, "--quiet", "--output", str(output)]) for one in results]
         if results and kind != "chain":
@@ -93,3 +95,13 @@ def test_no_link_is_followed(kind: str, tmp_path: Path) -> None:
         assert refused[0] == 2 and {*refused} <= {0, 2}
     there = {path.relative_to(outside) for path in outside.rglob("*") if path.is_file()}
     assert there == {*names} and all((outside / name).read_text() == TEXT for name in names)
+
+
+def test_a_new_scene_replaces_a_link(tmp_path: Path) -> None:
+    """One that leads to nothing yet; where there is a file, it is refused."""
+    path, outside = tmp_path / "scene.toml", tmp_path / "outside"
+    path.symlink_to(outside)
+    assert main(["new", str(path), "--quiet"]) == 0
+    assert not path.is_symlink() and not outside.exists()
+    outside.symlink_to(path)
+    assert main(["new", str(outside), "--quiet"]) == 2
