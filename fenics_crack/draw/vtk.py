@@ -442,7 +442,7 @@ def write_period(
     Raises
     ------
     InputError
-        The structure has no mesh, an argument cannot be used, or the folder of the frames is a link.
+        The structure has no mesh, an argument cannot be used, or the frames' folder is a link.
 
     Notes
     -----
