@@ -2,16 +2,19 @@
 
 Everything the program writes goes through here. A file gets a hidden name first and its own once it
 is complete, so that a full disk, an error or a kill leaves what was there. A link or a pipe of that
-name, which a folder from somebody else may hold, is replaced by the file: nothing is written
-through it.
+name, which a folder from somebody else may hold, is replaced by the file, and a link in place of a
+folder below that for results is refused: nothing is written through it.
 """
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import errno
 import os
-from collections.abc import Iterable, Iterator
+import shutil
+import tempfile
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from fenics_crack.basics.errors import InputError, WriteError
@@ -77,19 +80,84 @@ def whole_file(path: str | Path, key: str = "path", *, new: bool = False) -> Ite
     InputError
         As of :func:`not_written`.
     """
-    target = Path(path)
+    with _reported(path, key), _hidden(Path(path), new=new) as partial:
+        yield partial
+
+
+@contextlib.contextmanager
+def _hidden(target: Path, *, new: bool = False) -> Iterator[Path]:
     partial = target.parent / f".{os.urandom(4).hex()}.{target.name}"  # which nobody can foresee
-    with _reported(path, key):
-        try:
-            target.parent.mkdir(parents=True, exist_ok=True)
-            yield partial
-            if new:
-                os.link(partial, target)
-            else:
-                os.replace(partial, target)
-        finally:
-            with contextlib.suppress(OSError):
-                partial.unlink()
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        yield partial
+        if new:
+            os.link(partial, target)
+        else:
+            os.replace(partial, target)
+    finally:
+        with contextlib.suppress(OSError):
+            partial.unlink()
+
+
+def keep_files(names: Sequence[str], folder: Path, kept: Path) -> bool:
+    """Keep the files of some names that lie in a folder in another one below it, too, where they
+    replace all of these names; return False, and change nothing, if there are none.
+
+    Raises
+    ------
+    OSError
+        A file cannot be kept, or the folder below is a link.
+    """
+    if _is_no_folder(kept):
+        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
+    there = [n for n in names if (folder / n).is_file() and not (folder / n).is_symlink()]
+    for name in there:
+        with _hidden(kept / name) as partial:
+            try:
+                os.link(folder / name, partial)  # a new file takes the place of the first name
+            except OSError:  # a file system without links
+                shutil.copy2(folder / name, partial)
+    for other in {*names} - {*there} if there else ():
+        if (kept / other).is_symlink() or not (kept / other).is_dir():
+            (kept / other).unlink(missing_ok=True)
+    return bool(there)
+
+
+def prepare_folder(folder: Path, inner: Iterable[str] = (), key: str = "--output") -> None:
+    """Make a folder for results, which may be a link.
+
+    Raises
+    ------
+    InputError
+        No file can be written there; or one of the ``inner`` folders, in which files will be
+        written, is refused by :func:`check_inner`.
+    """
+    for name in inner:
+        check_inner(folder / name, key)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise not_written(key, folder, error, "a folder that can be written") from None
+
+
+def check_inner(folder: Path, key: str = "path") -> None:
+    """Raise InputError where a folder below that for results, in which files will be written, is a
+    link or no folder."""
+    if _is_no_folder(folder):
+        raise InputError(key, str(folder), "a folder for files, and no link to one")
+
+
+def _is_no_folder(path: Path) -> bool:
+    return path.is_symlink() or (path.exists() and not path.is_dir())
+
+
+def passing_folder() -> Path:
+    """A folder of this user's alone that is gone when the program ends."""
+    folder = tempfile.mkdtemp(prefix="fenics_crack-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return Path(folder)
 
 
 def put(file: int, content: bytes | memoryview, place: int) -> None:

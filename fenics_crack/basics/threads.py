@@ -149,10 +149,18 @@ def machine_memory() -> float:
     return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
 
 
-def addresses_left() -> float:
-    """Memory that this process may still ask for under ``ulimit -v`` [byte]; inf without one."""
+def memory_of_process(name: str) -> float:
+    """Memory of this process by its name in Linux's ``/proc/self/status``, as "VmSize" [byte]."""
+    status = Path("/proc/self/status").read_text()
+    return 1024.0 * int(status.partition(f"{name}:")[2].split()[0])
+
+
+def address_limit() -> float:
+    """Memory that this process may ask for, by ``ulimit -v`` [byte]; inf without one."""
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-    if limit == resource.RLIM_INFINITY:
-        return float("inf")
-    pages = int(Path("/proc/self/statm").read_text().split()[0])
-    return float(limit - pages * os.sysconf("SC_PAGE_SIZE"))
+    return float("inf") if limit == resource.RLIM_INFINITY else float(limit)
+
+
+def addresses_left() -> float:
+    """Memory that this process may still ask for [byte]."""
+    return address_limit() - memory_of_process("VmSize")

@@ -9,23 +9,28 @@ library once, and reads each file in a copy of itself.
 
 from __future__ import annotations
 
+import bz2
 import codecs
+import gzip
 import hashlib
 import json
 import os
+import shutil
 import signal
 import socket
 import stat
 import subprocess
 import sys
+import tempfile
+import warnings
 import zipfile
 from array import array
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
 from threading import get_ident
-from typing import TextIO
+from typing import Any, TextIO
 
 import numpy as np
 
@@ -81,11 +86,26 @@ def bytes_of(path: str | Path, most: int | None = MOST_BYTES, *, links: bool = T
     return found.st_size
 
 
-def content_of(path: str | Path, most: int = 2**26, *, links: bool = True) -> bytes:
+def content_of(path: str | Path, most: int | None = 2**26, *, links: bool = True) -> bytes:
     """Content of a file that is read whole, as a scene or a table, whose million rows have 40 MiB;
     OSError as of :func:`bytes_of`."""
     bytes_of(path, most, links=links)
     return Path(path).read_bytes()
+
+
+def beginning_of(path: str | Path, count: int) -> bytes:
+    """First bytes of a regular file of any size; OSError as of :func:`bytes_of`."""
+    bytes_of(path, None)
+    with open(path, "rb") as file:
+        return file.read(count)
+
+
+@contextmanager
+def copied(path: str | Path, name: str) -> Iterator[Path]:
+    """A copy of a file under another name, alone in a folder; OSError as of :func:`bytes_of`."""
+    bytes_of(path)
+    with tempfile.TemporaryDirectory() as folder:
+        yield Path(shutil.copyfile(path, Path(folder) / name))
 
 
 def allowance(size: int) -> int:
@@ -138,7 +158,35 @@ def table_lines(path: str | Path) -> list[tuple[int, str]]:
     return lines
 
 
-def lines_of(file: TextIO, most: int) -> Iterator[str]:
+@contextmanager
+def opened_text(path: str | Path, errors: str = "strict") -> Iterator[tuple[Iterable[str], int]]:
+    """The lines of a large file of text, as of a matrix, which may be packed (.gz, .bz2), and how
+    many bytes they have at most.
+
+    Raises
+    ------
+    OSError, ValueError
+        As of :func:`bytes_of`; or, while lines are taken, unpacked it is too large for its size.
+    """
+    size = bytes_of(path)
+    unpack: Any = {".gz": gzip.open, ".bz2": bz2.open}.get(Path(path).suffix)
+    most = size if unpack is None else allowance(size)
+    with (unpack or open)(path, "rt", encoding="utf-8", errors=errors) as file:
+        yield file if unpack is None else _lines_of(file, most), most
+
+
+def rows_in(
+    lines: Iterable[str], comment: str = "#", delimiter: str | None = None, most: int | None = None
+) -> np.ndarray:
+    """The numbers in some lines, or in ``most`` of them: (n, columns); ValueError."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of no lines
+        return np.loadtxt(
+            iter(lines), comments=comment, delimiter=delimiter, ndmin=2, max_rows=most
+        )
+
+
+def _lines_of(file: TextIO, most: int) -> Iterator[str]:
     """Lines of a file that is unpacked while it is read; ValueError where there are too many."""
     while line := file.readline(most + 1):
         most -= len(line)

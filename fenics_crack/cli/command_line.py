@@ -8,7 +8,6 @@ import contextlib
 import gc
 import os
 import re
-import resource
 import signal
 import sys
 import traceback
@@ -21,7 +20,14 @@ from fenics_crack.basics.atomic_files import FULL
 from fenics_crack.basics.errors import ConvergenceError, Exit, InputError, StoppedError, WriteError
 from fenics_crack.basics.progress import Messages
 from fenics_crack.basics.suggestions import in_other_words, meant, near
-from fenics_crack.basics.threads import LAUNCHERS, alone, check_modules, launched
+from fenics_crack.basics.threads import (
+    LAUNCHERS,
+    address_limit,
+    alone,
+    check_modules,
+    launched,
+    memory_of_process,
+)
 from fenics_crack.version import VERSION
 
 if TYPE_CHECKING:
@@ -166,19 +172,13 @@ def _discard_output() -> None:
 def _shortage(error: Exception) -> str:
     """Describe the resource that ran out if an error is due to that, else return ""."""
     said = any(words in str(error) for words in OUT_OF_MEMORY)
-    if isinstance(error, MemoryError) or said or _near_limit():
+    # Few libraries name their need.
+    near_limit = memory_of_process("VmPeak") > 0.9 * address_limit()
+    if isinstance(error, MemoryError) or said or near_limit:
         return "memory was not enough"
     if isinstance(error, OSError) and error.errno in FULL:
         return f"{error.filename or 'standard output'} cannot be written ({error.strerror})"
     return ""
-
-
-def _near_limit() -> bool:
-    """Return True if nearly all memory of ``ulimit -v`` was used; few libraries name their need."""
-    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-    status = Path("/proc/self/status").read_text()
-    peak = 1024 * int(status.partition("VmPeak:")[2].split()[0])
-    return limit != resource.RLIM_INFINITY and peak > 0.9 * limit
 
 
 def _run(given: argparse.Namespace) -> Exit:

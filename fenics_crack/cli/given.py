@@ -12,9 +12,7 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 import sys
-import tempfile
 import time
 import tomllib
 from argparse import Namespace
@@ -26,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fenics_crack.basics.atomic_files import not_written, write_whole
+from fenics_crack.basics.atomic_files import keep_files, prepare_folder, write_whole
 from fenics_crack.basics.errors import InputError, check_count
 from fenics_crack.basics.progress import LOGGER, StageLines, begin
 from fenics_crack.basics.tables import Table
@@ -45,9 +43,11 @@ if TYPE_CHECKING:
 COMMENTED = "cli/new_scene.toml"
 RECORDS = (".csv", ".h5")
 """Endings of files of arrivals, and of results from which arrivals are computed."""
-BEFORE = "before"
+BEFORE, PERIOD = "before", "solution_period"
+"""Folders below that for results: of a result that another one replaces, and of the frames of a
+period."""
 WRITTEN = (".h5", ".csv", ".json", ".png", ".pdf", ".svg")
-"""Folder in which a result is kept that another one replaces, and what its files end in."""
+"""Endings of the files of a result."""
 KINDS = ("blade", "timing", "identify")
 """Scenes that ``new`` writes besides a plate."""
 ALONE = ("solid", "disk")
@@ -217,21 +217,10 @@ class Console:
 
 
 def make_writable(folder: Path, comm: MPI.Comm) -> None:
-    """Make a folder for results; raise InputError unless a file can be written there."""
+    """Make a folder for results; InputError unless files can be written there (collective)."""
     from fenics_crack.basics.ranks import on_root  # PETSc
 
-    def work() -> None:
-        before = folder / BEFORE
-        if before.is_symlink() or (before.exists() and not before.is_dir()):
-            raise InputError("--output", str(before), "a folder, in which earlier results are kept")
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            with tempfile.TemporaryFile(dir=folder):
-                pass
-        except OSError as error:
-            raise not_written("--output", folder, error, "a folder that can be written") from None
-
-    on_root(comm, work)
+    on_root(comm, lambda: prepare_folder(folder, (BEFORE, PERIOD)))
 
 
 def keep_before(table: Path, text: str, comm: MPI.Comm, *others: str) -> str:
@@ -244,11 +233,7 @@ def keep_before(table: Path, text: str, comm: MPI.Comm, *others: str) -> str:
     from fenics_crack.basics.ranks import on_root  # PETSc
 
     before = table.with_name(BEFORE)
-
-    def files(folder: Path) -> list[Path]:
-        names = table.stem, *others
-        found = (folder / f"{name}{kind}" for name in names for kind in WRITTEN)
-        return [path for path in found if path.is_file() and not path.is_symlink()]
+    files = [f"{name}{kind}" for name in (table.stem, *others) for kind in WRITTEN]
 
     def work() -> str:
         try:
@@ -259,14 +244,8 @@ def keep_before(table: Path, text: str, comm: MPI.Comm, *others: str) -> str:
         except OSError:  # no table of ours
             pass
         try:
-            before.mkdir(exist_ok=True)
-            for path in files(before):
-                path.unlink()
-            for path in files(table.parent):
-                try:
-                    os.link(path, before / path.name)  # a new file takes the place of this name
-                except OSError:  # a file system without links
-                    shutil.copy2(path, before / path.name)
+            if not keep_files(files, table.parent, before):
+                return ""
         except OSError as error:
             return f"{before}: the previous result could not be kept here ({error.strerror})"
         return f"{before}: the previous result, which this one has replaced, is kept here"

@@ -12,7 +12,6 @@ import base64
 import itertools
 import platform
 import shlex
-import tempfile
 from argparse import Namespace
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -26,13 +25,13 @@ from mpi4py import MPI
 
 from fenics_crack.balance.harmonic_balance import linear_response
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.basics.atomic_files import write_whole
+from fenics_crack.basics.atomic_files import passing_folder, write_whole
 from fenics_crack.basics.errors import FEW_MODES, InputError
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.tables import Table, percent, readable, with_unit
 from fenics_crack.basics.untrusted_files import content_of
 from fenics_crack.cli.account import frequency_in_words
-from fenics_crack.cli.given import Console, make_writable
+from fenics_crack.cli.given import PERIOD, Console, make_writable
 from fenics_crack.cli.results import RESULTS, Computed, Identified, account_of, over_time, result_of
 from fenics_crack.cli.scenes import harmonics_in_words
 from fenics_crack.curves.curve import ResponseCurve
@@ -165,7 +164,7 @@ def _for_paraview(run: Computed, folder: Path, console: Console) -> list[Path]:
         file = folder / "modes.vtu"
         write_modes(found, file)
     else:
-        file = folder / "solution_period.pvd"
+        file = folder / f"{PERIOD}.pvd"
         write_period(found, file, material=run.scene.material)
     return [file]
 
@@ -497,12 +496,9 @@ def _write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) -
     both.sort(key=lambda one: list(RESULTS).index(one[0].kind))
     kinds = [file.kind for file, _ in both]
     own = differences([result.scene.replace({"reduction": None}) for _, result in both])
-    with tempfile.TemporaryDirectory() as folder:
-        page = _scene(both[0][1], Path(folder))
-        parts = [
-            _part(file, result, Path(folder) / str(number))
-            for number, (file, result) in enumerate(both)
-        ]
+    folder = passing_folder()
+    page = _scene(both[0][1], folder)
+    parts = [_part(*one, folder / str(number)) for number, one in enumerate(both)]
     for part, kind, differs in zip(parts, kinds, own, strict=True):
         part["differs"] = differs
         if kinds.count(kind) > 1:
@@ -523,7 +519,6 @@ def _write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) -
 def _part(file: Stored, result: Computed, folder: Path) -> dict[str, Any]:
     """A result as the page shows it."""
     found = account_of(result)
-    folder.mkdir()
     drawn = _draw_result(result, folder) if _can_be_drawn(result) else []
     written = datetime.fromtimestamp(file.path.stat().st_mtime, UTC).astimezone()
     return {
@@ -582,7 +577,7 @@ def _versions(files: Sequence[Stored]) -> Table:
 
 def _picture(path: Path) -> dict[str, str]:
     """A picture file with its caption, as it is."""
-    data = base64.b64encode(path.read_bytes()).decode("ascii")
+    data = base64.b64encode(content_of(path, None)).decode("ascii")
     return {
         "words": CAPTIONS.get(path.stem, ""),
         "data": f"data:image/{path.suffix[1:]};base64,{data}",

@@ -22,7 +22,7 @@ from scipy.sparse import csr_matrix
 from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
 
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.basics.atomic_files import write_together, write_whole
+from fenics_crack.basics.atomic_files import check_inner, write_together, write_whole
 from fenics_crack.basics.errors import InputError, check_count, check_number
 from fenics_crack.basics.progress import begin
 from fenics_crack.basics.ranks import gather_rows, on_root
@@ -442,7 +442,7 @@ def write_period(
     Raises
     ------
     InputError
-        The structure has no mesh, or an argument cannot be used.
+        The structure has no mesh, an argument cannot be used, or the frames' folder is a link.
 
     Notes
     -----
@@ -463,6 +463,7 @@ def write_period(
     target = Path(path)
 
     def write() -> None:
+        check_inner(target.with_name(target.stem))
         names = [f"{target.stem}/frame_{frame:04d}.vtu" for frame in range(len(fields.time))]
         entries = [
             f'    <DataSet timestep="{instant:.12g}" file={quoteattr(name)}/>'

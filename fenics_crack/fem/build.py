@@ -43,6 +43,7 @@ from fenics_crack.basics.atomic_files import write_whole
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.progress import begin
 from fenics_crack.basics.ranks import collect_garbage, gather_rows, on_each, on_root
+from fenics_crack.basics.untrusted_files import text_of
 from fenics_crack.fem import compat
 from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.crack_surface import Lips
@@ -408,7 +409,7 @@ def _with_length(scene: Scene, length: float) -> Scene:
 def _kept_length(scene: Scene) -> tuple[float, float]:
     """Length and excess kept for a scene; 0 for both if there are none."""
     try:
-        length, excess = map(float, json.loads(_file(scene).read_text("utf-8")))
+        length, excess = map(float, json.loads(text_of(_file(scene))))
     except (OSError, RuntimeError, ValueError, TypeError):  # none, no home, or damaged
         return 0.0, 0.0
     return length, excess

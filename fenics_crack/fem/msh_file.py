@@ -21,8 +21,6 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
-import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -32,7 +30,7 @@ import scipy.sparse as sparse
 
 from fenics_crack.basics.errors import InputError, reading
 from fenics_crack.basics.gmsh_process import gmsh
-from fenics_crack.basics.untrusted_files import bytes_of, run_reader
+from fenics_crack.basics.untrusted_files import beginning_of, copied, run_reader
 from fenics_crack.fem.crack_surface import (
     FACETS,
     Cells,
@@ -147,13 +145,9 @@ def _groups_of(path: Path) -> Given:
         There is no such file, gmsh cannot read it, or a node is nowhere.
     """
     check_there("mesh.file", path)
-    with tempfile.TemporaryDirectory() as folder, reading("mesh.file", path, "readable by gmsh"):
-        copy = Path(folder) / "mesh.msh"
-        bytes_of(path)
-        shutil.copyfile(path, copy)
-        with copy.open("rb") as file:
-            if not _BEGINNING.match(file.read(100)):
-                raise ValueError("it does not begin with $MeshFormat and version 2.2 or 4.1")
+    with reading("mesh.file", path, "readable by gmsh"), copied(path, "mesh.msh") as copy:
+        if not _BEGINNING.match(beginning_of(copy, 100)):
+            raise ValueError("it does not begin with $MeshFormat and version 2.2 or 4.1")
         found = run_reader(Path(__file__).with_name("msh_reader.py"), copy, 300)
         if isinstance(found, str):
             raise ValueError(found.replace(str(copy), str(path)))

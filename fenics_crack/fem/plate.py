@@ -23,6 +23,7 @@ from petsc4py import PETSc
 from fenics_crack.basics.atomic_files import whole_file
 from fenics_crack.basics.gmsh_process import gmsh, kept_interrupts
 from fenics_crack.basics.ranks import on_root
+from fenics_crack.basics.untrusted_files import content_of
 from fenics_crack.fem import compat
 from fenics_crack.fem.blocks import draw_box, draw_plate
 from fenics_crack.fem.compat import dolfinx, ufl
@@ -107,7 +108,7 @@ def write_msh(scene: Scene, path: str | Path) -> None:
         _model(scene)
         with whole_file(path) as partial:
             gmsh.write(str(partial))
-            if not partial.read_bytes().endswith(b"$EndElements\n"):  # gmsh does not ask
+            if not content_of(partial, None).endswith(b"$EndElements\n"):  # gmsh does not ask
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 

@@ -30,7 +30,7 @@ from fenics_crack.basics.atomic_files import write_whole
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.tables import UNITS
-from fenics_crack.basics.untrusted_files import bytes_of, run_reader, sha256
+from fenics_crack.basics.untrusted_files import beginning_of, bytes_of, run_reader, sha256
 from fenics_crack.fem.model_files import read_with
 from fenics_crack.scene.scene import Scene, files_of, with_files
 from fenics_crack.version import VERSION
@@ -304,9 +304,8 @@ def _read(path: Path) -> Stored:
 
     try:
         size = bytes_of(path, None)
-        with path.open("rb") as file:
-            if file.read(len(SIGNATURE)) != SIGNATURE:  # where it may also begin later
-                raise refusal("it does not begin as HDF5 files do")
+        if beginning_of(path, len(SIGNATURE)) != SIGNATURE:  # where it may also begin later
+            raise refusal("it does not begin as HDF5 files do")
         seconds = 5 + size // 10**7  # of processor time: any file is read at 10 MB/s and more
         found = run_reader(Path(__file__).with_name("h5_reader.py"), path, seconds)
     except FileNotFoundError:

@@ -23,12 +23,8 @@ size.
 
 from __future__ import annotations
 
-import bz2
-import gzip
 import re
-import warnings
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -41,7 +37,7 @@ from petsc4py import PETSc
 from fenics_crack.basics.errors import InputError, check_count, reading
 from fenics_crack.basics.ranks import gather_rows, on_each
 from fenics_crack.basics.tables import counted
-from fenics_crack.basics.untrusted_files import allowance, bytes_of, lines_of
+from fenics_crack.basics.untrusted_files import opened_text, rows_in
 from fenics_crack.model.factor import TOLERATED, Factor, distributed, factored_sum, weighted_sum
 from fenics_crack.numerics.fourier import resized
 from fenics_crack.scene.fields import LARGEST
@@ -349,16 +345,15 @@ def read_matrix_market(path: Path, rows: int | None = None) -> sparse.csr_matrix
     OSError, ValueError
         The file cannot be read, or contradicts itself.
     """
-    with _opened(path) as (lines, most):
+    with opened_text(path) as (text, most):
+        lines = iter(text)
         (layout, symmetry), sizes, entries = _announced(lines, most)
         shape = sizes[0], sizes[1]
         if rows is not None and shape[0] != rows:
             raise ValueError(f"it has {shape[0]} rows instead of {rows}")
         if symmetry != "general" and shape[0] != shape[1]:
             raise ValueError(f"{symmetry}, but of shape {shape}")
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of an empty body
-            body = np.loadtxt(lines, comments="%", ndmin=2, max_rows=entries + 1)
+        body = rows_in(lines, "%", most=entries + 1)
     found = body.size if layout == "array" else len(body)
     if found != entries:
         count = "more" if found > entries else found  # no more are read than one too many
@@ -386,21 +381,11 @@ def matrix_market_shape(path: Path) -> tuple[int, int]:
     OSError, ValueError
         As :func:`read_matrix_market`.
     """
-    with _opened(path) as (lines, most):
-        _, sizes, _ = _announced(lines, most)
+    with opened_text(path) as (lines, most):
+        _, sizes, _ = _announced(iter(lines), most)
     if len(sizes) == 3 and sizes[1] > sizes[2]:
         raise ValueError(f"{sizes[1]} columns, but only {sizes[2]} entries")
     return sizes[0], sizes[1]
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[tuple[Iterator[str], int]]:
-    """The lines of a file, and how many bytes they may have."""
-    size = bytes_of(path)
-    unpack: Any = {".gz": gzip.open, ".bz2": bz2.open}.get(path.suffix)
-    most = size if unpack is None else allowance(size)
-    with (unpack or open)(path, "rt", encoding="utf-8") as file:
-        yield lines_of(file, most), most
 
 
 def _announced(lines: Iterator[str], most: int) -> tuple[tuple[str, str], list[int], int]:
@@ -466,9 +451,8 @@ def _coordinates(
 
 def numbered_lines(path: Path, comment: str) -> Iterator[tuple[int, str]]:
     """Lines that hold more than a comment, without it, and their numbers from 1."""
-    bytes_of(path)
-    with path.open(encoding="utf-8", errors="replace") as file:
-        for number, line in enumerate(file, 1):
+    with opened_text(path, "replace") as (lines, _):
+        for number, line in enumerate(lines, 1):
             if text := line.partition(comment)[0].rstrip():
                 yield number, text
 
@@ -481,9 +465,9 @@ def rows_of(path: Path, columns: int, comment: str, delimiter: str | None = None
     OSError, ValueError
         The file cannot be read; or the line that is no such row.
     """
-    bytes_of(path)
     try:
-        rows = np.loadtxt(path, comments=comment, delimiter=delimiter, ndmin=2, encoding="utf-8")
+        with opened_text(path) as (lines, _):
+            rows = rows_in(lines, comment, delimiter)
         if rows.shape[1] == columns and len(rows) and np.all(np.isfinite(rows)):
             return rows
     except ValueError:  # its words count other lines than an editor does

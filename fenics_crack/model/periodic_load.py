@@ -12,12 +12,10 @@ by parts over each stretch, and by Parseval's theorem so is what K harmonics lea
 
 from __future__ import annotations
 
-import warnings
-from pathlib import Path
-
 import numpy as np
 
 from fenics_crack.basics.errors import InputError, check_count, reading
+from fenics_crack.basics.untrusted_files import rows_in, text_of
 from fenics_crack.model.matrices import numbers
 from fenics_crack.numerics.fourier import from_complex
 
@@ -92,9 +90,8 @@ def read_wave(key: str, path: str, harmonics: int, dimension: int) -> tuple[np.n
         The file cannot be read, or is no such table.
     """
     allowed = f"a CSV file with a line of words, then rows of a time and {dimension} forces [N]"
-    with reading(key, path, allowed), warnings.catch_warnings():
-        warnings.simplefilter("error")  # of a file without rows
-        table = np.loadtxt(Path(path), delimiter=",", skiprows=1, ndmin=2, encoding="utf-8")
+    with reading(key, path, allowed):
+        table = rows_in(text_of(path).splitlines()[1:], delimiter=",")
     if table.shape[1] != dimension + 1:
         raise InputError(key, path, allowed)
     try:

@@ -7,10 +7,8 @@ factor while the first one is held.
 from __future__ import annotations
 
 import ctypes
-import os
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +17,7 @@ from petsc4py import PETSc
 
 from fenics_crack.basics.errors import ConvergenceError, InputError
 from fenics_crack.basics.suggestions import Hinted
-from fenics_crack.basics.threads import machine_memory
+from fenics_crack.basics.threads import machine_memory, memory_of_process
 from fenics_crack.fem.build import assemble, with_crack_length
 from fenics_crack.model.contact import (
     ContactLaw,
@@ -358,8 +356,7 @@ def give_back_freed() -> None:
 
 def _memory_held(structure: Structure) -> float:
     """Memory that all ranks hold now [byte]."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return float(structure.comm.allreduce(pages * os.sysconf("SC_PAGE_SIZE")))
+    return float(structure.comm.allreduce(memory_of_process("VmRSS")))
 
 
 def law_of(scene: Scene, structure: Structure) -> ContactLaw | None:

@@ -21,12 +21,9 @@ share what is left, so that all of them finish together.
 
 from __future__ import annotations
 
-import atexit
 import itertools
 import operator
 import re
-import shutil
-import tempfile
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,6 +38,7 @@ from fenics_crack.balance.harmonic_balance import solve_linear
 from fenics_crack.balance.more_modes import UNKNOWN
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.basics.atomic_files import passing_folder
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.progress import reaching
 from fenics_crack.basics.ranks import StopRequest, on_root
@@ -150,7 +148,7 @@ def run_sweep(
         wanted = {"verdicts": verdicts, "judged": judged}
         omitted = [name for name, yes in wanted.items() if not yes]
         omitted += [f"vibration_{place}" for place in sorted(natural)]
-        where = Path(path or _passing_file())
+        where = Path(path or passing_folder() / "sweep.h5")
         file = SweepFile(where, scene, plan.harmonics, plan.rows, omitted)
         managers.append(Manager(plan, file, comm.size, progress=progress))
         return Asked(
@@ -172,13 +170,6 @@ def run_sweep(
     worker.free(stopped=stop.asked(comm))
     shared.Free()
     return on_root(comm, lambda: SweepResult.of(managers[0].stored))
-
-
-def _passing_file() -> str:
-    """A file in a folder that is gone when the program ends."""
-    folder = tempfile.mkdtemp(prefix="fenics_crack-")
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    return f"{folder}/sweep.h5"
 
 
 def resonates(scene: Scene) -> bool:

@@ -29,7 +29,7 @@ from surroundings import main
 import fenics_crack as fc
 from fenics_crack import InputError
 from fenics_crack.basics import progress, threads
-from fenics_crack.basics.atomic_files import write_together, write_whole
+from fenics_crack.basics.atomic_files import keep_files, write_together, write_whole
 from fenics_crack.basics.errors import WriteError
 from fenics_crack.basics.tables import (
     Described,
@@ -431,6 +431,28 @@ def test_links_devices_and_folders(tmp_path: Path) -> None:
         write_whole(tmp_path, "anything")
     assert not isinstance(refused.value, WriteError)
     assert sorted(tmp_path.iterdir()) == [file, link]
+
+
+@pytest.mark.parametrize("linking", [True, False])
+def test_a_file_that_is_kept(
+    linking: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In a folder below, where no link is followed, also on a file system without hard links."""
+    own, kept, victim = (tmp_path / name for name in ("own", "own/kept", "victim"))
+    kept.mkdir(parents=True)
+    victim.write_text("victim")
+    (own / "a").write_text("before")
+    for link in (own / "b", kept / "a", kept / "b", kept / "c"):
+        link.symlink_to(victim)
+    if not linking:
+        monkeypatch.setattr(os, "link", lambda *_: os.lstat("/nothing"))  # an OSError
+    assert keep_files(("a", "b", "d"), own, kept) and not keep_files(("c", "d"), own, kept)
+    write_whole(own / "a", "after")
+    assert victim.read_text() == "victim" and (kept / "a").read_text() == "before"
+    assert sorted(path.name for path in kept.iterdir()) == ["a", "c"]
+    (own / "link").symlink_to(kept)
+    with pytest.raises(NotADirectoryError):
+        keep_files(("a",), own, own / "link")
 
 
 def test_all_or_none(tmp_path: Path) -> None:

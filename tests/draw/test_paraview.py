@@ -329,6 +329,15 @@ def test_period_refuses(
 # --- modes and pictures ---------------------------------------------------------------------------
 
 
+def test_frames_follow_no_link(breathing: fc.PeriodicSolution, tmp_path: Path) -> None:
+    """One in place of their folder is refused, and nothing is written."""
+    (tmp_path / "outside").mkdir()
+    (tmp_path / "period").symlink_to(tmp_path / "outside")
+    with pytest.raises(fc.InputError, match="period': must be a folder for files, and no link"):
+        fc.write_period(breathing, tmp_path / "period.pvd", frames=2)
+    assert len([*tmp_path.rglob("*")]) == 2
+
+
 def test_modes_for_paraview(quadratic_plate: fc.Structure, tmp_path: Path) -> None:
     """One vector field a mode, named by its frequency, a tenth of the plate large."""
     modes = fc.solve_modes(quadratic_plate, 3)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gzip
+import lzma
 import os
 import shutil
 import signal
@@ -15,8 +17,12 @@ import pytest
 from helpers import DEMOS, ROOT
 from surroundings import main
 
+from fenics_crack.basics import untrusted_files
+from fenics_crack.fem.model_files import read_model
+
 SECONDS, MEMORY = 20.0, 2 * 2**30
 """In which a command answers, and with which [byte]."""
+COARSE = ("--set", "mesh.size=0.05", "--set", "mesh.lip_elements=2", "--set", "mesh.error=false")
 
 
 def run(*words: object, **surroundings: str) -> tuple[int, list[str]]:
@@ -96,6 +102,35 @@ def test_what_never_ends_is_no_text(
     (tmp_path / "never.csv").rename(place)
     assert main(["solve", str(DEMOS / "chain.toml"), "--output", str(place.parent)]) == 0
     assert place.is_file() and not place.is_symlink()
+
+
+@pytest.mark.parametrize("kind", ["device", "pipe"])
+def test_a_load_that_never_ends(kind: str, tmp_path: Path) -> None:
+    """The table of a load, which is refused unread."""
+    os.mkfifo(tmp_path / "pipe")
+    path = "/dev/zero" if kind == "device" else str(tmp_path / "pipe")
+    code, said = run("check", scene_of(tmp_path), *COARSE, "--set", f"excitation.wave={path}")
+    assert code == 2 and "excitation.wave" in said[-1] and "regular file" in said[-1]
+
+
+def test_a_packed_load(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """No text: a table of 91 kB was unpacked to 1 GB."""
+    path, scene = tmp_path / "load.csv.xz", str(scene_of(tmp_path))
+    path.write_bytes(lzma.compress(b"t,fx,fy\n0,5,0\n1,-5,0\n"))
+    assert main(["check", scene, *COARSE, "--quiet", "--set", f"excitation.wave={path}"]) == 2
+    [line] = capsys.readouterr().err.splitlines()
+    assert "excitation.wave" in line and "a CSV file" in line
+
+
+def test_a_packed_table_of_nodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """NumPy would unpack it without a limit."""
+    for ending, pack in (("xz", lzma.compress), ("gz", gzip.compress)):
+        (tmp_path / f"nodes.{ending}").write_bytes(pack(b"1,0,0,0\n2,1,0,0\n"))
+    assert read_model(tmp_path / "nodes.gz").labels.tolist() == [1, 2]
+    monkeypatch.setattr(untrusted_files, "allowance", lambda _: 12)
+    for ending, reason in (("xz", "instead of 4 numbers"), ("gz", "too large for its size")):
+        with pytest.raises(ValueError, match=reason):
+            read_model(tmp_path / f"nodes.{ending}")
 
 
 def test_matrices_without_values(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

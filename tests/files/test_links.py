@@ -1,0 +1,107 @@
+"""Links below a folder for results, which may come from somebody else: none is followed."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from surroundings import DEMOS, main
+
+COARSE = ("mesh.size=0.05", "mesh.lip_elements=2", "mesh.error=false")
+HARMONICS = "harmonic_balance.harmonics=5"
+PLATE = ("modes", "solve", "verify", "curve", "integrate", "sweep")
+RUNS: dict[str, tuple[str, tuple[str, ...], tuple[str, ...]]] = {
+    "chain": ("", ("solve",), (HARMONICS,)),
+    "plate": ("--quiet", PLATE, COARSE),
+    "blade": ("--timing", ("campbell", "timing"), COARSE),
+    "disk": ("--disk", ("disk",), ("mesh.error=false",)),
+    "identify": ("--identify", ("identify",), (COARSE[2], "mesh.size=0.04", "identify.finer=1.0")),
+    "growth": ("", ("grow",), (*COARSE, "growth.life_tolerance=0.5", HARMONICS)),
+}
+"""Option of ``new``, or a demo's name; commands, and changes that make them quick."""
+ALL = [pytest.param(kind, marks=pytest.mark.nightly) for kind in RUNS if kind != "chain"]
+TEXT = "somebody's own"
+
+
+def commands(kind: str, folder: Path) -> Callable[[Path], list[int]]:
+    """Function that runs all commands of a kind into a folder, and returns their exit codes."""
+    option, names, changes = RUNS[kind]
+    scene = DEMOS / f"{kind}.toml"
+    if option:
+        scene = folder / "scene.toml"
+        assert main(["new", str(scene), option, "--quiet"]) == 0
+    more = [word for change in changes for word in ("--set", change)] + ["--quiet"]
+    rows = [str(folder / "scene_measured.csv")] if kind == "identify" else []
+
+    def run(output: Path) -> list[int]:
+        words = [str(scene), *rows, *more, "--output", str(output)]
+        codes = [main([name, *words]) for name in names]
+        own = folder / "first"
+        if kind == "blade":  # a measured record
+            codes.append(main(["timing", str(folder / "first" / "arrivals.csv"), *words[-2:]]))
+        results = sorted(map(str, {*own.glob("*.h5")} - {*own.glob("*_*.h5")}))
+        codes += [main(["plot", one, "--quiet", "--output", str(output)]) for one in results]
+        if results and kind != "chain":
+            page = output / "report.html"
+            codes.append(main(["report", *results, "--quiet", "--output", str(page)]))
+        return codes
+
+    return run
+
+
+@pytest.mark.parametrize("kind", ["chain", *ALL])
+def test_no_link_is_followed(kind: str, tmp_path: Path) -> None:
+    """In place of each file and folder that commands write, also where an earlier result is kept:
+    a link is replaced by the file or refused, and what it leads to stays."""
+    first, outside = tmp_path / "first", tmp_path / "outside"
+    run = commands(kind, tmp_path)
+    codes = run(first)
+    assert not {*codes} - {0, 3, 4}  # what does not converge is written, too
+    written = [path.relative_to(first) for path in first.rglob("*") if path.is_file()]
+    folders = {"before", *(str(path.parent) for path in written)} - {"."}
+    names = [*written, *(Path("before") / path for path in written)]
+    for name in names:
+        (outside / name).parent.mkdir(parents=True, exist_ok=True)
+        (outside / name).write_text(TEXT)
+
+    def link(own: Path, name: Path | str) -> None:
+        (own / name).parent.mkdir(parents=True, exist_ok=True)
+        (own / name).unlink(missing_ok=True)
+        (own / name).symlink_to(outside / name)
+
+    links, kept = tmp_path / "links", tmp_path / "kept"
+    for name in names:
+        link(links, name)
+    refused = run(links)
+    assert all(new in (2, old) for new, old in zip(refused, codes, strict=True))
+    if refused != codes:
+        for path in [path for path in links.glob("*.h5") if path.is_symlink()]:  # of sweeps
+            path.unlink()
+        assert run(links) == codes
+    assert not any((links / name).is_symlink() for name in written)
+    shutil.copytree(first, kept)
+    for path in kept.iterdir():
+        if path.suffix in (".csv", ".json"):
+            path.write_text(path.read_text() + "\n")  # of another result
+    for name in written:
+        link(kept, Path("before") / name)
+    assert run(kept) == codes
+    assert [path for path in (kept / "before").iterdir() if not path.is_symlink()]
+    for name in folders:
+        link(tmp_path / f"around_{name}", name)
+        refused = run(tmp_path / f"around_{name}")
+        assert refused[0] == 2 and {*refused} <= {0, 2}
+    there = {path.relative_to(outside) for path in outside.rglob("*") if path.is_file()}
+    assert there == {*names} and all((outside / name).read_text() == TEXT for name in names)
+
+
+def test_a_new_scene_replaces_a_link(tmp_path: Path) -> None:
+    """One that leads to nothing yet; where there is a file, it is refused."""
+    path, outside = tmp_path / "scene.toml", tmp_path / "outside"
+    path.symlink_to(outside)
+    assert main(["new", str(path), "--quiet"]) == 0
+    assert not path.is_symlink() and not outside.exists()
+    outside.symlink_to(path)
+    assert main(["new", str(outside), "--quiet"]) == 2
