@@ -10,9 +10,12 @@ library once, and reads each file in a copy of itself.
 from __future__ import annotations
 
 import codecs
+import csv
 import hashlib
 import json
+import math
 import os
+import re
 import signal
 import socket
 import stat
@@ -20,7 +23,7 @@ import subprocess
 import sys
 import zipfile
 from array import array
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
@@ -42,6 +45,12 @@ MARKS = {
     codecs.BOM_UTF16_BE: "UTF-16",
 }  # fmt: skip
 """Byte order marks, the longer ones first."""
+COMMA, POINT = (re.compile(rf"[+-]?\d*{mark}\d+(?:[eE][+-]?\d+)?") for mark in (",", r"\."))
+"""Numbers with a decimal comma, and with a decimal point."""
+PARTS = {"": 1.0, "k": 1e3, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6}
+IN_SI = {"rad": ("rad", 1.0), **dict.fromkeys(("deg", "°"), ("rad", math.pi / 180.0))}
+IN_SI |= {name + unit: (unit, part) for name, part in PARTS.items() for unit in ("m", "s", "Hz")}
+"""Units of headings that are converted: to which, and the factor."""
 
 
 @contextmanager
@@ -121,21 +130,61 @@ def text_of(path: str | Path) -> str:
     return content.decode("utf-8-sig")
 
 
-def table_lines(path: str | Path) -> list[tuple[int, str]]:
-    """Lines of a CSV file, with their numbers, without empty ones and those that begin with #.
+def table_rows(path: str | Path) -> list[tuple[int, list[str]]]:
+    """Lines of a CSV file as their numbers and cells, with decimal points, without empty ones and
+    those that begin with #.
+
+    Commas, semicolons or tabs may separate the cells, and numbers may have decimal commas. A first
+    column without a heading that numbers the rows from 0 is left out.
 
     Raises
     ------
     OSError, ValueError
-        As :func:`text_of`; or cells are separated by something else than commas.
+        As :func:`text_of`; or a separator or a decimal mark is ambiguous.
     """
     every = enumerate(text_of(path).splitlines(), 1)
     lines = [(number, line) for number, line in every if line.strip()[:1] not in ("", "#")]
-    heading = lines[0][1] if lines else ""
-    for separator, name in ((";", "semicolons"), ("\t", "tabs")):
-        if separator in heading and "," not in heading:
-            raise ValueError(f"its cells are separated by {name}; use commas, and decimal points")
-    return lines
+    heading = re.sub('"[^"]*"', "", lines[0][1]) if lines else ""
+    if ";" in heading and "," in heading:
+        raise ValueError("its headings have commas and semicolons, of which one may separate cells")
+    mark = next((mark for mark in ",;\t" if mark in heading), ",")
+    table = [next(csv.reader([line], delimiter=mark)) for _, line in lines]
+    rows = [
+        (number, [cell.strip() for cell in cells])
+        for (number, _), cells in zip(lines, table, strict=True)
+    ]
+    for number, cells in rows:
+        if any(cells[len(rows[0][1]) :]):
+            counts = f"line {number} has {len(cells)} cells below {len(rows[0][1])} headings"
+            raise ValueError(f"{counts}; separate numbers with decimal commas by semicolons")
+    if [cells[0] for _, cells in rows] == ["", *map(str, range(len(rows) - 1))]:
+        rows = [(number, cells[1:]) for number, cells in rows]
+    point = _decimal_points([cell for _, cells in rows[1:] for cell in cells])
+    return rows[:1] + [
+        (number, [point.get(cell, cell) for cell in cells]) for number, cells in rows[1:]
+    ]
+
+
+def _decimal_points(cells: Sequence[str]) -> dict[str, str]:
+    """Return numbers with decimal commas by cells that have them; ValueError where a comma may be
+    another mark."""
+    commas = [cell for cell in cells if re.fullmatch(r"(?=\D*\d)[+-]?[\d.]*,[\d.,eE+-]*", cell)]
+    points = [cell for cell in cells if POINT.fullmatch(cell)] if commas else []
+    if odd := [cell for cell in commas if not COMMA.fullmatch(cell)] + points:
+        raise ValueError(
+            f"{commas[0]} has a comma, {odd[0]} another mark; use one, the decimal one"
+        )
+    if commas and all(re.fullmatch(r"[+-]?[1-9]\d{0,2},\d{3}", cell) for cell in commas):
+        raise ValueError(f"{commas[0]} may be a whole number with a comma, or not; use points")
+    return {cell: cell.replace(",", ".") for cell in commas}
+
+
+def heading_in_si(heading: str) -> tuple[str, float]:
+    """Return a heading with the unit in brackets at its end to which it is converted, and the
+    factor of the numbers below; other units stay."""
+    parts = re.fullmatch(r"(.*?)\s*[\[(]\s*([^][()]*?)\s*[])]", heading)
+    unit, factor = IN_SI.get(parts[2], ("", 1.0)) if parts else ("", 1.0)
+    return f"{parts[1]} [{unit}]" if parts and unit else heading, factor
 
 
 def lines_of(file: TextIO, most: int) -> Iterator[str]:

@@ -39,7 +39,7 @@ FOLDED = (
 )
 ONCE = "no probe sees the vibration twice: fit and standard errors are untested (more revolutions)"
 NEARBY = "residuals are correlated, by another vibration nearby or drift: errors may be larger"
-UNTESTED_ORDER = "cannot test an order: not {:g}, but others may be right (tip_timing.orders)"
+UNTESTED_ORDER = "cannot test an order: {:g} fits, and others may as well (tip_timing.orders)"
 BLIND = "does not measure the vibration that the others do: excluded; are its pulses the blade's?"
 CONSTANT = (
     "frequencies are taken not to change with the speed; else damping is wrong, and a fast run-up "

@@ -8,7 +8,6 @@ then the median arrival.
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,7 +19,7 @@ import numpy as np
 
 from fenics_crack.basics.errors import InputError, check_count, check_number, reading
 from fenics_crack.basics.tables import RPM, TURN, Table, Tabular, counted
-from fenics_crack.basics.untrusted_files import table_lines
+from fenics_crack.basics.untrusted_files import IN_SI, heading_in_si, table_rows
 
 COLUMNS = ("revolution", "angle [rad]", "mark [s]", "next_mark [s]", "arrival [s]")
 """Required columns of a CSV file."""
@@ -167,8 +166,9 @@ class ArrivalTimes(Tabular):
 
         ``revolution`` (a whole number), ``angle [rad]`` of the probe, ``mark [s]`` and
         ``next_mark [s]`` (begin and end of the revolution), ``arrival [s]``; and ``tip_radius [m]``
-        unless it is given here. A row is a passage; passages may be missing, revolutions may not.
-        :meth:`to_csv` writes such a file, from which the same arrivals are read to the last bit.
+        unless it is given here. Other units are converted, as by :func:`read_record`. A row is a
+        passage; passages may be missing, revolutions may not. :meth:`to_csv` writes such a file,
+        from which the same arrivals are read to the last bit.
 
         Raises
         ------
@@ -286,19 +286,21 @@ def one_radius(path: str | Path, of_file: np.ndarray | None, given: float | None
 
 
 def _table(path: str | Path) -> tuple[list[str], list[int], np.ndarray]:
-    """Return headings of a CSV file, the numbers of its other lines, and its columns, nan where
-    there is no number; lines that begin with # are left out."""
+    """Return headings of a CSV file, in SI where they name a unit, the numbers of its other lines,
+    and its columns, nan where there is no number; lines that begin with # are left out."""
     with reading("path", path, "a table of numbers"):
-        lines = table_lines(path)
-        names, *rows = [next(csv.reader([line])) for _, line in lines] or [[]]
-        numbers = [number for number, _ in lines[1:]]
-        for number, row in zip(numbers, rows, strict=True):
+        (_, names), *rows = table_rows(path) or [(0, [])]
+        for number, row in rows:
             if len(row) < len(names):
                 allowed = f"a row of {len(names)} cells, as there are headings, not of {len(row)}"
                 raise InputError("path", f"{path}, line {number}", allowed)
-    columns = [[_number(row[place]) for row in rows] for place in range(len(names))]
+    headings = [heading_in_si(name) for name in names]
+    columns = [
+        [factor * _number(row[place]) for _, row in rows]
+        for place, (_, factor) in enumerate(headings)
+    ]
     table = np.array(columns).reshape(len(names), len(rows))
-    return [name.strip() for name in names], numbers, table
+    return [name for name, _ in headings], [number for number, _ in rows], table
 
 
 def _number(cell: str) -> float:
@@ -331,8 +333,8 @@ def _passages(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
 PASSAGE = re.compile(r"(?:blade\s*(\d+))?.*?\bprobe\s*(\d+)", re.IGNORECASE)
 """Heading of the arrivals of a blade at a probe; blade 1 where none is named."""
 SPEEDS = {"rpm": RPM, "rad/s": 1.0, "Hz": TURN}
-ANGLES = {"rad": 1.0, "deg": np.pi / 180.0}
-"""Units by what they are in rad/s and rad; the first one where a heading has none."""
+ANGLES, TIMES = {"rad": 1.0}, {"s": 1.0}
+"""Units by what they are in rad/s, rad and s; the first one where a heading has none."""
 
 
 def read_record(
@@ -344,7 +346,8 @@ def read_record(
     """Read the arrivals of one or more blades, a row for each revolution.
 
     Columns are known by their headings, in any order, with units in brackets; others, and lines
-    that begin with #, are left out.
+    that begin with #, are left out. Times may be in ms or us as well, the radius in mm; cells are
+    separated by commas, semicolons or tabs.
 
     ``revolution``
         Its number; rows may be missing. Without it they are counted.
@@ -462,7 +465,8 @@ def _unit(path: str | Path, name: str, known: dict[str, float]) -> float:
     unit = re.search(r"\[(.*)\]", name)
     word = unit[1] if unit else next(iter(known))
     if word not in known:
-        raise InputError("path", f"{path}: {name}", f"with one of the units {', '.join(known)}")
+        units = dict.fromkeys([*known, *(unit for unit, (si, _) in IN_SI.items() if si in known)])
+        raise InputError("path", f"{path}: {name}", f"with one of the units {', '.join(units)}")
     return known[word]
 
 
@@ -480,6 +484,7 @@ def _marks(path: str | Path, columns: dict[str, np.ndarray], turns: np.ndarray) 
     every = np.arange(turns[0], turns[-1] + 1)
     for name, column in columns.items():
         if re.match("mark", name, re.IGNORECASE):
+            column = column * _unit(path, name, TIMES)
             lasting = np.diff(column) / np.diff(turns)
             if not np.all((lasting > 0.0) & np.isfinite(lasting)):
                 raise InputError("path", f"{path}: {name}", "increasing times")
