@@ -49,7 +49,7 @@ COMMA, POINT = (re.compile(rf"[+-]?\d*{mark}\d+(?:[eE][+-]?\d+)?") for mark in (
 """Numbers with a decimal comma, and with a decimal point."""
 PARTS = {"": 1.0, "k": 1e3, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6}
 IN_SI = {"rad": ("rad", 1.0), **dict.fromkeys(("deg", "°"), ("rad", math.pi / 180.0))}
-IN_SI |= {name + unit: (unit, part) for name, part in PARTS.items() for unit in ("m", "s", "Hz")}
+IN_SI |= {name + unit: (unit, part) for name, part in PARTS.items() for unit in ("m", "Hz")}
 """Units of headings that are converted: to which, and the factor."""
 
 

@@ -275,7 +275,8 @@ def one_radius(path: str | Path, of_file: np.ndarray | None, given: float | None
     it is one."""
     if of_file is None:
         if given is None:
-            allowed = f"given for {path}, which has no column '{RADIUS}'"
+            allowed = f"given for {path}, which has no column '{RADIUS}': distance of the blade tips "
+            allowed += "from the axis in m; from the shell --set tip_timing.tip_radius=0.5"
             raise InputError("tip_radius", None, allowed)
         return given
     values = np.unique(np.append(of_file, of_file[0] if given is None else given))
@@ -346,7 +347,7 @@ def read_record(
     """Read the arrivals of one or more blades, a row for each revolution.
 
     Columns are known by their headings, in any order, with units in brackets; others, and lines
-    that begin with #, are left out. Times may be in ms or us as well, the radius in mm; cells are
+    that begin with #, are left out. The radius may be in mm, as well; cells are
     separated by commas, semicolons or tabs.
 
     ``revolution``

@@ -29,7 +29,7 @@ from scipy.special import chdtri, fdtrc, ndtr
 
 from fenics_crack.basics.errors import InputError, check_count, check_number
 from fenics_crack.basics.tables import TURN, UNITS, counted, with_frequency
-from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes
+from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes, smoothed
 from fenics_crack.monitoring.tip_timing.fit_frequency import find_lines
 from fenics_crack.monitoring.tip_timing.harmonics import (
     ORDERS,
@@ -512,8 +512,10 @@ def track_order(
     """Fit the harmonics of a known engine order to each few revolutions of a run-up.
 
     The fit of :func:`fit_order` with one candidate, to ``revolutions`` revolutions at a time. A
-    vibration of twice the load's period and an odd order needs two or more. The variance of an
-    arrival is that of differences between residuals of neighbouring fits. Residuals that repeat are
+    vibration of twice the load's period and an odd order needs two or more. Its linear change
+    within a group is subtracted; how far the change is not linear, and where in the group the
+    amplitude is that of the fit, is in the errors. The variance of an arrival is that of
+    differences between residuals of neighbouring fits. Residuals that repeat are
     a misfit, by harmonics that are left out: as in :func:`fit_order` they are further unknowns,
     with the same ratio to the vibration in neighbouring fits, so that what is folded from them is
     in the standard errors so far as it is significant, and else in ``folded``.
@@ -564,7 +566,20 @@ def track_order(
         for part in (angle, nominal)
     )
     enough = np.linalg.matrix_rank(planned, tol=1e-6) == unknowns
-    found = np.linalg.pinv(columns) @ values[..., None]
+    inverse = np.linalg.pinv(columns)
+    # A vibration that changes within a group looks like further harmonics.
+    steps = np.zeros((2, groups, unknowns))  # what it changes by in a group, and by how much more
+    if enough.sum() > 1:
+        alone = (inverse @ values[..., None])[enough, :, 0].T
+        places = np.flatnonzero(enough)
+        steps[0, enough] = np.gradient([smoothed(part) for part in alone], places, axis=1).T
+        steps[1, enough] = np.gradient(steps[0, enough], places, axis=0)
+    along = (nominal - nominal[:, :1] + arrivals.probes[0]) / (TURN * revolutions) - 0.5
+    moved = columns @ steps[..., None]
+    values = values - along * moved[0, ..., 0]
+    beyond = (inverse @ (0.5 * along**2 * moved[1, ..., 0])[..., None])[..., 0]
+    beyond = np.stack([beyond, along.mean(axis=1, keepdims=True) * steps[0]], axis=1)
+    found = inverse @ values[..., None]
     left = np.where(seen & enough[:, None], values - (columns @ found)[..., 0], 0.0)
     places = np.nonzero(seen.reshape(-1, probes))
     own = probes * (subharmonic if revolutions > 1 else 1) - unknowns
@@ -591,6 +606,7 @@ def track_order(
             known, _, freedom = part.tested(fit.least, unknowns)
             known = max(known, 1.0) if within else known
             errors[group] = known * student(freedom) * fit.covariance
+            errors[group] += beyond[group].T @ beyond[group]
     amplitudes, amplitude_errors = strengths(found, errors)
     folded = np.nan
     if own > 1 and within > 0 and parts:

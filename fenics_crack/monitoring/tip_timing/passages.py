@@ -160,8 +160,8 @@ class PassageFit(Tabular):
     def in_doubt(self) -> bool:
         """True if residuals are correlated: another vibration near this speed, drift, or a blade
         that is no linear mode. Frequency, damping and order may then be wrong by more than their
-        errors."""
-        return self.whiteness < LEVELS.misfit
+        errors. So it is where nothing tests that (``whiteness`` is nan)."""
+        return not self.whiteness >= LEVELS.misfit
 
     @property
     def deviation(self) -> float:
@@ -218,9 +218,9 @@ class PassageFit(Tabular):
 
 
 def _differ(values: np.ndarray, errors: np.ndarray) -> bool:
-    """True if two of some values (n,) differ by more than three of their errors."""
+    """True unless some values (n,) are known to differ by no more than three of their errors."""
     apart = np.abs(values[:, None] - values)
-    return bool(np.any(apart > LEVELS.deviations * np.hypot(errors[:, None], errors)))
+    return not np.all(apart <= LEVELS.deviations * np.hypot(errors[:, None], errors))
 
 
 # --- search ---------------------------------------------------------------------------------------
