@@ -148,10 +148,9 @@ def table_rows(path: str | Path) -> list[tuple[int, list[str]]]:
     if ";" in heading and "," in heading:
         raise ValueError("its headings have commas and semicolons, of which one may separate cells")
     mark = next((mark for mark in ",;\t" if mark in heading), ",")
-    table = [next(csv.reader([line], delimiter=mark)) for _, line in lines]
     rows = [
-        (number, [cell.strip() for cell in cells])
-        for (number, _), cells in zip(lines, table, strict=True)
+        (number, [cell.strip() for cell in next(csv.reader([line], delimiter=mark))])
+        for number, line in lines
     ]
     for number, cells in rows:
         if any(cells[len(rows[0][1]) :]):

@@ -40,7 +40,9 @@ FOLDED = (
 )
 ONCE = "no probe sees the vibration twice: fit and standard errors are untested (more revolutions)"
 UNCLEAR = "at no speed larger than its errors, at most {} (more revolutions determine it better)"
-NEARBY = "residuals are correlated, by another vibration nearby or drift: errors may be larger"
+NEARBY = (
+    "residuals are correlated, by another vibration nearby or drift: the order may be wrong, too"
+)
 UNTESTED_ORDER = "cannot test an order: {:g} fits, and others may as well (tip_timing.orders)"
 BLIND = "does not measure the vibration that the others do: excluded; are its pulses the blade's?"
 CONSTANT = (

@@ -138,11 +138,6 @@ class Measurement:
         return self.quantity.startswith("frequency_")
 
     @property
-    def unit(self) -> str:
-        """Unit of the value: one of :data:`SI`."""
-        return "Hz" if self.natural else "-" if self.quantity.startswith("ratio") else "m"
-
-    @property
     def resonance(self) -> bool:
         """True if it is a natural frequency with the crack in its state at resonance."""
         return self.quantity == "frequency_resonance"
@@ -369,8 +364,8 @@ class Measurements(Tabular):
     def from_csv(cls, path: str | Path) -> Measurements:
         """Read a table with the columns quantity, value, deviation, mode, frequency [Hz], point,
         phase [rad], rpm and temperature [°C], in any order; cells that do not apply are empty, and
-        lines that begin with # are left out. Headings may have kHz, degrees [deg], mm or um in
-        place of these units; cells are separated by commas, semicolons or tabs.
+        lines that begin with # are left out. Frequencies may be in kHz and phases in degrees [deg]
+        as well; cells are separated by commas, semicolons or tabs.
 
         Raises
         ------
@@ -466,24 +461,23 @@ def _table(path: str | Path) -> list[Measurement]:
     with reading("measurements", path, "a CSV file"):
         rows = table_rows(path)[: OPTIONS.most_measurements + 2]  # enough to be too many
     (_, headings), *table = rows or [(0, [])]
-    scaled = [heading_in_si(cell) for cell in headings]
+    # Those of a value depend on the quantity.
+    scaled = [(cell, 1.0) if cell.startswith(NEEDED) else heading_in_si(cell) for cell in headings]
     names = [cell.partition("[")[0].strip() for cell, _ in scaled]
     known = (*NEEDED, *OPTIONAL)
     if not set(NEEDED) <= set(names) <= set(known) or len(set(names)) != len(names):
         allowed = f"a CSV file with the columns {', '.join(known)}, the first three of them needed"
         has = f"the columns {', '.join(headings)}" if names else "nothing"
         raise InputError("measurements", f"{path}: {has}", allowed)
-    scales = {}
-    for cell, name, (in_si, factor) in zip(headings, names, scaled, strict=True):
+    for cell, name, (in_si, _) in zip(headings, names, scaled, strict=True):
         unit = in_si.partition("[")[2].partition("]")[0].strip()
         if unit and unit not in (units := UNITS.get(name, ())):
             allowed = f"in {' or '.join(units)}" if units else "without a unit"
             raise InputError("measurements", f"{path}: the column {cell}", allowed)
-        scales[name] = factor, unit, cell
-    found = []
+    factors, found = {n: factor for n, (_, factor) in zip(names, scaled, strict=True)}, []
     for number, cells in table:
         try:
-            found.append(_row(dict(zip(names, cells, strict=True)), scales))
+            found.append(_row(dict(zip(names, cells, strict=True)), factors))
         except InputError as error:
             allowed = f"{error.allowed} (line {number})"
             raise InputError(error.key, error.value, allowed) from None
@@ -493,22 +487,16 @@ def _table(path: str | Path) -> list[Measurement]:
     return found
 
 
-def _row(cells: Mapping[str, str], scales: Mapping[str, tuple[float, str, str]]) -> Measurement:
-    """Measurement of a line of the table, whose columns have factors, units in SI and headings;
-    raises InputError."""
+def _row(cells: Mapping[str, str], factors: Mapping[str, float]) -> Measurement:
+    """Measurement of a line of the table, whose columns have factors; raises InputError."""
     given: dict[str, Any] = {name: text for name, text in cells.items() if text}
     for name in [name for name in given if name not in ("quantity", "point")]:
         with contextlib.suppress(ValueError):
-            given[name] = scales[name][0] * float(given[name])
+            given[name] = factors[name] * float(given[name])
         check_number(f"measurements.{name}", given[name])
     if given.get("mode", math.nan).is_integer():
         given["mode"] = int(given["mode"])
     for name in NEEDED:
         if name not in given:
             raise InputError(f"measurements.{name}", "", "given in every line")
-    row = Measurement(**given)
-    for factor, unit, heading in (scales[name] for name in NEEDED[1:]):
-        if factor != 1.0 and unit != row.unit:
-            allowed = f"in {row.unit}, which is the unit of {row.quantity}"
-            raise InputError("measurements", f"the column {heading}", allowed)
-    return row
+    return Measurement(**given)

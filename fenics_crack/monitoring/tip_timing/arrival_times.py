@@ -275,7 +275,9 @@ def one_radius(path: str | Path, of_file: np.ndarray | None, given: float | None
     it is one."""
     if of_file is None:
         if given is None:
-            allowed = f"given for {path}, which has no column '{RADIUS}': distance of the blade tips "
+            allowed = (
+                f"given for {path}, which has no column '{RADIUS}': distance of the blade tips "
+            )
             allowed += "from the axis in m; from the shell --set tip_timing.tip_radius=0.5"
             raise InputError("tip_radius", None, allowed)
         return given
