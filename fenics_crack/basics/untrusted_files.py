@@ -152,27 +152,21 @@ def table_rows(path: str | Path) -> list[tuple[int, list[str]]]:
         (number, [cell.strip() for cell in next(csv.reader([line], delimiter=mark))])
         for number, line in lines
     ]
-    for number, cells in rows:
-        if any(cells[len(rows[0][1]) :]):
-            counts = f"line {number} has {len(cells)} cells below {len(rows[0][1])} headings"
-            raise ValueError(f"{counts}; separate numbers with decimal commas by semicolons")
+    if more := [number for number, cells in rows if any(cells[len(rows[0][1]) :])]:
+        raise ValueError(f"line {more[0]} has more cells than headings; use decimal points")
     if [cells[0] for _, cells in rows] == ["", *map(str, range(len(rows) - 1))]:
         rows = [(number, cells[1:]) for number, cells in rows]
     point = _decimal_points([cell for _, cells in rows[1:] for cell in cells])
-    return rows[:1] + [
-        (number, [point.get(cell, cell) for cell in cells]) for number, cells in rows[1:]
-    ]
+    return [(number, [point.get(cell, cell) for cell in cells]) for number, cells in rows]
 
 
 def _decimal_points(cells: Sequence[str]) -> dict[str, str]:
     """Return numbers with decimal commas by cells that have them; ValueError where a comma may be
     another mark."""
     commas = [cell for cell in cells if re.fullmatch(r"(?=\D*\d)[+-]?[\d.]*,[\d.,eE+-]*", cell)]
-    points = [cell for cell in cells if POINT.fullmatch(cell)] if commas else []
-    if odd := [cell for cell in commas if not COMMA.fullmatch(cell)] + points:
-        raise ValueError(
-            f"{commas[0]} has a comma, {odd[0]} another mark; use one, the decimal one"
-        )
+    others = [cell for cell in cells if commas and POINT.fullmatch(cell)]
+    if others := [cell for cell in commas if not COMMA.fullmatch(cell)] + others:
+        raise ValueError(f"{commas[0]} has a comma, {others[0]} another mark; use one, the decimal")
     if commas and all(re.fullmatch(r"[+-]?[1-9]\d{0,2},\d{3}", cell) for cell in commas):
         raise ValueError(f"{commas[0]} may be a whole number with a comma, or not; use points")
     return {cell: cell.replace(",", ".") for cell in commas}

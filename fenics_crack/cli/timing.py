@@ -40,9 +40,7 @@ FOLDED = (
 )
 ONCE = "no probe sees the vibration twice: fit and standard errors are untested (more revolutions)"
 UNCLEAR = "at no speed larger than its errors, at most {} (more revolutions determine it better)"
-NEARBY = (
-    "residuals are correlated, by another vibration nearby or drift: the order may be wrong, too"
-)
+NEARBY = "residuals are correlated, by a vibration nearby or drift: order and errors may be wrong"
 UNTESTED_ORDER = "cannot test an order: {:g} fits, and others may as well (tip_timing.orders)"
 BLIND = "does not measure the vibration that the others do: excluded; are its pulses the blade's?"
 CONSTANT = (
@@ -256,16 +254,14 @@ def _account_of_track(track: TipTrack, scene: Scene) -> Account:
     limit = float(np.sqrt(2.0 * np.log(len(track.speed) / LEVELS.misfit)))
     for place, multiple in enumerate(track.multiples):
         sizes, errors = track.amplitudes[:, place], track.amplitude_errors[:, place]
-        if np.all(np.isnan(sizes)):
-            continue
         clear = np.where(sizes <= limit * errors, np.nan, sizes)
-        if np.all(np.isnan(clear)):
+        if not np.all(np.isnan(clear)):
+            at = int(np.nanargmax(clear))
+            about = (float(sizes[at]), float(errors[at]))
+            rows.append([float(multiple), *(table.rows[at][n] for n in kept), *about])
+        elif not np.all(np.isnan(sizes)):
             most = quantity(float(np.nanmax(sizes + LEVELS.deviations * errors)), "m")
             notes.append(f"harmonic {multiple:g}: {UNCLEAR.format(most)}")
-            continue
-        at = int(np.nanargmax(clear))
-        about = (float(sizes[at]), float(errors[at]))
-        rows.append([float(multiple), *(table.rows[at][n] for n in kept), *about])
     columns = ["multiple, where it is largest", *(table.columns[n] for n in kept)]
     shown = in_one_unit(Table([*columns, "amplitude [m]", "amplitude_error [m]"], rows), scene)
     doubts = [UNTESTED] if np.isnan(track.misfit) else []

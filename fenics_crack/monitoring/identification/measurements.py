@@ -459,8 +459,8 @@ def without_crack(scene: Scene) -> dict[str, Any] | None:
 def _table(path: str | Path) -> list[Measurement]:
     """Measurements of a CSV file; raises InputError."""
     with reading("measurements", path, "a CSV file"):
-        rows = table_rows(path)[: OPTIONS.most_measurements + 2]  # enough to be too many
-    (_, headings), *table = rows or [(0, [])]
+        (_, headings), *table = table_rows(path) or [(0, [])]
+    table = table[: OPTIONS.most_measurements + 1]  # enough to be too many
     # Those of a value depend on the quantity.
     scaled = [(cell, 1.0) if cell.startswith(NEEDED) else heading_in_si(cell) for cell in headings]
     names = [cell.partition("[")[0].strip() for cell, _ in scaled]

@@ -25,6 +25,8 @@ COLUMNS = ("revolution", "angle [rad]", "mark [s]", "next_mark [s]", "arrival [s
 """Required columns of a CSV file."""
 RADIUS = "tip_radius [m]"
 """Optional column of a CSV file."""
+OF_RADIUS = "distance of tips and axis in m; from the shell --set tip_timing.tip_radius=0.5"
+"""Remedy where it is missing."""
 STEADY = 1e-2
 """Maximum relative variation of a constant speed."""
 MOST_PASSAGES = 10**7
@@ -275,10 +277,7 @@ def one_radius(path: str | Path, of_file: np.ndarray | None, given: float | None
     it is one."""
     if of_file is None:
         if given is None:
-            allowed = (
-                f"given for {path}, which has no column '{RADIUS}': distance of the blade tips "
-            )
-            allowed += "from the axis in m; from the shell --set tip_timing.tip_radius=0.5"
+            allowed = f"given for {path}, which has no column '{RADIUS}': {OF_RADIUS}"
             raise InputError("tip_radius", None, allowed)
         return given
     values = np.unique(np.append(of_file, of_file[0] if given is None else given))
@@ -298,10 +297,7 @@ def _table(path: str | Path) -> tuple[list[str], list[int], np.ndarray]:
                 allowed = f"a row of {len(names)} cells, as there are headings, not of {len(row)}"
                 raise InputError("path", f"{path}, line {number}", allowed)
     headings = [heading_in_si(name) for name in names]
-    columns = [
-        [factor * _number(row[place]) for _, row in rows]
-        for place, (_, factor) in enumerate(headings)
-    ]
+    columns = [[f * _number(row[n]) for _, row in rows] for n, (_, f) in enumerate(headings)]
     table = np.array(columns).reshape(len(names), len(rows))
     return [name for name, _ in headings], [number for number, _ in rows], table
 
@@ -336,7 +332,7 @@ def _passages(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
 PASSAGE = re.compile(r"(?:blade\s*(\d+))?.*?\bprobe\s*(\d+)", re.IGNORECASE)
 """Heading of the arrivals of a blade at a probe; blade 1 where none is named."""
 SPEEDS = {"rpm": RPM, "rad/s": 1.0, "Hz": TURN}
-ANGLES, TIMES = {"rad": 1.0}, {"s": 1.0}
+ANGLES, TIMES = {"rad": 1.0, "deg": IN_SI["deg"][1]}, {"s": 1.0}
 """Units by what they are in rad/s, rad and s; the first one where a heading has none."""
 
 
@@ -468,8 +464,7 @@ def _unit(path: str | Path, name: str, known: dict[str, float]) -> float:
     unit = re.search(r"\[(.*)\]", name)
     word = unit[1] if unit else next(iter(known))
     if word not in known:
-        units = dict.fromkeys([*known, *(unit for unit, (si, _) in IN_SI.items() if si in known)])
-        raise InputError("path", f"{path}: {name}", f"with one of the units {', '.join(units)}")
+        raise InputError("path", f"{path}: {name}", f"with one of the units {', '.join(known)}")
     return known[word]
 
 

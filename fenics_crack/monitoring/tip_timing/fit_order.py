@@ -567,18 +567,8 @@ def track_order(
     )
     enough = np.linalg.matrix_rank(planned, tol=1e-6) == unknowns
     inverse = np.linalg.pinv(columns)
-    # A vibration that changes within a group looks like further harmonics.
-    steps = np.zeros((2, groups, unknowns))  # what it changes by in a group, and by how much more
-    if enough.sum() > 1:
-        alone = (inverse @ values[..., None])[enough, :, 0].T
-        places = np.flatnonzero(enough)
-        steps[0, enough] = np.gradient([smoothed(part) for part in alone], places, axis=1).T
-        steps[1, enough] = np.gradient(steps[0, enough], places, axis=0)
     along = (nominal - nominal[:, :1] + arrivals.probes[0]) / (TURN * revolutions) - 0.5
-    moved = columns @ steps[..., None]
-    values = values - along * moved[0, ..., 0]
-    beyond = (inverse @ (0.5 * along**2 * moved[1, ..., 0])[..., None])[..., 0]
-    beyond = np.stack([beyond, along.mean(axis=1, keepdims=True) * steps[0]], axis=1)
+    values, beyond = _without_changes(values, inverse, columns, along, np.flatnonzero(enough))
     found = inverse @ values[..., None]
     left = np.where(seen & enough[:, None], values - (columns @ found)[..., 0], 0.0)
     places = np.nonzero(seen.reshape(-1, probes))
@@ -615,6 +605,27 @@ def track_order(
     times = arrivals.marks[: groups * revolutions + 1 : revolutions]
     speed = 2.0 * np.pi * revolutions / np.diff(times)
     return TipTrack(order, speed, multiples, found, amplitudes, amplitude_errors, misfit, folded)
+
+
+def _without_changes(
+    values: np.ndarray, inverse: np.ndarray, columns: np.ndarray, along: np.ndarray, fit: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return displacements (n, m) without the linear change of the vibration within each group,
+    which looks like further harmonics; and errors of its coefficients (n, 2, 2K+1): the next order
+    of the change, and the change from the middle of the arrivals to that of the group.
+
+    ``inverse`` (n, 2K+1, m) is that of ``columns``, ``along`` (n, m) the part of the group that an
+    arrival is behind its middle, ``fit`` the groups (k,) that have enough arrivals.
+    """
+    steps = np.zeros((2, *inverse.shape[:2]))  # from group to group, and their change
+    if len(fit) > 1:
+        alone = (inverse @ values[..., None])[fit, :, 0].T
+        steps[0, fit] = np.gradient([smoothed(part) for part in alone], fit, axis=1).T
+        steps[1, fit] = np.gradient(steps[0, fit], fit, axis=0)
+    moved = (columns @ steps[..., None])[..., 0]
+    bent = (inverse @ (0.5 * along**2 * moved[1])[..., None])[..., 0]
+    errors = np.stack([bent, along.mean(axis=1, keepdims=True) * steps[0]], axis=1)
+    return values - along * moved[0], errors
 
 
 def _beside_all(parts: dict[int, tuple[_Seen, _Fit]]) -> dict[int, tuple[_Seen, _Fit]]:

@@ -676,7 +676,7 @@ def test_an_inclined_crack_acts_at_its_tip(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("quantity,value,deviation,mode\nfrequency_open,841,1,0,8,1", "line 2 has 6 cells below 4"),
+        ("quantity,value,deviation,mode\nfrequency_open,841,1,0,8,1", "line 2 has more cells"),
         ("quantity;value;deviation;mode\nfrequency_open;1,234;1,000;1", "1,234 may be a whole num"),
         ("quantity;value;deviation;mode\nfrequency_open;841,5;0.8;1", "841,5 has a comma, 0.8 ano"),
         ("quantity;value;deviation;mode\nfrequency_open;1.841,5;1;1", "1.841,5 has a comma"),
