@@ -145,8 +145,6 @@ def table_rows(path: str | Path) -> list[tuple[int, list[str]]]:
     every = enumerate(text_of(path).splitlines(), 1)
     lines = [(number, line) for number, line in every if line.strip()[:1] not in ("", "#")]
     heading = re.sub('"[^"]*"', "", lines[0][1]) if lines else ""
-    if ";" in heading and "," in heading:
-        raise ValueError("its headings have commas and semicolons, of which one may separate cells")
     mark = next((mark for mark in ",;\t" if mark in heading), ",")
     rows = [
         (number, [cell.strip() for cell in next(csv.reader([line], delimiter=mark))])

@@ -307,10 +307,8 @@ class Identification(Tabular):
         """The verdict in words: of no crack with the sizes, ends of :attr:`intervals`, up to which
         there may be one all the same."""
         ends = [(key, end) for key, (_, end) in self.intervals.items() if key in OF_SIZE]
-        sizes = " or ".join(
-            f"{value_in_words(key, end)} of {key_in_words(key)}" for key, end in ends
-        )
-        above = f" above {sizes}" if ends else " of the scene's size"
+        sizes = [f"{value_in_words(key, end)} of {key_in_words(key)}" for key, end in ends]
+        above = f" above {' or '.join(sizes)}" if sizes else " of the scene's size"
         return self.verdict + above * (self.verdict == NO_CRACK)
 
     @property

@@ -513,8 +513,8 @@ def track_order(
 
     The fit of :func:`fit_order` with one candidate, to ``revolutions`` revolutions at a time. A
     vibration of twice the load's period and an odd order needs two or more. Its linear change
-    within a group is subtracted; how far the change is not linear, and where in the group the
-    amplitude is that of the fit, is in the errors. The variance of an arrival is that of
+    within a group is subtracted; in which part of the group the amplitude is that of the fit, is in
+    the errors. The variance of an arrival is that of
     differences between residuals of neighbouring fits. Residuals that repeat are
     a misfit, by harmonics that are left out: as in :func:`fit_order` they are further unknowns,
     with the same ratio to the vibration in neighbouring fits, so that what is folded from them is
@@ -551,8 +551,7 @@ def track_order(
     probes = len(arrivals.probes)
     if not groups:
         raise InputError("revolutions", revolutions, f"at most {len(arrivals)}, what there is")
-    planned = waves(order * arrivals.nominal_angle[:revolutions].ravel(), multiples)
-    if np.isinf(condition(planned)):
+    if np.isinf(condition(waves(order * arrivals.nominal_angle[:revolutions].ravel(), multiples))):
         refuse(arrivals, unknowns)
     shape = (groups, revolutions * probes)
     angle, nominal, values = (
@@ -568,7 +567,7 @@ def track_order(
     enough = np.linalg.matrix_rank(planned, tol=1e-6) == unknowns
     inverse = np.linalg.pinv(columns)
     along = (nominal - nominal[:, :1] + arrivals.probes[0]) / (TURN * revolutions) - 0.5
-    values, beyond = _without_changes(values, inverse, columns, along, np.flatnonzero(enough))
+    values, apart = _without_changes(values, inverse, columns, along, np.flatnonzero(enough))
     found = inverse @ values[..., None]
     left = np.where(seen & enough[:, None], values - (columns @ found)[..., 0], 0.0)
     places = np.nonzero(seen.reshape(-1, probes))
@@ -596,7 +595,7 @@ def track_order(
             known, _, freedom = part.tested(fit.least, unknowns)
             known = max(known, 1.0) if within else known
             errors[group] = known * student(freedom) * fit.covariance
-            errors[group] += beyond[group].T @ beyond[group]
+            errors[group] += np.outer(apart[group], apart[group])
     amplitudes, amplitude_errors = strengths(found, errors)
     folded = np.nan
     if own > 1 and within > 0 and parts:
@@ -611,21 +610,18 @@ def _without_changes(
     values: np.ndarray, inverse: np.ndarray, columns: np.ndarray, along: np.ndarray, fit: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return displacements (n, m) without the linear change of the vibration within each group,
-    which looks like further harmonics; and errors of its coefficients (n, 2, 2K+1): the next order
-    of the change, and the change from the middle of the arrivals to that of the group.
+    which looks like further harmonics; and the change (n, 2K+1) of its coefficients from the middle
+    of the arrivals to that of the group.
 
     ``inverse`` (n, 2K+1, m) is that of ``columns``, ``along`` (n, m) the part of the group that an
     arrival is behind its middle, ``fit`` the groups (k,) that have enough arrivals.
     """
-    steps = np.zeros((2, *inverse.shape[:2]))  # from group to group, and their change
+    rates = np.zeros(inverse.shape[:2])
     if len(fit) > 1:
         alone = (inverse @ values[..., None])[fit, :, 0].T
-        steps[0, fit] = np.gradient([smoothed(part) for part in alone], fit, axis=1).T
-        steps[1, fit] = np.gradient(steps[0, fit], fit, axis=0)
-    moved = (columns @ steps[..., None])[..., 0]
-    bent = (inverse @ (0.5 * along**2 * moved[1])[..., None])[..., 0]
-    errors = np.stack([bent, along.mean(axis=1, keepdims=True) * steps[0]], axis=1)
-    return values - along * moved[0], errors
+        rates[fit] = np.gradient([smoothed(part) for part in alone], fit, axis=1).T
+    moved = along * (columns @ rates[..., None])[..., 0]
+    return values - moved, along.mean(axis=1, keepdims=True) * rates
 
 
 def _beside_all(parts: dict[int, tuple[_Seen, _Fit]]) -> dict[int, tuple[_Seen, _Fit]]:
