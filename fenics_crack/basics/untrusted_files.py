@@ -150,7 +150,8 @@ def table_rows(path: str | Path) -> list[tuple[int, list[str]]]:
         (number, [cell.strip() for cell in next(csv.reader([line], delimiter=mark))])
         for number, line in lines
     ]
-    if more := [number for number, cells in rows if any(cells[len(rows[0][1]) :])]:
+    beyond = ((number, cell) for number, cells in rows for cell in cells[len(rows[0][1]) :])
+    if more := [number for number, cell in beyond if re.fullmatch(r"[\d.eE+-]+", cell)]:
         raise ValueError(f"line {more[0]} has more cells than headings; use decimal points")
     if [cells[0] for _, cells in rows] == ["", *map(str, range(len(rows) - 1))]:
         rows = [(number, cells[1:]) for number, cells in rows]
@@ -161,12 +162,13 @@ def table_rows(path: str | Path) -> list[tuple[int, list[str]]]:
 def _decimal_points(cells: Sequence[str]) -> dict[str, str]:
     """Return numbers with decimal commas by cells that have them; ValueError where a comma may be
     another mark."""
-    commas = [cell for cell in cells if re.fullmatch(r"(?=\D*\d)[+-]?[\d.]*,[\d.,eE+-]*", cell)]
-    others = [cell for cell in cells if commas and POINT.fullmatch(cell)]
-    if others := [cell for cell in commas if not COMMA.fullmatch(cell)] + others:
-        raise ValueError(f"{commas[0]} has a comma, {others[0]} another mark; use one, the decimal")
-    if commas and all(re.fullmatch(r"[+-]?[1-9]\d{0,2},\d{3}", cell) for cell in commas):
-        raise ValueError(f"{commas[0]} may be a whole number with a comma, or not; use points")
+    number = re.compile(r"[+-]?[\d.,]*\d[\d.,eE+-]*")
+    commas = [cell for cell in cells if "," in cell and number.fullmatch(cell)]
+    odd = [cell for cell in commas if not COMMA.fullmatch(cell)]
+    odd += [cell for cell in cells if commas and POINT.fullmatch(cell)]
+    if odd or (commas and all(re.fullmatch(r"[+-]?[1-9]\d{0,2},\d{3}", cell) for cell in commas)):
+        pair = " and ".join(sorted({commas[0], *odd[:1]}))
+        raise ValueError(f"the decimal mark is ambiguous: {pair}; use points alone")
     return {cell: cell.replace(",", ".") for cell in commas}
 
 

@@ -677,9 +677,18 @@ def test_an_inclined_crack_acts_at_its_tip(tmp_path: Path) -> None:
     ("text", "words"),
     [
         ("quantity,value,deviation,mode\nfrequency_open,841,1,0,8,1", "line 2 has more cells"),
-        ("quantity;value;deviation;mode\nfrequency_open;1,234;1,000;1", "1,234 may be a whole num"),
-        ("quantity;value;deviation;mode\nfrequency_open;841,5;0.8;1", "841,5 has a comma, 0.8 ano"),
-        ("quantity;value;deviation;mode\nfrequency_open;1.841,5;1;1", "1.841,5 has a comma"),
+        (
+            "quantity;value;deviation;mode\nfrequency_open;1,234;1,000;1",
+            "decimal mark is ambiguous: 1,234",
+        ),
+        (
+            "quantity;value;deviation;mode\nfrequency_open;841,5;0.8;1",
+            "decimal mark is ambiguous: 0.8 and 841,5",
+        ),
+        (
+            "quantity;value;deviation;mode\nfrequency_open;1.841,5;1;1",
+            "decimal mark is ambiguous: 1.841,5",
+        ),
         ("quantity;value,deviation\nfrequency_open;1;1", "the columns quantity;value, deviation'"),
         ("quantity,value [mm],deviation\nharmonic_1,1,1", r"column value \[mm\]': must be in Hz"),
     ],
