@@ -271,7 +271,7 @@ def _account_of_track(track: TipTrack, scene: Scene) -> Account:
             "changes within the revolutions that are fitted together "
             f"(tip_timing.fitted_revolutions), or it is not of order {track.order:g}"
         )
-    elif track.may_be_folded:
+    elif track.in_doubt and not doubts:
         doubts.append(FOLDED)
     return Account("timing", table, shown=shown, notes=notes, warnings=doubts)
 

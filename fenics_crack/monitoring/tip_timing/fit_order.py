@@ -473,9 +473,10 @@ class TipTrack(Fitted):
 
     @property
     def in_doubt(self) -> bool:
-        """True if it does not fit, harmonics left out may be folded, or it has as many unknowns as
-        there are probes."""
-        return self.does_not_fit or self.may_be_folded or bool(np.isnan(self.misfit))
+        """True if it does not fit, harmonics left out may be folded, also where that is not known,
+        or it has as many unknowns as there are probes."""
+        unknown = np.isnan([self.misfit, self.folded])
+        return self.does_not_fit or self.may_be_folded or bool(np.any(unknown))
 
     @property
     def omega(self) -> np.ndarray:
