@@ -11,10 +11,13 @@ from __future__ import annotations
 
 import bz2
 import codecs
+import csv
 import gzip
 import hashlib
 import json
+import math
 import os
+import re
 import shutil
 import signal
 import socket
@@ -25,7 +28,7 @@ import tempfile
 import warnings
 import zipfile
 from array import array
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
@@ -47,6 +50,12 @@ MARKS = {
     codecs.BOM_UTF16_BE: "UTF-16",
 }  # fmt: skip
 """Byte order marks, the longer ones first."""
+COMMA, POINT = (re.compile(rf"[+-]?\d*{mark}\d+(?:[eE][+-]?\d+)?") for mark in (",", r"\."))
+"""Numbers with a decimal comma, and with a decimal point."""
+PARTS = {"": 1.0, "k": 1e3, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6}
+IN_SI = {"rad": ("rad", 1.0), **dict.fromkeys(("deg", "°"), ("rad", math.pi / 180.0))}
+IN_SI |= {name + unit: (unit, part) for name, part in PARTS.items() for unit in ("m", "Hz")}
+"""Units of headings that are converted: to which, and the factor."""
 
 
 @contextmanager
@@ -141,21 +150,54 @@ def text_of(path: str | Path) -> str:
     return content.decode("utf-8-sig")
 
 
-def table_lines(path: str | Path) -> list[tuple[int, str]]:
-    """Lines of a CSV file, with their numbers, without empty ones and those that begin with #.
+def table_rows(path: str | Path) -> list[tuple[int, list[str]]]:
+    """Lines of a CSV file as their numbers and cells, with decimal points, without empty ones and
+    those that begin with #.
+
+    Commas, semicolons or tabs may separate the cells, and numbers may have decimal commas. A first
+    column without a heading that numbers the rows from 0 is left out.
 
     Raises
     ------
     OSError, ValueError
-        As :func:`text_of`; or cells are separated by something else than commas.
+        As :func:`text_of`; or a separator or a decimal mark is ambiguous.
     """
     every = enumerate(text_of(path).splitlines(), 1)
     lines = [(number, line) for number, line in every if line.strip()[:1] not in ("", "#")]
-    heading = lines[0][1] if lines else ""
-    for separator, name in ((";", "semicolons"), ("\t", "tabs")):
-        if separator in heading and "," not in heading:
-            raise ValueError(f"its cells are separated by {name}; use commas, and decimal points")
-    return lines
+    heading = re.sub('"[^"]*"', "", lines[0][1]) if lines else ""
+    mark = next((mark for mark in ",;\t" if mark in heading), ",")
+    rows = [
+        (number, [cell.strip() for cell in next(csv.reader([line], delimiter=mark))])
+        for number, line in lines
+    ]
+    beyond = ((number, cell) for number, cells in rows for cell in cells[len(rows[0][1]) :])
+    if more := [number for number, cell in beyond if re.fullmatch(r"[\d.eE+-]+", cell)]:
+        raise ValueError(f"line {more[0]} has more cells than headings; use decimal points")
+    if [cells[0] for _, cells in rows] == ["", *map(str, range(len(rows) - 1))]:
+        rows = [(number, cells[1:]) for number, cells in rows]
+    point = _decimal_points([cell for _, cells in rows[1:] for cell in cells])
+    return [(number, [point.get(cell, cell) for cell in cells]) for number, cells in rows]
+
+
+def _decimal_points(cells: Sequence[str]) -> dict[str, str]:
+    """Return numbers with decimal commas by cells that have them; ValueError where a comma may be
+    another mark."""
+    number = re.compile(r"[+-]?[\d.,]*\d[\d.,eE+-]*")
+    commas = [cell for cell in cells if "," in cell and number.fullmatch(cell)]
+    odd = [cell for cell in commas if not COMMA.fullmatch(cell)]
+    odd += [cell for cell in cells if commas and POINT.fullmatch(cell)]
+    if odd or (commas and all(re.fullmatch(r"[+-]?[1-9]\d{0,2},\d{3}", cell) for cell in commas)):
+        pair = " and ".join(sorted({commas[0], *odd[:1]}))
+        raise ValueError(f"the decimal mark is ambiguous: {pair}; use points alone")
+    return {cell: cell.replace(",", ".") for cell in commas}
+
+
+def heading_in_si(heading: str) -> tuple[str, float]:
+    """Return a heading with the unit in brackets at its end to which it is converted, and the
+    factor of the numbers below; other units stay."""
+    parts = re.fullmatch(r"(.*?)\s*[\[(]\s*([^][()]*?)\s*[])]", heading)
+    unit, factor = IN_SI.get(parts[2], ("", 1.0)) if parts else ("", 1.0)
+    return f"{parts[1]} [{unit}]" if parts and unit else heading, factor
 
 
 @contextmanager

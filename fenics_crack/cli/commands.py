@@ -282,7 +282,7 @@ def identify(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     replaced = keep_before(folder / "fit.csv", fit, console.comm, *others)
     on_root(console.comm, write)
     console.table(found.table())
-    console.note(f"{found.verdict}: {found.reason}")
+    console.note(f"{found.conclusion}: {found.reason}")
     console.note(priors_in_words(found.priors))
     console.remark(*found.remarks, *remarks_on_scene(scene))
     console.note(*(f"next to measure: {advice}" for advice in found.advice))

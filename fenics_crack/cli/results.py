@@ -779,7 +779,7 @@ def _account_of_identified(found: Identified) -> Account:
     summary = Table(("unknown", "estimate", f"{share} from", "to"), rows)
     where = [f"{key} {value} ({share}: {low} to {high})" for key, value, low, high in rows if low]
     said = [*(where if values["verdict"] == "crack" else []), values["reason"]]
-    facts = [f"{values['verdict']}: {'; '.join(said)}"]
+    facts = [f"{values.get('conclusion', values['verdict'])}: {'; '.join(said)}"]
     facts.append(priors_in_words(values["priors"]))
     facts += [f"remark: {remark}" for remark in values["remarks"]]
     facts += [f"next to measure: {advice}" for advice in values["advice"]]

@@ -25,6 +25,7 @@ from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes, read_
 from fenics_crack.monitoring.tip_timing.fit_order import TipTrack
 from fenics_crack.monitoring.tip_timing.harmonics import ORDERS, TipFit, in_words
 from fenics_crack.monitoring.tip_timing.passages import PassageFit, find_passages
+from fenics_crack.monitoring.tip_timing.robust import LEVELS
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import TipTiming
 from fenics_crack.study.plausibility import remarks_on_scene
@@ -38,8 +39,9 @@ FOLDED = (
     "harmonics that are not fitted may be folded onto the fitted ones (fit more, or more probes)"
 )
 ONCE = "no probe sees the vibration twice: fit and standard errors are untested (more revolutions)"
-NEARBY = "residuals are correlated, by another vibration nearby or drift: errors may be larger"
-UNTESTED_ORDER = "cannot test an order: not {:g}, but others may be right (tip_timing.orders)"
+UNCLEAR = "at no speed larger than its errors, at most {} (more revolutions determine it better)"
+NEARBY = "residuals are correlated, by a vibration nearby or drift: order and errors may be wrong"
+UNTESTED_ORDER = "cannot test an order: {:g} fits, and others may as well (tip_timing.orders)"
 BLIND = "does not measure the vibration that the others do: excluded; are its pulses the blade's?"
 CONSTANT = (
     "frequencies are taken not to change with the speed; else damping is wrong, and a fast run-up "
@@ -247,14 +249,19 @@ def _account_of_track(track: TipTrack, scene: Scene) -> Account:
     """Return the account of a run-up, with the point where each harmonic is largest."""
     table = track.table()
     kept = [n for n, name in enumerate(table.columns) if not name.startswith("amplitude")]
-    rows = []
+    rows, notes = [], []
+    # The largest of so many amplitudes is several errors large where there is no vibration.
+    limit = float(np.sqrt(2.0 * np.log(len(track.speed) / LEVELS.misfit)))
     for place, multiple in enumerate(track.multiples):
-        sizes = track.amplitudes[:, place]
-        if np.all(np.isnan(sizes)):
-            continue
-        at = int(np.nanargmax(sizes))
-        about = (float(sizes[at]), float(track.amplitude_errors[at, place]))
-        rows.append([float(multiple), *(table.rows[at][n] for n in kept), *about])
+        sizes, errors = track.amplitudes[:, place], track.amplitude_errors[:, place]
+        clear = np.where(sizes <= limit * errors, np.nan, sizes)
+        if not np.all(np.isnan(clear)):
+            at = int(np.nanargmax(clear))
+            about = (float(sizes[at]), float(errors[at]))
+            rows.append([float(multiple), *(table.rows[at][n] for n in kept), *about])
+        elif not np.all(np.isnan(sizes)):
+            most = quantity(float(np.nanmax(sizes + LEVELS.deviations * errors)), "m")
+            notes.append(f"harmonic {multiple:g}: {UNCLEAR.format(most)}")
     columns = ["multiple, where it is largest", *(table.columns[n] for n in kept)]
     shown = in_one_unit(Table([*columns, "amplitude [m]", "amplitude_error [m]"], rows), scene)
     doubts = [UNTESTED] if np.isnan(track.misfit) else []
@@ -264,9 +271,9 @@ def _account_of_track(track: TipTrack, scene: Scene) -> Account:
             "changes within the revolutions that are fitted together "
             f"(tip_timing.fitted_revolutions), or it is not of order {track.order:g}"
         )
-    elif track.may_be_folded:
+    elif track.in_doubt and not doubts:
         doubts.append(FOLDED)
-    return Account("timing", table, shown=shown, warnings=doubts)
+    return Account("timing", table, shown=shown, notes=notes, warnings=doubts)
 
 
 def _account_of_fit(fit: TipFit, scene: Scene) -> Account:

@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from fenics_crack.basics.errors import InputError, check_count, reading
-from fenics_crack.basics.untrusted_files import rows_in, text_of
+from fenics_crack.basics.untrusted_files import table_rows
 from fenics_crack.model.matrices import numbers
 from fenics_crack.numerics.fourier import from_complex
 
@@ -91,8 +91,8 @@ def read_wave(key: str, path: str, harmonics: int, dimension: int) -> tuple[np.n
     """
     allowed = f"a CSV file with a line of words, then rows of a time and {dimension} forces [N]"
     with reading(key, path, allowed):
-        table = rows_in(text_of(path).splitlines()[1:], delimiter=",")
-    if table.shape[1] != dimension + 1:
+        table = np.array([[float(cell) for cell in cells] for _, cells in table_rows(path)[1:]])
+    if table.ndim != 2 or table.shape[1] != dimension + 1:
         raise InputError(key, path, allowed)
     try:
         return load_harmonics(table[:, 0], table[:, 1:], harmonics)

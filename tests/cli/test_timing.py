@@ -223,6 +223,43 @@ def test_a_run_up_of_another_speed(tmp_path: Path, capsys: pytest.CaptureFixture
         assert refused in capsys.readouterr().err
 
 
+def test_a_resonance_that_is_passed_in_few_revolutions(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A vibration of one harmonic, whose size changes within each revolution: no second one is
+    stated, and the first one is within its errors at every speed."""
+    turns = 2.0 * np.pi * np.arange(101)
+    targets = angle = turns[:-1, None] + np.radians(PROBES)
+
+    def speed(angle: np.ndarray) -> np.ndarray:
+        return np.asarray(np.sqrt(390.0**2 + (410.0**2 - 390.0**2) * angle / turns[-1]))
+
+    def times(angle: np.ndarray) -> np.ndarray:
+        return 2.0 * angle / (speed(0.0 * angle) + speed(angle))
+
+    def wave(angle: np.ndarray) -> np.ndarray:
+        return np.asarray(1e-3 / (1.0 + 1j * (speed(angle) - 403.0) / 0.8))
+
+    for _ in range(50):
+        angle = targets - (wave(angle) * np.exp(5j * angle)).real / RADIUS
+    rng = np.random.default_rng(1)
+    noise = 1e-8 * rng.standard_normal(targets.shape)
+    arrivals = fc.ArrivalTimes(times(angle) + noise, times(turns), np.radians(PROBES), RADIUS)
+    arrivals.to_csv(tmp_path / "seen.csv")
+    words = [str(tmp_path / "seen.csv"), "--output", str(tmp_path), "--format", "json"]
+    words += ["--set", "tip_timing.fitted_harmonics=2"]
+    assert main(["timing", written(tmp_path), *words]) == 0
+    told = capsys.readouterr()
+    rows = json.loads(told.out)
+    assert "harmonic 2: at no speed larger than its errors, at most " in told.err
+    assert max(row["amplitude_error_1 [m]"] for row in rows) < 1e-4
+    middles = 0.5 * (turns[1:] + turns[:-1])
+    for name, sizes in (("1", np.abs(wave(middles))), ("2", 0.0 * middles)):
+        off = np.array([row[f"amplitude_{name} [m]"] for row in rows]) - sizes
+        scores = np.abs(off) / [row[f"amplitude_error_{name} [m]"] for row in rows]
+        assert scores.max() < 4.0 and np.mean(scores > 2.0) < 0.1
+
+
 def followed(folder: Path, captured: Any, changes: dict[str, Any]) -> tuple[str, fc.Run[Any]]:
     """The file of a scene under a small load, and its curve, saved as curve.h5 beside it."""
     scene = written(folder, changes | {"excitation.force_sin": [1.0, 0.0]})

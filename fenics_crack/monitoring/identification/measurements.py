@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import csv
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -23,7 +22,7 @@ from fenics_crack.basics.errors import (
     reading,
 )
 from fenics_crack.basics.tables import RPM, TURN, Tabular, counted
-from fenics_crack.basics.untrusted_files import table_lines
+from fenics_crack.basics.untrusted_files import heading_in_si, table_rows
 from fenics_crack.monitoring.identification.options import OPTIONS
 from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes
 from fenics_crack.scene.fields import LARGEST, OR_ZERO, SMALLEST
@@ -46,8 +45,9 @@ UNITS = {
     "value": SI,
     "deviation": SI,
     "temperature": ("K", "°C", "C"),
+    "rpm": ("rpm",),
 }
-"""Units that headings may name, in brackets."""
+"""Units that headings may name, in brackets, or others that are converted to these."""
 UNIVERSAL = (".uff", ".unv")
 """Endings of universal files."""
 
@@ -364,7 +364,8 @@ class Measurements(Tabular):
     def from_csv(cls, path: str | Path) -> Measurements:
         """Read a table with the columns quantity, value, deviation, mode, frequency [Hz], point,
         phase [rad], rpm and temperature [°C], in any order; cells that do not apply are empty, and
-        lines that begin with # are left out.
+        lines that begin with # are left out. Frequencies may be in kHz and phases in degrees [deg]
+        as well; cells are separated by commas, semicolons or tabs.
 
         Raises
         ------
@@ -458,38 +459,40 @@ def without_crack(scene: Scene) -> dict[str, Any] | None:
 def _table(path: str | Path) -> list[Measurement]:
     """Measurements of a CSV file; raises InputError."""
     with reading("measurements", path, "a CSV file"):
-        lines = table_lines(path)[: OPTIONS.most_measurements + 2]  # enough to be too many
-    headings, *table = [next(csv.reader([line])) for _, line in lines] or [[]]
-    names = [cell.partition("[")[0].strip() for cell in headings]
-    for cell, name in zip(headings, names, strict=True):
-        unit = cell.partition("[")[2].partition("]")[0].strip()
-        if unit and unit not in (units := UNITS.get(name, ())):
-            allowed = f"in {' or '.join(units)}" if units else "without a unit"
-            raise InputError("measurements", f"{path}: the column {cell.strip()}", allowed)
+        (_, headings), *table = table_rows(path) or [(0, [])]
+    table = table[: OPTIONS.most_measurements + 1]  # enough to be too many
+    # Those of a value depend on the quantity.
+    scaled = [(cell, 1.0) if cell.startswith(NEEDED) else heading_in_si(cell) for cell in headings]
+    names = [cell.partition("[")[0].strip() for cell, _ in scaled]
     known = (*NEEDED, *OPTIONAL)
     if not set(NEEDED) <= set(names) <= set(known) or len(set(names)) != len(names):
         allowed = f"a CSV file with the columns {', '.join(known)}, the first three of them needed"
-        found = f"the columns {', '.join(names)}" if names else "nothing"
-        raise InputError("measurements", f"{path}: {found}", allowed)
-    rows = []
-    for (number, line), cells in zip(lines[1:], table, strict=True):
+        has = f"the columns {', '.join(headings)}" if names else "nothing"
+        raise InputError("measurements", f"{path}: {has}", allowed)
+    for cell, name, (in_si, _) in zip(headings, names, scaled, strict=True):
+        unit = in_si.partition("[")[2].partition("]")[0].strip()
+        if unit and unit not in (units := UNITS.get(name, ())):
+            allowed = f"in {' or '.join(units)}" if units else "without a unit"
+            raise InputError("measurements", f"{path}: the column {cell}", allowed)
+    factors, found = {n: factor for n, (_, factor) in zip(names, scaled, strict=True)}, []
+    for number, cells in table:
         try:
-            rows.append(_row(dict(zip(names, map(str.strip, cells), strict=True))))
+            found.append(_row(dict(zip(names, cells, strict=True)), factors))
         except InputError as error:
             allowed = f"{error.allowed} (line {number})"
             raise InputError(error.key, error.value, allowed) from None
         except ValueError:
             allowed = f"{len(names)} cells: {', '.join(names)}"
-            raise InputError(f"measurements, line {number}", line, allowed) from None
-    return rows
+            raise InputError(f"measurements, line {number}", ",".join(cells), allowed) from None
+    return found
 
 
-def _row(cells: Mapping[str, str]) -> Measurement:
-    """Measurement of a line of the table; raises InputError."""
+def _row(cells: Mapping[str, str], factors: Mapping[str, float]) -> Measurement:
+    """Measurement of a line of the table, whose columns have factors; raises InputError."""
     given: dict[str, Any] = {name: text for name, text in cells.items() if text}
     for name in [name for name in given if name not in ("quantity", "point")]:
         with contextlib.suppress(ValueError):
-            given[name] = float(given[name])
+            given[name] = factors[name] * float(given[name])
         check_number(f"measurements.{name}", given[name])
     if given.get("mode", math.nan).is_integer():
         given["mode"] = int(given["mode"])

@@ -303,6 +303,15 @@ class Identification(Tabular):
         return self._assessed[0]
 
     @property
+    def conclusion(self) -> str:
+        """The verdict in words: of no crack with the sizes, ends of :attr:`intervals`, up to which
+        there may be one all the same."""
+        ends = [(key, end) for key, (_, end) in self.intervals.items() if key in OF_SIZE]
+        sizes = [f"{value_in_words(key, end)} of {key_in_words(key)}" for key, end in ends]
+        above = f" above {' or '.join(sizes)}" if sizes else " of the scene's size"
+        return self.verdict + above * (self.verdict == NO_CRACK)
+
+    @property
     def reason(self) -> str:
         """Reason for the verdict, in words."""
         return self._assessed[1]
@@ -405,6 +414,7 @@ class Identification(Tabular):
         total, chance = self.misfit
         return {
             "verdict": self.verdict,
+            "conclusion": self.conclusion,
             "reason": self.reason,
             "log_bayes_factor": None if np.isnan(ratio) else ratio,
             "estimate": self.estimate,
@@ -469,7 +479,7 @@ class Identification(Tabular):
         return found
 
     def _title(self) -> str:
-        parts = [self.verdict]
+        parts = [self.conclusion]
         if not np.isnan(self.log_bayes_factor):
             parts[0] += f" (log Bayes factor {self.log_bayes_factor:.3g})"
         if self.verdict == NO_CRACK:

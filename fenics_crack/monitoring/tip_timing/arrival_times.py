@@ -8,7 +8,6 @@ then the median arrival.
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,12 +19,14 @@ import numpy as np
 
 from fenics_crack.basics.errors import InputError, check_count, check_number, reading
 from fenics_crack.basics.tables import RPM, TURN, Table, Tabular, counted
-from fenics_crack.basics.untrusted_files import table_lines
+from fenics_crack.basics.untrusted_files import IN_SI, heading_in_si, table_rows
 
 COLUMNS = ("revolution", "angle [rad]", "mark [s]", "next_mark [s]", "arrival [s]")
 """Required columns of a CSV file."""
 RADIUS = "tip_radius [m]"
 """Optional column of a CSV file."""
+OF_RADIUS = "distance of tips and axis in m; from the shell --set tip_timing.tip_radius=0.5"
+"""Remedy where it is missing."""
 STEADY = 1e-2
 """Maximum relative variation of a constant speed."""
 MOST_PASSAGES = 10**7
@@ -167,8 +168,9 @@ class ArrivalTimes(Tabular):
 
         ``revolution`` (a whole number), ``angle [rad]`` of the probe, ``mark [s]`` and
         ``next_mark [s]`` (begin and end of the revolution), ``arrival [s]``; and ``tip_radius [m]``
-        unless it is given here. A row is a passage; passages may be missing, revolutions may not.
-        :meth:`to_csv` writes such a file, from which the same arrivals are read to the last bit.
+        unless it is given here. Other units are converted, as by :func:`read_record`. A row is a
+        passage; passages may be missing, revolutions may not. :meth:`to_csv` writes such a file,
+        from which the same arrivals are read to the last bit.
 
         Raises
         ------
@@ -275,7 +277,7 @@ def one_radius(path: str | Path, of_file: np.ndarray | None, given: float | None
     it is one."""
     if of_file is None:
         if given is None:
-            allowed = f"given for {path}, which has no column '{RADIUS}'"
+            allowed = f"given for {path}, which has no column '{RADIUS}': {OF_RADIUS}"
             raise InputError("tip_radius", None, allowed)
         return given
     values = np.unique(np.append(of_file, of_file[0] if given is None else given))
@@ -286,19 +288,18 @@ def one_radius(path: str | Path, of_file: np.ndarray | None, given: float | None
 
 
 def _table(path: str | Path) -> tuple[list[str], list[int], np.ndarray]:
-    """Return headings of a CSV file, the numbers of its other lines, and its columns, nan where
-    there is no number; lines that begin with # are left out."""
+    """Return headings of a CSV file, in SI where they name a unit, the numbers of its other lines,
+    and its columns, nan where there is no number; lines that begin with # are left out."""
     with reading("path", path, "a table of numbers"):
-        lines = table_lines(path)
-        names, *rows = [next(csv.reader([line])) for _, line in lines] or [[]]
-        numbers = [number for number, _ in lines[1:]]
-        for number, row in zip(numbers, rows, strict=True):
+        (_, names), *rows = table_rows(path) or [(0, [])]
+        for number, row in rows:
             if len(row) < len(names):
                 allowed = f"a row of {len(names)} cells, as there are headings, not of {len(row)}"
                 raise InputError("path", f"{path}, line {number}", allowed)
-    columns = [[_number(row[place]) for row in rows] for place in range(len(names))]
+    headings = [heading_in_si(name) for name in names]
+    columns = [[f * _number(row[n]) for _, row in rows] for n, (_, f) in enumerate(headings)]
     table = np.array(columns).reshape(len(names), len(rows))
-    return [name.strip() for name in names], numbers, table
+    return [name for name, _ in headings], [number for number, _ in rows], table
 
 
 def _number(cell: str) -> float:
@@ -331,8 +332,8 @@ def _passages(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
 PASSAGE = re.compile(r"(?:blade\s*(\d+))?.*?\bprobe\s*(\d+)", re.IGNORECASE)
 """Heading of the arrivals of a blade at a probe; blade 1 where none is named."""
 SPEEDS = {"rpm": RPM, "rad/s": 1.0, "Hz": TURN}
-ANGLES = {"rad": 1.0, "deg": np.pi / 180.0}
-"""Units by what they are in rad/s and rad; the first one where a heading has none."""
+ANGLES, TIMES = {"rad": 1.0, "deg": IN_SI["deg"][1]}, {"s": 1.0}
+"""Units by what they are in rad/s, rad and s; the first one where a heading has none."""
 
 
 def read_record(
@@ -344,7 +345,8 @@ def read_record(
     """Read the arrivals of one or more blades, a row for each revolution.
 
     Columns are known by their headings, in any order, with units in brackets; others, and lines
-    that begin with #, are left out.
+    that begin with #, are left out. The radius may be in mm, as well; cells are
+    separated by commas, semicolons or tabs.
 
     ``revolution``
         Its number; rows may be missing. Without it they are counted.
@@ -482,6 +484,7 @@ def _marks(path: str | Path, columns: dict[str, np.ndarray], turns: np.ndarray) 
     every = np.arange(turns[0], turns[-1] + 1)
     for name, column in columns.items():
         if re.match("mark", name, re.IGNORECASE):
+            column = column * _unit(path, name, TIMES)
             lasting = np.diff(column) / np.diff(turns)
             if not np.all((lasting > 0.0) & np.isfinite(lasting)):
                 raise InputError("path", f"{path}: {name}", "increasing times")

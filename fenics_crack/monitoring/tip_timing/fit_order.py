@@ -29,7 +29,7 @@ from scipy.special import chdtri, fdtrc, ndtr
 
 from fenics_crack.basics.errors import InputError, check_count, check_number
 from fenics_crack.basics.tables import TURN, UNITS, counted, with_frequency
-from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes
+from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes, smoothed
 from fenics_crack.monitoring.tip_timing.fit_frequency import find_lines
 from fenics_crack.monitoring.tip_timing.harmonics import (
     ORDERS,
@@ -473,9 +473,10 @@ class TipTrack(Fitted):
 
     @property
     def in_doubt(self) -> bool:
-        """True if it does not fit, harmonics left out may be folded, or it has as many unknowns as
-        there are probes."""
-        return self.does_not_fit or self.may_be_folded or bool(np.isnan(self.misfit))
+        """True if it does not fit, harmonics left out may be folded, also where that is not known,
+        or it has as many unknowns as there are probes."""
+        unknown = np.isnan([self.misfit, self.folded])
+        return self.does_not_fit or self.may_be_folded or bool(np.any(unknown))
 
     @property
     def omega(self) -> np.ndarray:
@@ -512,8 +513,10 @@ def track_order(
     """Fit the harmonics of a known engine order to each few revolutions of a run-up.
 
     The fit of :func:`fit_order` with one candidate, to ``revolutions`` revolutions at a time. A
-    vibration of twice the load's period and an odd order needs two or more. The variance of an
-    arrival is that of differences between residuals of neighbouring fits. Residuals that repeat are
+    vibration of twice the load's period and an odd order needs two or more. Its linear change
+    within a group is subtracted; in which part of the group the amplitude is that of the fit, is in
+    the errors. The variance of an arrival is that of
+    differences between residuals of neighbouring fits. Residuals that repeat are
     a misfit, by harmonics that are left out: as in :func:`fit_order` they are further unknowns,
     with the same ratio to the vibration in neighbouring fits, so that what is folded from them is
     in the standard errors so far as it is significant, and else in ``folded``.
@@ -549,8 +552,7 @@ def track_order(
     probes = len(arrivals.probes)
     if not groups:
         raise InputError("revolutions", revolutions, f"at most {len(arrivals)}, what there is")
-    planned = waves(order * arrivals.nominal_angle[:revolutions].ravel(), multiples)
-    if np.isinf(condition(planned)):
+    if np.isinf(condition(waves(order * arrivals.nominal_angle[:revolutions].ravel(), multiples))):
         refuse(arrivals, unknowns)
     shape = (groups, revolutions * probes)
     angle, nominal, values = (
@@ -564,7 +566,10 @@ def track_order(
         for part in (angle, nominal)
     )
     enough = np.linalg.matrix_rank(planned, tol=1e-6) == unknowns
-    found = np.linalg.pinv(columns) @ values[..., None]
+    inverse = np.linalg.pinv(columns)
+    along = (nominal - nominal[:, :1] + arrivals.probes[0]) / (TURN * revolutions) - 0.5
+    values, apart = _without_changes(values, inverse, columns, along, np.flatnonzero(enough))
+    found = inverse @ values[..., None]
     left = np.where(seen & enough[:, None], values - (columns @ found)[..., 0], 0.0)
     places = np.nonzero(seen.reshape(-1, probes))
     own = probes * (subharmonic if revolutions > 1 else 1) - unknowns
@@ -591,6 +596,7 @@ def track_order(
             known, _, freedom = part.tested(fit.least, unknowns)
             known = max(known, 1.0) if within else known
             errors[group] = known * student(freedom) * fit.covariance
+            errors[group] += np.outer(apart[group], apart[group])
     amplitudes, amplitude_errors = strengths(found, errors)
     folded = np.nan
     if own > 1 and within > 0 and parts:
@@ -599,6 +605,24 @@ def track_order(
     times = arrivals.marks[: groups * revolutions + 1 : revolutions]
     speed = 2.0 * np.pi * revolutions / np.diff(times)
     return TipTrack(order, speed, multiples, found, amplitudes, amplitude_errors, misfit, folded)
+
+
+def _without_changes(
+    values: np.ndarray, inverse: np.ndarray, columns: np.ndarray, along: np.ndarray, fit: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return displacements (n, m) without the linear change of the vibration within each group,
+    which looks like further harmonics; and the change (n, 2K+1) of its coefficients from the middle
+    of the arrivals to that of the group.
+
+    ``inverse`` (n, 2K+1, m) is that of ``columns``, ``along`` (n, m) the part of the group that an
+    arrival is behind its middle, ``fit`` the groups (k,) that have enough arrivals.
+    """
+    rates = np.zeros(inverse.shape[:2])
+    if len(fit) > 1:
+        alone = (inverse @ values[..., None])[fit, :, 0].T
+        rates[fit] = np.gradient([smoothed(part) for part in alone], fit, axis=1).T
+    moved = along * (columns @ rates[..., None])[..., 0]
+    return values - moved, along.mean(axis=1, keepdims=True) * rates
 
 
 def _beside_all(parts: dict[int, tuple[_Seen, _Fit]]) -> dict[int, tuple[_Seen, _Fit]]:

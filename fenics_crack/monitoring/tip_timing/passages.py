@@ -74,7 +74,8 @@ class PassageFit(Tabular):
         Candidates.
     margins : (n,)
         Difference of -2 log likelihood to the best. With a neighbour within the speeds that are
-        fitted, of the best order of that for each of these.
+        fitted, of the best order of that for each of these. 0 for the order of another resonance
+        nearer than the width of one of them: at most one of the two need be right.
     probes : int
         Number of probes with arrivals.
     scatter : float [m]
@@ -160,8 +161,8 @@ class PassageFit(Tabular):
     def in_doubt(self) -> bool:
         """True if residuals are correlated: another vibration near this speed, drift, or a blade
         that is no linear mode. Frequency, damping and order may then be wrong by more than their
-        errors."""
-        return self.whiteness < LEVELS.misfit
+        errors. So it is where nothing tests that (``whiteness`` is nan)."""
+        return not self.whiteness >= LEVELS.misfit
 
     @property
     def deviation(self) -> float:
@@ -218,9 +219,9 @@ class PassageFit(Tabular):
 
 
 def _differ(values: np.ndarray, errors: np.ndarray) -> bool:
-    """True if two of some values (n,) differ by more than three of their errors."""
+    """True unless some values (n,) are known to differ by no more than three of their errors."""
     apart = np.abs(values[:, None] - values)
-    return bool(np.any(apart > LEVELS.deviations * np.hypot(errors[:, None], errors)))
+    return not np.all(apart <= LEVELS.deviations * np.hypot(errors[:, None], errors))
 
 
 # --- search ---------------------------------------------------------------------------------------
@@ -683,7 +684,10 @@ class _Compared:
         mode, stiffening = best.mode, record.stiffening(self.speed, best.mode.omega)
         pairs = list(zip(runs, best.weights, strict=True))
         alone = [Fit([run], best.modes, [own]) for run, own in pairs] if len(runs) > 1 else [best]
-        errors, orders = best.errors, np.array(sorted(self.margins))
+        # Orders that resonate within the width of each other are claims on the same vibration.
+        rivals = [one for one in found if self.covers(one) or one.covers(self)]
+        margins = self.margins | {one.best.mode.order: 0.0 for one in rivals}
+        errors, orders = best.errors, np.array(sorted(margins))
         return PassageFit(
             order=mode.order,
             omega=mode.omega,
@@ -698,7 +702,7 @@ class _Compared:
             dampings=(1.0 - stiffening) * np.array([fit.mode.damping for fit in alone]),
             damping_errors=(1.0 - stiffening) * np.array([fit.errors[1] for fit in alone]),
             orders=orders,
-            margins=np.array([self.margins[order] for order in orders]),
+            margins=np.array([margins[order] for order in orders]),
             probes=max(run.probes for run in runs),
             scatter=float(np.sqrt(best.noise.variance)),
             whiteness=best.whiteness,

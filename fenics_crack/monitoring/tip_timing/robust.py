@@ -116,19 +116,20 @@ class Noise:
 
     def whiteness(self, places: Places, shares: np.ndarray) -> float:
         """Probability that errors of the arrivals and of the marks alone are as correlated at a
-        probe from each revolution to the next.
+        probe from each revolution to the next one with arrivals (:func:`_neighbours`).
 
         An error e_n of a mark turns all arrivals around it: probe i in revolution n has the sum of
         shares_ki e_(n+k), ``shares`` (marks, probes). The variance of e is that which products of
         two probes in a revolution have; a probe's with its next ones then have the same times
-        shares_ki shares_(k+1)i. What probes have in common scatters their products likewise.
+        shares_ki shares_(k+1)i, or with those m revolutions later shares_ki shares_(k+m)i. What
+        probes have in common scatters their products likewise.
         """
-        (own, common), (later, others) = _products(self.psi, [0, 1], places)
-        square, (total, count) = own[0] / own[1], later
+        (own, common), lag, ((total, count), others) = _neighbours(self.psi, places)
+        square = own[0] / own[1]
         if not count or not square:
             return np.nan
         shared = max(common[0] / common[1], 0.0) if common[1] else 0.0
-        now, after = shares.T @ shares, (shares[1:] * shares[:-1]).sum(axis=0)
+        now, after = shares.T @ shares, (shares[lag:] * shares[:-lag]).sum(axis=0)
         apart = now[~np.eye(len(now), dtype=bool)]
         by_marks = shared / apart.mean() * after.mean() if shared else 0.0
         scatter = square * np.sqrt(count + (shared / square) ** 2 * others[1])
@@ -188,9 +189,17 @@ def student(freedom: float) -> float:
 def trend(values: np.ndarray, places: Places) -> float:
     """Return the probability that white values (n,) of revolutions and probes are as correlated
     from each revolution to the next as these, or more; nan where there is one revolution."""
-    [[(total, count), _]] = _products(values, [1], places)
+    _, _, [(total, count), _] = _neighbours(values, places)
     square = float(values @ values) / len(values)
     return float(ndtr(-total / (square * np.sqrt(count)))) if count and square else np.nan
+
+
+def _neighbours(values: np.ndarray, places: Places) -> tuple[list[Pair], int, list[Pair]]:
+    """Return :func:`_products` of revolutions with themselves and with their next ones, and the
+    distance of these: 1, or up to 5 where most revolutions between are missing."""
+    now, *later = _products(values, range(6), places)
+    lag = 1 + int(np.argmax([own[1] / lag for lag, (own, _) in enumerate(later, 1)]))
+    return now, lag, later[lag - 1]
 
 
 def _products(values: np.ndarray, lags: Iterable[int], places: Places) -> Iterator[list[Pair]]:

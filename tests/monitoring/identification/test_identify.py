@@ -27,6 +27,8 @@ from test_responses import file_of as universal_file
 
 import fenics_crack as fc
 from fenics_crack import SweepResult
+from fenics_crack.cli.results import Identified, account_of
+from fenics_crack.scene.words import value_in_words
 
 pytestmark = pytest.mark.usefixtures("not_laid_out")
 
@@ -194,7 +196,12 @@ def test_one_measurement_alone(scene: fc.Scene, folder: Path) -> None:
     assert (
         ", or below 4 mm, outside the bounds of the search" in sound.reason and not sound.warnings
     )
-    assert "mm" not in repr(sound)
+    longest = value_in_words("crack.length", sound.intervals["crack.length"][1])
+    least = f"no crack above {longest} of crack length"
+    assert sound.conclusion == least and f"({least} (" in repr(sound) and "mm," not in repr(sound)
+    assert "±" not in repr(sound) and sound.intervals["crack.length"][1] > 4e-3
+    shown = account_of(Identified(scene, sound.summary(), folder))
+    assert sound.summary()["conclusion"] == least and shown.facts[0].startswith(f"{least}: log")
 
 
 TURN = 2.0 * np.pi
@@ -822,6 +829,25 @@ def command_of_one_unknown(folder: Path) -> list[str]:
     rows.to_csv(folder / "m.csv")
     words = ["identify", str(folder / "plate.toml"), str(folder / "m.csv")]
     return [*words, "--output", str(folder / "out")]
+
+
+def test_up_to_which_length_there_may_be_a_crack(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where there is no crack the terminal, JSON, the page of a report and Python say above which
+    length; a crack of 2 mm, below the bounds of the search, is no contradiction."""
+    words, bounds = command_of_one_unknown(tmp_path), (0.01, 0.034)
+    scene = fc.Scene.load(words[1]).replace({"crack.length": 0.002, "mesh.lip_elements": 2})
+    hertz = float(fc.solve_modes(fc.build_structure(scene), 1).omega[0]) / (2.0 * np.pi)
+    fc.Measurements.from_arrays("frequency_open", [hertz], 5.0, mode=[1]).to_csv(words[2])
+    assert main(words) == 0
+    said = re.search(r"no crack above ([\d.]+) mm of crack length: log", capsys.readouterr().err)
+    assert said is not None and bounds[0] < 1e-3 * float(said[1]) < bounds[1]
+    found = json.loads((tmp_path / "out" / "identify.json").read_text("utf-8"))
+    assert found["conclusion"] == f"no crack above {said[1]} mm of crack length"
+    page = tmp_path / "page.html"
+    assert main(["report", str(tmp_path / "out" / "identify.h5"), "--output", str(page)]) == 0
+    assert html.escape(found["conclusion"]) in page.read_text("utf-8")
 
 
 @pytest.mark.nightly

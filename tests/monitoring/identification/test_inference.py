@@ -673,13 +673,54 @@ def test_an_inclined_crack_acts_at_its_tip(tmp_path: Path) -> None:
     assert spread[0, 1] == pytest.approx(length * np.tan(np.radians(5.0)))
 
 
-@pytest.mark.parametrize(("separator", "name"), [(";", "semicolons"), ("\t", "tabs")])
-def test_cells_that_commas_do_not_separate(tmp_path: Path, separator: str, name: str) -> None:
-    """A spreadsheet's own separators are named, of measurements and of arrivals."""
-    (path := tmp_path / "table.csv").write_text(f"quantity{separator}value\n")
-    for read in (fc.Measurements.read, fc.read_record):
-        with pytest.raises(fc.InputError, match=f"separated by {name}"):
-            read(path)
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("quantity,value,deviation,mode\nfrequency_open,841,1,0,8,1", "line 2 has more cells"),
+        (
+            "quantity;value;deviation;mode\nfrequency_open;1,234;1,000;1",
+            "decimal mark is ambiguous: 1,234",
+        ),
+        (
+            "quantity;value;deviation;mode\nfrequency_open;841,5;0.8;1",
+            "decimal mark is ambiguous: 0.8 and 841,5",
+        ),
+        (
+            "quantity;value;deviation;mode\nfrequency_open;1.841,5;1;1",
+            "decimal mark is ambiguous: 1.841,5",
+        ),
+        ("quantity;value,deviation\nfrequency_open;1;1", "the columns quantity;value, deviation'"),
+        ("quantity,value [mm],deviation\nharmonic_1,1,1", r"column value \[mm\]': must be in Hz"),
+    ],
+    ids=range(6),
+)
+def test_ambiguous_tables(
+    text: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Numbers that may be read in two ways are refused in one line."""
+    scene = command_of_one_unknown(tmp_path)[1]
+    (path := tmp_path / "table.csv").write_text(text)
+    assert main(["identify", scene, str(path), "--output", str(tmp_path / "out")]) == 2
+    [line] = capsys.readouterr().err.splitlines()
+    assert re.search(words, line)
+
+
+def test_tables_of_spreadsheets(tmp_path: Path) -> None:
+    """Semicolons, tabs, decimal commas, numbered rows and other units: the same measurements."""
+    (path := tmp_path / "table.csv").write_text(TABLE)
+    rows, lines = fc.Measurements.from_csv(path).rows, TABLE.splitlines()[1:]
+    numbered = [",".join(pair) for pair in zip(["", "0", "1"], lines, strict=True)]
+    for text in (
+        "\n".join(lines).replace(",", ";").replace("0.", "0,").replace("841.", "841,"),
+        "\n".join(lines).replace(",", "\t"),
+        "\n".join(numbered).replace("[Hz]", "(kHz)").replace("250", "0.25"),
+    ):
+        path.write_text(text)
+        assert str(fc.Measurements.from_csv(path).rows) == str(rows)
+    path.write_text(
+        "quantity,value,deviation,frequency,phase [deg]\ndisplacement,-1e-3,1e-5,9,90\n"
+    )
+    assert fc.Measurements.from_csv(path).rows[0].phase == pytest.approx(0.5 * np.pi)
 
 
 # --- sweeps that end early, and comparisons by the command --------------------------------------

@@ -484,6 +484,8 @@ def test_a_run_up_whose_fifth_harmonic_is_folded() -> None:
     assert without.in_doubt == without.may_be_folded == ("may be folded" in repr(without))
     assert not fc.track_order(record(0.0, TWELVE), 10, harmonics=2, revolutions=5).in_doubt
     assert fc.track_order(record(0.0), 10, harmonics=3).in_doubt
+    six = fc.track_order(record(0.0, SEVEN[:6]), 10, harmonics=2)  # by one probe nothing is known
+    assert six.in_doubt and np.isnan(six.folded) and not six.does_not_fit
 
 
 @pytest.mark.parametrize("revolutions", [4, pytest.param(1, marks=NIGHTLY)])

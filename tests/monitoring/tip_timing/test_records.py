@@ -227,6 +227,9 @@ def test_a_record_of_some_revolutions(every: int) -> None:
     time[::every] = whole.time[::every]
     [fit] = fc.find_passages(replace(whole, time=time), [4, 5, 6], asynchronous=0)
     assert fit.order == 5 and abs(fit.omega - 500.0) < 4.0 * fit.omega_error
+    assert not fit.in_doubt and 0.0 < fit.whiteness < 1.0
+    assert replace(fit, whiteness=np.nan).in_doubt  # where nothing tests it
+    assert replace(fit, omega_errors=np.full(2, np.nan)).disagree
 
 
 @pytest.mark.parametrize("one", [0, 2])
@@ -258,6 +261,44 @@ def test_what_is_left_is_told() -> None:
     for far, one in zip(off, found, strict=True):
         assert one.in_doubt or far < 4.0 * one.omega_error
         assert one.in_doubt == ("residuals are correlated" in repr(one))
+
+
+def test_what_is_left_of_every_second_revolution_is_told() -> None:
+    """The same, from arrivals of which no two revolutions follow each other."""
+    whole, _ = swept([(500.0, 0.003, 5, 1e-5), (502.0, 0.003, 5, 1e-5)])
+    time = np.full_like(whole.time, np.nan)
+    time[::2] = whole.time[::2]
+    fit = fc.fit_passage(replace(whole, time=time), 100.2, [4, 5, 6])
+    assert fit.in_doubt and abs(fit.omega - 500.0) > 4.0 * fit.omega_error
+
+
+def test_orders_that_contradict_each_other(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A resonance of order 5 near which the speed turns, which is no transient of a mode (its size
+    is that of a steady vibration): two other orders are found within its width, and name each
+    other."""
+    rows, low, top, turns = np.arange(299), 97.0, 100.52, 150
+    half = turns * 2.0 * np.pi / (0.5 * (low + top))
+    grid = np.linspace(0.0, 2.0 * half, 100_001)
+    speed = low + (top - low) * (1.0 - np.abs(grid / half - 1.0))
+    angle = np.concatenate([[0.0], np.cumsum(0.5 * grid[1] * (speed[1:] + speed[:-1]))])
+    ratio = speed / 100.0
+    size = 2e-6 / (1.0 - ratio**2 + 2e-3j * ratio)
+    motion = (size * np.exp(5j * angle)).real
+    probes = np.array([0.3, 1.0, 2.2])
+    targets = 2.0 * np.pi * rows[:, None] + probes
+    targets = targets + 2e-5 * np.random.default_rng(1).standard_normal(targets.shape)
+    seen = np.interp(targets, angle + motion / 0.5, grid)
+    marks = np.interp(2.0 * np.pi * np.arange(len(rows) + 1), angle, grid)
+    fc.ArrivalTimes(seen, marks, probes, 0.5).to_csv(tmp_path / "record.csv")
+    words = ["timing", str(tmp_path / "record.csv"), "--output", str(tmp_path)]
+    assert main([*words, "--set", "tip_timing.orders=[5,15,21]"]) == 0
+    told = " ".join(capsys.readouterr().err.split())
+    orders = [row["order"] for row in json.loads((tmp_path / "timing.json").read_text())]
+    assert orders == [15.0, 21.0]
+    for other in ("21", "15"):
+        assert f"rpm: orders that explain the arrivals as well: {other}" in told
 
 
 # --- files ----------------------------------------------------------------------------------------
@@ -348,6 +389,30 @@ def test_times_of_a_rotor_that_speeds_up(tmp_path: Path) -> None:
     assert np.isnan(found.time[-1, 1])
 
 
+def test_tables_of_other_programs(tmp_path: Path) -> None:
+    """Semicolons and decimal commas, tabs, numbered rows, degrees and millimetres: the same."""
+    record, _ = swept([])
+    record.between(0, 20).to_csv(tmp_path / "record.csv")
+    lines = (tmp_path / "record.csv").read_text().splitlines()
+    names = lines[0].replace("angle [rad]", "angle (deg)").replace("radius [m]", "radius [mm]")
+    cells = [line.split(",") for line in lines[1:]]
+    places = [lines[0].split(",").index(name) for name in ("angle [rad]", "tip_radius [m]")]
+    for row in cells:
+        row[places[0]] = repr(np.degrees(float(row[places[0]])))
+        row[places[1]] = "500.0"
+    for mark, comma, index in ((";", ",", False), ("\t", ".", True), (",", ".", True)):
+        rows = [names.replace(",", mark), *(mark.join(row).replace(".", comma) for row in cells)]
+        if index:
+            rows = [
+                f"{place}{mark}{row}"
+                for place, row in zip(["", *range(len(cells))], rows, strict=True)
+            ]
+        (tmp_path / "other.csv").write_text("\n".join(rows))
+        [found] = fc.read_record(tmp_path / "other.csv").values()
+        assert found.tip_radius == 0.5 and np.allclose(found.probes, record.probes, rtol=1e-14)
+        assert np.array_equal(found.time[:20], record.time[:20])
+
+
 GOOD = [[1000.0, 0.1], [1000.0, 0.1], [1000.0, 0.1]]
 
 
@@ -428,11 +493,23 @@ def test_a_record_from_the_shell(tmp_path: Path, capsys: pytest.CaptureFixture[s
     words[1] = str(RECORD)
     for more, error in (
         ([], "tip_radius is missing: must be given for"),
+        ([], "'tip_radius [m]': distance of tips and axis in m; "),
+        ([], "from the shell --set tip_timing.tip_radius=0.5\n"),
         (["--set", "crack.length=1"], "crack.length = 1: not allowed with a record"),
         (["--set", "tip_timing.orders=[0]"], "tip_timing.orders = [0]: must be a list of"),
     ):
         assert main([*words, *more]) == 2
         assert error in capsys.readouterr().err
+
+
+def test_two_probes_from_the_shell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The order fits, which is no proof that it is the right one."""
+    record, _ = swept([(500.0, 0.002, 5, 2e-6)])
+    record.without(np.array([2, 3])).to_csv(tmp_path / "record.csv")
+    words = ["timing", str(tmp_path / "record.csv"), "--output", str(tmp_path)]
+    assert main([*words, "--set", "tip_timing.orders=[5,6]"]) == 0
+    told = " ".join(capsys.readouterr().err.split())
+    assert "rpm: 2 probes cannot test an order: 5 fits, and others may as well" in told
 
 
 def test_one_blade_of_several(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
