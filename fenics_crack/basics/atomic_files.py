@@ -41,7 +41,7 @@ def write_whole(path: str | Path, content: bytes | str, key: str = "path") -> No
     """
     data = content.encode() if isinstance(content, str) else content
     if os.path.dirname(os.path.abspath(path)) in DEVICES:
-        with _reported(path, key), open(path, "wb") as device:
+        with reported(path, key), open(path, "wb") as device:
             device.write(data)
         return
     with whole_file(path, key) as partial, open(partial, "wb") as file:
@@ -79,7 +79,7 @@ def whole_file(path: str | Path, key: str = "path", *, new: bool = False) -> Ite
     """
     target = Path(path)
     partial = target.parent / f".{os.urandom(4).hex()}.{target.name}"  # which nobody can foresee
-    with _reported(path, key):
+    with reported(path, key):
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
             yield partial
@@ -118,10 +118,11 @@ def not_written(key: str, path: str | Path, error: OSError, allowed: str = "") -
 
 
 @contextlib.contextmanager
-def _reported(path: str | Path, key: str) -> Iterator[None]:
+def reported(path: str | Path, key: str, allowed: str = "") -> Iterator[None]:
+    """Raise what the block meets as :func:`not_written`."""
     try:
         yield
     except OSError as error:
         if isinstance(error, FileExistsError) and error.filename2:  # of the link to a new name
             raise
-        raise not_written(key, path, error) from None
+        raise not_written(key, path, error, allowed) from None

@@ -1,0 +1,68 @@
+"""Compiled forms on disk: each in a folder of its own, which is complete or is not used.
+
+Where a form has been begun and not completed, DOLFINx waits for whoever compiles it, who may have
+been killed. So it compiles in a new folder, which is recorded once it is complete: a process reads
+recorded folders only, and what two compile at once each has for itself. A folder that a kill leaves
+is never read; it has the source of a form, some 100 kB.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sysconfig
+import tempfile
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from fenics_crack.basics.atomic_files import write_whole
+from fenics_crack.basics.ranks import MPI, on_root
+from fenics_crack.basics.untrusted_files import sha256
+
+GUARD = "setpriv --pdeathsig TERM setsid"
+"""Ends the compiler with this program, however that ends, and keeps the terminal's Ctrl-C from it:
+this program may have to finish a case first."""
+
+
+def compile_once(comm: MPI.Comm, record: Path, compiled_in: Callable[[Path], Any]) -> Any:
+    """Return a compiled form (collective).
+
+    Parameters
+    ----------
+    comm : MPI.Comm
+        Communicator of the form's mesh.
+    record : Path
+        File that names the form's folder, beside it.
+    compiled_in : callable
+        Loads the form from a folder, or else compiles it there.
+    """
+    folder, complete = on_root(comm, lambda: _folder(record))
+    compiler = os.environ.get("CC") or sysconfig.get_config_var("CC")
+    os.environ["CC"] = f"{GUARD} {compiler}"
+    try:
+        form = compiled_in(folder)
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    finally:
+        os.environ["CC"] = compiler  # what is taken without it
+    if not complete:
+        on_root(comm, lambda: write_whole(record, _content(folder)))
+    return form
+
+
+def _folder(record: Path) -> tuple[Path, bool]:
+    """Return the recorded folder and True; a new one and False if it is missing or damaged."""
+    with suppress(OSError, ValueError):
+        text = record.read_text("utf-8")
+        folder = record.with_name(text.partition("\n")[0])
+        if _content(folder) == text:
+            return folder, True
+    return Path(tempfile.mkdtemp(prefix="fenics_crack-", dir=record.parent)), False
+
+
+def _content(folder: Path) -> str:
+    """Name of a folder, and names and SHA-256 of its files: the text of its record."""
+    return "\n".join((folder.name, *(f"{sha256(f)} {f.name}" for f in sorted(folder.iterdir()))))
