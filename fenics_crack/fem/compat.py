@@ -53,15 +53,13 @@ with _versions_by_metadata(), away():
     import ufl
 
     # They keep the settings that they read first: the user's own in ~/.config, none from here.
-    _SETTINGS = [
-        (getattr(lib, "get_options", None) or lib.get_parameters)() for lib in (dolfinx.jit, ffcx)
-    ]
+    _READ = [(getattr(m, "get_options", None) or m.get_parameters)() for m in (dolfinx.jit, ffcx)]
 
 _NEW = hasattr(dolfinx.fem, "functionspace")
 _JIT = "jit_options" if _NEW else "jit_params"
-with reported(_SETTINGS[0]["cache_dir"], "cache_dir", PRIVATE):
-    _CACHE = private_folder(_SETTINGS[0].pop("cache_dir"))
-_SIGNED = str((_SETTINGS, PETSc.ScalarType, sys.implementation))
+with reported(_READ[0]["cache_dir"], "cache_dir", PRIVATE):
+    _CACHE = private_folder(_READ[0].pop("cache_dir"))
+_SIGNED = str((_READ, PETSc.ScalarType, sys.implementation))
 """What a compiled form depends on besides its expression."""
 
 
@@ -111,7 +109,7 @@ def _quiet_compiler() -> Iterator[None]:
 def _compiled(comm: MPI.Comm, source: Any, make: Callable[..., Any], *given: Any) -> Any:
     """Make what a form or an element is compiled for (collective)."""
     record = _CACHE / f"{ffcx.naming.compute_signature([source], _SIGNED)}.txt"
-    return compile_once(comm, record, lambda place: make(*given, **{_JIT: {"cache_dir": place}}))
+    return compile_once(comm, record, lambda options: make(*given, **{_JIT: options}))
 
 
 def function_space(mesh: Any, order: int, *, vectors: bool = True) -> Any:

@@ -18,15 +18,11 @@ from pathlib import Path
 from typing import Any
 
 from fenics_crack.basics.atomic_files import write_whole
-from fenics_crack.basics.ranks import MPI, on_root
+from fenics_crack.basics.ranks import MPI, Result, on_root
 from fenics_crack.basics.untrusted_files import sha256
 
-GUARD = "setpriv --pdeathsig TERM setsid"
-"""Ends the compiler with this program, however that ends, and keeps the terminal's Ctrl-C from it:
-this program may have to finish a case first."""
 
-
-def compile_once(comm: MPI.Comm, record: Path, compiled_in: Callable[[Path], Any]) -> Any:
+def compile_once(comm: MPI.Comm, record: Path, make: Callable[[dict[str, Any]], Result]) -> Result:
     """Return a compiled form (collective).
 
     Parameters
@@ -35,19 +31,23 @@ def compile_once(comm: MPI.Comm, record: Path, compiled_in: Callable[[Path], Any
         Communicator of the form's mesh.
     record : Path
         File that names the form's folder, beside it.
-    compiled_in : callable
-        Loads the form from a folder, or else compiles it there.
+    make : callable
+        Loads the form, or else compiles it, with DOLFINx's options for that.
     """
     folder, complete = on_root(comm, lambda: _folder(record))
-    compiler = os.environ.get("CC") or sysconfig.get_config_var("CC")
-    os.environ["CC"] = f"{GUARD} {compiler}"
+    before = os.environ.get("CC")
+    # It ends with this program, however that ends, and Ctrl-C in a terminal does not reach it: the
+    # program may have to finish a case first.
+    os.environ["CC"] = f"setpriv --pdeathsig TERM setsid {before or sysconfig.get_config_var('CC')}"
     try:
-        form = compiled_in(folder)
+        # Ranks of another machine, which have such a folder for themselves, wait [s] for one.
+        form = make({"cache_dir": folder, "timeout": 300})
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise
     finally:
-        os.environ["CC"] = compiler  # what is taken without it
+        del os.environ["CC"]
+        os.environ.update({"CC": before} if before else {})
     if not complete:
         on_root(comm, lambda: write_whole(record, _content(folder)))
     return form

@@ -107,6 +107,23 @@ def test_a_run_that_is_interrupted(tmp_path: Path, ranks: int, number: int) -> N
     assert table.exists()
 
 
+@pytest.mark.nightly
+def test_an_interrupt_from_the_terminal(tmp_path: Path) -> None:
+    """A sweep finishes what it has begun: its compiler is not interrupted."""
+    assert main(["new", str(tmp_path / "plate.toml"), "--quiet"]) == 0
+    compiler = tmp_path / "cc"
+    once = f"mkdir {tmp_path}/once && kill -INT -$PPID"
+    compiler.write_text(f'#!/bin/sh\n{once}\nexec gcc "$@"\n')
+    compiler.chmod(0o755)
+    changes = {"XDG_CACHE_HOME": str(tmp_path / "cache"), "CC": str(compiler)}
+    words = [sys.executable, "-m", "fenics_crack", "sweep", str(tmp_path / "plate.toml"), *SMALL]
+    done = subprocess.run(
+        [*words, "--output", str(tmp_path / "out")], env=environment() | changes, timeout=LIMIT,
+        start_new_session=True, capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 3 and "the same command goes on" in done.stderr
+
+
 def test_a_damaged_form(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One with a part of its library and one without its source are compiled again; of whole ones
     nothing is written."""
