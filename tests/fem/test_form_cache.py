@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import signal
@@ -199,3 +200,22 @@ def test_a_planted_library(tmp_path: Path, mode: int) -> None:
     done = subprocess.run(words, env=changes, timeout=LIMIT, capture_output=True, text=True)
     assert done.returncode == 0 and not (tmp_path / "RAN").exists()
     assert len(done.stderr.splitlines()) == (mode == 0o777)
+
+
+@pytest.mark.nightly
+def test_a_cache_of_the_users_settings(tmp_path: Path) -> None:
+    """One that others can write is refused in one line, before anything is compiled."""
+    for folder, mode in ((tmp_path / "dolfinx", 0o700), (tmp_path / "cache", 0o777)):
+        folder.mkdir()
+        folder.chmod(mode)
+    for name in ("dolfinx_jit_parameters.json", "dolfinx_jit_options.json"):
+        text = json.dumps({"cache_dir": str(tmp_path / "cache")})
+        (tmp_path / "dolfinx" / name).write_text(text)
+    assert main(["new", str(tmp_path / "plate.toml"), "--quiet"]) == 0
+    words = [sys.executable, "-m", "fenics_crack", "modes", str(tmp_path / "plate.toml"), *SMALL]
+    changes = {"XDG_CONFIG_HOME": str(tmp_path)}
+    done = subprocess.run(
+        words, env=environment() | changes, capture_output=True, text=True, timeout=LIMIT
+    )
+    [line] = done.stderr.splitlines()
+    assert done.returncode == 2 and "cache_dir" in line and not [*tmp_path.glob("cache/*")]
