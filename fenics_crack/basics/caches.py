@@ -32,7 +32,7 @@ def settle_caches() -> None:
         _replace("HOME", Path(home), "no folder that can be entered")
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     try:
-        private_folder(cache / "fenics")
+        private_folder(cache / "fenics", make=False)
     except OSError as error:
         _replace("XDG_CACHE_HOME", cache, f"not {PRIVATE}, {error.strerror}")
         os.environ.setdefault("MPLCONFIGDIR", os.environ["XDG_CACHE_HOME"])
@@ -46,33 +46,33 @@ def _replace(name: str, path: Path, why: str) -> None:
     LOGGER.warning("%s: %s; %s is used", path, why, own)  # Python prints it without a handler
 
 
-def private_folder(path: Path, closed: int = 0o22) -> Path:
-    """Make a folder, and those above it, for this user alone; return its path without links.
-
-    What is compiled there is run: nobody but this user and root may put files into it, or another
-    folder in its place. Above it a folder may be sticky, as ``/tmp``.
+def private_folder(path: Path, closed: int = 0o22, *, make: bool = True) -> Path:
+    """Return a folder's path without links, if nobody but this user and root can put files into it,
+    or another folder in its place: what is compiled there is run.
 
     Parameters
     ----------
     path : Path
-        The folder.
+        The folder. Those above it may be sticky, as ``/tmp``.
     closed : int
-        Permissions that nobody else may have, by default to write.
+        Permissions for it that nobody else may have, by default to write.
+    make : bool
+        Make it, and those above it; else it may be missing.
 
     Raises
     ------
     OSError
         Others can write it, it cannot be written, or it has no room for a cache.
     """
-    for part in (*reversed(path.parents), path):
-        part.mkdir(mode=0o700, exist_ok=True)
     folder = path.resolve()
-    for part in (folder, *folder.parents):
+    for part in (*reversed(folder.parents), folder) if make else ():
+        part.mkdir(mode=0o700, exist_ok=True)
+    there = [part for part in (folder, *folder.parents) if part.exists()]
+    for part in there:
         status = part.stat()
-        sticky = part != folder and status.st_mode & 0o1000
-        if status.st_uid not in (0, os.geteuid()) or (status.st_mode & closed and not sticky):
+        refused = closed if part == folder else 0 if status.st_mode & 0o1000 else 0o22
+        if status.st_mode & refused or status.st_uid not in (0, os.geteuid()):
             raise OSError(0, f"others can write {part}")
-        closed = 0o22
-    with tempfile.TemporaryFile(dir=folder) as file:
+    with tempfile.TemporaryFile(dir=there[0]) as file:
         os.posix_fallocate(file.fileno(), 0, 2**22)  # the forms of a scene take 1 to 2 MiB
     return folder

@@ -19,12 +19,11 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from fenics_crack.basics.atomic_files import reported
-from fenics_crack.basics.caches import PRIVATE, private_folder, settle_caches
+from fenics_crack.basics.caches import settle_caches
 from fenics_crack.basics.gmsh_process import gmsh
 from fenics_crack.basics.threads import addresses_left
 from fenics_crack.basics.untrusted_files import away
-from fenics_crack.fem.form_cache import compile_once
+from fenics_crack.fem.form_cache import load_form
 
 
 @contextmanager
@@ -57,8 +56,7 @@ with _versions_by_metadata(), away():
 
 _NEW = hasattr(dolfinx.fem, "functionspace")
 _JIT = "jit_options" if _NEW else "jit_params"
-with reported(_READ[0]["cache_dir"], "cache_dir", PRIVATE):
-    _CACHE = private_folder(_READ[0].pop("cache_dir"))
+_CACHE = _READ[0].pop("cache_dir")
 _SIGNED = str((_READ, PETSc.ScalarType, sys.implementation))
 """What a compiled form depends on besides its expression."""
 
@@ -109,7 +107,7 @@ def _quiet_compiler() -> Iterator[None]:
 def _compiled(comm: MPI.Comm, source: Any, make: Callable[..., Any], *given: Any) -> Any:
     """Make what a form or an element is compiled for (collective)."""
     record = _CACHE / f"{ffcx.naming.compute_signature([source], _SIGNED)}.txt"
-    return compile_once(comm, record, lambda options: make(*given, **{_JIT: options}))
+    return load_form(comm, record, lambda options: make(*given, **{_JIT: options}))
 
 
 def function_space(mesh: Any, order: int, *, vectors: bool = True) -> Any:

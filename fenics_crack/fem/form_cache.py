@@ -15,15 +15,15 @@ import tempfile
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
-from fenics_crack.basics.atomic_files import write_whole
+from fenics_crack.basics.atomic_files import reported, write_whole
+from fenics_crack.basics.caches import PRIVATE, private_folder
 from fenics_crack.basics.ranks import MPI, Result, on_root
 from fenics_crack.basics.untrusted_files import sha256
 
 
-def compile_once(comm: MPI.Comm, record: Path, make: Callable[[dict[str, Any]], Result]) -> Result:
-    """Return a compiled form (collective).
+def load_form(comm: MPI.Comm, record: Path, make: Callable[[dict[str, object]], Result]) -> Result:
+    """Load a compiled form, or compile it (collective).
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def compile_once(comm: MPI.Comm, record: Path, make: Callable[[dict[str, Any]], 
     record : Path
         File that names the form's folder, beside it.
     make : callable
-        Loads the form, or else compiles it, with DOLFINx's options for that.
+        Does so with the given options of DOLFINx.
     """
     folder, complete = on_root(comm, lambda: _folder(record))
     before = os.environ.get("CC")
@@ -49,12 +49,14 @@ def compile_once(comm: MPI.Comm, record: Path, make: Callable[[dict[str, Any]], 
         del os.environ["CC"]
         os.environ.update({"CC": before} if before else {})
     if not complete:
-        on_root(comm, lambda: write_whole(record, _content(folder)))
+        on_root(comm, lambda: write_whole(folder.with_name(record.name), _content(folder)))
     return form
 
 
 def _folder(record: Path) -> tuple[Path, bool]:
     """Return the recorded folder and True; a new one and False if it is missing or damaged."""
+    with reported(record.parent, "cache_dir", PRIVATE):
+        record = private_folder(record.parent) / record.name
     with suppress(OSError, ValueError):
         text = record.read_text("utf-8")
         folder = record.with_name(text.partition("\n")[0])

@@ -22,7 +22,7 @@ from surroundings import main
 
 import fenics_crack as fc
 from fenics_crack import SweepResult, run_sweep
-from fenics_crack.basics.caches import settle_caches
+from fenics_crack.basics.caches import private_folder, settle_caches
 from fenics_crack.basics.untrusted_files import run_reader, sha256
 from fenics_crack.files.store import header, read
 from fenics_crack.scene.tables import Sweep
@@ -518,12 +518,14 @@ def test_a_cache_of_another_user(
 
 
 def test_a_new_cache(tmp_path: Path, temporary: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is made for this user alone, whatever others may do with new files."""
+    """It is made when it is used, for this user alone, whatever others may do with new files."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "new" / "cache"))
+    settle_caches.__wrapped__()
+    assert not temporary.exists() and not (tmp_path / "new").exists()
     before = os.umask(0)
     try:
-        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "new" / "cache"))
-        settle_caches.__wrapped__()
+        private_folder(tmp_path / "new" / "cache")
     finally:
         os.umask(before)
-    assert (tmp_path / "new" / "cache" / "fenics").is_dir() and not temporary.exists()
-    assert (tmp_path / "new").stat().st_mode & 0o777 == 0o700
+    for folder in ("new", "new/cache"):
+        assert (tmp_path / folder).stat().st_mode & 0o777 == 0o700
