@@ -42,6 +42,7 @@ def _replace(name: str, path: Path, why: str) -> None:
     """Set a variable of the environment to this user's own folder for temporary files."""
     with reported(path, name, PRIVATE):
         own = private_folder(Path(tempfile.gettempdir()) / f"fenics-crack-{os.geteuid()}", 0o77)
+        private_folder(own, make=False)
     os.environ[name] = str(own)
     LOGGER.warning("%s: %s; %s is used", path, why, own)  # Python prints it without a handler
 
@@ -57,12 +58,12 @@ def private_folder(path: Path, closed: int = 0o22, *, make: bool = True) -> Path
     closed : int
         Permissions for it that nobody else may have, by default to write.
     make : bool
-        Make it, and those above it; else it may be missing.
+        Make it, and those above it; else it may be missing, and has to have room for a cache.
 
     Raises
     ------
     OSError
-        Others can write it, it cannot be written, or it has no room for a cache.
+        Others can write it, it cannot be written, or it has no room.
     """
     folder = path.resolve()
     for part in (*reversed(folder.parents), folder) if make else ():
@@ -74,5 +75,6 @@ def private_folder(path: Path, closed: int = 0o22, *, make: bool = True) -> Path
         if status.st_mode & refused or status.st_uid not in (0, os.geteuid()):
             raise OSError(0, f"others can write {part}")
     with tempfile.TemporaryFile(dir=there[0]) as file:
-        os.posix_fallocate(file.fileno(), 0, 2**22)  # the forms of a scene take 1 to 2 MiB
+        # The forms of a scene take 1 to 2 MiB; to make room for them, some milliseconds.
+        os.posix_fallocate(file.fileno(), 0, 1 if make else 2**22)
     return folder

@@ -57,8 +57,6 @@ with _versions_by_metadata(), away():
 _NEW = hasattr(dolfinx.fem, "functionspace")
 _JIT = "jit_options" if _NEW else "jit_params"
 _CACHE = _READ[0].pop("cache_dir")
-_SIGNED = str((_READ, PETSc.ScalarType, sys.implementation))
-"""What a compiled form depends on besides its expression."""
 
 
 def gmsh_is_running() -> bool:
@@ -104,10 +102,10 @@ def _quiet_compiler() -> Iterator[None]:
 
 
 @_quiet_compiler()
-def _compiled(comm: MPI.Comm, source: Any, make: Callable[..., Any], *given: Any) -> Any:
-    """Make what a form or an element is compiled for (collective)."""
-    record = _CACHE / f"{ffcx.naming.compute_signature([source], _SIGNED)}.txt"
-    return load_form(comm, record, lambda options: make(*given, **{_JIT: options}))
+def _compiled(comm: MPI.Comm, form: Any, make: Callable[..., Any], *given: Any) -> Any:
+    """Make what a form, or an element, is compiled for (collective)."""
+    key = ffcx.naming.compute_signature([form], str((_READ, PETSc.ScalarType, sys.implementation)))
+    return load_form(comm, _CACHE / f"{key}.txt", lambda options: make(*given, **{_JIT: options}))
 
 
 def function_space(mesh: Any, order: int, *, vectors: bool = True) -> Any:
