@@ -68,13 +68,12 @@ def private_folder(path: Path, closed: int = 0o22, *, make: bool = True) -> Path
     folder = path.resolve()
     for part in (*reversed(folder.parents), folder) if make else ():
         part.mkdir(mode=0o700, exist_ok=True)
-    there = [part for part in (folder, *folder.parents) if part.exists()]
-    for part in there:
-        status = part.stat()
+    there = [(part, part.stat()) for part in (folder, *folder.parents) if part.exists()]
+    for part, status in there:
         refused = closed if part == folder else 0 if status.st_mode & 0o1000 else 0o22
         if status.st_mode & refused or status.st_uid not in (0, os.geteuid()):
             raise OSError(0, f"others can write {part}")
-    with tempfile.TemporaryFile(dir=there[0]) as file:
-        # The forms of a scene take 1 to 2 MiB; to make room for them, some milliseconds.
-        os.posix_fallocate(file.fileno(), 0, 1 if make else 2**22)
+    with tempfile.TemporaryFile(dir=there[0][0]) as file:
+        if not make:  # it takes milliseconds; the forms of a scene take 1 to 2 MiB
+            os.posix_fallocate(file.fileno(), 0, 2**22)
     return folder
