@@ -44,7 +44,7 @@ def write_whole(path: str | Path, content: bytes | str, key: str = "path") -> No
     """
     data = content.encode() if isinstance(content, str) else content
     if os.path.dirname(os.path.abspath(path)) in DEVICES:
-        with _reported(path, key), open(path, "wb") as device:
+        with reported(path, key), open(path, "wb") as device:
             device.write(data)
         return
     with whole_file(path, key) as partial, open(partial, "wb") as file:
@@ -80,7 +80,7 @@ def whole_file(path: str | Path, key: str = "path", *, new: bool = False) -> Ite
     InputError
         As of :func:`not_written`.
     """
-    with _reported(path, key), _hidden(Path(path), new=new) as partial:
+    with reported(path, key), _hidden(Path(path), new=new) as partial:
         yield partial
 
 
@@ -134,12 +134,10 @@ def prepare_folder(folder: Path, inner: Iterable[str] = (), key: str = "--output
     """
     for name in inner:
         check_inner(folder / name, key)
-    try:
+    with reported(folder, key, "a folder that can be written"):
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass
-    except OSError as error:
-        raise not_written(key, folder, error, "a folder that can be written") from None
 
 
 def check_inner(folder: Path, key: str = "path") -> None:
@@ -186,10 +184,11 @@ def not_written(key: str, path: str | Path, error: OSError, allowed: str = "") -
 
 
 @contextlib.contextmanager
-def _reported(path: str | Path, key: str) -> Iterator[None]:
+def reported(path: str | Path, key: str, allowed: str = "") -> Iterator[None]:
+    """Raise what the block meets as :func:`not_written`."""
     try:
         yield
     except OSError as error:
         if isinstance(error, FileExistsError) and error.filename2:  # of the link to a new name
             raise
-        raise not_written(key, path, error) from None
+        raise not_written(key, path, error, allowed) from None

@@ -11,14 +11,16 @@ import tempfile
 from functools import lru_cache
 from pathlib import Path
 
-from fenics_crack.basics.atomic_files import not_written
+from fenics_crack.basics.atomic_files import reported
 from fenics_crack.basics.progress import LOGGER
+
+PRIVATE = "a folder that this user alone can write"
 
 
 @lru_cache
 def settle_caches() -> None:
-    """Replace a home that cannot be entered, and caches that cannot be written, by a private
-    folder for temporary files, and say so in one line.
+    """Replace a home that cannot be entered, and caches that cannot be written or that others can
+    write, by a private folder for temporary files, and say so in one line.
 
     Raises
     ------
@@ -30,30 +32,48 @@ def settle_caches() -> None:
         _replace("HOME", Path(home), "no folder that can be entered")
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     try:
-        _check_room(cache / "fenics")
+        private_folder(cache / "fenics", make=False)
     except OSError as error:
-        _replace("XDG_CACHE_HOME", cache, f"no folder that can be written, {error.strerror}")
+        _replace("XDG_CACHE_HOME", cache, f"not {PRIVATE}, {error.strerror}")
         os.environ.setdefault("MPLCONFIGDIR", os.environ["XDG_CACHE_HOME"])
 
 
 def _replace(name: str, path: Path, why: str) -> None:
     """Set a variable of the environment to this user's own folder for temporary files."""
-    try:
-        own = Path(tempfile.gettempdir()) / f"fenics-crack-{os.geteuid()}"
-        own.mkdir(mode=0o700, exist_ok=True)
-        found = own.lstat()
-        if found.st_uid != os.geteuid() or found.st_mode & 0o77:  # what is compiled there is run
-            raise PermissionError(f"{own} is not this user's alone")
-        _check_room(own)
-    except OSError as error:
-        raise not_written(name, path, error, "a folder that can be written") from None
+    with reported(path, name, PRIVATE):
+        own = private_folder(Path(tempfile.gettempdir()) / f"fenics-crack-{os.geteuid()}", 0o77)
+        private_folder(own, make=False)
     os.environ[name] = str(own)
     LOGGER.warning("%s: %s; %s is used", path, why, own)  # Python prints it without a handler
 
 
-def _check_room(folder: Path) -> None:
-    """Raise OSError unless a folder, or the one in which it would be made, has room for a cache."""
-    while not os.path.lexists(folder):
-        folder = folder.parent
-    with tempfile.TemporaryFile(dir=folder) as file:
-        os.posix_fallocate(file.fileno(), 0, 2**22)  # the forms of a scene take 1 to 2 MiB
+def private_folder(path: Path, closed: int = 0o22, *, make: bool = True) -> Path:
+    """Return a folder's path without links, if nobody but this user and root can put files into it,
+    or another folder in its place: what is compiled there is run.
+
+    Parameters
+    ----------
+    path : Path
+        The folder. Those above it may be sticky, as ``/tmp``.
+    closed : int
+        Permissions for it that nobody else may have, by default to write.
+    make : bool
+        Make it, and those above it; else it may be missing, and has to have room for a cache.
+
+    Raises
+    ------
+    OSError
+        Others can write it, it cannot be written, or it has no room.
+    """
+    folder = path.resolve()
+    for part in (*reversed(folder.parents), folder) if make else ():
+        part.mkdir(mode=0o700, exist_ok=True)
+    there = [(part, part.stat()) for part in (folder, *folder.parents) if part.exists()]
+    for part, status in there:
+        refused = closed if part == folder else 0 if status.st_mode & 0o1000 else 0o22
+        if status.st_mode & refused or status.st_uid not in (0, os.geteuid()):
+            raise OSError(0, f"others can write {part}")
+    with tempfile.TemporaryFile(dir=there[0][0]) as file:
+        if not make:  # it takes milliseconds; the forms of a scene take 1 to 2 MiB
+            os.posix_fallocate(file.fileno(), 0, 2**22)
+    return folder

@@ -10,7 +10,7 @@ from __future__ import annotations
 import importlib.metadata
 import logging
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import ModuleType
 from typing import Any
@@ -20,6 +20,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenics_crack.basics.caches import settle_caches
+from fenics_crack.basics.form_cache import load_form
 from fenics_crack.basics.gmsh_process import gmsh
 from fenics_crack.basics.threads import addresses_left
 from fenics_crack.basics.untrusted_files import away
@@ -51,12 +52,11 @@ with _versions_by_metadata(), away():
     import ufl
 
     # They keep the settings that they read first: the user's own in ~/.config, none from here.
-    for _tool in (dolfinx.jit, ffcx):
-        (getattr(_tool, "get_options", None) or _tool.get_parameters)()
+    _READ = [(getattr(m, "get_options", None) or m.get_parameters)() for m in (dolfinx.jit, ffcx)]
 
 _NEW = hasattr(dolfinx.fem, "functionspace")
-_JIT = {"jit_options" if _NEW else "jit_params": {"timeout": 300}}
-"""Waiting time [s] while another process compiles the same form."""
+_JIT = "jit_options" if _NEW else "jit_params"
+_CACHE = _READ[0].pop("cache_dir")
 
 
 def gmsh_is_running() -> bool:
@@ -102,34 +102,41 @@ def _quiet_compiler() -> Iterator[None]:
 
 
 @_quiet_compiler()
+def _compiled(comm: MPI.Comm, form: Any, make: Callable[..., Any], *given: Any) -> Any:
+    """Make what a form, or an element, is compiled for (collective)."""
+    key = ffcx.naming.compute_signature([form], str((_READ, PETSc.ScalarType, sys.implementation)))
+    return load_form(comm, _CACHE / f"{key}.txt", lambda options: make(*given, **{_JIT: options}))
+
+
 def function_space(mesh: Any, order: int, *, vectors: bool = True) -> Any:
     """Continuous piecewise polynomials of the given order: vectors, or numbers."""
     if _NEW:
         shape = ((mesh.geometry.dim,),) if vectors else ()
-        return dolfinx.fem.functionspace(mesh, ("Lagrange", order, *shape), **_JIT)
+        return dolfinx.fem.functionspace(mesh, ("Lagrange", order, *shape))
     make = ufl.VectorElement if vectors else ufl.FiniteElement
-    return dolfinx.fem.FunctionSpace(mesh, make("Lagrange", mesh.ufl_cell(), order), **_JIT)
+    element = make("Lagrange", mesh.ufl_cell(), order)
+    return _compiled(mesh.comm, element, dolfinx.fem.FunctionSpace, mesh, element)
 
 
-@_quiet_compiler()
-def compiled(form: ufl.Form) -> Any:
-    """A form to be assembled several times, with other values of its constants and functions."""
-    return dolfinx.fem.form(form, **_JIT)
+def compiled(form: Any) -> Any:
+    """Compile a form (collective), to be assembled several times with other values of its constants
+    and functions; return one that is compiled as it is."""
+    if not isinstance(form, ufl.Form):
+        return form
+    return _compiled(form.ufl_domain().ufl_cargo().comm, form, dolfinx.fem.form, form)
 
 
-@_quiet_compiler()
 def assembled_matrix(form: ufl.Form) -> Any:
     """Assemble a bilinear form without boundary conditions into a PETSc matrix (collective)."""
-    matrix = dolfinx.fem.petsc.assemble_matrix(dolfinx.fem.form(form, **_JIT))
+    matrix = dolfinx.fem.petsc.assemble_matrix(compiled(form))
     matrix.assemble()
     return matrix
 
 
-@_quiet_compiler()
 def assembled_vector(form: Any) -> np.ndarray:
     """Assemble a linear form, compiled or not; return the entries of the dofs that this rank owns
     (collective)."""
-    vector = dolfinx.fem.petsc.assemble_vector(dolfinx.fem.form(form, **_JIT))
+    vector = dolfinx.fem.petsc.assemble_vector(compiled(form))
     vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
     owned = vector.array_r.copy()
     vector.destroy()

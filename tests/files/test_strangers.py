@@ -22,7 +22,7 @@ from surroundings import main
 
 import fenics_crack as fc
 from fenics_crack import SweepResult, run_sweep
-from fenics_crack.basics.caches import settle_caches
+from fenics_crack.basics.caches import private_folder, settle_caches
 from fenics_crack.basics.untrusted_files import run_reader, sha256
 from fenics_crack.files.store import header, read
 from fenics_crack.scene.tables import Sweep
@@ -477,3 +477,55 @@ def test_a_home_that_takes_no_files(
     monkeypatch.setenv(lost, str(tmp_path / "file"))
     with pytest.raises(fc.InputError, match=lost):
         settle_caches.__wrapped__()
+
+
+@pytest.mark.parametrize("place", ["cache", "cache/fenics", "parent", "link"])
+def test_a_cache_that_others_can_write(
+    place: str, tmp_path: Path, temporary: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It, what it lies in or what it leads to: a folder of this user's alone takes its place."""
+    parent = tmp_path / "parent"
+    (parent / "cache" / "fenics").mkdir(0o755, parents=True)
+    (tmp_path / "link").symlink_to(parent / "cache")
+    cache = tmp_path / "link" if place == "link" else parent / "cache"
+    monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
+    shared = {"parent": parent, "link": parent}.get(place, parent / place)
+    for mode, kept in (
+        (0o755, True),
+        (0o1777, place in ("cache", "parent", "link")),
+        (0o775, False),
+    ):
+        shared.chmod(mode)
+        settle_caches.__wrapped__()
+        assert (os.environ["XDG_CACHE_HOME"] == str(cache)) == kept
+        monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
+    assert temporary.is_dir() and temporary.stat().st_mode & 0o777 == 0o700
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="root alone gives folders away")
+def test_a_cache_of_another_user(
+    tmp_path: Path, temporary: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is not used, nor is one within that of this user."""
+    cache = tmp_path / "cache"
+    (cache / "fenics").mkdir(parents=True)
+    for other in (cache, cache / "fenics"):
+        os.chown(other, 1000, 1000)
+        monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
+        settle_caches.__wrapped__()
+        assert os.environ["XDG_CACHE_HOME"] == str(temporary)
+        os.chown(other, 0, 0)
+
+
+def test_a_new_cache(tmp_path: Path, temporary: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is made when it is used, for this user alone, whatever others may do with new files."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "new" / "cache"))
+    settle_caches.__wrapped__()
+    assert not temporary.exists() and not (tmp_path / "new").exists()
+    before = os.umask(0)
+    try:
+        private_folder(tmp_path / "new" / "cache")
+    finally:
+        os.umask(before)
+    for folder in ("new", "new/cache"):
+        assert (tmp_path / folder).stat().st_mode & 0o777 == 0o700

@@ -1,0 +1,70 @@
+"""Compiled forms on disk: each in a folder of its own, which is complete or is not used.
+
+Where a form has been begun and not completed, DOLFINx waits for whoever compiles it, who may have
+been killed. So it compiles in a new folder, which is recorded once it is complete: a process reads
+recorded folders only, and what two compile at once each has for itself. A folder that a kill leaves
+is never read; it has the source of a form, some 100 kB.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sysconfig
+import tempfile
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+from fenics_crack.basics.atomic_files import reported, write_whole
+from fenics_crack.basics.caches import PRIVATE, private_folder
+from fenics_crack.basics.ranks import MPI, Result, on_root
+from fenics_crack.basics.untrusted_files import sha256, text_of
+
+
+def load_form(comm: MPI.Comm, record: Path, make: Callable[[dict[str, object]], Result]) -> Result:
+    """Load a compiled form, or compile it (collective).
+
+    Parameters
+    ----------
+    comm : MPI.Comm
+        Communicator of the form's mesh.
+    record : Path
+        File that names the form's folder, beside it.
+    make : callable
+        Does so with the given options of DOLFINx.
+    """
+    folder, complete = on_root(comm, lambda: _folder(record))
+    before = os.environ.get("CC")
+    # It ends with this program, however that ends, and Ctrl-C in a terminal does not reach it: the
+    # program may have to finish a case first.
+    os.environ["CC"] = f"setpriv --pdeathsig TERM setsid {before or sysconfig.get_config_var('CC')}"
+    try:
+        # Ranks of another machine, which have such a folder for themselves, wait [s] for one.
+        form = make({"cache_dir": folder, "timeout": 300})
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    finally:
+        del os.environ["CC"]
+        os.environ.update({"CC": before} if before else {})
+    if not complete:
+        on_root(comm, lambda: write_whole(folder.with_name(record.name), _content(folder)))
+    return form
+
+
+def _folder(record: Path) -> tuple[Path, bool]:
+    """Return the recorded folder and True; a new one and False if it is missing or damaged."""
+    with reported(record.parent, "cache_dir", PRIVATE):
+        record = private_folder(record.parent) / record.name
+    with suppress(OSError, ValueError):
+        text = text_of(record)
+        folder = record.with_name(text.partition("\n")[0])
+        if _content(folder) == text:
+            return folder, True
+    return Path(tempfile.mkdtemp(prefix="fenics_crack-", dir=record.parent)), False
+
+
+def _content(folder: Path) -> str:
+    """Name of a folder, and names and SHA-256 of its files: the text of its record."""
+    return "\n".join((folder.name, *(f"{sha256(f)} {f.name}" for f in sorted(folder.iterdir()))))
