@@ -46,7 +46,11 @@ class InputError(ValueError):
         The value found there.
     allowed : str
         Description of the allowed values.
+    others : tuple of InputError
+        Errors of further keys of the same scene.
     """
+
+    others: tuple[InputError, ...] = ()
 
     def __init__(self, key: str, value: object, allowed: str) -> None:
         super().__init__(key, value, allowed)
@@ -60,7 +64,7 @@ class InputError(ValueError):
             pickle.dumps(value := self.value)
         except Exception:
             value = f"({type(self.value).__name__} that cannot be shown)"
-        return type(self), (self.key, value, self.allowed)
+        return type(self), (self.key, value, self.allowed), {"others": self.others}
 
     def __str__(self) -> str:
         key = self.key if self.key.isprintable() else repr(self.key)
@@ -72,6 +76,28 @@ class InputError(ValueError):
         given = f"{key} is missing" if self.value is None else f"{key} = {value}"
         text = f"{given}: must be {self.allowed}".replace("must be left out", "not allowed")
         return text if text.isprintable() else " ".join(text.split())
+
+
+class InputErrors(list[InputError]):
+    """Errors of several keys: a block under ``with`` adds its own instead of raising it.
+
+    One of each key is kept. Once there is one, a block may fail in any way: it has used what was
+    refused before.
+    """
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: object, error: object, trace: object) -> bool:
+        if isinstance(error, InputError) and error.key not in [other.key for other in self]:
+            self.append(error)
+        return bool(self) and isinstance(error, Exception)
+
+    def throw(self) -> None:
+        """Raise the first, which carries the others; nothing if there is none."""
+        if self:
+            self[0].others = tuple(self[1:])
+            raise self[0]
 
 
 class WriteError(InputError):

@@ -20,7 +20,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from fenics_crack.basics.errors import InputError, reading
+from fenics_crack.basics.errors import InputError, InputErrors, reading
 from fenics_crack.basics.suggestions import (
     Hinted,
     checked_call,
@@ -40,7 +40,16 @@ from fenics_crack.basics.tables import (
     frequency_axis,
 )
 from fenics_crack.basics.untrusted_files import text_of
-from fenics_crack.scene.fields import Axis, Point, Table, components, named, with_key
+from fenics_crack.scene.fields import (
+    REFUSED,
+    Axis,
+    Point,
+    Table,
+    components,
+    named,
+    renamed,
+    with_key,
+)
 from fenics_crack.scene.tables import (
     Base,
     Contact,
@@ -118,53 +127,50 @@ class Scene(Hinted):
     output: Output | None = None
 
     def __post_init__(self) -> None:
-        for name, table in _TABLES.items():
-            value = getattr(self, name)
-            if name in _LISTS:
-                fine = isinstance(value, tuple) and all(isinstance(one, table) for one in value)
+        errors = InputErrors()
+        self._settle(errors)
+        errors.throw()
+
+    def _settle(self, errors: InputErrors) -> None:
+        """Check what tables must not contradict, and hold what follows from several; add to the
+        errors what is refused."""
+        for name in _TABLES:
+            with errors:
+                _check_table(self, name)
+        with errors:
+            if self.rotation is not None:
+                self.rotation.check_place(self.disk)
+        with errors:
+            if self.excitation.order is not None and (self.disk is None or self.speed > 0.0):
+                allowed = "left out without a rotation.speed > 0"
+                self.excitation.require(self.speed > 0.0, "order", allowed)
+                vars(self)["excitation"] = self.excitation.at_speed(self.speed)
+        with errors:
+            vars(self)["harmonic_balance"] = self.harmonic_balance.of_load(self.highest_order)
+        with errors:
+            _check_commands(self)
+        with errors:
+            if self.structure is not None:
+                _check_matrices(self, self.structure, errors)
             else:
-                missing = value is None and (name in _OPTIONAL or _not_needed(self, name))
-                fine = isinstance(value, table) or missing
-            if not fine:
-                allowed = "given: a table" if value is None else f"a {table.__name__}"
-                if isinstance(value, str | Path):
-                    allowed += "; Scene.load(path) reads the file of a scene"
-                raise InputError(name, value, allowed)
-        if self.rotation is not None:
-            self.rotation.check_place(self.disk)
-        if self.excitation.order is not None and (self.disk is None or self.speed > 0.0):
-            allowed = "left out without a rotation.speed > 0"
-            self.excitation.require(self.speed > 0.0, "order", allowed)
-            object.__setattr__(self, "excitation", self.excitation.at_speed(self.speed))
-        balance = self.harmonic_balance.of_load(self.highest_order)
-        object.__setattr__(self, "harmonic_balance", balance)
-        if self.curve is not None and self.curve.followed[0] == "speed":
-            allowed = "another one without an excitation.order, which needs a rotation"
-            self.curve.require(self.excitation.order is not None, "parameter", allowed)
-        if self.curve is not None and self.curve.parameter == "load":
-            allowed = "another one with a rotation.speed > 0: the mean load is partly centrifugal"
-            self.curve.require(self.speed == 0.0, "parameter", allowed)
-        if self.integration is not None and self.rotation is not None:
-            why = "[rotation]: the mean load is partly centrifugal"
-            self.integration.leave_out(("deflection", "free"), why)
-        if self.structure is not None:
-            _check_matrices(self, self.structure)
-        else:
-            _check_dimension(self)
-            (_check_file if self.mesh.layout == "file" else _check_plate)(self)
-            if self.disk is not None:
-                _check_disk(self, self.disk)
+                _check_dimension(self, errors)
+                (_check_file if self.mesh.layout == "file" else _check_plate)(self, errors)
+                if self.disk is not None:
+                    _check_disk(self, self.disk, errors)
         for names, without in (*_ASKED, (OF_FRICTION, _without_friction)):
-            if asked := tuple(name for name in self.quantities or () if name in names):
-                check_known(without(self), "output.quantities", asked)
+            with errors:
+                if asked := tuple(name for name in self.quantities or () if name in names):
+                    check_known(without(self), "output.quantities", asked)
         for name, key in _AXES:
-            if (chosen := getattr(self, name)) is not None:
-                axes = _checked_axes(self, f"{name}.{key}", getattr(chosen, key))
-                object.__setattr__(self, name, dataclasses.replace(chosen, **{key: axes}))
-        if self.identify is not None and (self.mesh is None or self.mesh.layout != "file"):
-            allowed = "left out without mesh.layout = 'file'"
-            self.identify.require(not self.identify.meshes, "meshes", allowed)
-            self.identify.leave_out(("uncracked",), "a mesh that is not a file")
+            with errors:
+                if (chosen := getattr(self, name)) is not None:
+                    axes = _checked_axes(self, f"{name}.{key}", getattr(chosen, key))
+                    vars(self)[name] = dataclasses.replace(chosen, **{key: axes})
+        with errors:
+            if self.identify is not None and (self.mesh is None or self.mesh.layout != "file"):
+                allowed = "left out without mesh.layout = 'file'"
+                self.identify.require(not self.identify.meshes, "meshes", allowed)
+                self.identify.leave_out(("uncracked",), "a mesh that is not a file")
 
     def __repr__(self) -> str:
         return f"Scene({_in_short(self)})"
@@ -191,13 +197,28 @@ class Scene(Hinted):
         as they stand.
         """
         changes = changes or {}
-        tables = _with_changes(tables, changes)
+        scene = cls._of(_with_changes(tables, changes))
+        scene = with_files(scene, lambda path: str(folder / path))
+        return scene.replace({name: changes[name] for name in changes if name in _WITH_FILES})
+
+    @classmethod
+    def _of(cls, tables: Mapping[str, object]) -> Scene:
+        """Make a scene from tables, or what a file holds of them."""
+        scene, errors = object.__new__(cls), InputErrors()
+        held: dict[str, Any] = {item.name: item.default for item in fields(cls)}
+        held["harmonic_balance"] = HarmonicBalance()
         for name, value in tables.items():
             if name not in _TABLES:
-                raise InputError(name, value, _instead_of(name))
-        made = {name: _made(name, value) for name, value in tables.items()}
-        scene = with_files(cls(**made), lambda path: str(folder / path))
-        return scene.replace({name: changes[name] for name in changes if name in _WITH_FILES})
+                errors.append(InputError(name, value, _instead_of(name)))
+                held |= {other: REFUSED for other in near(name, _TABLES) if other not in tables}
+        for name in filter(_TABLES.get, tables):
+            held[name] = REFUSED
+            with errors:
+                held[name] = _made(name, tables[name], errors)
+        vars(scene).update(held)
+        scene._settle(errors)
+        errors.throw()
+        return scene
 
     @classmethod
     def load(cls, path: str | Path, changes: Mapping[str, object] | None = None) -> Scene:
@@ -389,7 +410,7 @@ class Scene(Hinted):
         """
         given = {item.name: getattr(self, item.name) for item in fields(self)}
         tables = _with_changes({name: one for name, one in given.items() if one}, values)
-        return Scene(**{name: _made(name, table) for name, table in tables.items()})
+        return Scene._of(tables)
 
     def as_toml(self) -> str:
         """The scene as a file that :meth:`load` reads; paths as they are."""
@@ -402,6 +423,40 @@ class Scene(Hinted):
             elif tables is not None:
                 parts.append(tables.as_toml())
         return "\n".join(parts)
+
+
+def _check_table(scene: Scene, name: str) -> None:
+    """Raise InputError where a table is missing, or is none."""
+    value, table = getattr(scene, name), _TABLES[name]
+    if value is REFUSED:
+        return
+    if name in _LISTS:
+        fine = isinstance(value, tuple) and all(
+            one is REFUSED or isinstance(one, table) for one in value
+        )
+    else:
+        missing = value is None and (name in _OPTIONAL or _not_needed(scene, name))
+        fine = isinstance(value, table) or missing
+    if not fine:
+        vars(scene)[name] = REFUSED
+        allowed = "given: a table" if value is None else f"a {table.__name__}"
+        if isinstance(value, str | Path):
+            allowed += "; Scene.load(path) reads the file of a scene"
+        raise InputError(name, value, allowed)
+
+
+def _check_commands(scene: Scene) -> None:
+    """Raise InputError where the tables of curve and integration do not fit the load."""
+    curve, integration = scene.curve, scene.integration
+    if curve is not None and curve.followed[0] == "speed":
+        allowed = "another one without an excitation.order, which needs a rotation"
+        curve.require(scene.excitation.order is not None, "parameter", allowed)
+    if curve is not None and curve.parameter == "load":
+        allowed = "another one with a rotation.speed > 0: the mean load is partly centrifugal"
+        curve.require(scene.speed == 0.0, "parameter", allowed)
+    if integration is not None and scene.rotation is not None:
+        why = "[rotation]: the mean load is partly centrifugal"
+        integration.leave_out(("deflection", "free"), why)
 
 
 def _not_needed(scene: Scene, name: str) -> bool:
@@ -557,10 +612,11 @@ def unit_of(name: str) -> str:
 # --- what tables must not contradict --------------------------------------------------------------
 
 
-def _check_matrices(scene: Scene, structure: Structure) -> None:
+def _check_matrices(scene: Scene, structure: Structure, errors: InputErrors) -> None:
     for name in PLATE_TABLES:
-        if getattr(scene, name):
-            raise InputError(name, "a table", "left out with [structure]")
+        with errors:
+            if getattr(scene, name):
+                raise InputError(name, "a table", "left out with [structure]")
     if structure.damping is not None and scene.damping is not None:
         raise InputError("damping", "a table", "left out with structure.damping")
     if structure.model is None:
@@ -573,7 +629,7 @@ def _check_matrices(scene: Scene, structure: Structure) -> None:
             structure.leave_out(("dofs",), "matrices that have no model, and are not CalculiX's")
     if structure.gap is None and (structure.model is None or scene.contact is None):
         structure.leave_out(("clearance",), "no pairs: no gap, nor a model with [contact]")
-    _check_vectors(scene)
+    _check_vectors(scene, errors)
     if scene.excitation.point is None:
         files = (structure.force_sin, structure.force_cos, structure.force_mean)
         allowed = "given: where the force acts; or a file structure.force_sin, _cos or _mean"
@@ -590,56 +646,68 @@ def _check_matrices(scene: Scene, structure: Structure) -> None:
             raise InputError("contact", "a table", allowed)
 
 
-def _check_vectors(scene: Scene) -> None:
+def _check_vectors(scene: Scene, errors: InputErrors) -> None:
     """Give all tables vectors of the plane or of space; InputError where they are not."""
     dimension = scene.dimension
     for name in _TABLES:
         held = getattr(scene, name)
-        if name in _LISTS:
-            found: Any = []
-            for number, table in enumerate(held, 1):
-                with named(f"{name}.{number}"):
-                    found.append(table.with_vectors(dimension))
-            object.__setattr__(scene, name, tuple(found))
-        elif held is not None:
-            object.__setattr__(scene, name, held.with_vectors(dimension))
+        with errors:
+            if name in _LISTS:
+                found: Any = []
+                for number, table in enumerate(held, 1):
+                    with named(f"{name}.{number}"):
+                        found.append(table.with_vectors(dimension))
+                vars(scene)[name] = tuple(found)
+            elif held is not None:
+                vars(scene)[name] = held.with_vectors(dimension)
     for point in scene.points:
         if len(point.values) != dimension:
             raise InputError(f"output.points.{point.key}", point.values, components("", dimension))
 
 
-def _check_dimension(scene: Scene) -> None:
+def _check_dimension(scene: Scene, errors: InputErrors) -> None:
     """Raise InputError where a table is not one of a plate, or of a solid."""
     geometry, dimension = scene.geometry, scene.dimension
-    if dimension == 2 and scene.rotation is not None:
-        scene.rotation.leave_out(("axis", "center"), "a plate: its axis is parallel to x")
-    _check_vectors(scene)
-    mesh = scene.mesh
-    if dimension == 3:
-        reason = "2 with geometry.kind = 'solid': tetrahedra of order 1 are much too stiff"
-        mesh.require(mesh.order == 2, "order", reason)
-        allowed = "'graded' or 'file' with geometry.kind = 'solid'"
-        mesh.require(mesh.layout != "grid", "layout", allowed)
-        mesh.leave_out(("cells",), "geometry.kind = 'solid', which is meshed by tetrahedra")
-        if scene.contact is not None and scene.contact.friction:
-            allowed = "0, or left out, with geometry.kind = 'solid': friction is not there yet"
-            scene.contact.require(False, "friction", allowed)
-    if dimension == 2 or mesh.layout != "file":
-        geometry.given("thickness", "given: a finite number > 0")
+    with errors:
+        if dimension == 2 and scene.rotation is not None:
+            scene.rotation.leave_out(("axis", "center"), "a plate: its axis is parallel to x")
+    _check_vectors(scene, errors)
+    with errors:
+        if dimension == 3:
+            _check_solid(scene.mesh, scene.contact)
+    with errors:
+        if dimension == 2 or scene.mesh.layout != "file":
+            geometry.given("thickness", "given: a finite number > 0")
 
 
-def _check_disk(scene: Scene, disk: Disk) -> None:
+def _check_solid(mesh: Mesh, contact: Contact | None) -> None:
+    """Raise InputError for a mesh, or contact, that only plates have."""
+    reason = "2 with geometry.kind = 'solid': tetrahedra of order 1 are much too stiff"
+    mesh.require(mesh.order == 2, "order", reason)
+    allowed = "'graded' or 'file' with geometry.kind = 'solid'"
+    mesh.require(mesh.layout != "grid", "layout", allowed)
+    mesh.leave_out(("cells",), "geometry.kind = 'solid', which is meshed by tetrahedra")
+    if contact is not None and contact.friction:
+        allowed = "0, or left out, with geometry.kind = 'solid': friction is not there yet"
+        contact.require(False, "friction", allowed)
+
+
+def _check_disk(scene: Scene, disk: Disk, errors: InputErrors) -> None:
     """Raise InputError for what a bladed disk is not, or is not there yet."""
     for name in ("base", "growth", "identify", "reduction"):
-        if getattr(scene, name) is not None:
-            raise InputError(name, "a table", "left out with [disk]")
-    scene.excitation.given("order", "given with [disk]: the engine order, a whole number >= 1")
-    if scene.speed == 0.0:
-        allowed = "given [rad/s] with [disk] at rest, or excitation.frequency [Hz]"
-        scene.excitation.given("omega", allowed)
-    if scene.curve is not None:
-        allowed = "another one with [disk]: the load's frequency, for example"
-        scene.curve.require(scene.curve.followed[0] != "speed", "parameter", allowed)
+        with errors:
+            if getattr(scene, name) is not None:
+                raise InputError(name, "a table", "left out with [disk]")
+    with errors:
+        scene.excitation.given("order", "given with [disk]: the engine order, a whole number >= 1")
+    with errors:
+        if scene.speed == 0.0:
+            allowed = "given [rad/s] with [disk] at rest, or excitation.frequency [Hz]"
+            scene.excitation.given("omega", allowed)
+    with errors:
+        if scene.curve is not None:
+            allowed = "another one with [disk]: the load's frequency, for example"
+            scene.curve.require(scene.curve.followed[0] != "speed", "parameter", allowed)
     for name, crack in scene.all_cracks.items():
         with named(name):
             crack.leave_out(("first_omega", "first_frequency"), "[disk]")
@@ -647,7 +715,11 @@ def _check_disk(scene: Scene, disk: Disk) -> None:
     if scene.mesh.layout == "file":
         disk.leave_out(radii, "mesh.layout = 'file'")
         return
-    disk.leave_out(("center", "axis"), "a blade on a rim that is made here")
+    with errors:
+        disk.leave_out(("center", "axis"), "a blade on a rim that is made here")
+    for key in radii:
+        with errors:
+            disk.given(key)
     inner, outer = (disk.given(key) for key in radii)
     disk.require(inner < outer, "inner_radius", f"less than disk.outer_radius = {outer:g}")
     across = scene.geometry.across
@@ -659,37 +731,43 @@ def _check_disk(scene: Scene, disk: Disk) -> None:
     disk.require(inner < outer - low, "inner_radius", allowed)
 
 
-def _check_plate(scene: Scene) -> None:
+def _check_plate(scene: Scene, errors: InputErrors) -> None:
     geometry = scene.geometry
-    _, height = (geometry.given(key) for key in ("width", "height"))
+    for key in ("width", "height"):
+        with errors:
+            geometry.given(key)
+    height: Any = geometry.height
     for key in ("width", "thickness")[: scene.dimension - 1]:
-        geometry.require(
-            height / THINNEST <= getattr(geometry, key) <= height * THINNEST,
-            key,
-            f"within a factor {THINNEST:g} of geometry.height = {height:g}",
-        )
-    if not scene.has_other_loads:
-        scene.excitation.given("point", "given: [x, y] on the plate")
-    if scene.excitation.point is None and (force := scene.excitation.force_given):
-        scene.excitation.require(False, force, "left out without excitation.point")
+        with errors:
+            geometry.require(
+                height / THINNEST <= getattr(geometry, key) <= height * THINNEST,
+                key,
+                f"within a factor {THINNEST:g} of geometry.height = {height:g}",
+            )
+    with errors:
+        if not scene.has_other_loads:
+            scene.excitation.given("point", "given: [x, y] on the plate")
+        if scene.excitation.point is None and (force := scene.excitation.force_given):
+            scene.excitation.require(False, force, "left out without excitation.point")
     loads = {f"loads.{number}": load for number, load in enumerate(scene.loads, 1)}
     for name, load in ({"excitation": scene.excitation} | loads).items():
         sides = geometry.sides
-        within = [0.0 <= x <= side for x, side in zip(load.point or (), sides, strict=False)]
-        with named(name):
+        with errors, named(name):
+            within = [0.0 <= x <= side for x, side in zip(load.point or (), sides, strict=False)]
             where = ", ".join(f"0..{side:g}" for side in sides)
             load.require(all(within), "point", f"on the {geometry.kind}: [{where}]")
     if scene.all_cracks:
-        _check_cracks(scene.all_cracks, geometry, scene.mesh)
+        _check_cracks(scene.all_cracks, geometry, scene.mesh, errors)
         if scene.contact is None:
             raise InputError("contact", None, "given where there is a crack: a table")
 
 
-def _check_file(scene: Scene) -> None:
+def _check_file(scene: Scene, errors: InputErrors) -> None:
     of_file = ("width", "height", "thickness")[: scene.dimension]
-    scene.geometry.leave_out(of_file, "mesh.layout = 'file'")
+    with errors:
+        scene.geometry.leave_out(of_file, "mesh.layout = 'file'")
     for name, crack in scene.all_cracks.items():
-        with named(name):
+        with errors, named(name):
             crack.leave_out(_OF_SHAPES, "mesh.layout = 'file'")
 
 
@@ -697,44 +775,56 @@ def _check_file(scene: Scene) -> None:
 
 LEAST_DISTANCE = 1e-4
 """Minimum distance of cracks and crack tips from the edges and each other, relative to the side."""
+MARGIN = f"at least {LEAST_DISTANCE:g} of that from both"
 _OF_SHAPES = (
     "edge", "center", "height", "length", "depth", "front", "first_frequency", "first_omega",
 )  # fmt: skip
 """Keys of a crack that a mesh file defines itself."""
 
 
-def _check_cracks(cracks: dict[str, Crack], geometry: Geometry, mesh: Mesh) -> None:
+def _check_cracks(
+    cracks: dict[str, Crack], geometry: Geometry, mesh: Mesh, errors: InputErrors
+) -> None:
     """Raise InputError where a crack cannot be in a plate, by the crack's name in the scene."""
     for name, crack in cracks.items():
-        with named(name):
-            _check_crack(crack, geometry, list(cracks))
-            _check_front(crack, geometry)
+        with errors, named(name):
+            if len(cracks) > 1:
+                why = "several cracks: it finds the length of the only one"
+                crack.leave_out(("first_frequency", "first_omega"), why)
+        for check in (_check_edge, _check_height, _check_length, _check_front):
+            with errors, named(name):
+                check(crack, geometry)
+        with errors, named(name):
             if mesh.layout == "grid":
                 _check_grid(crack, geometry, mesh)
-    if mesh.layout == "graded":
-        mesh.given("lip_elements", "given where there is a crack")
+    with errors:
+        if mesh.layout == "graded":
+            mesh.given("lip_elements", "given where there is a crack")
     for first, second in combinations(cracks, 2):
-        _check_apart(cracks, first, second, geometry)
+        with errors:
+            _check_apart(cracks, first, second, geometry)
 
 
-def _check_crack(crack: Crack, geometry: Geometry, names: list[str]) -> None:
-    width, height, *_ = geometry.sides
-    kind, margin = geometry.kind, f"at least {LEAST_DISTANCE:g} of that from both"
-    inside = crack.center is not None
-    if inside:
+def _check_edge(crack: Crack, geometry: Geometry) -> None:
+    kind = geometry.kind
+    if crack.center is not None:
         crack.leave_out(("edge",), "crack.center")
     else:
         crack.given("edge", f"given: 'left' or 'right'; or center, for a crack inside the {kind}")
+
+
+def _check_height(crack: Crack, geometry: Geometry) -> None:
+    height: Any = geometry.height
     crack.require(
         crack.height is not None and _inside(crack.height, height),
         "height",
-        f"inside the {kind}: between 0 and geometry.height = {height:g}, {margin}",
+        f"inside the {geometry.kind}: between 0 and geometry.height = {height:g}, {MARGIN}",
     )
-    if len(names) > 1:
-        crack.leave_out(
-            ("first_frequency", "first_omega"),
-            "several cracks: it finds the length of the only one",
-        )
+
+
+def _check_length(crack: Crack, geometry: Geometry) -> None:
+    width: Any = geometry.width
+    kind = geometry.kind
     crack.require(
         (crack.length is None) != (crack.first_omega is None),
         "length",
@@ -743,14 +833,14 @@ def _check_crack(crack: Crack, geometry: Geometry, names: list[str]) -> None:
     crack.require(
         crack.length is None or _inside(crack.length, width),
         "length",
-        f"shorter than the {kind}: between 0 and geometry.width = {width:g}, {margin}",
+        f"shorter than the {kind}: between 0 and geometry.width = {width:g}, {MARGIN}",
     )
-    if inside:
+    if crack.center is not None:
         ends = [crack.center] if crack.length is None else crack.span(width)
         crack.require(
             all(_inside(end or 0.0, width) for end in ends),
             "center",
-            f"such that both tips are inside the {kind}: between 0 and {width:g}, {margin}",
+            f"such that both tips are inside the {kind}: between 0 and {width:g}, {MARGIN}",
         )
 
 
@@ -851,17 +941,20 @@ def _parts(name: str) -> tuple[str, int | None, str]:
     return table, None, key
 
 
-def _made(name: str, value: object) -> Any:
+def _made(name: str, value: object, errors: InputErrors) -> Any:
     """A table, or the tuple of a list of tables, from what a file holds; one that is made stays."""
     kind = _TABLES[name]
     if name not in _LISTS:
-        return value if isinstance(value, kind) else kind.from_mapping(value)
+        return value if isinstance(value, kind) else kind.from_mapping(value, errors)
     if not isinstance(value, list | tuple):
         raise InputError(name, value, f"a list of tables: [[{name}]]")
     made = []
     for number, table in enumerate(value, 1):
-        with named(f"{name}.{number}"):
-            made.append(table if isinstance(table, kind) else kind.from_mapping(table))
+        inner = InputErrors()
+        made.append(REFUSED)
+        with inner:
+            made[-1] = table if isinstance(table, kind) else kind.from_mapping(table, inner)
+        errors += [renamed(error, f"{name}.{number}") for error in inner]
     return tuple(made)
 
 

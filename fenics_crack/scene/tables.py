@@ -180,8 +180,7 @@ class Damping(Table):
     )
     """The same in Hz."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check(self) -> None:
         ways = [("ratio",), ("mass", "stiffness"), ("ratios", "frequencies", "omegas")]
         found = [(way, key) for way in ways for key in way if getattr(self, key) is not None]
         allowed = (
@@ -237,8 +236,7 @@ class Excitation(Table):
     wave_harmonics: int = at_least_one(20)
     """Harmonics kept of it; what they leave out is stated."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check(self) -> None:
         if self.wave is None:
             self.leave_out(("wave_harmonics",), "no excitation.wave")
         if self.order is None:
@@ -327,8 +325,7 @@ class Load(Table):
     """Further harmonics, ``[[loads.harmonics]]``, as of the excitation: of the force at a point; on
     an edge of the traction, or with one number of the pressure [Pa]."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check(self) -> None:
         if self.point is not None:
             self.leave_out(("edge",), "point")
         else:
@@ -381,8 +378,7 @@ class Base(Table):
     harmonics: tuple[Harmonic, ...] = of_harmonics()
     """Further harmonics of the acceleration, ``[[base.harmonics]]``, as of the excitation."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check(self) -> None:
         given = (self.acceleration_cos, self.acceleration_sin)
         moving = bool(self.harmonics) or any(any(part) for part in given if part)
         self.require(moving, "acceleration_sin", "given, or acceleration_cos, not zero")
@@ -437,8 +433,7 @@ class Rotation(Table):
     )
     """The same in revolutions per minute; one of the two is given."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check(self) -> None:
         self.given("speed", "given [rad/s], or rotation.rpm: a finite number >= 0")
         if self.center is not None:
             self.leave_out(("hub_radius",), "center")
@@ -503,8 +498,7 @@ class Disk(Table):
 
     _INNER: ClassVar[tuple[str, ...]] = ("deviation", "seed")
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check(self) -> None:
         self.require(max(self.cracked, default=1) <= self.sectors, "cracked",
                      f"numbers of sectors, from 1 to disk.sectors = {self.sectors}")  # fmt: skip
         if isinstance(self.mistuning, tuple):
@@ -579,8 +573,7 @@ class Contact(Table):
     """Every pair of crack-face nodes, or of each crack only the one at the mouth, or in the middle
     of a crack inside the plate."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check(self) -> None:
         law = f"law = {self.law!r}"
         if self.law == "unilateral":
             self.leave_out(("stiffness", "stiffness_per_area"), law)
@@ -613,8 +606,7 @@ class HarmonicBalance(Table):
     """false: neither the error nor the stability of solutions is found, which takes longer than the
     solution itself where there are many pairs or modes."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check(self) -> None:
         chosen = {"harmonics": 5, "tolerance": TOLERANCE}
         if self.harmonics is not None or self.samples is not None or not self.error:
             del chosen["tolerance"]
@@ -688,8 +680,7 @@ class Mesh(Table):
     error: bool = holds("true or false", default=True)
     """true: a coarser mesh gives the error of each number due to this one."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check(self) -> None:
         keys = {
             "grid": ("columns", "rows"),
             "graded": ("size", "lip_elements", "grading"),
@@ -751,8 +742,7 @@ class Structure(Table):
     )
     """g0 of all pairs, or of each; < 0: preload."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check(self) -> None:
         moved = any((self.force_sin, self.force_cos, self.force_mean, self.model))
         self.require(moved, "force_sin", "given, or force_cos or force_mean: what moves it")
 
@@ -800,8 +790,7 @@ class Curve(Table):
     stability: bool = holds("true or false", default=True)
     """Floquet multipliers and period doublings along the curve."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check(self) -> None:
         self.require(self.start != self.stop, "stop", f"other than curve.start = {self.start:g}")
         if self.parameter in ("omega", "frequency", "stiffness", "friction", "speed", "rpm"):
             least = max(1e-12 * max(self.start, self.stop), 0.0)  # else rounding takes it to 0
@@ -847,8 +836,7 @@ class Integration(Table):
     free: bool = holds("true or false", default=False)
     """Free decay: the mean load acts alone. All periods are recorded."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check(self) -> None:
         if self.initial is not None:
             self.leave_out(("deflection",), "initial")
 
@@ -927,8 +915,7 @@ class Growth(Table):
     """Relative error of the number of cycles, by interpolation between the lengths that are
     solved."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check(self) -> None:
         if self.drive != "spectrum":
             self.leave_out(("frequencies", "cycles"), f"drive = {self.drive!r}")
             return
@@ -1060,8 +1047,7 @@ class Identify(Table):
     log_bayes_factor: float = between("0", "1000", 3.0)
     """Logarithm of the ratio of evidences beyond which a hypothesis is preferred: 20 to 1."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check(self) -> None:
         if not self.unknown and not self.meshes:
             allowed = f"given: {self.keys()['unknown'].metadata['allowed']}"
             raise InputError("identify.unknown", None, allowed)
@@ -1189,8 +1175,7 @@ class TipTiming(Table):
     fitted_revolutions: int = at_least_one(1)
     """Revolutions of a run-up that are fitted together."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check(self) -> None:
         if self.frequencies is not None:
             self.require(self.subharmonic == 1, "subharmonic", "1 with tip_timing.frequencies")
             self.leave_out(("orders",), "tip_timing.frequencies")
