@@ -7,6 +7,7 @@ import math
 import pickle
 import re
 from collections.abc import Iterable, Iterator, Sequence
+from contextvars import ContextVar
 from enum import IntEnum
 from numbers import Integral, Real
 from typing import Any
@@ -48,9 +49,12 @@ class InputError(ValueError):
         Description of the allowed values.
     others : tuple of InputError
         Errors of further keys of the same scene.
+    example : str or None
+        Lines for the scene's file, of a missing table; None: those of a new scene.
     """
 
     others: tuple[InputError, ...] = ()
+    example: str | None = None
 
     def __init__(self, key: str, value: object, allowed: str) -> None:
         super().__init__(key, value, allowed)
@@ -64,7 +68,8 @@ class InputError(ValueError):
             pickle.dumps(value := self.value)
         except Exception:
             value = f"({type(self.value).__name__} that cannot be shown)"
-        return type(self), (self.key, value, self.allowed), {"others": self.others}
+        more = {"others": self.others, "example": self.example}
+        return type(self), (self.key, value, self.allowed), more
 
     def __str__(self) -> str:
         key = self.key if self.key.isprintable() else repr(self.key)
@@ -78,30 +83,47 @@ class InputError(ValueError):
         return text if text.isprintable() else " ".join(text.split())
 
 
-class InputErrors(list[InputError]):
-    """Errors of several keys: a block under ``with`` adds its own instead of raising it.
-
-    One of each key is kept. Once there is one, a block may fail in any way: it has used what was
-    refused before.
-    """
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, kind: object, error: object, trace: object) -> bool:
-        if isinstance(error, InputError) and error.key not in [other.key for other in self]:
-            self.append(error)
-        return bool(self) and isinstance(error, Exception)
-
-    def throw(self) -> None:
-        """Raise the first, which carries the others; nothing if there is none."""
-        if self:
-            self[0].others = tuple(self[1:])
-            raise self[0]
-
-
 class WriteError(InputError):
     """A file that cannot be written though its name can be used, mostly for a full disk."""
+
+
+_collected: ContextVar[list[InputError] | None] = ContextVar("_collected", default=None)
+
+
+def refuse(error: InputError) -> None:
+    """Raise an error, or add it to those that are collected."""
+    if (errors := _collected.get()) is None:
+        raise error from None
+    errors.append(error)
+
+
+@contextlib.contextmanager
+def part() -> Iterator[None]:
+    """A part of a check: while errors are collected it ends where it fails, and others go on. Once
+    something is refused it may fail in any way, for it has used that."""
+    try:
+        yield
+    except InputError as error:
+        refuse(error)
+    except Exception:
+        if not _collected.get():
+            raise
+
+
+@contextlib.contextmanager
+def collecting() -> Iterator[None]:
+    """Collect the errors of a block, and raise the first, which carries those of other keys."""
+    errors: list[InputError] = []
+    token = _collected.set(errors)
+    try:
+        with part():
+            yield
+    finally:
+        _collected.reset(token)
+    if errors:
+        first, *others = sorted({e.key: e for e in errors[::-1]}.values(), key=errors.index)
+        first.others = tuple(others)
+        raise first
 
 
 class ConvergenceError(RuntimeError):

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import shutil
 import sys
 import tempfile
@@ -167,6 +168,11 @@ def changes(given: Sequence[str]) -> dict[str, Any]:
     return found
 
 
+def command(*words: object) -> str:
+    """A call of the program, as a shell takes it."""
+    return shlex.join(["fenics-crack", *map(str, words)])
+
+
 # --- where it prints and writes -------------------------------------------------------------------
 
 
@@ -289,7 +295,8 @@ def new(given: Namespace, _: None, console: Console) -> None:
         raise InputError(f"--{alone[0]}", other, "used alone: it is another scene")
     rows = path.with_name(f"{path.stem}_measured.csv")
     if alone:
-        files = {path: packaged(f"cli/new_{alone[0]}.toml").replace("SCENE", path.name)}
+        text = packaged(f"cli/new_{alone[0]}.toml")
+        files = {path: text.replace("SCENE", shlex.quote(path.name))}
     else:
         files = {path: new_scene(path.name, rows.name, kinds)}
     if "identify" in kinds:
@@ -303,9 +310,9 @@ def new(given: Namespace, _: None, console: Console) -> None:
             write_whole(file, text, "scene")
 
     on_root(console.comm, write)
-    console.note(f"{path}: a scene to start from; now: fenics-crack check {path}")
+    console.note(f"{path}: a scene to start from; now: {command('check', path)}")
     if rows in files:
-        console.note(f"{rows}: what was measured; then: fenics-crack identify {path} {rows}")
+        console.note(f"{rows}: what was measured; then: {command('identify', path, rows)}")
 
 
 def new_scene(name: str, rows: str, kinds: Collection[str]) -> str:
@@ -316,7 +323,17 @@ def new_scene(name: str, rows: str, kinds: Collection[str]) -> str:
         for line in packaged(COMMENTED).splitlines()
     )
     whole = "\n".join([*map(_without_mark, lines), ""])
-    return whole.replace("SCENE", name).replace("MEASURED", rows)
+    return whole.replace("SCENE", shlex.quote(name)).replace("MEASURED", shlex.quote(rows))
+
+
+def line_of(key: str, allowed: str) -> str:
+    """Words with the line by which the template gives a key, or another of its table that the
+    allowed values of an error name; empty where it gives none."""
+    table, _, name = key.partition(".")
+    names = name, *re.findall(rf"\b{re.escape(table)}\.(\w+)", allowed)
+    lines = [line.partition("  #")[0].strip() for line in lines_of(table).splitlines()]
+    examples = [line for name in names for line in lines if line.startswith(f"{name} = ")]
+    return "".join(f"; for example {line}" for line in examples[:1])
 
 
 def lines_of(table: str) -> str:

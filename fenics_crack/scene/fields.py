@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fenics_crack.basics.errors import InputError, InputErrors, one_of
+from fenics_crack.basics.errors import InputError, collecting, one_of, part, refuse
 from fenics_crack.basics.suggestions import Hinted, candidates, meant, near, written
 from fenics_crack.basics.tables import TURN
 
@@ -438,29 +438,12 @@ def _as_toml(value: object) -> str:
 def named(name: str) -> Iterator[None]:
     """Call the table whose keys are refused by its name in the file: "cracks.1" for a Crack."""
     try:
-        yield
+        with collecting():
+            yield
     except InputError as error:
-        raise renamed(error, name) from None
-
-
-def renamed(error: InputError, name: str) -> InputError:
-    """Return the error of a table's key with another name of the table."""
-    key = error.key.partition(".")[2]
-    return InputError(f"{name}.{key}" if key else name, error.value, error.allowed)
-
-
-class _Refused:
-    """Stands for a value that was refused: further checks fail on it, and may be left to."""
-
-    def _fail(self, *_: object) -> Any:
-        raise TypeError
-
-    __bool__ = __eq__ = __lt__ = __le__ = __gt__ = __ge__ = __iter__ = __len__ = _fail
-    __float__ = __mul__ = __rmul__ = __add__ = __truediv__ = __getattr__ = _fail
-    __hash__ = None  # type: ignore[assignment]
-
-
-REFUSED: Any = _Refused()
+        for each in (error, *error.others):
+            key = each.key.partition(".")[2]
+            refuse(InputError(f"{name}.{key}" if key else name, each.value, each.allowed))
 
 
 class Table(Hinted):
@@ -489,32 +472,24 @@ class Table(Hinted):
         return found
 
     def __post_init__(self) -> None:
-        errors = InputErrors()
-        self._settle(errors)
-        errors.throw()
-
-    def _settle(self, errors: InputErrors) -> None:
-        """Check each key and hold its value as read; add to the errors what is refused."""
         for name, item in self.keys().items():
             value = getattr(self, name)
-            if value is not REFUSED and (value is not None or item.default is not None):
-                vars(self)[name] = REFUSED
-                with errors:
-                    vars(self)[name] = self.checked(name, value)
+            if value is not MISSING and (value is not None or item.default is not None):
+                object.__setattr__(self, name, MISSING)
+                with part():
+                    object.__setattr__(self, name, self.checked(name, value))
         for name, key in self.twins().items():
-            if (given := getattr(self, name)) is REFUSED:
-                vars(self)[key] = REFUSED
-            elif given is not None:
-                value = scaled(given, self.keys()[name].metadata["factor"])
+            if (value := getattr(self, name)) is not None:
                 allowed = f"left out with {self.name_of(key)} = {getattr(self, key)}"
-                with errors:
+                with part():
+                    value = scaled(value, self.keys()[name].metadata["factor"])
                     self.require(getattr(self, key) in (None, value), name, allowed)
-                    vars(self)[key] = value
-        with errors:
+                object.__setattr__(self, key, value)
+        with part():
             self._check()
 
     def _check(self) -> None:
-        """Raise InputError where keys contradict each other."""
+        """Refuse keys that contradict each other."""
 
     @classmethod
     def checked(cls, key: str, value: object) -> Any:
@@ -615,7 +590,7 @@ class Table(Hinted):
     def require(self, condition: bool, key: str, allowed: str) -> None:
         """Raise InputError for a key unless a condition holds."""
         if not condition:
-            raise InputError(self.name_of(key), getattr(self, key), allowed)
+            refuse(InputError(self.name_of(key), getattr(self, key), allowed))
 
     def given(self, key: str, allowed: str = "") -> Any:
         """The value of a key that may not be left out."""
@@ -664,36 +639,32 @@ class Table(Hinted):
         for name, omega in cls.twins().items():
             if values.get(name) is not None and values.get(omega) is not None:
                 allowed = f"left out with {cls.name_of(omega)} = {values[omega]}: one of the two"
-                raise InputError(cls.name_of(name), values[name], allowed)
+                refuse(InputError(cls.name_of(name), values[name], allowed))
 
     @classmethod
-    def from_mapping(cls, values: object, errors: InputErrors | None = None) -> Any:
-        """Make the table from the mapping read in a file; raise InputError, or add to ``errors``
-        what is refused, and leave :data:`REFUSED` in its place."""
-        known, every = cls.keys(), InputErrors() if errors is None else errors
+    def from_mapping(cls, values: object) -> Any:
+        """Make the table from the mapping read in a file."""
+        known = cls.keys()
         keys = ", ".join(known)
         if cls.WORD is not None and isinstance(values, str):
             values = {cls.WORD: values}
         if not isinstance(values, Mapping):
             raise InputError(cls.name_of(), values, f"a table with the keys {keys}")
-        table, suggested = object.__new__(cls), ""
+        held, suggested = {**values}, ""
         for key in [key for key in values if key not in known]:
             allowed = cls.instead_of(str(key))
             suggested += allowed.partition("known keys")[0]
-            every.append(InputError(cls.name_of(str(key)), values[key], allowed))
+            refuse(InputError(cls.name_of(str(key)), held.pop(key), allowed))
         for key, item in known.items():
-            value = REFUSED if f"{cls.name_of(key)}?" in suggested else item.default
-            vars(table)[key] = values.get(key, value)
-            if vars(table)[key] is MISSING:
-                allowed = f"given: {item.metadata['allowed']}"
-                every.append(InputError(cls.name_of(key), None, allowed))
-                vars(table)[key] = REFUSED
-        with every:
-            cls.check_twins(values)
-        table._settle(every)
-        if errors is None:
-            every.throw()
-        return table
+            if key in values or item.default not in (None, MISSING):
+                continue
+            if f"{cls.name_of(key)}?" in suggested:
+                held[key] = MISSING
+            elif item.default is MISSING:
+                held[key] = MISSING
+                refuse(InputError(cls.name_of(key), None, f"given: {item.metadata['allowed']}"))
+        cls.check_twins(values)
+        return cls(**held)
 
 
 def with_key(key: str, tables: Iterable[type[Table]]) -> list[str]:

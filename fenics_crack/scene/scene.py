@@ -12,7 +12,7 @@ import math
 import re
 import tomllib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields
 from functools import partial
 from itertools import combinations
 from pathlib import Path
@@ -20,7 +20,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from fenics_crack.basics.errors import InputError, InputErrors, reading
+from fenics_crack.basics.errors import InputError, collecting, part, reading, refuse
 from fenics_crack.basics.suggestions import (
     Hinted,
     checked_call,
@@ -40,16 +40,7 @@ from fenics_crack.basics.tables import (
     frequency_axis,
 )
 from fenics_crack.basics.untrusted_files import text_of
-from fenics_crack.scene.fields import (
-    REFUSED,
-    Axis,
-    Point,
-    Table,
-    components,
-    named,
-    renamed,
-    with_key,
-)
+from fenics_crack.scene.fields import Axis, Point, Table, components, named, with_key
 from fenics_crack.scene.tables import (
     Base,
     Contact,
@@ -127,46 +118,29 @@ class Scene(Hinted):
     output: Output | None = None
 
     def __post_init__(self) -> None:
-        errors = InputErrors()
-        self._settle(errors)
-        errors.throw()
-
-    def _settle(self, errors: InputErrors) -> None:
-        """Check what tables must not contradict, and hold what follows from several; add to the
-        errors what is refused."""
-        for name in _TABLES:
-            with errors:
-                _check_table(self, name)
-        with errors:
-            if self.rotation is not None:
-                self.rotation.check_place(self.disk)
-        with errors:
-            if self.excitation.order is not None and (self.disk is None or self.speed > 0.0):
-                allowed = "left out without a rotation.speed > 0"
-                self.excitation.require(self.speed > 0.0, "order", allowed)
-                vars(self)["excitation"] = self.excitation.at_speed(self.speed)
-        with errors:
-            vars(self)["harmonic_balance"] = self.harmonic_balance.of_load(self.highest_order)
-        with errors:
-            _check_commands(self)
-        with errors:
-            if self.structure is not None:
-                _check_matrices(self, self.structure, errors)
+        for name, table in _TABLES.items():
+            value = getattr(self, name)
+            if value is MISSING:
+                continue
+            if name in _LISTS:
+                fine = isinstance(value, tuple) and all(isinstance(one, table) for one in value)
             else:
-                _check_dimension(self, errors)
-                (_check_file if self.mesh.layout == "file" else _check_plate)(self, errors)
-                if self.disk is not None:
-                    _check_disk(self, self.disk, errors)
-        for names, without in (*_ASKED, (OF_FRICTION, _without_friction)):
-            with errors:
-                if asked := tuple(name for name in self.quantities or () if name in names):
-                    check_known(without(self), "output.quantities", asked)
+                missing = value is None and (name in _OPTIONAL or _not_needed(self, name))
+                fine = isinstance(value, table) or missing
+            if not fine:
+                allowed = "given: a table" if value is None else f"a {table.__name__}"
+                if isinstance(value, str | Path):
+                    allowed += "; Scene.load(path) reads the file of a scene"
+                refuse(InputError(name, value, allowed))
+        for check in (_check_load, _check_commands, _check_structure, _check_quantities):
+            with part():
+                check(self)
         for name, key in _AXES:
-            with errors:
+            with part():
                 if (chosen := getattr(self, name)) is not None:
                     axes = _checked_axes(self, f"{name}.{key}", getattr(chosen, key))
-                    vars(self)[name] = dataclasses.replace(chosen, **{key: axes})
-        with errors:
+                    object.__setattr__(self, name, dataclasses.replace(chosen, **{key: axes}))
+        with part():
             if self.identify is not None and (self.mesh is None or self.mesh.layout != "file"):
                 allowed = "left out without mesh.layout = 'file'"
                 self.identify.require(not self.identify.meshes, "meshes", allowed)
@@ -197,27 +171,23 @@ class Scene(Hinted):
         as they stand.
         """
         changes = changes or {}
-        scene = cls._of(_with_changes(tables, changes))
-        scene = with_files(scene, lambda path: str(folder / path))
+        tables = _with_changes(tables, changes)
+        scene = with_files(cls._of(tables), lambda path: str(folder / path))
         return scene.replace({name: changes[name] for name in changes if name in _WITH_FILES})
 
     @classmethod
-    def _of(cls, tables: Mapping[str, object]) -> Scene:
+    def _of(cls, tables: Mapping[str, Any]) -> Scene:
         """Make a scene from tables, or what a file holds of them."""
-        scene, errors = object.__new__(cls), InputErrors()
-        held: dict[str, Any] = {item.name: item.default for item in fields(cls)}
-        held["harmonic_balance"] = HarmonicBalance()
-        for name, value in tables.items():
-            if name not in _TABLES:
-                errors.append(InputError(name, value, _instead_of(name)))
-                held |= {other: REFUSED for other in near(name, _TABLES) if other not in tables}
-        for name in filter(_TABLES.get, tables):
-            held[name] = REFUSED
-            with errors:
-                held[name] = _made(name, tables[name], errors)
-        vars(scene).update(held)
-        scene._settle(errors)
-        errors.throw()
+        made: dict[str, Any] = {}
+        with collecting():
+            for name in [name for name in tables if name not in _TABLES]:
+                refuse(InputError(name, tables[name], _instead_of(name)))
+                made |= dict.fromkeys(near(name, _TABLES), MISSING)
+            for name in filter(_TABLES.get, tables):
+                made[name] = MISSING
+                with part():
+                    made[name] = _made(name, tables[name])
+            scene = cls(**made)
         return scene
 
     @classmethod
@@ -425,40 +395,6 @@ class Scene(Hinted):
         return "\n".join(parts)
 
 
-def _check_table(scene: Scene, name: str) -> None:
-    """Raise InputError where a table is missing, or is none."""
-    value, table = getattr(scene, name), _TABLES[name]
-    if value is REFUSED:
-        return
-    if name in _LISTS:
-        fine = isinstance(value, tuple) and all(
-            one is REFUSED or isinstance(one, table) for one in value
-        )
-    else:
-        missing = value is None and (name in _OPTIONAL or _not_needed(scene, name))
-        fine = isinstance(value, table) or missing
-    if not fine:
-        vars(scene)[name] = REFUSED
-        allowed = "given: a table" if value is None else f"a {table.__name__}"
-        if isinstance(value, str | Path):
-            allowed += "; Scene.load(path) reads the file of a scene"
-        raise InputError(name, value, allowed)
-
-
-def _check_commands(scene: Scene) -> None:
-    """Raise InputError where the tables of curve and integration do not fit the load."""
-    curve, integration = scene.curve, scene.integration
-    if curve is not None and curve.followed[0] == "speed":
-        allowed = "another one without an excitation.order, which needs a rotation"
-        curve.require(scene.excitation.order is not None, "parameter", allowed)
-    if curve is not None and curve.parameter == "load":
-        allowed = "another one with a rotation.speed > 0: the mean load is partly centrifugal"
-        curve.require(scene.speed == 0.0, "parameter", allowed)
-    if integration is not None and scene.rotation is not None:
-        why = "[rotation]: the mean load is partly centrifugal"
-        integration.leave_out(("deflection", "free"), why)
-
-
 def _not_needed(scene: Scene, name: str) -> bool:
     """Return True if a table that a plate needs may be missing, for there are matrices instead."""
     if scene.structure is None:
@@ -612,11 +548,55 @@ def unit_of(name: str) -> str:
 # --- what tables must not contradict --------------------------------------------------------------
 
 
-def _check_matrices(scene: Scene, structure: Structure, errors: InputErrors) -> None:
+def _check_load(scene: Scene) -> None:
+    with part():
+        if scene.rotation is not None:
+            scene.rotation.check_place(scene.disk)
+    with part():
+        if scene.excitation.order is not None and (scene.disk is None or scene.speed > 0.0):
+            allowed = "left out without a rotation.speed > 0"
+            scene.excitation.require(scene.speed > 0.0, "order", allowed)
+            object.__setattr__(scene, "excitation", scene.excitation.at_speed(scene.speed))
+    balance = scene.harmonic_balance.of_load(scene.highest_order)
+    object.__setattr__(scene, "harmonic_balance", balance)
+
+
+def _check_commands(scene: Scene) -> None:
+    curve, integration = scene.curve, scene.integration
+    if curve is not None and curve.followed[0] == "speed":
+        allowed = "another one without an excitation.order, which needs a rotation"
+        curve.require(scene.excitation.order is not None, "parameter", allowed)
+    if curve is not None and curve.parameter == "load":
+        allowed = "another one with a rotation.speed > 0: the mean load is partly centrifugal"
+        curve.require(scene.speed == 0.0, "parameter", allowed)
+    if integration is not None and scene.rotation is not None:
+        why = "[rotation]: the mean load is partly centrifugal"
+        integration.leave_out(("deflection", "free"), why)
+
+
+def _check_structure(scene: Scene) -> None:
+    if scene.structure is not None:
+        _check_matrices(scene, scene.structure)
+        return
+    with part():
+        _check_dimension(scene)
+    with part():
+        of_file = getattr(scene.mesh, "layout", None) == "file"
+        (_check_file if of_file else _check_plate)(scene)
+    if scene.disk is not None:
+        _check_disk(scene, scene.disk)
+
+
+def _check_quantities(scene: Scene) -> None:
+    for names, without in (*_ASKED, (OF_FRICTION, _without_friction)):
+        if asked := tuple(name for name in scene.quantities or () if name in names):
+            check_known(without(scene), "output.quantities", asked)
+
+
+def _check_matrices(scene: Scene, structure: Structure) -> None:
     for name in PLATE_TABLES:
-        with errors:
-            if getattr(scene, name):
-                raise InputError(name, "a table", "left out with [structure]")
+        if getattr(scene, name):
+            refuse(InputError(name, "a table", "left out with [structure]"))
     if structure.damping is not None and scene.damping is not None:
         raise InputError("damping", "a table", "left out with structure.damping")
     if structure.model is None:
@@ -629,7 +609,7 @@ def _check_matrices(scene: Scene, structure: Structure, errors: InputErrors) -> 
             structure.leave_out(("dofs",), "matrices that have no model, and are not CalculiX's")
     if structure.gap is None and (structure.model is None or scene.contact is None):
         structure.leave_out(("clearance",), "no pairs: no gap, nor a model with [contact]")
-    _check_vectors(scene, errors)
+    _check_vectors(scene)
     if scene.excitation.point is None:
         files = (structure.force_sin, structure.force_cos, structure.force_mean)
         allowed = "given: where the force acts; or a file structure.force_sin, _cos or _mean"
@@ -646,68 +626,57 @@ def _check_matrices(scene: Scene, structure: Structure, errors: InputErrors) -> 
             raise InputError("contact", "a table", allowed)
 
 
-def _check_vectors(scene: Scene, errors: InputErrors) -> None:
+def _check_vectors(scene: Scene) -> None:
     """Give all tables vectors of the plane or of space; InputError where they are not."""
     dimension = scene.dimension
     for name in _TABLES:
         held = getattr(scene, name)
-        with errors:
+        with part():
             if name in _LISTS:
                 found: Any = []
                 for number, table in enumerate(held, 1):
                     with named(f"{name}.{number}"):
                         found.append(table.with_vectors(dimension))
-                vars(scene)[name] = tuple(found)
+                object.__setattr__(scene, name, tuple(found))
             elif held is not None:
-                vars(scene)[name] = held.with_vectors(dimension)
+                object.__setattr__(scene, name, held.with_vectors(dimension))
     for point in scene.points:
         if len(point.values) != dimension:
             raise InputError(f"output.points.{point.key}", point.values, components("", dimension))
 
 
-def _check_dimension(scene: Scene, errors: InputErrors) -> None:
+def _check_dimension(scene: Scene) -> None:
     """Raise InputError where a table is not one of a plate, or of a solid."""
     geometry, dimension = scene.geometry, scene.dimension
-    with errors:
-        if dimension == 2 and scene.rotation is not None:
-            scene.rotation.leave_out(("axis", "center"), "a plate: its axis is parallel to x")
-    _check_vectors(scene, errors)
-    with errors:
-        if dimension == 3:
-            _check_solid(scene.mesh, scene.contact)
-    with errors:
-        if dimension == 2 or scene.mesh.layout != "file":
-            geometry.given("thickness", "given: a finite number > 0")
+    if dimension == 2 and scene.rotation is not None:
+        scene.rotation.leave_out(("axis", "center"), "a plate: its axis is parallel to x")
+    _check_vectors(scene)
+    mesh = scene.mesh
+    if dimension == 3:
+        reason = "2 with geometry.kind = 'solid': tetrahedra of order 1 are much too stiff"
+        mesh.require(mesh.order == 2, "order", reason)
+        allowed = "'graded' or 'file' with geometry.kind = 'solid'"
+        mesh.require(mesh.layout != "grid", "layout", allowed)
+        mesh.leave_out(("cells",), "geometry.kind = 'solid', which is meshed by tetrahedra")
+        if scene.contact is not None and scene.contact.friction:
+            allowed = "0, or left out, with geometry.kind = 'solid': friction is not there yet"
+            scene.contact.require(False, "friction", allowed)
+    if dimension == 2 or mesh.layout != "file":
+        geometry.given("thickness", "given: a finite number > 0")
 
 
-def _check_solid(mesh: Mesh, contact: Contact | None) -> None:
-    """Raise InputError for a mesh, or contact, that only plates have."""
-    reason = "2 with geometry.kind = 'solid': tetrahedra of order 1 are much too stiff"
-    mesh.require(mesh.order == 2, "order", reason)
-    allowed = "'graded' or 'file' with geometry.kind = 'solid'"
-    mesh.require(mesh.layout != "grid", "layout", allowed)
-    mesh.leave_out(("cells",), "geometry.kind = 'solid', which is meshed by tetrahedra")
-    if contact is not None and contact.friction:
-        allowed = "0, or left out, with geometry.kind = 'solid': friction is not there yet"
-        contact.require(False, "friction", allowed)
-
-
-def _check_disk(scene: Scene, disk: Disk, errors: InputErrors) -> None:
+def _check_disk(scene: Scene, disk: Disk) -> None:
     """Raise InputError for what a bladed disk is not, or is not there yet."""
     for name in ("base", "growth", "identify", "reduction"):
-        with errors:
-            if getattr(scene, name) is not None:
-                raise InputError(name, "a table", "left out with [disk]")
-    with errors:
-        scene.excitation.given("order", "given with [disk]: the engine order, a whole number >= 1")
-    with errors:
-        if scene.speed == 0.0:
-            allowed = "given [rad/s] with [disk] at rest, or excitation.frequency [Hz]"
-            scene.excitation.given("omega", allowed)
-    with errors:
-        if scene.curve is not None:
-            allowed = "another one with [disk]: the load's frequency, for example"
-            scene.curve.require(scene.curve.followed[0] != "speed", "parameter", allowed)
+        if getattr(scene, name) is not None:
+            raise InputError(name, "a table", "left out with [disk]")
+    scene.excitation.given("order", "given with [disk]: the engine order, a whole number >= 1")
+    if scene.speed == 0.0:
+        allowed = "given [rad/s] with [disk] at rest, or excitation.frequency [Hz]"
+        scene.excitation.given("omega", allowed)
+    if scene.curve is not None:
+        allowed = "another one with [disk]: the load's frequency, for example"
+        scene.curve.require(scene.curve.followed[0] != "speed", "parameter", allowed)
     for name, crack in scene.all_cracks.items():
         with named(name):
             crack.leave_out(("first_omega", "first_frequency"), "[disk]")
@@ -715,11 +684,7 @@ def _check_disk(scene: Scene, disk: Disk, errors: InputErrors) -> None:
     if scene.mesh.layout == "file":
         disk.leave_out(radii, "mesh.layout = 'file'")
         return
-    with errors:
-        disk.leave_out(("center", "axis"), "a blade on a rim that is made here")
-    for key in radii:
-        with errors:
-            disk.given(key)
+    disk.leave_out(("center", "axis"), "a blade on a rim that is made here")
     inner, outer = (disk.given(key) for key in radii)
     disk.require(inner < outer, "inner_radius", f"less than disk.outer_radius = {outer:g}")
     across = scene.geometry.across
@@ -731,43 +696,39 @@ def _check_disk(scene: Scene, disk: Disk, errors: InputErrors) -> None:
     disk.require(inner < outer - low, "inner_radius", allowed)
 
 
-def _check_plate(scene: Scene, errors: InputErrors) -> None:
+def _check_plate(scene: Scene) -> None:
     geometry = scene.geometry
-    for key in ("width", "height"):
-        with errors:
-            geometry.given(key)
-    height: Any = geometry.height
-    for key in ("width", "thickness")[: scene.dimension - 1]:
-        with errors:
+    _, height = (geometry.given(key) for key in ("width", "height"))
+    with part():
+        for key in ("width", "thickness")[: scene.dimension - 1]:
             geometry.require(
                 height / THINNEST <= getattr(geometry, key) <= height * THINNEST,
                 key,
                 f"within a factor {THINNEST:g} of geometry.height = {height:g}",
             )
-    with errors:
-        if not scene.has_other_loads:
-            scene.excitation.given("point", "given: [x, y] on the plate")
-        if scene.excitation.point is None and (force := scene.excitation.force_given):
-            scene.excitation.require(False, force, "left out without excitation.point")
+    if not scene.has_other_loads:
+        scene.excitation.given("point", "given: [x, y] on the plate")
+    elif scene.excitation.point is None and (force := scene.excitation.force_given):
+        scene.excitation.require(False, force, "left out without excitation.point")
     loads = {f"loads.{number}": load for number, load in enumerate(scene.loads, 1)}
     for name, load in ({"excitation": scene.excitation} | loads).items():
         sides = geometry.sides
-        with errors, named(name):
+        with part(), named(name):
             within = [0.0 <= x <= side for x, side in zip(load.point or (), sides, strict=False)]
             where = ", ".join(f"0..{side:g}" for side in sides)
             load.require(all(within), "point", f"on the {geometry.kind}: [{where}]")
     if scene.all_cracks:
-        _check_cracks(scene.all_cracks, geometry, scene.mesh, errors)
+        with part():
+            _check_cracks(scene.all_cracks, geometry, scene.mesh)
         if scene.contact is None:
             raise InputError("contact", None, "given where there is a crack: a table")
 
 
-def _check_file(scene: Scene, errors: InputErrors) -> None:
+def _check_file(scene: Scene) -> None:
     of_file = ("width", "height", "thickness")[: scene.dimension]
-    with errors:
-        scene.geometry.leave_out(of_file, "mesh.layout = 'file'")
+    scene.geometry.leave_out(of_file, "mesh.layout = 'file'")
     for name, crack in scene.all_cracks.items():
-        with errors, named(name):
+        with named(name):
             crack.leave_out(_OF_SHAPES, "mesh.layout = 'file'")
 
 
@@ -775,56 +736,44 @@ def _check_file(scene: Scene, errors: InputErrors) -> None:
 
 LEAST_DISTANCE = 1e-4
 """Minimum distance of cracks and crack tips from the edges and each other, relative to the side."""
-MARGIN = f"at least {LEAST_DISTANCE:g} of that from both"
 _OF_SHAPES = (
     "edge", "center", "height", "length", "depth", "front", "first_frequency", "first_omega",
 )  # fmt: skip
 """Keys of a crack that a mesh file defines itself."""
 
 
-def _check_cracks(
-    cracks: dict[str, Crack], geometry: Geometry, mesh: Mesh, errors: InputErrors
-) -> None:
+def _check_cracks(cracks: dict[str, Crack], geometry: Geometry, mesh: Mesh) -> None:
     """Raise InputError where a crack cannot be in a plate, by the crack's name in the scene."""
     for name, crack in cracks.items():
-        with errors, named(name):
-            if len(cracks) > 1:
-                why = "several cracks: it finds the length of the only one"
-                crack.leave_out(("first_frequency", "first_omega"), why)
-        for check in (_check_edge, _check_height, _check_length, _check_front):
-            with errors, named(name):
-                check(crack, geometry)
-        with errors, named(name):
+        with part(), named(name):
+            _check_crack(crack, geometry, list(cracks))
+            _check_front(crack, geometry)
             if mesh.layout == "grid":
                 _check_grid(crack, geometry, mesh)
-    with errors:
-        if mesh.layout == "graded":
-            mesh.given("lip_elements", "given where there is a crack")
-    for first, second in combinations(cracks, 2):
-        with errors:
-            _check_apart(cracks, first, second, geometry)
+    if mesh.layout == "graded":
+        mesh.given("lip_elements", "given where there is a crack")
+    placed = [name for name, crack in cracks.items() if crack.height and crack.length]
+    for first, second in combinations(placed, 2):
+        _check_apart(cracks, first, second, geometry)
 
 
-def _check_edge(crack: Crack, geometry: Geometry) -> None:
-    kind = geometry.kind
+def _check_crack(crack: Crack, geometry: Geometry, names: list[str]) -> None:
+    width: Any = geometry.width
+    height: Any = geometry.height
+    kind, margin = geometry.kind, f"at least {LEAST_DISTANCE:g} of that from both"
     if crack.center is not None:
         crack.leave_out(("edge",), "crack.center")
     else:
         crack.given("edge", f"given: 'left' or 'right'; or center, for a crack inside the {kind}")
-
-
-def _check_height(crack: Crack, geometry: Geometry) -> None:
-    height: Any = geometry.height
-    crack.require(
-        crack.height is not None and _inside(crack.height, height),
-        "height",
-        f"inside the {geometry.kind}: between 0 and geometry.height = {height:g}, {MARGIN}",
-    )
-
-
-def _check_length(crack: Crack, geometry: Geometry) -> None:
-    width: Any = geometry.width
-    kind = geometry.kind
+    with part():
+        allowed = f"inside the {kind}: between 0 and geometry.height = {height:g}, {margin}"
+        inner = crack.height is not None and _inside(crack.height, height)
+        crack.require(inner, "height", allowed)
+    if len(names) > 1:
+        crack.leave_out(
+            ("first_frequency", "first_omega"),
+            "several cracks: it finds the length of the only one",
+        )
     crack.require(
         (crack.length is None) != (crack.first_omega is None),
         "length",
@@ -833,14 +782,14 @@ def _check_length(crack: Crack, geometry: Geometry) -> None:
     crack.require(
         crack.length is None or _inside(crack.length, width),
         "length",
-        f"shorter than the {kind}: between 0 and geometry.width = {width:g}, {MARGIN}",
+        f"shorter than the {kind}: between 0 and geometry.width = {width:g}, {margin}",
     )
     if crack.center is not None:
-        ends = [crack.center] if crack.length is None else crack.span(width)
+        half = 0.5 * (crack.length or 0.0)
         crack.require(
-            all(_inside(end or 0.0, width) for end in ends),
+            all(_inside(crack.center + side, width) for side in (-half, half)),
             "center",
-            f"such that both tips are inside the {kind}: between 0 and {width:g}, {MARGIN}",
+            f"such that both tips are inside the {kind}: between 0 and {width:g}, {margin}",
         )
 
 
@@ -858,8 +807,9 @@ def _check_front(crack: Crack, geometry: Geometry) -> None:
 
 def _check_grid(crack: Crack, geometry: Geometry, mesh: Mesh) -> None:
     crack.given("length", "given with mesh.layout = 'grid'")
-    (width, height), columns = geometry.sides, mesh.given("columns")
-    sides = {"length": (width, columns), "height": (height, mesh.given("rows"))}
+    (width, height), columns, rows = geometry.sides, mesh.columns, mesh.rows
+    assert columns is not None and rows is not None
+    sides = {"length": (width, columns), "height": (height, rows)}
     for key, (extent, count) in sides.items():
         cells = getattr(crack, key) / extent * count
         crack.require(
@@ -941,20 +891,17 @@ def _parts(name: str) -> tuple[str, int | None, str]:
     return table, None, key
 
 
-def _made(name: str, value: object, errors: InputErrors) -> Any:
+def _made(name: str, value: object) -> Any:
     """A table, or the tuple of a list of tables, from what a file holds; one that is made stays."""
     kind = _TABLES[name]
     if name not in _LISTS:
-        return value if isinstance(value, kind) else kind.from_mapping(value, errors)
+        return value if isinstance(value, kind) else kind.from_mapping(value)
     if not isinstance(value, list | tuple):
         raise InputError(name, value, f"a list of tables: [[{name}]]")
     made = []
     for number, table in enumerate(value, 1):
-        inner = InputErrors()
-        made.append(REFUSED)
-        with inner:
-            made[-1] = table if isinstance(table, kind) else kind.from_mapping(table, inner)
-        errors += [renamed(error, f"{name}.{number}") for error in inner]
+        with named(f"{name}.{number}"):
+            made.append(table if isinstance(table, kind) else kind.from_mapping(table))
     return tuple(made)
 
 
