@@ -68,7 +68,8 @@ def test_what_the_process_does_is_seen(
 ) -> None:
     """It dies, or does not end; another one takes the next case."""
     monkeypatch.setattr(fuzzing, "work", ends.work)
-    monkeypatch.setattr(fuzzing, "SECONDS", 0.5)
+    if end == "TOO LONG":  # a slow machine may take as long to start a process that dies
+        monkeypatch.setattr(fuzzing, "SECONDS", 0.5)
     found = [*fuzzing.attempts(end, range(2), 1, tmp_path)]
     assert [(one.case, one.outcome, one.wrong) for one in found] == [(n, end, True) for n in (0, 1)]
 

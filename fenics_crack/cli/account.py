@@ -30,12 +30,7 @@ from fenics_crack.fatigue.growth import ENDS, Growth
 from fenics_crack.model.modes import damped_range
 from fenics_crack.scene.scene import Scene, unit_of
 from fenics_crack.scene.words import key_in_words
-from fenics_crack.study.plausibility import (
-    SMALL_MOTION,
-    Remark,
-    distances_from_clamp,
-    remarks_on_scene,
-)
+from fenics_crack.study.plausibility import SMALL_MOTION, Remark, from_clamp, remarks_on_scene
 from fenics_crack.study.run import Run
 from fenics_crack.study.verification import Verification
 from fenics_crack.sweep.plan import FREQUENCIES
@@ -153,16 +148,14 @@ class Account:
 def of_size(run: Run[Any], largest: Sequence[float]) -> list[str]:
     """A warning of a motion that is not small beside the distance from the clamp, from the largest
     displacement of each dof that is watched [m], with its mean (collective)."""
-    lengths = distances_from_clamp(run.structure.whole, [one.dof for one in run.watched])
-    rotations = np.asarray(largest) / lengths
-    place = int(np.argmax(rotations))
-    size, words, rotation = largest[place], run.watched[place].words, float(rotations[place])
-    if not rotation > SMALL_MOTION:
+    lengths = from_clamp(run.structure.whole, [one.dof for one in run.watched])
+    place = int(np.argmax(rotations := np.asarray(largest) / lengths))
+    if not rotations[place] > SMALL_MOTION:
         return []
     return [
-        f"{quantity(size, 'm')} of {words} is beyond small displacements, which the equations "
-        f"assume: a rotation of {rotation:.2g} rad about the clamp, whose square they neglect; the "
-        "stated errors do not include it"
+        f"{quantity(largest[place], 'm')} of {run.watched[place].words} is beyond small "
+        f"displacements, which the equations assume: a rotation of {rotations[place]:.2g} rad about "
+        "the clamp, whose square they neglect; the stated errors do not include it"
     ]
 
 

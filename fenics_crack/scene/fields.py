@@ -446,6 +446,21 @@ def named(name: str) -> Iterator[None]:
             refuse(InputError(f"{name}.{key}" if key else name, each.value, each.allowed))
 
 
+class _Refused:
+    """Stands for a value that was refused: what depends on it fails, which ends that part."""
+
+    def _fail(self, *_: object) -> Any:
+        raise TypeError
+
+    def __repr__(self) -> str:
+        return "..."
+
+    __eq__ = __bool__ = __hash__ = _fail  # type: ignore[assignment]
+
+
+REFUSED: Any = _Refused()
+
+
 class Table(Hinted):
     """A table of the scene: checks each of its keys when it is made."""
 
@@ -474,8 +489,8 @@ class Table(Hinted):
     def __post_init__(self) -> None:
         for name, item in self.keys().items():
             value = getattr(self, name)
-            if value is not MISSING and (value is not None or item.default is not None):
-                object.__setattr__(self, name, MISSING)
+            if value is not REFUSED and (value is not None or item.default is not None):
+                object.__setattr__(self, name, REFUSED)
                 with part():
                     object.__setattr__(self, name, self.checked(name, value))
         for name, key in self.twins().items():
@@ -659,9 +674,9 @@ class Table(Hinted):
             if key in values or item.default not in (None, MISSING):
                 continue
             if f"{cls.name_of(key)}?" in suggested:
-                held[key] = MISSING
+                held[key] = REFUSED
             elif item.default is MISSING:
-                held[key] = MISSING
+                held[key] = REFUSED
                 refuse(InputError(cls.name_of(key), None, f"given: {item.metadata['allowed']}"))
         cls.check_twins(values)
         return cls(**held)

@@ -12,7 +12,7 @@ import math
 import re
 import tomllib
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from functools import partial
 from itertools import combinations
 from pathlib import Path
@@ -40,7 +40,7 @@ from fenics_crack.basics.tables import (
     frequency_axis,
 )
 from fenics_crack.basics.untrusted_files import text_of
-from fenics_crack.scene.fields import Axis, Point, Table, components, named, with_key
+from fenics_crack.scene.fields import REFUSED, Axis, Point, Table, components, named, with_key
 from fenics_crack.scene.tables import (
     Base,
     Contact,
@@ -120,7 +120,7 @@ class Scene(Hinted):
     def __post_init__(self) -> None:
         for name, table in _TABLES.items():
             value = getattr(self, name)
-            if value is MISSING:
+            if value is REFUSED:
                 continue
             if name in _LISTS:
                 fine = isinstance(value, tuple) and all(isinstance(one, table) for one in value)
@@ -182,9 +182,9 @@ class Scene(Hinted):
         with collecting():
             for name in [name for name in tables if name not in _TABLES]:
                 refuse(InputError(name, tables[name], _instead_of(name)))
-                made |= dict.fromkeys(near(name, _TABLES), MISSING)
+                made |= dict.fromkeys(near(name, _TABLES), REFUSED)
             for name in filter(_TABLES.get, tables):
-                made[name] = MISSING
+                made[name] = REFUSED
                 with part():
                     made[name] = _made(name, tables[name])
             scene = cls(**made)

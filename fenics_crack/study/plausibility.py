@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -131,11 +131,9 @@ class KeyFigures:
         """S of the first open mode."""
         return float(self.stiffenings[0])
 
-    def meeting_speed(
-        self, order: float, speed: float, omega: float | None = None, mode: int = 0
-    ) -> float:
-        """Rotor speed W [rad/s] at which an engine order n meets a natural frequency w of a mode,
-        by default the breathing one of the first,
+    def meeting_speed(self, order: float, speed: float, omega: float | None = None) -> float:
+        """Rotor speed W [rad/s] at which an engine order n meets a natural frequency w of the first
+        mode, by default the breathing one,
 
             (n W)^2 = w^2 + S (W^2 - W_0^2);
 
@@ -149,12 +147,11 @@ class KeyFigures:
             W_0, of the structure [rad/s].
         omega : float, optional
             w at W_0 [rad/s].
-        mode : int
-            Number of the mode, from 0.
         """
-        stiffening = float(self.stiffenings[mode])
-        square = (self.omega_breathing if omega is None else omega) ** 2 - stiffening * speed**2
-        slope = order**2 - stiffening
+        square = (
+            self.omega_breathing if omega is None else omega
+        ) ** 2 - self.stiffening * speed**2
+        slope = order**2 - self.stiffening
         return math.sqrt(square / slope) if square > 0.0 and slope > 0.0 else math.nan
 
 
@@ -178,7 +175,7 @@ def find_key_figures(study: Study) -> KeyFigures:
     pressed = solve_complementarity(lips, resting) if whole.n_pairs else np.zeros(0)
     closed = pressed > 0.0
     watched = [one.dof for one in study.watched]
-    lengths = distances_from_clamp(whole.whole, watched)
+    lengths = from_clamp(whole.whole, watched)
     largest, turned, moved, breathes = 0.0, 0.0, 0.0, False
     for omega in _omegas(scene, np.concatenate([modes.omega, tied.omega])):
         seen, gap, apart, push = np.zeros((4, 1))  # at most: amplitudes of all harmonics
@@ -267,7 +264,7 @@ def extents(whole: Structure) -> tuple[float, ...]:
     return tuple(np.ptp(gather_rows(whole.comm, whole.nodes.points), axis=0).tolist())
 
 
-def distances_from_clamp(whole: Structure, dofs: Sequence[int]) -> np.ndarray:
+def from_clamp(whole: Structure, dofs: Sequence[int]) -> np.ndarray:
     """Distance of the nodes of some dofs from the clamp, at most the mesh's longest side [m]; inf
     without nodes (collective)."""
     if whole.nodes is None:
@@ -351,7 +348,7 @@ def proposed_curve(scene: Scene, figures: KeyFigures) -> Curve | None:
     load or a rotor moves it between them. Ends are rounded outwards to three digits.
     """
     load, curve = scene.excitation, scene.curve
-    mode, parameter = 0, "rpm" if scene.in_rpm else "speed"
+    parameter = "rpm" if scene.in_rpm else "speed"
     if load.order is None or scene.disk is not None:
         parameter = "frequency" if scene.in_hertz else "omega"
     if curve is not None:
@@ -359,15 +356,17 @@ def proposed_curve(scene: Scene, figures: KeyFigures) -> Curve | None:
         held = _holds_resonance(scene, figures, *curve.followed, of_first=True)
         if parameter not in CURVE_UNITS or held:
             return None
-    else:
+    else:  # of the modes from the nearest one on
         mode = int(np.argmin(np.abs(figures.omega_bilinear - load.omega)))
-    opened, breathing = float(figures.omega_open[mode]), float(figures.omega_bilinear[mode])
+        firsts = "omega_open", "omega_bilinear", "damping", "stiffenings"
+        figures = replace(figures, **{name: getattr(figures, name)[mode:] for name in firsts})
+    opened, breathing = float(figures.omega_open[0]), figures.omega_breathing
     # Three half-power bandwidths from it the response is a sixth of the peak.
-    beyond = 1.0 + 3.0 * 2.0 * float(figures.damping[mode])
+    beyond = 1.0 + 3.0 * 2.0 * float(figures.damping[0])
     if not (opened > 0.0 and breathing < 2.0 * opened and beyond > 1.0):
         return None
     bonded = 1.0 / (2.0 / breathing - 1.0 / opened)  # of the same mode
-    meets, unit = _meeting(scene, figures, parameter, mode), CURVE_UNITS[parameter][0]
+    meets, unit = _meeting(scene, figures, parameter), CURVE_UNITS[parameter][0]
     start, stop = (meets(omega, 1.0) / unit for omega in (opened / beyond, bonded * beyond))
     if not 0.0 < start < stop < math.inf:
         return None
@@ -380,14 +379,11 @@ def _rounded(value: float, towards: Callable[[float], int]) -> float:
     return towards(value * digits) / digits
 
 
-def _meeting(
-    scene: Scene, figures: KeyFigures, parameter: str, mode: int = 0
-) -> Callable[[float, float], float]:
+def _meeting(scene: Scene, figures: KeyFigures, parameter: str) -> Callable[[float, float], float]:
     """Parameter of a curve [rad/s] at which a harmonic of the load meets a natural frequency."""
     order = scene.excitation.order
     if parameter in ("speed", "rpm") and order is not None:
-        speed = scene.speed
-        return lambda omega, harmonic: figures.meeting_speed(harmonic * order, speed, omega, mode)
+        return lambda omega, harmonic: figures.meeting_speed(harmonic * order, scene.speed, omega)
     return lambda omega, harmonic: omega / harmonic
 
 
