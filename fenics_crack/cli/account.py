@@ -154,8 +154,8 @@ def of_size(run: Run[Any], largest: Sequence[float]) -> list[str]:
         return []
     return [
         f"{quantity(largest[place], 'm')} of {run.watched[place].words} is beyond small "
-        f"displacements, which the equations assume: a rotation of {rotations[place]:.2g} rad about "
-        "the clamp, whose square they neglect; the stated errors do not include it"
+        f"displacements: the equations neglect the square of the rotation about the clamp, of "
+        f"{rotations[place]:.2g} rad; the stated errors do not include it"
     ]
 
 

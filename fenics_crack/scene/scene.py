@@ -902,7 +902,7 @@ def _made(name: str, value: object) -> Any:
     for number, table in enumerate(value, 1):
         with named(f"{name}.{number}"):
             made.append(table if isinstance(table, kind) else kind.from_mapping(table))
-    return tuple(made)
+    return tuple(made) if len(made) == len(value) else REFUSED
 
 
 def _changed_key(name: str, value: object) -> tuple[str, int | None, str]:

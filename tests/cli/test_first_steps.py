@@ -170,7 +170,12 @@ def test_tables_to_paste_make_a_scene(here: Path, capsys: pytest.CaptureFixture[
     [
         ([], ["geometry.height=0.2", "excitation.point=[0.1, 0.2]"], "frequency"),
         ([], ["excitation.omega=2.7e4", "sweep=none"], "omega"),  # the second, or third
-        (["--blade"], ["material.young=1.1e11", "material.density=4400.0"], "rpm"),
+        pytest.param(
+            ["--blade"],
+            ["material.young=1.1e11", "material.density=4400.0"],
+            "rpm",
+            marks=pytest.mark.nightly,
+        ),
     ],
     ids=["hertz", "second", "blade"],
 )
