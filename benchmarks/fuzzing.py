@@ -41,6 +41,7 @@ import itertools
 import multiprocessing
 import os
 import random
+import re
 import resource
 import shutil
 import signal
@@ -985,7 +986,8 @@ def outcome_of(code: int, errors: str, noise: str) -> tuple[str, str]:
         lines = lines[: lines.index("for example:")]
         last = lines[-1]
     told = [line for line in lines if line.startswith("fenics-crack: ")]
-    if code == 2 and "usage: " not in errors and told != [last]:
+    of_keys = len(told) > 1 and all(re.search(": must be |: not allowed", line) for line in told)
+    if code == 2 and "usage: " not in errors and told != (lines if of_keys else [last]):
         return "RAW", f"{len(lines)} lines: {' | '.join(lines)}"
     return CODES[code], last if code else ""
 

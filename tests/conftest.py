@@ -54,11 +54,14 @@ def pytest_configure(config: pytest.Config) -> None:
     if config.getoption("dist", "no") != "no":
         return
     importlib.import_module("mpi4py.MPI")
-    from hypothesis import settings
+    from hypothesis import HealthCheck, settings
     from hypothesis.internal.conjecture import providers
 
     # The first call of a form may compile for seconds.
-    settings.register_profile("repeatable", derandomize=True, deadline=None, database=None)
+    settings.register_profile(
+        "repeatable", derandomize=True, deadline=None, database=None,
+        suppress_health_check=[HealthCheck.too_slow],
+    )  # fmt: skip
     settings.load_profile("repeatable")
     # Else it reads the source of every library that is loaded, 7 s, for constants to try: other
     # ones where other tests have been collected.

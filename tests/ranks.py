@@ -27,6 +27,22 @@ LIMIT = 900.0
 on an idle machine, and fifty times as long beside a hundred others."""
 
 
+HELD = """
+import time
+from pathlib import Path
+import numpy as np
+from fenics_crack.sweep.file import SweepFile
+record = SweepFile.record
+def held(self, *given):
+    while np.count_nonzero(self.state) >= {cases} and not Path({go!r}).exists():
+        time.sleep(0.01)
+    record(self, *given)
+SweepFile.record = held
+"""
+"""Source of a program whose sweep, once its file has so many cases, waits until another file is
+there: however fast it is, it can be stopped before its end."""
+
+
 def command(program: str | Path, ranks: int) -> list[str]:
     """The words that run a Python program, source or file, on some ranks."""
     launcher = shutil.which("mpirun")

@@ -436,7 +436,7 @@ def test_odd_arguments(seed: int) -> None:
 
 
 def check_call(arguments: list[str]) -> int:
-    """Call the program; it ends with 0, 2, 3 or 4, and with one line about an error,
+    """Call the program; it ends with 0, 2, 3 or 4, and with a line about each error,
     and lines to paste where a table is missing."""
     with time_limit(), np.errstate(all="ignore"):
         code, errors = call(arguments)
@@ -445,9 +445,10 @@ def check_call(arguments: list[str]) -> int:
         return code  # with the cause
     assert "Traceback" not in errors
     if code == 2 and "usage: " not in errors:
-        lines = errors.splitlines()
-        assert lines[0].startswith("fenics-crack: ")
-        assert len(lines) == 1 or lines[1] == "for example:"  # lines to paste
+        lines = errors.partition("for example:\n\n")[0].splitlines()  # before those to paste
+        assert lines and all(line.startswith("fenics-crack: ") for line in lines)
+        keys = [line.split()[1] for line in lines]
+        assert len(lines) == 1 or sorted({*keys}) == sorted(keys)  # of a scene one for each key
     return code
 
 

@@ -46,7 +46,14 @@ class InputError(ValueError):
         The value found there.
     allowed : str
         Description of the allowed values.
+    others : tuple of InputError
+        Errors of further keys of the same scene.
+    example : str or None
+        Lines for the scene's file, of a missing table; None: those of a new scene.
     """
+
+    others: tuple[InputError, ...] = ()
+    example: str | None = None
 
     def __init__(self, key: str, value: object, allowed: str) -> None:
         super().__init__(key, value, allowed)

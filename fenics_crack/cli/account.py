@@ -30,7 +30,7 @@ from fenics_crack.fatigue.growth import ENDS, Growth
 from fenics_crack.model.modes import damped_range
 from fenics_crack.scene.scene import Scene, unit_of
 from fenics_crack.scene.words import key_in_words
-from fenics_crack.study.plausibility import SMALL_MOTION, Remark, extents, remarks_on_scene
+from fenics_crack.study.plausibility import SMALL_MOTION, Remark, from_clamp, remarks_on_scene
 from fenics_crack.study.run import Run
 from fenics_crack.study.verification import Verification
 from fenics_crack.sweep.plan import FREQUENCIES
@@ -146,15 +146,16 @@ class Account:
 
 
 def of_size(run: Run[Any], largest: Sequence[float]) -> list[str]:
-    """A warning of a motion that is not small beside the structure, from the largest displacement
-    of each dof that is watched [m], with its mean (collective)."""
-    side = min(extents(run.structure.whole))
-    size, words = max((size, one.words) for size, one in zip(largest, run.watched, strict=True))
-    if not size > SMALL_MOTION * side:
+    """A warning of a motion that is not small beside the distance from the clamp, from the largest
+    displacement of each dof that is watched [m], with its mean (collective)."""
+    lengths = from_clamp(run.structure.whole, [one.dof for one in run.watched])
+    place = int(np.argmax(rotations := np.asarray(largest) / lengths))
+    if not rotations[place] > SMALL_MOTION:
         return []
     return [
-        f"{quantity(size, 'm')} of {words} is beyond small displacements, which the equations "
-        f"assume: the shortest side has {quantity(side, 'm')}; the stated errors do not include it"
+        f"{quantity(largest[place], 'm')} of {run.watched[place].words} is beyond small "
+        f"displacements: the equations neglect the square of the rotation about the clamp, of "
+        f"{rotations[place]:.2g} rad; the stated errors do not include it"
     ]
 
 

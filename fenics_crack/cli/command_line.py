@@ -93,9 +93,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except InputError as error:
         if error.__cause__ is not None and given.verbose:
             traceback.print_exception(error.__cause__)
-        _say(str(type(error)(KEYS.get(error.key, error.key), error.value, error.allowed)))
-        if error.value is None:
-            _show_lines_of(error.key)
+        _explain((error, *error.others))
         return Exit.FAULT if isinstance(error, WriteError) else Exit.BAD_INPUT
     except ConvergenceError as error:
         _say(str(error) if isinstance(error, StoppedError) else f"did not converge: {error}")
@@ -155,11 +153,20 @@ def _say(text: str, stream: TextIO | None = None) -> None:
         print(f"fenics-crack: {text}", file=stream or sys.stderr or sys.__stderr__, flush=True)
 
 
-def _show_lines_of(table: str) -> None:
-    """Print lines to be pasted where a scene lacks a table that a command requests."""
-    from fenics_crack.cli.given import lines_of
+def _explain(errors: Sequence[InputError]) -> None:
+    """Print a line for each error, of a missing key with an example, and lines to be pasted where
+    tables are missing."""
+    blocks = []
+    for error in errors:
+        key, example = KEYS.get(error.key, error.key), ""
+        if error.value is None:
+            from fenics_crack.cli.given import line_of, lines_of
 
-    if lines := lines_of(table):
+            line = line_of(key, error.allowed)
+            example = f"; for example {line}" if line else ""
+            blocks.append(lines_of(key) if error.example is None else error.example)
+        _say(f"{type(error)(key, error.value, error.allowed)}{example}")
+    if lines := "\n\n".join(filter(None, blocks)):
         print(f"for example:\n\n{lines}", file=sys.stderr)
 
 

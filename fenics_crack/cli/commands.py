@@ -15,8 +15,9 @@ from fenics_crack.basics.errors import FEW_MODES, INTERRUPTED, Exit, InputError,
 from fenics_crack.basics.ranks import on_root, uninterrupted
 from fenics_crack.basics.tables import RPM, TURN, Table, counted, quantity, speed_in_words
 from fenics_crack.cli.account import Account, account_of_sweep
-from fenics_crack.cli.given import Console, Inputs, keep_before
+from fenics_crack.cli.given import Console, Inputs, command, keep_before
 from fenics_crack.cli.results import account_of, priors_in_words
+from fenics_crack.cli.scenes import without_curve
 from fenics_crack.study import run as runs
 from fenics_crack.study.plausibility import coriolis_in_words, remarks_on_scene
 from fenics_crack.study.run import Run
@@ -42,6 +43,8 @@ def solved(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     own = {"count": given.count} if given.command == "modes" else {}
     if given.command in ("curve", "integrate"):
         own = {"progress": console.progress}
+    if given.command == "curve" and inputs.scene.curve is None:
+        raise without_curve(inputs.scene, console)
     with console.stage(name):
         run = compute(inputs.scene, comm=console.comm, **own)
     folder, account = inputs.folder, None
@@ -95,7 +98,7 @@ def tell(
     console.table(shown or account.summary)
     h5 = f"{path}.h5"
     drawn = f"{f'{h5}, ' if Path(h5).exists() else path}.csv, .json, .{console.pictures}"
-    console.note(drawn if draw else f"{h5}, .csv, .json; pictures: fenics-crack plot {h5}")
+    console.note(drawn if draw else f"{h5}, .csv, .json; pictures: {command('plot', h5)}")
     console.note(replaced)
     if account.run is not None:
         away = {w.name.partition(".")[0]: w.distance for w in account.run.watched if w.distance > 0}

@@ -10,14 +10,16 @@ looked for.
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
+import shlex
 import sys
 import time
 import tomllib
 from argparse import Namespace
 from collections.abc import Collection, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,7 +30,7 @@ from fenics_crack.basics.atomic_files import keep_files, prepare_folder, write_w
 from fenics_crack.basics.errors import InputError, check_count
 from fenics_crack.basics.progress import LOGGER, StageLines, begin
 from fenics_crack.basics.tables import Table
-from fenics_crack.basics.untrusted_files import content_of
+from fenics_crack.basics.untrusted_files import content_of, text_of
 from fenics_crack.scene.scene import Scene
 from fenics_crack.version import packaged
 
@@ -76,7 +78,12 @@ def read_inputs(given: Namespace) -> Inputs | None:
     """
     if "scene" not in given or _is_record(given):
         return None
-    scene = Scene.load(given.scene, changes(given.set))
+    changed = changes(given.set)
+    try:
+        scene = Scene.load(given.scene, changed)
+    except InputError as error:
+        error.others = tuple(_errors_behind(error, given.scene, changed))
+        raise
     if (count := vars(given).get("count")) is not None:
         check_count("--count", count, 1)
     folder = vars(given).get("output") or Path("output") / given.scene.stem
@@ -87,6 +94,43 @@ def read_inputs(given: Namespace) -> Inputs | None:
     before = _arrivals(scene, given, given.before) if seen else None
     rows = _measurements(given, scene, None if seen else given.before)
     return Inputs(scene, folder, rows, arrivals, before)
+
+
+def _errors_behind(error: InputError, path: Path, given: dict[str, Any]) -> Iterator[InputError]:
+    """Yield the errors of further keys of a scene with the changes that are given.
+
+    From then on a missing key or table is that of the template, an unknown one is left out, and a
+    wrong value is the one that may be meant, or ends it. Behind a value of the template only what
+    is missing or unknown is reported: other errors may be due to that value.
+    """
+    changed, passed, meant, alone = {**given}, {"scene"}, "", True
+    tables = {} if error.key == "scene" else tomllib.loads(text_of(path))
+    while error.key not in passed:
+        passed.add(error.key)
+        table, _, name = error.key.partition(".")
+        value = re.search(r"; did you mean (.+)\?$", error.allowed)
+        unknown = error.allowed.startswith("left out; ")
+        if unknown:
+            meant += error.allowed.partition(" known ")[0]
+            changed.pop(error.key, None)
+            held = tables.get(table) if name else tables
+            if isinstance(held, dict):
+                held.pop(name or table, None)
+        elif error.value is None or value:
+            lines = line_of(error.key, error.allowed) if name else lines_of(table)
+            lines = f"{name} = {value[1]}" if value else lines
+            with suppress(ValueError):  # no value is meant
+                new = tomllib.loads(lines) if name else tomllib.loads(lines).get(table, {})
+                changed |= {f"{table}.{key}": value for key, value in new.items()}
+            alone = alone and value is not None
+        try:
+            Scene.from_mapping(tables, path.parent, changed)
+            return
+        except InputError as later:
+            error = later
+        reported = alone or error.value is None or error.allowed.startswith("left out; ")
+        if reported and error.key not in passed and f"{error.key}?" not in meant:
+            yield error
 
 
 def _measurements(given: Namespace, scene: Scene, before: Path | None) -> Measurements | None:
@@ -165,6 +209,11 @@ def changes(given: Sequence[str]) -> dict[str, Any]:
             parsed = None if value == "none" else value
         found[key.strip()] = parsed
     return found
+
+
+def command(*words: object) -> str:
+    """A call of the program, as a shell takes it."""
+    return shlex.join(["fenics-crack", *map(str, words)])
 
 
 # --- where it prints and writes -------------------------------------------------------------------
@@ -268,7 +317,8 @@ def new(given: Namespace, _: None, console: Console) -> None:
         raise InputError(f"--{alone[0]}", other, "used alone: it is another scene")
     rows = path.with_name(f"{path.stem}_measured.csv")
     if alone:
-        files = {path: packaged(f"cli/new_{alone[0]}.toml").replace("SCENE", path.name)}
+        text = packaged(f"cli/new_{alone[0]}.toml")
+        files = {path: text.replace("SCENE", shlex.quote(path.name))}
     else:
         files = {path: new_scene(path.name, rows.name, kinds)}
     if "identify" in kinds:
@@ -282,9 +332,9 @@ def new(given: Namespace, _: None, console: Console) -> None:
             write_whole(file, text, "scene")
 
     on_root(console.comm, write)
-    console.note(f"{path}: a scene to start from; now: fenics-crack check {path}")
+    console.note(f"{path}: a scene to start from; now: {command('check', path)}")
     if rows in files:
-        console.note(f"{rows}: what was measured; then: fenics-crack identify {path} {rows}")
+        console.note(f"{rows}: what was measured; then: {command('identify', path, rows)}")
 
 
 def new_scene(name: str, rows: str, kinds: Collection[str]) -> str:
@@ -295,19 +345,33 @@ def new_scene(name: str, rows: str, kinds: Collection[str]) -> str:
         for line in packaged(COMMENTED).splitlines()
     )
     whole = "\n".join([*map(_without_mark, lines), ""])
-    return whole.replace("SCENE", name).replace("MEASURED", rows)
+    return whole.replace("SCENE", shlex.quote(name)).replace("MEASURED", shlex.quote(rows))
+
+
+def line_of(key: str, allowed: str) -> str:
+    """The line by which a template gives a key, or another of its table that the allowed values of
+    an error name; empty where none gives it."""
+    table, _, name = key.partition(".")
+    names = name, *re.findall(rf"\b{re.escape(table)}\.(\w+)", allowed)
+    lines = [line.partition("  #")[0].strip() for block in _blocks(table) for line in block]
+    return next((line for one in names for line in lines if line.startswith(f"{one} = ")), "")
 
 
 def lines_of(table: str) -> str:
-    """The lines by which the template gives a scene a table; empty where it has none."""
-    for block in packaged(COMMENTED).split("\n\n"):
+    """The lines by which a template gives a scene a table; empty where none has it."""
+    return "\n".join(next(_blocks(table), ()))
+
+
+def _blocks(table: str) -> Iterator[list[str]]:
+    """Lines by which templates give a table."""
+    texts = map(packaged, (COMMENTED, *(f"cli/new_{name}.toml" for name in ALONE)))
+    for block in itertools.chain.from_iterable(text.split("\n\n") for text in texts):
         lines = block.splitlines()
         for place, line in enumerate(lines):
             if line.removeprefix("# ").startswith((f"[{table}]", f"[{table}.")):
                 asleep = line.startswith("#")
                 chosen = (one for one in lines[place:] if one.startswith("#") == asleep)
-                return "\n".join(_without_mark(_turned(one) if asleep else one) for one in chosen)
-    return ""
+                yield [_without_mark(_turned(one) if asleep else one) for one in chosen]
 
 
 def _without_mark(line: str) -> str:

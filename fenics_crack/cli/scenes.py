@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import itertools
 from argparse import Namespace
+from contextlib import suppress
 
 import numpy as np
 
 from fenics_crack.balance.problem import check_memory
+from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.tables import RPM, TURN, Table, counted, percent, ranging
 from fenics_crack.cli.given import Console, Inputs
@@ -83,6 +85,18 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
     console.table(Table(("what", "value"), [*rows.items()]))
     console.note(remark)
     console.remark(*remarks)
+
+
+def without_curve(scene: Scene, console: Console) -> InputError:
+    """Return the error of a scene without a curve, with one through the resonance nearest to its
+    load (collective)."""
+    error = InputError("curve", None, "given for this command: a table")
+    error.example = ""
+    with console.stage("natural frequencies"), suppress(InputError):
+        study = prepare(scene, console.comm, whole=True)
+        if curve := proposed_curve(study.scene, find_key_figures(study)):
+            error.example = curve.as_toml()
+    return error
 
 
 def _extents(figures: KeyFigures) -> dict[str, object]:

@@ -19,8 +19,8 @@ unit or a number is mistyped.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -56,7 +56,8 @@ from fenics_crack.study.prepare import Study, reduction_of
 N_MODES = 4
 """Modes that are computed."""
 SMALL_MOTION = 0.1
-"""Displacement over the shortest side up to which displacements are small."""
+"""Displacement over length, a rotation [rad], up to which displacements are small: the terms that
+linear theory neglects are about its square, 1 %."""
 
 
 @dataclass(frozen=True)
@@ -72,13 +73,13 @@ class KeyFigures:
     omega_open, omega_tied : (at most 4,) [rad/s]
         Lowest natural frequencies, crack open and crack bonded; these are infinite where there
         are no more.
-    omega_breathing : float [rad/s]
-        First resonance of a crack that opens for one half of a motion and closes for the other: the
-        bilinear one of the first open mode.
+    omega_bilinear : (at most 4,) [rad/s]
+        Resonances of a crack that opens for one half of a motion and closes for the other, by the
+        open modes.
     damping : (at most 4,)
         Ratios of critical damping of the open modes.
-    stiffening : float
-        S = d(w_1^2) / d(W^2) of the first open mode under rotation; 0 without.
+    stiffenings : (at most 4,)
+        S = d(w^2) / d(W^2) of the open modes under rotation; 0 without.
     own_stiffness : (n_pairs,) [N/m]
         1 / (B^T K^-1 B)_jj: of the crack faces themselves, pair by pair.
     stiffness_ratio : (n_pairs,) or None
@@ -89,6 +90,8 @@ class KeyFigures:
     displacement, gap_motion : float [m]
         Largest amplitudes of what is watched, and of the gaps, with an open crack at the
         frequencies that are requested.
+    rotation : float [rad]
+        Largest amplitude over distance from the clamp, of what is watched.
     closed : int
         Pairs that are closed under the mean load and the preload alone.
     breathes : bool
@@ -103,19 +106,30 @@ class KeyFigures:
     elements: int | None
     omega_open: np.ndarray
     omega_tied: np.ndarray
-    omega_breathing: float
+    omega_bilinear: np.ndarray
     damping: np.ndarray
-    stiffening: float
+    stiffenings: np.ndarray
     own_stiffness: np.ndarray
     stiffness_ratio: np.ndarray | None
     mean_opening: float
     static_motion: float
     displacement: float
+    rotation: float
     gap_motion: float
     closed: int
     breathes: bool
     modes_below: int
     modes_kept: int
+
+    @property
+    def omega_breathing(self) -> float:
+        """First resonance of a breathing crack [rad/s]."""
+        return float(self.omega_bilinear[0])
+
+    @property
+    def stiffening(self) -> float:
+        """S of the first open mode."""
+        return float(self.stiffenings[0])
 
     def meeting_speed(self, order: float, speed: float, omega: float | None = None) -> float:
         """Rotor speed W [rad/s] at which an engine order n meets a natural frequency w of the first
@@ -161,7 +175,8 @@ def find_key_figures(study: Study) -> KeyFigures:
     pressed = solve_complementarity(lips, resting) if whole.n_pairs else np.zeros(0)
     closed = pressed > 0.0
     watched = [one.dof for one in study.watched]
-    largest, moved, breathes = 0.0, 0.0, False
+    lengths = from_clamp(whole.whole, watched)
+    largest, turned, moved, breathes = 0.0, 0.0, 0.0, False
     for omega in _omegas(scene, np.concatenate([modes.omega, tied.omega])):
         seen, gap, apart, push = np.zeros((4, 1))  # at most: amplitudes of all harmonics
         for k, (still, still_gap, pull) in enumerate(zip(*amplitudes, strict=True), 1):
@@ -180,6 +195,7 @@ def find_key_figures(study: Study) -> KeyFigures:
                 gap, push = gap + np.abs(of_gap), push + np.abs(force)
                 apart = apart + np.abs(of_gap - compliance @ force)
         largest = max(largest, float(seen.max(initial=0.0)))
+        turned = max(turned, float((seen / lengths).max(initial=0.0)))
         if whole.n_pairs:
             moved = max(moved, float(gap.max()))
             opened = resting - lips @ pressed + apart >= 0.0
@@ -193,14 +209,15 @@ def find_key_figures(study: Study) -> KeyFigures:
         elements=_elements(scene, whole),
         omega_open=modes.omega,
         omega_tied=tied.omega,
-        omega_breathing=float(breathing.omega_bilinear[0]),
+        omega_bilinear=breathing.omega_bilinear,
         damping=ratios,
-        stiffening=_stiffening(whole, modes.shapes[:, 0]),
+        stiffenings=np.array([_stiffening(whole, shape) for shape in modes.shapes.T]),
         own_stiffness=own,
         stiffness_ratio=None if stiffness is None else stiffness / own,
         mean_opening=float(np.max(-resting, initial=0.0)) + 0.0,
         static_motion=float(np.abs(amplitudes[1]).sum(axis=0).max(initial=0.0)),
         displacement=largest,
+        rotation=turned,
         gap_motion=moved,
         closed=int(closed.sum()),
         breathes=breathes,
@@ -245,6 +262,17 @@ def extents(whole: Structure) -> tuple[float, ...]:
     if whole.nodes is None:
         return np.nan, np.nan
     return tuple(np.ptp(gather_rows(whole.comm, whole.nodes.points), axis=0).tolist())
+
+
+def from_clamp(whole: Structure, dofs: Sequence[int]) -> np.ndarray:
+    """Distance of the nodes of some dofs from the clamp, at most the mesh's longest side [m]; inf
+    without nodes (collective)."""
+    if whole.nodes is None:
+        return np.full(len(dofs), np.inf)
+    points, numbers = (gather_rows(whole.comm, a) for a in (whole.nodes.points, whole.nodes.dofs))
+    clamp, side = points[np.all(numbers < 0, axis=1)], np.ptp(points, axis=0).max()
+    away = [clamp[:, None] - points[np.any(numbers == dof, axis=1)] for dof in dofs]
+    return np.array([np.linalg.norm(vectors, axis=2).min(initial=side) for vectors in away])
 
 
 def damping_ratios(whole: Structure, omega: np.ndarray) -> np.ndarray:
@@ -312,8 +340,9 @@ CURVE_UNITS = {"omega": (1.0, "rad/s"), "frequency": (TURN, "Hz"), "speed": (1.0
 
 
 def proposed_curve(scene: Scene, figures: KeyFigures) -> Curve | None:
-    """Return a curve through the first resonance of the breathing crack; None where the scene's
-    holds one, or follows another parameter, or nothing is damped.
+    """Return a curve through the first resonance of the breathing crack, without a table [curve]
+    through the one nearest to the load's frequency; None where the scene's holds the first, or
+    follows another parameter, or nothing is damped.
 
     From below the resonance of the open crack to above that of the bonded one: a clearance, a mean
     load or a rotor moves it between them. Ends are rounded outwards to three digits.
@@ -327,6 +356,10 @@ def proposed_curve(scene: Scene, figures: KeyFigures) -> Curve | None:
         held = _holds_resonance(scene, figures, *curve.followed, of_first=True)
         if parameter not in CURVE_UNITS or held:
             return None
+    else:  # of the modes from the nearest one on
+        mode = int(np.argmin(np.abs(figures.omega_bilinear - load.omega)))
+        firsts = "omega_open", "omega_bilinear", "damping", "stiffenings"
+        figures = replace(figures, **{name: getattr(figures, name)[mode:] for name in firsts})
     opened, breathing = float(figures.omega_open[0]), figures.omega_breathing
     # Three half-power bandwidths from it the response is a sixth of the peak.
     beyond = 1.0 + 3.0 * 2.0 * float(figures.damping[0])
@@ -754,10 +787,10 @@ def _response(scene: Scene, figures: KeyFigures) -> Remarks:
         return
     key = max(("force_sin", "force_cos"), key=lambda name: math.hypot(*getattr(load, name)))
     force, kind = list(getattr(load, key)), scene.geometry.kind
-    if figures.displacement > SMALL_MOTION * min(figures.size) and figures.damping.min() > 0.0:
+    if figures.rotation > SMALL_MOTION and figures.damping.min() > 0.0:
         text = (
-            f"with an open crack it moves the {kind} by {figures.displacement:.2g} m, which has "
-            f"{min(figures.size):.2g} m: beyond small displacements; in N?"
+            f"with an open crack it moves the {kind} by {figures.displacement:.2g} m, "
+            f"{figures.rotation:.2g} rad about the clamp: beyond small displacements; in N?"
         )
         yield Remark(f"excitation.{key}", force, text)
 

@@ -13,7 +13,7 @@ import resource
 import shutil
 import subprocess
 import sys
-import time
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import DEMOS, ROOT, two_masses
+from ranks import LIMIT
 from surroundings import main
 
 import fenics_crack as fc
@@ -87,17 +88,36 @@ def test_stages_are_logged(paper_scene: fc.Scene, caplog: pytest.LogCaptureFixtu
 @pytest.mark.parametrize("kept", [True, False], ids=["kept", "brief"])
 def test_signs_of_life(stream: io.StringIO, kept: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """What takes long says so now and then, while it computes, and not after its end."""
-    monkeypatch.setattr(progress, "BEAT", 0.05)
+    passed, threads = threading.Event(), list[threading.Thread]()
+
+    class Beats(threading.Event):
+        """Three beats pass, and then none until the end."""
+
+        left = 4
+
+        def wait(self, timeout: float | None = None) -> bool:
+            """True at the end."""
+            self.left -= 1
+            if self.left:
+                return False
+            passed.set()
+            return super().wait(LIMIT)
+
+    def thread(**given: Any) -> threading.Thread:
+        threads.append(threading.Thread(**given))
+        return threads[-1]
+
+    monkeypatch.setattr(progress, "threading", SimpleNamespace(Event=Beats, Thread=thread))
+    monkeypatch.setattr(progress.time, "perf_counter", lambda: 7.0)
     stream.seek(0)
     stream.truncate()
     with progress.StageLines(stream, kept=kept):
         progress.begin("path")
-        time.sleep(0.3)
+        assert passed.wait(LIMIT)
     shown = stream.getvalue()
-    signs = shown.count("\r\033[K  path ... 0 s" if stream.isatty() else "  path ... 0 s\n")
-    assert 3 <= signs <= 6
-    time.sleep(0.1)
-    assert stream.getvalue() == shown
+    assert shown.count("\r\033[K  path ... 0 s" if stream.isatty() else "  path ... 0 s\n") == 3
+    threads[0].join(LIMIT)
+    assert len(threads) == 1 and not threads[0].is_alive() and stream.getvalue() == shown
 
 
 # --- tables ---------------------------------------------------------------------------------------
@@ -624,7 +644,7 @@ def run(program: str, chosen: dict[str, str] | None = None) -> str:
     settings = dict.fromkeys(threads.SETTINGS)
     environment = {name: value for name, value in os.environ.items() if name not in settings}
     done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, timeout=120, cwd=ROOT,
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=LIMIT, cwd=ROOT,
         env=environment | {"PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}"} | (chosen or {}),
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

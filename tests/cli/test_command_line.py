@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import MPI_ENVIRONMENT, ROOT
-from ranks import LIMIT
+from ranks import HELD, LIMIT
 from surroundings import main
 
 import fenics_crack as fc
@@ -350,11 +350,13 @@ def test_is_installed_as_a_program() -> None:
 
 @pytest.mark.mpi
 def test_bad_input_on_two_ranks(tmp_path: Path) -> None:
-    """One line, from one rank, and both ranks end."""
+    """One line for each key, from one rank, and both ranks end."""
     (tmp_path / "scene.toml").write_text((ROOT / "demos" / "paper_plate.toml").read_text())
-    done = run(tmp_path, "solve", "scene.toml", "--set", "crack.length=-1.0", ranks=2)
+    wrong = ["--set", "crack.length=-1.0", "--set", "material.young=none"]
+    done = run(tmp_path, "solve", "scene.toml", *wrong, ranks=2)
     assert done.returncode == 2
     assert done.stderr.count("crack.length = -1.0: must be a finite number > 0") == 1
+    assert done.stderr.count("material.young is missing: must be a finite number > 0") == 1
     assert "Traceback" not in done.stderr
 
 
@@ -366,15 +368,18 @@ def test_a_signal_to_mpirun_alone(tmp_path: Path, number: int) -> None:
     SIGINT mpirun soon kills them, and its code is its own; the cases stay."""
     over = "sweep.over={'excitation.frequency' = {start = 7.0, stop = 12.0, count = 600}}"
     words = ["sweep", str(ROOT / "demos" / "chain.toml"), "--set", over, "--output", str(tmp_path)]
+    held = HELD.format(cases=1, go=str(tmp_path / "go"))
+    source = f"{held}import sys\nfrom fenics_crack.cli.command_line import main\nsys.exit(main())"
     program = subprocess.Popen(
-        ["mpirun", "-n", "2", *PROGRAM, *words], env=ENVIRONMENT, stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        ["mpirun", "-n", "2", sys.executable, "-c", source, *words], env=ENVIRONMENT,
+        stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
     path, done = tmp_path / "sweep.h5", 0
     while program.poll() is None and not done:
         time.sleep(0.1)
         done = path.exists() and np.count_nonzero(fc.SweepResult.load(path)["state"])
     program.send_signal(number)
+    (tmp_path / "go").touch()
     code = program.wait(LIMIT)
     assert 0 < np.count_nonzero(fc.SweepResult.load(path)["state"]) < 600
     if number == signal.SIGUSR1:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 import shutil
 import subprocess
 from pathlib import Path
@@ -14,6 +15,7 @@ from helpers import ROOT
 from surroundings import main
 
 import fenics_crack as fc
+from fenics_crack.cli.given import changes as cli_changes
 
 pytestmark = pytest.mark.usefixtures("not_drawn")
 
@@ -111,6 +113,110 @@ def test_lines_to_paste(
     coarse = [change for change in COARSE if not change.startswith(("curve", gone))]
     short = {"curve": ["curve.stop=780.5"], "sweep": ["sweep.over={'crack.length' = [0.02]}"]}
     assert main([command, "own.toml", *sets(*coarse, *short.get(gone, [])), "--quiet"]) == 0
+
+
+WRONG = {
+    "height = 0.3 ": ("heigth = 3", "geometry.heigth = 3: .*; did you mean geometry.height?"),
+    "thickness = 0.002": ("thickness = '2 mm'", "geometry.thickness = .* did you mean 0.002?"),
+    'edge = "left"': ("", "crack.edge is missing: .*; for example edge = \"left\""),
+    "length = 0.03": ("", "crack.length is missing: .*; for example length = 0.03"),
+    "young = 2.1e11": ("", "material.young is missing: .*; for example young = 2.1e11"),
+    "[damping]\n": ("[damnping]\n", "damnping = .*: not allowed; did you mean damping?"),
+    "point = [0.1, 0.3]": ("", "excitation.point is missing: .*; for example point = [0.1, 0.3]"),
+    "frequency = 780.0 ": ("", "excitation.omega is missing: .*; for example frequency = 780.0"),
+    "lip_elements = 10": ("", "mesh.lip_elements is missing: .*; for example lip_elements = 10"),
+    '[contact] ': ("[output.points]", "contact is missing: must be given where there is a crack"),
+}  # fmt: skip
+"""Text of a new scene, what takes its place, and the line about it."""
+
+
+@pytest.mark.parametrize("command", ["check", "solve"])
+def test_every_wrong_key_is_shown_at_once(
+    command: str, here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In all tables, by a line each with a proposal; Python raises the first."""
+    assert main(["new", "own.toml", "--quiet"]) == 0
+    text = Path("own.toml").read_text().partition("\n[output]")[0].replace("law = ", "# law = ")
+    for right, (wrong, _) in WRONG.items():
+        assert text.count(right) == 1, right
+        text = text.replace(right, f"{wrong}  # " if "\n" not in wrong else wrong)
+    Path("own.toml").write_text(text)
+    assert main([command, "own.toml"]) == 2
+    said = capsys.readouterr().err.partition("for example:\n\n[contact]")[0].splitlines()
+    patterns = [
+        "fenics-crack: " + re.escape(line).replace(r"\.\*", ".*") for _, line in WRONG.values()
+    ]
+    for pattern in patterns:
+        assert sum(bool(re.match(pattern, line)) for line in said) == 1, (pattern, said)
+    assert len(said) == len(WRONG)
+    with pytest.raises(fc.InputError) as error:
+        fc.Scene.load("own.toml")
+    assert f"fenics-crack: {error.value}" == said[0]
+
+
+def test_tables_to_paste_make_a_scene(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of an empty file all are missing; what is shown is one that can be solved."""
+    Path("own.toml").touch()
+    assert main(["check", "own.toml"]) == 2
+    said, _, lines = capsys.readouterr().err.partition("for example:\n\n")
+    assert said.count(" is missing: must be given: a table\n") == said.count("\n") == 5
+    Path("own.toml").write_text(lines)
+    assert main(["check", "own.toml", *sets("mesh.size=0.05", "mesh.error=false"), "--quiet"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("kind", "changes", "unit"),
+    [
+        ([], ["geometry.height=0.2", "excitation.point=[0.1, 0.2]"], "frequency"),
+        ([], ["excitation.omega=2.7e4", "sweep=none"], "omega"),  # the second, or third
+        pytest.param(
+            ["--blade"],
+            ["material.young=1.1e11", "material.density=4400.0"],
+            "rpm",
+            marks=pytest.mark.nightly,
+        ),
+    ],
+    ids=["hertz", "second", "blade"],
+)
+def test_the_curve_to_paste_is_of_this_scene(
+    kind: list[str], changes: list[str], unit: str, here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Around its resonance nearest to the load's frequency, in its unit; it runs, and has a peak
+    inside."""
+    assert main(["new", "own.toml", "--quiet", *kind]) == 0
+    given = [change for change in COARSE if not change.startswith("curve")]
+    scene = fc.Scene.load("own.toml").replace(cli_changes([*given, *changes, "curve=none"]))
+    Path("own.toml").write_text(scene.as_toml())
+    assert main(["curve", "own.toml"]) == 2
+    said, _, lines = capsys.readouterr().err.partition("for example:\n\n")
+    assert said.startswith(
+        "fenics-crack: curve is missing: must be given for this command: a table"
+    )
+    Path("own.toml").write_text(f"{scene.as_toml()}\n{lines}")
+    words = ["--set", "curve.stability=false", "--set", "mesh.error=false", "--quiet"]
+    assert main(["curve", "own.toml", *words]) == 0
+    curve = fc.load_run("output/own/curve.h5").result
+    assert fc.Scene.load("own.toml").curve.parameter == unit
+    assert curve.complete and 0 < int(np.argmax(curve.amplitude())) < len(curve.omega) - 1
+
+
+def test_commands_to_paste_quote_their_paths(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A shell takes each as the words of a call that runs; also those in the scene itself."""
+    name = "my 'plate' $x.toml"
+    assert main(["new", name, "--identify"]) == 0
+    said = capsys.readouterr().err.splitlines()
+    assert shlex.split(said[0].partition("now: ")[2])[1:] == ["check", name]
+    rows = "my 'plate' $x_measured.csv"
+    assert shlex.split(said[1].partition("then: ")[2])[1:] == ["identify", name, rows]
+    text = Path(name).read_text()
+    assert f"check  {shlex.quote(name)} " in text
+    assert f"identify {shlex.quote(name)} {shlex.quote(rows)}\n" in text
+    assert main(["modes", name, "--count", "1", *sets(*COARSE)]) == 0
+    [line] = [one for one in capsys.readouterr().err.splitlines() if "pictures: " in one]
+    program, *words = shlex.split(line.partition("pictures: ")[2])
+    assert program == "fenics-crack" and main([*words, "--quiet"]) == 0
 
 
 def omega(folder: Path) -> float:

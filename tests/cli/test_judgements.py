@@ -4,6 +4,7 @@ and values in words, and pictures of sweeps."""
 import json
 import re
 import signal
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -13,10 +14,12 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import DEMOS, wrap
+from ranks import LIMIT
 from surroundings import main
 
 import fenics_crack as fc
 from fenics_crack import ErrorReport, ResponseCurve, SweepResult
+from fenics_crack.basics.progress import StageLines
 from fenics_crack.basics.tables import Table
 from fenics_crack.cli import pictures
 from fenics_crack.cli.account import (
@@ -312,6 +315,26 @@ def test_large_displacements_are_said(tmp_path: Path, capsys: pytest.CaptureFixt
         assert ("beyond small displacements" in capsys.readouterr().err) == warns
 
 
+def test_large_is_what_rotates(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    """A slender blade that moves by 2 % of its length, half its thickness, is linear to 0.04 %; by
+    20 % it is not. So says ``check`` before."""
+    path = tmp_path / "blade.toml"
+    assert main(["new", str(path), "--quiet"]) == 0
+    sides = {"geometry.width": 0.004, "geometry.height": 0.1, "crack.height": 0.02}
+    size = {"crack.length": 0.001, "mesh.size": 0.004, "mesh.lip_elements": 2, "mesh.error": False}
+    load = {"excitation.point": [0.004, 0.1], "excitation.frequency": 340.0, "sweep": None}
+    few = FIXED | {"harmonic_balance.harmonics": 3, "reduction.modes": 5, "curve": None}
+    blade = fc.Scene.load(path).replace(sides | size | load | few)
+    path.write_text(blade.as_toml())
+    unit = 10.0 / fc.solve(blade).amplitude()
+    for share, warns in ((0.02, False), (0.2, True)):
+        force = f"excitation.force_sin=[{unit * share * 0.1}, 0.0]"
+        words = [str(path), "--set", force]
+        for command in (["check", *words], ["solve", *words, "--output", str(tmp_path / "out")]):
+            assert main(command) == 0
+            assert ("beyond small displacements" in capsys.readouterr().err) == warns, command
+
+
 def test_errors_without_the_mesh_are_told_of_every_number(
     tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
@@ -543,13 +566,12 @@ def test_ctrl_c_during_the_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         signal.raise_signal(signal.SIGINT)
         save(*given)
 
-    handler = signal.getsignal(signal.SIGINT)
     with monkeypatch.context() as patch:
         patch.setattr("fenics_crack.study.run.errors_of", stopped)
         wrap(patch, "fenics_crack.study.run.on_root", again)
         words = ["--output", str(tmp_path), "--set", "contact.stiffness=1e9"]
         assert main(["solve", str(PAPER), *words, "--set", "damping.ratio=0.02"]) == 3
-    assert signal.getsignal(signal.SIGINT) == handler
+    assert signal.getsignal(signal.SIGINT) == signal.default_int_handler
     assert (tmp_path / "solution.h5").read_bytes() == b"older"
     found = fc.load_run(tmp_path / "solution_interrupted.h5")
     assert found.result.converged and found.stated is None
@@ -575,8 +597,24 @@ def test_signs_of_life_say_how_far(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture,
 ) -> None:
-    """On what is no terminal, a line each."""
+    """On what is no terminal, a line each: work that takes less waits for it."""
+    shown = threading.Event()
+
+    class Held(list[Callable[[], str]]):
+        """What is reached is asked for once before its work ends."""
+
+        def pop(self, *_: Any) -> Callable[[], str]:
+            assert shown.wait(LIMIT)
+            return super().pop()
+
+    def write(wrapped: Callable[..., None], lines: StageLines, text: str) -> None:
+        wrapped(lines, text)
+        if re.search(said, text):
+            shown.set()
+
     monkeypatch.setattr("fenics_crack.basics.progress.BEAT", 0.01)
+    monkeypatch.setattr("fenics_crack.basics.progress._reached", Held())
+    wrap(monkeypatch, "fenics_crack.basics.progress.StageLines._write", write)
     settings = ["damping.ratio=0.02", "contact.stiffness=1e9", *changes.split()]
     words = [word for one in settings for word in ("--set", one)]
     assert main([command, str(PAPER), "--output", str(tmp_path), *words]) in (0, 3)

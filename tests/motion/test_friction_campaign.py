@@ -48,13 +48,13 @@ def test_random_plates(part: int) -> None:
         near = fc.bilinear_frequencies(structure).omega_bilinear[random.integers(0, 2)]
         omega, law = float(near * random.uniform(0.85, 1.15)), fc.CoulombFriction(RIGID, mu)
         wave = fc.solve_harmonic_balance(structure, omega, law, harmonics=10)
-        begun = time.perf_counter()
+        begun = time.process_time()
         fc.solve_harmonic_balance(structure, omega, RIGID, tolerance=0.02, throw=False)
-        free = time.perf_counter() - begun
+        free = time.process_time() - begun
         found = fc.solve_harmonic_balance(structure, omega, law, tolerance=0.02, throw=False)
         assert found.orbit is not None
         if found.indicators().slip_share > 0.01:
-            ratios.append((time.perf_counter() - begun - free) / free)
+            ratios.append((time.process_time() - begun - free) / free)
         if not wave.report.unknown:
             parts = wave.report.truncation, wave.report.sampling, wave.report.residual
             stated.append(distance(wave, found.orbit) / sum(parts))
