@@ -302,7 +302,10 @@ def draw_plate(scene: Scene) -> tuple[Names, Lips]:
     """Fill the current gmsh model with the mesh of a scene's plate; its named sides, and the faces
     of its cracks."""
     groups = _draw_blocks(scene)
-    gmsh.model.mesh.generate(2)
+    if scene.has_element_lengths:
+        _mesh_graded(scene, [*_gradings(scene), *Rim.of(scene).gradings(scene)])
+    else:
+        gmsh.model.mesh.generate(2)
     return (groups, {}), _lips(scene)
 
 
@@ -340,18 +343,16 @@ def _draw_blocks(scene: Scene) -> dict[str, tuple[int, ...]]:
     over = {(i, j): add_point(xs[i], ys[j], 0.0) for i, j in doubled}
     above = points | over  # of the blocks over a crack
 
-    horizontal, vertical = {}, {}
+    blocks, horizontal, vertical = not scene.has_element_lengths, {}, {}
+    faces = [(i, s.row) for s in slits for i in range(s.left, s.right)]
     for i, column in enumerate(columns):
         for j in range(len(ys)):
-            horizontal[i, j] = _curve(points[i, j], points[i + 1, j], column)
+            division = column if blocks or (i, j) in faces else None
+            horizontal[i, j] = _curve(points[i, j], points[i + 1, j], division)
     for j, row in enumerate(rows):
         for i in range(len(xs)):
-            vertical[i, j] = _curve(above[i, j], points[i, j + 1], row)
-    upper = {
-        (i, s.row): _curve(above[i, s.row], above[i + 1, s.row], columns[i])
-        for s in slits
-        for i in range(s.left, s.right)
-    }
+            vertical[i, j] = _curve(above[i, j], points[i, j + 1], row if blocks else None)
+    upper = {(i, j): _curve(above[i, j], above[i + 1, j], columns[i]) for i, j in faces}
     surfaces = []
     for i in range(len(columns)):
         for j in range(len(rows)):
@@ -363,6 +364,8 @@ def _draw_blocks(scene: Scene) -> dict[str, tuple[int, ...]]:
     if rim is not None:
         sides = rim.draw(scene, [points[i, 0] for i in range(len(xs))], foot, columns, surfaces)
     _divide(scene, surfaces)
+    if rim is not None:
+        rim.match(*(sides[name][1] for name in RIM_SIDES), across=0)
 
     left, right = ([vertical[i, j] for j in range(len(rows))] for i in (0, len(columns)))
     groups: dict[str, tuple[int, list[int]]] = {
@@ -400,28 +403,32 @@ def _name(groups: dict[str, tuple[int, list[int]]]) -> dict[str, int]:
 
 def _divide(scene: Scene, surfaces: list[int]) -> None:
     """Set how the surfaces are filled with cells."""
-    if scene.mesh.layout == "grid" or scene.mesh.cells == "quadrilateral":
+    squares = scene.mesh.cells == "quadrilateral" and not scene.has_element_lengths
+    if scene.mesh.layout == "grid" or squares:
         for surface in surfaces:
             gmsh.model.geo.mesh.setTransfiniteSurface(surface)
-            if scene.mesh.cells == "quadrilateral":
+            if squares:
                 gmsh.model.geo.mesh.setRecombine(2, surface)
     else:
         gmsh.option.setNumber("Mesh.Algorithm", 6)  # frontal Delaunay
     gmsh.model.geo.synchronize()
 
 
-def _curve(start: int, end: int, division: Interval) -> int:
+def _curve(start: int, end: int, division: Interval | None) -> int:
     return _divided(gmsh.model.geo.addLine(start, end), division)
 
 
-def _divided(curve: int, division: Interval) -> int:
-    nodes, ratio = division.count + 1, division.progression
-    gmsh.model.geo.mesh.setTransfiniteCurve(curve, nodes, "Progression", ratio)
+def _divided(curve: int, division: Interval | None) -> int:
+    if division is not None:
+        nodes, ratio = division.count + 1, division.progression
+        gmsh.model.geo.mesh.setTransfiniteCurve(curve, nodes, "Progression", ratio)
     return curve
 
 
 # --- the rim below a blade of a disk --------------------------------------------------------------
 
+AT_CORNER = 1.0 / 32.0
+"""Length of elements at the corners between blade and rim, relative to ``mesh.size``."""
 RIM_SIDES = ("rim_left", "rim_right")
 """Names of the sides of a sector made here: "left" and "right" are those of its blade."""
 
@@ -482,6 +489,13 @@ class Rim:
         whole: list[tuple[int, int]] = occ.fuse(rim, blade)[0]
         return whole
 
+    def gradings(self, scene: Scene) -> list[_Grading]:
+        """Lengths of elements around the corners between the blade and the rim, where stress is
+        infinite: the shorter, and the less growing, the smaller ``mesh.size`` is."""
+        (width, _), size = scene.geometry.sides, scene.mesh.given("size")
+        ends, none = np.array([0.0, width]), np.zeros(2)
+        return [_Grading(ends, none, self.foot(0.0), AT_CORNER * size, size / width)]
+
     def name_of(self, middle: tuple[float, float, float]) -> str:
         """The name of a face of a solid's rim, by its center of mass."""
         across, along = middle[2] - self.middle, middle[1] - self.axis
@@ -491,13 +505,15 @@ class Rim:
         bent = self.inner * math.sin(self.half) / self.half  # of an arc
         return "clamp" if abs(radius - bent) < 1e-6 * self.outer else "rim"
 
-    def match(self, left: list[int], right: list[int]) -> None:
-        """Let gmsh mesh the right side of a solid as its left one, turned."""
+    def match(self, left: list[int], right: list[int], across: int) -> None:
+        """Let gmsh mesh the right side as its left one, turned in the plane of y and another axis:
+        the curves of a plate, or the surfaces of a solid."""
         c, s = math.cos(2.0 * self.half), math.sin(2.0 * self.half)
-        turn = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, c, -s, 0.0], [0.0, s, c, 0.0], [0, 0, 0, 1]])
-        place = np.array([0.0, self.axis, self.middle])
+        turn, place, plane = np.eye(4), np.zeros(3), [1, across]
+        turn[np.ix_(plane, plane)] = [[c, -s], [s, c]]
+        place[plane] = self.axis, self.middle
         turn[:3, 3] = place - turn[:3, :3] @ place
-        gmsh.model.mesh.setPeriodic(2, right, left, turn.ravel().tolist())
+        gmsh.model.mesh.setPeriodic(1 + across // 2, right, left, turn.ravel().tolist())
 
     def draw(
         self,
@@ -511,8 +527,12 @@ class Rim:
         mesh, geo = scene.mesh, gmsh.model.geo
         size = mesh.size or scene.geometry.sides[1] / mesh.given("rows")
         around = self.half - math.asin((columns[-1].stop - self.middle) / self.outer)
-        beside = Interval(0.0, 1.0, max(1, round(self.outer * around / size)), 1.0)
-        deep = Interval(0.0, 1.0, max(1, round((self.outer - self.inner) / size)), 1.0)
+        beside, deep = (
+            None
+            if scene.has_element_lengths
+            else Interval(0.0, 1.0, max(1, round(length / size)), 1.0)
+            for length in (self.outer * around, self.outer - self.inner)
+        )
         center = geo.addPoint(self.middle, self.axis, 0.0)
         places = [columns[0].start, *(column.stop for column in columns)]
         angles = [math.asin((x - self.middle) / self.outer) for x in places]
@@ -522,7 +542,7 @@ class Rim:
         ]
         top = [ends[0], *feet, ends[1]]
         low = [geo.addPoint(*self.at(self.inner, angle), 0.0) for angle in angles]
-        parts = [beside, *columns, beside]
+        parts = [beside, *(deep and column for column in columns), beside]
         radial = [_curve(one, other, deep) for one, other in zip(low, top, strict=True)]
         inside = [
             _arc(one, other, center, part)
@@ -540,7 +560,7 @@ class Rim:
         return {"clamp": (1, inside), left: (1, radial[:1]), right: (1, radial[-1:])}
 
 
-def _arc(start: int, end: int, center: int, division: Interval) -> int:
+def _arc(start: int, end: int, center: int, division: Interval | None) -> int:
     return _divided(gmsh.model.geo.addCircleArc(start, center, end), division)
 
 
@@ -609,7 +629,15 @@ def _draw_solid(scene: Scene) -> None:
         groups.setdefault(at[0] if at else "crack", (2, []))[1].append(tag)
     _name(groups)
     if rim is not None:
-        rim.match(*(groups[name][1] for name in RIM_SIDES))
+        rim.match(*(groups[name][1] for name in RIM_SIDES), across=2)
+    try:
+        _mesh_graded(scene, gradings)
+    except Exception as error:  # gmsh raises nothing else
+        raise _not_meshed(scene, str(error)) from None
+
+
+def _mesh_graded(scene: Scene, gradings: list[_Grading]) -> None:
+    """Fill what is drawn with elements ``mesh.size`` long, and shorter by some gradings."""
     size, around = scene.mesh.given("size"), [one.compiled() for one in gradings]
 
     def length(dimension: int, tag: int, x: float, y: float, z: float, *_: float) -> float:
@@ -620,9 +648,7 @@ def _draw_solid(scene: Scene) -> None:
         gmsh.option.setNumber(f"Mesh.{option}", 0)
     gmsh.model.mesh.setSizeCallback(length)
     try:
-        gmsh.model.mesh.generate(3)
-    except Exception as error:  # gmsh raises nothing else
-        raise _not_meshed(scene, str(error)) from None
+        gmsh.model.mesh.generate(scene.dimension)
     finally:
         gmsh.model.mesh.removeSizeCallback()
 
@@ -703,11 +729,13 @@ class _Grading:
 
 
 def _gradings(scene: Scene) -> list[_Grading]:
-    """One for each crack."""
-    width, _, thickness = scene.geometry.sides
+    """One for each crack, of a plate without thickness."""
+    width, _, thickness = (*scene.geometry.sides, 0.0)[:3]
     mesh, found = scene.mesh, []
     for crack in scene.all_cracks.values():
         count = mesh.given("lip_elements")
+        if crack.edge is None and scene.dimension == 2:
+            count = -(-count // 2)  # as :func:`_half`
         middle, half = _ellipse(crack, width)
         reach = min(half, crack.depth or half)
         growth = mesh.grading ** (1.0 / max(count - 1, 1))

@@ -119,9 +119,9 @@ def _ratio(scene: Scene, coarse: Scene, counts: tuple[int, int]) -> float:
     """Return the ratio of the element lengths of a coarser mesh: by their numbers, but at the
     fronts of the cracks of a solid, where they err the most, by the given sizes; elements that are
     longer than it is thick become no longer across it, and leave more than these say."""
-    size = scene.mesh.size
-    if scene.dimension == 3 and scene.all_cracks and size is not None:
-        if size <= min(scene.geometry.sides):
+    size, solid = scene.mesh.size, scene.dimension == 3
+    if scene.has_element_lengths and size is not None and (scene.all_cracks or not solid):
+        if size <= min(scene.geometry.sides) or not solid:
             return coarse.mesh.given("size") / size
     return float((counts[0] / counts[1]) ** (1.0 / scene.dimension))
 
@@ -206,9 +206,9 @@ def finer_mesh(scene: Scene, factor: float) -> Scene | None:
         return None
     changes: dict[str, Any] = {}
     lips, size = mesh.lip_elements, mesh.size
-    if scene.dimension == 3 and size is not None and factor > 1.0:
+    if scene.has_element_lengths and size is not None and factor > 1.0:
         size = min(size, *scene.geometry.sides)
-    if scene.dimension == 3 and lips is not None and lips > 2:
+    if scene.has_element_lengths and lips is not None and lips > 2:
         count, grading, factor = _similar(lips, mesh.grading, factor)
         changes |= {"mesh.lip_elements": count, "mesh.grading": grading}
     elif lips is not None:
