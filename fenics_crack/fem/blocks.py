@@ -30,7 +30,7 @@ the front to the mouth.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 
 import numpy as np
@@ -303,7 +303,12 @@ def draw_plate(scene: Scene) -> tuple[Names, Lips]:
     of its cracks."""
     groups = _draw_blocks(scene)
     if scene.has_element_lengths:
-        _mesh_graded(scene, [*_gradings(scene), *Rim.of(scene).gradings(scene)])
+        rim = Rim.of(scene)
+        curves = (gmsh.model.getEntitiesForPhysicalGroup(1, *groups[name]) for name in RIM_SIDES)
+        left, right = (own.tolist() for own in curves)
+        rim.match(0, left, right)
+        _mesh_graded(scene, [*_gradings(scene), *rim.gradings(scene)])
+        gmsh.model.mesh.setPeriodic(1, right, right, np.eye(4).ravel().tolist())  # no more
     else:
         gmsh.model.mesh.generate(2)
     return (groups, {}), _lips(scene)
@@ -343,16 +348,17 @@ def _draw_blocks(scene: Scene) -> dict[str, tuple[int, ...]]:
     over = {(i, j): add_point(xs[i], ys[j], 0.0) for i, j in doubled}
     above = points | over  # of the blocks over a crack
 
-    blocks, horizontal, vertical = not scene.has_element_lengths, {}, {}
-    faces = [(i, s.row) for s in slits for i in range(s.left, s.right)]
+    horizontal, vertical = {}, {}
+    faces = {(i, s.row): columns[i] for s in slits for i in range(s.left, s.right)}
+    if scene.has_element_lengths:  # on the faces of cracks alone they are counted
+        columns, rows = ([replace(part, count=0) for part in side] for side in (columns, rows))
     for i, column in enumerate(columns):
         for j in range(len(ys)):
-            division = column if blocks or (i, j) in faces else None
-            horizontal[i, j] = _curve(points[i, j], points[i + 1, j], division)
+            horizontal[i, j] = _curve(points[i, j], points[i + 1, j], faces.get((i, j), column))
     for j, row in enumerate(rows):
         for i in range(len(xs)):
-            vertical[i, j] = _curve(above[i, j], points[i, j + 1], row if blocks else None)
-    upper = {(i, j): _curve(above[i, j], above[i + 1, j], columns[i]) for i, j in faces}
+            vertical[i, j] = _curve(above[i, j], points[i, j + 1], row)
+    upper = {(i, j): _curve(above[i, j], above[i + 1, j], part) for (i, j), part in faces.items()}
     surfaces = []
     for i in range(len(columns)):
         for j in range(len(rows)):
@@ -364,8 +370,6 @@ def _draw_blocks(scene: Scene) -> dict[str, tuple[int, ...]]:
     if rim is not None:
         sides = rim.draw(scene, [points[i, 0] for i in range(len(xs))], foot, columns, surfaces)
     _divide(scene, surfaces)
-    if rim is not None:
-        rim.match(*(sides[name][1] for name in RIM_SIDES), across=0)
 
     left, right = ([vertical[i, j] for j in range(len(rows))] for i in (0, len(columns)))
     groups: dict[str, tuple[int, list[int]]] = {
@@ -414,12 +418,12 @@ def _divide(scene: Scene, surfaces: list[int]) -> None:
     gmsh.model.geo.synchronize()
 
 
-def _curve(start: int, end: int, division: Interval | None) -> int:
+def _curve(start: int, end: int, division: Interval) -> int:
     return _divided(gmsh.model.geo.addLine(start, end), division)
 
 
-def _divided(curve: int, division: Interval | None) -> int:
-    if division is not None:
+def _divided(curve: int, division: Interval) -> int:
+    if division.count:  # else elements have lengths by :func:`_mesh_graded`
         nodes, ratio = division.count + 1, division.progression
         gmsh.model.geo.mesh.setTransfiniteCurve(curve, nodes, "Progression", ratio)
     return curve
@@ -505,7 +509,7 @@ class Rim:
         bent = self.inner * math.sin(self.half) / self.half  # of an arc
         return "clamp" if abs(radius - bent) < 1e-6 * self.outer else "rim"
 
-    def match(self, left: list[int], right: list[int], across: int) -> None:
+    def match(self, across: int, left: list[int], right: list[int]) -> None:
         """Let gmsh mesh the right side as its left one, turned in the plane of y and another axis:
         the curves of a plate, or the surfaces of a solid."""
         c, s = math.cos(2.0 * self.half), math.sin(2.0 * self.half)
@@ -525,12 +529,13 @@ class Rim:
     ) -> dict[str, tuple[int, list[int]]]:
         """Draw it below the curves of a plate's lower edge, in blocks; its named curves."""
         mesh, geo = scene.mesh, gmsh.model.geo
-        size = mesh.size or scene.geometry.sides[1] / mesh.given("rows")
+        size, divided = (
+            mesh.size or scene.geometry.sides[1] / mesh.given("rows"),
+            columns[0].count > 0,
+        )
         around = self.half - math.asin((columns[-1].stop - self.middle) / self.outer)
         beside, deep = (
-            None
-            if scene.has_element_lengths
-            else Interval(0.0, 1.0, max(1, round(length / size)), 1.0)
+            Interval(0.0, 1.0, divided * max(1, round(length / size)), 1.0)
             for length in (self.outer * around, self.outer - self.inner)
         )
         center = geo.addPoint(self.middle, self.axis, 0.0)
@@ -542,7 +547,7 @@ class Rim:
         ]
         top = [ends[0], *feet, ends[1]]
         low = [geo.addPoint(*self.at(self.inner, angle), 0.0) for angle in angles]
-        parts = [beside, *(deep and column for column in columns), beside]
+        parts = [beside, *columns, beside]
         radial = [_curve(one, other, deep) for one, other in zip(low, top, strict=True)]
         inside = [
             _arc(one, other, center, part)
@@ -560,7 +565,7 @@ class Rim:
         return {"clamp": (1, inside), left: (1, radial[:1]), right: (1, radial[-1:])}
 
 
-def _arc(start: int, end: int, center: int, division: Interval | None) -> int:
+def _arc(start: int, end: int, center: int, division: Interval) -> int:
     return _divided(gmsh.model.geo.addCircleArc(start, center, end), division)
 
 
@@ -629,15 +634,18 @@ def _draw_solid(scene: Scene) -> None:
         groups.setdefault(at[0] if at else "crack", (2, []))[1].append(tag)
     _name(groups)
     if rim is not None:
-        rim.match(*(groups[name][1] for name in RIM_SIDES), across=2)
-    try:
-        _mesh_graded(scene, gradings)
-    except Exception as error:  # gmsh raises nothing else
-        raise _not_meshed(scene, str(error)) from None
+        rim.match(2, *(groups[name][1] for name in RIM_SIDES))
+    _mesh_graded(scene, gradings)
 
 
 def _mesh_graded(scene: Scene, gradings: list[_Grading]) -> None:
-    """Fill what is drawn with elements ``mesh.size`` long, and shorter by some gradings."""
+    """Fill what is drawn with elements ``mesh.size`` long, and shorter by some gradings.
+
+    Raises
+    ------
+    InputError
+        gmsh cannot.
+    """
     size, around = scene.mesh.given("size"), [one.compiled() for one in gradings]
 
     def length(dimension: int, tag: int, x: float, y: float, z: float, *_: float) -> float:
@@ -649,12 +657,14 @@ def _mesh_graded(scene: Scene, gradings: list[_Grading]) -> None:
     gmsh.model.mesh.setSizeCallback(length)
     try:
         gmsh.model.mesh.generate(scene.dimension)
+    except Exception as error:  # gmsh raises nothing else
+        raise _not_meshed(scene, str(error)) from None
     finally:
         gmsh.model.mesh.removeSizeCallback()
 
 
 def _not_meshed(scene: Scene, reason: str) -> InputError:
-    """The refusal of a box that gmsh makes no sound mesh of: of its smallest crack, or else of the
+    """The refusal of what gmsh makes no sound mesh of: of its smallest crack, or else of the
     size of elements."""
     sizes = {
         f"{name}.{key}": value
@@ -663,7 +673,8 @@ def _not_meshed(scene: Scene, reason: str) -> InputError:
         if (value := getattr(crack, key)) is not None
     }
     key = min(sizes, key=lambda one: sizes[one], default="mesh.size")
-    allowed = f"such that gmsh can mesh the solid ({reason}): not as small beside its other sizes"
+    kind = scene.geometry.kind
+    allowed = f"such that gmsh can mesh the {kind} ({reason}): not as small beside its other sizes"
     return InputError(key, sizes.get(key, scene.mesh.size), allowed)
 
 
