@@ -24,7 +24,9 @@ d from the front of a crack,
     h(d) = h_0 + max(r - 1, 1/3) d,    r = grading^(1 / (lip_elements - 1)),
 
 h_0 such that ``lip_elements`` elements in a row, each r times as long as the one before, reach from
-the front to the mouth.
+the front to the mouth. **The graded sector of a plane disk** has triangles of such lengths around
+the tips and, with h_0 = ``mesh.size`` / 32 and a slope of ``mesh.size`` over the blade's width,
+around the corners between blade and rim: all of it scales with ``mesh.size``.
 """
 
 from __future__ import annotations
