@@ -35,8 +35,8 @@ material = { young = 2.1e11, poisson = 0.3, density = 7800.0 }
 damping = { ratio = 0.002 }
 crack = { edge = "left", height = 0.012, length = 0.004 }
 contact = { law = "unilateral" }
-mesh = { layout = "graded", order = 2, size = 0.004, lip_elements = 8, grading = 16.0, error = false }
-excitation = { order = 2, frequency = 1264.0, point = [0.0, 0.08], force_cos = [1.0, 0.0] }
+mesh = { layout = "graded", order = 2, size = 0.006, lip_elements = 4, error = false }
+excitation = { order = 2, frequency = 1275.0, point = [0.0, 0.08], force_cos = [1.0, 0.0] }
 disk.sectors = 12
 disk.inner_radius = 0.05
 disk.outer_radius = 0.1

@@ -659,9 +659,9 @@ class Mesh(Table):
     ``lip_elements`` along each face, the one at the tip ``grading`` times shorter than the one at
     the mouth; along a crack inside half of them from its middle to each tip. Where cracks are above
     one another, crack faces may get more. The sector of a disk is meshed by triangles, graded
-    towards the corners between blade and rim, too. ``"file"``: any gmsh mesh of a plane region whose
-    physical groups are named ``clamp``, ``lower_lip`` and ``upper_lip`` or ``crack`` (curves),
-    ``load`` (a point) and, for the region itself, anything.
+    towards the corners between blade and rim, too. ``"file"``: any gmsh mesh of a plane region
+    whose physical groups are named ``clamp``, ``lower_lip`` and ``upper_lip`` or ``crack``
+    (curves), ``load`` (a point) and, for the region itself, anything.
 
     A solid is meshed by tetrahedra of order 2, ``"graded"`` towards the fronts of its cracks; a
     file names surfaces, ``clamp`` and ``crack``.
