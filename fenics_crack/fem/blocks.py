@@ -306,8 +306,8 @@ def draw_plate(scene: Scene) -> tuple[Names, Lips]:
     groups = _draw_blocks(scene)
     if scene.has_element_lengths:
         rim = Rim.of(scene)
-        curves = (gmsh.model.getEntitiesForPhysicalGroup(1, *groups[name]) for name in RIM_SIDES)
-        left, right = (own.tolist() for own in curves)
+        of_group = gmsh.model.getEntitiesForPhysicalGroup
+        left, right = (of_group(1, *groups[name]).tolist() for name in RIM_SIDES)
         rim.match(0, left, right)
         _mesh_graded(scene, [*_gradings(scene), *rim.gradings(scene)])
         gmsh.model.mesh.setPeriodic(1, right, right, np.eye(4).ravel().tolist())  # no more
@@ -409,14 +409,13 @@ def _name(groups: dict[str, tuple[int, list[int]]]) -> dict[str, int]:
 
 def _divide(scene: Scene, surfaces: list[int]) -> None:
     """Set how the surfaces are filled with cells."""
-    squares = scene.mesh.cells == "quadrilateral" and not scene.has_element_lengths
-    if scene.mesh.layout == "grid" or squares:
-        for surface in surfaces:
-            gmsh.model.geo.mesh.setTransfiniteSurface(surface)
-            if squares:
-                gmsh.model.geo.mesh.setRecombine(2, surface)
-    else:
+    if scene.has_element_lengths or (scene.mesh.layout, scene.mesh.cells) == ("graded", "triangle"):
         gmsh.option.setNumber("Mesh.Algorithm", 6)  # frontal Delaunay
+        surfaces = []
+    for surface in surfaces:
+        gmsh.model.geo.mesh.setTransfiniteSurface(surface)
+        if scene.mesh.cells == "quadrilateral":
+            gmsh.model.geo.mesh.setRecombine(2, surface)
     gmsh.model.geo.synchronize()
 
 
@@ -531,15 +530,11 @@ class Rim:
     ) -> dict[str, tuple[int, list[int]]]:
         """Draw it below the curves of a plate's lower edge, in blocks; its named curves."""
         mesh, geo = scene.mesh, gmsh.model.geo
-        size, divided = (
-            mesh.size or scene.geometry.sides[1] / mesh.given("rows"),
-            columns[0].count > 0,
-        )
+        size = mesh.size or scene.geometry.sides[1] / mesh.given("rows")
         around = self.half - math.asin((columns[-1].stop - self.middle) / self.outer)
-        beside, deep = (
-            Interval(0.0, 1.0, divided * max(1, round(length / size)), 1.0)
-            for length in (self.outer * around, self.outer - self.inner)
-        )
+        lengths = self.outer * around, self.outer - self.inner
+        counts = [max(1, round(length / size)) if columns[0].count else 0 for length in lengths]
+        beside, deep = (Interval(0.0, 1.0, count, 1.0) for count in counts)
         center = geo.addPoint(self.middle, self.axis, 0.0)
         places = [columns[0].start, *(column.stop for column in columns)]
         angles = [math.asin((x - self.middle) / self.outer) for x in places]

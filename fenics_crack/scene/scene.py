@@ -258,8 +258,7 @@ class Scene(Hinted):
     def has_element_lengths(self) -> bool:
         """True if elements are as long as their distance from crack tips and corners allows: of a
         solid, and of a sector that is graded."""
-        of_sector = self.disk is not None and self.mesh.layout == "graded"
-        return self.dimension == 3 or of_sector
+        return self.dimension == 3 or (self.disk is not None and self.mesh.layout == "graded")
 
     @property
     def has_friction(self) -> bool:
