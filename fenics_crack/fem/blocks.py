@@ -24,13 +24,15 @@ d from the front of a crack,
     h(d) = h_0 + max(r - 1, 1/3) d,    r = grading^(1 / (lip_elements - 1)),
 
 h_0 such that ``lip_elements`` elements in a row, each r times as long as the one before, reach from
-the front to the mouth.
+the front to the mouth. **The graded sector of a plane disk** has triangles of such lengths around
+the tips and, with h_0 = ``mesh.size`` / 32 and a slope of ``mesh.size`` over the blade's width,
+around the corners between blade and rim: all of it scales with ``mesh.size``.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 
 import numpy as np
@@ -302,7 +304,15 @@ def draw_plate(scene: Scene) -> tuple[Names, Lips]:
     """Fill the current gmsh model with the mesh of a scene's plate; its named sides, and the faces
     of its cracks."""
     groups = _draw_blocks(scene)
-    gmsh.model.mesh.generate(2)
+    if scene.has_element_lengths:
+        rim = Rim.of(scene)
+        of_group = gmsh.model.getEntitiesForPhysicalGroup
+        left, right = (of_group(1, *groups[name]).tolist() for name in RIM_SIDES)
+        rim.match(0, left, right)
+        _mesh_graded(scene, [*_gradings(scene), *rim.gradings(scene)])
+        gmsh.model.mesh.setPeriodic(1, right, right, np.eye(4).ravel().tolist())  # no more
+    else:
+        gmsh.model.mesh.generate(2)
     return (groups, {}), _lips(scene)
 
 
@@ -341,17 +351,16 @@ def _draw_blocks(scene: Scene) -> dict[str, tuple[int, ...]]:
     above = points | over  # of the blocks over a crack
 
     horizontal, vertical = {}, {}
+    faces = {(i, s.row): columns[i] for s in slits for i in range(s.left, s.right)}
+    if scene.has_element_lengths:  # on the faces of cracks alone they are counted
+        columns, rows = ([replace(part, count=0) for part in side] for side in (columns, rows))
     for i, column in enumerate(columns):
         for j in range(len(ys)):
-            horizontal[i, j] = _curve(points[i, j], points[i + 1, j], column)
+            horizontal[i, j] = _curve(points[i, j], points[i + 1, j], faces.get((i, j), column))
     for j, row in enumerate(rows):
         for i in range(len(xs)):
             vertical[i, j] = _curve(above[i, j], points[i, j + 1], row)
-    upper = {
-        (i, s.row): _curve(above[i, s.row], above[i + 1, s.row], columns[i])
-        for s in slits
-        for i in range(s.left, s.right)
-    }
+    upper = {(i, j): _curve(above[i, j], above[i + 1, j], part) for (i, j), part in faces.items()}
     surfaces = []
     for i in range(len(columns)):
         for j in range(len(rows)):
@@ -400,13 +409,13 @@ def _name(groups: dict[str, tuple[int, list[int]]]) -> dict[str, int]:
 
 def _divide(scene: Scene, surfaces: list[int]) -> None:
     """Set how the surfaces are filled with cells."""
-    if scene.mesh.layout == "grid" or scene.mesh.cells == "quadrilateral":
-        for surface in surfaces:
-            gmsh.model.geo.mesh.setTransfiniteSurface(surface)
-            if scene.mesh.cells == "quadrilateral":
-                gmsh.model.geo.mesh.setRecombine(2, surface)
-    else:
+    if scene.has_element_lengths or (scene.mesh.layout, scene.mesh.cells) == ("graded", "triangle"):
         gmsh.option.setNumber("Mesh.Algorithm", 6)  # frontal Delaunay
+        surfaces = []
+    for surface in surfaces:
+        gmsh.model.geo.mesh.setTransfiniteSurface(surface)
+        if scene.mesh.cells == "quadrilateral":
+            gmsh.model.geo.mesh.setRecombine(2, surface)
     gmsh.model.geo.synchronize()
 
 
@@ -415,13 +424,16 @@ def _curve(start: int, end: int, division: Interval) -> int:
 
 
 def _divided(curve: int, division: Interval) -> int:
-    nodes, ratio = division.count + 1, division.progression
-    gmsh.model.geo.mesh.setTransfiniteCurve(curve, nodes, "Progression", ratio)
+    if division.count:  # else elements have lengths by :func:`_mesh_graded`
+        nodes, ratio = division.count + 1, division.progression
+        gmsh.model.geo.mesh.setTransfiniteCurve(curve, nodes, "Progression", ratio)
     return curve
 
 
 # --- the rim below a blade of a disk --------------------------------------------------------------
 
+AT_CORNER = 1.0 / 32.0
+"""Length of elements at the corners between blade and rim, relative to ``mesh.size``."""
 RIM_SIDES = ("rim_left", "rim_right")
 """Names of the sides of a sector made here: "left" and "right" are those of its blade."""
 
@@ -482,6 +494,13 @@ class Rim:
         whole: list[tuple[int, int]] = occ.fuse(rim, blade)[0]
         return whole
 
+    def gradings(self, scene: Scene) -> list[_Grading]:
+        """Lengths of elements around the corners between the blade and the rim, where stress is
+        infinite: the shorter, and the less growing, the smaller ``mesh.size`` is."""
+        (width, _), size = scene.geometry.sides, scene.mesh.given("size")
+        ends, none = np.array([0.0, width]), np.zeros(2)
+        return [_Grading(ends, none, self.foot(0.0), AT_CORNER * size, size / width)]
+
     def name_of(self, middle: tuple[float, float, float]) -> str:
         """The name of a face of a solid's rim, by its center of mass."""
         across, along = middle[2] - self.middle, middle[1] - self.axis
@@ -491,13 +510,15 @@ class Rim:
         bent = self.inner * math.sin(self.half) / self.half  # of an arc
         return "clamp" if abs(radius - bent) < 1e-6 * self.outer else "rim"
 
-    def match(self, left: list[int], right: list[int]) -> None:
-        """Let gmsh mesh the right side of a solid as its left one, turned."""
+    def match(self, across: int, left: list[int], right: list[int]) -> None:
+        """Let gmsh mesh the right side as its left one, turned in the plane of y and another axis:
+        the curves of a plate, or the surfaces of a solid."""
         c, s = math.cos(2.0 * self.half), math.sin(2.0 * self.half)
-        turn = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, c, -s, 0.0], [0.0, s, c, 0.0], [0, 0, 0, 1]])
-        place = np.array([0.0, self.axis, self.middle])
+        turn, place, plane = np.eye(4), np.zeros(3), [1, across]
+        turn[np.ix_(plane, plane)] = [[c, -s], [s, c]]
+        place[plane] = self.axis, self.middle
         turn[:3, 3] = place - turn[:3, :3] @ place
-        gmsh.model.mesh.setPeriodic(2, right, left, turn.ravel().tolist())
+        gmsh.model.mesh.setPeriodic(1 + across // 2, right, left, turn.ravel().tolist())
 
     def draw(
         self,
@@ -511,8 +532,9 @@ class Rim:
         mesh, geo = scene.mesh, gmsh.model.geo
         size = mesh.size or scene.geometry.sides[1] / mesh.given("rows")
         around = self.half - math.asin((columns[-1].stop - self.middle) / self.outer)
-        beside = Interval(0.0, 1.0, max(1, round(self.outer * around / size)), 1.0)
-        deep = Interval(0.0, 1.0, max(1, round((self.outer - self.inner) / size)), 1.0)
+        lengths = self.outer * around, self.outer - self.inner
+        counts = [max(1, round(length / size)) if columns[0].count else 0 for length in lengths]
+        beside, deep = (Interval(0.0, 1.0, count, 1.0) for count in counts)
         center = geo.addPoint(self.middle, self.axis, 0.0)
         places = [columns[0].start, *(column.stop for column in columns)]
         angles = [math.asin((x - self.middle) / self.outer) for x in places]
@@ -609,7 +631,18 @@ def _draw_solid(scene: Scene) -> None:
         groups.setdefault(at[0] if at else "crack", (2, []))[1].append(tag)
     _name(groups)
     if rim is not None:
-        rim.match(*(groups[name][1] for name in RIM_SIDES))
+        rim.match(2, *(groups[name][1] for name in RIM_SIDES))
+    _mesh_graded(scene, gradings)
+
+
+def _mesh_graded(scene: Scene, gradings: list[_Grading]) -> None:
+    """Fill what is drawn with elements ``mesh.size`` long, and shorter by some gradings.
+
+    Raises
+    ------
+    InputError
+        gmsh cannot.
+    """
     size, around = scene.mesh.given("size"), [one.compiled() for one in gradings]
 
     def length(dimension: int, tag: int, x: float, y: float, z: float, *_: float) -> float:
@@ -620,7 +653,7 @@ def _draw_solid(scene: Scene) -> None:
         gmsh.option.setNumber(f"Mesh.{option}", 0)
     gmsh.model.mesh.setSizeCallback(length)
     try:
-        gmsh.model.mesh.generate(3)
+        gmsh.model.mesh.generate(scene.dimension)
     except Exception as error:  # gmsh raises nothing else
         raise _not_meshed(scene, str(error)) from None
     finally:
@@ -628,7 +661,7 @@ def _draw_solid(scene: Scene) -> None:
 
 
 def _not_meshed(scene: Scene, reason: str) -> InputError:
-    """The refusal of a box that gmsh makes no sound mesh of: of its smallest crack, or else of the
+    """The refusal of what gmsh makes no sound mesh of: of its smallest crack, or else of the
     size of elements."""
     sizes = {
         f"{name}.{key}": value
@@ -637,7 +670,8 @@ def _not_meshed(scene: Scene, reason: str) -> InputError:
         if (value := getattr(crack, key)) is not None
     }
     key = min(sizes, key=lambda one: sizes[one], default="mesh.size")
-    allowed = f"such that gmsh can mesh the solid ({reason}): not as small beside its other sizes"
+    kind = scene.geometry.kind
+    allowed = f"such that gmsh can mesh the {kind} ({reason}): not as small beside its other sizes"
     return InputError(key, sizes.get(key, scene.mesh.size), allowed)
 
 
@@ -703,11 +737,13 @@ class _Grading:
 
 
 def _gradings(scene: Scene) -> list[_Grading]:
-    """One for each crack."""
-    width, _, thickness = scene.geometry.sides
+    """One for each crack, of a plate without thickness."""
+    width, _, thickness = (*scene.geometry.sides, 0.0)[:3]
     mesh, found = scene.mesh, []
     for crack in scene.all_cracks.values():
         count = mesh.given("lip_elements")
+        if crack.edge is None and scene.dimension == 2:
+            count = -(-count // 2)  # as :func:`_half`
         middle, half = _ellipse(crack, width)
         reach = min(half, crack.depth or half)
         growth = mesh.grading ** (1.0 / max(count - 1, 1))

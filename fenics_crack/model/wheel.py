@@ -474,11 +474,11 @@ class WheelStructure(Structure):
         return self.wheel.sector.once(("elastic", basis, cracked), lambda: _elastic(basis, cracked))
 
     def known_modes(self, *, tied: bool) -> tuple[np.ndarray, np.ndarray] | None:
-        """All with open cracks, of small dense matrices: those of equal sectors come in pairs,
-        which Krylov's method mixes with its own error. In ascending order, or as
-        :meth:`with_lumped` has them."""
+        """All, of small dense matrices: those of equal sectors come in pairs, which Krylov's method
+        mixes with its own error. In ascending order, or as :meth:`with_lumped` has the open ones;
+        the bonded ones are among the open ones, of which M is 1 whatever it is in coordinates."""
         if tied:
-            return None
+            return self.once(_tied_modes)
         return self.once(_all_modes) if self._lumped is None else self._lumped
 
     def with_lumped(self, count: int) -> WheelStructure:
@@ -541,6 +541,13 @@ def _all_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
     matrices = (rows_of(part).toarray() for part in (structure.stiffness, structure.mass))
     squares, shapes = scipy.linalg.eigh(*matrices)
     return np.sqrt(np.maximum(squares, 0.0)), shapes
+
+
+def _tied_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
+    omega, shapes = structure.once(_all_modes)
+    free = scipy.linalg.null_space(structure.gap.T @ shapes)
+    squares, turned = scipy.linalg.eigh((free.T * omega**2) @ free)
+    return np.sqrt(np.maximum(squares, 0.0)), shapes @ (free @ turned)
 
 
 def in_few_coordinates(structure: Structure) -> Structure:

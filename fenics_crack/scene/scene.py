@@ -257,6 +257,12 @@ class Scene(Hinted):
         return 2 if self.geometry is None else self.geometry.dimension
 
     @property
+    def has_element_lengths(self) -> bool:
+        """True if elements are as long as their distance from crack tips and corners allows: of a
+        solid, and of a sector that is graded."""
+        return self.dimension == 3 or (self.disk is not None and self.mesh.layout == "graded")
+
+    @property
     def has_friction(self) -> bool:
         """True if there is friction between crack faces, in a case of the sweep at least."""
         own = self.contact is not None and self.contact.friction > 0.0

@@ -658,9 +658,10 @@ class Mesh(Table):
     must run along grid lines. ``"graded"``: element size ``size`` away from the crack,
     ``lip_elements`` along each face, the one at the tip ``grading`` times shorter than the one at
     the mouth; along a crack inside half of them from its middle to each tip. Where cracks are above
-    one another, crack faces may get more. ``"file"``: any gmsh mesh of a plane region whose
-    physical groups are named ``clamp``, ``lower_lip`` and ``upper_lip`` or ``crack`` (curves),
-    ``load`` (a point) and, for the region itself, anything.
+    one another, crack faces may get more. The sector of a disk is meshed by triangles, graded
+    towards the corners between blade and rim, too. ``"file"``: any gmsh mesh of a plane region
+    whose physical groups are named ``clamp``, ``lower_lip`` and ``upper_lip`` or ``crack``
+    (curves), ``load`` (a point) and, for the region itself, anything.
 
     A solid is meshed by tetrahedra of order 2, ``"graded"`` towards the fronts of its cracks; a
     file names surfaces, ``clamp`` and ``crack``.
@@ -669,7 +670,7 @@ class Mesh(Table):
     layout: str = choice("grid", "graded", "file")
     """As above."""
     cells: str = choice("triangle", "quadrilateral", default="quadrilateral")
-    """Cells of a plate; a mesh file has its own."""
+    """Cells of a plate; a mesh file and a graded sector have their own."""
     order: int = holds("1 or 2", lambda value: value in (1, 2), default=None)
     """Polynomial order of the displacement; default: 1, of a solid 2."""
     columns: int | None = at_least_one(None)

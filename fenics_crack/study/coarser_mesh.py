@@ -5,7 +5,8 @@ mesh.coarser where the mesh is a file, and
 
 as they converge with the order 1 at the tip of a crack (:mod:`refinement`). The ratio r of lengths
 follows from the numbers of elements; of a solid that is meshed here it is that at the fronts of its
-cracks, as no element becomes longer than the solid is thick.
+cracks, as no element becomes longer than the solid is thick, and of a disk's sector that at its
+crack tips and corners.
 """
 
 from __future__ import annotations
@@ -117,11 +118,12 @@ def coarser(study: Study) -> tuple[Study, tuple[int, int], float] | str:
 
 def _ratio(scene: Scene, coarse: Scene, counts: tuple[int, int]) -> float:
     """Return the ratio of the element lengths of a coarser mesh: by their numbers, but at the
-    fronts of the cracks of a solid, where they err the most, by the given sizes; elements that are
-    longer than it is thick become no longer across it, and leave more than these say."""
-    size = scene.mesh.size
-    if scene.dimension == 3 and scene.all_cracks and size is not None:
-        if size <= min(scene.geometry.sides):
+    fronts of the cracks of a solid, and at the tips and corners of a disk's sector, where they err
+    the most, by the given sizes; elements that are longer than a solid is thick become no longer
+    across it, and leave more than these say."""
+    size, plane = scene.mesh.size, scene.dimension == 2
+    if scene.has_element_lengths and size is not None and (scene.all_cracks or plane):
+        if plane or size <= min(scene.geometry.sides):
             return coarse.mesh.given("size") / size
     return float((counts[0] / counts[1]) ** (1.0 / scene.dimension))
 
@@ -195,20 +197,20 @@ def finer_mesh(scene: Scene, factor: float) -> Scene | None:
     mesh.
 
     Elements along crack faces are counted up to the next whole number, and all others follow them,
-    so that the mesh stays of one kind; three or more of a solid to that next to the factor
-    (:func:`_similar`). Where a solid becomes finer, a size counts as the shortest side if it is
-    longer; where it becomes coarser, it is as it is, for elements of a thin one may be longer. A
-    grid becomes finer by the next whole factor, so that cracks stay on its lines; or coarser by 2,
-    where that is possible.
+    so that the mesh stays of one kind; three or more of a solid, or of a disk's sector, to that
+    next to the factor (:func:`_similar`). Where these become finer, a size counts as the shortest
+    side if it is longer; where they become coarser, it is as it is, for elements of a thin solid
+    may be longer. A grid becomes finer by the next whole factor, so that cracks stay on its lines;
+    or coarser by 2, where that is possible.
     """
     mesh = scene.mesh
     if mesh is None or mesh.layout == "file":
         return None
     changes: dict[str, Any] = {}
     lips, size = mesh.lip_elements, mesh.size
-    if scene.dimension == 3 and size is not None and factor > 1.0:
+    if scene.has_element_lengths and size is not None and factor > 1.0:
         size = min(size, *scene.geometry.sides)
-    if scene.dimension == 3 and lips is not None and lips > 2:
+    if scene.has_element_lengths and lips is not None and lips > 2:
         count, grading, factor = _similar(lips, mesh.grading, factor)
         changes |= {"mesh.lip_elements": count, "mesh.grading": grading}
     elif lips is not None:

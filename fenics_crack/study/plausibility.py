@@ -539,7 +539,10 @@ def _plate(scene: Scene) -> Remarks:
     thickness = geometry.thickness
     customary = thickness == 1.0 and kind == "plate"  # in plane problems
     if not (thickness is None or customary):
-        usual = Usual(0.0, shortest, f"thicker than the {kind} is wide or high", MM)
+        most, text = shortest, f"thicker than the {kind} is wide or high"
+        if scene.disk is not None and kind == "plate":  # the width is that of a blade alone
+            most, text = scene.disk.outer_radius or np.inf, "thicker than the disk's outer radius"
+        usual = Usual(0.0, most, text, MM)
         yield from _unless_usual("geometry.thickness", thickness, usual)
     for name, crack in scene.all_cracks.items():
         for key, along in (("length", "width"), ("depth", "thickness")):

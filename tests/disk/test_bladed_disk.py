@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -147,7 +148,7 @@ def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = str(tmp_path / "disk.toml")
     assert main(["new", file, "--disk"]) == 0
     coarse = ["--set", "mesh.size=0.012", "--set", "mesh.error=false", "--set", "disk.sectors=6"]
-    coarse += ["--output", str(tmp_path / "out")]
+    coarse += ["--set", "mesh.lip_elements=4", "--output", str(tmp_path / "out")]
     assert main(["disk", file, *coarse, "--patterns", "5"]) == 0
     said = capsys.readouterr()
     assert "nodal diameter 2" in said.err and "Whitehead" in said.err
@@ -159,6 +160,30 @@ def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["new", file, "--disk", "--nonsense"])
     assert main(["new", str(tmp_path / "b.toml"), "--disk", "--solid"]) == 2
+
+
+def test_new_scene_is_right_by_itself(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Nothing is remarked on the scene of new --disk, and it is solved to its tolerance."""
+    file = str(tmp_path / "disk.toml")
+    assert main(["new", file, "--disk"]) == 0
+    assert main(["solve", file, "--output", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr().err
+    assert "remark" not in said and "warning" not in said
+    tolerance = fc.Scene.load(file).harmonic_balance.tolerance
+    stated = re.search(r"estimated error of half the peak-to-peak displacement ([0-9.]+) %", said)
+    assert stated and tolerance and float(stated[1]) < 100.0 * tolerance
+
+
+@pytest.mark.parametrize(
+    "count", [9, *(pytest.param(n, marks=pytest.mark.nightly) for n in (7, 8, *range(10, 15)))]
+)
+def test_many_elements_along_the_crack(
+    count: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A wheel's few coordinates have a mass that is small for its many crack faces."""
+    file = written(ring(mesh__lip_elements=count, disk__mistuning=PATTERN), tmp_path)
+    assert main(["check", file]) == 0
+    assert "crack faces bonded" in capsys.readouterr().out
 
 
 def test_pictures(run: fc.Run[fc.PeriodicSolution], tmp_path: Path) -> None:
