@@ -27,10 +27,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fenics_crack.basics.atomic_files import not_written, write_whole
-from fenics_crack.basics.errors import InputError, check_count
+from fenics_crack.basics.errors import MAX_CASES, InputError, check_count
 from fenics_crack.basics.progress import LOGGER, StageLines, begin
 from fenics_crack.basics.tables import Table
 from fenics_crack.basics.untrusted_files import content_of
+from fenics_crack.scene.fields import Mistuning
 from fenics_crack.scene.scene import Scene
 from fenics_crack.version import packaged
 
@@ -77,8 +78,7 @@ def read_inputs(given: Namespace) -> Inputs | None:
     if "scene" not in given or _is_record(given):
         return None
     scene = Scene.load(given.scene, changes(given.set))
-    if (count := vars(given).get("count")) is not None:
-        check_count("--count", count, 1)
+    _check_options(given, scene)
     folder = vars(given).get("output") or Path("output") / given.scene.stem
     arrivals = _arrivals(scene, given, vars(given).get("arrivals"))
     if given.command != "identify":
@@ -87,6 +87,25 @@ def read_inputs(given: Namespace) -> Inputs | None:
     before = _arrivals(scene, given, given.before) if seen else None
     rows = _measurements(given, scene, None if seen else given.before)
     return Inputs(scene, folder, rows, arrivals, before)
+
+
+def _check_options(given: Namespace, scene: Scene) -> None:
+    """Raise InputError for a number of a command's options that it cannot take."""
+    if (count := vars(given).get("count")) is not None:
+        check_count("--count", count, 1)
+    if given.command == "campbell":
+        scene.given("rotation")
+        start, stop, steps = given.speeds or (0.0, scene.speed, 2)
+        if not (0.0 <= start < stop < np.inf and 2 <= steps <= MAX_CASES and steps % 1 == 0):
+            allowed = f"0 <= START < STOP, and COUNT a whole number from 2 to {MAX_CASES}"
+            raise InputError("--speeds", given.speeds or (start, stop, steps), allowed)
+    if given.command == "disk":
+        scene.given("disk")
+        check_count("--patterns", given.patterns, 0, MAX_CASES)
+        try:
+            Mistuning(given.deviation)
+        except InputError as error:
+            raise InputError("--deviation", error.value, error.allowed) from None
 
 
 def _measurements(given: Namespace, scene: Scene, before: Path | None) -> Measurements | None:
