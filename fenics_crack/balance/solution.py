@@ -15,7 +15,7 @@ as there is no clearance (Dimarogonas, Engineering Fracture Mechanics 55, 1996, 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, ClassVar
@@ -46,6 +46,7 @@ from fenics_crack.model.contact import check_slope, coefficient_of, is_unilatera
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.motion.orbit import KNOWN, PeriodicOrbit
 from fenics_crack.motion.search import SearchOptions
+from fenics_crack.numerics.extremes import InPeriod, half_range, largest
 from fenics_crack.numerics.fourier import evaluate, resized, sampled
 
 
@@ -178,21 +179,39 @@ def contact_extremes(
     of a period (n, n_pairs), with the crack of each pair, by default one of all. Empty without
     pairs. With a coefficient of friction the gaps and forces of all rows, (n, 2 n_pairs), and what
     it does."""
-    if not gap.shape[1]:
-        return {}
+    return extremes((gap[:, :0], gap, force), cracks, coefficient)[1]
+
+
+def extremes(
+    samples: tuple[np.ndarray, np.ndarray, np.ndarray],
+    cracks: np.ndarray | None = None,
+    coefficient: float | np.ndarray | None = None,
+    at: InPeriod | None = None,
+) -> tuple[np.ndarray, dict[str, float]]:
+    """Half peak-to-peak values (m,) of motions (n, m), and :func:`contact_extremes` of gaps and
+    forces: by samples at equal parts of a period, to rounding where all are given at any parts."""
+    (_, gap, force), many = samples, samples[0].shape[1]
+    count = gap.shape[1] // (1 if coefficient is None else 2)
+    every = np.zeros(count, dtype=int) if cracks is None else cracks
+    members = every[:, None] == np.unique(every)
+
+    def columns(motion: np.ndarray, gap: np.ndarray, force: np.ndarray) -> np.ndarray:
+        lips = []
+        if count:
+            gap, force = gap[:, :count], force[:, :count]
+            lips = [-gap.min(1), gap.max(1), force.max(1), (force @ members).max(1)]
+        return np.column_stack([motion, -motion, *lips])
+
+    tops = largest(columns(*samples), at and (lambda parts: columns(*at(parts))))
+    ranges, sizes = 0.5 * (tops[:many] + tops[many : 2 * many]), tops[2 * many :]
+    if not count:
+        return ranges, {}
+    sizes[:2] = np.maximum(sizes[:2], 0.0)
+    found = dict(zip(OF_LIPS, sizes.tolist(), strict=False))
+    found["closed_share"] = float(np.mean(force[:, :count] > 0.0))
     if coefficient is not None:
-        (gap, slide), (force, drag) = (np.hsplit(one, 2) for one in (gap, force))
-        of_friction = friction_numbers(coefficient, slide, force, drag)
-        return contact_extremes(gap, force, cracks) | of_friction
-    cracks = np.zeros(gap.shape[1], dtype=int) if cracks is None else cracks
-    of_cracks = [force[:, cracks == crack].sum(axis=1) for crack in np.unique(cracks)]
-    return {
-        "opening": max(0.0, -float(gap.min())),
-        "penetration": max(0.0, float(gap.max())),
-        "contact_force": float(force.max()),
-        "crack_force": float(np.max(of_cracks)),
-        "closed_share": float(np.mean(force > 0.0)),
-    }
+        found |= friction_numbers(coefficient, gap[:, count:], force[:, :count], force[:, count:])
+    return ranges, found
 
 
 def slipping(coefficient: float | np.ndarray, force: np.ndarray, drag: np.ndarray) -> np.ndarray:
@@ -356,7 +375,14 @@ class PeriodicSolution(Wave, Described):
         """Half the peak-to-peak displacement of a dof, or of the watched one [m] (collective)."""
         if self.still:
             return 0.0
-        return float(np.ptp(self.displacement(self.instants(), [dof]))) / 2.0
+        return float(self.half_ranges(lambda time: self.displacement(time, [dof]))[0])
+
+    def half_ranges(self, motion: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        """Half the peak-to-peak values (m,) of motions at times [s], (n,) to (n, m): to rounding,
+        but with friction of the instants at which its forces are sampled."""
+        exact = coefficient_of(self.contact) is None
+        at = (lambda parts: motion(self.period * parts)) if exact else None
+        return half_range(motion(self.instants()), at)
 
     def indicators(self, dof: int | None = None) -> Indicators:
         """Return the indicators at a dof, or the watched one, and at the crack faces
@@ -372,10 +398,13 @@ class PeriodicSolution(Wave, Described):
     @cached_property
     def _extremes(self) -> dict[str, float]:
         """Extremes of gap and contact force in the period."""
-        gaps, forces = self.gaps_and_forces(self.instants())
-        found = contact_extremes(
-            gaps, forces, self.structure.pairs.cracks, coefficient_of(self.contact)
-        )
+
+        def at(parts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            return np.zeros((len(parts), 0)), *self.gaps_and_forces(self.period * parts)
+
+        samples, friction = at(self.instants() / self.period), coefficient_of(self.contact)
+        exact = at if friction is None else None
+        found = extremes(samples, self.structure.pairs.cracks, friction, exact)[1]
         return found if self.orbit is None else found | self.orbit.sliding
 
     def coefficients_at(self, dofs: Sequence[int | None] = (None,)) -> np.ndarray:

@@ -367,11 +367,13 @@ def _numbered(natural: BilinearFrequencies) -> Found:
 
 def _seen(solution: PeriodicSolution, case: Scene, geometry: Geometry) -> Found:
     """Return the indicators at the load and at the watched points."""
-    motion = solution.coordinates(solution.instants())
+    rows = _load_row(solution, case) | geometry.watched
+    every = np.reshape([*rows.values()], (len(rows), solution.structure.n_dofs)).T
+    sizes = solution.half_ranges(lambda time: solution.coordinates(time) @ every)
     found: Found = {}
-    for name, row in (_load_row(solution, case) | geometry.watched).items():
+    for (name, row), size in zip(rows.items(), sizes, strict=True):
         coefficients = solution.displacement_coefficients @ row
-        seen = indicators_of(solution.omega, coefficients, np.ptp(motion @ row) / 2.0, {})
+        seen = indicators_of(solution.omega, coefficients, size, {})
         values = {quantity: getattr(seen, quantity) for quantity in AT_POINTS}
         values |= zip(PHASES, coefficients[1:].tolist(), strict=False)
         found |= {f"{name}.{q}" if name else of_load(q): value for q, value in values.items()}
