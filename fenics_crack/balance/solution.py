@@ -137,7 +137,7 @@ def indicators_of(
     subharmonic: int = 1,
 ) -> Indicators:
     """Indicators from load frequencies (...), coefficients of a displacement (..., 2H+1), half its
-    peak-to-peak values (...) and what :func:`contact_extremes` has found of the crack faces
+    peak-to-peak values (...) and what :func:`extremes` has found of the crack faces
     (...)."""
     harmonics = (coefficients.shape[-1] - 1) // 2
 
@@ -168,28 +168,19 @@ def indicators_of(
 CONTACT = (*OF_LIPS, *OF_FRICTION)
 
 
-def contact_extremes(
-    gap: np.ndarray,
-    force: np.ndarray,
-    cracks: np.ndarray | None = None,
-    coefficient: float | np.ndarray | None = None,
-) -> dict[str, float]:
-    """Opening [m], penetration [m] and force [N], the largest of any pair; the largest force of a
-    crack, and the share of the time closed, mean over the pairs: of gaps and forces at equal parts
-    of a period (n, n_pairs), with the crack of each pair, by default one of all. Empty without
-    pairs. With a coefficient of friction the gaps and forces of all rows, (n, 2 n_pairs), and what
-    it does."""
-    return extremes((gap[:, :0], gap, force), cracks, coefficient)[1]
-
-
 def extremes(
     samples: tuple[np.ndarray, np.ndarray, np.ndarray],
     cracks: np.ndarray | None = None,
     coefficient: float | np.ndarray | None = None,
     at: InPeriod | None = None,
 ) -> tuple[np.ndarray, dict[str, float]]:
-    """Half peak-to-peak values (m,) of motions (n, m), and :func:`contact_extremes` of gaps and
-    forces: by samples at equal parts of a period, to rounding where all are given at any parts."""
+    """Half peak-to-peak values (m,) of motions; and opening [m], penetration [m] and force [N], the
+    largest of any pair, the largest force of a crack, and the share of the time closed, mean over
+    the pairs, with the crack of each pair, by default one of all; nothing without pairs. With a
+    coefficient of friction what it does, too.
+
+    Samples are motions (n, m), gaps and forces of all rows (n, n_rows) at equal parts of a period;
+    extremes are to rounding where all are given at any parts of it."""
     (_, gap, force), many = samples, samples[0].shape[1]
     count = gap.shape[1] // (1 if coefficient is None else 2)
     every = np.zeros(count, dtype=int) if cracks is None else cracks
@@ -375,14 +366,15 @@ class PeriodicSolution(Wave, Described):
         """Half the peak-to-peak displacement of a dof, or of the watched one [m] (collective)."""
         if self.still:
             return 0.0
-        return float(self.half_ranges(lambda time: self.displacement(time, [dof]))[0])
+        return float(half_range(*self.sampled(lambda time: self.displacement(time, [dof])))[0])
 
-    def half_ranges(self, motion: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-        """Half the peak-to-peak values (m,) of motions at times [s], (n,) to (n, m): to rounding,
-        but with friction of the instants at which its forces are sampled."""
+    def sampled(self, motion: Callable[[np.ndarray], Any]) -> tuple[Any, Any]:
+        """A function of times [s] at :meth:`instants`, and the same function of parts of the
+        period, None with friction, whose forces follow from those before: as for
+        :func:`fenics_crack.numerics.extremes.half_range`."""
         exact = coefficient_of(self.contact) is None
         at = (lambda parts: motion(self.period * parts)) if exact else None
-        return half_range(motion(self.instants()), at)
+        return motion(self.instants()), at
 
     def indicators(self, dof: int | None = None) -> Indicators:
         """Return the indicators at a dof, or the watched one, and at the crack faces
@@ -398,13 +390,11 @@ class PeriodicSolution(Wave, Described):
     @cached_property
     def _extremes(self) -> dict[str, float]:
         """Extremes of gap and contact force in the period."""
-
-        def at(parts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            return np.zeros((len(parts), 0)), *self.gaps_and_forces(self.period * parts)
-
-        samples, friction = at(self.instants() / self.period), coefficient_of(self.contact)
-        exact = at if friction is None else None
-        found = extremes(samples, self.structure.pairs.cracks, friction, exact)[1]
+        samples, at = self.sampled(
+            lambda time: (np.zeros((len(time), 0)), *self.gaps_and_forces(time))
+        )
+        cracks, friction = self.structure.pairs.cracks, coefficient_of(self.contact)
+        found = extremes(samples, cracks, friction, at)[1]
         return found if self.orbit is None else found | self.orbit.sliding
 
     def coefficients_at(self, dofs: Sequence[int | None] = (None,)) -> np.ndarray:

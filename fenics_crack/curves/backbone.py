@@ -200,17 +200,9 @@ class Backbone(Tabular):
         [m]."""
         points, terms, dofs = self.cosines.shape
         values = self.structure.values_at(self.cosines.reshape(-1, dofs), [dof])
-
-        def size(row: np.ndarray) -> float:
-            """Of one motion."""
-            turns = TURN * np.arange(terms)
-
-            def at(parts: np.ndarray) -> np.ndarray:
-                return np.cos(np.outer(parts, turns)) @ row[:, None]
-
-            return float(half_range(at(PARTS), at)[0])
-
-        return np.array([size(row) for row in values.reshape(points, terms)])
+        waves, turns = values.reshape(points, terms, 1), TURN * np.arange(terms)
+        every = [lambda parts, wave=wave: np.cos(np.outer(parts, turns)) @ wave for wave in waves]
+        return np.array([half_range(at(PARTS), at)[0] for at in every])
 
     # --- shown ------------------------------------------------------------------------------------
 

@@ -340,13 +340,11 @@ class PeriodicOrbit(Described):
 
     def to_dict(self) -> dict[str, Any]:
         """Largest multiplier, extremes of the gap [m] of all pairs, and how it was found."""
-        at = self.seen_through(np.zeros((0, self.flow.structure.n_dofs)))
-
-        def both(gap: np.ndarray) -> np.ndarray:
-            gap = gap[:, : self.gap.shape[1]]
-            return np.hstack([-gap, gap])
-
-        tops = largest(both(self.gap), lambda parts: both(at(parts)[1]))
+        at, count = self.seen_through(np.zeros((0, self.flow.structure.n_dofs))), self.gap.shape[1]
+        tops = largest(
+            np.hstack([-self.gap, self.gap]),
+            lambda parts: np.hstack([-(gap := at(parts)[1][:, :count]), gap]),
+        )
         opening, penetration = tops.reshape(2, -1).max(axis=1, initial=0.0).tolist()
         return {
             "multiplier": float(abs(self.multipliers[0])),

@@ -61,9 +61,6 @@ def largest(values: np.ndarray, at: Motion | None = None) -> np.ndarray:
 
 def half_range(values: np.ndarray, at: Motion | None = None) -> np.ndarray:
     """Half the peak-to-peak values (m,) of functions, given as for :func:`largest`."""
-
-    def both(columns: np.ndarray) -> np.ndarray:
-        return np.hstack([columns, -columns])
-
-    tops = largest(both(values), at and (lambda parts: both(at(parts))))
-    return np.asarray(np.sum(tops.reshape(2, -1), axis=0)) / 2.0
+    both = np.hstack([values, -values])
+    tops = largest(both, at and (lambda parts: np.hstack([seen := at(parts), -seen])))
+    return np.asarray(tops.reshape(2, -1).sum(axis=0)) / 2.0

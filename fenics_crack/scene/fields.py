@@ -390,6 +390,12 @@ def of_harmonics() -> Any:
     return holds(allowed, default=())
 
 
+def order_of_load(default: int) -> Any:
+    """Field of the order of a harmonic of a load."""
+    allowed = f"a whole number from 1 to {MOST_HARMONICS}"
+    return holds(allowed, lambda value: 1 <= value <= MOST_HARMONICS, default)
+
+
 def at_least_one(default: Any = MISSING) -> Any:
     """Field of a whole number >= 1."""
     return holds("a whole number >= 1", lambda value: value >= 1, default)

@@ -24,6 +24,7 @@ from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import BilinearFrequencies, bilinear_frequencies
 from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.extremes import half_range
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCES
 from fenics_crack.study.plausibility import damping_ratios
@@ -369,7 +370,7 @@ def _seen(solution: PeriodicSolution, case: Scene, geometry: Geometry) -> Found:
     """Return the indicators at the load and at the watched points."""
     rows = _load_row(solution, case) | geometry.watched
     every = np.reshape([*rows.values()], (len(rows), solution.structure.n_dofs)).T
-    sizes = solution.half_ranges(lambda time: solution.coordinates(time) @ every)
+    sizes = half_range(*solution.sampled(lambda time: solution.coordinates(time) @ every))
     found: Found = {}
     for (name, row), size in zip(rows.items(), sizes, strict=True):
         coefficients = solution.displacement_coefficients @ row

@@ -41,7 +41,7 @@ from fenics_crack.balance.contact_integrals import (
     contact_integrals,
     default_samples,
 )
-from fenics_crack.balance.solution import contact_extremes, indicators_of
+from fenics_crack.balance.solution import extremes, indicators_of
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.model.modes import damped_modes, times
 from fenics_crack.numerics.fourier import (
@@ -1122,7 +1122,7 @@ def test_force_of_each_crack() -> None:
     force = np.array([[3.0, 0.0, 4.0], [2.0, 2.0, 0.0]])
     for cracks, expected in ((None, 7.0), ([0, 0, 1], 4.0), ([0, 1, 1], 4.0), ([0, 1, 2], 4.0)):
         given = None if cracks is None else np.array(cracks)
-        found = contact_extremes(-np.ones((2, 3)), force, given)
+        found = extremes((force[:, :0], -np.ones((2, 3)), force), given)[1]
         assert (found["contact_force"], found["crack_force"]) == (4.0, expected)
 
 
@@ -1152,7 +1152,8 @@ def test_wave_of_a_bilinear_oscillator(ratio: float) -> None:
     assert found.ratio_3_1 == pytest.approx(part(3) / part(1), rel=1e-5)
     assert found.mean_shift == pytest.approx(mean / part(1), rel=1e-6)
     assert found.amplitude == pytest.approx((1.0 + 1.0 / ratio) / 2.0, rel=1e-5)
-    lips = contact_extremes(wave[:, None], np.maximum(wave, 0.0)[:, None])
+    gap = wave[:, None]
+    lips = extremes((gap[:, :0], gap, np.maximum(gap, 0.0)))[1]
     assert lips["closed_share"] == pytest.approx(closed, abs=1e-3)
     assert lips["opening"] == pytest.approx(1.0, rel=1e-6)
     assert lips["penetration"] == lips["contact_force"] == pytest.approx(1.0 / ratio, rel=1e-5)
