@@ -18,10 +18,12 @@ InPeriod = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
 """Likewise columns of a motion [m], and gaps [m] and contact forces [N] of all rows."""
 BESIDE = np.array([-0.23, -0.05, -4e-3, -1e-4, 1e-4, 4e-3, 0.05, 0.23])
 """Places next to a vertex over the distance of the outer ones; none falls upon the middle one."""
-NARROW = 1e-15
-"""Part of the period that is not divided any more."""
+NARROW, STEPS = 1e-14, 60
+"""Part of the period that is not divided any more, and steps after which noise ends the search."""
+NOISE = 16.0
+"""Times as steep as before: a function that falls so next to its maximum is noise there."""
 SHARP = 1e-12
-"""Relative error of an extreme, of the range of the function and a thousandth of its size."""
+"""Relative error of an extreme, of the range of the function and a tenth of its size."""
 
 
 def largest(values: np.ndarray, at: Motion | None = None) -> np.ndarray:
@@ -37,14 +39,18 @@ def largest(values: np.ndarray, at: Motion | None = None) -> np.ndarray:
     rows, columns = np.nonzero(tops & (2.0 * values - np.minimum(before, after) >= found))
     near = rows[:, None] + np.arange(-1, 2)
     x, y = near / len(values), values[near % len(values), columns[:, None]]
-    size = SHARP * (np.ptp(values, axis=0) + 1e-3 * np.abs(found))
-    while True:
+    size = SHARP * (np.ptp(values, axis=0) + 0.1 * np.abs(found))
+    limit = np.full(len(x), np.inf)
+    for _ in range(STEPS):
         side, fall = np.abs(x[:, 1:2] - x[:, ::2]) + NARROW, y[:, 1:2] - y[:, ::2]
         bent = fall * side[:, ::-1]
-        left = ((bent / side).max(axis=1) > size[columns]) & (side.max(axis=1) > 2.0 * NARROW)
+        rate = (fall / side).max(axis=1)
+        left = ((bent / side).max(axis=1) > size[columns]) & (rate <= limit)
+        left &= side.max(axis=1) > 2.0 * NARROW
         if not left.any():
-            return found
-        x, y, side, bent, columns = (one[left] for one in (x, y, side, bent, columns))
+            break
+        limit = np.minimum(limit, NOISE * rate)
+        x, y, side, bent, columns, limit = (one[left] for one in (x, y, side, bent, columns, limit))
         lean = (bent * side[:, ::-1]) @ (0.5, -0.5)
         vertex = x[:, 1] + lean / bent.sum(axis=1)
         places = vertex[:, None] + (x[:, 2:] - x[:, :1]) * BESIDE
@@ -57,6 +63,7 @@ def largest(values: np.ndarray, at: Motion | None = None) -> np.ndarray:
         three = order[every, top[:, None] + np.arange(-1, 2)]
         x, y = x[every, three], y[every, three]
         np.maximum.at(found, columns, y[:, 1])
+    return found
 
 
 def half_range(values: np.ndarray, at: Motion | None = None) -> np.ndarray:

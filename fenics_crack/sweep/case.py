@@ -369,12 +369,13 @@ def _numbered(natural: BilinearFrequencies) -> Found:
 def _seen(solution: PeriodicSolution, case: Scene, geometry: Geometry) -> Found:
     """Return the indicators at the load and at the watched points."""
     rows = _load_row(solution, case) | geometry.watched
-    every = np.reshape([*rows.values()], (len(rows), solution.structure.n_dofs)).T
-    sizes = half_range(*solution.sampled(lambda time: solution.coordinates(time) @ every))
     found: Found = {}
-    for (name, row), size in zip(rows.items(), sizes, strict=True):
+    for name, row in rows.items():
         coefficients = solution.displacement_coefficients @ row
-        seen = indicators_of(solution.omega, coefficients, size, {})
+        sizes = half_range(
+            *solution.sampled(lambda time, row=row: solution.coordinates(time) @ row[:, None])
+        )
+        seen = indicators_of(solution.omega, coefficients, sizes[0], {})
         values = {quantity: getattr(seen, quantity) for quantity in AT_POINTS}
         values |= zip(PHASES, coefficients[1:].tolist(), strict=False)
         found |= {f"{name}.{q}" if name else of_load(q): value for q, value in values.items()}

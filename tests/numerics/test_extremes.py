@@ -31,6 +31,12 @@ def test_kinks_ties_and_plateaus() -> None:
         return np.cos(4.0 * np.pi * parts - 0.012)[:, None] + 1e-7 * np.cos(2.0 * np.pi * parts)
 
     assert largest(two(PARTS), two)[0] == pytest.approx(1.0 + 1e-7 * np.cos(0.006), rel=1e-12)
+    noise = np.random.default_rng(0).normal
+
+    def noisy(parts: np.ndarray) -> Any:
+        return 1.0 + noise(scale=1e-10, size=(len(parts), 1))
+
+    assert largest(noisy(PARTS), noisy)[0] == pytest.approx(1.0, abs=1e-9)
     flat = np.minimum(np.cos(2.0 * np.pi * PARTS), 0.5)[:, None]
     assert largest(flat, lambda parts: np.full((len(parts), 1), 9.0))[0] == 0.5
     assert largest(np.zeros((8, 0)), lambda parts: np.zeros((len(parts), 0))).shape == (0,)
