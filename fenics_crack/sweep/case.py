@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -372,14 +373,17 @@ def _seen(solution: PeriodicSolution, case: Scene, geometry: Geometry) -> Found:
     found: Found = {}
     for name, row in rows.items():
         coefficients = solution.displacement_coefficients @ row
-        sizes = half_range(
-            *solution.sampled(lambda time, row=row: solution.coordinates(time) @ row[:, None])
-        )
-        seen = indicators_of(solution.omega, coefficients, sizes[0], {})
+        size = half_range(*solution.sampled(partial(_along, solution, row)))[0]
+        seen = indicators_of(solution.omega, coefficients, size, {})
         values = {quantity: getattr(seen, quantity) for quantity in AT_POINTS}
         values |= zip(PHASES, coefficients[1:].tolist(), strict=False)
         found |= {f"{name}.{q}" if name else of_load(q): value for q, value in values.items()}
     return found
+
+
+def _along(solution: PeriodicSolution, row: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Product of a row with the coordinates of a solution at times [s]: (n, 1)."""
+    return np.asarray(solution.coordinates(time) @ row[:, None])
 
 
 def _load_row(solution: PeriodicSolution, case: Scene) -> dict[str, np.ndarray]:
