@@ -215,7 +215,7 @@ def _masses(
     loads[0, rng.integers(count)] = 1.0
     loads[2] *= 0.0 if rng.random() < 0.7 else 0.3
     return fc.Structure.from_matrices(
-        mass, stiffness, gap, force_cos=loads[0], force_sin=loads[1], force_mean=loads[2],
+        mass, stiffness, gap=gap, force_cos=loads[0], force_sin=loads[1], force_mean=loads[2],
         damping=None if undamped else damping,
     )  # fmt: skip
 

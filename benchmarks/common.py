@@ -190,7 +190,7 @@ def figure(columns: int = 1, rows: int = 1) -> tuple[Figure, list[Axes]]:
 def oscillator(force: float = 0.1, damping: float = 0.02) -> fc.Structure:
     """m = 1 kg, k = 1 N/m, and a load force cos(w t)."""
     return fc.Structure.from_matrices(
-        [[1.0]], [[1.0]], [1.0], force_cos=[force], damping=[[damping]]
+        [[1.0]], [[1.0]], gap=[1.0], force_cos=[force], damping=[[damping]]
     )
 
 

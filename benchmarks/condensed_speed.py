@@ -169,7 +169,7 @@ def stops(count: int) -> fc.Structure:
     """Masses on springs, coupled to their neighbours, each with a stop."""
     load = np.linspace(0.5, 1.0, count)
     return fc.Structure.from_matrices(
-        np.eye(count), np.eye(count) + 0.3 * common.chain(count), np.eye(count), force_cos=load,
+        np.eye(count), np.eye(count) + 0.3 * common.chain(count), gap=np.eye(count), force_cos=load,
         damping=0.05 * np.eye(count),
     )  # fmt: skip
 
@@ -492,7 +492,7 @@ def race(python: str, case: dict[str, Any], harmonics: int, turns: int) -> list[
     load[-1] = 0.1
     gap = np.eye(size)[:, stopped]
     structure = fc.Structure.from_matrices(
-        case["mass"], case["stiffness"], gap, force_cos=load, damping=case["damping"]
+        case["mass"], case["stiffness"], gap=gap, force_cos=load, damping=case["damping"]
     )
     law = fc.UnilateralPenalty(case["stop"])
     reference = fc.solve_harmonic_balance(structure, 1.2, law, harmonics=200).gap_coefficients
@@ -586,7 +586,7 @@ def run_others(arguments: common.Arguments) -> None:
     load = np.zeros(60)
     load[-1] = 0.1
     structure = fc.Structure.from_matrices(
-        np.eye(60), K, np.eye(60)[:, stopped], force_cos=load, damping=0.02 * K
+        np.eye(60), K, gap=np.eye(60)[:, stopped], force_cos=load, damping=0.02 * K
     )
     law = fc.UnilateralPenalty(25.0)
     reference = fc.solve_harmonic_balance(structure, 1.2, law, harmonics=200).gap_coefficients

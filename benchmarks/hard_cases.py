@@ -225,7 +225,12 @@ def grazing(quick: bool) -> Iterator[Case]:
     for share in (0.9, 0.99, 1.0 - 1e-4, 1.0 - 1e-8, 1.0, 1.0 + 1e-8, 1.1):
         amplitude = 1.0 / np.hypot(1.0 - 0.64, 0.1 * 0.8)
         structure = fc.Structure.from_matrices(
-            [[1.0]], [[1.0]], [1.0], force_cos=[1.0], damping=[[0.1]], clearance=share * amplitude
+            [[1.0]],
+            [[1.0]],
+            gap=[1.0],
+            force_cos=[1.0],
+            damping=[[0.1]],
+            clearance=share * amplitude,
         )
         law = fc.UnilateralPenalty(10.0)
         yield Case("grazing", f"clearance {share:.9g} of amplitude", structure, 0.8, law, 40)
@@ -320,7 +325,7 @@ def next_to_resonance(quick: bool) -> Iterator[Case]:
     stiffness_ = np.array([[2.0, -1.0], [-1.0, 2.0]])
     for distance in (1e-2, 1e-6, 1e-10, 0.0):
         structure = fc.Structure.from_matrices(
-            np.eye(2), stiffness_, [1.0, 0.0], force_cos=[1.0, 0.0], clearance=1e10
+            np.eye(2), stiffness_, gap=[1.0, 0.0], force_cos=[1.0, 0.0], clearance=1e10
         )
         omega = 1.0 + distance
 
@@ -339,7 +344,7 @@ def two_orbits(quick: bool) -> Iterator[Case]:
     """Two masses and a stop: an orbit that touches it, and one that does not."""
     stiffness_ = np.array([[1.0, -1.0], [-1.0, 2.0]])
     structure = fc.Structure.from_matrices(
-        np.eye(2), stiffness_, [1.0, 0.0], force_cos=[0.0, 0.1], damping=0.03 * stiffness_,
+        np.eye(2), stiffness_, gap=[1.0, 0.0], force_cos=[0.0, 0.1], damping=0.03 * stiffness_,
         clearance=1.0,
     )  # fmt: skip
     law = fc.UnilateralPenalty(100.0)

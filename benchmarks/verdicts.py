@@ -230,7 +230,7 @@ def random_chain(seed: int) -> tuple[fc.Structure, fc.UnilateralPenalty]:
     pairs = np.eye(n)[:, [n - 1, n // 2]][:, : 1 + (rng.random() < 0.5)]
     ratio = float(10.0 ** rng.uniform(-3.0, -2.0))
     structure = fc.Structure.from_matrices(
-        np.diag(mass), stiffness, pairs, force_cos=np.eye(n)[0], damping=fc.ModalDamping(ratio),
+        np.diag(mass), stiffness, gap=pairs, force_cos=np.eye(n)[0], damping=fc.ModalDamping(ratio),
         clearance=float(rng.choice([0.0, 0.3, -0.3])),
     )  # fmt: skip
     return structure, fc.UnilateralPenalty(float(10.0 ** rng.uniform(0.0, 1.5)))

@@ -84,7 +84,7 @@ def oscillator(
     one = np.ones((1, 1))
     matrix = None if damping is None else damping * one
     return fc.Structure.from_matrices(
-        one, one, one, force_cos=[force], damping=matrix, clearance=clearance
+        one, one, gap=one, force_cos=[force], damping=matrix, clearance=clearance
     )
 
 
@@ -92,7 +92,7 @@ def two_masses(force: float = 0.1) -> fc.Structure:
     """Two masses and a stop: the stop at mass 1 beyond a clearance of 1, the load on mass 2."""
     stiffness = chain_stiffness(np.array([0.0, 1.0, 1.0]))
     return fc.Structure.from_matrices(
-        np.eye(2), stiffness, [1.0, 0.0], force_cos=[0.0, force], clearance=1.0,
+        np.eye(2), stiffness, gap=[1.0, 0.0], force_cos=[0.0, force], clearance=1.0,
         damping=0.03 * stiffness,
     )  # fmt: skip
 
@@ -100,7 +100,7 @@ def two_masses(force: float = 0.1) -> fc.Structure:
 def heavy_mass() -> fc.Structure:
     """The mass that a stop releases: mass 100, stiffness 1e4, a pair, no load."""
     mass = np.array([[100.0]])
-    return fc.Structure.from_matrices(mass, 100.0 * mass, np.ones(1))
+    return fc.Structure.from_matrices(mass, 100.0 * mass, gap=np.ones(1))
 
 
 def free_bar(elements: int) -> fc.Structure:
@@ -111,7 +111,7 @@ def free_bar(elements: int) -> fc.Structure:
         block = np.s_[first : first + 2, first : first + 2]
         stiffness[block] += young / size * np.array([[1.0, -1.0], [-1.0, 1.0]])
         mass[block] += density * size / 6.0 * np.array([[2.0, 1.0], [1.0, 2.0]])
-    return fc.Structure.from_matrices(mass, stiffness, np.eye(elements + 1)[-1], clearance=2e-3)
+    return fc.Structure.from_matrices(mass, stiffness, gap=np.eye(elements + 1)[-1], clearance=2e-3)
 
 
 def chain_stiffness(springs: np.ndarray) -> np.ndarray:
@@ -152,7 +152,7 @@ def chain(
     return fc.Structure.from_matrices(
         np.diag(rng.uniform(1.0, 2.0, n)),
         stiffness,
-        gap,
+        gap=gap,
         force_sin=rng.normal(size=n),
         force_cos=rng.normal(size=n),
         force_mean=None if unconstrained else 0.3 * rng.normal(size=n),
@@ -287,7 +287,7 @@ def true_error(found: fc.PeriodicSolution, exact: fc.PeriodicSolution) -> float:
 def duffing() -> fc.Structure:
     """x'' + 0.2 x' + x (+ x^3) = 1.25 sin 2 t."""
     one = np.ones((1, 1))
-    return fc.Structure.from_matrices(one, one, one, force_sin=[1.25], damping=0.2 * one)
+    return fc.Structure.from_matrices(one, one, gap=one, force_sin=[1.25], damping=0.2 * one)
 
 
 def newton_roots(system: Any, starts: int = 400) -> list[np.ndarray]:

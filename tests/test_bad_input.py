@@ -12,7 +12,7 @@ import re
 from pathlib import Path
 
 import pytest
-from helpers import ROOT
+from helpers import DEMOS, ROOT
 from surroundings import main
 from test_any_input import TINY
 
@@ -259,6 +259,15 @@ TABLE = [
     ("curve scene.toml curve.stop=1e-20", "curve.stop = 1e-20: must be a number > 0 with curve.parameter = 'omega', and 1e-12 of the other end"),
     ("integrate scene.toml integration.steps_per_period=1", "integration.steps_per_period = 1: must be >= "),
     ("integrate scene.toml integration.steps_per_period=2000000000", "integration.steps_per_period = 2000000000: must be at most 1e+09"),
+    ("solve scene.toml excitation.harmonics=[{order=100000,cos=[1.0,0.0]}]", "excitation.harmonics = [{'order': 100000, 'cos': [1.0, 0.0]}]: must be a list of tables with an order, a whole number from 1 to 100 and another in each, and cos or sin,"),
+    ("solve scene.toml excitation.wave=wave.csv excitation.wave_harmonics=1000000", "excitation.wave_harmonics = 1000000: must be a whole number from 1 to 100"),
+    ("disk scene.toml", "disk is missing: must be given for this command: a table"),
+    ("disk wheel.toml --patterns 1000000000", "--patterns = 1000000000: must be at most 1e+06"),
+    ("disk wheel.toml --patterns -1", "--patterns = -1: must be a whole number >= 0"),
+    ("disk wheel.toml --deviation .5", "--deviation = 0.5: must be a number from 0 to 0.1"),
+    ("disk wheel.toml --patterns 1 --deviation nan", "--deviation = nan: must be a number from 0 to 0.1"),
+    ("campbell scene.toml", "rotation is missing: must be given for this command: a table"),
+    ("campbell scene.toml --speeds 0 1 1e9 rotation.rpm=10 rotation.hub_radius=1", "--speeds = [0.0, 1.0, 1000000000.0]: must be 0 <= START < STOP, and COUNT a whole number from 2 to 1000000"),
 ]
 FURTHER = {
     "check empty.toml": "material damping excitation mesh",
@@ -292,6 +301,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         "lists.toml": text + "\n[[cracks]]\nedge = 'left'\n[[cracks]]\nedge = 'top'\n",
         "less.toml": text.replace("young", "#"),
         "text.h5": "no",
+        "wheel.toml": (DEMOS / "bladed_disk.toml").read_text(),
     }
     for name, content in contents.items():
         (tmp_path / name).write_text(content)
@@ -310,7 +320,10 @@ def test_bad_input_is_one_line(
     for word in line.split():
         arguments += ["--set", word] if "=" in word or word in SETTINGS else [word]
     assert main(arguments) == 2
-    said, _, _ = (errors := capsys.readouterr().err).partition("for example:")
+    read = capsys.readouterr()
+    written = list(Path("output").glob("*/*"))
+    assert not read.out and (not written or line.startswith("timing"))  # which writes arrivals
+    said, _, _ = (errors := read.err).partition("for example:")
     error, *further = said.splitlines()
     assert error.startswith(f"fenics-crack: {message}")
     assert all(one.startswith("fenics-crack: ") for one in further)
@@ -326,7 +339,8 @@ def test_bad_input_is_one_line(
             assert words in TEMPLATE or lacks == ["curve"]  # that of this scene
 
 
-TEMPLATE = (ROOT / "fenics_crack" / "cli" / "new_scene.toml").read_text()
+TEMPLATES = ("new_scene.toml", "new_solid.toml", "new_disk.toml")
+TEMPLATE = "\n".join((ROOT / "fenics_crack" / "cli" / name).read_text() for name in TEMPLATES)
 TABLES = re.findall(r"^(?:# )?\[([\w.]+)", TEMPLATE, re.MULTILINE)
 """Tables of which a new scene has an example."""
 SETTINGS = ("crack.length",)

@@ -213,7 +213,7 @@ springs = 2.0 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
 gap, force = np.zeros(n), np.zeros(n)
 gap[4], gap[5], force[-1] = 1.0, -1.0, 1.0
 whole = fc.Structure.from_matrices(
-    np.eye(n), springs, gap, force_sin=force, damping=fc.ModalDamping(0.05)
+    np.eye(n), springs, gap=gap, force_sin=force, damping=fc.ModalDamping(0.05)
 )
 structure, law = fc.reduce_structure(whole, modes=6), fc.UnilateralPenalty(2.0)
 solution = fc.solve_harmonic_balance(structure, 0.3, law, harmonics=7)

@@ -469,8 +469,7 @@ def _told_of_others(found: OrbitSearch) -> str:
     """Describe the other orbits that were found."""
     words = []
     for one in found.others:
-        values = one.flow.structure.values_at(one.sampled.displacement, [None])
-        size = quantity(float(np.ptp(values)) / 2.0, "m")
+        size = quantity(one.amplitude(), "m")
         words.append(f"{'stable' if one.is_stable else 'unstable'}, amplitude {size}")
     return f"; other orbits at this frequency: {'; '.join(words)}" if words else ""
 

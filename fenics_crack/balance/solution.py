@@ -15,7 +15,7 @@ as there is no clearance (Dimarogonas, Engineering Fracture Mechanics 55, 1996, 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, ClassVar
@@ -46,6 +46,7 @@ from fenics_crack.model.contact import check_slope, coefficient_of, is_unilatera
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.motion.orbit import KNOWN, PeriodicOrbit
 from fenics_crack.motion.search import SearchOptions
+from fenics_crack.numerics.extremes import InPeriod, half_range, largest
 from fenics_crack.numerics.fourier import evaluate, resized, sampled
 
 
@@ -136,7 +137,7 @@ def indicators_of(
     subharmonic: int = 1,
 ) -> Indicators:
     """Indicators from load frequencies (...), coefficients of a displacement (..., 2H+1), half its
-    peak-to-peak values (...) and what :func:`contact_extremes` has found of the crack faces
+    peak-to-peak values (...) and what :func:`extremes` has found of the crack faces
     (...)."""
     harmonics = (coefficients.shape[-1] - 1) // 2
 
@@ -167,32 +168,41 @@ def indicators_of(
 CONTACT = (*OF_LIPS, *OF_FRICTION)
 
 
-def contact_extremes(
-    gap: np.ndarray,
-    force: np.ndarray,
+def extremes(
+    samples: tuple[np.ndarray, np.ndarray, np.ndarray],
     cracks: np.ndarray | None = None,
     coefficient: float | np.ndarray | None = None,
-) -> dict[str, float]:
-    """Opening [m], penetration [m] and force [N], the largest of any pair; the largest force of a
-    crack, and the share of the time closed, mean over the pairs: of gaps and forces at equal parts
-    of a period (n, n_pairs), with the crack of each pair, by default one of all. Empty without
-    pairs. With a coefficient of friction the gaps and forces of all rows, (n, 2 n_pairs), and what
-    it does."""
-    if not gap.shape[1]:
-        return {}
+    at: InPeriod | None = None,
+) -> tuple[np.ndarray, dict[str, float]]:
+    """Half peak-to-peak values (m,) of motions; and opening [m], penetration [m] and force [N], the
+    largest of any pair, the largest force of a crack, and the share of the time closed, mean over
+    the pairs, with the crack of each pair, by default one of all; nothing without pairs. With a
+    coefficient of friction what it does, too.
+
+    Samples are motions (n, m), gaps and forces of all rows (n, n_rows) at equal parts of a period;
+    extremes are to rounding where all are given at any parts of it."""
+    (_, gap, force), many = samples, samples[0].shape[1]
+    count = gap.shape[1] // (1 if coefficient is None else 2)
+    every = np.zeros(count, dtype=int) if cracks is None else cracks
+    members = every[:, None] == np.unique(every)
+
+    def columns(motion: np.ndarray, gap: np.ndarray, force: np.ndarray) -> np.ndarray:
+        lips = []
+        if count:
+            gap, force = gap[:, :count], force[:, :count]
+            lips = [-gap.min(1), gap.max(1), force.max(1), (force @ members).max(1)]
+        return np.column_stack([motion, -motion, *lips])
+
+    tops = largest(columns(*samples), at and (lambda parts: columns(*at(parts))))
+    ranges, sizes = 0.5 * (tops[:many] + tops[many : 2 * many]), tops[2 * many :]
+    if not count:
+        return ranges, {}
+    sizes[:2] = np.maximum(sizes[:2], 0.0)
+    found = dict(zip(OF_LIPS, sizes.tolist(), strict=False))
+    found["closed_share"] = float(np.mean(force[:, :count] > 0.0))
     if coefficient is not None:
-        (gap, slide), (force, drag) = (np.hsplit(one, 2) for one in (gap, force))
-        of_friction = friction_numbers(coefficient, slide, force, drag)
-        return contact_extremes(gap, force, cracks) | of_friction
-    cracks = np.zeros(gap.shape[1], dtype=int) if cracks is None else cracks
-    of_cracks = [force[:, cracks == crack].sum(axis=1) for crack in np.unique(cracks)]
-    return {
-        "opening": max(0.0, -float(gap.min())),
-        "penetration": max(0.0, float(gap.max())),
-        "contact_force": float(force.max()),
-        "crack_force": float(np.max(of_cracks)),
-        "closed_share": float(np.mean(force > 0.0)),
-    }
+        found |= friction_numbers(coefficient, gap[:, count:], force[:, :count], force[:, count:])
+    return ranges, found
 
 
 def slipping(coefficient: float | np.ndarray, force: np.ndarray, drag: np.ndarray) -> np.ndarray:
@@ -356,7 +366,15 @@ class PeriodicSolution(Wave, Described):
         """Half the peak-to-peak displacement of a dof, or of the watched one [m] (collective)."""
         if self.still:
             return 0.0
-        return float(np.ptp(self.displacement(self.instants(), [dof]))) / 2.0
+        return float(half_range(*self.sampled(lambda time: self.displacement(time, [dof])))[0])
+
+    def sampled(self, motion: Callable[[np.ndarray], Any]) -> tuple[Any, Any]:
+        """A function of times [s] at :meth:`instants`, and the same function of parts of the
+        period, None with friction, whose forces follow from those before: as for
+        :func:`fenics_crack.numerics.extremes.half_range`."""
+        exact = coefficient_of(self.contact) is None
+        at = (lambda parts: motion(self.period * parts)) if exact else None
+        return motion(self.instants()), at
 
     def indicators(self, dof: int | None = None) -> Indicators:
         """Return the indicators at a dof, or the watched one, and at the crack faces
@@ -372,10 +390,11 @@ class PeriodicSolution(Wave, Described):
     @cached_property
     def _extremes(self) -> dict[str, float]:
         """Extremes of gap and contact force in the period."""
-        gaps, forces = self.gaps_and_forces(self.instants())
-        found = contact_extremes(
-            gaps, forces, self.structure.pairs.cracks, coefficient_of(self.contact)
+        samples, at = self.sampled(
+            lambda time: (np.zeros((len(time), 0)), *self.gaps_and_forces(time))
         )
+        cracks, friction = self.structure.pairs.cracks, coefficient_of(self.contact)
+        found = extremes(samples, cracks, friction, at)[1]
         return found if self.orbit is None else found | self.orbit.sliding
 
     def coefficients_at(self, dofs: Sequence[int | None] = (None,)) -> np.ndarray:

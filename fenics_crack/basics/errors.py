@@ -18,7 +18,11 @@ MAX_SAMPLES = 2**20
 RECORDED_PERIODS = 4
 """Periods of a time integration that commands keep, and from which its extremes are."""
 MOST_HARMONICS = 100
-"""Maximum to which harmonics are raised for a curve or from case to case."""
+"""Maximum order of a scene's load, each of which takes two rows as long as the displacement, and
+maximum to which harmonics are raised for a curve or from case to case."""
+MAX_CASES = 10**6
+"""Maximum values of an axis of a sweep, speeds of a diagram, and patterns of mistuning: with a
+second for each, 12 days."""
 TOLERANCE = 1e-2
 """Default relative error: that of modes and harmonics is then below what meshes usually leave."""
 
@@ -142,12 +146,12 @@ def check_omega(value: object, key: str = "omega") -> None:
     check_number(key, value, 0.0, above=True)
 
 
-def check_count(key: str, value: object, least: int) -> None:
-    """Raise InputError unless a value is a whole number from ``least`` to 1e9."""
+def check_count(key: str, value: object, least: int, most: int = 10**9) -> None:
+    """Raise InputError unless a value is a whole number between two."""
     if isinstance(value, bool) or not isinstance(value, Integral) or int(value) < least:
         raise InputError(key, value, f"a whole number >= {least}")
-    if int(value) > 10**9:
-        raise InputError(key, value, "at most 1e+09")
+    if int(value) > most:
+        raise InputError(key, value, f"at most {most:g}")
 
 
 def one_of(words: Iterable[str]) -> str:

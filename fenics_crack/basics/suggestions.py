@@ -194,6 +194,8 @@ def checked_call(
     open_ended = any(one.kind is one.VAR_KEYWORD for one in signature.parameters.values())
     known = [name for name, one in signature.parameters.items() if one.kind is not one.VAR_KEYWORD]
     known = [name for name in known if name not in ("self", "cls")]
+    kinds = {name: one.kind for name, one in signature.parameters.items()}
+    shown = [f"{name}=..." if kinds[name].name == "KEYWORD_ONLY" else name for name in known]
 
     @functools.wraps(function)
     def call(*args: Any, **options: Any) -> Any:
@@ -202,14 +204,16 @@ def checked_call(
         except TypeError as error:
             name, reason = function.__name__, str(error)
             wrong = next((one for one in options if one not in signature.parameters), None)
-            if wrong is None or open_ended:
+            if reason == "too many positional arguments":
+                names = []
+            elif wrong is None or open_ended:
                 names = [text for text in in_other_words(name) if f"fc.{name}(" not in text]
             else:
                 reason = f"got an unexpected keyword argument {wrong!r}"
                 names = near_or_longer(wrong, known)
                 if not names and keys is not None:
                     names = [f'scene.replace({{"{key}": ...}})' for key in keys(wrong)]
-            question = f"{meant(names)}its arguments are {', '.join(known)}"
+            question = f"{meant(names)}its arguments are {', '.join(shown)}"
             raise TypeError(f"{name}() {reason}; {question}") from None
         if "comm" in given:
             from fenics_crack.basics.ranks import check_communicator

@@ -256,8 +256,7 @@ def optional(library: str, method: str) -> Any:
 # --- numbers for people ---------------------------------------------------------------------------
 
 READ = 1e-5
-"""Relative error below which none is reported: extremes are read at 1,024 instants of the period,
-which leaves 1 - cos(pi / 1024) = 5e-6 of a sine."""
+"""Relative error below which none is reported: tables have six digits."""
 _PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 
 

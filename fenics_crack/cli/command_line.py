@@ -52,6 +52,7 @@ KEYS = {
     **{name: f"{table}.{name}" for table, names in TABLES.items() for name in names},
     **{f"damping {name}": f"damping.{name}" for name in DAMPING},
     **dict.fromkeys(("low", "high", "high - low"), "tip_timing.frequencies"),
+    ".deviation": "--deviation",
     "contact law": "contact.law",
     "contact stiffness": "contact.stiffness",
     "count": "--count",

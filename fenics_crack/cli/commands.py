@@ -141,12 +141,8 @@ def campbell(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     from fenics_crack.study import campbell as diagrams
 
     scene, span = inputs.scene, given.speeds
-    scene.given("rotation")
     factor, unit = (RPM, "rpm") if scene.in_rpm else (1.0, "rad/s")
     start, stop, steps = span or (0.0, 1.5 * scene.speed / factor, 13)
-    if not (0.0 <= start < stop < np.inf and steps >= 2 and steps % 1 == 0):
-        allowed = "0 <= START < STOP, and COUNT a whole number >= 2"
-        raise InputError("--speeds", span or (start, stop, steps), allowed)
     with console.stage("campbell"):
         speeds = factor * np.linspace(start, stop, int(steps))
         found = diagrams.campbell(scene, speeds, given.count, console.comm, few=FEW_MODES)
@@ -176,9 +172,6 @@ def disk(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     from fenics_crack.study.bladed_disk import amplification, nodal_diameters
 
     scene, comm = inputs.scene, console.comm
-    scene.given("disk")
-    if given.patterns < 0:
-        raise InputError("--patterns", given.patterns, "a whole number >= 0")
     with console.stage("nodal diameters"):
         found = nodal_diameters(scene, comm)
     omega = found.omega[found.excited] / TURN

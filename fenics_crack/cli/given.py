@@ -27,10 +27,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fenics_crack.basics.atomic_files import keep_files, prepare_folder, write_whole
-from fenics_crack.basics.errors import InputError, check_count
+from fenics_crack.basics.errors import MAX_CASES, InputError, check_count
 from fenics_crack.basics.progress import LOGGER, StageLines, begin
 from fenics_crack.basics.tables import Table
 from fenics_crack.basics.untrusted_files import content_of, text_of
+from fenics_crack.scene.fields import Mistuning
 from fenics_crack.scene.scene import Scene
 from fenics_crack.version import packaged
 
@@ -84,8 +85,7 @@ def read_inputs(given: Namespace) -> Inputs | None:
     except InputError as error:
         error.others = tuple(_errors_behind(error, given.scene, changed))
         raise
-    if (count := vars(given).get("count")) is not None:
-        check_count("--count", count, 1)
+    _check_options(given, scene)
     folder = vars(given).get("output") or Path("output") / given.scene.stem
     arrivals = _arrivals(scene, given, vars(given).get("arrivals"))
     if given.command != "identify":
@@ -131,6 +131,22 @@ def _errors_behind(error: InputError, path: Path, given: dict[str, Any]) -> Iter
         reported = alone or error.value is None or error.allowed.startswith("left out; ")
         if reported and error.key not in passed and f"{error.key}?" not in meant:
             yield error
+
+
+def _check_options(given: Namespace, scene: Scene) -> None:
+    """Raise InputError for a number of a command's options that it cannot take."""
+    if (count := vars(given).get("count")) is not None:
+        check_count("--count", count, 1)
+    if given.command == "campbell":
+        scene.given("rotation")
+        start, stop, steps = given.speeds or (0.0, scene.speed, 2)
+        if not (0.0 <= start < stop < np.inf and 2 <= steps <= MAX_CASES and steps % 1 == 0):
+            allowed = f"0 <= START < STOP, and COUNT a whole number from 2 to {MAX_CASES}"
+            raise InputError("--speeds", given.speeds or (start, stop, steps), allowed)
+    if given.command == "disk":
+        scene.given("disk")
+        check_count("--patterns", given.patterns, 0, MAX_CASES)
+        Mistuning(given.deviation)
 
 
 def _measurements(given: Namespace, scene: Scene, before: Path | None) -> Measurements | None:

@@ -550,6 +550,8 @@ def _facts_of_curve(run: Run[ResponseCurve], largest: str) -> Iterator[str]:
         states = ("stable", "unstable", "undecided")
         shares = [f"{np.mean(found.verdicts == state):.0%} {state}" for state in states]
         yield f"Of {len(found)} points {', '.join(shares)}."
+    if found.status == INTERRUPTED:
+        return
     inexact = found.displacement_errors > LARGE_ERROR
     if inexact.any():
         at = found.values[inexact]
@@ -563,9 +565,10 @@ def _facts_of_curve(run: Run[ResponseCurve], largest: str) -> Iterator[str]:
 def _warnings_of_curve(run: Run[ResponseCurve]) -> Iterator[str]:
     """A large error, where and why the stability is undecided, and an early end."""
     found, scene = run.result, run.scene
-    if found.status == INTERRUPTED:  # nothing more is assessed
+    if found.status == INTERRUPTED:  # nothing more is assessed; exact orbits have their verdicts
         early = "" if found.complete else "ended early: it "
-        yield f"the curve {early}was interrupted; its errors and stability were not examined"
+        left = "errors and stability" if found.multipliers is None else "errors"
+        yield f"the curve {early}was interrupted; its {left} were not examined"
         return
     peak = int(np.argmax(found.amplitude(run.watched_dof)))
     looked_at = {peak, *np.linspace(0, len(found) - 1, 8).astype(int).tolist()}

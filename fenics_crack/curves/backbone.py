@@ -57,8 +57,8 @@ from fenics_crack.basics.errors import (
     check_count,
     check_number,
 )
-from fenics_crack.basics.tables import Tabular, counted, with_frequency
-from fenics_crack.curves.curve import PHASES
+from fenics_crack.basics.tables import TURN, Tabular, counted, with_frequency
+from fenics_crack.curves.curve import PARTS
 from fenics_crack.curves.free_motion import (
     HELPS,
     Equilibrium,
@@ -71,6 +71,7 @@ from fenics_crack.model.contact import ContactLaw, check_law
 from fenics_crack.model.modal import SMALL, all_modes, is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.extremes import half_range
 from fenics_crack.numerics.newton import PathPoint, solve_at
 
 
@@ -196,11 +197,12 @@ class Backbone(Tabular):
 
     def amplitude(self, dof: int | None = None) -> np.ndarray:
         """Half the peak-to-peak displacement of a dof, or of the watched one, at every point: (n,)
-        [m], of 256 instants."""
+        [m]."""
         points, terms, dofs = self.cosines.shape
         values = self.structure.values_at(self.cosines.reshape(-1, dofs), [dof])
-        waves = values.reshape(points, terms) @ np.cos(np.outer(np.arange(terms), PHASES))
-        return np.ptp(waves, axis=1) / 2.0
+        waves, turns = values.reshape(points, terms, 1), TURN * np.arange(terms)
+        every = [lambda parts, wave=wave: np.cos(np.outer(parts, turns)) @ wave for wave in waves]
+        return np.array([half_range(at(PARTS), at)[0] for at in every])
 
     # --- shown ------------------------------------------------------------------------------------
 

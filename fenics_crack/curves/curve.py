@@ -13,12 +13,7 @@ import numpy as np
 
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.solution import (
-    Indicators,
-    PeriodicSolution,
-    contact_extremes,
-    indicators_of,
-)
+from fenics_crack.balance.solution import Indicators, PeriodicSolution, extremes, indicators_of
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.tables import (
     Described,
@@ -35,6 +30,7 @@ from fenics_crack.model.contact import ContactLaw, coefficient_of
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import PeriodicOrbit
+from fenics_crack.numerics.extremes import InPeriod
 
 PARAMETERS = {
     "omega": "load frequency [rad/s]",
@@ -48,8 +44,8 @@ PARAMETERS = {
 """Parameters of a curve, by their names in :attr:`ResponseCurve.parameter`."""
 
 
-PHASES = 2.0 * np.pi * np.arange(256) / 256
-"""Phases of the period at which points of a curve are evaluated."""
+PARTS = np.arange(256) / 256
+"""Parts of the period at which points of a curve are evaluated."""
 
 
 def parameter_axis(parameter: str, in_hertz: bool) -> tuple[float, str, str]:
@@ -256,12 +252,11 @@ class ResponseCurve(Tabular):
         """The exact orbit at a point; InputError on a curve of harmonic balance."""
         raise InputError("curve", self.method, "one of exact orbits")
 
-    def seen_through(
-        self, rows: np.ndarray
-    ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+    def seen_through(self, rows: np.ndarray) -> Iterator[tuple[np.ndarray, InPeriod]]:
         """Products of rows (m, n_dofs) with the motion at every point: their coefficients
-        (2H+1, m), and over 256 instants the products (256, m), the gaps [m] and the contact forces
-        [N] of all rows, with friction tangential ones behind the normal ones (256, n_rows)."""
+        (2H+1, m), and a function that returns at parts (n,) of the period, with friction of
+        harmonic balance at all of :data:`PARTS`, the products (n, m), the gaps [m] and the contact
+        forces [N] of all rows, tangential ones behind the normal ones (n, n_rows)."""
         raise NotImplementedError
 
     # --- stability --------------------------------------------------------------------------------
@@ -329,7 +324,7 @@ class ResponseCurve(Tabular):
 
     def indicators(self, dof: int | None = None) -> Indicators:
         """Return the crack indicators at a dof, or the watched one, and at the crack faces at every
-        point, from 256 instants."""
+        point; shares of the period are of 256 instants."""
         return self.measure([dof])[0]
 
     def coefficients_at(self, dof: int | None = None) -> np.ndarray:
@@ -339,7 +334,7 @@ class ResponseCurve(Tabular):
 
     def amplitude(self, dof: int | None = None) -> np.ndarray:
         """Half the peak-to-peak displacement of a dof, or of the watched one, at every point: (n,)
-        [m], of 256 instants."""
+        [m]."""
         return np.asarray(self.measure([dof])[0].amplitude)
 
     def measure(self, dofs: Sequence[int | None]) -> list[Indicators]:
@@ -358,7 +353,7 @@ class ResponseCurve(Tabular):
 
     @cached_property
     def _lips(self) -> list[dict[str, float]]:
-        """Extremes by :func:`contact_extremes` at every point, once they are known."""
+        """Extremes by :func:`extremes` at every point, once they are known."""
         return []
 
     def _seen_at(self, dofs: Sequence[int | None]) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -368,12 +363,15 @@ class ResponseCurve(Tabular):
         new = [dof for dof in dict.fromkeys(asked) if dof not in self._seen]
         if new:
             rows = structure.values_at(np.eye(structure.n_dofs), new).T  # u = T q
-            found = list(self.seen_through(rows))
-            seen = np.array([waves.T for waves, _, _, _ in found])
-            sizes = np.array([np.ptp(motion, axis=0) / 2.0 for _, motion, _, _ in found])
-            known = structure.pairs.cracks, coefficient_of(self.contact)
-            self._lips[:] = [contact_extremes(gap, force, *known) for _, _, gap, force in found]
-            self._seen.update(zip(new, zip(seen.swapaxes(0, 1), sizes.T, strict=True), strict=True))
+            cracks, friction = structure.pairs.cracks, coefficient_of(self.contact)
+            exact = friction is None or self.FOUND == "states"
+            found = [
+                (waves.T, *extremes(at(PARTS), cracks, friction, at if exact else None))
+                for waves, at in self.seen_through(rows)
+            ]
+            waves, sizes, self._lips[:] = zip(*found, strict=True)
+            columns = zip(np.swapaxes(waves, 0, 1), np.transpose(sizes), strict=True)
+            self._seen.update(zip(new, columns, strict=True))
         return [self._seen[dof] for dof in asked]
 
     def top(self, dof: int | None = None) -> Top:

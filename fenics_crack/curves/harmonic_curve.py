@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -13,10 +13,12 @@ from fenics_crack.balance.compliance import ModalCompliance
 from fenics_crack.balance.contact_system import ContactPoint
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
-from fenics_crack.curves.curve import PHASES, ResponseCurve
+from fenics_crack.basics.tables import TURN
+from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.family import FAMILIES, Family
 from fenics_crack.model.modal import all_modes
-from fenics_crack.numerics.fourier import evaluate
+from fenics_crack.numerics.extremes import InPeriod
+from fenics_crack.numerics.fourier import waves_of
 
 FOLLOWED = "fold", "branch_point"
 """Kinds of bifurcations that a curve has before its stability is assessed."""
@@ -115,18 +117,24 @@ class HarmonicCurve(ResponseCurve):
         for value, unknown in zip(self.values.tolist(), self.unknowns, strict=True):
             yield self.equations.system(value).linearise(unknown)
 
-    def seen_through(
-        self, rows: np.ndarray
-    ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+    def seen_through(self, rows: np.ndarray) -> Iterator[tuple[np.ndarray, InPeriod]]:
         moved = None
         if self.static_above is not None:
             moved = rows @ all_modes(self.problem.seen).moved_at_once(self.static_above)
         for at in self._linearised():
             assert isinstance(at.system.compliance, ModalCompliance)
             waves = at.system.compliance.seen_through(rows, at.force)
-            motion = evaluate(waves, 1.0, PHASES)
-            gap, force = at.system.in_time(evaluate(at.unknown, 1.0, PHASES))
-            if moved is not None:
-                # The quasi-static part follows the forces as they are, with their kinks.
-                motion -= (force - evaluate(at.force, 1.0, PHASES)) @ moved.T
-            yield waves, motion, gap, force
+            yield waves, partial(_in_period, at, waves, moved)
+
+
+def _in_period(
+    at: ContactPoint, waves: np.ndarray, moved: np.ndarray | None, parts: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Motion, gaps and contact forces at parts of the period, by the coefficients of the motion
+    and its quasi-static answers to the forces."""
+    values = waves_of(waves, TURN * parts)
+    motion, (gap, force) = values @ waves, at.system.in_time(values @ at.unknown)
+    if moved is not None:
+        # The quasi-static part follows the forces as they are, with their kinks.
+        motion -= (force - values @ at.force) @ moved.T
+    return motion, gap, force

@@ -15,10 +15,11 @@ import numpy as np
 from fenics_crack.balance.harmonic_balance import solution_of_orbit, wave_of
 from fenics_crack.balance.problem import Problem, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.curves.curve import PHASES, ResponseCurve
+from fenics_crack.curves.curve import PARTS, ResponseCurve
 from fenics_crack.motion.flow import ContactFlow, exact_flow
 from fenics_crack.motion.orbit import KNOWN, PeriodicOrbit, orbit_from
 from fenics_crack.motion.search import SearchOptions
+from fenics_crack.numerics.extremes import InPeriod
 from fenics_crack.numerics.fourier import balanced
 
 FEWEST, HARMONICS = SearchOptions.harmonics[0], SearchOptions.harmonics[-1]
@@ -104,13 +105,7 @@ class OrbitCurve(ResponseCurve):
         count = self.structure.n_pairs
         return np.array([one.coefficients(HARMONICS).gap[:, :count] for one in orbits])
 
-    def seen_through(
-        self, rows: np.ndarray
-    ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-        along = zip(self.states, self.values.tolist(), self.omega.tolist(), strict=True)
-        for state, value, omega in along:
-            base = omega / self.subharmonic
-            period, instants = 2.0 * np.pi / base, PHASES / base
-            samples = self.flow(value).advance(state, omega, period, instants=instants).samples
-            motion = samples.displacement @ rows.T
-            yield balanced(motion, HARMONICS), motion, samples.gaps, samples.forces
+    def seen_through(self, rows: np.ndarray) -> Iterator[tuple[np.ndarray, InPeriod]]:
+        for index in range(len(self)):
+            at = self.orbit(index).seen_through(rows)
+            yield balanced(at(PARTS)[0], HARMONICS), at

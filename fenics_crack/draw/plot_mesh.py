@@ -24,7 +24,8 @@ def draw_mesh(structure: Structure, **where: Unpack[Where]) -> Figure:
     """Draw the mesh of a structure at rest with its named parts (collective).
 
     They are what is clamped, the crack faces, the pairs of their nodes where contact is
-    watched, and the load: arrows along its mean, cosines and sines, each in a scale of its own.
+    watched, and the load: arrows along its mean, cosines and sines, each in a scale of its own; of
+    further harmonics along the largest.
 
     Parameters
     ----------
@@ -70,6 +71,9 @@ def draw_mesh(structure: Structure, **where: Unpack[Where]) -> Figure:
     if pairs is not None and len(pairs):
         look = {"color": COLOURS["blue"], "ms": 3.0, "zorder": 3}
         panel.plot(*pairs.T, "o", label=f"contact pairs ({len(pairs)})", **look)
+    if len(load) > len(PARTS):  # dozens of arrows at one node would hide each other
+        largest = 3 + int(np.argmax(np.linalg.norm(load[3:], axis=(1, 2))))
+        load = load[[0, 1, 2, largest]]
     acting = [part for part, there in enumerate(load.any(axis=(1, 2))) if there]
     for part in acting:
         several = len(acting) > 1
@@ -85,8 +89,8 @@ def draw_mesh(structure: Structure, **where: Unpack[Where]) -> Figure:
     return picture.finished()
 
 
-PARTS = ("mean", "cosine part", "sine part")
-PART_COLOURS = (COLOURS["grey"], COLOURS["blue"], COLOURS["pink"])
+PARTS = ("mean", "cosine part", "sine part", "largest further harmonic")
+PART_COLOURS = (COLOURS["grey"], COLOURS["blue"], COLOURS["pink"], "black")
 
 
 def _arrows(axes: Axes, mesh: NodalMesh, load: np.ndarray, label: str, colour: str) -> None:

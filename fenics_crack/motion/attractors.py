@@ -46,13 +46,16 @@ class Attractor:
 
     def amplitudes(self, dof: int | None = None) -> np.ndarray:
         """Half the peak-to-peak displacement of a dof, or of the watched one, in each period of the
-        orbit, or in 100 more where the motion does not settle: (n,) [m] (collective).
+        orbit, or in 100 more where the motion does not settle: (n,) [m] (collective). Of several
+        periods they are of 512 instants each.
 
         Raises
         ------
         ConvergenceError
             It cannot be followed that long.
         """
+        if self.orbit is not None and self.orbit.subharmonic == self.orbits.subharmonic:
+            return np.array([self.orbit.amplitude(dof)])
         flow, omega = self.orbits.flow, self.orbits.omega
         period = 2.0 * np.pi * self.orbits.subharmonic / omega
         state, count = self.orbits.state(self.last), 100

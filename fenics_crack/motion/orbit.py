@@ -44,6 +44,7 @@ from fenics_crack.model.contact import is_regular
 from fenics_crack.model.modal import all_modes
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, Samples, Track
 from fenics_crack.numerics.equations import CLOSE, LOCATED, factored, solve_factored
+from fenics_crack.numerics.extremes import InPeriod, half_range, largest
 from fenics_crack.numerics.fourier import waves_of
 from fenics_crack.numerics.newton import FORCING, gmres, relative_to_motion
 
@@ -231,6 +232,35 @@ class PeriodicOrbit(Described):
         """Displacement of the structure's own dofs at times [s]: (len(time), n_dofs) [m]."""
         return self._at(time, "displacement")
 
+    def seen_through(self, rows: np.ndarray) -> InPeriod:
+        """Products of rows (m, n_dofs) with the motion, the gaps and the contact forces, at any
+        parts of the period: on each part of it by the polynomials through Gauss's nodes."""
+        time, length = self._nodes(len(self.flow.force) // 2 * self.omega)
+        samples, (nodes, weights, _) = self.samples(time), gauss_nodes()
+        seen = samples.displacement @ rows.T, samples.gaps, samples.forces
+        values = np.hstack(seen).reshape(len(length), len(nodes), -1)
+        ends, signs = np.cumsum(length), (-1.0) ** np.arange(len(nodes))
+        barycentric = signs * np.sqrt((1.0 - nodes**2) * weights)
+        splits = np.cumsum([part.shape[1] for part in seen])[:2]
+
+        def at(parts: np.ndarray) -> Any:
+            time = self.period * np.mod(parts, 1.0)
+            piece = np.minimum(np.searchsorted(ends, time), len(ends) - 1)
+            away = (1.0 + 2.0 * (time - ends[piece]) / length[piece])[:, None] - nodes
+            share = barycentric / np.where(away == 0.0, sys.float_info.min, away)
+            share /= share.sum(axis=1, keepdims=True)
+            found = (share[:, None] @ values[piece])[:, 0]
+            return np.split(found, splits, axis=1)
+
+        return at
+
+    def amplitude(self, dof: int | None = None) -> float:
+        """Half the peak-to-peak displacement of a dof, or of the watched one [m]."""
+        structure = self.flow.structure
+        at = self.seen_through(structure.values_at(np.eye(structure.n_dofs), [dof]).T)
+        parts = np.arange(INSTANTS) / INSTANTS
+        return float(half_range(at(parts)[0], lambda parts: at(parts)[0])[0])
+
     def coefficients(self, harmonics: int) -> OrbitCoefficients:
         """Fourier coefficients, by Gauss's rule on each part of the period in which no pair opens
         or closes."""
@@ -310,10 +340,16 @@ class PeriodicOrbit(Described):
 
     def to_dict(self) -> dict[str, Any]:
         """Largest multiplier, extremes of the gap [m] of all pairs, and how it was found."""
+        at, count = self.seen_through(np.zeros((0, self.flow.structure.n_dofs))), self.gap.shape[1]
+        tops = largest(
+            np.hstack([-self.gap, self.gap]),
+            lambda parts: np.hstack([-(gap := at(parts)[1][:, :count]), gap]),
+        )
+        opening, penetration = tops.reshape(2, -1).max(axis=1, initial=0.0).tolist()
         return {
             "multiplier": float(abs(self.multipliers[0])),
-            "opening": float(max(0.0, -self.gap.min(initial=0.0))),
-            "penetration": float(self.gap.max(initial=0.0)),
+            "opening": opening,
+            "penetration": penetration,
             "events": self.events,
             "residual": float(self.residual),
             "iterations": self.iterations,

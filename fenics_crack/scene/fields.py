@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fenics_crack.basics.errors import InputError, one_of
+from fenics_crack.basics.errors import MAX_CASES, MOST_HARMONICS, InputError, one_of
 from fenics_crack.basics.suggestions import Hinted, candidates, meant, near, written
 from fenics_crack.basics.tables import TURN
 
@@ -212,7 +212,7 @@ def _harmonic(given: object) -> Harmonic:
     if not isinstance(given, Mapping) or "order" not in given:
         raise TypeError
     order, keys = _int(given["order"]), given.keys() - {"order"}
-    if order < 1 or not keys:
+    if not 1 <= order <= MOST_HARMONICS or not keys:
         raise TypeError
     if keys <= {"cos", "sin"}:
         parts = {key: _components(given[key]) for key in keys}
@@ -267,7 +267,7 @@ def _values(name: str, given: object) -> tuple[Any, ...]:
     spacing = span.get("spacing", "linear")
     try:
         start, stop, count = _float(span["start"]), _float(span["stop"]), _int(span["count"])
-        right = span.keys() <= {"start", "stop", "count", "spacing"} and 2 <= count <= 1_000_000
+        right = span.keys() <= {"start", "stop", "count", "spacing"} and 2 <= count <= MAX_CASES
     except (KeyError, TypeError, OverflowError, InputError):
         right = False
     full_name = f'."{name}"'  # behind the name of the key: Table.checked
@@ -384,10 +384,16 @@ def _names(letter: str, dimension: int) -> str:
 def of_harmonics() -> Any:
     """Field of harmonics of a load."""
     allowed = (
-        "a list of tables with an order, a whole number >= 1 and another in each, and cos or sin, "
-        "or amplitude and phase [degrees] by which it lags"
+        f"a list of tables with an order, a whole number from 1 to {MOST_HARMONICS} and another in "
+        "each, and cos or sin, or amplitude and phase [degrees] by which it lags"
     )
     return holds(allowed, default=())
+
+
+def order_of_load(default: int) -> Any:
+    """Field of the order of a harmonic of a load."""
+    allowed = f"a whole number from 1 to {MOST_HARMONICS}"
+    return holds(allowed, lambda value: 1 <= value <= MOST_HARMONICS, default)
 
 
 def at_least_one(default: Any = MISSING) -> Any:

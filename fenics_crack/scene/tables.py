@@ -33,6 +33,7 @@ from fenics_crack.scene.fields import (
     not_negative,
     number,
     of_harmonics,
+    order_of_load,
     path,
     positive,
     twin,
@@ -234,7 +235,7 @@ class Excitation(Table):
     wave: str | None = path("a CSV file with a line of words, then rows of a time and forces")
     """A table of one period of a force that is added: a time, from its beginning to its end in any
     unit, and the components [N], linear in between; two rows of one time are a jump."""
-    wave_harmonics: int = at_least_one(20)
+    wave_harmonics: int = order_of_load(20)
     """Harmonics kept of it; what they leave out is stated."""
 
     def __post_init__(self) -> None:

@@ -27,7 +27,7 @@ import scipy.linalg
 from mpi4py import MPI
 
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.basics.errors import InputError, check_count, check_number
+from fenics_crack.basics.errors import MAX_CASES, InputError, check_count, check_number
 from fenics_crack.basics.tables import Tabular, counted
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.fem.build import assemble
@@ -354,7 +354,7 @@ def amplification(
     >>> found = fc.amplification(disk, patterns=100, deviation=0.01)
     >>> found.percentile(95.0) < found.bound
     """
-    check_count("patterns", patterns, 1)
+    check_count("patterns", patterns, 1, MAX_CASES)
     check_count("seed", seed, 0)
     scene.given("disk")
     of_pattern = {"disk.mistuning": {"deviation": float(deviation), "seed": seed}}

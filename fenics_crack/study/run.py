@@ -265,9 +265,7 @@ def _with_motion_from_rest(run: Run[PeriodicSolution]) -> Run[PeriodicSolution]:
     amplitude = math.nan
     outcome = f"has not settled after {counted(motion.periods, 'period')} of the load"
     if motion.orbit is not None:
-        time = np.linspace(0.0, motion.orbit.period, len(found.instants()))
-        moved = found.structure.values_at(motion.orbit.displacement_at(time), [dof])
-        outcome, amplitude = motion.description, float(np.ptp(moved)) / 2.0
+        outcome, amplitude = motion.description, motion.orbit.amplitude(dof)
         own = found.amplitude(dof)
         if judged.verdict != "undecided" and abs(amplitude - own) <= SETTLED * own:
             return run  # the same motion

@@ -49,7 +49,7 @@ import numpy as np
 from fenics_crack.balance.error_report import LARGE_ERROR, ErrorReport
 from fenics_crack.balance.harmonic_balance import solve_linear, wave_of
 from fenics_crack.balance.problem import Problem, least_harmonics
-from fenics_crack.balance.solution import PeriodicSolution, Solver, contact_extremes, indicators_of
+from fenics_crack.balance.solution import PeriodicSolution, Solver, extremes, indicators_of
 from fenics_crack.basics.errors import MOST_HARMONICS
 from fenics_crack.basics.tables import OF_FRICTION, OF_LIPS, OF_POINTS, QUANTITIES, frequency_axis
 from fenics_crack.curves.curve import ResponseCurve
@@ -335,10 +335,9 @@ def _of_orbit(
     assert law is not None
     problem = Problem(structure, found.omega, law, harmonics, subharmonic=found.subharmonic)
     wave = wave_of(problem, orbit, orbit.coefficients(harmonics))
-    samples = orbit.samples(found.instants())
-    lips = contact_extremes(
-        samples.gaps, samples.forces, structure.pairs.cracks, coefficient_of(law)
-    )
+    at = orbit.seen_through(np.zeros((0, structure.n_dofs)))
+    samples, friction = at(found.instants() / found.period), coefficient_of(law)
+    lips = extremes(samples, structure.pairs.cracks, friction, at)[1]
     lips |= {"closed_share": orbit.motion.track.closed_share} | orbit.sliding
     return numbers_of(study, wave, mode).values | lips
 

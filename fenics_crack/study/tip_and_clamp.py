@@ -14,7 +14,7 @@ import numpy as np
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.tables import OF_CLAMP, OF_GROWTH, OF_TIPS, TURN
-from fenics_crack.curves.curve import PHASES, ResponseCurve
+from fenics_crack.curves.curve import PARTS, ResponseCurve
 from fenics_crack.fem.interaction_integral import Tip, tip_functionals
 from fenics_crack.model.factor import AT_A_TIME
 from fenics_crack.model.nodes import Clamp
@@ -53,7 +53,8 @@ def quantities_along_curve(study: Study, curve: ResponseCurve) -> dict[str, np.n
     found: list[dict[str, float]] = [{} for _ in range(len(curve))]
     if _AT_TIPS & set(names):
         tips, law = tip_rows(study), study.scene.growth
-        for index, (_, seen, _, force) in enumerate(curve.seen_through(tips.of_coordinates)):
+        for index, (_, at) in enumerate(curve.seen_through(tips.of_coordinates)):
+            seen, _, force = at(PARTS)
             found[index] |= _of_leading(tips.in_time(seen, force), law, curve.subharmonic)
     if OF_CLAMP.keys() & names:
         rows = curve.structure.once(_inertia_rows)
@@ -61,7 +62,7 @@ def quantities_along_curve(study: Study, curve: ResponseCurve) -> dict[str, np.n
             whole = curve.problem_of(index).structure.whole
             omega = float(curve.omega[index]) / curve.subharmonic
             clamp, drag = _clamp(whole)
-            held = clamp.of_waves(waves, omega, curve.subharmonic, drag, PHASES)
+            held = clamp.of_waves(waves, omega, curve.subharmonic, drag, TURN * PARTS)
             found[index] |= numbers_at_clamp(*held)
     return {name: np.array([one[name] for one in found]) for name in names}
 

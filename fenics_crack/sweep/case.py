@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import BilinearFrequencies, bilinear_frequencies
 from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.extremes import half_range
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCES
 from fenics_crack.study.plausibility import damping_ratios
@@ -367,15 +369,21 @@ def _numbered(natural: BilinearFrequencies) -> Found:
 
 def _seen(solution: PeriodicSolution, case: Scene, geometry: Geometry) -> Found:
     """Return the indicators at the load and at the watched points."""
-    motion = solution.coordinates(solution.instants())
+    rows = _load_row(solution, case) | geometry.watched
     found: Found = {}
-    for name, row in (_load_row(solution, case) | geometry.watched).items():
+    for name, row in rows.items():
         coefficients = solution.displacement_coefficients @ row
-        seen = indicators_of(solution.omega, coefficients, np.ptp(motion @ row) / 2.0, {})
+        size = half_range(*solution.sampled(partial(_along, solution, row)))[0]
+        seen = indicators_of(solution.omega, coefficients, size, {})
         values = {quantity: getattr(seen, quantity) for quantity in AT_POINTS}
         values |= zip(PHASES, coefficients[1:].tolist(), strict=False)
         found |= {f"{name}.{q}" if name else of_load(q): value for q, value in values.items()}
     return found
+
+
+def _along(solution: PeriodicSolution, row: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Product of a row with the coordinates of a solution at times [s]: (n, 1)."""
+    return np.asarray(solution.coordinates(time) @ row[:, None])
 
 
 def _load_row(solution: PeriodicSolution, case: Scene) -> dict[str, np.ndarray]:

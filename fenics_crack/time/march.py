@@ -18,7 +18,7 @@ from tqdm import tqdm
 from fenics_crack.balance.solution import (
     Indicators,
     PeriodicSolution,
-    contact_extremes,
+    extremes,
     friction_numbers,
     indicators_of,
 )
@@ -344,12 +344,13 @@ class TimeHistory(Tabular):
         known = min(10, (self.steps_per_period - 1) // 2)
         last = slice(-RECORDED_PERIODS * self.steps_per_period, None)
         motion = self.displacement([dof])[last, 0]
+        samples = motion[:, None], self.gap[last], self.contact_force[last]
+        sizes, lips = extremes(samples, self.structure.pairs.cracks)
         return indicators_of(
             2.0 * np.pi * (len(self.time) - 1) / self.steps_per_period / np.ptp(self.time),
             balanced(motion[-self.steps_per_period :], known),
-            float(np.ptp(motion) / 2.0),
-            contact_extremes(self.gap[last], self.contact_force[last], self.structure.pairs.cracks)
-            | self._sliding,
+            float(sizes[0]),
+            lips | self._sliding,
         )
 
     @property

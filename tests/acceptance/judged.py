@@ -24,7 +24,7 @@ def oscillator(
     """x'' + c x' + x (+ contact beyond the clearance) = f cos W t."""
     one = np.ones((1, 1))
     return fc.Structure.from_matrices(
-        one, one, one, force_cos=[force], clearance=clearance,
+        one, one, gap=one, force_cos=[force], clearance=clearance,
         damping=None if damping is None else damping * one,
     )  # fmt: skip
 
@@ -33,7 +33,7 @@ def two_masses(force: float = 0.1) -> fc.Structure:
     """A stop at mass 1 beyond a clearance of 1, the load on mass 2."""
     stiffness = np.array([[1.0, -1.0], [-1.0, 2.0]])
     return fc.Structure.from_matrices(
-        np.eye(2), stiffness, [1.0, 0.0], force_cos=[0.0, force], clearance=1.0,
+        np.eye(2), stiffness, gap=[1.0, 0.0], force_cos=[0.0, force], clearance=1.0,
         damping=0.03 * stiffness,
     )  # fmt: skip
 
@@ -49,7 +49,7 @@ def chain(pairs: int = 3, count: int = 10, seed: int = 1) -> fc.Structure:
     for pair in range(pairs):
         gap[3 * pair : 3 * pair + 2, pair] = -1.0, 1.0
     return fc.Structure.from_matrices(
-        np.diag(rng.uniform(1.0, 2.0, count)), stiffness, gap,
+        np.diag(rng.uniform(1.0, 2.0, count)), stiffness, gap=gap,
         force_cos=rng.normal(size=count), force_sin=rng.normal(size=count),
         force_mean=0.3 * rng.normal(size=count), clearance=np.linspace(-0.3, 0.3, pairs),
         damping=0.03 * stiffness,

@@ -85,7 +85,7 @@ def test_equal_masses_part_at_a_branch_point() -> None:
     """Two of them with stops, loaded alike, move alike on the curve; on the branch they do not, nor
     in the exact orbit next to a point of it. It closes where it left."""
     structure = fc.Structure.from_matrices(
-        np.eye(2), np.array([[2.0, -1.0], [-1.0, 2.0]]), np.eye(2), force_sin=np.ones(2),
+        np.eye(2), np.array([[2.0, -1.0], [-1.0, 2.0]]), gap=np.eye(2), force_sin=np.ones(2),
         clearance=0.3, damping=fc.ModalDamping(0.02),
     )  # fmt: skip
     curve = fc.continue_frequency(structure, 0.3, 3.0, fc.UnilateralPenalty(2.0), harmonics=10)

@@ -55,7 +55,7 @@ def test_resonance_beside_a_steady_load(mean: float, asked: dict[str, Any]) -> N
     ratio, natural = 1e-3, 1.0 if mean <= 0.0 else np.sqrt(2.0)
     one, damping = np.ones((1, 1)), 2.0 * ratio * natural
     structure = fc.Structure.from_matrices(
-        one, one, one, force_cos=[1.0], force_mean=[mean], damping=damping * one,
+        one, one, gap=one, force_cos=[1.0], force_mean=[mean], damping=damping * one,
         clearance=0.0 if mean else 1e3,
     )  # fmt: skip
     curve = fc.continue_frequency(structure, 0.5 * natural, 1.6 * natural, SOFT, **asked)
@@ -316,7 +316,7 @@ def over_load() -> tuple[fc.Structure, fc.ContactLaw, fc.ResponseCurve]:
     """One mass of 1000 rad/s and a stop of the same stiffness 1 cm away: up, back and up again."""
     one, law = np.ones((1, 1)), fc.UnilateralPenalty(1e6)
     structure = fc.Structure.from_matrices(
-        one, 1e6 * one, one, force_sin=[1e3], damping=30.0 * one, clearance=0.01
+        one, 1e6 * one, gap=one, force_sin=[1e3], damping=30.0 * one, clearance=0.01
     )
     curve = fc.continue_parameter(structure, 1100.0, law, "load", 0.3, 3.0, tolerance=1e-3)
     return structure, law, curve
@@ -375,8 +375,8 @@ def test_both_ways_find_the_same_folds() -> None:
     side, beside a preload ten times as large, and neither way steps over them."""
     one, law = np.ones((1, 1)), fc.UnilateralPenalty([12.7593, 10.1039])
     structure = fc.Structure.from_matrices(
-        1.1583 * one, 1.7879 * one, np.array([[-1.0, 1.0]]), force_cos=[-1.0], force_sin=[-0.0531],
-        clearance=[-0.6191, 1.3975], damping=0.2253 * one,
+        1.1583 * one, 1.7879 * one, gap=np.array([[-1.0, 1.0]]), force_cos=[-1.0],
+        force_sin=[-0.0531], clearance=[-0.6191, 1.3975], damping=0.2253 * one,
     )  # fmt: skip
     ends, folds = (0.745, 2.485), []
     for start, end in (ends, ends[::-1]):

@@ -174,7 +174,7 @@ def test_cold_starts_with_several_stiff_pairs() -> None:
         turned = np.linalg.qr(rng.normal(size=(6, 6)))[0]
         squares = np.append(1.0, 30.0 ** (2.0 * rng.random(5)))
         structure = fc.Structure.from_matrices(
-            np.eye(6), (turned * squares) @ turned.T, np.eye(6)[:, :3],
+            np.eye(6), (turned * squares) @ turned.T, gap=np.eye(6)[:, :3],
             force_cos=rng.normal(size=6),
             damping=(turned * (0.01 * np.sqrt(squares))) @ turned.T, clearance=0.0,
         )  # fmt: skip

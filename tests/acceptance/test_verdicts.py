@@ -200,8 +200,8 @@ def test_preloaded_contact_that_just_opens(case: tuple[int | float, ...]) -> Non
 
     def opened_by(share: float) -> fc.Structure:
         return fc.Structure.from_matrices(
-            np.eye(count), springs, place, force_cos=(1.0 + share) * pressed / abs(moved) * load,
-            damping=rate, clearance=-1.0,
+            np.eye(count), springs, gap=place,
+            force_cos=(1.0 + share) * pressed / abs(moved) * load, damping=rate, clearance=-1.0,
         )  # fmt: skip
 
     structure, law = opened_by(past), fc.UnilateralPenalty(stiffness)
@@ -228,7 +228,12 @@ def test_stiff_second_stop_just_beyond_the_solution(omega: float, stiffness: flo
     reached = first.gap(np.linspace(0.0, first.period, 4096)).max()
     beyond = reached + 0.3 * (orbit.gap.max() - reached)
     structure = fc.Structure.from_matrices(
-        [[1.0]], [[1.0]], [[1.0, 1.0]], force_cos=[0.1], damping=[[0.02]], clearance=[0.0, beyond]
+        [[1.0]],
+        [[1.0]],
+        gap=[[1.0, 1.0]],
+        force_cos=[0.1],
+        damping=[[0.02]],
+        clearance=[0.0, beyond],
     )
     law = fc.UnilateralPenalty(np.array([stiffness, 1e4]))
     solution = fc.solve_harmonic_balance(structure, omega, law, harmonics=5)
@@ -247,7 +252,7 @@ def test_orbit_that_is_none() -> None:
     be 2.6 % off and stable. The motion to which it leads is 108 % away."""
     omega, above = 0.7954787921, 11.46120356 * 0.7954787921
     structure = fc.Structure.from_matrices(
-        np.eye(2), np.diag([1.0, above**2]), [1.0, 1.06492542], force_cos=[1.0, 0.0],
+        np.eye(2), np.diag([1.0, above**2]), gap=[1.0, 1.06492542], force_cos=[1.0, 0.0],
         damping=np.diag([2.0 * 0.02971492658, 2.0 * 0.00188151738 * above]),
     )  # fmt: skip
     law = fc.UnilateralPenalty(18.39356761)
@@ -264,7 +269,7 @@ def test_harmonics_are_judged_up_to_the_highest_mode() -> None:
     """A second mode at 130 times the load's frequency, beyond four times the harmonics."""
     above = 130 * 0.3
     structure = fc.Structure.from_matrices(
-        np.eye(2), np.diag([1.0, above**2]), [1.0, 1.0], force_cos=[1.0, 0.0],
+        np.eye(2), np.diag([1.0, above**2]), gap=[1.0, 1.0], force_cos=[1.0, 0.0],
         damping=np.diag([0.02, 2e-3 * above]),
     )  # fmt: skip
     solution = fc.solve_harmonic_balance(structure, 0.3, fc.UnilateralPenalty(0.5), harmonics=10)

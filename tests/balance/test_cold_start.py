@@ -72,7 +72,7 @@ def test_many_pairs_climb_from_few_harmonics() -> None:
     load = np.zeros(60)
     load[-1] = 0.1
     structure = fc.Structure.from_matrices(
-        np.eye(60), stiffness, np.eye(60)[:, 40:], force_cos=load, damping=0.02 * stiffness
+        np.eye(60), stiffness, gap=np.eye(60)[:, 40:], force_cos=load, damping=0.02 * stiffness
     )
     for omega in (1.1, 1.2):
         for harmonics in (5, 10):

@@ -375,7 +375,7 @@ def test_undamped_resonance_that_the_load_does_not_drive() -> None:
 def test_unconstrained_structure_is_an_error(damping: object) -> None:
     """Nothing holds the masses: the mean contact force moves them without limit."""
     loose = fc.Structure.from_matrices(
-        np.eye(2), [[1.0, -1.0], [-1.0, 1.0]], [1.0, 0.0], force_cos=[1.0, 0.0], damping=damping
+        np.eye(2), [[1.0, -1.0], [-1.0, 1.0]], gap=[1.0, 0.0], force_cos=[1.0, 0.0], damping=damping
     )
     for form in ("condensed", "full"):
         with pytest.raises(fc.ConvergenceError, match="rigid body"):
@@ -384,7 +384,7 @@ def test_unconstrained_structure_is_an_error(damping: object) -> None:
 
 def test_without_any_stiffness_is_an_error() -> None:
     """K = 0: the factorisation meets no zero pivot, and yet there is no static answer."""
-    free = fc.Structure.from_matrices(np.eye(1), np.zeros((1, 1)), [1.0], force_cos=[1.0])
+    free = fc.Structure.from_matrices(np.eye(1), np.zeros((1, 1)), gap=[1.0], force_cos=[1.0])
     for form in ("condensed", "full"):
         with pytest.raises(fc.ConvergenceError, match="singular"):
             solve_form(Problem(free, 0.5, fc.UnilateralPenalty(1.0)), form=form)
@@ -405,7 +405,7 @@ def test_close_to_an_undamped_resonance(form: str, off: float) -> None:
     damped = fc.Structure.from_matrices(
         whole.mass,
         whole.stiffness,
-        whole.gap,
+        gap=whole.gap,
         force_mean=whole.force[0],
         force_cos=whole.force[1],
         force_sin=whole.force[2],
@@ -425,7 +425,7 @@ def test_close_to_an_undamped_resonance(form: str, off: float) -> None:
 def test_structure_without_pairs_is_refused() -> None:
     """Without pairs there are no equations to condense onto."""
     one = np.ones((1, 1))
-    free = fc.Structure.from_matrices(one, one, None, force_cos=[1.0], damping=0.1 * one)
+    free = fc.Structure.from_matrices(one, one, gap=None, force_cos=[1.0], damping=0.1 * one)
     for contact in (fc.UnilateralPenalty(1.0), fc.UnilateralConstraint()):
         with pytest.raises(fc.InputError, match="structure = '0 pairs'"):
             fc.solve_harmonic_balance(free, 1.0, contact)

@@ -80,7 +80,7 @@ def two_masses(
     """w_1 = 1, w_2 a multiple of the load's frequency; g = u_1 + b u_2, the load on u_1."""
     rate = 2.0 * damping[0], 2.0 * damping[1] * ratio * omega
     return fc.Structure.from_matrices(
-        np.eye(2), np.diag([1.0, (ratio * omega) ** 2]), [1.0, coupling],
+        np.eye(2), np.diag([1.0, (ratio * omega) ** 2]), gap=[1.0, coupling],
         force_cos=[1.0, 0.0], damping=np.diag(rate),
     )  # fmt: skip
 
@@ -327,7 +327,7 @@ def test_a_steady_load_makes_no_error_small(smooth: bool) -> None:
     law = fc.SmoothedPenalty(4.0, 20.0) if smooth else fc.UnilateralPenalty(4.0)
     own, moved = (
         fc.Structure.from_matrices(
-            [[1.0]], [[1.0]], [1.0], force_mean=[away], force_cos=[1.0], damping=[[0.1]],
+            [[1.0]], [[1.0]], gap=[1.0], force_mean=[away], force_cos=[1.0], damping=[[0.1]],
             clearance=away,
         )
         for away in (0.0, 1e4)

@@ -412,7 +412,7 @@ def test_incremental_residual_with_gyroscopic_damping() -> None:
     structure = fc.Structure.from_matrices(
         np.eye(2),
         np.array([[2.0, -1.0], [-1.0, 2.0]]),
-        np.array([1.0, 0.0]),
+        gap=np.array([1.0, 0.0]),
         force_sin=[0.0, 1.0],
         damping=dashpots,
     )

@@ -343,7 +343,7 @@ def test_a_wrong_tangent_is_named_where_newton_fails(throw: bool) -> None:
     one = np.eye(1)
     found = {}
     for force in (0.3, 3.0):
-        load = fc.Structure.from_matrices(one, one, one, force_cos=[force], damping=0.05 * one)
+        load = fc.Structure.from_matrices(one, one, gap=one, force_cos=[force], damping=0.05 * one)
         with pytest.raises(fc.InputError, match=r"tangent\(gap\) is the slope of its force"):
             fc.solve_harmonic_balance(load, 1.5, Steep(100.0), harmonics=9, throw=throw)
         found[force] = fc.solve_harmonic_balance(load, 1.5, Cubic(100.0), harmonics=9, throw=False)

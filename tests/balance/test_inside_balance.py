@@ -41,7 +41,7 @@ from fenics_crack.balance.contact_integrals import (
     contact_integrals,
     default_samples,
 )
-from fenics_crack.balance.solution import contact_extremes, indicators_of
+from fenics_crack.balance.solution import extremes, indicators_of
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.model.modes import damped_modes, times
 from fenics_crack.numerics.fourier import (
@@ -607,7 +607,7 @@ def random_structure(damping: Any = None, seed: int = 0) -> Structure:
     rng = np.random.default_rng(seed)
     omega = np.sort(rng.uniform(1.0, 30.0, N))
     gap = rng.standard_normal((N, N_PAIRS))
-    return Structure.from_matrices(*with_frequencies(omega, seed), gap, damping=damping)
+    return Structure.from_matrices(*with_frequencies(omega, seed), gap=gap, damping=damping)
 
 
 def dense_stiffness(structure: Structure, omega: float) -> np.ndarray:
@@ -769,7 +769,9 @@ def test_near_several_resonances_at_once(split: float, offset: float) -> None:
     omega = np.linspace(1.0, 20.0, N)
     omega[3:6] = omega[4] * np.array([1.0 - split, 1.0, 1.0 + split])
     gap = np.random.default_rng(0).standard_normal((N, N_PAIRS))
-    structure = Structure.from_matrices(*with_frequencies(omega), gap, damping=ModalDamping(0.01))
+    structure = Structure.from_matrices(
+        *with_frequencies(omega), gap=gap, damping=ModalDamping(0.01)
+    )
     for mode in (3, 5):
         check_near_resonance(structure, mode, offset)
 
@@ -780,7 +782,7 @@ def test_near_resonances_with_different_damping() -> None:
     omega[4] = omega[3] * (1.0 + 1e-4)
     ratios = np.linspace(0.001, 0.1, N)
     structure = Structure.from_matrices(
-        *with_frequencies(omega), np.eye(N)[:, :N_PAIRS], damping=ModalDamping(ratios)
+        *with_frequencies(omega), gap=np.eye(N)[:, :N_PAIRS], damping=ModalDamping(ratios)
     )
     for offset in OFFSETS:
         check_near_resonance(structure, 3, offset)
@@ -803,7 +805,7 @@ def test_deflated_undamped_mode() -> None:
     omega = np.arange(1.0, N + 1.0)
     ratios = np.where(omega == 3.0, 0.0, 0.01)
     structure = Structure.from_matrices(
-        np.eye(N), np.diag(omega**2), np.ones(N), damping=ModalDamping(ratios)
+        np.eye(N), np.diag(omega**2), gap=np.ones(N), damping=ModalDamping(ratios)
     )
     near = 3.0 * (1.0 + 2.0**-20)
     with DynamicStiffness(structure, near) as stiffness:
@@ -818,7 +820,7 @@ def test_deflated_undamped_mode() -> None:
 def test_free_structure(damping: Any) -> None:
     """A structure that can move as a rigid body has no static answer, and one at a frequency."""
     omega = np.append([0.0, 0.0], np.linspace(1.0, 20.0, N - 2))
-    structure = Structure.from_matrices(*with_frequencies(omega), np.ones(N), damping=damping)
+    structure = Structure.from_matrices(*with_frequencies(omega), gap=np.ones(N), damping=damping)
     with pytest.raises(ConvergenceError, match="rigid body"):
         DynamicStiffness(structure, 0.0)
     if isinstance(damping, ModalDamping):
@@ -834,7 +836,7 @@ def test_a_light_stiff_part_is_no_rigid_body() -> None:
     answer is the spring's."""
     mass, own = 1e-9, 1e7
     stiffness = np.array([[1.0 + own, -own], [-own, own]])
-    sensor = Structure.from_matrices(np.diag([1.0, mass]), stiffness, [1.0, 0.0], damping=None)
+    sensor = Structure.from_matrices(np.diag([1.0, mass]), stiffness, gap=[1.0, 0.0], damping=None)
     compliance = dynamic_compliance(sensor, 0.5, 1)
     assert compliance.matrices[:, 0, 0].real == pytest.approx([1.0, 1.0 / 0.75], rel=1e-6)
 
@@ -843,7 +845,7 @@ def test_a_light_stiff_part_is_no_rigid_body() -> None:
 def test_undamped_resonance(mode: int) -> None:
     """At a natural frequency that is exactly known, without damping, there is no answer."""
     omega = np.arange(1.0, N + 1.0)
-    structure = Structure.from_matrices(np.eye(N), np.diag(omega**2), np.ones(N))
+    structure = Structure.from_matrices(np.eye(N), np.diag(omega**2), gap=np.ones(N))
     with pytest.raises(ConvergenceError, match="undamped resonance"):
         DynamicStiffness(structure, omega[mode])
 
@@ -918,7 +920,7 @@ def compliances(kinds: list[str], comm: MPI.Comm) -> list[np.ndarray]:
     for kind in kinds:
         one = random_structure(damping := DAMPINGS[kind])
         mass, _, stiffness = dense_matrices(one)
-        spread = Structure.from_matrices(mass, stiffness, one.gap, damping=damping, comm=comm)
+        spread = Structure.from_matrices(mass, stiffness, gap=one.gap, damping=damping, comm=comm)
         with DynamicStiffness(spread, 7.77) as dynamic:
             found.append(dynamic.compliance())
     return found
@@ -995,7 +997,7 @@ def stopped_chain(pairs: int, damping: float) -> fc.Structure:
     """Six masses, the last ones next to stops."""
     stiffness = np.diag(np.full(6, 2.0)) - np.eye(6, k=1) - np.eye(6, k=-1)
     return fc.Structure.from_matrices(
-        np.eye(6), stiffness, np.eye(6)[:, -pairs:], force_cos=np.eye(6)[0],
+        np.eye(6), stiffness, gap=np.eye(6)[:, -pairs:], force_cos=np.eye(6)[0],
         damping=damping * stiffness,
     )  # fmt: skip
 
@@ -1120,7 +1122,7 @@ def test_force_of_each_crack() -> None:
     force = np.array([[3.0, 0.0, 4.0], [2.0, 2.0, 0.0]])
     for cracks, expected in ((None, 7.0), ([0, 0, 1], 4.0), ([0, 1, 1], 4.0), ([0, 1, 2], 4.0)):
         given = None if cracks is None else np.array(cracks)
-        found = contact_extremes(-np.ones((2, 3)), force, given)
+        found = extremes((force[:, :0], -np.ones((2, 3)), force), given)[1]
         assert (found["contact_force"], found["crack_force"]) == (4.0, expected)
 
 
@@ -1150,7 +1152,8 @@ def test_wave_of_a_bilinear_oscillator(ratio: float) -> None:
     assert found.ratio_3_1 == pytest.approx(part(3) / part(1), rel=1e-5)
     assert found.mean_shift == pytest.approx(mean / part(1), rel=1e-6)
     assert found.amplitude == pytest.approx((1.0 + 1.0 / ratio) / 2.0, rel=1e-5)
-    lips = contact_extremes(wave[:, None], np.maximum(wave, 0.0)[:, None])
+    gap = wave[:, None]
+    lips = extremes((gap[:, :0], gap, np.maximum(gap, 0.0)))[1]
     assert lips["closed_share"] == pytest.approx(closed, abs=1e-3)
     assert lips["opening"] == pytest.approx(1.0, rel=1e-6)
     assert lips["penetration"] == lips["contact_force"] == pytest.approx(1.0 / ratio, rel=1e-5)

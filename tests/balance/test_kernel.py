@@ -770,8 +770,8 @@ def test_branch_crosses_a_path_of_many_unknowns() -> None:
     points between are followed again."""
     stiffness = np.array([[1.005, -0.005], [-0.005, 1.005]])
     twins = fc.Structure.from_matrices(
-        np.eye(2), stiffness, np.eye(2), force_cos=np.array([0.1, 0.1]), damping=0.05 * np.eye(2),
-        clearance=1.0,
+        np.eye(2), stiffness, gap=np.eye(2), force_cos=np.array([0.1, 0.1]),
+        damping=0.05 * np.eye(2), clearance=1.0,
     )  # fmt: skip
     law = fc.UnilateralPenalty(1.0)
     family = FAMILIES["omega"](fc.Problem(twins, 0.8, law, 25), 0.8, 1.5)
@@ -813,7 +813,7 @@ def test_derivative_by_each_parameter(name: str) -> None:
 def test_undamped_resonance_that_the_load_leaves_alone() -> None:
     """A third harmonic meets a mode without damping and load there: a solution like any other."""
     mass, stiffness = np.eye(2), np.diag([1.0, 9.0 * 0.7**2])
-    structure = fc.Structure.from_matrices(mass, stiffness, [1.0, 0.1], force_cos=[0.2, 0.0])
+    structure = fc.Structure.from_matrices(mass, stiffness, gap=[1.0, 0.1], force_cos=[0.2, 0.0])
     law = fc.UnilateralPenalty(0.5)
     alone = fc.solve_harmonic_balance(structure, 0.7, law, harmonics=5)
     assert alone.converged

@@ -21,7 +21,7 @@ def bouncing(name: str) -> tuple[fc.Structure, fc.UnilateralPenalty]:
         mass, stiffness, damping = 1.6447776143, 2.4865193799, 0.0145369478
         one = np.ones((1, 1))
         structure = fc.Structure.from_matrices(
-            mass * one, stiffness * one, np.ones(1), force_cos=np.ones(1), damping=damping * one
+            mass * one, stiffness * one, gap=np.ones(1), force_cos=np.ones(1), damping=damping * one
         )
         return structure, fc.UnilateralPenalty(4453.8415474818)
     stiffness = np.array([
@@ -35,7 +35,7 @@ def bouncing(name: str) -> tuple[fc.Structure, fc.UnilateralPenalty]:
         [-0.0430966497, 0.0547555275, 0.0365597523],
     ])  # fmt: skip
     structure = fc.Structure.from_matrices(
-        np.eye(3), stiffness, np.array([[0.0, 1.0], [0.0, 0.0], [-1.0, 0.0]]),
+        np.eye(3), stiffness, gap=np.array([[0.0, 1.0], [0.0, 0.0], [-1.0, 0.0]]),
         force_cos=np.array([0.0, 1.0, 1.598834433]),
         force_sin=np.array([0.7596521291, 0.5743035972, -1.2578588327]),
         clearance=np.array([0.0052751815, 0.0]), damping=damping,

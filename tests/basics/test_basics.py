@@ -248,7 +248,7 @@ def test_entries_of_contact(results: dict[str, Any]) -> None:
     assert found["penetration"] == gap.max() > 0.0 and found["contact_force"] == force.max()
     assert found["closed_share"] == np.mean(force > 0.0)
     assert solution.amplitude(1) == np.ptp(solution.displacement(time, [1])) / 2.0
-    free = fc.solve_linear(fc.Structure.from_matrices(np.eye(1), np.eye(1), None), 0.5)
+    free = fc.solve_linear(fc.Structure.from_matrices(np.eye(1), np.eye(1), gap=None), 0.5)
     assert found.keys() - free.to_dict().keys() == {
         "opening", "penetration", "contact_force", "closed_share", "crack_force",
     }  # fmt: skip
@@ -566,7 +566,7 @@ def test_one_thread_of_openblas(pool: Pool) -> None:
     """In functions of the package and in `from_matrices`; restored afterwards, errors or not."""
     make, solve = fc.Structure.from_matrices, fc.solve_modes
     pool.told.clear()  # by imports
-    structure = make(np.eye(1), np.eye(1), None)
+    structure = make(np.eye(1), np.eye(1), gap=None)
     assert pool.told == [1, 8]
     with pytest.raises(InputError):
         solve(structure, 2)

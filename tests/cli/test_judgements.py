@@ -553,6 +553,32 @@ def test_an_interrupted_curve_is_beside_a_complete_one(
     assert not fc.load_run(tmp_path / "curve_interrupted.h5").result.complete
     assert "largest so far" in said.out and "The response grows up to where" in said.err
     assert "The largest response" not in said.err
+    assert "was interrupted; its errors and stability were not examined" in said.err
+
+
+def test_an_interrupted_curve_of_orbits_keeps_its_verdicts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    """Its multipliers come with its points: no sentence says that they were not examined, and the
+    report reports no errors."""
+    calls = iter(range(2))
+
+    def record(record: Callable[..., object], *given: object) -> object:
+        if next(calls, None) is None:
+            raise KeyboardInterrupt
+        return record(*given)
+
+    wrap(monkeypatch, "fenics_crack.curves.orbit_continuation.OrbitContinuation._record", record)
+    changes = ["contact.stiffness=1e9", "damping.ratio=0.02", "curve.start=2200.0",
+               "curve.stop=2300.0", "harmonic_balance.tolerance=0.05"]  # fmt: skip
+    words = ["curve", str(PAPER), "--output", str(tmp_path)]
+    assert main([*words, *(word for change in changes for word in ("--set", change))]) == 3
+    said = capsys.readouterr().err
+    assert "was interrupted; its errors were not examined" in said
+    assert re.search(r"(\d) stable of \1 points", said)
+    monkeypatch.setattr("fenics_crack.cli.results.LARGE_ERROR", -1.0)
+    assert main(["report", str(tmp_path / "curve.h5")]) == 0
+    assert "estimated error of the displacement" not in (tmp_path / "report.html").read_text()
 
 
 def test_ctrl_c_during_the_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,8 +7,11 @@ import pytest
 from helpers import DEMOS
 from surroundings import main
 
+import fenics_crack as fc
+
 SCENE = str(DEMOS / "paper_plate.toml")
 LOADS = (50.0, 100.0)
+NIGHTLY = pytest.mark.nightly
 
 
 @pytest.fixture(scope="module")
@@ -64,6 +67,27 @@ def test_what_cannot_be_laid_over(results: Path, tmp_path: Path, capsys: Any) ->
         assert main(["plot", *words, "--output", str(tmp_path)]) == 2
         assert capsys.readouterr().err.startswith(f"fenics-crack: {expected}")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["paper_plate", *(pytest.param(one, marks=NIGHTLY) for one in ("bladed_disk", "solid_blade"))],
+)
+def test_mesh_with_a_load_of_many_harmonics(name: str, tmp_path: Path) -> None:
+    """By ``plot``, and by ``report`` of a result."""
+    scene, wave = str(DEMOS / f"{name}.toml"), tmp_path / "wave.csv"
+    more = ",0" if name.startswith("solid") else ""
+    rows = ("0,5,0", "0.5,5,0", "0.5,-5,0", "1,-5,0")
+    wave.write_text("words\n" + "".join(f"{row}{more}\n" for row in rows))
+    changes = {"excitation.harmonics": [{"order": 3, "cos": [1.0] + [0.0] * (1 + len(more) // 2)}]}
+    changes |= {"excitation.wave": str(wave), "harmonic_balance.harmonics": None}
+    file = tmp_path / "scene.toml"
+    file.write_text(fc.Scene.load(scene, changes).as_toml())
+    assert main(["plot", str(file), "--output", str(tmp_path), "--quiet"]) == 0
+    assert (tmp_path / "mesh.png").exists()
+    if scene == SCENE:
+        assert main(["modes", str(file), "--output", str(tmp_path), "--quiet"]) == 0
+        assert main(["report", str(tmp_path / "modes.h5"), "--quiet"]) == 0
 
 
 def test_mesh_of_a_scene(tmp_path: Path) -> None:

@@ -137,7 +137,7 @@ def test_spectrum_and_orbits(breathing: fc.PeriodicSolution, tmp_path: Path) -> 
     """With one panel or two, of plates and of matrices, with twice the load's period or without."""
     dof = breathing.structure.find_dof((0.1, 0.1), "x")
     orbit = period_two_orbit(6)
-    free = fc.solve_linear(fc.Structure.from_matrices(np.eye(1), np.eye(1), None), 0.5)
+    free = fc.solve_linear(fc.Structure.from_matrices(np.eye(1), np.eye(1), gap=None), 0.5)
     sizes = {"gap": (1050, 1020), "dof": (1050, 1020), "two": (1050, 1020), "free": (1050, 690)}
     for (name, size), solution, given in zip(
         sizes.items(), (breathing, breathing, orbit, free), (None, dof, 0, 0), strict=True

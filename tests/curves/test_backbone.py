@@ -16,7 +16,7 @@ HARMONICS = (10, 20, 40, 80)
 def two_masses(clearance: float = 1.0) -> fc.Structure:
     """A stop at mass 1, without load and damping; natural frequencies 0.62 and 1.62."""
     stiffness = chain_stiffness(np.array([0.0, 1.0, 1.0]))
-    return fc.Structure.from_matrices(np.eye(2), stiffness, [1.0, 0.0], clearance=clearance)
+    return fc.Structure.from_matrices(np.eye(2), stiffness, gap=[1.0, 0.0], clearance=clearance)
 
 
 def exact_frequency(energy: np.ndarray, stiffness: float, clearance: float) -> np.ndarray:
@@ -143,7 +143,7 @@ def five_masses() -> fc.Structure:
     gap = np.zeros((5, 2))
     gap[[1, 4], [0, 1]], gap[[0, 3], [0, 1]] = 1.0, -1.0
     return fc.Structure.from_matrices(
-        np.diag(rng.uniform(1.0, 2.0, 5)), stiffness, gap, clearance=[-0.3, 0.3]
+        np.diag(rng.uniform(1.0, 2.0, 5)), stiffness, gap=gap, clearance=[-0.3, 0.3]
     )
 
 
@@ -159,7 +159,7 @@ def small_chain(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, fc.Unila
 def backbone_of_chain(seed: int, clearance: float, *, throw: bool = True) -> fc.Backbone:
     """Of its first mode, over twelve decades."""
     mass, stiffness, gap, law = small_chain(seed)
-    structure = fc.Structure.from_matrices(mass, stiffness, gap, clearance=clearance)
+    structure = fc.Structure.from_matrices(mass, stiffness, gap=gap, clearance=clearance)
     return fc.follow_backbone(structure, law, 1, 1e-6, 1e6, harmonics=15, throw=throw)
 
 
@@ -298,7 +298,7 @@ def test_bad_arguments_and_unfinished_backbones() -> None:
     with pytest.raises(fc.InputError, match="contact"):
         fc.follow_backbone(structure, fc.UnilateralConstraint(), 1, 1.0, 2.0)  # type: ignore[arg-type]
     loose = fc.Structure.from_matrices(
-        np.eye(2), [[1.0, -1.0], [-1.0, 1.0]], [1.0, -1.0], clearance=1.0
+        np.eye(2), [[1.0, -1.0], [-1.0, 1.0]], gap=[1.0, -1.0], clearance=1.0
     )
     with pytest.raises(fc.InputError, match="rigid body"):
         fc.follow_backbone(loose, law, 2, 1.0, 2.0)

@@ -156,7 +156,7 @@ def test_saved_curve_comes_back(tmp_path: Path) -> None:
         fc.load(tmp_path / "other.h5", structure, law)
     with pytest.raises(fc.InputError, match="path"):
         fc.load(tmp_path / "missing.h5", structure, law)
-    wide = fc.Structure.from_matrices(np.eye(2), np.eye(2), np.eye(2))
+    wide = fc.Structure.from_matrices(np.eye(2), np.eye(2), gap=np.eye(2))
     with pytest.raises(fc.InputError, match="pairs"):
         fc.load(tmp_path / "curve.h5", wide, law)
 
@@ -169,7 +169,7 @@ def test_frequency_derivative() -> None:
     random = rng.normal(size=(n, n))
     for damping in (fc.ModalDamping(0.05), 0.1 * np.eye(n), 0.1 * random @ random.T, None):
         structure = fc.Structure.from_matrices(
-            np.eye(n), stiffness, gap, force_sin=rng.normal(size=n), damping=damping
+            np.eye(n), stiffness, gap=gap, force_sin=rng.normal(size=n), damping=damping
         )
         problem = fc.Problem(structure, 0.7, fc.UnilateralPenalty(1.0), 3)
         force = rng.normal(size=(7, 2))
@@ -252,7 +252,7 @@ def test_curve_over_another_parameter(name: str) -> None:
         by_hand = fc.Structure.from_matrices(
             np.eye(1),
             np.eye(1),
-            np.eye(1),
+            gap=np.eye(1),
             force_cos=[varied["load"]],
             damping=0.1 * varied["damping"] * np.eye(1),
             clearance=varied["clearance"],
@@ -405,7 +405,7 @@ def test_bad_arguments_of_a_continuation(key: str, arguments: dict[str, object])
 def test_damping_that_is_not_there_cannot_vary() -> None:
     """A factor of the damping is refused where there is no damping."""
     one = np.ones((1, 1))
-    bare = fc.Structure.from_matrices(one, one, one, force_cos=[1.0])
+    bare = fc.Structure.from_matrices(one, one, gap=one, force_cos=[1.0])
     with pytest.raises(fc.InputError, match="no damping"):
         fc.continue_parameter(bare, 1.2, fc.UnilateralPenalty(1.0), "damping", 1.0, 2.0)
 
@@ -418,7 +418,7 @@ def test_branch_where_rounding_leaves_much(seed: int) -> None:
     structure = fc.Structure.from_matrices(
         np.eye(4),
         floating + 1e-8 * np.eye(4),
-        np.eye(4) + 0.3 * rng.random((4, 4)),
+        gap=np.eye(4) + 0.3 * rng.random((4, 4)),
         force_cos=2.5 * (1.0 + 0.1 * rng.random(4)),
         force_mean=1.0 + 0.2 * rng.random(4),
         damping=0.1 * np.eye(4),
@@ -505,7 +505,7 @@ def test_load_does_not_pass_zero_without_clearance() -> None:
         fc.continue_parameter(oscillator(0.1, 1.0), 1.2, law, "load", 1.0, -1.0)
     one = np.ones((1, 1))
     open_ = fc.Structure.from_matrices(
-        one, one, one, force_cos=[1.0], damping=0.1 * one, clearance=0.1
+        one, one, gap=one, force_cos=[1.0], damping=0.1 * one, clearance=0.1
     )
     curve = fc.continue_parameter(open_, 1.2, law, "load", 1.0, -1.0)
     assert curve.complete and len(curve) < 500
@@ -515,7 +515,7 @@ def test_branch_points_are_where_a_multiplier_is_one() -> None:
     """A mass between two stops loses its symmetry where a multiplier of the exact motion is 1. The
     branch point was the first point of the curve behind it, where it is up to 1.004."""
     structure = fc.Structure.from_matrices(
-        [[1.0]], [[1.0]], [[1.0, -1.0]], force_sin=[1.0], clearance=0.5, damping=[[0.04]]
+        [[1.0]], [[1.0]], gap=[[1.0, -1.0]], force_sin=[1.0], clearance=0.5, damping=[[0.04]]
     )
     curve = fc.continue_frequency(structure, 0.6, 1.0, fc.UnilateralPenalty(3.0), harmonics=40)
     points = [one for one in curve.bifurcations if one.kind == "branch_point"]

@@ -82,7 +82,7 @@ def bilinear() -> fc.ResponseCurve:
 def behind_a_spring() -> fc.Structure:
     """The same mass, and a spring of stiffness 1 without mass in series with the pair."""
     structure = fc.Structure.from_matrices(
-        np.diag([1.0, 0.25]), np.eye(2), [1.0, 1.0], force_cos=[1.0, 0.0],
+        np.diag([1.0, 0.25]), np.eye(2), gap=[1.0, 1.0], force_cos=[1.0, 0.0],
         damping=fc.ModalDamping(0.05),
     )  # fmt: skip
     return fc.reduce_structure(structure, modes=1, method="massless")

@@ -414,7 +414,7 @@ def test_against_an_integrator(damping: str) -> None:
     if damping == "overdamped":
         mass, _, stiffness = dense_matrices(structure)
         structure = fc.Structure.from_matrices(
-            mass, stiffness, structure.gap.toarray(), force_cos=structure.force[1],
+            mass, stiffness, gap=structure.gap.toarray(), force_cos=structure.force[1],
             damping=fc.ModalDamping([1.5] * 4 + [0.1] * 6), clearance=structure.clearance,
         )  # fmt: skip
     law = fc.SmoothedPenalty(np.array([3.0, 5.0, 9.0]), 4.0)
@@ -468,7 +468,7 @@ def test_mathieu(order: int, even: bool) -> None:
     q = 5.0
     characteristic = scipy.special.mathieu_a if even else scipy.special.mathieu_b
     one = np.ones((1, 1))
-    structure = fc.Structure.from_matrices(one, characteristic(order, q) * one, one)
+    structure = fc.Structure.from_matrices(one, characteristic(order, q) * one, gap=one)
     gap = np.array([[0.0], [-2.0 * q], [0.0]])
     matrix = monodromy(structure, Square(), gap, 2.0)
     assert np.trace(matrix) == pytest.approx(2.0 * (-1.0) ** order, abs=2e-5)
@@ -478,7 +478,7 @@ def test_mathieu(order: int, even: bool) -> None:
 def test_without_pairs() -> None:
     """The multipliers of the modes, exp(-c T / 2) in size."""
     structure = fc.Structure.from_matrices(
-        np.eye(2), np.diag([1.0, 2.0]), np.zeros((2, 0)), force_cos=[1.0, 0.0],
+        np.eye(2), np.diag([1.0, 2.0]), gap=np.zeros((2, 0)), force_cos=[1.0, 0.0],
         damping=0.1 * np.eye(2),
     )  # fmt: skip
     linear = fc.solve_linear(structure, 0.7, harmonics=3)
@@ -550,7 +550,7 @@ def test_neimark_sacker_point_of_a_smooth_law() -> None:
     """Two masses and a rounded stop: a pair leaves the unit circle, by an integrator, too."""
     stiffness = np.array([[1.0, -1.0], [-1.0, 2.0]])
     structure = fc.Structure.from_matrices(
-        np.eye(2), stiffness, [1.0, 0.0], force_cos=[0.0, 0.1], clearance=1.0,
+        np.eye(2), stiffness, gap=[1.0, 0.0], force_cos=[0.0, 0.1], clearance=1.0,
         damping=0.03 * stiffness,
     )  # fmt: skip
     law = fc.SmoothedPenalty(20.0, 30.0)

@@ -165,7 +165,7 @@ def test_branches_of_equal_masses() -> None:
     """Two with stops, loaded alike, move alike on the curve; at four branch points they part, and
     the branches come back."""
     structure = fc.Structure.from_matrices(
-        np.eye(2), np.array([[2.0, -1.0], [-1.0, 2.0]]), np.eye(2), force_sin=np.ones(2),
+        np.eye(2), np.array([[2.0, -1.0], [-1.0, 2.0]]), gap=np.eye(2), force_sin=np.ones(2),
         clearance=0.3, damping=fc.ModalDamping(0.02),
     )  # fmt: skip
     law = fc.UnilateralPenalty(2.0)

@@ -30,7 +30,7 @@ COLUMNS = ("values", "omega", "unknowns", "iterations")
 def followed(first: float, last: float) -> fc.ResponseCurve:
     """Two masses and a stop that is never reached: one linear mode at 100 rad/s is met."""
     structure = fc.Structure.from_matrices(
-        np.diag([1.0, 1.0]), np.diag([1e4, 1e6]), np.array([0.0, 1.0]), clearance=1.0,
+        np.diag([1.0, 1.0]), np.diag([1e4, 1e6]), gap=np.array([0.0, 1.0]), clearance=1.0,
         force_sin=[1.0, 0.0], damping=fc.ModalDamping(XI),
     )  # fmt: skip
     law = fc.UnilateralPenalty(1e6)
@@ -67,7 +67,7 @@ def test_no_resonance_is_stepped_over(ratio: float, damping: float, other: bool)
     of the vibration, not of the clearance. Also where the way is followed by Python's loop."""
     one, exact = np.ones((1, 1)), 1.0 / (2.0 * damping * np.sqrt(1.0 - damping**2))
     structure = fc.Structure.from_matrices(
-        one, one, one, force_cos=[1.0], clearance=ratio * exact, damping=2.0 * damping * one
+        one, one, gap=one, force_cos=[1.0], clearance=ratio * exact, damping=2.0 * damping * one
     )
     law: Any = fc.SmoothedPenalty(1.0, 100.0) if other else fc.UnilateralPenalty(1.0)
     curve = fc.continue_frequency(structure, 0.5, 1.6, law, harmonics=5, stability=not other)
@@ -89,7 +89,7 @@ def test_half_power_whichever_way_the_curve_was_followed(masses: fc.ResponseCurv
 def test_a_peak_beside_nothing_has_a_height() -> None:
     """Next to a place without a vibration of this kind the height is that of the point, no nan."""
     absorber = fc.Structure.from_matrices(
-        np.eye(2), np.array([[200.0, -100.0], [-100.0, 100.0]]), np.array([0.0, 1.0]),
+        np.eye(2), np.array([[200.0, -100.0], [-100.0, 100.0]]), gap=np.array([0.0, 1.0]),
         clearance=1e3, force_sin=[1.0, 0.0], damping=np.diag([1.0, 0.0]),
     )  # fmt: skip
     curve = fc.continue_frequency(absorber, 10.0, 20.0, fc.UnilateralPenalty(1.0), harmonics=1)
@@ -123,7 +123,9 @@ def test_no_width_tells_the_damping_of_a_higher_harmonic() -> None:
     """Next to half of the natural frequency of a breathing crack the width is wrong by a factor of
     40: no damping is told, nor drawn, which the load's own resonance has."""
     one, xi = np.ones((1, 1)), 0.002
-    structure = fc.Structure.from_matrices(one, one, one, force_cos=[1.0], damping=2.0 * xi * one)
+    structure = fc.Structure.from_matrices(
+        one, one, gap=one, force_cos=[1.0], damping=2.0 * xi * one
+    )
     law = fc.UnilateralPenalty(1.0)
     natural = 2.0 / (1.0 + np.sqrt(0.5))  # bilinear
     for order in (1, 2):

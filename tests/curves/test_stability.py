@@ -59,7 +59,7 @@ def test_without_contact_the_flow_is_linear() -> None:
     stiffness, random = random_stiffness(rng, n), rng.normal(size=(n, n))
     damping = 0.05 * (random @ random.T) + 0.1 * (random - random.T)
     structure = fc.Structure.from_matrices(
-        np.eye(n), stiffness, rng.normal(size=n), force_sin=np.ones(n), damping=damping,
+        np.eye(n), stiffness, gap=rng.normal(size=n), force_sin=np.ones(n), damping=damping,
         clearance=1e6,
     )  # fmt: skip
     solution = fc.solve_harmonic_balance(structure, 1.3, fc.UnilateralPenalty(1.0), harmonics=3)
@@ -75,7 +75,7 @@ def test_a_turning_shaft_with_a_crack() -> None:
     for speed in (0.1, 0.45):
         damping = 0.08 * np.eye(2) + 2.0 * speed * np.array([[0.0, -1.0], [1.0, 0.0]])
         shaft = fc.Structure.from_matrices(
-            np.eye(2), np.diag([0.8, 1.0]) - speed**2 * np.eye(2), [-1.0, 0.0],
+            np.eye(2), np.diag([0.8, 1.0]) - speed**2 * np.eye(2), gap=[-1.0, 0.0],
             force_cos=[1.0, 0.0], force_sin=[0.0, -1.0], damping=damping,
         )  # fmt: skip
         found = fc.solve_harmonic_balance(shaft, speed, fc.UnilateralPenalty(0.2), harmonics=40)
@@ -104,7 +104,7 @@ def test_against_the_variational_equation(
     damping = 0.06 * stiffness + turning * np.array([[0.0, -1.0], [1.0, 0.0]])
     gap = np.array([1.0, -1.0])
     structure = fc.Structure.from_matrices(
-        np.eye(2), stiffness, gap, force_cos=[0.3, -0.5], damping=damping
+        np.eye(2), stiffness, gap=gap, force_cos=[0.3, -0.5], damping=damping
     )
     solution = fc.solve_harmonic_balance(structure, 1.1, law, harmonics=40)
 
@@ -210,7 +210,7 @@ def test_a_tangent_that_is_not_the_forces_slope_is_refused() -> None:
     """Of a law of one's own: a third of it called a motion with a multiplier of 1.79 stable. Kinks
     are no fault, nor is a pair that never closes or rests at one."""
     one = np.eye(1)
-    structure = fc.Structure.from_matrices(one, one, one, force_cos=[0.3], damping=0.05 * one)
+    structure = fc.Structure.from_matrices(one, one, gap=one, force_cos=[0.3], damping=0.05 * one)
 
     class Third(Cubic):
         def tangent(self, gap: np.ndarray) -> np.ndarray:
@@ -236,7 +236,7 @@ def test_a_tangent_that_is_not_the_forces_slope_is_refused() -> None:
     two, law = np.eye(2), Hardening(6.0)
     for clearance in (0.0, 10.0):
         other = fc.Structure.from_matrices(
-            two, two, two, force_cos=[0.3, 0.0], damping=0.05 * two, clearance=clearance
+            two, two, gap=two, force_cos=[0.3, 0.0], damping=0.05 * two, clearance=clearance
         )
         found = fc.solve_harmonic_balance(other, 1.5, law, harmonics=9)
         assert floquet(other, found).verdict == "stable"
@@ -331,7 +331,7 @@ def test_slow_load_beside_high_modes(omega: float, verdict: str) -> None:
     there is no verdict."""
     damping = np.diag([0.04, 1.0])
     slow = fc.Structure.from_matrices(
-        np.eye(2), np.diag([1.0, 9e8]), [1.0, 1.0], force_cos=[1.0, 1.0], damping=damping
+        np.eye(2), np.diag([1.0, 9e8]), gap=[1.0, 1.0], force_cos=[1.0, 1.0], damping=damping
     )
     found = fc.solve_harmonic_balance(slow, omega, fc.UnilateralPenalty(1.0), tolerance=1e-2)
     stability = fc.floquet(slow, found)

@@ -138,7 +138,9 @@ def test_bonded_wheel_is_one_sector() -> None:
 def test_copied_matrices_are_symmetric_and_whole() -> None:
     """The whole wheel by its copies has the modes of its sector, and the mass of all of them."""
     wheel = wheel_of(ring(disk__cracked=[]))
-    plain = fc.Structure.from_matrices(csr(wheel.mass), csr(wheel.stiffness), None, force_cos=None)
+    plain = fc.Structure.from_matrices(
+        csr(wheel.mass), csr(wheel.stiffness), gap=None, force_cos=None
+    )
     assert fc.solve_modes(plain, 12).omega == pytest.approx(
         of_wheel(wheel.cyclic_modes(4))[:12], rel=1e-10
     )

@@ -374,7 +374,7 @@ def test_pictures(
 
 def test_what_has_no_mesh_cannot_be_drawn(tmp_path: Path) -> None:
     """A structure from matrices has no positions: one clear error."""
-    structure = fc.Structure.from_matrices(np.eye(2), np.eye(2), np.eye(2))
+    structure = fc.Structure.from_matrices(np.eye(2), np.eye(2), gap=np.eye(2))
     with pytest.raises(fc.InputError, match="structure"):
         fc.write_modes(fc.solve_modes(structure, 1), tmp_path / "modes.vtu")
     solution = fc.solve_linear(structure, 0.5)

@@ -22,13 +22,13 @@ KINDS = {"general": RANDOM, "symmetric": RANDOM + RANDOM.T, "skew-symmetric": RA
 
 def read(path: Path) -> np.ndarray:
     """The matrix of a file, of gaps, which may be of any symmetry."""
-    return fc.Structure.from_matrices(np.eye(N), np.eye(N), path).gap.toarray()
+    return fc.Structure.from_matrices(np.eye(N), np.eye(N), gap=path).gap.toarray()
 
 
 def refused(path: Path, reason: str) -> None:
     """As it is read, whatever its size."""
     with pytest.raises(fc.InputError, match=reason) as caught:
-        fc.Structure.from_matrices(path, np.eye(2), None)
+        fc.Structure.from_matrices(path, np.eye(2), gap=None)
     assert caught.value.key == "mass"
 
 

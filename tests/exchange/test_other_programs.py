@@ -420,7 +420,9 @@ def test_pairs_of_a_solid_are_its_own(crack: str) -> None:
     nodes, _ = find_pairs(Model(model.labels, points, {}), dofs, stiffness, turns=False)
     assert nodes.shape[1] > 2 * gap.shape[1]
     tied = [
-        fc.solve_modes(fc.Structure.from_matrices(own.mass, own.stiffness, b), 3, lips="tied").omega
+        fc.solve_modes(
+            fc.Structure.from_matrices(own.mass, own.stiffness, gap=b), 3, lips="tied"
+        ).omega
         for b in (gap, nodes)
     ]
     assert tied[1] == pytest.approx(tied[0], rel=1e-3)

@@ -255,6 +255,10 @@ def test_every_part_of_the_load_is_drawn() -> None:
     panel = fc.draw_mesh(fc.build_structure(strip(loads=loads, mesh=PLAIN))).axes[0]
     shown = panel.get_legend_handles_labels()[1]
     assert shown == ["clamped", "load, mean", "load, cosine part"]
+    loads[1]["harmonics"] = [{"order": 2, "cos": [1.0, 0.0]}, {"order": 5, "sin": [9.0, 0.0]}]
+    panel = fc.draw_mesh(fc.build_structure(strip(loads=loads, mesh=PLAIN))).axes[0]
+    shown = panel.get_legend_handles_labels()[1]
+    assert shown[-1] == "load, largest further harmonic" and len(shown) == 4
 
 
 def test_loads_are_written_and_read() -> None:

@@ -638,7 +638,7 @@ def test_lips_tied_in_every_direction_are_no_crack(tmp_path: Path) -> None:
     _, columns = np.unique(kept, return_inverse=True)
     tie = sparse.csr_matrix((np.ones(len(kept)), (np.arange(len(kept)), columns.ravel())))
     tied = [tie.T @ csr(matrix) @ tie for matrix in (cracked.mass, cracked.stiffness)]
-    found = fc.solve_modes(fc.Structure.from_matrices(*tied, None), 6).omega
+    found = fc.solve_modes(fc.Structure.from_matrices(*tied, gap=None), 6).omega
     assert found == pytest.approx(fc.solve_modes(whole, 6).omega, rel=1e-9)
 
 

@@ -21,7 +21,7 @@ def with_matrix(structure: fc.Structure) -> fc.Structure:
     mean, cosine, sine = structure.force
     rule = structure.damping
     return fc.Structure.from_matrices(
-        mass, stiffness, structure.gap, force_mean=mean, force_cos=cosine, force_sin=sine,
+        mass, stiffness, gap=structure.gap, force_mean=mean, force_cos=cosine, force_sin=sine,
         clearance=structure.clearance, damping=rule.mass * mass + rule.stiffness * stiffness,
     )  # fmt: skip
 
@@ -127,7 +127,7 @@ def test_oscillator(rule: fc.RayleighDamping, omega: float) -> None:
     mass, stiffness, force = 3.0, 12.0, 0.7
     one = np.ones((1, 1))
     oscillator = fc.Structure.from_matrices(
-        mass * one, stiffness * one, None, force_cos=[force], damping=rule
+        mass * one, stiffness * one, gap=None, force_cos=[force], damping=rule
     )
     dashpot = rule.mass * mass + rule.stiffness * stiffness
     expected = force / (stiffness - mass * omega**2 + 1j * omega * dashpot)

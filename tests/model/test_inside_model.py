@@ -367,21 +367,21 @@ def test_forces_that_do_not_exist_are_an_error() -> None:
 def test_largest_frequency() -> None:
     """The largest frequency is LAPACK's, and with four times the mass half of it."""
     mass, stiffness = random_matrices(30)
-    structure = Structure.from_matrices(mass, stiffness, None)
+    structure = Structure.from_matrices(mass, stiffness, gap=None)
     expected = np.sqrt(scipy.linalg.eigvalsh(stiffness, mass)[-1])
     assert largest_frequency(structure) == pytest.approx(expected, rel=1e-6)
-    heavy = Structure.from_matrices(4.0 * mass, stiffness, None)
+    heavy = Structure.from_matrices(4.0 * mass, stiffness, gap=None)
     assert largest_frequency(heavy) == pytest.approx(expected / 2.0, rel=1e-6)
 
 
 def test_a_diverging_structure_is_refused() -> None:
     """A negative eigenvalue is no frequency; it is found even where it is not near zero, and where
     a structure was not made from matrices."""
-    whole = Structure.from_matrices(np.eye(39), np.eye(39), None)
+    whole = Structure.from_matrices(np.eye(39), np.eye(39), gap=None)
     for lowest in (-1.0, -100.0):
         stiffness = np.diag([lowest, 2.0, 3.0, 4.0, *np.arange(5.0, 40.0)])
         with pytest.raises(InputError, match="1 negative eigenvalue"):
-            Structure.from_matrices(np.eye(39), stiffness, None)
+            Structure.from_matrices(np.eye(39), stiffness, gap=None)
         diverging = whole._changed(stiffness=distributed(stiffness, whole.comm))
         with pytest.raises(InputError, match="positive semidefinite") as caught:
             solve_modes(diverging, 2)
@@ -392,7 +392,7 @@ def test_damped_modes() -> None:
     """The rate of mode j is 2 xi_j omega_j; M Phi is the mass times the shapes; made only once."""
     mass, stiffness = random_matrices(10)
     ratios = [0.01, 0.02, 0.03]
-    structure = Structure.from_matrices(mass, stiffness, None, damping=ModalDamping(ratios, 3))
+    structure = Structure.from_matrices(mass, stiffness, gap=None, damping=ModalDamping(ratios, 3))
     damped = damped_modes(structure)
     assert damped is not None
     squares = scipy.linalg.eigvalsh(stiffness, mass)[:3]
@@ -415,7 +415,7 @@ def test_damped_modes() -> None:
 )
 def test_damping_that_does_not_fit(key: str, damping: ModalDamping) -> None:
     """As many ratios as modes, and no more modes than dofs."""
-    structure = Structure.from_matrices(*random_matrices(10), None, damping=damping)
+    structure = Structure.from_matrices(*random_matrices(10), gap=None, damping=damping)
     with pytest.raises(InputError) as caught:
         damped_modes(structure)
     assert caught.value.key == key
@@ -504,7 +504,7 @@ def test_high_harmonics_of_varied_copies(damping: str, eigensolutions: list[int]
     varied = structure.varied(damping=0.5)
     found = []
     for one in (structure, varied, fc.Structure.from_matrices(
-        structure.mass, structure.stiffness, structure.gap, damping=varied.damping
+        structure.mass, structure.stiffness, gap=structure.gap, damping=varied.damping
     )):  # fmt: skip
         del eigensolutions[:]
         factored = FactoredCompliance(one, 0.2, load_coefficients(one, 3, 1))
@@ -543,7 +543,7 @@ def test_nothing_is_kept_alive(wide_plate: fc.Structure) -> None:
     gc.disable()
     try:
         plate = fc.Structure.from_matrices(
-            wide_plate.mass, wide_plate.stiffness, wide_plate.gap, damping=fc.ModalDamping(0.01)
+            wide_plate.mass, wide_plate.stiffness, gap=wide_plate.gap, damping=fc.ModalDamping(0.01)
         )
         reduced = fc.reduce_structure(plate, modes=8)
         varied = reduced.varied(damping=2.0)
@@ -610,7 +610,7 @@ def three_rigid_modes(damping: Any = None) -> fc.Structure:
     gap = np.zeros((20, 2))
     gap[[3, 7], 0], gap[[11, 2], 1] = (1.0, -1.0), (1.0, -1.0)
     return fc.Structure.from_matrices(
-        np.diag(rng.uniform(1.0, 2.0, 20)), root @ root.T, gap, force_cos=rng.normal(size=20),
+        np.diag(rng.uniform(1.0, 2.0, 20)), root @ root.T, gap=gap, force_cos=rng.normal(size=20),
         damping=damping,
     )  # fmt: skip
 

@@ -54,7 +54,7 @@ def test_all_modes_of_random_matrices(seed: int) -> None:
     """K phi = omega^2 M phi, shapes M-orthonormal, frequencies those of LAPACK."""
     n = 30
     mass, stiffness = random_matrices(n, seed=seed)
-    modes = solve_modes(Structure.from_matrices(mass, stiffness, None), n)
+    modes = solve_modes(Structure.from_matrices(mass, stiffness, gap=None), n)
     squares = scipy.linalg.eigvalsh(stiffness, mass)
     # LAPACK and SLEPc each know omega^2 to rounding of the largest.
     np.testing.assert_allclose(modes.omega**2, squares, rtol=1e-10, atol=1e-12 * squares[-1])
@@ -67,7 +67,7 @@ def test_all_modes_of_random_matrices(seed: int) -> None:
 def test_lowest_modes_are_the_first_of_all(count: int) -> None:
     """Few modes are the lowest ones, with the same signs as when all are computed."""
     mass, stiffness = random_matrices(30)
-    structure = Structure.from_matrices(mass, stiffness, None)
+    structure = Structure.from_matrices(mass, stiffness, gap=None)
     few, every = solve_modes(structure, count), solve_modes(structure, 30)
     np.testing.assert_allclose(few.omega, every.omega[:count], rtol=1e-8)
     np.testing.assert_allclose(few.shapes, every.shapes[:, :count], atol=1e-6)
@@ -77,7 +77,7 @@ def test_lowest_modes_are_the_first_of_all(count: int) -> None:
 def test_rigid_body_modes(rigid: int) -> None:
     """A structure that can move freely has modes of frequency zero, and the others are exact."""
     mass, stiffness = random_matrices(30, rigid)
-    modes = solve_modes(Structure.from_matrices(mass, stiffness, None), 8)
+    modes = solve_modes(Structure.from_matrices(mass, stiffness, gap=None), 8)
     squares = scipy.linalg.eigvalsh(stiffness, mass)
     assert modes.omega[rigid - 1] < 1e-5 * modes.omega[rigid]  # the root of rounding
     np.testing.assert_allclose(modes.omega[rigid:] ** 2, squares[rigid:8], rtol=1e-8)
@@ -89,7 +89,7 @@ def test_free_chain() -> None:
     """n equal masses joined by n - 1 springs: omega_j = 2 sin(j pi / 2n), j = 0, 1, ..."""
     n, count = 200, 6
     stiffness = chain_stiffness(np.array([0.0, *np.ones(n - 1), 0.0]))
-    modes = solve_modes(Structure.from_matrices(np.eye(n), stiffness, None), count)
+    modes = solve_modes(Structure.from_matrices(np.eye(n), stiffness, gap=None), count)
     exact = 2.0 * np.sin(np.arange(count) * np.pi / (2 * n))
     np.testing.assert_allclose(modes.omega[1:], exact[1:], rtol=1e-10)
     assert modes.omega[0] < 1e-4 * exact[1]
@@ -102,7 +102,7 @@ def test_double_frequencies_are_found_twice(count: int) -> None:
     n = 60
     unit = np.eye(n)
     stiffness = 2.1 * unit - np.roll(unit, 1, axis=0) - np.roll(unit, -1, axis=0)
-    modes = solve_modes(Structure.from_matrices(unit, stiffness, None), count)
+    modes = solve_modes(Structure.from_matrices(unit, stiffness, gap=None), count)
     squares = np.sort(0.1 + 4.0 * np.sin(np.arange(n) * np.pi / n) ** 2)
     np.testing.assert_allclose(modes.omega, np.sqrt(squares[:count]), rtol=1e-10)
     np.testing.assert_allclose(modes.shapes.T @ modes.shapes, np.eye(count), atol=1e-12)
@@ -110,7 +110,7 @@ def test_double_frequencies_are_found_twice(count: int) -> None:
 
 def test_one_dof() -> None:
     """A mass m on a spring k: omega = sqrt(k/m), phi = m^-1/2."""
-    modes = solve_modes(Structure.from_matrices([[2.0]], [[18.0]], None), 1)
+    modes = solve_modes(Structure.from_matrices([[2.0]], [[18.0]], gap=None), 1)
     np.testing.assert_allclose(modes.omega, [3.0], rtol=1e-14)
     np.testing.assert_allclose(modes.shapes, [[2.0**-0.5]], rtol=1e-14)
 
@@ -119,7 +119,7 @@ def test_one_dof() -> None:
 def test_signs(n: int) -> None:
     """A chain between walls, sin(j pi i / (n+1)): the first of its largest parts is positive."""
     stiffness = chain_stiffness(np.ones(n + 1))
-    modes = solve_modes(Structure.from_matrices(np.eye(n), stiffness, None), n)
+    modes = solve_modes(Structure.from_matrices(np.eye(n), stiffness, gap=None), n)
     places = np.arange(1, n + 1)
     exact = np.sin(np.outer(places, places) * np.pi / (n + 1))
     large = np.abs(exact) > (1.0 - 1e-9) * np.abs(exact).max(axis=0)
@@ -132,7 +132,7 @@ def test_signs(n: int) -> None:
 def test_equal_frequencies_of_a_few_masses(n: int, free: bool) -> None:
     """All modes of equal oscillators are found, and of masses without springs."""
     stiffness = 0.0 if free else 4.0
-    modes = solve_modes(Structure.from_matrices(np.eye(n), stiffness * np.eye(n), None), n)
+    modes = solve_modes(Structure.from_matrices(np.eye(n), stiffness * np.eye(n), gap=None), n)
     np.testing.assert_allclose(modes.omega, np.sqrt(stiffness), rtol=1e-12)
     np.testing.assert_allclose(modes.shapes.T @ modes.shapes, np.eye(n), atol=1e-12)
 
@@ -141,14 +141,14 @@ def test_motions_as_a_rigid_body_have_no_frequency() -> None:
     """Of two chains that nothing holds, two; their frequency is zero, not that of rounding."""
     one = chain_stiffness(np.array([0.0, 1.0, 2.0, 0.0]))
     stiffness = 1e7 * np.block([[one, np.zeros((3, 3))], [np.zeros((3, 3)), one]])
-    omega = solve_modes(Structure.from_matrices(np.eye(6), stiffness, None), 6).omega
+    omega = solve_modes(Structure.from_matrices(np.eye(6), stiffness, gap=None), 6).omega
     assert list(omega[:2]) == [0.0, 0.0] and omega[2] > 1e3
 
 
 def test_a_low_frequency_beside_light_dofs_is_none_of_a_rigid_body() -> None:
     """However light other dofs are: a mass on two springs, 1e-17 of it between them."""
     springs = np.array([[2.0, -1.0], [-1.0, 1.0]])
-    structure = Structure.from_matrices(np.diag([1e-17, 1.0]), springs, None)
+    structure = Structure.from_matrices(np.diag([1e-17, 1.0]), springs, gap=None)
     np.testing.assert_allclose(solve_modes(structure, 1).omega, np.sqrt(0.5), rtol=1e-12)
 
 
@@ -163,7 +163,7 @@ def test_what_is_lost_in_rounding_is_said(height: float) -> None:
 @pytest.mark.parametrize("count", [0, -1, 31, 2.0, True, None, "all"])
 def test_count_that_cannot_be(count: Any) -> None:
     """The number of modes is a whole number from 1 to the number of dofs."""
-    structure = Structure.from_matrices(*random_matrices(30), None)
+    structure = Structure.from_matrices(*random_matrices(30), gap=None)
     with pytest.raises(InputError) as caught:
         solve_modes(structure, count)
     assert caught.value.key == "count"
@@ -262,7 +262,7 @@ def test_length_without_a_frequency(paper_scene: Scene) -> None:
 def spread_modes(comm: MPI.Comm) -> tuple[Any, ...]:
     """Rows of this rank, five frequencies, first closing, and sum of the load (collective)."""
     structure = Structure.from_matrices(
-        *random_matrices(15), np.ones(15), force_sin=np.arange(15.0), comm=comm
+        *random_matrices(15), gap=np.ones(15), force_sin=np.arange(15.0), comm=comm
     )
     modes = solve_modes(structure, 5)
     closing = structure.apply_bt(np.abs(modes.shapes.T))[0, 0]

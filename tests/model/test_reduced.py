@@ -66,7 +66,7 @@ def test_residual_of_what_is_hardly_held() -> None:
     free = chain("none", 24, unconstrained=True)
     mass, _, stiffness = dense_matrices(free)
     stiffness[0, 0] += 1e-11
-    structure = fc.Structure.from_matrices(mass, stiffness, free.gap)
+    structure = fc.Structure.from_matrices(mass, stiffness, gap=free.gap)
     found, gap = reduced(structure, 9), structure.gap.toarray()
     assert 0.0 < found.omega[0] < 1e-6
     assert relative(found.residual, gap.T @ flexibility(structure, 9) @ gap) < 1e-8
@@ -246,7 +246,7 @@ def test_load_among_the_contact_forces() -> None:
     mass, _, stiffness = dense_matrices(base)
     gap = base.gap.toarray()
     structure = fc.Structure.from_matrices(
-        mass, stiffness, gap, force_cos=2.0 * gap[:, 0] - gap[:, 2], force_sin=gap[:, 1],
+        mass, stiffness, gap=gap, force_cos=2.0 * gap[:, 0] - gap[:, 2], force_sin=gap[:, 1],
         damping=fc.ModalDamping(0.03),
     )  # fmt: skip
     made, omega = reduced(structure, 5), 0.41 * fc.solve_modes(structure, 1).omega[0]
@@ -275,9 +275,9 @@ def test_without_a_load_and_without_pairs() -> None:
     """Only what is there has coordinates."""
     rng = np.random.default_rng(1)
     stiffness, gap = random_stiffness(rng, 12), rng.normal(size=(12, 2))
-    unloaded = reduced(fc.Structure.from_matrices(np.eye(12), stiffness, gap), 4)
+    unloaded = reduced(fc.Structure.from_matrices(np.eye(12), stiffness, gap=gap), 4)
     assert unloaded.n_dofs == 6 and not np.any(unloaded.force)
-    linear = fc.Structure.from_matrices(np.eye(12), stiffness, None, force_cos=gap[:, 0])
+    linear = fc.Structure.from_matrices(np.eye(12), stiffness, gap=None, force_cos=gap[:, 0])
     made = reduced(linear, 4)
     assert made.n_dofs == 5 and made.residual.shape == (0, 0)
 

@@ -49,7 +49,7 @@ def test_what_one_soft_motion_hides() -> None:
     mass, _, stiffness = dense_matrices(chain("none", 24, unconstrained=True))
     stiffness[0, 0] += 1e-11
     gap, force = np.eye(24)[:, [3, 10, 17]], np.eye(24)[23]
-    whole = fc.Structure.from_matrices(mass, stiffness, gap, force_sin=force)
+    whole = fc.Structure.from_matrices(mass, stiffness, gap=gap, force_sin=force)
     reduced = fc.reduce_structure(whole, modes=4)
     assert reduced.reference is not None
     assert (reduced.n_dofs, reduced.reference.n_dofs) == (8, 12)
@@ -430,7 +430,7 @@ def test_a_reference_of_few_more_modes_tells_what_these_leave_out(
     force, mass = np.zeros(8), np.diag(0.1 * (1.0 + uneven * np.sin(np.arange(8.0))))
     force[-1] = 1.0
     whole = fc.Structure.from_matrices(
-        mass, stiffness, gap, force_sin=force, force_mean=0.3 * force, clearance=2e-3,
+        mass, stiffness, gap=gap, force_sin=force, force_mean=0.3 * force, clearance=2e-3,
         damping=fc.ModalDamping(0.02),
     )  # fmt: skip
     reduced = fc.reduce_structure(whole, modes=modes, method="massless")

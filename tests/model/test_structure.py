@@ -56,6 +56,15 @@ def petsc(array: np.ndarray, kind: str = "aij") -> PETSc.Mat:
     return matrix if kind == "dense" else matrix.convert(kind, PETSc.Mat())
 
 
+def test_matrices_in_the_order_mass_damping_stiffness() -> None:
+    """Everybody's order is refused: the damping would be the stiffness."""
+    mass, damping, stiffness = np.eye(2), 0.1 * np.eye(2), np.diag([1.0, 2.0])
+    message = r"too many .*; its arguments are mass, stiffness, gap=\.\.\., .*damping=\.\.\.,"
+    for third in (stiffness, [1.0, 0.0]):
+        with pytest.raises(TypeError, match=message):
+            Structure.from_matrices(mass, damping, third)  # type: ignore[call-arg, misc]
+
+
 # --- from_matrices --------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     "convert",
@@ -450,7 +459,7 @@ def test_what_nothing_holds_is_met(free: tuple[int, ...], convert: Any) -> None:
     """A dof without stiffness moves freely, in rows without an entry too."""
     springs = np.ones(N)
     springs[[*free]] = 0.0
-    structure = Structure.from_matrices(np.eye(N), convert(np.diag(springs)), None)
+    structure = Structure.from_matrices(np.eye(N), convert(np.diag(springs)), gap=None)
     omega = solve_modes(structure, N).omega
     assert omega == pytest.approx(np.repeat([0.0, 1.0], [len(free), N - len(free)]))
 
@@ -459,7 +468,7 @@ def test_duplicate_entries_are_added() -> None:
     """CSR and COO matrices may give an entry in parts."""
     parts = sparse.coo_matrix(([1.0, 1.0, 3.0], ([0, 0, 1], [0, 0, 1])))
     for matrix in (parts, sparse.csr_matrix(([1.0, 1.0, 3.0], [0, 0, 1], [0, 2, 3]))):
-        structure = Structure.from_matrices(np.eye(2), matrix, None)
+        structure = Structure.from_matrices(np.eye(2), matrix, gap=None)
         assert np.array_equal(structure.stiffness[:, :], [[2.0, 0.0], [0.0, 3.0]])
 
 

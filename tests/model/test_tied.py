@@ -34,7 +34,7 @@ def half_chain() -> np.ndarray:
 def test_chain_held_in_the_middle(count: int) -> None:
     """Two equal chains, so each of their frequencies twice; the clearance does not matter."""
     stiffness, gap = held_chain()
-    structure = fc.Structure.from_matrices(np.eye(13), stiffness, gap, clearance=0.3)
+    structure = fc.Structure.from_matrices(np.eye(13), stiffness, gap=gap, clearance=0.3)
     modes = fc.solve_modes(structure, count, lips="tied")
     np.testing.assert_allclose(modes.omega, np.repeat(half_chain(), 2)[:count], rtol=1e-10)
     np.testing.assert_allclose(modes.shapes[HALF], 0.0, atol=1e-12)
@@ -43,7 +43,9 @@ def test_chain_held_in_the_middle(count: int) -> None:
 
 def test_two_masses_become_one() -> None:
     """m x'' + k x = 0 on either side of the pair: w^2 = (k_1 + k_2) / (m_1 + m_2) tied."""
-    structure = fc.Structure.from_matrices(np.diag([2.0, 3.0]), np.diag([5.0, 7.0]), [1.0, -1.0])
+    structure = fc.Structure.from_matrices(
+        np.diag([2.0, 3.0]), np.diag([5.0, 7.0]), gap=[1.0, -1.0]
+    )
     found = fc.solve_modes(structure, 1, lips="tied")
     assert found.omega[0] == pytest.approx(np.sqrt(12.0 / 5.0), rel=1e-14)
     np.testing.assert_allclose(found.shapes, np.full((2, 1), 5.0**-0.5), rtol=1e-14)
@@ -53,7 +55,7 @@ def test_ties_that_repeat_each_other() -> None:
     """A pair given twice, and its half, tie no more than the pair does."""
     stiffness, gap = held_chain()
     many = np.column_stack([gap, gap, 0.5 * gap])
-    structure = fc.Structure.from_matrices(np.eye(13), stiffness, many)
+    structure = fc.Structure.from_matrices(np.eye(13), stiffness, gap=many)
     omega = fc.solve_modes(structure, 12, lips="tied").omega
     np.testing.assert_allclose(omega, np.repeat(half_chain(), 2), rtol=1e-10)
 
@@ -61,9 +63,9 @@ def test_ties_that_repeat_each_other() -> None:
 def test_ties_hold_a_floating_part() -> None:
     """Two masses that nothing holds: a tie to the ground holds one, and a spring then the other."""
     floating = np.array([[1.0, -1.0], [-1.0, 1.0]])
-    one = fc.Structure.from_matrices(np.eye(2), floating, [1.0, 0.0])
+    one = fc.Structure.from_matrices(np.eye(2), floating, gap=[1.0, 0.0])
     assert fc.solve_modes(one, 1, lips="tied").omega[0] == pytest.approx(1.0, rel=1e-12)
-    both = fc.Structure.from_matrices(np.eye(2), floating, [1.0, -1.0])
+    both = fc.Structure.from_matrices(np.eye(2), floating, gap=[1.0, -1.0])
     assert fc.solve_modes(both, 1, lips="tied").omega[0] == pytest.approx(0.0, abs=1e-7)
 
 
@@ -80,7 +82,7 @@ def test_null_space_of_the_pairs(unconstrained: bool) -> None:
 
 def test_without_pairs_tied_is_open() -> None:
     """Nothing to tie."""
-    structure = fc.Structure.from_matrices(np.eye(13), held_chain()[0], None)
+    structure = fc.Structure.from_matrices(np.eye(13), held_chain()[0], gap=None)
     tied, is_open = (fc.solve_modes(structure, 3, lips=lips).omega for lips in ("tied", "open"))
     np.testing.assert_array_equal(tied, is_open)
 
@@ -100,7 +102,7 @@ def test_plate_tied_in_both_directions_is_uncracked(paper_scene: fc.Scene) -> No
         assert component == 1
         sliding[nodes.dofs[node, 0]] = sign
     glued = fc.Structure.from_matrices(
-        dense(plate.mass), dense(plate.stiffness), np.hstack([normal, sliding])
+        dense(plate.mass), dense(plate.stiffness), gap=np.hstack([normal, sliding])
     )
     whole = fc.build_structure(paper_scene.replace({"crack": None, "contact": None}))
     uncracked = fc.solve_modes(whole, 6).omega
@@ -126,7 +128,7 @@ def test_reduced_plate(breathing_plate: fc.Structure, method: str, error: float)
 def test_massless_with_all_modes() -> None:
     """Nothing is left without mass: the ties hold the modes themselves."""
     stiffness, gap = held_chain()
-    whole = fc.Structure.from_matrices(np.eye(13), stiffness, gap)
+    whole = fc.Structure.from_matrices(np.eye(13), stiffness, gap=gap)
     reduced = fc.reduce_structure(whole, modes=13, method="massless")
     found = fc.solve_modes(reduced, 12, lips="tied").omega
     np.testing.assert_allclose(found, np.repeat(half_chain(), 2), rtol=1e-10)
@@ -151,7 +153,8 @@ def test_same_on_two_ranks(paper_scene: fc.Scene, on_ranks: Callable[..., Any]) 
 @pytest.mark.parametrize("lips", ["closed", "", None, 3])
 def test_unknown_lips(lips: Any) -> None:
     """Open or tied, nothing else."""
-    structure = fc.Structure.from_matrices(np.eye(13), *held_chain())
+    stiffness, gap = held_chain()
+    structure = fc.Structure.from_matrices(np.eye(13), stiffness, gap=gap)
     with pytest.raises(fc.InputError, match=r"lips.*: must be one of 'open', 'tied'"):
         fc.solve_modes(structure, 1, lips=lips)
 
@@ -159,7 +162,8 @@ def test_unknown_lips(lips: Any) -> None:
 @pytest.mark.parametrize("count", [0, 13, 2.5])
 def test_as_many_modes_as_are_left(count: Any) -> None:
     """Each pair takes one."""
-    structure = fc.Structure.from_matrices(np.eye(13), *held_chain())
+    stiffness, gap = held_chain()
+    structure = fc.Structure.from_matrices(np.eye(13), stiffness, gap=gap)
     with pytest.raises(fc.InputError, match="from 1 to the number of bonded modes = 12"):
         fc.solve_modes(structure, count, lips="tied")
 
@@ -168,14 +172,14 @@ def test_as_many_modes_as_are_left(count: Any) -> None:
 def test_bilinear_frequency_of_two_springs() -> None:
     """One half of a period in each state: T = pi / w_o + pi / w_t; a stop
     leaves half of 2 pi / w_o."""
-    pair = fc.Structure.from_matrices(np.diag([2.0, 3.0]), np.diag([5.0, 7.0]), [1.0, -1.0])
+    pair = fc.Structure.from_matrices(np.diag([2.0, 3.0]), np.diag([5.0, 7.0]), gap=[1.0, -1.0])
     found = fc.bilinear_frequencies(pair)
     is_open = np.sort(np.sqrt([5.0 / 2.0, 7.0 / 3.0]))
     np.testing.assert_allclose(found.omega_open, is_open, rtol=1e-12)
     np.testing.assert_allclose(found.omega_tied, [np.sqrt(2.4), np.inf], rtol=1e-12)
     period = np.pi / is_open + np.pi / found.omega_tied
     np.testing.assert_allclose(found.omega_bilinear, 2.0 * np.pi / period, rtol=1e-12)
-    stopped = fc.bilinear_frequencies(fc.Structure.from_matrices([[1.0]], [[4.0]], [1.0]))
+    stopped = fc.bilinear_frequencies(fc.Structure.from_matrices([[1.0]], [[4.0]], gap=[1.0]))
     np.testing.assert_allclose(stopped.omega_bilinear, [4.0])
     assert fc.bilinear_frequencies(pair.varied(load=2.0)) is found
 
@@ -184,7 +188,7 @@ def overtaking() -> fc.Structure:
     """A mass of 1 on a spring of 1 that a pair ties to one of 0.05 on a spring of 3.2, and another
     alone, of frequency 1.5: the first has 1 open and, tied, 2 = sqrt(4.2 / 1.05)."""
     mass, stiffness = np.diag([1.0, 0.05, 1.0]), np.diag([1.0, 3.2, 2.25])
-    return fc.Structure.from_matrices(mass, stiffness, [1.0, -1.0, 0.0])
+    return fc.Structure.from_matrices(mass, stiffness, gap=[1.0, -1.0, 0.0])
 
 
 def test_open_and_tied_modes_are_of_one_shape() -> None:
@@ -200,7 +204,7 @@ def test_open_and_tied_modes_are_of_one_shape() -> None:
         )
         stiffness = turned @ np.diag([1.0, 1.0, 4.0, 9.0]) @ turned.T
         gap = turned @ np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
-        twins = fc.bilinear_frequencies(fc.Structure.from_matrices(np.eye(4), stiffness, gap))
+        twins = fc.bilinear_frequencies(fc.Structure.from_matrices(np.eye(4), stiffness, gap=gap))
         np.testing.assert_allclose(twins.omega_open, [1.0, 1.0, 2.0, 3.0], rtol=1e-9)
         np.testing.assert_allclose(twins.omega_tied[:2], np.sqrt([2.5, 5.0]), rtol=1e-9)
 
@@ -209,7 +213,7 @@ def test_no_tie_makes_a_mode_slower() -> None:
     """A heavy mass on a light one, tied: the light one's motion that is left is nearly the second
     mode's, but slower, so that it is what the tie makes of the first one."""
     stiffness = np.array([[2.0, -1.0], [-1.0, 1.0]])
-    structure = fc.Structure.from_matrices(np.diag([1.0, 10.0]), stiffness, [0.0, 1.0])
+    structure = fc.Structure.from_matrices(np.diag([1.0, 10.0]), stiffness, gap=[0.0, 1.0])
     found = fc.bilinear_frequencies(structure)
     assert found.omega_open[1] > np.sqrt(2.0) > found.omega_open[0]
     np.testing.assert_allclose(found.omega_tied, [np.sqrt(2.0), np.inf], rtol=1e-9)
@@ -232,13 +236,15 @@ def test_nearest_mode() -> None:
 def test_rigid_body_has_no_bilinear_frequency() -> None:
     """0 open and 0 tied: 0, without a warning; over it nothing is finite."""
     floating = np.array([[1.0, -1.0], [-1.0, 1.0]])
-    found = fc.bilinear_frequencies(fc.Structure.from_matrices(np.eye(2), floating, [1.0, -1.0]))
+    found = fc.bilinear_frequencies(
+        fc.Structure.from_matrices(np.eye(2), floating, gap=[1.0, -1.0])
+    )
     np.testing.assert_allclose(found.omega_bilinear[0], 0.0, atol=1e-7)
 
 
 def test_springs_that_push_apart_are_refused() -> None:
     """Modes of what they made were looked for over minutes."""
-    structure = fc.Structure.from_matrices(np.eye(2), np.eye(2), np.array([1.0, -1.0]))
+    structure = fc.Structure.from_matrices(np.eye(2), np.eye(2), gap=np.array([1.0, -1.0]))
     assert structure.tied(0.0).n_pairs == 0
     with pytest.raises(fc.InputError, match=r"stiffness = -1\.0: must be >= 0"):
         structure.tied(-1.0)

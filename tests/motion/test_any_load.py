@@ -23,7 +23,7 @@ def loaded() -> fc.Structure:
     parts = {k: tuple(size * random.normal(size=(2, N))) for k, size in HARMONICS.items()}
     first = random.normal(size=(3, N))
     one = fc.Structure.from_matrices(
-        np.diag(mass), stiffness, gap, damping=0.1 * np.diag(mass) + 0.05 * stiffness,
+        np.diag(mass), stiffness, gap=gap, damping=0.1 * np.diag(mass) + 0.05 * stiffness,
         force_mean=0.3 * first[0], force_cos=first[1], force_sin=first[2],
         clearance=0.05,
     )  # fmt: skip
@@ -188,7 +188,7 @@ def test_bad_tables(time: list[float], values: list[float], key: str) -> None:
 
 
 def test_bad_harmonics() -> None:
-    plain = fc.Structure.from_matrices(np.eye(3), np.eye(3), None)
+    plain = fc.Structure.from_matrices(np.eye(3), np.eye(3), gap=None)
     for given in ({0: (None, None)}, {2: (np.zeros(2), None)}, {2: 1.0}, [1]):
         with pytest.raises(fc.InputError, match="harmonics"):
             plain.with_harmonics(given)  # type: ignore[arg-type]

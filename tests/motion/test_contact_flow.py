@@ -160,12 +160,14 @@ def test_grazing(missed: float) -> None:
 def test_equal_structures_side_by_side() -> None:
     """Every event is a double one, and nothing else changes."""
     one = chain(seed=6)
+    mass, stiffness, gap = _matrices(one)
+    twice = [np.kron(np.eye(2), part) for part in (mass, stiffness, gap)]
     both = fc.Structure.from_matrices(
-        *(np.kron(np.eye(2), part) for part in _matrices(one)),
+        *twice[:2], gap=twice[2],
         force_cos=np.tile(one.force[1], 2), clearance=np.tile(one.clearance, 2),
     )  # fmt: skip
     alone = fc.Structure.from_matrices(
-        *_matrices(one), force_cos=one.force[1], clearance=one.clearance
+        mass, stiffness, gap=gap, force_cos=one.force[1], clearance=one.clearance
     )
     contact, motions = fc.UnilateralPenalty(40.0), []
     for structure in (alone, both):
@@ -184,7 +186,7 @@ def test_almost_equal_structures() -> None:
     mass, stiffness, gap = _matrices(chain(seed=6))
     both = fc.Structure.from_matrices(
         np.kron(np.eye(2), mass), np.kron(np.diag([1.0, 1.0 + 1e-9]), stiffness),
-        np.kron(np.eye(2), gap), force_cos=np.tile(chain(seed=6).force[1], 2),
+        gap=np.kron(np.eye(2), gap), force_cos=np.tile(chain(seed=6).force[1], 2),
     )  # fmt: skip
     flow = known(both, fc.UnilateralPenalty(40.0))
     state = flow.state(np.tile(np.linspace(-1, 1, 10), 2), np.zeros(20))
@@ -284,7 +286,7 @@ def test_who_has_a_flow() -> None:
 def test_derivative_while_all_pairs_are_open(damping: float) -> None:
     """The exponential of the flow's matrix, also with critical and more damping."""
     structure = fc.Structure.from_matrices(
-        np.eye(2), np.diag([1.0, 0.0]), [1.0, 0.0], force_cos=[1.0, 0.0], clearance=1e9,
+        np.eye(2), np.diag([1.0, 0.0]), gap=[1.0, 0.0], force_cos=[1.0, 0.0], clearance=1e9,
         damping=damping * np.eye(2),
     )  # fmt: skip
     flow = known(structure, fc.UnilateralPenalty(1.0))
@@ -462,8 +464,8 @@ def test_search_without_guesses() -> None:
     """From rest along the motion, also to an orbit that it passes: a mass between two hard stops;
     where there is none, how near the motion came to where it was, in periods of the load."""
     wandering = fc.Structure.from_matrices(
-        [[1.0]], [[1.0]], [[1.0, -1.0]], force_cos=[0.644], force_sin=[1.332], clearance=0.02127,
-        damping=[[0.6113]],
+        [[1.0]], [[1.0]], gap=[[1.0, -1.0]], force_cos=[0.644], force_sin=[1.332],
+        clearance=0.02127, damping=[[0.6113]],
     )  # fmt: skip
     found = search_orbit(known(wandering, fc.UnilateralPenalty(900.0)), 2.6445, (), 3)
     assert found.orbit is not None and not found.orbit.is_stable and found.orbit.residual < 1e-6

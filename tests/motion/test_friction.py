@@ -37,7 +37,7 @@ def solved(name: str, ratio: float, omega: float, mu: float) -> fc.PeriodicSolut
 def jenkins() -> tuple[fc.Structure, fc.CoulombFriction]:
     """m = k = 1, xi = 0.02, k_t = 0.5, load cos(w t), under a constant pressure of 0.3, mu = 1."""
     structure = fc.Structure.from_matrices(
-        np.eye(2), np.eye(2), [0.0, 1.0], tangential=[1.0, 0.0],
+        np.eye(2), np.eye(2), gap=[0.0, 1.0], tangential=[1.0, 0.0],
         force_cos=[1.0, 0.0], force_mean=[0.0, 0.6], damping=fc.ModalDamping(0.02),
     )  # fmt: skip
     return structure, fc.CoulombFriction(fc.UnilateralPenalty(1.0), 1.0, 0.5)
@@ -196,7 +196,7 @@ def nlstep_beam() -> tuple[fc.Structure, fc.CoulombFriction, int]:
     gap, tangent, load, press = np.zeros((4, n + 1))
     gap[n], tangent[node], load[tip], press[n] = 1.0, 1.0, 200.0, 3000.0
     structure = fc.Structure.from_matrices(
-        *both, gap, tangential=tangent, force_cos=load, force_mean=press,
+        *both, gap=gap, tangential=tangent, force_cos=load, force_mean=press,
         damping=fc.RayleighDamping(2.0 * 0.05 * stuck[0], 0.0),
     )  # fmt: skip
     reduced = fc.reduce_structure(structure, modes=6, method="massless")
@@ -229,7 +229,7 @@ def test_refusals() -> None:
     with pytest.raises(fc.InputError, match=r"tangential stiffness.*without mass"):
         fc.solve_harmonic_balance(structure, 1.0, stiff, harmonics=3)
     plain = fc.Structure.from_matrices(
-        np.eye(2), np.eye(2), [0.0, 1.0], force_cos=[1.0, 0.0], damping=0.1 * np.eye(2)
+        np.eye(2), np.eye(2), gap=[0.0, 1.0], force_cos=[1.0, 0.0], damping=0.1 * np.eye(2)
     )
     with pytest.raises(fc.InputError, match="one with tangents"):
         fc.solve_harmonic_balance(plain, 1.0, law, harmonics=3)

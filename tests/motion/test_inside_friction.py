@@ -23,7 +23,7 @@ def random_flow(seed: int, pairs: int, mu: float) -> ContactFlow:
     structure = fc.Structure.from_matrices(
         np.eye(n),
         stiffness,
-        draw.normal(size=(n, pairs)),
+        gap=draw.normal(size=(n, pairs)),
         tangential=draw.normal(size=(n, pairs)),
         force_sin=draw.normal(size=n),
         force_cos=draw.normal(size=n),
@@ -103,7 +103,7 @@ def jenkins(limit: float) -> ContactFlow:
     structure = fc.Structure.from_matrices(
         np.eye(2),
         np.eye(2),
-        np.array([0.0, 1.0]),
+        gap=np.array([0.0, 1.0]),
         tangential=np.array([1.0, 0.0]),
         force_cos=np.array([1.0, 0.0]),
         force_mean=np.array([0.0, 2.0 * limit]),  # half of it on the spring

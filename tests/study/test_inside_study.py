@@ -59,7 +59,7 @@ def test_of_what_nothing_holds() -> None:
     stiffness, mass = np.block([[free, zero], [zero, free]]), np.diag(np.arange(1.0, 7.0))
     gap, force = np.array([0.0, 0.0, 1.0, -1.0, 0.0, 0.0]), np.arange(6.0)
     structure = fc.Structure.from_matrices(
-        mass, stiffness, gap, force_sin=force, damping=fc.ModalDamping(0.1)
+        mass, stiffness, gap=gap, force_sin=force, damping=fc.ModalDamping(0.1)
     )
     figures = find_key_figures(study_of(structure))
     squares, shapes = scipy.linalg.eigh(stiffness, mass)
@@ -81,7 +81,7 @@ def test_all_harmonics_of_a_load_count() -> None:
     stiffness, mass = chain_stiffness(np.array([1.0, 2.0, 1.0, 0.5])), np.diag([1.0, 1.2, 0.9])
     gap, first, third = np.array([[1.0, -1.0, 0.0], [0.5, 0.0, 1.0], [0.0, 2.0, -1.0]])
     structure = fc.Structure.from_matrices(
-        mass, stiffness, gap, force_sin=first, damping=fc.ModalDamping(0.1)
+        mass, stiffness, gap=gap, force_sin=first, damping=fc.ModalDamping(0.1)
     )
     figures = find_key_figures(study_of(structure.with_harmonics({3: (None, third)})))
     squares, shapes = scipy.linalg.eigh(stiffness, mass)
@@ -97,7 +97,7 @@ def test_all_harmonics_of_a_load_count() -> None:
 def test_all_motions_are_tied() -> None:
     """As many pairs as dofs: there is no tied motion, and a closed half takes no time."""
     structure = fc.Structure.from_matrices(
-        np.eye(2), np.diag([1.0, 4.0]), np.eye(2), force_sin=[1.0, 0.0]
+        np.eye(2), np.diag([1.0, 4.0]), gap=np.eye(2), force_sin=[1.0, 0.0]
     )
     figures = find_key_figures(study_of(structure))
     np.testing.assert_allclose(figures.omega_open, [1.0, 2.0], rtol=1e-12)
@@ -201,7 +201,7 @@ def test_breathing_frequency_is_of_one_shape() -> None:
     mass, stiffness = np.diag([1.0, 0.05, 1.0]), np.diag([1.0, 3.2, 2.25])
     damping = fc.ModalDamping(0.1)
     structure = fc.Structure.from_matrices(
-        mass, stiffness, [1.0, -1.0, 0.0], force_sin=np.ones(3), damping=damping
+        mass, stiffness, gap=[1.0, -1.0, 0.0], force_sin=np.ones(3), damping=damping
     )
     figures = find_key_figures(study_of(structure))
     assert figures.omega_breathing == pytest.approx(2.0 / (1.0 + 0.5))

@@ -39,7 +39,7 @@ def random_structure(rng: np.random.Generator, dofs: int, pairs: int, damping: s
         "matrix": 0.05 * (root @ root.T),
     }[damping]
     return fc.Structure.from_matrices(
-        mass, 0.5 * (stiffness + stiffness.T), rng.normal(size=(dofs, pairs)),
+        mass, 0.5 * (stiffness + stiffness.T), gap=rng.normal(size=(dofs, pairs)),
         force_mean=0.3 * rng.normal(size=dofs), force_cos=rng.normal(size=dofs),
         force_sin=rng.normal(size=dofs), clearance=rng.uniform(0.0, 0.2, pairs), damping=rule,
     )  # fmt: skip

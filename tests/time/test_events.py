@@ -18,7 +18,7 @@ def test_linear_motion(damping: str) -> None:
     given = {"modal": fc.ModalDamping(0.03), "matrix": 0.1 * random @ random.T}.get(damping)
     force = rng.normal(size=(3, n))
     structure = fc.Structure.from_matrices(
-        np.eye(n), stiffness, np.ones(n), force_mean=force[0], force_cos=force[1],
+        np.eye(n), stiffness, gap=np.ones(n), force_mean=force[0], force_cos=force[1],
         force_sin=force[2], damping=given, clearance=1e6,
     )  # fmt: skip
     full = dense_matrices(structure)[1]
@@ -42,7 +42,7 @@ def test_overdamped_motion(ratio: float) -> None:
     which has no error and is stable."""
     one = np.ones((1, 1))
     structure = fc.Structure.from_matrices(
-        one, one, one, force_cos=[1.0], damping=2.0 * ratio * one, clearance=100.0
+        one, one, gap=one, force_cos=[1.0], damping=2.0 * ratio * one, clearance=100.0
     )
     law = fc.UnilateralPenalty(1.0)
     history = integrate_events(structure, 1.0, law, periods=1, initial=(one[0] * 3.0, one[0]))
@@ -59,7 +59,7 @@ def test_central_differences_converge_to_it() -> None:
     stiffness = np.array([[3.0, -1.0, 0.0], [-1.0, 3.0, -1.0], [0.0, -1.0, 2.0]])
     gap = np.array([[1.0, 0.0], [-1.0, 1.0], [0.0, -1.0]])
     structure = fc.Structure.from_matrices(
-        np.eye(3), stiffness, gap, force_sin=[1.0, 0.0, -1.0], clearance=[0.1, -0.05],
+        np.eye(3), stiffness, gap=gap, force_sin=[1.0, 0.0, -1.0], clearance=[0.1, -0.05],
         damping=fc.ModalDamping(0.05),
     )  # fmt: skip
     law, omega = fc.UnilateralPenalty(np.array([5.0, 9.0])), 0.9
@@ -78,7 +78,7 @@ def test_central_differences_converge_to_it() -> None:
 def test_brief_contacts_are_not_missed() -> None:
     """Grazing a stiff stop for a time far below the grid: the motion behind it is that of the
     closed form, which is early by the flight that the stop cuts off."""
-    structure = fc.Structure.from_matrices(np.eye(1), np.eye(1), np.ones(1), clearance=1.0)
+    structure = fc.Structure.from_matrices(np.eye(1), np.eye(1), gap=np.ones(1), clearance=1.0)
     law, inside = fc.UnilateralPenalty(1e4), np.sqrt(1.0 + 1e4)
     for excess in (1e-2, 1e-4, 1e-8, -1e-8):
         amplitude = 1.0 + excess
@@ -130,7 +130,7 @@ def test_indicators_leave_out_the_beginning() -> None:
     recorded."""
     stiffness = 1e4 * np.array([[2.0, -1.0], [-1.0, 1.0]])
     masses = fc.Structure.from_matrices(
-        np.eye(2), stiffness, [0.0, 1.0], force_sin=[10.0, 0.0], clearance=1e-3,
+        np.eye(2), stiffness, gap=[0.0, 1.0], force_sin=[10.0, 0.0], clearance=1e-3,
         damping=fc.ModalDamping(0.05),
     )  # fmt: skip
     law = fc.UnilateralPenalty(1e5)
@@ -175,7 +175,7 @@ def test_pairs_that_touch_at_the_start(rounding: float) -> None:
     structure = fc.Structure.from_matrices(
         np.eye(2),
         np.array([[2.0, -1.0], [-1.0, 2.0]]),
-        np.eye(2),
+        gap=np.eye(2),
         force_mean=[0.0, 1.0],
         force_cos=[1.0, 0.0],
         clearance=[rounding, 0.3],

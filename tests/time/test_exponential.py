@@ -241,6 +241,8 @@ def test_settled_march_is_the_balanced_orbit(soft_plate: fc.Structure) -> None:
 @pytest.mark.filterwarnings("error")
 def test_an_undamped_resonance_is_refused_without_warnings() -> None:
     """No steady response is divided by zero before that is said."""
-    structure = fc.Structure.from_matrices([[1.0]], [[1.0]], [1.0], force_sin=[1.0], clearance=9.0)
+    structure = fc.Structure.from_matrices(
+        [[1.0]], [[1.0]], gap=[1.0], force_sin=[1.0], clearance=9.0
+    )
     with pytest.raises(fc.ConvergenceError, match="on an undamped resonance"):
         fc.integrate_exponential(structure, 1.0, fc.UnilateralPenalty(3.0), periods=2)

@@ -73,7 +73,8 @@ def chain(unmoved: int = 0) -> fc.Structure:
     force[0, :2] = 2.0
     loads = np.pad(force, ((0, 0), (0, unmoved)))
     return fc.Structure.from_matrices(
-        np.eye(n + unmoved), stiffness, gap, tangential=tangent, damping=fc.RayleighDamping(0.1, 0),
+        np.eye(n + unmoved), stiffness, gap=gap, tangential=tangent,
+        damping=fc.RayleighDamping(0.1, 0),
         force_mean=loads[0], force_cos=loads[1], force_sin=loads[2],
     )  # fmt: skip
 

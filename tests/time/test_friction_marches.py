@@ -32,7 +32,7 @@ def rubbing(unmoved: int = 0, pressed: float = 1.0) -> fc.Structure:
     gap[0], tangent[2], tangent[3] = 1.0, 1.0, -1.0
     force[:, :4] = [[2.0 * pressed, 0, 0, 0], [0.4, 0, 3.0, 0], [0, 0.3, 0, -2.0]]
     return fc.Structure.from_matrices(
-        np.eye(n), stiffness, gap, tangential=tangent, damping=fc.RayleighDamping(0.1, 0.0),
+        np.eye(n), stiffness, gap=gap, tangential=tangent, damping=fc.RayleighDamping(0.1, 0.0),
         force_mean=force[0], force_cos=force[1], force_sin=force[2],
     )  # fmt: skip
 

@@ -85,7 +85,7 @@ def test_damping_forms_against_matrix_exponential(damping: str) -> None:
         "matrix": 0.3 * mass + 0.02 * stiffness,
     }.get(damping)
     structure = fc.Structure.from_matrices(  # its pair never closes
-        mass, stiffness, np.eye(n, 1), damping=given, clearance=1e3
+        mass, stiffness, gap=np.eye(n, 1), damping=given, clearance=1e3
     )
     full = dense_matrices(structure)[1]
     start = rng.normal(size=(2, n))
@@ -172,7 +172,7 @@ def test_step_beyond_the_stable_one_is_refused(soft_plate: fc.Structure) -> None
 def test_stable_limit_is_sharp_without_contact_events() -> None:
     """A tied pair just inside the limit stays bounded; the bound of the step is not slack."""
     structure = fc.Structure.from_matrices(
-        np.eye(1), np.eye(1), np.ones(1), clearance=-1e3, force_sin=np.ones(1)
+        np.eye(1), np.eye(1), gap=np.ones(1), clearance=-1e3, force_sin=np.ones(1)
     )
     law = fc.UnilateralPenalty(99.0)  # always closed: frequency 10
     least = fc.stable_steps_per_period(structure, 1.0, law)
@@ -400,7 +400,7 @@ def test_created_energy_of_a_smoothed_law() -> None:
     """It stores another energy than half of force times gap, by which 3e-3 of the energy put in was
     told to be created whatever the step: like dt^2, too."""
     structure = fc.Structure.from_matrices(
-        [[1.0]], [[1.0]], [1.0], force_sin=[1.0], clearance=0.1, damping=[[0.1]]
+        [[1.0]], [[1.0]], gap=[1.0], force_sin=[1.0], clearance=0.1, damping=[[0.1]]
     )
     counts: list[int] = [400, 800, 1600]
     created = []
@@ -498,7 +498,7 @@ def test_limit_of_stiff_penalty_in_lasting_contact() -> None:
     """Two masses, the first pressed on a stop: the motion without penetration, like 1/k."""
     stiffness = chain_stiffness(np.array([1.0, 1.0, 1.0]))
     structure = fc.Structure.from_matrices(
-        np.eye(2), stiffness, [1.0, 0.0], force_mean=[3.0, 0.0], force_sin=[0.0, 0.5],
+        np.eye(2), stiffness, gap=[1.0, 0.0], force_mean=[3.0, 0.0], force_sin=[0.0, 0.5],
         damping=0.2 * stiffness,
     )  # fmt: skip
     steps, stiffnesses = 250, (1e2, 3e2, 1e3)

@@ -105,7 +105,7 @@ def test_recording(scheme: Scheme, soft_plate: fc.Structure) -> None:
 def test_a_march_without_pairs_settles_by_the_motion_of_its_load(scheme: Scheme) -> None:
     """Nothing but the displacement can say whether it repeats: exp(-0.05 t) of the oscillator."""
     bare = fc.Structure.from_matrices(
-        np.ones((1, 1)), np.ones((1, 1)), None, force_cos=[1.0], damping=0.1 * np.ones((1, 1))
+        np.ones((1, 1)), np.ones((1, 1)), gap=None, force_cos=[1.0], damping=0.1 * np.ones((1, 1))
     )
     law, options = fc.UnilateralPenalty(1.0), {"steps_per_period": 128, "settle": 1e-2}
     history = scheme(bare, 0.7, law, periods=50, **options)
@@ -179,7 +179,7 @@ def test_lips_without_mass_are_refused(wide_plate: fc.Structure) -> None:
 def test_exponential_without_pairs(wide_plate: fc.Structure) -> None:
     """The linear motion, whose end is judged by the modes alone: what has no mass is at rest."""
     whole = fc.Structure.from_matrices(
-        wide_plate.mass, wide_plate.stiffness, None, damping=fc.ModalDamping(0.05),
+        wide_plate.mass, wide_plate.stiffness, gap=None, damping=fc.ModalDamping(0.05),
         force_sin=wide_plate.force[2],
     )  # fmt: skip
     reduced = fc.reduce_structure(whole, modes=10, method="massless")
@@ -198,7 +198,7 @@ def test_means_do_not_make_a_motion_settle(mean: float, clearance: float) -> Non
     the amplitude against its closed form. It was told 108 % too large, 6e-4 from where it settles.
     """
     structure = fc.Structure.from_matrices(
-        [[1.0]], [[1.0]], [1.0], force_mean=[mean], force_sin=[1.0], clearance=clearance,
+        [[1.0]], [[1.0]], gap=[1.0], force_mean=[mean], force_sin=[1.0], clearance=clearance,
         damping=[[0.02]],
     )  # fmt: skip
     law, closed = fc.UnilateralPenalty(10.0), mean > 0.0
@@ -213,7 +213,7 @@ def test_means_do_not_make_a_motion_settle(mean: float, clearance: float) -> Non
 def test_a_longer_period_is_told_by_what_moves() -> None:
     """Shaw and Holmes' oscillator: every second period is alike."""
     structure = fc.Structure.from_matrices(
-        [[1.0]], [[1.0]], [1.0], force_sin=[1.0], damping=[[0.2]]
+        [[1.0]], [[1.0]], gap=[1.0], force_sin=[1.0], damping=[[0.2]]
     )
     found = fc.integrate_events(
         structure, 3.4, fc.UnilateralPenalty(100.0), periods=400, record_periods=4

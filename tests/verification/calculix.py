@@ -68,7 +68,7 @@ def with_eight_nodes(structure: fc.Structure) -> fc.Structure:
     basis = every.tocsc()[:, kept]
     mass, stiffness = (basis.T @ csr(m) @ basis for m in (structure.mass, structure.stiffness))
     gap = basis.T @ structure.apply_bt(np.eye(structure.n_dofs))
-    return fc.Structure.from_matrices(mass, stiffness, gap)
+    return fc.Structure.from_matrices(mass, stiffness, gap=gap)
 
 
 @cache

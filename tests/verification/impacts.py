@@ -158,7 +158,7 @@ ENERGIES = (0.00650108331626, 0.00658129654238)
 def clearance_oscillator() -> fc.Structure:
     """m = 1, k = 10 and a clearance of 0.01."""
     one = np.ones((1, 1))
-    return fc.Structure.from_matrices(one, 10.0 * one, one, clearance=0.01)
+    return fc.Structure.from_matrices(one, 10.0 * one, gap=one, clearance=0.01)
 
 
 def draw_backbone(axes: Any) -> None:
@@ -320,7 +320,7 @@ def between_stops() -> tuple[fc.PeriodicSolution, np.ndarray, np.ndarray]:
     gap = np.zeros((2, 2))
     gap[0] = SIDES
     structure = fc.Structure.from_matrices(
-        BETWEEN["mass"], BETWEEN["stiffness"], gap, force_cos=BETWEEN["load"],
+        BETWEEN["mass"], BETWEEN["stiffness"], gap=gap, force_cos=BETWEEN["load"],
         damping=BETWEEN["damping"], clearance=np.array(CLEARANCE),
     )  # fmt: skip
     law = fc.UnilateralPenalty(STIFFNESS)

@@ -37,7 +37,12 @@ def gap_curve() -> tuple[fc.ResponseCurve, np.ndarray]:
     """The mass from 2 to 15 rad/s, H = 7 and 1024 samples, and its sizes."""
     one = np.ones((1, 1))
     mass = fc.Structure.from_matrices(
-        one, 40.0 * one, one, force_cos=[100.0], clearance=10.0, damping=0.1 * np.sqrt(40.0) * one
+        one,
+        40.0 * one,
+        gap=one,
+        force_cos=[100.0],
+        clearance=10.0,
+        damping=0.1 * np.sqrt(40.0) * one,
     )
     curve = fc.continue_frequency(mass, 2.0, 15.0, GAP, harmonics=7, samples=1024)
     return curve, np.array([size(curve.solution(i)) for i in range(len(curve.omega))])
@@ -151,7 +156,7 @@ def balanced_rotor(speed: float) -> fc.PeriodicSolution:
     coriolis = 2.0 * speed * np.array([[0.0, -1.0], [1.0, 0.0]])
     unbalance = ECCENTRICITY * speed**2 * np.array([np.cos(ANGLE), np.sin(ANGLE)])
     rotor = fc.Structure.from_matrices(
-        np.eye(2), np.diag([1.0 - SOFTER, 1.0]) - speed**2 * np.eye(2), [-1.0, 0.0],
+        np.eye(2), np.diag([1.0 - SOFTER, 1.0]) - speed**2 * np.eye(2), gap=[-1.0, 0.0],
         force_cos=[1.0, 0.0], force_sin=[0.0, -1.0], force_mean=unbalance,
         damping=INTERNAL * np.eye(2) + coriolis,
     )  # fmt: skip

@@ -149,7 +149,7 @@ def test_a_breathing_crack(tmp_path: Path) -> None:
     one, found = np.ones((1, 1)), []
     for force in (0.4, 4.0):
         mode = fc.Structure.from_matrices(
-            one, 1e6 * one, one, force_cos=[force], damping=10.0 * one
+            one, 1e6 * one, gap=one, force_cos=[force], damping=10.0 * one
         )
         law = fc.UnilateralPenalty(1e5)
         curve = fc.continue_frequency(mode, 980.0, 1070.0, law, harmonics=8)

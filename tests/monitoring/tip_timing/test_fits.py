@@ -22,7 +22,7 @@ EIGHT = tuple(np.radians([17, 35, 55, 70, 86, 108, 123, 284]))
 def blade() -> fc.Structure:
     """One mass of natural frequency 1000 rad/s; a stop of the same stiffness doubles it."""
     one = np.ones((1, 1))
-    return fc.Structure.from_matrices(one, 1e6 * one, one, force_sin=[1e2], damping=100.0 * one)
+    return fc.Structure.from_matrices(one, 1e6 * one, gap=one, force_sin=[1e2], damping=100.0 * one)
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ def blade(damping: float = 100.0, clearance: float = 0.0) -> fc.Structure:
     """One mass of natural frequency 1000 rad/s; a stop of the same stiffness doubles it."""
     one = np.ones((1, 1))
     return fc.Structure.from_matrices(
-        one, 1e6 * one, one, force_sin=[1e3], damping=damping * one, clearance=clearance
+        one, 1e6 * one, gap=one, force_sin=[1e3], damping=damping * one, clearance=clearance
     )
 
 

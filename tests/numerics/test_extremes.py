@@ -1,0 +1,146 @@
+"""Extremes of waves, of orbits and along curves, to rounding."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import DEMOS, oscillator, two_masses
+
+import fenics_crack as fc
+from fenics_crack.numerics.extremes import half_range, largest
+
+PARTS = np.arange(256) / 256
+
+
+def test_kinks_ties_and_plateaus() -> None:
+    """A function that bends down has its maximum wherever it falls between the samples; of two
+    almost equal ones, of which the lower is nearer to a sample, the larger; a plateau has none."""
+    random = np.random.default_rng(0)
+    for place, *slopes in random.uniform([0.0, 0.3, 0.3], [1.0, 3.0, 3.0], (10, 3)):
+
+        def kink(parts: np.ndarray, place: float = place, slopes: list[float] = slopes) -> Any:
+            away = np.mod(parts - place + 0.5, 1.0) - 0.5
+            return np.where(away < 0.0, slopes[0] * away, -slopes[1] * away)[:, None]
+
+        assert abs(largest(kink(PARTS), kink)[0]) <= 2e-12
+
+    def two(parts: np.ndarray) -> Any:
+        return np.cos(4.0 * np.pi * parts - 0.012)[:, None] + 1e-7 * np.cos(2.0 * np.pi * parts)
+
+    assert largest(two(PARTS), two)[0] == pytest.approx(1.0 + 1e-7 * np.cos(0.006), rel=1e-12)
+    noise = np.random.default_rng(0).normal
+
+    def noisy(parts: np.ndarray) -> Any:
+        return 1.0 + noise(scale=1e-10, size=(len(parts), 1))
+
+    assert largest(noisy(PARTS), noisy)[0] == pytest.approx(1.0, abs=1e-9)
+    flat = np.minimum(np.cos(2.0 * np.pi * PARTS), 0.5)[:, None]
+    assert largest(flat, lambda parts: np.full((len(parts), 1), 9.0))[0] == 0.5
+    assert largest(np.zeros((8, 0)), lambda parts: np.zeros((len(parts), 0))).shape == (0,)
+
+
+@pytest.mark.parametrize("harmonics", [1, 3, 12])
+def test_random_waves(harmonics: int) -> None:
+    """Of 20 waves at once, against Newton's method from a fine grid."""
+    random, order = np.random.default_rng(harmonics), np.arange(1, harmonics + 1)
+    waves = random.standard_normal((harmonics, 20)) + 1j * random.standard_normal((harmonics, 20))
+
+    def at(parts: np.ndarray, derivative: int = 0) -> Any:
+        turned = np.exp(2j * np.pi * np.outer(parts, order)) * (2j * np.pi * order) ** derivative
+        return (turned @ waves).real
+
+    grid = np.arange(4096) / 4096
+    tops = []
+    for sign in (1.0, -1.0):
+        place = grid[np.argmax(sign * at(grid), axis=0)]
+        for _ in range(6):
+            first, second = (np.diag(at(place, derivative)) for derivative in (1, 2))
+            place = place - first / second
+        tops.append(sign * np.diag(at(place)))
+    np.testing.assert_allclose(half_range(at(PARTS), at), np.mean(tops, axis=0), rtol=1e-12)
+
+
+def test_a_sine_has_the_amplitude_of_its_harmonic() -> None:
+    """Solutions, curves of harmonic balance and of exact orbits, of pairs that never touch: of
+    samples 4e-6 and 8e-5 were missing."""
+    law = fc.UnilateralPenalty(10.0)
+    far = two_masses().varied(clearance=1e3)
+    solution = fc.solve_harmonic_balance(far, 0.7, law, harmonics=3)
+    linear = fc.solve_linear(far, 0.7, harmonics=2)
+    waves = fc.continue_frequency(far, 0.69, 0.7, law, harmonics=3)
+    orbits = fc.continue_frequency(far, 0.69, 0.7, law, tolerance=1e-2)
+    assert isinstance(orbits, fc.OrbitCurve)
+    for one in (solution, linear, waves, orbits):
+        seen = one.indicators()
+        rows = one.coefficients_at()
+        of_curve = np.ndim(seen.omega) > 0
+        mean, cosine, sine = rows.T[:3] if of_curve else rows[:3, 0]
+        sharp = 1e-9 if one is orbits else 1e-12  # to which an orbit closes
+        np.testing.assert_allclose(seen.amplitude, np.hypot(cosine, sine), rtol=sharp)
+        np.testing.assert_allclose(one.amplitude(), seen.amplitude, rtol=1e-15)
+        assert np.all(np.abs(mean) < 1e-9 * seen.amplitude)
+    first = orbits.orbit(0)
+    assert first.amplitude() == pytest.approx(orbits.amplitude()[0], rel=1e-12)
+
+
+def test_a_sweep_has_the_amplitude_of_the_sine(tmp_path: Path) -> None:
+    """At the load, of pairs that never touch."""
+    changes = {"crack.clearance": 1.0, "contact.stiffness": 1e9, "damping.ratio": 0.02}
+    changes |= {"sweep.over": {"damping.ratio": [0.02]}, "harmonic_balance.error": False}
+    scene = fc.Scene.load(DEMOS / "paper_plate.toml", changes)
+    swept = fc.run_sweep(scene, tmp_path / "sweep.h5")
+    assert swept["response"][0] == pytest.approx(swept["harmonic_1"][0], rel=1e-12)
+
+
+@pytest.mark.parametrize("massless", [False, True])
+def test_extremes_of_contact(massless: bool) -> None:
+    """No instant of many has more, and the largest of them hardly less; of waves, with their
+    quasi-static part."""
+    structure, law = two_masses(0.15), fc.UnilateralPenalty(10.0)
+    if massless:
+        structure = fc.reduce_structure(structure, modes=1)
+    solution = fc.solve_harmonic_balance(structure, 0.62, law, harmonics=9)
+    curve = fc.continue_frequency(structure, 0.62, 0.63, law, harmonics=9)
+    time = np.linspace(0.0, solution.period, 200_001)
+    opening, force = (-solution.gap(time)).max(), solution.contact_force(time).max()
+    size = np.ptp(solution.displacement(time)) / 2.0
+    for seen in (solution.indicators(), curve.indicators()):
+        ends = [np.atleast_1d(one)[0] for one in (seen.opening, seen.contact_force, seen.amplitude)]
+        for exact, fine in zip(ends, (opening, force, size), strict=True):
+            assert -1e-9 <= exact / fine - 1.0 <= 1e-7
+    assert solution.indicators().crack_force >= force * (1.0 - 1e-12)
+
+
+def test_extremes_of_orbits() -> None:
+    """At the events, and between: those of the motion itself."""
+    structure, law = two_masses(0.15), fc.UnilateralPenalty(10.0)
+    curve = fc.continue_frequency(structure, 0.62, 0.63, law, tolerance=1e-2)
+    orbit = curve.orbit(0)
+    time = np.linspace(0.0, orbit.period, 100_001)
+    moved = structure.values_at(orbit.displacement_at(time), [None])
+    gap = orbit.gap_at(time)
+    ends = orbit.amplitude(), orbit.to_dict()["opening"], orbit.to_dict()["penetration"]
+    for exact, fine in zip(ends, (np.ptp(moved) / 2.0, -gap.min(), gap.max()), strict=True):
+        assert -1e-9 <= exact / fine - 1.0 <= 1e-7
+    assert curve.indicators().opening[0] == pytest.approx(ends[1], rel=1e-9)
+
+
+def test_amplitude_of_a_backbone() -> None:
+    """By its cosines at many instants."""
+    curve = fc.follow_backbone(two_masses(), fc.UnilateralPenalty(10.0), 1, 0.02, 0.05)
+    turns = np.outer(np.linspace(0.0, np.pi, 100_001), np.arange(curve.cosines.shape[1]))
+    fine = np.ptp(np.cos(turns) @ curve.cosines[-1], axis=0)[curve.structure.watched_dof] / 2.0
+    assert -1e-12 <= curve.amplitude()[-1] / fine - 1.0 <= 1e-8
+
+
+def test_a_whole_oscillator() -> None:
+    """Half the period on each side of a stop, U = (1 + 1 / r) / 2 of a bilinear one, is no sine."""
+    solution = fc.solve_harmonic_balance(
+        oscillator(0.05, 1.0), 1.1, fc.UnilateralPenalty(1.0), harmonics=15
+    )
+    time = np.linspace(0.0, solution.period, 200_001)
+    fine = np.ptp(solution.displacement(time)) / 2.0
+    assert -1e-12 <= solution.amplitude() / fine - 1.0 <= 1e-8
