@@ -10,7 +10,7 @@ from __future__ import annotations
 import importlib.metadata
 import logging
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from types import ModuleType
 from typing import Any
@@ -101,14 +101,20 @@ def _quiet_compiler() -> Iterator[None]:
         logging.root.removeFilter(important)
 
 
-@_quiet_compiler()
-def function_space(mesh: Any, order: int, *, vectors: bool = True) -> Any:
+def element(mesh: Any, order: int, *, vectors: bool = True) -> Any:
     """Continuous piecewise polynomials of the given order: vectors, or numbers."""
     if _NEW:
-        shape = ((mesh.geometry.dim,),) if vectors else ()
-        return dolfinx.fem.functionspace(mesh, ("Lagrange", order, *shape), **_JIT)
+        shape = (mesh.geometry.dim,) if vectors else None
+        return basix.ufl.element("Lagrange", mesh.topology.cell_type.name, order, shape=shape)
     make = ufl.VectorElement if vectors else ufl.FiniteElement
-    return dolfinx.fem.FunctionSpace(mesh, make("Lagrange", mesh.ufl_cell(), order), **_JIT)
+    return make("Lagrange", mesh.ufl_cell(), order)
+
+
+@_quiet_compiler()
+def function_space(mesh: Any, order: int, *, vectors: bool = True) -> Any:
+    """The space of :func:`element`."""
+    make = dolfinx.fem.functionspace if _NEW else dolfinx.fem.FunctionSpace
+    return make(mesh, element(mesh, order, vectors=vectors), **_JIT)
 
 
 @_quiet_compiler()
@@ -166,6 +172,56 @@ def basis_at(space: Any, order: int, point: np.ndarray) -> tuple[np.ndarray, np.
     )
     values = element.tabulate(0, reference)[0, 0].ravel()
     return np.asarray(space.dofmap.cell_dofs(cell)), values
+
+
+def is_on(tags: Any, mesh: Any) -> bool:
+    """Return True if an object is tags of facets of a mesh."""
+    if not {"dim", "find", "values"} <= {*dir(tags)}:
+        return False
+    tagged, whole = (tags.topology, mesh.topology) if _NEW else (tags.mesh, mesh)
+    return _compiled(tagged) is _compiled(whole) and tags.dim == mesh.topology.dim - 1
+
+
+def _compiled(thing: Any) -> Any:
+    """The object of C++ behind one of Python, in the words of any version."""
+    return getattr(thing, "_cpp_object", getattr(thing, "_mesh", thing))
+
+
+def held_dofs(space: Any, conditions: Sequence[Any]) -> np.ndarray:
+    """This rank's dofs of a space that Dirichlet conditions hold at zero: (n_dofs,) bool.
+
+    Raises
+    ------
+    ValueError
+        One is of another space, or has a value that is not zero.
+    """
+    whole, size = space._cpp_object, space.dofmap.index_map.size_local * space.dofmap.index_map_bs
+    if not all(whole.contains(_compiled(one.function_space)) for one in conditions):
+        raise ValueError("one is of another space")
+    values = np.array([[0.0], [1.0]]).repeat(size, axis=1)
+    for row in values:
+        vector = PETSc.Vec().createWithArray(row, comm=MPI.COMM_SELF)
+        dolfinx.fem.petsc.set_bc(vector, conditions)
+        vector.destroy()
+    if np.any(values[0]):
+        raise ValueError("one has a value that is not zero")
+    return np.asarray(values[1] == 0.0)
+
+
+def facet_corners(mesh: Any, facets: np.ndarray) -> np.ndarray:
+    """Corners of facets of this rank, in turn, by their local numbers in the geometry: (n, k)."""
+    topology, nodes = mesh.topology, geometry_dofmap(mesh)
+    dimension = topology.dim
+    for pair in ((dimension - 1, dimension), (dimension, dimension - 1)):
+        topology.create_connectivity(*pair)
+    cells_at = topology.connectivity(dimension - 1, dimension)
+    facets_of = topology.connectivity(dimension, dimension - 1)
+    sides = np.array(basix.topology(getattr(basix.CellType, topology.cell_type.name))[-2])
+    if sides.shape[1] == 4:
+        sides = sides[:, [0, 1, 3, 2]]
+    cells = [int(cells_at.links(facet)[0]) for facet in facets]
+    which = [list(facets_of.links(c)).index(f) for c, f in zip(cells, facets, strict=True)]
+    return np.take_along_axis(nodes[cells], sides[which], axis=1)
 
 
 def geometry_dofmap(mesh: Any) -> np.ndarray:
