@@ -175,9 +175,7 @@ def basis_at(space: Any, order: int, point: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def is_on(tags: Any, mesh: Any) -> bool:
-    """Return True if an object is tags of facets of a mesh."""
-    if not {"dim", "find", "values"} <= {*dir(tags)}:
-        return False
+    """Return True if tags are those of facets of a mesh."""
     tagged, whole = (tags.topology, mesh.topology) if _NEW else (tags.mesh, mesh)
     return _compiled(tagged) is _compiled(whole) and tags.dim == mesh.topology.dim - 1
 
@@ -195,33 +193,28 @@ def held_dofs(space: Any, conditions: Sequence[Any]) -> np.ndarray:
     ValueError
         One is of another space, or has a value that is not zero.
     """
-    whole, size = space._cpp_object, space.dofmap.index_map.size_local * space.dofmap.index_map_bs
+    whole, count = space._cpp_object, space.dofmap.index_map.size_local * space.mesh.geometry.dim
     if not all(whole.contains(_compiled(one.function_space)) for one in conditions):
         raise ValueError("one is of another space")
-    values = np.array([[0.0], [1.0]]).repeat(size, axis=1)
+    zeros, ones = values = np.array([[0.0], [1.0]]).repeat(count, axis=1)
     for row in values:
-        vector = PETSc.Vec().createWithArray(row, comm=MPI.COMM_SELF)
-        dolfinx.fem.petsc.set_bc(vector, conditions)
-        vector.destroy()
-    if np.any(values[0]):
-        raise ValueError("one has a value that is not zero")
-    return np.asarray(values[1] == 0.0)
+        dolfinx.fem.petsc.set_bc(PETSc.Vec().createWithArray(row, comm=MPI.COMM_SELF), conditions)
+    if np.any(zeros):
+        raise ValueError("one holds at another value than zero")
+    return np.asarray(ones == 0.0)
 
 
 def facet_corners(mesh: Any, facets: np.ndarray) -> np.ndarray:
     """Corners of facets of this rank, in turn, by their local numbers in the geometry: (n, k)."""
-    topology, nodes = mesh.topology, geometry_dofmap(mesh)
-    dimension = topology.dim
-    for pair in ((dimension - 1, dimension), (dimension, dimension - 1)):
+    topology, d = mesh.topology, mesh.topology.dim
+    for pair in ((d - 1, 0), (d - 1, d), (d, d - 1)):
         topology.create_connectivity(*pair)
-    cells_at = topology.connectivity(dimension - 1, dimension)
-    facets_of = topology.connectivity(dimension, dimension - 1)
-    sides = np.array(basix.topology(getattr(basix.CellType, topology.cell_type.name))[-2])
-    if sides.shape[1] == 4:
-        sides = sides[:, [0, 1, 3, 2]]
-    cells = [int(cells_at.links(facet)[0]) for facet in facets]
-    which = [list(facets_of.links(c)).index(f) for c, f in zip(cells, facets, strict=True)]
-    return np.take_along_axis(nodes[cells], sides[which], axis=1)
+    if _NEW:
+        nodes = dolfinx.mesh.entities_to_geometry(mesh, d - 1, facets)
+    else:
+        nodes = dolfinx.cpp.mesh.entities_to_geometry(_compiled(mesh), d - 1, facets, False)
+    in_turn = [0, 1, 3, 2] if topology.cell_type.name == "hexahedron" else [*range(d)]
+    return np.asarray(nodes)[:, in_turn]
 
 
 def geometry_dofmap(mesh: Any) -> np.ndarray:

@@ -555,12 +555,16 @@ class Structure(Coordinates):
             The space, a condition, a form or the tags are not such, nodes of the two faces do not
             match, or a matrix is none for :meth:`from_matrices`.
         """
-        # It loads DOLFINx, which matrices do not need, and is above this folder.
+        bilinear = {"mass": mass, "stiffness": stiffness}
+        if not isinstance(damping, DampingRule | None):
+            bilinear["damping"] = damping
+        # That file loads DOLFINx, which matrices do not need, and is above this folder.
         forms = import_module("fenics_crack.fem.forms")
-        made: Structure = forms.structure_of_forms(
-            space, stiffness, mass, bcs, loads, crack, thickness, clearance, damping
-        )
-        return made
+        parts, *places = forms.parts_of_forms(space, bilinear, bcs, loads, crack, thickness)
+        made = cls.from_matrices(**{"damping": damping} | parts, clearance=clearance)
+        for key in bilinear:
+            parts[key].destroy()
+        return made.placed(*places)
 
 
 def _in_words(structure: Structure) -> str:
