@@ -101,7 +101,7 @@ def _plate(mesh: Any, crack: Any, comm: MPI.Comm) -> PlateMesh:
         tags, *sides = crack
         lower, upper = map(index, sides)
         if lower == upper or not compat.is_on(tags, mesh):
-            raise ValueError("they are of another mesh, or of other entities, or one")
+            raise ValueError("of another mesh, of other entities, or one tag twice")
     plate = PlateMesh(mesh, tags, {LIPS[0]: (lower,), LIPS[1]: (upper,)}, {}, ())
     faces = [_face(plate, name, comm) for name in LIPS]
     numbers, places = (np.concatenate(part) for part in zip(*faces, strict=True))

@@ -555,7 +555,7 @@ class Structure(Coordinates):
             The space, a condition, a form or the tags are not such, nodes of the two faces do not
             match, or a matrix is none for :meth:`from_matrices`.
         """
-        bilinear = {"mass": mass, "stiffness": stiffness}
+        bilinear = {"stiffness": stiffness, "mass": mass}
         if not isinstance(damping, DampingRule | None):
             bilinear["damping"] = damping
         # That file loads DOLFINx, which matrices do not need, and is above this folder.
