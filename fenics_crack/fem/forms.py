@@ -24,7 +24,6 @@ from fenics_crack.fem.crack_surface import cracks_between
 from fenics_crack.fem.elasticity import constants
 from fenics_crack.fem.lips import find_lips
 from fenics_crack.fem.plate import Dofs, PlateMesh
-from fenics_crack.model.nodes import Nodes, Pairs
 
 CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 LOADS = ("loads.mean", "loads.sin", "loads.cos")
@@ -33,9 +32,9 @@ LOADS = ("loads.mean", "loads.sin", "loads.cos")
 
 def parts_of_forms(
     space: Any, bilinear: dict[str, Any], bcs: Any, loads: Any, crack: Any, thickness: float
-) -> tuple[dict[str, Any], Nodes, Pairs]:
-    """Return what :meth:`Structure.from_matrices` takes, its matrices to be destroyed, and the
-    places of nodes and pairs, of what :meth:`Structure.from_forms` is given (collective)."""
+) -> tuple[Any, ...]:
+    """Return what :meth:`Structure.from_matrices` takes by its names, the matrices to be destroyed,
+    and the nodes and pairs, of what :meth:`Structure.from_forms` is given (collective)."""
     _check_space(space)
     check_number("thickness", thickness, 0.0, above=True)
     with reading("loads", type(loads).__name__, "(mean, sin, cos), linear forms or None"):
@@ -69,7 +68,9 @@ def parts_of_forms(
 
 def _check_space(space: Any) -> None:
     """Raise InputError unless a structure can have the displacements of a space."""
-    allowed = "a whole space of displacements in the mesh's dimension, Lagrange of order 1 or 2"
+    allowed = (
+        "vectors of the mesh's dimension (of a plate gdim = 2), Lagrange of order 1 or 2, whole"
+    )
     with reading("space", type(space).__name__, allowed):
         mesh, element = space.mesh, space.ufl_element()
         fits = mesh.topology.cell_type.name in CELLS and mesh.geometry.dim == mesh.topology.dim
@@ -88,7 +89,7 @@ def _check_form(space: Any, key: str, form: Any, rank: int) -> None:
 
 def _held(space: Any, bcs: Any) -> np.ndarray:
     """This rank's dofs that Dirichlet conditions hold: (n_dofs,) bool."""
-    with reading("bcs", type(bcs).__name__, "a list of Dirichlet conditions on the space, zero"):
+    with reading("bcs", type(bcs).__name__, "a list of Dirichlet conditions on the space, of zero"):
         return compat.held_dofs(space, list(bcs))
 
 
