@@ -47,7 +47,7 @@ from fenics_crack.fem import compat
 from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.crack_surface import Lips
 from fenics_crack.fem.elasticity import constants, rotation_of, stress, thickness
-from fenics_crack.fem.lips import SAME, along
+from fenics_crack.fem.lips import LIPS, SAME, along
 from fenics_crack.fem.loads import assemble_loads, clamp_of
 from fenics_crack.fem.matrix_files import read_structure
 from fenics_crack.fem.msh_file import check_there
@@ -58,8 +58,6 @@ from fenics_crack.model.nodes import Pairs
 from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Damping
-
-LIPS = ("lower_lip", "upper_lip")
 
 
 def pair_lips(

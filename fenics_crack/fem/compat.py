@@ -10,7 +10,7 @@ from __future__ import annotations
 import importlib.metadata
 import logging
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from types import ModuleType
 from typing import Any
@@ -20,6 +20,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenics_crack.basics.caches import settle_caches
+from fenics_crack.basics.errors import reading
 from fenics_crack.basics.gmsh_process import gmsh
 from fenics_crack.basics.threads import addresses_left
 from fenics_crack.basics.untrusted_files import away
@@ -185,22 +186,25 @@ def _compiled(thing: Any) -> Any:
     return getattr(thing, "_cpp_object", getattr(thing, "_mesh", thing))
 
 
-def held_dofs(space: Any, conditions: Sequence[Any]) -> np.ndarray:
+def held_dofs(space: Any, conditions: Any) -> np.ndarray:
     """This rank's dofs of a space that Dirichlet conditions hold at zero: (n_dofs,) bool.
 
     Raises
     ------
-    ValueError
-        One is of another space, or has a value that is not zero.
+    InputError
+        One is of another space, or has a value that is not zero; the key is "bcs".
     """
     whole, count = space._cpp_object, space.dofmap.index_map.size_local * space.mesh.geometry.dim
-    if not all(whole.contains(_compiled(one.function_space)) for one in conditions):
-        raise ValueError("one is of another space")
     zeros, ones = values = np.array([[0.0], [1.0]]).repeat(count, axis=1)
-    for row in values:
-        dolfinx.fem.petsc.set_bc(PETSc.Vec().createWithArray(row, comm=MPI.COMM_SELF), conditions)
-    if np.any(zeros):
-        raise ValueError("one holds at another value than zero")
+    with reading("bcs", type(conditions).__name__, "Dirichlet conditions of zero on the space"):
+        conditions = list(conditions)
+        if not all(whole.contains(_compiled(one.function_space)) for one in conditions):
+            raise ValueError("one is of another space")
+        for row in values:
+            vector = PETSc.Vec().createWithArray(row, comm=MPI.COMM_SELF)
+            dolfinx.fem.petsc.set_bc(vector, conditions)
+        if np.any(zeros):
+            raise ValueError("one holds at another value than zero")
     return np.asarray(ones == 0.0)
 
 

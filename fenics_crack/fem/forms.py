@@ -18,11 +18,11 @@ from mpi4py import MPI
 from fenics_crack.basics.errors import InputError, check_number, reading
 from fenics_crack.basics.ranks import collect_garbage, gather_rows, on_each
 from fenics_crack.fem import compat
-from fenics_crack.fem.build import LIPS, pair_lips
+from fenics_crack.fem.build import pair_lips
 from fenics_crack.fem.compat import dolfinx
 from fenics_crack.fem.crack_surface import cracks_between
 from fenics_crack.fem.elasticity import constants
-from fenics_crack.fem.lips import find_lips
+from fenics_crack.fem.lips import LIPS, find_lips
 from fenics_crack.fem.plate import Dofs, PlateMesh
 
 CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
@@ -46,7 +46,7 @@ def parts_of_forms(
     alike, lasting = (MPI.IDENT, MPI.CONGRUENT), (MPI.COMM_WORLD, MPI.COMM_SELF)
     comm = next((other for other in lasting if MPI.Comm.Compare(other, comm) in alike), comm)
     collect_garbage(comm)  # of structures made before
-    held = on_each(comm, lambda: _held(space, bcs))
+    held = on_each(comm, lambda: compat.held_dofs(space, bcs))
     try:
         dofs = Dofs(_plate(space.mesh, crack, comm), space, comm, held)
         gap, tangential, pairs = pair_lips(dofs, constants(space, thickness)[0])
@@ -85,12 +85,6 @@ def _check_form(space: Any, key: str, form: Any, rank: int) -> None:
         same = [argument.ufl_function_space() == space for argument in form.arguments()]
         if len(same) != rank or not all(same):
             raise ValueError(f"it has {len(same)} arguments, {sum(same)} of them on the space")
-
-
-def _held(space: Any, bcs: Any) -> np.ndarray:
-    """This rank's dofs that Dirichlet conditions hold: (n_dofs,) bool."""
-    with reading("bcs", type(bcs).__name__, "a list of Dirichlet conditions on the space, of zero"):
-        return compat.held_dofs(space, list(bcs))
 
 
 def _plate(mesh: Any, crack: Any, comm: MPI.Comm) -> PlateMesh:

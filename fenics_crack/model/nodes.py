@@ -272,11 +272,10 @@ class Coordinates(Hinted):
         InputError
             The structure is not one of a mesh of DOLFINx.
         """
-        nodes = self.whole.nodes
-        if nodes is None or nodes.numbered is None:
-            allowed = "made from a mesh of DOLFINx: of a scene with a plate or a solid, or of forms"
-            raise InputError("structure", repr(self), allowed)
-        return nodes.numbered.function(self.expand(displacement[None])[0])
+        dofs = getattr(self.whole.nodes, "numbered", None)
+        if dofs is None:
+            raise InputError("structure", repr(self), "made from a mesh of DOLFINx, or from forms")
+        return dofs.function(self.expand(displacement[None])[0])
 
     def apply_bt(self, displacement: np.ndarray) -> np.ndarray:
         """B^T u of displacements (m, n_local): (m, n_pairs) on every rank (collective)."""
