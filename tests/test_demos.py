@@ -274,3 +274,15 @@ def test_friction(tmp_path: Path) -> None:
     assert found["friction left out, up to about"] > 1.0
     assert found["loss by friction over that by damping"] == pytest.approx(0.814, abs=0.005)
     assert {"response.png", "loops.png"} == {path.name for path in tmp_path.iterdir()}
+
+
+@pytest.mark.nightly
+def test_own_forms(tmp_path: Path) -> None:
+    """The graded plate on springs is slower than that of one modulus which is clamped."""
+    solution = load("own_forms").main(tmp_path)
+    assert solution.converged and solution.report.total < 1e-2
+    clamped = fc.build_structure(fc.Scene.load(DEMOS / "inclined_crack.toml"))
+    slower, faster = (fc.solve_modes(s, 1).omega[0] for s in (solution.structure.whole, clamped))
+    assert 0.5 < slower / faster < 0.95
+    assert solution.indicators().opening == pytest.approx(3.341e-6, rel=1e-2)
+    assert len(list(tmp_path.glob("plate*.pvtu"))) == 20

@@ -32,7 +32,7 @@ from fenics_crack.balance.error_report import (
     of_no_solution,
 )
 from fenics_crack.balance.problem import Problem, Search
-from fenics_crack.basics.errors import ConvergenceError
+from fenics_crack.basics.errors import ConvergenceError, check_number
 from fenics_crack.basics.tables import (
     OF_FRICTION,
     OF_LIPS,
@@ -361,6 +361,12 @@ class PeriodicSolution(Wave, Described):
         if self.residual is None:
             return evaluate(self.coefficients_at(dofs), self.base_omega, time)
         return self.structure.values_at(self.coordinates(time), dofs)
+
+    def function(self, time: float) -> Any:
+        """Displacement at a time [s] as DOLFINx's Function, on the space of the mesh: for
+        ParaView, and for further forms (collective)."""
+        check_number("time", time)
+        return self.structure.function(self.coordinates(np.array([time]))[0])
 
     def amplitude(self, dof: int | None = None) -> float:
         """Half the peak-to-peak displacement of a dof, or of the watched one [m] (collective)."""

@@ -48,7 +48,7 @@ from fenics_crack.fem import compat
 from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.crack_surface import Lips
 from fenics_crack.fem.elasticity import constants, rotation_of, stress, thickness
-from fenics_crack.fem.lips import SAME, along
+from fenics_crack.fem.lips import LIPS, SAME, along
 from fenics_crack.fem.loads import assemble_loads, clamp_of
 from fenics_crack.fem.matrix_files import read_structure
 from fenics_crack.fem.msh_file import check_there
@@ -60,14 +60,13 @@ from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamp
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Damping
 
-LIPS = ("lower_lip", "upper_lip")
-
 
 def pair_lips(
-    scene: Scene, dofs: Dofs
+    dofs: Dofs, t: Any, *, mouth: bool = False
 ) -> tuple[sparse.csr_matrix, sparse.csr_matrix | None, Pairs]:
     """Pair what is in the same place of both faces, crack by crack: the rows of B and of B_t of
-    this rank's free dofs, and where the pairs are (collective).
+    this rank's free dofs, and where the pairs are; with ``mouth`` those alone that are watched
+    (collective).
 
     B_t is B with each node's normal turned by a right angle; a solid has none.
 
@@ -79,12 +78,12 @@ def pair_lips(
     InputError
         The two faces have different nodes.
     """
-    dimension, plate = scene.dimension, dofs.plate
+    dimension, plate = dofs.dimension, dofs.plate
     if not plate.cracked:
         none = np.zeros((0, dimension)), np.zeros(0), np.zeros(0, dtype=int), np.zeros(0)
         return sparse.csr_matrix((len(dofs.free), 0)), None, Pairs(*none)
     make = _of_nodes if dimension == 2 else _of_patches
-    space, weights, columns = make(dofs, thickness(scene, dofs.space), plate.along(*LIPS))
+    space, weights, columns = make(dofs, t, plate.along(*LIPS))
     first = space.dofmap.index_map.local_range[0]
     points = space.tabulate_dof_coordinates()[:, :dimension]
     sides = []
@@ -94,7 +93,7 @@ def pair_lips(
         sides.append(gather_rows(dofs.comm, rows))
     lower, upper, cracks, positions = _matched(plate.lips, *sides)
     places = _watched(plate.lips, cracks, positions)
-    if scene.contact is not None and scene.contact.pairs == "mouth":
+    if mouth:
         chosen = list(places.values())
         lower, upper, cracks, positions = (x[chosen] for x in (lower, upper, cracks, positions))
         places = {name: number for number, name in enumerate(places)}
@@ -174,7 +173,7 @@ def _matched(
         )
     if not matching:
         found = f"{len(lower)} lower and {len(upper)} upper nodes"
-        how = "one curve or surface named 'crack' is split into two that do"
+        how = "in a mesh file one curve or surface named 'crack' is split into two that do"
         allowed = (
             f"meshed identically, so that nodes of the two faces pair one to one, but {reason}"
         )
@@ -235,7 +234,8 @@ def _assembled(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
     space = compat.function_space(plate.mesh, scene.mesh.order)
     dofs = Dofs(plate, space, comm)
     stiffness, mass = _matrices(scene, space)
-    gap, tangential, pairs = pair_lips(scene, dofs)
+    mouth = scene.contact is not None and scene.contact.pairs == "mouth"
+    gap, tangential, pairs = pair_lips(dofs, thickness(scene, space), mouth=mouth)
     force, watched = assemble_loads(scene, dofs, mass)
     clamp = clamp_of(dofs, mass, force)
     structure = Structure(

@@ -20,6 +20,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenics_crack.basics.caches import settle_caches
+from fenics_crack.basics.errors import reading
 from fenics_crack.basics.form_cache import load_form
 from fenics_crack.basics.gmsh_process import gmsh
 from fenics_crack.basics.threads import addresses_left
@@ -108,14 +109,21 @@ def _compiled(comm: MPI.Comm, form: Any, make: Callable[..., Any], *given: Any) 
     return load_form(comm, _CACHE / f"{key}.txt", lambda options: make(*given, **{_JIT: options}))
 
 
-def function_space(mesh: Any, order: int, *, vectors: bool = True) -> Any:
+def element(mesh: Any, order: int, *, vectors: bool = True) -> Any:
     """Continuous piecewise polynomials of the given order: vectors, or numbers."""
     if _NEW:
-        shape = ((mesh.geometry.dim,),) if vectors else ()
-        return dolfinx.fem.functionspace(mesh, ("Lagrange", order, *shape))
+        shape = (mesh.geometry.dim,) if vectors else None
+        return basix.ufl.element("Lagrange", mesh.topology.cell_type.name, order, shape=shape)
     make = ufl.VectorElement if vectors else ufl.FiniteElement
-    element = make("Lagrange", mesh.ufl_cell(), order)
-    return _compiled(mesh.comm, element, dolfinx.fem.FunctionSpace, mesh, element)
+    return make("Lagrange", mesh.ufl_cell(), order)
+
+
+def function_space(mesh: Any, order: int, *, vectors: bool = True) -> Any:
+    """The space of :func:`element`."""
+    of_mesh = element(mesh, order, vectors=vectors)
+    if _NEW:
+        return dolfinx.fem.functionspace(mesh, of_mesh)
+    return _compiled(mesh.comm, of_mesh, dolfinx.fem.FunctionSpace, mesh, of_mesh)
 
 
 def compiled(form: Any) -> Any:
@@ -173,6 +181,54 @@ def basis_at(space: Any, order: int, point: np.ndarray) -> tuple[np.ndarray, np.
     )
     values = element.tabulate(0, reference)[0, 0].ravel()
     return np.asarray(space.dofmap.cell_dofs(cell)), values
+
+
+def is_on(tags: Any, mesh: Any) -> bool:
+    """Return True if tags are those of facets of a mesh."""
+    tagged, whole = (tags.topology, mesh.topology) if _NEW else (tags.mesh, mesh)
+    return _in_cpp(tagged) is _in_cpp(whole) and tags.dim == mesh.topology.dim - 1
+
+
+def _in_cpp(thing: Any) -> Any:
+    """The object of C++ behind one of Python, in the words of any version."""
+    return getattr(thing, "_cpp_object", getattr(thing, "_mesh", thing))
+
+
+def held_dofs(space: Any, conditions: Any) -> np.ndarray:
+    """This rank's dofs of a space that Dirichlet conditions hold at zero: (n_dofs,) bool.
+
+    Raises
+    ------
+    InputError
+        One is of another space, or has a value that is not zero; the key is "bcs".
+    """
+    whole, count = space._cpp_object, space.dofmap.index_map.size_local * space.mesh.geometry.dim
+    zeros, ones = values = np.array([[0.0], [1.0]]).repeat(count, axis=1)
+    with reading("bcs", type(conditions).__name__, "Dirichlet conditions of zero on the space"):
+        conditions = list(conditions)
+        if not all(whole.contains(_in_cpp(one.function_space)) for one in conditions):
+            raise ValueError("one is of another space")
+        for row in values:
+            vector = PETSc.Vec().createWithArray(row, comm=MPI.COMM_SELF)
+            dolfinx.fem.petsc.set_bc(vector, conditions)
+        if np.any(zeros):
+            raise ValueError("one holds at another value than zero")
+    return np.asarray(ones == 0.0)
+
+
+def facet_corners(mesh: Any, facets: np.ndarray) -> np.ndarray:
+    """Corners of facets of this rank, in turn, by their local numbers in the geometry: (n, k)."""
+    topology, d = mesh.topology, mesh.topology.dim
+    for pair in ((d - 1, 0), (d - 1, d), (d, d - 1)):
+        topology.create_connectivity(*pair)
+    in_turn = [0, 1, 3, 2] if topology.cell_type.name == "hexahedron" else [*range(d)]
+    if not len(facets):  # by whose number 0.9 divides
+        return np.zeros((0, len(in_turn)), dtype=np.int32)
+    if _NEW:
+        nodes = dolfinx.mesh.entities_to_geometry(mesh, d - 1, facets)
+    else:
+        nodes = dolfinx.cpp.mesh.entities_to_geometry(_in_cpp(mesh), d - 1, facets, False)
+    return np.asarray(nodes)[:, in_turn]
 
 
 def geometry_dofmap(mesh: Any) -> np.ndarray:

@@ -99,10 +99,7 @@ def rotation_of(
         moved = static(load)
     else:
         moved, _ = static_state(at_rest, load, np.zeros(at_rest.n_pairs))
-    displaced = dolfinx.fem.Function(space)  # zero where the plate is clamped
-    displaced.x.array[dofs.free] = moved
-    displaced.x.scatter_forward()
-    turned = ufl.grad(displaced)
+    turned = ufl.grad(dofs.function(moved))
     tension = stress(scene, space, ufl.sym(turned))
 
     def crossed(one: Any, other: Any) -> Any:

@@ -16,6 +16,8 @@ import scipy.sparse as sparse
 
 from fenics_crack.basics.errors import InputError
 
+LIPS = ("lower_lip", "upper_lip")
+"""Names of the two faces of all cracks of a mesh."""
 SAME = 1e-6
 """Distance within which two places are one, relative to the size of the mesh or the length of the
 crack: text files have six digits and more."""

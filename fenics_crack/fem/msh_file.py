@@ -40,13 +40,12 @@ from fenics_crack.fem.crack_surface import (
     joined,
     split_cracks,
 )
-from fenics_crack.fem.lips import SAME, each_once, find_lips, rows_in
+from fenics_crack.fem.lips import LIPS, SAME, each_once, find_lips, rows_in
 
 Group = tuple[int, int, str, int, np.ndarray]
 """Dimension, tag and name, and elements of one kind: gmsh's number of it and the nodes."""
 Given = tuple[np.ndarray, np.ndarray, list[Group]]
 """Numbers and positions of all nodes, and the groups."""
-LIPS = ("lower_lip", "upper_lip")
 CRACK = re.compile(r"crack([ _.-]?\d+)?$", re.IGNORECASE)
 """Names of curves and of surfaces that are cracks."""
 

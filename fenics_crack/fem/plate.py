@@ -151,19 +151,23 @@ def _model(scene: Scene) -> tuple[Names, Lips]:
 class Dofs:
     """Free dofs of a mesh's function space, and their numbers in the structure."""
 
-    def __init__(self, plate: PlateMesh, space: Any, comm: MPI.Comm) -> None:
+    def __init__(
+        self, plate: PlateMesh, space: Any, comm: MPI.Comm, held: np.ndarray | None = None
+    ) -> None:
+        """Take which of this rank's dofs are held, (n_dofs,) bool; None: those at the clamp."""
         self.comm = comm
         self.plate = plate
         self.space = space
         self.dimension = space.mesh.geometry.dim
         self.n_nodes = space.dofmap.index_map.size_local
         self.first_node = space.dofmap.index_map.local_range[0]
-        free = np.ones((self.n_nodes, self.dimension), dtype=bool)
-        free[self.nodes_on("clamp")] = False
-        self.free = np.flatnonzero(free.ravel())
+        if held is None:
+            held = np.zeros((self.n_nodes, self.dimension), dtype=bool)
+            held[self.nodes_on("clamp")] = True
+        self.free = np.flatnonzero(~held.ravel())
         """Owned free dofs, local numbers of the function space."""
         first = self.comm.exscan(len(self.free)) or 0
-        self.numbers = np.full(free.size, -1)
+        self.numbers = np.full(held.size, -1)
         """Number in the structure of each owned dof of the space, -1 where clamped."""
         self.numbers[self.free] = first + np.arange(len(self.free))
 
@@ -198,6 +202,14 @@ class Dofs:
         found = PETSc.Mat().createAIJ(block.sizes, csr=csr, comm=self.comm)
         for used in (rows, block, matrix):
             used.destroy()
+        return found
+
+    def function(self, displacement: np.ndarray) -> Any:
+        """DOLFINx's Function of a displacement of the free dofs (n_local,), zero where clamped
+        (collective)."""
+        found = dolfinx.fem.Function(self.space)
+        found.x.array[self.free] = displacement
+        found.x.scatter_forward()
         return found
 
     def nodes(self) -> Nodes:

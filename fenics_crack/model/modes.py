@@ -66,6 +66,14 @@ class Modes(Tabular):
 
     KIND: ClassVar[str] = "set of modes"
 
+    def function(self, index: int) -> Any:
+        """The shape of ``omega[index]`` as DOLFINx's Function, on the space of the mesh
+        (collective)."""
+        last = len(self.omega) - 1
+        if not isinstance(index, Integral) or not 0 <= index <= last:
+            raise InputError("index", index, f"a whole number from 0 to {last}")
+        return self.structure.function(self.shapes[:, index])
+
     def to_dict(self) -> dict[str, Any]:
         """Columns, a row for every mode: its number, omega [rad/s] and frequency [Hz]."""
         return {

@@ -264,6 +264,19 @@ class Coordinates(Hinted):
         """Displacements (m, n_local) as those of the whole structure."""
         return displacement
 
+    def function(self, displacement: np.ndarray) -> Any:
+        """DOLFINx's Function of a displacement (n_local,), zero where clamped (collective).
+
+        Raises
+        ------
+        InputError
+            The structure is not one of a mesh of DOLFINx.
+        """
+        dofs = getattr(self.whole.nodes, "numbered", None)
+        if dofs is None:
+            raise InputError("structure", repr(self), "made from a mesh of DOLFINx, or from forms")
+        return dofs.function(self.expand(displacement[None])[0])
+
     def apply_bt(self, displacement: np.ndarray) -> np.ndarray:
         """B^T u of displacements (m, n_local): (m, n_pairs) on every rank (collective)."""
         return self.sum_over_ranks((self.gap.T @ displacement.T).T)

@@ -21,6 +21,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from importlib import import_module
 from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
@@ -198,7 +199,8 @@ Found = TypeVar("Found")
 class Structure(Coordinates):
     """A linear structure with contact pairs; none of its attributes can be set.
 
-    Made by :func:`fenics_crack.build_structure` from a scene or by :meth:`from_matrices`.
+    Made by :func:`fenics_crack.build_structure` from a scene, by :meth:`from_matrices` or by
+    :meth:`from_forms`.
 
     Attributes
     ----------
@@ -506,6 +508,63 @@ class Structure(Coordinates):
             made = parts["mass"]
             damping = petsc_matrix("damping", damping, made.comm.tompi4py(), made.size[0])
         return cls(**parts, damping=damping).with_tangents(tangential)
+
+    @classmethod
+    @alone()
+    @checked_call
+    def from_forms(
+        cls,
+        space: Any,
+        stiffness: Any,
+        mass: Any,
+        *,
+        bcs: Any = (),
+        loads: Any = None,
+        crack: Any = None,
+        thickness: float = 1.0,
+        clearance: Any = 0.0,
+        damping: Any = None,
+    ) -> Structure:
+        """Make a structure from UFL forms on a mesh of DOLFINx (collective).
+
+        Parameters
+        ----------
+        space : dolfinx.fem.FunctionSpace
+            Displacements: vectors, Lagrange elements of order 1 or 2, on a mesh of a plane or of a
+            solid.
+        stiffness, mass : ufl.Form
+            Symmetric bilinear forms on it, without the conditions; the mass positive definite, the
+            stiffness semidefinite. In a plane they hold the thickness.
+        bcs : list of dolfinx.fem.DirichletBC
+            Conditions on the space or its components, all of value zero.
+        loads : (mean, sin, cos) or None
+            Linear forms, or None for a part that is zero: mean, and first harmonic.
+        crack : (facet_tags, lower, upper) or None
+            Tags of the mesh's facets, and those of the two faces of all cracks: exterior facets in
+            the same places, with different nodes but for those of tips and fronts.
+        thickness : float [m]
+            In a plane, for the areas of the contact pairs.
+        clearance : float or (n_pairs,) [m]
+            g0; negative for preload.
+        damping : ModalDamping, RayleighDamping, ufl.Form or None
+            Modal or Rayleigh damping, or the bilinear form of C.
+
+        Raises
+        ------
+        InputError
+            The space, a condition, a form or the tags are not such, nodes of the two faces do not
+            match, or a matrix is none for :meth:`from_matrices`.
+        """
+        bilinear = {"stiffness": stiffness, "mass": mass}
+        if not isinstance(damping, DampingRule | None):
+            bilinear["damping"] = damping
+        # That file loads DOLFINx, which matrices do not need, and is above this folder.
+        forms = import_module("fenics_crack.fem.forms")
+        parts, *places = forms.parts_of_forms(space, bilinear, bcs, loads, crack, thickness)
+        made = cls.from_matrices(**{"damping": damping} | parts, clearance=clearance)
+        for key in bilinear:
+            parts[key].destroy()
+        return made.placed(*places)
 
 
 def _in_words(structure: Structure) -> str:
