@@ -167,7 +167,7 @@ def check_options(whose: str, options: Mapping[str, object], known: Collection[s
 
 def check_kind(key: str, value: object, annotation: str, kinds: Collection[str]) -> None:
     """Raise InputError where all alternatives of an annotation are among some kinds, and the value
-    is of none of them.
+    is of none of them; which words are allowed each function says.
 
     Classes are compared by their names: no module is imported for that.
     """
@@ -175,7 +175,7 @@ def check_kind(key: str, value: object, annotation: str, kinds: Collection[str])
     names = {base.__name__ for base in type(value).__mro__}
     for kind, name in ((Mapping, "Mapping"), (os.PathLike, "Path"), (type(None), "None")):
         names |= {name} if isinstance(value, kind) else set()
-    if {*wanted} <= {*kinds, *KINDS} and names.isdisjoint(wanted):
+    if {"str"} != {*wanted} <= {*kinds, *KINDS} and names.isdisjoint(wanted):
         shown = value if isinstance(value, str | int | float | None) else type(value).__name__
         raise InputError(key, shown, " or ".join(KINDS.get(one) or f"a {one}" for one in wanted))
 
@@ -194,8 +194,8 @@ def checked_call(
     open_ended = any(one.kind is one.VAR_KEYWORD for one in signature.parameters.values())
     known = [name for name, one in signature.parameters.items() if one.kind is not one.VAR_KEYWORD]
     known = [name for name in known if name not in ("self", "cls")]
-    kinds = {name: one.kind for name, one in signature.parameters.items()}
-    shown = [f"{name}=..." if kinds[name].name == "KEYWORD_ONLY" else name for name in known]
+    named = {name for name, one in signature.parameters.items() if one.kind is one.KEYWORD_ONLY}
+    shown = [f"{name}=..." if name in named else name for name in known]
 
     @functools.wraps(function)
     def call(*args: Any, **options: Any) -> Any:

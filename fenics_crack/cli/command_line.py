@@ -163,7 +163,7 @@ def _explain(errors: Sequence[InputError]) -> None:
         if error.value is None:
             from fenics_crack.cli.given import line_of, lines_of
 
-            line = line_of(key, error.allowed)
+            line = "" if key in error.allowed else line_of(key, error.allowed)
             example = f"; for example {line}" if line else ""
             blocks.append(lines_of(key) if error.example is None else error.example)
         _say(f"{type(error)(key, error.value, error.allowed)}{example}")

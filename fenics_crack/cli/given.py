@@ -99,9 +99,9 @@ def read_inputs(given: Namespace) -> Inputs | None:
 def _errors_behind(error: InputError, path: Path, given: dict[str, Any]) -> Iterator[InputError]:
     """Yield the errors of further keys of a scene with the changes that are given.
 
-    From then on a missing key or table is that of the template, an unknown one is left out, and a
-    wrong value is the one that may be meant, or ends it. Behind a value of the template only what
-    is missing or unknown is reported: other errors may be due to that value.
+    From then on a missing key or table, and a wrong number, are those of the template, an unknown
+    key is left out, and a wrong word is the one that may be meant, or ends it. Behind a value of
+    the template only what is missing or unknown is reported: other errors may be due to that value.
     """
     changed, passed, meant, alone = {**given}, {"scene"}, "", True
     tables = {} if error.key == "scene" else tomllib.loads(text_of(path))
@@ -116,12 +116,17 @@ def _errors_behind(error: InputError, path: Path, given: dict[str, Any]) -> Iter
             held = tables.get(table) if name else tables
             if isinstance(held, dict):
                 held.pop(name or table, None)
-        elif error.value is None or value:
+        else:
             lines = line_of(error.key, error.allowed) if name else lines_of(table)
             lines = f"{name} = {value[1]}" if value else lines
             with suppress(ValueError):  # no value is meant
                 new = tomllib.loads(lines) if name else tomllib.loads(lines).get(table, {})
-                changed |= {f"{table}.{key}": value for key, value in new.items()}
+                wrong = error.value is not None and value is None
+                changed |= {
+                    f"{table}.{key}": right
+                    for key, right in new.items()
+                    if not (wrong and isinstance(right, str))
+                }
             alone = alone and value is not None
         try:
             Scene.from_mapping(tables, path.parent, changed)

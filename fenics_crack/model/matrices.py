@@ -34,7 +34,7 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from fenics_crack.basics.errors import InputError, check_count, reading
+from fenics_crack.basics.errors import MOST_HARMONICS, InputError, check_count, reading
 from fenics_crack.basics.ranks import gather_rows, on_each
 from fenics_crack.basics.tables import counted
 from fenics_crack.basics.untrusted_files import opened_text, rows_in
@@ -617,7 +617,7 @@ def with_harmonics(
     if not isinstance(given, Mapping):
         raise InputError("harmonics", given, "cosine and sine part by the order")
     for order in given:
-        check_count("order in harmonics", order, 1)
+        check_count("order in harmonics", order, 1, MOST_HARMONICS)
     found = resized(force, max([len(force) // 2, *given]))
     for order, both in given.items():
         name = f"harmonics[{order}]"

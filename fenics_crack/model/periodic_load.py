@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fenics_crack.basics.errors import InputError, check_count, reading
+from fenics_crack.basics.errors import MOST_HARMONICS, InputError, check_count, reading
 from fenics_crack.basics.untrusted_files import table_rows
 from fenics_crack.model.matrices import numbers
 from fenics_crack.numerics.fourier import from_complex
@@ -52,7 +52,7 @@ def load_harmonics(time: object, values: object, harmonics: int) -> tuple[np.nda
     >>> sine = square[2::2]
     """
     at, found = numbers(time), numbers(values)
-    check_count("harmonics", harmonics, 1)
+    check_count("harmonics", harmonics, 1, MOST_HARMONICS)
     ascending = at.ndim == 1 and len(at) > 1 and np.all(np.isfinite(at)) and at[-1] > at[0]
     if not ascending or np.any(np.diff(at) < 0.0):
         raise InputError("time", time, "two or more ascending numbers, of a whole period")

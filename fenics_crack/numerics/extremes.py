@@ -31,7 +31,9 @@ def largest(values: np.ndarray, at: Motion | None = None) -> np.ndarray:
     )
     rows, columns = np.nonzero(peaks)
     places, distance, each = rows / len(values), 1.0 / len(values), np.arange(len(rows))
-    for _ in range(STEPS if at is not None and len(rows) else 0):
+    for _ in range(STEPS):
+        if at is None or not len(rows):
+            break
         near = places[:, None] + distance * AROUND
         seen = at(near.ravel()).reshape(*near.shape, -1)[each, :, columns]
         best = seen.argmax(axis=1)

@@ -902,7 +902,7 @@ def _with_changes(tables: Mapping[str, Any], values: Mapping[str, object]) -> di
     found = dict(tables)
     changes: dict[tuple[str, int], dict[str, object]] = {}
     for name, value in values.items():
-        table, number, key = _changed_key(name, value)
+        table, number, key = _changed_key(str(name), value)
         if key:
             changes.setdefault((table, number or 0), {})[key] = value
         else:

@@ -143,6 +143,8 @@ def blades(found: Any, dof: int | None = None) -> Blades:
         raise InputError("found", type(found).__name__, "a solution or a response curve")
     structure = result.structure
     wheel = wheel_of(structure)
+    if dof is not None:
+        check_count("dof", dof, 0)
     dofs = wheel.dofs_of_blades(int(wheel.check_dofs([dof])[0]))
     if isinstance(result, PeriodicSolution):
         places, solutions = [0] * len(dofs), {0: result}
@@ -356,6 +358,7 @@ def amplification(
     """
     check_count("patterns", patterns, 1, MAX_CASES)
     check_count("seed", seed, 0)
+    check_number("deviation", deviation, 0.0)
     scene.given("disk")
     of_pattern = {"disk.mistuning": {"deviation": float(deviation), "seed": seed}}
     bonded = scene.replace({"disk.cracked": [], **of_pattern})

@@ -240,20 +240,25 @@ def test_dicts_say_what_the_results_are(results: dict[str, Any]) -> None:
 
 
 def test_entries_of_contact(results: dict[str, Any]) -> None:
-    """Extremes over the period as sampled by hand; without pairs there is no entry of contact."""
+    """Extremes over the period, hardly above those of samples; without pairs there is no entry of
+    contact."""
     solution = results["bifurcation"].solution
     time = np.linspace(0.0, solution.period, 1024, endpoint=False)
     gap, force = solution.gap(time), solution.contact_force(time)
     found = solution.to_dict()
-    assert found["penetration"] == gap.max() > 0.0 and found["contact_force"] == force.max()
+    sampled = gap.max(), force.max(), np.ptp(solution.displacement(time, [1])) / 2.0
+    for exact, seen in zip(
+        (found["penetration"], found["contact_force"], solution.amplitude(1)), sampled, strict=True
+    ):
+        assert 0.0 < seen <= exact < seen * (1.0 + 1e-5)
     assert found["closed_share"] == np.mean(force > 0.0)
-    assert solution.amplitude(1) == np.ptp(solution.displacement(time, [1])) / 2.0
     free = fc.solve_linear(fc.Structure.from_matrices(np.eye(1), np.eye(1), gap=None), 0.5)
     assert found.keys() - free.to_dict().keys() == {
         "opening", "penetration", "contact_force", "closed_share", "crack_force",
     }  # fmt: skip
     table = solution.table("contact_force", "omega")
-    assert table.rows == [("contact_force [N]", force.max()), ("omega [rad/s]", solution.omega)]
+    force_row = "contact_force [N]", found["contact_force"]
+    assert table.rows == [force_row, ("omega [rad/s]", solution.omega)]
 
 
 def test_sweep_over_its_keys(results: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:

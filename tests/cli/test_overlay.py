@@ -78,7 +78,7 @@ def test_mesh_with_a_load_of_many_harmonics(name: str, tmp_path: Path) -> None:
     scene, wave = str(DEMOS / f"{name}.toml"), tmp_path / "wave.csv"
     more = ",0" if name.startswith("solid") else ""
     rows = ("0,5,0", "0.5,5,0", "0.5,-5,0", "1,-5,0")
-    wave.write_text("words\n" + "".join(f"{row}{more}\n" for row in rows))
+    wave.write_text(f"t,fx,fy{more and ',fz'}\n" + "".join(f"{row}{more}\n" for row in rows))
     changes = {"excitation.harmonics": [{"order": 3, "cos": [1.0] + [0.0] * (1 + len(more) // 2)}]}
     changes |= {"excitation.wave": str(wave), "harmonic_balance.harmonics": None}
     file = tmp_path / "scene.toml"

@@ -97,7 +97,7 @@ def test_a_rigid_pair_behind_a_spring(
     np.testing.assert_allclose(found.unknowns, bilinear.unknowns, atol=1e-6)
     assert found.amplitude(0) == pytest.approx(bilinear.amplitude(0), rel=1e-6)
     solution = found.solution(5)
-    time = np.arange(256) * solution.period / 256
+    time = np.arange(2**17) * solution.period / 2**17
     force = solution.contact_force(time)[:, 0]
     assert found.amplitude(1)[5] == pytest.approx(np.ptp(force) / 2.0, rel=1e-9)
     assert solution.gap(time).max() < 1e-12
