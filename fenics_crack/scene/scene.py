@@ -138,6 +138,8 @@ class Scene(Hinted):
             object.__setattr__(self, "excitation", self.excitation.at_speed(self.speed))
         balance = self.harmonic_balance.of_load(self.highest_order)
         object.__setattr__(self, "harmonic_balance", balance)
+        if balance.form == "block":
+            _check_block(self)
         if self.curve is not None and self.curve.followed[0] == "speed":
             allowed = "another one without an excitation.order, which needs a rotation"
             self.curve.require(self.excitation.order is not None, "parameter", allowed)
@@ -555,6 +557,19 @@ def unit_of(name: str) -> str:
 
 
 # --- what tables must not contradict --------------------------------------------------------------
+
+
+def _check_block(scene: Scene) -> None:
+    """Raise InputError where the block system of harmonic balance does not solve a scene."""
+    contact, reduction = scene.contact, scene.reduction
+    tables = ("disk", "curve", "sweep", "growth", "identify")
+    refused = {f"with a table [{name}]": getattr(scene, name) is not None for name in tables}
+    refused["with contact.law = 'unilateral'"] = contact is not None and contact.law == "unilateral"
+    refused["with contact.friction"] = contact is not None and contact.friction > 0.0
+    reduces = reduction is not None and reduction.method != "off"
+    refused["with a table [reduction], but for reduction.method = 'off'"] = reduces
+    for words, wrong in refused.items():
+        scene.harmonic_balance.require(not wrong, "form", f"'condensed' {words}")
 
 
 def _check_matrices(scene: Scene, structure: Structure) -> None:

@@ -1,0 +1,300 @@
+"""Harmonic balance of all displacements: the block system, solved by PETSc's SNES.
+
+The coefficients u (2H+1, n) of the displacement in the paper's order solve (eqs 5 to 15)
+
+    r(u) = A u + B b(B^T u - g0) - c = 0,        J = A + B T B^T,
+
+A = I x K - diag(k^2 w^2) x M + S x C from the matrices of DOLFINx, where S couples the cosine and
+the sine of each harmonic k by +-k w; b are the coefficients of the contact force, T = db/dg those
+of its tangent, by alternating between frequency and time, c those of the load. J is a sparse
+matrix (AIJ) on the structure's ranks: each has all harmonics of its dofs. Modal damping C = M Phi
+diag(d) Phi^T M is dense: its m modes are unknowns of each harmonic, q = Phi^T M u, on the last
+rank.
+
+Unknowns are measured by the linear solution, residuals by the load. Newton's method takes full
+steps, first from the linear solution at a contact so soft that its solution is next to that, then
+at stiffer and stiffer ones up to the law; steps in stiffness that fail are shortened. Every
+iteration factors J, with 2H+1 times the unknowns of a mesh: the condensed form
+(:mod:`contact_system`) has the same solutions in a fraction of the time.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sparse
+from petsc4py import PETSc
+
+from fenics_crack.balance.compliance import Compliance
+from fenics_crack.balance.contact_integrals import SampledIntegrals, default_samples
+from fenics_crack.balance.contact_system import SOFT, ContactPoint, Wave
+from fenics_crack.balance.problem import Problem, Search
+from fenics_crack.balance.solution import PeriodicSolution, Solver
+from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.progress import begin
+from fenics_crack.basics.threads import machine_memory
+from fenics_crack.model.contact import friction_of, is_rigid
+from fenics_crack.model.factor import distributed, factor_memory, local_rows
+from fenics_crack.model.modes import check_damped_modes, damped_modes
+from fenics_crack.model.structure import ModalDamping, Structure
+from fenics_crack.model.wheel import Wheel
+from fenics_crack.numerics.equations import NEARLY_SOLVED
+from fenics_crack.numerics.fourier import resized, stretched
+from fenics_crack.numerics.newton import MAX_ITERATIONS, Snes
+
+STIFFER, LEAST_STIFFER = 10.0, 1.1
+"""Ratio of the contact stiffnesses of successive solutions, and the smallest that is tried."""
+REMEDY = "form = 'condensed', other harmonics, a softer contact, or more damping"
+
+
+class BlockSystem(Snes):
+    """The block system of a problem, by :class:`SampledIntegrals`; a context manager (collective).
+
+    Parameters
+    ----------
+    problem : Problem
+        Of a whole structure.
+    linear : (2H+1, n_local) [m]
+        The solution without contact.
+    history : list, optional
+        As of :class:`Snes`.
+    """
+
+    def __init__(
+        self, problem: Problem, linear: np.ndarray, history: list[float] | None = None
+    ) -> None:
+        structure, integrals = problem.structure, problem.integrals()
+        assert isinstance(integrals, SampledIntegrals)
+        self.integrals = integrals
+        self.structure, self._shape, self._load = structure, linear.shape, problem.load
+        squares = np.array([np.sum(part**2) for part in (linear, self._load)])
+        length, load = np.sqrt(structure.sum_over_ranks(squares))
+        still = float(np.abs(structure.clearance).max()) or 1.0
+        self._length = float(length) or still
+        """Unit of the unknowns [m]."""
+        self._force = float(load) or still * float(np.max(problem.contact.stiffness))
+        """Unit of the residual [N]."""
+        self._starts = np.cumsum([0, *structure.comm.allgather(structure.n_local)])
+        self._modes = _unit_modes(structure)
+        part = self._linear_part(problem.base_omega)
+        pairs, rows = structure.n_pairs, len(linear)
+        whole = sparse.vstack(structure.comm.allgather(structure.gap))
+        self._into = sparse.kron(sparse.identity(rows), structure.gap, "csr")
+        self._seen = self._spread(sparse.kron(sparse.identity(rows), whole.T), part.shape[1])
+        place = np.arange(rows * pairs).reshape(rows, pairs).T
+        self._ends = np.repeat(place, rows, axis=1).ravel(), np.tile(place, rows).ravel()
+        touched = self._contact(np.ones(rows * rows * pairs)).tocoo()
+        entries = np.append(part.data, 0.0 * touched.data)
+        at = np.append(part.row, touched.row), np.append(part.col, touched.col)
+        matrix = distributed(sparse.coo_matrix((entries, at), part.shape), structure.comm)
+        self._linear = matrix.duplicate(copy=True)
+        super().__init__(matrix, history)
+
+    def _linear_part(self, base_omega: float) -> sparse.coo_matrix:
+        """This rank's rows of A, those of the modes on the last rank, with their units."""
+        structure, rows = self.structure, self._shape[0]
+        mass, stiffness = (local_rows(one) for one in (structure.mass, structure.stiffness))
+        omega = base_omega * ((np.arange(rows) + 1) // 2)
+        turn = np.zeros((rows, rows))  # of the derivative: from sine to cosine, and back
+        turn[1::2, 2::2], turn[2::2, 1::2] = np.diag(omega[1::2]), -np.diag(omega[2::2])
+        matrix = sparse.kron(sparse.identity(rows), stiffness, "csr")
+        matrix -= sparse.kron(sparse.diags(omega**2), mass)
+        if structure.damping_matrix is not None:
+            matrix += sparse.kron(turn, local_rows(structure.damping_matrix))
+        matrix *= self._length / self._force
+        if self._modes is None:
+            return self._spread(matrix, matrix.shape[1]).tocoo()
+        comm, size, (shapes, rate) = structure.comm, matrix.shape[1], self._modes
+        damped = sparse.kron(turn[:, 1:], self._length / self._force * rate * shapes)
+        parts = sparse.hstack([self._spread(matrix, size), damped])
+        gathered = comm.gather(shapes, comm.size - 1)
+        if gathered is not None:
+            moved = sparse.kron(np.eye(rows)[1:], -np.concatenate(gathered).T)
+            modal = [self._spread(moved, size), sparse.identity(damped.shape[1])]
+            parts = sparse.vstack([parts, sparse.hstack(modal)])
+        return parts.tocoo()
+
+    def _spread(self, matrix: sparse.spmatrix, size: int) -> sparse.csr_matrix:
+        """A matrix whose columns are the dofs of each harmonic, with columns rank by rank."""
+        entries, rows, starts = matrix.tocoo(), self._shape[0], self._starts
+        row, dof = np.divmod(entries.col, starts[-1])
+        rank = np.searchsorted(starts, dof, "right") - 1
+        place = rows * starts[rank] + row * np.diff(starts)[rank] + dof - starts[rank]
+        return sparse.csr_matrix((entries.data, (entries.row, place)), (entries.shape[0], size))
+
+    def _contact(self, tangent: np.ndarray) -> sparse.csr_matrix:
+        """This rank's rows of B T B^T from T of all pairs."""
+        count = self._into.shape[1]
+        middle = sparse.csr_matrix((tangent.ravel(), self._ends), (count, count))
+        found: sparse.csr_matrix = self._into @ middle @ self._seen
+        return found
+
+    def _choose(self, solver: Any) -> None:
+        solver.getPC().setType("lu")
+        if PETSc.Sys.hasExternalPackage("mumps"):
+            solver.getPC().setFactorSolverType("mumps")
+
+    def displacement(self, unknown: Any) -> np.ndarray:
+        """u of a vector, (2H+1, n_local) [m]."""
+        count = int(np.prod(self._shape))
+        return self._length * unknown.array_r[:count].reshape(self._shape)
+
+    def gap(self, displacement: np.ndarray) -> np.ndarray:
+        """g = B^T u - g0: (2H+1, n_pairs) [m] (collective)."""
+        gap = self.structure.apply_bt(displacement)
+        gap[0] -= self.structure.clearance
+        return gap
+
+    def _residual(self, unknown: Any) -> np.ndarray:
+        force = self.integrals.force(self.gap(self.displacement(unknown)))
+        self._linear.mult(unknown, self._target)
+        found = self._target.array_r.copy()
+        push = (self.structure.apply_b(force) - self._load).ravel() / self._force
+        found[: len(push)] += push
+        return found
+
+    def _linearise(self, unknown: Any) -> None:
+        tangent = self.integrals.linearise(self.gap(self.displacement(unknown))).tangent
+        added = self._contact(self._length / self._force * tangent)
+        added.resize(self._matrix.local_size[0], added.shape[1])
+        self._linear.copy(self._matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        csr = added.indptr, added.indices, added.data
+        self._matrix.setValuesCSR(*csr, addv=PETSc.InsertMode.ADD_VALUES)
+        self._matrix.assemble()
+
+    @property
+    def reason(self) -> str:
+        """Why the last steps ended, in PETSc's words."""
+        known = vars(PETSc.SNES.ConvergedReason).items()
+        code = self._snes.getConvergedReason()
+        return next(name for name, value in known if value == code)
+
+    def step(
+        self, displacement: np.ndarray, stiffness: float, tolerance: float
+    ) -> tuple[np.ndarray, bool, int]:
+        """Where full steps lead from a displacement with a share of the contact stiffness, True if
+        they converged, and their number."""
+        self.integrals = self.integrals.with_softness(1.0 / stiffness - 1.0)
+        start = displacement / self._length
+        if self._modes is not None:
+            modal = self.structure.sum_over_ranks(start[1:] @ self._modes[0])
+            if self.structure.comm.rank == self.structure.comm.size - 1:
+                start = np.append(start, modal)
+        converged, count = self.run(start, tolerance, MAX_ITERATIONS)
+        return self.displacement(self._unknown), converged, count
+
+    def __exit__(self, *exception: object) -> None:
+        super().__exit__(*exception)
+        self._linear.destroy()
+
+
+def _unit_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray] | None:
+    """M Phi of the damped modes (n_local, m), and their rates, so that the coordinates of modes are
+    as large as displacements (collective)."""
+    modes = damped_modes(structure)
+    if modes is None:
+        return None
+    largest = structure.sum_over_ranks(np.sum(modes.mass_shapes**2, axis=0)).max()
+    return modes.mass_shapes / np.sqrt(largest), modes.rate * largest
+
+
+def block_memory(structure: Structure, harmonics: int) -> float:
+    """Memory of the factors of a Jacobian with so many harmonics, of the matrix, and of rows and
+    columns of the damped modes [byte]."""
+    unknowns = (2 * harmonics + 1) * structure.n_dofs
+    solid = structure.nodes is not None and structure.nodes.points.shape[1] == 3
+    modal = isinstance(structure.original.damping, ModalDamping)
+    modes = check_damped_modes(structure) if modal else 0
+    return 3.0 * factor_memory(unknowns, solid=solid) + 64.0 * unknowns * modes
+
+
+def _check(problem: Problem) -> None:
+    """Raise InputError unless a problem has a block system that fits into this machine."""
+    structure, contact, harmonics = problem.structure, problem.contact, problem.harmonics
+    refused = {
+        "with UnilateralConstraint, which has no stiffness": is_rigid(contact),
+        "with friction": friction_of(contact) is not None,
+        "of a bladed disk": isinstance(structure.whole, Wheel),
+        "of a reduced structure": structure.whole is not structure,
+    }
+    if any(refused.values()):
+        words = next(words for words, wrong in refused.items() if wrong)
+        raise InputError("form", "block", f"'condensed' {words}")
+    needed, memory = block_memory(structure, harmonics), machine_memory()
+    if needed > 0.8 * memory:
+        sizes = f"{needed / 2**30:.3g} GiB of this machine's {memory / 2**30:.3g}"
+        allowed = f"fewer, or form = 'condensed': the block system needs {sizes}"
+        raise InputError("harmonics", harmonics, allowed)
+
+
+@dataclass(frozen=True)
+class BlockSolver(Solver):
+    """Solver of a problem by the block system.
+
+    Raises
+    ------
+    InputError
+        The law is rigid or has friction, or the structure is a wheel or reduced.
+    """
+
+    def __post_init__(self) -> None:
+        problem = self.problem
+        _check(problem)
+        samples = problem.samples or problem.subharmonic * default_samples(problem.harmonics)
+        problem = replace(problem, samples=samples, static_above=np.inf)
+        object.__setattr__(self, "problem", problem)
+
+    def find(
+        self, compliance: Compliance, initial: PeriodicSolution | None, share: float = 1.0
+    ) -> tuple[Search, ContactPoint, Wave]:
+        problem, system = self.problem, self.problem.system(compliance)
+        search = Search(system, problem, self.residual_tolerance, share, remedy=REMEDY)
+        linear = compliance.displacement(np.zeros(system.shape))
+        # The softest contact moves the gaps by this share of what the load does at most.
+        softest = SOFT * system.integrals.unit / np.abs(compliance.matrices).sum(axis=2).max()
+        starts = [(linear, min(softest, 1.0))]
+        if initial is not None:
+            times = problem.subharmonic // initial.subharmonic
+            force = resized(stretched(initial.force_coefficients, times), problem.harmonics)
+            starts.insert(0, (compliance.displacement(force), 1.0))
+        with BlockSystem(problem, linear, search.history) as block:
+            for start, first in starts:
+                before = search.iterations
+                begin("block system")
+                displacement, reached = _stiffened(block, search, start, first)
+                search.converged = reached == 1.0
+                stop = "" if search.converged else f" {block.reason} beyond {reached:.2g} of k"
+                search.tell(f"block system{stop}", before)
+                if search.converged:
+                    break
+            gap = block.gap(displacement)
+        at = system.linearise(gap)
+        return search, at, problem.wave_of(displacement, gap, at.force)
+
+
+def _stiffened(
+    block: BlockSystem, search: Search, here: np.ndarray, share: float
+) -> tuple[np.ndarray, float]:
+    """The displacement and the share of the contact stiffness, 1 for the law, up to which full
+    steps lead from a displacement, from solution to solution at shares from a first one on, each
+    begun where a straight line over the logarithm of the share through the two before leads."""
+    reached, ratio, slope = 0.0, STIFFER, np.zeros_like(here)
+    while reached < 1.0 and ratio >= LEAST_STIFFER:
+        tolerance = search.tolerance if share == 1.0 else max(NEARLY_SOLVED, search.tolerance)
+        ahead = math.log(share / reached) if reached else 0.0
+        there, converged, count = block.step(here + ahead * slope, share, tolerance)
+        search.iterations += count
+        if converged:
+            slope = (there - here) / ahead if ahead else slope
+            here, reached, ratio = there, share, min(ratio**2, STIFFER)
+        else:
+            ratio = math.sqrt(ratio) if reached else 0.0
+        share = min(ratio * reached, 1.0)
+    return here, reached
+
+
+FORMS: dict[str, type[Solver]] = {"condensed": Solver, "block": BlockSolver}
+"""Solvers by the form of harmonic balance."""
