@@ -41,7 +41,7 @@ from fenics_crack.model.factor import distributed, factor_memory, local_rows
 from fenics_crack.model.modes import check_damped_modes, damped_modes
 from fenics_crack.model.structure import ModalDamping, Structure
 from fenics_crack.model.wheel import Wheel
-from fenics_crack.numerics.equations import NEARLY_SOLVED
+from fenics_crack.numerics.equations import NEARLY_SOLVED, least_residual
 from fenics_crack.numerics.fourier import resized, stretched
 from fenics_crack.numerics.newton import MAX_ITERATIONS, Snes
 
@@ -73,9 +73,9 @@ class BlockSystem(Snes):
         squares = np.array([np.sum(part**2) for part in (linear, self._load)])
         length, load = np.sqrt(structure.sum_over_ranks(squares))
         still = float(np.abs(structure.clearance).max()) or 1.0
-        self._length = float(length) or still
+        self.length = float(length) or still
         """Unit of the unknowns [m]."""
-        self._force = float(load) or still * float(np.max(problem.contact.stiffness))
+        self.force = float(load) or still * float(np.max(problem.contact.stiffness))
         """Unit of the residual [N]."""
         self._starts = np.cumsum([0, *structure.comm.allgather(structure.n_local)])
         self._modes = _unit_modes(structure)
@@ -91,6 +91,8 @@ class BlockSystem(Snes):
         at = np.append(part.row, touched.row), np.append(part.col, touched.col)
         matrix = distributed(sparse.coo_matrix((entries, at), part.shape), structure.comm)
         self._linear = matrix.duplicate(copy=True)
+        self.rounding = least_residual(10.0 * matrix.norm() / math.sqrt(part.shape[1]))
+        """Smallest |F| / |x| that is asked for: rounding leaves about a tenth of it."""
         super().__init__(matrix, history)
 
     def _linear_part(self, base_omega: float) -> sparse.coo_matrix:
@@ -104,11 +106,11 @@ class BlockSystem(Snes):
         matrix -= sparse.kron(sparse.diags(omega**2), mass)
         if structure.damping_matrix is not None:
             matrix += sparse.kron(turn, local_rows(structure.damping_matrix))
-        matrix *= self._length / self._force
+        matrix *= self.length / self.force
         if self._modes is None:
             return self._spread(matrix, matrix.shape[1]).tocoo()
         comm, size, (shapes, rate) = structure.comm, matrix.shape[1], self._modes
-        damped = sparse.kron(turn[:, 1:], self._length / self._force * rate * shapes)
+        damped = sparse.kron(turn[:, 1:], self.length / self.force * rate * shapes)
         parts = sparse.hstack([self._spread(matrix, size), damped])
         gathered = comm.gather(shapes, comm.size - 1)
         if gathered is not None:
@@ -140,7 +142,16 @@ class BlockSystem(Snes):
     def displacement(self, unknown: Any) -> np.ndarray:
         """u of a vector, (2H+1, n_local) [m]."""
         count = int(np.prod(self._shape))
-        return self._length * unknown.array_r[:count].reshape(self._shape)
+        return self.length * unknown.array_r[:count].reshape(self._shape)
+
+    def start(self, displacement: np.ndarray) -> np.ndarray:
+        """This rank's rows of the vector of a displacement (collective)."""
+        start = displacement / self.length
+        if self._modes is not None:
+            modal = self.structure.sum_over_ranks(start[1:] @ self._modes[0])
+            if self.structure.comm.rank == self.structure.comm.size - 1:
+                return np.append(start, modal)
+        return start.ravel()
 
     def gap(self, displacement: np.ndarray) -> np.ndarray:
         """g = B^T u - g0: (2H+1, n_pairs) [m] (collective)."""
@@ -148,22 +159,20 @@ class BlockSystem(Snes):
         gap[0] -= self.structure.clearance
         return gap
 
-    def _residual(self, unknown: Any) -> np.ndarray:
+    def evaluate(self, unknown: Any, target: Any) -> None:
         force = self.integrals.force(self.gap(self.displacement(unknown)))
-        self._linear.mult(unknown, self._target)
-        found = self._target.array_r.copy()
-        push = (self.structure.apply_b(force) - self._load).ravel() / self._force
-        found[: len(push)] += push
-        return found
+        self._linear.mult(unknown, target)
+        others = (self.structure.apply_b(force) - self._load).ravel() / self.force
+        target.array_w[: len(others)] += others
 
-    def _linearise(self, unknown: Any) -> None:
+    def linearise(self, unknown: Any) -> None:
         tangent = self.integrals.linearise(self.gap(self.displacement(unknown))).tangent
-        added = self._contact(self._length / self._force * tangent)
-        added.resize(self._matrix.local_size[0], added.shape[1])
-        self._linear.copy(self._matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        added = self._contact(self.length / self.force * tangent)
+        added.resize(self.matrix.local_size[0], added.shape[1])
+        self._linear.copy(self.matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         csr = added.indptr, added.indices, added.data
-        self._matrix.setValuesCSR(*csr, addv=PETSc.InsertMode.ADD_VALUES)
-        self._matrix.assemble()
+        self.matrix.setValuesCSR(*csr, addv=PETSc.InsertMode.ADD_VALUES)
+        self.matrix.assemble()
 
     @property
     def reason(self) -> str:
@@ -173,17 +182,16 @@ class BlockSystem(Snes):
         return next(name for name, value in known if value == code)
 
     def step(
-        self, displacement: np.ndarray, stiffness: float, tolerance: float
+        self,
+        displacement: np.ndarray,
+        stiffness: float,
+        tolerance: float,
+        most: int = MAX_ITERATIONS,
     ) -> tuple[np.ndarray, bool, int]:
         """Where full steps lead from a displacement with a share of the contact stiffness, True if
         they converged, and their number."""
         self.integrals = self.integrals.with_softness(1.0 / stiffness - 1.0)
-        start = displacement / self._length
-        if self._modes is not None:
-            modal = self.structure.sum_over_ranks(start[1:] @ self._modes[0])
-            if self.structure.comm.rank == self.structure.comm.size - 1:
-                start = np.append(start, modal)
-        converged, count = self.run(start, tolerance, MAX_ITERATIONS)
+        converged, count = self.run(self.start(displacement), tolerance, most)
         return self.displacement(self._unknown), converged, count
 
     def __exit__(self, *exception: object) -> None:
@@ -208,7 +216,7 @@ def block_memory(structure: Structure, harmonics: int) -> float:
     solid = structure.nodes is not None and structure.nodes.points.shape[1] == 3
     modal = isinstance(structure.original.damping, ModalDamping)
     modes = check_damped_modes(structure) if modal else 0
-    return 3.0 * factor_memory(unknowns, solid=solid) + 64.0 * unknowns * modes
+    return 3.0 * factor_memory(unknowns, solid=solid) + 160.0 * unknowns * modes
 
 
 def _check(problem: Problem) -> None:
@@ -261,13 +269,14 @@ class BlockSolver(Solver):
             force = resized(stretched(initial.force_coefficients, times), problem.harmonics)
             starts.insert(0, (compliance.displacement(force), 1.0))
         with BlockSystem(problem, linear, search.history) as block:
+            search.tolerance = max(search.tolerance, block.rounding)
             for start, first in starts:
                 before = search.iterations
                 begin("block system")
                 displacement, reached = _stiffened(block, search, start, first)
                 search.converged = reached == 1.0
-                stop = "" if search.converged else f" {block.reason} beyond {reached:.2g} of k"
-                search.tell(f"block system{stop}", before)
+                end = f" up to {reached:.2g} of the contact stiffness, then {block.reason}"
+                search.tell(f"block system{'' if search.converged else end}", before)
                 if search.converged:
                     break
             gap = block.gap(displacement)
@@ -293,6 +302,8 @@ def _stiffened(
         else:
             ratio = math.sqrt(ratio) if reached else 0.0
         share = min(ratio * reached, 1.0)
+    if reached == 1.0:  # near a resonance a displacement has a larger error than its residual
+        here = block.step(here, 1.0, 0.0, 1)[0]
     return here, reached
 
 

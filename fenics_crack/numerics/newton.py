@@ -116,14 +116,14 @@ class Snes(ABC):
 
     def __init__(self, matrix: Any, history: list[float] | None = None) -> None:
         """``matrix`` is the Jacobian's; ``history`` is where |F| of every iteration goes."""
-        self._matrix, self._history = matrix, [] if history is None else history
+        self.matrix, self._history = matrix, [] if history is None else history
         self._tolerance = 0.0
         self._failure: ConvergenceError | None = None
         self._unknown, self._target = matrix.createVecs()
         self._snes = PETSc.SNES().create(matrix.comm)
         self._snes.setOptionsPrefix(OPTIONS_PREFIX)
         self._snes.setFunction(self._set_residual, self._target)
-        self._snes.setJacobian(lambda snes, unknown, *matrices: self._linearise(unknown), matrix)
+        self._snes.setJacobian(lambda snes, unknown, *matrices: self.linearise(unknown), matrix)
         options = PETSc.Options(OPTIONS_PREFIX)
         choose_search = not options.hasName("snes_linesearch_type")
         if choose_search:
@@ -139,11 +139,11 @@ class Snes(ABC):
         """Set the default solver of the linear systems, a KSP."""
 
     @abstractmethod
-    def _residual(self, unknown: Any) -> np.ndarray:
-        """F at a vector, the rows of this rank."""
+    def evaluate(self, unknown: Any, target: Any) -> None:
+        """Set a vector to F at another one."""
 
     @abstractmethod
-    def _linearise(self, unknown: Any) -> None:
+    def linearise(self, unknown: Any) -> None:
         """Make the matrix the Jacobian at a vector."""
 
     def run(self, start: np.ndarray, tolerance: float, most_iterations: int) -> tuple[bool, int]:
@@ -173,7 +173,7 @@ class Snes(ABC):
 
     def _set_residual(self, snes: Any, unknown: Any, target: Any) -> None:
         try:
-            target.array_w[:] = self._residual(unknown)
+            self.evaluate(unknown, target)
         except ConvergenceError as error:
             self._failure = error
             raise
@@ -182,7 +182,7 @@ class Snes(ABC):
         return self
 
     def __exit__(self, *exception: object) -> None:
-        for item in (self._snes, self._matrix, self._unknown, self._target):
+        for item in (self._snes, self.matrix, self._unknown, self._target):
             item.destroy()
 
 
@@ -228,10 +228,10 @@ class Newton(Snes):
             self._at = place, at
         return self._at[1]
 
-    def _residual(self, unknown: Any) -> np.ndarray:
-        return self._point(unknown).residual.ravel()
+    def evaluate(self, unknown: Any, target: Any) -> None:
+        target.array_w[:] = self._point(unknown).residual.ravel()
 
-    def _linearise(self, unknown: Any) -> None:
+    def linearise(self, unknown: Any) -> None:
         self._tangent = self._point(unknown)
 
     def mult(self, matrix: Any, source: Any, target: Any) -> None:
