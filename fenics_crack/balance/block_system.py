@@ -39,7 +39,7 @@ from fenics_crack.basics.threads import machine_memory
 from fenics_crack.model.contact import friction_of, is_rigid
 from fenics_crack.model.factor import distributed, factor_memory, local_rows
 from fenics_crack.model.modes import check_damped_modes, damped_modes
-from fenics_crack.model.structure import ModalDamping, Structure
+from fenics_crack.model.structure import ModalDamping
 from fenics_crack.model.wheel import Wheel
 from fenics_crack.numerics.equations import NEARLY_SOLVED, least_residual
 from fenics_crack.numerics.fourier import resized, stretched
@@ -72,13 +72,18 @@ class BlockSystem(Snes):
         self.structure, self._shape, self._load = structure, linear.shape, problem.load
         squares = np.array([np.sum(part**2) for part in (linear, self._load)])
         length, load = np.sqrt(structure.sum_over_ranks(squares))
-        still = float(np.abs(structure.clearance).max()) or 1.0
-        self.length = float(length) or still
+        self.length = float(length) or 1.0
         """Unit of the unknowns [m]."""
-        self.force = float(load) or still * float(np.max(problem.contact.stiffness))
+        self.force = float(load) or float(np.max(problem.contact.stiffness))
         """Unit of the residual [N]."""
         self._starts = np.cumsum([0, *structure.comm.allgather(structure.n_local)])
-        self._modes = _unit_modes(structure)
+        modes, self._modes = (
+            damped_modes(structure),
+            (np.zeros((structure.n_local, 0)), np.zeros(0)),
+        )
+        if modes is not None:  # with coordinates as large as the unknowns
+            square = structure.sum_over_ranks(np.sum(modes.mass_shapes**2, axis=0)).max()
+            self._modes = modes.mass_shapes / math.sqrt(square), square * modes.rate
         part = self._linear_part(problem.base_omega)
         pairs, rows = structure.n_pairs, len(linear)
         whole = sparse.vstack(structure.comm.allgather(structure.gap))
@@ -102,17 +107,13 @@ class BlockSystem(Snes):
         omega = base_omega * ((np.arange(rows) + 1) // 2)
         turn = np.zeros((rows, rows))  # of the derivative: from sine to cosine, and back
         turn[1::2, 2::2], turn[2::2, 1::2] = np.diag(omega[1::2]), -np.diag(omega[2::2])
-        matrix = sparse.kron(sparse.identity(rows), stiffness, "csr")
-        matrix -= sparse.kron(sparse.diags(omega**2), mass)
+        matrix = sparse.kron(np.eye(rows), stiffness) - sparse.kron(np.diag(omega**2), mass)
         if structure.damping_matrix is not None:
             matrix += sparse.kron(turn, local_rows(structure.damping_matrix))
-        matrix *= self.length / self.force
-        if self._modes is None:
-            return self._spread(matrix, matrix.shape[1]).tocoo()
-        comm, size, (shapes, rate) = structure.comm, matrix.shape[1], self._modes
-        damped = sparse.kron(turn[:, 1:], self.length / self.force * rate * shapes)
-        parts = sparse.hstack([self._spread(matrix, size), damped])
-        gathered = comm.gather(shapes, comm.size - 1)
+        unit, size, (shapes, rate) = self.length / self.force, matrix.shape[1], self._modes
+        damped = sparse.kron(turn[:, 1:], unit * rate * shapes)
+        parts = sparse.hstack([self._spread(unit * matrix, size), damped])
+        gathered = structure.comm.gather(shapes, structure.comm.size - 1)
         if gathered is not None:
             moved = sparse.kron(np.eye(rows)[1:], -np.concatenate(gathered).T)
             modal = [self._spread(moved, size), sparse.identity(damped.shape[1])]
@@ -146,12 +147,9 @@ class BlockSystem(Snes):
 
     def start(self, displacement: np.ndarray) -> np.ndarray:
         """This rank's rows of the vector of a displacement (collective)."""
-        start = displacement / self.length
-        if self._modes is not None:
-            modal = self.structure.sum_over_ranks(start[1:] @ self._modes[0])
-            if self.structure.comm.rank == self.structure.comm.size - 1:
-                return np.append(start, modal)
-        return start.ravel()
+        start, comm = displacement / self.length, self.structure.comm
+        modal = self.structure.sum_over_ranks(start[1:] @ self._modes[0])
+        return np.append(start, modal if comm.rank == comm.size - 1 else [])
 
     def gap(self, displacement: np.ndarray) -> np.ndarray:
         """g = B^T u - g0: (2H+1, n_pairs) [m] (collective)."""
@@ -178,45 +176,22 @@ class BlockSystem(Snes):
     def reason(self) -> str:
         """Why the last steps ended, in PETSc's words."""
         known = vars(PETSc.SNES.ConvergedReason).items()
-        code = self._snes.getConvergedReason()
-        return next(name for name, value in known if value == code)
+        return next(name for name, code in known if code == self._snes.getConvergedReason())
 
     def step(
-        self,
-        displacement: np.ndarray,
-        stiffness: float,
-        tolerance: float,
-        most: int = MAX_ITERATIONS,
+        self, displacement: np.ndarray, share: float, tolerance: float
     ) -> tuple[np.ndarray, bool, int]:
         """Where full steps lead from a displacement with a share of the contact stiffness, True if
         they converged, and their number."""
-        self.integrals = self.integrals.with_softness(1.0 / stiffness - 1.0)
-        converged, count = self.run(self.start(displacement), tolerance, most)
+        self.integrals = self.integrals.with_softness(1.0 / share - 1.0)
+        converged, count = self.run(self.start(displacement), tolerance, MAX_ITERATIONS)
+        if converged and share == 1.0:  # the error of u may be far larger than that of F
+            self.run(self._unknown.array_r.copy(), 0.0, 1)
         return self.displacement(self._unknown), converged, count
 
     def __exit__(self, *exception: object) -> None:
         super().__exit__(*exception)
         self._linear.destroy()
-
-
-def _unit_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray] | None:
-    """M Phi of the damped modes (n_local, m), and their rates, so that the coordinates of modes are
-    as large as displacements (collective)."""
-    modes = damped_modes(structure)
-    if modes is None:
-        return None
-    largest = structure.sum_over_ranks(np.sum(modes.mass_shapes**2, axis=0)).max()
-    return modes.mass_shapes / np.sqrt(largest), modes.rate * largest
-
-
-def block_memory(structure: Structure, harmonics: int) -> float:
-    """Memory of the factors of a Jacobian with so many harmonics, of the matrix, and of rows and
-    columns of the damped modes [byte]."""
-    unknowns = (2 * harmonics + 1) * structure.n_dofs
-    solid = structure.nodes is not None and structure.nodes.points.shape[1] == 3
-    modal = isinstance(structure.original.damping, ModalDamping)
-    modes = check_damped_modes(structure) if modal else 0
-    return 3.0 * factor_memory(unknowns, solid=solid) + 160.0 * unknowns * modes
 
 
 def _check(problem: Problem) -> None:
@@ -228,12 +203,18 @@ def _check(problem: Problem) -> None:
         "of a bladed disk": isinstance(structure.whole, Wheel),
         "of a reduced structure": structure.whole is not structure,
     }
-    if any(refused.values()):
-        words = next(words for words, wrong in refused.items() if wrong)
+    for words in (words for words, wrong in refused.items() if wrong):
         raise InputError("form", "block", f"'condensed' {words}")
-    needed, memory = block_memory(structure, harmonics), machine_memory()
-    if needed > 0.8 * memory:
-        sizes = f"{needed / 2**30:.3g} GiB of this machine's {memory / 2**30:.3g}"
+    modal = isinstance(structure.original.damping, ModalDamping)
+    unknowns, modes = (
+        (2 * harmonics + 1) * structure.n_dofs,
+        check_damped_modes(structure) if modal else 0,
+    )
+    solid = structure.nodes is not None and structure.nodes.points.shape[1] == 3
+    # Of the factors and the matrix, and of rows and columns of the modes.
+    needed = 3.0 * factor_memory(unknowns, solid=solid) + 160.0 * unknowns * modes
+    if needed > 0.8 * machine_memory():
+        sizes = f"{needed / 2**30:.3g} GiB of this machine's {machine_memory() / 2**30:.3g}"
         allowed = f"fewer, or form = 'condensed': the block system needs {sizes}"
         raise InputError("harmonics", harmonics, allowed)
 
@@ -268,17 +249,15 @@ class BlockSolver(Solver):
             times = problem.subharmonic // initial.subharmonic
             force = resized(stretched(initial.force_coefficients, times), problem.harmonics)
             starts.insert(0, (compliance.displacement(force), 1.0))
+        begin("block system")
         with BlockSystem(problem, linear, search.history) as block:
             search.tolerance = max(search.tolerance, block.rounding)
-            for start, first in starts:
+            while starts and not search.converged:
                 before = search.iterations
-                begin("block system")
-                displacement, reached = _stiffened(block, search, start, first)
+                displacement, reached = _stiffened(block, search, *starts.pop(0))
                 search.converged = reached == 1.0
                 end = f" up to {reached:.2g} of the contact stiffness, then {block.reason}"
                 search.tell(f"block system{'' if search.converged else end}", before)
-                if search.converged:
-                    break
             gap = block.gap(displacement)
         at = system.linearise(gap)
         return search, at, problem.wave_of(displacement, gap, at.force)
@@ -302,8 +281,6 @@ def _stiffened(
         else:
             ratio = math.sqrt(ratio) if reached else 0.0
         share = min(ratio * reached, 1.0)
-    if reached == 1.0:  # near a resonance a displacement has a larger error than its residual
-        here = block.step(here, 1.0, 0.0, 1)[0]
     return here, reached
 
 

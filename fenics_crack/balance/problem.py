@@ -345,8 +345,8 @@ class Search:
     """The search for a solution of a system, and the record of the attempts."""
 
     system: ContactSystem
-    problem: Problem | None
-    """Problem that the system balances; None: other equations, which have no motions as guesses."""
+    problem: Problem
+    """Problem that the system balances."""
     tolerance: float
     """Maximum |F| / |x| for acceptance; raised to the rounding error."""
     share: float
@@ -448,9 +448,9 @@ class Search:
         system, problem = self.system, self.problem
         for start in starts:
             yield "full Newton steps", self._near(system, start)
-        if problem is not None and problem.friction:
+        if problem.friction:
             yield "from contact without friction", self._add_friction(problem)
-        elif problem is not None:
+        else:
             many = system.residual is not None or system.size > kernel.MANY
             enough = problem.least_harmonics if many else problem.harmonics
             counts = halved(problem.harmonics, enough)

@@ -563,11 +563,10 @@ def _check_block(scene: Scene) -> None:
     """Raise InputError where the block system of harmonic balance does not solve a scene."""
     contact, reduction = scene.contact, scene.reduction
     tables = ("disk", "curve", "sweep", "growth", "identify")
-    refused = {f"with a table [{name}]": getattr(scene, name) is not None for name in tables}
-    refused["with contact.law = 'unilateral'"] = contact is not None and contact.law == "unilateral"
-    refused["with contact.friction"] = contact is not None and contact.friction > 0.0
-    reduces = reduction is not None and reduction.method != "off"
-    refused["with a table [reduction], but for reduction.method = 'off'"] = reduces
+    refused = {f"with a table [{name}]": getattr(scene, name) for name in tables}
+    refused["with contact.law = 'unilateral'"] = contact and contact.law == "unilateral"
+    refused["with contact.friction"] = contact and contact.friction
+    refused["with another reduction than 'off'"] = reduction and reduction.method != "off"
     for words, wrong in refused.items():
         scene.harmonic_balance.require(not wrong, "form", f"'condensed' {words}")
 

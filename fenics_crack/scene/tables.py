@@ -619,11 +619,11 @@ class HarmonicBalance(Table):
     def __post_init__(self) -> None:
         super().__post_init__()
         chosen = {"harmonics": 5, "tolerance": TOLERANCE}
-        given = self.harmonics is not None or self.samples is not None
-        if given or not self.error or self.form == "block":
+        if self.harmonics is not None or self.samples is not None or not self.error:
             del chosen["tolerance"]
         if self.form == "block":
-            self.leave_out(("tolerance",), "form = 'block', which solves for given harmonics")
+            self.leave_out(("tolerance",), "form = 'block'")
+            chosen.pop("tolerance", None)
         follows = {key for key in chosen if getattr(self, key) is None}
         for key in follows:
             object.__setattr__(self, key, chosen[key])

@@ -113,7 +113,9 @@ def test_block_is_condensed_on_a_solid() -> None:
 
 def solved(tmp_path: Path, *options: str, **changes: Any) -> subprocess.CompletedProcess[str]:
     """The program on the paper's plate by the block system, with PETSc's options."""
-    keys = AGREEING | {"harmonic_balance.form": "block", "harmonic_balance.error": "false"} | changes
+    keys = (
+        AGREEING | {"harmonic_balance.form": "block", "harmonic_balance.error": "false"} | changes
+    )
     given = [f"--set={key}={value}" for key, value in keys.items()]
     words = ["solve", str(PAPER), "--output", str(tmp_path), *given, *options]
     return subprocess.run(
@@ -169,12 +171,14 @@ def test_refusals(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     for change, words in {
         "contact.law='unilateral' contact.stiffness=none": "with contact.law = 'unilateral'",
         "contact.friction=0.3": "with contact.friction",
-        "reduction.modes=10": "with a table [reduction]",
+        "reduction.modes=10": "with another reduction than",
         "curve.start=1000.0 curve.stop=2000.0": "with a table [curve]",
         "harmonic_balance.tolerance=0.01": "harmonic_balance.tolerance = 0.01: not allowed with form = 'block'",
         "harmonic_balance.form=full": "must be one of 'condensed', 'block'",
     }.items():
-        given = change.split() if "form" in change else ["harmonic_balance.form=block", *change.split()]
+        given = (
+            change.split() if "form" in change else ["harmonic_balance.form=block", *change.split()]
+        )
         options = [f"--set={one}" for one in given]
         code = main(["solve", str(PAPER), "--output", str(tmp_path / "none"), *options])
         error = capsys.readouterr().err
