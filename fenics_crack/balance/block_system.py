@@ -29,7 +29,7 @@ import scipy.sparse as sparse
 from petsc4py import PETSc
 
 from fenics_crack.balance.compliance import Compliance
-from fenics_crack.balance.contact_integrals import SampledIntegrals, default_samples
+from fenics_crack.balance.contact_integrals import default_samples
 from fenics_crack.balance.contact_system import SOFT, ContactPoint, Wave
 from fenics_crack.balance.problem import Problem, Search
 from fenics_crack.balance.solution import PeriodicSolution, Solver
@@ -51,7 +51,7 @@ REMEDY = "form = 'condensed', other harmonics, a softer contact, or more damping
 
 
 class BlockSystem(Snes):
-    """The block system of a problem, by :class:`SampledIntegrals`; a context manager (collective).
+    """The block system of a problem, from samples of the contact force; a context manager (collective).
 
     Parameters
     ----------
@@ -66,10 +66,9 @@ class BlockSystem(Snes):
     def __init__(
         self, problem: Problem, linear: np.ndarray, history: list[float] | None = None
     ) -> None:
-        structure, integrals = problem.structure, problem.integrals()
-        assert isinstance(integrals, SampledIntegrals)
-        self.integrals = integrals
-        self.structure, self._shape, self._load = structure, linear.shape, problem.load
+        structure = self.structure = problem.structure
+        self.integrals: Any = problem.integrals()
+        self._shape, self._load = linear.shape, problem.load
         squares = np.array([np.sum(part**2) for part in (linear, self._load)])
         length, load = np.sqrt(structure.sum_over_ranks(squares))
         self.length = float(length) or 1.0
@@ -77,10 +76,8 @@ class BlockSystem(Snes):
         self.force = float(load) or float(np.max(problem.contact.stiffness))
         """Unit of the residual [N]."""
         self._starts = np.cumsum([0, *structure.comm.allgather(structure.n_local)])
-        modes, self._modes = (
-            damped_modes(structure),
-            (np.zeros((structure.n_local, 0)), np.zeros(0)),
-        )
+        self._modes = np.zeros((structure.n_local, 0)), np.zeros(0)
+        modes = damped_modes(structure)
         if modes is not None:  # with coordinates as large as the unknowns
             square = structure.sum_over_ranks(np.sum(modes.mass_shapes**2, axis=0)).max()
             self._modes = modes.mass_shapes / math.sqrt(square), square * modes.rate
@@ -132,8 +129,7 @@ class BlockSystem(Snes):
         """This rank's rows of B T B^T from T of all pairs."""
         count = self._into.shape[1]
         middle = sparse.csr_matrix((tangent.ravel(), self._ends), (count, count))
-        found: sparse.csr_matrix = self._into @ middle @ self._seen
-        return found
+        return sparse.csr_matrix(self._into @ middle @ self._seen)
 
     def _choose(self, solver: Any) -> None:
         solver.getPC().setType("lu")
@@ -168,8 +164,7 @@ class BlockSystem(Snes):
         added = self._contact(self.length / self.force * tangent)
         added.resize(self.matrix.local_size[0], added.shape[1])
         self._linear.copy(self.matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-        csr = added.indptr, added.indices, added.data
-        self.matrix.setValuesCSR(*csr, addv=PETSc.InsertMode.ADD_VALUES)
+        self.matrix.setValuesCSR(added.indptr, added.indices, added.data, addv=True)
         self.matrix.assemble()
 
     @property
@@ -205,11 +200,8 @@ def _check(problem: Problem) -> None:
     }
     for words in (words for words, wrong in refused.items() if wrong):
         raise InputError("form", "block", f"'condensed' {words}")
-    modal = isinstance(structure.original.damping, ModalDamping)
-    unknowns, modes = (
-        (2 * harmonics + 1) * structure.n_dofs,
-        check_damped_modes(structure) if modal else 0,
-    )
+    modal, unknowns = structure.original.damping, (2 * harmonics + 1) * structure.n_dofs
+    modes = check_damped_modes(structure) if isinstance(modal, ModalDamping) else 0
     solid = structure.nodes is not None and structure.nodes.points.shape[1] == 3
     # Of the factors and the matrix, and of rows and columns of the modes.
     needed = 3.0 * factor_memory(unknowns, solid=solid) + 160.0 * unknowns * modes
