@@ -173,7 +173,7 @@ def test_refusals(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
         "contact.friction=0.3": "with contact.friction",
         "reduction.modes=10": "with another reduction than",
         "curve.start=1000.0 curve.stop=2000.0": "with a table [curve]",
-        "harmonic_balance.tolerance=0.01": "harmonic_balance.tolerance = 0.01: not allowed with form = 'block'",
+        "harmonic_balance.tolerance=0.01": "tolerance = 0.01: not allowed with form = 'block'",
         "harmonic_balance.form=full": "must be one of 'condensed', 'block'",
     }.items():
         given = (
