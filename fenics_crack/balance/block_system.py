@@ -51,7 +51,7 @@ REMEDY = "form = 'condensed', other harmonics, a softer contact, or more damping
 
 
 class BlockSystem(Snes):
-    """The block system of a problem, from samples of the contact force; a context manager (collective).
+    """The block system of a problem with samples; a context manager (collective).
 
     Parameters
     ----------
