@@ -66,6 +66,8 @@ from fenics_crack.scene.tables import (
     highest,
 )
 
+SOLVED_OFTEN = ("curve", "sweep", "growth", "identify")
+"""Tables by which a scene is solved many times."""
 LOOKED_AT = ("curve", "integration", "sweep", "growth", "identify", "tip_timing", "output")
 """Tables that choose results, and change nothing of the structure and its load."""
 
@@ -279,6 +281,9 @@ class Scene(Hinted):
         """A table that a command cannot do without; InputError where there is none."""
         if getattr(self, name) is None:
             raise InputError(name, None, "given for this command: a table")
+        condensed = self.harmonic_balance.form == "condensed"
+        allowed = f"'condensed' for this command, by the table [{name}]"
+        self.harmonic_balance.require(condensed or name not in SOLVED_OFTEN, "form", allowed)
         return getattr(self, name)
 
     @property
@@ -562,11 +567,12 @@ def unit_of(name: str) -> str:
 def _check_block(scene: Scene) -> None:
     """Raise InputError where the block system of harmonic balance does not solve a scene."""
     contact, reduction = scene.contact, scene.reduction
-    tables = ("disk", "curve", "sweep", "growth", "identify")
-    refused = {f"with a table [{name}]": getattr(scene, name) for name in tables}
-    refused["with contact.law = 'unilateral'"] = contact and contact.law == "unilateral"
-    refused["with contact.friction"] = contact and contact.friction
-    refused["with another reduction than 'off'"] = reduction and reduction.method != "off"
+    refused = {
+        "with a table [disk]": scene.disk,
+        "with contact.law = 'unilateral'": contact and contact.law == "unilateral",
+        "with contact.friction": contact and contact.friction,
+        "with another reduction than 'off'": reduction and reduction.method != "off",
+    }
     for words, wrong in refused.items():
         scene.harmonic_balance.require(not wrong, "form", f"'condensed' {words}")
 

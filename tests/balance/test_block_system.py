@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from helpers import DEMOS, chain, oscillator
 from mpi4py import MPI
-from surroundings import ROOT, main
+from surroundings import ROOT
 
 import fenics_crack as fc
 from fenics_crack.balance import block_system
@@ -166,28 +166,8 @@ def test_no_convergence_is_one_line(tmp_path: Path) -> None:
     assert "try form = 'condensed'" in line
 
 
-def test_refusals(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    """By name, of scenes before anything is meshed."""
-    for change, words in {
-        "contact.law='unilateral' contact.stiffness=none": "with contact.law = 'unilateral'",
-        "contact.friction=0.3": "with contact.friction",
-        "reduction.modes=10": "with another reduction than",
-        "curve.start=1000.0 curve.stop=2000.0": "with a table [curve]",
-        "harmonic_balance.tolerance=0.01": "tolerance = 0.01: not allowed with form = 'block'",
-        "harmonic_balance.form=full": "must be one of 'condensed', 'block'",
-    }.items():
-        given = (
-            change.split() if "form" in change else ["harmonic_balance.form=block", *change.split()]
-        )
-        options = [f"--set={one}" for one in given]
-        code = main(["solve", str(PAPER), "--output", str(tmp_path / "none"), *options])
-        error = capsys.readouterr().err
-        assert code == 2 and words in error and len(error.splitlines()) == 1, error
-    assert not (tmp_path / "none").exists()
-
-
-def test_refusals_of_structures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Likewise from Python."""
+def test_refusals(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By name."""
     whole, law = chain(n=10), fc.UnilateralPenalty(1.0)
     light = fc.reduce_structure(whole, modes=5, method="massless")
     cases: list[tuple[fc.Structure, Any, dict[str, Any], str]] = [
