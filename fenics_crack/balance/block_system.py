@@ -147,20 +147,16 @@ class BlockSystem(Snes):
         modal = self.structure.sum_over_ranks(start[1:] @ self._modes[0])
         return np.append(start, modal if comm.rank == comm.size - 1 else [])
 
-    def gap(self, displacement: np.ndarray) -> np.ndarray:
-        """g = B^T u - g0: (2H+1, n_pairs) [m] (collective)."""
-        gap = self.structure.apply_bt(displacement)
-        gap[0] -= self.structure.clearance
-        return gap
-
     def evaluate(self, unknown: Any, target: Any) -> None:
-        force = self.integrals.force(self.gap(self.displacement(unknown)))
+        force = self.integrals.force(self.structure.gap_of(self.displacement(unknown)))
         self._linear.mult(unknown, target)
         others = (self.structure.apply_b(force) - self._load).ravel() / self.force
         target.array_w[: len(others)] += others
 
     def linearise(self, unknown: Any) -> None:
-        tangent = self.integrals.linearise(self.gap(self.displacement(unknown))).tangent
+        tangent = self.integrals.linearise(
+            self.structure.gap_of(self.displacement(unknown))
+        ).tangent
         added = self._contact(self.length / self.force * tangent)
         added.resize(self.matrix.local_size[0], added.shape[1])
         self._linear.copy(self.matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
@@ -189,28 +185,6 @@ class BlockSystem(Snes):
         self._linear.destroy()
 
 
-def _check(problem: Problem) -> None:
-    """Raise InputError unless a problem has a block system that fits into this machine."""
-    structure, contact, harmonics = problem.structure, problem.contact, problem.harmonics
-    refused = {
-        "with UnilateralConstraint, which has no stiffness": is_rigid(contact),
-        "with friction": friction_of(contact) is not None,
-        "of a bladed disk": isinstance(structure.whole, Wheel),
-        "of a reduced structure": structure.whole is not structure,
-    }
-    for words in (words for words, wrong in refused.items() if wrong):
-        raise InputError("form", "block", f"'condensed' {words}")
-    modal, unknowns = structure.original.damping, (2 * harmonics + 1) * structure.n_dofs
-    modes = check_damped_modes(structure) if isinstance(modal, ModalDamping) else 0
-    solid = structure.nodes is not None and structure.nodes.points.shape[1] == 3
-    # Of the factors and the matrix, and of rows and columns of the modes.
-    needed = 3.0 * factor_memory(unknowns, solid=solid) + 160.0 * unknowns * modes
-    if needed > 0.8 * machine_memory():
-        sizes = f"{needed / 2**30:.3g} GiB of this machine's {machine_memory() / 2**30:.3g}"
-        allowed = f"fewer, or form = 'condensed': the block system needs {sizes}"
-        raise InputError("harmonics", harmonics, allowed)
-
-
 @dataclass(frozen=True)
 class BlockSolver(Solver):
     """Solver of a problem by the block system.
@@ -218,12 +192,28 @@ class BlockSolver(Solver):
     Raises
     ------
     InputError
-        The law is rigid or has friction, or the structure is a wheel or reduced.
+        The law is rigid or has friction, or the structure is a wheel or reduced; or its block
+        system does not fit into this machine.
     """
 
     def __post_init__(self) -> None:
-        problem = self.problem
-        _check(problem)
+        problem, structure, contact = self.problem, self.problem.structure, self.problem.contact
+        refused = {
+            "with UnilateralConstraint, which has no stiffness": is_rigid(contact),
+            "with friction": friction_of(contact) is not None,
+            "of a bladed disk": isinstance(structure.whole, Wheel),
+            "of a reduced structure": structure.whole is not structure,
+        }
+        for words in (words for words, wrong in refused.items() if wrong):
+            raise InputError("form", "block", f"'condensed' {words}")
+        modal, unknowns = structure.original.damping, structure.n_dofs * (2 * problem.harmonics + 1)
+        modes = check_damped_modes(structure) if isinstance(modal, ModalDamping) else 0
+        solid = structure.nodes is not None and structure.nodes.points.shape[1] == 3
+        # Of the factors and the matrix, and of rows and columns of the modes.
+        needed = 3.0 * factor_memory(unknowns, solid=solid) + 160.0 * unknowns * modes
+        if needed > 0.8 * machine_memory():
+            allowed = f"fewer, or form = 'condensed': the block takes {needed / 2**30:.3g} GiB"
+            raise InputError("harmonics", problem.harmonics, allowed)
         samples = problem.samples or problem.subharmonic * default_samples(problem.harmonics)
         problem = replace(problem, samples=samples, static_above=np.inf)
         object.__setattr__(self, "problem", problem)
@@ -250,7 +240,7 @@ class BlockSolver(Solver):
                 search.converged = reached == 1.0
                 end = f" up to {reached:.2g} of the contact stiffness, then {block.reason}"
                 search.tell(f"block system{'' if search.converged else end}", before)
-            gap = block.gap(displacement)
+            gap = problem.structure.gap_of(displacement)
         at = system.linearise(gap)
         return search, at, problem.wave_of(displacement, gap, at.force)
 

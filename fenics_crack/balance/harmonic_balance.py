@@ -107,8 +107,7 @@ def _without_contact(structure: Structure, omega: float, harmonics: int) -> Peri
         if np.any(structure.sum_over_ranks(np.abs(load[k]).sum(keepdims=True))):
             amplitude[k] = _linear_amplitude(structure, k * omega, load[k])
     displacement = from_complex(amplitude)
-    gap = structure.apply_bt(displacement)
-    gap[0] -= structure.clearance
+    gap = structure.gap_of(displacement)
     return PeriodicSolution(structure, omega, None, displacement, gap, np.zeros_like(gap), 1)
 
 
