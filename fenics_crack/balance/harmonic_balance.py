@@ -216,7 +216,7 @@ def solve_harmonic_balance(
     form : "condensed" or "block"
         Unknowns on the gaps; or all displacements, by PETSc's SNES on the sparse block system
         (:mod:`block_system`), from samples of the contact force: the same solutions, and a check of
-        them, in ten times the time or more. Not with a tolerance, a rigid law, friction, a bladed
+        them, in 20 times the time or more. Not with a tolerance, a rigid law, friction, a bladed
         disk, or a reduced structure.
     residual_tolerance : float
         ``|F(x)| / |x|`` of the algebraic equations; with very stiff contact (k R > 1e5) rounding
