@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 ALONE = {"OMPI_MCA_pml": "ob1", "OMPI_MCA_ess_singleton_isolated": "1"}
 """Settings of Open MPI for one process: it looks for no network and starts no daemon, which would
 take as long as all else before the first command."""
-PREFIXES = ("-crack_hb_", "-crack_krylov_", "-crack_modes_", "-crack_factor_")
+PREFIXES = tuple(f"-crack_{name}_" for name in ("hb", "krylov", "modes", "largest", "factor"))
 """Beginnings of PETSc's options that reach a solver: SNES, GMRES, SLEPc, factorisations."""
 OUT_OF_MEMORY = ("PetscMalloc", "failed to map segment")
 """Texts by which PETSc, and the loader of a library, report too little memory."""
