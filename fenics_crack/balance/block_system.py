@@ -47,6 +47,9 @@ from fenics_crack.numerics.newton import MAX_ITERATIONS, Snes
 
 STIFFER, LEAST_STIFFER = 10.0, 1.1
 """Ratio of the contact stiffnesses of successive solutions, and the smallest that is tried."""
+ROOM = 200
+"""Work space of MUMPS beyond its estimate [%]: on several ranks the pivots of one J need more than
+those of another, and than its default."""
 REMEDY = "form = 'condensed', other harmonics, a softer contact, or more damping"
 
 
@@ -96,6 +99,11 @@ class BlockSystem(Snes):
         self.rounding = least_residual(10.0 * matrix.norm() / math.sqrt(part.shape[1]))
         """Smallest |F| / |x| that is asked for: rounding leaves about a tenth of it."""
         super().__init__(matrix, history)
+        factors = self._snes.getKSP().getPC()
+        if factors.getType() == "lu" and factors.getFactorSolverType() == "mumps":
+            factors.setOperators(matrix)
+            factors.setFactorSetUpSolverType()
+            factors.getFactorMatrix().setMumpsIcntl(14, ROOM)
 
     def _linear_part(self, base_omega: float) -> sparse.coo_matrix:
         """This rank's rows of A, those of the modes on the last rank, with their units."""
