@@ -218,7 +218,7 @@ class BlockSolver(Solver):
         modes = check_damped_modes(structure) if isinstance(modal, ModalDamping) else 0
         solid = structure.nodes is not None and structure.nodes.points.shape[1] == 3
         # Of the factors and the matrix, and of rows and columns of the modes.
-        needed = 3.0 * factor_memory(unknowns, solid=solid) + 160.0 * unknowns * modes
+        needed = 4.0 * factor_memory(unknowns, solid=solid) + 200.0 * unknowns * modes
         if needed > 0.8 * machine_memory():
             allowed = f"fewer, or form = 'condensed': the block takes {needed / 2**30:.3g} GiB"
             raise InputError("harmonics", problem.harmonics, allowed)
