@@ -323,7 +323,7 @@ def run_full(arguments: common.Arguments) -> None:
 
         times = common.alternate(
             {
-                "full": solver("full", whole, "full"),
+                "full": solver("full", whole, "block"),
                 "reduced": solver("reduced", reduced, "condensed"),
                 "exact": solver("exact", whole, "condensed"),
             },

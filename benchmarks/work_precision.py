@@ -124,7 +124,7 @@ def paper(arguments: common.Arguments) -> None:
     rows += balance(scene, "128 samples", (3, 5, 10, 20), samples=128)
     rows += balance(scene, "1024 samples", (10, 20, 40, 80), samples=1024)
     rows += balance(scene, "collocation", (5, 10, 20, 40), balance="collocation")
-    rows += balance(scene, "full form", (3, 5, 10, 20), form="full")
+    rows += balance(scene, "full form", (3, 5, 10, 20), form="block")
     rows += balance(scene, "reduced", (5, 10, 20, 40), structure=reduced)
     shares = (1.05, 2.0, 4.0) if arguments.quick else (1.05, 1.5, 2.0, 4.0, 8.0, 16.0)
     least = fc.stable_steps_per_period(plate, 2000.0, law)
@@ -151,7 +151,7 @@ def breathing(arguments: common.Arguments) -> None:
     )
     rows = balance(scene, "reduced", (3, 5, 10) if arguments.quick else (3, 5, 10, 15, 20, 30),
                    structure=reduced)  # fmt: skip
-    rows += balance(scene, "full form", (3, 5) if arguments.quick else (3, 5, 10, 20), form="full")
+    rows += balance(scene, "full form", (3, 5) if arguments.quick else (3, 5, 10, 20), form="block")
     rows += in_time(scene, "exponential steps, reduced", reduced, (128, 256, 512), most=100)
     least = fc.stable_steps_per_period(reduced, 2000.0, law)
     steps = [int(np.ceil(share * least)) for share in (1.3, 2.6)]

@@ -23,8 +23,10 @@ from surroundings import ROOT as ROOT
 from surroundings import main
 
 import fenics_crack as fc
+from fenics_crack.balance.block_system import BlockSystem
 from fenics_crack.files.store import column_of, digest, places, texts
 
+Map = Callable[[np.ndarray], np.ndarray]
 OMEGA_0 = 2.0 * np.sqrt(2.0) / (1.0 + np.sqrt(2.0))
 """Natural frequency of the bilinear oscillator with kc = 1."""
 BILINEAR_ORBITS = {
@@ -112,6 +114,33 @@ def free_bar(elements: int) -> fc.Structure:
         stiffness[block] += young / size * np.array([[1.0, -1.0], [-1.0, 1.0]])
         mass[block] += density * size / 6.0 * np.array([[2.0, 1.0], [1.0, 2.0]])
     return fc.Structure.from_matrices(mass, stiffness, gap=np.eye(elements + 1)[-1], clearance=2e-3)
+
+
+@contextmanager
+def block_system(problem: fc.Problem) -> Iterator[tuple[BlockSystem, Map, Map]]:
+    """The block system of a problem with samples on one rank; its residual, and its Jacobian
+    without the coordinates of damped modes, of all displacements (2H+1, n) [N], [N/m]."""
+    compliance = problem.compliance()
+    linear = compliance.displacement(np.zeros(compliance.shape))
+    compliance.destroy()
+    with BlockSystem(problem, linear) as block:
+        at, value = block.matrix.createVecs()
+        size, stiffness = linear.size, block.force / block.length
+
+        def residual(displacement: np.ndarray) -> np.ndarray:
+            at.array_w[:] = block.start(displacement)
+            block.evaluate(at, value)
+            assert not np.any(np.abs(value.array_r[size:]) > 1e-12 * at.norm())
+            return block.force * value.array_r[:size].reshape(linear.shape)
+
+        def jacobian(displacement: np.ndarray) -> np.ndarray:
+            at.array_w[:] = block.start(displacement)
+            block.linearise(at)
+            whole = csr(block.matrix).toarray()
+            modal = np.linalg.solve(whole[size:, size:], whole[size:, :size])
+            return stiffness * (whole[:size, :size] - whole[:size, size:] @ modal)
+
+        yield block, residual, jacobian
 
 
 def chain_stiffness(springs: np.ndarray) -> np.ndarray:

@@ -42,8 +42,9 @@ def test_demo_names_what_there_is(name: str) -> None:
     assert set(re.findall(r"\bfc\.(\w+)", text)) <= set(fc.__all__)
 
 
-def test_paper_plate(tmp_path: Path) -> None:
-    """The main job on fewer periods: frequencies, both cases, every figure and file."""
+def test_paper_plate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The main job on fewer periods: frequencies, both cases, every figure and file; its last ten
+    lines hold the answer."""
     summary = load("paper_plate").main(tmp_path, periods=120)
     assert summary == json.loads((tmp_path / "summary.json").read_text())
     frequencies = summary["natural_frequencies_rad_per_s"]
@@ -62,10 +63,30 @@ def test_paper_plate(tmp_path: Path) -> None:
     assert paper["direct_integration"]["energy_created_by_contact"] < 0.1
     assert paper["harmonic_balance"]["errors"]["residual"] < 1e-10
 
+    for case in (agreeing, paper):
+        assert case["block_system"]["difference"] < 1e-10
+    answer = "\n".join(capsys.readouterr().out.splitlines()[-10:])
+    for words in (
+        "2302.9 rad/s; the paper has 2300",
+        "1.0937 ",
+        "1.1557",
+        "1.4492",
+        "1.4515",
+        "0.13%",
+        "undecided",
+        "stable",
+        "1.155665, 1.155665",
+        "irregular motion",
+        "settled",
+        "modes.png",
+    ):
+        assert words in answer
+
     figures = ["fig2_direct_integration", "fig3_linear", "fig5_nonlinear_gap"]
     figures += ["fig6_nonlinear_corner", "fig7_comparison_gap", "fig8_comparison_corner"]
     for case in ("paper", "agreeing"):
         for figure in figures:
+            assert figure in answer
             assert (tmp_path / case / f"{figure}.png").stat().st_size > 10_000
         assert len(list((tmp_path / case / "breathing_crack").glob("*.vtu"))) == 36
         assert (tmp_path / case / "breathing_crack.pvd").exists()

@@ -341,8 +341,7 @@ class FactoredCompliance:
         self._base, orders = base_omega, range(len(load) // 2 + 1)
         self._blocks = [DynamicStiffness(structure, k * base_omega) for k in orders]
         matrices = np.array([block.compliance() for block in self._blocks], dtype=complex)
-        linear_gap = structure.apply_bt(self.solve_blocks(load))
-        linear_gap[0] -= structure.clearance
+        linear_gap = structure.gap_of(self.solve_blocks(load))
         # Every rank goes on by itself with these: they must not differ even by rounding.
         self.matrices, self.linear_gap = structure.comm.bcast((matrices, linear_gap))
         self.shape = self.linear_gap.shape

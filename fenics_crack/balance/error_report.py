@@ -125,8 +125,7 @@ def estimate_errors(
     """Estimate the errors of a solution, given as the equations there and by what the exact flow
     says of it; with ``search`` its orbit is looked for (collective)."""
     structure, wave = problem.structure, known.wave
-    expanded = problem.seen.apply_bt(wave.displacement_coefficients)
-    expanded[0] -= problem.seen.clearance
+    expanded = problem.seen.gap_of(wave.displacement_coefficients)
 
     def relative(change: np.ndarray) -> float:
         return relative_size(change, at, problem.seen.clearance)

@@ -2,7 +2,7 @@
 
 The unknowns are the Fourier coefficients of the gaps (:mod:`contact_system`); the equations are
 balanced by projection on the same functions, with the contact force integrated exactly or from
-samples.
+samples; or all displacements (:mod:`block_system`).
 Other forms of the method are kept for comparison in ``benchmarks/laboratory.py``.
 
 **To a tolerance** the solution is an exact orbit. Harmonic balance with few harmonics finds a
@@ -27,10 +27,12 @@ from bisect import bisect_left
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
+from typing import TypedDict, Unpack
 
 import numpy as np
 
 from fenics_crack.balance.assessment import Assessment
+from fenics_crack.balance.block_system import FORMS
 from fenics_crack.balance.compliance import DynamicStiffness, ModalCompliance, load_coefficients
 from fenics_crack.balance.error_report import ErrorReport, beside
 from fenics_crack.balance.more_modes import UNKNOWN
@@ -45,7 +47,7 @@ from fenics_crack.basics.errors import (
     check_omega,
 )
 from fenics_crack.basics.progress import begin
-from fenics_crack.basics.suggestions import check_kind
+from fenics_crack.basics.suggestions import check_kind, check_options
 from fenics_crack.basics.tables import percent, quantity
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.matrices import numbers
@@ -107,8 +109,7 @@ def _without_contact(structure: Structure, omega: float, harmonics: int) -> Peri
         if np.any(structure.sum_over_ranks(np.abs(load[k]).sum(keepdims=True))):
             amplitude[k] = _linear_amplitude(structure, k * omega, load[k])
     displacement = from_complex(amplitude)
-    gap = structure.apply_bt(displacement)
-    gap[0] -= structure.clearance
+    gap = structure.gap_of(displacement)
     return PeriodicSolution(structure, omega, None, displacement, gap, np.zeros_like(gap), 1)
 
 
@@ -177,6 +178,13 @@ def _linear_amplitude(structure: Structure, omega: float, load: np.ndarray) -> n
     return moved @ modes.shapes.T + load @ modes.static_loads
 
 
+class NewtonOptions(TypedDict, total=False):
+    """Options of :func:`solve_harmonic_balance`, which explains them."""
+
+    form: str
+    residual_tolerance: float
+
+
 def solve_harmonic_balance(
     structure: Structure,
     omega: float,
@@ -187,8 +195,8 @@ def solve_harmonic_balance(
     initial: PeriodicSolution | None = None,
     subharmonic: int = 1,
     tolerance: float | None = None,
-    residual_tolerance: float = Solver.residual_tolerance,
     throw: bool = True,
+    **options: Unpack[NewtonOptions],
 ) -> PeriodicSolution:
     """Steady periodic vibration with contact between the crack faces (collective).
 
@@ -213,11 +221,16 @@ def solve_harmonic_balance(
         says what was chosen, or what limits the error of the best one. Where the exact flow is
         known the coefficients are those of an exact orbit. ``harmonics`` and ``samples`` are then
         left out.
+    throw : bool
+        Raise if nothing converged (else ``converged`` is False), or the tolerance is missed.
+    form : "condensed" or "block"
+        Unknowns on the gaps, the default; or all displacements, by PETSc's SNES on the sparse block
+        system (:mod:`block_system`), from samples of the contact force: the same solutions, and a
+        check of them, in 20 times the time or more. Not with a tolerance, a rigid law, friction, a bladed
+        disk, or a reduced structure.
     residual_tolerance : float
         ``|F(x)| / |x|`` of the algebraic equations; with very stiff contact (k R > 1e5) rounding
         alone leaves more, eps k R, which is then accepted and reported.
-    throw : bool
-        Raise if nothing converged (else ``converged`` is False), or the tolerance is missed.
 
     Returns
     -------
@@ -234,7 +247,8 @@ def solve_harmonic_balance(
 
     Notes
     -----
-    PETSc options with the prefix ``crack_hb_`` reach SNES, for example ``-crack_hb_snes_monitor``.
+    PETSc options with the prefix ``crack_hb_`` reach SNES, for example ``-crack_hb_snes_monitor``;
+    of the block form its KSP and PC, too: ``-crack_hb_ksp_type gmres -crack_hb_pc_type bjacobi``.
 
     Source: the paper, eqs 2 to 15, with the corrections listed in ``docs/theory.md``.
 
@@ -243,6 +257,10 @@ def solve_harmonic_balance(
     >>> solution = fc.solve_harmonic_balance(structure, 2000.0, contact, harmonics=20)
     >>> error = solution.report.total
     """
+    check_options("solve_harmonic_balance", options, NewtonOptions.__annotations__)
+    form = options.get("form", "condensed")
+    residual_tolerance = options.get("residual_tolerance", Solver.residual_tolerance)
+    check_choice("form", form, FORMS)
     check_number("residual_tolerance", residual_tolerance, 0.0, above=True)
     if tolerance is not None:
         check_number("tolerance", tolerance, 0.0, above=True)
@@ -250,6 +268,8 @@ def solve_harmonic_balance(
             raise InputError("tolerance", tolerance, "left out where harmonics are given")
         if samples is not None:
             raise InputError("samples", samples, "left out where a tolerance is given")
+        if form == "block":
+            raise InputError("tolerance", tolerance, "left out with form = 'block'")
     if harmonics is None:
         check_count("subharmonic", subharmonic, 1)
         few = Problem.harmonics
@@ -260,7 +280,7 @@ def solve_harmonic_balance(
         check_count("samples", samples, 4 * harmonics + 1)
     if initial is not None:
         check_initial(problem, initial)
-    solver = Solver(problem, residual_tolerance, throw)
+    solver = FORMS[form](problem, residual_tolerance, throw)
     if tolerance is not None:
         return solve_to_tolerance(solver, tolerance, initial)
     check_memory(structure, harmonics)

@@ -345,12 +345,16 @@ class Search:
     """The search for a solution of a system, and the record of the attempts."""
 
     system: ContactSystem
-    problem: Problem | None
-    """Problem that the system balances; None: other equations, which have no motions as guesses."""
+    problem: Problem
+    """Problem that the system balances."""
     tolerance: float
     """Maximum |F| / |x| for acceptance; raised to the rounding error."""
     share: float
     """Fraction of the search budget that may be used."""
+    remedy: str = (
+        "other harmonics, a softer contact, more damping, or a neighbouring solution as initial"
+    )
+    """Changes that may lead to a solution where no attempt does."""
     converged: bool = False
     """True if the last attempt met the tolerance."""
     iterations: int = 0
@@ -369,10 +373,7 @@ class Search:
         attempts = "; then ".join(self.attempts)
         if self.converged:
             return attempts
-        return (
-            f"{attempts}; no solution in {self.iterations} iterations: try other harmonics, a "
-            "softer contact, more damping, or a neighbouring solution as initial"
-        )
+        return f"{attempts}; no solution in {self.iterations} iterations: try {self.remedy}"
 
     def solve(self, *starts: np.ndarray) -> Linearisation:
         """The equations where Newton's method arrives, or where it was last, from solutions nearby
@@ -398,7 +399,7 @@ class Search:
                     at = self._newton(snes, guess)
                     if self.converged or self._spent:
                         break
-                self._tell(name, before)
+                self.tell(name, before)
                 if self.converged:
                     break
         at = at or system.linearise(np.zeros(system.shape), 1.0)
@@ -407,12 +408,12 @@ class Search:
             with Newton(system, self.history) as snes:
                 at = self._newton(snes, at.unknown)
             if self.converged:
-                self._tell("full steps of SNES", before)
+                self.tell("full steps of SNES", before)
             else:
                 self.iterations = before
         return at
 
-    def _tell(self, name: str, before: int) -> None:
+    def tell(self, name: str, before: int) -> None:
         """Record the outcome of an initial guess."""
         outcome = "converged" if self.converged else "failed"
         self.attempts.append(f"{name}: {outcome} ({self.iterations - before} iterations)")
@@ -447,9 +448,9 @@ class Search:
         system, problem = self.system, self.problem
         for start in starts:
             yield "full Newton steps", self._near(system, start)
-        if problem is not None and problem.friction:
+        if problem.friction:
             yield "from contact without friction", self._add_friction(problem)
-        elif problem is not None:
+        else:
             many = system.residual is not None or system.size > kernel.MANY
             enough = problem.least_harmonics if many else problem.harmonics
             counts = halved(problem.harmonics, enough)

@@ -482,13 +482,15 @@ def solution_of(
     converged: bool = True,
     search: bool = True,
     reported: bool = True,
+    wave: Wave | None = None,
 ) -> PeriodicSolution:
-    """The solution that belongs to a point of the condensed equations (collective).
+    """The solution that belongs to a point of the condensed equations, by default with the motion
+    that follows from it (collective).
 
     With ``search`` its exact orbit is looked for; else its error is what is predicted without; and
     nothing is estimated where it is not ``reported``, or of equations that are not solved.
     """
-    wave = problem.wave(at)
+    wave = wave or problem.wave(at)
     known = Assessment(wave)
     found = PeriodicSolution(**vars(wave), status=status, converged=converged, assessment=known)
     if not reported:
@@ -541,10 +543,11 @@ class Solver:
         compliance, share = self.compliance(), 1.0 if wholly else 1.0 / len(SearchOptions.harmonics)
         try:
             problem = self.problem.weighted(compliance)
-            search, at = replace(self, problem=problem).find(compliance, initial, share)
+            search, at, wave = replace(self, problem=problem).find(compliance, initial, share)
             found = solution_of(
-                problem, at, status=search.status, converged=search.converged, reported=reported
-            )
+                problem, at, status=search.status, converged=search.converged, reported=reported,
+                wave=wave,
+            )  # fmt: skip
         finally:
             compliance.destroy()
         return search, replace(found, iterations=search.iterations)
@@ -555,8 +558,8 @@ class Solver:
 
     def find(
         self, compliance: Compliance, initial: PeriodicSolution | None, share: float = 1.0
-    ) -> tuple[Search, ContactPoint]:
-        """A search, and the equations where it arrives."""
+    ) -> tuple[Search, ContactPoint, Wave]:
+        """A search, the equations where it arrives, and the motion there."""
         problem = self.problem
         system, starts = problem.system(compliance), []
         if initial is not None:
@@ -567,4 +570,5 @@ class Solver:
         search = Search(system, problem, self.residual_tolerance, share)
         at = search.solve(*starts)
         # The kernel's points do not know the forces.
-        return search, at if isinstance(at, ContactPoint) else system.linearise(at.unknown)
+        at = at if isinstance(at, ContactPoint) else system.linearise(at.unknown)
+        return search, at, problem.wave(at)

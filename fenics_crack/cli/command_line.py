@@ -13,6 +13,7 @@ import sys
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
+from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
@@ -36,13 +37,15 @@ if TYPE_CHECKING:
 ALONE = {"OMPI_MCA_pml": "ob1", "OMPI_MCA_ess_singleton_isolated": "1"}
 """Settings of Open MPI for one process: it looks for no network and starts no daemon, which would
 take as long as all else before the first command."""
+PREFIXES = tuple(f"-crack_{name}_" for name in ("hb", "krylov", "modes", "largest", "factor"))
+"""Beginnings of PETSc's options that reach a solver: SNES, GMRES, SLEPc, factorisations."""
 OUT_OF_MEMORY = ("PetscMalloc", "failed to map segment")
 """Texts by which PETSc, and the loader of a library, report too little memory."""
 TABLES = {
     "curve": ("parameter", "start"),
     "disk": ("families",),
     "excitation": ("omega",),
-    "harmonic_balance": ("harmonics", "samples", "tolerance"),
+    "harmonic_balance": ("form", "harmonics", "samples", "tolerance"),
     "integration": ("steps_per_period",),
     "reduction": ("method", "modes"),
     "tip_timing": ("clock", "noise", "probes", "revolutions", "tip_radius"),
@@ -72,6 +75,7 @@ Start with:
 
 Any key can be changed for one run: --set harmonic_balance.harmonics=30 --set crack.length=0.03
 On several processors: mpirun -n 4 fenics-crack sweep plate.toml
+PETSc's options come last: fenics-crack solve plate.toml -crack_hb_snes_monitor
 
 Exit code: 0 done; 2 bad input; 3 something did not converge, or Ctrl-C has ended it early (what was
 found, if anything, is in the files); 4 solved, but the error is above the tolerance or unknown; 130
@@ -129,9 +133,10 @@ def _end_others(code: Exit) -> None:
 
 
 def _read(arguments: Sequence[str] | None) -> argparse.Namespace:
-    """Read the arguments; SystemExit after --help, and for words that the parser refuses."""
+    """Read the arguments, of the program's own those before PETSc's; SystemExit after --help, and
+    for words that the parser refuses."""
     try:
-        given = parser().parse_args(arguments)
+        given = parser().parse_args(_without_petsc() if arguments is None else arguments)
     except SystemExit:
         sys.stdout.flush()
         if launched():
@@ -141,6 +146,17 @@ def _read(arguments: Sequence[str] | None) -> argparse.Namespace:
         raise
     given.words = [*(sys.argv[1:] if arguments is None else arguments)]
     return given
+
+
+def _without_petsc() -> list[str]:
+    """The program's arguments up to the first ``-crack_``, from which on PETSc takes them as in
+    scripts (``basics/ranks.py``); InputError for a prefix that no solver has."""
+    words = sys.argv[1:]
+    own = [*takewhile(lambda word: not word.startswith("-crack_"), words)]
+    for word in words[len(own) :]:
+        if word.startswith("-crack_") and not word.startswith(PREFIXES):
+            raise InputError("PETSc option", word, f"one that begins with {' or '.join(PREFIXES)}")
+    return own
 
 
 def _be_silent() -> None:

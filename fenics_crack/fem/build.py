@@ -54,6 +54,7 @@ from fenics_crack.fem.matrix_files import read_structure
 from fenics_crack.fem.msh_file import check_there
 from fenics_crack.fem.plate import Dofs, build_mesh
 from fenics_crack.fem.sector import wheel_of
+from fenics_crack.model.factor import local_rows
 from fenics_crack.model.modes import solve_modes
 from fenics_crack.model.nodes import Pairs
 from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
@@ -137,9 +138,7 @@ def _of_patches(dofs: Dofs, t: Any, lips: Any) -> tuple[Any, np.ndarray, sparse.
     normal, pressure = ufl.FacetNormal(space.mesh), ufl.TrialFunction(space)
     work = ufl.inner(pressure * normal, ufl.TestFunction(dofs.space)) * lips
     matrix = compat.assembled_matrix(work)
-    starts, columns, values = matrix.getValuesCSR()
-    shape = len(dofs.numbers), space.dofmap.index_map.size_global
-    moved = sparse.csr_matrix((values, columns, starts), shape).tocsc()
+    moved = local_rows(matrix).tocsc()
     matrix.destroy()
     weights = compat.assembled_vector(t * ufl.TestFunction(space) * lips)
     every = gather_rows(dofs.comm, weights)

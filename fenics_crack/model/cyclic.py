@@ -34,7 +34,7 @@ import scipy.linalg
 import scipy.sparse as sparse
 from mpi4py import MPI
 
-from fenics_crack.model.factor import Factor, distributed
+from fenics_crack.model.factor import Factor, distributed, local_rows
 from fenics_crack.model.modes import NEGLIGIBLE, modes_by
 from fenics_crack.model.structure import Structure
 
@@ -151,12 +151,12 @@ class Sector:
     @cached_property
     def stiffness(self) -> sparse.csr_matrix:
         """K."""
-        return rows_of(self.structure.stiffness)
+        return local_rows(self.structure.stiffness)
 
     @cached_property
     def mass(self) -> sparse.csr_matrix:
         """M."""
-        return rows_of(self.structure.mass)
+        return local_rows(self.structure.mass)
 
     @cached_property
     def _known(self) -> dict[tuple[Any, ...], Any]:
@@ -188,7 +188,7 @@ class Sector:
     @contextmanager
     def factored(self, stiffness: Any = None) -> Iterator[Inside]:
         """The stiffness of all nodal diameters, factored; another one than its own, if given."""
-        matrix = self.stiffness if stiffness is None else rows_of(stiffness)
+        matrix = self.stiffness if stiffness is None else local_rows(stiffness)
         blocks = Blocks.of(self, matrix)
         left = self.dofs[self.sides[0]].ravel()
         on_side = np.isin(self.own, left)
@@ -386,12 +386,6 @@ def _solved(factor: Factor, forces: np.ndarray) -> np.ndarray:
         return factor.solve(np.ascontiguousarray(forces.real).T).T
     real, imaginary = np.split(factor.solve(np.hstack([forces.real, forces.imag]).T).T, 2, axis=1)
     return real + 1j * imaginary
-
-
-def rows_of(matrix: Any) -> sparse.csr_matrix:
-    """A matrix of PETSc's on one rank as one of SciPy's."""
-    starts, columns, values = matrix.getValuesCSR()
-    return sparse.csr_matrix((values, columns, starts), matrix.size)
 
 
 @dataclass(frozen=True, eq=False)

@@ -61,6 +61,12 @@ def distributed(rows: Any, comm: MPI.Comm) -> Any:
     return matrix
 
 
+def local_rows(matrix: Any) -> sparse.csr_matrix:
+    """Rows of a PETSc matrix on this rank, (n_local, n)."""
+    starts, columns, values = matrix.getValuesCSR()
+    return sparse.csr_matrix((values, columns, starts), (matrix.local_size[0], matrix.size[1]))
+
+
 def weighted_sum(first: Any, weight: float, second: Any) -> Any:
     """Return the matrix first + weight * second, whatever their patterns (collective)."""
     total = first.copy()
@@ -225,9 +231,7 @@ def _bordered(matrix: Any, border: sparse.spmatrix) -> Any:
     """[[A, s B], [s B^T, 0]], the border on the last rank; s is the size of A (collective)."""
     comm, count = matrix.comm.tompi4py(), border.shape[1]
     scale = matrix.norm(PETSc.NormType.INFINITY) or 1.0
-    starts, columns, values = matrix.getValuesCSR()
-    own = sparse.csr_matrix((values, columns, starts), (matrix.local_size[0], matrix.size[1]))
-    rows = sparse.hstack([own, scale * border])
+    rows = sparse.hstack([local_rows(matrix), scale * border])
     whole = sparse.vstack(comm.allgather(border), "csr")
     if comm.rank == comm.size - 1:
         rows = sparse.vstack([rows, sparse.hstack([scale * whole.T, np.zeros((count, count))])])

@@ -38,7 +38,14 @@ from fenics_crack.basics.errors import MOST_HARMONICS, InputError, check_count, 
 from fenics_crack.basics.ranks import gather_rows, on_each
 from fenics_crack.basics.tables import counted
 from fenics_crack.basics.untrusted_files import opened_text, rows_in
-from fenics_crack.model.factor import TOLERATED, Factor, distributed, factored_sum, weighted_sum
+from fenics_crack.model.factor import (
+    TOLERATED,
+    Factor,
+    distributed,
+    factored_sum,
+    local_rows,
+    weighted_sum,
+)
 from fenics_crack.numerics.fourier import resized
 from fenics_crack.scene.fields import LARGEST
 
@@ -519,9 +526,8 @@ def petsc_matrix(name: str, given: Any, comm: MPI.Comm, n: int | None = None) ->
         start, stop = (rows * comm.rank) // comm.size, (rows * (comm.rank + 1)) // comm.size
         return distributed(whole[start:stop], comm)
     comm = given.comm.tompi4py()
-    starts, places, values = given.convert("aij", PETSc.Mat()).getValuesCSR()
-    on_each(comm, lambda: _check_sizes(name, values))
-    own = sparse.csr_matrix((values, places, starts), (given.local_size[0], columns))
+    own = local_rows(given.convert("aij", PETSc.Mat()))
+    on_each(comm, lambda: _check_sizes(name, own.data))
     return distributed(own, comm)
 
 

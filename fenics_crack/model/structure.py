@@ -285,6 +285,13 @@ class Structure(Coordinates):
         found: Found = self._known[compute]
         return found
 
+    def gap_of(self, displacement: np.ndarray) -> np.ndarray:
+        """Coefficients of g = B^T u - g0 from those of u (2H+1, n_local): (2H+1, n_pairs)
+        (collective)."""
+        gap: np.ndarray = self.apply_bt(displacement)
+        gap[0] -= self.clearance
+        return gap
+
     def known_modes(self, *, tied: bool) -> tuple[np.ndarray, np.ndarray] | None:
         """omega (m,) [rad/s] and shapes (n_local, m) with the crack open or bonded where the
         coordinates are those of modes, else None."""

@@ -36,10 +36,9 @@ from fenics_crack.model.cyclic import (
     CyclicModes,
     Sector,
     cyclic_basis,
-    rows_of,
     solve_cyclic_modes,
 )
-from fenics_crack.model.factor import distributed
+from fenics_crack.model.factor import distributed, local_rows
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modes import solve_modes
 from fenics_crack.model.nodes import Nodes, Pairs
@@ -359,7 +358,7 @@ def _mass(wheel: Structure) -> Any:
 def _stiffness(wheel: Structure) -> Any:
     assert isinstance(wheel, Wheel)
     sector = wheel.sector
-    return _copied_matrix(wheel, wheel.mistuning, sector.stiffness, rows_of(sector.elastic))
+    return _copied_matrix(wheel, wheel.mistuning, sector.stiffness, local_rows(sector.elastic))
 
 
 # --- in few coordinates ---------------------------------------------------------------------------
@@ -399,7 +398,7 @@ def _ritz(basis: CyclicBasis, cracked: tuple[int, ...]) -> tuple[np.ndarray, np.
 def _elastic(basis: CyclicBasis, cracked: tuple[int, ...]) -> np.ndarray:
     """U_j^T K U_j of each sector, K its stiffness at rest: (N, n, n)."""
     sector = basis.modes.sector
-    moved, found = basis.times(rows_of(sector.elastic)), []
+    moved, found = basis.times(local_rows(sector.elastic)), []
     for place in range(sector.count):
         part = basis.columns(place, cracked).T @ moved.columns(place, cracked)
         found.append(0.5 * (part + part.T))
@@ -538,7 +537,7 @@ class WheelStructure(Structure):
 
 
 def _all_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
-    matrices = (rows_of(part).toarray() for part in (structure.stiffness, structure.mass))
+    matrices = (local_rows(part).toarray() for part in (structure.stiffness, structure.mass))
     squares, shapes = scipy.linalg.eigh(*matrices)
     return np.sqrt(np.maximum(squares, 0.0)), shapes
 

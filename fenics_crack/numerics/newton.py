@@ -32,10 +32,11 @@ Sources: those of :mod:`path`.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 import numpy as np
 from petsc4py import PETSc
@@ -106,57 +107,50 @@ def kernel_solves(system: SingleSystem) -> bool:
     return has and not PETSc.Options(OPTIONS_PREFIX).getAll()
 
 
-class Newton:
-    """SNES for one system, for all solutions of it; a context manager, which frees it.
+class Snes(ABC):
+    """PETSc's SNES for one system, for all solutions of it; a context manager, which frees it.
 
     Full steps, unless PETSc options say otherwise: line searches stall at the kinks of the merit
     function where contact is sampled. Converged where |F| <= tolerance |x|.
     """
 
-    def __init__(self, system: SingleSystem, history: list[float] | None = None) -> None:
-        """``history`` is where |F| of every iteration goes."""
-        self.system, self._history = system, [] if history is None else history
-        self._parameter = self._tolerance = 0.0
-        self._at: tuple[np.ndarray, Linearisation] | None = None
+    def __init__(self, matrix: Any, history: list[float] | None = None) -> None:
+        """``matrix`` is the Jacobian's; ``history`` is where |F| of every iteration goes."""
+        self.matrix, self._history = matrix, [] if history is None else history
+        self._tolerance = 0.0
         self._failure: ConvergenceError | None = None
-        self._tangent: Linearisation
-        size = int(np.prod(system.shape))
-        self._matrix = PETSc.Mat().createPython((size, size), self, SELF)
-        self._matrix.setUp()
-        self._unknown, self._target = self._matrix.createVecs()
-        self._snes = PETSc.SNES().create(SELF)
+        self._unknown, self._target = matrix.createVecs()
+        self._snes = PETSc.SNES().create(matrix.comm)
         self._snes.setOptionsPrefix(OPTIONS_PREFIX)
-        self._snes.setFunction(self._residual, self._target)
-        self._snes.setJacobian(self._jacobian, self._matrix)
+        self._snes.setFunction(self._set_residual, self._target)
+        self._snes.setJacobian(lambda snes, unknown, *matrices: self.linearise(unknown), matrix)
         options = PETSc.Options(OPTIONS_PREFIX)
         choose_search = not options.hasName("snes_linesearch_type")
         if choose_search:
             options["snes_linesearch_type"] = "basic"
-        solver = self._snes.getKSP()
-        if system.matrix_free:
-            solver.setType("gmres")
-            solver.setGMRESRestart(RESTART)
-            solver.setTolerances(max_it=RESTART)
-            solver.getPC().setType("none")
-            self._snes.setUseEW(True, version=2, rtol_0=FORCING, rtol_max=FORCING)
-            self._snes.setMaxLinearSolveFailures(1000)  # an inexact step is better than none
-        else:
-            solver.setType("preonly")
-            solver.getPC().setType("python")
-            solver.getPC().setPythonContext(self)
+        self._choose(self._snes.getKSP())
         self._snes.setFromOptions()
         if choose_search:
             options.delValue("snes_linesearch_type")
         self._snes.setConvergenceTest(self._converged)
 
-    def solve(
-        self, start: np.ndarray, parameter: float, tolerance: float, most_iterations: int
-    ) -> tuple[Linearisation, bool, int]:
-        """The system at the last iterate, whether that converged, and the number of iterations."""
-        self._parameter, self._tolerance, self._at = parameter, tolerance, None
+    @abstractmethod
+    def _choose(self, solver: Any) -> None:
+        """Set the default solver of the linear systems, a KSP."""
+
+    @abstractmethod
+    def evaluate(self, unknown: Any, target: Any) -> None:
+        """Set a vector to F at another one."""
+
+    @abstractmethod
+    def linearise(self, unknown: Any) -> None:
+        """Make the matrix the Jacobian at a vector."""
+
+    def run(self, start: np.ndarray, tolerance: float, most_iterations: int) -> tuple[bool, int]:
+        """Return True if steps from this rank's rows of a guess converged, and their number."""
+        self._tolerance, self._failure = tolerance, None
         self._unknown.array_w[:] = start.ravel()
         self._snes.setTolerances(max_it=most_iterations)
-        self._failure = None
         try:
             self._snes.solve(None, self._unknown)
         except PETSc.Error:
@@ -164,16 +158,7 @@ class Newton:
                 raise
         if self._failure is not None:  # whatever PETSc has made of it
             raise self._failure
-        found = self._point(self._unknown)
-        return found, self._snes.getConvergedReason() > 0, self._snes.getIterationNumber()
-
-    def _point(self, unknown: Any) -> Linearisation:
-        """The system at a vector; SNES requests residual and Jacobian at the same one."""
-        if self._at is None or not np.array_equal(unknown.array_r, self._at[0]):
-            place = unknown.array_r.copy()
-            at = self.system.linearise(place.reshape(self.system.shape), self._parameter)
-            self._at = place, at
-        return self._at[1]
+        return self._snes.getConvergedReason() > 0, self._snes.getIterationNumber()
 
     def _converged(self, snes: Any, count: int, norms: tuple[float, float, float]) -> int:
         """Measure the residual relative to the unknowns themselves."""
@@ -186,14 +171,67 @@ class Newton:
             return int(PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT)
         return int(PETSc.SNES.ConvergedReason.ITERATING)
 
-    def _residual(self, snes: Any, unknown: Any, target: Any) -> None:
+    def _set_residual(self, snes: Any, unknown: Any, target: Any) -> None:
         try:
-            target.array_w[:] = self._point(unknown).residual.ravel()
+            self.evaluate(unknown, target)
         except ConvergenceError as error:
             self._failure = error
             raise
 
-    def _jacobian(self, snes: Any, unknown: Any, matrix: Any, preconditioner: Any) -> None:
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        for item in (self._snes, self.matrix, self._unknown, self._target):
+            item.destroy()
+
+
+class Newton(Snes):
+    """SNES for a system whose Jacobian solves by itself, or is applied by GMRES; the unknowns are
+    the same on every rank."""
+
+    def __init__(self, system: SingleSystem, history: list[float] | None = None) -> None:
+        self.system, self._parameter = system, 0.0
+        self._at: tuple[np.ndarray, Linearisation] | None = None
+        self._tangent: Linearisation
+        size = int(np.prod(system.shape))
+        matrix = PETSc.Mat().createPython((size, size), self, SELF)
+        matrix.setUp()
+        super().__init__(matrix, history)
+
+    def _choose(self, solver: Any) -> None:
+        if self.system.matrix_free:
+            solver.setType("gmres")
+            solver.setGMRESRestart(RESTART)
+            solver.setTolerances(max_it=RESTART)
+            solver.getPC().setType("none")
+            self._snes.setUseEW(True, version=2, rtol_0=FORCING, rtol_max=FORCING)
+            self._snes.setMaxLinearSolveFailures(1000)  # an inexact step is better than none
+        else:
+            solver.setType("preonly")
+            solver.getPC().setType("python")
+            solver.getPC().setPythonContext(self)
+
+    def solve(
+        self, start: np.ndarray, parameter: float, tolerance: float, most_iterations: int
+    ) -> tuple[Linearisation, bool, int]:
+        """The system at the last iterate, whether that converged, and the number of iterations."""
+        self._parameter, self._at = parameter, None
+        converged, count = self.run(start, tolerance, most_iterations)
+        return self._point(self._unknown), converged, count
+
+    def _point(self, unknown: Any) -> Linearisation:
+        """The system at a vector; SNES requests residual and Jacobian at the same one."""
+        if self._at is None or not np.array_equal(unknown.array_r, self._at[0]):
+            place = unknown.array_r.copy()
+            at = self.system.linearise(place.reshape(self.system.shape), self._parameter)
+            self._at = place, at
+        return self._at[1]
+
+    def evaluate(self, unknown: Any, target: Any) -> None:
+        target.array_w[:] = self._point(unknown).residual.ravel()
+
+    def linearise(self, unknown: Any) -> None:
         self._tangent = self._point(unknown)
 
     def mult(self, matrix: Any, source: Any, target: Any) -> None:
@@ -205,13 +243,6 @@ class Newton:
         """Inverse of the Jacobian times a vector, called by PETSc."""
         right = source.array_r.reshape(self.system.shape)
         target.array_w[:] = self._tangent.solve(right).ravel()
-
-    def __enter__(self) -> Newton:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        for item in (self._snes, self._matrix, self._unknown, self._target):
-            item.destroy()
 
 
 MAX_ITERATIONS = 8

@@ -66,6 +66,8 @@ from fenics_crack.scene.tables import (
     highest,
 )
 
+SOLVED_OFTEN = ("curve", "sweep", "growth", "identify")
+"""Tables by which a scene is solved many times."""
 LOOKED_AT = ("curve", "integration", "sweep", "growth", "identify", "tip_timing", "output")
 """Tables that choose results, and change nothing of the structure and its load."""
 
@@ -138,6 +140,8 @@ class Scene(Hinted):
             object.__setattr__(self, "excitation", self.excitation.at_speed(self.speed))
         balance = self.harmonic_balance.of_load(self.highest_order)
         object.__setattr__(self, "harmonic_balance", balance)
+        if balance.form == "block":
+            _check_block(self)
         if self.curve is not None and self.curve.followed[0] == "speed":
             allowed = "another one without an excitation.order, which needs a rotation"
             self.curve.require(self.excitation.order is not None, "parameter", allowed)
@@ -285,6 +289,9 @@ class Scene(Hinted):
         """A table that a command cannot do without; InputError where there is none."""
         if getattr(self, name) is None:
             raise InputError(name, None, "given for this command: a table")
+        condensed = self.harmonic_balance.form == "condensed"
+        allowed = f"'condensed' for this command, by the table [{name}]"
+        self.harmonic_balance.require(condensed or name not in SOLVED_OFTEN, "form", allowed)
         return getattr(self, name)
 
     @property
@@ -563,6 +570,19 @@ def unit_of(name: str) -> str:
 
 
 # --- what tables must not contradict --------------------------------------------------------------
+
+
+def _check_block(scene: Scene) -> None:
+    """Raise InputError where the block system of harmonic balance does not solve a scene."""
+    contact, reduction = scene.contact, scene.reduction
+    refused = {
+        "with a table [disk]": scene.disk,
+        "with contact.law = 'unilateral'": contact and contact.law == "unilateral",
+        "with contact.friction": contact and contact.friction,
+        "with another reduction than 'off'": reduction and reduction.method != "off",
+    }
+    for words, wrong in refused.items():
+        scene.harmonic_balance.require(not wrong, "form", f"'condensed' {words}")
 
 
 def _check_matrices(scene: Scene, structure: Structure) -> None:

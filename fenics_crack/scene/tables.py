@@ -610,6 +610,9 @@ class HarmonicBalance(Table):
     """Find the exact orbit, and keep so many of its harmonics, and modes, that the error stays
     below this; a curve is one of exact orbits. Default: 0.01, but none where harmonics or samples
     are given, or no error is requested."""
+    form: str = choice("condensed", "block", default="condensed")
+    """Unknowns of ``solve``: the gaps of the crack faces, or with "block" all displacements, by
+    PETSc's SNES, which takes longer; then without a tolerance, and the structure is not reduced."""
     error: bool = holds("true or false", default=True)
     """false: neither the error nor the stability of solutions is found, which takes longer than the
     solution itself where there are many pairs or modes."""
@@ -619,6 +622,9 @@ class HarmonicBalance(Table):
         chosen = {"harmonics": 5, "tolerance": TOLERANCE}
         if self.harmonics is not None or self.samples is not None or not self.error:
             del chosen["tolerance"]
+        if self.form == "block":
+            self.leave_out(("tolerance",), "form = 'block'")
+            chosen.pop("tolerance", None)
         follows = {key for key in chosen if getattr(self, key) is None}
         for key in follows:
             object.__setattr__(self, key, chosen[key])

@@ -15,6 +15,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from mpi4py import MPI
 
+from fenics_crack.balance.block_system import FORMS
 from fenics_crack.balance.harmonic_balance import (
     FIRST_MODES,
     solve_harmonic_balance,
@@ -290,7 +291,8 @@ def solve_prepared(
         study = reduced(whole)
         check_memory(study.structure, table.harmonics)
         problem = Problem(study.structure, omega, law, table.harmonics, table.samples)
-        solution = Solver(problem, throw=False).solve(initial, reported=table.error)
+        solver = FORMS[table.form](problem, throw=False)
+        solution = solver.solve(initial, reported=table.error)
     else:
         study, solution = _solve_to_tolerance(whole, law)
     structure = study.structure

@@ -12,10 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import Cubic, chain, oscillator, relative
-from laboratory import BlockSystem
 
 import fenics_crack as fc
-from fenics_crack.balance.compliance import FactoredCompliance
 from fenics_crack.balance.contact_integrals import contact_integrals
 from fenics_crack.curves import free_motion
 from fenics_crack.curves.family import FAMILIES
@@ -396,13 +394,10 @@ def equations(kind: str) -> Any:
         return system.softened()
     law = fc.SmoothedPenalty(5.0, 20.0) if kind == "smooth" else PENALTY
     problem = fc.Problem(structure, 0.6, law, 6, samples=128 if kind == "sampled" else None)
-    if kind == "block":
-        compliance = FactoredCompliance(structure, problem.base_omega, problem.load)
-        return BlockSystem(compliance, problem.integrals()).softened()
     return problem.system(problem.compliance()).softened()
 
 
-@pytest.mark.parametrize("kind", ["exact", "sampled", "smooth", "coupled", "block"])
+@pytest.mark.parametrize("kind", ["exact", "sampled", "smooth", "coupled"])
 def test_snes_finds_the_end_of_a_path(kind: str) -> None:
     """Full steps of SNES from near the path's end, and that end, in the kernel and called back."""
     system = equations(kind)

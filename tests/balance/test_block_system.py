@@ -1,0 +1,203 @@
+"""The block system: its solutions are those of the condensed form, and PETSc's options reach it."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+import textwrap
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import DEMOS, chain, oscillator
+from mpi4py import MPI
+from surroundings import ROOT
+
+import fenics_crack as fc
+from fenics_crack.balance import block_system
+from fenics_crack.cli.command_line import PREFIXES
+
+PAPER = DEMOS / "paper_plate.toml"
+AGREEING: dict[str, Any] = {"contact.stiffness": 1e9, "damping.ratio": 0.01}
+LAWS = {
+    "penalty": {"contact.law": "penalty"},
+    "1e7": {"contact.law": "smoothed", "contact.sharpness": 1e7},
+    "1e8": {"contact.law": "smoothed", "contact.sharpness": 1e8},
+}
+RAYLEIGH: dict[str, Any] = {
+    "damping.ratio": None, "damping.ratios": [0.01, 0.01], "damping.omegas": [2300.0, 8000.0],
+    "damping.modes": "all",
+}  # fmt: skip
+SOLID = """
+geometry = { kind = "solid", width = 0.03, height = 0.05, thickness = 0.01 }
+crack = { edge = "left", height = 0.02, length = 0.01 }
+material = { young = 2.1e11, poisson = 0.3, density = 7850.0 }
+damping = { ratio = 0.01, modes = 10 }
+excitation = { point = [0.0, 0.05, 0.005], force_cos = [100.0, 0.0, 10.0], frequency = 2000.0 }
+contact = { law = "penalty", stiffness = 1e8 }
+mesh = { layout = "graded", order = 2, size = 0.012, lip_elements = 2, error = false }
+"""
+
+
+def differences(scene: fc.Scene, comm: MPI.Comm, samples: int = 1024) -> tuple[float, float]:
+    """Of displacements and of gaps between both forms, relative, with the same samples."""
+    structure = fc.build_structure(scene, comm)
+    law, omega = fc.contact_law(scene.contact, structure), scene.excitation.omega
+    condensed, block = (
+        fc.solve_harmonic_balance(
+            structure, omega, law, harmonics=5, samples=samples, form=form,
+            residual_tolerance=1e-12,
+        )
+        for form in ("condensed", "block")
+    )  # fmt: skip
+    assert condensed.breathes and block.converged and block.report.residual < 1e-10
+    assert block.report.total == pytest.approx(condensed.report.total, rel=1e-4)
+    moved = condensed.displacement_coefficients, block.displacement_coefficients
+    squares = np.array([np.sum((moved[1] - moved[0]) ** 2), np.sum(moved[0] ** 2)])
+    change, whole = np.sqrt(structure.sum_over_ranks(squares))
+    gap = condensed.gap_coefficients
+    return change / whole, float(np.linalg.norm(block.gap_coefficients - gap) / np.linalg.norm(gap))
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_block_is_condensed_on_the_papers_plate(law: str) -> None:
+    """To 1e-10, in all displacements and in the gap."""
+    scene = fc.Scene.load(PAPER, AGREEING | LAWS[law])
+    assert max(differences(scene, MPI.COMM_SELF)) < 1e-10
+
+
+@pytest.mark.mpi
+def test_block_is_condensed_on_two_ranks(on_ranks: Callable[..., Any]) -> None:
+    """The plate, and a finer one whose pairs have nodes on both."""
+    scene = fc.Scene.load(PAPER, AGREEING)
+    finer = scene.replace(RAYLEIGH | {"mesh.columns": 4, "mesh.rows": 4})
+    for one in (scene, finer):
+        assert max(on_ranks(differences, one)) < 1e-10
+
+
+@pytest.mark.nightly
+@pytest.mark.mpi
+@pytest.mark.parametrize("law", LAWS)
+def test_block_is_condensed_on_two_and_four_ranks(
+    law: str, on_ranks: Callable[..., Any], mpirun: Callable[..., str]
+) -> None:
+    """The paper's plate with each law, and a solid with that of the penalty."""
+    changes = AGREEING | LAWS[law]
+    assert max(on_ranks(differences, fc.Scene.load(PAPER, changes))) < 1e-10
+    program = f"""
+        import fenics_crack as fc
+        from mpi4py import MPI
+        from test_block_system import PAPER, SOLID, differences
+        for scene in (fc.Scene.load(PAPER, {changes!r}), fc.Scene.from_text(SOLID)):
+            assert max(differences(scene, MPI.COMM_WORLD, 256)) < 1e-10
+    """
+    mpirun(textwrap.dedent(program), 4)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("damping", [{"damping.ratio": 0.01}, RAYLEIGH], ids=["modal", "Rayleigh"])
+@pytest.mark.parametrize("law", LAWS)
+def test_block_is_condensed_on_the_breathing_plate(law: str, damping: dict[str, Any]) -> None:
+    """18 pairs, 43,956 unknowns and more."""
+    scene = fc.Scene.load(DEMOS / "breathing_plate.toml", damping | LAWS[law])
+    assert max(differences(scene, MPI.COMM_SELF)) < 1e-10
+
+
+def test_block_is_condensed_on_a_solid() -> None:
+    """Six pairs, 1,458 dofs."""
+    assert max(differences(fc.Scene.from_text(SOLID), MPI.COMM_SELF, 256)) < 1e-10
+
+
+def solved(tmp_path: Path, *options: str, **changes: Any) -> subprocess.CompletedProcess[str]:
+    """The program on the paper's plate by the block system, with PETSc's options."""
+    keys = (
+        AGREEING | {"harmonic_balance.form": "block", "harmonic_balance.error": "false"} | changes
+    )
+    given = [f"--set={key}={value}" for key, value in keys.items()]
+    words = ["solve", str(PAPER), "--output", str(tmp_path), *given, *options]
+    return subprocess.run(
+        [sys.executable, "-m", "fenics_crack", *words], capture_output=True, text=True, cwd=ROOT
+    )
+
+
+@pytest.mark.parametrize(
+    ("harmonics", "modes"), [(2, 3), pytest.param(5, '"all"', marks=pytest.mark.nightly)]
+)
+def test_options_of_petsc_reach_the_program(
+    tmp_path: Path, harmonics: int, modes: int | str
+) -> None:
+    """The Jacobian is right at every iterate, and other solvers lead to the same solution."""
+    amplitudes = []
+    keys = {"harmonic_balance.harmonics": harmonics, "damping.modes": modes}
+    for words in (
+        "-crack_hb_snes_test_jacobian -crack_hb_snes_monitor",
+        "-crack_hb_ksp_type gmres -crack_hb_pc_type ilu -crack_hb_ksp_monitor",
+    ):
+        found = solved(tmp_path, *words.split(), **keys)
+        assert found.returncode == 0, found.stderr
+        result = json.loads((tmp_path / "solution.json").read_text())
+        amplitudes += [row["value"] for row in result if row["name"] == "amplitude"]
+        if "jacobian" in words:
+            errors = re.findall(r"\|\|J - Jfd\|\|_F/\|\|J\|\|_F = (\S+),", found.stdout)
+            assert len(errors) > 10 and max(map(float, errors)) < 1e-7
+            assert found.stdout.count("SNES Function norm") > len(errors)
+        else:
+            assert "KSP Residual norm" in found.stdout
+    assert amplitudes[0] == pytest.approx(amplitudes[1], rel=1e-8)
+
+
+def test_option_that_no_solver_has(tmp_path: Path) -> None:
+    """One line, before anything is computed."""
+    found = solved(tmp_path, "-crack_hp_snes_monitor")
+    assert found.returncode == 2 and not found.stdout
+    (line,) = found.stderr.splitlines()
+    assert line.startswith("fenics-crack: PETSc option = '-crack_hp_snes_monitor': must be one")
+
+
+def test_options_are_those_of_solvers() -> None:
+    """The program accepts the prefixes that the package sets, and no others."""
+    texts = [path.read_text() for path in (ROOT / "fenics_crack").rglob("*.py")]
+    prefixes = {f"-{one}" for text in texts for one in re.findall(r'"(crack_\w+_)"', text)}
+    assert prefixes == set(PREFIXES)
+
+
+def test_no_convergence_is_one_line(tmp_path: Path) -> None:
+    """It says up to which stiffness the steps led, why they ended, and what helps."""
+    found = solved(tmp_path, "-crack_hb_ksp_type", "preonly", "-crack_hb_pc_type", "none")
+    assert found.returncode == 3
+    text = "up to 0 of the contact stiffness, then DIVERGED_"
+    (line,) = (line for line in found.stderr.splitlines() if text in line)
+    assert "try form = 'condensed'" in line
+
+
+def test_refusals(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By name."""
+    whole, law = chain(n=10), fc.UnilateralPenalty(1.0)
+    light = fc.reduce_structure(whole, modes=5, method="massless")
+    cases: list[tuple[fc.Structure, Any, dict[str, Any], str]] = [
+        (whole, fc.UnilateralConstraint(), {}, "form = 'block': .* with UnilateralConstraint"),
+        (light, law, {}, "form = 'block': .* of a reduced structure"),
+        (whole, law, {"tolerance": 0.1}, "tolerance = 0.1: not allowed with form = 'block'"),
+        (whole, law, {"form": "full"}, "form = 'full': must be one of 'condensed', 'block'"),
+    ]
+    for structure, contact, options, words in cases:
+        with pytest.raises(fc.InputError, match=words):
+            fc.solve_harmonic_balance(structure, 0.7, contact, **{"form": "block"} | options)
+    monkeypatch.setattr(block_system, "machine_memory", lambda: 1e3)
+    with pytest.raises(fc.InputError, match="harmonics = 5: must be fewer, or form = 'condensed'"):
+        fc.solve_harmonic_balance(oscillator(), 0.7, law, form="block")
+
+
+def test_saved_and_read(tmp_path: Path) -> None:
+    """A plate of many dofs is not reduced, and its file is read as it was solved."""
+    changes = AGREEING | {"mesh.columns": 8, "mesh.rows": 8, "damping.modes": 5}
+    keys = {"harmonic_balance.form": "block", "harmonic_balance.error": False}
+    run = fc.solve(fc.Scene.load(PAPER, changes | keys))
+    assert run.structure.n_dofs > 100 and run.result.converged
+    run.save(tmp_path / "solution.h5")
+    again = fc.load_run(tmp_path / "solution.h5")
+    assert again.result.amplitude() == pytest.approx(run.result.amplitude(), rel=1e-10)
