@@ -223,14 +223,13 @@ def solve_harmonic_balance(
         left out.
     throw : bool
         Raise if nothing converged (else ``converged`` is False), or the tolerance is missed.
-    form : "condensed" or "block"
-        Unknowns on the gaps, the default; or all displacements, by PETSc's SNES on the sparse block
-        system (:mod:`block_system`), from samples of the contact force: the same solutions, and a
-        check of them, in 20 times the time or more. Not with a tolerance, a rigid law, friction, a bladed
-        disk, or a reduced structure.
-    residual_tolerance : float
-        ``|F(x)| / |x|`` of the algebraic equations; with very stiff contact (k R > 1e5) rounding
-        alone leaves more, eps k R, which is then accepted and reported.
+    **options
+        ``form`` of the unknowns: "condensed" on the gaps, the default; or "block", of all
+        displacements, by PETSc's SNES on the sparse block system (:mod:`block_system`), from
+        samples of the contact force: the same solutions, and a check of them, in 20 times the time
+        or more. Not with a tolerance, a rigid law, friction, a bladed disk, or a reduced structure.
+        ``residual_tolerance``: ``|F(x)| / |x|`` of the algebraic equations; with very stiff contact
+        (k R > 1e5) rounding alone leaves more, eps k R, which is then accepted and reported.
 
     Returns
     -------
