@@ -27,7 +27,6 @@ from bisect import bisect_left
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
-from typing import TypedDict, Unpack
 
 import numpy as np
 
@@ -47,7 +46,7 @@ from fenics_crack.basics.errors import (
     check_omega,
 )
 from fenics_crack.basics.progress import begin
-from fenics_crack.basics.suggestions import check_kind, check_options
+from fenics_crack.basics.suggestions import check_kind
 from fenics_crack.basics.tables import percent, quantity
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.matrices import numbers
@@ -178,13 +177,6 @@ def _linear_amplitude(structure: Structure, omega: float, load: np.ndarray) -> n
     return moved @ modes.shapes.T + load @ modes.static_loads
 
 
-class NewtonOptions(TypedDict, total=False):
-    """Options of :func:`solve_harmonic_balance`, which explains them."""
-
-    form: str
-    residual_tolerance: float
-
-
 def solve_harmonic_balance(
     structure: Structure,
     omega: float,
@@ -195,8 +187,9 @@ def solve_harmonic_balance(
     initial: PeriodicSolution | None = None,
     subharmonic: int = 1,
     tolerance: float | None = None,
+    form: str = "condensed",
+    residual_tolerance: float = Solver.residual_tolerance,
     throw: bool = True,
-    **options: Unpack[NewtonOptions],
 ) -> PeriodicSolution:
     """Steady periodic vibration with contact between the crack faces (collective).
 
@@ -221,15 +214,16 @@ def solve_harmonic_balance(
         says what was chosen, or what limits the error of the best one. Where the exact flow is
         known the coefficients are those of an exact orbit. ``harmonics`` and ``samples`` are then
         left out.
+    form : "condensed" or "block"
+        Unknowns on the gaps; or all displacements, by PETSc's SNES on the sparse block system
+        (:mod:`block_system`), from samples of the contact force: the same solutions, and a check of
+        them, in 20 times the time or more. Not with a tolerance, a rigid law, friction, a bladed
+        disk, or a reduced structure.
+    residual_tolerance : float
+        ``|F(x)| / |x|`` of the algebraic equations; with very stiff contact (k R > 1e5) rounding
+        alone leaves more, eps k R, which is then accepted and reported.
     throw : bool
         Raise if nothing converged (else ``converged`` is False), or the tolerance is missed.
-    **options
-        ``form`` of the unknowns: "condensed" on the gaps, the default; or "block", of all
-        displacements, by PETSc's SNES on the sparse block system (:mod:`block_system`), from
-        samples of the contact force: the same solutions, and a check of them, in 20 times the time
-        or more. Not with a tolerance, a rigid law, friction, a bladed disk, or a reduced structure.
-        ``residual_tolerance``: ``|F(x)| / |x|`` of the algebraic equations; with very stiff contact
-        (k R > 1e5) rounding alone leaves more, eps k R, which is then accepted and reported.
 
     Returns
     -------
@@ -256,9 +250,6 @@ def solve_harmonic_balance(
     >>> solution = fc.solve_harmonic_balance(structure, 2000.0, contact, harmonics=20)
     >>> error = solution.report.total
     """
-    check_options("solve_harmonic_balance", options, NewtonOptions.__annotations__)
-    form = options.get("form", "condensed")
-    residual_tolerance = options.get("residual_tolerance", Solver.residual_tolerance)
     check_choice("form", form, FORMS)
     check_number("residual_tolerance", residual_tolerance, 0.0, above=True)
     if tolerance is not None:

@@ -62,9 +62,9 @@ VERBS = {"plot": "draw", "show": "draw", "read": "load", "export": "write"}
 
 KINDS = {
     "Scene": "a Scene, as fc.Scene.load(path) returns", "Path": "a path", "str": "a text",
-    "Mapping": "a dict", "None": "None",
+    "Mapping": "a dict", "None": "None", "Run": "a Run, as fc.solve(scene) returns",
 }  # fmt: skip
-"""Words for classes of arguments that are always compared; and of a scene."""
+"""Words for classes of arguments; those of Python's own are always compared."""
 PREFIXES = {"G": 1e9, "M": 1e6, "k": 1e3, "": 1.0, "c": 1e-2, "m": 1e-3, "u": 1e-6, "n": 1e-9}
 OTHERS = {
     ("g/cm^3", "kg/m^3"): 1e3,
@@ -171,13 +171,14 @@ def check_kind(key: str, value: object, annotation: str, kinds: Collection[str])
 
     Classes are compared by their names: no module is imported for that.
     """
-    wanted = [part.partition("[")[0] for part in annotation.split(" | ")]
+    wanted = list(dict.fromkeys(part.partition("[")[0] for part in annotation.split(" | ")))
     names = {base.__name__ for base in type(value).__mro__}
     for kind, name in ((Mapping, "Mapping"), (os.PathLike, "Path"), (type(None), "None")):
         names |= {name} if isinstance(value, kind) else set()
     if {"str"} != {*wanted} <= {*kinds, *KINDS} and names.isdisjoint(wanted):
         shown = value if isinstance(value, str | int | float | None) else type(value).__name__
-        raise InputError(key, shown, " or ".join(KINDS.get(one) or f"a {one}" for one in wanted))
+        words = (KINDS.get(one) or f"a{'n' * (one[0] in 'AEIO')} {one}" for one in wanted)
+        raise InputError(key, shown, " or ".join(words))
 
 
 def checked_call(

@@ -23,8 +23,13 @@ from fenics_crack.fem import compat
 
 HANGS = "#!/bin/sh\necho $$ $PPID >{0}.new && mv {0}.new {0}\nexec sleep 3600\n"
 """A compiler that writes its number, and that of the program that called it, and never ends."""
-FORMS = "import test_form_cache; test_form_cache.assemble()"
-"""A program that compiles one form and, with DOLFINx 0.5, one element."""
+FORMS = """\
+import signal, test_form_cache
+signal.signal(signal.SIGINT, signal.default_int_handler)
+test_form_cache.assemble()
+"""
+"""A program that compiles one form and, with DOLFINx 0.5, one element; what a shell starts in the
+background ignores Ctrl-C."""
 SIGNALS = signal.SIGINT, signal.SIGTERM, signal.SIGKILL
 SMALL = ["--set", "mesh.size=0.05", "--set", "mesh.lip_elements=2", "--set", "mesh.error=false"]
 

@@ -234,7 +234,7 @@ def test_picture_of_one_unknown() -> None:
     likelihood = Likelihood(np.array([0.03, 0.08]), np.array([1e-3, 4e-3]), linear)  # type: ignore[arg-type]
     posterior = Posterior({"": explore(likelihood)})
     keys = ("crack.length", "crack.height")
-    found: Any = SimpleNamespace(
+    found: Any = type("Identification", (SimpleNamespace,), {})(
         unknown=keys,
         posterior=posterior,
         estimate=dict(zip(keys, posterior.best[1].tolist(), strict=True)),

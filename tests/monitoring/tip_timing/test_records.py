@@ -398,7 +398,7 @@ def test_tables_of_other_programs(tmp_path: Path) -> None:
     cells = [line.split(",") for line in lines[1:]]
     places = [lines[0].split(",").index(name) for name in ("angle [rad]", "tip_radius [m]")]
     for row in cells:
-        row[places[0]] = repr(np.degrees(float(row[places[0]])))
+        row[places[0]] = repr(float(np.degrees(float(row[places[0]]))))
         row[places[1]] = "500.0"
     for mark, comma, index in ((";", ",", False), ("\t", ".", True), (",", ".", True)):
         rows = [names.replace(",", mark), *(mark.join(row).replace(".", comma) for row in cells)]
