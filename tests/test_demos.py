@@ -75,7 +75,7 @@ def test_paper_plate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
         "0.13%",
         "undecided",
         "stable",
-        "1.155665, 1.155665",
+        "1.155672, 1.155672",
         "irregular motion",
         "settled",
         "modes.png",
