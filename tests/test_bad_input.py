@@ -269,6 +269,7 @@ TABLE = [
     ("solve scene.toml excitation.wave=wave.csv excitation.wave_harmonics=1000000", "excitation.wave_harmonics = 1000000: must be a whole number from 1 to 100"),
     ("disk scene.toml", "disk is missing: must be given for this command: a table"),
     ("disk wheel.toml --patterns 1000000000", "--patterns = 1000000000: must be at most 1e+06"),
+    ("check wheel.toml disk.outer_radius=1e9", "mesh.size = 0.01: must be so that there are fewer cells: 1.3e+21 are more than 5e+06"),
     ("disk wheel.toml --patterns -1", "--patterns = -1: must be a whole number >= 0"),
     ("disk wheel.toml --deviation .5", "--deviation = 0.5: must be a number from 0 to 0.1"),
     ("disk wheel.toml --patterns 1 --deviation nan", "--deviation = nan: must be a number from 0 to 0.1"),

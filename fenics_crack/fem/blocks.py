@@ -157,6 +157,11 @@ def _check_cells(scene: Scene, key: str, cells: float, per_cell: int, shortest: 
         raise InputError(f"mesh.{key}", getattr(scene.mesh, key), allowed)
 
 
+def _length(scene: Scene) -> float:
+    """Length of elements away from cracks [m]; of a grid that along the plate."""
+    return scene.mesh.size or scene.geometry.sides[1] / scene.mesh.given("rows")
+
+
 def lip_pairs(scene: Scene) -> int:
     """Upper bound of the pairs of a plate with cracks, whose first length may be unknown yet."""
     crack, order = scene.crack, scene.mesh.order
@@ -329,12 +334,14 @@ def _lips(scene: Scene) -> tuple[Lip, ...]:
 def _draw_blocks(scene: Scene) -> dict[str, tuple[int, ...]]:
     """Draw the plate, set how curves and surfaces are divided; return the tags of its sides."""
     columns, rows, slits = _plate_blocks(scene)
-    cells = math.prod(sum(interval.count for interval in side) for side in (columns, rows))
+    cells: float = math.prod(sum(interval.count for interval in side) for side in (columns, rows))
+    rim = None if scene.disk is None else Rim.of(scene)
+    if rim is not None:
+        cells += rim.area / _length(scene) ** 2
     key = "columns" if scene.mesh.layout == "grid" else "size"
     _check_cells(scene, key, cells, 2 * scene.mesh.order**2)
 
     xs, ys = ([0.0, *(interval.stop for interval in side)] for side in (columns, rows))
-    rim = None if scene.disk is None else Rim.of(scene)
     add_point = gmsh.model.geo.addPoint
     feet = [0.0 if rim is None else rim.foot(x) for x in xs]
     points = {
@@ -468,6 +475,11 @@ class Rim:
         radii = disk.given("inner_radius"), disk.given("outer_radius")
         return cls(float(middle), float(along), *radii, math.pi / disk.sectors)
 
+    @property
+    def area(self) -> float:
+        """Of the rim's part [m^2]."""
+        return self.half * (self.outer**2 - self.inner**2)
+
     def foot(self, place: float) -> float:
         """Where the blade meets the rim, at a place across."""
         return self.axis + math.sqrt(self.outer**2 - (place - self.middle) ** 2)
@@ -529,8 +541,7 @@ class Rim:
         surfaces: list[int],
     ) -> dict[str, tuple[int, list[int]]]:
         """Draw it below the curves of a plate's lower edge, in blocks; its named curves."""
-        mesh, geo = scene.mesh, gmsh.model.geo
-        size = mesh.size or scene.geometry.sides[1] / mesh.given("rows")
+        size, geo = _length(scene), gmsh.model.geo
         around = self.half - math.asin((columns[-1].stop - self.middle) / self.outer)
         lengths = self.outer * around, self.outer - self.inner
         counts = [max(1, round(length / size)) if columns[0].count else 0 for length in lengths]
@@ -758,8 +769,7 @@ def _check_size(scene: Scene, gradings: list[_Grading]) -> None:
     size = scene.mesh.given("size")
     volume = math.prod(scene.geometry.sides)
     if scene.disk is not None:
-        rim = Rim.of(scene)
-        volume += rim.half * (rim.outer**2 - rim.inner**2) * scene.geometry.sides[0]
+        volume += Rim.of(scene).area * scene.geometry.sides[0]
     bulk = PER_VOLUME * volume / size**3
     fronts = sum(one.cells(size) for one in gradings)
     key, shortest = "size", ""
