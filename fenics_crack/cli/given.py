@@ -120,13 +120,10 @@ def _errors_behind(error: InputError, path: Path, given: dict[str, Any]) -> Iter
             lines = line_of(error.key, error.allowed) if name else lines_of(table)
             lines = f"{name} = {value[1]}" if value else lines
             with suppress(ValueError):  # no value is meant
-                new = tomllib.loads(lines) if name else tomllib.loads(lines).get(table, {})
-                wrong = error.value is not None and value is None
-                changed |= {
-                    f"{table}.{key}": right
-                    for key, right in new.items()
-                    if not (wrong and isinstance(right, str))
-                }
+                held = tomllib.loads(lines)
+                for key, right in (held if name else held.get(table, {})).items():
+                    if error.value is None or value or not isinstance(right, str):
+                        changed[f"{table}.{key}"] = right
             alone = alone and value is not None
         try:
             Scene.from_mapping(tables, path.parent, changed)

@@ -268,9 +268,9 @@ def follow_branch(
     >>> branch = fc.follow_branch(doubling, doubling.bifurcations[0])
     """
     kinds = ("period_doubling", "branch_point")
-    if not isinstance(bifurcation, Bifurcation) or bifurcation.kind not in kinds:
-        kind = getattr(bifurcation, "kind", type(bifurcation).__name__)
-        raise InputError("bifurcation", kind, "a Bifurcation of kind " + " or ".join(kinds))
+    if bifurcation.kind not in kinds:
+        allowed = "a Bifurcation of kind " + " or ".join(kinds)
+        raise InputError("bifurcation", bifurcation.kind, allowed)
     check_options("follow_branch", options, CurveOptions.__annotations__)
     for key in ("harmonics", "samples", "subharmonic", "initial", "tolerance"):
         if key in options:

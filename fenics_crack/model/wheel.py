@@ -592,14 +592,12 @@ def reduce_wheel(
     Raises
     ------
     InputError
-        The wheel is none, or families is no whole number >= 1.
+        The wheel is none, or families is no whole number from 1 to half of a sector's dofs.
 
     Examples
     --------
     >>> reduced = fc.reduce_wheel(wheel, families=3)
     """
-    if not isinstance(wheel, Wheel):
-        raise InputError("wheel", repr(wheel), "the whole structure of a scene with [disk]")
     families = wheel.families if families is None else families
     check_count("families", families, 1)
     most = len(wheel.sector.own) // 2  # beyond it static answers are made of modes but for rounding
