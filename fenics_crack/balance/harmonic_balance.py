@@ -2,7 +2,7 @@
 
 The unknowns are the Fourier coefficients of the gaps (:mod:`contact_system`); the equations are
 balanced by projection on the same functions, with the contact force integrated exactly or from
-samples; or all displacements (:mod:`block_system`).
+samples; or all displacements (``block_system``).
 Other forms of the method are kept for comparison in ``benchmarks/laboratory.py``.
 
 **To a tolerance** the solution is an exact orbit. Harmonic balance with few harmonics finds a
@@ -216,9 +216,9 @@ def solve_harmonic_balance(
         left out.
     form : "condensed" or "block"
         Unknowns on the gaps; or all displacements, by PETSc's SNES on the sparse block system
-        (:mod:`block_system`), from samples of the contact force: the same solutions, and a check of
-        them, in 20 times the time or more. Not with a tolerance, a rigid law, friction, a bladed
-        disk, or a reduced structure.
+        (``fenics_crack.balance.block_system``), from samples of the contact force: the same
+        solutions, and a check of them, in 20 times the time or more. Not with a tolerance, a rigid
+        law, friction, a bladed disk, or a reduced structure.
     residual_tolerance : float
         ``|F(x)| / |x|`` of the algebraic equations; with very stiff contact (k R > 1e5) rounding
         alone leaves more, eps k R, which is then accepted and reported.

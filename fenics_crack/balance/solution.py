@@ -377,7 +377,7 @@ class PeriodicSolution(Wave, Described):
     def sampled(self, motion: Callable[[np.ndarray], Any]) -> tuple[Any, Any]:
         """A function of times [s] at :meth:`instants`, and the same function of parts of the
         period, None with friction, whose forces follow from those before: as for
-        :func:`fenics_crack.numerics.extremes.half_range`."""
+        ``half_range`` of numerics.extremes."""
         exact = coefficient_of(self.contact) is None
         at = (lambda parts: motion(self.period * parts)) if exact else None
         return motion(self.instants()), at

@@ -255,7 +255,7 @@ class ResponseCurve(Tabular):
     def seen_through(self, rows: np.ndarray) -> Iterator[tuple[np.ndarray, InPeriod]]:
         """Products of rows (m, n_dofs) with the motion at every point: their coefficients
         (2H+1, m), and a function that returns at parts (n,) of the period, with friction of
-        harmonic balance at all of :data:`PARTS`, the products (n, m), the gaps [m] and the contact
+        harmonic balance at all of ``PARTS``, the products (n, m), the gaps [m] and the contact
         forces [N] of all rows, tangential ones behind the normal ones (n, n_rows)."""
         raise NotImplementedError
 
