@@ -166,6 +166,8 @@ TABLE = [
     ("solve matrices.toml structure.gap=b contact=none", "contact is missing: must be given with structure.gap: a table"),
     ("solve matrices.toml structure.dofs=rows.dof", "structure.dofs = 'rows.dof': not allowed with matrices that have no model, and are not CalculiX's"),
     ("solve matrices.toml structure.clearance=1e-6", "structure.clearance = 1e-06: not allowed with no pairs: no gap, nor a model with [contact]"),
+    ("solve matrices.toml structure.areas=a.mtx", "structure.areas = 'a.mtx': not allowed with no pairs: no gap, nor a model with [contact]"),
+    ("solve matrices.toml structure.tangential=t.mtx", "structure.tangential = 't.mtx': not allowed with no pairs: no gap, nor a model with [contact]"),
     ("solve matrices.toml structure.clearance=g.mtx structure.model=m.inp contact=none", "structure.clearance = 'g.mtx': not allowed with no pairs: no gap, nor a model with [contact]"),
     ("solve matrices.toml", "contact = 'a table': not allowed without structure.gap or model: there are no pairs"),
     ("solve matrices.toml contact.pairs=mouth", "contact.pairs = 'mouth': must be 'all' with [structure]"),

@@ -748,16 +748,20 @@ class Structure(Table):
     gap: str | None = path("the path of a file: (n, n_pairs)")
     """B, which makes the gaps of the contact pairs of the displacements; left out: none, or those
     of the model."""
+    tangential: str | None = path("the path of a file: (n, n_pairs)")
+    """B_t of the tangential gaps, for friction."""
     damping: str | None = path("the path of a file: (n, n)")
     """C [N s/m]; or the table [damping]."""
-    force_sin: str | None = path("the path of a Matrix Market file: (n, 1)")
-    force_cos: str | None = path("the path of a Matrix Market file: (n, 1)")
+    force_sin: str | None = path("the path of a Matrix Market file: (n, 1), or more columns")
+    """[N]; column k has k times the load's frequency. Or the force of [excitation] at its point."""
+    force_cos: str | None = path("the path of a Matrix Market file: (n, 1), or more columns")
     force_mean: str | None = path("the path of a Matrix Market file: (n, 1)")
-    """[N]; or the force of [excitation] at its point."""
     clearance: float | str = path(
         f"a finite number {OR_ZERO}, or the path of a Matrix Market file: (n_pairs, 1)", 0.0, "m"
     )
     """g0 of all pairs, or of each; < 0: preload."""
+    areas: str | None = path("the path of a Matrix Market file: (n_pairs, 1)")
+    """Area of each pair [m^2], for stiffnesses per area; those of the model's pairs are known."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
