@@ -98,8 +98,9 @@ class ContactSystem:
         rows, pairs = self.shape
         self.basis = compliance.basis if integrals.coupled else None
         """U, None where it is not needed."""
-        size = rows * (pairs if self.basis is None else self.basis.shape[1])
-        self.matrix_free = integrals.coupled and size > MATRIX_FREE
+        self.step_size = rows * (pairs if self.basis is None else self.basis.shape[1])
+        """Unknowns of a step."""
+        self.matrix_free = integrals.coupled and self.step_size > MATRIX_FREE
 
     @cached_property
     def linear(self) -> np.ndarray:

@@ -37,7 +37,7 @@ from fenics_crack.numerics.path import NARROW, Path, Target
 PARTS = 32
 """Multiple-shooting segments per period."""
 PACE = 200
-"""Taylor pieces in a period that counts as one."""
+"""Taylor pieces in a period that counts as one; with fewer it counts as one, too."""
 LATER = 8
 """Longest return period that is sought, in periods."""
 
@@ -188,7 +188,7 @@ class Homotopy:
         if self.left <= 0:
             raise ConvergenceError("orbits: the homotopy takes too long")
         at = self._orbits.linearise(unknown, 1.0)
-        self.left -= at.pieces
+        self.left -= max(at.pieces, PACE)
         return _HomotopyPoint(at, parameter, self._orbits.start)
 
 
