@@ -531,7 +531,7 @@ class Search:
         free, system = replace(problem, contact=normal_law(problem.contact)), self.system
         compliance = free.compliance()
         try:
-            search = Search(free.system(compliance), free, self.tolerance, self.share)
+            search = Search(free.system(compliance), free, self.tolerance, 0.5 * self.share)
             at = search.solve()
         finally:
             compliance.destroy()

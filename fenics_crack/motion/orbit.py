@@ -30,7 +30,7 @@ import math
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from itertools import pairwise
 from typing import Any
 
@@ -60,6 +60,8 @@ PRODUCTS, BLUNT = 60, 0.25
 compared."""
 KNOWN = 1e-6
 """Accuracy of multipliers; ||mu| - 1| below it is inconclusive."""
+AT_A_TIME = 2048
+"""Instants whose sines and cosines are held at a time."""
 INSTANTS = 512
 """Instants at which the gaps of an orbit are kept."""
 
@@ -268,16 +270,20 @@ class PeriodicOrbit(Described):
         time, length = self._nodes(harmonics * base)
         share = (0.5 * length[:, None] * gauss_nodes()[1]).ravel() / self.period
         samples = self.samples(time)
-        means = np.empty((2 * harmonics + 1, len(time)))
-        means[0] = share
-        first = np.exp(1j * base * time)
-        wave = 2.0 * share * first
-        for order in range(1, harmonics + 1):  # a tenth of the time of their sines and cosines
-            means[2 * order - 1], means[2 * order] = wave.real, wave.imag
-            wave *= first
-        return OrbitCoefficients(
-            means @ samples.gaps, means @ samples.forces, means @ samples.displacement
-        )
+        values = samples.gaps, samples.forces, samples.displacement
+        found = [np.zeros((2 * harmonics + 1, part.shape[1])) for part in values]
+        for start in range(0, len(time), AT_A_TIME):
+            some = slice(start, start + AT_A_TIME)
+            means = np.empty((2 * harmonics + 1, len(time[some])))
+            means[0] = share[some]
+            first = np.exp(1j * base * time[some])
+            wave = 2.0 * share[some] * first
+            for order in range(1, harmonics + 1):  # a tenth of the time of their sines and cosines
+                means[2 * order - 1], means[2 * order] = wave.real, wave.imag
+                wave *= first
+            for rows, part in zip(found, values, strict=True):
+                rows += means @ part[some]
+        return OrbitCoefficients(*found)
 
     def _nodes(self, omega: float) -> tuple[np.ndarray, np.ndarray]:
         """Gauss's nodes on each part of the period in which no pair opens, closes, sticks or slips,
@@ -494,9 +500,11 @@ def _step(
     return Prediction(relative_to_motion(moved, gap), states + changes, track, inverse)
 
 
-def _inverse(flow: ContactFlow, track: Track, weights: np.ndarray) -> Inverse:
+def _inverse(
+    flow: ContactFlow, track: Track, weights: np.ndarray, spend: Callable[[], None] | None = None
+) -> Inverse:
     """b to (I - M)^-1 b, exactly, or of large states to a relative residual in the norm of the
-    energy."""
+    energy; ``spend`` is called for each product with M, which takes half a period's time."""
     if flow.count <= FORMED:
         factors = factored(np.eye(flow.size) - track.tangent)
         if not (np.isfinite(factors[0]).all() and np.diag(factors[0]).all()):
@@ -504,6 +512,8 @@ def _inverse(flow: ContactFlow, track: Track, weights: np.ndarray) -> Inverse:
         return lambda right, sharp: solve_factored(factors, right)
 
     def apply(change: np.ndarray) -> np.ndarray:
+        if spend is not None:
+            spend()
         return change - weights * (track @ (change / weights))
 
     return lambda right, sharp: gmres(apply, weights * right, sharp, PRODUCTS) / weights
@@ -570,7 +580,8 @@ class _Search:
             steps = [inverse(self.motion.state - self.state, FORCING)]
         while self.flows < FLOWS:
             if inverse is None or not steps:
-                inverse, own = _inverse(self._flow, self.motion.track, self._weights), True
+                track, half = self.motion.track, partial(self._spend, self.motion.pieces // 2)
+                inverse, own = _inverse(self._flow, track, self._weights, half), True
                 steps = [inverse(self.motion.state - self.state, FORCING)]
             step = steps[-1]
             trial = self.state + share * step
@@ -609,8 +620,11 @@ class _Search:
     def _follow(self, state: np.ndarray) -> Motion:
         self.flows += 1
         found = self._flow.advance(state, self._omega, self._period, budget=self._left)
-        self._left = replace(self._left, pieces=self._left.pieces - found.pieces)
+        self._spend(found.pieces)
         return found
+
+    def _spend(self, pieces: int) -> None:
+        self._left = replace(self._left, pieces=self._left.pieces - pieces)
 
 
 def orbit_from(
