@@ -116,11 +116,14 @@ class Assessment:
         if self.prediction is None or not self.predicted_error < UNKNOWN or self.too_slow:
             return None
         assert self.flow is not None
-        states = self.prediction.states if self.predicted_error <= MAX_ERROR else self.states
-        return find_orbit(
-            self.flow, self.wave.omega, states[0], subharmonic=self.wave.subharmonic,
-            inverse=self.prediction.inverse,
+        ahead = [self.prediction.states[0]] if self.predicted_error <= MAX_ERROR else []
+        found = (
+            find_orbit(
+                self.flow, self.wave.omega, state, subharmonic=self.wave.subharmonic,
+                inverse=self.prediction.inverse,
+            ) for state in [*ahead, self.states[0]]
         )  # fmt: skip
+        return next((orbit for orbit in found if orbit is not None), None)
 
     @cached_property
     def distance(self) -> float:

@@ -476,14 +476,14 @@ class Search:
             counts = halved(problem.harmonics, enough)
             name = "from fewer harmonics" if many else "full Newton steps"
             yield name, self._climb(problem, counts)
-        flow = flow_of(problem.structure, problem.contact) if self.share == 1.0 else None
-        if flow is not None and flow.count <= FORMED and problem.harmonics <= self._many:
-            yield "from an exact orbit", self._next_to_orbit(problem)
-        if not self._spent:
-            quantity = "coefficient of friction" if problem.friction else "contact compliance"
-            yield f"continuation in the {quantity}", self._path(system)
-        if flow is not None and flow.count > FORMED and problem.harmonics <= self._many:
-            yield "from an exact orbit", self._next_to_orbit(problem)
+        quantity = "coefficient of friction" if problem.friction else "contact compliance"
+        rest = [(f"continuation in the {quantity}", self._path(system))] * (not self._spent)
+        if self.share == 1.0 and system.integrals.coupled and problem.harmonics <= self._many:
+            flow = flow_of(problem.structure, problem.contact)
+            formed = flow is not None and flow.count <= FORMED
+            place = 0 if formed else len(rest)
+            rest.insert(place, ("from an exact orbit", self._next_to_orbit(problem)))
+        yield from rest
 
     @property
     def _many(self) -> int:
@@ -518,7 +518,7 @@ class Search:
             found = self._nearly(system, self._near(system, start))
             self._most += self.iterations - before  # these cost little
             if found is None and not system.matrix_free:
-                found = self._nearly(system, self._path(system))
+                found = self._nearly(system, self._path(system, 0.5))
             self._fewer = found or at
 
     def _nearly(self, system: ContactSystem, guesses: Iterator[np.ndarray]) -> ContactPoint | None:
@@ -564,28 +564,31 @@ class Search:
             yield from self._near(self.system, self.system.slow(known.gap, known.force))
         self.orbit = None
 
-    def _path(self, system: ContactSystem) -> Iterator[np.ndarray]:
+    def _path(self, system: ContactSystem, share: float = 1.0) -> Iterator[np.ndarray]:
         """The end of the continuation in the contact compliance, or with friction in its
-        coefficient; one that goes as far beyond is left."""
+        coefficient, by a share of the iterations left; one that goes as far beyond is left."""
         begun: Linearisation | None = self._fewer
         if self.problem.friction:
             system = system.along_friction()
         else:
             system = system.softened()
             begun = self._steps(system, system.linear, at=0.0)
-        end = None if begun is None else self._followed(system, begun.unknown)
+        end = None if begun is None else self._followed(system, begun.unknown, share)
         if end is not None:
             yield end
 
-    def _followed(self, system: ContactSystem, begun: np.ndarray) -> np.ndarray | None:
+    def _followed(
+        self, system: ContactSystem, begun: np.ndarray, share: float
+    ) -> np.ndarray | None:
         """The end of the path of a system from its solution at p = 0, at p = 1."""
-        left = 1 + max(0, int(self._most) - self.iterations)
+        left = 1 + max(0, int(share * (self._most - self.iterations)))
+        most = self.iterations + left
         at_once = min(PathOptions.at_once, 1 + left // STALL)
         options = replace(NARROW, rounding=self._rounding, max_steps=left, at_once=at_once)
         path = Path(system, point_on_path(system, begun, 0.0), options, [Target(1.0)])
         for point in path.points():
             self.iterations += point.iterations
-            if self._spent:
+            if self.iterations >= most:
                 return None
         return path.last.unknown if path.ended is Ended.MET else None
 
