@@ -98,9 +98,10 @@ class ContactSystem:
         rows, pairs = self.shape
         self.basis = compliance.basis if integrals.coupled else None
         """U, None where it is not needed."""
-        self.step_size = rows * (pairs if self.basis is None else self.basis.shape[1])
-        """Unknowns of a step."""
-        self.matrix_free = integrals.coupled and self.step_size > MATRIX_FREE
+        size = rows * (pairs if self.basis is None else self.basis.shape[1])
+        self.matrix_free = integrals.coupled and size > MATRIX_FREE
+        self.work = min(size, MATRIX_FREE)
+        """Unknowns by which the time of a step grows."""
 
     @cached_property
     def linear(self) -> np.ndarray:

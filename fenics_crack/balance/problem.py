@@ -45,13 +45,7 @@ from fenics_crack.balance.contact_integrals import (
     contact_integrals,
     respond,
 )
-from fenics_crack.balance.contact_system import (
-    MATRIX_FREE,
-    ContactPoint,
-    ContactSystem,
-    Wave,
-    default_weight,
-)
+from fenics_crack.balance.contact_system import ContactPoint, ContactSystem, Wave, default_weight
 from fenics_crack.balance.friction_integrals import FrictionIntegrals, coupled_integrals
 from fenics_crack.basics.errors import (
     MAX_SAMPLES,
@@ -120,7 +114,8 @@ COMPILED = 5000
 """Search budget: iterations of all initial guesses together, with 300 unknowns in the kernel: 5 to
 8 s."""
 RUBBING = 8e6
-"""The same with friction, times the instants and the unknowns of which J is formed: 1 to 3 s."""
+"""The same with friction, times the instants and the unknowns of a step, at most those of which J
+is formed: 1 to 3 s."""
 
 
 @dataclass(frozen=True)
@@ -480,9 +475,8 @@ class Search:
         rest = [(f"continuation in the {quantity}", self._path(system))] * (not self._spent)
         if self.share == 1.0 and system.integrals.coupled and problem.harmonics <= self._many:
             flow = flow_of(problem.structure, problem.contact)
-            formed = flow is not None and flow.count <= FORMED
-            place = 0 if formed else len(rest)
-            rest.insert(place, ("from an exact orbit", self._next_to_orbit(problem)))
+            late = flow is not None and flow.count > FORMED
+            rest.insert(len(rest) * late, ("from an exact orbit", self._next_to_orbit(problem)))
         yield from rest
 
     @property
@@ -573,24 +567,19 @@ class Search:
         else:
             system = system.softened()
             begun = self._steps(system, system.linear, at=0.0)
-        end = None if begun is None else self._followed(system, begun.unknown, share)
-        if end is not None:
-            yield end
-
-    def _followed(
-        self, system: ContactSystem, begun: np.ndarray, share: float
-    ) -> np.ndarray | None:
-        """The end of the path of a system from its solution at p = 0, at p = 1."""
+        if begun is None:
+            return
         left = 1 + max(0, int(share * (self._most - self.iterations)))
         most = self.iterations + left
         at_once = min(PathOptions.at_once, 1 + left // STALL)
         options = replace(NARROW, rounding=self._rounding, max_steps=left, at_once=at_once)
-        path = Path(system, point_on_path(system, begun, 0.0), options, [Target(1.0)])
+        path = Path(system, point_on_path(system, begun.unknown, 0.0), options, [Target(1.0)])
         for point in path.points():
             self.iterations += point.iterations
             if self.iterations >= most:
-                return None
-        return path.last.unknown if path.ended is Ended.MET else None
+                return
+        if path.ended is Ended.MET:
+            yield path.last.unknown
 
 
 def halved(harmonics: int, enough: int) -> list[int]:
@@ -623,7 +612,7 @@ def _iterations(system: ContactSystem) -> float:
     the kernel has them."""
     integrals = system.integrals
     if isinstance(integrals, FrictionIntegrals):
-        return RUBBING / (integrals.instants * min(system.step_size, MATRIX_FREE))
+        return RUBBING / (integrals.instants * system.work)
     dense = COMPILED * (300.0 / max(kernel.MANY, system.size)) ** 2
     if getattr(system, "compiled", None) is not None:
         return dense

@@ -30,7 +30,7 @@ import math
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import Any
 
@@ -274,10 +274,8 @@ class PeriodicOrbit(Described):
         found = [np.zeros((2 * harmonics + 1, part.shape[1])) for part in values]
         for start in range(0, len(time), AT_A_TIME):
             some = slice(start, start + AT_A_TIME)
-            means = np.empty((2 * harmonics + 1, len(time[some])))
-            means[0] = share[some]
             first = np.exp(1j * base * time[some])
-            wave = 2.0 * share[some] * first
+            means, wave = np.tile(share[some], (2 * harmonics + 1, 1)), 2.0 * share[some] * first
             for order in range(1, harmonics + 1):  # a tenth of the time of their sines and cosines
                 means[2 * order - 1], means[2 * order] = wave.real, wave.imag
                 wave *= first
@@ -500,11 +498,9 @@ def _step(
     return Prediction(relative_to_motion(moved, gap), states + changes, track, inverse)
 
 
-def _inverse(
-    flow: ContactFlow, track: Track, weights: np.ndarray, spend: Callable[[], None] | None = None
-) -> Inverse:
+def _inverse(flow: ContactFlow, track: Track, weights: np.ndarray) -> Inverse:
     """b to (I - M)^-1 b, exactly, or of large states to a relative residual in the norm of the
-    energy; ``spend`` is called for each product with M, which takes half a period's time."""
+    energy."""
     if flow.count <= FORMED:
         factors = factored(np.eye(flow.size) - track.tangent)
         if not (np.isfinite(factors[0]).all() and np.diag(factors[0]).all()):
@@ -512,8 +508,6 @@ def _inverse(
         return lambda right, sharp: solve_factored(factors, right)
 
     def apply(change: np.ndarray) -> np.ndarray:
-        if spend is not None:
-            spend()
         return change - weights * (track @ (change / weights))
 
     return lambda right, sharp: gmres(apply, weights * right, sharp, PRODUCTS) / weights
@@ -580,8 +574,7 @@ class _Search:
             steps = [inverse(self.motion.state - self.state, FORCING)]
         while self.flows < FLOWS:
             if inverse is None or not steps:
-                track, half = self.motion.track, partial(self._spend, self.motion.pieces // 2)
-                inverse, own = _inverse(self._flow, track, self._weights, half), True
+                inverse, own = _inverse(self._flow, self.motion.track, self._weights), True
                 steps = [inverse(self.motion.state - self.state, FORCING)]
             step = steps[-1]
             trial = self.state + share * step
@@ -620,11 +613,8 @@ class _Search:
     def _follow(self, state: np.ndarray) -> Motion:
         self.flows += 1
         found = self._flow.advance(state, self._omega, self._period, budget=self._left)
-        self._spend(found.pieces)
+        self._left = replace(self._left, pieces=self._left.pieces - found.pieces)
         return found
-
-    def _spend(self, pieces: int) -> None:
-        self._left = replace(self._left, pieces=self._left.pieces - pieces)
 
 
 def orbit_from(
