@@ -450,7 +450,7 @@ class Search:
     @property
     def _at_once(self) -> int:
         """Iterations that a guess may take, which with many harmonics and friction are few."""
-        return max(1, min(FULL_STEPS, math.ceil(self._most)))
+        return min(FULL_STEPS, math.ceil(self.share * _iterations(self.system)))
 
     @property
     def _spent(self) -> bool:

@@ -54,8 +54,8 @@ class SearchOptions:
         Periods of the flow that may be followed where Newton's method leads to no orbit from them:
         half of them along the path, a quarter of the motion, the rest from where that nearly
         repeats itself. They are of 200 pieces of the Taylor series and 12 modes; others count by
-        the time they take, like pieces and the square of the modes. About a second, with friction
-        two.
+        the time they take, like pieces and the square of the modes. About a second; with friction
+        three quarters of them, one to three seconds.
     """
 
     harmonics: tuple[int, ...] = (5, 10, 20, 40)
@@ -63,7 +63,8 @@ class SearchOptions:
 
     def pieces(self, flow: ContactFlow) -> int:
         """Pieces of the Taylor series for them."""
-        return int(PACE * self.evaluations * min(1.0, (24.0 / flow.size) ** 2))
+        count = (0.75 if flow.friction else 1.0) * self.evaluations
+        return int(PACE * count * min(1.0, (24.0 / flow.size) ** 2))
 
     def periods(self, flow: ContactFlow) -> int:
         """Return the maximum number of periods that the motion is integrated for."""
