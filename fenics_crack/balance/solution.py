@@ -483,15 +483,16 @@ def solution_of(
     search: bool = True,
     reported: bool = True,
     wave: Wave | None = None,
+    source: PeriodicOrbit | None = None,
 ) -> PeriodicSolution:
     """The solution that belongs to a point of the condensed equations, by default with the motion
-    that follows from it (collective).
+    that follows from it (collective), found from the coefficients of the orbit ``source``.
 
     With ``search`` its exact orbit is looked for; else its error is what is predicted without; and
     nothing is estimated where it is not ``reported``, or of equations that are not solved.
     """
     wave = wave or problem.wave(at)
-    known = Assessment(wave)
+    known = Assessment(wave, source=source)
     found = PeriodicSolution(**vars(wave), status=status, converged=converged, assessment=known)
     if not reported:
         return replace(found, report=NOT_ESTIMATED)
@@ -546,7 +547,7 @@ class Solver:
             search, at, wave = replace(self, problem=problem).find(compliance, initial, share)
             found = solution_of(
                 problem, at, status=search.status, converged=search.converged, reported=reported,
-                wave=wave,
+                wave=wave, source=search.orbit,
             )  # fmt: skip
         finally:
             compliance.destroy()

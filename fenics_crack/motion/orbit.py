@@ -60,6 +60,8 @@ PRODUCTS, BLUNT = 60, 0.25
 compared."""
 KNOWN = 1e-6
 """Accuracy of multipliers; ||mu| - 1| below it is inconclusive."""
+AT_A_TIME = 2048
+"""Instants whose sines and cosines are held at a time."""
 INSTANTS = 512
 """Instants at which the gaps of an orbit are kept."""
 
@@ -268,16 +270,18 @@ class PeriodicOrbit(Described):
         time, length = self._nodes(harmonics * base)
         share = (0.5 * length[:, None] * gauss_nodes()[1]).ravel() / self.period
         samples = self.samples(time)
-        means = np.empty((2 * harmonics + 1, len(time)))
-        means[0] = share
-        first = np.exp(1j * base * time)
-        wave = 2.0 * share * first
-        for order in range(1, harmonics + 1):  # a tenth of the time of their sines and cosines
-            means[2 * order - 1], means[2 * order] = wave.real, wave.imag
-            wave *= first
-        return OrbitCoefficients(
-            means @ samples.gaps, means @ samples.forces, means @ samples.displacement
-        )
+        values = samples.gaps, samples.forces, samples.displacement
+        found = [np.zeros((2 * harmonics + 1, part.shape[1])) for part in values]
+        for start in range(0, len(time), AT_A_TIME):
+            some = slice(start, start + AT_A_TIME)
+            first = np.exp(1j * base * time[some])
+            means, wave = np.tile(share[some], (2 * harmonics + 1, 1)), 2.0 * share[some] * first
+            for order in range(1, harmonics + 1):  # a tenth of the time of their sines and cosines
+                means[2 * order - 1], means[2 * order] = wave.real, wave.imag
+                wave *= first
+            for rows, part in zip(found, values, strict=True):
+                rows += means @ part[some]
+        return OrbitCoefficients(*found)
 
     def _nodes(self, omega: float) -> tuple[np.ndarray, np.ndarray]:
         """Gauss's nodes on each part of the period in which no pair opens, closes, sticks or slips,
