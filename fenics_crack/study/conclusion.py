@@ -167,8 +167,11 @@ def _others(run: Answer) -> list[str]:
     if run.structure.n_pairs and found.contact is not None and not found.breathes:
         said.append(LINEAR)
     least = max(run.scene.harmonic_balance.tolerance or 0.0, FRICTION_MATTERS)
-    if found.friction_left_out > least:
-        said.append(f"friction left out: up to about {percent(min(found.friction_left_out, 1.0))}")
+    name = run.watched[0].column("amplitude")
+    if run.stated is not None and "friction" in run.stated.parts and name in run.stated.values:
+        change = run.stated.relative(name, run.stated.contributions(name)["friction"])
+        if change > least:
+            said.append(f"friction left out: about {percent(change)}")
     return [*said, *in_place_of(found.stability, found.amplitude(run.watched_dof))]
 
 

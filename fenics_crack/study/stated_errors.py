@@ -33,6 +33,11 @@ The contact duty cycle is counted at instants, the same in all these runs. Its e
 from that by the switching instants of the exact orbit; elsewhere one instant's part is added to
 what harmonics leave out.
 
+Without friction crack faces slide freely. What a coefficient of friction would change, of a plate
+it is one of the causes: that of two exact orbits, without friction and with it, of a structure with
+few modes whose crack faces have no mass. Each number changes by the same ratio. It hardly depends
+on how many modes the answer has.
+
 The root of the sum of the squares of all causes is stated. These are errors that are expected, not
 bounds: scenes beside a mesh four times finer are in docs/notebook/stated_errors.md.
 """
@@ -47,7 +52,7 @@ from operator import methodcaller
 import numpy as np
 
 from fenics_crack.balance.error_report import LARGE_ERROR, ErrorReport
-from fenics_crack.balance.harmonic_balance import solve_linear, wave_of
+from fenics_crack.balance.harmonic_balance import initial_orbit, solve_linear, wave_of
 from fenics_crack.balance.problem import Problem, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, Solver, extremes, indicators_of
 from fenics_crack.basics.errors import MOST_HARMONICS
@@ -55,10 +60,12 @@ from fenics_crack.basics.tables import OF_FRICTION, OF_LIPS, OF_POINTS, QUANTITI
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.model.contact import coefficient_of
 from fenics_crack.model.modal import is_small
-from fenics_crack.model.modes import KINDS, NEGLIGIBLE, Modes, bilinear_frequencies
+from fenics_crack.model.modes import KINDS, NEGLIGIBLE, Modes, bilinear_frequencies, solve_modes
 from fenics_crack.model.reduced import ReducedStructure
+from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import PeriodicOrbit
+from fenics_crack.motion.search import SearchOptions
 from fenics_crack.study.coarser_mesh import (
     CLAMP,
     TIP,
@@ -68,7 +75,7 @@ from fenics_crack.study.coarser_mesh import (
     natural_name,
     why_failed,
 )
-from fenics_crack.study.prepare import REFUSALS, Study
+from fenics_crack.study.prepare import REFUSALS, Study, law_of
 from fenics_crack.study.tip_and_clamp import quantities_of_motion
 from fenics_crack.study.verification import UNCHANGED, GridConvergence, Varied, Verification
 
@@ -140,12 +147,23 @@ def numbers_of(study: Study, found: PeriodicSolution, mode: int | None = None) -
     return Numbers(values, units, resonance, mode)
 
 
+FRICTION_MODES = 10, 20
+"""Fewest and most modes of the structure that shows the effect of friction: the time of an orbit
+grows like their square."""
+FRICTION_REACH = 8.0
+"""Frequencies over the load's up to which that has modes between these numbers: those above respond
+to the contact nearly as statically as they are treated, within 1 / 64."""
+QUICK = SearchOptions(harmonics=SearchOptions.harmonics[:-1], evaluations=0)
+"""Of a search for an orbit that is not the answer: by Newton's method from few harmonics."""
+
 # --- one other run for each cause -----------------------------------------------------------------
 
 
-def stated_errors(study: Study, found: PeriodicSolution, *, of_peak: bool = False) -> Verification:
-    """The errors of a solution's numbers that are expected by modes, harmonics and mesh
-    (collective).
+def stated_errors(
+    study: Study, found: PeriodicSolution, *, of_peak: bool = False, friction: bool = True
+) -> Verification:
+    """The errors of a solution's numbers that are expected by modes, harmonics, mesh and friction
+    that is left out (collective).
 
     Parameters
     ----------
@@ -155,6 +173,8 @@ def stated_errors(study: Study, found: PeriodicSolution, *, of_peak: bool = Fals
         The answer.
     of_peak : bool
         True if it is the largest of a curve over the frequency, which moves with the resonance.
+    friction : bool
+        Whether friction is one of the causes.
 
     Returns
     -------
@@ -184,10 +204,59 @@ def stated_errors(study: Study, found: PeriodicSolution, *, of_peak: bool = Fals
         except REFUSALS as error:
             run = "a coarser mesh" if cause == "mesh" else f"a run with more {cause}"
             stated.unknown[cause] = why_failed(run, error)
+    if friction:
+        take_friction(stated, study, found, numbers.mode)
     for name in [*stated.values]:  # of some of the other runs it may be none
         if not all(name in parts for parts in stated.parts.values()):
             del stated.values[name]
     return stated
+
+
+def take_friction(stated: Verification, study: Study, found: PeriodicSolution, mode: int) -> None:
+    """Note what friction would change of the numbers of a solution whose law has none
+    (collective)."""
+    if study.contact is None or coefficient_of(study.contact) is not None:
+        return
+    try:
+        stated.take("friction", _with_friction(study, found, stated.values, mode))
+    except REFUSALS as error:
+        stated.unknown["friction"] = f"not estimated: {why_failed('a run with friction', error)}"
+
+
+def _with_friction(
+    study: Study, found: PeriodicSolution, own: Mapping[str, float], mode: int
+) -> Varied:
+    """The ratio of each number with friction to that without, by exact orbits of few modes."""
+    scene, structure, (fewest, most) = study.scene, study.structure, FRICTION_MODES
+    assert scene.contact is not None
+    coefficient = scene.contact.friction_error
+    if not coefficient:
+        return "contact.friction_error = false"
+    if scene.disk is not None or structure.whole.tangential is None:
+        return "not estimated, only of single plates"
+    rubbing = scene.replace({"contact.friction": coefficient})
+    larger = structure.reference if isinstance(structure, ReducedStructure) else None
+    known = solve_modes(larger or structure, min(most, (larger or structure).n_modes)).omega
+    count = max(fewest, int(np.sum(known < FRICTION_REACH * found.omega)))
+    few = reduce_structure(structure.whole, modes=count, method="massless", reference=False)
+    both = []
+    for law in (study.contact, law_of(rubbing, few)):
+        assert law is not None
+        problem = Problem(few, found.omega, law, found.harmonics, subharmonic=found.subharmonic)
+        search = initial_orbit(problem, found, QUICK)
+        if search.orbit is None:
+            return f"not estimated, {search.reason}"
+        twin = replace(study, structure=few, contact=law)
+        both.append(_of_orbit(twin, found, search.orbit, mode))
+    without, rubbed = both
+    parts = {}
+    for name, value in own.items():
+        ratio = rubbed.get(name, 0.0) / without[name] if without.get(name) else 1.0
+        parts[name] = GridConvergence(
+            (0.0, float(coefficient)), (value, value * ratio), "two coefficients", math.nan,
+            math.nan, factor=1.0, extrapolated=math.nan,
+        )  # fmt: skip
+    return (count, count), parts
 
 
 def not_estimated(report: ErrorReport) -> str:
