@@ -45,7 +45,7 @@ from fenics_crack.study.stated_errors import (
     of_own_orbit,
     resonance_of,
     shifted,
-    take_friction,
+    with_friction,
 )
 from fenics_crack.study.verification import GridConvergence, Varied, Verification
 
@@ -115,7 +115,7 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
         if cause == "mesh" and cause in found.parts:
             many, parts = found.counts[cause], found.parts[cause]
             found.take("shift", (many[:: len(many) - 1], _carried(own, numbers, parts)))
-    take_friction(found, own, own.result, numbers.mode)
+    found.take("friction", with_friction(own, own.result, found.values, numbers.mode))
     found.verdicts.update(runs.verdicts)
     return replace(found, failures=tuple(runs.failures))
 

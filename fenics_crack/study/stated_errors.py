@@ -147,12 +147,10 @@ def numbers_of(study: Study, found: PeriodicSolution, mode: int | None = None) -
     return Numbers(values, units, resonance, mode)
 
 
-FRICTION_MODES = 10, 20
-"""Fewest and most modes of the structure that shows the effect of friction: the time of an orbit
-grows like their square."""
-FRICTION_REACH = 8.0
-"""Frequencies over the load's up to which that has modes between these numbers: those above respond
-to the contact nearly as statically as they are treated, within 1 / 64."""
+FEWEST_MODES, MOST_MODES, REACH = 10, 20, 8.0
+"""Modes of the structure that shows the effect of friction, between two numbers those of up to so
+many times the load's frequency: the others respond to the contact nearly as statically as they are
+treated, within 1 / 64. The time of an orbit grows like the square of their number."""
 QUICK = SearchOptions(harmonics=SearchOptions.harmonics[:-1], evaluations=0)
 """Of a search for an orbit that is not the answer: by Newton's method from few harmonics."""
 
@@ -205,57 +203,46 @@ def stated_errors(
             run = "a coarser mesh" if cause == "mesh" else f"a run with more {cause}"
             stated.unknown[cause] = why_failed(run, error)
     if friction:
-        take_friction(stated, study, found, numbers.mode)
+        stated.take("friction", with_friction(study, found, stated.values, numbers.mode))
     for name in [*stated.values]:  # of some of the other runs it may be none
         if not all(name in parts for parts in stated.parts.values()):
             del stated.values[name]
     return stated
 
 
-def take_friction(stated: Verification, study: Study, found: PeriodicSolution, mode: int) -> None:
-    """Note what friction would change of the numbers of a solution whose law has none
-    (collective)."""
-    if study.contact is None or coefficient_of(study.contact) is not None:
-        return
-    try:
-        stated.take("friction", _with_friction(study, found, stated.values, mode))
-    except REFUSALS as error:
-        stated.unknown["friction"] = f"not estimated: {why_failed('a run with friction', error)}"
-
-
-def _with_friction(
+def with_friction(
     study: Study, found: PeriodicSolution, own: Mapping[str, float], mode: int
 ) -> Varied:
-    """The ratio of each number with friction to that without, by exact orbits of few modes."""
-    scene, structure, (fewest, most) = study.scene, study.structure, FRICTION_MODES
-    assert scene.contact is not None
-    coefficient = scene.contact.friction_error
-    if not coefficient:
+    """Each number of a solution, changed as much as friction changes it between two exact orbits of
+    few modes; nothing where the solution has friction, or no contact (collective)."""
+    law, structure, scene = study.contact, study.structure, study.scene
+    if law is None or coefficient_of(law) is not None:
+        return ""
+    if not (coefficient := scene.given("contact").friction_error):
         return "contact.friction_error = false"
     if scene.disk is not None or structure.whole.tangential is None:
         return "not estimated, only of single plates"
-    rubbing = scene.replace({"contact.friction": coefficient})
     larger = structure.reference if isinstance(structure, ReducedStructure) else None
-    known = solve_modes(larger or structure, min(most, (larger or structure).n_modes)).omega
-    count = max(fewest, int(np.sum(known < FRICTION_REACH * found.omega)))
-    few = reduce_structure(structure.whole, modes=count, method="massless", reference=False)
+    known = solve_modes(larger or structure, min(MOST_MODES, (larger or structure).n_modes)).omega
+    count = max(FEWEST_MODES, int(np.sum(known < REACH * found.omega)))
     both = []
-    for law in (study.contact, law_of(rubbing, few)):
-        assert law is not None
-        problem = Problem(few, found.omega, law, found.harmonics, subharmonic=found.subharmonic)
-        search = initial_orbit(problem, found, QUICK)
-        if search.orbit is None:
-            return f"not estimated, {search.reason}"
-        twin = replace(study, structure=few, contact=law)
-        both.append(_of_orbit(twin, found, search.orbit, mode))
-    without, rubbed = both
-    parts = {}
+    try:
+        few = reduce_structure(structure.whole, modes=count, method="massless", reference=False)
+        for one in (law, law_of(scene.replace({"contact.friction": coefficient}), few)):
+            assert one is not None
+            problem = Problem(few, found.omega, one, found.harmonics, subharmonic=found.subharmonic)
+            search = initial_orbit(problem, found, QUICK)
+            if search.orbit is None:
+                return f"not estimated, {search.reason}"
+            twin = replace(study, structure=few, contact=one)
+            both.append(_of_orbit(twin, found, search.orbit, mode))
+    except REFUSALS as error:
+        return f"not estimated, {why_failed('a run with friction', error)}"
+    parts, sizes, nan = {}, (0.0, float(coefficient)), math.nan
     for name, value in own.items():
-        ratio = rubbed.get(name, 0.0) / without[name] if without.get(name) else 1.0
-        parts[name] = GridConvergence(
-            (0.0, float(coefficient)), (value, value * ratio), "two coefficients", math.nan,
-            math.nan, factor=1.0, extrapolated=math.nan,
-        )  # fmt: skip
+        without, rubbed = (numbers.get(name, 0.0) for numbers in both)
+        values = value, value * rubbed / without if without else value
+        parts[name] = GridConvergence(sizes, values, "two coefficients", nan, nan, 1.0, nan)
     return (count, count), parts
 
 

@@ -212,7 +212,8 @@ def _observed(h: np.ndarray, f: np.ndarray) -> float:
 
 
 Varied = tuple[tuple[int, ...], dict[str, GridConvergence]] | str
-"""Counts of a cause, those of the result first, and its parts; or the reason why there are none."""
+"""Counts of a cause, those of the result first, and its parts; or the reason why there are none, ""
+where it does not apply."""
 
 MESH = ("mesh", "shift")
 """The mesh's part: of the answer at a given distance from the resonance, and by the shift of the
@@ -279,10 +280,10 @@ class Verification(Tabular):
     def take(self, cause: str, made: Varied) -> None:
         """Note the part of a cause, or why it was not varied: of a mesh and of friction it is then
         unknown, else there is none."""
-        if isinstance(made, str):
-            (self.unknown if cause in BY_CHOICE else self.absent)[cause] = made
-        else:
+        if not isinstance(made, str):
             self.counts[cause], self.parts[cause] = made
+        elif made:
+            (self.unknown if cause in BY_CHOICE else self.absent)[cause] = made
 
     # --- files ------------------------------------------------------------------------------------
 
