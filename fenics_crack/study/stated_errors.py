@@ -33,10 +33,9 @@ The contact duty cycle is counted at instants, the same in all these runs. Its e
 from that by the switching instants of the exact orbit; elsewhere one instant's part is added to
 what harmonics leave out.
 
-Without friction crack faces slide freely. What a coefficient of friction would change, of a plate
-it is one of the causes: that of two exact orbits, without friction and with it, of a structure with
-few modes whose crack faces have no mass. Each number changes by the same ratio. It hardly depends
-on how many modes the answer has.
+Without friction crack faces slide freely. What a coefficient of friction would change of a plate is
+one of the causes: each number changes as between two exact orbits, without friction and with it, of
+a structure of few modes whose crack faces have no mass, whatever the modes of the answer.
 
 The root of the sum of the squares of all causes is stated. These are errors that are expected, not
 bounds: scenes beside a mesh four times finer are in docs/notebook/stated_errors.md.
