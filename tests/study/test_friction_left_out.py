@@ -90,7 +90,7 @@ def test_effect_grows_with_the_coefficient() -> None:
 @pytest.mark.parametrize("kind", ["plate", "blade", "mass"])
 def test_random_scenes(kind: str) -> None:
     """Four of each kind of ``benchmarks/friction_left_out.py``: three quarters of their numbers
-    within the factor of 2; of faces with mass one scene misses it, which 20 modes do not resolve."""
+    within the factor of 2; 20 modes do not resolve one of the scenes with mass at its faces."""
     right = []
     for seed in range(300, 304):
         found = effects(random_scene(kind, seed))
