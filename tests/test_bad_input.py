@@ -113,6 +113,8 @@ TABLE = [
     ("curve scene.toml harmonic_balance.form=block", "harmonic_balance.form = 'block': must be 'condensed' for this command, by the table [curve]"),
     ("solve scene.toml contact.law=smoothed", "contact.sharpness is missing: must be given with law = 'smoothed'"),
     ("solve scene.toml contact.sharpness=0", "contact.sharpness = 0: must be a finite number > 0 (1e-30 to 1e+30)"),
+    ("solve scene.toml contact.friction_error=0", "contact.friction_error = 0: must be a finite number > 0, or false"),
+    ("solve scene.toml contact.friction_error=true", "contact.friction_error = True: must be a finite number > 0, or false"),
     ("solve scene.toml contact.pairs=none", "contact.pairs is missing: must be one of 'all', 'mouth'"),
     ("solve scene.toml harmonic_balance.harmonics=0", "harmonic_balance.harmonics = 0: must be a whole number >= 1"),
     ("solve scene.toml harmonic_balance.harmonics=100000000000", "harmonic_balance.harmonics = 100000000000: must be a whole number below 2^31 = 2147483648"),

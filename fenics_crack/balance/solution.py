@@ -348,13 +348,6 @@ class PeriodicSolution(Wave, Described):
         """The exact orbit whose Fourier coefficients these are; None where they are balanced."""
         return self.assessment.own
 
-    @cached_property
-    def friction_left_out(self) -> float:
-        """Up to about what friction would change of an amplitude, relative: half of
-        :attr:`PeriodicOrbit.friction_cap` of its exact orbit; nan where that is not known."""
-        orbit = self.orbit or (self.assessment.orbit if self.assessment.accepted else None)
-        return math.nan if orbit is None else 0.5 * orbit.friction_cap
-
     def displacement(self, time: np.ndarray, dofs: Sequence[int | None] = (None,)) -> np.ndarray:
         """Displacement of dofs, or of the watched one, at times [s]: (len(time), len(dofs)) [m]
         (collective)."""

@@ -185,7 +185,6 @@ def _in_doubt(run: Run[PeriodicSolution]) -> dict[str, object]:
     found["remarks"] = "; ".join(map(str, run.remarks))
     if judged is not None:
         found |= {"from_rest": judged.from_rest, "rest_amplitude": judged.rest_amplitude}
-        found["friction_left_out"] = run.result.friction_left_out
     known = {name: value for name, value in found.items() if value and value == value}
     return known | (dict.fromkeys(UNKNOWN_PARTS, np.nan) if run.result.report.unknown else {})
 

@@ -573,6 +573,11 @@ class Contact(Table):
     friction: float = not_negative(0.0)
     """Coefficient of Coulomb friction between the faces of a plate's cracks, at rest and in
     motion."""
+    friction_error: float | bool = holds(
+        "a finite number > 0, or false", lambda mu: mu is False or mu > 0, 0.3
+    )
+    """Coefficient whose effect is stated among the errors of a scene without friction; false: it is
+    left out."""
     tangential_stiffness_per_area: float | None = positive(None, unit="N/m^3")
     """Stiffness of pairs that stick, per area of the crack face. Left out: infinite, of crack faces
     without mass."""

@@ -33,6 +33,10 @@ The contact duty cycle is counted at instants, the same in all these runs. Its e
 from that by the switching instants of the exact orbit; elsewhere one instant's part is added to
 what harmonics leave out.
 
+Without friction crack faces slide freely. What a coefficient of friction would change of a plate is
+one of the causes: each number changes as between two exact orbits, without friction and with it, of
+a structure of few modes whose crack faces have no mass, whatever the modes of the answer.
+
 The root of the sum of the squares of all causes is stated. These are errors that are expected, not
 bounds: scenes beside a mesh four times finer are in docs/notebook/stated_errors.md.
 """
@@ -43,11 +47,12 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from operator import methodcaller
+from typing import Any
 
 import numpy as np
 
 from fenics_crack.balance.error_report import LARGE_ERROR, ErrorReport
-from fenics_crack.balance.harmonic_balance import solve_linear, wave_of
+from fenics_crack.balance.harmonic_balance import initial_orbit, solve_linear, wave_of
 from fenics_crack.balance.problem import Problem, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, Solver, extremes, indicators_of
 from fenics_crack.basics.errors import MOST_HARMONICS
@@ -57,8 +62,10 @@ from fenics_crack.model.contact import coefficient_of
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import KINDS, NEGLIGIBLE, Modes, bilinear_frequencies
 from fenics_crack.model.reduced import ReducedStructure
+from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import PeriodicOrbit
+from fenics_crack.motion.search import SearchOptions
 from fenics_crack.study.coarser_mesh import (
     CLAMP,
     TIP,
@@ -68,7 +75,7 @@ from fenics_crack.study.coarser_mesh import (
     natural_name,
     why_failed,
 )
-from fenics_crack.study.prepare import REFUSALS, Study
+from fenics_crack.study.prepare import REFUSALS, Study, law_of
 from fenics_crack.study.tip_and_clamp import quantities_of_motion
 from fenics_crack.study.verification import UNCHANGED, GridConvergence, Varied, Verification
 
@@ -140,12 +147,20 @@ def numbers_of(study: Study, found: PeriodicSolution, mode: int | None = None) -
     return Numbers(values, units, resonance, mode)
 
 
+FRICTION_MODES = 20
+"""Modes of the structure that shows the effect of friction. With 10 that on openings is often off
+by more than a factor of 2, with 40 an orbit takes three times as long."""
+QUICK = SearchOptions(harmonics=SearchOptions.harmonics[:-1], evaluations=0)
+"""Of a search for an orbit that is not the answer: by Newton's method from few harmonics."""
+
 # --- one other run for each cause -----------------------------------------------------------------
 
 
-def stated_errors(study: Study, found: PeriodicSolution, *, of_peak: bool = False) -> Verification:
-    """The errors of a solution's numbers that are expected by modes, harmonics and mesh
-    (collective).
+def stated_errors(
+    study: Study, found: PeriodicSolution, *, of_peak: bool = False, friction: bool = True
+) -> Verification:
+    """The errors of a solution's numbers that are expected by modes, harmonics, mesh and friction
+    that is left out (collective).
 
     Parameters
     ----------
@@ -155,6 +170,8 @@ def stated_errors(study: Study, found: PeriodicSolution, *, of_peak: bool = Fals
         The answer.
     of_peak : bool
         True if it is the largest of a curve over the frequency, which moves with the resonance.
+    friction : bool
+        Whether friction is one of the causes.
 
     Returns
     -------
@@ -184,10 +201,50 @@ def stated_errors(study: Study, found: PeriodicSolution, *, of_peak: bool = Fals
         except REFUSALS as error:
             run = "a coarser mesh" if cause == "mesh" else f"a run with more {cause}"
             stated.unknown[cause] = why_failed(run, error)
+    if friction:
+        stated.take("friction", with_friction(study, found, stated.values, numbers.mode))
     for name in [*stated.values]:  # of some of the other runs it may be none
         if not all(name in parts for parts in stated.parts.values()):
             del stated.values[name]
     return stated
+
+
+def with_friction(
+    study: Study, found: PeriodicSolution, own: Mapping[str, float], mode: int
+) -> Varied:
+    """Each number of a solution, changed as much as friction changes it between two exact orbits of
+    few modes; nothing where the solution has friction, or no contact (collective)."""
+    law, structure, scene = study.contact, study.structure, study.scene
+    if law is None or coefficient_of(law) is not None:
+        return ""
+    if not (coefficient := scene.given("contact").friction_error):
+        return "contact.friction_error = false"
+    if scene.disk is not None or structure.whole.tangential is None:
+        return "not estimated, only of single plates"
+    keys: dict[str, Any] = {"contact.friction": coefficient}
+    if not structure.light_lips:  # faces with mass, in contact as stiff along them as across
+        keys["contact.tangential_stiffness_per_area"] = scene.given("contact").stiffness_per_area
+    both = []
+    try:
+        few = reduce_structure(
+            structure.whole, modes=FRICTION_MODES, method="massless", reference=False
+        )
+        for one in (law, law_of(scene.replace(keys), few)):
+            assert one is not None
+            problem = Problem(few, found.omega, one, found.harmonics, subharmonic=found.subharmonic)
+            search = initial_orbit(problem, found, QUICK)
+            if search.orbit is None:
+                return f"not estimated, {search.reason}"
+            twin = replace(study, structure=few, contact=one)
+            both.append(_of_orbit(twin, found, search.orbit, mode, found.harmonics))
+    except REFUSALS as error:
+        return f"not estimated, {why_failed('a run with friction', error)}"
+    parts, sizes, nan = {}, (0.0, float(coefficient)), math.nan
+    for name, value in own.items():
+        without, rubbed = (numbers.get(name, 0.0) for numbers in both)
+        values = value, value * rubbed / without if without else value
+        parts[name] = GridConvergence(sizes, values, "two coefficients", nan, nan, 1.0, nan)
+    return (FRICTION_MODES, FRICTION_MODES), parts
 
 
 def not_estimated(report: ErrorReport) -> str:
@@ -326,12 +383,12 @@ def _many(found: PeriodicSolution) -> int:
 
 
 def _of_orbit(
-    study: Study, found: PeriodicSolution, orbit: PeriodicOrbit, mode: int
+    study: Study, found: PeriodicSolution, orbit: PeriodicOrbit, mode: int, harmonics: int = 0
 ) -> dict[str, float]:
     """The numbers of an orbit next to a solution, of a study's structure: of crack faces by its
     motion at the solution's instants, but for the duty cycle, which follows from its switching
-    instants; of points with many harmonics (collective)."""
-    structure, law, harmonics = study.structure, study.contact, _many(found)
+    instants; of points with so many harmonics, by default many (collective)."""
+    structure, law, harmonics = study.structure, study.contact, harmonics or _many(found)
     assert law is not None
     problem = Problem(structure, found.omega, law, harmonics, subharmonic=found.subharmonic)
     wave = wave_of(problem, orbit, orbit.coefficients(harmonics))

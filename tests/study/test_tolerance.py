@@ -181,7 +181,7 @@ def test_own_plate_from_the_settings_of_new(
     own = {
         "geometry.width": 0.09, "geometry.height": 0.18, "crack.length": 0.027,
         "crack.height": 0.09, "damping.ratio": 0.003, "excitation.point": [0.09, 0.18],
-        "excitation.frequency": frequency, "mesh.size": 0.02,
+        "excitation.frequency": frequency, "mesh.size": 0.02, "contact.friction_error": False,
     }  # fmt: skip
     path = tmp_path / "own.toml"
     path.write_text(new.replace(own).as_toml())
