@@ -34,7 +34,7 @@ from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.block_system import FORMS
 from fenics_crack.balance.compliance import DynamicStiffness, ModalCompliance, load_coefficients
 from fenics_crack.balance.error_report import ErrorReport, beside
-from fenics_crack.balance.more_modes import UNKNOWN
+from fenics_crack.balance.more_modes import UNKNOWN, reference_of
 from fenics_crack.balance.problem import Problem, check_memory, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import (
@@ -95,7 +95,7 @@ def solve_linear(
     harmonics = max(Problem.harmonics, least) if harmonics is None else harmonics
     check_count("harmonics", harmonics, least)
     found = _without_contact(structure, omega, harmonics)
-    reference = structure.reference if isinstance(structure, ReducedStructure) else None
+    reference = reference_of(found)
     if reference is None:
         return found
     return replace(found, report=beside(found, _without_contact(reference, omega, harmonics)))

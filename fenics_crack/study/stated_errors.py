@@ -1,10 +1,11 @@
 """Errors of a result's numbers due to its modes, harmonics and mesh, by one other run for each.
 
-Twice the modes are solved from the answer itself, and
+With the modes of the reference of its reduction, which has a share of what is left out, the answer
+is solved from itself, and
 
-    e = |f - f_2| / (1 - 2^-1),
+    e = |f - f_2| / share,
 
-as it converges like N^-1 (:mod:`refinement`). To few harmonics the modes above all of them seem
+1/2 of twice the modes, as it converges like N^-1 (:mod:`refinement`). To few harmonics the modes above all of them seem
 static, whether they are kept or not: where an exact orbit is the answer's own, f and f_2 are those
 of orbits. The truncated harmonics follow, too: e = |f - f_orbit|. Elsewhere twice as many are
 solved, too; where the report says that harmonics are too few the difference may vanish by chance,
@@ -48,6 +49,7 @@ import numpy as np
 
 from fenics_crack.balance.error_report import LARGE_ERROR, ErrorReport
 from fenics_crack.balance.harmonic_balance import solve_linear, wave_of
+from fenics_crack.balance.more_modes import reference_of
 from fenics_crack.balance.problem import Problem, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, Solver, extremes, indicators_of
 from fenics_crack.basics.errors import MOST_HARMONICS
@@ -220,18 +222,20 @@ def _more_modes(
 ) -> Varied:
     """By the exact orbits with these modes and with twice as many; where these are not at hand by
     solutions with as many harmonics, to which modes above all of them seem static."""
-    structure, table = study.structure, study.scene.reduction
-    reference = structure.reference if isinstance(structure, ReducedStructure) else None
-    if reference is None or table is None or table.modes is None:
+    structure, reference = study.structure, reference_of(near)
+    if reference is None:
         return "all are kept"
-    more, counts = replace(study, structure=reference), (table.modes, 2 * table.modes)
+    assert isinstance(structure, ReducedStructure)
+    more = replace(study, structure=reference)
+    counts = len(structure.omega), len(reference.omega)
     larger = found.assessment.more_modes if exact else None
     if exact and larger and larger.orbit:
         other = as_changed(own.values, exact, _of_orbit(more, found, larger.orbit, own.mode))
     else:
         start = near if structure.light_lips else None  # else these have other coordinates
         other = numbers_of(more, _solved(more, near.omega, near.harmonics, start), own.mode).values
-    return counts, expected("modes", counts, own.values, other, study.scene)
+    ratio = max(1.0 - structure.share, UNCHANGED)
+    return counts, expected("modes", counts, own.values, other, study.scene, ratio=ratio)
 
 
 def _more_harmonics(
