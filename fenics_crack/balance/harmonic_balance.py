@@ -55,6 +55,7 @@ from fenics_crack.model.modes import LIPS
 from fenics_crack.model.reduced import ReducedStructure, massless
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
+from fenics_crack.model.wheel import Wheel
 from fenics_crack.motion.flow import ContactFlow, exact_flow, flow_of
 from fenics_crack.motion.orbit import FORMED, INSTANTS, OrbitCoefficients, PeriodicOrbit, affordable
 from fenics_crack.motion.search import PARTS, OrbitSearch, SearchOptions, search_orbit
@@ -391,7 +392,10 @@ def _told(solver: Solver, found: PeriodicSolution, tolerance: float) -> Periodic
         kept = f", {size}"
         if lips is not None:
             kept = f", {lips.n_modes} modes ({size})"
-            more = f"modes {2 * lips.n_modes}, in about twice the time"
+            more = f"modes {2 * lips.n_modes}"
+            if isinstance(lips.whole, Wheel):
+                more = f"disk.families {2 * lips.n_modes // lips.whole.sector.count}"
+            more += ", in about twice the time"
     if report.total <= tolerance:
         chosen = f"chosen for an error of {tolerance:g}: H = {found.harmonics}{kept}"
         return replace(found, status=f"{found.status}; {chosen}")
