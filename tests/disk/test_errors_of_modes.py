@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from mpi4py import MPI
+from reference_flow import size_of_motion
 from wheels import RING, ring
 
 import fenics_crack as fc
@@ -12,7 +13,6 @@ from fenics_crack.balance.compliance import ModalCompliance
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import Solver
 from fenics_crack.model.contact import UnilateralConstraint
-from fenics_crack.numerics.newton import size_of_motion
 from fenics_crack.study.stated_errors import stated_errors
 
 RIGID = UnilateralConstraint()
