@@ -53,7 +53,7 @@ def test_true_errors_over_stated_ones(families: int, factor: float) -> None:
     assert 0.1 < off / run.result.report.total < 1.3
 
 
-@pytest.mark.parametrize("length", [0.004, 0.006])
+@pytest.mark.parametrize("length", [0.004, pytest.param(0.006, marks=pytest.mark.nightly)])
 def test_rayleigh_damping(monkeypatch: pytest.MonkeyPatch, length: float) -> None:
     """What the modes leave out has the stiffness S, and by b K the damping b S: R / (1 + i b k w)
     in closed form. At the largest response the tip moves less then, by at most 1.5 times what is
@@ -72,7 +72,7 @@ def test_rayleigh_damping(monkeypatch: pytest.MonkeyPatch, length: float) -> Non
 
     for families in (3, 6):
         study = fc.prepare(scene.replace({"disk.families": families}))
-        tip = study.watched_dof
+        tip = study.watched[0].dof
         found = [
             fc.solve_harmonic_balance(study.structure, float(w), RIGID, harmonics=20)
             for w in omega * np.linspace(0.998, 1.002, 9)
