@@ -406,8 +406,8 @@ def _elastic(basis: CyclicBasis, cracked: tuple[int, ...]) -> np.ndarray:
 
 
 NEXT = 8
-"""Modes that the reference of a wheel has beyond those that are kept: of ten wheels they have 0.6 to
-0.8 of what is left to change."""
+"""Modes that the reference of a wheel has beyond those that are kept: of ten wheels they have 0.6
+to 0.8 of what is left to change."""
 
 
 class WheelStructure(Structure):
