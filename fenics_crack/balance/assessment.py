@@ -157,10 +157,8 @@ class Assessment:
     def more_modes(self) -> MoreModes | None:
         """The motion corrected with more modes; None where no flow with more modes is at hand."""
         wave = self.wave
-        if self.flow is None or wave.contact is None:
-            return None
-        flow = reference_flow(wave.structure, wave.contact, wave.omega, wave.subharmonic)
-        if flow is None:
+        flow = None if self.flow is None else reference_flow(wave)
+        if self.flow is None or flow is None:
             return None
         step = None if self.accepted else self.prediction
         return MoreModes(flow, wave, self.flow, step, self.orbit, self.accepted)
