@@ -63,10 +63,36 @@ def changes(observed: np.ndarray) -> np.ndarray:
     return found
 
 
+def parting(monodromy: np.ndarray) -> np.ndarray:
+    """How far two multipliers may part from one circle where they meet between neighbours, in
+    ln |mu|, over what their damping allows before one of them leaves the unit circle: (n-1,) of
+    matrices (n, N, N)."""
+    values, vectors = np.linalg.eig(monodromy[:-1])
+    matrix = np.linalg.solve(vectors, monodromy[1:] @ vectors)
+    sizes = np.abs(values)
+    product = np.sqrt(sizes[:, :, None] * sizes[:, None])
+    gap = (values[:, :, None] - values[:, None]) / product
+    there = np.einsum("ijj->ij", matrix)
+    behind = (there[:, :, None] - there[:, None]) / product
+    mixed = 4.0 * matrix * np.swapaxes(matrix, 1, 2) / product**2
+    # Of one sign in Krein's sense they avoid each other on the circle.
+    opposite = (mixed * behind.conj() ** 2).real < 0.0
+    mixed, gap, behind = np.where(opposite, np.abs(mixed), 0.0), np.abs(gap), np.abs(behind)
+    way = gap + behind
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.where(mixed < way * behind, way * gap / (way**2 - mixed), 1.0)
+        apart = mixed * share**2 - (share * way - gap) ** 2
+        damping = np.maximum(-np.log(sizes), 0.0)
+        allowed = 4.0 * damping[:, :, None] * damping[:, None]
+        found = np.where(allowed > KNOWN**2, apart / allowed, 0.0)
+    return np.sqrt(np.nan_to_num(np.maximum(found, 0.0)).max(axis=(1, 2)))
+
+
 class MultiplierControl(StepControl):
     """Reject a step over which a leading multiplier moves more than half its distance to the unit
-    circle, or is mispredicted by as much (linear extrapolation of sorted ln |mu|), down to a floor;
-    and one over which more than one of r, d and c changes, or one by more than 1."""
+    circle, or is mispredicted by as much (linear extrapolation of sorted ln |mu|), or two may meet
+    and part as far (:func:`parting`), down to a floor; and one over which more than one of r, d and
+    c changes, or one by more than 1."""
 
     def __init__(self, longest_step: float) -> None:
         self._floor = LEAST * longest_step
@@ -80,6 +106,8 @@ class MultiplierControl(StepControl):
             ratio = (lengths[1:] / lengths[:-1])[:, None]
             off = np.abs(change[1:] - ratio * change[:-1])
             far[1:] |= np.any(off > allowed[1:], axis=1)
+        size = round(np.sqrt(points.records.shape[1]))
+        far |= parting(points.records.reshape(-1, size, size)) > 0.5
         several = np.abs(changes(points.observed)).sum(axis=1) > 1
         return np.asarray((far & (lengths > self._floor)) | several)
 
