@@ -10,8 +10,8 @@ population   an orbit and a verdict to a tolerance of 1e-2: 60 plates as `new` w
 few_pairs    curves around the first two modes of 200 systems of 1 or 2 pairs (the "few" of
              :mod:`campaign_cases`, with a penalty of .5 to 1000 times the static stiffness): every
              period doubling and Neimark-Sacker point against :mod:`reference_flow`
-between      10 curves of plates and chains, .05 to 1 % damped: the verdict that a curve states between
-             its points, every 50th of the default step, against :mod:`reference_flow`
+between      10 curves of plates and chains, .05 to 1 % damped: the verdict that a curve states
+             between its points, every 50th of the default step, against :mod:`reference_flow`
 events       curves of 34 plates, those that take at most 2500 points: events of the default step
              among those of it and of a fifth of it
 independence error and verdict of the chains of ``population``, H = 5 to 40, asked in two orders and
@@ -624,8 +624,8 @@ def events(quick: bool) -> Iterator[Row]:
             continue
         known = stated(curve)
         missing = apart(stated(fine[1]), known)
-        yield row | {"events": len(known) + len(missing), "missing": len(missing),
-                     "fine": fine[0]["s"], "_where": [value_of(one) for one in missing]}  # fmt: skip
+        count = {"events": len(known) + len(missing), "missing": len(missing)}
+        yield row | count | {"fine": fine[0]["s"]}
 
 
 def apart(some: list[Any], others: list[Any]) -> list[Any]:

@@ -45,6 +45,9 @@ class OrbitCurve(ResponseCurve):
         parameter varies it.
     tolerance : float
         Error to which :meth:`solution` keeps an orbit's Fourier coefficients.
+    resolution : float
+        Width, in the unit of ``values``, of the unstable or doubled windows that the curve may
+        miss between its points: a tenth of the longest step taken.
     """
 
     states: np.ndarray
@@ -102,8 +105,7 @@ class OrbitCurve(ResponseCurve):
 
     @property
     def resolution(self) -> float:
-        """Width, in the unit of ``values``, of the unstable or doubled windows that the curve may
-        miss between its points: a tenth of the longest step taken."""
+        """Width of the windows that the curve may miss between its points."""
         return RESOLUTION * float(np.abs(np.diff(self.values)).max(initial=0.0))
 
     @cached_property
