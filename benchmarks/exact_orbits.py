@@ -470,7 +470,7 @@ def off_reference(flow: ReferenceFlow, one: Any) -> float:
     """Distance from the unit circle, or from -1, of the multiplier that a bifurcation has there, on
     the reference's orbit; inf where it has none."""
     if BRANCHES:  # the exact state: Newton's method may lead elsewhere from a solution to 1e-2
-        parts = np.split(one.state, 2)
+        parts = np.split(one.orbit.state, 2)
         state = flow.state(*(one.orbit.flow.modes.shapes @ part for part in parts))
     else:
         state = flow.states_of(one.solution, np.zeros(1))[0]

@@ -45,6 +45,10 @@ LEAST = 0.01
 """Change of ln |mu| that is always allowed, and shortest step to resolve it, relative to the
 longest."""
 
+NARROW = 0.02
+"""Shortest step to resolve where multipliers meet, relative to the longest: 0.1 % of the range with
+the default one."""
+
 
 def observe(monodromy: np.ndarray) -> np.ndarray:
     """Leading multipliers of monodromy matrices (n, N, N) as :func:`counted` gives them."""
@@ -91,6 +95,8 @@ def parting(monodromy: np.ndarray) -> np.ndarray:
         gap, end = ((one[:, :, None] - one[:, None]) / unit for one in (values, ends))
         coupled = 4.0 * after * np.swapaxes(after, 1, 2) / unit**2
         parts = (coupled * end.conj() ** 2).real < 0.0
+        real = values.imag == 0.0  # two of these have parted already
+        parts &= ~(real[:, :, None] & real[:, None])
         coupled, gap, end = np.abs(coupled), np.abs(gap), np.abs(end)
         way = gap + end
         share = np.where(coupled < way * end, way * gap / (way**2 - coupled), 1.0)
@@ -108,7 +114,7 @@ class MultiplierControl(StepControl):
     which more than one of r, d and c changes, or one by more than 1."""
 
     def __init__(self, longest_step: float) -> None:
-        self._floor = LEAST * longest_step
+        self._longest, self._floor = longest_step, LEAST * longest_step
 
     def too_long(self, points: Stretch) -> np.ndarray:
         logs = np.log(np.maximum(np.abs(points.observed[:, :-3]), KNOWN))
@@ -120,9 +126,10 @@ class MultiplierControl(StepControl):
             off = np.abs(change[1:] - ratio * change[:-1])
             far[1:] |= np.any(off > allowed[1:], axis=1)
         size = math.isqrt(points.records.shape[1])
-        far |= parting(points.records.reshape(-1, size, size)) > 0.5
+        apart = parting(points.records.reshape(-1, size, size)) > 0.5
+        far = (far & (lengths > self._floor)) | (apart & (lengths > NARROW * self._longest))
         several = np.abs(changes(points.observed)).sum(axis=1) > 1
-        return np.asarray((far & (lengths > self._floor)) | several)
+        return np.asarray(far | several)
 
 
 class PeriodDoubling(Event):
