@@ -55,6 +55,7 @@ from fenics_crack.cli.account import (
 )  # fmt: skip
 from fenics_crack.cli.scenes import remark_on
 from fenics_crack.curves.curve import PARAMETERS, ResponseCurve, kind_in_words, parameter_axis
+from fenics_crack.curves.orbit_curve import OrbitCurve
 from fenics_crack.curves.peak import AT_END, Top
 from fenics_crack.curves.stability import attractors
 from fenics_crack.fatigue.growth import Growth
@@ -481,6 +482,9 @@ def _account_of_curve(run: Run[ResponseCurve]) -> Account:
         notes.append(f"at {where} {order}, {share}")
     if scene.harmonic_balance.tolerance is not None and run.structure.n_pairs:
         notes.append(f"by the tolerance: {found.method}")
+    if isinstance(found, OrbitCurve):
+        width = in_unit(parameter_axis(found.parameter, True), found.resolution)
+        notes.append(f"windows of instability narrower than {width} may lie between points")
     return Account(
         "curve",
         special,
