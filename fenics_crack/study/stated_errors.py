@@ -249,7 +249,7 @@ def with_friction(
     parts, sizes, nan = {}, (0.0, float(coefficient)), math.nan
     for name, value in own.items():
         without, rubbed = (numbers.get(name, 0.0) for numbers in both)
-        values = value, value * rubbed / without if without else value
+        values = value, value * (rubbed / without) if without else value
         parts[name] = GridConvergence(sizes, values, "two coefficients", nan, nan, 1.0, nan)
     return (FRICTION_MODES, FRICTION_MODES), parts
 

@@ -292,7 +292,7 @@ def test_without_the_mesh(scene: fc.Scene) -> None:
     """Where it is not asked for, or there is one mesh, that is said."""
     off = fc.solve(scene.replace({"mesh.error": False}), MPI.COMM_SELF).errors
     assert off is not None and off.unknown == {"mesh": "mesh.error = false"}
-    assert off.without == NO_MESH and 0.0 < off.stated("amplitude")[0] < 1e-2
+    assert off.without == NO_MESH and 0.0 < off.stated("amplitude")[0] < 2e-2
     open_lips, cause = off.stated("frequency_open_1")  # modes and harmonics do not change it
     assert np.isnan(open_lips) and not cause
     soft = {"contact.stiffness": 1e9, "damping.ratio": 0.05}  # whose orbit is found at once
