@@ -439,9 +439,7 @@ def _solved(solver: Solver, tolerance: float, initial: PeriodicSolution | None) 
 # --- by an orbit ----------------------------------------------------------------------------------
 
 
-def initial_orbit(
-    problem: Problem, initial: PeriodicSolution | None = None, options: SearchOptions | None = None
-) -> OrbitSearch:
+def initial_orbit(problem: Problem, initial: PeriodicSolution | None = None) -> OrbitSearch:
     """Search for an exact orbit from harmonic-balance solutions with more and more harmonics, all
     sought from an initial one, whose orbit is the first then.
 
@@ -451,25 +449,21 @@ def initial_orbit(
         There is no exact flow.
     """
     flow = exact_flow(problem.structure, problem.contact)
-    return _sought(Solver(problem, throw=False), flow, initial, options)[1]
+    return _sought(Solver(problem, throw=False), flow, initial)[1]
 
 
 def _sought(
-    solver: Solver,
-    flow: ContactFlow,
-    initial: PeriodicSolution | None,
-    options: SearchOptions | None = None,
+    solver: Solver, flow: ContactFlow, initial: PeriodicSolution | None
 ) -> tuple[list[PeriodicSolution], OrbitSearch]:
     """The same, and these solutions."""
     problem, balanced = solver.problem, list[PeriodicSolution]()
-    options = options or SearchOptions()
 
     def guesses() -> Iterator[np.ndarray]:
         if initial is not None and initial.orbit is not None:
             known = initial.orbit
             if initial.structure is problem.structure and known.subharmonic == problem.subharmonic:
                 yield known.sampled.whole_states[:: INSTANTS // PARTS]
-        for count in options.harmonics:
+        for count in SearchOptions.harmonics:
             few = problem.with_harmonics(problem.few_harmonics(count))
             near = _begun(solver, few).attempt(initial, wholly=False, reported=False)[1]
             if near.converged:
@@ -477,7 +471,7 @@ def _sought(
                 yield near.assessment.states
 
     found = search_orbit(
-        flow, problem.omega, guesses(), problem.subharmonic, options, any_other=initial is None
+        flow, problem.omega, guesses(), problem.subharmonic, any_other=initial is None
     )
     return balanced, found
 

@@ -55,7 +55,7 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.balance.error_report import LARGE_ERROR, ErrorReport
-from fenics_crack.balance.harmonic_balance import initial_orbit, solve_linear, wave_of
+from fenics_crack.balance.harmonic_balance import solve_linear, wave_of
 from fenics_crack.balance.more_modes import reference_of
 from fenics_crack.balance.problem import Problem, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, Solver, extremes, indicators_of
@@ -69,7 +69,6 @@ from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import PeriodicOrbit
-from fenics_crack.motion.search import SearchOptions
 from fenics_crack.study.coarser_mesh import (
     TIP,
     coarser,
@@ -153,8 +152,8 @@ def numbers_of(study: Study, found: PeriodicSolution, mode: int | None = None) -
 FRICTION_MODES = 20
 """Modes of the structure that shows the effect of friction. With 10 that on openings is often off
 by more than a factor of 2, with 40 an orbit takes three times as long."""
-QUICK = SearchOptions(harmonics=SearchOptions.harmonics[:-1], evaluations=0)
-"""Of a search for an orbit that is not the answer: by Newton's method from few harmonics."""
+SOUGHT = 10, 20
+"""Harmonics of the solutions next to which its two orbits are sought."""
 
 # --- one other run for each cause -----------------------------------------------------------------
 
@@ -221,7 +220,7 @@ def with_friction(
 ) -> Varied:
     """Each number of a solution, changed as much as friction changes it between two exact orbits of
     few modes; nothing where the solution has friction, or no contact (collective)."""
-    law, structure, scene = study.contact, study.structure, study.scene
+    law, structure, scene, periods = study.contact, study.structure, study.scene, found.subharmonic
     if law is None or coefficient_of(law) is not None:
         return ""
     if not (coefficient := scene.given("contact").friction_error):
@@ -238,12 +237,16 @@ def with_friction(
         )
         for one in (law, law_of(scene.replace(keys), few)):
             assert one is not None
-            problem = Problem(few, found.omega, one, found.harmonics, subharmonic=found.subharmonic)
-            search = initial_orbit(problem, found, QUICK)
-            if search.orbit is None:
-                return f"not estimated, {search.reason}"
+            given = few, found.omega, one
+            near = (
+                Solver(Problem(*given, count * periods, subharmonic=periods)).solve(found)
+                for count in SOUGHT
+            )
+            orbit = next(filter(None, (each.assessment.orbit for each in near)), None)
+            if orbit is None:
+                return f"not estimated, no exact orbit next to {SOUGHT[-1]} harmonics"
             twin = replace(study, structure=few, contact=one)
-            both.append(_of_orbit(twin, found, search.orbit, mode, found.harmonics))
+            both.append(_of_orbit(twin, found, orbit, mode, found.harmonics))
     except REFUSALS as error:
         return f"not estimated, {why_failed('a run with friction', error)}"
     parts, sizes, nan = {}, (0.0, float(coefficient)), math.nan

@@ -359,7 +359,7 @@ def test_bifurcations_do_not_depend_on_the_step(seed: int) -> None:
     structure, law = random_chain(seed)
     first, second = fc.solve_modes(structure, 2).omega
     found = []
-    for step, most in ((0.02, 150), (0.01, 300)):
+    for step, most in ((0.02, 200), (0.01, 400)):
         curve = fc.continue_frequency(
             structure, 0.8 * first, 1.25 * second, law, tolerance=1e-2, longest_step=step,
             most_points=most, throw=False,

@@ -70,7 +70,7 @@ def test_last_line(monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(*_: object) -> None:
         raise ConvergenceError("none")
 
-    monkeypatch.setattr("fenics_crack.study.stated_errors.initial_orbit", fails)
+    monkeypatch.setattr("fenics_crack.study.stated_errors.law_of", fails)
     errors = fc.solve(INCLINED, MPI.COMM_SELF).errors
     assert errors is not None
     assert errors.unknown["friction"] == "not estimated, a run with friction has no solution"

@@ -207,8 +207,9 @@ def test_quantities_of_a_scene(tmp_path: Path) -> None:
     )
     table = fc.run_sweep(swept, comm=MPI.COMM_SELF)
     for name in BOTH:
-        assert ends[name][-1] == pytest.approx(rows[name], rel=1e-3)
-        assert table[name] == pytest.approx([rows[name], 2.0 * rows[name]], rel=1e-3)
+        # each chooses its modes by the tolerance, 1e-2
+        assert ends[name][-1] == pytest.approx(rows[name], rel=3e-3)
+        assert table[name] == pytest.approx([rows[name], 2.0 * rows[name]], rel=3e-3)
         assert run.errors is not None and run.errors.stated(name)[0] > 0.0
 
 
