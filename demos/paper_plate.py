@@ -226,7 +226,7 @@ def vibration(
 def start_up(
     plate: fc.Structure, omega: float, law: fc.UnilateralPenalty, steps: int, output: Path
 ) -> dict[str, float]:
-    """Draw the first periods from rest, figure 2 of the paper, by central differences and exactly."""
+    """Draw the first periods from rest, figure 2 of the paper, by both kinds of integration."""
     history, exact = (
         integrate(plate, omega, law, periods=START, steps_per_period=steps)
         for integrate in (fc.integrate_central_difference, fc.integrate_events)

@@ -84,7 +84,9 @@ def test_paper_plate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
 
     linear, start = paper["linear"], agreeing["start_up"]
     assert start["difference_of_central_differences"] < 0.01
-    assert paper["direct_integration"]["corner_crossings_per_period"] == pytest.approx(1.0, abs=0.01)
+    assert paper["direct_integration"]["corner_crossings_per_period"] == pytest.approx(
+        1.0, abs=0.01
+    )
     assert_found("Figure 1", "2302.9", "3324.7", f"{frequencies['uncracked'][0]:.1f}")
     sizes = [f"{1e6 * linear[place]:.3f} um" for place in ("gap_m", "corner_m")]
     assert_found("Figure 3", *sizes, f"{linear['correlation']:.6f}")

@@ -1,4 +1,4 @@
-"""docs/the_paper.md: every figure, equation and claim of the paper has a row, and its numbers hold."""
+"""docs/the_paper.md: the paper's figures, equations and claims have rows whose numbers hold."""
 
 import re
 from functools import cache
