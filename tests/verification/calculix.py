@@ -391,9 +391,9 @@ def calculix_paper_plate() -> list[Row]:
     (`*DYNAMIC`, at most 1/200 of a period a step with 1e9 N/m, 1/800 with 1e11 N/m, shorter where
     contact begins; from 1/400 on upwards it stops at the first contact with 1e11 N/m). Its elements
     are a layer of bricks between two planes, as [here](calculix_breathing_plate.md). A pressure on
-    the crack's one element, which grows from 0 at the tip to the mouth, pushes the mouth's node with
-    a third of pressure times area: 3 k / (length thickness) for each metre of depth is our k. Ours
-    is the exact flow of `fc.integrate_events`. Differences are the largest over the time that is
+    the crack's one element, from 0 at the tip to its value at the mouth, pushes the mouth's node
+    with a third of pressure times area: 3 k / (length thickness) for each metre of depth is our k.
+    Ours is the exact flow of `fc.integrate_events`. Differences are the largest over the time that is
     named, over the largest value.
 
     The references lie in `tests/exchange/paper_plate/`, with the input file; the script
