@@ -393,7 +393,7 @@ def calculix_paper_plate() -> list[Row]:
     are a layer of bricks between two planes, as [here](calculix_breathing_plate.md). A pressure on
     the crack's one element, from 0 at the tip to its value at the mouth, pushes the mouth's node
     with a third of pressure times area: 3 k / (length thickness) for each metre of depth is our k.
-    Ours is the exact flow of `fc.integrate_events`. Differences are the largest over the time that is
+    Ours is the exact flow of `fc.integrate_events`. Differences are the largest over the time
     named, over the largest value.
 
     The references lie in `tests/exchange/paper_plate/`, with the input file; the script
