@@ -13,6 +13,10 @@ constraint : no penetration at all, the same frequencies and H, on ``demos/paper
     fourth frequency with H = 20). Where the default weight fails, the history of the residual is
     printed, and up to H = 10 other weights are tried.
 
+friction : 40 random cases with friction: chains of a few masses with mass at the faces, the plates
+of ``demos/`` with one pair, 16 and 18 pairs, up to three times as much mean load that shuts the
+crack, mu from 0.05 to 1, H = 5 to 100 or a tolerance. What each took, and its answer.
+
 Converged means |F| <= 1e-10 |x|. Costs are the Newton iterations of all attempts, as counted by the
 solution, and milliseconds, the error report included. Milliseconds depend on the machine. The table
 also gives their ratio to the median of the solutions that took plain Newton steps alone, or where
@@ -27,6 +31,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import common
 import numpy as np
@@ -60,7 +65,12 @@ def main() -> None:
     """Run the parts asked for."""
     common.run(
         __doc__,
-        {"oscillator": run_oscillator, "plate": run_plate, "constraint": run_constraint},
+        {
+            "oscillator": run_oscillator,
+            "plate": run_plate,
+            "constraint": run_constraint,
+            "friction": run_friction,
+        },
         harmonics={"type": int, "nargs": "+", "help": "of the plate: these H alone"},
     )
 
@@ -135,6 +145,102 @@ def run_constraint(arguments: common.Arguments) -> None:
         rows = [(p.case, p.harmonics, p.omega, p.weight, p.converged, p.status) for p in again]
         title = "Where the default weight fails (its line first)"
         common.save_table(folder / "cold_starts_constraint_weights.csv", title, columns, rows)
+
+
+def run_friction(arguments: common.Arguments) -> None:
+    """40 random cases."""
+    rows = []
+    for number in range(8 if arguments.quick else 40):
+        name, structure, omega, law, options = friction_case(number)
+        started = time.process_time()
+        found = fc.solve_harmonic_balance(structure, omega, law, throw=False, **options)
+        seconds, report = time.process_time() - started, found.report
+        row = number, name, structure.n_dofs, str(options), seconds, found.converged
+        rows.append((*row, found.harmonics, report.truncation, report.reduction, found.status))
+    title = "Friction, random cases"
+    columns = (
+        "case",
+        "of",
+        "dofs",
+        "asked",
+        "s",
+        "converged",
+        "H",
+        "truncation",
+        "modes",
+        "status",
+    )
+    common.save_table(arguments.folder / "cold_starts_friction.csv", title, columns, rows)
+
+
+def friction_case(
+    number: int,
+) -> tuple[str, fc.Structure, float, fc.CoulombFriction, dict[str, Any]]:
+    """Name, structure, frequency, law and what is asked for."""
+    random = np.random.default_rng(4000 + number)
+    mu, ratio = (
+        float(np.exp(random.uniform(*np.log(ends)))) for ends in ((0.05, 1), (0.001, 0.02))
+    )
+    name = ("chain", "inclined_crack", "breathing_plate", "paper_plate")[number % 4]
+    shut = float(random.choice([0.0, 0.3, 1.0, 3.0]))
+    if name == "chain":
+        pairs = int(random.integers(1, 4))
+        count = 2 * pairs + int(random.integers(0, 5))
+        mixed = random.normal(size=(count, count))
+        stiffness = np.diag(random.uniform(0.5, 2.0, count)) + 0.3 * mixed @ mixed.T / count
+        mass = np.diag(random.uniform(0.5, 2.0, count))
+        tangential, gap = np.eye(count)[:, : 2 * pairs : 2], np.eye(count)[:, 1 : 2 * pairs : 2]
+        structure: fc.Structure = fc.Structure.from_matrices(
+            mass, stiffness, gap=gap, tangential=tangential, force_cos=random.normal(size=count),
+            force_mean=shut * gap.sum(axis=1) * np.abs(random.normal(size=count)),
+            damping=fc.ModalDamping(ratio),
+        )  # fmt: skip
+        normal = float(10 ** random.uniform(0.0, 2.5))
+        law = fc.CoulombFriction(
+            fc.UnilateralPenalty(normal), mu, normal * random.uniform(0.3, 1.0)
+        )
+        near = np.sqrt(np.linalg.eigvalsh(np.linalg.solve(mass, stiffness)))
+    elif name == "paper_plate":
+        structure = pressed(name, random.uniform(0.0, 6.28), shut)
+        structure = structure.damped(fc.ModalDamping(max(ratio, 0.005)))
+        law = fc.CoulombFriction(fc.UnilateralPenalty(1e10), mu, 1e10)
+        near = fc.bilinear_frequencies(structure).omega_bilinear
+    else:
+        modes = int(random.choice([10, 20, 40]))
+        structure = pressed(name, random.uniform(0.0, 6.28), shut)
+        structure = structure.damped(fc.ModalDamping(ratio, modes))
+        structure = fc.reduce_structure(structure, modes=modes, method="massless")
+        law = fc.CoulombFriction(fc.UnilateralConstraint(), mu)
+        near = fc.bilinear_frequencies(structure).omega_bilinear
+    omega = float(near[random.integers(0, 2)] * random.choice([1.0, random.uniform(0.85, 1.15)]))
+    options: dict[str, Any]
+    if random.random() < 0.6:
+        options = {"harmonics": int(random.choice([5, 10, 20, 40, 100]))}
+    else:
+        options = {"tolerance": float(random.choice([0.05, 1e-2, 1e-3]))}
+    return name, structure, omega, law, options
+
+
+def pressed(name: str, angle: float, shut: float) -> fc.Structure:
+    """A plate of ``demos/`` loaded from an angle, with so many times as much mean load in the
+    direction that shuts its crack most."""
+    scene = fc.Scene.load(common.DEMOS / f"{name}.toml")
+    given = scene.excitation
+    size = float(np.linalg.norm([*given.force_sin, *given.force_cos]))
+
+    def loaded(force: np.ndarray, mean: np.ndarray) -> fc.Structure:
+        forces = {"force_sin": force.tolist(), "force_cos": [0.0, 0.0], "force_mean": mean.tolist()}
+        return fc.build_structure(
+            scene.replace({f"excitation.{key}": value for key, value in forces.items()})
+        )
+
+    still = np.zeros(2)
+    closing = np.array([
+        fc.solve_linear(loaded(size * way, still), 1.0, harmonics=1).gap_coefficients[2].mean()
+        for way in np.eye(2)
+    ])  # fmt: skip
+    turned = size * np.array([np.cos(angle), np.sin(angle)])
+    return loaded(turned, shut * size * closing / np.linalg.norm(closing))
 
 
 def other_weights(structure: fc.Structure, failed: Point) -> list[Point]:

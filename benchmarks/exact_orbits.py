@@ -10,6 +10,10 @@ population   an orbit and a verdict to a tolerance of 1e-2: 60 plates as `new` w
 few_pairs    curves around the first two modes of 200 systems of 1 or 2 pairs (the "few" of
              :mod:`campaign_cases`, with a penalty of .5 to 1000 times the static stiffness): every
              period doubling and Neimark-Sacker point against :mod:`reference_flow`
+between      10 curves of plates and chains, .05 to 1 % damped: the verdict that a curve states
+             between its points, every 50th of the default step, against :mod:`reference_flow`
+events       curves of 34 plates, those that take at most 2500 points: events of the default step
+             among those of it and of a fifth of it
 independence error and verdict of the chains of ``population``, H = 5 to 40, asked in two orders and
              after neighbours
 breathing    the breathing plate with 18 pairs with mass, H = 7: time with and without verdicts
@@ -54,6 +58,7 @@ from fenics_crack.cli.given import new_scene
 from fenics_crack.curves.follow import CurveOptions
 
 Row = dict[str, Any]
+Span = tuple[float, float]
 Measure = Callable[[bool], Iterator[Row]]
 Report = Callable[[list[Row], list[Row]], Iterator[tuple[str, bool | None]]]
 
@@ -465,7 +470,7 @@ def off_reference(flow: ReferenceFlow, one: Any) -> float:
     """Distance from the unit circle, or from -1, of the multiplier that a bifurcation has there, on
     the reference's orbit; inf where it has none."""
     if BRANCHES:  # the exact state: Newton's method may lead elsewhere from a solution to 1e-2
-        parts = np.split(one.state, 2)
+        parts = np.split(one.orbit.state, 2)
         state = flow.state(*(one.orbit.flow.modes.shapes @ part for part in parts))
     else:
         state = flow.states_of(one.solution, np.zeros(1))[0]
@@ -508,6 +513,150 @@ def same(one: Row, other: Row) -> bool:
     """Whether two rows are the same bifurcation."""
     alike = all(one[key] == other[key] for key in ("case", "kind"))
     return alike and abs(one["omega"] / other["omega"] - 1.0) <= ALIKE
+
+
+# --- between the points ---------------------------------------------------------------------------
+
+STEP, FINER, CLOSE_TO, SOON = 0.05, 50, 1e-3, 2500
+"""Default step, how many parts of it are examined, relative distance of two events that are one,
+and maximum points of a curve."""
+
+
+def lightly_damped(first: int, count: int) -> Iterator[tuple[str, fc.Structure, Span, Any]]:
+    """Plates, from seed 1000 on chains: name, structure, range [rad/s], law."""
+    for seed in range(first, first + count):
+        rng = np.random.default_rng(seed)
+        ratio = float(np.exp(rng.uniform(np.log(5e-4), np.log(1e-2))))
+        if seed < 1000:
+            _, structure, law = new(
+                crack__length=0.1 * float(rng.uniform(0.15, 0.45)),
+                mesh__lip_elements=int(rng.integers(4, 9)),
+                reduction__modes=int(rng.integers(10, 25)),
+                damping__ratio=ratio,
+            )
+            near = float(fc.bilinear_frequencies(structure).omega_bilinear[0])
+        else:
+            structure, law = random_chain(seed)
+            ratio = 0.5 * float(structure.damping.ratio)
+            structure = structure.varied(damping=0.5)
+            near = float(fc.solve_modes(structure, 1).omega[0])
+        near *= float(rng.choice([1.0, 1.0 / 2.0, 1.0 / 3.0, rng.uniform(0.3, 3.0)]))
+        yield f"{seed}, {100.0 * ratio:.2g} %", structure, (0.85 * near, 1.15 * near), law
+
+
+def between(quick: bool) -> Iterator[Row]:
+    """One row for each curve."""
+    for first in 100, 1100:
+        for name, structure, span, law in lightly_damped(first, 1 if quick else 5):
+            row, curve = followed(name, structure, span, law, most_points=SOON)
+            yield row | ({} if curve is None else false_verdicts(curve, span))
+
+
+def false_verdicts(curve: fc.ResponseCurve, span: Span) -> Row:
+    """Share of a curve's way through its range with another verdict than the reference's, and the
+    widest stretch of it, over the resolution and over the longest step taken."""
+    flow, omega = ReferenceFlow(curve.structure, curve.contact), curve.values
+    spacing, shapes = STEP * (span[1] - span[0]) / FINER, curve.orbit(0).flow.modes.shapes
+    way = np.append(0.0, np.cumsum(np.abs(np.diff(omega))))
+    met = np.arange(spacing, way[-1], spacing)
+    folded = {curve.nearest(one) for one in curve.bifurcations if one.kind == "fold"}
+    wrong, judged = np.zeros(len(met), dtype=bool), 0
+    for number, at in enumerate(met):
+        place = int(np.searchsorted(way, at)) - 1
+        if {place, place + 1} & folded:  # two orbits, of which Newton's method may find the other
+            continue
+        share = (at - way[place]) / (way[place + 1] - way[place])
+        value = float(omega[place] + share * (omega[place + 1] - omega[place]))
+        state = (1.0 - share) * curve.states[place] + share * curve.states[place + 1]
+        start = flow.state(*(shapes @ part for part in np.split(state, 2)))
+        try:
+            orbit = flow.orbit(start, value, curve.subharmonic * 2.0 * np.pi / value)
+        except (NoOrbit, np.linalg.LinAlgError):
+            continue
+        judged += 1
+        wrong[number] = (abs(orbit.multipliers[0]) < 1.0) != stated_stable(curve, place, value)
+    stretches = "".join("x" if one else " " for one in wrong).split()
+    widest = spacing * max(map(len, stretches), default=0)
+    longest = float(np.abs(np.diff(omega)).max())
+    return {
+        "judged": judged, "of": len(met), "false": float(wrong.mean()),
+        "widest/resolution": widest / getattr(curve, "resolution", np.nan),
+        "resolution/longest": getattr(curve, "resolution", np.nan) / longest,
+    }  # fmt: skip
+
+
+def stated_stable(curve: fc.ResponseCurve, place: int, value: float) -> bool:
+    """What a curve states of a value between two points: its verdict changes at the events."""
+    ends = curve.values[place], curve.values[place + 1]
+    events = [value_of(one) for one in curve.bifurcations if one.kind != "fold"]
+    inside = sorted(one for one in events if min(ends) < one < max(ends))
+    if not inside:
+        return bool(curve.stable[place])
+    nearer = abs(value - ends[0]) < abs(inside[0] - ends[0])
+    return bool(curve.stable[place if nearer else place + 1])
+
+
+def of_between(now: list[Row], before: list[Row]) -> Iterator[tuple[str, bool | None]]:
+    """At most .1 % of each range false, and no stretch wider than the resolution, which is at most
+    a fifth of the longest step taken."""
+    for name, rows in named(now, before):
+        known = [row for row in rows if "false" in row]
+        worst = max(row["false"] for row in known)
+        yield f"{name}: {spent(known, 'judged'):.0f} of {spent(known, 'of'):.0f} judged", None
+        yield f"{name}: at most {100.0 * worst:.2g} % of a range false", worst <= 1e-3
+        wide = [row["widest/resolution"] for row in known]
+        yield f"{name}: widest over the resolution {max(wide):.2g}", max(wide) <= 1.0
+        share = max(row["resolution/longest"] for row in known)
+        yield f"{name}: resolution over longest step {share:.2g}", share <= 0.2
+        yield f"{name}: {spent(rows):.1f} s", None
+    if before:
+        yield f"{spent(now) / spent(before):.2f} times as long as before", None
+
+
+def events(quick: bool) -> Iterator[Row]:
+    """One row for each plate."""
+    for name, structure, span, law in lightly_damped(200, 4 if quick else 34):
+        row, curve = followed(name, structure, span, law, most_points=SOON)
+        if curve is None or not curve.complete:
+            continue
+        fine = followed(name, structure, span, law, most_points=5 * SOON, longest_step=STEP / 5)
+        if fine[1] is None or not fine[1].complete:
+            continue
+        known = stated(curve)
+        missing = apart(stated(fine[1]), known)
+        count = {"events": len(known) + len(missing), "missing": len(missing)}
+        yield row | count | {"fine": fine[0]["s"]}
+
+
+def apart(some: list[Any], others: list[Any]) -> list[Any]:
+    """Those events that are none of the others."""
+    left, lacking = list(others), []
+    for one in some:
+        alike = [
+            other for other in left
+            if other.kind == one.kind and abs(value_of(other) / value_of(one) - 1.0) <= CLOSE_TO
+        ]  # fmt: skip
+        if alike:
+            left.remove(min(alike, key=lambda other: abs(value_of(other) - value_of(one))))
+        else:
+            lacking.append(one)
+    return lacking
+
+
+def of_events(now: list[Row], before: list[Row]) -> Iterator[tuple[str, bool | None]]:
+    """97 % of the events by the default step."""
+    for name, rows in named(now, before):
+        count, lacking = spent(rows, "events"), spent(rows, "missing")
+        yield (
+            f"{name}: {count - lacking:.0f} of {count:.0f} events on {len(rows)} curves",
+            count >= 100 and lacking <= 0.03 * count,
+        )
+        yield (
+            f"{name}: {spent(rows):.1f} s, with a fifth of the step {spent(rows, 'fine'):.1f}",
+            None,
+        )
+    if before:
+        yield f"{spent(now) / spent(before):.2f} times as long as before", None
 
 
 # --- processes ------------------------------------------------------------------------------------
@@ -633,6 +782,7 @@ def of_demos(now: list[Row], before: list[Row]) -> Iterator[tuple[str, bool | No
 SECTIONS: dict[str, tuple[Measure, Report]] = {
     "chains": (chains, of_chains), "lobes": (lobes, of_lobes),
     "population": (population, of_population), "few_pairs": (few_pairs, of_few_pairs),
+    "between": (between, of_between), "events": (events, of_events),
     "independence": (independence, of_independence), "breathing": (breathing, of_breathing),
     "many": (many, of_many), "snes": (snes, of_snes), "demos": (demos, of_demos),
 }  # fmt: skip

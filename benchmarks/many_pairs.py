@@ -27,6 +27,10 @@ curves: the plate that ``new`` writes with 8 and 20 pairs, rigid, 1 %, 30 modes,
 times its first frequency: what a point of a curve costs in the kernel and, in the same run, by the
 loops of Python; how far the two curves are apart at the frequencies of the one.
 
+given: H = 5 to 40, rigid, 150 modes, the plate and the steel plate: time of the search alone, with
+the error, and of the verdict; the stated error over the distance to the orbit found from H = 80.
+Run with another version it is what the times of this one are compared with.
+
     OMP_NUM_THREADS=1 python benchmarks/many_pairs.py [--quick] [--only PART] [folder]
 """
 
@@ -34,6 +38,7 @@ from __future__ import annotations
 
 import itertools
 import time
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -45,6 +50,8 @@ import scipy.linalg
 import scipy.sparse as sparse
 
 import fenics_crack as fc
+from fenics_crack.balance.assessment import distance
+from fenics_crack.balance.solution import Solver
 from fenics_crack.curves.family import Family
 from fenics_crack.model.factor import Factor
 from fenics_crack.numerics.fourier import evaluate
@@ -72,7 +79,7 @@ def main() -> None:
         __doc__,
         {
             "plate": plate, "today": today, "march": march, "steel": steel, "large": large,
-            "unknowns": unknowns, "curves": curves,
+            "unknowns": unknowns, "curves": curves, "given": given,
         },
     )  # fmt: skip
 
@@ -287,7 +294,7 @@ def march(arguments: common.Arguments) -> None:
 # --- verdicts -------------------------------------------------------------------------------------
 
 
-def steel_plate() -> fc.Structure:
+def steel_plate(modes: int = 20) -> fc.Structure:
     """80 x 200 x 2 mm, edge crack 25 mm, 8 pairs, 0.2 % of damping."""
     scene = fc.Scene.load(common.DEMOS / "breathing_plate.toml").replace(
         {
@@ -298,7 +305,7 @@ def steel_plate() -> fc.Structure:
             "mesh.lip_elements": 4,
         }
     )  # fmt: skip
-    return fc.reduce_structure(fc.build_structure(scene), modes=20, method="massless")
+    return fc.reduce_structure(fc.build_structure(scene), modes=modes, method="massless")
 
 
 def steel(arguments: common.Arguments) -> None:
@@ -573,6 +580,52 @@ def curves(arguments: common.Arguments) -> None:
         arguments.folder / "many_pairs_curves.csv", "A point of a curve",
         ("pairs", "H", "points", "in Python", "ms", "ms in Python", "apart"), rows,
     )  # fmt: skip
+
+
+# --- H given --------------------------------------------------------------------------------------
+
+
+def given(arguments: common.Arguments) -> None:
+    """The search alone, its error and its verdict."""
+    plate = fc.reduce_structure(damped_plate(), modes=150, method="massless")
+    some = slice(None, None, 5 if arguments.quick else 1)
+    frequencies = {
+        "plate": np.arange(1000.0, 3001.0, 100.0),
+        "steel": np.arange(6e3, 15001.0, 750.0),
+    }
+    rows = []
+    for name, structure in (("plate", plate), ("steel", steel_plate(150))):
+        for omega in frequencies[name][some]:
+            orbit = None
+            for harmonics in (80, 5, 10, 20, 40):
+                problem, times = fc.Problem(structure, omega, LAWS["rigid"], harmonics), []
+                if harmonics == 80:
+                    orbit = solved(problem).assessment.orbit
+                    continue
+                for step in (partial(solved, reported=False), solved):
+                    started = time.process_time()
+                    found = step(problem)
+                    times.append(1e3 * (time.process_time() - started))
+                started = time.process_time()
+                verdict = fc.floquet(structure, found).verdict if found.converged else "-"
+                times.append(1e3 * (time.process_time() - started))
+                away = np.nan if orbit is None else distance(found, orbit)
+                stated = found.report.truncation
+                rows.append((name, omega, harmonics, *times, verdict, stated, away, stated / away))
+    common.save_table(
+        arguments.folder / "many_pairs_given.csv", "H given, rigid, 150 modes",
+        ("case", "omega", "H", "search ms", "with error", "verdict", "is", "stated", "true",
+         "ratio"),
+        rows,
+    )  # fmt: skip
+    ratios = np.array([row[-1] for row in rows])
+    within = np.mean((ratios >= 0.4) & (ratios <= 3.0))
+    print(f"stated over true within .4 to 3: {within:.2f} of {len(rows)}")
+
+
+def solved(problem: fc.Problem, *, reported: bool = True) -> fc.PeriodicSolution:
+    """From a cold start, with its errors or without."""
+    return Solver(problem, throw=False).attempt(None, reported=reported)[1]
 
 
 if __name__ == "__main__":

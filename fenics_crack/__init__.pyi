@@ -61,6 +61,7 @@ from fenics_crack.fatigue.growth import Growth as Growth
 from fenics_crack.fatigue.growth import grow as grow
 from fenics_crack.fem.build import build_structure as build_structure
 from fenics_crack.fem.build import find_crack_length as find_crack_length
+from fenics_crack.fem.matrix_files import write_matrices as write_matrices
 from fenics_crack.fem.plate import write_msh as write_msh
 from fenics_crack.files.results import load as load
 from fenics_crack.files.results import save as save

@@ -308,7 +308,8 @@ def test_friction(tmp_path: Path) -> None:
     found = load("friction").main(tmp_path)
     free, rubbing = found["peak without friction [m]"], found["peak with friction [m]"]
     assert 0.45 < rubbing / free < 0.55
-    assert found["friction left out, up to about"] > 1.0
+    part = found["friction left out, part of the peak"]
+    assert 0.5 < part / (1.0 - rubbing / free) < 2.0  # 20 modes have another peak than ten
     assert found["loss by friction over that by damping"] == pytest.approx(0.814, abs=0.005)
     assert {"response.png", "loops.png"} == {path.name for path in tmp_path.iterdir()}
 

@@ -100,6 +100,8 @@ class ContactSystem:
         """U, None where it is not needed."""
         size = rows * (pairs if self.basis is None else self.basis.shape[1])
         self.matrix_free = integrals.coupled and size > MATRIX_FREE
+        self.work = min(size, MATRIX_FREE)
+        """Unknowns by which the time of a step grows."""
 
     @cached_property
     def linear(self) -> np.ndarray:

@@ -8,7 +8,8 @@ J of F(g) = g + R b(g) - g_lin at the solution, and a disturbance d of b,
 - truncation: d are the harmonics left out, of equations that have them;
 - sampling: d is the difference between the contact integrals used and finer or exact ones; by
   collocation this is the aliasing;
-- reduction: R lacks delta R, known from a larger basis: R d becomes delta R b - delta g_lin.
+- reduction: R lacks delta R, of which a share is known from a larger basis: R d becomes
+  (delta R b - delta g_lin) / share.
 
 Truncation is assessed by the exact flow (:mod:`assessment`); where that is not at
 hand it, and reduction where pairs have a residual flexibility, are the change by Newton's method
@@ -30,7 +31,7 @@ from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.compliance import Compliance
 from fenics_crack.balance.contact_integrals import respond
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem, Wave
-from fenics_crack.balance.more_modes import UNKNOWN, seen_parts
+from fenics_crack.balance.more_modes import UNKNOWN, Errors, left_out, reference_of, seen_parts
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.tables import Described
 from fenics_crack.model.contact import REGULAR, as_penalty, is_regular, is_rigid
@@ -177,7 +178,8 @@ def beside(found: Wave, better: Wave) -> ErrorReport:
     size = mean_square(better.gap_coefficients - found.gap_coefficients)
     gap = math.sqrt(size / moving_mean_square(closing))
     at_load = _at_load(found, better.structure, better.displacement_coefficients)
-    return ErrorReport(reduction=min(gap, UNKNOWN), displacement=min(at_load, UNKNOWN))
+    reduction, displacement = left_out(found.structure, (gap, at_load))
+    return ErrorReport(reduction=reduction, displacement=displacement)
 
 
 def _at_load(wave: Wave, structure: Structure, displacement: np.ndarray) -> float:
@@ -193,10 +195,6 @@ def _at_load(wave: Wave, structure: Structure, displacement: np.ndarray) -> floa
     )  # fmt: skip
     square = mean_square(better - known) / moving_mean_square(known)
     return math.sqrt(square) if known.any() else 0.0
-
-
-Errors = tuple[float, float]
-"""Errors of the gap, and of the displacement at the load; at most :data:`UNKNOWN`."""
 
 
 def _errors(
@@ -275,10 +273,9 @@ def _improvement(
 
 
 def _lost_in_reduction(at: ContactPoint, wave: Wave, problem: Problem) -> Errors:
-    """Return the change due to the compliance of the reduced structure's reference."""
-    structure, used = problem.structure, at.system.compliance
-    assert isinstance(structure, ReducedStructure)
-    reference = structure.reference
+    """Return the errors due to the modes left out, by the compliance of the reduced structure's
+    reference."""
+    reference, used = reference_of(wave), at.system.compliance
     if reference is None:
         return 0.0, 0.0
     other = replace(problem, structure=reference)
@@ -301,7 +298,7 @@ def _lost_in_reduction(at: ContactPoint, wave: Wave, problem: Problem) -> Errors
         free = better.linear_gap - used.linear_gap
         moved = at.solve(free - respond(better.matrices - used.matrices, at.force))
         changes = at.gap_of(moved), at.force_of(moved)
-    return _errors(at, wave, changes, reference, better)
+    return left_out(problem.structure, _errors(at, wave, changes, reference, better))
 
 
 def _penetration(at: ContactPoint, problem: Problem) -> np.ndarray:

@@ -99,8 +99,9 @@ class FrictionIntegrals(ContactIntegrals):
         (2H+1, 2 n_pairs)."""
         count, turn = self.instants, 2.0 * np.pi
         every = np.concatenate([turn / count * np.arange(count), np.mod(phase, turn)])
-        passed, place = np.unique(every, return_inverse=True)
-        forces, _, places = self.march(evaluate(gap, 1.0, passed))
+        values = np.concatenate([sampled(gap, count), evaluate(gap, 1.0, phase)])
+        _, first, place = np.unique(every, return_index=True, return_inverse=True)
+        forces, _, places = self.march(values[first])
         asked = place[count:]
         return forces[asked], places[asked]
 

@@ -34,7 +34,7 @@ from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.block_system import FORMS
 from fenics_crack.balance.compliance import DynamicStiffness, ModalCompliance, load_coefficients
 from fenics_crack.balance.error_report import ErrorReport, beside
-from fenics_crack.balance.more_modes import UNKNOWN
+from fenics_crack.balance.more_modes import UNKNOWN, reference_of
 from fenics_crack.balance.problem import Problem, check_memory, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import (
@@ -55,6 +55,7 @@ from fenics_crack.model.modes import LIPS
 from fenics_crack.model.reduced import ReducedStructure, massless
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
+from fenics_crack.model.wheel import Wheel
 from fenics_crack.motion.flow import ContactFlow, exact_flow, flow_of
 from fenics_crack.motion.orbit import FORMED, INSTANTS, OrbitCoefficients, PeriodicOrbit, affordable
 from fenics_crack.motion.search import PARTS, OrbitSearch, SearchOptions, search_orbit
@@ -95,7 +96,7 @@ def solve_linear(
     harmonics = max(Problem.harmonics, least) if harmonics is None else harmonics
     check_count("harmonics", harmonics, least)
     found = _without_contact(structure, omega, harmonics)
-    reference = structure.reference if isinstance(structure, ReducedStructure) else None
+    reference = reference_of(found)
     if reference is None:
         return found
     return replace(found, report=beside(found, _without_contact(reference, omega, harmonics)))
@@ -391,7 +392,10 @@ def _told(solver: Solver, found: PeriodicSolution, tolerance: float) -> Periodic
         kept = f", {size}"
         if lips is not None:
             kept = f", {lips.n_modes} modes ({size})"
-            more = f"modes {2 * lips.n_modes}, in about twice the time"
+            more = f"modes {2 * lips.n_modes}"
+            if isinstance(lips.whole, Wheel):
+                more = f"disk.families {2 * lips.n_modes // lips.whole.sector.count}"
+            more += ", in about twice the time"
     if report.total <= tolerance:
         chosen = f"chosen for an error of {tolerance:g}: H = {found.harmonics}{kept}"
         return replace(found, status=f"{found.status}; {chosen}")
@@ -435,7 +439,9 @@ def _solved(solver: Solver, tolerance: float, initial: PeriodicSolution | None) 
 # --- by an orbit ----------------------------------------------------------------------------------
 
 
-def initial_orbit(problem: Problem, initial: PeriodicSolution | None = None) -> OrbitSearch:
+def initial_orbit(
+    problem: Problem, initial: PeriodicSolution | None = None, options: SearchOptions | None = None
+) -> OrbitSearch:
     """Search for an exact orbit from harmonic-balance solutions with more and more harmonics, all
     sought from an initial one, whose orbit is the first then.
 
@@ -445,21 +451,25 @@ def initial_orbit(problem: Problem, initial: PeriodicSolution | None = None) -> 
         There is no exact flow.
     """
     flow = exact_flow(problem.structure, problem.contact)
-    return _sought(Solver(problem, throw=False), flow, initial)[1]
+    return _sought(Solver(problem, throw=False), flow, initial, options)[1]
 
 
 def _sought(
-    solver: Solver, flow: ContactFlow, initial: PeriodicSolution | None
+    solver: Solver,
+    flow: ContactFlow,
+    initial: PeriodicSolution | None,
+    options: SearchOptions | None = None,
 ) -> tuple[list[PeriodicSolution], OrbitSearch]:
     """The same, and these solutions."""
     problem, balanced = solver.problem, list[PeriodicSolution]()
+    options = options or SearchOptions()
 
     def guesses() -> Iterator[np.ndarray]:
         if initial is not None and initial.orbit is not None:
             known = initial.orbit
             if initial.structure is problem.structure and known.subharmonic == problem.subharmonic:
                 yield known.sampled.whole_states[:: INSTANTS // PARTS]
-        for count in SearchOptions.harmonics:
+        for count in options.harmonics:
             few = problem.with_harmonics(problem.few_harmonics(count))
             near = _begun(solver, few).attempt(initial, wholly=False, reported=False)[1]
             if near.converged:
@@ -467,7 +477,7 @@ def _sought(
                 yield near.assessment.states
 
     found = search_orbit(
-        flow, problem.omega, guesses(), problem.subharmonic, any_other=initial is None
+        flow, problem.omega, guesses(), problem.subharmonic, options, any_other=initial is None
     )
     return balanced, found
 

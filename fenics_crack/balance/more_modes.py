@@ -3,7 +3,14 @@
 The reference of a reduced structure has more modes (:mod:`fenics_crack.model.reduction`). Those
 that crack faces without mass leave out begin as their statics have them, Lambda q = f - P lambda.
 One step of Newton's method of the whole motion on the reference's flow estimates the change of the
-gaps; the orbit that is found from there gives it exactly.
+gaps; the orbit that is found from there gives it exactly. The reference has a share of what is left
+out, so that
+
+    e = |f - f_ref| / share.
+
+What answers quasi-statically has no damping. By Rayleigh's a M + b K it would dissipate, in a
+period, b times the integral of c'^T S c', c the coordinates without mass and S their stiffness: the
+reference has its share of that, too, as so much more damping of its modes.
 """
 
 from __future__ import annotations
@@ -15,11 +22,10 @@ import numpy as np
 
 from fenics_crack.balance.contact_system import Wave
 from fenics_crack.balance.friction_integrals import coupled_integrals
-from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import NEGLIGIBLE, times
 from fenics_crack.model.reduced import ReducedStructure, massless
-from fenics_crack.model.structure import Structure
+from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.motion.flow import ContactFlow, Samples, flow_of
 from fenics_crack.motion.orbit import (
     FLOWS,
@@ -42,16 +48,47 @@ UNKNOWN = 1.0
 """Relative error returned when no estimate exists."""
 
 
-def reference_flow(
-    structure: Structure, contact: ContactLaw, omega: float, subharmonic: int
-) -> ContactFlow | None:
-    """The flow of the reference of a reduced structure; None where there is none, or a step on it
-    would take long."""
-    reference = structure.reference if isinstance(structure, ReducedStructure) else None
-    if reference is None or not is_small(reference):
+Errors = tuple[float, float]
+"""Errors of the gap, and of the displacement at the load; at most :data:`UNKNOWN`."""
+
+
+def reference_of(wave: Wave) -> ReducedStructure | None:
+    """Return the reference of the reduced structure of a solution, which is damped more where what
+    the modes leave out has no damping; None where there is none."""
+    structure = wave.structure
+    if not isinstance(structure, ReducedStructure) or structure.reference is None:
         return None
-    flow = flow_of(reference, contact)
-    return flow if flow is not None and affordable(flow, omega, subharmonic, FLOWS) else None
+    more = structure.share * _undamped(wave)
+    return structure.reference.varied(damping=1.0 + more) if more else structure.reference
+
+
+def _undamped(wave: Wave) -> float:
+    """Return the energy that Rayleigh damping would dissipate in what the modes leave out, relative
+    to what it dissipates in these; 0 with another damping."""
+    lips = massless(wave.structure)
+    if lips is None or not isinstance(lips.original.damping, RayleighDamping):
+        return 0.0
+    rows = np.repeat(np.arange(1.0, wave.harmonics + 1), 2)[:, None]
+    modal, static = np.split(rows * wave.displacement_coefficients[1:], [lips.n_modes], axis=1)
+    lost = lips.original.damping.stiffness * np.sum(static @ lips.compliance * static)
+    return float(lost / max(np.sum(modal**2 @ lips.rate), NEGLIGIBLE * lost, 1e-300))
+
+
+def left_out(structure: Structure, changes: Errors) -> Errors:
+    """Return the errors due to the modes left out, by the changes to a structure's reference."""
+    share = structure.share if isinstance(structure, ReducedStructure) else 1.0
+    return min(changes[0] / share, UNKNOWN), min(changes[1] / share, UNKNOWN)
+
+
+def reference_flow(wave: Wave) -> ContactFlow | None:
+    """The flow of the reference of a solution's reduced structure; None where there is none, or a
+    step on it would take long."""
+    reference = reference_of(wave)
+    if reference is None or wave.contact is None or not is_small(reference):
+        return None
+    flow = flow_of(reference, wave.contact)
+    known = flow is not None and affordable(flow, wave.omega, wave.subharmonic, FLOWS)
+    return flow if known else None
 
 
 @dataclass(frozen=True)
@@ -141,9 +178,8 @@ class MoreModes:
         return predicted_with_more_modes(flow, omega, states, few.inverse, lips.n_modes, periods)
 
     @cached_property
-    def changes(self) -> tuple[float, float]:
-        """Changes of the gap, and of the displacement at the load, by that step, at most
-        :data:`UNKNOWN`, the value where the time integration fails."""
+    def changes(self) -> Errors:
+        """Errors by that step; :data:`UNKNOWN` where the time integration fails."""
         if self.prediction is None:
             return UNKNOWN, UNKNOWN
         wave, states = self.wave, self._states
@@ -154,12 +190,12 @@ class MoreModes:
         at_load = relative_to_motion(
             moved, wave.coordinates(self._time) @ wave.structure.force[seen].T
         )
-        return min(self._of_gap(self._gap(ahead) - gap, gap), UNKNOWN), min(at_load, UNKNOWN)
+        return left_out(wave.structure, (self._of_gap(self._gap(ahead) - gap, gap), at_load))
 
     @property
-    def distances(self) -> tuple[float, float]:
-        """The same between the orbits with these modes and without them; by the step where one is
-        not known."""
+    def distances(self) -> Errors:
+        """The same by the orbits with these modes and without them; by the step where one is not
+        known."""
         few, many = self.nearest, self.orbit
         if few is None or many is None:
             return self.changes
@@ -168,7 +204,7 @@ class MoreModes:
             orbit.sampled.displacement @ orbit.flow.structure.force[seen].T for orbit in (few, many)
         )
         of_gap = self._of_gap(many.sampled.gaps - gap, gap)
-        return min(of_gap, UNKNOWN), min(relative_to_motion(more - moved, moved), UNKNOWN)
+        return left_out(few.flow.structure, (of_gap, relative_to_motion(more - moved, moved)))
 
     def _of_gap(self, change: np.ndarray, gap: np.ndarray) -> float:
         """A change relative to what moves of B^T u; 0 where that is rounding."""

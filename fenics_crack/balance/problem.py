@@ -7,13 +7,15 @@ shortened steps lead from there:
 near       a given solution
 fewer      the linear solution; with many unknowns or pairs that are seen through a static
            compliance (:mod:`contact_system`) the solution with half the harmonics, which comes
-           from that with half of those, and so on; many from the exact orbit next to a solution
-           with fewer, which is near whatever their number
-without    with friction: the solution without, and the path from there on which the coefficient of
-           friction grows
+           from that with half of those, and so on, the first that is not found so by the path;
+           many from the exact orbit next to a solution with fewer, which is near whatever their
+           number
+without    with friction: the solution without
+orbit      the exact orbit next to the solution with fewer harmonics, or without friction; behind
+           the path where it has so many modes that a path takes less
 path       where the continuation in the compliance in series with every pair has its end,
            followed by arc-length through its folds, from where the solution is unique and close to
-           the linear one
+           the linear one; with friction that on which its coefficient grows
 
 The path cannot return to soft contact, but several stiff pairs with little damping have thousands
 of folds on their way: all starts together take a certain number of iterations and no more. A gap
@@ -23,6 +25,7 @@ no residual can be smaller than that.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
@@ -43,7 +46,7 @@ from fenics_crack.balance.contact_integrals import (
     respond,
 )
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem, Wave, default_weight
-from fenics_crack.balance.friction_integrals import coupled_integrals
+from fenics_crack.balance.friction_integrals import FrictionIntegrals, coupled_integrals
 from fenics_crack.basics.errors import (
     MAX_SAMPLES,
     InputError,
@@ -67,7 +70,7 @@ from fenics_crack.model.contact import (
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import flow_of
-from fenics_crack.motion.orbit import affordable
+from fenics_crack.motion.orbit import FORMED, PeriodicOrbit, affordable
 from fenics_crack.motion.search import SearchOptions, search_orbit, wave_states
 from fenics_crack.numerics.equations import (
     EPSILON,
@@ -110,6 +113,9 @@ pairs at all instants."""
 COMPILED = 5000
 """Search budget: iterations of all initial guesses together, with 300 unknowns in the kernel: 5 to
 8 s."""
+RUBBING = 8e6
+"""The same with friction, times the instants and the unknowns of a step, at most those of which J
+is formed: 1 to 3 s."""
 
 
 @dataclass(frozen=True)
@@ -359,6 +365,8 @@ class Search:
     """True if the last attempt met the tolerance."""
     iterations: int = 0
     """Newton iterations, all attempts together."""
+    orbit: PeriodicOrbit | None = None
+    """Exact orbit from whose coefficients the last attempt began."""
     history: list[float] = field(default_factory=list)
     """``|F|`` of every iteration by SNES: where the kernel has the equations, of a last attempt
     when all have failed."""
@@ -366,6 +374,7 @@ class Search:
     """Attempts and their outcomes, in words."""
     _rounding: float = ROUNDING
     _most: float = 0.0
+    _fewer: ContactPoint | None = None
 
     @property
     def status(self) -> str:
@@ -421,7 +430,7 @@ class Search:
     def _newton(self, snes: Newton | None, guess: np.ndarray) -> Linearisation:
         """Return the point reached by full steps of SNES, or else of the kernel."""
         if snes is not None:
-            at, self.converged, count = snes.solve(guess, 1.0, self.tolerance, FULL_STEPS)
+            at, self.converged, count = snes.solve(guess, 1.0, self.tolerance, self._at_once)
             self.iterations += count
             return at
         found = self._steps(self.system, guess)
@@ -433,9 +442,15 @@ class Search:
     ) -> Linearisation | None:
         """Return the point reached by full steps, to a tolerance that is larger than the search's,
         or at a point of the path; None where they do not converge."""
-        found = solve_at(system, guess, at, tolerance=max(self.tolerance, tolerance))
-        self.iterations += FULL_STEPS if found is None else found.iterations
+        most, sharp = self._at_once, max(self.tolerance, tolerance)
+        found = solve_at(system, guess, at, tolerance=sharp, iterations=most)
+        self.iterations += most if found is None else found.iterations
         return None if found is None else found.at
+
+    @property
+    def _at_once(self) -> int:
+        """Iterations that a guess may take, which with many harmonics and friction are few."""
+        return min(FULL_STEPS, math.ceil(self.share * _iterations(self.system)))
 
     @property
     def _spent(self) -> bool:
@@ -456,13 +471,25 @@ class Search:
             counts = halved(problem.harmonics, enough)
             name = "from fewer harmonics" if many else "full Newton steps"
             yield name, self._climb(problem, counts)
-        if not self._spent:
-            yield "continuation in the contact compliance", self._path()
+        quantity = "coefficient of friction" if problem.friction else "contact compliance"
+        rest = [(f"continuation in the {quantity}", self._path(system))] * (not self._spent)
+        if self.share == 1.0 and system.integrals.coupled and problem.harmonics <= self._many:
+            flow = flow_of(problem.structure, problem.contact)
+            late = flow is not None and flow.count > FORMED
+            rest.insert(len(rest) * late, ("from an exact orbit", self._next_to_orbit(problem)))
+        yield from rest
+
+    @property
+    def _many(self) -> int:
+        """Harmonics from which on an exact orbit is sought first."""
+        return self.problem.few_harmonics(SearchOptions.harmonics[-1])
 
     def _near(self, system: ContactSystem, guess: np.ndarray) -> Iterator[np.ndarray]:
         """A guess, and where steps from there lead that are shortened where the residual would
         grow."""
         yield guess
+        if self._spent:
+            return
         point = solve_near(system, guess, 1.0, tolerance=self.tolerance, full=False)
         self.iterations += STALL if point is None else point.iterations
         if point is not None:
@@ -471,82 +498,88 @@ class Search:
     def _climb(self, problem: Problem, counts: list[int]) -> Iterator[np.ndarray]:
         """Guesses for the last of some numbers of harmonics: the solution with the number before,
         for the first the linear one; where one is not found it is left out."""
-        many = problem.few_harmonics(SearchOptions.harmonics[-1])
-        at: ContactPoint | None = None
         for count in counts:
-            if count > many:
-                yield from self._next_to_orbit(problem, at)
-            system, before = self.system, self.iterations
+            if self._many < count <= 2 * self._many:
+                yield from self._next_to_orbit(problem)
+            system, before, at = self.system, self.iterations, self._fewer
             if count != counts[-1]:
                 few = resized_compliance(system.compliance, count)
                 system = problem.with_harmonics(count).system(few)
             start = system.linear if at is None else system.slow(at.gap, at.force)
-            for guess in self._near(system, start):
-                if system is self.system:
-                    yield guess
-                elif (found := self._steps(system, guess, NEARLY_SOLVED)) is not None:
-                    at = system.linearise(found.unknown)
-                    break
-            if system is not self.system:  # these cost little
-                self._most += self.iterations - before
-        if self.system.integrals.coupled and counts[-1] <= many:
-            yield from self._next_to_orbit(problem, at)
+            if system is self.system:
+                yield from self._near(system, start)
+                continue
+            found = self._nearly(system, self._near(system, start))
+            self._most += self.iterations - before  # these cost little
+            if found is None and not system.matrix_free:
+                found = self._nearly(system, self._path(system, 0.5))
+            self._fewer = found or at
+
+    def _nearly(self, system: ContactSystem, guesses: Iterator[np.ndarray]) -> ContactPoint | None:
+        """The first of some guesses from which full steps arrive, to the accuracy of a guess."""
+        found = (self._steps(system, guess, NEARLY_SOLVED) for guess in guesses)
+        return next((system.linearise(one.unknown) for one in found if one is not None), None)
 
     def _add_friction(self, problem: Problem) -> Iterator[np.ndarray]:
-        """The solution without friction, and where that leads to as friction grows."""
+        """The solution without friction, with the forces that belong to it."""
         free, system = replace(problem, contact=normal_law(problem.contact)), self.system
         compliance = free.compliance()
         try:
-            search = Search(free.system(compliance), free, self.tolerance, self.share)
+            search = Search(free.system(compliance), free, self.tolerance, 0.5 * self.share)
             at = search.solve()
         finally:
             compliance.destroy()
         self.iterations += search.iterations
+        self._most += search.iterations  # these cost little
         if not search.converged:
             return
         force = np.zeros(system.shape)
         force[:, : at.unknown.shape[1]] = search.system.integrals.force(at.unknown)
-        start = system.linear - respond(system.moving, force)
-        yield start
-        path = self._followed(system.along_friction(), start)
-        if path is not None:
-            yield path
+        self._fewer = system.linearise(system.linear - respond(system.moving, force))
+        if problem.harmonics > self._many:
+            yield from self._next_to_orbit(problem)
+        yield self._fewer.unknown
 
-    def _next_to_orbit(self, problem: Problem, at: ContactPoint | None) -> Iterator[np.ndarray]:
-        """The slow gap of the exact orbit next to a solution with fewer harmonics, or from rest;
+    def _next_to_orbit(self, problem: Problem) -> Iterator[np.ndarray]:
+        """The slow gap of the exact orbit next to the solution with fewer harmonics, or from rest;
         where it does not take long to find."""
-        flow = flow_of(problem.structure, problem.contact)
+        flow, at = flow_of(problem.structure, problem.contact), self._fewer
         omega, periods, guesses = problem.omega, problem.subharmonic, list[np.ndarray]()
         if flow is None or not affordable(flow, omega, periods):
             return
         if at is not None:
             moved = self.system.compliance.displacement(resized(at.force, problem.harmonics))
             guesses.append(wave_states(flow, moved, problem.base_omega))
-        orbit = search_orbit(flow, omega, guesses, periods, any_other=False).orbit
-        if orbit is not None:
-            known = orbit.coefficients(problem.harmonics)
+        self.orbit = search_orbit(flow, omega, guesses, periods, any_other=False).orbit
+        if self.orbit is not None:
+            known = self.orbit.coefficients(problem.harmonics)
+            self._most += self._at_once
+            self.remedy = "a tolerance, which takes the exact orbit that was found"
             yield from self._near(self.system, self.system.slow(known.gap, known.force))
+        self.orbit = None
 
-    def _path(self) -> Iterator[np.ndarray]:
-        """The end of the continuation in the contact compliance; one that goes as far beyond is
-        left."""
-        system = self.system.softened()
-        begun = self._steps(system, system.linear, at=0.0)
-        end = None if begun is None else self._followed(system, begun.unknown)
-        if end is not None:
-            yield end
-
-    def _followed(self, system: ContactSystem, begun: np.ndarray) -> np.ndarray | None:
-        """The end of the path of a system from its solution at p = 0, at p = 1."""
-        left = 1 + max(0, int(self._most) - self.iterations)
+    def _path(self, system: ContactSystem, share: float = 1.0) -> Iterator[np.ndarray]:
+        """The end of the continuation in the contact compliance, or with friction in its
+        coefficient, by a share of the iterations left; one that goes as far beyond is left."""
+        begun: Linearisation | None = self._fewer
+        if self.problem.friction:
+            system = system.along_friction()
+        else:
+            system = system.softened()
+            begun = self._steps(system, system.linear, at=0.0)
+        if begun is None:
+            return
+        left = 1 + max(0, int(share * (self._most - self.iterations)))
+        most = self.iterations + left
         at_once = min(PathOptions.at_once, 1 + left // STALL)
         options = replace(NARROW, rounding=self._rounding, max_steps=left, at_once=at_once)
-        path = Path(system, point_on_path(system, begun, 0.0), options, [Target(1.0)])
+        path = Path(system, point_on_path(system, begun.unknown, 0.0), options, [Target(1.0)])
         for point in path.points():
             self.iterations += point.iterations
-            if self._spent:
-                return None
-        return path.last.unknown if path.ended is Ended.MET else None
+            if self.iterations >= most:
+                return
+        if path.ended is Ended.MET:
+            yield path.last.unknown
 
 
 def halved(harmonics: int, enough: int) -> list[int]:
@@ -577,6 +610,9 @@ def rounding_left(compliance: Compliance, law: ContactLaw) -> float:
 def _iterations(system: ContactSystem) -> float:
     """Return the iterations that a search may take: they cost like the square of the unknowns where
     the kernel has them."""
+    integrals = system.integrals
+    if isinstance(integrals, FrictionIntegrals):
+        return RUBBING / (integrals.instants * system.work)
     dense = COMPILED * (300.0 / max(kernel.MANY, system.size)) ** 2
     if getattr(system, "compiled", None) is not None:
         return dense

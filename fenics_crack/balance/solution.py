@@ -348,13 +348,6 @@ class PeriodicSolution(Wave, Described):
         """The exact orbit whose Fourier coefficients these are; None where they are balanced."""
         return self.assessment.own
 
-    @cached_property
-    def friction_left_out(self) -> float:
-        """Up to about what friction would change of an amplitude, relative: half of
-        :attr:`PeriodicOrbit.friction_cap` of its exact orbit; nan where that is not known."""
-        orbit = self.orbit or (self.assessment.orbit if self.assessment.accepted else None)
-        return math.nan if orbit is None else 0.5 * orbit.friction_cap
-
     def displacement(self, time: np.ndarray, dofs: Sequence[int | None] = (None,)) -> np.ndarray:
         """Displacement of dofs, or of the watched one, at times [s]: (len(time), len(dofs)) [m]
         (collective)."""
@@ -483,15 +476,16 @@ def solution_of(
     search: bool = True,
     reported: bool = True,
     wave: Wave | None = None,
+    source: PeriodicOrbit | None = None,
 ) -> PeriodicSolution:
     """The solution that belongs to a point of the condensed equations, by default with the motion
-    that follows from it (collective).
+    that follows from it (collective), found from the coefficients of the orbit ``source``.
 
     With ``search`` its exact orbit is looked for; else its error is what is predicted without; and
     nothing is estimated where it is not ``reported``, or of equations that are not solved.
     """
     wave = wave or problem.wave(at)
-    known = Assessment(wave)
+    known = Assessment(wave, source=source)
     found = PeriodicSolution(**vars(wave), status=status, converged=converged, assessment=known)
     if not reported:
         return replace(found, report=NOT_ESTIMATED)
@@ -546,7 +540,7 @@ class Solver:
             search, at, wave = replace(self, problem=problem).find(compliance, initial, share)
             found = solution_of(
                 problem, at, status=search.status, converged=search.converged, reported=reported,
-                wave=wave,
+                wave=wave, source=search.orbit,
             )  # fmt: skip
         finally:
             compliance.destroy()

@@ -14,7 +14,7 @@ import errno
 import os
 import shutil
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from fenics_crack.basics.errors import InputError, WriteError
@@ -23,6 +23,8 @@ DEVICES = "/dev", "/dev/fd", "/proc/self/fd"
 """Folders of devices and open files, which are written as they are."""
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 """Errors of a disk that takes no more; others come from a path that cannot be used."""
+BEFORE = "before"
+"""Folder in which files that are replaced are kept, beside those that take their place."""
 
 
 def write_whole(path: str | Path, content: bytes | str, key: str = "path") -> None:
@@ -121,6 +123,23 @@ def keep_files(names: Sequence[str], folder: Path, kept: Path) -> bool:
         if (kept / other).is_symlink() or not (kept / other).is_dir():
             (kept / other).unlink(missing_ok=True)
     return bool(there)
+
+
+def replace_files(names: Sequence[str], folder: Path, contents: Mapping[str, str]) -> None:
+    """Write files of some names into a folder in place of all of these, which are kept in
+    :data:`BEFORE` below it.
+
+    Raises
+    ------
+    InputError
+        As of :func:`prepare_folder` and :func:`not_written`.
+    """
+    prepare_folder(folder, (BEFORE,), "folder")
+    with reported(folder, "folder"):
+        keep_files(names, folder, folder / BEFORE)
+        write_together((folder / name, content) for name, content in contents.items())
+        for name in {*names} - {*contents}:
+            (folder / name).unlink(missing_ok=True)
 
 
 def prepare_folder(folder: Path, inner: Iterable[str] = (), key: str = "--output") -> None:

@@ -62,7 +62,6 @@ OTHERS = {
     "displacement_error": ("relative error of the displacement at the load", "-"),
     "total_error": ("relative error of the gap by modes and harmonics", "-"),
     "penetration_share": ("relative penetration", "-"),
-    "friction_left_out": ("relative change by friction, which is left out, up to about", "-"),
     "from_rest": ("the motion from rest", "-"),
     "rest_amplitude": ("half peak-to-peak, motion from rest", "m"),
     "unknown_error": ("reason of the unknown error", "-"),
@@ -71,7 +70,7 @@ OTHERS = {
 """Words and unit of the printed quantities of a solution or a motion beside the indicators."""
 IN_FILES = (
     "residual_error", "truncation_error", "sampling_error", "reduction_error",
-    "displacement_error", "friction_left_out", "from_rest", "unknown_error", "remarks",
+    "displacement_error", "from_rest", "unknown_error", "remarks",
 )  # fmt: skip
 """Quantities that no printed table has: parts of an error, and sentences, which are below it."""
 ALWAYS = ("omega", "frequency", "verdict", "converged", "total_error", "distance")

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fenics_crack.basics.atomic_files import keep_files, prepare_folder, write_whole
+from fenics_crack.basics.atomic_files import BEFORE, keep_files, prepare_folder, write_whole
 from fenics_crack.basics.errors import MAX_CASES, InputError, check_count
 from fenics_crack.basics.progress import LOGGER, StageLines, begin
 from fenics_crack.basics.tables import Table
@@ -46,9 +46,8 @@ if TYPE_CHECKING:
 COMMENTED = "cli/new_scene.toml"
 RECORDS = (".csv", ".h5")
 """Endings of files of arrivals, and of results from which arrivals are computed."""
-BEFORE, PERIOD = "before", "solution_period"
-"""Folders below that for results: of a result that another one replaces, and of the frames of a
-period."""
+PERIOD = "solution_period"
+"""Folder below that for results, of the frames of a period."""
 WRITTEN = (".h5", ".csv", ".json", ".png", ".pdf", ".svg")
 """Endings of the files of a result."""
 KINDS = ("blade", "timing", "identify")

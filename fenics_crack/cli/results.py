@@ -55,6 +55,7 @@ from fenics_crack.cli.account import (
 )  # fmt: skip
 from fenics_crack.cli.scenes import remark_on
 from fenics_crack.curves.curve import PARAMETERS, ResponseCurve, kind_in_words, parameter_axis
+from fenics_crack.curves.orbit_curve import OrbitCurve
 from fenics_crack.curves.peak import AT_END, Top
 from fenics_crack.curves.stability import attractors
 from fenics_crack.fatigue.growth import Growth
@@ -185,7 +186,6 @@ def _in_doubt(run: Run[PeriodicSolution]) -> dict[str, object]:
     found["remarks"] = "; ".join(map(str, run.remarks))
     if judged is not None:
         found |= {"from_rest": judged.from_rest, "rest_amplitude": judged.rest_amplitude}
-        found["friction_left_out"] = run.result.friction_left_out
     known = {name: value for name, value in found.items() if value and value == value}
     return known | (dict.fromkeys(UNKNOWN_PARTS, np.nan) if run.result.report.unknown else {})
 
@@ -482,6 +482,9 @@ def _account_of_curve(run: Run[ResponseCurve]) -> Account:
         notes.append(f"at {where} {order}, {share}")
     if scene.harmonic_balance.tolerance is not None and run.structure.n_pairs:
         notes.append(f"by the tolerance: {found.method}")
+    if isinstance(found, OrbitCurve):
+        width = in_unit(parameter_axis(found.parameter, True), found.resolution)
+        notes.append(f"windows of instability narrower than {width} may lie between points")
     return Account(
         "curve",
         special,

@@ -26,6 +26,9 @@ FEWEST, HARMONICS = SearchOptions.harmonics[0], SearchOptions.harmonics[-1]
 """Minimum harmonics of the load's frequency in a solution, and those that
 :meth:`ResponseCurve.coefficients_at` has of the period of exact orbits. By 256 instants the one of
 order k is off by that of order 256 - k, of motions with kinks (k / 216)^2 of it."""
+RESOLUTION = 0.1
+"""Width of a window that may be missed, over the longest step: steps are judged by an interpolation
+between their ends, which is not right where orbits graze, or several multipliers meet in one."""
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
@@ -42,6 +45,9 @@ class OrbitCurve(ResponseCurve):
         parameter varies it.
     tolerance : float
         Error to which :meth:`solution` keeps an orbit's Fourier coefficients.
+    resolution : float
+        Width, in the unit of ``values``, of the unstable or doubled windows that the curve may
+        miss between its points: a tenth of the longest step taken.
     """
 
     states: np.ndarray
@@ -96,6 +102,11 @@ class OrbitCurve(ResponseCurve):
 
     def reason(self, index: int) -> str:
         return "its largest multiplier is 1 to its accuracy" if self.undecided[index] else ""
+
+    @property
+    def resolution(self) -> float:
+        """Width of the windows that the curve may miss between its points."""
+        return RESOLUTION * float(np.abs(np.diff(self.values)).max(initial=0.0))
 
     @cached_property
     def gap_coefficients(self) -> np.ndarray:

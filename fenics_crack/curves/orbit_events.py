@@ -13,21 +13,41 @@ method (:func:`fenics_crack.numerics.path.zero_between`) on
 
 Where no orbit between the two has it within 1e-6 of the circle it jumps, which is no bifurcation.
 
-Source: Seydel, Practical Bifurcation and Stability Analysis, chapters 5 and 7.
+With light damping all |mu| = exp(-d) are next to the circle, and along the curve the angles of mu
+turn: what leaves the circle between two points are two that meet, a pair at -1 or 1 or two pairs
+anywhere, and part again. In the eigenvectors of the first point, M there is diag(mu) and M of the
+second one B. Of M interpolated linearly between them two multipliers j and k have, at the share s,
+the difference g (1 - s) - s b with g = |mu_j - mu_k| and b = |B_jj - B_kk|, and the coupling
+s^2 c^2 with c^2 = 4 |B_jk B_kj|, all relative to |mu_j mu_k|: where B_jk B_kj / (B_jj - B_kk)^2 < 0
+(opposite signatures in Krein's sense) they part in ln |mu| by up to
+
+    max over s of sqrt(s^2 c^2 - (s (g + b) - g)^2),    at s = g (g + b) / ((g + b)^2 - c^2).
+
+One leaves the unit circle where this is above 2 sqrt(d_j d_k). Others stay on the circle as they
+pass each other.
+
+Sources: Seydel, Practical Bifurcation and Stability Analysis, chapters 5 and 7; Yakubovich and
+Starzhinskii, Linear Differential Equations with Periodic Coefficients, 1975, chapter 3.
 """
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from fenics_crack.motion.orbit import KNOWN
-from fenics_crack.numerics.equations import CLOSE, System
+from fenics_crack.numerics.equations import CLOSE, EPSILON, System
 from fenics_crack.numerics.newton import PathPoint
 from fenics_crack.numerics.path import Ends, Event, StepControl, Stretch, zero_between
 
 LEAST = 0.01
 """Change of ln |mu| that is always allowed, and shortest step to resolve it, relative to the
 longest."""
+
+NARROW = 0.02
+"""Shortest step to resolve where multipliers meet, relative to the longest: 0.1 % of the range with
+the default one."""
 
 
 def observe(monodromy: np.ndarray) -> np.ndarray:
@@ -63,13 +83,38 @@ def changes(observed: np.ndarray) -> np.ndarray:
     return found
 
 
+def parting(monodromy: np.ndarray) -> np.ndarray:
+    """How far two multipliers part where they meet between neighbours, relative to the distance at
+    which one leaves the unit circle: (n-1,) of matrices (n, N, N)."""
+    values, vectors = np.linalg.eig(monodromy[:-1])
+    vectors += EPSILON * np.eye(values.shape[1])  # those of a double one may be the same
+    after = np.linalg.solve(vectors, monodromy[1:] @ vectors)
+    size, ends = np.abs(values), np.einsum("ijj->ij", after)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        unit = np.sqrt(size[:, :, None] * size[:, None])
+        gap, end = ((one[:, :, None] - one[:, None]) / unit for one in (values, ends))
+        coupled = 4.0 * after * np.swapaxes(after, 1, 2) / unit**2
+        parts = (coupled * end.conj() ** 2).real < 0.0
+        real = values.imag == 0.0  # two of these have parted already
+        parts &= ~(real[:, :, None] & real[:, None])
+        coupled, gap, end = np.abs(coupled), np.abs(gap), np.abs(end)
+        way = gap + end
+        share = np.where(coupled < way * end, way * gap / (way**2 - coupled), 1.0)
+        square = coupled * share**2 - (share * way - gap) ** 2
+        damping = np.maximum(-np.log(size), 0.0)
+        allowed = 4.0 * damping[:, :, None] * damping[:, None]
+        found = np.where(parts & (allowed > KNOWN**2), square / allowed, 0.0)
+    return np.sqrt(np.nan_to_num(found).max(axis=(1, 2), initial=0.0))
+
+
 class MultiplierControl(StepControl):
     """Reject a step over which a leading multiplier moves more than half its distance to the unit
-    circle, or is mispredicted by as much (linear extrapolation of sorted ln |mu|), down to a floor;
-    and one over which more than one of r, d and c changes, or one by more than 1."""
+    circle, or is mispredicted by as much (linear extrapolation of sorted ln |mu|), or over which
+    two part by more than half of what is allowed (:func:`parting`), down to a floor; and one over
+    which more than one of r, d and c changes, or one by more than 1."""
 
     def __init__(self, longest_step: float) -> None:
-        self._floor = LEAST * longest_step
+        self._longest, self._floor = longest_step, LEAST * longest_step
 
     def too_long(self, points: Stretch) -> np.ndarray:
         logs = np.log(np.maximum(np.abs(points.observed[:, :-3]), KNOWN))
@@ -80,8 +125,11 @@ class MultiplierControl(StepControl):
             ratio = (lengths[1:] / lengths[:-1])[:, None]
             off = np.abs(change[1:] - ratio * change[:-1])
             far[1:] |= np.any(off > allowed[1:], axis=1)
+        size = math.isqrt(points.records.shape[1])
+        apart = parting(points.records.reshape(-1, size, size)) > 0.5
+        far = (far & (lengths > self._floor)) | (apart & (lengths > NARROW * self._longest))
         several = np.abs(changes(points.observed)).sum(axis=1) > 1
-        return np.asarray((far & (lengths > self._floor)) | several)
+        return np.asarray(far | several)
 
 
 class PeriodDoubling(Event):

@@ -354,7 +354,7 @@ def _error_at(scene: Scene, path: LengthPath, length: float) -> tuple[float, lis
     if drive == "spectrum":
         omega = float(path.leading[np.abs(path.lengths - length).argmin()])
     run = solve(_at_length(scene, length, omega), MPI.COMM_SELF)
-    stated = stated_errors(run, run.result, of_peak=drive == "resonance")
+    stated = stated_errors(run, run.result, of_peak=drive == "resonance", friction=False)
     without = [f"vibration: {stated.left_out}"] if stated.left_out else []
     return stated.stated("delta_K_equivalent")[0], without
 

@@ -1,4 +1,5 @@
-"""The structure of a scene whose matrices are in files of other programs.
+"""The structure of a scene whose matrices are in files of other programs; and such files of any
+structure, for other programs.
 
 With the model that they are of, its nodes have places: a load acts at one of them, and where the
 scene has contact and no matrix of gaps, the pairs are found: nodes in the same place that nothing
@@ -18,30 +19,46 @@ points from the side of a to that of b.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sparse
 from mpi4py import MPI
+from scipy.linalg import eigh
 
+from fenics_crack.basics.atomic_files import replace_files
 from fenics_crack.basics.errors import InputError, reading
-from fenics_crack.basics.ranks import on_each
+from fenics_crack.basics.ranks import on_each, on_root
 from fenics_crack.fem.crack_surface import FACETS
 from fenics_crack.fem.lips import SAME, each_once
 from fenics_crack.fem.model_files import Model, read_model
-from fenics_crack.model.factor import distributed
-from fenics_crack.model.matrices import LabelledMatrix, matrix_market_shape, read_matrix, whole_rows
+from fenics_crack.model.factor import distributed, local_rows
+from fenics_crack.model.matrices import (
+    LabelledMatrix,
+    matrix_market,
+    matrix_market_shape,
+    read_matrix,
+    whole_rows,
+)
+from fenics_crack.model.modes import check_damped_modes
 from fenics_crack.model.nodes import Nodes, Pairs
-from fenics_crack.model.structure import DampingRule, Structure
+from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
 from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.tables import FORCES, Damping, Excitation
 from fenics_crack.scene.tables import Structure as Table
 
 MATRICES = {"mass": "M", "stiffness": "K", "damping": "B"}
 """Matrices, and the letter by which a file with several of them calls each."""
-COLUMNS = ("gap", "force_sin", "force_cos", "force_mean")
+COLUMNS = ("gap", "tangential", *FORCES)
 """Keys of files with a row for each dof."""
+SCENE = "matrices.toml"
+"""Scene that reads what is written."""
+WRITTEN = (*(f"{name}.mtx" for name in (*MATRICES, *COLUMNS, "clearance", "areas")), SCENE)
+"""Files that are written, as far as a structure has them."""
+MOST_DENSE = 3000
+"""Maximum dofs of a matrix of modal damping, which is dense: 4.5 million numbers."""
 
 
 def read_structure(scene: Scene, rule: DampingRule | None, comm: MPI.Comm) -> Structure:
@@ -88,11 +105,14 @@ def _made(scene: Scene, table: Table, rule: DampingRule | None, comm: MPI.Comm) 
         for name in read:
             parts[name] = distributed(parts[name][start:stop], comm)
         nodes = _nodes(model, dofs, start, stop, comm)
-    parts["clearance"] = _clearance(table, 0 if parts["gap"] is None else parts["gap"].shape[1])
+    n_pairs = 0 if parts["gap"] is None else parts["gap"].shape[1]
+    parts["clearance"] = _per_pair("clearance", table.clearance, n_pairs)
+    if table.areas is not None:
+        pairs = replace(pairs, areas=_per_pair("areas", table.areas, n_pairs))
     if scene.excitation.point is not None:
         assert nodes is not None
         _, at = nodes.nearest(comm, "excitation.point", scene.excitation.point)
-        for name in COLUMNS[1:]:
+        for name in FORCES:
             force = sparse.lil_matrix(parts.get(name, (rows, 1)))
             for dof, value in zip(at, getattr(scene.excitation, name), strict=True):
                 if dof >= 0:
@@ -100,10 +120,9 @@ def _made(scene: Scene, table: Table, rule: DampingRule | None, comm: MPI.Comm) 
             parts[name] = force
     if scene.highest_order > 1:
         excitation = scene.excitation
-        allowed = "left out with [structure]: in Python Structure.with_harmonics adds them"
+        allowed = "left out with [structure], whose files have a column for each order"
         excitation.require(False, (excitation.wave and "wave") or "harmonics", allowed)
-    made = Structure.from_matrices(**parts, comm=comm)
-    return made if nodes is None else made.placed(nodes, pairs)
+    return Structure.from_matrices(**parts, comm=comm).placed(nodes, pairs)
 
 
 def _read_files(table: Table) -> tuple[dict[str, LabelledMatrix], dict[str, Any], Model | None]:
@@ -191,11 +210,11 @@ def _nodes(model: Model, dofs: np.ndarray, start: int, stop: int, comm: MPI.Comm
     return Nodes(model.points[own], dofs[own], mine, kind)
 
 
-def _clearance(table: Table, pairs: int) -> Any:
-    """Return the clearance: one number for all pairs, or read from a file one for each."""
-    if not isinstance(table.clearance, str) or not pairs:
-        return 0.0 if isinstance(table.clearance, str) else table.clearance
-    return whole_rows("clearance", Path(table.clearance), pairs).toarray().ravel()
+def _per_pair(name: str, given: float | str, pairs: int) -> Any:
+    """Return one number for all pairs, or read from a file one for each."""
+    if not isinstance(given, str) or not pairs:
+        return 0.0 if isinstance(given, str) else given
+    return whole_rows(name, Path(given), pairs).toarray().ravel()
 
 
 def count_pairs(table: Table) -> int:
@@ -211,6 +230,93 @@ def count_pairs(table: Table) -> int:
             return len(coincident(read_model(Path(path)).points))
     except InputError:  # who reads it will say why
         return 0
+
+
+# --- files for other programs ---------------------------------------------------------------------
+
+
+def write_matrices(structure: Structure, folder: str | Path, scene: Scene | None = None) -> None:
+    """Write the matrices of a structure as Matrix Market files, with a scene that reads them
+    (collective).
+
+    Files are named as the keys of the table ``[structure]``: ``mass.mtx``. What a structure does
+    not have is no file: pairs, tangential gaps, areas. Of one that rotates the stiffness and the
+    mean load are those at its speed. Modal damping becomes a matrix for other programs up to
+    3,000 dofs; the scene has its ratios and the number of damped modes.
+
+    Parameters
+    ----------
+    structure : Structure
+        Not reduced; its rows may be shared by ranks.
+    folder : path
+        Earlier files of these names are replaced, and kept in its folder ``before``.
+    scene : Scene, optional
+        Its frequency, contact, harmonic balance and reduction complete ``matrices.toml``; without
+        it ``[excitation]`` and ``[contact]`` have to be added.
+
+    Raises
+    ------
+    InputError
+        The structure is reduced, the scene does not fit it, or a file cannot be written.
+
+    Examples
+    --------
+    >>> fc.write_matrices(structure, "matrices", scene)
+    """
+    if structure.whole is not structure:
+        allowed = "one that is not reduced: fc.build_structure(scene), or structure.whole"
+        raise InputError("structure", repr(structure), allowed)
+    comm, force, damping = structure.comm, structure.force, structure.damping_matrix
+    rows: dict[str, Any] = {
+        "mass": local_rows(structure.mass),
+        "stiffness": local_rows(structure.stiffness),
+        "damping": None if damping is None else local_rows(damping),
+        **dict(zip(FORCES, (force[:1].T, force[1::2].T, force[2::2].T), strict=True)),
+    }
+    if structure.n_pairs:
+        own = slice(None if comm.rank == 0 else 0)  # every rank has all pairs
+        rows |= {"gap": structure.gap, "tangential": structure.tangential}
+        rows["clearance"] = structure.clearance[own, None]
+        areas = structure.pair_areas
+        rows["areas"] = None if areas is None else areas[own, None]
+    given = {name: sparse.csr_matrix(part) for name, part in rows.items() if part is not None}
+    parts = {name: comm.gather(part) for name, part in given.items()}
+    text = _scene_of_files(structure, {name: f"{name}.mtx" for name in parts}, scene)
+
+    def work() -> None:
+        whole = {name: sparse.vstack(part) for name, part in parts.items()}
+        if isinstance(structure.damping, ModalDamping) and structure.n_dofs <= MOST_DENSE:
+            squares, shapes = eigh(whole["stiffness"].toarray(), whole["mass"].toarray())
+            count = check_damped_modes(structure)
+            rate = structure.damping.rate(squares[:count])
+            damped = whole["mass"] @ shapes[:, :count] * np.sqrt(rate)
+            whole["damping"] = sparse.csr_matrix(damped @ damped.T)
+        texts = {f"{name}.mtx": matrix_market(matrix) for name, matrix in whole.items()}
+        replace_files(WRITTEN, Path(folder), texts | {SCENE: text})
+
+    on_root(comm, work)
+
+
+def _scene_of_files(structure: Structure, files: dict[str, str], scene: Scene | None) -> str:
+    """The text of a scene that reads files and is solved as another one; without one it lacks
+    [excitation] and [contact]."""
+    tables: dict[str, Any] = {}
+    rule = structure.damping or RayleighDamping()
+    if isinstance(rule, DampingRule):
+        tables["damping"] = Damping(**{k: v for k, v in vars(rule).items() if v is not None})
+        files = {name: file for name, file in files.items() if name != "damping"}
+    tables["structure"] = Table(**files)
+    if scene is None:
+        return "\n".join(table.as_toml() for table in tables.values())
+    contact = scene.contact and replace(scene.contact, pairs="all")
+    key = "omega" if scene.excitation.frequency is None else "frequency"
+    return Scene(
+        **tables,
+        excitation=Excitation(**{key: getattr(scene.excitation, key)}),
+        contact=contact if structure.n_pairs else None,
+        harmonic_balance=replace(scene.harmonic_balance),  # what is derived, too
+        reduction=scene.reduction,
+    ).as_toml()
 
 
 # --- contact pairs of a model ---------------------------------------------------------------------

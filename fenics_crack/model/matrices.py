@@ -380,6 +380,19 @@ def read_matrix_market(path: Path, rows: int | None = None) -> sparse.csr_matrix
     return matrix
 
 
+def matrix_market(matrix: sparse.spmatrix) -> str:
+    """The text of a Matrix Market file from which every number is read back exactly; one triangle
+    of a symmetric matrix."""
+    entries, kind = sparse.coo_matrix(matrix), "general"
+    if entries.shape[0] == entries.shape[1] and (entries != entries.T).nnz == 0:
+        entries, kind = sparse.tril(entries, format="coo"), "symmetric"
+    columns = entries.row + 1, entries.col + 1, entries.data
+    rows = zip(*(column.tolist() for column in columns), strict=True)
+    lines = [f"{row} {column} {value!r}\n" for row, column, value in rows]
+    sizes = f"{entries.shape[0]} {entries.shape[1]} {entries.nnz}"
+    return "".join([f"%%MatrixMarket matrix coordinate real {kind}\n{sizes}\n", *lines])
+
+
 def matrix_market_shape(path: Path) -> tuple[int, int]:
     """Rows and columns that a file announces; sparse columns have an entry each.
 
@@ -594,24 +607,35 @@ def checked(
         value = f"zero in column {empty[0] + 1} of {gap.shape[1]}"
         allowed = "a pair in each: a gap that depends on no displacement never opens or closes"
         raise InputError("gap", value, allowed)
-    force = np.array([_of_dofs(name, part, n) for name, part in forces.items()])
     return {
         "mass": mass,
         "stiffness": stiffness,
         "gap": gap[own],
-        "force": force[:, own],
+        "force": _load(forces, n)[:, own],
         "clearance": per_pair("clearance", clearance, gap.shape[1]),
     }
 
 
-def _of_dofs(name: str, given: Any, n: int) -> np.ndarray:
-    """A vector (n,), zero where it is None; InputError for another shape."""
-    if given is None:
-        return np.zeros(n)
-    column = whole_rows(name, given, n)
-    if column.shape != (n, 1):
-        raise InputError(name, column.shape, f"of shape ({n},)")
-    return np.asarray(column.toarray().ravel(), dtype=float)
+def _load(forces: Mapping[str, Any], n: int) -> np.ndarray:
+    """A load (2K+1, n) of its mean, and of cosine and sine parts with a column for each order."""
+    orders = {"force_mean": 1}
+    parts = [
+        _of_dofs(name, part, n, orders.get(name, MOST_HARMONICS)) for name, part in forces.items()
+    ]
+    force = np.zeros((2 * max(map(len, parts)) + 1, n))
+    for first, part in enumerate(parts):
+        force[first::2][: len(part)] = part
+    return force
+
+
+def _of_dofs(name: str, given: Any, n: int, most: int = 1) -> np.ndarray:
+    """Up to so many columns (n, m) as rows (m, n), zero where it is None; InputError for another
+    shape."""
+    columns = sparse.csr_matrix((n, 1)) if given is None else whole_rows(name, given, n)
+    if not 1 <= columns.shape[1] <= most:
+        allowed = f"of shape ({n},)" + f", or of up to {most} columns" * (most > 1)
+        raise InputError(name, columns.shape, allowed)
+    return np.asarray(columns.toarray().T, dtype=float)
 
 
 def with_harmonics(
@@ -629,7 +653,7 @@ def with_harmonics(
         name = f"harmonics[{order}]"
         if not isinstance(both, tuple | list) or len(both) != 2:
             raise InputError(name, both, "(cosine, sine), each (n,) or None")
-        found[2 * order - 1 : 2 * order + 1] += [_of_dofs(name, part, n)[own] for part in both]
+        found[2 * order - 1 : 2 * order + 1] += [_of_dofs(name, part, n)[0, own] for part in both]
     return found
 
 

@@ -49,11 +49,14 @@ class ReducedStructure(Structure):
         Their frequencies.
     reference : ReducedStructure or None
         The same with a larger basis, against which the reduction error is estimated.
+    share : float
+        Part that the reference has of what the reduction leaves out.
     """
 
     basis: np.ndarray
     omega: np.ndarray
     reference: ReducedStructure | None
+    share: float = 0.5
 
     _whole: Structure
     _VARIED_TOO = ("_whole", "reference")

@@ -17,8 +17,8 @@ The displacement is sought in the span of a basis T, u = T q:
 
 With mass, T is made M-orthonormal and K-diagonal: the reduced structure is diagonal. Its
 *reference* has in addition the static response to the inertia of Psi, K^-1 M Psi, the next term of
-the expansion in w^2; that of a massless one has twice the modes. The difference between
-both is the estimate of the reduction error.
+the expansion in w^2; that of a massless one has twice the modes. The difference between both, over
+the share of what is left out that the reference has, is the estimate of the reduction error.
 """
 
 from __future__ import annotations
@@ -199,6 +199,7 @@ def _massless(structure: Structure, modes: int, assessed: bool | int) -> Massles
             reference=reference,
         )
     assert reference is not None
+    reference._hold(share=1.0 if more == structure.n_dofs else reference.share)
     return reference
 
 

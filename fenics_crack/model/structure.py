@@ -386,7 +386,7 @@ class Structure(Coordinates):
     def _hold_tangents(self, tangential: Any) -> None:
         self._hold(tangential=None if tangential is None else read_only_rows(tangential))
 
-    def placed(self, nodes: Nodes, pairs: Pairs) -> Structure:
+    def placed(self, nodes: Nodes | None, pairs: Pairs) -> Structure:
         """Return this structure with the places of its nodes and pairs."""
         return self._changed(nodes=nodes, pairs=pairs)
 
@@ -491,7 +491,8 @@ class Structure(Coordinates):
         gap : (n, n_pairs) or (n,)
             B; None: no pairs.
         force_sin, force_cos, force_mean : (n,) [N] or None
-            Load on the first harmonic, and its mean; others by :meth:`with_harmonics`.
+            Load on the first harmonic, and its mean; of more columns (n, K) column k has k times
+            the frequency.
         clearance : float or (n_pairs,) [m]
             g0; negative for preload.
         tangential : (n, n_pairs) or (n,)

@@ -405,9 +405,9 @@ def _elastic(basis: CyclicBasis, cracked: tuple[int, ...]) -> np.ndarray:
     return np.array(found)
 
 
-SHARE = 0.7
-"""Of the change of the pairs' compliance by the inertia of modes that are left out, the part of
-those that stand for all: the rest are many, and so high that crack faces bounce on them."""
+NEXT = 8
+"""Modes that the reference of a wheel has beyond those that are kept: of ten wheels they have 0.6
+to 0.8 of what is left to change."""
 
 
 class WheelStructure(Structure):
@@ -425,7 +425,7 @@ class WheelStructure(Structure):
 
     wheel: Wheel
     basis: CyclicBasis
-    _lumped: tuple[np.ndarray, np.ndarray] | None = None
+    _ranked: tuple[np.ndarray, np.ndarray] | None = None
     _VARIED_TOO: ClassVar[tuple[str, ...]] = ("wheel",)
 
     def __init__(self, wheel: Wheel, families: int) -> None:
@@ -474,30 +474,26 @@ class WheelStructure(Structure):
 
     def known_modes(self, *, tied: bool) -> tuple[np.ndarray, np.ndarray] | None:
         """All, of small dense matrices: those of equal sectors come in pairs, which Krylov's method
-        mixes with its own error. In ascending order, or as :meth:`with_lumped` has the open ones;
-        the bonded ones are among the open ones, of which M is 1 whatever it is in coordinates."""
+        mixes with its own error. In ascending order, or as :meth:`ranked` has the open ones; the
+        bonded ones are among the open ones, of which M is 1 whatever it is in coordinates."""
         if tied:
             return self.once(_tied_modes)
-        return self.once(_all_modes) if self._lumped is None else self._lumped
+        return self.once(_all_modes) if self._ranked is None else self._ranked
 
-    def with_lumped(self, count: int) -> WheelStructure:
-        """The same with the lowest modes, so many of them, and few others which stand for all that
-        are left: they move the cracks most, and more than they do by themselves, so that the
-        inertia of all is theirs.
+    def ranked(self, count: int) -> tuple[WheelStructure, float]:
+        """The same with the lowest modes, so many of them, and the :data:`NEXT` others that move
+        the cracks most; and the share that these have of what all others change.
 
         Mode j has (psi_ij / w_j)^2 of the static compliance of pair i, psi = B^T phi, and its
-        inertia changes that by (w / w_j)^2. Those with :data:`SHARE` of the sum of these changes
-        are taken, with shapes so much larger that they have all of it."""
+        inertia changes that by (w / w_j)^2."""
         omega, shapes = self.once(_all_modes)
         parts = ((self.gap.T @ shapes) / omega) ** 2
         changes = (parts / parts.sum(axis=1, keepdims=True)).sum(axis=0) / omega**2
-        others = count + np.argsort(-changes[count:], kind="stable")
-        sums = np.cumsum(changes[others])
-        few = int(np.searchsorted(sums, SHARE * sums[-1])) + 1
-        kept = np.append(np.arange(count), np.sort(others[:few]))
-        larger = np.sqrt(sums[-1] / sums[few - 1])
-        lumped = omega[kept], shapes[:, kept] * np.repeat([1.0, larger], [count, few])
-        return self._copied(_lumped=lumped, _original=self.original)
+        others = count + np.argsort(-changes[count:], kind="stable")[:NEXT]
+        kept = np.append(np.arange(count), np.sort(others))
+        share = changes[others].sum() / changes[count:].sum()
+        known = omega[kept], shapes[:, kept]
+        return self._copied(_ranked=known, _original=self.original), float(share)
 
     @property
     def whole(self) -> Wheel:
@@ -572,8 +568,8 @@ def reduce_wheel(
     cracks, and of four more, the static answers to the load and to what mistuning and cracks leave
     on the sides, and the opening of each crack with the static answer of the wheel. Of the modes
     that the mistuned wheel with open cracks has in them ``families`` times as many as there are
-    sectors are kept. The reference, by which the error of the reduction is estimated, has few more,
-    which stand for all that are left.
+    sectors are kept. The reference, by which the error of the reduction is estimated, has the few
+    others that move the cracks most (:meth:`WheelStructure.ranked`).
 
     Parameters
     ----------
@@ -608,7 +604,8 @@ def reduce_wheel(
     count = min(families * wheel.sector.count, one.n_dofs - one.n_pairs)
     if not one.n_pairs:
         return reduce_structure(one, modes=count, method="free_interface", reference=reference)
-    one = one.with_lumped(count)
-    assert one._lumped is not None
-    more = reference and len(one._lumped[0])
-    return reduce_structure(one, modes=count, method="massless", reference=more)
+    one, share = one.ranked(count)
+    more = reference and min(count + NEXT, one.n_dofs)
+    reduced = reduce_structure(one, modes=count, method="massless", reference=more)
+    reduced._hold(share=share)
+    return reduced

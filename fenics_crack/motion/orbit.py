@@ -40,8 +40,6 @@ from scipy.linalg.lapack import dgeev
 from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.basics.tables import Described, counted
 from fenics_crack.kernel import kernel
-from fenics_crack.model.contact import is_regular
-from fenics_crack.model.modal import all_modes
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, Samples, Track
 from fenics_crack.numerics.equations import CLOSE, LOCATED, factored, solve_factored
 from fenics_crack.numerics.extremes import InPeriod, half_range, largest
@@ -60,6 +58,8 @@ PRODUCTS, BLUNT = 60, 0.25
 compared."""
 KNOWN = 1e-6
 """Accuracy of multipliers; ||mu| - 1| below it is inconclusive."""
+AT_A_TIME = 2048
+"""Instants whose sines and cosines are held at a time."""
 INSTANTS = 512
 """Instants at which the gaps of an orbit are kept."""
 
@@ -170,37 +170,6 @@ class PeriodicOrbit(Described):
         """The motion at 512 equally spaced times of the period."""
         return self.samples(np.arange(INSTANTS) * self.period / INSTANTS)
 
-    @cached_property
-    def friction_cap(self) -> float:
-        """A scale of what friction, which is left out, could do,
-
-            a^T R_tt^-1 a / W,
-
-        a the ranges of the tangential gaps while their pairs are closed, R_tt the compliance of the
-        modes left out that they see, and W the work of damping in a period. Half of it is up to
-        about the change of an amplitude, and the loss by friction relative to W. nan: pairs have no
-        tangents, or R_tt is singular; or there is friction."""
-        flow, structure = self.flow, self.flow.structure
-        if flow.friction or structure.tangential is None:
-            return math.nan
-        seen, count = structure.with_tangential_pairs(), structure.n_pairs
-        modes = all_modes(seen).below(None)
-        residual, samples = modes.static_part()[count:], self.sampled
-        if not count or not is_regular(residual[:, count:]):
-            return math.nan
-        slow, rates = np.split(samples.states, 2, axis=1)
-        moved = slow @ modes.pairs[:, count:] - samples.force @ residual[:, :count].T
-        if modes.static_loads is not None:
-            phases = waves_of(flow.force, self.omega * samples.time)
-            moved += phases @ structure.apply_tangential(structure.force @ modes.static_loads)
-        highest = np.where(samples.closed, moved, -np.inf).max(axis=0)
-        lowest = np.where(samples.closed, moved, np.inf).min(axis=0)
-        ranges = np.where(samples.closed.any(axis=0), highest - lowest, 0.0)
-        work = float(np.mean(np.sum(rates * modes.damped(rates), axis=1))) * self.period
-        if not work > 0.0:
-            return math.nan
-        return float(ranges @ np.linalg.solve(residual[:, count:], ranges)) / work
-
     @property
     def is_stable(self) -> bool:
         """True if all multipliers lie within the unit circle."""
@@ -268,16 +237,18 @@ class PeriodicOrbit(Described):
         time, length = self._nodes(harmonics * base)
         share = (0.5 * length[:, None] * gauss_nodes()[1]).ravel() / self.period
         samples = self.samples(time)
-        means = np.empty((2 * harmonics + 1, len(time)))
-        means[0] = share
-        first = np.exp(1j * base * time)
-        wave = 2.0 * share * first
-        for order in range(1, harmonics + 1):  # a tenth of the time of their sines and cosines
-            means[2 * order - 1], means[2 * order] = wave.real, wave.imag
-            wave *= first
-        return OrbitCoefficients(
-            means @ samples.gaps, means @ samples.forces, means @ samples.displacement
-        )
+        values = samples.gaps, samples.forces, samples.displacement
+        found = [np.zeros((2 * harmonics + 1, part.shape[1])) for part in values]
+        for start in range(0, len(time), AT_A_TIME):
+            some = slice(start, start + AT_A_TIME)
+            first = np.exp(1j * base * time[some])
+            means, wave = np.tile(share[some], (2 * harmonics + 1, 1)), 2.0 * share[some] * first
+            for order in range(1, harmonics + 1):  # a tenth of the time of their sines and cosines
+                means[2 * order - 1], means[2 * order] = wave.real, wave.imag
+                wave *= first
+            for rows, part in zip(found, values, strict=True):
+                rows += means @ part[some]
+        return OrbitCoefficients(*found)
 
     def _nodes(self, omega: float) -> tuple[np.ndarray, np.ndarray]:
         """Gauss's nodes on each part of the period in which no pair opens, closes, sticks or slips,

@@ -37,7 +37,7 @@ from fenics_crack.numerics.path import NARROW, Path, Target
 PARTS = 32
 """Multiple-shooting segments per period."""
 PACE = 200
-"""Taylor pieces in a period that counts as one."""
+"""Taylor pieces in a period that counts as one; with fewer it counts as one, too."""
 LATER = 8
 """Longest return period that is sought, in periods."""
 
@@ -54,7 +54,8 @@ class SearchOptions:
         Periods of the flow that may be followed where Newton's method leads to no orbit from them:
         half of them along the path, a quarter of the motion, the rest from where that nearly
         repeats itself. They are of 200 pieces of the Taylor series and 12 modes; others count by
-        the time they take, like pieces and the square of the modes. About a second.
+        the time they take, like pieces and the square of the modes. About a second; with friction
+        three quarters of them, one to three seconds.
     """
 
     harmonics: tuple[int, ...] = (5, 10, 20, 40)
@@ -62,7 +63,8 @@ class SearchOptions:
 
     def pieces(self, flow: ContactFlow) -> int:
         """Pieces of the Taylor series for them."""
-        return int(PACE * self.evaluations * min(1.0, (24.0 / flow.size) ** 2))
+        count = (0.75 if flow.friction else 1.0) * self.evaluations
+        return int(PACE * count * min(1.0, (24.0 / flow.size) ** 2))
 
     def periods(self, flow: ContactFlow) -> int:
         """Return the maximum number of periods that the motion is integrated for."""
@@ -188,7 +190,7 @@ class Homotopy:
         if self.left <= 0:
             raise ConvergenceError("orbits: the homotopy takes too long")
         at = self._orbits.linearise(unknown, 1.0)
-        self.left -= at.pieces
+        self.left -= max(at.pieces, PACE)
         return _HomotopyPoint(at, parameter, self._orbits.start)
 
 
@@ -228,7 +230,7 @@ def _by_recurrence(orbits: FlowOrbits, options: SearchOptions) -> OrbitSearch:
         orbit = find_orbit(flow, omega, state, subharmonic=subharmonic)
         if orbit is not None:
             return OrbitSearch(orbit, (), "exact orbit, by following the motion")
-        left -= FLOWS // 2 * max(1, orbits.pieces)  # of a search that fails, about
+        left -= FLOWS // 2 * max(PACE, orbits.pieces)  # of a search that fails, about
     return OrbitSearch(None, (), comes_back(passed, subharmonic))
 
 

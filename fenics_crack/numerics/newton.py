@@ -300,8 +300,9 @@ class PathPoint:
     at: Linearisation | None = field(default=None, repr=False, compare=False)
     length: float = float("nan")
     """Length of the chord from the point before in that one's norm, where it is known."""
+    record: np.ndarray | None = field(default=None, repr=False, compare=False)
     observed: np.ndarray | None = field(default=None, repr=False, compare=False)
-    """Values that a step control uses."""
+    """What a step control uses: the linearisation's record, and values that follow from it."""
 
 
 def means_of(system: System) -> int:

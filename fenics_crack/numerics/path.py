@@ -124,10 +124,8 @@ class Stretch(Sequence[PathPoint]):
         1 where another branch has been crossed since the point before.
     met : list of (Event, PathPoint)
         Events between its last point and the one before it, and their places.
-    records : (n, records), optional
-        Records of points that the kernel has found.
-    observed : (n, ...), optional
-        Values that a step control uses, of all.
+    records, observed : (n, records) and (n, ...), optional
+        What a step control uses: records of linearisations, and values that follow from them.
     """
 
     observed: np.ndarray
@@ -150,6 +148,8 @@ class Stretch(Sequence[PathPoint]):
         self.parameters[place], self.slopes[place] = point.parameter, point.tangent.p
         self.weights[place], self.of_means[place] = point.tangent.weight, point.tangent.of_means
         self.lengths[place] = point.length
+        if "records" in vars(self) and point.record is not None:
+            self.records[place] = point.record
         if "observed" in vars(self):
             self.observed[place] = point.observed
         self.iterations[place], self.crossings[place] = point.iterations, point.crosses_branch
@@ -188,6 +188,7 @@ class Stretch(Sequence[PathPoint]):
         return PathPoint(
             self.unknowns[place], float(self.parameters[place]), int(self.iterations[place]),
             tangent, bool(self.crossings[place]), length=float(self.lengths[place]),
+            record=self.records[place] if "records" in vars(self) else None,
             observed=self.observed[place] if "observed" in vars(self) else None,
         )  # fmt: skip
 
@@ -195,7 +196,6 @@ class Stretch(Sequence[PathPoint]):
         """See all points behind those that are known."""
         new = system.observe(self.records[len(known) :])  # type: ignore[attr-defined]
         self.observed = np.concatenate([[point.observed for point in known], new])
-        del self.records
 
 
 # --- events ---------------------------------------------------------------------------------------
@@ -541,7 +541,7 @@ class Path:
         if self._control is None or point.observed is not None:
             return point
         at = point.at or self._system.linearise(point.unknown, point.parameter)
-        return replace(point, observed=observed(self._system, at))
+        return replace(point, record=at.record.ravel(), observed=observed(self._system, at))
 
     def _rounding(self, point: PathPoint) -> float:
         """Return the rounding error of |F| / |x| at a point."""

@@ -134,6 +134,10 @@ def _float(value: object) -> float:
     return number
 
 
+def _float_or_false(value: object) -> float:
+    return False if value is False else _float(value)
+
+
 def _int(value: object) -> int:
     if isinstance(value, bool) or not isinstance(value, Integral):
         raise TypeError
@@ -293,6 +297,7 @@ _READERS: dict[str, Callable[[object], Any]] = {
     "str": _str,
     "Pair": lambda value: _vector(value, (2,)),
     "Vector": _vector,
+    "float | bool": _float_or_false,
     "float | str": _float_or_str,
     "float | tuple[float, ...]": _one_or_more,
     "int | str": lambda value: value if value == "all" else _int(value),

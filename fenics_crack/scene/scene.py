@@ -600,7 +600,8 @@ def _check_matrices(scene: Scene, structure: Structure) -> None:
         if not any(Path(file).suffix.lower() in (".sti", ".mas") for file in matrices):
             structure.leave_out(("dofs",), "matrices that have no model, and are not CalculiX's")
     if structure.gap is None and (structure.model is None or scene.contact is None):
-        structure.leave_out(("clearance",), "no pairs: no gap, nor a model with [contact]")
+        per_pair = ("clearance", "areas", "tangential")
+        structure.leave_out(per_pair, "no pairs: no gap, nor a model with [contact]")
     _check_vectors(scene)
     if scene.excitation.point is None:
         files = (structure.force_sin, structure.force_cos, structure.force_mean)
@@ -611,7 +612,7 @@ def _check_matrices(scene: Scene, structure: Structure) -> None:
     if scene.contact is not None:
         allowed = "'all' with [structure]"
         scene.contact.require(scene.contact.pairs == "all", "pairs", allowed)
-        if structure.model is None or structure.gap is not None:
+        if structure.areas is None and (structure.model is None or structure.gap is not None):
             scene.contact.leave_out(("stiffness_per_area",), "[structure], which has no areas")
         if structure.model is None and structure.gap is None:
             allowed = "left out without structure.gap or model: there are no pairs"

@@ -573,6 +573,11 @@ class Contact(Table):
     friction: float = not_negative(0.0)
     """Coefficient of Coulomb friction between the faces of a plate's cracks, at rest and in
     motion."""
+    friction_error: float | bool = holds(
+        "a finite number > 0, or false", lambda mu: mu is False or mu > 0, 0.3
+    )
+    """Coefficient whose effect is stated among the errors of a scene without friction; false: it is
+    left out."""
     tangential_stiffness_per_area: float | None = positive(None, unit="N/m^3")
     """Stiffness of pairs that stick, per area of the crack face. Left out: infinite, of crack faces
     without mass."""
@@ -748,16 +753,20 @@ class Structure(Table):
     gap: str | None = path("the path of a file: (n, n_pairs)")
     """B, which makes the gaps of the contact pairs of the displacements; left out: none, or those
     of the model."""
+    tangential: str | None = path("the path of a file: (n, n_pairs)")
+    """B_t of the tangential gaps, for friction."""
     damping: str | None = path("the path of a file: (n, n)")
     """C [N s/m]; or the table [damping]."""
-    force_sin: str | None = path("the path of a Matrix Market file: (n, 1)")
-    force_cos: str | None = path("the path of a Matrix Market file: (n, 1)")
+    force_sin: str | None = path("the path of a Matrix Market file: (n, 1), or more columns")
+    """[N]; column k has k times the load's frequency. Or the force of [excitation] at its point."""
+    force_cos: str | None = path("the path of a Matrix Market file: (n, 1), or more columns")
     force_mean: str | None = path("the path of a Matrix Market file: (n, 1)")
-    """[N]; or the force of [excitation] at its point."""
     clearance: float | str = path(
         f"a finite number {OR_ZERO}, or the path of a Matrix Market file: (n_pairs, 1)", 0.0, "m"
     )
     """g0 of all pairs, or of each; < 0: preload."""
+    areas: str | None = path("the path of a Matrix Market file: (n_pairs, 1)")
+    """Area of each pair [m^2], for stiffnesses per area; those of the model's pairs are known."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

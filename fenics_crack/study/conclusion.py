@@ -167,8 +167,10 @@ def _others(run: Answer) -> list[str]:
     if run.structure.n_pairs and found.contact is not None and not found.breathes:
         said.append(LINEAR)
     least = max(run.scene.harmonic_balance.tolerance or 0.0, FRICTION_MATTERS)
-    if found.friction_left_out > least:
-        said.append(f"friction left out: up to about {percent(min(found.friction_left_out, 1.0))}")
+    friction = {} if run.stated is None else run.stated.parts.get("friction", {})
+    part = friction.get(run.watched[0].column("amplitude"))
+    if part is not None and part.gci > least:
+        said.append(f"friction left out: about {percent(part.gci)}")
     return [*said, *in_place_of(found.stability, found.amplitude(run.watched_dof))]
 
 

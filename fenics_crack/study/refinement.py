@@ -45,6 +45,7 @@ from fenics_crack.study.stated_errors import (
     of_own_orbit,
     resonance_of,
     shifted,
+    with_friction,
 )
 from fenics_crack.study.verification import GridConvergence, Varied, Verification
 
@@ -114,6 +115,7 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
         if cause == "mesh" and cause in found.parts:
             many, parts = found.counts[cause], found.parts[cause]
             found.take("shift", (many[:: len(many) - 1], _carried(own, numbers, parts)))
+    found.take("friction", with_friction(own, own.result, found.values, numbers.mode))
     found.verdicts.update(runs.verdicts)
     return replace(found, failures=tuple(runs.failures))
 

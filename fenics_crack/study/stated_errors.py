@@ -1,23 +1,26 @@
 """Errors of a result's numbers due to its modes, harmonics and mesh, by one other run for each.
 
-Twice the modes are solved from the answer itself, and
+The reference of a reduced structure, which has more modes, is solved from the answer itself, and
 
-    e = |f - f_2| / (1 - 2^-1),
+    e = |f - f_ref| / share,
 
-as it converges like N^-1 (:mod:`refinement`). To few harmonics the modes above all of them seem
-static, whether they are kept or not: where an exact orbit is the answer's own, f and f_2 are those
-of orbits. The truncated harmonics follow, too: e = |f - f_orbit|. Elsewhere twice as many are
-solved, too; where the report says that harmonics are too few the difference may vanish by chance,
-and four times as many say it, too. The mesh is made coarser (:mod:`coarser_mesh`).
+with the share that it has of what is left out: 1/2 of twice the modes, as it converges like N^-1
+(:mod:`refinement`). To few harmonics the modes above all of them seem static, whether they are kept
+or not: where an exact orbit is the answer's own, f and f_ref are those of orbits. The truncated
+harmonics follow, too: e = |f - f_orbit|. Elsewhere twice as many are solved, too; where the report
+says that harmonics are too few the difference may vanish by chance, and four times as many say it,
+too. The mesh is made coarser (:mod:`coarser_mesh`).
 
 A mesh moves the resonances before all else. Next to one a small shift changes an answer by much, on
-one side up and on the other down, so that differences may vanish by chance. The coarse mesh is
-therefore solved at w w_r / w_b, as far from its resonance w_r as the answer is from its own, w_b,
-and what the shift changes is solved for on the answer's mesh, at w w_b / w_e, w_e being the
-extrapolated resonance. It is that of the mode whose shift changes the watched points the most
+one side up and on the other down, so that differences may vanish by chance, and at half a resonance
+across a peak that is no wider than the shift: no number is extrapolated through it. The coarse mesh
+is solved at w w_r / w_b, as far from its resonance w_r as the answer is from its own, w_b, and what
+the shift changes is solved for on the answer's mesh, at w w_b / w_e, w_e being the extrapolated
+resonance: wherever it may be, and each time from rest, as a finer mesh would be, where there may be
+several motions. It is that of the mode whose shift changes the watched points the most
 (:func:`_moving`): at half a resonance the second harmonic meets it, and another mode may be nearer
-to the load. Both have a sign and are added. Their order p is that of the same tips and clamps,
-between 1 and 1.5, but for some of it, or any up to the best of the elements:
+to the load. Both have a sign and are added. Their order p is that of tips, 1, or any up to the best
+of the elements:
 
     e = max over p of |(f - f_r) / (r^p - 1) + f(w w_b / w_e(p)) - f|,
 
@@ -33,6 +36,10 @@ The contact duty cycle is counted at instants, the same in all these runs. Its e
 from that by the switching instants of the exact orbit; elsewhere one instant's part is added to
 what harmonics leave out.
 
+Without friction crack faces slide freely. What a coefficient of friction would change of a plate is
+one of the causes: each number changes as between two exact orbits, without friction and with it, of
+a structure of few modes whose crack faces have no mass, whatever the modes of the answer.
+
 The root of the sum of the squares of all causes is stated. These are errors that are expected, not
 bounds: scenes beside a mesh four times finer are in docs/notebook/stated_errors.md.
 """
@@ -43,11 +50,13 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from operator import methodcaller
+from typing import Any
 
 import numpy as np
 
 from fenics_crack.balance.error_report import LARGE_ERROR, ErrorReport
-from fenics_crack.balance.harmonic_balance import solve_linear, wave_of
+from fenics_crack.balance.harmonic_balance import initial_orbit, solve_linear, wave_of
+from fenics_crack.balance.more_modes import reference_of
 from fenics_crack.balance.problem import Problem, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, Solver, extremes, indicators_of
 from fenics_crack.basics.errors import MOST_HARMONICS
@@ -57,10 +66,11 @@ from fenics_crack.model.contact import coefficient_of
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import KINDS, NEGLIGIBLE, Modes, bilinear_frequencies
 from fenics_crack.model.reduced import ReducedStructure
+from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import PeriodicOrbit
+from fenics_crack.motion.search import SearchOptions
 from fenics_crack.study.coarser_mesh import (
-    CLAMP,
     TIP,
     coarser,
     errors_of_natural,
@@ -68,7 +78,7 @@ from fenics_crack.study.coarser_mesh import (
     natural_name,
     why_failed,
 )
-from fenics_crack.study.prepare import REFUSALS, Study
+from fenics_crack.study.prepare import REFUSALS, Study, law_of
 from fenics_crack.study.tip_and_clamp import quantities_of_motion
 from fenics_crack.study.verification import UNCHANGED, GridConvergence, Varied, Verification
 
@@ -77,8 +87,8 @@ ANSWER = (
     "closed_share", "friction_loss", "slip_share",
 )  # fmt: skip
 """Quantities whose errors are stated where the scene does not choose."""
-ORDERS = CLAMP, TIP
-"""Orders of a mesh, the one that corrects less first."""
+PLACES = 8
+"""Extrapolated resonances, of the orders of a mesh, at which a response is looked at."""
 
 
 # --- the numbers of an answer ---------------------------------------------------------------------
@@ -140,12 +150,20 @@ def numbers_of(study: Study, found: PeriodicSolution, mode: int | None = None) -
     return Numbers(values, units, resonance, mode)
 
 
+FRICTION_MODES = 20
+"""Modes of the structure that shows the effect of friction. With 10 that on openings is often off
+by more than a factor of 2, with 40 an orbit takes three times as long."""
+QUICK = SearchOptions(harmonics=SearchOptions.harmonics[:-1], evaluations=0)
+"""Of a search for an orbit that is not the answer: by Newton's method from few harmonics."""
+
 # --- one other run for each cause -----------------------------------------------------------------
 
 
-def stated_errors(study: Study, found: PeriodicSolution, *, of_peak: bool = False) -> Verification:
-    """The errors of a solution's numbers that are expected by modes, harmonics and mesh
-    (collective).
+def stated_errors(
+    study: Study, found: PeriodicSolution, *, of_peak: bool = False, friction: bool = True
+) -> Verification:
+    """The errors of a solution's numbers that are expected by modes, harmonics, mesh and friction
+    that is left out (collective).
 
     Parameters
     ----------
@@ -155,6 +173,8 @@ def stated_errors(study: Study, found: PeriodicSolution, *, of_peak: bool = Fals
         The answer.
     of_peak : bool
         True if it is the largest of a curve over the frequency, which moves with the resonance.
+    friction : bool
+        Whether friction is one of the causes.
 
     Returns
     -------
@@ -170,7 +190,11 @@ def stated_errors(study: Study, found: PeriodicSolution, *, of_peak: bool = Fals
     if found.report.unknown:  # other runs may agree by chance
         stated.unknown["harmonics"] = not_estimated(found.report)
         return stated
-    near = _solved(study, found.omega, found.harmonics, found)
+    try:
+        near = _solved(study, found.omega, found.harmonics, found)
+    except REFUSALS as error:
+        stated.unknown["harmonics"] = why_failed("harmonic balance from it", error)
+        return stated
     own = numbers_of(study, near, numbers.mode)
     exact = of_own_orbit(study, found, numbers.mode)
     varied: dict[str, Callable[[], Varied]] = {
@@ -184,10 +208,50 @@ def stated_errors(study: Study, found: PeriodicSolution, *, of_peak: bool = Fals
         except REFUSALS as error:
             run = "a coarser mesh" if cause == "mesh" else f"a run with more {cause}"
             stated.unknown[cause] = why_failed(run, error)
+    if friction:
+        stated.take("friction", with_friction(study, found, stated.values, numbers.mode))
     for name in [*stated.values]:  # of some of the other runs it may be none
         if not all(name in parts for parts in stated.parts.values()):
             del stated.values[name]
     return stated
+
+
+def with_friction(
+    study: Study, found: PeriodicSolution, own: Mapping[str, float], mode: int
+) -> Varied:
+    """Each number of a solution, changed as much as friction changes it between two exact orbits of
+    few modes; nothing where the solution has friction, or no contact (collective)."""
+    law, structure, scene = study.contact, study.structure, study.scene
+    if law is None or coefficient_of(law) is not None:
+        return ""
+    if not (coefficient := scene.given("contact").friction_error):
+        return "contact.friction_error = false"
+    if scene.disk is not None or structure.whole.tangential is None:
+        return "not estimated, only of single plates"
+    keys: dict[str, Any] = {"contact.friction": coefficient}
+    if not structure.light_lips:  # faces with mass, in contact as stiff along them as across
+        keys["contact.tangential_stiffness_per_area"] = scene.given("contact").stiffness_per_area
+    both = []
+    try:
+        few = reduce_structure(
+            structure.whole, modes=FRICTION_MODES, method="massless", reference=False
+        )
+        for one in (law, law_of(scene.replace(keys), few)):
+            assert one is not None
+            problem = Problem(few, found.omega, one, found.harmonics, subharmonic=found.subharmonic)
+            search = initial_orbit(problem, found, QUICK)
+            if search.orbit is None:
+                return f"not estimated, {search.reason}"
+            twin = replace(study, structure=few, contact=one)
+            both.append(_of_orbit(twin, found, search.orbit, mode, found.harmonics))
+    except REFUSALS as error:
+        return f"not estimated, {why_failed('a run with friction', error)}"
+    parts, sizes, nan = {}, (0.0, float(coefficient)), math.nan
+    for name, value in own.items():
+        without, rubbed = (numbers.get(name, 0.0) for numbers in both)
+        values = value, value * (rubbed / without) if without else value
+        parts[name] = GridConvergence(sizes, values, "two coefficients", nan, nan, 1.0, nan)
+    return (FRICTION_MODES, FRICTION_MODES), parts
 
 
 def not_estimated(report: ErrorReport) -> str:
@@ -218,20 +282,22 @@ def _more_modes(
     found: PeriodicSolution,
     exact: Mapping[str, float] | None,
 ) -> Varied:
-    """By the exact orbits with these modes and with twice as many; where these are not at hand by
-    solutions with as many harmonics, to which modes above all of them seem static."""
-    structure, table = study.structure, study.scene.reduction
-    reference = structure.reference if isinstance(structure, ReducedStructure) else None
-    if reference is None or table is None or table.modes is None:
+    """By the exact orbits with these modes and with those of the reference; where these are not at
+    hand by solutions with as many harmonics, to which modes above all of them seem static."""
+    structure, reference = study.structure, reference_of(near)
+    if reference is None:
         return "all are kept"
-    more, counts = replace(study, structure=reference), (table.modes, 2 * table.modes)
+    assert isinstance(structure, ReducedStructure)
+    more = replace(study, structure=reference)
+    counts = len(structure.omega), len(reference.omega)
     larger = found.assessment.more_modes if exact else None
     if exact and larger and larger.orbit:
         other = as_changed(own.values, exact, _of_orbit(more, found, larger.orbit, own.mode))
     else:
         start = near if structure.light_lips else None  # else these have other coordinates
         other = numbers_of(more, _solved(more, near.omega, near.harmonics, start), own.mode).values
-    return counts, expected("modes", counts, own.values, other, study.scene)
+    ratio = max(1.0 - structure.share, UNCHANGED)
+    return counts, expected("modes", counts, own.values, other, study.scene, ratio=ratio)
 
 
 def _more_harmonics(
@@ -326,12 +392,12 @@ def _many(found: PeriodicSolution) -> int:
 
 
 def _of_orbit(
-    study: Study, found: PeriodicSolution, orbit: PeriodicOrbit, mode: int
+    study: Study, found: PeriodicSolution, orbit: PeriodicOrbit, mode: int, harmonics: int = 0
 ) -> dict[str, float]:
     """The numbers of an orbit next to a solution, of a study's structure: of crack faces by its
     motion at the solution's instants, but for the duty cycle, which follows from its switching
-    instants; of points with many harmonics (collective)."""
-    structure, law, harmonics = study.structure, study.contact, _many(found)
+    instants; of points with so many harmonics, by default many (collective)."""
+    structure, law, harmonics = study.structure, study.contact, harmonics or _many(found)
     assert law is not None
     problem = Problem(structure, found.omega, law, harmonics, subharmonic=found.subharmonic)
     wave = wave_of(problem, orbit, orbit.coefficients(harmonics))
@@ -360,20 +426,20 @@ def _coarser_mesh(study: Study, near: PeriodicSolution, own: Numbers, of_peak: b
     there = numbers_of(twin, other, own.mode)
     parts = expected("mesh", counts, with_few.values, there.values, study.scene, ratio=ratio)
     sizes = parts[own.resonance].sizes
-    orders = 2.0 * study.scene.mesh.order, *ORDERS
-    left = [1.0 / ((sizes[1] / sizes[0]) ** order - 1.0) for order in orders]
-    both = len(left) * [(with_few.values, there.values)]
-    if not of_peak:
-        factors = [1.0 / (1.0 + share * (1.0 - moved)) for share in left]
-        changed = (shifted(*one, own.mode, factors) for one in ((study, half), (twin, other)))
-        both = [*zip(*changed, strict=True)]
+    orders = 2.0 * study.scene.mesh.order, TIP
+    left = np.linspace(*(1.0 / ((sizes[1] / sizes[0]) ** order - 1.0) for order in orders), PLACES)
+    moved_to = PLACES * [with_few.values]
+    if not of_peak:  # each from rest, as on a finer mesh, which may reach another motion
+        shifts = near.omega / (1.0 + left * (1.0 - moved))
+        solutions = (_solved(study, float(omega), few) for omega in shifts)
+        moved_to = [numbers_of(study, one, own.mode).values for one in solutions]
     between = _between_pairs(study, half, own.mode)
     found = {}
     for name, part in parts.items():
         value, coarse_value = part.values
         terms = [
-            (share * (one.get(name, 0.0) - two.get(name, 0.0)), one.get(name, 0.0) - value)
-            for share, (one, two) in zip(left, both, strict=True)
+            (share * (value - coarse_value), values.get(name, 0.0) - value)
+            for share, values in zip(left.tolist(), moved_to, strict=True)
         ]
         error = math.hypot(
             max(abs(shape + shift) for shape, shift in terms),

@@ -71,6 +71,7 @@ class GridConvergence(Described):
         "asymptotic": the observed order is near that of theory, or between that and the highest;
         "outside": it falls, with another order; "irregular": the values oscillate, come no closer,
         or come closer too fast to show an order; "two sizes": no order is observed;
+        "two coefficients": the sizes are coefficients of friction, the first one is 0;
         "unchanged": the same to rounding; "carried": the values are those at a shifted resonance;
         "exact orbit": the first is the limit.
     order : float
@@ -94,7 +95,7 @@ class GridConvergence(Described):
     @property
     def is_asymptotic(self) -> bool:
         """True if something could be extrapolated."""
-        return self.behaviour not in ("irregular", "carried")
+        return self.behaviour not in ("irregular", "carried", "two coefficients")
 
     def uncertainty(self, place: int = 0) -> float:
         """F abs(f_i - f) of a value, by default that of the smallest size; or F times their
@@ -211,14 +212,17 @@ def _observed(h: np.ndarray, f: np.ndarray) -> float:
 
 
 Varied = tuple[tuple[int, ...], dict[str, GridConvergence]] | str
-"""Counts of a cause, those of the result first, and its parts; or the reason why there are none."""
+"""Counts of a cause, those of the result first, and its parts; or the reason why there are none, ""
+where it does not apply."""
 
 MESH = ("mesh", "shift")
 """The mesh's part: of the answer at a given distance from the resonance, and by the shift of the
 resonance."""
 ESTIMATED = ("harmonics", "modes")
 """Causes without whose part no error is known; the mesh may be left out by choice."""
-CAUSES = (*MESH, "modes", "harmonics", "samples")
+CAUSES = (*MESH, "modes", "harmonics", "friction", "samples")
+BY_CHOICE = ("mesh", "friction")
+"""Causes that contribute an unknown part where they are not varied."""
 WORDS = ("units", "absent", "unknown", "verdicts")
 DOUBTS = {
     "outside": "the observed order is not that of theory, the factor of safety is 3",
@@ -244,11 +248,13 @@ class Verification(Tabular):
         of named points as "tip.ux.amplitude"; "frequency_open_1" [Hz] or "omega_open_1" [rad/s] are
         natural frequencies with the crack open.
     parts : dict of str to dict of str to GridConvergence
-        By the cause, "mesh", "modes", "harmonics" or "samples", and the quantity. Sizes are the
-        side of a mean element [m], and one over the number of modes, harmonics or samples; the
-        last value is that of the scene's own choice.
+        By the cause, "mesh", "modes", "harmonics", "friction" or "samples", and the quantity. Sizes
+        are the side of a mean element [m], and one over the number of modes, harmonics or samples;
+        the last value is that of the scene's own choice. Of friction they are coefficients, and the
+        first value is the scene's.
     counts : dict of str to tuple of int
-        The numbers of elements, modes, harmonics or samples, the scene's own first.
+        The numbers of elements, modes, harmonics or samples, the scene's own first; of friction the
+        modes of both solutions.
     absent : dict of str to str
         Causes that contribute nothing, and why.
     unknown : dict of str to str
@@ -272,12 +278,12 @@ class Verification(Tabular):
     KIND: ClassVar[str] = "verification"
 
     def take(self, cause: str, made: Varied) -> None:
-        """Note the part of a cause, or why it was not varied: of a mesh it is then unknown, else
-        there is none."""
-        if isinstance(made, str):
-            (self.unknown if cause == "mesh" else self.absent)[cause] = made
-        else:
+        """Note the part of a cause, or why it was not varied: of a mesh and of friction it is then
+        unknown, else there is none."""
+        if not isinstance(made, str):
             self.counts[cause], self.parts[cause] = made
+        elif made:
+            (self.unknown if cause in BY_CHOICE else self.absent)[cause] = made
 
     # --- files ------------------------------------------------------------------------------------
 
@@ -345,10 +351,10 @@ class Verification(Tabular):
 
     def stated(self, quantity: str) -> tuple[float, str]:
         """The error of a quantity, relative to it, by all causes (:meth:`total`); and the largest
-        of them: "mesh", "modes", "harmonics", "samples". Not known: nan, also where the part of the
-        harmonics or the modes is not, or nothing that was varied changes it and something else was
-        not. Infinite where the estimate is as large as the quantity, as of a mesh that is too
-        coarse."""
+        of them: "mesh", "modes", "harmonics", "friction", "samples". Not known: nan, also where the
+        part of the harmonics or the modes is not, or nothing that was varied changes it and
+        something else was not. Infinite where the estimate is as large as the quantity, as of a
+        mesh that is too coarse."""
         unknown = any(cause in self.unknown for cause in ESTIMATED)
         if quantity not in self.values or not self.parts or unknown:
             return math.nan, ""

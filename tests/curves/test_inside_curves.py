@@ -369,14 +369,16 @@ def test_what_counts_as_a_change(before: Any, after: Any, expected: tuple[int, .
 def test_steps_that_are_halved(logs: Any, lengths: Any, expected: tuple[bool, ...]) -> None:
     """By one real multiplier; the longest step is 1."""
     observed = np.array([row(float(np.exp(one)), 1e-3) for one in logs])
-    points: Any = SimpleNamespace(observed=observed, lengths=np.array(lengths))
+    records = np.array([np.diag([np.exp(one), 1e-3]).ravel() for one in logs])
+    points: Any = SimpleNamespace(observed=observed, records=records, lengths=np.array(lengths))
     assert tuple(MultiplierControl(1.0).too_long(points)) == expected
 
 
 def test_several_changes_are_parted_below_the_floor() -> None:
     """Two events in one step are halved until each is by itself."""
     observed = np.array([row(-0.999, 0.99 + 0.1j), row(-1.001, 1.0 + 0.1j)])
-    points: Any = SimpleNamespace(observed=observed, lengths=np.array([0.0, 1e-6]))
+    records, lengths = np.tile(np.eye(2).ravel(), (2, 1)), np.array([0.0, 1e-6])
+    points: Any = SimpleNamespace(observed=observed, records=records, lengths=lengths)
     assert MultiplierControl(1.0).too_long(points).tolist() == [True]
 
 

@@ -167,6 +167,20 @@ def test_expanded_displacement_is_that_of_the_blades(mistuned: Wheel) -> None:
     assert gap == pytest.approx(found.gap_coefficients, abs=1e-7 * size)
 
 
+def test_matrices_are_written_and_read(mistuned: Wheel, tmp_path: Path) -> None:
+    """Those of all sectors, whose structure knows of no sector: reduced in the same way it has the
+    same solution."""
+    scene = ring(excitation__frequency=1290.0)
+    fc.write_matrices(mistuned, tmp_path, scene)
+    again = fc.build_structure(fc.Scene.load(tmp_path / "matrices.toml"))
+    assert np.array_equal(again.force, mistuned.force) and (again.gap != mistuned.gap).nnz == 0
+    first, second = (
+        solved(reduce_structure(one, modes=24, method="massless", reference=False), 1290.0)
+        for one in (mistuned, again)
+    )
+    assert apart(second.gap_coefficients, first.gap_coefficients) < 1e-12
+
+
 def test_names_of_dofs(mistuned: Wheel) -> None:
     """A dof in words, and the errors of those that are none."""
     _, own = mistuned.blade_of(mistuned.watched_dof)

@@ -195,7 +195,7 @@ def test_the_example_meets_its_stop() -> None:
         ({"structure.mass": "gap.mtx"}, "structure.mass"),
         ({"structure.mass": "missing.mtx"}, "structure.mass"),
         ({"structure.gap": "stiff.mtx"}, "structure.gap"),
-        ({"structure.force_sin": "mass.mtx"}, "structure.force_sin"),
+        ({"structure.force_mean": "mass.mtx"}, "structure.force_mean"),
         ({"structure.clearance": "force.mtx"}, "structure.clearance"),
         ({"structure.force_sin": None}, "structure.force_sin"),
         ({"contact": None}, "contact"),

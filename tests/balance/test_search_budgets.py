@@ -1,0 +1,64 @@
+"""What a search with a number of harmonics takes and says: orbits it found, budgets that end it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import fenics_crack as fc
+from fenics_crack.balance.assessment import distance
+from fenics_crack.numerics.fourier import evaluate
+
+RIGID = fc.UnilateralConstraint()
+
+
+@pytest.fixture(scope="module")
+def plate(soft_plate: fc.Structure) -> fc.Structure:
+    """The paper's plate by ten modes."""
+    return fc.reduce_structure(soft_plate, modes=10, method="massless")
+
+
+def test_the_orbit_of_a_search_is_error_and_verdict(plate: fc.Structure) -> None:
+    """Many harmonics are sought from an exact orbit: no step predicts its error, which is the
+    distance to an orbit that is found without harmonic balance."""
+    found = fc.solve_harmonic_balance(plate, 2000.0, RIGID, harmonics=48)
+    stability = fc.floquet(plate, found)
+    assert "prediction" not in vars(found.assessment)
+    orbit = fc.solve_harmonic_balance(plate, 2000.0, RIGID, tolerance=0.5).orbit
+    assert orbit is not None and stability.verdict != "undecided"
+    assert found.report.truncation == pytest.approx(distance(found, orbit), rel=1e-3)
+    assert abs(stability.multipliers[0]) == pytest.approx(abs(orbit.multipliers[0]), rel=1e-6)
+
+
+def rubbing_masses() -> tuple[fc.Structure, fc.CoulombFriction]:
+    """Two dofs pressed against the ground, which slide and open."""
+    structure = fc.Structure.from_matrices(
+        np.eye(2), np.array([[1.0, 0.2], [0.2, 1.3]]), gap=[0.0, 1.0], tangential=[1.0, 0.0],
+        force_cos=[1.0, 0.5], force_mean=[0.0, 0.1], damping=fc.ModalDamping(0.01),
+    )  # fmt: skip
+    return structure, fc.CoulombFriction(fc.UnilateralPenalty(50.0), 0.4, 30.0)
+
+
+def test_friction_ends_by_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without iterations for a single guess, and with no orbit: "no solution" and a remedy, the
+    iterations as many as the budget has, besides one for each guess."""
+    structure, law = rubbing_masses()
+    monkeypatch.setattr("fenics_crack.balance.problem.RUBBING", 1.0)
+    monkeypatch.setattr("fenics_crack.balance.problem.affordable", lambda *given: False)
+    found = fc.solve_harmonic_balance(structure, 0.9, law, harmonics=10, throw=False)
+    assert not found.converged and found.report.unknown
+    assert "no solution in" in found.status and "try other harmonics" in found.status
+    monkeypatch.undo()
+    assert fc.solve_harmonic_balance(structure, 0.9, law, harmonics=10).converged
+
+
+def test_coefficients_in_blocks(plate: fc.Structure, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The sum of an orbit's coefficients, found from a few instants at a time, is its motion."""
+    orbit = fc.solve_harmonic_balance(plate, 2000.0, RIGID, tolerance=0.5).orbit
+    assert orbit is not None
+    monkeypatch.setattr("fenics_crack.motion.orbit.AT_A_TIME", 64)
+    rows = orbit.coefficients(200).displacement
+    time = np.linspace(0.0, orbit.period, 50)
+    moved = orbit.displacement_at(time)
+    away = np.abs(evaluate(rows, orbit.omega, time) - moved).max()
+    assert away <= 1e-3 * np.abs(moved).max()

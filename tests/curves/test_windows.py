@@ -1,0 +1,91 @@
+"""What lies between two points of a curve: windows of doublings and of instability."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import exact_orbits
+import numpy as np
+import pytest
+import scipy.linalg
+from reference_flow import ReferenceFlow
+
+import fenics_crack as fc
+from fenics_crack.curves.orbit_curve import OrbitCurve
+from fenics_crack.curves.orbit_events import parting
+
+
+@pytest.fixture(scope="module")
+def doubled() -> OrbitCurve:
+    """One mass with a stop, .2 % damped, past twice its bilinear frequency; frequencies relative
+    to that."""
+    stop, bilinear = 0.03, 2.0 * np.sqrt(1.03) / (1.0 + np.sqrt(1.03))
+    structure = fc.Structure.from_matrices(
+        [[bilinear**2]], [[1.0]], gap=[1.0], force_cos=[1.0], damping=[[0.004 * bilinear]]
+    )
+    curve = fc.continue_frequency(structure, 1.8, 2.25, fc.UnilateralPenalty(stop), tolerance=1e-2)
+    assert isinstance(curve, OrbitCurve)
+    return curve
+
+
+def test_a_window_between_two_stable_points(doubled: OrbitCurve) -> None:
+    """Both doublings at the default step; by another flow a multiplier is -1 at each, and the
+    orbit between them is unstable."""
+    found = doubled.bifurcations
+    assert [one.kind for one in found] == ["period_doubling"] * 2
+    assert [one.value for one in found] == pytest.approx([1.99153, 2.00859], abs=1e-5)
+    flow = ReferenceFlow(doubled.structure, doubled.contact)
+    assert max(exact_orbits.off_reference(flow, one) for one in found) < 1e-6
+    between = (found[0].value < doubled.values) & (doubled.values < found[1].value)
+    assert (doubled.verdicts[between] == "unstable").all() and between.sum() >= 3
+    assert (doubled.verdicts[~between] == "stable").all()
+
+
+def test_resolution_of_a_curve(doubled: OrbitCurve) -> None:
+    """A tenth of the longest step in the parameter; nothing of a single point."""
+    steps = [after - before for before, after in pairwise(doubled.values)]
+    assert doubled.resolution == pytest.approx(0.1 * max(steps))
+    assert doubled.part([0]).resolution == 0.0
+
+
+@pytest.mark.parametrize("coupling", [0.002, 0.01, 0.04])
+@pytest.mark.parametrize("sides", [(0.1, -0.1), (0.25, -0.05), (-0.05, 0.3)])
+def test_multipliers_of_a_pair_that_meet(coupling: float, sides: tuple[float, float]) -> None:
+    """mu = -exp(-d +- sqrt(c^2 - a^2)), a from one side of 0 to the other: they part by 2 c, and
+    one leaves the circle where c > d."""
+    damping = 0.01
+    generators = [np.array([[0.0, coupling + a], [coupling - a, 0.0]]) for a in sides]
+    matrices = -np.exp(-damping) * np.array([scipy.linalg.expm(one) for one in generators])
+    assert parting(matrices) == pytest.approx([coupling / damping], rel=0.05)
+
+
+@pytest.mark.parametrize(("opposite", "expected"), [(True, 2.0), (False, 0.0)])
+def test_two_pairs_that_meet(opposite: bool, expected: float) -> None:
+    """On the circle at e^(i); of one signature they pass, of opposite ones they part."""
+    damping, coupling = (0.01, 0.04), 0.04
+    back = coupling if opposite else -coupling
+    matrices = []
+    for a in (0.1, -0.1):
+        generator = np.array([[-damping[0] + 1j * a, coupling], [back, -damping[1] - 1j * a]])
+        one = np.exp(1j) * scipy.linalg.expm(generator)
+        matrices.append(np.block([[one.real, -one.imag], [one.imag, one.real]]))
+    assert parting(np.array(matrices)) == pytest.approx([expected], abs=0.1)
+
+
+def test_multipliers_that_are_double_or_zero() -> None:
+    """Defective matrices have fewer eigenvectors than needed: nothing is said, nothing fails."""
+    defective = np.array([[0.5, 1.0, 0.0], [0.0, 0.5, 0.0], [0.0, 0.0, 0.0]])
+    assert np.isfinite(parting(np.array([defective, defective, np.zeros((3, 3))]))).all()
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("seed", [100, 1101, 1102, 1104])
+def test_verdicts_between_points(seed: int) -> None:
+    """Every 50th of the default step by another flow: at most .1 % of the range is false, and no
+    false window is wider than the resolution, at most a fifth of the longest step."""
+    [(_, structure, span, law)] = exact_orbits.lightly_damped(seed, 1)
+    curve = fc.continue_frequency(structure, *span, law, tolerance=1e-2)
+    found = exact_orbits.false_verdicts(curve, span)
+    assert found["judged"] >= 0.99 * found["of"] > 900
+    assert found["false"] <= 1e-3
+    assert found["widest/resolution"] <= 1.0 and found["resolution/longest"] <= 0.2

@@ -1,0 +1,254 @@
+"""Matrices that are written for other programs: what SciPy reads of them, and the way back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.io
+import scipy.sparse as sparse
+from helpers import csr
+from mpi4py import MPI
+
+import fenics_crack as fc
+from fenics_crack import InputError, Scene
+
+ORDERS = [{"order": 7, "cos": [3.0, 0.0], "sin": [1.0, 2.0]}]
+QUADRATIC = {"mesh.order": 2, "mesh.columns": 4, "reduction.modes": 12}
+PLATES: dict[str, dict[str, Any]] = {
+    "modal damping": {"damping.ratio": 0.01},
+    "some modes": {**QUADRATIC, "damping.ratio": [0.01, 0.02, 0.03], "damping.modes": 3},
+    "Rayleigh damping": {
+        "damping.ratio": None, "damping.ratios": [0.01, 0.02], "damping.frequencies": [300, 9000],
+    },
+    "friction": {
+        **QUADRATIC, "contact.law": "unilateral", "contact.stiffness": None,
+        "contact.friction": 0.3, "excitation.force_mean": [0.0, -50.0],
+    },
+    "harmonics": {
+        "excitation.harmonics": ORDERS, "harmonic_balance.harmonics": None, "damping.ratio": 0.01,
+    },
+    "clearance": {"crack.clearance": 1e-7, "contact.pairs": "mouth", **QUADRATIC},
+    "stiffness per area": {
+        **QUADRATIC, "contact.stiffness": None, "contact.stiffness_per_area": 1e11,
+        "contact.friction": 0.2, "contact.tangential_stiffness_per_area": 5e10,
+    },
+    "rotation": {
+        "rotation.rpm": 100.0, "rotation.hub_radius": 0.1, "excitation.order": 200,
+        "excitation.omega": None, "excitation.force_mean": [0.0, 1e5],
+    },
+    "shaken": {
+        "base.acceleration_sin": [9.81, 0.0], "excitation.point": None,
+        "excitation.force_sin": [0.0, 0.0], "harmonic_balance.form": "block",
+    },
+}  # fmt: skip
+"""Changes of the paper's plate."""
+SOLID = """
+geometry = { kind = "solid", width = 0.03, height = 0.05, thickness = 0.01 }
+crack = { edge = "left", height = 0.02, length = 0.01 }
+material = { young = 2.1e11, poisson = 0.3, density = 7850.0 }
+damping = { ratio = 0.01, modes = 10 }
+excitation = { point = [0.0, 0.05, 0.005], force_cos = [100.0, 0.0, 10.0], frequency = 2000.0 }
+contact = { law = "penalty", stiffness_per_area = 1e13 }
+harmonic_balance = { harmonics = 5, error = false }
+mesh = { layout = "graded", order = 2, size = 0.02, lip_elements = 1, error = false }
+"""
+FORCES = "force_mean", "force_cos", "force_sin"
+
+
+def matrices_of(structure: fc.Structure) -> dict[str, Any]:
+    """What the files have to hold."""
+    force = structure.force
+    parts = {"mass": csr(structure.mass), "stiffness": csr(structure.stiffness)}
+    parts |= dict(zip(FORCES, (force[:1].T, force[1::2].T, force[2::2].T), strict=True))
+    parts |= {"gap": structure.gap, "tangential": structure.tangential}
+    parts |= {"clearance": structure.clearance, "areas": structure.pair_areas}
+    return {
+        name: sparse.csr_matrix(part if np.ndim(part) != 1 else part[:, None])
+        for name, part in parts.items()
+        if part is not None
+    }
+
+
+def differences(structure: fc.Structure, folder: Path) -> dict[str, float]:
+    """Of what SciPy reads, relative to the largest entry."""
+    found = {}
+    for name, matrix in matrices_of(structure).items():
+        read = sparse.csr_matrix(scipy.io.mmread(folder / f"{name}.mtx"))
+        assert read.shape == matrix.shape
+        found[name] = abs(read - matrix).max() / (abs(matrix).max() or 1.0)
+    return found
+
+
+def solved(scene: Scene) -> fc.PeriodicSolution:
+    """As the scene's harmonic balance says, but without a tolerance."""
+    study, balance = fc.prepare(scene), scene.harmonic_balance
+    return fc.solve_harmonic_balance(
+        study.structure, scene.excitation.omega, study.contact,
+        harmonics=balance.harmonics, form=balance.form,
+    )  # fmt: skip
+
+
+def check_way_back(scene: Scene, folder: Path) -> None:
+    """Matrices and solution are the same."""
+    structure = fc.build_structure(scene)
+    fc.write_matrices(structure, folder, scene)
+    assert max(differences(structure, folder).values()) <= 1e-15
+    again = Scene.load(folder / "matrices.toml")
+    assert fc.build_structure(again).force == pytest.approx(structure.force, rel=1e-15, abs=0.0)
+    first, second = solved(scene), solved(again)
+    assert first.converged and first.contact_force(np.linspace(0.0, first.period, 50)).max() > 0.0
+    for name in ("gap_coefficients", "displacement_coefficients"):
+        one, other = getattr(first, name), getattr(second, name)
+        assert np.abs(other - one).max() <= 1e-12 * np.abs(one).max()
+
+
+@pytest.mark.parametrize("name", PLATES)
+def test_plate(name: str, paper_scene: Scene, tmp_path: Path) -> None:
+    """Whatever a plate may have."""
+    check_way_back(paper_scene.replace({"contact.stiffness": 1e9} | PLATES[name]), tmp_path)
+
+
+def test_solid(tmp_path: Path) -> None:
+    """With penalties per area."""
+    check_way_back(Scene.from_text(SOLID), tmp_path)
+
+
+def test_damping_matrix_and_varied_structure(tmp_path: Path) -> None:
+    """C need not be symmetric; load, damping and clearance are those of the varied structure."""
+    generator = np.random.default_rng(1)
+    given = np.diag([3.0, 2.0, 1.0]) + 0.1 * generator.random((3, 3))
+    stiffness = 100.0 * np.array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
+    chain = fc.Structure.from_matrices(
+        np.eye(3), stiffness, gap=[[1.0, 0.0], [0.0, 1.0], [0.0, -1.0]],
+        force_sin=[0.0, 0.0, 1.0 / 3.0], damping=given,
+    ).varied(load=2.0, damping=0.5, clearance=[0.1, -1e-3])  # fmt: skip
+    fc.write_matrices(chain, tmp_path)
+    assert np.array_equal(scipy.io.mmread(tmp_path / "damping.mtx").toarray(), 0.5 * given)
+    assert differences(chain, tmp_path).keys().isdisjoint({"tangential", "areas"})
+    changes = {"excitation.omega": 5.0, "contact.stiffness": 1e3}
+    again = fc.build_structure(Scene.load(tmp_path / "matrices.toml", changes))
+    law = fc.UnilateralPenalty(1e3)
+    first, second = (
+        fc.solve_harmonic_balance(one, 5.0, law, harmonics=8) for one in (chain, again)
+    )
+    assert np.array_equal(first.displacement_coefficients, second.displacement_coefficients)
+
+
+@pytest.mark.parametrize("name", ["modal damping", "some modes", "Rayleigh damping"])
+def test_equations_of_other_programs(name: str, paper_scene: Scene, tmp_path: Path) -> None:
+    """C of the files damps each mode by its ratio, and what they make of the load is the linear
+    answer: (K + i w C - w^2 M) u = f_c - i f_s."""
+    structure = fc.build_structure(paper_scene.replace(PLATES[name])).varied(damping=1.5)
+    fc.write_matrices(structure, tmp_path, paper_scene)
+    assert fc.build_structure(Scene.load(tmp_path / "matrices.toml")).damping == structure.damping
+    names = "mass", "stiffness", "damping", "force_cos", "force_sin"
+    mass, stiffness, damping, cosine, sine = (
+        scipy.io.mmread(tmp_path / f"{name}.mtx").toarray() for name in names
+    )
+    modes, rule = fc.solve_modes(structure, 5), structure.damping
+    ratios = np.zeros(5)
+    if isinstance(rule, fc.RayleighDamping):
+        ratios += 0.5 * (rule.mass / modes.omega + rule.stiffness * modes.omega)
+    else:
+        ratios[: rule.modes] = rule.ratio
+    coupled = modes.shapes.T @ damping @ modes.shapes
+    assert coupled == pytest.approx(np.diag(2.0 * ratios * modes.omega), abs=1e-6 * coupled.max())
+    omega = 2000.0
+    moved = np.linalg.solve(stiffness + 1j * omega * damping - omega**2 * mass, cosine - 1j * sine)
+    linear = fc.solve_linear(structure, omega).displacement_coefficients
+    assert linear[1] == pytest.approx(moved.real[:, 0], rel=1e-8, abs=1e-8 * np.abs(moved).max())
+    assert linear[2] == pytest.approx(-moved.imag[:, 0], rel=1e-8, abs=1e-8 * np.abs(moved).max())
+
+
+def test_symmetric_matrices_stay_so(tmp_path: Path) -> None:
+    """One triangle of those that are, every entry of others, however little they differ."""
+    stiffness = np.array([[2.0, -1.0], [np.nextafter(-1.0, 0.0), 1.0]])
+    pair = fc.Structure.from_matrices(np.eye(2), stiffness, gap=None, force_sin=[1.0, 0.0])
+    fc.write_matrices(pair, tmp_path)
+    assert scipy.io.mminfo(tmp_path / "mass.mtx")[3:] == ("coordinate", "real", "symmetric")
+    assert np.array_equal(scipy.io.mmread(tmp_path / "stiffness.mtx").toarray(), stiffness)
+
+
+def test_many_dofs_have_no_dense_matrix(
+    paper_scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Modal damping is then by its ratios alone."""
+    monkeypatch.setattr("fenics_crack.fem.matrix_files.MOST_DENSE", 49)
+    structure = fc.build_structure(paper_scene)
+    fc.write_matrices(structure, tmp_path)
+    assert not (tmp_path / "damping.mtx").exists()
+    assert "[damping]\nratio = 0.001" in (tmp_path / "matrices.toml").read_text()
+    fc.write_matrices(structure.damped(fc.RayleighDamping(1.0)), tmp_path)
+    assert (tmp_path / "damping.mtx").exists()
+    fc.write_matrices(structure.damped(None), tmp_path, paper_scene)
+    assert not (tmp_path / "damping.mtx").exists()
+    again = fc.build_structure(Scene.load(tmp_path / "matrices.toml"))
+    assert again.damping == fc.RayleighDamping()
+
+
+def test_earlier_files(paper_scene: Scene, tmp_path: Path) -> None:
+    """They are kept, one generation, and none is left among those of another structure."""
+    cracked = fc.build_structure(paper_scene)
+    for structure in (cracked, cracked.tied(1e9)):
+        fc.write_matrices(structure, tmp_path, paper_scene)
+    other = {"gap.mtx", "tangential.mtx", "clearance.mtx", "areas.mtx"}
+    kept, now = (
+        {path.name for path in folder.iterdir()} for folder in (tmp_path / "before", tmp_path)
+    )
+    assert now - {"before"} == kept - other and other < kept
+    assert Scene.load(tmp_path / "matrices.toml").contact is None
+    assert not max(differences(cracked, tmp_path / "before").values())
+
+
+def test_refused(paper_scene: Scene, tmp_path: Path) -> None:
+    """By one error, before anything is written."""
+    study = fc.prepare(paper_scene.replace({"reduction.modes": 4}))
+    with pytest.raises(InputError, match="not reduced") as caught:
+        fc.write_matrices(study.structure, tmp_path)
+    assert caught.value.key == "structure"
+    whole = study.structure.whole
+    with pytest.raises(InputError, match=r"contact is missing: must be given with structure\.gap"):
+        fc.write_matrices(whole, tmp_path, paper_scene.replace({"contact": None, "crack": None}))
+    with pytest.raises(InputError, match=r"damping\.ratio = 2"):
+        fc.write_matrices(whole.damped(fc.ModalDamping(2.0)), tmp_path)
+    assert not list(tmp_path.iterdir())
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="folder"):
+        fc.write_matrices(whole, tmp_path / "file")
+    (tmp_path / "before").symlink_to(tmp_path)
+    with pytest.raises(InputError, match="no link to one"):
+        fc.write_matrices(whole, tmp_path)
+
+
+def test_columns_of_a_load() -> None:
+    """Column k of cosine and sine is the part of order k."""
+    cosine, sine = np.arange(4.0).reshape(2, 2), [1.0, 2.0]
+    parts: dict[str, Any] = {"mass": np.eye(2), "stiffness": np.eye(2), "gap": None}
+    found = fc.Structure.from_matrices(**parts, force_cos=cosine, force_sin=sine, force_mean=sine)
+    assert np.array_equal(found.force, [sine, cosine[:, 0], sine, cosine[:, 1], [0.0, 0.0]])
+    for name, part in {"force_mean": cosine, "force_sin": np.ones((2, 101))}.items():
+        with pytest.raises(InputError, match="of shape") as caught:
+            fc.Structure.from_matrices(**parts, **{name: part})
+        assert caught.value.key == name
+
+
+def write_and_solve(scene: Scene, folder: str, comm: MPI.Comm) -> np.ndarray:
+    """Frequencies of a structure whose rows ranks share; its files are written (collective)."""
+    structure = fc.build_structure(scene, comm)
+    fc.write_matrices(structure, folder, scene)
+    return fc.solve_modes(structure, 6).omega
+
+
+@pytest.mark.mpi
+def test_on_two_ranks(paper_scene: Scene, tmp_path: Path, on_ranks: Callable[..., Any]) -> None:
+    """The first one writes the rows of both."""
+    scene = paper_scene.replace(PLATES["friction"])
+    shared = on_ranks(write_and_solve, scene, str(tmp_path))
+    again = Scene.load(tmp_path / "matrices.toml")
+    assert fc.solve_modes(fc.build_structure(again), 6).omega == pytest.approx(shared, rel=1e-9)
+    one, other = (solved(part).gap_coefficients for part in (scene, again))
+    assert np.abs(other - one).max() < 1e-6 * np.abs(one).max()
