@@ -1,4 +1,5 @@
-"""Run by the Python of SKHiPPR and tmdsimpy for ``condensed_speed.py``: JSON in, JSON out.
+"""Run by the Python of SKHiPPR and tmdsimpy, or of mousai, for ``condensed_speed.py`` and
+``work_precision.py``: JSON in, JSON out.
 
 One cold solution of M u'' + C u' + K u + k max(u, 0) = f cos(w t), the contact on some dofs, from
 the linear solution with open contacts; the solution itself, from one near it; then points of its
@@ -10,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import resource
 import sys
 import time
 import typing
@@ -164,6 +166,47 @@ def skhippr(job: Job) -> Found:
     return found(coefficients, seconds, patient.num_iter, cold.solved, marks, np.array(omegas))
 
 
+# --- mousai ---------------------------------------------------------------------------------------
+
+
+def mousai(job: Job) -> Found:
+    """Its harmonic balance at 2H+1 instants, by SciPy's Newton-Krylov method."""
+    from mousai import hb_time  # type: ignore[import-not-found]
+
+    H, stopped = job["harmonics"], job["stopped"]
+    inverse = np.linalg.inv(job["mass"])
+    K, C, load, k = (job[name] for name in ("stiffness", "damping", "load", "stop"))
+
+    def acceleration(x: np.ndarray, v: np.ndarray, params: dict[str, Any]) -> np.ndarray:
+        force = load * np.cos(params["omega"] * params["cur_time"]) - K @ x - C @ v
+        force[stopped] -= k * np.maximum(x[stopped], 0.0)
+        return np.asarray(inverse @ force)[:, None]
+
+    rows = linear(job, job["at"])
+    angles = np.outer(np.arange(1, H + 1), 2.0 * np.pi * np.arange(2 * H + 1) / (2 * H + 1))
+    start = rows[0][:, None] + rows[1::2].T @ np.cos(angles) + rows[2::2].T @ np.sin(angles)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    seconds, (_, x, error, *_) = timed(
+        lambda: hb_time(
+            acceleration,
+            start,
+            job["at"],
+            num_harmonics=H,
+            f_tol=1e-8 * float(np.abs(inverse @ load).max()),
+        )
+    )
+    waves = np.fft.rfft(x, axis=1).T / x.shape[1]
+    coefficients = np.empty((2 * H + 1, len(x)))
+    coefficients[0] = waves[0].real
+    coefficients[1::2], coefficients[2::2] = 2.0 * waves[1 : H + 1].real, -2.0 * waves[1:].imag
+    return {
+        "coefficients": coefficients.tolist(),
+        "cold": seconds,
+        "converged": bool(np.all(np.isfinite(error))),
+        "mib": (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - peak) / 1024.0,
+    }
+
+
 # --- shared ---------------------------------------------------------------------------------------
 
 
@@ -196,10 +239,11 @@ def found(
 def main() -> None:
     """Do the job on standard input."""
     job = json.load(sys.stdin)
-    for name in ("mass", "stiffness", "damping", "load", "near", "initial"):
+    for name in {"mass", "stiffness", "damping", "load", "near", "initial"} & set(job):
         job[name] = np.array(job[name])
+    programs = {"tmdsimpy": tmdsimpy, "SKHiPPR": skhippr, "mousai": mousai}
     with contextlib.redirect_stdout(sys.stderr):
-        answer = {"tmdsimpy": tmdsimpy, "SKHiPPR": skhippr}[job["program"]](job)
+        answer = programs[job["program"]](job)
     json.dump(answer, sys.stdout)
 
 

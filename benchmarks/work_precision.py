@@ -1,203 +1,350 @@
 """Error against processor time for every way of solving the same scene.
 
 Scenes
-    oscillator the bilinear oscillator (c = 0.1, kc = 1) at half its natural frequency, W = w0 / 2
-    paper      ``demos/paper_plate.toml`` with 1e9 N/m and damping 0.01, 2000 rad/s
-    breathing  ``demos/breathing_plate.toml`` with 1e9 N/m and damping 0.01, 2000 rad/s, 18 pairs;
-               150 damped modes, for what is not damped does not settle
-    data       the paper's own data (1e11 N/m, damping 0.001): the motion does not settle; harmonic
-               balance beside central differences, averaged by phase over 200 periods
-    kernel     one step of every scheme on the paper's plate; one of central differences on the
-               breathing plate against one product with K
+    paper      ``demos/paper_plate.toml`` with 1e9 N/m and damping 0.01, 2000 rad/s: 50 dofs, a pair
+    breathing  ``demos/breathing_plate.toml`` with 1e9 N/m and damping 0.01 of 150 modes, 2000
+               rad/s: 4000 dofs, 18 pairs
+    solid      a short beam with a crack through it, 1e8 N/m
+    friction   ``demos/friction.toml``: an inclined crack that slides
 
-Methods
-    harmonic balance, always from a cold start and with its error report: exact integrals, 128 or
-    1024 samples a period, collocation at 2H+1 instants, the full form (all dofs), the reduced
-    structure;
-    in time, from rest: central differences (full and reduced), exponential steps, the exact flow
-    from one switching instant to the next, and SciPy's `solve_ivp` (DOP853) on one mass.
+Methods, always from a cold start: harmonic balance by exact integrals and by samples (AFT), the
+block system by PETSc's SNES, an exact orbit to a tolerance; from rest, until the motion has
+settled: the exact flow and central differences, or exponential steps where faces have no mass. Of
+other programs pyHarm and mousai, where they converge from the linear solution: their Python is
+found by --others or the variable OTHERS_PYTHON (pip install pyHarm-os mousai in an environment of
+its own).
 
-The error is the relative L2 difference of the gaps over one period from a reference: the exact
-orbit by shooting (oscillator, paper), or harmonic balance with 40 harmonics, whose own estimate is
-printed (breathing). A motion in time has settled when the gaps of two successive periods differ by
-less than a tenth of the scheme's error; it may take at most 400 periods, and its time includes
-them. The set-up of the structure is left out for all methods; that of a reduction is printed
-separately. Runs below half a second are the fastest of three. "MiB" is the peak memory above what
-the process used when the method began. Schemes in time keep the gaps of the last period and no
-displacements; a reduced structure keeps its coordinates.
+All but the block system solve the reduced structure of the scene (the paper's plate: all dofs); its
+set-up is left out. The error is the relative L2 difference of the gaps over a period from the exact
+orbit of that structure by another flow (``reference_flow.py``). Runs below half a second are the
+fastest of three. The table and the picture name the commit and the day on which they were made.
 
-    OMP_NUM_THREADS=1 python benchmarks/work_precision.py [--quick] [--only SCENE] [folder]
+    OMP_NUM_THREADS=1 python benchmarks/work_precision.py [--quick] [--only SCENE] [--others PYTHON]
+        [folder]
+
+``--only demos`` prints README's table instead: error, time and memory of five demos, each by the
+command ``solve`` in a process of its own. ``--only steps``: a step of each scheme in time.
 """
 
 from __future__ import annotations
 
+import datetime
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import common
 import numpy as np
-from laboratory import solve_form
-from scipy.integrate import solve_ivp
+import scipy.linalg
+from reference_flow import INSTANTS, ReferenceFlow
 
 import fenics_crack as fc
 from fenics_crack.draw.figure import COLOURS
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.modes import damped_modes
 
-COLUMNS = ("scene", "method", "setting", "error", "CPU ms", "MiB", "periods", "note")
-LOOKS = {
-    "harmonic balance, exact": ("blue", "o-"),
-    "harmonic balance, 128 samples": ("blue", "s--"),
-    "harmonic balance, 1024 samples": ("green", "s--"),
-    "harmonic balance, collocation": ("pink", "x--"),
-    "harmonic balance, full form": ("grey", "d:"),
-    "harmonic balance, reduced": ("green", "o-"),
-    "central differences": ("orange", "^-"),
-    "central differences, reduced": ("orange", "v--"),
-    "exponential steps": ("blue", "v:"),
-    "exponential steps, reduced": ("blue", "1:"),
-    "exact flow": ("green", "*"),
-    "solve_ivp": ("grey", "h-"),
+ROOT = Path(__file__).parents[1]
+WORKER = Path(__file__).absolute().with_name("others_worker.py")
+COLUMNS = ("scene", "method", "setting", "error", "CPU ms", "MiB", "note")
+METHODS = {
+    "harmonic balance, exact integrals": ("fenics_crack.solve_harmonic_balance", "blue", "o-"),
+    "harmonic balance, samples": ("fenics_crack.solve_harmonic_balance", "blue", "s--"),
+    "block system": ("fenics_crack.balance.block_system", "grey", "d:"),
+    "orbit to a tolerance": ("fenics_crack.solve_harmonic_balance", "green", "*-"),
+    "exact flow": ("fenics_crack.integrate_events", "orange", "P:"),
+    "central differences": ("fenics_crack.integrate_central_difference", "orange", "^-"),
+    "exponential steps": ("fenics_crack.integrate_exponential", "orange", "v-"),
+    "pyHarm": ("benchmarks/others_worker.py", "pink", "x--"),
+    "mousai": ("benchmarks/others_worker.py", "pink", "1:"),
 }
+"""By name: where it is, its colour and its line. A test finds each of them."""
+OTHERS = ("pyHarm", "mousai")
+SAMPLES = 1024
+"""Of a period, where the contact force is sampled."""
+PATIENCE = 60
+"""Seconds on the clock for another program."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """What is solved, and the wave that is right."""
+    """What is solved, and the gaps that are right."""
 
     name: str
+    whole: fc.Structure
     structure: fc.Structure
     omega: float
-    law: fc.UnilateralPenalty
-    reference: Callable[[np.ndarray], np.ndarray]
-    """Gaps (n, n_pairs) at phases (n,) of the period, 0 to 1."""
-    reduced: fc.Structure | None = None
+    law: Any
+    harmonics: tuple[int, ...]
+    reference: np.ndarray
+    """Gaps (INSTANTS, n_pairs) of the exact orbit."""
 
     def error(self, gap: np.ndarray) -> float:
-        """Of gaps (n, n_pairs) at n instants equally spaced from phase zero."""
-        exact = self.reference(np.arange(len(gap)) / len(gap))
-        return float(np.linalg.norm(gap - exact) / np.linalg.norm(exact))
+        """Of gaps (INSTANTS, n_pairs)."""
+        return float(np.linalg.norm(gap - self.reference) / np.linalg.norm(self.reference))
 
 
 def main() -> None:
     """Run the scenes asked for."""
-    parts = {
-        "oscillator": oscillator, "paper": paper, "breathing": breathing, "data": own_data,
-        "kernel": kernel,
-    }  # fmt: skip
-    common.run(__doc__, parts)
+    scenes = {"paper": paper, "breathing": breathing, "solid": solid, "friction": friction}
+    parts = {name: race(name, scene) for name, scene in scenes.items()}
+    common.run(
+        __doc__,
+        parts | {"demos": demos, "steps": steps},
+        others={
+            "default": os.environ.get("OTHERS_PYTHON"),
+            "help": "a Python that has pyHarm and mousai",
+        },
+    )
 
 
 # --- the scenes -----------------------------------------------------------------------------------
 
 
-def oscillator(arguments: common.Arguments) -> None:
-    """One mass."""
-    structure = common.oscillator(1.0, 0.1)
-    omega = np.sqrt(2.0) / (1.0 + np.sqrt(2.0))
-    law = fc.UnilateralPenalty(1.0)
-    scene = Scene("oscillator", structure, omega, law, exact_orbit(structure, omega, law))
-    rows = balance(scene, "exact", (3, 5, 10, 20, 40, 80))
-    rows += balance(scene, "128 samples", (3, 5, 10, 20), samples=128)
-    rows += balance(scene, "1024 samples", (10, 20, 40, 80), samples=1024)
-    rows += balance(scene, "collocation", (5, 10, 20, 40, 80), balance="collocation")
-    steps = (100, 400, 1600) if arguments.quick else (50, 100, 200, 400, 800, 1600, 3200)
-    rows += in_time(scene, "central differences", structure, steps)
-    rows += in_time(scene, "exponential steps", structure, steps)
-    rows.append(by_events(scene, structure))
-    rows += by_solve_ivp(
-        scene, (1e-3, 1e-5, 1e-7) if arguments.quick else 10.0 ** -np.arange(3, 10)
-    )
-    finish(arguments.folder, scene, rows)
+def made(
+    name: str, whole: fc.Structure, structure: fc.Structure, omega: float, law: Any,
+    harmonics: tuple[int, ...],
+) -> Scene:  # fmt: skip
+    """A scene with its reference: the orbit of the campaign's judge, which shares no code with the
+    package; with friction, which that one does not know, where the exact flow settles."""
+    if name == "friction":
+        history = fc.integrate_events(
+            structure, omega, law, periods=2000, steps_per_period=INSTANTS, settle=1e-12,
+            record_periods=1, dofs=(),
+        )  # fmt: skip
+        gap = history.gap[-INSTANTS:]
+    else:
+        near = fc.solve_harmonic_balance(structure, omega, law, tolerance=1e-3, throw=False)
+        flow = ReferenceFlow(structure, law)
+        gap = flow.orbit(flow.states_of(near, np.zeros(1))[0], omega, near.period).gap
+    return Scene(name, whole, structure, omega, law, harmonics, gap)
 
 
-def paper(arguments: common.Arguments) -> None:
+def phases() -> np.ndarray:
+    """Instants as parts of the period."""
+    return np.arange(INSTANTS) / INSTANTS
+
+
+def paper() -> Scene:
     """50 dofs, one pair."""
     plate = common.plate("paper_plate", {"damping.ratio": 0.01})
     law = fc.UnilateralPenalty(1e9)
-    reduced = fc.reduce_structure(plate, modes=25)
-    scene = Scene("paper", plate, 2000.0, law, exact_orbit(plate, 2000.0, law), reduced)
-    rows = balance(scene, "exact", (3, 5, 10, 20, 40, 80))
-    rows += balance(scene, "128 samples", (3, 5, 10, 20), samples=128)
-    rows += balance(scene, "1024 samples", (10, 20, 40, 80), samples=1024)
-    rows += balance(scene, "collocation", (5, 10, 20, 40), balance="collocation")
-    rows += balance(scene, "full form", (3, 5, 10, 20), form="block")
-    rows += balance(scene, "reduced", (5, 10, 20, 40), structure=reduced)
-    shares = (1.05, 2.0, 4.0) if arguments.quick else (1.05, 1.5, 2.0, 4.0, 8.0, 16.0)
-    least = fc.stable_steps_per_period(plate, 2000.0, law)
-    steps = [int(np.ceil(share * least)) for share in shares]
-    rows += in_time(scene, "central differences", plate, steps)
-    rows += in_time(scene, "central differences, reduced", reduced, steps)
-    rows += in_time(scene, "exponential steps", plate, (128, 256, 512) if arguments.quick else
-                    (64, 128, 256, 512, 1024, 2048, 4096))  # fmt: skip
-    rows.append(by_events(scene, plate))
-    finish(arguments.folder, scene, rows)
+    return made("paper", plate, plate, 2000.0, law, (3, 5, 10, 20, 40, 80))
 
 
-def breathing(arguments: common.Arguments) -> None:
+def breathing() -> Scene:
     """4000 dofs, 18 pairs."""
     plate = common.plate("breathing_plate", {"damping.ratio": 0.01, "damping.modes": 150})
     law = fc.UnilateralPenalty(1e9)
-    started = time.process_time()
-    reduced = fc.reduce_structure(plate)
-    setup = time.process_time() - started
-    best = fc.solve_harmonic_balance(reduced, 2000.0, law, harmonics=20 if arguments.quick else 40)
-    print(f"reference: {best.report}; reduction took {1e3 * setup:.0f} ms")
-    scene = Scene(
-        "breathing", plate, 2000.0, law, lambda phase: best.gap(phase * best.period), reduced
-    )
-    rows = balance(scene, "reduced", (3, 5, 10) if arguments.quick else (3, 5, 10, 15, 20, 30),
-                   structure=reduced)  # fmt: skip
-    rows += balance(scene, "full form", (3, 5) if arguments.quick else (3, 5, 10, 20), form="block")
-    rows += in_time(scene, "exponential steps, reduced", reduced, (128, 256, 512), most=100)
-    least = fc.stable_steps_per_period(reduced, 2000.0, law)
-    steps = [int(np.ceil(share * least)) for share in (1.3, 2.6)]
-    rows += in_time(scene, "central differences, reduced", reduced, steps, most=100)
-    if not arguments.quick:
-        least = fc.stable_steps_per_period(plate, 2000.0, law)
-        steps = [int(share * least) for share in (1.3, 2.6)]
-        rows += in_time(scene, "central differences", plate, steps, most=100)
-    finish(arguments.folder, scene, rows)
+    reduced = fc.reduce_structure(plate, modes=150)
+    return made("breathing", plate, reduced, 2000.0, law, (3, 5, 10, 20, 40))
 
 
-def own_data(arguments: common.Arguments) -> None:
-    """The paper's own data: an unstable orbit."""
-    plate = common.plate("paper_plate")
-    law = fc.UnilateralPenalty(1e11)
-    least = fc.stable_steps_per_period(plate, 2000.0, law)
-    periods = 60 if arguments.quick else 400
-    kept = periods // 2
-    history = fc.integrate_central_difference(
-        plate, 2000.0, law, periods=periods, steps_per_period=2 * least, record_periods=kept
-    )
-    by_period = history.by_period(history.gap)[:, :, 0]
-    waves = np.fft.rfft(by_period, axis=1) / by_period.shape[1]
-    rows = []
-    for harmonics in (5, 20, 80):
-        solution = fc.solve_harmonic_balance(plate, 2000.0, law, harmonics=harmonics)
-        gap = solution.gap_coefficients[:, 0]
-        verdict = fc.floquet(plate, solution).verdict
-        rows.append((f"harmonic balance, H = {harmonics}", gap[0], 0.0,
-                     float(np.hypot(*gap[1:3])), 0.0, verdict))  # fmt: skip
-    mean, first = waves[:, 0].real, 2.0 * np.abs(waves[:, 1])
-    spread = 1.0 / np.sqrt(kept)
-    rows.append(
-        (f"central differences, {kept} periods", mean.mean(), mean.std(), first.mean(),
-         first.std(), f"not settled: {history.settled:.2g} from period to period")
-    )  # fmt: skip
-    average = 2.0 * abs(waves[:, 1].mean())
-    rows.append(("the same, averaged by phase", mean.mean(), mean.std() * spread, average,
-                 np.abs(waves[:, 1]).std() * 2.0 * spread, "standard errors"))  # fmt: skip
-    columns = ("what", "mean gap [m]", "+-", "harmonic 1 [m]", "+-", "verdict")
-    common.save_table(
-        arguments.folder / "work_precision_data.csv", "The paper's own data", columns, rows
-    )
+SOLID = """
+geometry = { kind = "solid", width = 0.02, height = 0.1, thickness = 0.01 }
+material = { young = 2.06e11, poisson = 0.3, density = 7850.0 }
+damping = { ratio = 0.005 }
+excitation = { point = [0.0, 0.1, 0.0], force_cos = [1.0, 0.0, 0.0], frequency = 1300.0 }
+contact = { law = "penalty", stiffness = 1e8 }
+crack = { edge = "left", height = 0.03, length = 0.008 }
+mesh = { layout = "graded", order = 2, size = 0.01, lip_elements = 2, error = false }
+"""
 
 
-def kernel(arguments: common.Arguments) -> None:
+def solid() -> Scene:
+    """A short beam with a crack through it."""
+    scene = fc.Scene.from_text(SOLID)
+    whole = fc.build_structure(scene)
+    near = 0.98 * fc.bilinear_frequencies(whole).omega_bilinear[0]
+    law = fc.UnilateralPenalty(1e8)
+    return made("solid", whole, fc.reduce_structure(whole, modes=10), near, law, (3, 5, 10, 20, 40))
+
+
+def friction() -> Scene:
+    """An inclined crack that slides."""
+    study = fc.prepare(fc.Scene.load(common.DEMOS / "friction.toml"))
+    scene = study.scene
+    return made("friction", study.structure, study.structure, scene.excitation.omega, study.contact,
+                (5, 10, 20, 40))  # fmt: skip
+
+
+# --- the methods ----------------------------------------------------------------------------------
+
+
+def race(name: str, scene_of: Callable[[], Scene]) -> common.Part:
+    """A part of the benchmark: every method on a scene."""
+
+    def run(arguments: common.Arguments) -> None:
+        scene = scene_of()
+        rows = [(name, *row) for row in every_method(scene, arguments)]
+        finish(arguments.folder, scene, rows)
+
+    return run
+
+
+def every_method(scene: Scene, arguments: common.Arguments) -> Iterator[tuple[Any, ...]]:
+    """Rows of method, setting, error, time, memory, note."""
+    rubs = scene.name == "friction"
+    counts = scene.harmonics[: 3 if arguments.quick else None]
+    if not rubs:  # friction is sampled anyhow
+        yield from balance(scene, "harmonic balance, exact integrals", counts)
+    samples = None if rubs else SAMPLES
+    yield from balance(scene, "harmonic balance, samples", counts, samples=samples)
+    if not rubs:
+        few = counts[: 4 if scene.whole.n_dofs < 2000 else 3]
+        yield from balance(scene, "block system", few, samples=SAMPLES, form="block")
+    for tolerance in (1e-1, 1e-3) if arguments.quick else (1e-1, 1e-2, 1e-3, 1e-4):
+        yield from balance(scene, "orbit to a tolerance", (None,), tolerance=tolerance)
+    yield in_time(scene, "exact flow", fc.integrate_events, INSTANTS, 1e-9)
+    if isinstance(scene.structure, fc.MasslessStructure):  # faces without mass have no stable step
+        march, name, least = fc.integrate_exponential, "exponential steps", INSTANTS
+    else:
+        march, name = fc.integrate_central_difference, "central differences"
+        least = 1.3 * fc.stable_steps_per_period(scene.structure, scene.omega, scene.law)
+    for share in (1, 4) if arguments.quick else (1, 2, 4, 8, 16):
+        count = INSTANTS * int(np.ceil(share * least / INSTANTS))
+        yield in_time(scene, name, march, count, 1e-5)
+    for program in OTHERS if arguments.others and not rubs else ():
+        yield from by_others(scene, program, counts, arguments.others)
+
+
+def measured(work: Callable[[], Any]) -> tuple[Any, float, float]:
+    """What is returned, the least processor time [ms] of up to three runs, the memory [MiB]."""
+    times: list[float] = []
+    memory = common.PeakMemory()
+    while len(times) < 3 and sum(times) < 0.5:
+        started = time.process_time()
+        found = work()
+        times.append(time.process_time() - started)
+    return found, 1e3 * min(times), memory.mib()
+
+
+def balance(
+    scene: Scene, method: str, counts: Sequence[int | None], **options: Any
+) -> Iterator[tuple[Any, ...]]:
+    """Harmonic balance with its error report, from a cold start."""
+    structure = scene.whole if "form" in options else scene.structure
+    for harmonics in counts:
+        given = options if harmonics is None else options | {"harmonics": harmonics}
+
+        def solve(given: dict[str, Any] = given) -> fc.PeriodicSolution:
+            return fc.solve_harmonic_balance(
+                structure, scene.omega, scene.law, throw=False, **given
+            )
+
+        solution, cpu, peak = measured(solve)
+        setting = f"H = {harmonics}" if harmonics else f"{options['tolerance']:g}"
+        gap = solution.gap(phases() * solution.period)
+        if harmonics is None and solution.orbit is not None:  # what the solution stands for
+            gap = solution.orbit.gap_at(phases() * solution.period)
+        note = f"stated {solution.report.total:.1e}" if solution.converged else "not converged"
+        yield method, setting, scene.error(gap), cpu, peak, note
+
+
+def in_time(
+    scene: Scene, method: str, integrate: Callable[..., fc.TimeHistory], steps: int, settle: float
+) -> tuple[Any, ...]:
+    """A scheme from rest until it has settled, at most 400 periods."""
+
+    def march() -> fc.TimeHistory:
+        return integrate(
+            scene.structure, scene.omega, scene.law, periods=400, steps_per_period=steps,
+            settle=settle, record_periods=1, dofs=(),
+        )  # fmt: skip
+
+    setting = f"{steps} steps" if steps > INSTANTS else ""
+    try:
+        history, cpu, peak = measured(march)
+    except (fc.ConvergenceError, fc.InputError) as failed:
+        return method, setting, np.nan, np.nan, np.nan, str(failed)[:60]
+    gap = history.gap[-steps :: steps // INSTANTS]
+    return method, setting, scene.error(gap), cpu, peak, f"{history.periods} periods"
+
+
+# --- other programs -------------------------------------------------------------------------------
+
+
+def by_others(
+    scene: Scene, program: str, counts: Sequence[int], python: str
+) -> Iterator[tuple[Any, ...]]:
+    """Another program on the same matrices, whose coordinates are made so that the gaps are dofs
+    and the load acts on one."""
+    job = matrices(scene)
+    for harmonics in counts:
+        given = job | {"program": program, "harmonics": harmonics, "samples": SAMPLES}
+        worker = WORKER.with_name("pyharm_worker.py") if program == "pyHarm" else WORKER
+        with tempfile.TemporaryDirectory() as folder:
+            try:
+                done = subprocess.run(
+                    [str(Path(python).absolute()), str(worker)], input=json.dumps(given),
+                    capture_output=True, text=True, check=False, cwd=folder, timeout=PATIENCE,
+                )  # fmt: skip
+            except subprocess.TimeoutExpired:
+                yield program, f"H = {harmonics}", np.nan, np.nan, np.nan, f"above {PATIENCE} s"
+                return
+        if done.returncode:
+            last = done.stderr.strip().splitlines()[-1:] or ["failed"]
+            yield program, f"H = {harmonics}", np.nan, np.nan, np.nan, last[0][:60]
+            continue
+        answer = json.loads(done.stdout)
+        rows = np.array(answer["coefficients"])[:, : scene.structure.n_pairs]
+        angles = 2.0 * np.pi * (phases()[:, None] - job["turned"]) * np.arange(1, harmonics + 1)
+        gap = rows[0] + np.cos(angles) @ rows[1::2] + np.sin(angles) @ rows[2::2]
+        note = "" if answer["converged"] else "not converged"
+        yield (program, f"H = {harmonics}", scene.error(gap), 1e3 * answer["cold"],
+               answer["mib"], note)  # fmt: skip
+
+
+def matrices(scene: Scene) -> dict[str, Any]:
+    """The structure as the other programs take it.
+
+    u = S z with B^T S = [1 0] and S^T f = |f| on one dof: the columns of S beside those of the gaps
+    span what B^T does not see, the first of them along the load.
+    """
+    structure = scene.structure
+    gap = structure.gap.toarray()
+    if isinstance(structure, fc.MasslessStructure):
+        still = structure.n_dofs - structure.n_modes
+        squares = structure.omega**2
+        mass = np.diag(np.r_[np.ones(structure.n_modes), np.zeros(still)])
+        stiffness = scipy.linalg.block_diag(np.diag(squares), np.linalg.inv(structure.flexibility))
+        damping = np.diag(np.r_[structure.damping_factor * structure.rate, np.zeros(still)])
+    else:
+        mass, stiffness = (
+            np.asarray(m.getValues(range(m.size[0]), range(m.size[1])))
+            for m in (structure.mass, structure.stiffness)
+        )
+        squares, shapes = scipy.linalg.eigh(stiffness, mass)
+        rate = 2.0 * np.asarray(structure.damping.ratio) * np.sqrt(squares)
+        damping = mass @ shapes @ np.diag(rate * np.ones(len(squares))) @ shapes.T @ mass
+    load = structure.force[1] + structure.force[2]
+    other = scipy.linalg.null_space(gap.T)
+    along = other.T @ load
+    turn = scipy.linalg.qr(along[:, None])[0]
+    other = other @ turn
+    own = gap @ np.linalg.inv(gap.T @ gap)
+    own = own - np.outer(other[:, 0], own.T @ load / (other[:, 0] @ load))
+    S = np.hstack([own, other])
+    sine = bool(np.any(structure.force[2]))
+    names = {"mass": mass, "stiffness": stiffness, "damping": damping}
+    count = structure.n_pairs
+    force = np.zeros(len(mass))
+    force[count] = other[:, 0] @ load
+    return {name: (S.T @ matrix @ S).tolist() for name, matrix in names.items()} | {
+        "loaded": count, "force": float(force[count]), "load": force.tolist(),
+        "stopped": list(range(count)), "stop": float(np.max(scene.law.stiffness)),
+        "at": scene.omega, "turned": 0.25 * sine,
+    }  # fmt: skip
+
+
+def steps(arguments: common.Arguments) -> None:
     """What a step costs, and how much of it is the product with K where that is large."""
     plate = common.plate("paper_plate")
     bare = plate.damped(None)
@@ -272,155 +419,87 @@ def step_and_product(structure: fc.Structure) -> tuple[float, float, float]:
     return 1e6 * np.median(step), 1e6 * np.median(product), float(np.median(step / product))
 
 
-# --- the methods ----------------------------------------------------------------------------------
-
-
-def exact_orbit(
-    structure: fc.Structure, omega: float, law: fc.UnilateralPenalty
-) -> Callable[[np.ndarray], np.ndarray]:
-    """The exact orbit, by shooting from harmonic balance."""
-    near = fc.solve_harmonic_balance(structure, omega, law, harmonics=40)
-    orbit = fc.shoot(structure, near)
-    return lambda phase: orbit.gap_at(phase * orbit.period)
-
-
-def balance(
-    scene: Scene,
-    kind: str,
-    counts: Sequence[int],
-    *,
-    structure: fc.Structure | None = None,
-    samples: int | None = None,
-    **form: str,
-) -> list[tuple[Any, ...]]:
-    """Harmonic balance from a cold start."""
-    solved = structure or scene.structure
-    rows = []
-    for harmonics in counts:
-        runs = []
-        memory = common.PeakMemory()
-        for _ in range(3 if solved.n_dofs < 100 else 1):
-            started = time.process_time()
-            problem = fc.Problem(solved, scene.omega, scene.law, harmonics, samples)
-            solution = solve_form(problem, throw=False, **form)  # type: ignore[arg-type]
-            runs.append(time.process_time() - started)
-        peak = memory.mib()
-        gap = solution.gap(np.arange(512) * solution.period / 512)
-        note = "" if solution.converged else "not converged"
-        rows.append((scene.name, f"harmonic balance, {kind}", f"H = {harmonics}",
-                     scene.error(gap), 1e3 * min(runs), peak, 0, note))  # fmt: skip
-    return rows
-
-
-SCHEMES: dict[str, Callable[..., fc.TimeHistory]] = {
-    "central differences": fc.integrate_central_difference,
-    "exponential steps": fc.integrate_exponential,
-}
-
-
-def in_time(
-    scene: Scene, method: str, structure: fc.Structure, steps: Sequence[int], most: int = 400
-) -> list[tuple[Any, ...]]:
-    """A scheme with more and more steps, from rest until it has settled."""
-    rows = []
-    integrate = SCHEMES[method.split(",")[0]]
-    goal = 1e-2
-    for count in steps:
-
-        def run(settle: float, count: int = count) -> tuple[fc.TimeHistory, float, float, float]:
-            """The march, its error, its time and its memory."""
-            times: list[float] = []
-            memory = common.PeakMemory()
-            while len(times) < 3 and sum(times) < 0.5:
-                started = time.process_time()
-                history = integrate(
-                    structure, scene.omega, scene.law, periods=most, steps_per_period=count,
-                    settle=settle, record_periods=1, dofs=(),
-                )  # fmt: skip
-                times.append(time.process_time() - started)
-            return history, scene.error(history.gap), min(times), memory.mib()
-
-        try:
-            history, error, cpu, peak = run(goal)
-        except fc.ConvergenceError as failed:
-            rows.append((scene.name, method, f"{count} steps", float("nan"), float("nan"),
-                         float("nan"), 0, str(failed)[:50]))  # fmt: skip
-            continue
-        if history.settled > 0.1 * error and history.periods < most:  # it stopped too early
-            history, error, cpu, peak = run(0.01 * error)
-        goal = min(goal, 0.1 * error)
-        rows.append((scene.name, method, f"{count} steps", error, 1e3 * cpu, peak,
-                     history.periods, ""))  # fmt: skip
-    return rows
-
-
-def by_events(scene: Scene, structure: fc.Structure) -> tuple[Any, ...]:
-    """The exact flow from rest."""
-    memory, times = common.PeakMemory(), []
-    for _ in range(3):
-        started = time.process_time()
-        history = fc.integrate_events(
-            structure, scene.omega, scene.law, periods=400, settle=1e-9, record_periods=1
-        )
-        times.append(time.process_time() - started)
-    return (scene.name, "exact flow", "", scene.error(history.gap), 1e3 * min(times), memory.mib(),
-            history.periods, "")  # fmt: skip
-
-
-def by_solve_ivp(scene: Scene, tolerances: Sequence[float]) -> list[tuple[Any, ...]]:
-    """SciPy's Runge-Kutta method of order 8 on the oscillator, 130 periods from rest."""
-    periods, omega = 130, scene.omega
-    span = 2.0 * np.pi / omega * periods
-    instants = span * (1.0 - 1.0 / periods) + np.arange(512) * (span / periods / 512)
-
-    def rate(time_: float, state: np.ndarray) -> tuple[float, float]:
-        force = np.cos(omega * time_) - 0.1 * state[1] - state[0] - max(state[0], 0.0)
-        return state[1], force
-
-    rows = []
-    for tolerance in tolerances:
-        memory = common.PeakMemory()
-        started = time.process_time()
-        found = solve_ivp(
-            rate, (0.0, span), (0.0, 0.0), method="DOP853", rtol=tolerance, atol=tolerance,
-            t_eval=instants,
-        )  # fmt: skip
-        cpu, peak = time.process_time() - started, memory.mib()
-        gap = found.y[0][:, None]
-        rows.append((scene.name, "solve_ivp", f"rtol {tolerance:.0e}", scene.error(gap), 1e3 * cpu,
-                     peak, periods, ""))  # fmt: skip
-    return rows
-
-
 # --- results --------------------------------------------------------------------------------------
 
 
 def finish(folder: Path, scene: Scene, rows: list[tuple[Any, ...]]) -> None:
-    """Table, picture, and how much faster harmonic balance is at the same error."""
+    """Table, picture, and how much faster ours is than the best public one at the same error."""
+    made = f"commit {commit()}, {datetime.date.today()}"
     stem = folder / f"work_precision_{scene.name}"
-    common.save_table(stem.with_suffix(".csv"), f"Scene {scene.name}", COLUMNS, rows)
+    common.save_table(stem.with_suffix(".csv"), f"Scene {scene.name}, {made}", COLUMNS, rows)
     figure, (axes,) = common.figure(1)
-    for method, (colour, look) in LOOKS.items():
-        mine = [row for row in rows if row[1] == method and np.isfinite(row[3])]
-        if mine:
-            axes.loglog(
-                [row[4] for row in mine], [row[3] for row in mine], look, ms=5, lw=1.0,
-                color=COLOURS[colour], label=method,
-            )  # fmt: skip
+    for method, (_, colour, look) in METHODS.items():
+        points = [row for row in rows if row[1] == method and np.isfinite(row[3])]
+        axes.loglog(
+            [row[4] for row in points], [row[3] for row in points], look, ms=5, lw=1.0,
+            color=COLOURS[colour], label=method if points else None,
+        )  # fmt: skip
     axes.set_xlabel("processor time [ms]")
     axes.set_ylabel("relative L2 error of the gap over the period [-]")
-    axes.set_title(f"Scene {scene.name}: error against time")
+    axes.set_title(f"Scene {scene.name}: error against time ({made})", fontsize=9)
     axes.legend(fontsize=7, bbox_to_anchor=(1.01, 1.0), loc="upper left")  # beside, not over points
     figure.savefig(stem.with_suffix(".png"))
-    for goal in (1e-2, 1e-3, 1e-4):
+    record = {"commit": commit(), "date": str(datetime.date.today()),
+              "methods": sorted({row[1] for row in rows})}  # fmt: skip
+    stem.with_suffix(".json").write_text(json.dumps(record, indent=1) + "\n")
+    for goal in (1e-2, 1e-4):
         good = [row for row in rows if row[3] <= goal]
-        balanced = [row[4] for row in good if row[1].startswith("harmonic balance")]
-        if balanced:
-            print(f"{scene.name}, error {goal:g}: harmonic balance {min(balanced):.3g} ms")
-            for method in LOOKS:
-                times = [row[4] for row in good if row[1] == method]
-                if times and not method.startswith("harmonic balance"):
-                    print(f"    {method}: {min(times) / min(balanced):.3g} times as long")
+        ours = [row for row in good if row[1] not in OTHERS]
+        public = [row for row in good if row[1] in OTHERS]
+        if not ours:
+            print(f"{scene.name}, error {goal:g}: none")
+            continue
+        best = min(ours, key=lambda row: row[4])
+        said = f"{scene.name}, error {goal:g}: {best[1]} {best[4]:.3g} ms"
+        if public:
+            other = min(public, key=lambda row: row[4])
+            said += f"; {other[1]} takes {other[4] / best[4]:.3g} times as long"
+        print(said if public else f"{said}; no public program reaches it")
+
+
+def commit() -> str:
+    """The checkout's."""
+    command = ["git", "-C", str(ROOT), "rev-parse", "--short=8", "HEAD"]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+
+
+DEMOS = ("paper_plate", "breathing_plate", "blade", "friction", "solid_blade")
+MARKS = "<!-- speed against error -->\n", "<!-- end -->\n"
+"""In README, around the table."""
+
+
+def row_of(name: str, found: list[dict[str, Any]], used: resource.struct_rusage) -> str:
+    """A line of README's table."""
+    amplitude = next(row for row in found if row["name"] == "amplitude")
+    error = amplitude["error [%]"]
+    stated = f"{error:.2g} %, mostly {amplitude['most by']}" if error is not None else "not known"
+    seconds, memory = used.ru_utime + used.ru_stime, used.ru_maxrss / 1024.0
+    size = f"{1e6 * amplitude['value']:.4g} um"
+    return f"| `{name}.toml` | {size} | {stated} | {seconds:.1f} s | {memory:.0f} MiB |"
+
+
+def demos(arguments: common.Arguments) -> None:
+    """README's table: the command, in a process of its own."""
+    lines = [
+        f"| `solve demos/...` (commit {commit()}, {datetime.date.today()}) | amplitude "
+        "| stated error | processor time | memory |",
+        "|---|---|---|---|---|",
+    ]
+    for name in DEMOS:
+        with tempfile.TemporaryDirectory() as output:
+            folder = Path(output) / name
+            command = [sys.executable, "-m", "fenics_crack", "solve", f"demos/{name}.toml",
+                       "--output", str(folder)]  # fmt: skip
+            child = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL)
+            _, _, used = os.wait4(child.pid, 0)
+            found = json.loads(next(folder.rglob("solution.json")).read_text())
+        lines += [row_of(name, found, used)]
+    text = "\n".join(lines) + "\n"
+    print(text)
+    readme = (ROOT / "README.md").read_text()
+    head, _, tail = readme.partition(MARKS[0])
+    (ROOT / "README.md").write_text(head + MARKS[0] + "\n" + text + "\n" + MARKS[1]
+                                    + tail.partition(MARKS[1])[2])  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 import fenics_crack as fc
 
@@ -36,6 +37,7 @@ STEPS = 512  # least of central differences in a load period
 MARGIN = 2.2  # times the stable number of steps: contact then creates little energy
 SAMPLES = 1024  # of a period, for the block system and the condensed form beside it
 KEPT = 200  # load periods at the end of an integration over which waves are averaged
+START = 5  # load periods from rest that are drawn
 
 
 def main(output: Path = Path("output/paper_plate"), *, periods: int = 500) -> dict[str, Any]:
@@ -153,6 +155,7 @@ def vibration(
     draw_case(output, t, waves, folded, history, stiffness, harmonics)
     magnification = fc.write_period(balanced, output / "breathing_crack.pvd")
 
+    draw_spectrum(output, history, folded["corner"], stiffness)
     spectrum = np.fft.rfft(folded["gap"].mean(axis=0)) / steps
     difference = folded["gap"].mean(axis=0) - balanced.gap(t[:-1])[:, 0]
     spread = float(folded["gap"].std(axis=0).max())
@@ -190,6 +193,14 @@ def vibration(
             "largest_opening_m": float(-smooth.gap(t).min()),
         },
         "linear_seconds": linear_time,
+        "linear": {
+            "gap_m": float(abs(waves["gap"][0]).max()),
+            "corner_m": float(abs(waves["corner"][0]).max()),
+            "correlation": float(np.corrcoef(waves["gap"][0], waves["corner"][0])[0, 1]),
+        },
+        "uncracked_corner_m": float(abs(waves["corner"][3]).max()),
+        "corner_m": [float(waves["corner"][1].min()), float(waves["corner"][1].max())],
+        "start_up": start_up(plate, omega, penalty, steps, output),
         "direct_integration": {
             "settled": settled,
             "relative_change_last_period": history.settled,
@@ -202,12 +213,86 @@ def vibration(
             "gap_harmonic_1_m": float(2.0 * abs(spectrum[1])),
             "largest_opening_m": float(-folded["gap"].min()),
             "largest_standard_deviation_m": spread,
+            "corner_lines": [] if settled else lines_of(folded["corner"]),
+            "corner_crossings_per_period": crossings(folded["corner"]),
         },
         "difference_of_methods": float(
             np.linalg.norm(difference) / np.linalg.norm(balanced.gap(t[:-1])[:, 0])
         ),
         "paraview_magnification": magnification,
     }
+
+
+def start_up(
+    plate: fc.Structure, omega: float, law: fc.UnilateralPenalty, steps: int, output: Path
+) -> dict[str, float]:
+    """Draw the first periods from rest, figure 2 of the paper, by both kinds of integration."""
+    history, exact = (
+        integrate(plate, omega, law, periods=START, steps_per_period=steps)
+        for integrate in (fc.integrate_central_difference, fc.integrate_events)
+    )
+    fc.draw_waves(
+        [
+            fc.Wave("exact flow", exact.time, exact.gap[:, 0], "grey"),
+            fc.Wave("central differences", history.time, history.gap[:, 0], "green", "--"),
+        ],
+        path=output / "fig2_start_up.png",
+        title=f"Crack from rest ({law.stiffness:.0e} N/m)",
+        quantity="closing of the crack faces",
+        zero="crack faces touch",
+        period=2.0 * np.pi / omega,
+    )
+    size = float(abs(exact.gap).max())
+    return {
+        "largest_opening_m": float(-exact.gap.min()),
+        "difference_of_central_differences": float(abs(history.gap - exact.gap).max()) / size,
+    }
+
+
+def amplitudes(by_period: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return orders of the load's frequency and amplitudes [m] of a motion of many periods, with
+    Hann's window."""
+    motion = by_period.ravel()
+    window = np.hanning(len(motion))
+    lines = 2.0 * np.abs(np.fft.rfft(motion * window)) / window.sum()
+    return np.arange(len(lines)) / len(by_period), lines
+
+
+def lines_of(by_period: np.ndarray) -> list[float]:
+    """Return orders, from 1 to 2, of the lines above 1 % of the largest; each is the highest within
+    .05 of its place."""
+    orders, lines = amplitudes(by_period)
+    reach = max(round(0.05 * len(by_period)), 2)
+    return [
+        round(float(orders[i]), 3)
+        for i in np.flatnonzero((orders >= 1.0) & (orders <= 2.0))
+        if lines[i] == lines[i - reach : i + reach + 1].max() and lines[i] > 0.01 * lines[1:].max()
+    ]
+
+
+def crossings(by_period: np.ndarray) -> float:
+    """Return how often a motion crosses zero upwards in a load period."""
+    motion = by_period.ravel()
+    return np.count_nonzero((motion[:-1] < 0.0) & (motion[1:] >= 0.0)) / len(by_period)
+
+
+def draw_spectrum(
+    output: Path, history: fc.TimeHistory, by_period: np.ndarray, stiffness: float
+) -> None:
+    """Draw the amplitudes of the corner over orders of the load's frequency."""
+    if len(by_period) < KEPT // 2:
+        return  # a motion that settled: its lines are the orders
+    orders, lines = amplitudes(by_period)
+    shown = orders < 4.0
+    figure = Figure(figsize=(6.4, 3.2), layout="constrained")
+    axes = figure.subplots()
+    axes.semilogy(orders[shown], 1e6 * lines[shown], lw=0.8)
+    axes.set(
+        xlabel="order of the load's frequency [-]",
+        ylabel="corner [µm]",
+        title=f"Spectrum over {len(by_period)} of {history.periods} periods ({stiffness:.0e} N/m)",
+    )
+    figure.savefig(output / "spectrum.png")
 
 
 def answer(summary: dict[str, Any], output: Path) -> None:

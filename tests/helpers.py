@@ -374,3 +374,20 @@ def few_frames() -> Iterator[pytest.MonkeyPatch]:
             whole = getattr(fc, name.partition(".")[2])
             patch.setattr(f"fenics_crack.draw.{name}", partial(whole, frames=4))
         yield patch
+
+
+def rows_of_the_paper() -> dict[str, list[str]]:
+    """Rows of docs/the_paper.md by their first cell: what the paper says, what is found here,
+    whether it holds, and the test that checks it."""
+    text = (ROOT / "docs" / "the_paper.md").read_text()
+    lines = [line for line in text.splitlines() if line.startswith("| ")]
+    cells = [[cell.strip() for cell in line.strip("|").split(" | ")] for line in lines]
+    return {first: rest for first, *rest in cells if first}
+
+
+def assert_found(name: str, *numbers: str) -> None:
+    """In a row of docs/the_paper.md these numbers stand in this order, as they are found here."""
+    text, place = rows_of_the_paper()[name][1], 0
+    for number in numbers:
+        assert number in text[place:], f"{name}: {number} is not in {text[place:]}"
+        place = text.index(number, place) + len(number)

@@ -209,11 +209,13 @@ def transient(
     steps: int,
     periods: int,
     initial: tuple[np.ndarray, np.ndarray],
+    deck: Path | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Instants [s] and displacement (instant, dof) under force_sin sin(omega t), with contact.
 
     Steps are no longer than so many a period; CalculiX makes them shorter where contact begins. A
-    clamped layer of bricks, from a state of displacement and velocity.
+    clamped layer of bricks, from a state of displacement and velocity. A copy of the input file is
+    kept if a place is given.
     """
     assert structure.nodes is not None
     period = 2.0 * np.pi / scene.excitation.omega
@@ -225,8 +227,9 @@ def transient(
     limits = f", {1e-6 * step:.13e}, {step:.13e}"
     load = _values(structure, 0.5 * structure.force[2], (0, back))
     return _marched(
-        lines, scene, structure, ["*DYNAMIC, ALPHA=0.0", limits], load, steps, periods, initial[0]
-    )
+        lines, scene, structure, ["*DYNAMIC, ALPHA=0.0", limits], load, steps, periods, initial[0],
+        deck,
+    )  # fmt: skip
 
 
 def linear_transient(
@@ -244,7 +247,7 @@ def linear_transient(
 
 def _marched(
     lines: list[str], scene: fc.Scene, structure: fc.Structure, how: list[str], load: list[str],
-    steps: int, periods: int, first: np.ndarray,
+    steps: int, periods: int, first: np.ndarray, deck: Path | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Instants and displacements, of which the first is known, under a load times sin(omega t)."""
     omega = scene.excitation.omega
@@ -254,7 +257,10 @@ def _marched(
     lines += [f"{t:.13e}, {np.sin(omega * t):.13e}" for t in instants]
     lines += ["*STEP, INC=100000", how[0], f"{step:.13e}, {periods * steps * step:.13e}{how[1]}"]
     lines += ["*CLOAD, AMPLITUDE=LOAD", *load]
-    table = run([*lines, "*NODE PRINT, NSET=FRONT", "U", "*END STEP"])
+    lines += ["*NODE PRINT, NSET=FRONT", "U", "*END STEP"]
+    if deck:
+        deck.write_text("\n".join(lines) + "\n")
+    table = run(lines)
     time = [float(line.split()[-1]) for line in table.splitlines() if "displacements" in line]
     return np.array([0.0, *time]), np.vstack([first, _displacements(table, structure)])
 

@@ -1,0 +1,163 @@
+"""docs/the_paper.md: the paper's figures, equations and claims have rows whose numbers hold."""
+
+import re
+from functools import cache
+
+import numpy as np
+import pytest
+from helpers import ROOT, assert_found, rows_of_the_paper
+
+import fenics_crack as fc
+
+DEMOS = ROOT / "demos"
+OMEGA, STIFFNESS = 2000.0, 1e11  # rad/s, N/m
+
+
+@cache
+def plate() -> fc.Structure:
+    """The paper's plate with the paper's data."""
+    return fc.build_structure(fc.Scene.load(DEMOS / "paper_plate.toml"))
+
+
+def corner() -> int:
+    """Number of the dof at the load."""
+    return plate().find_dof((0.1, 0.1), "x")
+
+
+def test_every_figure_and_equation_has_a_row() -> None:
+    """Figures 1 to 8, equations 1 to 15; and each row has five cells."""
+    seen: dict[str, set[int]] = {"Figure": set(), "Equation": set()}
+    for name, cells in rows_of_the_paper().items():
+        assert len(cells) == 4, name
+        for kind, numbers in seen.items():
+            if name.startswith(kind):
+                numbers |= {int(number) for number in re.findall(r"\d+", name)}
+    assert seen == {"Figure": set(range(1, 9)), "Equation": set(range(1, 16))}
+
+
+@pytest.mark.parametrize("name", rows_of_the_paper())
+def test_row_names_what_checks_it(name: str) -> None:
+    """A test that exists, and what it is about."""
+    file, _, function = rows_of_the_paper()[name][3].strip("`").partition("::")
+    text = (ROOT / file).read_text()
+    assert f"def {function or 'main'}(" in text
+
+
+def test_figure_2() -> None:
+    """The numbers are those of the verification book's page."""
+    book = (ROOT / "docs" / "verification" / "calculix_paper_plate.md").read_text()
+    worst = [
+        max(
+            float(line.split(" | ")[1])
+            for line in book.splitlines()
+            if line.startswith(f"| {name} N/m, 5 periods: ")
+        )
+        for name in ("1e9", "1e11")
+    ]
+    assert_found("Figure 2", *(f"{100.0 * far:.2g} %" for far in worst))
+
+
+def test_five_harmonics() -> None:
+    """H = 5 knows nothing of its error at the paper's data; an exact orbit is near."""
+    law = fc.UnilateralPenalty(STIFFNESS)
+    five = fc.solve_harmonic_balance(plate(), OMEGA, law, harmonics=5)
+    assert five.report.total > 0.99
+    exact = fc.solve_harmonic_balance(plate(), OMEGA, law, tolerance=1e-2)
+    assert exact.report.total < 1e-2
+    sizes = [f"{1e6 * found.amplitude(corner()):.3f} um" for found in (exact, five)]
+    assert_found("few harmonics", *sizes)
+
+
+def test_penetration() -> None:
+    """Its share of the opening."""
+    times = np.linspace(0.0, 2.0 * np.pi / OMEGA, 20001)
+    law = fc.UnilateralPenalty(STIFFNESS)
+    gap = fc.solve_harmonic_balance(plate(), OMEGA, law, harmonics=5).gap(times)
+    assert_found("penalty", f"{-100.0 * gap.max() / gap.min():.2f} %")
+
+
+def test_periods_until_steady() -> None:
+    """From rest, soft."""
+    scene = fc.Scene.load(DEMOS / "paper_plate.toml").replace({"damping.ratio": 0.01})
+    history = fc.integrate_central_difference(
+        fc.build_structure(scene), OMEGA, fc.UnilateralPenalty(1e9), periods=200,
+        steps_per_period=512, settle=1e-6, record_periods=1,
+    )  # fmt: skip
+    assert history.settled < 1e-5
+    assert_found("steady state", f"{history.periods} periods")
+
+
+def test_the_period() -> None:
+    """Exact motion: upward crossings are as many as load periods; the spectrum's lines."""
+    periods = 400
+    law = fc.UnilateralPenalty(STIFFNESS)
+    start = fc.solve_harmonic_balance(plate(), OMEGA, law, harmonics=5)
+    history = fc.integrate_events(
+        plate(), OMEGA, law, periods=periods, initial=start, record_periods=periods // 2
+    )
+    motion = history.by_period(history.displacement([corner()])[:, 0])
+    orders, lines = spectrum(motion)
+    main = lines[np.argmin(np.abs(orders - 1.0))]
+    for order in (1.44, 1.56):
+        near = np.abs(orders - order) < 0.03
+        assert lines[near].max() > 0.005 * main
+        assert lines[near].max() > 5.0 * np.median(lines[(orders > 1.1) & (orders < 1.9)])
+    flat = motion.ravel()
+    crossings = np.count_nonzero((flat[:-1] < 0.0) & (flat[1:] >= 0.0)) / len(motion)
+    assert_found("period", "at 1, 1.44, 1.56 and 2 times", f"{crossings:.3f} times")
+    found = fc.floquet(plate(), fc.solve_harmonic_balance(plate(), OMEGA, law, tolerance=1e-3))
+    assert found.verdict == "unstable"
+
+
+def spectrum(by_period: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Orders of the load's frequency and amplitudes, by Hann's window."""
+    flat = by_period.ravel()
+    window = np.hanning(len(flat))
+    lines = 2.0 * np.abs(np.fft.rfft(flat * window)) / window.sum()
+    return np.arange(len(lines)) / len(by_period), lines
+
+
+@pytest.mark.nightly
+def test_small_difference() -> None:
+    """Response curves of a blade with two cracks and of the whole one."""
+    blade = fc.Scene.load(DEMOS / "blade.toml")
+    sizes = []
+    for length in (0.004, 0.008):
+        curve = fc.curve(
+            blade.replace({"crack.length": length, "curve.start": 730.0, "curve.stop": 830.0,
+                           "mesh.error": False})
+        ).result  # fmt: skip
+        size = curve.amplitude()
+        peak = int(size.argmax())
+        sizes += [f"{1e6 * size[peak]:.1f} um", f"{curve.omega[peak] / (2.0 * np.pi):.1f} Hz"]
+    whole = fc.build_structure(blade.replace({"crack": None, "contact": None}))
+    first = fc.solve_modes(whole, 1).omega[0]
+    reduced = fc.reduce_structure(whole, modes=20)
+    sizes += [f"{1e6 * fc.solve_linear(reduced, first).amplitude():.1f} um"]
+    sizes += [f"{first / (2.0 * np.pi):.1f} Hz", f"{2.0 * 0.002 * first / (2.0 * np.pi):.1f} Hz"]
+    assert_found("small difference", *sizes)
+
+
+BANDS = ((2302.9, 3481.6, 1), (4725.0, 8043.6, 3), (8579.3, 9356.6, 3))
+"""First three natural frequencies with an open crack and without one [rad/s]; printed digits."""
+
+
+def test_three_resonances() -> None:
+    """The paper's method reaches the end; its peaks, and the answer to a tolerance there."""
+    law = fc.UnilateralPenalty(STIFFNESS)
+    curve = fc.continue_frequency(plate(), 1000.0, 9500.0, law, harmonics=5)
+    assert curve.complete
+    size, omega = curve.amplitude(corner()), curve.omega
+    peaks, exact, stated = [], [], []
+    for low, high, digits in BANDS:
+        inside = np.flatnonzero((omega > low) & (omega < high))
+        peak = int(inside[size[inside].argmax()])
+        peaks += [f"{1e6 * size[peak]:.{digits}f} um", f"{omega[peak]:.0f} rad/s"]
+        answer = fc.solve_harmonic_balance(
+            plate(), float(omega[peak]), law, tolerance=1e-2, throw=False
+        )
+        stated += [f"{100.0 * answer.report.total:.1f} % stated"]
+        assert fc.floquet(plate(), answer).verdict == "unstable"
+        exact += [f"{1e6 * answer.amplitude(corner()):.{digits}f} um"]
+    assert float(stated[0].split()[0]) < 1.0 > float(stated[2].split()[0])
+    assert_found("three resonances", *peaks, *exact[:2], stated[1], exact[2])
