@@ -57,12 +57,12 @@ COLUMNS = ("scene", "method", "setting", "error", "CPU ms", "MiB", "note")
 METHODS = {
     "harmonic balance, exact integrals": ("fenics_crack.solve_harmonic_balance", "blue", "o-"),
     "harmonic balance, samples": ("fenics_crack.solve_harmonic_balance", "blue", "s--"),
-    "block system": ("fenics_crack.balance.block_system", "grey", "d:"),
+    "block system": ("fenics_crack.balance.block_system.BlockSystem", "grey", "d:"),
     "orbit to a tolerance": ("fenics_crack.solve_harmonic_balance", "green", "*-"),
     "exact flow": ("fenics_crack.integrate_events", "orange", "P:"),
     "central differences": ("fenics_crack.integrate_central_difference", "orange", "^-"),
     "exponential steps": ("fenics_crack.integrate_exponential", "orange", "v-"),
-    "pyHarm": ("benchmarks/others_worker.py", "pink", "x--"),
+    "pyHarm": ("benchmarks/pyharm_worker.py", "pink", "x--"),
     "mousai": ("benchmarks/others_worker.py", "pink", "1:"),
 }
 """By name: where it is, its colour and its line. A test finds each of them."""
@@ -183,7 +183,10 @@ def race(name: str, scene_of: Callable[[], Scene]) -> common.Part:
 
     def run(arguments: common.Arguments) -> None:
         scene = scene_of()
-        rows = [(name, *row) for row in every_method(scene, arguments)]
+        rows = []
+        for row in every_method(scene, arguments):
+            rows.append((name, *row))
+            print(*map(common.show, row), flush=True)
         finish(arguments.folder, scene, rows)
 
     return run
