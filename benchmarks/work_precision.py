@@ -150,7 +150,7 @@ def breathing() -> Scene:
 SOLID = """
 geometry = { kind = "solid", width = 0.02, height = 0.1, thickness = 0.01 }
 material = { young = 2.06e11, poisson = 0.3, density = 7850.0 }
-damping = { ratio = 0.005 }
+damping = { ratio = 0.005, modes = 20 }
 excitation = { point = [0.0, 0.1, 0.0], force_cos = [1.0, 0.0, 0.0], frequency = 1300.0 }
 contact = { law = "penalty", stiffness = 1e8 }
 crack = { edge = "left", height = 0.03, length = 0.008 }
