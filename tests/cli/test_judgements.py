@@ -220,7 +220,7 @@ def test_sweep_of_few_modes(
     assert found.inexact.tolist() == [[False, True, True], [False, False, True]]
     asked = swept.replace({"harmonic_balance.tolerance": 0.01})
     [told] = warnings_of(replace(found, scene=asked))
-    assert told.startswith("5 cases with an error above 1 %, the largest at modes = 2, ")
+    assert told.startswith("6 cases with an error above 1 %, the largest at modes = 2, ")
 
     marked: list[list[bool]] = []
 
