@@ -3,7 +3,7 @@
 Scenes
     paper      ``demos/paper_plate.toml`` with 1e9 N/m and damping 0.01, 2000 rad/s: 50 dofs, a pair
     breathing  ``demos/breathing_plate.toml`` with 1e9 N/m and damping 0.01 of 150 modes, 2000
-               rad/s: 4000 dofs, 18 pairs
+               rad/s: 4000 dofs, 18 pairs; reduced to 50 modes, crack faces without mass
     solid      a short beam with a crack through it, 1e8 N/m
     friction   ``demos/friction.toml``: an inclined crack that slides
 
@@ -15,7 +15,7 @@ found by --others or the variable OTHERS_PYTHON (pip install pyHarm-os mousai in
 its own).
 
 All but the block system solve the reduced structure of the scene (the paper's plate: all dofs); its
-set-up is left out. The error is the relative L2 difference of the gaps over a period from the exact
+set-up is left out, and the error of the block system holds what the reduction leaves out. The error is the relative L2 difference of the gaps over a period from the exact
 orbit of that structure by another flow (``reference_flow.py``). Runs below half a second are the
 fastest of three. The table and the picture name the commit and the day on which they were made.
 
@@ -143,7 +143,7 @@ def breathing() -> Scene:
     """4000 dofs, 18 pairs."""
     plate = common.plate("breathing_plate", {"damping.ratio": 0.01, "damping.modes": 150})
     law = fc.UnilateralPenalty(1e9)
-    reduced = fc.reduce_structure(plate, modes=150)
+    reduced = fc.reduce_structure(plate, modes=50, method="massless")
     return made("breathing", plate, reduced, 2000.0, law, (3, 5, 10, 20, 40))
 
 
@@ -268,7 +268,8 @@ def in_time(
     except (fc.ConvergenceError, fc.InputError) as failed:
         return method, setting, np.nan, np.nan, np.nan, str(failed)[:60]
     gap = history.gap[-steps :: steps // INSTANTS]
-    return method, setting, scene.error(gap), cpu, peak, f"{history.periods} periods"
+    note = f"{history.periods} periods" + ", not settled" * (history.settled > 1e-4)
+    return method, setting, scene.error(gap), cpu, peak, note
 
 
 # --- other programs -------------------------------------------------------------------------------
@@ -305,6 +306,11 @@ def by_others(
                answer["mib"], note)  # fmt: skip
 
 
+def dense(matrix: Any) -> np.ndarray:
+    """A PETSc matrix on one rank."""
+    return np.asarray(matrix.getValues(range(matrix.size[0]), range(matrix.size[1])))
+
+
 def matrices(scene: Scene) -> dict[str, Any]:
     """The structure as the other programs take it.
 
@@ -320,13 +326,13 @@ def matrices(scene: Scene) -> dict[str, Any]:
         stiffness = scipy.linalg.block_diag(np.diag(squares), np.linalg.inv(structure.flexibility))
         damping = np.diag(np.r_[structure.damping_factor * structure.rate, np.zeros(still)])
     else:
-        mass, stiffness = (
-            np.asarray(m.getValues(range(m.size[0]), range(m.size[1])))
-            for m in (structure.mass, structure.stiffness)
-        )
-        squares, shapes = scipy.linalg.eigh(stiffness, mass)
-        rate = 2.0 * np.asarray(structure.damping.ratio) * np.sqrt(squares)
-        damping = mass @ shapes @ np.diag(rate * np.ones(len(squares))) @ shapes.T @ mass
+        mass, stiffness = dense(structure.mass), dense(structure.stiffness)
+        if structure.damping_matrix is None:
+            squares, shapes = scipy.linalg.eigh(stiffness, mass)
+            rate = 2.0 * np.asarray(structure.damping.ratio) * np.sqrt(squares)
+            damping = mass @ shapes @ np.diag(rate * np.ones(len(squares))) @ shapes.T @ mass
+        else:
+            damping = dense(structure.damping_matrix)
     load = structure.force[1] + structure.force[2]
     other = scipy.linalg.null_space(gap.T)
     along = other.T @ load
@@ -445,7 +451,7 @@ def finish(folder: Path, scene: Scene, rows: list[tuple[Any, ...]]) -> None:
     record = {"commit": commit(), "date": str(datetime.date.today()),
               "methods": sorted({row[1] for row in rows})}  # fmt: skip
     stem.with_suffix(".json").write_text(json.dumps(record, indent=1) + "\n")
-    for goal in (1e-2, 1e-4):
+    for goal in (1e-1, 1e-2, 1e-4):
         good = [row for row in rows if row[3] <= goal]
         ours = [row for row in good if row[1] not in OTHERS]
         public = [row for row in good if row[1] in OTHERS]
