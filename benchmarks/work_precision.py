@@ -15,9 +15,10 @@ found by --others or the variable OTHERS_PYTHON (pip install pyHarm-os mousai in
 its own).
 
 All but the block system solve the reduced structure of the scene (the paper's plate: all dofs); its
-set-up is left out, and the error of the block system holds what the reduction leaves out. The error is the relative L2 difference of the gaps over a period from the exact
-orbit of that structure by another flow (``reference_flow.py``). Runs below half a second are the
-fastest of three. The table and the picture name the commit and the day on which they were made.
+set-up is left out, and the error of the block system holds what the reduction leaves out. The error
+is the relative L2 difference of the gaps over a period from the exact orbit of that structure by
+another flow (``reference_flow.py``); with friction, from where the exact flow settles. Runs below
+half a second are the fastest of three. Table and picture name the commit and the day.
 
     OMP_NUM_THREADS=1 python benchmarks/work_precision.py [--quick] [--only SCENE] [--others PYTHON]
         [folder]
