@@ -263,7 +263,7 @@ def in_time(
             settle=settle, record_periods=1, dofs=(),
         )  # fmt: skip
 
-    setting = f"{steps} steps" if steps > INSTANTS else ""
+    setting = "" if method == "exact flow" else f"{steps} steps"
     try:
         history, cpu, peak = measured(march)
     except (fc.ConvergenceError, fc.InputError) as failed:
