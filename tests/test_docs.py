@@ -1,6 +1,7 @@
 """The code in the documentation runs, and the files and tests that it names exist."""
 
 import dataclasses
+import importlib
 import json
 import os
 import re
@@ -296,3 +297,41 @@ def test_install_answers_a_wrong_option(option: str, code: int, tmp_path: Path) 
 def test_citation_is_of_this_version() -> None:
     text = (ROOT / "CITATION.cff").read_text()
     assert re.findall(r"^version: (.*)$", text, re.M) == [fc.__version__]
+
+
+RECORDS = sorted((ROOT / "docs" / "pictures").glob("work_precision_*.json"))
+MADE = re.compile(r"commit ([0-9a-f]{8}), (\d{4}-\d{2}-\d{2})")
+"""How a table or a picture of speed says of what it is."""
+
+
+def assert_is_a_commit(name: str) -> None:
+    """An ancestor of the checkout; nothing is known where its history is missing."""
+    git = ["git", "-C", str(ROOT)]
+    known = subprocess.run([*git, "rev-list", "HEAD"], capture_output=True, text=True, check=False)
+    if (ROOT / ".git").exists() and not (ROOT / ".git" / "shallow").exists():
+        assert any(line.startswith(name) for line in known.stdout.splitlines()), name
+
+
+def test_pictures_of_speed_name_what_exists() -> None:
+    """Their methods are in the package or beside the benchmark, their commit is in the history, and
+    each has its picture; so has README's table its commit."""
+    import work_precision
+
+    assert len(RECORDS) >= 4
+    for path in RECORDS:
+        record = json.loads(path.read_text())
+        assert path.with_suffix(".png").stat().st_size > 10_000
+        assert_is_a_commit(record["commit"])
+        assert record["methods"]
+        for method in record["methods"]:
+            place = work_precision.METHODS[method][0]
+            if place.endswith(".py"):
+                assert method in (ROOT / place).read_text()
+            else:
+                module, _, name = place.rpartition(".")
+                assert hasattr(importlib.import_module(module), name), place
+    for page in (ROOT / "README.md", ROOT / "benchmarks" / "README.md"):
+        made = MADE.findall(page.read_text())
+        assert made
+        for commit, _ in made:
+            assert_is_a_commit(commit)
