@@ -27,9 +27,10 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.basics.errors import ConvergenceError, InputError, StoppedError
+from fenics_crack.basics.observables import Place, Where, names_of
 from fenics_crack.basics.ranks import StopRequest, on_root
 from fenics_crack.basics.suggestions import checked_call
-from fenics_crack.basics.tables import OF_GROWTH, OF_TIPS, TURN, Tabular, counted, with_frequency
+from fenics_crack.basics.tables import TURN, Tabular, counted, with_frequency
 from fenics_crack.fem.build import with_crack_length
 from fenics_crack.files.store import Stored, check_shapes, read, write
 from fenics_crack.scene.scene import Scene, check_known, without_tips
@@ -343,7 +344,7 @@ def _at_length(scene: Scene, length: float, omega: float) -> Scene:
     """A scene, without a curve or a sweep, with another crack length [m] at a load frequency
     [rad/s], which replaces an engine order, with the ranges that drive growth as quantities."""
     place = {"crack.length": length, "excitation.omega": omega}
-    return scene.replace(place | {"output.quantities": tuple(OF_GROWTH)})
+    return scene.replace(place | {"output.quantities": names_of(where=Where.GROWTH)})
 
 
 def _error_at(scene: Scene, path: LengthPath, length: float) -> tuple[float, list[str]]:
@@ -595,7 +596,7 @@ def _swept(scene: Scene, lengths: np.ndarray, levels: np.ndarray) -> Scene:
         {
             "sweep.over": over,
             "sweep.at_resonance": scene.given("growth").drive == "resonance",
-            "output.quantities": (*OF_TIPS, *OF_GROWTH),
+            "output.quantities": names_of(Place.TIPS),
         }
     )
 

@@ -38,9 +38,9 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.basics.errors import TOLERANCE, InputError, check_choice, check_number
+from fenics_crack.basics.observables import QUANTITIES
 from fenics_crack.basics.suggestions import checked_call
 from fenics_crack.basics.tables import (
-    QUANTITIES,
     Described,
     Table,
     Tabular,
@@ -446,7 +446,8 @@ class Verification(Tabular):
     def conclusion(self, remarks: int = 0) -> str:
         """Return the last sentence on the study, after its warnings and so many remarks."""
         name = next(iter(self.values))
-        words, _ = QUANTITIES.get(name.rpartition(".")[2], (name, ""))
+        row = QUANTITIES.get(name.rpartition(".")[2])
+        words = name if row is None else row.words
         bound = "factors of safety included, mostly due to the"
         error, cause = self.stated(name)
         known = f"{words} within {error_in_words(error)}, {bound} {cause}"
