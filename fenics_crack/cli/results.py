@@ -19,7 +19,7 @@ from fenics_crack.basics.errors import INTERRUPTED, ConvergenceError, InputError
 from fenics_crack.basics.observables import PRINTED, QUANTITIES, SPECIAL, Place, names_of
 from fenics_crack.basics.tables import (
     FEW_ROWS,
-    READ,
+    LEAST_ERROR,
     UNITS,
     Table,
     counted,
@@ -356,7 +356,7 @@ def _errors(run: Run[Any], name: str) -> tuple[float, str]:
         mode = bilinear_frequencies(run.structure).nearest(run.result.omega)["mode"]
         name = natural_name(run.scene, kind, int(mode))
     error, cause = run.stated.stated(name)
-    percents = 100.0 * max(error, READ) if error < np.inf else np.nan
+    percents = 100.0 * max(error, LEAST_ERROR) if error < np.inf else np.nan
     return float(f"{percents:.3g}"), cause
 
 

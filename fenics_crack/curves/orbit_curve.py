@@ -21,7 +21,7 @@ from fenics_crack.motion.motions import Record
 from fenics_crack.motion.orbit import HARMONICS, KNOWN, PeriodicOrbit, orbit_from
 from fenics_crack.motion.search import SearchOptions
 
-FEWEST = SearchOptions.harmonics[0]
+MIN_HARMONICS = SearchOptions.harmonics[0]
 """Minimum harmonics of the load's frequency in a solution."""
 RESOLUTION = 0.1
 """Width of a window that may be missed, over the longest step: steps are judged by an interpolation
@@ -61,7 +61,7 @@ class OrbitCurve(ResponseCurve):
     def problem(self) -> Problem:
         """Problem solved at the first point; its harmonics are the fewest of a solution."""
         omega = float(self.omega[0])
-        fewest = FEWEST * self.subharmonic
+        fewest = MIN_HARMONICS * self.subharmonic
         least = max(fewest, least_harmonics(self._structure, self.subharmonic))
         return Problem(self._structure, omega, self.contact, least, subharmonic=self.subharmonic)
 
