@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from enum import Enum, Flag, auto
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -52,8 +52,9 @@ class Where(Flag):
     """Requires a law of growth."""
 
 
-PRINTED, SPECIAL, DRAWN, STATED = Where.PRINTED, Where.SPECIAL, Where.DRAWN, Where.STATED
+PRINTED, SPECIAL, DRAWN, STATED, FRICTION, GROWTH = Where
 SHOWN = PRINTED | STATED
+EVERYWHERE = SHOWN | SPECIAL | DRAWN
 
 
 @dataclass(frozen=True)
@@ -85,9 +86,9 @@ def _largest(vectors: np.ndarray) -> Any:
     return np.linalg.norm(vectors, axis=1).max()
 
 
-_of_point, _of_faces = partial(Observable, Place.POINT), partial(Observable, Place.FACES)
-_of_mode, _of_tip = partial(Observable, Place.MODES), partial(Observable, Place.TIPS)
-_of_clamp = partial(Observable, Place.CLAMP)
+_point, _face = partial(Observable, Place.POINT), partial(Observable, Place.FACES)
+_mode, _tip = partial(Observable, Place.MODES), partial(Observable, Place.TIPS)
+_clamp = partial(Observable, Place.CLAMP)
 
 
 # fmt: off
@@ -97,74 +98,78 @@ class Observables:
     """Values at a point and at the crack faces; the default of each is its row of the table."""
 
     omega: Any
-    amplitude: Any = _of_point("half peak-to-peak", "m", lambda at: at.amplitude,
-        SHOWN | SPECIAL | DRAWN)
-    mean: Any = _of_point("mean displacement", "m", lambda at: at.mean)
-    harmonic_1: Any = _of_point("amplitude at the load frequency", "m", lambda at: at.harmonic(1))
-    harmonic_2: Any = _of_point("amplitude at twice the load frequency", "m",
+    amplitude: Any = _point("half peak-to-peak", "m", lambda at: at.amplitude, EVERYWHERE)
+    mean: Any = _point("mean displacement", "m", lambda at: at.mean)
+    harmonic_1: Any = _point("amplitude at the load frequency", "m", lambda at: at.harmonic(1))
+    harmonic_2: Any = _point("amplitude at twice the load frequency", "m",
         lambda at: at.harmonic(2))
-    harmonic_3: Any = _of_point("amplitude at three times the load frequency", "m",
+    harmonic_3: Any = _point("amplitude at three times the load frequency", "m",
         lambda at: at.harmonic(3))
-    ratio_2_1: Any = _of_point("harmonic ratio 2/1", "1", lambda at: at.ratio(2),
-        SHOWN | SPECIAL | DRAWN)
-    ratio_3_1: Any = _of_point("harmonic ratio 3/1", "1", lambda at: at.ratio(3), SHOWN | DRAWN)
-    ratio_half_1: Any = _of_point("harmonic ratio 1/2 over 1", "1", lambda at: at.ratio(0.5),
-        PRINTED)
-    ratio_largest: Any = _of_point("largest harmonic above the load's, over harmonic 1", "1",
+    ratio_2_1: Any = _point("harmonic ratio 2/1", "1", lambda at: at.ratio(2), EVERYWHERE)
+    ratio_3_1: Any = _point("harmonic ratio 3/1", "1", lambda at: at.ratio(3), SHOWN | DRAWN)
+    ratio_half_1: Any = _point("harmonic ratio 1/2 over 1", "1", lambda at: at.ratio(0.5), PRINTED)
+    ratio_largest: Any = _point("largest harmonic above the load's, over harmonic 1", "1",
         lambda at: at.ratio_largest, SHOWN)
-    largest_order: Any = _of_point("order of the largest harmonic above the load's", "1",
-        lambda at: at.largest_order)
-    mean_shift: Any = _of_point("mean displacement over harmonic 1", "1",
+    largest_order: Any = _point("order of the largest harmonic above the load's", "1",
+        lambda at: at.largest_order, PRINTED)
+    mean_shift: Any = _point("mean displacement over harmonic 1", "1",
         lambda at: at.mean / at.first, SHOWN | DRAWN)
-    opening: Any = _of_faces("largest opening", "m", lambda faces: max(faces.tops[0], 0.0),
-        SHOWN | SPECIAL | DRAWN)
-    penetration: Any = _of_faces("largest penetration", "m", lambda faces: max(faces.tops[1], 0.0),
+    opening: Any = _face("largest opening", "m", lambda at: max(at.tops[0], 0.0), EVERYWHERE)
+    penetration: Any = _face("largest penetration", "m", lambda at: max(at.tops[1], 0.0), PRINTED)
+    contact_force: Any = _face("largest contact force of a pair", "N", lambda at: at.tops[2],
         PRINTED)
-    contact_force: Any = _of_faces("largest contact force of a pair", "N",
-        lambda faces: faces.tops[2], PRINTED)
-    crack_force: Any = _of_faces("largest contact force of a crack, all pairs", "N",
-        lambda faces: faces.tops[3], SHOWN)
-    closed_share: Any = _of_faces("contact duty cycle, mean over pairs", "1",
-        lambda faces: (faces.force > 0.0).mean(), SHOWN | SPECIAL | DRAWN)
-    friction_loss: Any = _of_faces("friction loss of a period", "J",
-        lambda faces: faces.losses.sum(), SHOWN | Where.FRICTION)
-    stick_share: Any = _of_faces("share of the period in which pairs stick, mean over pairs", "1",
-        lambda faces: faces.sticks.mean(), PRINTED | Where.FRICTION)
-    slip_share: Any = _of_faces("share of the period in which pairs slip, mean over pairs", "1",
-        lambda faces: faces.slips.mean(), SHOWN | Where.FRICTION)
+    crack_force: Any = _face("largest contact force of a crack, all pairs", "N",
+        lambda at: at.tops[3], SHOWN)
+    closed_share: Any = _face("contact duty cycle, mean over pairs", "1",
+        lambda at: (at.force > 0.0).mean(), EVERYWHERE)
+    friction_loss: Any = _face("friction loss of a period", "J", lambda at: at.losses.sum(),
+        SHOWN | FRICTION)
+    stick_share: Any = _face("share of the period in which pairs stick, mean over pairs", "1",
+        lambda at: at.sticks.mean(), PRINTED | FRICTION)
+    slip_share: Any = _face("share of the period in which pairs slip, mean over pairs", "1",
+        lambda at: at.slips.mean(), SHOWN | FRICTION)
 
 
 QUANTITIES: dict[str, Observable] = {
     one.name: one.default for one in fields(Observables) if isinstance(one.default, Observable)
 } | {
-    "omega_open": _of_mode("natural frequency, crack open", "rad/s"),
-    "omega_tied": _of_mode("natural frequency, crack bonded", "rad/s"),
-    "omega_bilinear": _of_mode("bilinear frequency", "rad/s"),
-    "over_open": _of_mode("load frequency / natural frequency, crack open", "1", where=PRINTED),
-    "over_tied": _of_mode("load frequency / natural frequency, crack bonded", "1"),
-    "over_bilinear": _of_mode("load frequency / bilinear frequency", "1", where=PRINTED | SPECIAL),
-    "K_max": _of_tip("largest stress intensity K_I", "Pa m^0.5", lambda tip: tip.one.max()),
-    "K_min": _of_tip("smallest K_I", "Pa m^0.5", lambda tip: tip.one.min()),
-    "delta_K": _of_tip("range of K_I", "Pa m^0.5", lambda tip: np.ptp(tip.one)),
-    "delta_K_effective": _of_tip("range of K_I while the crack tip is open", "Pa m^0.5",
-        lambda tip: np.ptp(tip.while_open)),
-    "K_II_max": _of_tip("largest stress intensity K_II, of either sign", "Pa m^0.5",
-        lambda tip: np.abs(tip.two).max()),
-    "delta_K_equivalent": _of_tip("range of K_I, R = 0, that makes the crack grow as much",
-        "Pa m^0.5", lambda tip: tip.equivalent, Where.GROWTH),
-    "reaction_force": _of_clamp("largest force of the clamp", "N",
-        lambda held: _largest(held.force)),
-    "reaction_moment": _of_clamp("largest moment of the clamp, about its centre", "N m",
-        lambda held: _largest(held.moment)),
+    "omega_open": _mode("natural frequency, crack open", "rad/s"),
+    "omega_tied": _mode("natural frequency, crack bonded", "rad/s"),
+    "omega_bilinear": _mode("bilinear frequency", "rad/s"),
+    "over_open": _mode("load frequency / natural frequency, crack open", "1", where=PRINTED),
+    "over_tied": _mode("load frequency / natural frequency, crack bonded", "1"),
+    "over_bilinear": _mode("load frequency / bilinear frequency", "1", where=PRINTED | SPECIAL),
+    "K_max": _tip("largest stress intensity K_I", "Pa m^0.5", lambda at: at.one.max()),
+    "K_min": _tip("smallest K_I", "Pa m^0.5", lambda at: at.one.min()),
+    "delta_K": _tip("range of K_I", "Pa m^0.5", lambda at: np.ptp(at.one)),
+    "delta_K_effective": _tip("range of K_I while the crack tip is open", "Pa m^0.5",
+        lambda at: np.ptp(at.one.clip(0.0))),
+    "K_II_max": _tip("largest stress intensity K_II, of either sign", "Pa m^0.5",
+        lambda at: np.abs(at.two).max()),
+    "delta_K_equivalent": _tip("range of K_I, R = 0, that makes the crack grow as much", "Pa m^0.5",
+        lambda at: at.equivalent, GROWTH),
+    "reaction_force": _clamp("largest force of the clamp", "N", lambda at: _largest(at.force)),
+    "reaction_moment": _clamp("largest moment of the clamp, about its centre", "N m",
+        lambda at: _largest(at.moment)),
 }
 """All observables by their names."""
 # fmt: on
 
 
-def names_of(*places: Place, where: Where = Where.FILES) -> tuple[str, ...]:
-    """Return the names of the observables of some places, or of all, that are shown somewhere."""
+@cache
+def names_of(
+    *places: Place, where: Where = Where.FILES, without: Where = Where.FILES
+) -> tuple[str, ...]:
+    """Return the names of the observables of some places, or of all, that are shown somewhere and
+    do not require what is missing."""
     return tuple(
         name
         for name, row in QUANTITIES.items()
-        if (not places or row.of in places) and where in row.where
+        if (not places or row.of in places) and where in row.where and not row.where & without
     )
+
+
+def read_at(place: Place, there: Any, without: Where = Where.FILES) -> dict[str, float]:
+    """Return the numbers of what is at a place by their names, but for those that require what is
+    missing."""
+    return {name: float(QUANTITIES[name].read(there)) for name in names_of(place, without=without)}

@@ -65,7 +65,6 @@ from fenics_crack.study.coarser_mesh import natural_name
 from fenics_crack.study.conclusion import conclusion, known_to, unknown_error
 from fenics_crack.study.observer import observe
 from fenics_crack.study.plausibility import highest_omega
-from fenics_crack.study.prepare import Watched
 from fenics_crack.study.run import Run, run_of
 from fenics_crack.study.stated_errors import largest_left_out
 from fenics_crack.study.verification import Verification, verification_of
@@ -329,12 +328,11 @@ def _quantities(run: Run[Any], values: Mapping[str, object]) -> Table:
     faces, natural frequencies, and others (collective)."""
     omega = run.scene.excitation.omega if isinstance(run.result, TimeHistory) else run.result.omega
     rows: list[Row] = [(n, n, v, UNITS[n]) for n, v in with_frequency({"omega": omega}).items()]
-    points, requested = observe(run, run.result)
-    for watched in run.watched:
-        rows += _of_point(watched, points[watched.name].to_dict())
+    rows += [
+        (one.column, one.words, one.value, _shown(one.unit)) for one in observe(run, run.result)
+    ]
     if not run.structure.n_pairs:  # no errors were estimated
         values = {n: v for n, v in values.items() if not n.endswith(("_error", "_share"))}
-    rows += _observed(run.result.faces | requested)
     if run.structure.n_pairs and isinstance(run.result, PeriodicSolution):
         near = bilinear_frequencies(run.structure).nearest(omega)
         rows += (
@@ -358,32 +356,6 @@ def _errors(run: Run[Any], name: str) -> tuple[float, str]:
     error, cause = run.stated.stated(name)
     percents = 100.0 * max(error, LEAST_ERROR) if error < np.inf else np.nan
     return float(f"{percents:.3g}"), cause
-
-
-def _of_point(watched: Watched, values: Mapping[str, object]) -> list[Row]:
-    """Return the rows of a watched dof; the load's has them once."""
-    order = values["largest_order"]
-    assert isinstance(order, float)
-    which = "" if np.isnan(order) else f", {order:.0f}/1"
-    better = {"ratio_largest": f"largest harmonic ratio{which}"}
-    return [
-        (
-            watched.column(name),
-            better.get(name, words)
-            + (f", {watched.words}" if watched.name or name == "amplitude" else ""),
-            value,
-            unit,
-        )
-        for name, words, value, unit in _observed(
-            {name: values[name] for name in names_of(Place.POINT)}
-        )
-    ]
-
-
-def _observed(values: Mapping[str, object]) -> list[Row]:
-    """Return the rows of observables."""
-    rows = ((name, QUANTITIES[name], value) for name, value in values.items())
-    return [(name, one.words, value, _shown(one.unit)) for name, one, value in rows]
 
 
 def _named(known: Mapping[str, tuple[str, str]], values: Mapping[str, object]) -> list[Row]:
@@ -703,14 +675,7 @@ def few_special_points(run: Run[ResponseCurve], table: Table) -> tuple[Table, in
 def _along(run: Run[ResponseCurve], curve: ResponseCurve) -> Columns:
     """Columns of indicators of the watched dofs, by their names with units: a value for every point
     of a curve of the run."""
-    points, requested = observe(run, curve)
-    found = {
-        with_unit(watched.column(name), QUANTITIES[name].unit): getattr(points[watched.name], name)
-        for watched in run.watched
-        for name in names_of(Place.POINT)
-    }
-    for name, values in (curve.faces | requested).items():
-        found[with_unit(name, QUANTITIES[name].unit)] = values
+    found = {with_unit(one.column, one.unit): one.value for one in observe(run, curve)}
     near = _natural_along(run, curve.omega).nearest(curve.omega)
     return found | {with_unit(name, unit): value for name, _, unit, value in _with_hertz(near)}
 

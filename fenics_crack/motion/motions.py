@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fenics_crack.basics.errors import RECORDED_PERIODS
-from fenics_crack.basics.observables import QUANTITIES, Observables, Place, Where, names_of
+from fenics_crack.basics.observables import FRICTION, Observables, Place, Where, names_of, read_at
 from fenics_crack.basics.tables import Tabular
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.model.structure import Structure
@@ -36,7 +36,6 @@ from fenics_crack.numerics.extremes import InPeriod, largest
 
 SLIPPING = 1.0 - 1e-6
 """Friction force over its limit from which on a pair slips: orbits are known to 1e-6."""
-AT_POINTS, AT_FACES = names_of(Place.POINT), names_of(Place.FACES)
 
 
 @dataclass(frozen=True, repr=False)
@@ -85,11 +84,10 @@ class Indicators(Observables, Tabular):
     def to_dict(self) -> dict[str, Any]:
         """Numbers by name, or along a curve columns; those of friction where there is some."""
         columns = {one.name: np.asarray(getattr(self, one.name)) for one in fields(self)}
-        rubbing = names_of(where=Where.FRICTION)
         return {
             name: column.tolist()
             for name, column in columns.items()
-            if name not in rubbing or not np.all(np.isnan(column))
+            if name not in names_of(where=FRICTION) or not np.all(np.isnan(column))
         }
 
     def _title(self) -> str:
@@ -155,7 +153,7 @@ class Record:
 
     @property
     def n_pairs(self) -> int:
-        """Pairs of the crack faces."""
+        """Pairs of the crack faces; 0 where what they do is known."""
         return self.gap.shape[1] // (1 if self.friction is None else 2)
 
     def last(self, periods: int) -> Record:
@@ -174,24 +172,21 @@ class Record:
 
     @cached_property
     def tops(self) -> np.ndarray:
-        """Largest values of all products and of their negatives (2 m,), and at the crack faces of
-        opening, penetration, contact force of a pair and of a crack (4,), unless they are known."""
-        faces = self.n_pairs > 0 and "opening" not in self.exact
-        count = self.n_pairs
+        """Largest values of all products and of their negatives (2 m,), and behind them at the
+        crack faces of opening, penetration, contact force of a pair and of a crack (4,)."""
+        count, at = self.n_pairs, self.at
         every = np.zeros(count, dtype=int) if self.cracks is None else self.cracks
         members = every[:, None] == np.unique(every)
 
         def columns(motion: np.ndarray, gap: np.ndarray, force: np.ndarray) -> np.ndarray:
             parts = [motion, -motion]
-            if faces:
+            if count:
                 gap, force = gap[:, :count], force[:, :count]
                 parts += [-gap.min(1), gap.max(1), force.max(1), (force @ members).max(1)]
             return np.column_stack(parts)
 
-        at = self.at
-        return largest(
-            columns(self.motion, self.gap, self.force), at and (lambda parts: columns(*at(parts)))
-        )
+        samples = columns(self.motion, self.gap, self.force)
+        return largest(samples, at and (lambda parts: columns(*at(parts))))
 
 
 class Harmonics:
@@ -256,28 +251,21 @@ class Faces:
     gap, force : (n, n_pairs) [m], [N]
     tops : (4,)
         Largest opening and penetration [m], contact force of a pair and of a crack [N].
+    slips, sticks : (n, n_pairs) bool
+        With friction where pairs slip and stick, in the last period of the load.
+    losses : (n_pairs,) [J]
+        Lost by it then.
     """
 
     def __init__(self, record: Record) -> None:
-        count = record.n_pairs
-        self.gap, self.force, self.tops = record.gap, record.force[:, :count], record.tops[-4:]
-        self._last = record.last(1)
-
-    @property
-    def slips(self) -> np.ndarray:
-        """Where pairs slip in the last period: (n, n_pairs) bool."""
-        force, drag = np.hsplit(self._last.force, 2)
-        return slipping(self._last.friction, force, drag)
-
-    @property
-    def sticks(self) -> np.ndarray:
-        """Where they stick, likewise."""
-        return (np.hsplit(self._last.force, 2)[0] > 0.0) & ~self.slips
-
-    @property
-    def losses(self) -> np.ndarray:
-        """Friction losses of the pairs in the last period: (n_pairs,) [J]."""
-        return friction_losses(*(np.hsplit(x, 2)[1] for x in (self._last.gap, self._last.force)))
+        count, last = record.n_pairs, record.last(1)
+        self.gap, self.force = record.gap[:, :count], record.force[:, :count]
+        self.tops = record.tops[-4:]
+        if record.friction is not None:
+            force, drag = np.hsplit(last.force, 2)
+            self.slips = slipping(record.friction, force, drag)
+            self.sticks = (force > 0.0) & ~self.slips
+            self.losses = friction_losses(last.gap[:, count:], drag)
 
 
 def slipping(coefficient: Any, force: np.ndarray, drag: np.ndarray) -> np.ndarray:
@@ -321,7 +309,7 @@ class Rows(NamedTuple):
     numbers: Callable[[Record], dict[str, float]]
 
 
-class Seen(NamedTuple):
+class Displacement(NamedTuple):
     """A displacement as it is observed: its indicators, and its Fourier coefficients, (2H+1,) [m]
     or along a curve (n, 2H+1)."""
 
@@ -356,54 +344,52 @@ class Observed:
     @property
     def faces(self) -> dict[str, Any]:
         """Numbers of the crack faces, where there are some (collective)."""
-        if not self._faces:
+        if not self._at_faces:
             self.walk(np.zeros((0, self.structure.n_local)))
-        found = {name: self._along([one[name] for one in self._faces]) for name in AT_FACES}
+        found = self._along_all(self._at_faces)
         return {name: value for name, value in found.items() if not np.all(np.isnan(value))}
 
     def observe(
         self, dofs: Sequence[int | None], places: Sequence[Rows] = ()
-    ) -> tuple[list[Seen], dict[str, Any]]:
+    ) -> tuple[list[Displacement], dict[str, Any]]:
         """What is seen of some dofs, and the numbers at places of rows of their own; the motion is
         formed once for all that is new (collective)."""
         structure = self.structure
         asked = [structure.watched_dof if dof is None else dof for dof in dofs]
-        new = [dof for dof in dict.fromkeys(asked) if dof not in self._seen]
+        new = [dof for dof in dict.fromkeys(asked) if dof not in self._displacements]
         numbers: dict[str, Any] = {}
         if new or places:
             seen, numbers = self.walk(rows_of(structure, new), places)
-            self._seen.update(zip(new, seen, strict=True))
-        return [self._seen[dof] for dof in asked], numbers
+            self._displacements.update(zip(new, seen, strict=True))
+        return [self._displacements[dof] for dof in asked], numbers
 
     def walk(
         self, rows: np.ndarray, places: Sequence[Rows] = ()
-    ) -> tuple[list[Seen], dict[str, Any]]:
+    ) -> tuple[list[Displacement], dict[str, Any]]:
         """What is seen of the products of rows (m, n_local) with the displacement, and the numbers
         at places of rows of their own (collective)."""
-        ends = np.cumsum([len(rows), *(len(place.rows) for place in places)])
-        parts = [slice(*both) for both in pairwise(ends.tolist())]
-        points, waves, known = [], [], [*self._faces]
-        numbers: list[dict[str, float]] = []
+        ends = np.cumsum([len(rows), *(len(place.rows) for place in places)]).tolist()
+        points, waves, numbers = [], [], list[dict[str, float]]()
         for index, whole in enumerate(self.records(np.vstack([rows, *(p.rows for p in places)]))):
             record = whole.last(RECORDED_PERIODS).part(slice(len(rows)))
-            if index < len(known):
-                record = replace(record, exact=known[index])
+            if index < len(self._at_faces):
+                record = replace(record, gap=record.gap[:, :0])
             else:
-                self._faces.append(_at_faces(record))
-            points.append([_at_point(record, n) | self._faces[index] for n in range(len(rows))])
+                self._at_faces.append(_read_faces(record))
+            shared = {"omega": record.omega} | self._at_faces[index]
+            seen = (read_at(Place.POINT, Point(record, row)) for row in range(len(rows)))
+            points.append([shared | one for one in seen])
             waves.append(record.waves.T)
             numbers.append({})
-            for place, part in zip(places, parts, strict=True):
-                numbers[-1] |= place.numbers(whole.part(part))
-        columns = [
-            Indicators(**{name: self._along([one[name] for one in each]) for name in each[0]})
-            for each in zip(*points, strict=True)
-        ]
-        rows_seen = [self._along([one[row] for one in waves]) for row in range(len(rows))]
-        return (
-            list(map(Seen, columns, rows_seen)),
-            {name: self._along([one[name] for one in numbers]) for name in numbers[0]},
-        )
+            for place, ends_of in zip(places, pairwise(ends), strict=True):
+                numbers[-1] |= place.numbers(whole.part(slice(*ends_of)))
+        columns = (Indicators(**self._along_all(one)) for one in zip(*points, strict=True))
+        along = (self._along(list(one)) for one in zip(*waves, strict=True))
+        return list(map(Displacement, columns, along)), self._along_all(numbers)
+
+    def _along_all(self, values: Sequence[Mapping[str, float]]) -> dict[str, Any]:
+        """The same by names."""
+        return {name: self._along([one[name] for one in values]) for name in values[0]}
 
     def _along(self, values: list[Any]) -> Any:
         """The value of a motion; of a curve those of its points, as an array."""
@@ -411,30 +397,20 @@ class Observed:
         return value
 
     @cached_property
-    def _seen(self) -> dict[int, Seen]:
+    def _displacements(self) -> dict[int, Displacement]:
         """What is known of dofs."""
         return {}
 
     @cached_property
-    def _faces(self) -> list[dict[str, float]]:
+    def _at_faces(self) -> list[dict[str, float]]:
         """What is known of the crack faces, at each point of a curve."""
         return []
 
 
-def _at_point(record: Record, row: int) -> dict[str, float]:
-    """Frequency of the load, and the numbers of a displacement."""
-    point = Point(record, row)
-    values = {name: float(QUANTITIES[name].read(point)) for name in AT_POINTS}
-    return {"omega": record.omega} | values
-
-
-def _at_faces(record: Record) -> dict[str, float]:
+def _read_faces(record: Record) -> dict[str, float]:
     """Numbers of the crack faces; nan without pairs, or without friction."""
-    found = dict.fromkeys(AT_FACES, math.nan) | dict(record.exact)
+    found = dict.fromkeys(names_of(Place.FACES), math.nan)
     if record.n_pairs:
-        faces = Faces(record)
-        for name in AT_FACES:
-            rubs = Where.FRICTION in QUANTITIES[name].where
-            if name not in record.exact and not (rubs and record.friction is None):
-                found[name] = float(QUANTITIES[name].read(faces))
-    return found
+        missing = FRICTION if record.friction is None else Where.FILES
+        found |= read_at(Place.FACES, Faces(record), missing)
+    return found | dict(record.exact)

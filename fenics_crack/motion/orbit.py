@@ -44,7 +44,6 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, Samples, Track
 from fenics_crack.motion.motions import Observed, Record
 from fenics_crack.numerics.equations import CLOSE, LOCATED, factored, solve_factored
-from fenics_crack.numerics.extremes import InPeriod
 from fenics_crack.numerics.fourier import balanced, waves_of
 from fenics_crack.numerics.newton import FORCING, gmres, relative_to_motion
 
@@ -206,9 +205,13 @@ class PeriodicOrbit(Observed, Described):
         """Displacement of the structure's own dofs at times [s]: (len(time), n_dofs) [m]."""
         return self._at(time, "displacement")
 
-    def seen_through(self, rows: np.ndarray) -> InPeriod:
-        """Products of rows (m, n_dofs) with the motion, the gaps and the contact forces, at any
-        parts of the period: on each part of it by the polynomials through Gauss's nodes."""
+    @property
+    def structure(self) -> Structure:  # type: ignore[override]
+        """The structure that vibrates."""
+        return self.flow.structure
+
+    def records(self, rows: np.ndarray, instants: int = INSTANTS) -> Iterator[Record]:
+        """The motion, on each part of the period by the polynomials through Gauss's nodes."""
         time, length = self._nodes(len(self.flow.force) // 2 * self.omega)
         samples, (nodes, weights, _) = self.samples(time), gauss_nodes()
         seen = samples.displacement @ rows.T, samples.gaps, samples.forces
@@ -226,15 +229,7 @@ class PeriodicOrbit(Observed, Described):
             found = (share[:, None] @ values[piece])[:, 0]
             return np.split(found, splits, axis=1)
 
-        return at
-
-    @property
-    def structure(self) -> Structure:  # type: ignore[override]
-        """The structure that vibrates."""
-        return self.flow.structure
-
-    def records(self, rows: np.ndarray, instants: int = INSTANTS) -> Iterator[Record]:
-        at, parts = self.seen_through(rows), np.arange(instants) / instants
+        parts = np.arange(instants) / instants
         motion, gap, force = at(parts)
         rubbing, track = self.flow.friction, self.motion.track
         yield Record(

@@ -13,12 +13,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fenics_crack.basics.errors import InputError
-from fenics_crack.basics.observables import QUANTITIES, Place, Where, names_of
+from fenics_crack.basics.observables import GROWTH, QUANTITIES, Place, Where, names_of, read_at
 from fenics_crack.fem.interaction_integral import Tip, tip_functionals
 from fenics_crack.model.factor import AT_A_TIME
 from fenics_crack.model.nodes import Clamp
 from fenics_crack.model.structure import RayleighDamping, Structure
-from fenics_crack.motion.motions import Indicators, Observed, Record, Rows
+from fenics_crack.motion.motions import Observed, Record, Rows
 from fenics_crack.scene.scene import Scene, asked_quantities, check_known, without_tips
 from fenics_crack.scene.tables import Growth
 from fenics_crack.study.prepare import Study
@@ -31,13 +31,40 @@ def rows_requested(study: Study) -> list[Rows]:
     return [make(study) for place, make in _ROWS.items() if place in requested]
 
 
-def observe(study: Study, motion: Observed) -> tuple[dict[str, Indicators], dict[str, Any]]:
-    """Return the indicators of each watched displacement by its name, and the quantities of places
-    with rows of their own that the scene requests; along a curve arrays (collective)."""
-    seen, numbers = motion.observe([one.dof for one in study.watched], rows_requested(study))
-    points = zip(study.watched, seen, strict=True)
-    requested = {name: numbers[name] for name in asked_quantities(study.scene)}
-    return {watched.name: one.indicators for watched, one in points}, requested
+class Quantity(NamedTuple):
+    """A number of a motion, or along a curve an array.
+
+    Attributes
+    ----------
+    name, column : str
+        "ratio_2_1", "tip.ux.ratio_2_1".
+    words, unit : str
+        With what is watched.
+    value : float or (n,)
+    """
+
+    name: str
+    column: str
+    words: str
+    unit: str
+    value: Any
+
+
+def observe(study: Study, motion: Observed) -> list[Quantity]:
+    """The numbers of each watched displacement, of the crack faces, and at places of rows of their
+    own those that a study's scene requests (collective)."""
+    seen, others = motion.observe([one.dof for one in study.watched], rows_requested(study))
+    found = []
+    for watched, (indicators, _) in zip(study.watched, seen, strict=True):
+        for name in names_of(Place.POINT):
+            row = QUANTITIES[name]
+            of_point = f", {watched.words}" if watched.name or name == "amplitude" else ""
+            words, value = row.words + of_point, getattr(indicators, name)
+            found.append(Quantity(name, watched.column(name), words, row.unit, value))
+    values = motion.faces | {name: others[name] for name in asked_quantities(study.scene)}
+    for name, value in values.items():
+        found.append(Quantity(name, name, QUANTITIES[name].words, QUANTITIES[name].unit, value))
+    return found
 
 
 # --- the clamp ------------------------------------------------------------------------------------
@@ -48,10 +75,6 @@ class Held(NamedTuple):
 
     force: np.ndarray
     moment: np.ndarray
-
-    def numbers(self) -> dict[str, float]:
-        """Quantities of the clamp by their names."""
-        return {name: float(QUANTITIES[name].read(self)) for name in names_of(Place.CLAMP)}
 
 
 def held(record: Record) -> Held:
@@ -111,11 +134,6 @@ class AtTip(NamedTuple):
     law: Growth | None
 
     @property
-    def while_open(self) -> np.ndarray:
-        """K_I, 0 where the tip is closed: (n,) [Pa m^1/2]."""
-        return np.maximum(self.one, 0.0)
-
-    @property
     def equivalent(self) -> float:
         """Range of K_I from 0 that makes the crack grow as much [Pa m^1/2]."""
         assert self.law is not None
@@ -124,11 +142,7 @@ class AtTip(NamedTuple):
     def numbers(self) -> dict[str, float]:
         """Quantities of the tip by their names; the equivalent range where there is a law of
         growth."""
-        return {
-            name: float(QUANTITIES[name].read(self))
-            for name in names_of(Place.TIPS)
-            if self.law is not None or Where.GROWTH not in QUANTITIES[name].where
-        }
+        return read_at(Place.TIPS, self, GROWTH if self.law is None else Where.FILES)
 
 
 def at_tips(record: Record, of_forces: np.ndarray, law: Growth | None) -> list[AtTip]:
@@ -233,7 +247,7 @@ def _at_tips(study: Study) -> Rows:
 
 
 def _at_clamp(study: Study) -> Rows:
-    return Rows(clamp_rows(study.structure), lambda record: held(record).numbers())
+    return Rows(clamp_rows(study.structure), lambda record: read_at(Place.CLAMP, held(record)))
 
 
 _ROWS: dict[Place, Callable[[Study], Rows]] = {Place.TIPS: _at_tips, Place.CLAMP: _at_clamp}

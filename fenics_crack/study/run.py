@@ -25,6 +25,7 @@ from fenics_crack.balance.harmonic_balance import (
 from fenics_crack.balance.problem import Problem, check_memory, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import RECORDED_PERIODS, InputError
+from fenics_crack.basics.observables import Place, read_at
 from fenics_crack.basics.progress import begin
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.suggestions import no_attribute
@@ -49,12 +50,12 @@ from fenics_crack.model.reduction import MODES
 from fenics_crack.model.rotation import run_up_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.attractors import SETTLED
+from fenics_crack.motion.motions import Observed
 from fenics_crack.scene.scene import Scene, check_known, without_clamp, without_tips
 from fenics_crack.scene.tables import Integration
 from fenics_crack.study.conclusion import Answer, conclusion
 from fenics_crack.study.observer import (
     AtTip,
-    Held,
     at_tips,
     clamp_rows,
     held,
@@ -149,12 +150,10 @@ class Run(Answer, Generic[Found]):
         curve (n, 2H+1), displacements in time (n,); of modes none (collective)."""
         found, dofs = self.result, [watched.dof for watched in self.watched]
         columns: list[np.ndarray] = []
-        if isinstance(found, PeriodicSolution):
-            columns = list(found.coefficients_at(dofs).T)
-        elif isinstance(found, ResponseCurve):
-            columns = [found.coefficients_at(dof) for dof in dofs]
-        elif isinstance(found, TimeHistory):
+        if isinstance(found, TimeHistory):
             columns = list(found.displacement(dofs).T)
+        elif isinstance(found, Observed):
+            columns = [seen.waves for seen in found.observe(dofs)[0]]
         return {
             watched.words: column for watched, column in zip(self.watched, columns, strict=False)
         }
@@ -791,7 +790,7 @@ class Reaction(Tabular):
     def numbers(self) -> Mapping[str, float]:
         """Largest size of the force [N], ``reaction_force``, and of the moment [N m],
         ``reaction_moment``."""
-        return Held(self.force, self.moment).numbers()
+        return read_at(Place.CLAMP, self)
 
     def to_dict(self) -> dict[str, Any]:
         """Columns, a row for every instant."""

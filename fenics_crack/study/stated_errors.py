@@ -118,21 +118,14 @@ def numbers_of(study: Study, found: PeriodicSolution, mode: int | None = None) -
     chosen = scene.quantities or names_of(where=STATED)
     values: dict[str, float] = {}
     units: dict[str, str] = {}
-    points, requested = observe(study, found)
-    for watched in study.watched:
-        seen = points[watched.name]
-        rounding = NEGLIGIBLE * (seen.amplitude + abs(seen.mean))  # of closed pairs
-        for name in chosen:
-            row = QUANTITIES[name]
-            if row.of in (Place.POINT, Place.FACES):
-                column = watched.column(name) if row.of is Place.POINT else name
-                value, unit = float(getattr(seen, name)), row.unit
-                least = rounding if unit == "m" and row.of is Place.FACES else 0.0
-                if abs(value) > (UNCHANGED if unit == "1" else least):
-                    values[column], units[column] = value, unit.replace("1", "")
-    for name, value in requested.items():
-        if not math.isnan(value):  # what is seen may not be known
-            values[name], units[name] = value, QUANTITIES[name].unit
+    seen = found.measure([watched.dof for watched in study.watched])
+    rounding = NEGLIGIBLE * min(one.amplitude + abs(one.mean) for one in seen)  # of closed pairs
+    numbers = (one for one in observe(study, found) if one.name in chosen)
+    for one in sorted(numbers, key=lambda one: chosen.index(one.name)):
+        of, value = QUANTITIES[one.name].of, float(one.value)
+        least = {"1": UNCHANGED, "m": rounding * (of is Place.FACES)}.get(one.unit, 0.0)
+        if abs(value) > least or (of.on_request and value == 0.0):
+            values[one.column], units[one.column] = value, one.unit.replace("1", "")
     natural = bilinear_frequencies(structure)
     mode = mode or int(natural.nearest(found.omega)["mode"])
     factor, _, unit = frequency_axis(scene.in_hertz)

@@ -446,8 +446,7 @@ class Verification(Tabular):
     def conclusion(self, remarks: int = 0) -> str:
         """Return the last sentence on the study, after its warnings and so many remarks."""
         name = next(iter(self.values))
-        row = QUANTITIES.get(name.rpartition(".")[2])
-        words = name if row is None else row.words
+        words = getattr(QUANTITIES.get(name.rpartition(".")[2]), "words", name)
         bound = "factors of safety included, mostly due to the"
         error, cause = self.stated(name)
         known = f"{words} within {error_in_words(error)}, {bound} {cause}"

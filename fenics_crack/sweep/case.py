@@ -24,6 +24,7 @@ from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import BilinearFrequencies, bilinear_frequencies
 from fenics_crack.model.structure import Structure
+from fenics_crack.motion.motions import rows_of
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCES
 from fenics_crack.study.observer import rows_requested
@@ -126,9 +127,7 @@ def build(scene: Scene, comm: MPI.Comm, asked: Asked, last: Geometry | None = No
     rows_requested(study)
     lengths = [crack.length for crack in study.scene.all_cracks.values()]
     named = [watched for watched in study.watched if watched.name]
-    rows = np.zeros((0, structure.n_dofs))
-    if named:
-        rows = structure.values_at(np.eye(structure.n_dofs), [w.dof for w in named]).T
+    rows = rows_of(structure, [watched.dof for watched in named])
     return Geometry(
         study,
         asked.unit_loads,
@@ -151,7 +150,7 @@ def _at_load(scene: Scene, structure: Structure) -> dict[str, np.ndarray]:
     else:
         return {}
     dofs = np.flatnonzero(weights)
-    return {"": structure.values_at(np.eye(structure.n_dofs), dofs.tolist()) @ weights[dofs]}
+    return {"": weights[dofs] @ rows_of(structure, dofs.tolist())}
 
 
 # --- a case ---------------------------------------------------------------------------------------
