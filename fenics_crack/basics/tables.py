@@ -24,7 +24,6 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.basics.atomic_files import write_whole
-from fenics_crack.basics.suggestions import Hinted
 
 SHOWN_ROWS = 40
 """Rows of a table shown as text and as HTML; files have all of them."""
@@ -190,7 +189,7 @@ class Table:
         return json.dumps(records, indent=1, ensure_ascii=False) + "\n"
 
 
-class Described(Hinted):
+class Described:
     """A result that describes itself: in one line, as a table in a notebook, as a dict."""
 
     def to_dict(self) -> dict[str, Any]:

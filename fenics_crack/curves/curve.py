@@ -267,11 +267,11 @@ class ResponseCurve(Tabular):
 
         Raises
         ------
-        InputError
+        AttributeError
             The curve was followed without ``stability=True``.
         """
         if self.multipliers is None:
-            raise InputError("stability", False, "True when the curve is followed")
+            raise AttributeError("stability: unknown of a curve followed with stability = False")
         return np.asarray((np.abs(self.multipliers) < 1.0) & ~self._open)
 
     @property
