@@ -45,7 +45,7 @@ WORDS = {
     "fc.write_period(solution, path, material=scene.material)": "stress stresses mises strain vtk "
     "paraview",
     "fc.solve(scene).report": "error errors accuracy residual uncertainty",
-    "result.omega": "frequency frequencies freq freqs hertz omega",
+    "result.frequency": "frequency frequencies freq freqs hertz omega",
     "result.displacement(time)": "displacement displacements x u q solution vector mode shape",
     "result.time": "t times instants",
 }

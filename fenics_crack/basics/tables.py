@@ -312,6 +312,15 @@ def with_frequency(values: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
+def in_hertz(omega: str = "omega") -> Any:
+    """A property: the frequency [Hz] of what an attribute of the same object has in rad/s."""
+
+    def frequency(self: Any) -> Any:
+        return getattr(self, omega) / TURN
+
+    return property(frequency, doc=f"``{omega}`` in Hz.")
+
+
 def percent(share: float) -> str:
     """A share in per cent, with two digits, or all before the point: "2.4 %", "140 %"."""
     return format(100.0 * share, ".2g" if share < 0.995 else ".0f") + " %"

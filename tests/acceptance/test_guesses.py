@@ -10,6 +10,7 @@ import re
 from types import ModuleType
 from typing import Any
 
+import numpy as np
 import pytest
 from surroundings import ROOT
 
@@ -103,6 +104,19 @@ def test_hints_name_what_there_is(things: dict[str, Any]) -> None:
         owner, name = re.findall(r"\w+", hint)[:2]
         places = [fc] if owner == "fc" else things.values()
         assert any(hasattr(place, name) for place in places), hint
+
+
+def test_what_has_omega_has_a_frequency(things: dict[str, Any]) -> None:
+    """In Hz: solutions, their indicators, orbits, curves, peaks, modes."""
+    curve, solution = things["curve"].result, things["solution"].result
+    results = [solution, solution.indicators(), curve, curve.peak(), things["modes"].result]
+    results += [curve.orbit(0), fc.bilinear_frequencies(things["solution"].structure)]
+    for one in results:
+        names = [name for name in dir(one) if name.startswith("omega") and "error" not in name]
+        assert names
+        for name in names:
+            hertz = getattr(one, name.replace("omega", "frequency"))
+            assert np.allclose(2.0 * np.pi * np.asarray(hertz), getattr(one, name))
 
 
 def test_any_attribute_can_be_asked_for(things: dict[str, Any]) -> None:
