@@ -22,7 +22,7 @@ LIKENESS = 0.7
 """Minimum likeness of a misspelt word and the suggested one (difflib's ratio)."""
 SAME_WORD = 0.85
 """Likeness of two forms of a word, as "eigenfrequency" and "eigenfrequencies"."""
-WORDS = {
+SEARCH_WORDS = {
     "fc.solve(scene)": "solve steady periodic stationary forced vibration balance hbm run compute "
     "newton",
     "fc.curve(scene)": "curve frf frequency response continuation nlfr path resonance",
@@ -55,13 +55,13 @@ VERBS = {"plot": "draw", "show": "draw", "read": "load", "export": "write"}
 """First words of names, and those of this package for the same."""
 
 
-KINDS = {
+CLASS_WORDS = {
     "Scene": "a Scene, as fc.Scene.load(path) returns", "Path": "a path", "str": "a text",
     "Mapping": "a dict", "None": "None", "Run": "a Run, as fc.solve(scene) returns",
 }  # fmt: skip
 """Words for classes of arguments; those of Python's own are always compared."""
-PREFIXES = {"G": 1e9, "M": 1e6, "k": 1e3, "": 1.0, "c": 1e-2, "m": 1e-3, "u": 1e-6, "n": 1e-9}
-OTHERS = {
+UNIT_PREFIXES = {"G": 1e9, "M": 1e6, "k": 1e3, "": 1.0, "c": 1e-2, "m": 1e-3, "u": 1e-6, "n": 1e-9}
+FOREIGN_UNITS = {
     ("g/cm^3", "kg/m^3"): 1e3,
     ("kg/dm^3", "kg/m^3"): 1e3,
     ("t/m^3", "kg/m^3"): 1e3,
@@ -101,7 +101,7 @@ def in_other_words(name: str) -> list[str]:
     parts = re.findall("[a-z0-9]+", re.sub("([A-Z])", r"_\1", name[:100]).lower())
     counts = {
         text: sum(bool(near(part, words.split(), SAME_WORD)) for part in parts)
-        for text, words in WORDS.items()
+        for text, words in SEARCH_WORDS.items()
     }
     most = max(counts.values())
     calls = [text for text, count in counts.items() if count == most > 0]
@@ -147,9 +147,9 @@ def check_kind(key: str, value: object, annotation: str, kinds: Collection[str])
     names = {base.__name__ for base in type(value).__mro__}
     for kind, name in ((Mapping, "Mapping"), (os.PathLike, "Path"), (type(None), "None")):
         names |= {name} if isinstance(value, kind) else set()
-    if {"str"} != {*wanted} <= {*kinds, *KINDS} and names.isdisjoint(wanted):
+    if {"str"} != {*wanted} <= {*kinds, *CLASS_WORDS} and names.isdisjoint(wanted):
         shown = value if isinstance(value, str | int | float | None) else type(value).__name__
-        words = (KINDS.get(one) or f"a{'n' * (one[0] in 'AEIO')} {one}" for one in wanted)
+        words = (CLASS_WORDS.get(one) or f"a{'n' * (one[0] in 'AEIO')} {one}" for one in wanted)
         raise InputError(key, shown, " or ".join(words))
 
 
@@ -214,9 +214,9 @@ def converted(text: str, unit: str) -> float | None:
     given = re.sub(r"([a-z])([23])\b", r"\1^\2", (found[2] or unit).strip())
     if given == unit:
         return value
-    factor = OTHERS.get((given, unit))
+    factor = FOREIGN_UNITS.get((given, unit))
     if factor is None and unit and given.endswith(unit):
-        factor = PREFIXES.get(given.removesuffix(unit))
+        factor = UNIT_PREFIXES.get(given.removesuffix(unit))
     if factor is None or not math.isfinite(value * factor):
         return None
     return float(f"{value * factor:.12g}")  # no 0.30000000000000004

@@ -254,7 +254,7 @@ def optional(library: str, method: str) -> Any:
 
 # --- numbers for people ---------------------------------------------------------------------------
 
-READ = 1e-5
+LEAST_ERROR = 1e-5
 """Relative error below which none is reported: tables have six digits."""
 _PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 
@@ -328,7 +328,7 @@ def percent(share: float) -> str:
 
 def error_in_words(error: float) -> str:
     """A relative error in per cent: "2.4 %", "less than 0.001 %"."""
-    return f"less than {percent(READ)}" if 0.0 < error < READ else percent(error)
+    return f"less than {percent(LEAST_ERROR)}" if 0.0 < error < LEAST_ERROR else percent(error)
 
 
 def counted(count: int, thing: str) -> str:

@@ -30,7 +30,7 @@ from fenics_crack.model.factor import AT_A_TIME, TOLERATED, Factor, factored_sum
 from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
 from fenics_crack.numerics.equations import EPSILON, ROUNDING
 
-LIPS = ("open", "tied")
+LIP_STATES = ("open", "tied")
 LOST = (
     "what is too slender, or held by too little, has frequencies below the rounding of its "
     "stiffness; make it thicker, or what is left beside a crack wider"
@@ -127,7 +127,7 @@ def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Mode
     --------
     >>> modes = fc.solve_modes(structure, 3, lips="tied")
     """
-    check_choice("lips", lips, LIPS)
+    check_choice("lips", lips, LIP_STATES)
     tied = lips == "tied" and structure.n_pairs > 0
     known = structure.known_modes(tied=tied)
     ties = independent_ties(structure) if tied and known is None else None

@@ -314,11 +314,11 @@ _READERS: dict[str, Callable[[object], Any]] = {
 
 
 _JSON = {"bool": "boolean", "float": "number", "int": "integer", "str": "string"}
-_ARRAYS = (
+_ARRAY_TYPES = (
     "Pair", "Vector", "tuple[Harmonic, ...]", "tuple[float, ...]", "tuple[int, ...]",
     "tuple[str, ...]",
 )  # fmt: skip
-_JSON |= dict.fromkeys(_ARRAYS, "array")
+_JSON |= dict.fromkeys(_ARRAY_TYPES, "array")
 """JSON's words for types; axes and points are objects."""
 
 

@@ -215,15 +215,15 @@ Varied = tuple[tuple[int, ...], dict[str, GridConvergence]] | str
 """Counts of a cause, those of the result first, and its parts; or the reason why there are none, ""
 where it does not apply."""
 
-MESH = ("mesh", "shift")
+MESH_CAUSES = ("mesh", "shift")
 """The mesh's part: of the answer at a given distance from the resonance, and by the shift of the
 resonance."""
 ESTIMATED = ("harmonics", "modes")
 """Causes without whose part no error is known; the mesh may be left out by choice."""
-CAUSES = (*MESH, "modes", "harmonics", "friction", "samples")
+CAUSES = (*MESH_CAUSES, "modes", "harmonics", "friction", "samples")
 BY_CHOICE = ("mesh", "friction")
 """Causes that contribute an unknown part where they are not varied."""
-WORDS = ("units", "absent", "unknown", "verdicts")
+SAVED_WORDS = ("units", "absent", "unknown", "verdicts")
 DOUBTS = {
     "outside": "the observed order is not that of theory, the factor of safety is 3",
     "two sizes": "two runs show no order: that of theory is used, with a factor of safety of 3",
@@ -335,7 +335,7 @@ class Verification(Tabular):
     def _parts(self, quantity: str) -> dict[str, float]:
         """Contributions with one by the mesh."""
         parts = self.contributions(quantity)
-        mesh = [parts.pop(cause) for cause in MESH if cause in parts]
+        mesh = [parts.pop(cause) for cause in MESH_CAUSES if cause in parts]
         return ({"mesh": sum(mesh)} if mesh else {}) | parts
 
     def extrapolated(self, quantity: str) -> float:
@@ -544,7 +544,7 @@ def verification_of(stored: Stored) -> Verification | None:
             cause: {name: _grid(by_name[name], len(counts[cause])) for name in values}
             for cause, by_name in found["parts"].items()
         }
-        words = ({n: str(w) for n, w in found[key].items()} for key in WORDS)
+        words = ({n: str(w) for n, w in found[key].items()} for key in SAVED_WORDS)
         units, absent, unknown, verdicts = words
         failures = tuple(map(str, found["failures"]))
         [units[name] for name in values]  # LookupError

@@ -26,7 +26,6 @@ from fenics_crack.monitoring.tip_timing.harmonics import ORDERS, TipFit, wanted
 from fenics_crack.monitoring.tip_timing.robust import FREEDOMS, LEVELS
 from fenics_crack.monitoring.tip_timing.transient import (
     DAMPED,
-    TINY,
     WIDTH,
     Fit,
     Follows,
@@ -35,6 +34,7 @@ from fenics_crack.monitoring.tip_timing.transient import (
     Run,
     pole,
 )
+from fenics_crack.numerics.equations import TINY
 
 REFINED = 4
 """Orders whose fits are refined; of each of two neighbours half as many."""
