@@ -21,7 +21,6 @@ import numpy as np
 
 from fenics_crack.basics.atomic_files import write_whole
 from fenics_crack.basics.observables import QUANTITIES
-from fenics_crack.basics.suggestions import Hinted
 
 SHOWN_ROWS = 40
 """Rows of a table shown as text and as HTML; files have all of them."""
@@ -122,7 +121,7 @@ class Table:
         return json.dumps(records, indent=1, ensure_ascii=False) + "\n"
 
 
-class Described(Hinted):
+class Described:
     """A result that describes itself: in one line, as a table in a notebook, as a dict."""
 
     def to_dict(self) -> dict[str, Any]:
@@ -243,6 +242,15 @@ def with_frequency(values: dict[str, Any]) -> dict[str, Any]:
             twin, unit = twins[name]
             found[twin] = (np.array(value) / unit).tolist()
     return found
+
+
+def in_hertz(omega: str = "omega") -> Any:
+    """A property: the frequency [Hz] of what an attribute of the same object has in rad/s."""
+
+    def frequency(self: Any) -> Any:
+        return getattr(self, omega) / TURN
+
+    return property(frequency, doc=f"``{omega}`` in Hz.")
 
 
 def percent(share: float) -> str:

@@ -30,7 +30,7 @@ from fenics_crack.basics.errors import ConvergenceError, InputError, StoppedErro
 from fenics_crack.basics.observables import Place, Where, names_of
 from fenics_crack.basics.ranks import StopRequest, on_root
 from fenics_crack.basics.suggestions import checked_call
-from fenics_crack.basics.tables import TURN, Tabular, counted, with_frequency
+from fenics_crack.basics.tables import TURN, Tabular, counted, in_hertz, with_frequency
 from fenics_crack.fem.build import with_crack_length
 from fenics_crack.files.store import Stored, check_shapes, read, write
 from fenics_crack.numerics.equations import TINY
@@ -104,6 +104,8 @@ class Growth(Tabular):
     remarks: tuple[str, ...]
 
     KIND: ClassVar[str] = "crack growth"
+    frequency, frequency_open = in_hertz(), in_hertz("omega_open")
+    frequency_bilinear = in_hertz("omega_bilinear")
 
     @property
     def life(self) -> float:

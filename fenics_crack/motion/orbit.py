@@ -38,7 +38,7 @@ import numpy as np
 from scipy.linalg.lapack import dgeev
 
 from fenics_crack.basics.errors import ConvergenceError
-from fenics_crack.basics.tables import Described, counted
+from fenics_crack.basics.tables import Described, counted, in_hertz
 from fenics_crack.kernel import kernel
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, Samples, Track
@@ -127,6 +127,8 @@ class PeriodicOrbit(Observed, Described):
     state: np.ndarray
     residual: float
     flows: int
+
+    frequency = in_hertz()
 
     @property
     def period(self) -> float:

@@ -312,6 +312,8 @@ class Load(Table):
     pushes towards the plate.
     """
 
+    FIRST = "loads.1"
+
     point: Vector | None = vector("", unit="m")
     edge: str | None = holds("'top', 'left', 'right', or a curve of the mesh file", default=None)
     force_sin: Vector | None = vector("f", unit="N")

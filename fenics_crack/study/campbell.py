@@ -24,7 +24,7 @@ from mpi4py import MPI
 from scipy.optimize import brentq
 
 from fenics_crack.basics.errors import InputError, check_choice, check_count
-from fenics_crack.basics.tables import RPM, Tabular, counted, with_frequency
+from fenics_crack.basics.tables import RPM, Tabular, counted, in_hertz, with_frequency
 from fenics_crack.fem.build import assemble, with_crack_length
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modes import (
@@ -93,6 +93,9 @@ class Campbell(Tabular):
     at: At
 
     KIND: ClassVar[str] = "Campbell diagram"
+    frequency_open, frequency_tied = in_hertz("omega_open"), in_hertz("omega_tied")
+    frequency_partly, frequency_real = in_hertz("omega_partly"), in_hertz("omega_real")
+    frequency_bilinear = in_hertz("omega_bilinear")
 
     @property
     def omega_bilinear(self) -> np.ndarray:
