@@ -31,7 +31,7 @@ class Place(Enum):
     @property
     def on_request(self) -> bool:
         """True if it takes rows of its own, which are made where a scene requests its numbers."""
-        return self in (Place.TIPS, Place.CLAMP)
+        return self not in (Place.POINT, Place.FACES, Place.MODES)
 
 
 class Where(Flag):

@@ -78,7 +78,7 @@ class Held(NamedTuple):
 
 
 def held(record: Record) -> Held:
-    """The clamp in a record of :func:`clamp_rows`."""
+    """The clamp in a record of :func:`inertia_rows`."""
     whole, omega = record.structure().whole, record.omega
     clamp, drag = _clamp(whole)
     if record.steps:
@@ -88,18 +88,13 @@ def held(record: Record) -> Held:
     return Held(*clamp.of_waves(*parts))
 
 
-def clamp_rows(structure: Structure) -> np.ndarray:
-    """Rows of a structure for :func:`held`; made once for it (collective)."""
-    return structure.once(_inertia_rows)
-
-
 def _clamp(whole: Structure) -> tuple[Clamp, float]:
     """The clamp of a structure, and a [1/s] of Rayleigh's damping."""
     assert whole.clamp is not None  # the scene has been checked
     return whole.clamp, whole.damping.mass if isinstance(whole.damping, RayleighDamping) else 0.0
 
 
-def _inertia_rows(structure: Structure) -> np.ndarray:
+def inertia_rows(structure: Structure) -> np.ndarray:
     """r^T M in the coordinates of a structure: (n_rigid, n_local). What has no mass has no inertia:
     truncated modes respond quasi-statically (collective)."""
     whole, inertia = structure.whole, _clamp(structure.whole)[0].inertia
@@ -247,7 +242,9 @@ def _at_tips(study: Study) -> Rows:
 
 
 def _at_clamp(study: Study) -> Rows:
-    return Rows(clamp_rows(study.structure), lambda record: read_at(Place.CLAMP, held(record)))
+    return Rows(
+        study.structure.once(inertia_rows), lambda record: read_at(Place.CLAMP, held(record))
+    )
 
 
 _ROWS: dict[Place, Callable[[Study], Rows]] = {Place.TIPS: _at_tips, Place.CLAMP: _at_clamp}

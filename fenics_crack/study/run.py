@@ -56,8 +56,8 @@ from fenics_crack.study.conclusion import Answer, conclusion
 from fenics_crack.study.observer import (
     AtTip,
     at_tips,
-    clamp_rows,
     held,
+    inertia_rows,
     leading,
     rows_requested,
     tip_rows,
@@ -845,5 +845,5 @@ def reaction(run: Run[PeriodicSolution] | Run[TimeHistory]) -> Reaction:
     check_motion(run)
     check_known(without_clamp(run.scene), "run", repr(run))
     structure = run.result.structure
-    [record] = run.result.records(clamp_rows(structure))
+    [record] = run.result.records(structure.once(inertia_rows))
     return Reaction(record.time, structure.whole.clamp.center, *held(record))
