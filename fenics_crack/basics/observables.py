@@ -5,7 +5,7 @@ unless a scene chooses. Tables, files, pictures, the columns of sweeps, ``[outpu
 stated errors and the list in the reference follow from it.
 
 What is at a place, which ``read`` takes, is a ``Point`` or ``Faces`` of
-:mod:`fenics_crack.motion.motions`, a ``Tip`` or ``Held`` of :mod:`fenics_crack.study.observer`.
+:mod:`fenics_crack.motion.motions`, an ``AtTip`` or ``Held`` of :mod:`fenics_crack.study.observer`.
 """
 
 from __future__ import annotations

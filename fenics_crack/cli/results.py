@@ -328,18 +328,18 @@ def _quantities(run: Run[Any], values: Mapping[str, object]) -> Table:
     faces, natural frequencies, and others (collective)."""
     omega = run.scene.excitation.omega if isinstance(run.result, TimeHistory) else run.result.omega
     rows: list[Row] = [(n, n, v, UNITS[n]) for n, v in with_frequency({"omega": omega}).items()]
-    rows += [
-        (one.column, one.words, one.value, _shown(one.unit)) for one in observe(run, run.result)
-    ]
+    rows += [one[:4] for one in observe(run, run.result)]
     if not run.structure.n_pairs:  # no errors were estimated
         values = {n: v for n, v in values.items() if not n.endswith(("_error", "_share"))}
     if run.structure.n_pairs and isinstance(run.result, PeriodicSolution):
         near = bilinear_frequencies(run.structure).nearest(omega)
         rows += (
-            (name, f"{words}, mode {near['mode']}", float(value), _shown(unit))
+            (name, f"{words}, mode {near['mode']}", float(value), unit)
             for name, words, unit, value in _with_hertz(near)
         )
-    columns, rows = ["name", "quantity", "value", "unit"], [*rows, *_named(OTHERS, values)]
+    rows += [(n, words, values[n], unit) for n, (words, unit) in OTHERS.items() if n in values]
+    columns = ["name", "quantity", "value", "unit"]
+    rows = [(*row[:3], "-" if row[3] == "1" else row[3]) for row in rows]
     if run.stated is None:
         return Table(columns, rows)
     return Table([*columns, ERROR, "most by"], [(*row, *_errors(run, row[0])) for row in rows])
@@ -356,17 +356,6 @@ def _errors(run: Run[Any], name: str) -> tuple[float, str]:
     error, cause = run.stated.stated(name)
     percents = 100.0 * max(error, LEAST_ERROR) if error < np.inf else np.nan
     return float(f"{percents:.3g}"), cause
-
-
-def _named(known: Mapping[str, tuple[str, str]], values: Mapping[str, object]) -> list[Row]:
-    """Return the rows of those values that have words and a unit."""
-    return [
-        (n, words, values[n], _shown(unit)) for n, (words, unit) in known.items() if n in values
-    ]
-
-
-def _shown(unit: str) -> str:
-    return "-" if unit == "1" else unit
 
 
 def _with_hertz(near: Mapping[str, np.ndarray]) -> Iterator[tuple[str, str, str, np.ndarray]]:

@@ -36,18 +36,18 @@ class Quantity(NamedTuple):
 
     Attributes
     ----------
-    name, column : str
-        "ratio_2_1", "tip.ux.ratio_2_1".
+    column, name : str
+        "tip.ux.ratio_2_1", and that of its observable, "ratio_2_1".
     words, unit : str
         With what is watched.
     value : float or (n,)
     """
 
-    name: str
     column: str
     words: str
-    unit: str
     value: Any
+    unit: str
+    name: str
 
 
 def observe(study: Study, motion: Observed) -> list[Quantity]:
@@ -59,11 +59,11 @@ def observe(study: Study, motion: Observed) -> list[Quantity]:
         for name in names_of(Place.POINT):
             row = QUANTITIES[name]
             of_point = f", {watched.words}" if watched.name or name == "amplitude" else ""
-            words, value = row.words + of_point, getattr(indicators, name)
-            found.append(Quantity(name, watched.column(name), words, row.unit, value))
+            number = row.words + of_point, getattr(indicators, name), row.unit, name
+            found.append(Quantity(watched.column(name), *number))
     values = motion.faces | {name: others[name] for name in asked_quantities(study.scene)}
     for name, value in values.items():
-        found.append(Quantity(name, name, QUANTITIES[name].words, QUANTITIES[name].unit, value))
+        found.append(Quantity(name, QUANTITIES[name].words, value, QUANTITIES[name].unit, name))
     return found
 
 
