@@ -32,6 +32,7 @@ from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.tables import UNITS
 from fenics_crack.basics.untrusted_files import beginning_of, bytes_of, run_reader, sha256
 from fenics_crack.fem.model_files import read_with
+from fenics_crack.files.codec import WRONG, check_arrays
 from fenics_crack.scene.scene import Scene, files_of, with_files
 from fenics_crack.version import VERSION
 
@@ -258,10 +259,11 @@ class Stored:
     def taken(self) -> Iterator[dict[str, Any]]:
         """Its datasets, to be taken apart; InputError if they are not as expected."""
         try:
+            check_arrays(self.parts)
             yield dict(self.parts)
         except InputError:
             raise
-        except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
+        except WRONG as error:
             allowed = f"a {self.kind} written by save ({error})"
             raise InputError("path", str(self.path), allowed) from None
 

@@ -1,6 +1,6 @@
 """Write the files that later versions must read: small results of each kind, and their numbers.
 
-    .venv/bin/python tests/files/write_fixtures.py tests/files/fixtures/VERSION.zip
+.venv/bin/python tests/files/write_fixtures.py tests/files/fixtures/VERSION.zip
 """
 
 from __future__ import annotations
