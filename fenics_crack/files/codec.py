@@ -14,17 +14,7 @@ from contextlib import suppress
 from dataclasses import MISSING, fields, is_dataclass
 from functools import cache
 from types import UnionType
-from typing import (
-    Any,
-    Literal,
-    NamedTuple,
-    TypeVar,
-    Union,
-    cast,
-    get_args,
-    get_origin,
-    get_type_hints,
-)
+from typing import Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -48,36 +38,37 @@ def packed(result: Any, *apart: str) -> Parts:
     found: Parts = {}
     for name in (item.name for item in fields(result) if item.name not in apart):
         value = getattr(result, name)
-        if (isinstance(value, np.ndarray) and value.dtype.kind != "U") or np.isscalar(value):
+        if np.isscalar(value) or _is_array(value):
             found[name] = value
         elif value is not None and not isinstance(value, Scene) and not callable(value):
             found[name] = text_of(value, name, found)
     return found
 
 
-def text_of(value: Any, name: str = "", arrays: Parts | None = None) -> str:
-    """Return a value as JSON text; its arrays join some datasets, by names that begin with its own.
-
-    A scene in it is left out.
-    """
+def text_of(value: Any, name: str, arrays: Parts) -> str:
+    """Return a value as JSON text, without a scene in it; its arrays join some datasets, by names
+    that begin with its own."""
 
     def plain(value: Any, name: str) -> Any:
         if is_dataclass(value):
-            kept = (item.name for item in fields(value))
-            value = {one: getattr(value, one) for one in kept}
+            value = {item.name: getattr(value, item.name) for item in fields(value)}
         if isinstance(value, Mapping):
-            items = {str(one): item for one, item in value.items() if not isinstance(item, Scene)}
-            return {one: plain(item, f"{name}.{one}") for one, item in items.items()}
-        if isinstance(value, tuple | list):
-            return [plain(item, f"{name}.{place}") for place, item in enumerate(value)]
-        if not isinstance(value, np.ndarray):
-            return value.item() if isinstance(value, np.generic) else value
-        if value.dtype.kind == "U" or arrays is None:
-            return value.tolist()
-        arrays[name] = value
-        return name
+            items = ((key, one) for key, one in value.items() if not isinstance(one, Scene))
+            return {str(key): plain(one, f"{name}.{key}") for key, one in items}
+        if isinstance(value, tuple):
+            return [plain(one, f"{name}.{place}") for place, one in enumerate(value)]
+        if _is_array(value):
+            arrays[name] = value
+            return name
+        return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
 
     return json.dumps(plain(value, name))
+
+
+def _is_array(value: Any) -> bool:
+    """Return True if a value is an array of numbers; one of words may have more dimensions than a
+    dataset of words."""
+    return isinstance(value, np.ndarray) and value.dtype.kind != "U"
 
 
 def unpacked(
@@ -101,32 +92,17 @@ def unpacked(
     ValueError, LookupError and others of :data:`WRONG`
         A dataset is missing, or is not what its field is.
     """
-    stored, declaring = {}, cast("Any", kind)
-    for name, declared in _types(declaring).items():
-        if name in parts:
-            value = parts[name]
-            is_json = isinstance(value, str) and not _is_text(declared)
-            stored[name] = json.loads(value) if is_json else value
-    found: T = _Reader(parts, scene).made(kind, stored, known)
+    found: T = _Reader(parts, scene).made(kind, parts, known)
     return found
 
 
-def from_text(kind: type[T], text: str, scene: Scene | None = None) -> T:
+def from_text(kind: type[T], text: str, scene: Scene | None) -> T:
     """Return a dataclass from the JSON text of :func:`text_of`; raises as :func:`unpacked`."""
-    found: T = _Reader({}, scene).made(kind, json.loads(text), {})
+    found: T = _Reader({}, scene).value(kind, text, "text")
     return found
 
 
-def _is_text(kind: Any) -> bool:
-    """Return True if a text of a type is a dataset as it is."""
-    union = get_origin(kind) in (Union, UnionType)
-    return kind is str or get_origin(kind) is Literal or (union and str in get_args(kind))
-
-
-@cache
-def _types(kind: Any) -> dict[str, Any]:
-    """Return the declared types of a dataclass by its fields."""
-    return get_type_hints(kind)
+_types = cache(get_type_hints)
 
 
 class _Reader(NamedTuple):
@@ -139,24 +115,25 @@ class _Reader(NamedTuple):
         """Return a dataclass from the values of its fields and those that are known."""
         found = dict(known)
         for item in fields(kind):
-            name, declared = item.name, _types(kind)[item.name]
             needed = item.default is MISSING and item.default_factory is MISSING
-            if name not in known and (needed or name in stored):
-                found[name] = self.value(declared, stored.get(name), name)
+            if item.name not in known and (needed or item.name in stored):
+                value = stored.get(item.name)
+                found[item.name] = self.value(_types(kind)[item.name], value, item.name)
         try:
             return kind(**found)
         except InputError as error:
             raise ValueError(str(error)) from None  # of the file, whose key is none of the scene's
 
     def value(self, kind: Any, stored: Any, name: str) -> Any:
-        """Return the value of a field, or a part of it."""
+        """Return the value of a field, or a part of it, from a dataset or what a text holds."""
         origin, inside = get_origin(kind), get_args(kind)
+        composed = is_dataclass(kind) or origin in (dict, Mapping, tuple) or kind is np.ndarray
+        if composed and isinstance(stored, str):
+            stored = self.parts[stored] if stored in self.parts else json.loads(stored)
         if origin in (Union, UnionType):
             for one in inside:
                 with suppress(*WRONG):
                     return self.value(one, stored, name)
-        elif kind is np.ndarray:
-            return _array(self.parts[stored] if isinstance(stored, str) else stored, name)
         elif origin in (dict, Mapping) and isinstance(stored, dict):
             key, item = inside
             return {key(one): self.value(item, value, name) for one, value in stored.items()}
@@ -164,26 +141,19 @@ class _Reader(NamedTuple):
             every = inside[:1] * len(stored) if inside[1:] == (...,) else inside
             pairs = zip(every, stored, strict=True)
             return tuple(self.value(one, value, name) for one, value in pairs)
-        elif kind is Scene:
-            stored = self.scene
         elif is_dataclass(kind) and isinstance(stored, dict):
             return self.made(kind, stored, {})
+        elif kind is np.ndarray and isinstance(stored, list):
+            return np.array(stored, dtype=str)
         elif origin is Literal and stored in inside:
             return stored
+        elif kind is Scene:
+            stored = self.scene
         elif kind is float and type(stored) is int:
             stored = float(stored)
         if kind is not Any and not (isinstance(kind, type) and isinstance(stored, kind)):
             raise ValueError(f"its {name} does not fit")
         return stored
-
-
-def _array(stored: Any, name: str) -> np.ndarray:
-    """Return an array of a field, or of words."""
-    if isinstance(stored, list):
-        return np.array(stored, dtype=str)
-    if not isinstance(stored, np.ndarray):
-        raise ValueError(f"its {name} does not fit")
-    return stored
 
 
 def check_arrays(parts: Mapping[str, Any]) -> None:

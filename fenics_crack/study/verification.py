@@ -285,7 +285,7 @@ class Verification(Saved):
 
     def text(self) -> str:
         """All of it but the scene, as a dataset of a file."""
-        return text_of(self)
+        return text_of(self, "", {})
 
     def _packed(self) -> Parts:
         return {"verification": self.text()}
