@@ -51,7 +51,7 @@ from fenics_crack.study.coarser_mesh import finer_mesh
 from fenics_crack.study.prepare import Study
 from fenics_crack.study.run import solve_prepared
 from fenics_crack.study.stated_errors import numbers_of
-from fenics_crack.study.verification import MESH
+from fenics_crack.study.verification import MESH_CAUSES
 
 Numbers = dict[str, float]
 Vector = tuple[float, float, float]
@@ -662,7 +662,7 @@ def compared(
     """A row for each quantity that a cause changes and the reference has."""
     for quantity, part in found.parts[cause].items():
         value, parts = found.values[quantity], found.contributions(quantity)
-        stated = sum(parts[one] for one in (MESH if cause == "mesh" else (cause,)))
+        stated = sum(parts[one] for one in (MESH_CAUSES if cause == "mesh" else (cause,)))
         if quantity in reference and stated > 1e-9 * abs(value):  # more than rounding
             true = abs(reference[quantity] - value)
             shares = (true / abs(value), stated / abs(value), true / stated)

@@ -46,7 +46,7 @@ from fenics_crack.numerics.newton import moving_square, solve_near
 
 LARGE_ERROR = 0.05
 """Estimated relative error above which a solution has a warning."""
-PARTS = ("truncation", "reduction", "sampling", "residual")
+ERROR_PARTS = ("truncation", "reduction", "sampling", "residual")
 """Parts of a total error; of equal ones the first is reported."""
 
 SETTLED_STEP = 0.05
@@ -103,7 +103,7 @@ class ErrorReport(Described):
     @property
     def largest_part(self) -> str:
         """Name of the largest part of the total; of those that are as large the first."""
-        return max(PARTS, key=lambda name: getattr(self, name))
+        return max(ERROR_PARTS, key=lambda name: getattr(self, name))
 
     def to_dict(self) -> dict[str, Any]:
         """All of them by their names, and the total."""

@@ -39,7 +39,7 @@ def coupled_integrals(
     return kind(law, harmonics, residual=residual, samples=samples)
 
 
-SAMPLES, FEWEST = 32, 128
+SAMPLES_PER_HARMONIC, MIN_SAMPLES = 32, 128
 """Instants for each harmonic, and at least."""
 
 
@@ -82,7 +82,7 @@ class FrictionIntegrals(ContactIntegrals):
     @property
     def instants(self) -> int:
         """N."""
-        return self.samples or max(FEWEST, SAMPLES * self.harmonics)
+        return self.samples or max(MIN_SAMPLES, SAMPLES_PER_HARMONIC * self.harmonics)
 
     def march(self, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Forces, states and places at instants of a period, of values (n, 2 n_pairs).

@@ -51,14 +51,14 @@ from fenics_crack.basics.tables import percent, quantity
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modal import all_modes, is_small
-from fenics_crack.model.modes import LIPS
+from fenics_crack.model.modes import LIP_STATES
 from fenics_crack.model.reduced import ReducedStructure, massless
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.model.wheel import Wheel
 from fenics_crack.motion.flow import ContactFlow, exact_flow, flow_of
 from fenics_crack.motion.orbit import FORMED, INSTANTS, OrbitCoefficients, PeriodicOrbit, affordable
-from fenics_crack.motion.search import PARTS, OrbitSearch, SearchOptions, search_orbit
+from fenics_crack.motion.search import SEGMENTS, OrbitSearch, SearchOptions, search_orbit
 from fenics_crack.numerics.fourier import from_complex, to_complex
 from fenics_crack.numerics.newton import relative_to_motion
 
@@ -147,7 +147,7 @@ def linear_response(
     --------
     >>> amplitude = fc.linear_response(structure, tip, np.linspace(1e3, 3e3, 50), lips="tied")
     """
-    check_choice("lips", lips, LIPS)
+    check_choice("lips", lips, LIP_STATES)
     given = numbers(omega)
     if given.ndim != 1 or not np.all(np.isfinite(given) & (given >= 0.0)):
         raise InputError("omega", omega, "finite numbers >= 0, in an array (n,)")
@@ -462,7 +462,7 @@ def _sought(
         if initial is not None and initial.orbit is not None:
             known = initial.orbit
             if initial.structure is problem.structure and known.subharmonic == problem.subharmonic:
-                yield known.sampled.whole_states[:: INSTANTS // PARTS]
+                yield known.sampled.whole_states[:: INSTANTS // SEGMENTS]
         for count in SearchOptions.harmonics:
             few = problem.with_harmonics(problem.few_harmonics(count))
             near = _begun(solver, few).attempt(initial, wholly=False, reported=False)[1]

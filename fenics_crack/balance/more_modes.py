@@ -40,7 +40,7 @@ from fenics_crack.motion.orbit import (
     predicted,
     predicted_with_more_modes,
 )
-from fenics_crack.motion.search import PARTS
+from fenics_crack.motion.search import SEGMENTS
 from fenics_crack.numerics.fourier import waves_of
 from fenics_crack.numerics.newton import relative_to_motion
 
@@ -114,7 +114,7 @@ class MoreModes:
         solution behind its own step; None where that is not known."""
         wave = self.wave
         time = wave.period / INSTANTS * np.arange(INSTANTS)
-        every = slice(None, None, INSTANTS // PARTS)
+        every = slice(None, None, INSTANTS // SEGMENTS)
         if self.accepted:
             assert self.nearest is not None
             sampled = self.nearest.sampled
@@ -162,7 +162,7 @@ class MoreModes:
 
     @property
     def _time(self) -> np.ndarray:
-        return self.wave.period / PARTS * np.arange(PARTS)
+        return self.wave.period / SEGMENTS * np.arange(SEGMENTS)
 
     @cached_property
     def prediction(self) -> Prediction | None:

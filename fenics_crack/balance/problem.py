@@ -107,7 +107,7 @@ WITHOUT_GIVE = (
     "reduce_structure(structure, method='massless'): pairs that stick must give a little"
 )
 """Allowed values where pairs with friction have nothing in series."""
-MATRICES = 4
+MATRICES_AT_A_TIME = 4
 """Dense matrices of the size of the Jacobian that are held at a time, or stiffnesses of coupled
 pairs at all instants."""
 COMPILED = 5000
@@ -324,10 +324,10 @@ def check_memory(structure: Structure, harmonics: int) -> None:
     what they are at all instants, and the vectors of solutions."""
     pairs = structure.n_pairs
     unknowns, order = (2 * harmonics + 1) * pairs, 2
-    numbers = MATRICES * unknowns**2
+    numbers = MATRICES_AT_A_TIME * unknowns**2
     if structure.light_lips:  # of an estimate too, with twice the harmonics
         vectors = 2 * kernel.KRYLOV_MOST + 2  # those kept, and those of a solution
-        numbers, order = 2 * (2 * MATRICES * pairs + vectors) * unknowns, 1
+        numbers, order = 2 * (2 * MATRICES_AT_A_TIME * pairs + vectors) * unknowns, 1
     memory = machine_memory()
     if 8 * numbers > 0.8 * memory:
         fits = int(harmonics * (0.1 * memory / numbers) ** (1.0 / order))

@@ -39,6 +39,7 @@ from fenics_crack.basics.tables import (
     Described,
     Tabular,
     counted,
+    in_hertz,
     quantity,
     with_frequency,
 )
@@ -113,6 +114,7 @@ class Indicators(Tabular):
     friction_loss: Any
     stick_share: Any
     slip_share: Any
+    frequency = in_hertz()
 
     def to_dict(self) -> dict[str, Any]:
         """Numbers by name, or along a curve columns; those of friction where there is some."""

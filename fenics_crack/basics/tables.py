@@ -24,7 +24,6 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.basics.atomic_files import write_whole
-from fenics_crack.basics.suggestions import Hinted
 
 SHOWN_ROWS = 40
 """Rows of a table shown as text and as HTML; files have all of them."""
@@ -190,7 +189,7 @@ class Table:
         return json.dumps(records, indent=1, ensure_ascii=False) + "\n"
 
 
-class Described(Hinted):
+class Described:
     """A result that describes itself: in one line, as a table in a notebook, as a dict."""
 
     def to_dict(self) -> dict[str, Any]:
@@ -255,7 +254,7 @@ def optional(library: str, method: str) -> Any:
 
 # --- numbers for people ---------------------------------------------------------------------------
 
-READ = 1e-5
+LEAST_ERROR = 1e-5
 """Relative error below which none is reported: tables have six digits."""
 _PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 
@@ -313,6 +312,15 @@ def with_frequency(values: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
+def in_hertz(omega: str = "omega") -> Any:
+    """A property: the frequency [Hz] of what an attribute of the same object has in rad/s."""
+
+    def frequency(self: Any) -> Any:
+        return getattr(self, omega) / TURN
+
+    return property(frequency, doc=f"``{omega}`` in Hz.")
+
+
 def percent(share: float) -> str:
     """A share in per cent, with two digits, or all before the point: "2.4 %", "140 %"."""
     return format(100.0 * share, ".2g" if share < 0.995 else ".0f") + " %"
@@ -320,7 +328,7 @@ def percent(share: float) -> str:
 
 def error_in_words(error: float) -> str:
     """A relative error in per cent: "2.4 %", "less than 0.001 %"."""
-    return f"less than {percent(READ)}" if 0.0 < error < READ else percent(error)
+    return f"less than {percent(LEAST_ERROR)}" if 0.0 < error < LEAST_ERROR else percent(error)
 
 
 def counted(count: int, thing: str) -> str:

@@ -44,17 +44,17 @@ FOREIGN = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "HYDRA_", "HDF5_")
 SURROUNDINGS = {
     "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "HDF5_PLUGIN_PRELOAD": "::",
 }  # fmt: skip
-PROGRAM = Path(__file__).with_name("untrusted_reader.py")
-MARKS = {
+READER_PROGRAM = Path(__file__).with_name("untrusted_reader.py")
+BYTE_ORDER_MARKS = {
     codecs.BOM_UTF32_LE: "UTF-32", codecs.BOM_UTF32_BE: "UTF-32", codecs.BOM_UTF16_LE: "UTF-16",
     codecs.BOM_UTF16_BE: "UTF-16",
 }  # fmt: skip
 """Byte order marks, the longer ones first."""
 COMMA, POINT = (re.compile(rf"[+-]?\d*{mark}\d+(?:[eE][+-]?\d+)?") for mark in (",", r"\."))
 """Numbers with a decimal comma, and with a decimal point."""
-PARTS = {"": 1.0, "k": 1e3, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6}
+READ_PREFIXES = {"": 1.0, "k": 1e3, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6}
 IN_SI = {"rad": ("rad", 1.0), **dict.fromkeys(("deg", "°"), ("rad", math.pi / 180.0))}
-IN_SI |= {name + unit: (unit, part) for name, part in PARTS.items() for unit in ("m", "Hz")}
+IN_SI |= {name + unit: (unit, part) for name, part in READ_PREFIXES.items() for unit in ("m", "Hz")}
 """Units of headings that are converted: to which, and the factor."""
 
 
@@ -142,7 +142,7 @@ def text_of(path: str | Path) -> str:
         As of :func:`content_of`; or its text is in another encoding.
     """
     content = content_of(path)
-    for mark, name in MARKS.items():
+    for mark, name in BYTE_ORDER_MARKS.items():
         if content.startswith(mark):
             raise ValueError(
                 f"it begins with the byte order mark (BOM) of {name}; save it as UTF-8"
@@ -287,7 +287,7 @@ def _started(
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with theirs:
         started = subprocess.Popen(
-            [sys.executable, "-I", str(PROGRAM), str(reader), str(theirs.fileno())],
+            [sys.executable, "-I", str(READER_PROGRAM), str(reader), str(theirs.fileno())],
             env=inner | SURROUNDINGS, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.balance.error_report import LARGE_ERROR, PARTS, ErrorReport
+from fenics_crack.balance.error_report import ERROR_PARTS, LARGE_ERROR, ErrorReport
 from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.basics.errors import MOST_HARMONICS, Exit
 from fenics_crack.basics.tables import (
@@ -462,7 +462,7 @@ def _large_errors(found: SweepResult) -> Iterator[str]:
         place = tuple(map(int, np.unravel_index(np.where(cases, total, 0.0).argmax(), total.shape)))
         values = {axis.key: axis.values[at] for axis, at in zip(found.axes, place, strict=True)}
         scene = found.scene.replace({"sweep": None} | values)
-        report = ErrorReport(**dict(zip(PARTS, errors[:, *place].tolist(), strict=True)))
+        report = ErrorReport(**dict(zip(ERROR_PARTS, errors[:, *place].tolist(), strict=True)))
         count = f"{counted(int(cases.sum()), 'case')} with an error above {percent(limit)}"
         for text in of_error(scene, report, int(found["harmonics"][place]), limit=limit):
             yield f"{count}, the largest at {in_words(found.axes, place)}: {text}"

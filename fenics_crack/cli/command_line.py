@@ -34,7 +34,7 @@ from fenics_crack.version import VERSION
 if TYPE_CHECKING:
     from fenics_crack.cli.given import Console, Inputs
 
-ALONE = {"OMPI_MCA_pml": "ob1", "OMPI_MCA_ess_singleton_isolated": "1"}
+ONE_PROCESS_SETTINGS = {"OMPI_MCA_pml": "ob1", "OMPI_MCA_ess_singleton_isolated": "1"}
 """Settings of Open MPI for one process: it looks for no network and starts no daemon, which would
 take as long as all else before the first command."""
 PREFIXES = tuple(f"-crack_{name}_" for name in ("hb", "krylov", "modes", "largest", "factor"))
@@ -50,10 +50,10 @@ TABLES = {
     "reduction": ("method", "modes"),
     "tip_timing": ("clock", "noise", "probes", "revolutions", "tip_radius"),
 }
-DAMPING = ("mass", "modes", "omegas", "ratio", "ratios", "stiffness")
+DAMPING_KEYS = ("mass", "modes", "omegas", "ratio", "ratios", "stiffness")
 KEYS = {
     **{name: f"{table}.{name}" for table, names in TABLES.items() for name in names},
-    **{f"damping {name}": f"damping.{name}" for name in DAMPING},
+    **{f"damping {name}": f"damping.{name}" for name in DAMPING_KEYS},
     **dict.fromkeys(("low", "high", "high - low"), "tip_timing.frequencies"),
     ".deviation": "--deviation",
     "contact law": "contact.law",
@@ -218,7 +218,7 @@ def _run(given: argparse.Namespace) -> Exit:
     meshes = given.command != "new" and not ("scene" in given and inputs is None and not launched())
     if meshes and not (inputs and inputs.scene.structure):
         from fenics_crack.basics import gmsh_process as mesher  # noqa: F401  before MPI: see there
-    with _settings({} if launched() else ALONE):
+    with _settings({} if launched() else ONE_PROCESS_SETTINGS):
         from fenics_crack.basics.ranks import MPI, STOPS, on_root
 
     comm = MPI.COMM_WORLD

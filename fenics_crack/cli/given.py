@@ -48,11 +48,11 @@ RECORDS = (".csv", ".h5")
 """Endings of files of arrivals, and of results from which arrivals are computed."""
 PERIOD = "solution_period"
 """Folder below that for results, of the frames of a period."""
-WRITTEN = (".h5", ".csv", ".json", ".png", ".pdf", ".svg")
+RESULT_ENDINGS = (".h5", ".csv", ".json", ".png", ".pdf", ".svg")
 """Endings of the files of a result."""
-KINDS = ("blade", "timing", "identify")
+JOINABLE_SCENES = ("blade", "timing", "identify")
 """Scenes that ``new`` writes besides a plate."""
-ALONE = ("solid", "disk")
+WHOLE_SCENES = ("solid", "disk")
 """Scenes that have files of their own."""
 
 
@@ -299,7 +299,7 @@ def keep_before(table: Path, text: str, comm: MPI.Comm, *others: str) -> str:
     from fenics_crack.basics.ranks import on_root  # PETSc
 
     before = table.with_name(BEFORE)
-    files = [f"{name}{kind}" for name in (table.stem, *others) for kind in WRITTEN]
+    files = [f"{name}{kind}" for name in (table.stem, *others) for kind in RESULT_ENDINGS]
 
     def work() -> str:
         try:
@@ -327,8 +327,8 @@ def new(given: Namespace, _: None, console: Console) -> None:
     from fenics_crack.basics.ranks import on_root  # PETSc
 
     path: Path = given.file
-    kinds = [kind for kind in KINDS if vars(given)[kind]]
-    alone = [name for name in ALONE if vars(given)[name]]
+    kinds = [kind for kind in JOINABLE_SCENES if vars(given)[kind]]
+    alone = [name for name in WHOLE_SCENES if vars(given)[name]]
     if alone and len(alone + kinds) > 1:
         other = f"with --{(alone[1:] + kinds)[0]}"
         raise InputError(f"--{alone[0]}", other, "used alone: it is another scene")
@@ -355,7 +355,7 @@ def new(given: Namespace, _: None, console: Console) -> None:
 
 
 def new_scene(name: str, rows: str, kinds: Collection[str]) -> str:
-    """The scene of some :data:`KINDS`, written under a name, beside a file of measurements."""
+    """A scene of some :data:`JOINABLE_SCENES` under a name, with a file of measurements."""
     marks = [f"(--{kind})" for kind in {*kinds, *(["blade"] if "timing" in kinds else [])}]
     lines = (
         _turned(line) if line.endswith(tuple(marks)) else line
@@ -381,7 +381,7 @@ def lines_of(table: str) -> str:
 
 def _blocks(table: str) -> Iterator[list[str]]:
     """Lines by which templates give a table."""
-    texts = map(packaged, (COMMENTED, *(f"cli/new_{name}.toml" for name in ALONE)))
+    texts = map(packaged, (COMMENTED, *(f"cli/new_{name}.toml" for name in WHOLE_SCENES)))
     for block in itertools.chain.from_iterable(text.split("\n\n") for text in texts):
         lines = block.splitlines()
         for place, line in enumerate(lines):

@@ -53,7 +53,7 @@ from fenics_crack.draw.plot_study import draw_growth, draw_verification
 from fenics_crack.fatigue.growth import Growth
 from fenics_crack.files.store import Stored, read, versions
 from fenics_crack.model.contact import friction_of
-from fenics_crack.model.modes import LIPS, Modes, n_tied_modes, solve_modes
+from fenics_crack.model.modes import LIP_STATES, Modes, n_tied_modes, solve_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene, unit_of
@@ -278,7 +278,7 @@ def _without_contact(run: Run[ResponseCurve]) -> dict[str, tuple[np.ndarray, np.
     if found.parameter != "omega":
         return {}
     words = {"open": "open", "tied": "bonded"}
-    lines = {f"crack always {words[lips]}": (structure, run.watched_dof, lips) for lips in LIPS}
+    lines = {f"crack always {words[n]}": (structure, run.watched_dof, n) for n in LIP_STATES}
     if scene.geometry is not None and scene.geometry.width is not None:
         no_crack = dict.fromkeys(
             ("crack", "cracks", "contact", "sweep", "identify", "growth", "output.quantities")

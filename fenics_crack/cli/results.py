@@ -18,12 +18,12 @@ from fenics_crack.balance.solution import Indicators, PeriodicSolution
 from fenics_crack.basics.errors import INTERRUPTED, ConvergenceError, InputError
 from fenics_crack.basics.tables import (
     FEW_ROWS,
+    LEAST_ERROR,
     OF_FREQUENCIES,
     OF_FRICTION,
     OF_LIPS,
     OF_POINTS,
     QUANTITIES,
-    READ,
     SHORT,
     UNITS,
     Table,
@@ -361,7 +361,7 @@ def _errors(run: Run[Any], name: str) -> tuple[float, str]:
         mode = bilinear_frequencies(run.structure).nearest(run.result.omega)["mode"]
         name = natural_name(run.scene, kind, int(mode))
     error, cause = run.stated.stated(name)
-    percents = 100.0 * max(error, READ) if error < np.inf else np.nan
+    percents = 100.0 * max(error, LEAST_ERROR) if error < np.inf else np.nan
     return float(f"{percents:.3g}"), cause
 
 

@@ -32,9 +32,9 @@ from fenics_crack.scene.tables import TipTiming
 from fenics_crack.study.plausibility import remarks_on_scene
 from fenics_crack.study.run import Run
 
-KEYS = ("tip_radius", "orders", "probes", "stiffening")
+RECORD_KEYS = ("tip_radius", "orders", "probes", "stiffening")
 """Keys of [tip_timing] for a record in place of a scene."""
-MISSING = "harmonics are missing (tip_timing.fitted_harmonics), and folded onto the fitted ones"
+UNFITTED = "harmonics are missing (tip_timing.fitted_harmonics), and folded onto the fitted ones"
 UNTESTED = "as many unknowns as probes: neither the order nor the fitted harmonics are tested"
 FOLDED = (
     "harmonics that are not fitted may be folded onto the fitted ones (fit more, or more probes)"
@@ -149,8 +149,8 @@ def _record(given: Namespace, console: Console) -> Exit:
     words = {}
     for key, value in changes(given.set).items():
         table, _, name = key.partition(".")
-        if table != "tip_timing" or name not in KEYS:
-            allowed = ", ".join(f"tip_timing.{known}" for known in KEYS)
+        if table != "tip_timing" or name not in RECORD_KEYS:
+            allowed = ", ".join(f"tip_timing.{known}" for known in RECORD_KEYS)
             raise InputError(
                 key, value, f"left out with a record in place of a scene, or {allowed}"
             )
@@ -248,7 +248,7 @@ def _account_of_track(track: TipTrack, scene: Scene) -> Account:
     doubts = [UNTESTED] if np.isnan(track.misfit) else []
     if track.does_not_fit:
         doubts.append(
-            f"the residual repeats in all revolutions: {MISSING}, the vibration "
+            f"the residual repeats in all revolutions: {UNFITTED}, the vibration "
             "changes within the revolutions that are fitted together "
             f"(tip_timing.fitted_revolutions), or it is not of order {track.order:g}"
         )
@@ -266,7 +266,7 @@ def _account_of_fit(fit: TipFit, scene: Scene) -> Account:
         notes.append(f"second harmonic over first: {ratio:.4g} ± {error:.2g}")
     if fit.does_not_fit:
         warnings.append(
-            f"residuals differ between the probes by more than their scatter: {MISSING}, probes "
+            f"residuals differ between the probes by more than their scatter: {UNFITTED}, probes "
             "are misplaced (tip_timing.angle_deviation), or the order is none of tip_timing.orders"
         )
     elif fit.may_be_folded and fit.spare > 0:

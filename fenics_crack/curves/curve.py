@@ -20,6 +20,7 @@ from fenics_crack.basics.tables import (
     Tabular,
     counted,
     frequency_axis,
+    in_hertz,
     speed_axis,
     with_frequency,
 )
@@ -97,6 +98,8 @@ class Bifurcation(Described):
     def omega(self) -> float:
         """Load frequency [rad/s]."""
         return float(self.point.omega[0])
+
+    frequency = in_hertz()
 
     @cached_property
     def problem(self) -> Problem:
@@ -196,6 +199,7 @@ class ResponseCurve(Tabular):
     branch: bool = False
 
     KIND: ClassVar[str] = "response curve"
+    frequency = in_hertz()
     FOUND: ClassVar[str]
     """Name of the attribute that holds the points, (n, ...)."""
 
@@ -267,11 +271,11 @@ class ResponseCurve(Tabular):
 
         Raises
         ------
-        InputError
+        AttributeError
             The curve was followed without ``stability=True``.
         """
         if self.multipliers is None:
-            raise InputError("stability", False, "True when the curve is followed")
+            raise AttributeError("stability: unknown of a curve followed with stability = False")
         return np.asarray((np.abs(self.multipliers) < 1.0) & ~self._open)
 
     @property

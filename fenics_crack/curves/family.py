@@ -29,7 +29,7 @@ from fenics_crack.basics.errors import InputError, check_number, check_omega
 from fenics_crack.model.contact import friction_of
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.equations import DIFFERENCE, least_residual
+from fenics_crack.numerics.equations import CENTRAL_STEP, least_residual
 
 
 class Family(ABC):
@@ -377,7 +377,7 @@ class SpeedFamily(Family):
         return problem.system(compliance)
 
     def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
-        step = DIFFERENCE * value
+        step = CENTRAL_STEP * value
         ends = (self._make(v).linearise(at.unknown).residual for v in (value - step, value + step))
         below, above = ends
         return np.asarray((above - below) / (2.0 * step))

@@ -20,7 +20,7 @@ from fenics_crack.basics.errors import TOLERANCE, ConvergenceError, check_number
 from fenics_crack.curves.curve import Bifurcation, leading
 from fenics_crack.curves.family import FAMILIES
 from fenics_crack.curves.growing import Growing, Steps, check_range, chord, points_of
-from fenics_crack.curves.orbit_curve import FEWEST, OrbitCurve
+from fenics_crack.curves.orbit_curve import MIN_HARMONICS, OrbitCurve
 from fenics_crack.curves.orbit_events import MultiplierControl, NeimarkSacker, PeriodDoubling
 from fenics_crack.curves.orbit_family import OrbitFamily
 from fenics_crack.motion.flow import flow_of
@@ -76,7 +76,7 @@ class OrbitContinuation(Growing):
         if tolerance is None:
             tolerance = initial[0].tolerance if isinstance(initial, tuple) else TOLERANCE
         check_number("tolerance", tolerance, 0.0, above=True)
-        problem = problem.with_harmonics(problem.few_harmonics(FEWEST))
+        problem = problem.with_harmonics(problem.few_harmonics(MIN_HARMONICS))
         super().__init__(problem, parameter, start, end, **steps)
         self._tolerance = tolerance
         self._family = family = OrbitFamily(self._problem, parameter, start, end)

@@ -22,7 +22,7 @@ from fenics_crack.motion.search import SearchOptions
 from fenics_crack.numerics.extremes import InPeriod
 from fenics_crack.numerics.fourier import balanced
 
-FEWEST, HARMONICS = SearchOptions.harmonics[0], SearchOptions.harmonics[-1]
+MIN_HARMONICS, HARMONICS = SearchOptions.harmonics[0], SearchOptions.harmonics[-1]
 """Minimum harmonics of the load's frequency in a solution, and those that
 :meth:`ResponseCurve.coefficients_at` has of the period of exact orbits. By 256 instants the one of
 order k is off by that of order 256 - k, of motions with kinks (k / 216)^2 of it."""
@@ -64,7 +64,7 @@ class OrbitCurve(ResponseCurve):
     def problem(self) -> Problem:
         """Problem solved at the first point; its harmonics are the fewest of a solution."""
         omega = float(self.omega[0])
-        fewest = FEWEST * self.subharmonic
+        fewest = MIN_HARMONICS * self.subharmonic
         least = max(fewest, least_harmonics(self._structure, self.subharmonic))
         return Problem(self._structure, omega, self.contact, least, subharmonic=self.subharmonic)
 

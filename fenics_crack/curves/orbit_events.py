@@ -45,7 +45,7 @@ LEAST = 0.01
 """Change of ln |mu| that is always allowed, and shortest step to resolve it, relative to the
 longest."""
 
-NARROW = 0.02
+MEETING_STEP = 0.02
 """Shortest step to resolve where multipliers meet, relative to the longest: 0.1 % of the range with
 the default one."""
 
@@ -127,7 +127,7 @@ class MultiplierControl(StepControl):
             far[1:] |= np.any(off > allowed[1:], axis=1)
         size = math.isqrt(points.records.shape[1])
         apart = parting(points.records.reshape(-1, size, size)) > 0.5
-        far = (far & (lengths > self._floor)) | (apart & (lengths > NARROW * self._longest))
+        far = (far & (lengths > self._floor)) | (apart & (lengths > MEETING_STEP * self._longest))
         several = np.abs(changes(points.observed)).sum(axis=1) > 1
         return np.asarray(far | several)
 

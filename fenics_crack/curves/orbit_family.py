@@ -36,7 +36,7 @@ from fenics_crack.motion.flow import ContactFlow, Motion, exact_flow
 from fenics_crack.motion.shooting import OrbitPoint, ShootingEquations
 from fenics_crack.numerics.equations import EPSILON, ROUNDING
 
-DIFFERENCE = math.sqrt(EPSILON)
+FORWARD_STEP = math.sqrt(EPSILON)
 """Step of p for a forward difference: its truncation error is then as small as its rounding."""
 
 
@@ -199,7 +199,7 @@ class OrbitFamily:
 
         def by_parameter() -> np.ndarray:
             if self.name == "speed" or self._first.friction:
-                step = DIFFERENCE if parameter < 0.5 else -DIFFERENCE
+                step = FORWARD_STEP if parameter < 0.5 else -FORWARD_STEP
                 return (self.moved(unknown, parameter + step) - unknown - residual) / step
             state = self.state(unknown, value)
             softness = -self._along.rate(value) / value * motion.track.flow.softness

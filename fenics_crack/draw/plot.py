@@ -34,7 +34,7 @@ from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.contact import ContactLaw, coefficient_of, is_rigid
 from fenics_crack.model.nodes import AXES, Pairs
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.equations import DIFFERENCE
+from fenics_crack.numerics.equations import CENTRAL_STEP
 from fenics_crack.numerics.fourier import to_complex
 
 if TYPE_CHECKING:  # which loads DOLFINx
@@ -42,7 +42,7 @@ if TYPE_CHECKING:  # which loads DOLFINx
 
 DOUBTFUL = f"not stable, or estimated error above {100 * LARGE_ERROR:g} %"
 HATCHED = "#ffffff"
-MISSING, OPEN = "#b5b5b5", "#e8e8e8"
+MISSING_COLOUR, OPEN_COLOUR = "#b5b5b5", "#e8e8e8"
 """Cells without a value; an open crack."""
 
 
@@ -208,7 +208,7 @@ def draw_contact_map(
     loads = time * solution.omega / (2.0 * np.pi)
     [panel] = picture = Picture(**where)
     shown = np.ma.masked_less_equal(scale * values.T, 0.0)
-    _colour(panel, loads, depth, shown, f"{label} [{unit}] (grey: open)", OPEN)
+    _colour(panel, loads, depth, shown, f"{label} [{unit}] (grey: open)", OPEN_COLOUR)
     panel.set_ylim(bottom=0.0)
     panel.set_xlabel("time / load period")
     for end in ends:
@@ -400,10 +400,10 @@ def draw_map(
     if marked.shape != shown.shape:
         raise InputError("doubtful", marked.shape, f"of the shape of values, {shown.shape}")
     [panel] = picture = Picture(**where)
-    _colour(panel, x, y, shown, value_label, MISSING, norm=scale(low, high))
+    _colour(panel, x, y, shown, value_label, MISSING_COLOUR, norm=scale(low, high))
     lost = np.ma.getmaskarray(shown)
     panel.plot(*(at.ravel()[lost.ravel()] for at in np.meshgrid(x, y)), "x", color="white", ms=5)
-    keys = [Patch(facecolor=MISSING, label="not converged")] if lost.any() else []
+    keys = [Patch(facecolor=MISSING_COLOUR, label="not converged")] if lost.any() else []
     if np.any(marked & ~lost):
         look = {"edgecolor": HATCHED, "hatch": "/////", "linewidth": 0.0}
         hatched = np.ma.masked_where(~marked, shown)
@@ -583,7 +583,7 @@ def _orbit(
     touching: str,
 ) -> None:
     """Draw the orbit of one displacement, thick where the crack is closed."""
-    step = DIFFERENCE * solution.period
+    step = CENTRAL_STEP * solution.period
 
     def orbit_at(time: np.ndarray) -> np.ndarray:
         before, now, after = (motion(time + by)[:, column] for by in (-step, 0.0, step))

@@ -21,7 +21,7 @@ from fenics_crack.numerics.fourier import to_complex
 BEHIND = ("#8f8f8f", "#cc8fb1", "#6fb59a")
 """Other curves, drawn behind the one in question."""
 MARKERS = {"fold": "v", "branch_point": "s", "period_doubling": "D", "neimark_sacker": "^"}
-STYLES = {"stable": "-", "unstable": "--", "undecided": ":"}
+VERDICT_STYLES = {"stable": "-", "unstable": "--", "undecided": ":"}
 INEXACT = f"faint: estimated error above {100 * LARGE_ERROR:g} %"
 
 
@@ -100,7 +100,7 @@ def _draw_parts(
     inexact, faint = curve.displacement_errors > LARGE_ERROR, {"alpha": 0.3}
     if label:
         axes.plot([], [], color=ink, lw=1.8, label=label, gid=FIRST)
-    for state, style in STYLES.items():
+    for state, style in VERDICT_STYLES.items():
         if not np.any(states == state):
             continue
         for error, look in ((False, {}), (True, faint)):

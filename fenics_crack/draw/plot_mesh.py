@@ -71,13 +71,13 @@ def draw_mesh(structure: Structure, **where: Unpack[Where]) -> Figure:
     if pairs is not None and len(pairs):
         look = {"color": COLOURS["blue"], "ms": 3.0, "zorder": 3}
         panel.plot(*pairs.T, "o", label=f"contact pairs ({len(pairs)})", **look)
-    if len(load) > len(PARTS):  # dozens of arrows at one node would hide each other
+    if len(load) > len(LOAD_PARTS):  # dozens of arrows at one node would hide each other
         largest = 3 + int(np.argmax(np.linalg.norm(load[3:], axis=(1, 2))))
         load = load[[0, 1, 2, largest]]
     acting = [part for part, there in enumerate(load.any(axis=(1, 2))) if there]
     for part in acting:
         several = len(acting) > 1
-        words = f"load, {PARTS[part]}" if several else "load"
+        words = f"load, {LOAD_PARTS[part]}" if several else "load"
         colour = PART_COLOURS[part] if several else COLOURS["pink"]
         _arrows(panel, mesh, load[part], words, colour)
     panel.autoscale_view()
@@ -89,7 +89,7 @@ def draw_mesh(structure: Structure, **where: Unpack[Where]) -> Figure:
     return picture.finished()
 
 
-PARTS = ("mean", "cosine part", "sine part", "largest further harmonic")
+LOAD_PARTS = ("mean", "cosine part", "sine part", "largest further harmonic")
 PART_COLOURS = (COLOURS["grey"], COLOURS["blue"], COLOURS["pink"], "black")
 
 

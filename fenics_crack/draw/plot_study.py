@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 
 from fenics_crack.basics.errors import InputError, check_count
 from fenics_crack.basics.tables import (
+    LEAST_ERROR,
     QUANTITIES,
-    READ,
     RPM,
     TURN,
     frequency_axis,
@@ -46,9 +46,9 @@ if TYPE_CHECKING:  # which load SciPy's interpolation, and DOLFINx
     from fenics_crack.monitoring.tip_timing.passages import PassageFit
     from fenics_crack.study.campbell import Campbell
 
-SHARES = (0.5, 0.95, 0.999)
+CONTOUR_PROBABILITIES = (0.5, 0.95, 0.999)
 """Probabilities within the contours."""
-MARKS = "osD^v<>ph*"
+MARKER_SHAPES = "osD^v<>ph*"
 CAUSE_WORDS = {"shift": "mesh, shift of the resonance"}
 Looks = dict[str, dict[str, Any]]
 """Marks and colours of quantities by their names."""
@@ -158,7 +158,7 @@ def _levels(grids: list[tuple[np.ndarray, ...]]) -> list[float]:
     logs = _log(np.concatenate([grid[3].ravel() for grid in grids]))
     order = np.argsort(-logs)
     held = np.cumsum(masses[order])
-    places = np.minimum(np.searchsorted(held, SHARES), len(order) - 1)[::-1]
+    places = np.minimum(np.searchsorted(held, CONTOUR_PROBABILITIES), len(order) - 1)[::-1]
     rising = 1e-6 * np.arange(len(places))  # of a region of one point, too
     return list(logs[order[places]] + rising)
 
@@ -212,7 +212,7 @@ def draw_verification(found: Verification, **where: Unpack[Where]) -> Figure:
 
 def _draw_orders(panel: Axes, found: Verification, cause: str, looks: Looks) -> None:
     """|f_i - f| over h, relative to those of the scene's own choice."""
-    widest, largest = np.ones(1), 100.0 * READ
+    widest, largest = np.ones(1), 100.0 * LEAST_ERROR
     for name, look in looks.items():
         part = found.parts[cause][name]
         away = np.abs(np.array(part.values) - part.extrapolated)
@@ -244,7 +244,7 @@ def _looks(found: Verification, cause: str) -> Looks:
         for name, part in parts.items()
         if part.is_asymptotic and found.values[name] and part.extrapolated not in part.values
     ]
-    every = zip(drawn, product(MARKS, COLOURS.values()), strict=False)
+    every = zip(drawn, product(MARKER_SHAPES, COLOURS.values()), strict=False)
     return {name: {"marker": mark, "color": colour, "ms": 5} for name, (mark, colour) in every}
 
 
@@ -255,12 +255,12 @@ def _draw_contributions(panel: Axes, found: Verification, looks: Looks) -> None:
     colours = dict(zip(CAUSES, COLOURS.values(), strict=False))
     for place, name in enumerate(names):
         total = 100.0 * found.relative(name, found.total(name))
-        if total > 100.0 * READ:
+        if total > 100.0 * LEAST_ERROR:
             panel.plot([total, total], [place - 0.32, place + 0.32], color="black", lw=1.6)
         for cause, error in found.contributions(name).items():
             inside = found.parts[cause][name].factor <= SAFE
             share = 100.0 * found.relative(name, error)
-            if share > 100.0 * READ:
+            if share > 100.0 * LEAST_ERROR:
                 look = {"color": colours[cause], "mfc": colours[cause] if inside else "none"}
                 panel.plot(share, place, "o", ms=7, **look)
         if name in looks:

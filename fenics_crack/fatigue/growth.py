@@ -27,9 +27,10 @@ from mpi4py import MPI
 
 from fenics_crack.basics.errors import ConvergenceError, InputError, StoppedError
 from fenics_crack.basics.ranks import StopRequest, on_root
-from fenics_crack.basics.tables import OF_GROWTH, OF_TIPS, TURN, counted, with_frequency
+from fenics_crack.basics.tables import OF_GROWTH, OF_TIPS, TURN, counted, in_hertz, with_frequency
 from fenics_crack.fem.build import with_crack_length
 from fenics_crack.files.saved import Saved
+from fenics_crack.numerics.equations import TINY
 from fenics_crack.scene.scene import Scene, check_known, without_tips
 from fenics_crack.scene.tables import Growth as Law
 from fenics_crack.study.run import solve
@@ -101,6 +102,8 @@ class Growth(Saved):
     remarks: tuple[str, ...]
 
     KIND: ClassVar[str] = "crack growth"
+    frequency, frequency_open = in_hertz(), in_hertz("omega_open")
+    frequency_bilinear = in_hertz("omega_bilinear")
 
     @property
     def life(self) -> float:
@@ -162,13 +165,12 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(3)
 ROUGH = 0.05
 """Error of ln delta K above which an interval is halved even where few cycles pass in it: the peak
 of a resonance that passes is seen."""
-LOGARITHMIC = ("driving", "K_max", "delta_K_effective", "response")
+LOGARITHMIC_COLUMNS = ("driving", "K_max", "delta_K_effective", "response")
 """Columns whose logarithm is smooth: resonances pass through them."""
-LINEAR = ("omega", "omega_open", "omega_bilinear", "K_min", "K_II_max")
-NO_COLUMNS = dict.fromkeys((*LOGARITHMIC, *LINEAR), np.zeros(0))
-READ = ("K_max", "delta_K_effective", "delta_K_equivalent", "response", *LINEAR)
+LINEAR_COLUMNS = ("omega", "omega_open", "omega_bilinear", "K_min", "K_II_max")
+NO_COLUMNS = dict.fromkeys((*LOGARITHMIC_COLUMNS, *LINEAR_COLUMNS), np.zeros(0))
+SWEEP_COLUMNS = ("K_max", "delta_K_effective", "delta_K_equivalent", "response", *LINEAR_COLUMNS)
 """Columns of the sweep: those of a spectrum are of the load that drives the crack most."""
-TINY = np.finfo(float).tiny
 
 
 def grow(
@@ -238,7 +240,7 @@ def grow(
         "interpolation": missed,
     }
     seen = {name: path.at(name, length) for name in path.columns}
-    for name in LOGARITHMIC:
+    for name in LOGARITHMIC_COLUMNS:
         seen[name][seen[name] <= TINY] = 0.0
     pace, rate = TURN / seen["omega"], _rate(path, law, length)
     rate[-1] *= end != "arrested"
@@ -391,7 +393,7 @@ class LengthPath:
     lengths : (k,) [m]
         Ascending.
     columns : dict of str to (k,)
-        The :data:`LOGARITHMIC` and the linear ones.
+        The :data:`LOGARITHMIC_COLUMNS` and the linear ones.
     tables : tuple of SweepResult
         Of which they are.
     leading : (k,) [rad/s]
@@ -424,7 +426,7 @@ class LengthPath:
         from scipy.interpolate import CubicSpline  # takes a while, and is needed here alone
 
         values = self.columns[name]
-        if name not in LOGARITHMIC:
+        if name not in LOGARITHMIC_COLUMNS:
             return np.asarray(CubicSpline(self.lengths, values)(lengths))
         floor = 1e-4 * max(float(values.max()), TINY)  # closed cracks
         spline = CubicSpline(self.lengths, np.log(np.maximum(values, floor)))
@@ -437,7 +439,7 @@ class LengthPath:
         solved = table.converged.reshape(len(swept), -1).all(axis=1)
         lengths = np.append(self.lengths, swept[solved])
         order = np.argsort(lengths)
-        rows = {name: table[name].reshape(len(swept), -1)[solved] for name in READ}
+        rows = {name: table[name].reshape(len(swept), -1)[solved] for name in SWEEP_COLUMNS}
         rows["response"] = np.nan_to_num(rows["response"])  # nan where nothing moves
         new, leading = _driving(rows, law, cycles)
         one, two = (

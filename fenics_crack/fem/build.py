@@ -48,7 +48,7 @@ from fenics_crack.fem import compat
 from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.crack_surface import Lips
 from fenics_crack.fem.elasticity import constants, rotation_of, stress, thickness
-from fenics_crack.fem.lips import LIPS, SAME, along
+from fenics_crack.fem.lips import LIP_TAGS, SAME, along
 from fenics_crack.fem.loads import assemble_loads, clamp_of
 from fenics_crack.fem.matrix_files import read_structure
 from fenics_crack.fem.msh_file import check_there
@@ -84,11 +84,11 @@ def pair_lips(
         none = np.zeros((0, dimension)), np.zeros(0), np.zeros(0, dtype=int), np.zeros(0)
         return sparse.csr_matrix((len(dofs.free), 0)), None, Pairs(*none)
     make = _of_nodes if dimension == 2 else _of_patches
-    space, weights, columns = make(dofs, t, plate.along(*LIPS))
+    space, weights, columns = make(dofs, t, plate.along(*LIP_TAGS))
     first = space.dofmap.index_map.local_range[0]
     points = space.tabulate_dof_coordinates()[:, :dimension]
     sides = []
-    for name in LIPS:
+    for name in LIP_TAGS:
         local = dofs.nodes_on(name, space)
         rows = np.column_stack([local + first, weights[local], points[local]])
         sides.append(gather_rows(dofs.comm, rows))

@@ -22,7 +22,7 @@ from fenics_crack.fem.build import pair_lips
 from fenics_crack.fem.compat import dolfinx
 from fenics_crack.fem.crack_surface import cracks_between
 from fenics_crack.fem.elasticity import constants
-from fenics_crack.fem.lips import LIPS, find_lips
+from fenics_crack.fem.lips import LIP_TAGS, find_lips
 from fenics_crack.fem.plate import Dofs, PlateMesh
 
 CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
@@ -97,8 +97,8 @@ def _plate(mesh: Any, crack: Any, comm: MPI.Comm) -> PlateMesh:
         lower, upper = map(index, sides)
         if lower == upper or not compat.is_on(tags, mesh):
             raise ValueError("of another mesh, of other entities, or one tag twice")
-    plate = PlateMesh(mesh, tags, {LIPS[0]: (lower,), LIPS[1]: (upper,)}, {}, ())
-    faces = [_face(plate, name, comm) for name in LIPS]
+    plate = PlateMesh(mesh, tags, {LIP_TAGS[0]: (lower,), LIP_TAGS[1]: (upper,)}, {}, ())
+    faces = [_face(plate, name, comm) for name in LIP_TAGS]
     numbers, places = (np.concatenate(part) for part in zip(*faces, strict=True))
     _, first, which = np.unique(numbers, return_index=True, return_inverse=True)
     corners = np.split(which.reshape(numbers.shape), [len(faces[0][0])])

@@ -16,7 +16,7 @@ import scipy.sparse as sparse
 
 from fenics_crack.basics.errors import InputError
 
-LIPS = ("lower_lip", "upper_lip")
+LIP_TAGS = ("lower_lip", "upper_lip")
 """Names of the two faces of all cracks of a mesh."""
 SAME = 1e-6
 """Distance within which two places are one, relative to the size of the mesh or the length of the

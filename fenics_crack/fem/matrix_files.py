@@ -49,13 +49,13 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCES, Damping, Excitation
 from fenics_crack.scene.tables import Structure as Table
 
-MATRICES = {"mass": "M", "stiffness": "K", "damping": "B"}
+MATRIX_LETTERS = {"mass": "M", "stiffness": "K", "damping": "B"}
 """Matrices, and the letter by which a file with several of them calls each."""
-COLUMNS = ("gap", "tangential", *FORCES)
+ROW_FILES = ("gap", "tangential", *FORCES)
 """Keys of files with a row for each dof."""
 SCENE = "matrices.toml"
 """Scene that reads what is written."""
-WRITTEN = (*(f"{name}.mtx" for name in (*MATRICES, *COLUMNS, "clearance", "areas")), SCENE)
+WRITTEN = (*(f"{n}.mtx" for n in (*MATRIX_LETTERS, *ROW_FILES, "clearance", "areas")), SCENE)
 """Files that are written, as far as a structure has them."""
 MOST_DENSE = 3000
 """Maximum dofs of a matrix of modal damping, which is dense: 4.5 million numbers."""
@@ -132,7 +132,7 @@ def _read_files(table: Table) -> tuple[dict[str, LabelledMatrix], dict[str, Any]
         with reading("model", table.model, "the input file of the matrices' program"):
             model = read_model(Path(table.model))
     rows = read["stiffness"].matrix.shape[0]
-    given = {name: path for name in COLUMNS if (path := getattr(table, name)) is not None}
+    given = {name: path for name in ROW_FILES if (path := getattr(table, name)) is not None}
     return read, {name: whole_rows(name, Path(path), rows) for name, path in given.items()}, model
 
 
@@ -140,7 +140,7 @@ def _read(table: Table) -> dict[str, LabelledMatrix]:
     """The matrices of a table, with the rows of its stiffness."""
     labels, found = None if table.dofs is None else Path(table.dofs), {}
     rows: int | None = None
-    for name, letter in MATRICES.items():
+    for name, letter in MATRIX_LETTERS.items():
         if (path := getattr(table, name)) is not None:
             with reading(name, path, "a matrix of Matrix Market, CalculiX, Abaqus or Nastran"):
                 found[name] = read_matrix(Path(path), letter, labels, rows)

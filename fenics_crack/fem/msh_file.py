@@ -40,7 +40,7 @@ from fenics_crack.fem.crack_surface import (
     joined,
     split_cracks,
 )
-from fenics_crack.fem.lips import LIPS, SAME, each_once, find_lips, rows_in
+from fenics_crack.fem.lips import LIP_TAGS, SAME, each_once, find_lips, rows_in
 
 Group = tuple[int, int, str, int, np.ndarray]
 """Dimension, tag and name, and elements of one kind: gmsh's number of it and the nodes."""
@@ -103,12 +103,12 @@ def put(given: Given, dimension: int) -> tuple[Names, Lips]:
         whole = replace(cells, nodes=number[cells.nodes])
         nodes, twins, both = split_cracks(whole, number[surface], places[kept])
         facets = _moved(facets, cells, nodes, number)
-        for name, lip in zip(LIPS, both.swapaxes(0, 1), strict=True):
+        for name, lip in zip(LIP_TAGS, both.swapaxes(0, 1), strict=True):
             facets[name] = np.concatenate([facets.get(name, lip[:0]), lip])
         points = [(*head, number[own]) for *head, own in points]
         positions = positions[np.concatenate([kept, kept[twins]])]
         cells, places = replace(cells, nodes=nodes), positions[:, :dimension]
-    sides = [facets[name][:, : cells.facets.shape[1]] for name in LIPS if name in facets]
+    sides = [facets[name][:, : cells.facets.shape[1]] for name in LIP_TAGS if name in facets]
     allowed = "one with both 'lower_lip' and 'upper_lip', or with 'crack', or none of them"
     _require(len(sides) != 1, "one lip", allowed)
     lips: Lips = ()

@@ -52,7 +52,7 @@ from fenics_crack.basics.threads import machine_memory
 from fenics_crack.kernel import kernel, owned, pointer, shaped
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.equations import DIFFERENCE, EPSILON, ROUNDING
+from fenics_crack.numerics.equations import CENTRAL_STEP, EPSILON, ROUNDING
 
 
 class ContactLaw(Protocol):
@@ -362,7 +362,7 @@ def _check_values(law: ContactLaw, pairs: int) -> None:
 def check_slope(law: ContactLaw, gap: np.ndarray) -> None:
     """Raise InputError unless the tangent of a law is the slope of its force along gaps (n,
     n_pairs), at kinks one between those on both sides."""
-    step = DIFFERENCE * float(np.abs(gap).max(initial=0.0))
+    step = CENTRAL_STEP * float(np.abs(gap).max(initial=0.0))
     values = [np.asarray(law.force(gap + side * step)) for side in (-2.0, -1.0, 0.0, 1.0, 2.0)]
     rises, stated = np.diff(values, axis=0), step * law.tangent(gap)
     sizes = np.maximum(np.abs(rises).max(axis=0), np.abs(stated))
@@ -370,7 +370,7 @@ def check_slope(law: ContactLaw, gap: np.ndarray) -> None:
     # Rises beside these differ from them by rounding, and where the slope bends within a step. Half
     # of the digits that differences leave may be wrong.
     unsure = float(np.abs(rises[[0, 3]] - rises[[1, 2]]).max(initial=0.0))
-    if np.any(off > np.sqrt(DIFFERENCE) * sizes + unsure):
+    if np.any(off > np.sqrt(CENTRAL_STEP) * sizes + unsure):
         allowed = "a law whose tangent(gap) is the slope of its force(gap)"
         raise InputError("contact", type(law).__name__, allowed)
 

@@ -51,9 +51,9 @@ from fenics_crack.scene.fields import LARGEST
 
 DIRECTIONS = {"UX": 1, "UY": 2, "UZ": 3, "ROTX": 4, "ROTY": 5, "ROTZ": 6}
 """Ansys' numbers of directions."""
-SHORTEST = {"coordinate": 4, "array": 2}
+MIN_ENTRY_BYTES = {"coordinate": 4, "array": 2}
 """Bytes of an entry and the end of its line."""
-LAYOUTS, FIELDS = ("coordinate", "array"), ("real", "integer")
+MATRIX_LAYOUTS, FIELDS = ("coordinate", "array"), ("real", "integer")
 MIRROR = {"symmetric": 1, "skew-symmetric": -1}
 """Factor of an entry below the diagonal to give the one above it."""
 SYMMETRIES = ("general", *MIRROR)
@@ -419,7 +419,7 @@ def _announced(lines: Iterator[str], most: int) -> tuple[tuple[str, str], list[i
         entries = sizes[2]
     else:
         entries = _entries(sizes[0], sizes[1], header[1])
-    if entries * SHORTEST[header[0]] > most:
+    if entries * MIN_ENTRY_BYTES[header[0]] > most:
         raise ValueError(f"it announces {entries} entries, more than it can hold")
     return header, sizes, entries
 
@@ -429,7 +429,7 @@ def _header(line: str) -> tuple[str, str]:
     if len(words) != 5 or words[:2] != ["%%matrixmarket", "matrix"]:
         raise ValueError("it does not begin with %%MatrixMarket matrix")
     layout, field, symmetry = words[2:]
-    for word, known in ((layout, LAYOUTS), (field, FIELDS), (symmetry, SYMMETRIES)):
+    for word, known in ((layout, MATRIX_LAYOUTS), (field, FIELDS), (symmetry, SYMMETRIES)):
         if word not in known:
             raise ValueError(f"{word!r} instead of one of {', '.join(known)}")
     return layout, symmetry

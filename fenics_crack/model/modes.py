@@ -24,13 +24,13 @@ from slepc4py import SLEPc
 from fenics_crack.basics.errors import FEW_MODES, ConvergenceError, InputError, check_choice
 from fenics_crack.basics.progress import begin
 from fenics_crack.basics.ranks import gather_rows
-from fenics_crack.basics.tables import Tabular, counted
+from fenics_crack.basics.tables import Tabular, counted, in_hertz
 from fenics_crack.kernel import kernel
 from fenics_crack.model.factor import AT_A_TIME, TOLERATED, Factor, factored_sum
 from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
 from fenics_crack.numerics.equations import EPSILON, ROUNDING
 
-LIPS = ("open", "tied")
+LIP_STATES = ("open", "tied")
 LOST = (
     "what is too slender, or held by too little, has frequencies below the rounding of its "
     "stiffness; make it thicker, or what is left beside a crack wider"
@@ -65,6 +65,7 @@ class Modes(Tabular):
     structure: Structure
 
     KIND: ClassVar[str] = "set of modes"
+    frequency = in_hertz()
 
     def function(self, index: int) -> Any:
         """The shape of ``omega[index]`` as DOLFINx's Function, on the space of the mesh
@@ -126,7 +127,7 @@ def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Mode
     --------
     >>> modes = fc.solve_modes(structure, 3, lips="tied")
     """
-    check_choice("lips", lips, LIPS)
+    check_choice("lips", lips, LIP_STATES)
     tied = lips == "tied" and structure.n_pairs > 0
     known = structure.known_modes(tied=tied)
     ties = independent_ties(structure) if tied and known is None else None
@@ -548,6 +549,8 @@ class BilinearFrequencies(Tabular):
     omega_tied: np.ndarray
 
     KIND: ClassVar[str] = "set of bilinear frequencies"
+    frequency_open, frequency_tied = in_hertz("omega_open"), in_hertz("omega_tied")
+    frequency_bilinear = in_hertz("omega_bilinear")
 
     @property
     def omega_bilinear(self) -> np.ndarray:

@@ -41,7 +41,7 @@ from fenics_crack.model.reduced import MasslessInterface
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import DampingRule, Structure, read_only_rows
 
-SPEEDS = 3
+N_SPEEDS = 3
 """Speeds of a range whose bases are put together."""
 
 
@@ -244,7 +244,7 @@ class Ritz:
         of them, open crack and bonded; scaled at the structure's own speed (collective)."""
         rotation = structure.rotation
         basis: np.ndarray = np.zeros((structure.n_local, 0))
-        for speed in np.linspace(start, stop, SPEEDS):
+        for speed in np.linspace(start, stop, N_SPEEDS):
             own = np.isclose(speed, rotation.speed, rtol=1e-12, atol=0.0)
             there = structure if own else rotation.at(float(speed))
             part = reduce_structure(there, modes=modes, method="free_interface", reference=False)

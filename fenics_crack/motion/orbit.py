@@ -38,7 +38,7 @@ import numpy as np
 from scipy.linalg.lapack import dgeev
 
 from fenics_crack.basics.errors import ConvergenceError
-from fenics_crack.basics.tables import Described, counted
+from fenics_crack.basics.tables import Described, counted, in_hertz
 from fenics_crack.kernel import kernel
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, Samples, Track
 from fenics_crack.numerics.equations import CLOSE, LOCATED, factored, solve_factored
@@ -46,7 +46,7 @@ from fenics_crack.numerics.extremes import InPeriod, half_range, largest
 from fenics_crack.numerics.fourier import waves_of
 from fenics_crack.numerics.newton import FORCING, gmres, relative_to_motion
 
-FLOWS, SHORTEST = 20, 1e-3
+FLOWS, MIN_NEWTON_STEP = 20, 1e-3
 """Search budget in periods integrated, and shortest damped Newton step."""
 PIECES = 20_000
 """Search budget in Taylor pieces: a second, with many pairs; more where M is formed and a period of
@@ -58,7 +58,7 @@ PRODUCTS, BLUNT = 60, 0.25
 compared."""
 KNOWN = 1e-6
 """Accuracy of multipliers; ||mu| - 1| below it is inconclusive."""
-AT_A_TIME = 2048
+INSTANTS_AT_A_TIME = 2048
 """Instants whose sines and cosines are held at a time."""
 INSTANTS = 512
 """Instants at which the gaps of an orbit are kept."""
@@ -123,6 +123,8 @@ class PeriodicOrbit(Described):
     state: np.ndarray
     residual: float
     flows: int
+
+    frequency = in_hertz()
 
     @property
     def period(self) -> float:
@@ -239,8 +241,8 @@ class PeriodicOrbit(Described):
         samples = self.samples(time)
         values = samples.gaps, samples.forces, samples.displacement
         found = [np.zeros((2 * harmonics + 1, part.shape[1])) for part in values]
-        for start in range(0, len(time), AT_A_TIME):
-            some = slice(start, start + AT_A_TIME)
+        for start in range(0, len(time), INSTANTS_AT_A_TIME):
+            some = slice(start, start + INSTANTS_AT_A_TIME)
             first = np.exp(1j * base * time[some])
             means, wave = np.tile(share[some], (2 * harmonics + 1, 1)), 2.0 * share[some] * first
             for order in range(1, harmonics + 1):  # a tenth of the time of their sines and cosines
@@ -533,7 +535,7 @@ class _Search:
     def leads_to_orbit(self, inverse: Inverse | None) -> bool:
         """Return True if the search ends with an orbit."""
         formed = self._flow.count <= FORMED
-        closed, shortest = (LOCATED, SHORTEST) if formed else (CLOSE, 0.1)
+        closed, shortest = (LOCATED, MIN_NEWTON_STEP) if formed else (CLOSE, 0.1)
         self.motion = self._follow(self.state)
         share, own = 1.0, False  # whether the derivative is that of the motion here
         steps: list[np.ndarray] = []  # with one derivative

@@ -34,7 +34,7 @@ from fenics_crack.numerics.fourier import derivative, evaluate
 from fenics_crack.numerics.newton import point_on_path, solve_in_plane
 from fenics_crack.numerics.path import NARROW, Path, Target
 
-PARTS = 32
+SEGMENTS = 32
 """Multiple-shooting segments per period."""
 PACE = 200
 """Taylor pieces in a period that counts as one; with fewer it counts as one, too."""
@@ -145,7 +145,7 @@ def search_orbit(
 def wave_states(flow: ContactFlow, displacement: np.ndarray, base_omega: float) -> np.ndarray:
     """States at equal parts of the period of a wave of the displacement, given by its coefficients
     (2H+1, n_dofs) [m]: (32, 2 n_modes)."""
-    time = 2.0 * np.pi / base_omega / PARTS * np.arange(PARTS)
+    time = 2.0 * np.pi / base_omega / SEGMENTS * np.arange(SEGMENTS)
     rate = derivative(displacement, base_omega)
     return flow.state(evaluate(displacement, base_omega, time), evaluate(rate, base_omega, time))
 

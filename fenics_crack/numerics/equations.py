@@ -23,17 +23,18 @@ from scipy.linalg.lapack import dgetrf, dgetrs
 from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.kernel import Struct, ffi, kernel
 
-EPSILON = float(np.finfo(float).eps)
+EPSILON, TINY = float(np.finfo(float).eps), float(np.finfo(float).tiny)
+"""Relative rounding, and the smallest number that has it."""
 ROUNDING: float = kernel.ROUNDING
 """Rounding of solutions, relative to the largest."""
-DIFFERENCE = float(np.cbrt(EPSILON))
+CENTRAL_STEP = float(np.cbrt(EPSILON))
 """Step of a parameter, for a derivative by central differences: their truncation error is then as
 small as their rounding."""
 LOCATED, CLOSE = 1e-11, math.sqrt(EPSILON)
 """Maximum |F| / |x| of a special point between two points of a path, and relative length of a step
 behind which an orbit is found; and of orbits that many are sought, or that are found by
 products."""
-NEARLY_SOLVED = DIFFERENCE
+NEARLY_SOLVED = CENTRAL_STEP
 """Maximum |F| / |x| of a solution with which another one begins, or by which it is assessed; and
 the largest rounding: equations that require more are refused."""
 

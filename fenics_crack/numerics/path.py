@@ -105,7 +105,7 @@ class Ended(Enum):
         return str(self.value).format(most=most)
 
 
-UNKNOWN = "met", "observed"
+NOT_IN_KERNEL = "met", "observed"
 """Members that the kernel does not have of a stretch."""
 
 
@@ -161,7 +161,7 @@ class Stretch(Sequence[PathPoint]):
     @property
     def _arrays(self) -> dict[str, np.ndarray]:
         """Its arrays by their names in the kernel."""
-        return {name: array for name, array in vars(self).items() if name not in UNKNOWN}
+        return {name: array for name, array in vars(self).items() if name not in NOT_IN_KERNEL}
 
     def __len__(self) -> int:
         return len(self.parameters)

@@ -22,7 +22,6 @@ import numpy as np
 
 from fenics_crack.basics.errors import InputError, reading
 from fenics_crack.basics.suggestions import (
-    Hinted,
     checked_call,
     converted,
     meant,
@@ -80,7 +79,7 @@ THINNEST = 1e4
 
 
 @dataclass(frozen=True, repr=False)
-class Scene(Hinted):
+class Scene:
     """A cracked plate, its load, and how its vibration is computed; or matrices from elsewhere.
 
     Each table of the file is an attribute, and each of its keys an attribute of that:
@@ -172,9 +171,6 @@ class Scene(Hinted):
 
     def __repr__(self) -> str:
         return f"Scene({_in_short(self)})"
-
-    def _inner_names(self, name: str) -> list[str]:
-        return [f".{key}" for key in meant_keys(name) if "." in key]
 
     @property
     def all_cracks(self) -> dict[str, Crack]:
@@ -971,7 +967,7 @@ def _meant(name: str) -> list[str]:
     if table in _TABLES:
         return _TABLES[table].meant_by(key) if key else []
     if key:
-        every = {kind.name_of(key) for kind in _TABLES.values() for key in kind.keys()}
+        every = {kind.proposed(key) for kind in _TABLES.values() for key in kind.keys()}
         return near(name, every, 0.8) or sorted(full for full in every if full.endswith(f".{key}"))
     same = dict.fromkeys(with_key(table, _TABLES.values()))
     return list(same) or near(table, _TABLES)

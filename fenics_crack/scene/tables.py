@@ -42,7 +42,7 @@ from fenics_crack.scene.fields import (
 
 FORCES = ("force_mean", "force_cos", "force_sin")
 """Parts of the excitation."""
-KINDS = ("force", "pressure", "traction")
+LOAD_KINDS = ("force", "pressure", "traction")
 """Kinds of the loads at a point or on an edge."""
 MOST_POINTS = 100
 """Points of ``[output.points]``: every quantity of each is computed, printed and written."""
@@ -311,6 +311,8 @@ class Load(Table):
     pushes towards the plate.
     """
 
+    FIRST = "loads.1"
+
     point: Vector | None = vector("", unit="m")
     edge: str | None = holds("'top', 'left', 'right', or a curve of the mesh file", default=None)
     force_sin: Vector | None = vector("f", unit="N")
@@ -334,7 +336,7 @@ class Load(Table):
             self.leave_out(("edge",), "point")
         else:
             self.given("edge", "given, or point: where the load acts")
-        forces, pressures, tractions = (self._names(kind) for kind in KINDS)
+        forces, pressures, tractions = (self._names(kind) for kind in LOAD_KINDS)
         allowed, others = (
             (forces, pressures + tractions)
             if self.point is not None

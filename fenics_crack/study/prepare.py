@@ -16,7 +16,6 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenics_crack.basics.errors import ConvergenceError, InputError
-from fenics_crack.basics.suggestions import Hinted
 from fenics_crack.basics.threads import machine_memory, memory_of_process
 from fenics_crack.fem.build import assemble, with_crack_length
 from fenics_crack.model.contact import (
@@ -30,7 +29,7 @@ from fenics_crack.model.factor import AT_A_TIME, factor_memory
 from fenics_crack.model.modes import krylov_vectors
 from fenics_crack.model.nodes import AXES
 from fenics_crack.model.reduction import MODES, reduce_structure
-from fenics_crack.model.rotation import SPEEDS
+from fenics_crack.model.rotation import N_SPEEDS
 from fenics_crack.model.structure import Structure
 from fenics_crack.model.wheel import Wheel, families_of_basis, reduce_wheel
 from fenics_crack.scene.scene import LOOKED_AT, Scene
@@ -69,7 +68,7 @@ class Watched:
 
 
 @dataclass(frozen=True, repr=False)
-class Study(Hinted):
+class Study:
     """A scene prepared for solution.
 
     Attributes
@@ -328,7 +327,7 @@ def run_up_memory(structure: Structure, modes: int) -> float:
     """The same of :func:`run_up_structure`: the modes of another speed, with its stiffness, beside
     the basis of the others; or three bases at a time, the old one, the addition, and the result of
     both (collective)."""
-    basis = 8.0 * structure.n_dofs * SPEEDS * (modes + structure.n_pairs + 1)
+    basis = 8.0 * structure.n_dofs * N_SPEEDS * (modes + structure.n_pairs + 1)
     of_modes = _factor_memory(structure) + _memory_for_modes(structure, modes) + basis
     return _memory_held(structure) + _matrix_memory(structure) + max(of_modes, 3.0 * basis)
 

@@ -107,7 +107,7 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
     numbers = numbers_of(own, own.result)
     runs = _Runs(study, own, numbers)
     found = Verification(study.scene, numbers.values, numbers.units, verdicts=_doubtful(OWN, own))
-    for cause, part_of in PARTS.items():
+    for cause, part_of in VARIED_CAUSES.items():
         try:
             found.take(cause, part_of(runs))
         except ConvergenceError:
@@ -320,8 +320,8 @@ def _samples(runs: _Runs) -> Varied:
     return runs.more(runs.own, scene, "harmonic_balance.samples", count, MAX_SAMPLES, 2.0)
 
 
-PARTS: dict[str, Callable[[_Runs], Varied]]
-PARTS = {"mesh": _meshes, "modes": _modes, "harmonics": _harmonics, "samples": _samples}
+VARIED_CAUSES: dict[str, Callable[[_Runs], Varied]]
+VARIED_CAUSES = {"mesh": _meshes, "modes": _modes, "harmonics": _harmonics, "samples": _samples}
 """Functions that vary each cause."""
 
 

@@ -27,7 +27,6 @@ from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import RECORDED_PERIODS, InputError
 from fenics_crack.basics.progress import begin
 from fenics_crack.basics.ranks import on_root
-from fenics_crack.basics.suggestions import no_attribute
 from fenics_crack.basics.tables import Tabular, counted, quantity
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.peak import Peak
@@ -117,9 +116,8 @@ class Run(Answer, Generic[Found]):
         return sorted({*super().__dir__()} - {"peak"} | {*dir(self.result)})
 
     def __getattr__(self, name: str) -> Any:
-        known = dir(self) if "result" in vars(self) else ()  # not while it is being copied
-        if name.startswith("_") or name not in known:
-            raise no_attribute(f"{type(self).__name__!r} object", name, known)
+        if name.startswith("_") or "result" not in vars(self):  # while it is being copied
+            raise AttributeError(f"'Run' object has no attribute {name!r}")
         return getattr(self.result, name)
 
     @property
@@ -131,7 +129,7 @@ class Run(Answer, Generic[Found]):
         """The largest response of a curve, as :meth:`ResponseCurve.peak` has it, with the
         :attr:`errors` that are stated of the watched dof's (collective)."""
         if not isinstance(self.result, ResponseCurve):
-            raise no_attribute(f"{type(self).__name__!r} object", "peak", dir(self))
+            raise AttributeError("'Run' object has no attribute 'peak'")
         found, stated = self.result.peak(dof), self.errors
         if stated is None or not stated.parts or dof not in (None, self.watched_dof):
             return found

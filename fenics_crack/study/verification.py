@@ -212,12 +212,12 @@ Varied = tuple[tuple[int, ...], dict[str, GridConvergence]] | str
 """Counts of a cause, those of the result first, and its parts; or the reason why there are none, ""
 where it does not apply."""
 
-MESH = ("mesh", "shift")
+MESH_CAUSES = ("mesh", "shift")
 """The mesh's part: of the answer at a given distance from the resonance, and by the shift of the
 resonance."""
 ESTIMATED = ("harmonics", "modes")
 """Causes without whose part no error is known; the mesh may be left out by choice."""
-CAUSES = (*MESH, "modes", "harmonics", "friction", "samples")
+CAUSES = (*MESH_CAUSES, "modes", "harmonics", "friction", "samples")
 BY_CHOICE = ("mesh", "friction")
 """Causes that contribute an unknown part where they are not varied."""
 DOUBTS = {
@@ -326,7 +326,7 @@ class Verification(Saved):
     def _parts(self, quantity: str) -> dict[str, float]:
         """Contributions with one by the mesh."""
         parts = self.contributions(quantity)
-        mesh = [parts.pop(cause) for cause in MESH if cause in parts]
+        mesh = [parts.pop(cause) for cause in MESH_CAUSES if cause in parts]
         return ({"mesh": sum(mesh)} if mesh else {}) | parts
 
     def extrapolated(self, quantity: str) -> float:

@@ -31,7 +31,7 @@ from fenics_crack.scene.tables import FORCES
 from fenics_crack.study.plausibility import damping_ratios
 from fenics_crack.study.prepare import REFUSALS, Study, law_of, prepare
 from fenics_crack.study.tip_and_clamp import prepare_quantities, quantities_of_motion
-from fenics_crack.sweep.file import AT_POINTS, OPEN, PHASES, YET, of_load
+from fenics_crack.sweep.file import AT_POINTS, PHASES, UNSURE, YET, of_load
 from fenics_crack.sweep.plan import Chunk
 
 PEAK_HARMONICS = 10
@@ -299,9 +299,9 @@ class Cases:
         try:
             found = floquet(structure, solution)
         except REFUSALS:
-            return {"verdict": "undecided", "remark": f"; {OPEN}no multipliers were found"}
+            return {"verdict": "undecided", "remark": f"; {UNSURE}no multipliers were found"}
         if found.reason:
-            remark = f"; {OPEN}{found.reason}"
+            remark = f"; {UNSURE}{found.reason}"
         elif structure.light_lips and (more := solution.assessment.more_modes):
             said = more.contradicts(found.verdict, quick=True)
             remark = YET + said if said else ""

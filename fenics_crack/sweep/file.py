@@ -52,7 +52,7 @@ class State(IntEnum):
     FAILED = 2
 
 
-OPEN = "undecided: "
+UNSURE = "undecided: "
 """Beginning, in the status of a case, of the reason for undecided stability."""
 YET = "; yet "
 """Beginning of the remark that more modes contradict the verdict."""

@@ -33,7 +33,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.balance.contact_system import default_weight
-from fenics_crack.balance.error_report import LARGE_ERROR, PARTS
+from fenics_crack.balance.error_report import ERROR_PARTS, LARGE_ERROR
 from fenics_crack.balance.harmonic_balance import solve_linear
 from fenics_crack.balance.more_modes import UNKNOWN
 from fenics_crack.balance.problem import Problem
@@ -61,7 +61,7 @@ from fenics_crack.study.prepare import law_of
 from fenics_crack.sweep.case import Asked, build
 from fenics_crack.sweep.file import (
     KIND,
-    OPEN,
+    UNSURE,
     YET,
     State,
     SweepFile,
@@ -78,7 +78,7 @@ DRAWN = ("amplitude", "opening", "ratio_2_1", "ratio_3_1", "closed_share", "mean
 """Quantities that are drawn where the scene does not choose."""
 NO_PEAK_SOUGHT = "without contact, and with [rotation]"
 """Scenes whose largest response over the load's frequency is not sought."""
-STATES = np.array([state.name.lower() for state in State])
+STATE_NAMES = np.array([state.name.lower() for state in State])
 """Words for the states."""
 
 
@@ -260,7 +260,7 @@ class SweepResult(Tabular):
     def errors(self) -> np.ndarray:
         """Estimated errors of the cases, by truncation, reduction, sampling and residual as in
         :class:`ErrorReport`: (4, ...), then the shape of the axes; 0 where there is no value."""
-        return np.nan_to_num([self[f"{part}_error"] for part in PARTS])
+        return np.nan_to_num([self[f"{part}_error"] for part in ERROR_PARTS])
 
     @property
     def inexact(self) -> np.ndarray:
@@ -287,7 +287,7 @@ class SweepResult(Tabular):
     def undecided(self) -> list[tuple[tuple[int, ...], str]]:
         """Index and reason of each case whose stability is undecided."""
         cases = self._status_where(self.converged & (self["verdict"] == "undecided"))
-        return [(at, status.partition(OPEN)[2] or "its reason is not kept") for at, status in cases]
+        return [(at, text.partition(UNSURE)[2] or "its reason is not kept") for at, text in cases]
 
     @property
     def contradicted(self) -> list[tuple[tuple[int, ...], str]]:
@@ -401,7 +401,7 @@ class SweepResult(Tabular):
         """The values of the axes by their keys, then the columns; a row for each case."""
         values = zip(*itertools.product(*(axis.values for axis in self.axes)), strict=True)
         found = {axis.key: list(swept) for axis, swept in zip(self.axes, values, strict=True)}
-        found["state"] = STATES[self["state"]].ravel().tolist()
+        found["state"] = STATE_NAMES[self["state"]].ravel().tolist()
         return found | {
             name: self[name].ravel().tolist() for name in self.columns if name != "state"
         }
@@ -454,7 +454,7 @@ class SweepResult(Tabular):
         )
 
     def _title(self) -> str:
-        counts = zip(STATES, np.bincount(self["state"].ravel(), minlength=3), strict=True)
+        counts = zip(STATE_NAMES, np.bincount(self["state"].ravel(), minlength=3), strict=True)
         swept = " x ".join(f"{len(axis.values)} {axis.key}" for axis in self.axes)
         return ", ".join([swept, *(f"{count} {state}" for state, count in counts if count)])
 

@@ -65,7 +65,7 @@ from fenics_crack.model.reduced import INSTEAD, check_mass
 from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.time.march import March, Scheme, TimeHistory, Window, march
 
-NAME, REMEDY = "central differences", "take more steps per period"
+NAME, MORE_STEPS = "central differences", "take more steps per period"
 
 
 def stable_steps_per_period(structure: Structure, omega: float, contact: ContactLaw) -> int:
@@ -225,7 +225,7 @@ class _ModalDifferences(Scheme):
     a matrix (n, n) where it couples them.
     """
 
-    name, remedy = NAME, REMEDY
+    name, remedy = NAME, MORE_STEPS
 
     def __init__(self, asked: March) -> None:
         self._seen = seen_by(asked.contact, asked.structure)
@@ -328,7 +328,7 @@ class _CentralDifferences(Scheme):
         A^-1 = M^-1 + Phi diag(1/d - 1) Phi^T,     A^-1 C = Phi diag(c/d) Phi^T M.
     """
 
-    name, remedy = NAME, REMEDY
+    name, remedy = NAME, MORE_STEPS
 
     def __init__(self, asked: March) -> None:
         self.structure, dt = asked.structure, asked.step_size

@@ -25,7 +25,7 @@ from fenics_crack.basics.progress import begin
 from fenics_crack.basics.ranks import MPI, StopRequest, on_root
 from fenics_crack.basics.tables import TURN
 from fenics_crack.files.store import scene_text
-from fenics_crack.monitoring.identification.interpolation import MESH, Loads, Part
+from fenics_crack.monitoring.identification.interpolation import MESH_AXIS, Loads, Part
 from fenics_crack.monitoring.identification.measurements import (
     Measurement,
     Measurements,
@@ -361,7 +361,7 @@ def solve_forward(
 
     numbers = sum(not isinstance(axis.values[0], str) for axis in table.unknown)
     count = MIN_VALUES - (numbers > 2)  # values of the finer sweep and of that between
-    meshes = [Axis(MESH, table.mesh_files)] if table.meshes else []
+    meshes = [Axis(MESH_AXIS, table.mesh_files)] if table.meshes else []
 
     def others(
         name: str, changes: dict[str, Any], axes: Sequence[Axis], every: SweepResult
@@ -545,7 +545,7 @@ def _models(
     """Models of a sweep, with those of a finer mesh and between if there are, and of the plate
     without its crack, by their values of the unknowns that are words."""
     meshes = scene.given("identify").mesh_axes
-    axes = [axis for axis in sweeps[0].axes[:-1] if not (meshes and axis.key == MESH)]
+    axes = [axis for axis in sweeps[0].axes[:-1] if not (meshes and axis.key == MESH_AXIS)]
     words = {axis.key: axis.values for axis in axes if isinstance(axis.values[0], str)}
     found = {}
     for chosen in itertools.product(*words.values()):

@@ -217,7 +217,7 @@ def _plate(nodes: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
 
 # --- interpolated quantities ----------------------------------------------------------------------
 
-MESH = "mesh.file"
+MESH_AXIS = "mesh.file"
 """The axis of meshes with numbers."""
 
 
@@ -290,7 +290,7 @@ class Part:
         for axis in sweep.axes[:-1]:
             word = axis.key in fixed
             index.append(axis.values.index(fixed[axis.key]) if word else slice(None))
-            numbers += [] if word else meshes if axis.key == MESH else [axis]
+            numbers += [] if word else meshes if axis.key == MESH_AXIS else [axis]
         cube = Cube(tuple(np.array(axis.values, dtype=float) for axis in numbers))
         keys = tuple(axis.key for axis in numbers)
         return cls(sweep, keys, cube, tuple(index), loads, bare)
@@ -364,7 +364,7 @@ class Part:
         return np.concatenate([scale[..., None], breathing, bare], axis=2)
 
 
-STATES = ("bilinear", "open", "tied")
+RESONANCE_STATES = ("bilinear", "open", "tied")
 """States of the crack faces at a resonance: breathing, open, closed."""
 
 
@@ -384,7 +384,7 @@ class Feature:
         """Features of a measurement of a scene; of a ratio both harmonics, the one above first."""
         if row.natural:
             lips = row.quantity.removeprefix("frequency_")
-            states = STATES if lips == "resonance" else (lips,)
+            states = RESONANCE_STATES if lips == "resonance" else (lips,)
             return tuple(cls(state, row.mode, frequency=row.load(scene)) for state in states)
         orders = row.orders or KEPT_ORDERS
         return tuple(cls("", 0, row.point, row.load(scene), order) for order in orders)

@@ -31,7 +31,7 @@ from fenics_crack.scene.scene import Scene
 if TYPE_CHECKING:
     from fenics_crack.monitoring.tip_timing.passages import PassageFit  # SciPy
 
-NATURAL = ("open", "tied", "bilinear", "resonance", "uncracked")
+FREQUENCY_STATES = ("open", "tied", "bilinear", "resonance", "uncracked")
 """States of a plate with natural frequencies: its crack held open, held closed, breathing by the
 bilinear formula, breathing at a measured resonance; and before it had a crack."""
 AT_LOADS = ("harmonic_1", "harmonic_2", "harmonic_3", "ratio_2_1", "ratio_3_1", "displacement")
@@ -39,7 +39,7 @@ AT_LOADS = ("harmonic_1", "harmonic_2", "harmonic_3", "ratio_2_1", "ratio_3_1", 
 NEEDED = ("quantity", "value", "deviation")
 OPTIONAL = ("mode", "frequency", "point", "phase", "rpm", "temperature")
 SI = "Hz", "m", "-"
-UNITS = {
+HEADING_UNITS = {
     "frequency": SI[:1],
     "phase": ("rad",),
     "value": SI,
@@ -101,7 +101,7 @@ class Measurement:
     temperature: float = math.nan
 
     def __post_init__(self) -> None:
-        kinds = (*(f"frequency_{state}" for state in NATURAL), *AT_LOADS)
+        kinds = (*(f"frequency_{state}" for state in FREQUENCY_STATES), *AT_LOADS)
         check_choice("measurements.quantity", self.quantity, kinds)
         at_probe = self.quantity == "displacement"
         check_number("measurements.value", self.value, -math.inf if at_probe else 0.0)
@@ -471,7 +471,7 @@ def _table(path: str | Path) -> list[Measurement]:
         raise InputError("measurements", f"{path}: {has}", allowed)
     for cell, name, (in_si, _) in zip(headings, names, scaled, strict=True):
         unit = in_si.partition("[")[2].partition("]")[0].strip()
-        if unit and unit not in (units := UNITS.get(name, ())):
+        if unit and unit not in (units := HEADING_UNITS.get(name, ())):
             allowed = f"in {' or '.join(units)}" if units else "without a unit"
             raise InputError("measurements", f"{path}: the column {cell}", allowed)
     factors, found = {n: factor for n, (_, factor) in zip(names, scaled, strict=True)}, []

@@ -20,7 +20,7 @@ from scipy.interpolate import RegularGridInterpolator
 
 from fenics_crack.basics.errors import FEW_MODES, MOST_HARMONICS
 from fenics_crack.monitoring.identification.interpolation import (
-    STATES,
+    RESONANCE_STATES,
     Feature,
     Interpolation,
     Part,
@@ -175,7 +175,7 @@ class Faces(NamedTuple):
     Attributes
     ----------
     state : str
-        One of STATES.
+        One of RESONANCE_STATES.
     common, apart : float
         Standard deviation of resonances from the frequency of that state, over the difference
         between the frequencies with the crack bonded and open, common to all and independent; for
@@ -545,7 +545,7 @@ class Quantities:
             if row.quantity == "displacement" or not self.known[place]:
                 continue
             own = BREATHING if row.rpm == 0.0 and self._is_free_at_rest else faces
-            state = STATES.index(own.state) if row.resonance else 0
+            state = RESONANCE_STATES.index(own.state) if row.resonance else 0
             values[:, place], weights = _together(row, sizes[:, at], state)
             turns[:, place, at] = weights * turned[:, at]
             if row.resonance:

@@ -37,7 +37,7 @@ from fenics_crack.basics.untrusted_files import MOST_BYTES, content_of
 BORDER = b"-1"
 COMPLEX = {5: "f4", 6: "f8"}
 """Types of complex numbers, single and double."""
-NUMBER = re.compile(rb"[+-]?(?:\d+\.?\d*|\.\d+)(?:E[+-]?\d+|[+-]\d{3}(?![\d.]))?")
+FORTRAN_NUMBER = re.compile(rb"[+-]?(?:\d+\.?\d*|\.\d+)(?:E[+-]?\d+|[+-]\d{3}(?![\d.]))?")
 """A number in text; Fortran leaves out the E of an exponent of three digits."""
 MOTIONS = {8: 0, 11: 1, 12: 2}
 """Time derivatives of a displacement, a velocity or an acceleration, by their codes."""
@@ -110,9 +110,9 @@ def _functions(file: BytesIO) -> Iterator[tuple[list[bytes], bytes, str]]:
 
 def _numbers(text: bytes) -> np.ndarray:
     """Numbers of fixed width, perhaps without blanks between them."""
-    if left := NUMBER.sub(b" ", text).split():
+    if left := FORTRAN_NUMBER.sub(b" ", text).split():
         raise ValueError(f"{left[0][:20].decode('latin-1')!r} instead of a number")
-    words = [re.sub(rb"(?<=[0-9.])([+-])", rb"E\1", word) for word in NUMBER.findall(text)]
+    words = [re.sub(rb"(?<=[0-9.])([+-])", rb"E\1", word) for word in FORTRAN_NUMBER.findall(text)]
     return np.array(words, dtype=float)
 
 

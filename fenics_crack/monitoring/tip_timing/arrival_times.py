@@ -21,7 +21,7 @@ from fenics_crack.basics.errors import InputError, check_count, check_number, re
 from fenics_crack.basics.tables import RPM, TURN, Table, Tabular, counted
 from fenics_crack.basics.untrusted_files import IN_SI, heading_in_si, table_rows
 
-COLUMNS = ("revolution", "angle [rad]", "mark [s]", "next_mark [s]", "arrival [s]")
+ARRIVAL_COLUMNS = ("revolution", "angle [rad]", "mark [s]", "next_mark [s]", "arrival [s]")
 """Required columns of a CSV file."""
 RADIUS = "tip_radius [m]"
 """Optional column of a CSV file."""
@@ -313,11 +313,11 @@ def _number(cell: str) -> float:
 def _passages(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
     """Return the required columns of a file: (5, rows), and the radii (rows,) if it has them."""
     names, lines, columns = _table(path)
-    for name in COLUMNS:
+    for name in ARRIVAL_COLUMNS:
         if name not in names:
             has = f"it has {', '.join(names)}" if any(names) else "it is empty"
             raise InputError("path", str(path), f"a file with the column '{name}'; {has}")
-    found = columns[[names.index(name) for name in COLUMNS]]
+    found = columns[[names.index(name) for name in ARRIVAL_COLUMNS]]
     if not lines:
         raise InputError("path", str(path), "a file with rows of numbers below its headings")
     given, turns = np.isfinite(found[:4]).all(axis=0), np.nan_to_num(found[0])
@@ -331,8 +331,8 @@ def _passages(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
 
 PASSAGE = re.compile(r"(?:blade\s*(\d+))?.*?\bprobe\s*(\d+)", re.IGNORECASE)
 """Heading of the arrivals of a blade at a probe; blade 1 where none is named."""
-SPEEDS = {"rpm": RPM, "rad/s": 1.0, "Hz": TURN}
-ANGLES, TIMES = {"rad": 1.0, "deg": IN_SI["deg"][1]}, {"s": 1.0}
+SPEED_UNITS = {"rpm": RPM, "rad/s": 1.0, "Hz": TURN}
+ANGLE_UNITS, TIME_UNITS = {"rad": 1.0, "deg": IN_SI["deg"][1]}, {"s": 1.0}
 """Units by what they are in rad/s, rad and s; the first one where a heading has none."""
 
 
@@ -484,7 +484,7 @@ def _marks(path: str | Path, columns: dict[str, np.ndarray], turns: np.ndarray) 
     every = np.arange(turns[0], turns[-1] + 1)
     for name, column in columns.items():
         if re.match("mark", name, re.IGNORECASE):
-            column = column * _unit(path, name, TIMES)
+            column = column * _unit(path, name, TIME_UNITS)
             lasting = np.diff(column) / np.diff(turns)
             if not np.all((lasting > 0.0) & np.isfinite(lasting)):
                 raise InputError("path", f"{path}: {name}", "increasing times")
@@ -494,7 +494,7 @@ def _marks(path: str | Path, columns: dict[str, np.ndarray], turns: np.ndarray) 
             last = np.diff(marks)[-2:]  # the end of the last revolution, as the speed changes
             return np.append(marks, marks[-1] + 2.0 * last[-1] - last[0])
         if "speed" in name.lower() and not PASSAGE.search(name):
-            speed = column * _unit(path, name, SPEEDS)
+            speed = column * _unit(path, name, SPEED_UNITS)
             if not np.all(speed > 0.0):
                 raise InputError("path", f"{path}: {name}", "numbers > 0")
             speed = np.interp(every, turns, speed)
@@ -510,7 +510,7 @@ def _angles(
 ) -> np.ndarray:
     """Return angles from the mark to the arrivals: (rows,) [rad]."""
     if "[s]" not in name:
-        angles = column * _unit(path, name, ANGLES)
+        angles = column * _unit(path, name, ANGLE_UNITS)
         if np.nanmedian(np.abs(angles)) > 2.0 * TURN:
             allowed = "angles from the mark to the arrival, in a revolution; in degrees?"
             raise InputError("path", f"{path}: {name} = {np.nanmedian(column):g}", allowed)

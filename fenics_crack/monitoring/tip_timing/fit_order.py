@@ -28,7 +28,7 @@ from scipy.linalg import solve_triangular
 from scipy.special import chdtri, fdtrc, ndtr
 
 from fenics_crack.basics.errors import InputError, check_count, check_number
-from fenics_crack.basics.tables import TURN, UNITS, counted, with_frequency
+from fenics_crack.basics.tables import TURN, UNITS, counted, in_hertz, with_frequency
 from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes, smoothed
 from fenics_crack.monitoring.tip_timing.fit_frequency import find_lines
 from fenics_crack.monitoring.tip_timing.harmonics import (
@@ -44,12 +44,12 @@ from fenics_crack.monitoring.tip_timing.harmonics import (
     taken,
     wanted,
 )
-from fenics_crack.monitoring.tip_timing.robust import EPSILON, LEVELS, reweighted, student, trend
+from fenics_crack.monitoring.tip_timing.robust import DEPENDENT, LEVELS, reweighted, student, trend
 from fenics_crack.numerics.fourier import waves
 
-OTHERS = 3
+N_FOLDED = 3
 """Number of harmonics beyond those kept that may be folded onto them."""
-SHARES = np.array([0.0, *2.0 ** -np.arange(0.5, 8.0)])
+FOLDED_RATIOS = np.array([0.0, *2.0 ** -np.arange(0.5, 8.0)])
 """Ratios of a harmonic left out to the last one kept that are tried."""
 NEIGHBOURS = 16
 """Groups of revolutions on either side whose harmonics left out have the same ratios."""
@@ -236,7 +236,7 @@ class _Seen:
         self.angle = nominal - values / radius
         self.covariance = covariance
         # At two places of a wave the error of a probe's angle is the same.
-        self._root = np.linalg.cholesky(covariance + EPSILON * np.diag(np.diag(covariance)))
+        self._root = np.linalg.cholesky(covariance + DEPENDENT * np.diag(np.diag(covariance)))
 
     def fit(self, order: float, multiples: np.ndarray) -> _Fit | None:
         """Return least squares at an order; None where the probes cannot measure it, or the blade
@@ -274,7 +274,7 @@ class _Seen:
 
     def beside_all(self, fit: _Fit, sizes: np.ndarray) -> tuple[np.ndarray, list[_Fit]]:
         """Return the same for each standard deviation (n,) [m] of the next harmonics."""
-        costs, *parts = self._beside(fit, np.repeat(sizes[:, None], OTHERS, axis=1))
+        costs, *parts = self._beside(fit, np.repeat(sizes[:, None], N_FOLDED, axis=1))
         return costs, [
             replace(fit, coefficients=coefficients, covariance=covariance, least=float(least))
             for coefficients, covariance, least in zip(*parts, strict=True)
@@ -286,7 +286,7 @@ class _Seen:
         are not known."""
         if self.within < 1:
             return np.nan
-        sizes = np.array(list(product(self._sizes(fit), repeat=OTHERS)))
+        sizes = np.array(list(product(self._sizes(fit), repeat=N_FOLDED)))
         costs, *others, _ = self._beside(fit, sizes)
         weights = np.exp(0.5 * (costs.min() - costs))
         middle, error = strengths(fit.coefficients, fit.covariance)
@@ -297,22 +297,22 @@ class _Seen:
 
     def _sizes(self, fit: _Fit) -> np.ndarray:
         """Return standard deviations of a harmonic left out [m]: 0, or up to the last one kept."""
-        sizes = np.hypot(*fit.coefficients[-2:]) * SHARES
+        sizes = np.hypot(*fit.coefficients[-2:]) * FOLDED_RATIOS
         return np.asarray(sizes[sizes < self.widest])
 
     @property
     def widest(self) -> float:
         """Maximum standard deviation [m] of a harmonic left out, for well-conditioned squares."""
-        return float(np.diag(self._root).min() / np.sqrt(EPSILON))
+        return float(np.diag(self._root).min() / np.sqrt(DEPENDENT))
 
     def _beside(
         self, fit: _Fit, sizes: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return fits with the next harmonics of standard deviations (n, OTHERS) [m], further
+        """Return fits with the next harmonics of standard deviations (n, N_FOLDED) [m], further
         unknowns that are 0 within these: -2 log likelihoods (n,), coefficients (n, 2K+1),
         covariances and sums of squares."""
         unknowns, multiples = len(fit.coefficients), fit.multiples
-        others = multiples[-1] + multiples[0] * np.arange(1.0, OTHERS + 1.0)
+        others = multiples[-1] + multiples[0] * np.arange(1.0, N_FOLDED + 1.0)
         columns = waves(fit.order * self.angle, np.append(multiples, others))
         volume = np.linalg.slogdet(columns[:, :unknowns].T @ columns[:, :unknowns])[1]
         columns, values = self._whitened(fit.slope, columns)
@@ -478,6 +478,8 @@ class TipTrack(Fitted):
         unknown = np.isnan([self.misfit, self.folded])
         return self.does_not_fit or self.may_be_folded or bool(np.any(unknown))
 
+    frequency = in_hertz()
+
     @property
     def omega(self) -> np.ndarray:
         """Angular frequency of the load: (n,) [rad/s]."""
@@ -630,7 +632,7 @@ def _beside_all(parts: dict[int, tuple[_Seen, _Fit]]) -> dict[int, tuple[_Seen, 
     its neighbours most likely: few probes of one group do not determine it."""
     costs, fits = [], []
     for part, fit in parts.values():
-        sizes = np.minimum(np.linalg.norm(fit.coefficients[1:]) * SHARES, part.widest)
+        sizes = np.minimum(np.linalg.norm(fit.coefficients[1:]) * FOLDED_RATIOS, part.widest)
         cost, beside = part.beside_all(fit, sizes)
         costs.append(cost)
         fits.append(beside)

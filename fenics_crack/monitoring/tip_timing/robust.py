@@ -29,7 +29,7 @@ FREEDOMS = np.array([3.0, 5.0, 10.0, 30.0, 1e6])
 ROBUST_ROUNDS, ROBUST_SETTLED = 30, 1e-2
 """Maximum rounds of weights, and their change, and that of residuals over their scale, below which
 they are final: some hundredths of a standard error."""
-EPSILON = 1e-12
+DEPENDENT = 1e-12
 """Columns are dependent below this fraction of the largest eigenvalue."""
 
 
@@ -156,7 +156,7 @@ class Noise:
             total += (1.0 - lag / len(lags)) * (part if lag == 0 else part + part.T)
         # Correlation leaves a tenth or more of the variance by white errors.
         scale, turned = np.linalg.eigh(white)
-        root = turned * np.where(scale > EPSILON * scale[-1], scale, np.inf) ** -0.5
+        root = turned * np.where(scale > DEPENDENT * scale[-1], scale, np.inf) ** -0.5
         values, axes = np.linalg.eigh(root.T @ total @ root)
         root = (root @ axes) / sizes[:, None]
         return np.asarray((root * np.maximum(values, 0.1 * variance)) @ root.T / self.slope**2)

@@ -43,13 +43,12 @@ from fenics_crack.monitoring.tip_timing.arrival_times import (
 )
 from fenics_crack.monitoring.tip_timing.harmonics import rounding
 from fenics_crack.monitoring.tip_timing.robust import refined, reweighted
+from fenics_crack.numerics.equations import TINY
 
 WIDTH = 0.035
 """Relative half width of the speeds about a resonance that are fitted."""
 DAMPED = 1e-5, WIDTH / 2.0
 """Bounds of the damping ratios; a wider resonance is not distinguished from drift."""
-TINY = np.finfo(float).tiny
-"""Minimum square of a column that is not zero."""
 
 Follows = Callable[[float, float], float]
 """s as a function of speed and natural frequency [rad/s], as ``Campbell.stiffening``."""
