@@ -140,7 +140,7 @@ def type_of(stored: Stored) -> type[Result]:
     for kind in _FORMS:
         if kind.KIND == stored.kind and (kind is OrbitCurve) == ("states" in stored.parts):
             return kind
-    allowed = f"a result written by save; this is a {stored.kind} (SweepResult.load reads sweeps)"
+    allowed = f"of another kind; a {stored.kind} is read by its class, as by SweepResult.load"
     raise InputError("path", str(stored.path), allowed)
 
 

@@ -8,6 +8,7 @@ from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 from helpers import changed
@@ -79,6 +80,20 @@ def same(one: Any, two: Any) -> bool:
     return callable(one) or one == two or (one != one and two != two)
 
 
+RATIOS = {
+    "blade", "conditions", "coriolis", "cracked", "damping_errors", "dampings", "deviation", "ends",
+    "equivalent", "factor", "first", "hidden", "margins", "multiples", "order", "orders", "sectors",
+    "seed",
+}  # fmt: skip
+"""Fields without a unit."""
+
+
+def is_ratio(item: h5py.Dataset) -> bool:
+    """Return True if a dataset is of words, a count or a ratio."""
+    words = h5py.check_string_dtype(item.dtype) is not None
+    return words or item.name.strip("/").rpartition(".")[2] in RATIOS
+
+
 @pytest.mark.parametrize("name", RESULTS)
 def test_result_comes_back(name: str, tmp_path: Path) -> None:
     """Every field, and what is computed from them."""
@@ -89,6 +104,11 @@ def test_result_comes_back(name: str, tmp_path: Path) -> None:
     assert again.table().rows == result.table().rows or "nan" in str(result.table().rows)
     if isinstance(result, fc.Campbell) and isinstance(again, fc.Campbell):
         assert again.crossings(1, "real") == pytest.approx(result.crossings(1, "real"), rel=1e-9)
+    with h5py.File(path) as file:
+        plain = [
+            key for key, item in file.items() if not (item.attrs.get("unit") or is_ratio(item))
+        ]
+    assert not plain
     assert main(["plot", str(path), "--quiet", "--output", str(tmp_path)]) in (0, 2)
 
 
