@@ -325,28 +325,26 @@ def _pack_harmonic_curve(curve: HarmonicCurve) -> Parts:
 
 def _pack_orbit_curve(curve: OrbitCurve) -> Parts:
     """Its states by displacements and velocities of the structure's dofs, whose signs are known."""
-    parts = _pack_curve(curve)
     points = curve.at_bifurcations.part(slice(1, -1))
-    parts["states"], places = _of_dofs(curve)
-    parts["bifurcation_states"], those_of_points = _of_dofs(points)
-    if friction_of(curve.contact) is not None:
-        parts |= {"places": places, "bifurcation_places": those_of_points}
-    parts["bifurcation_multipliers"] = points.multipliers
-    return parts | {"couplings": _couplings(curve.structure)}
+    special = _of_dofs(points) | {"multipliers": points.multipliers}
+    parts = _pack_curve(curve) | _of_dofs(curve) | {"couplings": _couplings(curve.structure)}
+    return parts | {f"bifurcation_{name}": value for name, value in special.items()}
 
 
-def _of_dofs(curve: OrbitCurve) -> tuple[np.ndarray, np.ndarray]:
+def _of_dofs(curve: OrbitCurve) -> Parts:
     """Displacements [m] and velocities [m/s] of the modes that move, by dof: (n, 2, n_dofs); and
-    behind them the places where pairs with friction stick: (n, n_pairs) [m], else (n, 0)."""
-    found = np.zeros((len(curve), 2, curve.structure.n_dofs))
-    rubs = friction_of(curve.contact) is not None
-    places = np.zeros((len(curve), curve.structure.n_pairs if rubs else 0))
-    for place, value in enumerate(curve.values):
-        shapes = all_modes(curve.problem_at(float(value)).structure).shapes
-        moved, held = np.split(curve.states[place], [2 * shapes.shape[1]])
-        found[place] = moved.reshape(2, -1) @ shapes.T
-        places[place] = held
-    return found, places
+    with friction the places where pairs stick: (n, n_pairs) [m]."""
+    moved, places = [], []
+    for value, state in zip(curve.values.tolist(), curve.states, strict=True):
+        shapes = all_modes(curve.problem_at(value).structure).shapes
+        moves, sticks = np.split(state, [2 * shapes.shape[1]])
+        moved.append(moves.reshape(2, -1) @ shapes.T)
+        places.append(sticks)
+    structure, count = curve.structure, len(curve)
+    found = {"states": np.reshape(moved, (count, 2, structure.n_dofs))}
+    if friction_of(curve.contact) is not None:
+        found["places"] = np.reshape(places, (count, structure.n_pairs))
+    return found
 
 
 def _shapes_of_curve(parts: Parts, structure: Structure, contact: Law) -> tuple[Structure, Shapes]:
@@ -364,59 +362,50 @@ def _shapes_of_curve(parts: Parts, structure: Structure, contact: Law) -> tuple[
 
 def _unpack_harmonic_curve(parts: Parts, structure: Structure, contact: Law) -> HarmonicCurve:
     structure, shapes = _shapes_of_curve(parts, structure, contact)
-    unknowns, kinds = parts["unknowns"], parts["kinds"]
+    unknowns, names = parts["unknowns"], [f"bifurcation_{n}" for n in range(len(parts["kinds"]))]
     seen = seen_by(contact, structure)
     _check_pairs(seen, unknowns)
     shapes["unknowns"] = parts["values"].size, unknowns.shape[1] | 1, seen.n_pairs
-    for number in range(len(kinds)):
-        name = f"bifurcation_{number}"
-        shapes[name] = len(parts[name]) | 1, seen.n_pairs
+    shapes |= {name: (len(parts[name]) | 1, seen.n_pairs) for name in names}
     check_shapes(parts, shapes)
-    special = [
-        (kind, value, resized(parts[f"bifurcation_{number}"], unknowns.shape[1] // 2))
-        for number, (kind, value) in enumerate(
-            zip(kinds, parts["bifurcation_values"].tolist(), strict=True)
-        )
-    ]
+    special = [resized(parts[name], unknowns.shape[1] // 2) for name in names]
     given: Parts = {"structure": structure, "contact": contact, "bifurcations": ()}
     curve = unpacked(HarmonicCurve, parts, **given)
     first = curve.solution(0)
     _check_gap(first.structure, first.displacement_coefficients, first.gap_coefficients, 1e-4)
-    return replace(curve, bifurcations=tuple(curve.bifurcation(*one) for one in special))
+    points = zip(parts["kinds"], parts["bifurcation_values"].tolist(), special, strict=True)
+    return replace(curve, bifurcations=tuple(curve.bifurcation(*point) for point in points))
 
 
 def _unpack_orbit_curve(parts: Parts, structure: Structure, contact: Law) -> OrbitCurve:
     structure, shapes = _shapes_of_curve(parts, structure, contact)
     signs = _signs(structure, parts["couplings"])
-    shapes["states"] = parts["values"].size, 2, structure.n_dofs
-    shapes["bifurcation_states"] = len(parts["kinds"]), 2, structure.n_dofs
-    shapes["places"] = parts["values"].size, structure.n_pairs
-    shapes["bifurcation_places"] = len(parts["kinds"]), structure.n_pairs
+    for before, count in (("", parts["values"].size), ("bifurcation_", len(parts["kinds"]))):
+        shapes[f"{before}states"] = count, 2, structure.n_dofs
+        shapes[f"{before}places"] = count, structure.n_pairs
     check_shapes(parts, shapes)
-    kinds, values = parts["kinds"], parts["bifurcation_values"]
-    nothing = np.zeros((len(parts["states"]), 0)), np.zeros((len(kinds), 0))
-    places = parts.get("places", nothing[0]), parts.get("bifurcation_places", nothing[1])
     given: Parts = {"structure": structure, "contact": contact, "bifurcations": ()}
     curve = unpacked(OrbitCurve, parts, **given)
-    curve = replace(curve, states=_modal(curve, curve.values, signs * curve.states, places[0]))
+
+    def states(before: str) -> np.ndarray:
+        """States in modes of those by dofs."""
+        values, of_dofs = parts[f"{before}values"], signs * parts[f"{before}states"]
+        places = parts.get(f"{before}places", np.zeros((len(values), 0)))
+        inverses = (
+            all_modes(curve.problem_at(value).structure).inverse for value in values.tolist()
+        )
+        each = zip(inverses, of_dofs, places, strict=True)
+        return np.array(
+            [np.append((moved @ inverse.T).ravel(), held) for inverse, moved, held in each]
+        )
+
+    curve = replace(curve, states=states(""))
     if not curve.orbit(0).residual <= 1e-4:  # nan neither
         raise InputError("structure", "another load, mesh or material", "that of the file")
-    states = _modal(curve, values, signs * parts["bifurcation_states"], places[1])
-    multipliers = parts["bifurcation_multipliers"]
-    points = zip(kinds, values.tolist(), states, multipliers, strict=True)
-    found = [curve.bifurcation(kind, at, z, np.array([mu])) for kind, at, z, mu in points]
-    return replace(curve, bifurcations=tuple(found))
-
-
-def _modal(
-    curve: OrbitCurve, values: np.ndarray, of_dofs: np.ndarray, places: np.ndarray
-) -> np.ndarray:
-    """States of displacements and velocities (n, 2, n_dofs), and of places (n, n_pairs or 0)."""
-    found = []
-    for value, moved, held in zip(values.tolist(), of_dofs, places, strict=True):
-        inverse = all_modes(curve.problem_at(value).structure).inverse
-        found.append(np.append((moved @ inverse.T).ravel(), held))
-    return np.array(found)
+    multipliers = parts["bifurcation_multipliers"][:, None]
+    values = parts["bifurcation_values"].tolist()
+    points = zip(parts["kinds"], values, states("bifurcation_"), multipliers, strict=True)
+    return replace(curve, bifurcations=tuple(curve.bifurcation(*point) for point in points))
 
 
 def _pack_backbone(backbone: Backbone) -> Parts:
