@@ -102,6 +102,7 @@ from fenics_crack.monitoring.tip_timing.passages import find_passages as find_pa
 from fenics_crack.monitoring.tip_timing.passages import fit_passage as fit_passage
 from fenics_crack.monitoring.tip_timing.scene_timing import arrivals_of_blades as arrivals_of_blades
 from fenics_crack.monitoring.tip_timing.simulate import tip_timing as tip_timing
+from fenics_crack.monitoring.tip_timing.timing import Timing as Timing
 from fenics_crack.motion.attractors import Attractor as Attractor
 from fenics_crack.motion.motions import Indicators as Indicators
 from fenics_crack.motion.orbit import PeriodicOrbit as PeriodicOrbit

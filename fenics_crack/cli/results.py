@@ -67,7 +67,7 @@ from fenics_crack.study.observer import observe
 from fenics_crack.study.plausibility import highest_omega
 from fenics_crack.study.run import Run, run_of
 from fenics_crack.study.stated_errors import largest_left_out
-from fenics_crack.study.verification import Verification, verification_of
+from fenics_crack.study.verification import Verification
 from fenics_crack.sweep.result import SweepResult
 from fenics_crack.time.march import TimeHistory
 
@@ -790,6 +790,7 @@ def result_of(stored: Stored) -> Computed:
         return _identified(stored)
     if stored.kind == Growth.KIND:
         return Growth.of(stored)
-    study = verification_of(stored) if stored.kind == Verification.KIND else None
+    if stored.kind == Verification.KIND:
+        return Verification.of(stored)
     judged = stored.kind != PeriodicSolution.KIND  # whose errors are in the file
-    return study or run_of(stored, MPI.COMM_SELF, judged=judged)
+    return run_of(stored, MPI.COMM_SELF, judged=judged)

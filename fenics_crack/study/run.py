@@ -613,7 +613,14 @@ def run_of(stored: Stored, comm: MPI.Comm = MPI.COMM_WORLD, *, judged: bool = Tr
         study = prepare(scene, comm, whole=kind is Modes, judged=judged)
     if kind is TimeHistory and scene.integration is not None and scene.integration.free:
         study = _freed(study)
-    result = unpack(stored, study.structure, study.contact)
+    try:
+        result = unpack(stored, study.structure, study.contact)
+    except InputError as error:
+        if error.key == "path":
+            raise
+        found = f"{error.key} {error.allowed}"
+        allowed = f"a result of this version's structure ({found}); compute it again"
+        raise InputError("path", str(stored.path), allowed) from None
     return Run(**vars(study), result=result, stated=verification_of(stored))
 
 
