@@ -303,7 +303,7 @@ def _at_length(scene: Scene, length: float, omega: float) -> Scene:
     """A scene, without a curve or a sweep, with another crack length [m] at a load frequency
     [rad/s], which replaces an engine order, with the ranges that drive growth as quantities."""
     place = {"crack.length": length, "excitation.omega": omega}
-    return scene.replace(place | {"output.quantities": names_of(where=Where.GROWTH)})
+    return scene.replace(place | {"output.quantities": names_of(where=Where.GROWING)})
 
 
 def _error_at(scene: Scene, path: LengthPath, length: float) -> tuple[float, list[str]]:

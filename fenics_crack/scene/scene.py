@@ -450,7 +450,7 @@ def _without(scene: Scene, one: Observable) -> str:
     """Why an observable is not known of a scene; "" where it is."""
     if Where.FRICTION in one.where and not scene.has_friction:
         return "without contact.friction"
-    if Where.GROWTH in one.where and scene.growth is None:
+    if Where.GROWING in one.where and scene.growth is None:
         return "without a table [growth], which has its exponent"
     return _WITHOUT[one.of](scene) if one.of in _WITHOUT else ""
 
