@@ -26,8 +26,9 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.basics.errors import ConvergenceError, InputError, StoppedError
+from fenics_crack.basics.observables import Place, Where, names_of
 from fenics_crack.basics.ranks import StopRequest, on_root
-from fenics_crack.basics.tables import OF_GROWTH, OF_TIPS, TURN, counted, in_hertz, with_frequency
+from fenics_crack.basics.tables import TURN, counted, in_hertz, with_frequency
 from fenics_crack.fem.build import with_crack_length
 from fenics_crack.files.saved import Saved
 from fenics_crack.numerics.equations import TINY
@@ -302,7 +303,7 @@ def _at_length(scene: Scene, length: float, omega: float) -> Scene:
     """A scene, without a curve or a sweep, with another crack length [m] at a load frequency
     [rad/s], which replaces an engine order, with the ranges that drive growth as quantities."""
     place = {"crack.length": length, "excitation.omega": omega}
-    return scene.replace(place | {"output.quantities": tuple(OF_GROWTH)})
+    return scene.replace(place | {"output.quantities": names_of(where=Where.GROWTH)})
 
 
 def _error_at(scene: Scene, path: LengthPath, length: float) -> tuple[float, list[str]]:
@@ -554,7 +555,7 @@ def _swept(scene: Scene, lengths: np.ndarray, levels: np.ndarray) -> Scene:
         {
             "sweep.over": over,
             "sweep.at_resonance": scene.given("growth").drive == "resonance",
-            "output.quantities": (*OF_TIPS, *OF_GROWTH),
+            "output.quantities": names_of(Place.TIPS),
         }
     )
 

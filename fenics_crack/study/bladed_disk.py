@@ -148,11 +148,11 @@ def blades(found: Any, dof: int | None = None) -> Blades:
     if dof is not None:
         check_count("dof", dof, 0)
     dofs = wheel.dofs_of_blades(int(wheel.check_dofs([dof])[0]))
-    if isinstance(result, PeriodicSolution):
-        places, solutions = [0] * len(dofs), {0: result}
-    else:
-        places = [int(np.argmax(result.amplitude(one))) for one in dofs]
-        solutions = {place: result.solution(place) for place in set(places)}
+    places = [int(np.argmax(seen.amplitude)) for seen in result.measure(dofs)]
+    solutions = {
+        place: result if isinstance(result, PeriodicSolution) else result.solution(place)
+        for place in set(places)
+    }
     values: list[tuple[float, complex, float, float]] = []
     for place, one in zip(places, dofs, strict=True):
         solution = solutions[place]

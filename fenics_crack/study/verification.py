@@ -35,8 +35,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from fenics_crack.basics.errors import TOLERANCE, InputError, check_choice, check_number
+from fenics_crack.basics.observables import QUANTITIES
 from fenics_crack.basics.tables import (
-    QUANTITIES,
     Described,
     Table,
     closing_sentence,
@@ -437,7 +437,7 @@ class Verification(Saved):
     def conclusion(self, remarks: int = 0) -> str:
         """Return the last sentence on the study, after its warnings and so many remarks."""
         name = next(iter(self.values))
-        words, _ = QUANTITIES.get(name.rpartition(".")[2], (name, ""))
+        words = getattr(QUANTITIES.get(name.rpartition(".")[2]), "words", name)
         bound = "factors of safety included, mostly due to the"
         error, cause = self.stated(name)
         known = f"{words} within {error_in_words(error)}, {bound} {cause}"
