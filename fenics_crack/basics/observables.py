@@ -53,7 +53,7 @@ class Where(Flag):
 
 
 PRINTED, SPECIAL, DRAWN, STATED, FRICTION, GROWING = Where
-SHOWN = PRINTED | STATED
+FILES, SHOWN = Where.FILES, PRINTED | STATED
 EVERYWHERE = SHOWN | SPECIAL | DRAWN
 
 
@@ -78,7 +78,7 @@ class Observable:
     words: str
     unit: str
     read: Callable[[Any], Any] = float
-    where: Where = Where.FILES
+    where: Where = FILES
 
     def __repr__(self) -> str:
         return f"{self.words} [{self.unit}]"
@@ -160,9 +160,7 @@ QUANTITIES: dict[str, Observable] = {
 
 
 @cache
-def names_of(
-    *places: Place, where: Where = Where.FILES, without: Where = Where.FILES
-) -> tuple[str, ...]:
+def names_of(*places: Place, where: Where = FILES, without: Where = FILES) -> tuple[str, ...]:
     """Return the names of the observables of some places, or of all, that are shown somewhere and
     do not require what is missing."""
     return tuple(
@@ -172,7 +170,7 @@ def names_of(
     )
 
 
-def read_at(place: Place, there: Any, without: Where = Where.FILES) -> dict[str, float]:
+def read_at(place: Place, there: Any, without: Where = FILES) -> dict[str, float]:
     """Return the numbers of what is at a place by their names, but for those that require what is
     missing."""
     return {name: float(QUANTITIES[name].read(there)) for name in names_of(place, without=without)}

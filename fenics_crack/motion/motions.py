@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fenics_crack.basics.errors import RECORDED_PERIODS
-from fenics_crack.basics.observables import FRICTION, Observables, Place, Where, names_of, read_at
+from fenics_crack.basics.observables import FILES, FRICTION, Observables, Place, names_of, read_at
 from fenics_crack.basics.tables import Tabular, in_hertz
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.model.structure import Structure
@@ -414,6 +414,6 @@ def _read_faces(record: Record) -> dict[str, float]:
     """Numbers of the crack faces; nan without pairs, or without friction."""
     numbers = dict.fromkeys(names_of(Place.FACES), math.nan)
     if record.n_pairs:
-        missing = FRICTION if record.friction is None else Where.FILES
+        missing = FRICTION if record.friction is None else FILES
         numbers |= read_at(Place.FACES, Faces(record), missing)
     return numbers | dict(record.exact)

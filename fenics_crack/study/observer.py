@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fenics_crack.basics.errors import InputError
-from fenics_crack.basics.observables import GROWING, QUANTITIES, Place, Where, names_of, read_at
+from fenics_crack.basics.observables import FILES, GROWING, QUANTITIES, Place, names_of, read_at
 from fenics_crack.fem.interaction_integral import Tip, tip_functionals
 from fenics_crack.model.factor import AT_A_TIME
 from fenics_crack.model.nodes import Clamp
@@ -139,7 +139,7 @@ class AtTip(NamedTuple):
     def numbers(self) -> dict[str, float]:
         """Quantities of the tip by their names; the equivalent range where there is a law of
         growth."""
-        return read_at(Place.TIPS, self, GROWING if self.law is None else Where.FILES)
+        return read_at(Place.TIPS, self, GROWING if self.law is None else FILES)
 
 
 def at_tips(record: Record, of_forces: np.ndarray, law: Growth | None) -> list[AtTip]:
