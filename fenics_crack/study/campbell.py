@@ -26,6 +26,7 @@ from scipy.optimize import brentq
 from fenics_crack.basics.errors import InputError, check_choice, check_count
 from fenics_crack.basics.tables import RPM, Tabular, counted, in_hertz, with_frequency
 from fenics_crack.fem.build import assemble, with_crack_length
+from fenics_crack.model.body import Body
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modes import (
     KINDS,
@@ -423,9 +424,7 @@ def _held(
     modes, structure = is_open, is_open.structure
     if tied.any():
         ties, loose = structure.gap[:, tied], np.zeros(int(tied.sum()))
-        part = Structure(
-            structure.mass, structure.stiffness, ties, force=structure.force, clearance=loose
-        )
+        part = Structure(Body(structure.mass, structure.stiffness, ties, structure.force, loose))
         found = solve_modes(part, n_tied, lips="tied")
         own = partners(is_open, found)
         modes = Modes(found.omega[own], found.shapes[:, own], structure)

@@ -613,7 +613,8 @@ def _wave(scene: Scene) -> Remarks:
     """What the harmonics of the load's table leave out of it."""
     load = scene.excitation
     if load.wave is not None:
-        text = f"{load.wave_harmonics} harmonics leave out {percent(of_wave(scene)[1])} of what "
+        missing = percent(of_wave(load, scene.dimension)[1])
+        text = f"{load.wave_harmonics} harmonics leave out {missing} of what "
         yield Remark("excitation.wave", load.wave, f"{text}changes in it (root mean square)")
 
 
@@ -634,7 +635,7 @@ def is_proportional(scene: Scene) -> bool:
     """
     if scene.speed > 0.0:
         return False
-    rounded = scene.contact is not None and scene.contact.law == "smoothed"
+    rounded = scene.contact is not None and not scene.contact.is_unilateral
     if scene.structure is not None:
         return not rounded and scene.structure.clearance == 0.0
     return not rounded and all(c.clearance == 0.0 for c in scene.all_cracks.values())

@@ -546,7 +546,7 @@ def test_varied(damping: Any) -> None:
         (once, 2.0, 3.0, [1e-3, 1e-3]),
         (twice, -1.0, 1.5, [1e-3, 1.001]),
     ):
-        assert other.original is structure and other.mass is structure.mass
+        assert other.body is structure.body and other.mass is structure.mass
         np.testing.assert_array_equal(other.force, load * force)
         np.testing.assert_allclose(other.clearance, clearance + added, rtol=1e-14)
         assert other.damping_factor == factor
@@ -563,6 +563,7 @@ def test_varied(damping: Any) -> None:
     np.testing.assert_array_equal(structure.force, force)
     np.testing.assert_array_equal(structure.clearance, clearance)
     assert structure.damping is given and structure.original is structure
+    assert once.original.damping is given and once.original.force is structure.force
 
 
 def test_parts_of_the_load_mixed() -> None:
@@ -587,7 +588,7 @@ def test_varied_reduction_speaks_of_the_varied_plate(paper_scene: Scene) -> None
         (varied.reference, reduced.reference),
         (varied.whole, plate),
     ):
-        assert first is not None and other.original is first
+        assert first is not None and other.body is first.body
         np.testing.assert_array_equal(other.force, 2.0 * first.force)
         np.testing.assert_array_equal(other.clearance, first.clearance + 1e-6)
         assert other.damping == ModalDamping(3.0 * 0.001)
