@@ -200,6 +200,8 @@ class ResponseCurve(Tabular):
 
     KIND: ClassVar[str] = "response curve"
     frequency = in_hertz()
+    EXACT: ClassVar[bool] = False
+    """True if its points are exact orbits."""
     FOUND: ClassVar[str]
     """Name of the attribute that holds the points, (n, ...)."""
 
@@ -368,7 +370,7 @@ class ResponseCurve(Tabular):
         if new:
             rows = structure.values_at(np.eye(structure.n_dofs), new).T  # u = T q
             cracks, friction = structure.pairs.cracks, coefficient_of(self.contact)
-            exact = friction is None or self.FOUND == "states"
+            exact = friction is None or self.EXACT
             found = [
                 (waves.T, *extremes(at(PARTS), cracks, friction, at if exact else None))
                 for waves, at in self.seen_through(rows)

@@ -595,6 +595,20 @@ def test_varied_reduction_speaks_of_the_varied_plate(paper_scene: Scene) -> None
     assert reduced.whole is plate
 
 
+def test_a_reduction_is_in_one_setting(paper_scene: Scene) -> None:
+    """Another dof is watched of its whole structure, too, whatever varies then; and of a structure
+    without a load the same as with one."""
+    reduced = reduce_structure(build_structure(paper_scene), modes=5)
+    dof = reduced.watched_dof + 1
+    other, units = reduced.watching(dof).varied(load=0.0, damping=2.0), np.eye(reduced.n_dofs)
+    assert other.whole.watched_dof == other.watched_dof == dof
+    np.testing.assert_array_equal(other.values_at(units, [None]), other.values_at(units, [dof]))
+    assert reduced.varied(load=0.0).watched_dof == reduced.watched_dof == dof - 1
+    assert other.body is reduced.body and other.whole.body is reduced.whole.body
+    half = other.damped(ModalDamping(0.01))
+    assert half.damping == ModalDamping(0.01) and half.watched_dof == dof
+
+
 @pytest.mark.parametrize(
     ("key", "value"),
     [
