@@ -14,7 +14,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from fenics_crack.basics.errors import MAX_SAMPLES, TOLERANCE, InputError, check_two_ratios
-from fenics_crack.basics.tables import QUANTITIES, RPM, TURN
+from fenics_crack.basics.observables import QUANTITIES
+from fenics_crack.basics.tables import RPM, TURN
 from fenics_crack.scene.fields import (
     OR_ZERO,
     Axis,
