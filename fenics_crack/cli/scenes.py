@@ -26,8 +26,7 @@ from fenics_crack.study.plausibility import (
     highest_omega,
     is_proportional,
     proposed_curve,
-    remarks_on,
-    remarks_on_structure,
+    remarks_on_scene,
 )
 from fenics_crack.study.prepare import (
     Study,
@@ -81,7 +80,7 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
         rows["cases of the sweep"] = scene.sweep.n_cases
         rows["invalid cases"] = on_root(console.comm, lambda: _impossible(scene))
     remark = _remark_on_whole(scene, whole, highest_omega(scene))
-    remarks = remarks_on(study.scene, figures) + remarks_on_structure(scene, whole)
+    remarks = remarks_on_scene(study.scene, whole, figures)
     console.table(Table(("what", "value"), [*rows.items()]))
     console.note(remark)
     console.remark(*remarks)

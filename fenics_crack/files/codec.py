@@ -24,7 +24,10 @@ from fenics_crack.scene.scene import Scene
 
 T = TypeVar("T")
 Parts = dict[str, Any]
-WRONG = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError)
+WRONG = (
+    LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError,
+    StopIteration,
+)  # fmt: skip
 """Errors of a dataset that is not what its field is."""
 _ARRAYS = {
     **dict.fromkeys(("multipliers", "bifurcation_multipliers", "forces", "fundamental"), "bifuc"),

@@ -26,7 +26,7 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError
-from fenics_crack.basics.tables import in_hertz
+from fenics_crack.basics.tables import hertz_of
 from fenics_crack.model.body import Body
 from fenics_crack.model.factor import AT_A_TIME, Factor, distributed
 from fenics_crack.model.modes import NEGLIGIBLE, times
@@ -90,7 +90,7 @@ class ReducedStructure(Structure):
     basis: np.ndarray = of_body("basis")
     omega: np.ndarray = of_body("omega")
     share: float = of_body("share")
-    frequency = in_hertz()
+    frequency = hertz_of()
 
     def __init__(
         self,

@@ -24,7 +24,7 @@ from mpi4py import MPI
 from scipy.optimize import brentq
 
 from fenics_crack.basics.errors import InputError, check_choice, check_count
-from fenics_crack.basics.tables import RPM, counted, in_hertz, with_frequency
+from fenics_crack.basics.tables import RPM, counted, hertz_of, with_frequency
 from fenics_crack.fem.build import assemble, with_crack_length
 from fenics_crack.files.saved import Saved
 from fenics_crack.files.store import Stored
@@ -100,9 +100,9 @@ class Campbell(Saved):
     at: At | None = None
 
     KIND: ClassVar[str] = "Campbell diagram"
-    frequency_open, frequency_tied = in_hertz("omega_open"), in_hertz("omega_tied")
-    frequency_partly, frequency_real = in_hertz("omega_partly"), in_hertz("omega_real")
-    frequency_bilinear = in_hertz("omega_bilinear")
+    frequency_open, frequency_tied = hertz_of("omega_open"), hertz_of("omega_tied")
+    frequency_partly, frequency_real = hertz_of("omega_partly"), hertz_of("omega_real")
+    frequency_bilinear = hertz_of("omega_bilinear")
 
     @classmethod
     def of(cls, stored: Stored) -> Campbell:

@@ -15,13 +15,7 @@ from fenics_crack.curves.curve import ResponseCurve, parameter_axis
 from fenics_crack.curves.peak import AT_END
 from fenics_crack.model.modal import is_small
 from fenics_crack.scene.tables import Integration
-from fenics_crack.study.plausibility import (
-    Remark,
-    find_key_figures,
-    remarks_on,
-    remarks_on_scene,
-    remarks_on_structure,
-)
+from fenics_crack.study.plausibility import Remark, find_key_figures, remarks_on_scene
 from fenics_crack.study.prepare import REFUSALS, Study
 from fenics_crack.study.stated_errors import not_estimated
 from fenics_crack.study.verification import Verification
@@ -47,10 +41,10 @@ class Answer(Study):
         """Remarks on the scene and its structure, as ``fenics-crack check`` reports them
         (collective)."""
         try:
-            found = remarks_on(self.scene, find_key_figures(self))
+            figures = find_key_figures(self)
         except REFUSALS:  # figures that cannot be found are no reason to lose the result
-            found = remarks_on_scene(self.scene)
-        return (*found, *remarks_on_structure(self.scene, self.structure.whole))
+            figures = None
+        return tuple(remarks_on_scene(self.scene, self.structure.whole, figures))
 
     @property
     def watched_dof(self) -> int:

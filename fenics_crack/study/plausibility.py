@@ -11,22 +11,23 @@ preload alone close some pairs, by a static contact problem. As long as these st
 others open, the motion is linear, and the closed ones carry R(w)^-1 B^T u(w) beside their static
 force.
 
-Each rule for remarks is a function of the scene, or of the scene and its figures or structure, that
-yields them. A remark forbids nothing: it names a key, its value, and what is usual; most often a
-unit or a number is mistyped.
+Remarks are rows of tables: a key, a number, and the range in which it is usual. A remark forbids
+nothing; most often a unit or a number is mistyped.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from functools import partial
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from fenics_crack.basics.ranks import gather_rows
-from fenics_crack.basics.tables import RPM, TURN, percent, ranging
+from fenics_crack.basics.tables import RPM, TURN
 from fenics_crack.fem.lips import SAME
 from fenics_crack.fem.loads import of_wave
 from fenics_crack.model.contact import solve_complementarity
@@ -49,7 +50,7 @@ from fenics_crack.model.structure import ModalDamping, RayleighDamping, Structur
 from fenics_crack.model.wheel import WheelStructure, in_few_coordinates
 from fenics_crack.numerics.fourier import to_complex
 from fenics_crack.scene.scene import Scene
-from fenics_crack.scene.tables import Curve, Rotation
+from fenics_crack.scene.tables import Curve
 from fenics_crack.scene.words import faces_in_words
 from fenics_crack.study.prepare import Study, reduction_of
 
@@ -353,8 +354,7 @@ def proposed_curve(scene: Scene, figures: KeyFigures) -> Curve | None:
         parameter = "frequency" if scene.in_hertz else "omega"
     if curve is not None:
         parameter = curve.parameter
-        held = _holds_resonance(scene, figures, *curve.followed, of_first=True)
-        if parameter not in CURVE_UNITS or held:
+        if parameter not in CURVE_UNITS or _holds_resonance(scene, figures, curve, (1.0,), 1):
             return None
     else:  # of the modes from the nearest one on
         mode = int(np.argmin(np.abs(figures.omega_bilinear - load.omega)))
@@ -366,99 +366,79 @@ def proposed_curve(scene: Scene, figures: KeyFigures) -> Curve | None:
     if not (opened > 0.0 and breathing < 2.0 * opened and beyond > 1.0):
         return None
     bonded = 1.0 / (2.0 / breathing - 1.0 / opened)  # of the same mode
-    meets, unit = _meeting(scene, figures, parameter), CURVE_UNITS[parameter][0]
-    start, stop = (meets(omega, 1.0) / unit for omega in (opened / beyond, bonded * beyond))
+    unit = CURVE_UNITS[parameter][0]
+    ends = opened / beyond, bonded * beyond
+    start, stop = (_meeting(scene, figures, parameter, omega) / unit for omega in ends)
     if not 0.0 < start < stop < math.inf:
         return None
     return Curve(_rounded(start, math.floor), _rounded(stop, math.ceil), parameter)
 
 
 def _rounded(value: float, towards: Callable[[float], int]) -> float:
-    """To three digits."""
+    """Round to three digits."""
     digits = 10.0 ** (2 - math.floor(math.log10(value)))
     return towards(value * digits) / digits
 
 
-def _meeting(scene: Scene, figures: KeyFigures, parameter: str) -> Callable[[float, float], float]:
+def _meeting(
+    scene: Scene, figures: KeyFigures, parameter: str, omega: float, harmonic: float = 1.0
+) -> float:
     """Parameter of a curve [rad/s] at which a harmonic of the load meets a natural frequency."""
     order = scene.excitation.order
     if parameter in ("speed", "rpm") and order is not None:
-        return lambda omega, harmonic: figures.meeting_speed(harmonic * order, scene.speed, omega)
-    return lambda omega, harmonic: omega / harmonic
+        return figures.meeting_speed(harmonic * order, scene.speed, omega)
+    return omega / harmonic
 
 
 def _holds_resonance(
-    scene: Scene,
-    figures: KeyFigures,
-    parameter: str,
-    start: float,
-    stop: float,
-    *,
-    of_first: bool = False,
+    scene: Scene, figures: KeyFigures, curve: Curve, orders: Sequence[float], modes: int
 ) -> bool:
-    """True if a range of load frequencies, or rotor speeds [rad/s], may hold a resonance: that of
-    the first mode with the load itself, or of any, also of a harmonic, or of one of half the
-    frequency. Modes are between open and bonded crack, but the
-    first at its breathing frequency where all forces and gaps are proportional to the load."""
-    low, high = sorted((start, stop))
-    meets = _meeting(scene, figures, parameter)
-    breathing = figures.omega_breathing, figures.omega_breathing
+    """Return True if a range of load frequencies or rotor speeds may hold a resonance of the first
+    modes with some harmonics of the load, or with half its frequency.
+
+    Modes are between open and bonded crack; the first one is at its breathing frequency where all
+    forces and gaps are proportional to the load.
+    """
+    parameter, *ends = curve.followed
     known = is_proportional(scene) and figures.closed == 0 and figures.mean_opening == 0.0
-    for mode, ends in enumerate(zip(figures.omega_open, figures.omega_tied, strict=False)):
-        for order in (1.0,) if of_first else (0.5, 1.0, 2.0, 3.0):
-            between = breathing if known and mode == 0 and order == 1.0 else ends
-            at_open, at_bonded = (meets(float(omega), order) for omega in between)
-            if low <= at_bonded and high >= at_open:
-                return True
-        if of_first:
-            return False
-    return high >= meets(float(figures.omega_tied[-1]), 1.0)
+    meeting = np.vectorize(partial(_meeting, scene, figures, parameter))
+    for order in orders:
+        natural = np.array([figures.omega_open[:modes], figures.omega_tied[:modes]])
+        if known and order == 1.0:
+            natural[:, 0] = figures.omega_breathing
+        opened, bonded = meeting(natural, order)
+        if np.any((min(ends) <= bonded) & (max(ends) >= opened)):
+            return True
+    return False
+
+
+def is_proportional(scene: Scene) -> bool:
+    """Return True if the response is proportional to the load: no clearance, smoothing, rotation.
+
+    Where forces and gaps are multiplied by a positive number, the equations of crack faces that
+    touch or not, at g = 0, are multiplied by it as a whole. The centrifugal load stays what it is.
+    """
+    if scene.speed > 0.0 or (scene.contact is not None and not scene.contact.is_unilateral):
+        return False
+    parts = scene.all_cracks.values() if scene.structure is None else (scene.structure,)
+    return all(part.clearance == 0.0 for part in parts)
 
 
 # --- remarks --------------------------------------------------------------------------------------
-
-Remarks = Iterator["Remark"]
 
 LARGEST_SIDE = 20.0
 """Maximum plausible side of a plate [m]."""
 FASTEST = 1000.0
 """Maximum plausible speed of a blade tip [m/s]; the longest blades have 700."""
 TOO_FAST = "the blade tip moves at {:.3g} m/s, where the fastest have 700"
-
-
-class Usual(NamedTuple):
-    """Plausible range of a key; what is usual, in words; and the units in which its values are
-    mistyped, by their factors to that of the key."""
-
-    low: float
-    high: float
-    words: str
-    units: Mapping[str, float]
-
-
-MM = {"mm": 1e-3}
-DAMPING = 0.0, 0.05, "of critical damping, metals have 0.0001 to 0.01", {"%": 1e-2}
-USUAL = {
-    "material.young": Usual(
-        1e7, 1.5e12, "in Pa, steel has 2.1e11, and most solids from 1e7 to 1.5e12",
-        {"GPa": 1e9, "MPa": 1e6},
-    ),
-    "material.density": Usual(
-        50.0, 25000.0, "in kg/m^3, steel has 7850, and most solids from 50 to 25000",
-        {"g/cm^3": 1e3, "t/mm^3": 1e12, "kg/mm^3": 1e9},
-    ),
-    "material.poisson": Usual(0.0, 0.49, "most solids have 0 to 0.49, steel 0.3", {}),
-    "rotation.hub_radius": Usual(0.0, LARGEST_SIDE, "larger than any rotor", MM),
-    "tip_timing.tip_radius": Usual(0.0, LARGEST_SIDE, "larger than any rotor", MM),
-    "damping.ratio": Usual(*DAMPING),
-    "damping.ratios": Usual(*DAMPING),
-    "growth.rate": Usual(
-        1e-20, 1e-9, "in m in a cycle at 1 MPa m^0.5, steels have 5e-12 to 1.4e-10",
-        {"mm in a cycle": 1e-3},
-    ),
-}  # fmt: skip
-"""Plausible ranges, by the keys: Young's modulus from rubber to diamond, density from foam to
-tungsten and osmium, Paris' C of metals, smaller for larger exponents."""
+MOST_DAMPED = 0.05
+"""Maximum plausible ratio of critical damping."""
+CORIOLIS = 0.01
+"""Minimum relative change of a frequency by the Coriolis force that is reported: the errors of
+usual meshes are as large."""
+WITHOUT_CORIOLIS = "the Coriolis force, left out, would move one of the first modes by {:.2%}"
+FIRST = "material.", "geometry.", "rotation.", "mesh.file", "structure.model"
+"""Keys on which the key figures depend: with a slip there they get no remarks."""
 
 
 @dataclass(frozen=True)
@@ -474,397 +454,295 @@ class Remark:
         return f"{self.key} = {value}: {self.text}"
 
 
-def remarks_on_scene(scene: Scene) -> list[Remark]:
-    """Return the remarks on the scene alone, without any computation."""
-    rules = (
-        (_usual, _probes)
-        if scene.structure
-        else (_usual, _plate, _faces, _rotor, _wave, _load, _probes)
-    )
-    return [remark for rule in rules for remark in rule(scene)]
+class Usual(NamedTuple):
+    """A row of the tables of remarks: the plausible range of a number.
 
-
-def remarks_on_structure(scene: Scene, structure: Structure) -> list[Remark]:
-    """Return the remarks on the scene's structure, before it is reduced (collective)."""
-    rules = _between_nodes, _outermost, _hub, _coriolis, _bouncing
-    return [remark for rule in rules for remark in rule(scene, structure)]
-
-
-def remarks_on(scene: Scene, figures: KeyFigures) -> list[Remark]:
-    """Return the remarks on the scene and its key figures."""
-    rules = (_frequency, _curve, _response, _lips, _contact, _closing, _rayleigh, _modes)
-    of_matrices = (_frequency, _curve, _contact, _modes)
-    chosen = rules if scene.structure is None else of_matrices
-    own = [*remarks_on_scene(scene), *_size(scene, figures)]
-    firsts = "material.", "geometry.", "rotation.", "mesh.file", "structure.model"
-    if any(remark.key.startswith(firsts) for remark in own):
-        return own  # all else may follow from these
-    keys = {remark.key for remark in own}
-    found = [remark for rule in chosen for remark in rule(scene, figures)]
-    return own + [remark for remark in found if remark.key not in keys]
-
-
-# --- of the scene alone ---------------------------------------------------------------------------
-
-
-def _usual(scene: Scene) -> Remarks:
-    """Values that are not plausible, by :data:`USUAL`."""
-    for key, usual in USUAL.items():
-        table, _, name = key.partition(".")
-        given = getattr(getattr(scene, table), name, None)
-        if given is not None:
-            yield from _unless_usual(key, float(np.max(given)), usual)
-
-
-def _unless_usual(key: str, value: float, usual: Usual) -> Remarks:
-    """A remark on a value that is not a usual one; and the first unit in which it would be."""
-    low, high, text, units = usual
-    if low <= value <= high:
-        return
-    for unit, factor in units.items():
-        if low <= factor * value <= high:
-            text += f"; in {unit}? then {factor * value:g}"
-            break
-    yield Remark(key, value, text)
-
-
-def _plate(scene: Scene) -> Remarks:
-    geometry, kind = scene.geometry, scene.geometry.kind
-    sides = {"width": geometry.width, "height": geometry.height}
-    given = [(side, name) for name, side in sides.items() if side is not None]
-    for side, name in sorted(given)[-1:]:
-        usual = Usual(0.0, LARGEST_SIDE, f"a {kind} of {side:g} m", MM)
-        yield from _unless_usual(f"geometry.{name}", side, usual)
-    shortest = min((side for side, _ in given), default=np.inf)
-    thickness = geometry.thickness
-    customary = thickness == 1.0 and kind == "plate"  # in plane problems
-    if not (thickness is None or customary):
-        most, text = shortest, f"thicker than the {kind} is wide or high"
-        if scene.disk is not None and kind == "plate":  # the width is that of a blade alone
-            most, text = scene.disk.outer_radius or np.inf, "thicker than the disk's outer radius"
-        usual = Usual(0.0, most, text, MM)
-        yield from _unless_usual("geometry.thickness", thickness, usual)
-    for name, crack in scene.all_cracks.items():
-        for key, along in (("length", "width"), ("depth", "thickness")):
-            own, whole = getattr(crack, key), getattr(geometry, along)
-            share = (own or np.nan) / (whole or np.nan)
-            if share < 0.01 or share > 0.9:
-                text = f"{share:.3g} of the {kind}'s {along}; 0.01 to 0.9 are usual"
-                yield Remark(f"{name}.{key}", own, text)
-    size = scene.mesh.size
-    if size is not None:
-        text = f"longer than half the {kind}'s shorter side, {shortest:g} m"
-        usual = Usual(0.0, shortest / 2.0, text, MM if size > shortest else {})
-        yield from _unless_usual("mesh.size", size, usual)
-
-
-def _faces(scene: Scene) -> Remarks:
-    """Gaps that no small motion closes, and contact of nothing."""
-    cracks, contact, geometry = scene.all_cracks, scene.contact, scene.geometry
-    if contact is not None and not cracks and scene.mesh.layout != "file":
-        text = "there is no [crack], so nothing touches and the response is linear"
-        yield Remark("contact.law", contact.law, text)
-    sides = [side for side in (geometry.width, geometry.height) if side is not None]
-    for name, crack in cracks.items():
-        largest = SMALL_MOTION * min(sides, default=np.inf)
-        text = f"more than {SMALL_MOTION:g} of the shorter side, beyond small displacements"
-        usual = Usual(-largest, largest, text, MM)
-        yield from _unless_usual(f"{name}.clearance", crack.clearance, usual)
-
-
-def _rotor(scene: Scene) -> Remarks:
-    table = scene.rotation
-    if table is None or table.hub_radius is None:
-        return
-    hub = table.hub_radius
-    if hub <= LARGEST_SIDE and scene.geometry.height is not None:
-        yield from _tip_speed(scene, table, hub + scene.geometry.height)
-
-
-def _tip_speed(scene: Scene, table: Rotation, radius: float) -> Remarks:
-    """Yield remarks on the speed ``radius`` away from a rotor's axis, also along a run-up."""
-    given = [(*_speed_given(table), table.speed, "rotation.rpm")]
-    if scene.curve is not None and scene.curve.followed[0] == "speed":
-        ends = zip(("curve.start", "curve.stop"), scene.curve.followed[1:], strict=True)
-        key, speed = max(ends, key=lambda end: end[1])
-        value = speed / RPM if scene.curve.parameter == "rpm" else speed
-        given.append((key, value, speed, "curve.parameter = 'rpm'"))
-    for key, value, speed, instead in given:
-        if speed * radius > FASTEST:
-            text = TOO_FAST.format(speed * radius)
-            if value == speed and RPM * speed * radius <= FASTEST:
-                text += f"; in revolutions per minute? then use {instead}"
-            yield Remark(key, value, text)
-
-
-def _speed_given(table: Rotation) -> tuple[str, float]:
-    """A rotor's speed by the key by which it is given, and its value."""
-    return ("rotation.speed", table.speed) if table.rpm is None else ("rotation.rpm", table.rpm)
-
-
-def _probes(scene: Scene) -> Remarks:
-    table = scene.tip_timing
-    if table is not None and len(table.probes) > 1 and table.probes[-1] < TURN:
-        text = f"all of them within {np.ptp(table.probes):.3g} degrees; in rad?"
-        yield Remark("tip_timing.probes", list(table.probes), text)
-
-
-def _wave(scene: Scene) -> Remarks:
-    """What the harmonics of the load's table leave out of it."""
-    load = scene.excitation
-    if load.wave is not None:
-        missing = percent(of_wave(load, scene.dimension)[1])
-        text = f"{load.wave_harmonics} harmonics leave out {missing} of what "
-        yield Remark("excitation.wave", load.wave, f"{text}changes in it (root mean square)")
-
-
-def _load(scene: Scene) -> Remarks:
-    load = scene.excitation
-    if scene.has_other_loads:
-        return
-    if not load.force_given:
-        text = "no force at all: excitation.force_sin, force_cos and force_mean are zero"
-        yield Remark("excitation.force_sin", list(load.force_sin), text)
-
-
-def is_proportional(scene: Scene) -> bool:
-    """Return True if the response is proportional to the load: no clearance, smoothing, rotation.
-
-    Where forces and gaps are multiplied by a positive number, the equations of crack faces that
-    touch or not, at g = 0, are multiplied by it as a whole. The centrifugal load stays what it is.
+    Attributes
+    ----------
+    keys : str
+        Keys, of which the first one with a value other than 0 is named; "crack" is every crack.
+    low, high : float
+        Plausible range.
+    words : str
+        What is usual, with places for the number, further values, {kind} and {faces}.
+    number : callable, optional
+        Number by the value, the scene, and the structure or the key figures in the tables of these,
+        or a tuple of it and further values; None where the row does not apply.
+    units : mapping
+        Units in which values are mistyped, by their factors to that of the key.
     """
-    if scene.speed > 0.0:
-        return False
-    rounded = scene.contact is not None and not scene.contact.is_unilateral
-    if scene.structure is not None:
-        return not rounded and scene.structure.clearance == 0.0
-    return not rounded and all(c.clearance == 0.0 for c in scene.all_cracks.values())
+
+    keys: str
+    low: float
+    high: float
+    words: str
+    number: Callable[..., Any] = lambda value, *_: float(np.max(value))
+    units: Mapping[str, float] = MappingProxyType({})
 
 
-# --- of the structure ---------------------------------------------------------------------------
+def remarks_on_scene(
+    scene: Scene, structure: Structure | None = None, figures: KeyFigures | None = None
+) -> list[Remark]:
+    """Return the remarks on a scene, and as far as they are given on its structure before it is
+    reduced, and on its key figures (collective)."""
+    found = [*_remarks(OF_SCENE, scene)]
+    if structure is not None:
+        found += _remarks(OF_STRUCTURE, scene, structure)
+    if figures is not None and not any(remark.key.startswith(FIRST) for remark in found):
+        found += _remarks(OF_FIGURES, scene, figures)
+    if structure is not None:
+        found += _remarks(OF_MODEL, scene, structure)
+    return found
 
 
-def _between_nodes(scene: Scene, structure: Structure) -> Remarks:
-    """A load of a model from elsewhere that acts at no node."""
-    point = scene.excitation.point
-    if scene.structure is not None and structure.nodes is not None and point is not None:
-        points = gather_rows(structure.comm, structure.nodes.points)
-        distance = np.linalg.norm(points - point, axis=1)
-        nearest = int(np.argmin(distance))
-        place = place_in_words(points[nearest])
-        if distance[nearest] > SAME * np.ptp(points, axis=0).max():
-            text = f"no node is there: the force acts on the nearest one, at {place}"
-            yield Remark("excitation.point", list(point), text)
+def _remarks(rows: Iterable[Usual], scene: Scene, *known: object) -> Iterator[Remark]:
+    """Yield the remarks of a table's rows; with the first unit in which a value would be usual."""
+    geometry = scene.geometry
+    kind = "structure" if geometry is None else geometry.kind
+    for row in rows:
+        for key, value in _named(scene, row.keys):
+            numbers = row.number(value, scene, *known)
+            number, *others = numbers if isinstance(numbers, tuple) else (numbers,)
+            if number is None or row.low <= number <= row.high:
+                continue
+            text = row.words.format(number, *others, kind=kind, faces=faces_in_words(scene))
+            for unit, factor in row.units.items():
+                if row.low <= factor * number <= row.high:
+                    text += f"; in {unit}? then {factor * float(np.max(value)):g}"  # type: ignore[call-overload]
+                    break
+            yield Remark(key, list(value) if isinstance(value, tuple) else value, text)
 
 
-def _outermost(scene: Scene, structure: Structure) -> Remarks:
-    """The speed of the tip, where the scene does not say how far from the axis it is."""
-    table, nodes = scene.rotation, structure.nodes
-    if table is None or nodes is None:
-        return
-    if table.hub_radius is not None and scene.geometry.height is not None:
-        return
-    point, axis = (vector[: nodes.points.shape[1]] for vector in scene.axis)
-    away = gather_rows(structure.comm, nodes.points) - point
+def _named(scene: Scene, keys: str) -> list[tuple[str, object]]:
+    """Keys that are given with their values: of the first of some that is not 0, else of the first
+    that is 0; of cracks all."""
+    every: list[list[tuple[str, object]]] = []
+    for key in keys.split():
+        table, name = key.split(".")
+        tables = scene.all_cracks if table == "crack" else {table: getattr(scene, table)}
+        values = {f"{place}.{name}": getattr(part, name, None) for place, part in tables.items()}
+        every.append([(place, value) for place, value in values.items() if value is not None])
+    given = [named for named in every if named]
+    moved = [named for named in given if any(np.any(np.asarray(v) != 0) for _, v in named)]
+    return (moved or given or [[]])[0]
+
+
+# --- numbers of rows ------------------------------------------------------------------------------
+
+
+def _side(value: float, scene: Scene) -> float | None:
+    """The longest side of a plate; None for another one."""
+    geometry = scene.geometry
+    return value if value == max(geometry.width or 0.0, geometry.height or 0.0) else None
+
+
+def _shorter(scene: Scene) -> float:
+    """Shorter side of a plate in its plane [m]; inf without any."""
+    sides = scene.geometry.width, scene.geometry.height
+    return min((side for side in sides if side is not None), default=math.inf)
+
+
+def _thickness(value: float, scene: Scene) -> float | None:
+    """Thickness over the shorter side; of plane problems 1 m is usual, and the width of a disk's
+    blade is no measure."""
+    plane = scene.geometry.kind == "plate" and (value == 1.0 or scene.disk is not None)
+    return None if plane else value / _shorter(scene)
+
+
+def _no_node(value: object, scene: Scene, structure: Structure) -> tuple[float, str] | None:
+    """Distance of a load from the nearest node of a model from elsewhere, over its size, and that
+    node's place."""
+    if scene.structure is None or structure.nodes is None:
+        return None
+    points = gather_rows(structure.comm, structure.nodes.points)
+    distance = np.linalg.norm(points - value, axis=1)
+    nearest = int(np.argmin(distance))
+    return distance[nearest] / np.ptp(points, axis=0).max(), place_in_words(points[nearest])
+
+
+def _tip_speed(value: float, scene: Scene, structure: Structure) -> float | None:
+    """Speed of the node farthest from the axis [m/s], by the key that gives the rotor's."""
+    table = scene.rotation
+    if table is None or structure.nodes is None or value != (table.rpm or table.speed):
+        return None
+    if (table.hub_radius or 0.0) > LARGEST_SIDE:
+        return None
+    point, axis = (vector[: structure.nodes.points.shape[1]] for vector in scene.axis)
+    away = gather_rows(structure.comm, structure.nodes.points) - point
     across = away - np.outer(away @ axis, axis)
-    yield from _tip_speed(scene, table, float(np.linalg.norm(across, axis=1).max()))
+    return scene.speed * float(np.linalg.norm(across, axis=1).max())
 
 
-def _hub(scene: Scene, structure: Structure) -> Remarks:
-    """A mesh file whose clamp is not where the radius of the hub is counted from."""
-    table, nodes = scene.rotation, structure.nodes
-    if table is None or table.hub_radius is None or scene.mesh.layout != "file" or nodes is None:
-        return
+def _clamp(_: float, scene: Scene, structure: Structure) -> tuple[float, float] | None:
+    """Distance of a mesh's clamp from y = 0, over the mesh's size and in m."""
+    nodes = structure.nodes
+    if scene.mesh is None or scene.mesh.layout != "file" or nodes is None:
+        return None
     points, dofs = (gather_rows(structure.comm, rows) for rows in (nodes.points, nodes.dofs))
     heights = points[np.all(dofs < 0, axis=1), 1]
-    if np.abs(heights).max(initial=0.0) > 0.01 * np.ptp(points, axis=0).max():
-        where = ranging(heights.round(12) + 0.0, ".4g")
-        text = (
-            f"the axis goes through (0, {-table.hub_radius:g}) m, as for a clamp at y = 0; that of "
-            f"the mesh is at y = {where} m"
-        )
-        yield Remark("rotation.hub_radius", table.hub_radius, text)
+    off = float(heights[np.abs(heights).argmax()]) if len(heights) else 0.0
+    return abs(off) / float(np.ptp(points, axis=0).max()), off
 
 
-def _coriolis(scene: Scene, structure: Structure) -> Remarks:
-    """The force that is left out of solids, and of disks."""
-    if scene.disk is not None and scene.rotation is not None and scene.speed > 0.0:
-        text = "the Coriolis force is left out, which parts the two waves of a nodal diameter"
-        yield Remark(*_speed_given(scene.rotation), text)
-    elif scene.rotation is not None and structure.rotation is not None and scene.dimension == 3:
-        count = min(N_MODES, structure.n_modes)
-        turning = structure.rotation.speed * scene.rotation.place[1]
-        if text := coriolis_in_words(coriolis_shifts(solve_modes(structure, count), turning)):
-            yield Remark(*_speed_given(scene.rotation), text)
+def _coriolis(_: float, scene: Scene, structure: Structure) -> float | None:
+    """Largest relative change of the lowest frequencies of a solid by the Coriolis force."""
+    if scene.rotation is None or structure.rotation is None or scene.dimension == 2 or scene.disk:
+        return None
+    turning = structure.rotation.speed * scene.rotation.place[1]
+    modes = solve_modes(structure, min(N_MODES, structure.n_modes))
+    return float(np.abs(coriolis_shifts(modes, turning)).max())
 
 
 def coriolis_in_words(shifts: np.ndarray) -> str:
     """Describe the effect of the Coriolis force, by relative changes of the lowest natural
     frequencies (m,); "" where it is small."""
-    if np.abs(shifts).max() <= 0.01:  # the errors of usual meshes are as large
-        return ""
-    changes = ", ".join(f"{100.0 * shift:+.3g}" for shift in shifts)
-    modes = "mode 1" if len(shifts) == 1 else f"modes 1 to {len(shifts)}"
-    return f"the Coriolis force, which is left out, would move {modes} by about {changes} %"
+    largest = np.abs(shifts).max()
+    return "" if largest <= CORIOLIS else WITHOUT_CORIOLIS.format(largest)
 
 
-def _bouncing(scene: Scene, structure: Structure) -> Remarks:
-    """Rigid contact of pairs that keep their mass."""
-    table = reduction_of(scene, structure)
+def _keeps_mass(_: str, scene: Scene, structure: Structure) -> float | None:
+    """The pairs of rigid contact that keep their mass."""
+    table, contact = reduction_of(scene, structure), scene.contact
     massless = table is not None and table.method == "massless"
-    if scene.contact is None or scene.contact.law != "unilateral" or massless:
-        return
-    if structure.n_pairs:
-        text = (
-            "rigid contact of pairs that keep their mass: solve gives no verdict on stability, and "
-            "curve needs 'penalty' or 'smoothed', or reduction.method = 'massless'"
-        )
-        yield Remark("contact.law", "unilateral", text)
+    return None if massless or contact is None or contact.law != "unilateral" else structure.n_pairs
 
 
-# --- of the key figures ---------------------------------------------------------------------------
+def _other_unit(factor: float) -> Callable[..., tuple[float, ...] | None]:
+    """The load's frequency over the first natural one, and that in Hz and rad/s, where times a
+    factor, but not as it is, it is near one of the first."""
 
+    def number(_: float, scene: Scene, figures: KeyFigures) -> tuple[float, ...] | None:
+        first, omega = float(figures.omega_open[0]), scene.excitation.omega
+        every = np.concatenate([figures.omega_open, figures.omega_tied])
+        firsts = every[[0, len(figures.omega_open)]]
+        meant = not _is_near(omega, every) and _is_near(factor * omega, firsts)
+        return (omega / first, first / TURN, first) if meant and first > 0.0 else None
 
-def _size(scene: Scene, figures: KeyFigures) -> Remarks:
-    if scene.structure is not None:
-        key, file = "structure.model", scene.structure.model
-    else:
-        key, file = "mesh.file", scene.mesh.file
-    if file is not None and max(figures.size) > LARGEST_SIDE:
-        sides = f"{min(figures.size):.3g} m x {max(figures.size):.3g} m"
-        yield Remark(key, file, f"a structure of {sides}; is the mesh in mm?")
-
-
-def _frequency(scene: Scene, figures: KeyFigures) -> Remarks:
-    load, first = scene.excitation, float(figures.omega_open[0])
-    natural = np.concatenate([figures.omega_open, figures.omega_tied])
-    if first <= 0.0 or load.order is not None or _is_near(load.omega, natural):
-        return
-    in_hertz = load.frequency is not None
-    key, value = ("frequency", load.frequency) if in_hertz else ("omega", load.omega)
-    share = (
-        f"{load.omega / first:.2g} times the first natural frequency, {first / TURN:.4g} Hz = "
-        f"{first:.4g} rad/s"
-    )
-    firsts, text = natural[[0, len(figures.omega_open)]], ""
-    if _is_near(TURN * load.omega, firsts) and not in_hertz:
-        text = "is it in Hz? then use excitation.frequency"
-    elif _is_near(load.omega / TURN, firsts) and in_hertz:
-        text = "is it in rad/s? then use excitation.omega"
-    if text:
-        yield Remark(f"excitation.{key}", value, f"{share}; {text}")
+    return number
 
 
 def _is_near(omega: float, natural: np.ndarray) -> bool:
     return bool(np.any(np.abs(natural - omega) < 0.1 * natural))
 
 
-def _curve(scene: Scene, figures: KeyFigures) -> Remarks:
-    """A range without a resonance, and one that holds the first."""
+def _no_resonance(_: float, scene: Scene, figures: KeyFigures) -> tuple[float, str] | None:
+    """The first resonance [rad/s] of a curve that holds none, and a range with it."""
     curve = scene.curve
-    if curve is None or curve.parameter not in CURVE_UNITS:
-        return
-    if _holds_resonance(scene, figures, *curve.followed):
-        return
-    first, last = float(figures.omega_open[0]), float(figures.omega_tied[-1])
+    assert curve is not None
+    if curve.parameter not in CURVE_UNITS:
+        return None
+    if _holds_resonance(scene, figures, curve, (0.5, 1.0, 2.0, 3.0), N_MODES):
+        return None
+    beyond = _meeting(scene, figures, curve.parameter, float(figures.omega_tied[-1]))
+    if max(curve.followed[1:]) >= beyond:  # more modes are not computed
+        return None
     proposed, unit = proposed_curve(scene, figures), CURVE_UNITS[curve.parameter][1]
-    text = (
-        f"no resonance from there to {curve.stop:g} {unit}: the first is near "
-        f"{figures.omega_breathing / TURN:.4g} Hz = {figures.omega_breathing:.4g} rad/s"
-    )
+    first = figures.omega_breathing
+    text = f"{curve.stop:g} {unit}: the first is near {first / TURN:.4g} Hz = {first:.4g} rad/s"
     if proposed is not None:
         text += f"; start = {proposed.start:g} and stop = {proposed.stop:g} hold it"
-    if curve.followed[0] == "speed":
-        yield Remark("curve.start", curve.start, text)
-        return
-    in_hertz, (low, high) = curve.parameter == "frequency", span_of(scene, "curve")
-    factor = TURN if in_hertz else 1.0 / TURN  # how much too large or too small
-    if low <= factor * last and high >= factor * first:
-        text += f"; are they in {'rad/s' if in_hertz else 'Hz'}? then use curve.parameter = "
-        text += "'omega'" if in_hertz else "'frequency'"
-    yield Remark("curve.start", curve.start, text)
+    return first, text
 
 
-def _response(scene: Scene, figures: KeyFigures) -> Remarks:
-    load = scene.excitation
-    if scene.has_other_loads:
-        return
-    key = max(("force_sin", "force_cos"), key=lambda name: math.hypot(*getattr(load, name)))
-    force, kind = list(getattr(load, key)), scene.geometry.kind
-    if figures.rotation > SMALL_MOTION and figures.damping.min() > 0.0:
-        text = (
-            f"with an open crack it moves the {kind} by {figures.displacement:.2g} m, "
-            f"{figures.rotation:.2g} rad about the clamp: beyond small displacements; in N?"
-        )
-        yield Remark(f"excitation.{key}", force, text)
+def _turned(_: object, scene: Scene, figures: KeyFigures) -> tuple[float, float] | None:
+    """Rotation [rad] and displacement [m] under the force of [excitation] alone."""
+    undamped = scene.has_other_loads or figures.damping.min() == 0.0
+    return None if undamped else (figures.rotation, figures.displacement)
 
 
-def _lips(scene: Scene, figures: KeyFigures) -> Remarks:
-    """A slit of half an element is no crack; grids choose their elements."""
-    if figures.elements is None or scene.mesh.layout == "grid":
-        return
-    if scene.contact is not None and scene.contact.pairs == "mouth":
-        return
-    if figures.elements < 4:
-        key = "lip_elements" if scene.mesh.layout == "graded" else "file"
-        text = "elements longer than a quarter of the crack; 4 to 20 along each face are usual"
-        yield Remark(f"mesh.{key}", getattr(scene.mesh, key), text)
+def _elements_along(_: object, scene: Scene, figures: KeyFigures) -> int | None:
+    """Elements along each crack face; grids choose them, and a mouth has one."""
+    at_mouth = scene.contact is not None and scene.contact.pairs == "mouth"
+    return None if at_mouth or scene.mesh.layout == "grid" else figures.elements
 
 
-def _contact(scene: Scene, figures: KeyFigures) -> Remarks:
-    ratio, contact = figures.stiffness_ratio, scene.contact
-    if contact is None or ratio is None:
-        return
-    key = "stiffness" if contact.stiffness is not None else "stiffness_per_area"
-    value, faces = getattr(contact, key), faces_in_words(scene)
-    if ratio.max() < 1.0:
-        text = (
-            f"at most {ratio.max():.2g} of the {faces}' static stiffness: they penetrate each "
-            "other; 100 to 10000 times is usual, or contact.law = 'unilateral'"
-        )
-        yield Remark(f"contact.{key}", value, text)
-    if ratio.min() > 1e6:
-        text = (
-            f"at least {ratio.min():.2g} times the {faces}' static stiffness: numerically rigid, "
-            "and hard to solve; contact.law = 'unilateral' is rigid contact"
-        )
-        yield Remark(f"contact.{key}", value, text)
-    if contact.sharpness is not None and contact.sharpness * figures.gap_motion < 10.0:
-        text = (
-            f"the law is rounded over {1.0 / contact.sharpness:.2g} m, and the {faces} move by "
-            f"{figures.gap_motion:.2g} m: contact acts on open {faces}"
-        )
-        yield Remark("contact.sharpness", contact.sharpness, text)
+def _never_meet(_: object, scene: Scene, figures: KeyFigures) -> tuple[float, str] | None:
+    """The motion of the faces [m] where it opens or closes no pair."""
+    if scene.contact is None or scene.structure is not None or figures.breathes:
+        return None
+    return figures.gap_motion, "opens" if figures.closed else "closes"
 
 
-def _closing(scene: Scene, figures: KeyFigures) -> Remarks:
-    if scene.contact is None or figures.gap_motion == 0.0:
-        return
-    clearances = {f"{name}.clearance": c.clearance for name, c in scene.all_cracks.items()}
-    key, value = max(clearances.items(), key=lambda item: abs(item[1]), default=("", 0.0))
-    if value == 0.0:
-        key, value = "excitation.force_mean", list(scene.excitation.force_mean)  # type: ignore[assignment]
-        if scene.rotation is not None and scene.speed > 0.0 and not np.any(value):
-            key, value = _speed_given(scene.rotation)
-    motion = f"the load moves open crack faces by {figures.gap_motion:.2g} m"
-    if not figures.breathes:
-        what = "opens" if figures.closed else "closes"
-        text = f"the crack never {what}: {motion} at most; the response is linear"
-        yield Remark(key, value, text)
+# --- tables of remarks ----------------------------------------------------------------------------
 
-
-def _rayleigh(scene: Scene, figures: KeyFigures) -> Remarks:
-    key = next((key for key in ("mass", "stiffness") if getattr(scene.damping, key)), "")
-    ratio, usual = float(figures.damping[0]), USUAL["damping.ratio"]
-    if key and ratio > usual.high:
-        text = f"{ratio:.3g} {usual.words}, at the first natural frequency"
-        yield Remark(f"damping.{key}", getattr(scene.damping, key), text)
-
-
-def _modes(scene: Scene, figures: KeyFigures) -> Remarks:
-    if figures.modes_below > figures.modes_kept:
-        text = (
-            f"harmonics up to H w reach {figures.modes_below} modes, and "
-            f"{figures.modes_kept} are kept: raise {scene.modes_key}"
-        )
-        yield Remark("harmonic_balance.harmonics", scene.harmonic_balance.harmonics, text)
+MM = MappingProxyType({"mm": 1e-3})
+ROTOR = "larger than any rotor"
+METALS = "of critical damping, metals have 0.0001 to 0.01"
+FORCES = "excitation.force_sin excitation.force_cos"
+STIFFNESSES = "contact.stiffness contact.stiffness_per_area"
+OF_FIRST = "{:.2g} times the first natural frequency, {:.4g} Hz = {:.4g} rad/s; is it in "
+OF_SCENE = (
+    Usual("material.young", 1e7, 1.5e12, "in Pa, steel has 2.1e11, and most solids from 1e7 to "
+          "1.5e12", units={"GPa": 1e9, "MPa": 1e6}),
+    Usual("material.density", 50.0, 25000.0, "in kg/m^3, steel has 7850, and most solids from 50 "
+          "to 25000", units={"g/cm^3": 1e3, "t/mm^3": 1e12, "kg/mm^3": 1e9}),
+    Usual("material.poisson", 0.0, 0.49, "most solids have 0 to 0.49, steel 0.3"),
+    Usual("geometry.width", 0.0, LARGEST_SIDE, "a {kind} of {:g} m", _side, MM),
+    Usual("geometry.height", 0.0, LARGEST_SIDE, "a {kind} of {:g} m", _side, MM),
+    Usual("geometry.thickness", 0.0, 1.0, "thicker than the {kind} is wide or high",
+          _thickness, MM),
+    Usual("crack.length", 0.01, 0.9, "{:.3g} of the {kind}'s width; 0.01 to 0.9 are usual",
+          lambda length, scene: length / (scene.geometry.width or math.nan)),
+    Usual("crack.depth", 0.01, 0.9, "{:.3g} of the {kind}'s thickness; 0.01 to 0.9 are usual",
+          lambda depth, scene: depth / (scene.geometry.thickness or math.nan)),
+    Usual("mesh.size", 0.0, 1.0, "longer than the {kind}'s shorter side",
+          lambda size, scene: size / _shorter(scene), MM),
+    Usual("rotation.hub_radius", 0.0, LARGEST_SIDE, ROTOR, units=MM),
+    Usual("tip_timing.tip_radius", 0.0, LARGEST_SIDE, ROTOR, units=MM),
+    Usual("tip_timing.probes", TURN, math.inf, "all of them within {:.3g} degrees; in rad?",
+          lambda angles, _: np.ptp(angles) or None),
+    Usual("damping.ratio damping.ratios", 0.0, MOST_DAMPED, METALS, units={"%": 1e-2}),
+    Usual("growth.rate", 1e-20, 1e-9, "in m in a cycle at 1 MPa m^0.5, steels have 5e-12 to "
+          "1.4e-10", units={"mm in a cycle": 1e-3}),
+    Usual("excitation.wave", 0.0, 0.0, "{1} harmonics leave out {0:.2%} of what changes in it "
+          "(root mean square)",
+          lambda _, scene: (of_wave(scene.excitation, scene.dimension)[1],
+                            scene.excitation.wave_harmonics)),
+    Usual(FORCES, 1.0, 1.0, "no force at all: excitation.force_sin, force_cos and force_mean are "
+          "zero", lambda _, scene: scene.has_other_loads or bool(scene.excitation.force_given)),
+)  # fmt: skip
+OF_STRUCTURE = (
+    Usual("structure.model mesh.file", 0.0, LARGEST_SIDE, "a structure of {1:.3g} m x {0:.3g} m; "
+          "is the mesh in mm?", lambda _, __, structure: (max(e := extents(structure)), min(e))),
+    Usual("excitation.point", 0.0, SAME, "no node is there: the force acts on the nearest one, at "
+          "{1}", _no_node),
+    Usual("rotation.speed", 0.0, FASTEST, TOO_FAST, _tip_speed, {"rpm": RPM}),
+    Usual("rotation.rpm", 0.0, FASTEST, TOO_FAST, _tip_speed),
+    Usual("rotation.hub_radius", 0.0, 0.01, "counted from a clamp at y = 0; that of the mesh is at "
+          "y = {1:.4g} m", _clamp),
+)  # fmt: skip
+OF_FIGURES = (
+    Usual("excitation.omega", 1.0, 0.0, OF_FIRST + "Hz? then use excitation.frequency",
+          _other_unit(TURN)),
+    Usual("excitation.frequency", 1.0, 0.0, OF_FIRST + "rad/s? then use excitation.omega",
+          _other_unit(1.0 / TURN)),
+    Usual("curve.start", 1.0, 0.0, "no resonance from there to {1}", _no_resonance),
+    Usual(FORCES, 0.0, SMALL_MOTION, "with an open crack it moves the {kind} by {1:.2g} m, {0:.2g} "
+          "rad about the clamp: beyond small displacements; in N?", _turned),
+    Usual("mesh.lip_elements mesh.file", 4, math.inf, "elements longer than a quarter of the "
+          "crack; 4 to 20 along each face are usual", _elements_along),
+    Usual(STIFFNESSES, 1.0, math.inf, "at most {:.2g} of the {faces}' static stiffness: they "
+          "penetrate each other; 100 to 10000 times is usual, or contact.law = 'unilateral'",
+          lambda _, __, figures: np.max(figures.stiffness_ratio)),
+    Usual(STIFFNESSES, 0.0, 1e6, "at least {:.2g} times the {faces}' static stiffness: numerically "
+          "rigid, and hard to solve; contact.law = 'unilateral' is rigid contact",
+          lambda _, __, figures: np.min(figures.stiffness_ratio)),
+    Usual("contact.sharpness", 10.0, math.inf, "the law is rounded over {1:.2g} m, and the {faces} "
+          "move by {2:.2g} m: contact acts on open {faces}",
+          lambda k, _, figures: (k * figures.gap_motion, 1.0 / k, figures.gap_motion)),
+    Usual("crack.clearance excitation.force_mean rotation.rpm rotation.speed", 0.0, 0.0,
+          "the crack never {1}: the load moves open crack faces by {0:.2g} m at most; the response "
+          "is linear", _never_meet),
+    Usual("damping.mass damping.stiffness", 0.0, MOST_DAMPED, "{:.3g} " + METALS + ", at the first "
+          "natural frequency", lambda _, __, figures: float(figures.damping[0])),
+    Usual("harmonic_balance.harmonics", 0, 0, "harmonics up to H w reach {1} modes, and {2} are "
+          "kept: raise {3}", lambda _, scene, figures: (
+              max(figures.modes_below - figures.modes_kept, 0), figures.modes_below,
+              figures.modes_kept, scene.modes_key)),
+)  # fmt: skip
+OF_MODEL = (
+    Usual("rotation.rpm rotation.speed", 0.0, CORIOLIS, WITHOUT_CORIOLIS, _coriolis),
+    Usual("contact.law", 0.0, 0.0, "rigid contact of pairs that keep their mass: solve gives no "
+          "verdict on stability, and curve needs 'penalty' or 'smoothed', or reduction.method = "
+          "'massless'", _keeps_mass),
+)  # fmt: skip

@@ -28,7 +28,6 @@ from fenics_crack.study.plausibility import (
     find_key_figures,
     highest_omega,
     is_proportional,
-    remarks_on,
     remarks_on_scene,
     span_of,
 )
@@ -165,7 +164,7 @@ def test_mean_load_keeps_lips_apart_or_together() -> None:
         words = []
         for sign in (1.0, -1.0):
             scene = PAPER.replace({"excitation.force_mean": (sign * force[0], 0.0)})
-            words += [str(remark) for remark in remarks_on(scene, figures_of(scene))]
+            words += [str(remark) for remark in remarks_on_scene(scene, figures=figures_of(scene))]
         assert len(words) == len(texts)
         assert all(any(text in word for word in words) for text in texts)
 
@@ -176,7 +175,7 @@ def test_no_remark_on_demos(demo: object) -> None:
     """Every scene of demos is usual."""
     scene = fc.Scene.load(str(demo))
     study = fc.prepare(scene, whole=True)
-    assert not remarks_on(study.scene, find_key_figures(study))
+    assert not remarks_on_scene(study.scene, study.structure, find_key_figures(study))
 
 
 def test_uncracked_plate() -> None:
@@ -185,7 +184,7 @@ def test_uncracked_plate() -> None:
     figures = figures_of(scene)
     assert figures.elements is None and not figures.own_stiffness.size
     np.testing.assert_array_equal(figures.omega_open, figures.omega_tied)
-    assert not remarks_on(scene, figures)
+    assert not remarks_on_scene(scene, figures=figures)
 
 
 def test_breathing_frequency() -> None:
@@ -230,31 +229,12 @@ def test_proportional_to_the_load() -> None:
     assert not is_proportional(fc.Scene.load(DEMOS / "chain.toml"))
 
 
-@pytest.mark.parametrize("parameter", ["speed", "rpm"])
-def test_a_tip_along_a_run_up(parameter: str) -> None:
-    """Faster than any is the one at the fastest speed of a curve, too; in rad/s for rpm most
-    often."""
-    rotor = {"rotation.speed": 100.0, "rotation.hub_radius": 0.2, "excitation.order": 4}
-    run_up = {"curve.parameter": parameter, "curve.start": 4000.0, "curve.stop": 3000.0}
-    scene = PAPER.replace({"excitation.omega": None} | rotor | run_up)
-    told = [str(remark) for remark in remarks_on_scene(scene)]
-    if parameter == "rpm":
-        assert not told
-    else:
-        radius = 0.2 + PAPER.geometry.sides[1]
-        [remark] = told
-        fast = f"the blade tip moves at {4000.0 * radius:.3g} m/s"
-        assert remark.startswith(f"curve.start = 4000: {fast}")
-        assert remark.endswith("then use curve.parameter = 'rpm'")
-
-
 def test_a_rotor_that_keeps_its_crack_open() -> None:
     """It is named by the key of its speed."""
     figures = figures_of(PAPER.replace({"excitation.force_sin": (1.0, 0.0)}))
     open_by_speed = replace(figures, breathes=False, closed=0)
-    [remark] = remarks_on(
-        PAPER.replace({"rotation.rpm": 100.0, "rotation.hub_radius": 0.2}), open_by_speed
-    )
+    turning = PAPER.replace({"rotation.rpm": 100.0, "rotation.hub_radius": 0.2})
+    [remark] = remarks_on_scene(turning, figures=open_by_speed)
     assert remark.key == "rotation.rpm" and "never closes" in remark.text
 
 
@@ -266,7 +246,8 @@ def test_elements_along_each_lip() -> None:
     inside = {"crack.edge": None, "crack.center": 0.05, "crack.length": 0.04}
     for one in (scene, scene.replace(inside)):
         assert figures_of(one).elements == 4
-        assert not any("elements" in str(remark) for remark in remarks_on(one, figures_of(one)))
+        remarks = remarks_on_scene(one, figures=figures_of(one))
+        assert not any("elements" in str(remark) for remark in remarks)
 
 
 # --- memory ---------------------------------------------------------------------------------------
