@@ -203,7 +203,8 @@ class Structure(Coordinates):
     """A linear structure with contact pairs; none of its attributes can be set.
 
     Made by :func:`fenics_crack.build_structure` from a scene, by :meth:`from_matrices` or by
-    :meth:`from_forms`.
+    :meth:`from_forms`. It is a body, which varied copies share, in a setting, which is theirs
+    (``model/body.py``).
 
     Attributes
     ----------
