@@ -28,7 +28,7 @@ from mpi4py import MPI
 from fenics_crack.basics.errors import ConvergenceError, InputError, StoppedError
 from fenics_crack.basics.observables import Place, Where, names_of
 from fenics_crack.basics.ranks import StopRequest, on_root
-from fenics_crack.basics.tables import TURN, counted, in_hertz, with_frequency
+from fenics_crack.basics.tables import TURN, counted, hertz_of, with_frequency
 from fenics_crack.fem.build import with_crack_length
 from fenics_crack.files.saved import Saved
 from fenics_crack.numerics.equations import TINY
@@ -103,8 +103,8 @@ class Growth(Saved):
     remarks: tuple[str, ...]
 
     KIND: ClassVar[str] = "crack growth"
-    frequency, frequency_open = in_hertz(), in_hertz("omega_open")
-    frequency_bilinear = in_hertz("omega_bilinear")
+    frequency, frequency_open = hertz_of(), hertz_of("omega_open")
+    frequency_bilinear = hertz_of("omega_bilinear")
 
     @property
     def life(self) -> float:

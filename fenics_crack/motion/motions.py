@@ -29,7 +29,7 @@ import numpy as np
 
 from fenics_crack.basics.errors import RECORDED_PERIODS
 from fenics_crack.basics.observables import FILES, FRICTION, Observables, Place, names_of, read_at
-from fenics_crack.basics.tables import Tabular, in_hertz
+from fenics_crack.basics.tables import Tabular, hertz_of
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.extremes import InPeriod, largest
@@ -81,7 +81,7 @@ class Indicators(Observables, Tabular):
         Part of the period in which a closed pair sticks and slips, mean over the pairs.
     """
 
-    frequency = in_hertz()
+    frequency = hertz_of()
 
     def to_dict(self) -> dict[str, Any]:
         """Numbers by name, or along a curve columns; those of friction where there is some."""

@@ -38,7 +38,7 @@ import numpy as np
 from scipy.linalg.lapack import dgeev
 
 from fenics_crack.basics.errors import ConvergenceError
-from fenics_crack.basics.tables import Described, counted, in_hertz
+from fenics_crack.basics.tables import Described, counted, hertz_of
 from fenics_crack.kernel import kernel
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, Samples, Track
@@ -128,7 +128,7 @@ class PeriodicOrbit(Observed, Described):
     residual: float
     flows: int
 
-    frequency = in_hertz()
+    frequency = hertz_of()
 
     @property
     def period(self) -> float:

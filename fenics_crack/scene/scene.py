@@ -50,12 +50,12 @@ from fenics_crack.scene.tables import (
     Material,
     Mesh,
     Output,
+    Periodic,
     Reduction,
     Rotation,
     Structure,
     Sweep,
     TipTiming,
-    highest,
 )
 
 SOLVED_OFTEN = ("curve", "sweep", "growth", "identify")
@@ -263,10 +263,8 @@ class Scene:
     @property
     def highest_order(self) -> int:
         """Highest multiple of the excitation's frequency at which a load acts."""
-        others = [highest(load.harmonics) for load in self.loads]
-        if self.base is not None:
-            others.append(highest(self.base.harmonics))
-        return max(self.excitation.highest, *others, 1)
+        tables: list[Periodic | None] = [self.excitation, *self.loads, self.base]
+        return max(table.highest for table in tables if table is not None)
 
     @property
     def has_other_loads(self) -> bool:
