@@ -152,7 +152,7 @@ def numbers_of(study: Study, found: PeriodicSolution, mode: int | None = None) -
 FRICTION_MODES = 20
 """Modes of the structure that shows the effect of friction. With 10 that on openings is often off
 by more than a factor of 2, with 40 an orbit takes three times as long."""
-SOUGHT = 10, 20
+SOUGHT = 10
 """Harmonics of the solutions next to which its two orbits are sought."""
 
 # --- one other run for each cause -----------------------------------------------------------------
@@ -238,13 +238,10 @@ def with_friction(
         for one in (law, law_of(scene.replace(keys), few)):
             assert one is not None
             given = few, found.omega, one
-            near = (
-                Solver(Problem(*given, count * periods, subharmonic=periods)).solve(found)
-                for count in SOUGHT
-            )
-            orbit = next(filter(None, (each.assessment.orbit for each in near)), None)
+            near = Problem(*given, SOUGHT * periods, subharmonic=periods)
+            orbit = Solver(near).solve(found).assessment.orbit
             if orbit is None:
-                return f"not estimated, no exact orbit next to {SOUGHT[-1]} harmonics"
+                return f"not estimated, no exact orbit next to {SOUGHT} harmonics"
             twin = replace(study, structure=few, contact=one)
             both.append(_of_orbit(twin, found, orbit, mode, found.harmonics))
     except REFUSALS as error:
