@@ -18,6 +18,7 @@ from pygments.lexers.special import TextLexer
 from sphinx.application import Sphinx
 from sphinx.writers.html5 import HTML5Translator
 
+from fenics_crack.basics.observables import QUANTITIES
 from fenics_crack.cli import given
 from fenics_crack.scene import tables
 from fenics_crack.version import VERSION
@@ -81,9 +82,15 @@ def lead_outside(app: Sphinx, *place_and_text: object) -> None:
 
 
 def write_the_scene(app: Sphinx, page: str, text: list[str]) -> None:
-    """Replace ``{{ new }}`` by the scene that ``fenics-crack new`` writes."""
+    """Replace ``{{ new }}`` by the scene that ``fenics-crack new`` writes, and
+    ``{{ quantities }}`` by the table of observables."""
     scene = given.new_scene("plate.toml", "measured.csv", ())
     text[0] = text[0].replace("{{ new }}", scene.rstrip())
+    rows = (
+        f"| `{name}` | {row.words} | {row.unit.replace('1', '-')} | {row.of.value} |"
+        for name, row in QUANTITIES.items()
+    )
+    text[0] = text[0].replace("{{ quantities }}", "\n".join(rows))
 
 
 def show_what_returns(

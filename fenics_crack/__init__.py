@@ -43,9 +43,12 @@ __version__ = VERSION
 
 def __getattr__(name: str) -> Any:
     if name not in _MODULES:
-        from fenics_crack.basics.suggestions import no_attribute
+        from fenics_crack.basics.suggestions import instead_of
 
-        raise no_attribute(f"module {__name__!r}", name, __all__, package=True)
+        question = instead_of(name, __all__)
+        raise AttributeError(
+            f"module {__name__!r} has no attribute {name!r}; {question}".rstrip("; ")
+        )
     check_modules()
     with alone():
         value = getattr(import_module(_MODULES[name]), name)

@@ -5,7 +5,6 @@ from fenics_crack.balance.harmonic_balance import linear_response as linear_resp
 from fenics_crack.balance.harmonic_balance import solve_harmonic_balance as solve_harmonic_balance
 from fenics_crack.balance.harmonic_balance import solve_linear as solve_linear
 from fenics_crack.balance.problem import Problem as Problem
-from fenics_crack.balance.solution import Indicators as Indicators
 from fenics_crack.balance.solution import PeriodicSolution as PeriodicSolution
 from fenics_crack.balance.solution import Stability as Stability
 from fenics_crack.basics.errors import ConvergenceError as ConvergenceError
@@ -103,7 +102,9 @@ from fenics_crack.monitoring.tip_timing.passages import find_passages as find_pa
 from fenics_crack.monitoring.tip_timing.passages import fit_passage as fit_passage
 from fenics_crack.monitoring.tip_timing.scene_timing import arrivals_of_blades as arrivals_of_blades
 from fenics_crack.monitoring.tip_timing.simulate import tip_timing as tip_timing
+from fenics_crack.monitoring.tip_timing.timing import Timing as Timing
 from fenics_crack.motion.attractors import Attractor as Attractor
+from fenics_crack.motion.motions import Indicators as Indicators
 from fenics_crack.motion.orbit import PeriodicOrbit as PeriodicOrbit
 from fenics_crack.scene.scene import Scene as Scene
 from fenics_crack.study.bladed_disk import Amplification as Amplification

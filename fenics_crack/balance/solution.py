@@ -1,21 +1,9 @@
-"""A periodic solution: Fourier coefficients, what can be asked of them, and how it is found.
-
-Among it are indicators of a breathing crack, numbers that change with the crack. Of a watched
-displacement u(t) = a0 + sum_k a_k cos(k w t / m) + b_k sin(k w t / m), with the load at w and m
-times its period, the amplitude at j times the load's frequency is
-
-    U_j = sqrt(a_k^2 + b_k^2),      k = j m,
-
-and a linear structure has U_1 alone. Crack faces that open and close once in a period act as a
-stiffness that depends on the sign of the gap: they make even harmonics and a mean, U_2 / U_1 and a0
-/ U_1, and at a period doubling U_1/2; all of these are independent of the size of the load as long
-as there is no clearance (Dimarogonas, Engineering Fracture Mechanics 55, 1996, 831, reviews them).
-"""
+"""A periodic solution: Fourier coefficients, what can be asked of them, and how it is found."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, ClassVar
@@ -33,203 +21,14 @@ from fenics_crack.balance.error_report import (
 )
 from fenics_crack.balance.problem import Problem, Search
 from fenics_crack.basics.errors import ConvergenceError, check_number
-from fenics_crack.basics.tables import (
-    OF_FRICTION,
-    OF_LIPS,
-    Described,
-    Tabular,
-    counted,
-    quantity,
-    with_frequency,
-)
+from fenics_crack.basics.tables import Described, counted, quantity, with_frequency
 from fenics_crack.model.contact import check_slope, coefficient_of, is_unilateral
+from fenics_crack.model.modal import all_modes
 from fenics_crack.model.modes import NEGLIGIBLE
-from fenics_crack.motion.orbit import KNOWN, PeriodicOrbit
+from fenics_crack.motion.motions import Observed, Record
+from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.motion.search import SearchOptions
-from fenics_crack.numerics.extremes import InPeriod, half_range, largest
 from fenics_crack.numerics.fourier import evaluate, resized, sampled
-
-
-@dataclass(frozen=True, repr=False)
-class Indicators(Tabular):
-    """Indicators of a breathing crack at a point and at the crack faces.
-
-    Made by ``indicators`` of a solution, where each attribute is a number, or of a curve, where
-    each is an array with a value for every point (n,).
-
-    Attributes
-    ----------
-    omega : [rad/s]
-        Frequency of the load.
-    amplitude : [m]
-        Half the peak-to-peak displacement, of all harmonics together.
-    mean : [m]
-        a0, with the displacement by a mean load.
-    harmonic_1, harmonic_2, harmonic_3 : [m]
-        U_1, U_2, U_3: amplitudes at once, twice and three times the load's frequency.
-    ratio_2_1, ratio_3_1 : [-]
-        U_2 / U_1 and U_3 / U_1; nan where the solution has not so many harmonics, or no U_1.
-    ratio_half_1 : [-]
-        U_1/2 / U_1, at half the load's frequency; nan unless the solution has an even multiple of
-        the load's period.
-    ratio_largest, largest_order : [-]
-        U_k / U_1 of the largest harmonic above the load's, and its order k; nan without one, the
-        order also where all are rounding of the whole motion.
-    mean_shift : [-]
-        a0 / U_1, positive in the direction of the dof.
-    opening, penetration : [m]
-        The largest of any pair at any time; nan without pairs, as are the next three.
-    contact_force : [N]
-        The largest of any pair at any time: the finer the mesh, the smaller.
-    crack_force : [N]
-        The largest of a crack at any time, the sum over its pairs, which a finer mesh does not
-        change; of matrices that of all pairs.
-    closed_share : [-]
-        Part of the period in which a pair carries a contact force, mean over the pairs.
-    friction_loss : [J]
-        Work of friction in a period of the response, of all pairs; nan without friction, as are
-        the next two.
-    stick_share, slip_share : [-]
-        Part of the period in which a closed pair sticks and slips, mean over the pairs.
-    """
-
-    omega: Any
-    amplitude: Any
-    mean: Any
-    harmonic_1: Any
-    harmonic_2: Any
-    harmonic_3: Any
-    ratio_2_1: Any
-    ratio_3_1: Any
-    ratio_half_1: Any
-    ratio_largest: Any
-    largest_order: Any
-    mean_shift: Any
-    opening: Any
-    penetration: Any
-    contact_force: Any
-    crack_force: Any
-    closed_share: Any
-    friction_loss: Any
-    stick_share: Any
-    slip_share: Any
-
-    def to_dict(self) -> dict[str, Any]:
-        """Numbers by name, or along a curve columns; those of friction where there is some."""
-        columns = {item.name: np.asarray(getattr(self, item.name)) for item in fields(self)}
-        return {
-            name: column.tolist()
-            for name, column in columns.items()
-            if name not in OF_FRICTION or not np.all(np.isnan(column))
-        }
-
-    def _title(self) -> str:
-        if np.ndim(self.omega):
-            return f"{len(self.omega)} points"
-        return f"amplitude = {self.amplitude:.4g} m, ratio_2_1 = {self.ratio_2_1:.3g}"
-
-
-def indicators_of(
-    omega: Any,
-    coefficients: np.ndarray,
-    amplitude: Any,
-    contact: Mapping[str, Any],
-    subharmonic: int = 1,
-) -> Indicators:
-    """Indicators from load frequencies (...), coefficients of a displacement (..., 2H+1), half its
-    peak-to-peak values (...) and what :func:`extremes` has found of the crack faces
-    (...)."""
-    harmonics = (coefficients.shape[-1] - 1) // 2
-
-    def at(multiple: float) -> Any:
-        """U_j, nan where it is not among the harmonics."""
-        order = multiple * subharmonic
-        if order != int(order) or order > harmonics:
-            return np.full(coefficients.shape[:-1], np.nan)[()]
-        row = 2 * int(order)
-        return np.hypot(coefficients[..., row - 1], coefficients[..., row])
-
-    first, second, third, mean = at(1), at(2), at(3), coefficients[..., 0]
-    unknown = np.full(coefficients.shape[:-1], np.nan)[()]
-    largest = order = unknown
-    if harmonics >= 2 * subharmonic:
-        above = np.stack([at(k) for k in range(2, harmonics // subharmonic + 1)], axis=-1)
-        largest, whole = above.max(axis=-1), np.abs(coefficients).max(axis=-1)
-        order = np.where(largest > NEGLIGIBLE * whole, 2.0 + above.argmax(axis=-1), np.nan)[()]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        known = np.where(first > 0.0, first, np.nan)
-        ratios = [part / known for part in (second, third, at(0.5), largest)]
-        shift = mean / known
-    lips = {name: contact.get(name, unknown) for name in CONTACT}
-    seen = mean, first, second, third, *ratios, order, shift
-    return Indicators(omega, amplitude, *seen, **lips)
-
-
-CONTACT = (*OF_LIPS, *OF_FRICTION)
-
-
-def extremes(
-    samples: tuple[np.ndarray, np.ndarray, np.ndarray],
-    cracks: np.ndarray | None = None,
-    coefficient: float | np.ndarray | None = None,
-    at: InPeriod | None = None,
-) -> tuple[np.ndarray, dict[str, float]]:
-    """Half peak-to-peak values (m,) of motions; and opening [m], penetration [m] and force [N], the
-    largest of any pair, the largest force of a crack, and the share of the time closed, mean over
-    the pairs, with the crack of each pair, by default one of all; nothing without pairs. With a
-    coefficient of friction what it does, too.
-
-    Samples are motions (n, m), gaps and forces of all rows (n, n_rows) at equal parts of a period;
-    extremes are to rounding where all are given at any parts of it."""
-    (_, gap, force), many = samples, samples[0].shape[1]
-    count = gap.shape[1] // (1 if coefficient is None else 2)
-    every = np.zeros(count, dtype=int) if cracks is None else cracks
-    members = every[:, None] == np.unique(every)
-
-    def columns(motion: np.ndarray, gap: np.ndarray, force: np.ndarray) -> np.ndarray:
-        lips = []
-        if count:
-            gap, force = gap[:, :count], force[:, :count]
-            lips = [-gap.min(1), gap.max(1), force.max(1), (force @ members).max(1)]
-        return np.column_stack([motion, -motion, *lips])
-
-    tops = largest(columns(*samples), at and (lambda parts: columns(*at(parts))))
-    ranges, sizes = 0.5 * (tops[:many] + tops[many : 2 * many]), tops[2 * many :]
-    if not count:
-        return ranges, {}
-    sizes[:2] = np.maximum(sizes[:2], 0.0)
-    found = dict(zip(OF_LIPS, sizes.tolist(), strict=False))
-    found["closed_share"] = float(np.mean(force[:, :count] > 0.0))
-    if coefficient is not None:
-        found |= friction_numbers(coefficient, gap[:, count:], force[:, :count], force[:, count:])
-    return ranges, found
-
-
-def slipping(coefficient: float | np.ndarray, force: np.ndarray, drag: np.ndarray) -> np.ndarray:
-    """Where pairs slip, by their contact and friction forces (n, n_pairs): (n, n_pairs) bool."""
-    limit = (1.0 - KNOWN) * coefficient * force
-    return np.asarray((force > 0.0) & (np.abs(drag) >= limit))
-
-
-def friction_losses(slide: np.ndarray, drag: np.ndarray) -> np.ndarray:
-    """Losses of pairs in a period, (n_pairs,) [J], int lambda_t g_t' dt by the trapezoidal rule:
-    of tangential gaps and friction forces at parts of it (n, n_pairs)."""
-    moved = np.roll(slide, -1, axis=0) - slide
-    return np.asarray(0.5 * np.sum((np.roll(drag, -1, axis=0) + drag) * moved, axis=0))
-
-
-def friction_numbers(
-    coefficient: float | np.ndarray, slide: np.ndarray, force: np.ndarray, drag: np.ndarray
-) -> dict[str, float]:
-    """The loss by friction in a period [J], and the shares of it in which pairs stick and slip,
-    means over the pairs: of tangential gaps, contact forces and friction forces at equal parts of
-    it (n, n_pairs)."""
-    slips = slipping(coefficient, force, drag)
-    return {
-        "friction_loss": float(np.sum(friction_losses(slide, drag))),
-        "stick_share": float(np.mean((force > 0.0) & ~slips)),
-        "slip_share": float(np.mean(slips)),
-    }
 
 
 @dataclass(frozen=True, repr=False)
@@ -285,7 +84,7 @@ class Stability(Described):
 
 
 @dataclass(frozen=True, repr=False)
-class PeriodicSolution(Wave, Described):
+class PeriodicSolution(Wave, Observed, Described):
     """Steady vibration u(t) = a0 + sum_k a_k cos(k w t) + b_k sin(k w t), w = omega / subharmonic.
 
     Attributes
@@ -361,46 +160,39 @@ class PeriodicSolution(Wave, Described):
         check_number("time", time)
         return self.structure.function(self.coordinates(np.array([time]))[0])
 
-    def amplitude(self, dof: int | None = None) -> float:
-        """Half the peak-to-peak displacement of a dof, or of the watched one [m] (collective)."""
-        if self.still:
-            return 0.0
-        return float(half_range(*self.sampled(lambda time: self.displacement(time, [dof])))[0])
+    def records(self, rows: np.ndarray) -> Iterator[Record]:
+        friction, moved = coefficient_of(self.contact), None
+        if self.static_above is not None and not self.still:
+            moved = rows @ all_modes(self.seen).moved_at_once(self.static_above)
+        waves = self.structure.sum_over_ranks(self._moving @ rows.T)
 
-    def sampled(self, motion: Callable[[np.ndarray], Any]) -> tuple[Any, Any]:
-        """A function of times [s] at :meth:`instants`, and the same function of parts of the
-        period, None with friction, whose forces follow from those before: as for
-        ``half_range`` of numerics.extremes."""
-        exact = coefficient_of(self.contact) is None
-        at = (lambda parts: motion(self.period * parts)) if exact else None
-        return motion(self.instants()), at
+        def at(parts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            time = self.period * parts
+            gap, force = self.gaps_and_forces(time)
+            motion = evaluate(waves, self.base_omega, time)
+            if moved is not None:
+                motion -= (force - evaluate(self.force_rows, self.base_omega, time)) @ moved.T
+            return motion, gap, force
 
-    def indicators(self, dof: int | None = None) -> Indicators:
-        """Return the indicators at a dof, or the watched one, and at the crack faces
-        (collective)."""
-        return indicators_of(
-            self.omega,
-            self.coefficients_at([dof])[:, 0],
-            self.amplitude(dof),
-            self._extremes,
-            self.subharmonic,
-        )
+        time = self.instants()
+        yield Record(
+            self.omega, self.subharmonic, time, waves, *at(time / self.period),
+            structure=lambda: self.structure,
+            cracks=self.structure.pairs.cracks,
+            friction=friction,
+            at=at if friction is None else None,  # forces of friction follow from those before
+            exact={} if self.orbit is None else self.orbit.sliding,
+        )  # fmt: skip
 
-    @cached_property
-    def _extremes(self) -> dict[str, float]:
-        """Extremes of gap and contact force in the period."""
-        samples, at = self.sampled(
-            lambda time: (np.zeros((len(time), 0)), *self.gaps_and_forces(time))
-        )
-        cracks, friction = self.structure.pairs.cracks, coefficient_of(self.contact)
-        found = extremes(samples, cracks, friction, at)[1]
-        return found if self.orbit is None else found | self.orbit.sliding
+    @property
+    def _moving(self) -> np.ndarray:
+        """Coefficients of the displacement without the rounding of what is still."""
+        rows = self.displacement_coefficients
+        return resized(rows[:1], self.harmonics) if self.still else rows
 
     def coefficients_at(self, dofs: Sequence[int | None] = (None,)) -> np.ndarray:
         """Coefficients of the displacement of dofs: (2H+1, len(dofs)) [m] (collective)."""
-        rows = self.displacement_coefficients
-        rows = resized(rows[:1], self.harmonics) if self.still else rows
-        return self.structure.values_at(rows, dofs)
+        return self.structure.values_at(self._moving, dofs)
 
     @cached_property
     def breathes(self) -> bool:
@@ -440,7 +232,7 @@ class PeriodicSolution(Wave, Described):
             "subharmonic": self.subharmonic,
             "pairs": self.gap_coefficients.shape[1],
         }
-        found |= self._extremes
+        found |= self.faces
         found |= {f"{name}_error": value for name, value in self.report.to_dict().items()}
         found["penetration_share"] = found.pop("penetration_error")
         if self.stability is not None:

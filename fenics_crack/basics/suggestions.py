@@ -2,7 +2,7 @@
 number with a decimal comma or in another unit.
 
 Whoever refuses one asks here what to suggest: keys and values of a scene, commands, names of the
-package, arguments of its functions, and attributes of results.
+package, and arguments of its functions.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import math
 import os
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 from fenics_crack.basics.errors import InputError
 
@@ -26,36 +26,31 @@ SEARCH_WORDS = {
     "fc.solve(scene)": "solve steady periodic stationary forced vibration balance hbm run compute "
     "newton",
     "fc.curve(scene)": "curve frf frequency response continuation nlfr path resonance",
-    ".peak() | fc.curve(scene).peak()": "peak max maximum largest highest resonance resonant "
-    "argmax damping",
+    "fc.curve(scene).peak()": "peak max maximum largest highest resonance resonant argmax damping",
     "fc.integrate(scene)": "time transient simulate simulation march newmark ode ivp odeint "
     "history dynamics",
     "fc.modes(scene)": "modal modes eigen eigenmodes eigenfrequencies eigenvalues natural",
     "fc.run_sweep(scene)": "sweep study parameter parametric batch scan map campaign",
     "fc.load_run(path)": "load read open import restore result solution hdf5",
-    ".load(path) | fc.Scene.load(path)": "load read open import from file scene toml model plate "
-    "material crack geometry rectangle box problem",
-    ".mesh.file | fc.build_structure(scene), with mesh.file in it": "load read open import mesh "
-    "msh gmsh",
-    ".save(path) | .as_toml() | fc.save(result, path, scene)": "save write dump export store "
-    "hdf5 toml",
-    ".to_dataframe() | .to_dict()": "dataframe frame pandas numpy dict",
-    ".to_csv(path) | .to_dict()": "csv excel",
+    "fc.Scene.load(path)": "load read open import from file scene toml model plate material crack "
+    "geometry rectangle box problem",
+    "fc.build_structure(scene), with mesh.file in it": "load read open import mesh msh gmsh",
+    "fc.save(result, path, scene)": "save write dump export store hdf5 toml",
+    "result.to_dict()": "dataframe frame pandas numpy dict csv excel",
     "fc.draw_curve(curve, ax=ax), fc.draw_waves(...), ...": "plot draw figure picture chart axes",
-    '.indicators().ratio_2_1 | ["ratio_2_1"] | fc.solve(scene).indicators().ratio_2_1': "ratio "
-    "harmonic harmonics superharmonic second indicator",
-    ".stability.verdict | .verdicts | fc.solve(scene).stability.verdict": "stable stability "
-    "unstable floquet verdict lyapunov",
+    "fc.solve(scene).indicators().ratio_2_1": "ratio harmonic harmonics superharmonic second "
+    "indicator",
+    "fc.solve(scene).stability.verdict": "stable stability unstable floquet verdict lyapunov",
     "fc.stress_intensity(run)": "stress sif tip intensity factor",
     "fc.write_period(solution, path, material=scene.material)": "stress stresses mises strain vtk "
     "paraview",
-    ".report | .errors | fc.solve(scene).report": "error errors accuracy residual uncertainty",
-    ".omega": "frequency frequencies freq freqs hertz omega",
-    ".displacement(time) | .shapes": "displacement displacements x u q solution vector mode shape",
-    ".time": "t times instants",
+    "fc.solve(scene).report": "error errors accuracy residual uncertainty",
+    "result.frequency": "frequency frequencies freq freqs hertz omega",
+    "result.displacement(time)": "displacement displacements x u q solution vector mode shape",
+    "result.time": "t times instants",
 }
-"""Names to write, by the words that other programs and people have for them: of several, the first
-that an object has, or that a module leads to."""
+"""Calls to write, by the words that other programs and people have for them; what several kinds of
+results have is of a "result"."""
 VERBS = {"plot": "draw", "show": "draw", "read": "load", "export": "write"}
 """First words of names, and those of this package for the same."""
 
@@ -100,30 +95,17 @@ def near_or_longer(name: str, known: Collection[str], likeness: float = LIKENESS
     return near(name, known, likeness) or sorted(longer, key=len)
 
 
-def in_other_words(name: str, known: Collection[str] | None = None) -> list[str]:
-    """Return the names to write for a name in the words of others: those that share the most of its
-    words, or none. Of an object, whose names are known, rather one of these, else rather a function
-    of the package; where it is neither, "result" stands for an object."""
+def in_other_words(name: str) -> list[str]:
+    """Return the calls to write for a name in the words of others: those that share the most of its
+    words, or none. Those of a result are left out where there are functions."""
     parts = re.findall("[a-z0-9]+", re.sub("([A-Z])", r"_\1", name[:100]).lower())
-    counts: dict[str, int] = {}
-    for texts, words in SEARCH_WORDS.items():
-        count = sum(bool(near(part, words.split(), SAME_WORD)) for part in parts)
-        if text := _written(texts.split(" | "), known):
-            counts[text] = max(count, counts.get(text, 0))
+    counts = {
+        text: sum(bool(near(part, words.split(), SAME_WORD)) for part in parts)
+        for text, words in SEARCH_WORDS.items()
+    }
     most = max(counts.values())
-    found = [text for text, count in counts.items() if count == most > 0]
-    return [text for text in found if text.startswith("fc.") == (known is None)] or found
-
-
-def _written(texts: Sequence[str], known: Collection[str] | None) -> str:
-    """The first text that begins with a name of the package, or with a known one; or none."""
-    if known is None:
-        return next((text for text in texts if text.startswith("fc.")), f"result{texts[0]}")
-    for text in texts:
-        first = "__getitem__" if text.startswith("[") else text.strip(".").partition("(")[0]
-        if text.startswith("fc.") or first.partition(".")[0] in known:
-            return text
-    return ""
+    calls = [text for text, count in counts.items() if count == most > 0]
+    return [text for text in calls if text.startswith("fc.")] or calls
 
 
 def meant(names: Sequence[str]) -> str:
@@ -131,29 +113,19 @@ def meant(names: Sequence[str]) -> str:
     return f"did you mean {' or '.join(names[:3])}? " if names else ""
 
 
-def no_attribute(
-    owner: str,
-    name: str,
-    known: Collection[str],
-    *,
-    inner: Sequence[str] = (),
-    package: bool = False,
-) -> AttributeError:
-    """The error of a name that an owner, an object or the package, does not have, with what may be
-    meant: of its known names, or of those of its attributes."""
-    question = ""
-    if not name.startswith("_"):  # notebooks and test programs ask for such names of anything
-        others = [*inner, *in_other_words(name, None if package else known)]
-        public = [other for other in known if not other.startswith("_")]
-        verb, _, rest = name.partition("_")
-        same = near(f"{VERBS[verb]}_{rest}", public) if rest and verb in VERBS else []
-        find = near if package and others else near_or_longer
-        similar = find(name, public, SAME_WORD if others else LIKENESS)
-        similar = [other for other in similar if not any(other in text for text in others)]
-        found = [f"fc.{other}" if package else other for other in same or similar]
-        enough = same or (found and not package)  # of the package Run is near run, for one
-        question = meant(found if enough else [*found, *others])
-    return AttributeError(f"{owner} has no attribute {name!r}; {question}".rstrip("; "))
+def instead_of(name: str, known: Sequence[str]) -> str:
+    """A question after what may be meant by a name that the package, with its known names, does not
+    have; empty if nothing is similar."""
+    if name.startswith("_"):  # notebooks and test programs ask for such names of anything
+        return ""
+    others = in_other_words(name)
+    verb, _, rest = name.partition("_")
+    same = near(f"{VERBS[verb]}_{rest}", known) if rest and verb in VERBS else []
+    if same:
+        return meant([f"fc.{other}" for other in same])
+    similar = near(name, known, SAME_WORD) if others else near_or_longer(name, known)
+    similar = [other for other in similar if not any(other in text for text in others)]
+    return meant([*(f"fc.{other}" for other in similar), *others])
 
 
 def check_options(whose: str, options: Mapping[str, object], known: Collection[str]) -> None:
@@ -225,31 +197,6 @@ def checked_call(
         return function(*args, **options)
 
     return cast(Called, call)
-
-
-class _HintedType(type):
-    """Metaclass of classes that suggest names for their own missing attributes."""
-
-    def __getattr__(cls, name: str) -> Any:
-        raise no_attribute(f"type object {cls.__name__!r}", name, dir(cls))
-
-
-class Hinted(metaclass=_HintedType):
-    """A class whose objects say what may be meant by an attribute that they do not have."""
-
-    if not TYPE_CHECKING:  # else no misspelt attribute would be found before it runs
-
-        def __getattr__(self, name: str) -> Any:
-            if name.startswith("__"):  # Python asks, of each object that is copied
-                raise AttributeError(name)
-            if any(name in vars(kind) for kind in type(self).__mro__):  # it lacks an attribute
-                return object.__getattribute__(self, name)
-            inner = self._inner_names(name)
-            raise no_attribute(f"{type(self).__name__!r} object", name, dir(self), inner=inner)
-
-    def _inner_names(self, name: str) -> list[str]:
-        """Attributes of its attributes that may be meant, ".crack.length"; here none."""
-        return []
 
 
 # --- numbers --------------------------------------------------------------------------------------

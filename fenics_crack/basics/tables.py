@@ -2,10 +2,6 @@
 
 A result derives from :class:`Described`, or from :class:`Tabular` where it is a table, and defines
 ``to_dict``. Its one line, its table in a notebook and its CSV file follow from that.
-
-The indicators of a breathing crack have names, which are those of columns in tables and
-files, of ``[output] quantities``, and of what sweeps are drawn in; :class:`fenics_crack.Indicators`
-defines each by its equation.
 """
 
 from __future__ import annotations
@@ -24,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.basics.atomic_files import write_whole
-from fenics_crack.basics.suggestions import Hinted
+from fenics_crack.basics.observables import QUANTITIES
 
 SHOWN_ROWS = 40
 """Rows of a table shown as text and as HTML; files have all of them."""
@@ -35,71 +31,6 @@ TURN = 2.0 * math.pi
 RPM = TURN / 60.0
 """Factor from revolutions per minute to rad/s."""
 
-# --- quantities -----------------------------------------------------------------------------------
-
-OF_POINTS: dict[str, tuple[str, str]] = {
-    "amplitude": ("half peak-to-peak", "m"),
-    "mean": ("mean displacement", "m"),
-    "harmonic_1": ("amplitude at the load frequency", "m"),
-    "harmonic_2": ("amplitude at twice the load frequency", "m"),
-    "harmonic_3": ("amplitude at three times the load frequency", "m"),
-    "ratio_2_1": ("harmonic ratio 2/1", "1"),
-    "ratio_3_1": ("harmonic ratio 3/1", "1"),
-    "ratio_half_1": ("harmonic ratio 1/2 over 1", "1"),
-    "ratio_largest": ("largest harmonic above the load's, over harmonic 1", "1"),
-    "largest_order": ("order of the largest harmonic above the load's", "1"),
-    "mean_shift": ("mean displacement over harmonic 1", "1"),
-}
-"""Words and unit of the quantities of each watched point and direction."""
-OF_LIPS: dict[str, tuple[str, str]] = {
-    "opening": ("largest opening", "m"),
-    "penetration": ("largest penetration", "m"),
-    "contact_force": ("largest contact force of a pair", "N"),
-    "crack_force": ("largest contact force of a crack, all pairs", "N"),
-    "closed_share": ("contact duty cycle, mean over pairs", "1"),
-}
-"""Quantities of all crack faces."""
-OF_FRICTION: dict[str, tuple[str, str]] = {
-    "friction_loss": ("friction loss of a period", "J"),
-    "stick_share": ("share of the period in which pairs stick, mean over pairs", "1"),
-    "slip_share": ("share of the period in which pairs slip, mean over pairs", "1"),
-}
-"""Quantities of all crack faces, with friction."""
-OF_FREQUENCIES: dict[str, tuple[str, str]] = {
-    "omega_open": ("natural frequency, crack open", "rad/s"),
-    "omega_tied": ("natural frequency, crack bonded", "rad/s"),
-    "omega_bilinear": ("bilinear frequency", "rad/s"),
-    "over_open": ("load frequency / natural frequency, crack open", "1"),
-    "over_tied": ("load frequency / natural frequency, crack bonded", "1"),
-    "over_bilinear": ("load frequency / bilinear frequency", "1"),
-}
-"""Quantities of the mode whose bilinear frequency is nearest to the load's."""
-OF_TIPS: dict[str, tuple[str, str]] = {
-    "K_max": ("largest stress intensity K_I", "Pa m^0.5"),
-    "K_min": ("smallest K_I", "Pa m^0.5"),
-    "delta_K": ("range of K_I", "Pa m^0.5"),
-    "delta_K_effective": ("range of K_I while the crack tip is open", "Pa m^0.5"),
-    "K_II_max": ("largest stress intensity K_II, of either sign", "Pa m^0.5"),
-}
-"""Quantities of the crack tip whose effective range is the largest; available for plates, where a
-scene requests them."""
-OF_GROWTH: dict[str, tuple[str, str]] = {
-    "delta_K_equivalent": ("range of K_I, R = 0, that makes the crack grow as much", "Pa m^0.5")
-}
-"""Quantities of the same crack tip, by the law of the table ``[growth]``."""
-OF_CLAMP: dict[str, tuple[str, str]] = {
-    "reaction_force": ("largest force of the clamp", "N"),
-    "reaction_moment": ("largest moment of the clamp, about its centre", "N m"),
-}
-"""Quantities of the clamp; available for meshes at rest, where a scene requests them."""
-QUANTITIES = OF_POINTS | OF_LIPS | OF_FRICTION | OF_FREQUENCIES | OF_TIPS | OF_GROWTH | OF_CLAMP
-"""All quantities."""
-SHORT = (
-    "amplitude", "ratio_2_1", "ratio_3_1", "ratio_half_1", "ratio_largest", "mean_shift", "opening",
-    "penetration", "contact_force", "crack_force", "closed_share", *OF_FRICTION, "over_open",
-    "over_bilinear",
-)  # fmt: skip
-"""Quantities printed where a scene does not choose."""
 _UNITS = {
     "rad/s": "omega omega_partly speed",
     "Hz": "frequency frequency_open frequency_tied frequency_partly frequency_bilinear "
@@ -111,7 +42,7 @@ _UNITS = {
     "m/cycle": "rate",
     "J": "energy",
 }
-UNITS = {name: unit for name, (_, unit) in QUANTITIES.items()}
+UNITS = {name: one.unit for name, one in QUANTITIES.items()}
 UNITS |= {name: unit for unit, names in _UNITS.items() for name in names.split()}
 """Units of the entries of ``to_dict``; all others have none."""
 
@@ -190,7 +121,7 @@ class Table:
         return json.dumps(records, indent=1, ensure_ascii=False) + "\n"
 
 
-class Described(Hinted):
+class Described:
     """A result that describes itself: in one line, as a table in a notebook, as a dict."""
 
     def to_dict(self) -> dict[str, Any]:
@@ -311,6 +242,15 @@ def with_frequency(values: dict[str, Any]) -> dict[str, Any]:
             twin, unit = twins[name]
             found[twin] = (np.array(value) / unit).tolist()
     return found
+
+
+def in_hertz(omega: str = "omega") -> Any:
+    """A property: the frequency [Hz] of what an attribute of the same object has in rad/s."""
+
+    def frequency(self: Any) -> Any:
+        return getattr(self, omega) / TURN
+
+    return property(frequency, doc=f"``{omega}`` in Hz.")
 
 
 def percent(share: float) -> str:

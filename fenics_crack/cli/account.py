@@ -16,9 +16,9 @@ import numpy as np
 from fenics_crack.balance.error_report import ERROR_PARTS, LARGE_ERROR, ErrorReport
 from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.basics.errors import MOST_HARMONICS, Exit
+from fenics_crack.basics.observables import QUANTITIES, SPECIAL, Where, names_of
 from fenics_crack.basics.tables import (
     FEW_ROWS,
-    QUANTITIES,
     Table,
     counted,
     frequency_axis,
@@ -161,7 +161,7 @@ def of_size(run: Run[Any], largest: Sequence[float]) -> list[str]:
 def largest_seen(run: Run[Any]) -> list[float]:
     """|a0| and half the peak-to-peak displacement of each dof that is watched, the largest along a
     curve [m] (collective)."""
-    seen = [run.result.indicators(one.dof) for one in run.watched]
+    seen = run.result.measure([one.dof for one in run.watched])
     return [float(np.max(np.abs(one.mean) + one.amplitude)) for one in seen]
 
 
@@ -255,14 +255,14 @@ def frequency_in_words(scene: Scene, omega: float) -> str:
 # --- what is printed of tables --------------------------------------------------------------------
 
 
-def in_short(table: Table, scene: Scene, default: Sequence[str]) -> Table:
-    """Return the printed part of a table: the quantities that the scene chooses, or the default,
-    one of the frequencies in rad/s and in Hz, and one of the speeds in rad/s and in rpm.
+def in_short(table: Table, scene: Scene, where: Where) -> Table:
+    """Return the printed part of a table: the quantities that the scene chooses, or those shown at
+    a place, one of the frequencies in rad/s and in Hz, and one of the speeds in rad/s and in rpm.
 
     A table with a column "name" has a quantity in each row, another one in each column. What is not
     a quantity is printed too, where quantities are columns or the scene does not choose.
     """
-    chosen, table = scene.quantities, _rounded(table)
+    chosen, table, default = scene.quantities, _rounded(table), names_of(where=where)
 
     def wanted(heading: str, unit: str) -> bool:
         name = heading.partition(" [")[0].rpartition(".")[2]
@@ -343,8 +343,6 @@ def _readable(name: str, value: Any, unit: str) -> tuple[str, Any]:
 
 # --- convergence studies, growth ------------------------------------------------------------------
 
-SHORT_OF_SWEEP = ("response", "opening", "amplitude", "ratio_2_1")
-"""Columns printed where the scene does not choose; the response is the amplitude at the load."""
 SPEEDS = ("rotation.speed", "rotation.rpm")
 
 
@@ -504,8 +502,8 @@ def few_cases(found: SweepResult) -> tuple[Table, str]:
     of the others.
     """
     keys = [axis.key for axis in found.axes]
-    chosen = SHORT_OF_SWEEP if found.scene.quantities is None else found.quantities
-    shown = (n for n in found.quantities if n in chosen or n.rpartition(".")[2] in chosen)
+    few = ("response", *names_of(where=SPECIAL))  # the amplitude at the load
+    shown = [n for n in found.quantities if found.scene.quantities or n.rpartition(".")[2] in few]
     columns = [*keys, *shown, "verdict"]
     if not np.all(found.converged):
         columns.insert(len(keys), "state")

@@ -4,7 +4,7 @@ all commands: their readers, their accounts, their headings in a report."""
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,17 +14,12 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.balance.error_report import LARGE_ERROR
-from fenics_crack.balance.solution import Indicators, PeriodicSolution
+from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import INTERRUPTED, ConvergenceError, InputError
+from fenics_crack.basics.observables import PRINTED, QUANTITIES, SPECIAL, Place, names_of
 from fenics_crack.basics.tables import (
     FEW_ROWS,
     LEAST_ERROR,
-    OF_FREQUENCIES,
-    OF_FRICTION,
-    OF_LIPS,
-    OF_POINTS,
-    QUANTITIES,
-    SHORT,
     UNITS,
     Table,
     counted,
@@ -68,12 +63,11 @@ from fenics_crack.scene.words import key_in_words, value_in_words
 from fenics_crack.study.bladed_disk import blades
 from fenics_crack.study.coarser_mesh import natural_name
 from fenics_crack.study.conclusion import conclusion, known_to, unknown_error
+from fenics_crack.study.observer import observe
 from fenics_crack.study.plausibility import highest_omega
-from fenics_crack.study.prepare import Watched
 from fenics_crack.study.run import Run, run_of
 from fenics_crack.study.stated_errors import largest_left_out
-from fenics_crack.study.tip_and_clamp import quantities_along_curve, quantities_of_motion
-from fenics_crack.study.verification import Verification, verification_of
+from fenics_crack.study.verification import Verification
 from fenics_crack.sweep.result import SweepResult
 from fenics_crack.time.march import TimeHistory
 
@@ -148,7 +142,7 @@ def _account_of_solution(run: Run[PeriodicSolution]) -> Account:
         "solution",
         table,
         rows=_waves(run, over_time(run)),
-        shown=in_short(table, scene, SHORT),
+        shown=in_short(table, scene, PRINTED),
         facts=_facts(run),
         verdict=_verdict(found, seen),
         notes=[*notes, *_on_blades(run)],
@@ -279,7 +273,7 @@ def _account_of_history(run: Run[TimeHistory]) -> Account:
     """A motion in time, and whether it repeats, or how it decays (collective)."""
     found, scene = run.result, run.scene
     distance = found.distance
-    table = _quantities(run, vars(found) | {"distance": distance} | found.indicators().to_dict())
+    table = _quantities(run, vars(found) | {"distance": distance})
     asked = scene.integration or Integration()
     change = "one period shows no change"
     if np.isfinite(found.settled):
@@ -307,7 +301,7 @@ def _account_of_history(run: Run[TimeHistory]) -> Account:
         "integration",
         table,
         rows=_waves(run, waves),
-        shown=in_short(table, scene, SHORT),
+        shown=in_short(table, scene, PRINTED),
         facts=facts,
         warnings=warnings,
         tables=_in_numbers(table, scene),
@@ -334,19 +328,18 @@ def _quantities(run: Run[Any], values: Mapping[str, object]) -> Table:
     faces, natural frequencies, and others (collective)."""
     omega = run.scene.excitation.omega if isinstance(run.result, TimeHistory) else run.result.omega
     rows: list[Row] = [(n, n, v, UNITS[n]) for n, v in with_frequency({"omega": omega}).items()]
-    for watched in run.watched:
-        rows += _of_point(watched, run.result.indicators(watched.dof).to_dict())
+    rows += [one[:4] for one in observe(run, run.result)]
     if not run.structure.n_pairs:  # no errors were estimated
         values = {n: v for n, v in values.items() if not n.endswith(("_error", "_share"))}
-    rows += _named(OF_LIPS | OF_FRICTION, values)
-    rows += _named(QUANTITIES, quantities_of_motion(run, run.result))
     if run.structure.n_pairs and isinstance(run.result, PeriodicSolution):
         near = bilinear_frequencies(run.structure).nearest(omega)
         rows += (
-            (name, f"{words}, mode {near['mode']}", float(value), _shown(unit))
+            (name, f"{words}, mode {near['mode']}", float(value), unit)
             for name, words, unit, value in _with_hertz(near)
         )
-    columns, rows = ["name", "quantity", "value", "unit"], [*rows, *_named(OTHERS, values)]
+    rows += [(n, words, values[n], unit) for n, (words, unit) in OTHERS.items() if n in values]
+    columns = ["name", "quantity", "value", "unit"]
+    rows = [(*row[:3], "-" if row[3] == "1" else row[3]) for row in rows]
     if run.stated is None:
         return Table(columns, rows)
     return Table([*columns, ERROR, "most by"], [(*row, *_errors(run, row[0])) for row in rows])
@@ -365,36 +358,10 @@ def _errors(run: Run[Any], name: str) -> tuple[float, str]:
     return float(f"{percents:.3g}"), cause
 
 
-def _of_point(watched: Watched, values: Mapping[str, object]) -> list[Row]:
-    """Return the rows of a watched dof; the load's has them once."""
-    order = values["largest_order"]
-    which = "" if np.isnan(order) else f", {order:.0f}/1"
-    largest = {"ratio_largest": (f"largest harmonic ratio{which}", "1")}
-    return [
-        (
-            watched.column(name),
-            f"{words}, {watched.words}" if watched.name or name == "amplitude" else words,
-            value,
-            unit,
-        )
-        for name, words, value, unit in _named(OF_POINTS | largest, values)
-    ]
-
-
-def _named(known: Mapping[str, tuple[str, str]], values: Mapping[str, object]) -> list[Row]:
-    """Return the rows of those values that have words and a unit."""
-    return [
-        (n, words, values[n], _shown(unit)) for n, (words, unit) in known.items() if n in values
-    ]
-
-
-def _shown(unit: str) -> str:
-    return "-" if unit == "1" else unit
-
-
 def _with_hertz(near: Mapping[str, np.ndarray]) -> Iterator[tuple[str, str, str, np.ndarray]]:
     """Names, words, units and values of natural frequencies: "omega_open", "frequency_open"..."""
-    for name, (words, unit) in OF_FREQUENCIES.items():
+    for name in names_of(Place.MODES):
+        words, unit = QUANTITIES[name].words, QUANTITIES[name].unit
         yield name, words, unit, near[name]
         if unit == "rad/s":
             yield name.replace("omega", "frequency"), words, "Hz", near[name] / (2.0 * np.pi)
@@ -451,10 +418,6 @@ def _waves(run: Run, waves: Waves) -> Table:
 
 # --- a curve --------------------------------------------------------------------------------------
 
-SHORT_OF_CURVE = ("amplitude", "ratio_2_1", "closed_share", "opening", "over_bilinear")
-"""Indicators printed of the special points where the scene does not choose: no wider than a
-terminal."""
-
 
 def _account_of_curve(run: Run[ResponseCurve]) -> Account:
     """A curve, its special points, its errors and its stability (collective)."""
@@ -489,11 +452,11 @@ def _account_of_curve(run: Run[ResponseCurve]) -> Account:
         "curve",
         special,
         rows=curve_points(run, along),
-        shown=in_short(few, scene, SHORT_OF_CURVE),
+        shown=in_short(few, scene, SPECIAL),
         facts=_facts_of_curve(run, largest),
         notes=[*notes, *_on_blades(run)],
         warnings=warnings,
-        tables={"Special points": in_short(special, scene, SHORT_OF_CURVE)} | _of_blades(run),
+        tables={"Special points": in_short(special, scene, SPECIAL)} | _of_blades(run),
         remarks=run.remarks,
         closing=conclusion(run, len(warnings)),
         done=bool(found.complete) and found.status != INTERRUPTED,
@@ -701,16 +664,8 @@ def few_special_points(run: Run[ResponseCurve], table: Table) -> tuple[Table, in
 def _along(run: Run[ResponseCurve], curve: ResponseCurve) -> Columns:
     """Columns of indicators of the watched dofs, by their names with units: a value for every point
     of a curve of the run."""
-    seen: Sequence[Indicators] = curve.measure([watched.dof for watched in run.watched])
-    found: dict[str, np.ndarray] = {}
-    for watched, indicators in zip(run.watched, seen, strict=True):
-        for name, (_, unit) in OF_POINTS.items():
-            found[with_unit(watched.column(name), unit)] = getattr(indicators, name)
-    for name, (_, unit) in (OF_LIPS | (OF_FRICTION if run.scene.has_friction else {})).items():
-        found[with_unit(name, unit)] = getattr(seen[0], name)
-    for name, values in quantities_along_curve(run, curve).items():
-        found[with_unit(name, QUANTITIES[name][1])] = values
-    near = _natural_along(run, np.asarray(seen[0].omega)).nearest(seen[0].omega)
+    found = {with_unit(one.column, one.unit): one.value for one in observe(run, curve)}
+    near = _natural_along(run, curve.omega).nearest(curve.omega)
     return found | {with_unit(name, unit): value for name, _, unit, value in _with_hertz(near)}
 
 
@@ -835,6 +790,7 @@ def result_of(stored: Stored) -> Computed:
         return _identified(stored)
     if stored.kind == Growth.KIND:
         return Growth.of(stored)
-    study = verification_of(stored) if stored.kind == Verification.KIND else None
+    if stored.kind == Verification.KIND:
+        return Verification.of(stored)
     judged = stored.kind != PeriodicSolution.KIND  # whose errors are in the file
-    return study or run_of(stored, MPI.COMM_SELF, judged=judged)
+    return run_of(stored, MPI.COMM_SELF, judged=judged)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from argparse import Namespace
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -15,7 +15,7 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import Exit, InputError
 from fenics_crack.basics.progress import within
 from fenics_crack.basics.ranks import on_root
-from fenics_crack.basics.tables import RPM, TURN, UNITS, Table, counted, quantity, speed_in_words
+from fenics_crack.basics.tables import RPM, TURN, Table, counted, quantity, speed_in_words
 from fenics_crack.cli.account import Account, in_one_unit, of_error, of_stability
 from fenics_crack.cli.commands import tell
 from fenics_crack.cli.given import Console, Inputs, changes, keep_before, make_writable, one_of
@@ -26,6 +26,7 @@ from fenics_crack.monitoring.tip_timing.fit_order import TipTrack
 from fenics_crack.monitoring.tip_timing.harmonics import ORDERS, TipFit, in_words
 from fenics_crack.monitoring.tip_timing.passages import PassageFit, find_passages
 from fenics_crack.monitoring.tip_timing.robust import LEVELS
+from fenics_crack.monitoring.tip_timing.timing import Timing
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import TipTiming
 from fenics_crack.study.plausibility import remarks_on_scene
@@ -48,8 +49,6 @@ CONSTANT = (
     "overestimates and a run-down underestimates the frequency (tip_timing.stiffening)"
 )
 UNSWEPT = "the speed varies by less than 1 %: with a scene a vibration at that speed is found"
-EMPTY = ("blade", "rpm", "order", "frequency")
-"""Columns of a table without a resonance."""
 
 
 def timing(given: Namespace, inputs: Inputs | None, console: Console) -> Exit:
@@ -113,8 +112,7 @@ def _of_blades(inputs: Inputs, console: Console) -> Exit:
                 raise InputError("arrivals", str(source or "a curve"), allowed)
             fits[blade] = fit
             doubts += [f"blade {blade}: {text}" for text in _account_of_fit(fit, scene).warnings]
-    rows = {"blade": list(fits), **_columns_of_fits(fits)}
-    shown = Table.of(rows, UNITS)
+    shown = Timing(scene, blades, fits).table()
     largest = max(fits, key=lambda blade: float(fits[blade].amplitudes[0]))
     draw = partial(draw_tip_fit, fits[largest], blades[largest])
     notes = [f"the picture shows blade {largest}, whose amplitude is the largest"]
@@ -122,21 +120,6 @@ def _of_blades(inputs: Inputs, console: Console) -> Exit:
     remarks = remarks_on_scene(scene)
     account = Account("timing", shown, notes=notes, warnings=warnings, remarks=remarks)
     return tell(account, folder, console, draw)
-
-
-def _columns_of_fits(fits: Mapping[int, TipFit]) -> dict[str, list[float]]:
-    """Amplitude, its error and the phase of the first harmonic, and the ratio of the second to it,
-    of several fits."""
-    found: dict[str, list[float]] = {
-        "amplitude": [float(fit.amplitudes[0]) for fit in fits.values()],
-        "amplitude_error": [float(fit.amplitude_errors[0]) for fit in fits.values()],
-        "order": [float(fit.order) for fit in fits.values()],
-    }
-    if all(np.any(np.isclose(fit.multiples, 2.0)) for fit in fits.values()):
-        ratios = [fit.ratio() for fit in fits.values()]
-        found["ratio_2_1"] = [float(ratio) for ratio, _ in ratios]
-        found["ratio_2_1_error"] = [float(error) for _, error in ratios]
-    return found
 
 
 def _size(arrivals: ArrivalTimes) -> str:
@@ -205,12 +188,10 @@ def _record(given: Namespace, console: Console) -> Exit:
     return tell(replace(account, warnings=warnings), folder, console, draw)
 
 
-def _account_of_passages(found: Mapping[int, Sequence[PassageFit]]) -> Account:
+def _account_of_passages(found: Mapping[int, tuple[PassageFit, ...]]) -> Account:
     """Return the account of resonances of each blade, and doubts about them."""
     every = [(blade, fit) for blade, fits in found.items() for fit in fits]
-    rows = [{"blade": blade} | fit.to_dict() for blade, fit in every]
-    names = [name for name in rows[0] if name != "speed"] if rows else [*EMPTY]
-    table = Table.of({name: [row[name] for row in rows] for name in names}, UNITS)
+    table = Timing(None, {}, found).table()
     warnings = ["no resonance stands out"] * (not every)
     for blade, fits in found.items():
         angles = [f"{np.degrees(angle):.5g}" for angle in (fits[0].blind if fits else ())]

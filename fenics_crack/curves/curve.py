@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from itertools import pairwise
@@ -13,24 +13,25 @@ import numpy as np
 
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.solution import Indicators, PeriodicSolution, extremes, indicators_of
+from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.tables import (
     Described,
     Tabular,
     counted,
     frequency_axis,
+    in_hertz,
     speed_axis,
     with_frequency,
 )
 from fenics_crack.curves.family import FAMILIES
 from fenics_crack.curves.peak import Peak, Top, damping_by_width, top_of
 from fenics_crack.curves.stability import floquet
-from fenics_crack.model.contact import ContactLaw, coefficient_of
+from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.model.structure import Structure
+from fenics_crack.motion.motions import Observed
 from fenics_crack.motion.orbit import PeriodicOrbit
-from fenics_crack.numerics.extremes import InPeriod
 
 PARAMETERS = {
     "omega": "load frequency [rad/s]",
@@ -98,6 +99,8 @@ class Bifurcation(Described):
         """Load frequency [rad/s]."""
         return float(self.point.omega[0])
 
+    frequency = in_hertz()
+
     @cached_property
     def problem(self) -> Problem:
         """Problem solved at the bifurcation."""
@@ -148,7 +151,7 @@ class CurvePoint:
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
-class ResponseCurve(Tabular):
+class ResponseCurve(Observed, Tabular):
     """Solutions along a curve, in the order in which it was followed.
 
     It is a :class:`HarmonicCurve` or an :class:`OrbitCurve`.
@@ -196,6 +199,7 @@ class ResponseCurve(Tabular):
     branch: bool = False
 
     KIND: ClassVar[str] = "response curve"
+    frequency = in_hertz()
     FOUND: ClassVar[str]
     """Name of the attribute that holds the points, (n, ...)."""
 
@@ -243,6 +247,10 @@ class ResponseCurve(Tabular):
         """Return the problem solved at a point, of the structure as the parameter varies it."""
         return self.problem_at(float(self.values[index]))
 
+    def _structure_of(self, index: int) -> Structure:
+        """The structure at a point."""
+        return self.problem_of(index).structure
+
     def solution(self, index: int, *, search: bool = True) -> PeriodicSolution:
         """The solution at a point, with its displacement and error report; without ``search`` for
         its exact orbit the report is what one Newton step predicts."""
@@ -252,13 +260,6 @@ class ResponseCurve(Tabular):
         """The exact orbit at a point; InputError on a curve of harmonic balance."""
         raise InputError("curve", self.method, "one of exact orbits")
 
-    def seen_through(self, rows: np.ndarray) -> Iterator[tuple[np.ndarray, InPeriod]]:
-        """Products of rows (m, n_dofs) with the motion at every point: their coefficients
-        (2H+1, m), and a function that returns at parts (n,) of the period, with friction of
-        harmonic balance at all of ``PARTS``, the products (n, m), the gaps [m] and the contact
-        forces [N] of all rows, tangential ones behind the normal ones (n, n_rows)."""
-        raise NotImplementedError
-
     # --- stability --------------------------------------------------------------------------------
 
     @property
@@ -267,11 +268,11 @@ class ResponseCurve(Tabular):
 
         Raises
         ------
-        InputError
+        AttributeError
             The curve was followed without ``stability=True``.
         """
         if self.multipliers is None:
-            raise InputError("stability", False, "True when the curve is followed")
+            raise AttributeError("stability: unknown of a curve followed with stability = False")
         return np.asarray((np.abs(self.multipliers) < 1.0) & ~self._open)
 
     @property
@@ -322,57 +323,13 @@ class ResponseCurve(Tabular):
         wide = float(np.ptp(self.values)) or 1.0
         return int(np.argmin(np.hypot(off, (self.values - bifurcation.value) / wide)))
 
-    def indicators(self, dof: int | None = None) -> Indicators:
-        """Return the crack indicators at a dof, or the watched one, and at the crack faces at every
-        point; shares of the period are of 256 instants."""
-        return self.measure([dof])[0]
-
     def coefficients_at(self, dof: int | None = None) -> np.ndarray:
         """Coefficients of the displacement of a dof, or of the watched one, at every point:
         (n, 2H+1) [m]."""
-        return self._seen_at([dof])[0][0]
+        return self.observe([dof])[0][0].waves
 
-    def amplitude(self, dof: int | None = None) -> np.ndarray:
-        """Half the peak-to-peak displacement of a dof, or of the watched one, at every point: (n,)
-        [m]."""
-        return np.asarray(self.measure([dof])[0].amplitude)
-
-    def measure(self, dofs: Sequence[int | None]) -> list[Indicators]:
-        """:meth:`indicators` of some dofs; the motions are formed once for all that are new."""
-        seen = self._seen_at(dofs)
-        lips = {name: np.array([at[name] for at in self._lips]) for name in self._lips[0]}
-        return [
-            indicators_of(self.omega, coefficients, amplitude, lips, self.subharmonic)
-            for coefficients, amplitude in seen
-        ]
-
-    @cached_property
-    def _seen(self) -> dict[int, tuple[np.ndarray, np.ndarray]]:
-        """Coefficients and half peak-to-peak values of dofs once they are known."""
-        return {}
-
-    @cached_property
-    def _lips(self) -> list[dict[str, float]]:
-        """Extremes by :func:`extremes` at every point, once they are known."""
-        return []
-
-    def _seen_at(self, dofs: Sequence[int | None]) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Coefficients (n, 2H+1) and half peak-to-peak values (n,) [m] of some dofs."""
-        structure = self.structure
-        asked = [structure.watched_dof if dof is None else dof for dof in dofs]
-        new = [dof for dof in dict.fromkeys(asked) if dof not in self._seen]
-        if new:
-            rows = structure.values_at(np.eye(structure.n_dofs), new).T  # u = T q
-            cracks, friction = structure.pairs.cracks, coefficient_of(self.contact)
-            exact = friction is None or self.FOUND == "states"
-            found = [
-                (waves.T, *extremes(at(PARTS), cracks, friction, at if exact else None))
-                for waves, at in self.seen_through(rows)
-            ]
-            waves, sizes, self._lips[:] = zip(*found, strict=True)
-            columns = zip(np.swapaxes(waves, 0, 1), np.transpose(sizes), strict=True)
-            self._seen.update(zip(new, columns, strict=True))
-        return [self._seen[dof] for dof in asked]
+    def _along(self, values: list[Any]) -> np.ndarray:
+        return np.array(values)
 
     def top(self, dof: int | None = None) -> Top:
         """Find where the largest response of a dof, or of the watched one, is and how large;

@@ -14,10 +14,11 @@ from fenics_crack.balance.contact_system import ContactPoint
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
 from fenics_crack.basics.tables import TURN
-from fenics_crack.curves.curve import ResponseCurve
+from fenics_crack.curves.curve import PARTS, ResponseCurve
 from fenics_crack.curves.family import FAMILIES, Family
+from fenics_crack.model.contact import coefficient_of
 from fenics_crack.model.modal import all_modes
-from fenics_crack.numerics.extremes import InPeriod
+from fenics_crack.motion.motions import Record
 from fenics_crack.numerics.fourier import waves_of
 
 FOLLOWED = "fold", "branch_point"
@@ -117,14 +118,23 @@ class HarmonicCurve(ResponseCurve):
         for value, unknown in zip(self.values.tolist(), self.unknowns, strict=True):
             yield self.equations.system(value).linearise(unknown)
 
-    def seen_through(self, rows: np.ndarray) -> Iterator[tuple[np.ndarray, InPeriod]]:
-        moved = None
+    def records(self, rows: np.ndarray) -> Iterator[Record]:
+        friction, moved = coefficient_of(self.contact), None
         if self.static_above is not None:
             moved = rows @ all_modes(self.problem.seen).moved_at_once(self.static_above)
-        for at in self._linearised():
-            assert isinstance(at.system.compliance, ModalCompliance)
-            waves = at.system.compliance.seen_through(rows, at.force)
-            yield waves, partial(_in_period, at, waves, moved)
+        periods = TURN * self.subharmonic / self.omega
+        for index, point in enumerate(self._linearised()):
+            assert isinstance(point.system.compliance, ModalCompliance)
+            waves = point.system.compliance.seen_through(rows, point.force)
+            at = partial(_in_period, point, waves, moved)
+            yield Record(
+                float(self.omega[index]), self.subharmonic, PARTS * periods[index], waves,
+                *at(PARTS),
+                structure=partial(self._structure_of, index),
+                cracks=self.structure.pairs.cracks,
+                friction=friction,
+                at=at if friction is None else None,
+            )  # fmt: skip
 
 
 def _in_period(

@@ -7,8 +7,8 @@ parameter varies it; the motion over its period is followed anew wherever more i
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -17,15 +17,12 @@ from fenics_crack.balance.problem import Problem, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.curve import PARTS, ResponseCurve
 from fenics_crack.motion.flow import ContactFlow, exact_flow
-from fenics_crack.motion.orbit import KNOWN, PeriodicOrbit, orbit_from
+from fenics_crack.motion.motions import Record
+from fenics_crack.motion.orbit import HARMONICS, KNOWN, PeriodicOrbit, orbit_from
 from fenics_crack.motion.search import SearchOptions
-from fenics_crack.numerics.extremes import InPeriod
-from fenics_crack.numerics.fourier import balanced
 
-MIN_HARMONICS, HARMONICS = SearchOptions.harmonics[0], SearchOptions.harmonics[-1]
-"""Minimum harmonics of the load's frequency in a solution, and those that
-:meth:`ResponseCurve.coefficients_at` has of the period of exact orbits. By 256 instants the one of
-order k is off by that of order 256 - k, of motions with kinks (k / 216)^2 of it."""
+MIN_HARMONICS = SearchOptions.harmonics[0]
+"""Minimum harmonics of the load's frequency in a solution."""
 RESOLUTION = 0.1
 """Width of a window that may be missed, over the longest step: steps are judged by an interpolation
 between their ends, which is not right where orbits graze, or several multipliers meet in one."""
@@ -116,7 +113,7 @@ class OrbitCurve(ResponseCurve):
         count = self.structure.n_pairs
         return np.array([one.coefficients(HARMONICS).gap[:, :count] for one in orbits])
 
-    def seen_through(self, rows: np.ndarray) -> Iterator[tuple[np.ndarray, InPeriod]]:
+    def records(self, rows: np.ndarray) -> Iterator[Record]:
         for index in range(len(self)):
-            at = self.orbit(index).seen_through(rows)
-            yield balanced(at(PARTS)[0], HARMONICS), at
+            [record] = self.orbit(index).records(rows, len(PARTS))
+            yield replace(record, exact={}, structure=partial(self._structure_of, index))

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from fenics_crack.balance.error_report import LARGE_ERROR
-from fenics_crack.balance.solution import PeriodicSolution, friction_losses, slipping
+from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.tables import quantity, readable
 from fenics_crack.draw.figure import (
@@ -34,6 +34,7 @@ from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.contact import ContactLaw, coefficient_of, is_rigid
 from fenics_crack.model.nodes import AXES, Pairs
 from fenics_crack.model.structure import Structure
+from fenics_crack.motion.motions import friction_losses, slipping
 from fenics_crack.numerics.equations import CENTRAL_STEP
 from fenics_crack.numerics.fourier import to_complex
 

@@ -13,9 +13,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fenics_crack.basics.errors import InputError, check_count
+from fenics_crack.basics.observables import QUANTITIES
 from fenics_crack.basics.tables import (
     LEAST_ERROR,
-    QUANTITIES,
     RPM,
     TURN,
     frequency_axis,
@@ -285,7 +285,8 @@ def _in_words(found: Verification, name: str) -> str:
     """A quantity and its value: "half peak-to-peak, 1.094 µm"."""
     point, _, own = name.rpartition(".")
     kind, _, mode = own.replace("frequency_", "omega_").rpartition("_")
-    words = QUANTITIES[own][0] if own in QUANTITIES else f"{QUANTITIES[kind][0]}, mode {mode}"
+    row = QUANTITIES.get(own)
+    words = f"{QUANTITIES[kind].words}, mode {mode}" if row is None else row.words
     if point:
         words += f", {found.scene.point_names.get(point, point)}"
     value, unit = found.values[name], found.units[name]

@@ -16,22 +16,21 @@ killed.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.basics.errors import ConvergenceError, InputError, StoppedError
+from fenics_crack.basics.observables import Place, Where, names_of
 from fenics_crack.basics.ranks import StopRequest, on_root
-from fenics_crack.basics.suggestions import checked_call
-from fenics_crack.basics.tables import OF_GROWTH, OF_TIPS, TURN, Tabular, counted, with_frequency
+from fenics_crack.basics.tables import TURN, counted, in_hertz, with_frequency
 from fenics_crack.fem.build import with_crack_length
-from fenics_crack.files.store import Stored, check_shapes, read, write
+from fenics_crack.files.saved import Saved
 from fenics_crack.numerics.equations import TINY
 from fenics_crack.scene.scene import Scene, check_known, without_tips
 from fenics_crack.scene.tables import Growth as Law
@@ -42,7 +41,8 @@ from fenics_crack.sweep.result import NO_PEAK_SOUGHT, SweepResult, resonates, ru
 
 # --- the result, and its file ---------------------------------------------------------------------
 
-ENDS = {
+End = Literal["reached", "arrested", "broken"]
+ENDS: dict[End, str] = {
     "reached": "the requested length is reached",
     "arrested": "there it stops: the range falls below growth.threshold, or to nothing",
     "broken": "there the plate breaks: K_max is growth.toughness",
@@ -51,7 +51,7 @@ ENDS = {
 
 
 @dataclass(frozen=True, repr=False)
-class Growth(Tabular):
+class Growth(Saved):
     """A crack's length over the cycles, and what the vibration does meanwhile.
 
     Attributes
@@ -97,12 +97,14 @@ class Growth(Tabular):
     effective: np.ndarray
     sliding: np.ndarray
     rate: np.ndarray
-    end: str
+    end: End
     solved: np.ndarray
     errors: dict[str, float]
     remarks: tuple[str, ...]
 
     KIND: ClassVar[str] = "crack growth"
+    frequency, frequency_open = in_hertz(), in_hertz("omega_open")
+    frequency_bilinear = in_hertz("omega_bilinear")
 
     @property
     def life(self) -> float:
@@ -155,48 +157,6 @@ class Growth(Tabular):
         drop = f"frequency falls by {self.frequency_drop[-1]:.2%}"
         known = f"{self.life:.4g} cycles within a factor of {self.factor:.3g}"
         return f"{ends}, {known}, {self.end}, {drop}, {counted(len(self.solved), 'length')} solved"
-
-    # --- its file ---------------------------------------------------------------------------------
-
-    @checked_call
-    def save(self, path: str | Path, comm: MPI.Comm = MPI.COMM_SELF) -> None:
-        """Write a file that :meth:`load`, ``fenics-crack plot`` and ``report`` read (collective).
-
-        Raises
-        ------
-        InputError
-            The file cannot be written.
-        """
-        parts = {name: getattr(self, name) for name in _ARRAYS} | {"end": self.end}
-        words = {name: json.dumps(getattr(self, name)) for name in ("errors", "remarks")}
-        write(parts | words, path, self.KIND, self.scene, comm)
-
-    @classmethod
-    def load(cls, path: str | Path) -> Growth:
-        """Read a file of :meth:`save`; nothing is computed.
-
-        Raises
-        ------
-        InputError
-            The file cannot be read, is damaged, or is of something else.
-        """
-        return cls.of(read(path))
-
-    @classmethod
-    def of(cls, stored: Stored) -> Growth:
-        """The same of a file that has been read."""
-        with stored.taken() as parts:
-            scene, end = stored.scene(), str(parts["end"])
-            if stored.kind != cls.KIND or scene is None or scene.growth is None or end not in ENDS:
-                raise InputError("path", str(stored.path), f"a file of {cls.KIND}")
-            check_shapes(parts, dict.fromkeys(_ARRAYS, (len(parts["length"]),)) | {"solved": (-1,)})
-            arrays = {name: np.asarray(parts[name], dtype=float) for name in _ARRAYS}
-            errors = {str(name): float(e) for name, e in json.loads(parts["errors"]).items()}
-            remarks = tuple(map(str, json.loads(parts["remarks"])))
-            return cls(scene, end=end, errors=errors, remarks=remarks, **arrays)
-
-
-_ARRAYS = [field.name for field in fields(Growth) if field.type == "np.ndarray"]
 
 
 # --- the growth -----------------------------------------------------------------------------------
@@ -322,14 +282,14 @@ def _rate(path: LengthPath, law: Law, lengths: np.ndarray) -> np.ndarray:
     return np.asarray(law.rate * in_mega**law.exponent)
 
 
-def _integrated(path: LengthPath, law: Law) -> tuple[np.ndarray, np.ndarray, str]:
+def _integrated(path: LengthPath, law: Law) -> tuple[np.ndarray, np.ndarray, End]:
     """Lengths, the cycles until then, and how it ends."""
     length = np.linspace(path.lengths[0], path.lengths[-1], 200)
     arrested = path.at("delta_K_effective", length) < law.threshold
     arrested |= _rate(path, law, length) == 0.0  # nothing opens it
     broken = path.at("K_max", length) >= (law.toughness or math.inf)
     over = np.flatnonzero(arrested | broken)
-    end = "reached"
+    end: End = "reached"
     if len(over):
         end = "arrested" if arrested[over[0]] else "broken"
         length = length[: int(over[0]) + 1]
@@ -343,7 +303,7 @@ def _at_length(scene: Scene, length: float, omega: float) -> Scene:
     """A scene, without a curve or a sweep, with another crack length [m] at a load frequency
     [rad/s], which replaces an engine order, with the ranges that drive growth as quantities."""
     place = {"crack.length": length, "excitation.omega": omega}
-    return scene.replace(place | {"output.quantities": tuple(OF_GROWTH)})
+    return scene.replace(place | {"output.quantities": names_of(where=Where.GROWTH)})
 
 
 def _error_at(scene: Scene, path: LengthPath, length: float) -> tuple[float, list[str]]:
@@ -595,7 +555,7 @@ def _swept(scene: Scene, lengths: np.ndarray, levels: np.ndarray) -> Scene:
         {
             "sweep.over": over,
             "sweep.at_resonance": scene.given("growth").drive == "resonance",
-            "output.quantities": (*OF_TIPS, *OF_GROWTH),
+            "output.quantities": names_of(Place.TIPS),
         }
     )
 

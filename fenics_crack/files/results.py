@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, fields, replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from fenics_crack.curves.family import FAMILIES
 from fenics_crack.curves.harmonic_curve import HarmonicCurve
 from fenics_crack.curves.orbit_curve import OrbitCurve
 from fenics_crack.fem.nodal_mesh import NodalMesh
+from fenics_crack.files.codec import Parts, packed, unpacked
 from fenics_crack.files.store import Stored, check_shapes, read, write
 from fenics_crack.model.contact import (
     ContactLaw,
@@ -40,7 +41,6 @@ from fenics_crack.time.march import TimeHistory
 
 Result = Modes | PeriodicSolution | ResponseCurve | Backbone | TimeHistory
 Law = ContactLaw | None
-Parts = dict[str, Any]
 Shapes = dict[str, tuple[int, ...]]
 
 
@@ -126,9 +126,6 @@ def unpack(stored: Stored, structure: Structure, contact: Law = None) -> Result:
     """The same of a file that is read (collective)."""
     kind = type_of(stored)
     with stored.taken() as parts:
-        for name in [name for name in parts if name.startswith(("watched", "verification"))]:
-            del parts[name]
-        _check_types(kind, parts)
         return _FORMS[kind][1](parts, structure, contact)
 
 
@@ -143,17 +140,8 @@ def type_of(stored: Stored) -> type[Result]:
     for kind in _FORMS:
         if kind.KIND == stored.kind and (kind is OrbitCurve) == ("states" in stored.parts):
             return kind
-    allowed = f"a result written by save; this is a {stored.kind} (SweepResult.load reads sweeps)"
+    allowed = f"of another kind; a {stored.kind} is read by its class, as by SweepResult.load"
     raise InputError("path", str(stored.path), allowed)
-
-
-def _fields(result: Result, *apart: str) -> Parts:
-    """Return the fields of a result besides its structure, its law and the fields kept apart; those
-    of friction where there is some."""
-    apart = ("structure", "contact", *apart)
-    found = {f.name: getattr(result, f.name) for f in fields(result) if f.name not in apart}
-    own = [name for name in found if name == "friction" or name.startswith("tangential_")]
-    return {name: one for name, one in found.items() if name not in own or one is not None}
 
 
 def _motion(result: Result, watched: Mapping[str, np.ndarray]) -> Parts:
@@ -233,15 +221,13 @@ def _marks(mesh: NodalMesh) -> np.ndarray:
 
 
 def _pack_solution(solution: PeriodicSolution) -> Parts:
-    parts = _fields(
-        solution, "displacement_coefficients", "report", "stability", "others", "assessment"
-    )
-    parts |= {f"error_{name}": value for name, value in asdict(solution.report).items()}
+    of_report = {f"error_{name}": value for name, value in packed(solution.report).items()}
+    parts = packed(solution, *_GIVEN, "displacement_coefficients", "report", "stability")
     if is_rigid(solution.contact) and friction_of(solution.contact) is None:
         parts["weight"] = solution.contact.weight
     if solution.stability is not None:
-        parts |= asdict(solution.stability)
-    return parts | _law_parts(solution.contact, solution.structure)
+        parts |= packed(solution.stability)
+    return parts | of_report | _law_parts(solution.contact, solution.structure)
 
 
 def _unpack_solution(parts: Parts, structure: Structure, contact: Law) -> PeriodicSolution:
@@ -251,7 +237,7 @@ def _unpack_solution(parts: Parts, structure: Structure, contact: Law) -> Period
     check_shapes(parts, dict.fromkeys([*waves, *(f"tangential_{name}" for name in waves)], shape))
     check_shapes(parts, {"multipliers": (max(np.size(parts.get("multipliers")), 1),)})
     _check_pairs(structure, gap)
-    _take_law(parts, contact, structure)
+    _check_law(parts, contact, structure)
     return solution_from(parts, structure, contact)
 
 
@@ -274,9 +260,8 @@ def solution_from(parts: Parts, structure: Structure, contact: Law) -> PeriodicS
     gap, force = parts["gap_coefficients"], parts["force_coefficients"]
     _check_pairs(structure, gap)
     if is_rigid(contact) and friction_of(contact) is None:
-        contact = UnilateralConstraint(parts.pop("weight", None))
-    report = ErrorReport(**{f.name: parts.pop(f"error_{f.name}") for f in fields(ErrorReport)})
-    judged = {f.name: parts.pop(f.name) for f in fields(Stability) if f.name in parts}
+        contact = UnilateralConstraint(parts.get("weight"))
+    errors = {f.name: parts[f"error_{f.name}"] for f in fields(ErrorReport)}
     omega, subharmonic = parts["omega"], parts["subharmonic"]
     if not omega >= 0.0 or subharmonic < 1:
         raise ValueError("its frequency does not fit")
@@ -286,16 +271,17 @@ def solution_from(parts: Parts, structure: Structure, contact: Law) -> PeriodicS
     compliance = dynamic_compliance(seen, omega / subharmonic, len(gap) // 2, subharmonic)
     displacement = compliance.displacement(rows)
     compliance.destroy()
-    solution = PeriodicSolution(
+    solution = unpacked(
+        PeriodicSolution,
+        parts,
         structure=structure,
         contact=contact,
         displacement_coefficients=displacement,
-        report=report,
-        stability=Stability(**judged) if judged else None,
-        **parts,
+        report=unpacked(ErrorReport, errors),
+        stability=unpacked(Stability, parts) if "multipliers" in parts else None,
     )
     if solution.converged:
-        _check_gap(structure, displacement, gap, max(1e-6, 10.0 * report.residual))
+        _check_gap(structure, displacement, gap, max(1e-6, 10.0 * solution.report.residual))
     return solution
 
 
@@ -324,7 +310,7 @@ def _check_gap(
 
 def _pack_curve(curve: ResponseCurve) -> Parts:
     """Return the parts that both kinds of curves have."""
-    parts = _fields(curve, "bifurcations")
+    parts = packed(curve, *_GIVEN)
     parts["kinds"] = [b.kind for b in curve.bifurcations]
     parts["bifurcation_values"] = [b.value for b in curve.bifurcations]
     return parts | _law_parts(curve.contact, curve.structure)
@@ -339,36 +325,33 @@ def _pack_harmonic_curve(curve: HarmonicCurve) -> Parts:
 
 def _pack_orbit_curve(curve: OrbitCurve) -> Parts:
     """Its states by displacements and velocities of the structure's dofs, whose signs are known."""
-    parts = _pack_curve(curve)
     points = curve.at_bifurcations.part(slice(1, -1))
-    parts["states"], places = _of_dofs(curve)
-    parts["bifurcation_states"], those_of_points = _of_dofs(points)
-    if friction_of(curve.contact) is not None:
-        parts |= {"places": places, "bifurcation_places": those_of_points}
-    parts["bifurcation_multipliers"] = points.multipliers
-    return parts | {"couplings": _couplings(curve.structure)}
+    special = _of_dofs(points) | {"multipliers": points.multipliers}
+    parts = _pack_curve(curve) | _of_dofs(curve) | {"couplings": _couplings(curve.structure)}
+    return parts | {f"bifurcation_{name}": value for name, value in special.items()}
 
 
-def _of_dofs(curve: OrbitCurve) -> tuple[np.ndarray, np.ndarray]:
+def _of_dofs(curve: OrbitCurve) -> Parts:
     """Displacements [m] and velocities [m/s] of the modes that move, by dof: (n, 2, n_dofs); and
-    behind them the places where pairs with friction stick: (n, n_pairs) [m], else (n, 0)."""
-    found = np.zeros((len(curve), 2, curve.structure.n_dofs))
-    rubs = friction_of(curve.contact) is not None
-    places = np.zeros((len(curve), curve.structure.n_pairs if rubs else 0))
-    for place, value in enumerate(curve.values):
-        shapes = all_modes(curve.problem_at(float(value)).structure).shapes
-        moved, held = np.split(curve.states[place], [2 * shapes.shape[1]])
-        found[place] = moved.reshape(2, -1) @ shapes.T
-        places[place] = held
-    return found, places
+    with friction the places where pairs stick: (n, n_pairs) [m]."""
+    moved, places = [], []
+    for value, state in zip(curve.values.tolist(), curve.states, strict=True):
+        shapes = all_modes(curve.problem_at(value).structure).shapes
+        moves, sticks = np.split(state, [2 * shapes.shape[1]])
+        moved.append(moves.reshape(2, -1) @ shapes.T)
+        places.append(sticks)
+    structure, count = curve.structure, len(curve)
+    found = {"states": np.reshape(moved, (count, 2, structure.n_dofs))}
+    if friction_of(curve.contact) is not None:
+        found["places"] = np.reshape(places, (count, structure.n_pairs))
+    return found
 
 
-def _taken_curve(parts: Parts, structure: Structure, contact: Law) -> tuple[Structure, Shapes]:
-    """The structure of a curve, reduced as it was, and shapes of what both kinds have; its law is
-    taken out of the datasets."""
+def _shapes_of_curve(parts: Parts, structure: Structure, contact: Law) -> tuple[Structure, Shapes]:
+    """The structure of a curve, reduced as it was, and shapes of what both kinds have."""
     if not is_small(structure):
         structure = reduce_structure(structure, method="massless")
-    _take_law(parts, contact, structure)
+    _check_law(parts, contact, structure)
     if parts["parameter"] not in FAMILIES or parts["subharmonic"] < 1:
         raise ValueError("its parts do not fit")
     along = [f.name for f in fields(HarmonicCurve) if "np.ndarray" in str(f.type)]
@@ -378,77 +361,65 @@ def _taken_curve(parts: Parts, structure: Structure, contact: Law) -> tuple[Stru
 
 
 def _unpack_harmonic_curve(parts: Parts, structure: Structure, contact: Law) -> HarmonicCurve:
-    structure, shapes = _taken_curve(parts, structure, contact)
-    unknowns, kinds = parts["unknowns"], parts["kinds"]
+    structure, shapes = _shapes_of_curve(parts, structure, contact)
+    unknowns, names = parts["unknowns"], [f"bifurcation_{n}" for n in range(len(parts["kinds"]))]
     seen = seen_by(contact, structure)
     _check_pairs(seen, unknowns)
     shapes["unknowns"] = parts["values"].size, unknowns.shape[1] | 1, seen.n_pairs
-    for number in range(len(kinds)):
-        name = f"bifurcation_{number}"
-        shapes[name] = len(parts[name]) | 1, seen.n_pairs
+    shapes |= {name: (len(parts[name]) | 1, seen.n_pairs) for name in names}
     check_shapes(parts, shapes)
-    del parts["kinds"]
-    values = parts.pop("bifurcation_values").tolist()
-    special = [
-        (kind, value, resized(parts.pop(f"bifurcation_{number}"), unknowns.shape[1] // 2))
-        for number, (kind, value) in enumerate(zip(kinds, values, strict=True))
-    ]
-    known: Parts = {"structure": structure, "contact": contact, "bifurcations": (), "samples": None}
-    for name in ("exact_values", "harmonics", "truncation"):  # of older versions
-        parts.pop(name, None)
-    curve = HarmonicCurve(**(known | parts))
+    special = [resized(parts[name], unknowns.shape[1] // 2) for name in names]
+    given: Parts = {"structure": structure, "contact": contact, "bifurcations": ()}
+    curve = unpacked(HarmonicCurve, parts, **given)
     first = curve.solution(0)
     _check_gap(first.structure, first.displacement_coefficients, first.gap_coefficients, 1e-4)
-    return replace(curve, bifurcations=tuple(curve.bifurcation(*one) for one in special))
+    points = zip(parts["kinds"], parts["bifurcation_values"].tolist(), special, strict=True)
+    return replace(curve, bifurcations=tuple(curve.bifurcation(*point) for point in points))
 
 
 def _unpack_orbit_curve(parts: Parts, structure: Structure, contact: Law) -> OrbitCurve:
-    structure, shapes = _taken_curve(parts, structure, contact)
-    signs = _signs(structure, parts.pop("couplings"))
-    shapes["states"] = parts["values"].size, 2, structure.n_dofs
-    shapes["bifurcation_states"] = len(parts["kinds"]), 2, structure.n_dofs
-    shapes["places"] = parts["values"].size, structure.n_pairs
-    shapes["bifurcation_places"] = len(parts["kinds"]), structure.n_pairs
+    structure, shapes = _shapes_of_curve(parts, structure, contact)
+    signs = _signs(structure, parts["couplings"])
+    for before, count in (("", parts["values"].size), ("bifurcation_", len(parts["kinds"]))):
+        shapes[f"{before}states"] = count, 2, structure.n_dofs
+        shapes[f"{before}places"] = count, structure.n_pairs
     check_shapes(parts, shapes)
-    kinds, values = parts.pop("kinds"), parts.pop("bifurcation_values")
-    nothing = np.zeros((len(parts["states"]), 0)), np.zeros((len(kinds), 0))
-    places = parts.pop("places", nothing[0]), parts.pop("bifurcation_places", nothing[1])
-    special = signs * parts.pop("bifurcation_states"), parts.pop("bifurcation_multipliers")
-    known: Parts = {"structure": structure, "contact": contact, "bifurcations": ()}
-    curve = OrbitCurve(**(known | parts))
-    curve = replace(curve, states=_modal(curve, curve.values, signs * curve.states, places[0]))
+    given: Parts = {"structure": structure, "contact": contact, "bifurcations": ()}
+    curve = unpacked(OrbitCurve, parts, **given)
+
+    def states(before: str) -> np.ndarray:
+        """States in modes of those by dofs."""
+        values, of_dofs = parts[f"{before}values"], signs * parts[f"{before}states"]
+        places = parts.get(f"{before}places", np.zeros((len(values), 0)))
+        inverses = (
+            all_modes(curve.problem_at(value).structure).inverse for value in values.tolist()
+        )
+        each = zip(inverses, of_dofs, places, strict=True)
+        return np.array(
+            [np.append((moved @ inverse.T).ravel(), held) for inverse, moved, held in each]
+        )
+
+    curve = replace(curve, states=states(""))
     if not curve.orbit(0).residual <= 1e-4:  # nan neither
         raise InputError("structure", "another load, mesh or material", "that of the file")
-    states = _modal(curve, values, special[0], places[1])
-    points = zip(kinds, values.tolist(), states, special[1], strict=True)
-    found = [curve.bifurcation(kind, at, z, np.array([mu])) for kind, at, z, mu in points]
-    return replace(curve, bifurcations=tuple(found))
-
-
-def _modal(
-    curve: OrbitCurve, values: np.ndarray, of_dofs: np.ndarray, places: np.ndarray
-) -> np.ndarray:
-    """States of displacements and velocities (n, 2, n_dofs), and of places (n, n_pairs or 0)."""
-    found = []
-    for value, moved, held in zip(values.tolist(), of_dofs, places, strict=True):
-        inverse = all_modes(curve.problem_at(value).structure).inverse
-        found.append(np.append((moved @ inverse.T).ravel(), held))
-    return np.array(found)
+    multipliers = parts["bifurcation_multipliers"][:, None]
+    values = parts["bifurcation_values"].tolist()
+    points = zip(parts["kinds"], values, states("bifurcation_"), multipliers, strict=True)
+    return replace(curve, bifurcations=tuple(curve.bifurcation(*point) for point in points))
 
 
 def _pack_backbone(backbone: Backbone) -> Parts:
-    parts = _fields(backbone) | {"couplings": _couplings(backbone.structure)}
+    parts = packed(backbone, *_GIVEN) | {"couplings": _couplings(backbone.structure)}
     return parts | _law_parts(backbone.contact, backbone.structure)
 
 
 def _unpack_backbone(parts: Parts, structure: Structure, contact: Law) -> Backbone:
-    _take_law(parts, contact, structure)
-    signs, count = _signs(structure, parts.pop("couplings")), parts["omega"].size
+    _check_law(parts, contact, structure)
+    signs, count = _signs(structure, parts["couplings"]), parts["omega"].size
     shapes: Shapes = dict.fromkeys(("omega", "energy", "iterations", "jumps"), (count,))
     check_shapes(parts, shapes | {"cosines": (count, -1, structure.n_local)})
     parts["cosines"] = signs * parts["cosines"]
-    known: Parts = {"structure": structure, "contact": contact, "samples": None}
-    return Backbone(**(known | parts))
+    return unpacked(Backbone, parts, structure=structure, contact=contact)
 
 
 # --- motion in time -------------------------------------------------------------------------------
@@ -457,7 +428,8 @@ def _unpack_backbone(parts: Parts, structure: Structure, contact: Law) -> Backbo
 def _pack_history(history: TimeHistory) -> Parts:
     if history.structure.comm.size > 1:
         raise InputError("result", "spread over several ranks", "a time history of one rank")
-    parts = _fields(history) | {"couplings": _couplings(history.structure)}
+    parts = packed(history, *_GIVEN, "final_state")
+    parts["couplings"] = _couplings(history.structure)
     parts["final_state"] = history.final_state[:2]
     if history.friction is not None:
         parts["final_places"] = history.final_state[2]
@@ -465,7 +437,7 @@ def _pack_history(history: TimeHistory) -> Parts:
 
 
 def _unpack_history(parts: Parts, structure: Structure, contact: Law) -> TimeHistory:
-    signs = _signs(structure, parts.pop("couplings"))
+    signs = _signs(structure, parts["couplings"])
     count, dofs = parts["time"].size, parts["recorded_dofs"]
     shapes: Shapes = {"time": (count,), "recorded_dofs": (dofs.size,)}
     of_pairs = "gap", "contact_force", "tangential_gap", "tangential_force"
@@ -475,10 +447,10 @@ def _unpack_history(parts: Parts, structure: Structure, contact: Law) -> TimeHis
     check_shapes(parts, shapes)
     if parts["steps_per_period"] < 1 or count % parts["steps_per_period"]:
         raise ValueError("it does not hold whole periods")
-    places = (parts.pop("final_places"),) if "final_places" in parts else ()
-    parts["final_state"] = (*(signs * parts["final_state"]), *places)
+    places = (parts["final_places"],) if "final_places" in parts else ()
+    state = (*(signs * parts["final_state"]), *places)
     parts["recorded"] = signs[parts["recorded_dofs"] - structure.first_dof] * parts["recorded"]
-    return TimeHistory(structure=structure, **parts)
+    return unpacked(TimeHistory, parts, structure=structure, final_state=state)
 
 
 # --- dofs and laws --------------------------------------------------------------------------------
@@ -521,11 +493,11 @@ def _law_parts(contact: Law, structure: Structure) -> Parts:
     return {"law": type(contact).__name__, **known}
 
 
-def _take_law(parts: Parts, contact: Law, structure: Structure) -> None:
-    """Take the law out of the datasets; raise InputError unless it is the one given."""
+def _check_law(parts: Parts, contact: Law, structure: Structure) -> None:
+    """Raise InputError unless the law of the datasets is the one given."""
     now = _law_parts(contact, structure)
     names = {"law", "law_stiffness", "law_sharpness", "law_force"} | now.keys()
-    then = {name: parts.pop(name) for name in names if name in parts}
+    then = {name: parts[name] for name in names if name in parts}
     force, forces = now.pop("law_force", None), then.pop("law_force", None)
     same = now.keys() == then.keys() and now["law"] == then["law"]
     if not same or not all(np.allclose(now[n], then[n], rtol=1e-9) for n in now if n != "law"):
@@ -534,38 +506,10 @@ def _take_law(parts: Parts, contact: Law, structure: Structure) -> None:
         raise InputError("contact", contact, "the law of the file: its forces are others")
 
 
+_GIVEN = ("structure", "contact", "bifurcations", "others", "assessment")
+"""Fields that are not in a file, or by other datasets."""
 Pack = Callable[[Any], Parts]
 Unpack = Callable[[Parts, Structure, Law], Result]
-
-
-def _check_types(kind: type[Result], parts: Parts) -> None:
-    """Raise ValueError unless each dataset is of the kind that the result's field says, numbers are
-    of a size that can be computed with or nan, and of them only multipliers complex."""
-    kinds = {f"error_{field.name}": str(field.type) for field in fields(ErrorReport)}
-    kinds |= {field.name: str(field.type) for field in (*fields(Stability), *fields(kind))}
-    kinds |= dict.fromkeys(("final_state", "final_places"), "np.ndarray")
-    for name, value in parts.items():
-        declared = kinds.get(name, "").removesuffix(" | None")
-        if isinstance(value, np.ndarray):
-            fits = value.dtype.kind in _ARRAYS.get(name, "bifu") and declared in ("", "np.ndarray")
-            fits = fits and not np.any(np.abs(value) > LARGEST)
-        else:
-            fits = declared != "np.ndarray" and isinstance(value, _SCALARS.get(declared, object))
-        if not fits:
-            raise ValueError(f"its {name} does not fit")
-
-
-_SCALARS: dict[str, Any] = {"float": (float, int), "int": int, "bool": bool, "str": str}
-"""Types of numbers and words by those of the fields."""
-_ARRAYS = {
-    "multipliers": "bifuc",
-    "bifurcation_multipliers": "bifuc",
-    "harmonics": "iu",
-    "undecided": "b",
-    "jumps": "b",
-}
-"""Kinds of the types of arrays, where not every real one is valid."""
-
 _FORMS: dict[type[Result], tuple[Pack, Unpack]] = {
     Modes: (_pack_modes, _unpack_modes),
     PeriodicSolution: (_pack_solution, _unpack_solution),

@@ -32,6 +32,7 @@ from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.tables import UNITS
 from fenics_crack.basics.untrusted_files import beginning_of, bytes_of, run_reader, sha256
 from fenics_crack.fem.model_files import read_with
+from fenics_crack.files.codec import WRONG, check_arrays
 from fenics_crack.scene.scene import Scene, files_of, with_files
 from fenics_crack.version import VERSION
 
@@ -258,10 +259,11 @@ class Stored:
     def taken(self) -> Iterator[dict[str, Any]]:
         """Its datasets, to be taken apart; InputError if they are not as expected."""
         try:
+            check_arrays(self.parts)
             yield dict(self.parts)
         except InputError:
             raise
-        except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
+        except WRONG as error:
             allowed = f"a {self.kind} written by save ({error})"
             raise InputError("path", str(self.path), allowed) from None
 
@@ -439,6 +441,21 @@ ABOUT: dict[str, tuple[str, str]] = {
     "effective": ("Pa m^0.5", "range of K_I while the crack tip is open"),
     "sliding": ("Pa m^0.5", "largest K_II"),
     "cosines": ("m", "motions; harmonics 0 to H; dofs"),
+    "omega_open": ("rad/s", "natural frequencies with the crack open: speeds; modes"),
+    "omega_tied": ("rad/s", "natural frequencies with the crack bonded: speeds; modes"),
+    "omega_partly": ("rad/s", "natural frequencies with the pressed pairs bonded: speeds; modes"),
+    "tuned": ("m", "largest amplitude of the tuned wheel"),
+    "tuned_omega": ("rad/s", "frequency of that amplitude"),
+    "marks": ("s", "beginnings of the revolutions, and the end of the last one"),
+    "probes": ("rad", "angles of the probes"),
+    "coefficients": ("m", "a0, a1, b1, ... over the rotor's angle"),
+    "covariance": ("m^2", "of the coefficients"),
+    "residuals": ("m", "root mean square of the fit of each order"),
+    "amplitudes": ("m", "speeds; harmonics"),
+    "amplitude_errors": ("m", "standard errors: speeds; harmonics"),
+    "forces": ("m", "amplitude of each passage in a resonance that lasts"),
+    "omegas": ("rad/s", "natural frequency of each passage by itself"),
+    "omega_errors": ("rad/s", "standard error of these"),
 }
 """Unit, and what it is, axis by axis."""
 
@@ -452,8 +469,7 @@ def about(name: str, parts: Mapping[str, Any]) -> dict[str, str]:
         found = "1", "estimated, relative to the gap"
     elif name.removeprefix("bifurcation_").isdigit():
         found = ABOUT["unknowns"][0], GAPS
-    elif name in ABOUT:
-        found = ABOUT[name]
-    else:
-        return {}
+    else:  # of a dataclass in others its last part
+        last = name.rpartition(".")[2]
+        found = ABOUT.get(last, (UNITS.get(last, ""), ""))
     return {key: words for key, words in zip(("unit", "about"), found, strict=True) if words}

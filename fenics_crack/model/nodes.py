@@ -14,7 +14,6 @@ from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import gather_rows
-from fenics_crack.basics.suggestions import Hinted
 from fenics_crack.model.matrices import numbers, read_only
 from fenics_crack.numerics.fourier import evaluate
 
@@ -129,7 +128,7 @@ class Pairs:
                 object.__setattr__(self, name, read_only(given))
 
 
-class Coordinates(Hinted):
+class Coordinates:
     """Degrees of freedom and contact pairs of a structure: how many, where, and on which rank.
 
     Dofs are numbered through all ranks, of which each owns successive ones ("n_local"). None of the

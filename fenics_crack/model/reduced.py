@@ -24,6 +24,7 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.tables import in_hertz
 from fenics_crack.model.factor import AT_A_TIME, Factor, distributed
 from fenics_crack.model.modes import NEGLIGIBLE, times
 from fenics_crack.model.structure import DampingRule, Structure
@@ -57,6 +58,7 @@ class ReducedStructure(Structure):
     omega: np.ndarray
     reference: ReducedStructure | None
     share: float = 0.5
+    frequency = in_hertz()
 
     _whole: Structure
     _VARIED_TOO = ("_whole", "reference")

@@ -28,7 +28,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import pairwise
@@ -38,12 +38,13 @@ import numpy as np
 from scipy.linalg.lapack import dgeev
 
 from fenics_crack.basics.errors import ConvergenceError
-from fenics_crack.basics.tables import Described, counted
+from fenics_crack.basics.tables import Described, counted, in_hertz
 from fenics_crack.kernel import kernel
+from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, Samples, Track
+from fenics_crack.motion.motions import Observed, Record
 from fenics_crack.numerics.equations import CLOSE, LOCATED, factored, solve_factored
-from fenics_crack.numerics.extremes import InPeriod, half_range, largest
-from fenics_crack.numerics.fourier import waves_of
+from fenics_crack.numerics.fourier import balanced, waves_of
 from fenics_crack.numerics.newton import FORCING, gmres, relative_to_motion
 
 FLOWS, MIN_NEWTON_STEP = 20, 1e-3
@@ -62,6 +63,9 @@ INSTANTS_AT_A_TIME = 2048
 """Instants whose sines and cosines are held at a time."""
 INSTANTS = 512
 """Instants at which the gaps of an orbit are kept."""
+HARMONICS = 40
+"""Harmonics of its period in what is observed of an orbit. By 256 instants the one of order k is
+off by that of order 256 - k, of motions with kinks (k / 216)^2 of it."""
 
 
 Inverse = Callable[[np.ndarray, float], np.ndarray]
@@ -96,7 +100,7 @@ class Prediction:
 
 
 @dataclass(frozen=True, repr=False)
-class PeriodicOrbit(Described):
+class PeriodicOrbit(Observed, Described):
     """A periodic orbit of the exact flow.
 
     Attributes
@@ -123,6 +127,8 @@ class PeriodicOrbit(Described):
     state: np.ndarray
     residual: float
     flows: int
+
+    frequency = in_hertz()
 
     @property
     def period(self) -> float:
@@ -201,9 +207,13 @@ class PeriodicOrbit(Described):
         """Displacement of the structure's own dofs at times [s]: (len(time), n_dofs) [m]."""
         return self._at(time, "displacement")
 
-    def seen_through(self, rows: np.ndarray) -> InPeriod:
-        """Products of rows (m, n_dofs) with the motion, the gaps and the contact forces, at any
-        parts of the period: on each part of it by the polynomials through Gauss's nodes."""
+    @property
+    def structure(self) -> Structure:  # type: ignore[override]
+        """The structure that vibrates."""
+        return self.flow.structure
+
+    def records(self, rows: np.ndarray, instants: int = INSTANTS) -> Iterator[Record]:
+        """The motion, on each part of the period by the polynomials through Gauss's nodes."""
         time, length = self._nodes(len(self.flow.force) // 2 * self.omega)
         samples, (nodes, weights, _) = self.samples(time), gauss_nodes()
         seen = samples.displacement @ rows.T, samples.gaps, samples.forces
@@ -221,14 +231,18 @@ class PeriodicOrbit(Described):
             found = (share[:, None] @ values[piece])[:, 0]
             return np.split(found, splits, axis=1)
 
-        return at
-
-    def amplitude(self, dof: int | None = None) -> float:
-        """Half the peak-to-peak displacement of a dof, or of the watched one [m]."""
-        structure = self.flow.structure
-        at = self.seen_through(structure.values_at(np.eye(structure.n_dofs), [dof]).T)
-        parts = np.arange(INSTANTS) / INSTANTS
-        return float(half_range(at(parts)[0], lambda parts: at(parts)[0])[0])
+        parts = np.arange(instants) / instants
+        motion, gap, force = at(parts)
+        rubbing, track = self.flow.friction, self.motion.track
+        yield Record(
+            self.omega, self.subharmonic, self.period * parts, balanced(motion, HARMONICS),
+            motion, gap, force,
+            structure=lambda: self.structure,
+            cracks=self.structure.pairs.cracks,
+            friction=None if rubbing is None else rubbing.coefficient,
+            at=at,
+            exact=({"closed_share": track.closed_share} if gap.size else {}) | self.sliding,
+        )  # fmt: skip
 
     def coefficients(self, harmonics: int) -> OrbitCoefficients:
         """Fourier coefficients, by Gauss's rule on each part of the period in which no pair opens
@@ -311,16 +325,11 @@ class PeriodicOrbit(Described):
 
     def to_dict(self) -> dict[str, Any]:
         """Largest multiplier, extremes of the gap [m] of all pairs, and how it was found."""
-        at, count = self.seen_through(np.zeros((0, self.flow.structure.n_dofs))), self.gap.shape[1]
-        tops = largest(
-            np.hstack([-self.gap, self.gap]),
-            lambda parts: np.hstack([-(gap := at(parts)[1][:, :count]), gap]),
-        )
-        opening, penetration = tops.reshape(2, -1).max(axis=1, initial=0.0).tolist()
+        faces = {"opening": 0.0, "penetration": 0.0} | self.faces
         return {
             "multiplier": float(abs(self.multipliers[0])),
-            "opening": opening,
-            "penetration": penetration,
+            "opening": faces["opening"],
+            "penetration": faces["penetration"],
             "events": self.events,
             "residual": float(self.residual),
             "iterations": self.iterations,

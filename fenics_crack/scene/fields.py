@@ -18,7 +18,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from fenics_crack.basics.errors import MAX_CASES, MOST_HARMONICS, InputError, one_of
-from fenics_crack.basics.suggestions import Hinted, candidates, meant, near, written
+from fenics_crack.basics.suggestions import candidates, meant, near, written
 from fenics_crack.basics.tables import TURN
 
 Pair = tuple[float, float]
@@ -455,9 +455,11 @@ def named(name: str) -> Iterator[None]:
         raise InputError(f"{name}.{key}" if key else name, error.value, error.allowed) from None
 
 
-class Table(Hinted):
+class Table:
     """A table of the scene: checks each of its keys when it is made."""
 
+    FIRST: ClassVar[str | None] = None
+    """The first table of its kind, "loads.1", where all stand in a list."""
     WORD: ClassVar[str | None] = None
     """The key for which a word may stand instead of the table: ``reduction = "off"``."""
     _ADVICE: ClassVar[Mapping[str, str]] = {}
@@ -572,6 +574,11 @@ class Table(Hinted):
         table = "".join("_" + c.lower() if c.isupper() else c for c in cls.__name__).lstrip("_")
         return f"{table}.{key}" if key else table
 
+    @classmethod
+    def proposed(cls, key: str) -> str:
+        """A key as it is proposed, and taken by ``replace``; of a list of tables, of its first."""
+        return f"{cls.FIRST}.{key}" if cls.FIRST else cls.name_of(key)
+
     def as_toml(self) -> str:
         """The table as it would stand in a file; what has its default is left out."""
         lines, after = [f"[{self.name_of()}]"], []
@@ -612,9 +619,9 @@ class Table(Hinted):
         It is misspelt, or belongs to another table.
         """
         tables = [cls, *(table for table in Table.__subclasses__() if table is not cls)]
-        own = [cls.name_of(name) for name in near(key, cls.keys())]
+        own = [cls.proposed(name) for name in near(key, cls.keys())]
         same = with_key(key, tables)
-        every = {name: table.name_of(name) for table in tables[::-1] for name in table.keys()}
+        every = {name: table.proposed(name) for table in tables[::-1] for name in table.keys()}
         similar = [every[name] for name in near(key, every, 0.8)]
         return own or same or similar
 
@@ -665,4 +672,4 @@ def with_key(key: str, tables: Iterable[type[Table]]) -> list[str]:
     """A key with the tables that have it; those last where it is a list of tables."""
     known = [table for table in tables if key in table.keys()]
     known.sort(key=lambda table: table.keys()[key].default == ())
-    return [table.name_of(key) for table in known]
+    return [table.proposed(key) for table in known]

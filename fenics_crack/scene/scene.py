@@ -21,8 +21,8 @@ from typing import Any, get_args, get_origin, get_type_hints
 import numpy as np
 
 from fenics_crack.basics.errors import InputError, reading
+from fenics_crack.basics.observables import QUANTITIES, Observable, Place, Where
 from fenics_crack.basics.suggestions import (
-    Hinted,
     checked_call,
     converted,
     meant,
@@ -30,15 +30,7 @@ from fenics_crack.basics.suggestions import (
     near_or_longer,
     written,
 )
-from fenics_crack.basics.tables import (
-    OF_CLAMP,
-    OF_FRICTION,
-    OF_GROWTH,
-    OF_TIPS,
-    RPM,
-    TURN,
-    frequency_axis,
-)
+from fenics_crack.basics.tables import RPM, TURN, frequency_axis
 from fenics_crack.basics.untrusted_files import text_of
 from fenics_crack.scene.fields import Axis, Point, Table, components, named, with_key
 from fenics_crack.scene.tables import (
@@ -80,7 +72,7 @@ THINNEST = 1e4
 
 
 @dataclass(frozen=True, repr=False)
-class Scene(Hinted):
+class Scene:
     """A cracked plate, its load, and how its vibration is computed; or matrices from elsewhere.
 
     Each table of the file is an attribute, and each of its keys an attribute of that:
@@ -158,9 +150,8 @@ class Scene(Hinted):
             (_check_file if self.mesh.layout == "file" else _check_plate)(self)
             if self.disk is not None:
                 _check_disk(self, self.disk)
-        for names, without in (*_ASKED, (OF_FRICTION, _without_friction)):
-            if asked := tuple(name for name in self.quantities or () if name in names):
-                check_known(without(self), "output.quantities", asked)
+        for name in self.quantities or ():
+            check_known(_without(self, QUANTITIES[name]), "output.quantities", name)
         for name, key in _AXES:
             if (chosen := getattr(self, name)) is not None:
                 axes = _checked_axes(self, f"{name}.{key}", getattr(chosen, key))
@@ -172,9 +163,6 @@ class Scene(Hinted):
 
     def __repr__(self) -> str:
         return f"Scene({_in_short(self)})"
-
-    def _inner_names(self, name: str) -> list[str]:
-        return [f".{key}" for key in meant_keys(name) if "." in key]
 
     @property
     def all_cracks(self) -> dict[str, Crack]:
@@ -441,18 +429,6 @@ def without_tips(scene: Scene) -> str:
     return ""
 
 
-def _without_growth(scene: Scene) -> str:
-    """Why the range that makes a crack grow is not known; "" where it is."""
-    if scene.growth is None:
-        return "without a table [growth], which has its exponent"
-    return without_tips(scene)
-
-
-def _without_friction(scene: Scene) -> str:
-    """Why friction loses nothing; "" where there is friction."""
-    return "" if scene.has_friction else "without contact.friction"
-
-
 def without_clamp(scene: Scene) -> str:
     """Why the forces of the clamp are not known; "" where they are."""
     if scene.structure is not None:
@@ -470,20 +446,25 @@ def check_known(without: str, key: str, value: object = None) -> None:
         raise InputError(key, value, f"left out {without}")
 
 
+def _without(scene: Scene, one: Observable) -> str:
+    """Why an observable is not known of a scene; "" where it is."""
+    if Where.FRICTION in one.where and not scene.has_friction:
+        return "without contact.friction"
+    if Where.GROWTH in one.where and scene.growth is None:
+        return "without a table [growth], which has its exponent"
+    return _WITHOUT[one.of](scene) if one.of in _WITHOUT else ""
+
+
 def asked_quantities(scene: Scene) -> tuple[str, ...]:
-    """Return the quantities of ``output.quantities`` at tips and clamp."""
-    return tuple(
-        name for name in scene.quantities or () if any(name in names for names, _ in _ASKED)
-    )
+    """Return the quantities of ``output.quantities`` at places of rows of their own."""
+    return tuple(name for name in scene.quantities or () if QUANTITIES[name].of.on_request)
 
 
-_ASKED: tuple[tuple[Mapping[str, object], Callable[[Scene], str]], ...] = (
-    (OF_TIPS, without_tips),
-    (OF_GROWTH, _without_growth),
-    (OF_CLAMP, without_clamp),
-)
-"""Quantities that cost something, and the function that returns why they are not available for a
-scene."""
+_WITHOUT: dict[Place, Callable[[Scene], str]] = {
+    Place.TIPS: without_tips,
+    Place.CLAMP: without_clamp,
+}
+"""Why there is nothing at a place of a scene; "" where there is."""
 
 
 def files_of(scene: Scene) -> list[tuple[str, str]]:
@@ -971,7 +952,7 @@ def _meant(name: str) -> list[str]:
     if table in _TABLES:
         return _TABLES[table].meant_by(key) if key else []
     if key:
-        every = {kind.name_of(key) for kind in _TABLES.values() for key in kind.keys()}
+        every = {kind.proposed(key) for kind in _TABLES.values() for key in kind.keys()}
         return near(name, every, 0.8) or sorted(full for full in every if full.endswith(f".{key}"))
     same = dict.fromkeys(with_key(table, _TABLES.values()))
     return list(same) or near(table, _TABLES)

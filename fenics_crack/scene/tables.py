@@ -14,7 +14,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from fenics_crack.basics.errors import MAX_SAMPLES, TOLERANCE, InputError, check_two_ratios
-from fenics_crack.basics.tables import QUANTITIES, RPM, TURN
+from fenics_crack.basics.observables import QUANTITIES
+from fenics_crack.basics.tables import RPM, TURN
 from fenics_crack.scene.fields import (
     OR_ZERO,
     Axis,
@@ -310,6 +311,8 @@ class Load(Table):
     An edge is "top", "left" or "right" of a plate, or a curve that a mesh file names. A pressure
     pushes towards the plate.
     """
+
+    FIRST = "loads.1"
 
     point: Vector | None = vector("", unit="m")
     edge: str | None = holds("'top', 'left', 'right', or a curve of the mesh file", default=None)

@@ -28,9 +28,10 @@ from mpi4py import MPI
 
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import MAX_CASES, InputError, check_count, check_number
-from fenics_crack.basics.tables import Tabular, counted
+from fenics_crack.basics.tables import Tabular, counted, in_hertz
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.fem.build import assemble
+from fenics_crack.files.saved import Saved
 from fenics_crack.model.structure import DampingRule, Structure
 from fenics_crack.model.wheel import Wheel, WheelStructure, excited_diameter, families_of_basis
 from fenics_crack.numerics.fourier import to_complex
@@ -84,6 +85,7 @@ class Blades(Tabular):
     cracked: tuple[int, ...]
 
     KIND: ClassVar[str] = "blades"
+    frequency = in_hertz()
 
     @property
     def phase(self) -> np.ndarray:
@@ -146,11 +148,11 @@ def blades(found: Any, dof: int | None = None) -> Blades:
     if dof is not None:
         check_count("dof", dof, 0)
     dofs = wheel.dofs_of_blades(int(wheel.check_dofs([dof])[0]))
-    if isinstance(result, PeriodicSolution):
-        places, solutions = [0] * len(dofs), {0: result}
-    else:
-        places = [int(np.argmax(result.amplitude(one))) for one in dofs]
-        solutions = {place: result.solution(place) for place in set(places)}
+    places = [int(np.argmax(seen.amplitude)) for seen in result.measure(dofs)]
+    solutions = {
+        place: result if isinstance(result, PeriodicSolution) else result.solution(place)
+        for place in set(places)
+    }
     values: list[tuple[float, complex, float, float]] = []
     for place, one in zip(places, dofs, strict=True):
         solution = solutions[place]
@@ -167,11 +169,13 @@ def blades(found: Any, dof: int | None = None) -> Blades:
 
 
 @dataclass(frozen=True, repr=False)
-class NodalDiameters(Tabular):
+class NodalDiameters(Saved):
     """Natural frequencies of a tuned bladed disk without a crack, over the nodal diameter.
 
     Attributes
     ----------
+    scene : Scene
+        That of the disk.
     omega : (n_diameters, families) [rad/s]
         Of n = 0 .. N/2; those of n = 0, and of N/2, are of one mode each, others of two.
     sectors : int
@@ -182,12 +186,14 @@ class NodalDiameters(Tabular):
         Of the rotor; 0 at rest.
     """
 
+    scene: Scene
     omega: np.ndarray
     sectors: int
     order: int
     speed: float
 
     KIND: ClassVar[str] = "nodal diameters"
+    frequency = in_hertz()
 
     @property
     def excited(self) -> int:
@@ -242,7 +248,7 @@ def nodal_diameters(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> NodalDiame
     """
     wheel = _assembled(scene, comm)
     omega = np.array(wheel.cyclic_modes().omega)
-    return NodalDiameters(omega, wheel.sector.count, wheel.order, scene.speed)
+    return NodalDiameters(scene, omega, wheel.sector.count, wheel.order, scene.speed)
 
 
 def _assembled(scene: Scene, comm: MPI.Comm) -> Wheel:
@@ -254,11 +260,13 @@ def _assembled(scene: Scene, comm: MPI.Comm) -> Wheel:
 
 
 @dataclass(frozen=True, repr=False)
-class Amplification(Tabular):
+class Amplification(Saved):
     """Amplification factors of random patterns of mistuning, without contact.
 
     Attributes
     ----------
+    scene : Scene
+        That of the disk.
     factor : (n,)
         Largest amplitude of any blade over the frequency, relative to that of the tuned wheel
         without a crack.
@@ -274,6 +282,7 @@ class Amplification(Tabular):
         N.
     """
 
+    scene: Scene
     factor: np.ndarray
     omega: np.ndarray
     blade: np.ndarray
@@ -284,6 +293,8 @@ class Amplification(Tabular):
     sectors: int
 
     KIND: ClassVar[str] = "amplification"
+    frequency = in_hertz()
+    tuned_frequency = in_hertz("tuned_omega")
 
     @property
     def bound(self) -> float:
@@ -372,7 +383,7 @@ def amplification(
     every = sorted(one for part in comm.allgather(found) for one in part)
     _, sizes, omegas, numbers = map(np.array, zip(*every, strict=True))
     return Amplification(
-        sizes / tuned, omegas, numbers, tuned, tuned_omega, float(deviation), seed,
+        scene, sizes / tuned, omegas, numbers, tuned, tuned_omega, float(deviation), seed,
         wheel.sector.count,
     )  # fmt: skip
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from itertools import pairwise
 from typing import Any, ClassVar
 
@@ -24,8 +24,10 @@ from mpi4py import MPI
 from scipy.optimize import brentq
 
 from fenics_crack.basics.errors import InputError, check_choice, check_count
-from fenics_crack.basics.tables import RPM, Tabular, counted, with_frequency
+from fenics_crack.basics.tables import RPM, counted, in_hertz, with_frequency
 from fenics_crack.fem.build import assemble, with_crack_length
+from fenics_crack.files.saved import Saved
+from fenics_crack.files.store import Stored
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modes import (
     KINDS,
@@ -55,11 +57,13 @@ At = Callable[[float], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True, repr=False)
-class Campbell(Tabular):
+class Campbell(Saved):
     """Natural frequencies over the speed.
 
     Attributes
     ----------
+    scene : Scene
+        The blade's.
     speed : (n,) [rad/s]
         W, rising.
     omega_open, omega_tied : (n, m) [rad/s]
@@ -78,10 +82,12 @@ class Campbell(Tabular):
     coriolis : (m,)
         Relative changes of the open frequencies at the fastest speed by the Coriolis force of a
         solid, which is left out.
-    at : function of a speed [rad/s]
-        Frequencies held open, shut and partly open there, and by how much: (3, m) each.
+    at : function of a speed [rad/s], optional
+        Frequencies held open, shut and partly open there, and by how much: (3, m) each; of a
+        diagram from a file None: the blade is meshed again when it is needed.
     """
 
+    scene: Scene
     speed: np.ndarray
     omega_open: np.ndarray
     omega_tied: np.ndarray
@@ -90,9 +96,28 @@ class Campbell(Tabular):
     kind: np.ndarray
     changes: tuple[tuple[int, float, str], ...]
     coriolis: np.ndarray
-    at: At
+    at: At | None = None
 
     KIND: ClassVar[str] = "Campbell diagram"
+    frequency_open, frequency_tied = in_hertz("omega_open"), in_hertz("omega_tied")
+    frequency_partly, frequency_real = in_hertz("omega_partly"), in_hertz("omega_real")
+    frequency_bilinear = in_hertz("omega_bilinear")
+
+    @classmethod
+    def of(cls, stored: Stored) -> Campbell:
+        """A diagram from a file that has been read, whose mesh has not changed."""
+        found = super().of(stored)
+        stored.check_files(found.scene)
+        return found
+
+    @cached_property
+    def _at(self) -> At:
+        """Return the function :attr:`at`, from the scene if there is none."""
+        if self.at is not None:
+            return self.at
+        again = campbell(self.scene, self.speed, self.omega_open.shape[1], MPI.COMM_SELF)
+        assert again.at is not None
+        return again.at
 
     @property
     def omega_bilinear(self) -> np.ndarray:
@@ -170,7 +195,7 @@ class Campbell(Tabular):
 
     def _omega(self, mode: int, speed: float, kind: str) -> float:
         """A natural frequency at a speed."""
-        omega = self.at(speed)[0][:, mode - 1]
+        omega = self._at(speed)[0][:, mode - 1]
         if kind == "bilinear":
             return float(BilinearFrequencies(omega[0], omega[1]).omega_bilinear)
         return float(omega[HELD.index(kind)])
@@ -295,6 +320,7 @@ def campbell(
     rising = wanted.ndim == 1 and len(wanted) > 1 and bool(np.all(np.diff(wanted) > 0.0))
     if not (rising and wanted[0] >= 0.0 and np.isfinite(wanted[-1])):
         raise InputError("speeds", speeds, "two or more finite numbers, rising from 0 or more")
+    asked = scene
     scene = with_crack_length(scene.replace({"rotation.speed": float(wanted[-1])}), comm)
     top = assemble(scene, comm)
     most = n_tied_modes(top)
@@ -322,7 +348,9 @@ def campbell(
     last = solve_modes(small.at(wanted[-1]), count)
     modes = Modes(last.omega, small.basis @ last.shapes, top)
     coriolis = coriolis_shifts(modes, wanted[-1] * axis)
-    return Campbell(wanted, opened, tied, partly, top.n_pairs > 0, kind, changes, coriolis, at)
+    return Campbell(
+        asked, wanted, opened, tied, partly, top.n_pairs > 0, kind, changes, coriolis, at
+    )
 
 
 def _kinds(holds: np.ndarray) -> np.ndarray:

@@ -16,7 +16,6 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenics_crack.basics.errors import ConvergenceError, InputError
-from fenics_crack.basics.suggestions import Hinted
 from fenics_crack.basics.threads import machine_memory, memory_of_process
 from fenics_crack.fem.build import assemble, with_crack_length
 from fenics_crack.model.contact import (
@@ -69,7 +68,7 @@ class Watched:
 
 
 @dataclass(frozen=True, repr=False)
-class Study(Hinted):
+class Study:
     """A scene prepared for solution.
 
     Attributes

@@ -25,9 +25,9 @@ from fenics_crack.balance.harmonic_balance import (
 from fenics_crack.balance.problem import Problem, check_memory, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import RECORDED_PERIODS, InputError
+from fenics_crack.basics.observables import Place, read_at
 from fenics_crack.basics.progress import begin
 from fenics_crack.basics.ranks import on_root
-from fenics_crack.basics.suggestions import no_attribute
 from fenics_crack.basics.tables import Tabular, counted, quantity
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.peak import Peak
@@ -49,9 +49,19 @@ from fenics_crack.model.reduction import MODES
 from fenics_crack.model.rotation import run_up_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.attractors import SETTLED
+from fenics_crack.motion.motions import Observed
 from fenics_crack.scene.scene import Scene, check_known, without_clamp, without_tips
 from fenics_crack.scene.tables import Integration
 from fenics_crack.study.conclusion import Answer, conclusion
+from fenics_crack.study.observer import (
+    AtTip,
+    at_tips,
+    held,
+    inertia_rows,
+    leading,
+    rows_requested,
+    tip_rows,
+)
 from fenics_crack.study.prepare import (
     FEW_DOFS,
     Study,
@@ -61,14 +71,6 @@ from fenics_crack.study.prepare import (
     reduction_of,
 )
 from fenics_crack.study.stated_errors import errors_of
-from fenics_crack.study.tip_and_clamp import (
-    clamp_of_motion,
-    numbers_at_clamp,
-    numbers_at_tips,
-    periods_of,
-    prepare_quantities,
-    tip_rows,
-)
 from fenics_crack.study.verification import Verification, verification_of
 from fenics_crack.time.central_differences import (
     integrate_central_difference,
@@ -117,9 +119,8 @@ class Run(Answer, Generic[Found]):
         return sorted({*super().__dir__()} - {"peak"} | {*dir(self.result)})
 
     def __getattr__(self, name: str) -> Any:
-        known = dir(self) if "result" in vars(self) else ()  # not while it is being copied
-        if name.startswith("_") or name not in known:
-            raise no_attribute(f"{type(self).__name__!r} object", name, known)
+        if name.startswith("_") or "result" not in vars(self):  # while it is being copied
+            raise AttributeError(f"'Run' object has no attribute {name!r}")
         return getattr(self.result, name)
 
     @property
@@ -131,7 +132,7 @@ class Run(Answer, Generic[Found]):
         """The largest response of a curve, as :meth:`ResponseCurve.peak` has it, with the
         :attr:`errors` that are stated of the watched dof's (collective)."""
         if not isinstance(self.result, ResponseCurve):
-            raise no_attribute(f"{type(self).__name__!r} object", "peak", dir(self))
+            raise AttributeError("'Run' object has no attribute 'peak'")
         found, stated = self.result.peak(dof), self.errors
         if stated is None or not stated.parts or dof not in (None, self.watched_dof):
             return found
@@ -147,12 +148,10 @@ class Run(Answer, Generic[Found]):
         curve (n, 2H+1), displacements in time (n,); of modes none (collective)."""
         found, dofs = self.result, [watched.dof for watched in self.watched]
         columns: list[np.ndarray] = []
-        if isinstance(found, PeriodicSolution):
-            columns = list(found.coefficients_at(dofs).T)
-        elif isinstance(found, ResponseCurve):
-            columns = [found.coefficients_at(dof) for dof in dofs]
-        elif isinstance(found, TimeHistory):
+        if isinstance(found, TimeHistory):
             columns = list(found.displacement(dofs).T)
+        elif isinstance(found, Observed):
+            columns = [seen.waves for seen in found.observe(dofs)[0]]
         return {
             watched.words: column for watched, column in zip(self.watched, columns, strict=False)
         }
@@ -280,7 +279,7 @@ def solve_prepared(
     """The same of a scene that is prepared; reduced, if its modes are chosen (collective).
     Without a tolerance it is sought from a solution of the same structure, if there is one, and at
     another frequency than the scene's, if that is given."""
-    prepare_quantities(whole)  # before anything is solved: it may be refused
+    rows_requested(whole)  # before anything is solved: it may be refused
     scene, law = whole.scene, whole.contact
     omega, table = omega or scene.excitation.omega, scene.harmonic_balance
     if law is None:
@@ -375,7 +374,7 @@ def curve(
     if is_rigid(law) and not study.structure.light_lips:
         allowed = "'penalty' or 'smoothed', or used with reduction.method = 'massless', for a curve"
         raise InputError("contact.law", "unilateral", allowed)
-    prepare_quantities(study)  # before the curve: it may be refused
+    rows_requested(study)  # before the curve: it may be refused
     options: dict[str, Any] = {"stability": table.stability, "progress": progress, "throw": False}
     if balance.tolerance is None:
         options |= {"harmonics": balance.harmonics, "samples": balance.samples}
@@ -447,7 +446,7 @@ def integrate(
     study = prepare(scene, comm)
     structure, omega, law = study.structure, scene.excitation.omega, _needed_law(study)
     method = _method(study, table, law)
-    prepare_quantities(study)  # before the integration: it may be refused
+    rows_requested(study)  # before the integration: it may be refused
     start: Initial = None
     if table.deflection is not None:
         static = _held(structure, table.deflection)
@@ -614,7 +613,14 @@ def run_of(stored: Stored, comm: MPI.Comm = MPI.COMM_WORLD, *, judged: bool = Tr
         study = prepare(scene, comm, whole=kind is Modes, judged=judged)
     if kind is TimeHistory and scene.integration is not None and scene.integration.free:
         study = _freed(study)
-    result = unpack(stored, study.structure, study.contact)
+    try:
+        result = unpack(stored, study.structure, study.contact)
+    except InputError as error:
+        if error.key == "path":
+            raise
+        found = f"{error.key} {error.allowed}"
+        allowed = f"a result of this version's structure ({found}); compute it again"
+        raise InputError("path", str(stored.path), allowed) from None
     return Run(**vars(study), result=result, stated=verification_of(stored))
 
 
@@ -645,6 +651,7 @@ class StressIntensity(Tabular):
     one: np.ndarray
     two: np.ndarray
     _run: Run[Any] = field(compare=False)
+    _seen: list[AtTip] = field(compare=False)
 
     @cached_property
     def numbers(self) -> Mapping[str, np.ndarray]:
@@ -654,8 +661,8 @@ class StressIntensity(Tabular):
         table ``[growth]`` delta_K_equivalent, too: the range from 0 that, once a period of the
         load, makes the crack grow as much as all cycles of K_I do, counted by rain flow.
         """
-        both = np.stack([self.one, self.two], axis=-1)
-        return numbers_at_tips(both, self._run.scene.growth, periods_of(self._run.result))
+        numbers = [tip.numbers() for tip in self._seen]
+        return {name: np.array([one[name] for one in numbers]) for name in numbers[0]}
 
     @property
     def largest(self) -> np.ndarray:
@@ -675,7 +682,7 @@ class StressIntensity(Tabular):
     @property
     def leading(self) -> int:
         """The tip whose effective range is the largest."""
-        return int(np.argmax(self.effective))
+        return leading(self._seen)
 
     @property
     def turn(self) -> np.ndarray:
@@ -748,16 +755,18 @@ def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressInt
     """
     check_motion(run)
     check_known(without_tips(run.scene), "run", repr(run))
-    rows = tip_rows(run)
-    time, found = rows.of_motion(run.result)
+    tips, rows, of_forces = tip_rows(run)
+    [record] = run.result.records(rows)
+    seen = at_tips(record, of_forces, run.scene.growth)
     return StressIntensity(
-        time,
-        tuple(tip.name for tip in rows.tips),
-        np.array([tip.point for tip in rows.tips]),
-        np.array([tip.ahead for tip in rows.tips]),
-        found[..., 0],
-        found[..., 1],
+        record.time,
+        tuple(tip.name for tip in tips),
+        np.array([tip.point for tip in tips]),
+        np.array([tip.ahead for tip in tips]),
+        np.column_stack([one.one for one in seen]),
+        np.column_stack([one.two for one in seen]),
         run,
+        seen,
     )
 
 
@@ -786,7 +795,7 @@ class Reaction(Tabular):
     def numbers(self) -> Mapping[str, float]:
         """Largest size of the force [N], ``reaction_force``, and of the moment [N m],
         ``reaction_moment``."""
-        return numbers_at_clamp(self.force, self.moment)
+        return read_at(Place.CLAMP, self)
 
     def to_dict(self) -> dict[str, Any]:
         """Columns, a row for every instant."""
@@ -842,5 +851,6 @@ def reaction(run: Run[PeriodicSolution] | Run[TimeHistory]) -> Reaction:
     """
     check_motion(run)
     check_known(without_clamp(run.scene), "run", repr(run))
-    time, force, moment = clamp_of_motion(run.result)
-    return Reaction(time, run.result.structure.whole.clamp.center, force, moment)
+    structure = run.result.structure
+    [record] = run.result.records(structure.once(inertia_rows))
+    return Reaction(record.time, structure.whole.clamp.center, *held(record))

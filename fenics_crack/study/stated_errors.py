@@ -58,9 +58,10 @@ from fenics_crack.balance.error_report import LARGE_ERROR, ErrorReport
 from fenics_crack.balance.harmonic_balance import solve_linear, wave_of
 from fenics_crack.balance.more_modes import reference_of
 from fenics_crack.balance.problem import Problem, least_harmonics
-from fenics_crack.balance.solution import PeriodicSolution, Solver, extremes, indicators_of
+from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import MOST_HARMONICS
-from fenics_crack.basics.tables import OF_FRICTION, OF_LIPS, OF_POINTS, QUANTITIES, frequency_axis
+from fenics_crack.basics.observables import QUANTITIES, STATED, Place, names_of
+from fenics_crack.basics.tables import frequency_axis
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.model.contact import coefficient_of
 from fenics_crack.model.modal import is_small
@@ -68,6 +69,7 @@ from fenics_crack.model.modes import KINDS, NEGLIGIBLE, Modes, bilinear_frequenc
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
+from fenics_crack.motion.motions import Harmonics
 from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.study.coarser_mesh import (
     TIP,
@@ -77,15 +79,10 @@ from fenics_crack.study.coarser_mesh import (
     natural_name,
     why_failed,
 )
+from fenics_crack.study.observer import observe
 from fenics_crack.study.prepare import REFUSALS, Study, law_of
-from fenics_crack.study.tip_and_clamp import quantities_of_motion
 from fenics_crack.study.verification import UNCHANGED, GridConvergence, Varied, Verification
 
-ANSWER = (
-    "amplitude", "ratio_2_1", "ratio_3_1", "ratio_largest", "mean_shift", "opening", "crack_force",
-    "closed_share", "friction_loss", "slip_share",
-)  # fmt: skip
-"""Quantities whose errors are stated where the scene does not choose."""
 PLACES = 8
 """Extrapolated resonances, of the orders of a mesh, at which a response is looked at."""
 
@@ -118,23 +115,17 @@ def numbers_of(study: Study, found: PeriodicSolution, mode: int | None = None) -
     frequencies: the lowest ones, and those of a mode, by default of the one with the nearest
     resonance (collective)."""
     scene, structure = study.scene, study.structure
-    chosen = (scene.output.quantities if scene.output is not None else None) or ANSWER
+    chosen = scene.quantities or names_of(where=STATED)
     values: dict[str, float] = {}
     units: dict[str, str] = {}
-    found.coefficients_at([watched.dof for watched in study.watched])  # by one factor
-    for watched in study.watched:
-        seen = found.indicators(watched.dof)
-        rounding = NEGLIGIBLE * (seen.amplitude + abs(seen.mean))  # of closed pairs
-        for name in chosen:
-            if name in OF_POINTS or name in OF_LIPS or name in OF_FRICTION:
-                column = watched.column(name) if name in OF_POINTS else name
-                value, unit = float(getattr(seen, name)), QUANTITIES[name][1]
-                least = rounding if unit == "m" and name in OF_LIPS else 0.0
-                if abs(value) > (UNCHANGED if unit == "1" else least):
-                    values[column], units[column] = value, unit.replace("1", "")
-    for name, value in quantities_of_motion(study, found).items():
-        if not math.isnan(value):  # what is seen may not be known
-            values[name], units[name] = value, QUANTITIES[name][1]
+    seen = found.measure([watched.dof for watched in study.watched])
+    rounding = NEGLIGIBLE * min(one.amplitude + abs(one.mean) for one in seen)  # of closed pairs
+    numbers = (one for one in observe(study, found) if one.name in chosen)
+    for one in sorted(numbers, key=lambda one: chosen.index(one.name)):
+        of, value = QUANTITIES[one.name].of, float(one.value)
+        least = {"1": UNCHANGED, "m": rounding * (of is Place.FACES)}.get(one.unit, 0.0)
+        if abs(value) > least or (of.on_request and value == 0.0):
+            values[one.column], units[one.column] = value, one.unit.replace("1", "")
     natural = bilinear_frequencies(structure)
     mode = mode or int(natural.nearest(found.omega)["mode"])
     factor, _, unit = frequency_axis(scene.in_hertz)
@@ -372,7 +363,7 @@ def largest_left_out(found: PeriodicSolution, dof: int) -> tuple[int, float] | N
     if orbit is None:
         return None
     rows = found.structure.values_at(orbit.coefficients(_many(found)).displacement, [dof])[:, 0]
-    seen = indicators_of(found.omega, rows, math.nan, {}, found.subharmonic)
+    seen = Harmonics(rows, found.subharmonic)
     if not seen.largest_order * found.subharmonic > found.harmonics:
         return None
     return int(seen.largest_order), float(seen.ratio_largest)
@@ -397,15 +388,11 @@ def _of_orbit(
     """The numbers of an orbit next to a solution, of a study's structure: of crack faces by its
     motion at the solution's instants, but for the duty cycle, which follows from its switching
     instants; of points with so many harmonics, by default many (collective)."""
-    structure, law, harmonics = study.structure, study.contact, harmonics or _many(found)
+    law, harmonics = study.contact, harmonics or _many(found)
     assert law is not None
-    problem = Problem(structure, found.omega, law, harmonics, subharmonic=found.subharmonic)
+    problem = Problem(study.structure, found.omega, law, harmonics, subharmonic=found.subharmonic)
     wave = wave_of(problem, orbit, orbit.coefficients(harmonics))
-    at = orbit.seen_through(np.zeros((0, structure.n_dofs)))
-    samples, friction = at(found.instants() / found.period), coefficient_of(law)
-    lips = extremes(samples, structure.pairs.cracks, friction, at)[1]
-    lips |= {"closed_share": orbit.motion.track.closed_share} | orbit.sliding
-    return numbers_of(study, wave, mode).values | lips
+    return numbers_of(study, wave, mode).values | orbit.faces
 
 
 def _coarser_mesh(study: Study, near: PeriodicSolution, own: Numbers, of_peak: bool) -> Varied:

@@ -27,29 +27,26 @@ Validation in Scientific Computing, 2010, chapter 8.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, fields
-from pathlib import Path
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
-from mpi4py import MPI
 
 from fenics_crack.basics.errors import TOLERANCE, InputError, check_choice, check_number
-from fenics_crack.basics.suggestions import checked_call
+from fenics_crack.basics.observables import QUANTITIES
 from fenics_crack.basics.tables import (
-    QUANTITIES,
     Described,
     Table,
-    Tabular,
     closing_sentence,
     error_in_words,
     percent,
     with_unit,
 )
-from fenics_crack.files.store import Stored, write
+from fenics_crack.files.codec import Parts, from_text, text_of
+from fenics_crack.files.saved import Saved
+from fenics_crack.files.store import Stored
 from fenics_crack.model.matrices import numbers
 from fenics_crack.scene.scene import Scene
 
@@ -223,7 +220,6 @@ ESTIMATED = ("harmonics", "modes")
 CAUSES = (*MESH_CAUSES, "modes", "harmonics", "friction", "samples")
 BY_CHOICE = ("mesh", "friction")
 """Causes that contribute an unknown part where they are not varied."""
-SAVED_WORDS = ("units", "absent", "unknown", "verdicts")
 DOUBTS = {
     "outside": "the observed order is not that of theory, the factor of safety is 3",
     "two sizes": "two runs show no order: that of theory is used, with a factor of safety of 3",
@@ -236,7 +232,7 @@ DOUBTS = {
 
 
 @dataclass(frozen=True, repr=False)
-class Verification(Tabular):
+class Verification(Saved):
     """Contributions to the error of a scene's result.
 
     Attributes
@@ -289,19 +285,14 @@ class Verification(Tabular):
 
     def text(self) -> str:
         """All of it but the scene, as a dataset of a file."""
-        kept = {item.name: getattr(self, item.name) for item in fields(self)[1:]}
-        return json.dumps(kept, default=vars)
+        return text_of(self, "", {})
 
-    @checked_call
-    def save(self, path: str | Path, comm: MPI.Comm = MPI.COMM_SELF) -> None:
-        """Write a file that ``fenics-crack plot`` and ``report`` read (collective).
+    def _packed(self) -> Parts:
+        return {"verification": self.text()}
 
-        Raises
-        ------
-        InputError
-            The file cannot be written.
-        """
-        write({"verification": self.text()}, path, self.KIND, self.scene, comm)
+    @classmethod
+    def _unpacked(cls, parts: Parts, scene: Scene | None) -> Verification:
+        return from_text(cls, parts["verification"], scene)
 
     # --- numbers ----------------------------------------------------------------------------------
 
@@ -446,7 +437,7 @@ class Verification(Tabular):
     def conclusion(self, remarks: int = 0) -> str:
         """Return the last sentence on the study, after its warnings and so many remarks."""
         name = next(iter(self.values))
-        words, _ = QUANTITIES.get(name.rpartition(".")[2], (name, ""))
+        words = getattr(QUANTITIES.get(name.rpartition(".")[2]), "words", name)
         bound = "factors of safety included, mostly due to the"
         error, cause = self.stated(name)
         known = f"{words} within {error_in_words(error)}, {bound} {cause}"
@@ -526,7 +517,7 @@ class Verification(Tabular):
 
 
 def verification_of(stored: Stored) -> Verification | None:
-    """Return the verification in a file, of its own kind or with a solution; None: none.
+    """Return the verification in the file of a result; None: none.
 
     Raises
     ------
@@ -534,23 +525,11 @@ def verification_of(stored: Stored) -> Verification | None:
         It does not fit.
     """
     with stored.taken() as parts:
-        scene = stored.scene()
-        if "verification" not in parts or scene is None:
+        if "verification" not in parts:
             return None
-        found = json.loads(parts["verification"])
-        values = {name: float(value) for name, value in found["values"].items()}
-        counts = {one: tuple(map(int, many)) for one, many in found["counts"].items()}
-        grids = {
-            cause: {name: _grid(by_name[name], len(counts[cause])) for name in values}
-            for cause, by_name in found["parts"].items()
-        }
-        words = ({n: str(w) for n, w in found[key].items()} for key in SAVED_WORDS)
-        units, absent, unknown, verdicts = words
-        failures = tuple(map(str, found["failures"]))
-        [units[name] for name in values]  # LookupError
-        return Verification(
-            scene, values, units, grids, counts, absent, unknown, failures, verdicts
-        )
+        found = from_text(Verification, parts["verification"], stored.scene())
+        found.to_dict()  # whose rows have every part
+        return found
 
 
 def _dents(scene: Scene, amplitude: float) -> tuple[str, ...]:
@@ -593,12 +572,3 @@ def _dent(scene: Scene) -> float:
 def _sized(found: Verification, name: str, error: float) -> dict[str, float]:
     """An error of a quantity, absolute and relative."""
     return {"uncertainty": error, "relative": found.relative(name, error)}
-
-
-def _grid(found: dict[str, Any], count: int) -> GridConvergence:
-    """As read; ValueError and the like where it does not fit."""
-    sizes, values = (tuple(map(float, found[key])) for key in ("sizes", "values"))
-    if not len(sizes) == len(values) == count:
-        raise ValueError("its sizes do not fit")
-    numbers = {key: float(found[key]) for key in ("order", "exponent", "factor", "extrapolated")}
-    return GridConvergence(sizes, values, str(found["behaviour"]), **numbers)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from mpi4py import MPI
 
 from fenics_crack.balance.harmonic_balance import solve_beside, solve_linear
 from fenics_crack.balance.problem import Problem, check_memory, least_harmonics
-from fenics_crack.balance.solution import PeriodicSolution, Solver, indicators_of
+from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import ConvergenceError, InputError
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.basics.tables import with_frequency
@@ -25,12 +24,12 @@ from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import BilinearFrequencies, bilinear_frequencies
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.extremes import half_range
+from fenics_crack.motion.motions import rows_of
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCES
+from fenics_crack.study.observer import rows_requested
 from fenics_crack.study.plausibility import damping_ratios
 from fenics_crack.study.prepare import REFUSALS, Study, law_of, prepare
-from fenics_crack.study.tip_and_clamp import prepare_quantities, quantities_of_motion
 from fenics_crack.sweep.file import AT_POINTS, PHASES, UNSURE, YET, of_load
 from fenics_crack.sweep.plan import Chunk
 
@@ -125,12 +124,10 @@ def build(scene: Scene, comm: MPI.Comm, asked: Asked, last: Geometry | None = No
         method = "off" if scene.reduction is None else scene.reduction.method
         allowed = f"one that leaves fewer than {structure.n_dofs} coordinates"
         raise InputError("reduction.method", method, allowed)
-    prepare_quantities(study)
+    rows_requested(study)
     lengths = [crack.length for crack in study.scene.all_cracks.values()]
     named = [watched for watched in study.watched if watched.name]
-    rows = np.zeros((0, structure.n_dofs))
-    if named:
-        rows = structure.values_at(np.eye(structure.n_dofs), [w.dof for w in named]).T
+    rows = rows_of(structure, [watched.dof for watched in named])
     return Geometry(
         study,
         asked.unit_loads,
@@ -153,7 +150,7 @@ def _at_load(scene: Scene, structure: Structure) -> dict[str, np.ndarray]:
     else:
         return {}
     dofs = np.flatnonzero(weights)
-    return {"": structure.values_at(np.eye(structure.n_dofs), dofs.tolist()) @ weights[dofs]}
+    return {"": weights[dofs] @ rows_of(structure, dofs.tolist())}
 
 
 # --- a case ---------------------------------------------------------------------------------------
@@ -189,11 +186,10 @@ def solve_chunk(
             continue
         try:
             solution = cases.at_resonance(case) if asked.at_resonance else cases.solve(case)
+            found |= _observed(solution, case, geometry)
             found |= _at(solution.omega, geometry.natural) | solution.to_dict()
             if not asked.judged:
                 found.pop("reduction_error")
-            found |= _seen(solution, case, geometry)
-            found |= quantities_of_motion(geometry.study, solution)
             if asked.verdicts and case.harmonic_balance.error:
                 found |= cases.verdict(solution)
                 found["status"] += found.pop("remark", "")
@@ -367,23 +363,17 @@ def _numbered(natural: BilinearFrequencies) -> Found:
     }
 
 
-def _seen(solution: PeriodicSolution, case: Scene, geometry: Geometry) -> Found:
-    """Return the indicators at the load and at the watched points."""
+def _observed(solution: PeriodicSolution, case: Scene, geometry: Geometry) -> Found:
+    """Return the indicators at the load and at the watched points, and the quantities of places
+    with rows of their own."""
     rows = _load_row(solution, case) | geometry.watched
-    found: Found = {}
-    for name, row in rows.items():
-        coefficients = solution.displacement_coefficients @ row
-        size = half_range(*solution.sampled(partial(_along, solution, row)))[0]
-        seen = indicators_of(solution.omega, coefficients, size, {})
-        values = {quantity: getattr(seen, quantity) for quantity in AT_POINTS}
-        values |= zip(PHASES, coefficients[1:].tolist(), strict=False)
+    stacked = np.reshape([*rows.values()], (len(rows), solution.structure.n_dofs))
+    points, found = solution.walk(stacked, rows_requested(geometry.study))
+    for name, seen in zip(rows, points, strict=True):
+        values = {quantity: getattr(seen.indicators, quantity) for quantity in AT_POINTS}
+        values |= zip(PHASES, seen.waves[1:].tolist(), strict=False)
         found |= {f"{name}.{q}" if name else of_load(q): value for q, value in values.items()}
     return found
-
-
-def _along(solution: PeriodicSolution, row: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Product of a row with the coordinates of a solution at times [s]: (n, 1)."""
-    return np.asarray(solution.coordinates(time) @ row[:, None])
 
 
 def _load_row(solution: PeriodicSolution, case: Scene) -> dict[str, np.ndarray]:

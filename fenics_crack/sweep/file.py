@@ -33,7 +33,8 @@ import numpy as np
 
 from fenics_crack.basics.atomic_files import not_written, put, whole_file
 from fenics_crack.basics.errors import FEW_MODES, InputError, WriteError
-from fenics_crack.basics.tables import OF_FREQUENCIES, OF_FRICTION, OF_LIPS, OF_POINTS, QUANTITIES
+from fenics_crack.basics.observables import FRICTION, QUANTITIES, Place, names_of
+from fenics_crack.basics.tables import UNITS
 from fenics_crack.basics.untrusted_files import MOST_BYTES, bytes_of
 from fenics_crack.files import store
 from fenics_crack.files.store import about
@@ -75,7 +76,7 @@ NATURAL = {
     for mode in NUMBERED
 }
 """Words and unit of these frequencies."""
-AT_POINTS = {name: unit for name, (_, unit) in OF_POINTS.items() if name != "ratio_half_1"}
+AT_POINTS = {name: UNITS[name] for name in names_of(Place.POINT) if name != "ratio_half_1"}
 """Quantities kept of each point and direction, and their units: no case has a longer period."""
 KEPT_ORDERS = (1, 2, 3, 4, 5, 6)
 """Harmonics of which the parts are kept."""
@@ -83,7 +84,7 @@ PHASES = {f"{part}_{order}": "m" for order in KEPT_ORDERS for part in ("cosine",
 """Parts of the harmonics kept likewise, of whose amplitudes ``harmonic_1`` to ``harmonic_3``."""
 COLUMNS: dict[str, tuple[str, str]] = {
     **{of_load(name): (unit, "f8") for name, unit in (AT_POINTS | PHASES).items()},
-    **{name: (unit, "f8") for name, (_, unit) in (OF_LIPS | OF_FREQUENCIES).items()},
+    **{name: (UNITS[name], "f8") for name in names_of(Place.FACES, Place.MODES, without=FRICTION)},
     **{name: (unit, "f8") for name, (_, unit) in NATURAL.items()},
     "multiplier": ("1", "f8"),
     "verdict": ("", "S12"),
@@ -114,14 +115,13 @@ BLANKS: dict[str, Any] = {"f": np.nan, "i": 0, "S": b""}
 def columns_of(scene: Scene) -> dict[str, tuple[str, str]]:
     """The :data:`COLUMNS` of a scene's sweep, those of its points, "tip.ux.ratio_2_1", and those of
     tips and the clamp that it requests."""
-    asked = {name: (QUANTITIES[name][1], "f8") for name in asked_quantities(scene)}
+    asked = names_of(where=FRICTION) * scene.has_friction + asked_quantities(scene)
     at_points = {
         f"{point}.{name}": (unit, "f8")
         for point in scene.point_names
         for name, unit in (AT_POINTS | PHASES).items()
     }
-    sliding = {name: (unit, "f8") for name, (_, unit) in OF_FRICTION.items()}
-    return COLUMNS | (sliding if scene.has_friction else {}) | asked | at_points
+    return COLUMNS | {name: (UNITS[name], "f8") for name in asked} | at_points
 
 
 class SweepFile:
@@ -325,8 +325,8 @@ def _words(name: str) -> str:
     if name in WAVES:
         return f"axes of the sweep; {about(f'{name}_coefficients', {})['about']}"
     quantity = "amplitude" if name == "response" else name.rpartition(".")[2]
-    known = QUANTITIES | NATURAL
-    return known[quantity][0] if quantity in known else ""
+    known = {name: row.words for name, row in QUANTITIES.items()}
+    return known.get(quantity) or NATURAL.get(quantity, ("",))[0]
 
 
 def _of_waves(gap: np.ndarray, force: np.ndarray) -> int:

@@ -40,17 +40,10 @@ from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.atomic_files import passing_folder
 from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.observables import DRAWN, QUANTITIES, Place, names_of
 from fenics_crack.basics.progress import reaching
 from fenics_crack.basics.ranks import StopRequest, on_root
-from fenics_crack.basics.tables import (
-    OF_POINTS,
-    QUANTITIES,
-    Tabular,
-    closing_sentence,
-    counted,
-    error_in_words,
-    optional,
-)
+from fenics_crack.basics.tables import Tabular, closing_sentence, counted, error_in_words, optional
 from fenics_crack.files.results import solution_from
 from fenics_crack.files.store import Stored, header
 from fenics_crack.scene.fields import Axis
@@ -74,8 +67,6 @@ from fenics_crack.sweep.file import (
 from fenics_crack.sweep.jobs import Manager, Worker, serve
 from fenics_crack.sweep.plan import Plan
 
-DRAWN = ("amplitude", "opening", "ratio_2_1", "ratio_3_1", "closed_share", "mean_shift")
-"""Quantities that are drawn where the scene does not choose."""
 NO_PEAK_SOUGHT = "without contact, and with [rotation]"
 """Scenes whose largest response over the load's frequency is not sought."""
 STATE_NAMES = np.array([state.name.lower() for state in State])
@@ -387,9 +378,9 @@ class SweepResult(Tabular):
         """The columns that are drawn and printed, in words and with units: those that the scene's
         ``[output] quantities`` chooses, or a few."""
         seen, found = self.scene.point_names, {}
-        for name in self.scene.quantities or DRAWN:
-            words, unit = QUANTITIES[name]
-            if name not in OF_POINTS:
+        for name in self.scene.quantities or names_of(where=DRAWN):
+            words, unit = QUANTITIES[name].words, QUANTITIES[name].unit
+            if QUANTITIES[name].of is not Place.POINT:
                 found[name] = words, unit
             elif seen:
                 found |= {f"{at}.{name}": (f"{words}, {where}", unit) for at, where in seen.items()}

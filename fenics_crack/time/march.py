@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time as clock
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import MISSING, dataclass, fields
 from functools import cached_property
@@ -15,13 +15,7 @@ from typing import Any, ClassVar, TypeAlias
 import numpy as np
 from tqdm import tqdm
 
-from fenics_crack.balance.solution import (
-    Indicators,
-    PeriodicSolution,
-    extremes,
-    friction_numbers,
-    indicators_of,
-)
+from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import (
     RECORDED_PERIODS,
     ConvergenceError,
@@ -38,6 +32,7 @@ from fenics_crack.model.contact import ContactLaw, check_law, coefficient_of, fr
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.model.structure import Structure
+from fenics_crack.motion.motions import Observed, Record
 from fenics_crack.numerics.fourier import balanced, derivative, evaluate, waves_of
 from fenics_crack.numerics.newton import moving_size
 
@@ -186,7 +181,7 @@ class March:
 
 
 @dataclass(frozen=True, repr=False)
-class TimeHistory(Tabular):
+class TimeHistory(Observed, Tabular):
     """The last periods of a motion found by direct integration.
 
     Attributes
@@ -322,46 +317,34 @@ class TimeHistory(Tabular):
             raise InputError("dofs", wanted[times == 0.0].tolist(), "among those recorded")
         return self.structure.sum_over_ranks(self.recorded @ (chosen / times))
 
-    def seen_through(self, rows: np.ndarray) -> np.ndarray:
-        """Products of rows (m, n_local) with the displacement: (n, m) (collective).
+    def records(self, rows: np.ndarray) -> Iterator[Record]:
+        """The motion, seen through rows (m, n_local): of the products with its displacement, their
+        harmonics, as many as the instants of a period allow, of the last period (collective).
 
         Raises
         ------
         InputError
             A dof that they take was not recorded.
         """
-        structure, own = self.structure, self.recorded_dofs - self.structure.first_dof
+        structure = self.structure
+        own, first = np.unique(self.recorded_dofs - structure.first_dof, return_index=True)
         left_out = np.delete(rows, own, axis=1)
         if any(structure.comm.allgather(bool(np.any(left_out)))):
             allowed = "None, to record all displacements, of which these are made"
             raise InputError("dofs", "some", allowed)
-        return structure.sum_over_ranks(self.recorded @ rows[:, own].T)
-
-    def indicators(self, dof: int | None = None) -> Indicators:
-        """Return the crack indicators at a dof, or the watched one, and at the crack faces: its
-        harmonics, as many as the instants of a period allow, and mean in the last period, extremes
-        of the last four, where so many are recorded (collective)."""
-        known = min(10, (self.steps_per_period - 1) // 2)
-        last = slice(-RECORDED_PERIODS * self.steps_per_period, None)
-        motion = self.displacement([dof])[last, 0]
-        samples = motion[:, None], self.gap[last], self.contact_force[last]
-        sizes, lips = extremes(samples, self.structure.pairs.cracks)
-        return indicators_of(
-            2.0 * np.pi * (len(self.time) - 1) / self.steps_per_period / np.ptp(self.time),
-            balanced(motion[-self.steps_per_period :], known),
-            float(sizes[0]),
-            lips | self._sliding,
-        )
-
-    @property
-    def _sliding(self) -> dict[str, float]:
-        """What friction does in the last period."""
-        if self.friction is None:
-            return {}
-        assert self.tangential_gap is not None and self.tangential_force is not None
-        last = slice(-self.steps_per_period, None)
-        columns = self.tangential_gap, self.contact_force, self.tangential_force
-        return friction_numbers(self.friction, *(one[last] for one in columns))
+        motion = structure.sum_over_ranks(self.recorded[:, first] @ rows[:, own].T)
+        steps, gap, force = self.steps_per_period, self.gap, self.contact_force
+        if self.tangential_gap is not None and self.tangential_force is not None:
+            gap = np.hstack([gap, self.tangential_gap])
+            force = np.hstack([force, self.tangential_force])
+        yield Record(
+            2.0 * np.pi * (len(self.time) - 1) / steps / np.ptp(self.time), 1, self.time,
+            balanced(motion[-steps:], min(10, (steps - 1) // 2)), motion, gap, force,
+            structure=lambda: structure,
+            cracks=structure.pairs.cracks,
+            friction=self.friction,
+            steps=steps,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)

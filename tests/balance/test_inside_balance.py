@@ -41,9 +41,9 @@ from fenics_crack.balance.contact_integrals import (
     contact_integrals,
     default_samples,
 )
-from fenics_crack.balance.solution import extremes, indicators_of
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.model.modes import damped_modes, times
+from fenics_crack.motion.motions import Indicators, Observed, Record
 from fenics_crack.numerics.fourier import (
     balanced,
     evaluate,
@@ -1078,15 +1078,33 @@ def test_harmonics_out_of_reach(monkeypatch: pytest.MonkeyPatch) -> None:
 # --- indicators of known coefficients -------------------------------------------------------------
 
 
+class Given(Observed):
+    """A motion by its record."""
+
+    structure = oscillator()
+
+    def __init__(self, waves: np.ndarray, **given: Any) -> None:
+        nothing = np.zeros((2, 0))
+        values = {"omega": 7.0, "subharmonic": 1, "time": np.zeros(2), "waves": waves[:, None]}
+        values |= {"motion": np.array([[11.0], [-11.0]]), "gap": nothing, "force": nothing}
+        self._record = Record(**values | {"structure": lambda: self.structure} | given)
+
+    def records(self, rows: np.ndarray) -> Any:
+        yield self._record
+
+
+def indicators_of(waves: np.ndarray, **given: Any) -> Indicators:
+    """Indicators of a displacement by its coefficients (2H+1,), and what else is given."""
+    return Given(waves, **given).indicators()
+
+
 def test_known_coefficients() -> None:
     """U_1 = 5, U_2 = 10, U_3 = 13, a0 = -2.5: ratios 2, 2.6 and -0.5."""
-    rows = np.array([-2.5, 3.0, 4.0, 6.0, -8.0, 5.0, 12.0])
-    found = indicators_of(7.0, rows, 11.0, {"opening": 0.25})
+    found = indicators_of(np.array([-2.5, 3.0, 4.0, 6.0, -8.0, 5.0, 12.0]))
     assert (found.omega, found.amplitude, found.mean) == (7.0, 11.0, -2.5)
     assert (found.harmonic_1, found.harmonic_2, found.harmonic_3) == (5.0, 10.0, 13.0)
     assert (found.ratio_2_1, found.ratio_3_1, found.mean_shift) == (2.0, 2.6, -0.5)
     assert (found.ratio_largest, found.largest_order) == (2.6, 3.0)
-    assert found.opening == 0.25
     assert np.isnan([found.ratio_half_1, found.contact_force, found.closed_share]).all()
 
 
@@ -1095,26 +1113,27 @@ def test_longer_periods(periods: int, half: float) -> None:
     """Rows count parts of the load's frequency: harmonic m is U_1, and m / 2 is U_1/2."""
     rows = np.zeros(2 * 3 * periods + 1)
     rows[1], rows[2 * periods], rows[4 * periods - 1], rows[6 * periods] = 6.0, 3.0, 1.5, 0.75
-    found = indicators_of(1.0, rows, 0.0, {}, periods)
+    found = indicators_of(rows, subharmonic=periods)
     assert (found.harmonic_1, found.ratio_2_1, found.ratio_3_1) == (3.0, 0.5, 0.25)
     assert (found.ratio_largest, found.largest_order) == (0.5, 2.0)
     np.testing.assert_equal(found.ratio_half_1, half)
 
 
-def test_few_harmonics_and_no_motion() -> None:
+@pytest.mark.parametrize(("first", "shift"), [(2.0, 0.5), (0.0, np.nan)])
+def test_few_harmonics_and_no_motion(first: float, shift: float) -> None:
     """What is not known is nan, and no division warns."""
-    found = indicators_of(np.ones(2), np.array([[1.0, 2.0, 0.0], [1.0, 0.0, 0.0]]), np.ones(2), {})
-    np.testing.assert_array_equal(found.mean_shift, [0.5, np.nan])
+    found = indicators_of(np.array([1.0, first, 0.0]))
+    np.testing.assert_equal(found.mean_shift, shift)
     assert np.isnan([found.ratio_2_1, found.ratio_3_1, found.harmonic_2]).all()
     assert np.isnan([found.ratio_largest, found.largest_order]).all()
 
 
-def test_rounding_has_no_largest_harmonic() -> None:
+@pytest.mark.parametrize(("second", "order"), [(1e-11, np.nan), (1e-9, 2.0)])
+def test_rounding_has_no_largest_harmonic(second: float, order: float) -> None:
     """Of the whole motion, to which the mean belongs: 1e-13 of it is no harmonic, 1e-11 is one."""
-    rows = np.array([[100.0, 1.0, 0.0, 1e-11, 0.0], [100.0, 1.0, 0.0, 0.0, 1e-9]])
-    found = indicators_of(np.ones(2), rows, np.ones(2), {})
-    np.testing.assert_array_equal(found.largest_order, [np.nan, 2.0])
-    np.testing.assert_array_equal(found.ratio_largest, [1e-11, 1e-9])
+    found = indicators_of(np.array([100.0, 1.0, 0.0, 0.0, second]))
+    np.testing.assert_equal(found.largest_order, order)
+    assert found.ratio_largest == second
 
 
 def test_force_of_each_crack() -> None:
@@ -1122,8 +1141,8 @@ def test_force_of_each_crack() -> None:
     force = np.array([[3.0, 0.0, 4.0], [2.0, 2.0, 0.0]])
     for cracks, expected in ((None, 7.0), ([0, 0, 1], 4.0), ([0, 1, 1], 4.0), ([0, 1, 2], 4.0)):
         given = None if cracks is None else np.array(cracks)
-        found = extremes((force[:, :0], -np.ones((2, 3)), force), given)[1]
-        assert (found["contact_force"], found["crack_force"]) == (4.0, expected)
+        found = indicators_of(np.ones(3), gap=-np.ones((2, 3)), force=force, cracks=given)
+        assert (found.contact_force, found.crack_force) == (4.0, expected)
 
 
 @pytest.mark.parametrize("ratio", [1.2, 2.0, 4.0])
@@ -1145,15 +1164,16 @@ def test_wave_of_a_bilinear_oscillator(ratio: float) -> None:
         return abs(2.0 * (half_sine(closed) / ratio - shift * half_sine(is_open)))
 
     wave = bilinear_wave(ratio, 8192)
-    found = indicators_of(1.0, balanced(wave, 5), np.ptp(wave) / 2.0, {})
+    gap = wave[:, None]
+    found = indicators_of(
+        balanced(wave, 5), time=wave, motion=gap, gap=gap, force=np.maximum(gap, 0.0)
+    )
     mean = 2.0 * closed / (np.pi * ratio) - 2.0 * is_open / np.pi
     assert found.harmonic_1 == pytest.approx(part(1), rel=1e-6)
     assert found.ratio_2_1 == pytest.approx(part(2) / part(1), rel=1e-6)
     assert found.ratio_3_1 == pytest.approx(part(3) / part(1), rel=1e-5)
     assert found.mean_shift == pytest.approx(mean / part(1), rel=1e-6)
     assert found.amplitude == pytest.approx((1.0 + 1.0 / ratio) / 2.0, rel=1e-5)
-    gap = wave[:, None]
-    lips = extremes((gap[:, :0], gap, np.maximum(gap, 0.0)))[1]
-    assert lips["closed_share"] == pytest.approx(closed, abs=1e-3)
-    assert lips["opening"] == pytest.approx(1.0, rel=1e-6)
-    assert lips["penetration"] == lips["contact_force"] == pytest.approx(1.0 / ratio, rel=1e-5)
+    assert found.closed_share == pytest.approx(closed, abs=1e-3)
+    assert found.opening == pytest.approx(1.0, rel=1e-6)
+    assert found.penetration == found.contact_force == pytest.approx(1.0 / ratio, rel=1e-5)

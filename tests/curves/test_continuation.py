@@ -220,7 +220,7 @@ def test_bad_arguments_and_unfinished_curves() -> None:
     assert isinstance(found, fc.ResponseCurve) and not found.complete and len(found) == 11
     curve = continue_frequency(structure, 2.0, 0.3, law, most_points=10, throw=False)
     assert not curve.complete and len(curve.omega) == 11
-    with pytest.raises(fc.InputError, match="stability"):
+    with pytest.raises(AttributeError, match="stability"):
         _ = curve.stable
 
 

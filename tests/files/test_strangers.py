@@ -248,7 +248,7 @@ def test_a_result_of_an_older_version(
 
 def test_words_for_numbers(result: Path, structure: fc.Structure) -> None:
     """A forger's digest is right; what is not as save writes it is refused all the same."""
-    values = {"omega": "fast", "gap_coefficients": 1.0, "new": [1, 2], "error_sampling": "small"}
+    values = {"omega": "fast", "gap_coefficients": 1.0, "error_sampling": "small"}
     values |= {"subharmonic": 0, "converged": 2.0, "status": 1}
     values |= {"force_coefficients": np.full((7, 1), 1e300)}
     for name, value in values.items():

@@ -9,6 +9,8 @@ from test_scene import GOOD, changed
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
+from fenics_crack.scene.fields import Table
+from fenics_crack.scene.scene import known_keys, meant_keys
 
 
 @pytest.mark.parametrize(
@@ -64,6 +66,25 @@ def test_in_a_change(key: str, question: str) -> None:
     with pytest.raises(InputError) as caught:
         Scene.from_mapping(GOOD).replace({key: 1.0})
     assert caught.value.key == key and question in caught.value.allowed
+
+
+def test_a_proposed_key_is_taken() -> None:
+    """Each that is proposed for a key without its table, in another one, misspelt or cut off, as an
+    argument of a function or as a change."""
+    known, proposed = set(known_keys()), set()
+    for key in sorted({key.rpartition(".")[2] for key in known}):
+        for name in (key, key[:-1], key[1:], f"{key}s", f"crak.{key}", f"load.{key}"):
+            proposed |= {*meant_keys(name)}
+            for table in Table.__subclasses__():
+                proposed |= {*table.meant_by(name)}
+    assert proposed <= known | {*Scene.__dataclass_fields__}
+    assert "loads.1.harmonics" in meant_keys("harmonics")
+    scene = Scene.from_mapping(GOOD)
+    for key in proposed & known:
+        try:
+            scene.replace({key: object()})
+        except InputError as error:
+            assert "known keys" not in error.allowed and "known tables" not in error.allowed, key
 
 
 @pytest.mark.parametrize(

@@ -186,7 +186,7 @@ def test_default_quantities(scene: fc.Scene, tmp_path: Path) -> None:
     """Those of the load's point and of the lips."""
     result = run_sweep(scene, tmp_path / "sweep.h5", MPI.COMM_SELF)
     assert list(result.quantities) == [
-        "response", "opening", "ratio_2_1", "ratio_3_1", "closed_share", "mean_shift"
+        "response", "ratio_2_1", "ratio_3_1", "mean_shift", "opening", "closed_share"
     ]  # fmt: skip
     assert result.quantities["response"] == ("half peak-to-peak at the load's point", "m")
 

@@ -1,0 +1,251 @@
+"""Observation of a study's motions: of its watched points and the crack faces, and of crack tips
+and the clamp where its scene requests their quantities. One walk along a curve observes all.
+
+What is at crack tips and at the clamp follows from rows that multiply the displacement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.observables import GROWTH, QUANTITIES, Place, Where, names_of, read_at
+from fenics_crack.fem.interaction_integral import Tip, tip_functionals
+from fenics_crack.model.factor import AT_A_TIME
+from fenics_crack.model.nodes import Clamp
+from fenics_crack.model.structure import RayleighDamping, Structure
+from fenics_crack.motion.motions import Observed, Record, Rows
+from fenics_crack.scene.scene import Scene, asked_quantities, check_known, without_tips
+from fenics_crack.scene.tables import Growth
+from fenics_crack.study.prepare import Study
+
+
+def rows_requested(study: Study) -> list[Rows]:
+    """Places of rows of their own whose quantities a study's scene requests; the rows are made once
+    for its structure (collective)."""
+    requested = {QUANTITIES[name].of for name in asked_quantities(study.scene)}
+    return [make(study) for place, make in _ROWS.items() if place in requested]
+
+
+class Quantity(NamedTuple):
+    """A number of a motion, or along a curve an array.
+
+    Attributes
+    ----------
+    column, name : str
+        "tip.ux.ratio_2_1", and that of its observable, "ratio_2_1".
+    words, unit : str
+        With what is watched.
+    value : float or (n,)
+    """
+
+    column: str
+    words: str
+    value: Any
+    unit: str
+    name: str
+
+
+def observe(study: Study, motion: Observed) -> list[Quantity]:
+    """The numbers of each watched displacement, of the crack faces, and at places of rows of their
+    own those that a study's scene requests (collective)."""
+    seen, others = motion.observe([one.dof for one in study.watched], rows_requested(study))
+    found = []
+    for watched, (indicators, _) in zip(study.watched, seen, strict=True):
+        for name in names_of(Place.POINT):
+            row = QUANTITIES[name]
+            of_point = f", {watched.words}" if watched.name or name == "amplitude" else ""
+            number = row.words + of_point, getattr(indicators, name), row.unit, name
+            found.append(Quantity(watched.column(name), *number))
+    values = motion.faces | {name: others[name] for name in asked_quantities(study.scene)}
+    for name, value in values.items():
+        found.append(Quantity(name, QUANTITIES[name].words, value, QUANTITIES[name].unit, name))
+    return found
+
+
+# --- the clamp ------------------------------------------------------------------------------------
+
+
+class Held(NamedTuple):
+    """Forces (n, d) [N] and moments (n, n_rigid - d) [N m] of the clamp over time."""
+
+    force: np.ndarray
+    moment: np.ndarray
+
+
+def held(record: Record) -> Held:
+    """The clamp in a record of :func:`inertia_rows`."""
+    whole, omega = record.structure().whole, record.omega
+    clamp, drag = _clamp(whole)
+    if record.steps:
+        return Held(*clamp.of_record(record.time, record.motion, omega, drag))
+    base = omega / record.subharmonic
+    parts = record.waves, base, record.subharmonic, drag, base * record.time
+    return Held(*clamp.of_waves(*parts))
+
+
+def _clamp(whole: Structure) -> tuple[Clamp, float]:
+    """The clamp of a structure, and a [1/s] of Rayleigh's damping."""
+    assert whole.clamp is not None  # the scene has been checked
+    return whole.clamp, whole.damping.mass if isinstance(whole.damping, RayleighDamping) else 0.0
+
+
+def inertia_rows(structure: Structure) -> np.ndarray:
+    """r^T M in the coordinates of a structure: (n_rigid, n_local). What has no mass has no inertia:
+    truncated modes respond quasi-statically (collective)."""
+    whole, inertia = structure.whole, _clamp(structure.whole)[0].inertia
+    if structure is whole:
+        return inertia
+    known = structure.known_modes(tied=False)  # with mass, where not all coordinates have it
+    shapes = np.eye(structure.n_dofs) if known is None else known[1]
+    rows = whole.sum_over_ranks(structure.expand(shapes.T) @ inertia.T).T @ shapes.T
+    mass = structure.mass.getValues(range(structure.n_dofs), range(structure.n_dofs))
+    return np.asarray(rows @ mass)
+
+
+# --- the tips -------------------------------------------------------------------------------------
+
+
+class AtTip(NamedTuple):
+    """Stress intensity at a crack tip over time.
+
+    Attributes
+    ----------
+    one, two : (n,) [Pa m^1/2]
+        K_I, K_II.
+    periods : float
+        Periods of the load that it lasts, or after which it repeats itself.
+    law : Growth or None
+        Law of growth of the scene.
+    """
+
+    one: np.ndarray
+    two: np.ndarray
+    periods: float
+    law: Growth | None
+
+    @property
+    def equivalent(self) -> float:
+        """Range of K_I from 0 that makes the crack grow as much [Pa m^1/2]."""
+        assert self.law is not None
+        return _equivalent_range(self.one, self.law, self.periods)
+
+    def numbers(self) -> dict[str, float]:
+        """Quantities of the tip by their names; the equivalent range where there is a law of
+        growth."""
+        return read_at(Place.TIPS, self, GROWTH if self.law is None else Where.FILES)
+
+
+def at_tips(record: Record, of_forces: np.ndarray, law: Growth | None) -> list[AtTip]:
+    """Stress intensity at each tip in a record of the rows of :func:`tip_rows`."""
+    rows = (record.motion + record.force @ of_forces.T).T
+    return [AtTip(*both, record.periods, law) for both in zip(rows[::2], rows[1::2], strict=True)]
+
+
+def leading(tips: list[AtTip]) -> int:
+    """The crack tip whose effective range is the largest."""
+    return int(np.argmax([QUANTITIES["delta_K_effective"].read(tip) for tip in tips]))
+
+
+def tip_rows(study: Study) -> tuple[list[Tip], np.ndarray, np.ndarray]:
+    """The tips, and rows that multiply the coordinates of a study's structure (2 n_tips, n_local)
+    and its contact forces (2 n_tips, n_pairs) to give K_I and K_II of one tip after the other; made
+    once for the structure and all that share its matrices (collective).
+
+    Of a reduced structure the rows are those of all that its coordinates expand to, static
+    responses to load and contact among them: K converges as the load's and the pairs' statics do
+    and not as a sum over modes.
+
+    Raises
+    ------
+    InputError
+        The scene is no plate, or has no crack with tips.
+    """
+    scene = study.scene
+    check_known(without_tips(scene), "output.quantities")
+    pairs = None if scene.contact is None else scene.contact.pairs
+    plate = scene.geometry, scene.crack, scene.cracks, scene.material, scene.mesh, pairs
+    return study.structure.once(_OfScene(plate, scene))
+
+
+@dataclass(frozen=True)
+class _OfScene:
+    """The rows of a structure of a scene; equal for scenes of the same plate."""
+
+    plate: tuple[object, ...]
+    scene: Scene = field(compare=False)
+
+    def __call__(self, structure: Structure) -> tuple[list[Tip], np.ndarray, np.ndarray]:
+        if structure is structure.whole:
+            found = tip_functionals(self.scene, structure)
+            if not found[0]:
+                raise InputError("crack", "a crack without a tip", "one that ends in the plate")
+            return found
+        tips, rows, of_forces = structure.whole.once(self)
+        units = np.eye(structure.n_dofs)
+        blocks = [units[n : n + AT_A_TIME] for n in range(0, len(units), AT_A_TIME)]
+        products = np.vstack([structure.expand(block) @ rows.T for block in blocks])
+        return tips, structure.whole.sum_over_ranks(products).T, of_forces
+
+
+def _equivalent_range(one: np.ndarray, law: Growth, periods: float) -> float:
+    """The range from K_I = 0 that, once a period, makes a crack grow as much as K_I (n,) does,
+
+        (sum_i (delta K_i / (1 - R_i)^(1 - gamma))^m / periods)^(1 / m),
+
+    over the cycles i that are counted, delta K_i being the range while the tip is open; those below
+    the threshold are left out where another is above it."""
+    high, low = counted_cycles(np.maximum(one, 0.0)).T
+    ranges = high - low
+    if not ranges.size:
+        return 0.0
+    ratio = np.minimum(low / high, 1.0 - 1e-9)
+    drive = ranges / (1.0 - ratio) ** (1.0 - law.ratio_exponent)
+    grows = ranges >= min(law.threshold, ranges.max())
+    parts = np.where(grows, drive / drive.max(), 0.0) ** law.exponent
+    return float(drive.max() * (parts.sum() / periods) ** (1.0 / law.exponent))
+
+
+def counted_cycles(values: np.ndarray) -> np.ndarray:
+    """Highest and lowest values of the cycles in a record (n,) that repeats itself: (k, 2).
+
+    By rain flow, from the highest value on: a range is a cycle where the next one is as large
+    (ASTM E1049, 5.4.5; Downing and Socie, International Journal of Fatigue 4, 1982, 31).
+    """
+    start = int(values.argmax())
+    around = np.append(values[start:], values[: start + 1])
+    around = around[np.append(True, np.diff(around) != 0.0)]
+    turns = 1 + np.flatnonzero(np.diff(np.sign(np.diff(around))))
+    path: list[float] = []
+    found = []
+    for value in around[[0, *turns, -1]].tolist():
+        path.append(value)
+        while len(path) > 2 and abs(path[-1] - path[-2]) >= abs(path[-2] - path[-3]):
+            found.append((max(path[-3:-1]), min(path[-3:-1])))
+            del path[-3:-1]
+    return np.array(found).reshape(-1, 2)
+
+
+def _at_tips(study: Study) -> Rows:
+    """The rows of the crack tips, and the numbers of the leading one."""
+    _, rows, of_forces = tip_rows(study)
+
+    def numbers(record: Record) -> dict[str, float]:
+        tips = at_tips(record, of_forces, study.scene.growth)
+        return tips[leading(tips)].numbers()
+
+    return Rows(rows, numbers)
+
+
+def _at_clamp(study: Study) -> Rows:
+    return Rows(
+        study.structure.once(inertia_rows), lambda record: read_at(Place.CLAMP, held(record))
+    )
+
+
+_ROWS: dict[Place, Callable[[Study], Rows]] = {Place.TIPS: _at_tips, Place.CLAMP: _at_clamp}
+"""Places of rows of their own."""
