@@ -561,10 +561,12 @@ def _swept(scene: Scene, lengths: np.ndarray, levels: np.ndarray) -> Scene:
 
 
 def _missed(before: LengthPath, path: LengthPath, missed: np.ndarray) -> np.ndarray:
-    """Error of the spline's ln delta K on each interval between lengths: of those that are new, by
-    what the spline before missed at their ends; of the others what it was, or how far both splines
-    are apart in their middle, if that is more: a resonance that passes within shows around it, too.
-    (k - 1,)"""
+    """Return the error of the spline's ln delta K on each interval between lengths: (k - 1,).
+
+    Of new intervals it is what the spline before missed at their ends. Of the others it is what it
+    was, or how far both splines are apart in their middle, if that is more: a resonance that passes
+    within shows around it, too.
+    """
 
     def apart(lengths: np.ndarray) -> np.ndarray:
         here, there = (one.at("driving", lengths) for one in (path, before))

@@ -254,8 +254,10 @@ def not_estimated(report: ErrorReport) -> str:
 
 def errors_of(study: Study, result: object) -> Verification | None:
     """The same of any result (collective): of a curve over the frequency that of its largest
-    response, which moves with the resonance unless it is an end of the curve; None of one that is
-    not a vibration, or has not converged."""
+    response, which moves with the resonance unless it is an end of the curve.
+
+    None of one that is not a vibration, or has not converged.
+    """
     if isinstance(result, Modes):
         return errors_of_natural(study, {"open": result.omega})
     if isinstance(result, ResponseCurve) and result.parameter == "omega":
@@ -387,7 +389,10 @@ def _of_orbit(
 ) -> dict[str, float]:
     """The numbers of an orbit next to a solution, of a study's structure: of crack faces by its
     motion at the solution's instants, but for the duty cycle, which follows from its switching
-    instants; of points with so many harmonics, by default many (collective)."""
+    instants.
+
+    Those of points have so many harmonics, by default many (collective).
+    """
     law, harmonics = study.contact, harmonics or _many(found)
     assert law is not None
     problem = Problem(study.structure, found.omega, law, harmonics, subharmonic=found.subharmonic)

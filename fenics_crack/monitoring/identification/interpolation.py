@@ -425,9 +425,11 @@ class Feature:
 def poles(
     features: Sequence[Feature], damping: np.ndarray, basis: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return r of each mode, and 1 - r^2 + 2 i z r, at m places: (m, f, modes); from ratios of
-    damping (m, 1), and :attr:`Part.basis` at the load of each feature (m, f, 1 + 2 modes); 0 and 1
-    of natural frequencies and where there is no mode."""
+    """Return r of each mode, and 1 - r^2 + 2 i z r, at m places: (m, f, modes).
+
+    They follow from ratios of damping (m, 1), and :attr:`Part.basis` at the load of each feature
+    (m, f, 1 + 2 modes); 0 and 1 of natural frequencies and where there is no mode.
+    """
     own = basis[..., NUMBERED]
     loads = np.array([feature.order * feature.frequency for feature in features])
     r = loads[:, None] / np.where(np.isfinite(own), own, np.inf)

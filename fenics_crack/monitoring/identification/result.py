@@ -578,8 +578,10 @@ def _if_alone(found: Identification) -> str:
 
 def _if_as_before(found: Identification) -> str:
     """Condition of the verdict, in words, where a plate without a crack does not explain the
-    measurements, but would with changes since before as large as a clamp can make; or where it
-    does, but only by the prior of changes since before; else empty."""
+    measurements, but would with changes since before as large as a clamp can make.
+
+    The same where it does, but only by the prior of changes since before; else empty.
+    """
     table, rows = found._table, found.measurements.rows
     plain, known = found.plain, any(row.quantity == "frequency_uncracked" for row in rows)
     heat = abs(0.5 * table.temperature_coefficient * found.priors["temperature_deviation"])

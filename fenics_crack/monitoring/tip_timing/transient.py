@@ -407,8 +407,11 @@ class Fit:
     @property
     def blind(self) -> np.ndarray:
         """Probes (n,) at which the amplitude is less than half of the median, and five times
-        farther from it than at any other probe: channels whose pulses are not those of the blade.
-        A vibration of any phase is fitted at each probe."""
+        farther from it than at any other probe: channels whose pulses are not those of the
+        blade.
+
+        A vibration of any phase is fitted at each probe.
+        """
         root, count = np.array([self.mode.root]), self._runs[0].path.shape[1]
         square, seen, size = np.zeros((count, 2, 2)), np.zeros((count, 2)), np.ones(count)
         for run, force, weight in zip(self._runs, self.forces[0], self.weights, strict=True):
