@@ -267,10 +267,10 @@ def _improvement(
             return first.gap_of(step), first.force_of(step)[:rows]
     size = max(float(np.linalg.norm(start)), 1e-300)
     sharp = NEARLY_SOLVED * float(np.linalg.norm(known - first.residual)) / size
-    found = solve_near(system, start, 1.0, tolerance=sharp)
-    if found is None:
+    near = solve_near(system, start, 1.0, tolerance=sharp)
+    if near is None:
         return None
-    point = system.linearise(found.unknown)
+    point = system.linearise(near.unknown)
     return point.gap - first.gap, (point.force - first.force)[:rows]
 
 

@@ -396,15 +396,17 @@ def _of_poles(
 def crack_deviations(x: np.ndarray, keys: Sequence[str], scene: Scene) -> np.ndarray:
     """Return standard deviations (m, d) of a crack from the equivalent straight and sharp one, at
     values (m, d) of the unknowns."""
-    table, found, into = scene.given("identify"), np.zeros_like(x), np.zeros(len(x))
+    table, deviations, into = scene.given("identify"), np.zeros_like(x), np.zeros(len(x))
     for key in OF_SIZE:  # that of a part-through crack is its depth
         size = np.full(len(x), getattr(scene.crack, key.removeprefix("crack."), None) or 0.0)
         if key in keys:
             size = x[:, keys.index(key)]
             common = table.crack_deviation * np.sqrt(table.crack_correlation)
-            found[:, keys.index(key)] = common / 2.0 * size  # frequencies change with its square
+            deviations[:, keys.index(key)] = (
+                common / 2.0 * size
+            )  # frequencies change with its square
         into = np.where(size > 0.0, size, into)
     if "crack.height" in keys:
         tilt = np.tan(np.radians(table.angle_deviation))
-        found[:, keys.index("crack.height")] = tilt * into
-    return found
+        deviations[:, keys.index("crack.height")] = tilt * into
+    return deviations

@@ -418,7 +418,11 @@ class Posterior:
         "below" or "above", and the bound."""
         level, branches = self.level(share), [*self.branches.values()]
         for place, end in product(range(len(branches[0].axes)), (0, -1)):
-            cut = [one for one in branches if np.any(one.height.take(end, axis=place) >= level)]
+            cut = [
+                branch
+                for branch in branches
+                if np.any(branch.height.take(end, axis=place) >= level)
+            ]
             if cut:
                 yield place, "above" if end else "below", float(cut[0].axes[place][end])
 

@@ -196,13 +196,13 @@ def _known(
 
 def _more_probes(made: Sequence[Measurement]) -> list[Measurement]:
     """Possible displacements of one more probe, at 24 phases of the period."""
-    phases, found = 2.0 * np.pi * np.arange(24) / 24, []
+    phases, probes = 2.0 * np.pi * np.arange(24) / 24, []
     for passages in Passages.among(made, ()):
         rows = [made[place] for place in passages.rows]
         deviation = float(np.median([row.deviation for row in rows]))
         one = replace(rows[0], value=0.0, deviation=deviation)
-        found += [replace(one, phase=phase) for phase in phases.tolist()]
-    return found
+        probes += [replace(one, phase=phase) for phase in phases.tolist()]
+    return probes
 
 
 def _seen(

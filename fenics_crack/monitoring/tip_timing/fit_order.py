@@ -417,7 +417,7 @@ class Means(_Seen):
         angle = np.full(arrivals.time.shape, np.nan)
         angle[np.isfinite(arrivals.time)] = self.angle[self._where]
         beside = sum(
-            one.displacement(one.phases(arrivals)) - one.coefficients[0] for one in self.lines
+            line.displacement(line.phases(arrivals)) - line.coefficients[0] for line in self.lines
         )
         passed = fit.displacement(angle - beside / arrivals.tip_radius)
         return passed - fit.displacement(angle)

@@ -774,7 +774,7 @@ def _margins(
     """Return the difference of -2 log likelihood of each order of the mode in a place to the best:
     of fits, or by the reduction of the sum of squares."""
     most = max(gains.values())
-    found = {order: (most - gain) / best.noise.scale**2 for order, gain in gains.items()}
+    margins = {order: (most - gain) / best.noise.scale**2 for order, gain in gains.items()}
     for fit in sorted(fits, key=lambda fit: -fit.noise.cost):
-        found[fit.modes[place].order] = fit.noise.cost - best.noise.cost
-    return found
+        margins[fit.modes[place].order] = fit.noise.cost - best.noise.cost
+    return margins
