@@ -105,7 +105,7 @@ class System:
             pairs, residual = gap[:count], gap[count:].T @ static
             lift = structure.force[:, count:] @ static
         else:
-            mass, stiffness = _array(structure.mass), _array(structure.stiffness)
+            mass, stiffness = dense(structure.mass), dense(structure.stiffness)
             squares, shapes = scipy.linalg.eigh(stiffness, mass)
             rows, pairs, force = (mass @ shapes).T, shapes.T @ gap, structure.force @ shapes
             damping = _modal_damping(structure.damping, squares, shapes)
@@ -121,7 +121,7 @@ class System:
         return cls(squares, damping, pairs, force, residual, springs, lift, rows)
 
 
-def _array(matrix: Any) -> np.ndarray:
+def dense(matrix: Any) -> np.ndarray:
     """A PETSc matrix on one rank."""
     return np.asarray(matrix.getValues(range(matrix.size[0]), range(matrix.size[1])))
 
@@ -137,7 +137,7 @@ def _modal_damping(rule: Any, squares: np.ndarray, shapes: np.ndarray) -> np.nda
         rate = np.zeros(len(squares))
         rate[:count] = 2.0 * ratio * np.sqrt(np.maximum(squares[:count], 0.0))
         return np.diag(rate)
-    return shapes.T @ _array(rule) @ shapes
+    return shapes.T @ dense(rule) @ shapes
 
 
 # --- one set of closed pairs ----------------------------------------------------------------------

@@ -45,7 +45,7 @@ from typing import Any
 import common
 import numpy as np
 import scipy.linalg
-from reference_flow import INSTANTS, ReferenceFlow
+from reference_flow import INSTANTS, ReferenceFlow, dense
 
 import fenics_crack as fc
 from fenics_crack.draw.figure import COLOURS
@@ -305,11 +305,6 @@ def by_others(
         note = "" if answer["converged"] else "not converged"
         yield (program, f"H = {harmonics}", scene.error(gap), 1e3 * answer["cold"],
                answer["mib"], note)  # fmt: skip
-
-
-def dense(matrix: Any) -> np.ndarray:
-    """A PETSc matrix on one rank."""
-    return np.asarray(matrix.getValues(range(matrix.size[0]), range(matrix.size[1])))
 
 
 def matrices(scene: Scene) -> dict[str, Any]:

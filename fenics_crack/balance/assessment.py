@@ -142,9 +142,12 @@ class Assessment:
 
     def errors(self, *, search: bool = True) -> tuple[float, float]:
         """Return the relative errors of the gap, and of the displacement at the load in the
-        direction of each of its parts: without ``search`` the predicted ones; else the distances to
-        the nearest orbit, or the predicted ones where there is none. At most :data:`UNKNOWN`, the
-        value where no orbit is found though a small error was predicted."""
+        direction of each of its parts: without ``search`` the predicted ones.
+
+        With it they are the distances to the nearest orbit, or the predicted ones where there is
+        none. At most :data:`UNKNOWN`, the value where no orbit is found though a small error was
+        predicted.
+        """
         if self.own is not None or (search and self.orbit is not None):
             found = self.distance, self._away_at_load
         elif search and self.predicted_error <= MAX_ERROR:

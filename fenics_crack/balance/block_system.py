@@ -256,9 +256,12 @@ class BlockSolver(Solver):
 def _stiffened(
     block: BlockSystem, search: Search, here: np.ndarray, share: float
 ) -> tuple[np.ndarray, float]:
-    """The displacement and the share of the contact stiffness, 1 for the law, up to which full
-    steps lead from a displacement, from solution to solution at shares from a first one on, each
-    begun where a straight line over the logarithm of the share through the two before leads."""
+    """Return a displacement and the share of the contact stiffness, 1 for the law, up to which full
+    steps lead.
+
+    Solutions follow each other at growing shares from a first one on. Each search begins where a
+    straight line through the two solutions before, over the logarithm of the share, leads.
+    """
     reached, ratio, slope = 0.0, STIFFER, np.zeros_like(here)
     while reached < 1.0 and ratio >= LEAST_STIFFER:
         tolerance = search.tolerance if share == 1.0 else max(NEARLY_SOLVED, search.tolerance)

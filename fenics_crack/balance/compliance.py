@@ -292,8 +292,10 @@ class ModalCompliance:
 
     def derivative(self, name: str, force: np.ndarray) -> np.ndarray:
         """Return the derivative of R lambda - g_lin for fixed forces, (2H+1, n_pairs), by one of
-        the parameters of :meth:`at`: with H = Z^-1, dH = -H dZ H, dZ_k = (-2 k^2 w + i k d c) dw +
-        i k w c dd."""
+        the parameters of :meth:`at`.
+
+        With H = Z^-1, dH = -H dZ H, dZ_k = (-2 k^2 w + i k d c) dw + i k w c dd.
+        """
         order = self._order[:, None]
         if name == "clearance":
             found = np.zeros_like(force)

@@ -493,10 +493,10 @@ class CompiledEquations(Equations):
     def largest_compliance(self, parameter: float) -> float:
         """Largest sum of abs(R_k - R_inf) over a row of it at a parameter [m/N]."""
         self._last = None
-        found = float(kernel.largest_moving(self._point, parameter))
-        if not math.isfinite(found):
+        compliance = float(kernel.largest_moving(self._point, parameter))
+        if not math.isfinite(compliance):
             self.check(kernel.SINGULAR_STRUCTURE)
-        return found
+        return compliance
 
 
 class CompiledPoint(Linearisation):

@@ -248,11 +248,13 @@ Changes = tuple[np.ndarray, np.ndarray]
 def _improvement(
     system: ContactSystem, start: np.ndarray, rows: int, *, solved: int = 0
 ) -> Changes | None:
-    """Return the change from the solution to that of better equations. Where those of the first
-    ``solved`` rows are solved: two steps of Newton's method with the first Jacobian, where the
-    second is much shorter, or rounding, and these rows of the residual stay as they are. Else, and
-    from the same start, all steps to the solution, shortened where the residual would grow; None
-    where these do not converge."""
+    """Return the change from a solution to that of better equations.
+
+    Where the first ``solved`` rows are solved, it is two steps of Newton's method with the first
+    Jacobian: the second must be much shorter, or rounding, and the residual of these rows stays as
+    it is. Else all steps from the same start are made, shortened where the residual would grow.
+    None where these do not converge.
+    """
     first = system.linearise(start)
     known = first.residual.copy()
     known[solved:] = 0.0
@@ -265,10 +267,10 @@ def _improvement(
             return first.gap_of(step), first.force_of(step)[:rows]
     size = max(float(np.linalg.norm(start)), 1e-300)
     sharp = NEARLY_SOLVED * float(np.linalg.norm(known - first.residual)) / size
-    found = solve_near(system, start, 1.0, tolerance=sharp)
-    if found is None:
+    near = solve_near(system, start, 1.0, tolerance=sharp)
+    if near is None:
         return None
-    point = system.linearise(found.unknown)
+    point = system.linearise(near.unknown)
     return point.gap - first.gap, (point.force - first.force)[:rows]
 
 

@@ -161,9 +161,11 @@ class FrictionForces(ContactForces):
         return self._of_values(self._forces * self._integrals.springs)
 
     def by_share(self) -> np.ndarray:
-        """Derivative of the coefficients by the share of the coefficient of friction: with lambda =
-        E x, f = E' x of pairs that slip, and D E x = s - h there, it is f and what changes - D f of
-        the gaps make of the forces."""
+        """Derivative of the coefficients by the share of the coefficient of friction.
+
+        With lambda = E x, f = E' x of pairs that slip, and D E x = s - h there, it is f and what
+        changes - D f of the gaps make of the forces.
+        """
         integrals, pairs = self._integrals, self._rows[1] // 2
         friction = friction_of(integrals.law)
         assert friction is not None

@@ -95,11 +95,11 @@ def solve_linear(
     least = least_harmonics(structure, 1)
     harmonics = max(Problem.harmonics, least) if harmonics is None else harmonics
     check_count("harmonics", harmonics, least)
-    found = _without_contact(structure, omega, harmonics)
-    reference = reference_of(found)
+    solution = _without_contact(structure, omega, harmonics)
+    reference = reference_of(solution)
     if reference is None:
-        return found
-    return replace(found, report=beside(found, _without_contact(reference, omega, harmonics)))
+        return solution
+    return replace(solution, report=beside(solution, _without_contact(reference, omega, harmonics)))
 
 
 def _without_contact(structure: Structure, omega: float, harmonics: int) -> PeriodicSolution:
@@ -361,14 +361,14 @@ def solve_beside(
     """
     if tolerance is None:
         return Solver(problem).solve(near, reported=error)
-    found = _solved(Solver(problem), tolerance, near)
-    if not found.report.truncation <= tolerance:
+    solution = _solved(Solver(problem), tolerance, near)
+    if not solution.report.truncation <= tolerance:
         raise ConvergenceError(
             f"harmonic balance at {problem.omega:g} rad/s: the estimated truncation error, "
-            f"{found.report.truncation:.1e} with H = {found.harmonics}, stays above {tolerance:g}; "
-            f"{found.status}"
+            f"{solution.report.truncation:.1e} with H = {solution.harmonics}, stays above "
+            f"{tolerance:g}; {solution.status}"
         )
-    return found
+    return solution
 
 
 def _without_mass(whole: Structure, modes: int) -> Structure:
@@ -470,10 +470,10 @@ def _sought(
                 balanced.append(near)
                 yield near.assessment.states
 
-    found = search_orbit(
+    orbit = search_orbit(
         flow, problem.omega, guesses(), problem.subharmonic, any_other=initial is None
     )
-    return balanced, found
+    return balanced, orbit
 
 
 def _begun(solver: Solver, problem: Problem) -> Solver:
@@ -484,9 +484,9 @@ def _begun(solver: Solver, problem: Problem) -> Solver:
 def _told_of_others(found: OrbitSearch) -> str:
     """Describe the other orbits that were found."""
     words = []
-    for one in found.others:
-        size = quantity(one.amplitude(), "m")
-        words.append(f"{'stable' if one.is_stable else 'unstable'}, amplitude {size}")
+    for other in found.others:
+        size = quantity(other.amplitude(), "m")
+        words.append(f"{'stable' if other.is_stable else 'unstable'}, amplitude {size}")
     return f"; other orbits at this frequency: {'; '.join(words)}" if words else ""
 
 

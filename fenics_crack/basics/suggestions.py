@@ -158,9 +158,12 @@ def checked_call(
     keys: Callable[[str], Sequence[str]] | None = None,
     kinds: Collection[str] = (),
 ) -> Called:
-    """A function that refuses a call that does not fit it, with what may be meant: another
-    argument, a key of the scene that ``keys`` finds for it, or another function; a ``comm`` that is
-    no communicator; and what is of none of the ``kinds`` of its annotation."""
+    """Decorate a function so that it refuses a call that does not fit it, with what may be meant.
+
+    That is another argument, a key of the scene that ``keys`` finds for it, or another function. A
+    ``comm`` that is no communicator is refused, too, and what is of none of the ``kinds`` of its
+    annotation.
+    """
     from inspect import signature as signature_of  # takes a while: not for the program
 
     signature = signature_of(function)

@@ -467,9 +467,12 @@ def _large_errors(found: SweepResult) -> Iterator[str]:
 
 
 def stepped_over(found: SweepResult) -> list[str]:
-    """A sentence if between two load frequencies, or speeds, there is a peak that is narrower than
-    their distance: between its half-power points the phase falls by a quarter of a turn (rises,
-    where speeds pass a load of one frequency), between others next to it by more."""
+    """Return a sentence if there is a peak narrower than the distance of two load frequencies or
+    speeds.
+
+    Between its half-power points the phase falls by a quarter of a turn (rises, where speeds pass a
+    load of one frequency), between others next to it by more.
+    """
     over = [at for at, axis in enumerate(found.axes) if axis.key in (*FREQUENCIES, *SPEEDS)]
     if not over:
         return []

@@ -194,10 +194,12 @@ def continue_parameter(
 def _again(
     grow: Callable[..., Growing], start: float, end: float, begun: Growing | None
 ) -> Growing | None:
-    """Another curve from the start, with a solution met by following one from the end to it, or
-    from between, in as many points as one of them has or as are soon followed: where the first
-    solution found lies on a curve that comes back to the start, such as a closed loop of the
-    truncated equations, or where there is none."""
+    """Follow another curve from the start, in as many points as one before has or is soon to have.
+
+    Its solution at the start is met by following one from the end, or from between. It is needed
+    where the first solution lies on a curve that comes back to the start, such as a closed loop of
+    the truncated equations, or where there is none.
+    """
     spent, known = 0, 0 if begun is None else len(begun.followed)
     places = ATTEMPTS if begun is not None else 1  # where there is no orbit a search takes long
     for origin in np.linspace(end, start, ATTEMPTS, endpoint=False)[:places].tolist():

@@ -108,10 +108,12 @@ def parting(monodromy: np.ndarray) -> np.ndarray:
 
 
 class MultiplierControl(StepControl):
-    """Reject a step over which a leading multiplier moves more than half its distance to the unit
-    circle, or is mispredicted by as much (linear extrapolation of sorted ln |mu|), or over which
-    two part by more than half of what is allowed (:func:`parting`), down to a floor; and one over
-    which more than one of r, d and c changes, or one by more than 1."""
+    """Reject steps over which multipliers change too much.
+
+    A leading multiplier may move at most half its distance to the unit circle, be mispredicted by
+    as much (linear extrapolation of sorted ln |mu|), and two may part by at most half of what is
+    allowed (:func:`parting`), down to a floor. Of r, d and c one may change, by 1.
+    """
 
     def __init__(self, longest_step: float) -> None:
         self._longest, self._floor = longest_step, LEAST * longest_step

@@ -324,8 +324,10 @@ def _same(one: PeriodicOrbit | None, other: PeriodicOrbit | None) -> bool:
 
 def from_rest(solution: PeriodicSolution) -> Attractor | None:
     """Follow the exact motion from rest, for as long as the search of an orbit follows one, to see
-    whether it settles to another motion than a solution (collective); None where there is no exact
-    flow, or more than 120 modes."""
+    whether it settles to another motion than a solution (collective).
+
+    None where there is no exact flow, or more than 120 modes.
+    """
     flow = solution.assessment.flow
     if flow is None or flow.count > FORMED:
         return None

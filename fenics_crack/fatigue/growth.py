@@ -347,12 +347,12 @@ def _remarks(
     end: str,
 ) -> list[str]:
     """Return the remarks that cast doubt on a crack's growth."""
-    found = []
+    remarks = []
     one, two = np.maximum(seen["K_max"], TINY), seen["K_II_max"]
     turn = 2.0 * np.arctan(2.0 * two / (one + np.sqrt(one**2 + 8.0 * two**2)))
     if np.any(turning := turn > math.radians(10.0)):
         at = length[np.argmax(turning)]
-        found.append(
+        remarks.append(
             f"from {at:.4g} m on a straight crack is no longer right: it would turn by up to "
             f"{math.degrees(turn.max()):.0f} degrees, K_II_max being up to "
             f"{np.max(two / one):.0%} of K_max"
@@ -363,23 +363,23 @@ def _remarks(
     )
     if unsure:
         count = counted(len(unsure), "length")
-        found.append(f"at {count} the vibration is unstable, or its stability undecided")
+        remarks.append(f"at {count} the vibration is unstable, or its stability undecided")
     if jumps:
-        found.append(
+        remarks.append(
             f"near {jumps[0]:.4g} m the stress intensity jumps: several vibrations may be "
             "possible there, of which growth takes the one that is found first; a curve shows them"
         )
-    found += [f"a crack of {at:.4g} m was not solved: {why}" for at, why in path.failed]
+    remarks += [f"a crack of {at:.4g} m was not solved: {why}" for at, why in path.failed]
     # A crack that is arrested on its way has been at its threshold, however well that is known.
     near = np.abs(seen["delta_K_effective"] - law.threshold) < vibration * law.threshold
     if np.any(near) and (end != "arrested" or len(length) == 1):
-        found.append(
+        remarks.append(
             f"at {length[np.argmax(near)]:.4g} m the effective range is growth.threshold within "
             f"its error of {vibration:.1%}: whether the crack grows there is not known"
         )
     if not math.isfinite(vibration):
-        found.append("the error of the vibration is unknown")
-    return found
+        remarks.append("the error of the vibration is unknown")
+    return remarks
 
 
 # --- numbers over the length ----------------------------------------------------------------------
@@ -561,10 +561,12 @@ def _swept(scene: Scene, lengths: np.ndarray, levels: np.ndarray) -> Scene:
 
 
 def _missed(before: LengthPath, path: LengthPath, missed: np.ndarray) -> np.ndarray:
-    """Error of the spline's ln delta K on each interval between lengths: of those that are new, by
-    what the spline before missed at their ends; of the others what it was, or how far both splines
-    are apart in their middle, if that is more: a resonance that passes within shows around it, too.
-    (k - 1,)"""
+    """Return the error of the spline's ln delta K on each interval between lengths: (k - 1,).
+
+    Of new intervals it is what the spline before missed at their ends. Of the others it is what it
+    was, or how far both splines are apart in their middle, if that is more: a resonance that passes
+    within shows around it, too.
+    """
 
     def apart(lengths: np.ndarray) -> np.ndarray:
         here, there = (one.at("driving", lengths) for one in (path, before))

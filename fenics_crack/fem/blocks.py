@@ -771,10 +771,10 @@ def _check_size(scene: Scene, gradings: list[_Grading]) -> None:
     if scene.disk is not None:
         volume += Rim.of(scene).area * scene.geometry.sides[0]
     bulk = PER_VOLUME * volume / size**3
-    fronts = sum(one.cells(size) for one in gradings)
+    fronts = sum(grading.cells(size) for grading in gradings)
     key, shortest = "size", ""
     if fronts > bulk:
-        least = min(one.shortest for one in gradings)
+        least = min(grading.shortest for grading in gradings)
         key, shortest = "lip_elements", f", at a crack's front {least:.2g} m long"
     _check_cells(scene, key, bulk + fronts, scene.mesh.order**3 // 2, shortest)
 

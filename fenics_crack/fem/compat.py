@@ -78,10 +78,10 @@ def model_to_mesh(model: Any, comm: MPI.Comm, dimension: int) -> tuple[Any, Any,
         raise MemoryError("no room for a thread")
     # DOLFINx 0.5 tries a call whose error, seen by nobody, shows all arrays.
     with np.printoptions(threshold=0, edgeitems=1):
-        found = gmshio.model_to_mesh(model, comm, 0, gdim=dimension)
-    if isinstance(found, tuple) and len(found) == 3:
-        return found
-    return found.mesh, found.cell_tags, found.facet_tags
+        mesh = gmshio.model_to_mesh(model, comm, 0, gdim=dimension)
+    if isinstance(mesh, tuple) and len(mesh) == 3:
+        return mesh
+    return mesh.mesh, mesh.cell_tags, mesh.facet_tags
 
 
 @contextmanager
@@ -206,7 +206,7 @@ def held_dofs(space: Any, conditions: Any) -> np.ndarray:
     zeros, ones = values = np.array([[0.0], [1.0]]).repeat(count, axis=1)
     with reading("bcs", type(conditions).__name__, "Dirichlet conditions of zero on the space"):
         conditions = list(conditions)
-        if not all(whole.contains(_in_cpp(one.function_space)) for one in conditions):
+        if not all(whole.contains(_in_cpp(condition.function_space)) for condition in conditions):
             raise ValueError("one is of another space")
         for row in values:
             vector = PETSc.Vec().createWithArray(row, comm=MPI.COMM_SELF)

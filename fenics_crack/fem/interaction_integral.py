@@ -263,12 +263,12 @@ def _of_forces(
     """Return the factors of the contact forces in K, (n_pairs,): from their pressure along the
     crack faces instead of forces at nodes. It has no part in K_II, and forces at the mouth alone
     stay at their nodes."""
-    found = np.zeros(structure.n_pairs)
+    forces = np.zeros(structure.n_pairs)
     if kind == 1 or scene.contact is None or scene.contact.pairs == "mouth":
-        return found
+        return forces
     pairs, thickness = structure.pairs, scene.geometry.thickness or 1.0
     assert pairs.cracks is not None and pairs.positions is not None and pairs.areas is not None
-    found -= structure.apply_bt(field[None])[0]
+    forces -= structure.apply_bt(field[None])[0]
     own = np.flatnonzero(pairs.cracks == tip.crack)
     own = own[np.argsort(np.abs(tip.position - pairs.positions[own]))]
     distance = np.abs(tip.position - pairs.positions[own])
@@ -276,8 +276,8 @@ def _of_forces(
     kappa, scale = _scale(scene)
     acting = 2.0 * (kappa + 1.0) * scale * _weight(places, tip.radius) * weights
     hats = np.array([np.interp(places, distance, row) for row in np.eye(len(own))])
-    found[own] += thickness * hats @ acting / pairs.areas[own]
-    return 0.5 * scene.material.young / thickness * found
+    forces[own] += thickness * hats @ acting / pairs.areas[own]
+    return 0.5 * scene.material.young / thickness * forces
 
 
 def _rule(ends: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:

@@ -96,8 +96,8 @@ def parts_of(scene: Scene) -> list[Vector]:
     excitation, zero = scene.excitation, (0.0,) * scene.dimension
     given = excitation.force_mean, excitation.force_cos, excitation.force_sin
     rows = [part or zero for part in given] + [zero] * (2 * scene.highest_order - 2)
-    for one in excitation.harmonics:
-        sized = len(one.cos) == scene.dimension
+    for harmonic in excitation.harmonics:
+        sized = len(harmonic.cos) == scene.dimension
         excitation.require(sized, "harmonics", f"of {scene.dimension} components each")
     add_harmonics(rows, excitation.harmonics)
     if excitation.wave is not None:

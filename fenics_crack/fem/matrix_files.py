@@ -467,7 +467,7 @@ middles of their cells, (m, 3)."""
 
 def _lip_facets(model: Model, lips: _Lips) -> list[Facets]:
     """Facets of one cell alone that lie on another one, triangles and quadrilaterals apart."""
-    found = []
+    facets = []
     for corners in (3, 4):
         parts = [
             _facets(model.points, cells, CORNERS[kind], own)
@@ -484,8 +484,8 @@ def _lip_facets(model: Model, lips: _Lips) -> list[Facets]:
         twice &= np.any(lips.split[nodes[:, :corners]] >= 0, axis=1)
         twice &= ~np.any(lips.torn[nodes] & (nodes >= 0), axis=1)
         if np.any(twice):
-            found.append((nodes[twice], middles[twice]))
-    return found
+            facets.append((nodes[twice], middles[twice]))
+    return facets
 
 
 def _facets(points: np.ndarray, cells: np.ndarray, corners: int, facets: np.ndarray) -> Facets:

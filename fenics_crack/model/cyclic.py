@@ -530,9 +530,12 @@ def cyclic_basis(
 
 
 def _of_sectors(fields: dict[int, np.ndarray], sector: Sector) -> np.ndarray:
-    """The real fields of all sectors of those of the nodal diameters 0 .. N/2: an inverse Fourier
-    transform, by a product of matrices. A sum over all nodal diameters, whose second half is the
-    conjugate of the first. The largest of a basis: ``fields`` are taken out as they are used."""
+    """Return the real fields of all sectors of those of the nodal diameters 0 .. N/2.
+
+    It is an inverse Fourier transform, by a product of matrices: a sum over all nodal diameters,
+    whose second half is the conjugate of the first. The largest of a basis: ``fields`` are taken
+    out as they are used.
+    """
     angles = np.outer(np.arange(sector.count), sector.diameters) * (2.0 * np.pi / sector.count)
     twice = np.where([sector.is_single(n) for n in sector.diameters], 1.0, 2.0) / sector.count
     shape = sector.opening.shape

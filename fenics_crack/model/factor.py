@@ -148,8 +148,11 @@ class Factor:
     @property
     def _is_plane(self) -> bool:
         """True if rows have as few entries as those of a plane, 18 to 32; of solids they have 45 or
-        more (collective). With rows ordered for minimum fill the former are factored in 0.6 of
-        MUMPS's own time, the latter in more, and larger."""
+        more (collective).
+
+        With rows ordered for minimum fill the former are factored in 0.6 of MUMPS's own time,
+        the latter in more, and larger.
+        """
         entries = self._matrix.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
         return bool(entries < 40 * self._matrix.size[0])
 

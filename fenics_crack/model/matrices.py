@@ -272,8 +272,11 @@ def _of_nastran(path: Path, kind: str) -> LabelledMatrix:
 
 def _of_op4(path: Path, kind: str) -> sparse.csr_matrix:
     """The matrix whose name begins with its kind, by the form that OUTPUT4 has in the DMAP
-    Programmer's Guide: a line for the matrix, and one for each column with its first row, or 0 and
-    then one for each string of numbers without gaps."""
+    Programmer's Guide.
+
+    It has a line for the matrix, and one for each column with its first row, or 0 and then one for
+    each string of numbers without gaps.
+    """
     lines = numbered_lines(path, "$")
     number, line, width = 0, "", 16
 

@@ -151,9 +151,12 @@ def _static_shapes(
 
 
 def _massless(structure: Structure, modes: int, assessed: bool | int) -> MasslessStructure:
-    """Modes and the rest without mass; its reference, by which it is assessed, has twice the modes,
-    or ten more: where these leave something for every pair, without which it has mass, and no more
-    than half of what the kept ones leave; else it has all modes. Or it has so many modes."""
+    """Reduce a structure to modes and a rest without mass.
+
+    Its reference, by which it is assessed, has twice the modes, or ten more, where these leave
+    something for every pair, without which it has mass, and no more than half of what the kept ones
+    leave. Else it has all modes, or the number that is given.
+    """
     twice, most = modes + max(modes, 10), structure.n_dofs - structure.n_pairs
     more = min(twice, most) if most > modes else structure.n_dofs
     if chosen := assessed is not True and assessed > modes:

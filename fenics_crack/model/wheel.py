@@ -501,8 +501,11 @@ class WheelStructure(Structure):
 
     def known_modes(self, *, tied: bool) -> tuple[np.ndarray, np.ndarray] | None:
         """All, of small dense matrices: those of equal sectors come in pairs, which Krylov's method
-        mixes with its own error. In ascending order, or as :meth:`ranked` has the open ones; the
-        bonded ones are among the open ones, of which M is 1 whatever it is in coordinates."""
+        mixes with its own error.
+
+        In ascending order, or as :meth:`ranked` has the open ones; the bonded ones are among the
+        open ones, of which M is 1 whatever it is in coordinates.
+        """
         if tied:
             return self.once(_tied_modes)
         return self.once(_all_modes) if self.body.ranked is None else self.body.ranked
@@ -580,9 +583,11 @@ def in_few_coordinates(structure: Structure) -> Structure:
 
 
 def families_of_basis(families: int) -> int:
-    """Modes of each nodal diameter in the basis, for so many that are kept: four more. With two the
-    stated error of a gap is three quarters of the true one, with four 1.4 times it: the next
-    families need not open the crack."""
+    """Modes of each nodal diameter in the basis, for so many that are kept: four more.
+
+    With two the stated error of a gap is three quarters of the true one, with four 1.4 times it:
+    the next families need not open the crack.
+    """
     return families + 4
 
 

@@ -390,9 +390,12 @@ def affordable(
     flow: ContactFlow, omega: float, subharmonic: int = 1, periods: int = FLOWS + PRODUCTS
 ) -> bool:
     """Return True if a search does not take long at a frequency: M is formed, and the load not too
-    slow; or so many periods have no more pieces, but for events, than it may take. Large states of
-    crack faces with mass, which bounce, are not tried: from their harmonic-balance solutions
-    Newton's method leads to no orbit."""
+    slow.
+
+    The same where so many periods have no more pieces, but for events, than it may take. Large
+    states of crack faces with mass, which bounce, are not tried: from their harmonic-balance
+    solutions Newton's method leads to no orbit.
+    """
     if flow.count <= FORMED:
         return not too_slow(flow, omega, subharmonic)
     pieces = flow.pieces(2.0 * np.pi * subharmonic / omega)
@@ -496,9 +499,11 @@ def find_orbit(
     subharmonic: int = 1,
     inverse: Inverse | None = None,
 ) -> PeriodicOrbit | None:
-    """The orbit that Newton's method leads to from a state at phase zero, closed to 1e-6; None
-    where it leads to none, or takes more than the budget allows: pieces of all motions together,
-    and intervals of each. It may begin with the inverse of a motion nearby."""
+    """The orbit that Newton's method leads to from a state at phase zero, closed to 1e-6.
+
+    None where it leads to none, or takes more than the budget allows: pieces of all motions
+    together, and intervals of each. It may begin with the inverse of a motion nearby.
+    """
     search = _Search(flow, omega, subharmonic, state)
     try:
         if not search.leads_to_orbit(inverse):

@@ -300,12 +300,12 @@ def zero_between(
             x = x + lean[0] * before.tangent.x + lean[1] * after.tangent.x
             p = before.parameter + smooth * rise
             p += lean[0] * before.tangent.p + lean[1] * after.tangent.p
-            found = solve_in_plane(system, x, p, chord, tolerance=rtol, reach=STRAY * length)
-            if found is None:
+            plane = solve_in_plane(system, x, p, chord, tolerance=rtol, reach=STRAY * length)
+            if plane is None:
                 raise ConvergenceError("path: lost between two points")
-            assert found.at is not None
-            tangent = tangent_of(system, found.unknown, found.at, chord)
-            point = replace(found, tangent=tangent, observed=observed(system, found.at))
+            assert plane.at is not None
+            tangent = tangent_of(system, plane.unknown, plane.at, chord)
+            point = replace(plane, tangent=tangent, observed=observed(system, plane.at))
             met[share] = point, test(point)
         return met[share][1]
 
@@ -350,8 +350,8 @@ class Target(Event):
         near = _between(system, ends, self.parameter, rtol)
         if near is None:
             return None
-        found = solve_at(system, near.unknown, self.parameter, tolerance=rtol)
-        return found and replace(found, tangent=near.tangent)
+        at = solve_at(system, near.unknown, self.parameter, tolerance=rtol)
+        return at and replace(at, tangent=near.tangent)
 
 
 @dataclass(frozen=True)

@@ -206,10 +206,10 @@ def _numbers_of_mesh(file: str, given: object) -> tuple[tuple[str, float], ...]:
 
 def _harmonics(value: object) -> tuple[Harmonic, ...]:
     """Harmonics of different orders, each by its cosine and sine or by amplitude and phase."""
-    found = tuple(one if isinstance(one, Harmonic) else _harmonic(one) for one in _list(value))
-    if len({one.order for one in found}) != len(found):
+    harmonics = tuple(one if isinstance(one, Harmonic) else _harmonic(one) for one in _list(value))
+    if len({one.order for one in harmonics}) != len(harmonics):
         raise TypeError
-    return found
+    return harmonics
 
 
 def _harmonic(given: object) -> Harmonic:
@@ -474,13 +474,13 @@ class Table:
         InputError
             Another vector is longer or shorter.
         """
-        found = copy(self)
+        vectors = copy(self)
         for key, item in self.keys().items():
             letter, value = item.metadata.get("letter"), getattr(self, key)
             if letter is not None and value is not None and len(value) != dimension:
                 self.require(not any(value), key, components(letter, dimension))
-                object.__setattr__(found, key, (0.0,) * dimension)
-        return found
+                object.__setattr__(vectors, key, (0.0,) * dimension)
+        return vectors
 
     def __post_init__(self) -> None:
         for name, item in self.keys().items():

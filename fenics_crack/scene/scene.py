@@ -497,7 +497,7 @@ def with_files(scene: Scene, change: Callable[[str], str]) -> Scene:
                 for axis in getattr(table, key)
             )
     if scene.identify is not None and scene.identify.meshes:
-        moved = (dataclasses.replace(one, key=change(one.key)) for one in scene.identify.meshes)
+        moved = (dataclasses.replace(mesh, key=change(mesh.key)) for mesh in scene.identify.meshes)
         changes["identify.meshes"] = tuple(moved)
     return scene.replace(changes)
 

@@ -299,8 +299,11 @@ class Excitation(Table, Periodic):
 
 def add_harmonics(rows: list[Vector], harmonics: tuple[Harmonic, ...]) -> None:
     """Add harmonics to the components of a mean, and of cosine and sine of each order."""
-    for one in harmonics:
-        for row, part in ((2 * one.order - 1, one.cos), (2 * one.order, one.sin)):
+    for harmonic in harmonics:
+        for row, part in (
+            (2 * harmonic.order - 1, harmonic.cos),
+            (2 * harmonic.order, harmonic.sin),
+        ):
             pairs = zip_longest(rows[row], part, fillvalue=0.0)
             rows[row] = tuple(a + b for a, b in pairs)
 
@@ -349,7 +352,7 @@ class Load(Table, Periodic):
         self.leave_out(others, "edge" if self.point is None else "point")
         some = any(getattr(self, name) is not None for name in allowed) or bool(self.harmonics)
         if self.point is not None:
-            vectors = all(len(one.cos) > 1 for one in self.harmonics)
+            vectors = all(len(harmonic.cos) > 1 for harmonic in self.harmonics)
             self.require(vectors, "harmonics", "vectors at a point: components of a force")
         self.require(some, allowed[-1], f"given, or another of {', '.join(allowed[:-1])}")
         if all(getattr(self, name) is None for name in allowed if not name.endswith("_mean")):
@@ -731,9 +734,9 @@ class Mesh(Table):
 
     def with_vectors(self, dimension: int) -> Mesh:
         """The same in a plane or in space, of the order that is usual there."""
-        found = copy(self)
-        object.__setattr__(found, "order", self.order or dimension - 1)
-        return found
+        table = copy(self)
+        object.__setattr__(table, "order", self.order or dimension - 1)
+        return table
 
     @property
     def derived(self) -> set[str]:
@@ -1108,8 +1111,8 @@ class Identify(Table):
         """Raise InputError unless there is one mesh for every combination of enough numbers."""
         metres = [key for key, item in Crack.keys().items() if item.metadata["unit"] == "m"]
         named = {*map(Crack.name_of, metres)} - {axis.key for axis in self.unknown}
-        for one in self.meshes:
-            key, names = f'identify.meshes."{one.key}"', [name for name, _ in one.values]
+        for mesh in self.meshes:
+            key, names = f'identify.meshes."{mesh.key}"', [name for name, _ in mesh.values]
             if not names or set(names) != {name for name, _ in self.meshes[0].values}:
                 raise InputError(key, names, "the same numbers as of the others, one or more")
             for name in names:
@@ -1120,7 +1123,7 @@ class Identify(Table):
             if len(axis.values) < MIN_VALUES:
                 allowed = f"{MIN_VALUES} or more different ones"
                 raise InputError(f"identify.meshes, {axis.key}", axis.values, allowed)
-        there = [tuple(dict(one.values)[a.key] for a in self.mesh_axes) for one in self.meshes]
+        there = [tuple(dict(mesh.values)[a.key] for a in self.mesh_axes) for mesh in self.meshes]
         every = itertools.product(*(axis.values for axis in self.mesh_axes))
         for wanted in every if there else ():
             if (count := there.count(wanted)) != 1:
@@ -1133,7 +1136,7 @@ class Identify(Table):
     def mesh_axes(self) -> tuple[Axis, ...]:
         """The numbers of the meshes, in ascending order, by their names."""
         names = [name for name, _ in self.meshes[0].values] if self.meshes else []
-        values = {name: {dict(one.values)[name] for one in self.meshes} for name in names}
+        values = {name: {dict(mesh.values)[name] for mesh in self.meshes} for name in names}
         return tuple(Axis(name, tuple(sorted(found))) for name, found in values.items())
 
     @property

@@ -231,9 +231,11 @@ class Campbell(Saved):
             yield text + f"; there d ln f / d ln n = {self.stiffening(speed, order * speed):.2g}"
 
     def stiffening(self, speed: float, omega: float) -> float:
-        """d ln w / d ln W of the mode nearest to a frequency at a speed [rad/s], of the kind that
-        the crack has at the next of the speeds, its square being linear in that of the speed
-        (Southwell) between two speeds and beyond them; for :func:`find_passages`."""
+        """Return d ln w / d ln W of the mode nearest to a frequency at a speed [rad/s].
+
+        It is of the kind that the crack has at the next of the speeds; w^2 is linear in W^2
+        (Southwell) between two speeds and beyond them. For :func:`find_passages`.
+        """
         near = self.kind[int(np.abs(self.speed - speed).argmin())]
         of_kinds = [getattr(self, f"omega_{kind}") for kind in STATES]
         own = np.select([near == kind for kind in STATES], of_kinds)

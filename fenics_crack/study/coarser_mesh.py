@@ -117,10 +117,12 @@ def coarser(study: Study) -> tuple[Study, tuple[int, int], float] | str:
 
 
 def _ratio(scene: Scene, coarse: Scene, counts: tuple[int, int]) -> float:
-    """Return the ratio of the element lengths of a coarser mesh: by their numbers, but at the
-    fronts of the cracks of a solid, and at the tips and corners of a disk's sector, where they err
-    the most, by the given sizes; elements that are longer than a solid is thick become no longer
-    across it, and leave more than these say."""
+    """Return the ratio of the element lengths of a coarser mesh.
+
+    It follows from their numbers, but at the fronts of the cracks of a solid, and at the tips and
+    corners of a disk's sector, where they err the most, from the given sizes. Elements longer than
+    a solid is thick become no longer across it, and leave more than these say.
+    """
     size, plane = scene.mesh.size, scene.dimension == 2
     if scene.has_element_lengths and size is not None and (scene.all_cracks or plane):
         if plane or size <= min(scene.geometry.sides):
@@ -170,9 +172,11 @@ def parts_of(
     cause: str, counts: Sequence[int], levels: Sequence[Mapping[str, float]], scene: Scene,
     *, formal: float, highest: float = math.inf, ratio: float | None = None,
 ) -> dict[str, GridConvergence]:  # fmt: skip
-    """The part of a cause in each number, which is 0 where a run has none, by the numbers of two or
-    three runs, the answer's own first, or of two by a ratio of sizes; orders are those of
-    :func:`grid_convergence`."""
+    """Return the part of a cause in each number, which is 0 where a run has none.
+
+    It follows from the numbers of two or three runs, the answer's own first, or of two by a ratio
+    of sizes; orders are those of :func:`grid_convergence`.
+    """
     sizes = [_size_of(cause, count, scene) for count in counts]
     if ratio is not None:
         sizes[1] = ratio * sizes[0]

@@ -277,8 +277,10 @@ def solve_prepared(
     whole: Study, initial: PeriodicSolution | None = None, omega: float | None = None
 ) -> Run[PeriodicSolution]:
     """The same of a scene that is prepared; reduced, if its modes are chosen (collective).
-    Without a tolerance it is sought from a solution of the same structure, if there is one, and at
-    another frequency than the scene's, if that is given."""
+
+    Without a tolerance it is sought from a solution of the same structure, if there is one, and
+    at another frequency than the scene's, if that is given.
+    """
     rows_requested(whole)  # before anything is solved: it may be refused
     scene, law = whole.scene, whole.contact
     omega, table = omega or scene.excitation.omega, scene.harmonic_balance

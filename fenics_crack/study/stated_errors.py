@@ -143,7 +143,7 @@ def numbers_of(study: Study, found: PeriodicSolution, mode: int | None = None) -
 FRICTION_MODES = 20
 """Modes of the structure that shows the effect of friction. With 10 that on openings is often off
 by more than a factor of 2, with 40 an orbit takes three times as long."""
-SOUGHT = 10, 20
+SOUGHT = 10
 """Harmonics of the solutions next to which its two orbits are sought."""
 
 # --- one other run for each cause -----------------------------------------------------------------
@@ -229,13 +229,10 @@ def with_friction(
         for one in (law, law_of(scene.replace(keys), few)):
             assert one is not None
             given = few, found.omega, one
-            near = (
-                Solver(Problem(*given, count * periods, subharmonic=periods)).solve(found)
-                for count in SOUGHT
-            )
-            orbit = next(filter(None, (each.assessment.orbit for each in near)), None)
+            near = Problem(*given, SOUGHT * periods, subharmonic=periods)
+            orbit = Solver(near).solve(found).assessment.orbit
             if orbit is None:
-                return f"not estimated, no exact orbit next to {SOUGHT[-1]} harmonics"
+                return f"not estimated, no exact orbit next to {SOUGHT} harmonics"
             twin = replace(study, structure=few, contact=one)
             both.append(_of_orbit(twin, found, orbit, mode, found.harmonics))
     except REFUSALS as error:
@@ -257,8 +254,10 @@ def not_estimated(report: ErrorReport) -> str:
 
 def errors_of(study: Study, result: object) -> Verification | None:
     """The same of any result (collective): of a curve over the frequency that of its largest
-    response, which moves with the resonance unless it is an end of the curve; None of one that is
-    not a vibration, or has not converged."""
+    response, which moves with the resonance unless it is an end of the curve.
+
+    None of one that is not a vibration, or has not converged.
+    """
     if isinstance(result, Modes):
         return errors_of_natural(study, {"open": result.omega})
     if isinstance(result, ResponseCurve) and result.parameter == "omega":
@@ -390,7 +389,10 @@ def _of_orbit(
 ) -> dict[str, float]:
     """The numbers of an orbit next to a solution, of a study's structure: of crack faces by its
     motion at the solution's instants, but for the duty cycle, which follows from its switching
-    instants; of points with so many harmonics, by default many (collective)."""
+    instants.
+
+    Those of points have so many harmonics, by default many (collective).
+    """
     law, harmonics = study.contact, harmonics or _many(found)
     assert law is not None
     problem = Problem(study.structure, found.omega, law, harmonics, subharmonic=found.subharmonic)

@@ -341,11 +341,13 @@ class Verification(Saved):
         return error / abs(value) if value else math.nan
 
     def stated(self, quantity: str) -> tuple[float, str]:
-        """The error of a quantity, relative to it, by all causes (:meth:`total`); and the largest
-        of them: "mesh", "modes", "harmonics", "friction", "samples". Not known: nan, also where the
-        part of the harmonics or the modes is not, or nothing that was varied changes it and
-        something else was not. Infinite where the estimate is as large as the quantity, as of a
-        mesh that is too coarse."""
+        """The error of a quantity, relative to it, by all causes (:meth:`total`).
+
+        The second value is the largest of them: "mesh", "modes", "harmonics", "friction",
+        "samples". Not known: nan, also where the part of the harmonics or the modes is not, or
+        nothing that was varied changes it and something else was not. Infinite where the estimate
+        is as large as the quantity, as of a mesh that is too coarse.
+        """
         unknown = any(cause in self.unknown for cause in ESTIMATED)
         if quantity not in self.values or not self.parts or unknown:
             return math.nan, ""

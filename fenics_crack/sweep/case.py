@@ -167,8 +167,10 @@ def solve_chunk(
     geometry: Geometry, chunk: Chunk, asked: Asked, go_on: Callable[[], bool]
 ) -> list[Found]:
     """Solve cases one after the other, each at its own frequency or at its resonance; with verdicts
-    on their stability, if wanted, and with the error of a reduction that has been assessed. The
-    first ones where ``go_on``, which is called before each, ends it."""
+    on their stability, if wanted, and with the error of a reduction that has been assessed.
+
+    The first ones where ``go_on``, which is called before each, ends it.
+    """
     cases, solved = Cases(geometry), []
     for number, case in zip(chunk.numbers.tolist(), chunk.cases, strict=True):
         if not go_on():

@@ -283,9 +283,12 @@ class SweepResult(Tabular):
     @property
     def contradicted(self) -> list[tuple[tuple[int, ...], str]]:
         """Index of each case whose verdict on stability is known to depend on truncated modes, and
-        the verdict with twice the modes. It is known for crack faces without mass, where one step
-        of Newton's method with these modes shows it, for two cases in three; of each one
-        :func:`fenics_crack.solve` finds the orbit."""
+        the verdict with twice the modes.
+
+        It is known for crack faces without mass, where one step of Newton's method with these
+        modes shows it, for two cases in three; of each one :func:`fenics_crack.solve` finds the
+        orbit.
+        """
         cases = self._status_where(self.converged & (self["verdict"] != "undecided"))
         return [(at, said) for at, status in cases if (said := status.partition(YET)[2])]
 

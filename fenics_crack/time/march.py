@@ -261,10 +261,12 @@ class TimeHistory(Observed, Tabular):
     @property
     def distance(self) -> float:
         """Distance of the motion from the one that it settles to, relative as ``settled`` is, of
-        the gaps or of the displacement watched, if that is recorded, whichever is larger: the limit
-        of a motion with two multipliers left follows from its last four periods (minimal polynomial
-        extrapolation; Sidi, Vector Extrapolation Methods, chapter 2). nan with fewer than three
-        periods kept (collective)."""
+        the gaps or of the displacement watched, if that is recorded, whichever is larger.
+
+        The limit of a motion with two multipliers left follows from its last four periods
+        (minimal polynomial extrapolation; Sidi, Vector Extrapolation Methods, chapter 2). nan
+        with fewer than three periods kept (collective).
+        """
         kept = [one[-RECORDED_PERIODS:] for one in self._watched]
         if len(kept[0]) < 3:
             return math.nan
@@ -478,9 +480,11 @@ def _change(now: Sequence[np.ndarray], before: Sequence[np.ndarray]) -> float:
 
 def _sizes(parts: Sequence[np.ndarray]) -> list[float]:
     """Return the sizes of the moving parts of a motion, (N, m) each over a period: a clearance or a
-    steady load may make means as large as they like. Infinite, so that no change of it counts,
-    where a part is rounding relative to the largest one, as the gaps of rigid crack faces that stay
-    closed."""
+    steady load may make means as large as they like.
+
+    Infinite, so that no change of it counts, where a part is rounding relative to the largest
+    one, as the gaps of rigid crack faces that stay closed.
+    """
     sizes = [moving_size(part) for part in parts]
     return [size if size > NEGLIGIBLE * max(sizes) else math.inf for size in sizes]
 

@@ -1,6 +1,7 @@
 """docs/the_paper.md: the paper's figures, equations and claims have rows whose numbers hold."""
 
 import re
+import runpy
 from functools import cache
 
 import numpy as np
@@ -11,6 +12,7 @@ import fenics_crack as fc
 
 DEMOS = ROOT / "demos"
 OMEGA, STIFFNESS = 2000.0, 1e11  # rad/s, N/m
+amplitudes = runpy.run_path(str(DEMOS / "paper_plate.py"))["amplitudes"]
 
 
 @cache
@@ -96,7 +98,7 @@ def test_the_period() -> None:
         plate(), OMEGA, law, periods=periods, initial=start, record_periods=periods // 2
     )
     motion = history.by_period(history.displacement([corner()])[:, 0])
-    orders, lines = spectrum(motion)
+    orders, lines = amplitudes(motion)
     main = lines[np.argmin(np.abs(orders - 1.0))]
     for order in (1.44, 1.56):
         near = np.abs(orders - order) < 0.03
@@ -107,14 +109,6 @@ def test_the_period() -> None:
     assert_found("period", "at 1, 1.44, 1.56 and 2 times", f"{crossings:.3f} times")
     found = fc.floquet(plate(), fc.solve_harmonic_balance(plate(), OMEGA, law, tolerance=1e-3))
     assert found.verdict == "unstable"
-
-
-def spectrum(by_period: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Orders of the load's frequency and amplitudes, by Hann's window."""
-    flat = by_period.ravel()
-    window = np.hanning(len(flat))
-    lines = 2.0 * np.abs(np.fft.rfft(flat * window)) / window.sum()
-    return np.arange(len(lines)) / len(by_period), lines
 
 
 @pytest.mark.nightly

@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import DEMOS, chain, oscillator
+from helpers import DEMOS, SOLID, chain, oscillator
 from mpi4py import MPI
 from surroundings import ROOT
 
 import fenics_crack as fc
 from fenics_crack.balance import block_system
-from fenics_crack.cli.command_line import PETSC_PREFIXES
+from fenics_crack.cli.command_line import PREFIXES
 
 PAPER = DEMOS / "paper_plate.toml"
 AGREEING: dict[str, Any] = {"contact.stiffness": 1e9, "damping.ratio": 0.01}
@@ -32,15 +32,6 @@ RAYLEIGH: dict[str, Any] = {
     "damping.ratio": None, "damping.ratios": [0.01, 0.01], "damping.omegas": [2300.0, 8000.0],
     "damping.modes": "all",
 }  # fmt: skip
-SOLID = """
-geometry = { kind = "solid", width = 0.03, height = 0.05, thickness = 0.01 }
-crack = { edge = "left", height = 0.02, length = 0.01 }
-material = { young = 2.1e11, poisson = 0.3, density = 7850.0 }
-damping = { ratio = 0.01, modes = 10 }
-excitation = { point = [0.0, 0.05, 0.005], force_cos = [100.0, 0.0, 10.0], frequency = 2000.0 }
-contact = { law = "penalty", stiffness = 1e8 }
-mesh = { layout = "graded", order = 2, size = 0.012, lip_elements = 2, error = false }
-"""
 
 
 def differences(scene: fc.Scene, comm: MPI.Comm, samples: int = 1024) -> tuple[float, float]:
@@ -91,8 +82,9 @@ def test_block_is_condensed_on_two_and_four_ranks(
     program = f"""
         import fenics_crack as fc
         from mpi4py import MPI
-        from test_block_system import PAPER, SOLID, differences
-        for scene in (fc.Scene.load(PAPER, {changes!r}), fc.Scene.from_text(SOLID)):
+        from helpers import SOLID
+        from test_block_system import PAPER, differences
+        for scene in (fc.Scene.load(PAPER, {changes!r}), SOLID):
             assert max(differences(scene, MPI.COMM_WORLD, 256)) < 1e-10
     """
     mpirun(textwrap.dedent(program), 4)
@@ -109,7 +101,7 @@ def test_block_is_condensed_on_the_breathing_plate(law: str, damping: dict[str, 
 
 def test_block_is_condensed_on_a_solid() -> None:
     """Six pairs, 1,458 dofs."""
-    assert max(differences(fc.Scene.from_text(SOLID), MPI.COMM_SELF, 256)) < 1e-10
+    assert max(differences(SOLID, MPI.COMM_SELF, 256)) < 1e-10
 
 
 def solved(tmp_path: Path, *options: str, **changes: Any) -> subprocess.CompletedProcess[str]:
@@ -162,7 +154,7 @@ def test_options_are_those_of_solvers() -> None:
     """The program accepts the prefixes that the package sets, and no others."""
     texts = [path.read_text() for path in (ROOT / "fenics_crack").rglob("*.py")]
     prefixes = {f"-{one}" for text in texts for one in re.findall(r'"(crack_\w+_)"', text)}
-    assert prefixes == set(PETSC_PREFIXES)
+    assert prefixes == set(PREFIXES)
 
 
 def test_no_convergence_is_one_line(tmp_path: Path) -> None:

@@ -155,7 +155,7 @@ def differences(committed: str, rows: list[Row], rendered: str) -> list[str]:
 
 
 def index() -> str:
-    """The index, from the pages as they are."""
+    """The index, from the pages as they are, and the smaller checks, which it keeps."""
     lines = [
         "# The verification book\n",
         "One page a case: the problem, where its reference comes from, our figures beside it, and",
@@ -165,7 +165,7 @@ def index() -> str:
         "    .venv/bin/python -m pytest tests/verification --write-book\n",
         "References that CalculiX makes need it (`apt-get install calculix-ccx`); without it the",
         "tests of these pages are skipped.\n",
-        "Smaller checks, a line each: [Verification](../verification.md).\n",
+        "[Smaller checks](#smaller-checks-a-line-each) follow, a line each.\n",
     ]
     for topic in dict.fromkeys(case.topic for case in CASES.values()):
         lines += [f"## {topic}\n", "| | case | figures | furthest off, of what is allowed |"]
@@ -173,7 +173,8 @@ def index() -> str:
         lines += [_line(case) for case in CASES.values() if case.topic == topic]
         lines += [""]
     names = "\n".join(CASES)
-    return "\n".join(lines) + f"\n```{{toctree}}\n:hidden:\n\n{names}\n```\n"
+    smaller = "".join((PAGES / "index.md").read_text().partition("\n## Smaller checks")[1:])
+    return "\n".join(lines) + f"\n```{{toctree}}\n:hidden:\n\n{names}\n```\n{smaller}"
 
 
 def _line(case: Case) -> str:

@@ -130,19 +130,19 @@ def identify(
         more: dict[str, Any] = {"further": further, "whole": whole, "closer": closer}
         forward = solve_forward(scene, shaken, Path(folder), comm, progress=progress, **more)
         begin("inference")
-        found = infer(forward, measurements)
-        worst = _interpolated(found)
-        axis = None if worst is None else _closer(forward, found, worst)
+        identification = infer(forward, measurements)
+        worst = _interpolated(identification)
+        axis = None if worst is None else _closer(forward, identification, worst)
         if axis is None:
             break
         closer.append(axis)
     if worst is None:
-        return found
+        return identification
     remark = (
         f"interpolation between the solved cases has {worst.share.sum():.0%} of the variance of "
         f"{worst.name}: more values in identify.unknown make regions narrower"
     )
-    return replace(found, remarks=(*found.remarks, remark))
+    return replace(identification, remarks=(*identification.remarks, remark))
 
 
 def infer(forward: Forward, measurements: Measurements) -> Identification:
@@ -352,12 +352,12 @@ def solve_forward(
         digest = hashlib.sha256(f"{scene_text(swept)}{alone or ''}".encode()).hexdigest()[:8]
         path = folder / f"{name}_{digest}.h5"
         with StopRequest() as stop:
-            found = run_sweep(
+            sweep = run_sweep(
                 swept, path, comm, progress=progress, verdicts=False, judged=False, natural=alone
             )
         if stop.asked(comm):
             raise StoppedError("identification was stopped; the same command goes on with it")
-        return found
+        return sweep
 
     numbers = sum(not isinstance(axis.values[0], str) for axis in table.unknown)
     count = MIN_VALUES - (numbers > 2)  # values of the finer sweep and of that between
@@ -547,7 +547,7 @@ def _models(
     meshes = scene.given("identify").mesh_axes
     axes = [axis for axis in sweeps[0].axes[:-1] if not (meshes and axis.key == MESH_AXIS)]
     words = {axis.key: axis.values for axis in axes if isinstance(axis.values[0], str)}
-    found = {}
+    models = {}
     for chosen in itertools.product(*words.values()):
         fixed = dict(zip(words, chosen, strict=True))
         parts: list[Part | None] = []
@@ -556,5 +556,5 @@ def _models(
             parts.append(None if sweep is None else Part.of(sweep, loads, meshes, fixed, under))
         coarse, *others = parts
         assert coarse is not None
-        found[", ".join(chosen)] = Model(scene, whole, coarse, *others, fixed=fixed)
-    return found
+        models[", ".join(chosen)] = Model(scene, whole, coarse, *others, fixed=fixed)
+    return models

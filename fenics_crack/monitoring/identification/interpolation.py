@@ -104,12 +104,12 @@ def left_out_errors(line: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return the difference of each value on a line (n,), but for the ends, from the spline through
     all others: (n, ...) for values (n, ...). The ends, which are never left out, have the errors of
     their neighbours."""
-    found = np.zeros_like(values)
+    errors = np.zeros_like(values)
     for place in range(1, len(line) - 1):
         others = np.arange(len(line)) != place
-        found[place] = values[place] - _spline(line[others], values[others])(line[place])
-    found[0], found[-1] = found[1], found[-2]
-    return found
+        errors[place] = values[place] - _spline(line[others], values[others])(line[place])
+    errors[0], errors[-1] = errors[1], errors[-2]
+    return errors
 
 
 class Interpolation:
@@ -425,9 +425,11 @@ class Feature:
 def poles(
     features: Sequence[Feature], damping: np.ndarray, basis: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return r of each mode, and 1 - r^2 + 2 i z r, at m places: (m, f, modes); from ratios of
-    damping (m, 1), and :attr:`Part.basis` at the load of each feature (m, f, 1 + 2 modes); 0 and 1
-    of natural frequencies and where there is no mode."""
+    """Return r of each mode, and 1 - r^2 + 2 i z r, at m places: (m, f, modes).
+
+    They follow from ratios of damping (m, 1), and :attr:`Part.basis` at the load of each feature
+    (m, f, 1 + 2 modes); 0 and 1 of natural frequencies and where there is no mode.
+    """
     own = basis[..., NUMBERED]
     loads = np.array([feature.order * feature.frequency for feature in features])
     r = loads[:, None] / np.where(np.isfinite(own), own, np.inf)

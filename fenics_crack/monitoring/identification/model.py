@@ -530,8 +530,11 @@ class Quantities:
         self, damping: np.ndarray, waves: np.ndarray, scale: np.ndarray, faces: Faces
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Values (m, q) of all measurements but displacements, their slopes t (m, q, f) by the
-        smooth forms S, ds = Re sum t dS, and errors of the state of the crack faces: common to all
-        and to each mode, (m, q, 1 + modes), and independent variances (m, q)."""
+        smooth forms S, ds = Re sum t dS, and errors of the state of the crack faces.
+
+        These errors are common to all and to each mode, (m, q, 1 + modes), and independent
+        variances (m, q).
+        """
         natural = np.array([feature.natural for feature in self._features])
         with np.errstate(divide="ignore", invalid="ignore"):
             sizes = np.where(natural, np.exp(np.where(natural, waves.real, 0.0)), np.abs(waves))

@@ -111,9 +111,13 @@ class Whole:
         return self.modes_at(faster, stiffer)[0] / self.modes_at(faster)[0]
 
     def by_clamp(self, faster: float) -> np.ndarray:
-        """Relative changes of natural frequencies at a speed over the rotor's by a clamp that turns
-        and one that moves, over that of the first at the rotor's by both: (n, 2); the same for all
-        modes and by turning only, as of a slender beam, where the clamp is not known."""
+        """Return relative changes of natural frequencies at a speed over the rotor's by a soft
+        clamp.
+
+        (n, 2): by a clamp that turns and one that moves, over the change of the first frequency at
+        the rotor's speed by both. Where the clamp is not known, the same for all modes and by
+        turning only, as of a slender beam.
+        """
         if not self.reactions.shape[1]:
             return np.outer(self.elastic_at(faster), [1.0, 0.0])
 
@@ -159,10 +163,13 @@ class Whole:
         return [0.0 if key in unknown else width for key, width in pairs]
 
     def since_at(self, faster: float) -> tuple[np.ndarray, np.ndarray]:
-        """Relative changes at a speed over the rotor's between the plate before it had a crack and
-        now: (n, 3 + n) by its clamp, that turns and that moves, by the stiffening of all modes, and
-        of each mode by itself, a standard deviation each; and (n, 1 + n) by a kelvin, and the
-        uncertainty of that by rotation."""
+        """Return relative changes at a speed over the rotor's between the plate before it had a
+        crack and now.
+
+        (n, 3 + n): by its clamp, that turns and that moves, by the stiffening of all modes, and of
+        each mode by itself, a standard deviation each. (n, 1 + n): by a kelvin, and the uncertainty
+        of that by rotation.
+        """
         table, elastic = self.table, self.elastic_at(faster)
         every = np.eye(len(elastic))
         clamp = np.column_stack(
@@ -173,9 +180,12 @@ class Whole:
         return table.before_deviation * clamp, np.column_stack([kelvin, unsure])
 
     def check(self, measurements: Measurements, loads: Sequence[float], *, other: bool) -> None:
-        """Raise InputError for frequencies of loads, of which the scene has these [Hz], and natural
-        ones in another unit than Hz, in rad/s all of them where the plate may be an ``other`` one;
-        and unless it may for those without the crack that are of another mode."""
+        """Raise InputError for frequencies that seem to be in another unit, or of another mode.
+
+        Loads have those of the scene [Hz]. Natural ones may all be in rad/s, which is refused
+        unless the plate may be an ``other`` one; so are those without the crack that are of another
+        mode.
+        """
         for row in [row for row in measurements.rows if loads and not row.natural]:
             near = loads[int(np.abs(np.log(np.divide(loads, row.frequency))).argmin())]
             if (unit := _unit(row.frequency / near)) in ("kHz", "mHz"):
@@ -386,15 +396,17 @@ def _of_poles(
 def crack_deviations(x: np.ndarray, keys: Sequence[str], scene: Scene) -> np.ndarray:
     """Return standard deviations (m, d) of a crack from the equivalent straight and sharp one, at
     values (m, d) of the unknowns."""
-    table, found, into = scene.given("identify"), np.zeros_like(x), np.zeros(len(x))
+    table, deviations, into = scene.given("identify"), np.zeros_like(x), np.zeros(len(x))
     for key in OF_SIZE:  # that of a part-through crack is its depth
         size = np.full(len(x), getattr(scene.crack, key.removeprefix("crack."), None) or 0.0)
         if key in keys:
             size = x[:, keys.index(key)]
             common = table.crack_deviation * np.sqrt(table.crack_correlation)
-            found[:, keys.index(key)] = common / 2.0 * size  # frequencies change with its square
+            deviations[:, keys.index(key)] = (
+                common / 2.0 * size
+            )  # frequencies change with its square
         into = np.where(size > 0.0, size, into)
     if "crack.height" in keys:
         tilt = np.tan(np.radians(table.angle_deviation))
-        found[:, keys.index("crack.height")] = tilt * into
-    return found
+        deviations[:, keys.index("crack.height")] = tilt * into
+    return deviations

@@ -56,9 +56,12 @@ class Likelihood:
     quantities: Quantities
 
     def residuals(self, x: np.ndarray) -> np.ndarray:
-        """Residuals at values (m, d) of the unknowns: (m, q + 1). L^-1 (m - s) / e, whose squares
-        sum to chi^2, V = diag(e) L L^T diag(e); and the root of log(det L L^T / p^2), in the most
-        probable state of the crack faces, with its probability p."""
+        """Residuals at values (m, d) of the unknowns: (m, q + 1).
+
+        They are L^-1 (m - s) / e, whose squares sum to chi^2, V = diag(e) L L^T diag(e); and the
+        root of log(det L L^T / p^2), in the most probable state of the crack faces, with its
+        probability p.
+        """
         found = np.full((len(x), len(self.values) + 1), np.inf)
         for at, rows, _ in self._of_states(x):
             nearer = np.sum(rows**2, axis=1) < np.sum(found[at] ** 2, axis=1)
@@ -415,7 +418,11 @@ class Posterior:
         "below" or "above", and the bound."""
         level, branches = self.level(share), [*self.branches.values()]
         for place, end in product(range(len(branches[0].axes)), (0, -1)):
-            cut = [one for one in branches if np.any(one.height.take(end, axis=place) >= level)]
+            cut = [
+                branch
+                for branch in branches
+                if np.any(branch.height.take(end, axis=place) >= level)
+            ]
             if cut:
                 yield place, "above" if end else "below", float(cut[0].axes[place][end])
 
@@ -439,8 +446,11 @@ class Posterior:
 
     def parts(self, share: float, least: float) -> list[tuple[str, np.ndarray, float]]:
         """The separate parts of the region that holds a share of the mass: words, the middle (d,),
-        and mass, largest first; those with less than ``least`` are left out. The middle is the mean
-        or, of a bent part that does not hold it, the nearest point that is."""
+        and mass, largest first; those with less than ``least`` are left out.
+
+        The middle is the mean or, of a bent part that does not hold it, the nearest point that
+        is.
+        """
         level = self.level(share)
         found = []
         for name, branch in self.branches.items():

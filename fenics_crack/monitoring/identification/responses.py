@@ -68,14 +68,14 @@ def read_responses(path: Path) -> list[FrequencyResponse]:
     OSError, ValueError
         The file cannot be read, contradicts itself, or has none.
     """
-    found = []
+    responses = []
     for heading, numbers, order in _functions(BytesIO(content_of(path, MOST_BYTES))):
         lines = [line.decode("latin-1") for line in heading]
         if int(lines[6][:5]) == 4:  # frequency response functions
-            found.append(_response(lines, numbers, order))
-    if not found:
+            responses.append(_response(lines, numbers, order))
+    if not responses:
         raise ValueError("it has no frequency response: no dataset 58 with a function of type 4")
-    return found
+    return responses
 
 
 def _functions(file: BytesIO) -> Iterator[tuple[list[bytes], bytes, str]]:
@@ -155,11 +155,13 @@ def resonances(responses: Sequence[FrequencyResponse]) -> np.ndarray:
         The responses have different lines, or no peak that falls to half its power on both sides.
     """
     lines = responses[0].frequency
-    if any(not np.array_equal(one.frequency, lines) for one in responses):
+    if any(not np.array_equal(response.frequency, lines) for response in responses):
         raise InputError("responses", "of different frequencies", "all at the same frequencies")
     kept = lines > 0.0
     omega = TURN * lines[kept]
-    values = np.stack([one.values[kept] / (1j * omega) ** one.derived for one in responses])
+    values = np.stack(
+        [response.values[kept] / (1j * omega) ** response.derived for response in responses]
+    )
     power, found = omega**2 * np.sum(np.abs(values) ** 2, axis=0), []
     # A peak falls to half of its power on both sides before the power is larger there. It is fitted
     # down to a tenth of its power, and for the error down to half of it.

@@ -196,13 +196,13 @@ def _known(
 
 def _more_probes(made: Sequence[Measurement]) -> list[Measurement]:
     """Possible displacements of one more probe, at 24 phases of the period."""
-    phases, found = 2.0 * np.pi * np.arange(24) / 24, []
+    phases, probes = 2.0 * np.pi * np.arange(24) / 24, []
     for passages in Passages.among(made, ()):
         rows = [made[place] for place in passages.rows]
         deviation = float(np.median([row.deviation for row in rows]))
         one = replace(rows[0], value=0.0, deviation=deviation)
-        found += [replace(one, phase=phase) for phase in phases.tolist()]
-    return found
+        probes += [replace(one, phase=phase) for phase in phases.tolist()]
+    return probes
 
 
 def _seen(
@@ -578,8 +578,10 @@ def _if_alone(found: Identification) -> str:
 
 def _if_as_before(found: Identification) -> str:
     """Condition of the verdict, in words, where a plate without a crack does not explain the
-    measurements, but would with changes since before as large as a clamp can make; or where it
-    does, but only by the prior of changes since before; else empty."""
+    measurements, but would with changes since before as large as a clamp can make.
+
+    The same where it does, but only by the prior of changes since before; else empty.
+    """
     table, rows = found._table, found.measurements.rows
     plain, known = found.plain, any(row.quantity == "frequency_uncracked" for row in rows)
     heat = abs(0.5 * table.temperature_coefficient * found.priors["temperature_deviation"])

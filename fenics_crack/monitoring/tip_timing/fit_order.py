@@ -266,8 +266,11 @@ class _Seen:
 
     def beside_others(self, fit: _Fit) -> tuple[float, _Fit]:
         """Return -2 log likelihood (restricted) and fit with the next harmonics, which are left
-        out, as normal numbers of the variance that makes the means most likely: so far as they are
-        significant, the errors hold what is folded from them onto the harmonics kept."""
+        out, as normal numbers of the variance that makes the means most likely.
+
+        So far as they are significant, the errors hold what is folded from them onto the
+        harmonics kept.
+        """
         costs, fits = self.beside_all(fit, self._sizes(fit))
         best = int(np.argmin(costs))
         return float(costs[best]), fits[best]
@@ -328,9 +331,11 @@ class _Seen:
         return costs, found[:, :unknowns], covariance[:, :unknowns, :unknowns], least
 
     def tested(self, least: float, unknowns: int) -> tuple[float, float, float]:
-        """Return the variance over the expected one, inf where none is to spare; the probability of
-        a misfit, nan where it is not known; and the degrees of freedom of the variance, inf where
-        it is a misfit's, whose errors are no matter of chance."""
+        """Return the variance over the expected one, inf where none is to spare.
+
+        Then the probability of a misfit, nan where it is not known; and the degrees of freedom of
+        the variance, inf where it is a misfit's, whose errors are no matter of chance.
+        """
         between = len(self.values) - unknowns
         both = self.within + between
         if self.within < 1:
@@ -412,7 +417,7 @@ class Means(_Seen):
         angle = np.full(arrivals.time.shape, np.nan)
         angle[np.isfinite(arrivals.time)] = self.angle[self._where]
         beside = sum(
-            one.displacement(one.phases(arrivals)) - one.coefficients[0] for one in self.lines
+            line.displacement(line.phases(arrivals)) - line.coefficients[0] for line in self.lines
         )
         passed = fit.displacement(angle - beside / arrivals.tip_radius)
         return passed - fit.displacement(angle)
@@ -650,8 +655,10 @@ def _beside_all(parts: dict[int, tuple[_Seen, _Fit]]) -> dict[int, tuple[_Seen, 
 
 def _variance(left: np.ndarray, seen: np.ndarray, spare: np.ndarray) -> tuple[float, int]:
     """Return the variance of differences between residuals of a group (n, m) and the next, by those
-    without wrong arrivals, and its degrees of freedom. 0 of them where there is nothing to compare:
-    the variance of the residuals, or 1 without any."""
+    without wrong arrivals, and its degrees of freedom.
+
+    0 of them where there is nothing to compare: the variance of the residuals, or 1 without any.
+    """
     total, both = spare.sum(), seen[1:] & seen[:-1]
     spare = np.minimum(spare[1:], spare[:-1])
     there = spare > 0

@@ -300,9 +300,11 @@ def wanted(
 def taken(
     sums: np.ndarray, sizes: np.ndarray, limit: float, known: np.ndarray | bool = True
 ) -> tuple[np.ndarray, int]:
-    """Return the candidates (n,) that fit equally well, by their sums of squares; and the one to be
-    taken: of those with the smallest vibration, to 20 %, and that are known if any is, the one of
-    the least sum."""
+    """Return the candidates (n,) that fit equally well, by their sums of squares.
+
+    The second value is the one to be taken: of those with the smallest vibration, to 20 %, and that
+    are known if any is, the one of the least sum.
+    """
     equivalent = sums - sums.min() < limit
     kept = equivalent & known if np.any(equivalent & known) else equivalent
     small = kept & (sizes <= 1.2 * sizes[kept].min())

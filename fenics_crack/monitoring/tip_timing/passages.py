@@ -163,15 +163,20 @@ class PassageFit(Tabular):
     @property
     def in_doubt(self) -> bool:
         """True if residuals are correlated: another vibration near this speed, drift, or a blade
-        that is no linear mode. Frequency, damping and order may then be wrong by more than their
-        errors. So it is where nothing tests that (``whiteness`` is nan)."""
+        that is no linear mode.
+
+        Frequency, damping and order may then be wrong by more than their errors. So it is where
+        nothing tests that (``whiteness`` is nan).
+        """
         return not self.whiteness >= LEVELS.misfit
 
     @property
     def deviation(self) -> float:
-        """Standard deviation of the frequency for an identification [rad/s]: its error, at least
-        half of the range of passages that disagree, as those of a breathing crack may, and half of
-        the resonance's width, zeta w, where it is in doubt."""
+        """Standard deviation of the frequency for an identification [rad/s].
+
+        It is its error, at least half of the range of passages that disagree, as those of a
+        breathing crack may, and half of the resonance's width, zeta w, where it is in doubt.
+        """
         apart = 0.5 * float(np.ptp(self.omegas)) if self.disagree else 0.0
         beside = self.damping * self.omega if self.in_doubt else 0.0
         return max(self.omega_error, apart, beside)
@@ -509,10 +514,12 @@ class _Search:
 def _clearness(
     record: Record, values: np.ndarray, speed: float, turns: int = 1
 ) -> tuple[float, float]:
-    """Return the reduction of the sum of squares near a speed by a steady vibration of any phase at
-    each probe, in variances of differences from one arrival at a probe to its next, less that of
-    noise by further phases; and in m^2. From the second turn on arrivals have the weights of
-    Student's t."""
+    """Return the reduction of the sum of squares near a speed by a steady vibration of any phase.
+
+    It is fitted at each probe; the reduction is in variances of differences from one arrival at a
+    probe to its next, less that of noise by further phases; and in m^2. From the second turn on
+    arrivals have the weights of Student's t.
+    """
     total = energy = 0.0
     for run in record.runs(values, speed):
         columns = [column[seen] for column, seen in zip(run.values.T, run.seen.T, strict=True)]
@@ -767,7 +774,7 @@ def _margins(
     """Return the difference of -2 log likelihood of each order of the mode in a place to the best:
     of fits, or by the reduction of the sum of squares."""
     most = max(gains.values())
-    found = {order: (most - gain) / best.noise.scale**2 for order, gain in gains.items()}
+    margins = {order: (most - gain) / best.noise.scale**2 for order, gain in gains.items()}
     for fit in sorted(fits, key=lambda fit: -fit.noise.cost):
-        found[fit.modes[place].order] = fit.noise.cost - best.noise.cost
-    return found
+        margins[fit.modes[place].order] = fit.noise.cost - best.noise.cost
+    return margins

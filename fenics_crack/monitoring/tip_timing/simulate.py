@@ -229,12 +229,12 @@ def _next_to_folds(rising: np.ndarray, kept: np.ndarray, doubtful: np.ndarray) -
 
     ``rising``: the frequency, rising along the run-up; ``kept``: points that it passes.
     """
-    found = np.zeros(len(rising), dtype=bool)
+    folds = np.zeros(len(rising), dtype=bool)
     for fold in np.flatnonzero(kept[:-1] & ~kept[1:]):
         below = rising[fold] - rising[: fold + 1]
         near = doubtful[: fold + 1] & (below < JUMP * abs(rising[fold]))
-        found[: fold + 1] |= np.logical_and.accumulate(near[::-1])[::-1]
-    return found
+        folds[: fold + 1] |= np.logical_and.accumulate(near[::-1])[::-1]
+    return folds
 
 
 # --- passages -------------------------------------------------------------------------------------

@@ -150,12 +150,12 @@ class Run:
     def _drifts(self, root: np.ndarray) -> np.ndarray:
         """Return a constant and a slope over the speed at each probe, times roots of weights
         (R, P), and orthonormal: (2, R, P)."""
-        found = np.stack([root, root * self.along[:, None]])
-        first, second = found
+        drifts = np.stack([root, root * self.along[:, None]])
+        first, second = drifts
         first /= np.sqrt(np.maximum((first * first).sum(axis=0), TINY))
         second -= first * (first * second).sum(axis=0)
         second /= np.sqrt(np.maximum((second * second).sum(axis=0), TINY))
-        return found
+        return drifts
 
     def without_drifts(self, waves: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """Return waves (m, R, P) times the roots of weights (R, P), without the constant and the
@@ -328,7 +328,7 @@ class Fit:
         for run, waves, weight in zip(self._runs, self._waves(self.modes), weights, strict=True):
             given = run.without_drifts(np.concatenate([run.values[None], waves]), weight)
             values, *waves = given[:, run.seen]
-            pairs = np.stack([part for one in waves for part in (one.real, -one.imag)])
+            pairs = np.stack([part for wave in waves for part in (wave.real, -wave.imag)])
             pairs = pairs.reshape(-1, 2, 2, len(values))  # mode, wave and slope, parts
             columns = pairs[:, 0].reshape(-1, len(values))
             both = np.vstack([values.real, pairs[:, 1].reshape(-1, len(values))])
@@ -407,8 +407,11 @@ class Fit:
     @property
     def blind(self) -> np.ndarray:
         """Probes (n,) at which the amplitude is less than half of the median, and five times
-        farther from it than at any other probe: channels whose pulses are not those of the blade.
-        A vibration of any phase is fitted at each probe."""
+        farther from it than at any other probe: channels whose pulses are not those of the
+        blade.
+
+        A vibration of any phase is fitted at each probe.
+        """
         root, count = np.array([self.mode.root]), self._runs[0].path.shape[1]
         square, seen, size = np.zeros((count, 2, 2)), np.zeros((count, 2)), np.ones(count)
         for run, force, weight in zip(self._runs, self.forces[0], self.weights, strict=True):
