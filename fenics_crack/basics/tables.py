@@ -121,6 +121,36 @@ class Table:
         return json.dumps(records, indent=1, ensure_ascii=False) + "\n"
 
 
+@dataclass(frozen=True)
+class Said:
+    """Parts of the last sentence on a result, wherever it is said.
+
+    Attributes
+    ----------
+    outcome : str
+        How it ended: "solved", "not converged".
+    known : str
+        The answer, and its accuracy.
+    unknown : str
+        Why the error is unknown.
+    others : sequence of str
+        The verdict on the stability, and what a reader of the numbers alone would miss; empty ones
+        are left out.
+    """
+
+    outcome: str
+    known: str = ""
+    unknown: str = ""
+    others: Sequence[str] = ()
+
+    def closing(self, warnings: int = 0, remarks: int = 0) -> str:
+        """The sentence, after so many warnings and remarks."""
+        counts = {"warning": warnings, "remark": remarks}
+        before = " and ".join(counted(count, name) for name, count in counts.items() if count)
+        doubt = f"the error is unknown: {self.unknown}" if self.unknown else ""
+        return "; ".join(filter(None, (self.outcome, self.known, doubt, *self.others, before)))
+
+
 class Described:
     """A result that describes itself: in one line, as a table in a notebook, as a dict."""
 
@@ -144,11 +174,19 @@ class Described:
         """The text between the brackets of the one line."""
         return ", ".join(f"{name} = {_words(value)}" for name, value in self.to_dict().items())
 
+    def said(self) -> Said | None:
+        """What the last sentence on it says; None where the one line says it all."""
+        return None
+
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self._title()})"
 
+    def __str__(self) -> str:
+        said = self.said()
+        return repr(self) if said is None else f"{self!r}: {said.closing()}"
+
     def _repr_html_(self) -> str:
-        return self.table().html(repr(self))
+        return self.table().html(str(self))
 
 
 class Tabular(Described):
@@ -199,9 +237,9 @@ def readable(largest: float, unit: str) -> tuple[float, str]:
 
 
 def quantity(value: float, unit: str) -> str:
-    """A number with its unit: "1.452 µm"."""
-    factor, unit = readable(abs(value), unit)
-    return f"{factor * value:.4g} {unit}"
+    """A number with its unit: "1.452 µm"; "0.9" of one without."""
+    factor, unit = (1.0, "") if unit in ("1", "-") else readable(abs(value), unit)
+    return f"{factor * value:.4g} {unit}".rstrip()
 
 
 def with_unit(name: str, unit: str) -> str:
@@ -266,37 +304,6 @@ def error_in_words(error: float) -> str:
 def counted(count: int, thing: str) -> str:
     """A number of things: "1 pair", "2 pairs"."""
     return f"{count} {thing}{'' if count == 1 else 's'}"
-
-
-def closing_sentence(
-    outcome: str,
-    *,
-    unknown: str = "",
-    known: str = "",
-    others: Sequence[str] = (),
-    warnings: int = 0,
-    remarks: int = 0,
-) -> str:
-    """Return the last sentence on a result, wherever it is said.
-
-    Parameters
-    ----------
-    outcome : str
-        Outcome: "solved", "not converged".
-    unknown : str
-        Why the error is unknown; then ``known`` is left out.
-    known : str
-        Result and its accuracy.
-    others : sequence of str
-        The verdict on the stability, and what a reader of the numbers alone would miss; empty ones
-        are left out.
-    warnings, remarks : int
-        Number of warnings before it.
-    """
-    counts = {"warning": warnings, "remark": remarks}
-    before = " and ".join(counted(count, name) for name, count in counts.items() if count)
-    first = f"{outcome}, but the error is unknown: {unknown}" if unknown else outcome
-    return "; ".join(filter(None, (first, "" if unknown else known, *others, before)))
 
 
 def ranging(values: np.ndarray, digits: str = ".0f") -> str:

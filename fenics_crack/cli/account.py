@@ -1,36 +1,21 @@
-"""Account of a result, made once for all uses: the terminal, files, a report.
-
-Each kind of result has a function that makes its :class:`Account`: those of sweeps, of growth and
-of convergence studies are here, ``results.py`` has those of modes, vibrations, curves and motions
-in time.
-"""
+"""Warnings, what is printed of tables, and the reports of sweeps and convergence studies."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
 from fenics_crack.balance.error_report import ERROR_PARTS, LARGE_ERROR, ErrorReport
 from fenics_crack.balance.solution import PeriodicSolution, Stability
-from fenics_crack.basics.errors import MOST_HARMONICS, Exit
+from fenics_crack.basics.errors import MOST_HARMONICS
 from fenics_crack.basics.observables import QUANTITIES, SPECIAL, Where, names_of
-from fenics_crack.basics.tables import (
-    FEW_ROWS,
-    Table,
-    counted,
-    frequency_axis,
-    in_unit,
-    percent,
-    quantity,
-)
-from fenics_crack.fatigue.growth import ENDS, Growth
+from fenics_crack.basics.report import Report
+from fenics_crack.basics.tables import FEW_ROWS, Table, counted, in_unit, percent, quantity
 from fenics_crack.model.modes import damped_range
 from fenics_crack.scene.scene import Scene, unit_of
-from fenics_crack.scene.words import key_in_words
-from fenics_crack.study.plausibility import SMALL_MOTION, Remark, from_clamp, remarks_on_scene
+from fenics_crack.study.plausibility import SMALL_MOTION, from_clamp, remarks_on_scene
 from fenics_crack.study.run import Run
 from fenics_crack.study.verification import Verification
 from fenics_crack.sweep.plan import FREQUENCIES
@@ -66,11 +51,12 @@ OTHERS = {
     "rest_amplitude": ("half peak-to-peak, motion from rest", "m"),
     "unknown_error": ("reason of the unknown error", "-"),
     "remarks": ("remarks", "-"),
+    "conclusion": ("conclusion", "-"),
 }
 """Words and unit of the printed quantities of a solution or a motion beside the indicators."""
 IN_FILES = (
     "residual_error", "truncation_error", "sampling_error", "reduction_error",
-    "displacement_error", "from_rest", "unknown_error", "remarks",
+    "displacement_error", "from_rest", "unknown_error", "remarks", "conclusion",
 )  # fmt: skip
 """Quantities that no printed table has: parts of an error, and sentences, which are below it."""
 ALWAYS = ("omega", "frequency", "verdict", "converged", "total_error", "distance")
@@ -86,59 +72,6 @@ IN_A_TEST = {
 """Meaning of bifurcations to somebody at a test rig, by their kinds."""
 UNITS_WITH_ROUNDING = ("m", "N", "Pa m^0.5")
 """Units in which values up to 1e-15 are rounding, and written as 0."""
-
-
-@dataclass(frozen=True)
-class Account:
-    """Sentences, tables and verdict that are printed of a result.
-
-    Attributes
-    ----------
-    name : str
-        Of its files.
-    summary : Table
-        Everything in few numbers, the .json file.
-    rows : Table, optional
-        The .csv file; default: the summary.
-    shown : Table, optional
-        Printed as text; default: the summary.
-    facts, notes, warnings : iterables of str
-        Results, further information, doubts; the first fact is the summary. Facts may
-        cost something, and are requested once.
-    verdict : (str, str)
-        Sentence on the stability; and "good", "bad" or "doubtful".
-    tables : dict of Table
-        Of a report, by their captions.
-    remarks : sequence of Remark
-        Unusual values of the scene.
-    closing : str
-        The last sentence, from error, verdict, warnings and remarks.
-    done, missed : bool
-        False where something has not converged; True if the error is above the tolerance, or
-        unknown.
-    run : Run, optional
-        Where it comes from.
-    """
-
-    name: str
-    summary: Table
-    rows: Table | None = None
-    shown: Table | None = None
-    facts: Iterable[str] = ()
-    notes: Sequence[str] = ()
-    warnings: Sequence[str] = ()
-    verdict: tuple[str, str] | None = None
-    tables: Mapping[str, Table] = field(default_factory=dict)
-    remarks: Sequence[Remark] = ()
-    closing: str = ""
-    done: bool = True
-    missed: bool = False
-    run: Run | None = None
-
-    @property
-    def exit(self) -> Exit:
-        """The exit code of its command."""
-        return (Exit.MISSED if self.missed else Exit.DONE) if self.done else Exit.NOT_CONVERGED
 
 
 # --- sentences ------------------------------------------------------------------------------------
@@ -247,11 +180,6 @@ def how_it_is_left(stability: Stability) -> str:
     return f", for one {also}"
 
 
-def frequency_in_words(scene: Scene, omega: float) -> str:
-    """A load frequency [rad/s] in the scene's unit."""
-    return in_unit(frequency_axis(scene.in_hertz), omega)
-
-
 # --- what is printed of tables --------------------------------------------------------------------
 
 
@@ -300,8 +228,12 @@ def _rounded(table: Table) -> Table:
     return Table(table.columns, rows)
 
 
-def in_one_unit(table: Table, scene: Scene) -> Table:
-    """A table with one of the frequencies, in rad/s or in Hz, and one of the speeds, likewise."""
+def printed(report: Report) -> Table:
+    """The table of a report that is printed; with a scene one of its frequencies, in rad/s or in
+    Hz, and one of its speeds, likewise."""
+    table, scene = report.shown or report.table, report.scene
+    if scene is None:
+        return table
     return _with_columns(
         table, lambda heading, unit: not _is_twin(heading.partition(" [")[0], unit, scene)
     )
@@ -341,90 +273,46 @@ def _readable(name: str, value: Any, unit: str) -> tuple[str, Any]:
     return name, words if unit in ("-", "1", "") else f"{words} {unit}"
 
 
-# --- convergence studies, growth ------------------------------------------------------------------
+# --- sweeps, convergence studies ------------------------------------------------------------------
 
 SPEEDS = ("rotation.speed", "rotation.rpm")
 
 
-def account_of_verification(found: Verification) -> Account:
+def report_of_verification(found: Verification) -> Report:
     """A convergence study."""
-    sentences = found.statement[: -len(found.warnings) or None]
-    return Account(
-        "verify",
+    return Report(
         found.table(),
+        found.said(),
         shown=found.totals(),
-        facts=sentences,
-        notes=sentences,
+        notes=found.statement[: -len(found.warnings) or None],
         warnings=found.warnings,
-        tables={"Contributions": found.totals()},
-        remarks=(remarks := remarks_on_scene(found.scene)),
-        closing=found.conclusion(len(remarks)),
+        remarks=remarks_on_scene(found.scene),
         done=not found.failures,
         missed=bool(found.doubt(next(iter(found.values)))),
     )
 
 
-def account_of_growth(found: Growth) -> Account:
-    """The table, the life and how sure it is."""
-    table, count = found.table(), len(found.length)
-    places = sorted({*np.linspace(0, count - 1, FEW_ROWS).round().astype(int).tolist()})
-    shown = in_one_unit(Table(table.columns, [table.rows[n] for n in places]), found.scene)
-    hours = found.time[-1] / 3600.0
-    first, last = (quantity(float(found.length[end]), "m") for end in (0, -1))
-    way = f"from {first} to {last} in {found.life:.4g} cycles ({hours:.4g} h)"
-    if found.repeats is not None:
-        way += f", {found.repeats[-1]:.4g} repeats of the spectrum"
-    fact = f"{way if count > 1 else first}: {ENDS[found.end]}"
-    causes = [f"{name} {error:.2g}" for name, error in found.errors.items() if error > 0.0]
-    known = f"the cycles are uncertain by a factor of {found.factor:.3g}"
-    known += f", standard deviations of their logarithm: {', '.join(causes)}" if causes else ""
-    drop = f"the natural frequency of the breathing crack falls by {found.frequency_drop[-1]:.2%}"
-    facts = [fact, known, drop] if count > 1 else [fact]
-    return Account(
-        "growth",
-        table,
-        shown=shown,
-        facts=[f"{text[0].upper()}{text[1:]}." for text in facts],
-        notes=facts,
-        warnings=[*found.remarks],
-        tables={"The crack over the cycles": shown},
-        remarks=remarks_on_scene(found.scene),
-    )
-
-
-# --- sweeps ---------------------------------------------------------------------------------------
-
-
-def account_of_sweep(found: SweepResult) -> Account:
+def report_of_sweep(found: SweepResult) -> Report:
     """The cases of a sweep."""
-    table = found.table()
     shown, how = few_cases(found)
     counts = {"converged": int(found.converged.sum()), "failed": len(found.failed)}
     counts["pending"] = found.converged.size - sum(counts.values())
     states = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
-    swept = ", ".join(f"{len(a.values)} values of {key_in_words(a.key)}" for a in found.axes)
-    tables = {f"Cases{how}": shown}
-    stepped = stepped_over(found)
     high = int(np.sum(found["largest_order"] > 3))
     higher = f"in {counted(high, 'case')} the largest higher harmonic is above the third"
     higher = f"{higher}: ratio_largest, largest_order" if high else ""
+    tables = {"Cases": shown}
     if found.failed:
         failed = [(str(index), reason) for index, reason in found.failed]
         tables["Failed cases"] = Table(("case", "reason"), failed)
-    return Account(
-        "sweep",
-        table,
+    return Report(
+        found.table(),
+        found.said(),
         shown=shown,
-        facts=[
-            f"Of the sweep ({swept}) {counts['converged']} of {found.converged.size} cases "
-            f"converged, {counts['failed']} failed.",
-            *stepped,
-        ],
-        notes=[f"cases: {states}{how}", higher, *(f"remark: {text}" for text in stepped)],
-        warnings=(warnings := [*warnings_of(found)]),
+        notes=[f"cases: {states}{how}", higher, *stepped_over(found)],
+        warnings=[*warnings_of(found)],
         tables=tables,
-        remarks=(remarks := remarks_on_scene(found.scene)),
-        closing=found.conclusion(len(warnings), len(remarks)),
+        remarks=remarks_on_scene(found.scene),
         done=not found.failed and found.complete,
         missed=bool(found.missed.any()),
     )

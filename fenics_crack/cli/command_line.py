@@ -12,9 +12,10 @@ import signal
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Sequence
-from importlib import import_module
+from functools import partial
 from itertools import takewhile
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
 from fenics_crack.basics.atomic_files import FULL
@@ -250,8 +251,12 @@ def _settings(wanted: dict[str, str]) -> Iterator[None]:
 
 def _command(given: argparse.Namespace, inputs: Inputs | None, console: Console) -> Exit | None:
     """Call a command; return how it ended where that may differ."""
-    module = import_module(f"fenics_crack.cli.{FILES.get(given.command, 'commands')}")
-    command: Callable[..., Exit | None] = getattr(module, given.command)
+    name, *_ = COMMANDS[given.command][1].split()
+    command: Callable[..., Exit | None] = resolve_name(f"fenics_crack.{name}")
+    if not name.startswith("cli."):
+        from fenics_crack.cli.commands import compute
+
+        command = partial(compute, command)
     if inputs is None or "output" not in given:
         return command(given, inputs, console)
     from fenics_crack.cli.given import make_writable
@@ -279,55 +284,60 @@ SOLVED = "scene --set --output"
 COMMANDS = {
     "new": (
         "write a commented scene to start from",
-        "file --blade --timing --identify --solid --disk",
+        "cli.given:new file --blade --timing --identify --solid --disk",
     ),
-    "check": ("mesh and assemble a scene without solving it", "scene --set"),
-    "modes": ("natural frequencies and mode shapes, crack open", f"{SOLVED} --count"),
+    "check": ("mesh and assemble a scene without solving it", "cli.scenes:check scene --set"),
+    "modes": (
+        "natural frequencies and mode shapes, crack open",
+        f"study.run:modes {SOLVED} --count",
+    ),
     "campbell": (
         "natural frequencies over the speed of [rotation], crack open and bonded, and a picture",
-        f"{SOLVED} --count --speeds --pictures",
+        f"study.campbell:campbell {SOLVED} --count --speeds --pictures",
     ),
     "disk": (
         "natural frequencies of a bladed disk over the nodal diameter, and how much random "
         "mistuning amplifies the response of a blade, with pictures",
-        f"{SOLVED} --patterns --deviation --pictures",
+        f"cli.commands:disk {SOLVED} --patterns --deviation --pictures",
     ),
-    "solve": ("steady vibration at excitation.omega", SOLVED),
+    "solve": ("steady vibration at excitation.omega", f"study.run:solve {SOLVED}"),
     "verify": (
         "contributions of mesh, modes, harmonics and samples to the error of solve: observed "
         "orders, extrapolated values, grid-convergence indices, and a picture",
-        f"{SOLVED} --pictures",
+        f"study.refinement:verify {SOLVED} --pictures",
     ),
-    "curve": ("response curve of the table [curve]", SOLVED),
-    "integrate": ("motion in time by the table [integration]", SOLVED),
-    "sweep": ("all cases of the table [sweep.over]; goes on where it stopped", SOLVED),
+    "curve": ("response curve of the table [curve]", f"study.run:curve {SOLVED}"),
+    "integrate": ("motion in time by the table [integration]", f"study.run:integrate {SOLVED}"),
+    "sweep": (
+        "all cases of the table [sweep.over]; goes on where it stopped",
+        f"cli.commands:sweep {SOLVED}",
+    ),
     "grow": (
         "growth of the crack under the vibration by the table [growth]: length, life, frequencies; "
         "goes on where it stopped",
-        f"{SOLVED} --pictures",
+        f"fatigue.growth:grow {SOLVED} --pictures",
     ),
     "timing": (
         "arrivals of the blade tip at the probes of [tip_timing], and the vibration in them",
-        "scene arrivals --blade=N --set --output --pictures",
+        "cli.timing:timing scene arrivals --blade=N --set --output --pictures",
     ),
     "identify": (
         "a crack from measured frequencies, harmonics and arrivals, by the table [identify]",
-        "scene measurements --arrivals --before --blade=N --modes --set --output --pictures",
+        "cli.commands:identify scene measurements --arrivals --before --blade=N --modes --set "
+        "--output --pictures",
     ),
     "plot": (
-        "pictures of a result, of several curves in one, or of a scene's mesh; files for ParaView",
-        "results --label --output --pictures",
+        "pictures of a result, of all in a folder, of several curves in one, or of a scene's mesh; "
+        "files for ParaView",
+        "cli.pictures:plot results --label --output --pictures",
     ),
     "report": (
-        "one HTML page with all of some results, to be read anywhere",
-        "results --output=FILE",
+        "one HTML page with all of some results, or of a folder, to be read anywhere",
+        "cli.pictures:report results --output=FILE",
     ),
 }
-"""Description of each command, and its own arguments."""
-FILES = {
-    "new": "given", "check": "scenes", "timing": "timing", "plot": "pictures", "report": "pictures",
-}  # fmt: skip
-"""Modules of the commands' functions, which have their names; the others are in ``commands``."""
+"""Description of each command; its function and its own arguments. A function of ``cli`` takes
+these, any other one a scene and what else it takes of them."""
 ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     "file": ("the file to write, for example plate.toml", {"type": path, "metavar": "scene"}),
     "--blade": ("of a plate on a rotor: engine order, centrifugal load", {"action": "store_true"}),
@@ -378,8 +388,8 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
         {"type": path, "nargs": "?", "metavar": "source"},
     ),
     "results": (
-        "a .h5 file that another command has written, several curves to be drawn in one picture, "
-        "or a scene",
+        "a .h5 file that another command has written, a folder of them, several curves to be drawn "
+        "in one picture, or a scene",
         {"type": path, "nargs": "+", "metavar": "result"},
     ),
     "--label": (
@@ -493,9 +503,9 @@ def parser() -> argparse.ArgumentParser:
         "--completion", action=Completion, choices=("bash", "zsh", "fish"), help=shell
     )
     group = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for name, (text, own) in COMMANDS.items():
+    for name, (text, words) in COMMANDS.items():
         command = group.add_parser(name, help=text, description=text[0].upper() + text[1:])
-        for argument in f"{own} --format".split():
+        for argument in [*words.split()[1:], "--format"]:
             explained, options = ARGUMENTS[argument]
             added = command.add_argument(argument.partition("=")[0], help=explained, **options)
             if argument == "--set" or options.get("type") is path:

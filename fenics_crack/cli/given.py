@@ -29,7 +29,7 @@ import numpy as np
 from fenics_crack.basics.atomic_files import BEFORE, keep_files, prepare_folder, write_whole
 from fenics_crack.basics.errors import MAX_CASES, InputError, check_count
 from fenics_crack.basics.progress import LOGGER, StageLines, begin
-from fenics_crack.basics.tables import Table
+from fenics_crack.basics.tables import RPM, Table
 from fenics_crack.basics.untrusted_files import content_of, text_of
 from fenics_crack.scene.fields import Mistuning
 from fenics_crack.scene.scene import Scene
@@ -65,6 +65,7 @@ class Inputs:
     measurements: Measurements | None = None
     arrivals: Source = None  # or the result from which they are computed
     before: Source = None  # of the blade before it had a crack
+    speeds: np.ndarray | None = None  # of a Campbell diagram [rad/s]
 
 
 def read_inputs(given: Namespace) -> Inputs | None:
@@ -88,7 +89,7 @@ def read_inputs(given: Namespace) -> Inputs | None:
     folder = vars(given).get("output") or Path("output") / given.scene.stem
     arrivals = _arrivals(scene, given, vars(given).get("arrivals"))
     if given.command != "identify":
-        return Inputs(scene, folder, arrivals=arrivals)
+        return Inputs(scene, folder, arrivals=arrivals, speeds=_speeds(given, scene))
     seen = given.before is not None and given.before.suffix.lower() in RECORDS
     before = _arrivals(scene, given, given.before) if seen else None
     rows = _measurements(given, scene, None if seen else given.before)
@@ -138,16 +139,23 @@ def _check_options(given: Namespace, scene: Scene) -> None:
     """Raise InputError for a number of a command's options that it cannot take."""
     if (count := vars(given).get("count")) is not None:
         check_count("--count", count, 1)
-    if given.command == "campbell":
-        scene.given("rotation")
-        start, stop, steps = given.speeds or (0.0, scene.speed, 2)
-        if not (0.0 <= start < stop < np.inf and 2 <= steps <= MAX_CASES and steps % 1 == 0):
-            allowed = f"0 <= START < STOP, and COUNT a whole number from 2 to {MAX_CASES}"
-            raise InputError("--speeds", given.speeds or (start, stop, steps), allowed)
     if given.command == "disk":
         scene.given("disk")
         check_count("--patterns", given.patterns, 0, MAX_CASES)
         Mistuning(given.deviation)
+
+
+def _speeds(given: Namespace, scene: Scene) -> np.ndarray | None:
+    """The speeds of a Campbell diagram [rad/s]; None of other commands."""
+    if given.command != "campbell":
+        return None
+    scene.given("rotation")
+    factor = RPM if scene.in_rpm else 1.0
+    start, stop, steps = given.speeds or (0.0, 1.5 * scene.speed / factor, 13)
+    if not (0.0 <= start < stop < np.inf and 2 <= steps <= MAX_CASES and steps % 1 == 0):
+        allowed = f"0 <= START < STOP, and COUNT a whole number from 2 to {MAX_CASES}"
+        raise InputError("--speeds", given.speeds or (start, stop, steps), allowed)
+    return factor * np.linspace(start, stop, int(steps))
 
 
 def _measurements(given: Namespace, scene: Scene, before: Path | None) -> Measurements | None:

@@ -13,7 +13,7 @@ import itertools
 import platform
 import shlex
 from argparse import Namespace
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -26,13 +26,14 @@ from mpi4py import MPI
 from fenics_crack.balance.harmonic_balance import linear_response
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.atomic_files import passing_folder, write_whole
-from fenics_crack.basics.errors import FEW_MODES, InputError
+from fenics_crack.basics.errors import FEW_MODES, InputError, WriteError
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.tables import Table, percent, readable, with_unit
 from fenics_crack.basics.untrusted_files import content_of
-from fenics_crack.cli.account import frequency_in_words
+from fenics_crack.cli.account import printed
 from fenics_crack.cli.given import PERIOD, Console, make_writable
-from fenics_crack.cli.results import RESULTS, Computed, Identified, account_of, over_time, result_of
+from fenics_crack.cli.kinds import KINDS, Drawn, draw, report_of, result_of
+from fenics_crack.cli.results import Waves, waves_of, waves_of_history
 from fenics_crack.cli.scenes import harmonics_in_words
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.draw.figure import Picture, distinct_colours
@@ -49,95 +50,109 @@ from fenics_crack.draw.plot import (
 )
 from fenics_crack.draw.plot_curve import draw_content, draw_curve, draw_multipliers
 from fenics_crack.draw.plot_mesh import draw_mesh, draw_modes
-from fenics_crack.draw.plot_study import draw_growth, draw_verification
+from fenics_crack.draw.plot_study import (
+    draw_campbell,
+    draw_growth,
+    draw_passages,
+    draw_tip_fit,
+    draw_tip_track,
+)
 from fenics_crack.fatigue.growth import Growth
 from fenics_crack.files.store import Stored, read, versions
 from fenics_crack.model.contact import friction_of
 from fenics_crack.model.modes import LIP_STATES, Modes, n_tied_modes, solve_modes
 from fenics_crack.model.structure import Structure
+from fenics_crack.monitoring.identification.report import Identified
+from fenics_crack.monitoring.tip_timing.fit_order import TipTrack
+from fenics_crack.monitoring.tip_timing.harmonics import TipFit
+from fenics_crack.monitoring.tip_timing.report import largest_blade
+from fenics_crack.monitoring.tip_timing.timing import Timing
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene, unit_of
 from fenics_crack.scene.words import WHOLE, differences, given_values, key_in_words, value_in_words
-from fenics_crack.study.conclusion import known_to
+from fenics_crack.study.campbell import ORDERS, Campbell
+from fenics_crack.study.conclusion import frequency_in_words, known_to
 from fenics_crack.study.prepare import prepare
 from fenics_crack.study.run import Run, stress_intensity
-from fenics_crack.study.verification import Verification
 from fenics_crack.sweep.plan import FREQUENCIES
-from fenics_crack.sweep.result import SweepResult
+from fenics_crack.sweep.result import SweepResult, is_part
 from fenics_crack.time.march import TimeHistory
 from fenics_crack.version import VERSION, packaged
 
 STYLES = (("orange", "--"), ("green", "-."), ("pink", ":"))
 """Colour and line of the closing of one crack after the other."""
 
-File = Callable[..., Path]
-"""Takes the name of a picture, and its kind if it has only one; remembers and returns its path."""
-CAPTIONS = {
-    "mesh": "The mesh with its named parts.",
-    "modes": "Mode shapes with the crack open. Without contact, so the crack faces may overlap.",
-    "solution_waves": "Displacement at the output point, and closing of the crack faces.",
-    "solution_spectrum": "Amplitudes of the harmonics; enough are kept if the last are small.",
-    "solution_orbits": "The motion in the phase plane; thick where the crack faces touch.",
-    "solution_contact_map": "Contact of the crack faces along the crack and over the period.",
-    "solution_breathing_crack": "One period, slowed down and magnified as stated above the plate.",
-    "solution_tips": "Stress intensity at the crack tips over the period.",
-    "curve": "Response. Dashed: unstable; dotted: undecided; faint: large estimated error.",
-    "curve_content": "Amplitudes of the lowest harmonics.",
-    "curve_multipliers": "The orbit is stable where the largest multiplier is below 1.",
-    "growth": "The crack over the cycles; dots are the lengths that were solved.",
-    "integration_waves": "The motion in time, its last periods or a free decay.",
-    "posterior": "Probability of cracks, given the measurements.",
-}
-"""Captions of pictures by the names of their files; others have none."""
 IN_SHORT = (
     "geometry", "structure", "material", "damping", "crack", "cracks", "contact", "rotation",
     "excitation", "loads", "base", "growth",
 )  # fmt: skip
 """Tables of a scene whose keys are listed above its text."""
+NO_MESH = "no mesh: what would be drawn on one is left out"
 WHEN = "%d %B %Y, %H:%M %Z"
 
 
 def plot(given: Namespace, _: None, console: Console) -> None:
-    """Pictures of a result, of several curves in one, or of a scene's mesh; by rank 0."""
-    results, labels = given.results, given.label
-    first, several = results[0], len(results) > 1
+    """Pictures of results, of several curves in one, or of a scene's mesh; by rank 0."""
+    first, labels = given.results[0], given.label
     is_scene = first.suffix.lower() == ".toml"
     folder = given.output or (Path("output") / first.stem if is_scene else first.parent)
+    if first.is_dir():
+        folder = given.output or first
     make_writable(folder, console.comm)
 
-    def draw() -> list[Path]:
-        stored = None if several or is_scene else read(first)
-        if several or labels:
-            return [_draw_curves(results, labels, folder, console.pictures)]
-        if stored is None:
-            return [_draw_scene(Scene.load(first), folder, kind=console.pictures)]
-        result: Any = result_of(stored)
-        return _draw_result(result, folder, console.pictures) + _for_paraview(
-            result, folder, console
-        )
+    def work() -> list[str]:
+        if is_scene and len(given.results) == 1 and not labels:
+            return [str(_draw_scene(Scene.load(first), folder, kind=console.pictures))]
+        stored, left = _results_in(given.results)
+        if not first.is_dir() and (len(stored) > 1 or labels):
+            return [str(_draw_curves(stored, labels, folder, console.pictures))]
+        drawn = Drawn(folder, console.pictures, meshes=True)
+        for file in stored:
+            draw(result_of(file), drawn)
+        return [*map(str, drawn.files), *dict.fromkeys(drawn.notes), left]
 
     with console.stage("pictures"):
-        files = on_root(console.comm, draw)
-    console.note(*map(str, files))
+        lines = on_root(console.comm, work)
+    console.note(*lines)
 
 
 def report(given: Namespace, _: None, console: Console) -> None:
     """The page of some results, by rank 0."""
-    target = given.output or given.results[0].parent / "report.html"
+    first = given.results[0]
+    target = given.output or (first if first.is_dir() else first.parent) / "report.html"
     words = ["fenics-crack", *given.words]
+
+    def work() -> str:
+        stored, left = _results_in(given.results)
+        _write_report(stored, target, words)
+        return left
+
     with console.stage("report"):
-        on_root(console.comm, lambda: _write_report(given.results, target, words))
-    console.note(str(target))
+        left = on_root(console.comm, work)
+    console.note(str(target), left)
+
+
+def _results_in(paths: Sequence[Path]) -> tuple[list[Stored], str]:
+    """Results of files and folders, but for sweeps that are parts of other ones among them; and a
+    note on these.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read, or there is no result in a folder.
+    """
+    found: list[Stored] = []
+    for path in paths:
+        files = sorted(path.glob("*.h5")) if path.is_dir() else [path]
+        if not files:
+            raise InputError("result", str(path), "a folder with results, .h5 files")
+        found += [read(file) for file in files]
+    whole = [file for file in found if not is_part(file)]
+    left = ", ".join(str(file.path) for file in found if is_part(file)) if whole else ""
+    return whole or found, f"left out, as parts of other results: {left}" if left else ""
 
 
 # --- of one result --------------------------------------------------------------------------------
-
-
-def _draw_result(result: Computed, folder: Path, kind: str = "png") -> list[Path]:
-    """Draw the pictures of a result into a folder; return the files."""
-    files: list[Path] = []
-    DRAW[result.KIND](result, _file_in(folder, files, kind))
-    return files
 
 
 def _draw_scene(
@@ -150,47 +165,21 @@ def _draw_scene(
     return file
 
 
-def _for_paraview(run: Computed, folder: Path, console: Console) -> list[Path]:
-    """Files of modes and of a period; none without a mesh."""
-    found = run.result if isinstance(run, Run) else None
-    if not isinstance(found, Modes | PeriodicSolution):
-        return []
-    if found.structure.whole.meshed is None:
-        console.note("no mesh: what would be drawn on one is left out")
-        return []
-    from fenics_crack.draw.vtk import write_modes, write_period  # VTK
+def draw_modes_of(run: Run[Modes], file: Drawn) -> None:
+    """Draw the shapes of modes that have a mesh."""
+    if run.structure.whole.meshed is None:
+        file.notes.append(NO_MESH)
+        return
+    words = "Mode shapes with the crack open. Without contact, so the crack faces may overlap."
+    draw_modes(run.result, path=file("modes", words))
+    if file.meshes:
+        from fenics_crack.draw.vtk import write_modes  # VTK
 
-    if isinstance(found, Modes):
-        file = folder / "modes.vtu"
-        write_modes(found, file)
-    else:
-        file = folder / f"{PERIOD}.pvd"
-        write_period(found, file, material=run.scene.material)
-    return [file]
+        write_modes(run.result, file("modes", "", "vtu"))
 
 
-def _can_be_drawn(result: Computed) -> bool:
-    """Return True if a result can be drawn: a sweep over two or more numbers, if a case of it has
-    converged."""
-    if not isinstance(result, SweepResult):
-        return True
-    return bool(_over_numbers(result) and result.converged.any())
-
-
-def _file_in(folder: Path, files: list[Path], pictures: str) -> File:
-    def file(name: str, kind: str = pictures) -> Path:
-        files.append(folder / f"{name}.{kind}")
-        return files[-1]
-
-    return file
-
-
-def _modes(run: Run[Modes], file: File) -> None:
-    if run.structure.whole.meshed is not None:
-        draw_modes(run.result, path=file("modes"))
-
-
-def _solution(run: Run[PeriodicSolution], file: File) -> None:
+def draw_solution(run: Run[PeriodicSolution], file: Drawn) -> None:
+    """Draw a period of a solution, its harmonics, and where it moves."""
     found, dof = run.result, run.watched_dof
     title = f"{frequency_in_words(run.scene, found.omega)}, H = {found.harmonics}"
     if known := known_to(run):
@@ -202,51 +191,73 @@ def _solution(run: Run[PeriodicSolution], file: File) -> None:
         title += f", {found.stability.verdict}"
     if not found.converged:
         title += ", NOT CONVERGED"
-    _waves(run, found.omega, path=file("solution_waves"), title=title)
-    draw_spectrum(found, dof, path=file("solution_spectrum"), title=title)
-    draw_orbits(found, dof, path=file("solution_orbits"), title=title)
+    words = "Displacement at the output point, and closing of the crack faces."
+    how = {"path": file("solution_waves", words), "title": title}
+    _waves(run, waves_of(run), found.omega, **how)
+    words = "Amplitudes of the harmonics; enough are kept if the last are small."
+    draw_spectrum(found, dof, path=file("solution_spectrum", words), title=title)
+    words = "The motion in the phase plane; thick where the crack faces touch."
+    draw_orbits(found, dof, path=file("solution_orbits", words), title=title)
     if friction_of(found.contact) is not None:
         heading = f"Friction, {frequency_in_words(run.scene, found.omega)}"
-        draw_friction_loops(found, path=file("solution_friction_loops"), title=heading)
+        words = "Friction force over the sliding of the crack faces; the area is the energy lost."
+        draw_friction_loops(found, path=file("solution_friction_loops", words), title=heading)
     if run.scene.disk is not None:
         from fenics_crack.draw.plot_disk import draw_wheel
 
-        draw_wheel(found, path=file("solution_wheel"), title=title)
-    if found.structure.whole.meshed is not None:
-        from fenics_crack.draw.animation import animate_period  # VTK
-
-        if found.gap_coefficients.shape[1] > 1:
-            heading = "Where and when the crack is closed"
-            draw_contact_map(found, path=file("solution_contact_map"), title=heading)
-        animate_period(found, file("solution_breathing_crack", "gif"), material=run.scene.material)
-    _tips(run, file)
+        words = "The wheel where it moves most, magnified; cracked blades have orange numbers."
+        draw_wheel(found, path=file("solution_wheel", words), title=title)
+    if found.structure.whole.meshed is None:
+        file.notes.append(NO_MESH)
+    else:
+        _on_mesh(run, file)
+    _tips(run, file, "solution_tips")
 
 
-def _history(run: Run[TimeHistory], file: File) -> None:
+def _on_mesh(run: Run[PeriodicSolution], file: Drawn) -> None:
+    """Draw what needs a mesh: contact along the crack, and the motion."""
+    from fenics_crack.draw.animation import animate_period  # VTK
+
+    found, material = run.result, run.scene.material
+    if found.gap_coefficients.shape[1] > 1:
+        heading = "Where and when the crack is closed"
+        words = "Contact of the crack faces along the crack and over the period."
+        draw_contact_map(found, path=file("solution_contact_map", words), title=heading)
+    words = "One period, slowed down and magnified as stated above the plate."
+    animate_period(found, file("solution_breathing_crack", words, "gif"), material=material)
+    if file.meshes:
+        from fenics_crack.draw.vtk import write_period
+
+        write_period(found, file(PERIOD, "", "pvd"), material=material)
+
+
+def draw_history(run: Run[TimeHistory], file: Drawn) -> None:
+    """Draw a motion in time."""
     table, load, omega = run.scene.integration, run.scene.excitation.omega, None
     title = "Free decay"
     if table is None or not table.free:
         title = f"The last periods of {run.result.periods}, {frequency_in_words(run.scene, load)}"
         omega = load
-    _waves(run, omega, path=file("integration_waves"), title=title)
-    _tips(run, file)
+    words = "The motion in time, its last periods or a free decay."
+    how = {"path": file("integration_waves", words), "title": title}
+    _waves(run, waves_of_history(run), omega, **how)
+    _tips(run, file, "integration_tips")
 
 
-def _tips(run: Run[Any], file: File) -> None:
+def _tips(run: Run[Any], file: Drawn, name: str) -> None:
     """Draw the stress intensity at the tips of a plate's cracks, where it is known."""
     with suppress(InputError):  # a tip next to an edge, or no plate
         found = stress_intensity(run)
-        of_time = isinstance(run.result, TimeHistory)
-        name = f"{'integration' if of_time else 'solution'}_tips"
         factor, unit = readable(float(found.effective.max()), "Pa m^0.5")
         title = f"Stress intensity, range while open {factor * found.effective.max():.4g} {unit}"
-        draw_stress_intensity(found, path=file(name), title=title)
+        words = "Stress intensity at the crack tips over the period."
+        draw_stress_intensity(found, path=file(name, words), title=title)
 
 
-def _waves(run: Run, omega: float | None, **where: Any) -> None:
+def _waves(run: Run, found: Waves, omega: float | None, **where: Any) -> None:
     """Draw the displacement of the load's dof and the gap at the mouths over time, in periods of a
     frequency [rad/s], else in seconds."""
-    found, styles = over_time(run), itertools.cycle(STYLES)
+    styles = itertools.cycle(STYLES)
     time, touch = found.time - found.time[0], "crack faces touch" if found.closings else None
     waves = [Wave(run.watched_name, time, found.motion[:, 0])]
     for place, wave in found.closings.items():
@@ -255,19 +266,26 @@ def _waves(run: Run, omega: float | None, **where: Any) -> None:
     draw_waves(waves, quantity="displacement", period=period, zero=touch, **where)
 
 
-def _curve(run: Run[ResponseCurve], file: File) -> None:
+def draw_curve_of(run: Run[ResponseCurve], file: Drawn) -> None:
+    """Draw a curve, its harmonics and its multipliers."""
     found, dof, in_hertz = run.result, run.watched_dof, run.scene.in_hertz
-    title = f"{run.watched_name}, {found.method}"
-    without = _without_contact(run)
-    draw_curve(found, dof, path=file("curve"), title=title, in_hertz=in_hertz, behind=without)
-    draw_content(found, dof, path=file("curve_content"), title=title, in_hertz=in_hertz)
+    title, without = f"{run.watched_name}, {found.method}", _without_contact(run)
+    words = "Response. Dashed: unstable; dotted: undecided; faint: large estimated error."
+    if found.multipliers is None:
+        words = "Response; its stability was not examined. Faint: large estimated error."
+    path = file("curve", words)
+    draw_curve(found, dof, path=path, title=title, in_hertz=in_hertz, behind=without)
+    path = file("curve_content", "Amplitudes of the lowest harmonics.")
+    draw_content(found, dof, path=path, title=title, in_hertz=in_hertz)
     if run.scene.disk is not None:
         from fenics_crack.draw.plot_disk import draw_blades
 
         heading = f"Every blade, {found.method}"
-        draw_blades(found, path=file("curve_blades"), title=heading, in_hertz=in_hertz)
+        path = file("curve_blades", "Response of every blade; cracked blades are orange.")
+        draw_blades(found, path=path, title=heading, in_hertz=in_hertz)
     if found.multipliers is not None:
-        title, path = "Largest Floquet multiplier along the curve", file("curve_multipliers")
+        words = "The orbit is stable where the largest multiplier is below 1."
+        title, path = "Largest Floquet multiplier along the curve", file("curve_multipliers", words)
         draw_multipliers(found, path=path, title=title, in_hertz=in_hertz)
 
 
@@ -305,7 +323,7 @@ def _linear_line(
 # --- a sweep --------------------------------------------------------------------------------------
 
 
-def _sweep(found: SweepResult, file: File) -> None:
+def draw_sweep(found: SweepResult, file: Drawn) -> None:
     """Draw the quantities of a sweep over the swept numbers.
 
     To the right goes the frequency, else the longest axis. The next in length gets a line for each
@@ -333,21 +351,17 @@ def _sweep(found: SweepResult, file: File) -> None:
                 draw_swept(axes, values, doubtful[number], quantity, file, base, words)
 
 
-def _over_numbers(found: SweepResult) -> list[int]:
-    """Places of the axes of two or more numbers."""
-    return [
-        place
-        for place, axis in enumerate(found.axes)
-        if len(axis.values) > 1 and all(isinstance(value, float | int) for value in axis.values)
-    ]
-
-
 def _shown_axes(found: SweepResult) -> list[int]:
     """Places of the one or two axes that are drawn: the frequency, then the longest.
 
     Raises InputError if no axis has two or more numbers, or no case has converged.
     """
-    axes, numbers = found.axes, _over_numbers(found)
+    axes = found.axes
+    numbers = [
+        place
+        for place, axis in enumerate(axes)
+        if len(axis.values) > 1 and all(isinstance(value, float | int) for value in axis.values)
+    ]
     if not numbers:
         raise InputError("sweep.over", [a.key for a in axes], "over numbers, to be drawn")
     if not np.any(found.converged):
@@ -361,7 +375,7 @@ def draw_swept(
     values: np.ndarray,
     doubtful: np.ndarray,
     quantity: tuple[str, str],
-    file: File,
+    file: Drawn,
     base: str,
     where: Sequence[str] = (),
 ) -> None:
@@ -374,7 +388,8 @@ def draw_swept(
     scaled = [_axis_words(axis, at[by]) for axis, at, by in zip(axes, places, order, strict=True)]
     name, unit = quantity
     title = ", ".join([f"{name[0].upper()}{name[1:]}", *where])
-    lines = values.shape[1]
+    lines, over = values.shape[1], " and ".join(key_in_words(axis.key) for axis in axes)
+    sentence = f"{title}, over the {over}; rings: large error, or not stable."
     if few := lines <= 6:
         labels = [name]
         if len(axes) > 1:
@@ -382,7 +397,7 @@ def draw_swept(
             labels = [f"{key_in_words(key)} {value_in_words(key, float(value))}" for value in at]
         curves, rings = (dict(zip(labels, part.T, strict=True)) for part in (values, doubtful))
         how: dict[str, Any] = {"over": scaled[0][1], "doubtful": rings, "unit": unit}
-        path = file(base)
+        path = file(base, sentence)
         draw_response(scaled[0][0], curves, quantity=name, path=path, title=title, **how)
     if not few or (len(axes) > 1 and min(values.shape) >= 4):
         (x, x_label), (y, y_label) = scaled
@@ -391,7 +406,7 @@ def draw_swept(
             factor, prefixed = readable(float(np.nanmax(np.abs(values))), unit)
         words: dict[str, Any] = {"x_label": x_label, "y_label": y_label}
         words["value_label"] = with_unit(name, prefixed)
-        path = file(f"{base}_map")
+        path = file(f"{base}_map", sentence)
         draw_map(x, y, factor * values.T, doubtful=doubtful.T, path=path, title=title, **words)
 
 
@@ -403,9 +418,42 @@ def _axis_words(axis: Axis, values: np.ndarray) -> tuple[np.ndarray, str]:
     return factor * values, with_unit(key_in_words(axis.key), unit)
 
 
-def _posterior(found: Identified, file: File) -> None:
+def draw_growth_of(found: Growth, file: Drawn) -> None:
+    """Draw the growth of a crack in the units of its scene."""
+    words = "The crack over the cycles; dots are the lengths that were solved."
+    draw_growth(found, path=file("growth", words), in_hertz=found.scene.in_hertz)
+
+
+def draw_campbell_of(found: Campbell, file: Drawn) -> None:
+    """Draw a Campbell diagram in the units of its scene."""
+    scene = found.scene
+    orders = sorted({*range(1, ORDERS + 1), scene.excitation.order or 1})
+    words = "Natural frequencies over the speed; circles where engine orders, grey, meet them."
+    how: dict[str, Any] = {"in_hertz": scene.in_hertz or scene.in_rpm, "in_rpm": scene.in_rpm}
+    draw_campbell(found, orders, path=file("campbell", words), **how)
+
+
+def draw_timing(found: Timing, file: Drawn) -> None:
+    """Draw the resonances that each blade passes, a run-up, or the blade that vibrates most."""
+    words = "Displacements at the probes over the speed; resonances with their engine orders."
+    for number, (blade, arrivals) in enumerate(found.arrivals.items()):
+        fit, name = found.fits[blade], f"timing_blade_{blade}" if number else "timing"
+        if isinstance(fit, tuple):
+            draw_passages(fit, arrivals, path=file(name, words))
+        elif isinstance(fit, TipTrack):
+            words = "Amplitudes over the load's frequency, with their standard errors."
+            in_hertz = found.scene is not None and found.scene.in_hertz
+            draw_tip_track(fit, path=file(name, words), in_hertz=in_hertz)
+    if largest := largest_blade(found):
+        words = f"Blade {largest}: arrivals over the period, the fit, the orders that were tried."
+        fit = found.fits[largest]
+        assert isinstance(fit, TipFit)
+        draw_tip_fit(fit, found.arrivals[largest], path=file("timing", words))
+
+
+def draw_identified(found: Identified, file: Drawn) -> None:
     """Take the picture that ``identify`` has drawn, which may be written to its own place."""
-    path = file("posterior")
+    path = file("posterior", "Probability of cracks, given the measurements.")
     source = found.picture.with_suffix(path.suffix)
     try:
         write_whole(path, content_of(source, links=False))
@@ -414,24 +462,10 @@ def _posterior(found: Identified, file: File) -> None:
         raise InputError("--pictures", path.suffix[1:], allowed) from None
 
 
-DRAW: dict[str, Callable[[Any, File], object]] = {
-    Modes.KIND: _modes,
-    PeriodicSolution.KIND: _solution,
-    ResponseCurve.KIND: _curve,
-    SweepResult.KIND: _sweep,
-    TimeHistory.KIND: _history,
-    Growth.KIND: lambda found, file: draw_growth(
-        found, path=file("growth"), in_hertz=found.scene.in_hertz
-    ),
-    Identified.KIND: _posterior,
-    Verification.KIND: lambda found, file: draw_verification(found, path=file("verify")),
-}
-
-
 # --- several curves -------------------------------------------------------------------------------
 
 
-def _draw_curves(paths: Sequence[Path], labels: Sequence[str], folder: Path, kind: str) -> Path:
+def _draw_curves(stored: Sequence[Stored], labels: Sequence[str], folder: Path, kind: str) -> Path:
     """Draw the responses of several curves on the same axes; return the file.
 
     ``labels`` name the results; without any they are called by what differs between their scenes,
@@ -442,9 +476,11 @@ def _draw_curves(paths: Sequence[Path], labels: Sequence[str], folder: Path, kin
     InputError
         The files are no curves in the same parameter, or the labels are not as many.
     """
-    if labels and len(labels) != len(paths):
-        raise InputError("--label", list(labels), f"given {len(paths)} times, once for each result")
-    stored = [read(path) for path in paths]
+    if labels and len(labels) != len(stored):
+        raise InputError(
+            "--label", list(labels), f"given {len(stored)} times, once for each result"
+        )
+    paths = [file.path for file in stored]
     if {file.kind for file in stored} != {ResponseCurve.KIND}:
         kinds = [file.kind for file in stored]
         raise InputError("result", kinds, "curves, where several are drawn in one picture")
@@ -470,13 +506,13 @@ def _draw_curves(paths: Sequence[Path], labels: Sequence[str], folder: Path, kin
 # --- the page -------------------------------------------------------------------------------------
 
 
-def _write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) -> None:
+def _write_report(files: Sequence[Stored], target: Path, command: Sequence[str]) -> None:
     """Write the page of some results.
 
     Parameters
     ----------
-    paths : sequence of Path
-        Files of results with their scenes; the page puts them in the order of :data:`RESULTS`.
+    files : sequence of Stored
+        Results with their scenes; the page puts them in the order of :data:`KINDS`.
     target : Path
         The .html file.
     command : sequence of str
@@ -491,24 +527,25 @@ def _write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) -
         raise InputError("--output", str(target), "a .html file")
     from jinja2 import Environment  # which plots do without
 
-    stored = [read(path) for path in dict.fromkeys(paths)]
-    both = [(file, result_of(file)) for file in stored]
-    both.sort(key=lambda one: list(RESULTS).index(one[0].kind))
-    kinds = [file.kind for file, _ in both]
-    own = differences([result.scene.replace({"reduction": None}) for _, result in both])
+    order = list(KINDS)
+    both = [(file, result_of(file)) for file in {file.path: file for file in files}.values()]
+    both.sort(key=lambda one: order.index(one[0].kind))
+    differs = differences([result.scene.replace({"reduction": None}) for _, result in both])
+    kinds, stems = [file.kind for file, _ in both], [file.path.stem for file, _ in both]
     folder = passing_folder()
     page = _scene(both[0][1], folder)
-    parts = [_part(*one, folder / str(number)) for number, one in enumerate(both)]
-    for part, kind, differs in zip(parts, kinds, own, strict=True):
-        part["differs"] = differs
-        if kinds.count(kind) > 1:
-            part["heading"] += f": {differs or part['path']}"
+    parts = []
+    for number, (file, result) in enumerate(both):
+        part = _part(file, result, folder / str(number)) | {"differs": differs[number]}
+        if kinds.count(file.kind) > 1:
+            alike = stems.count(file.path.stem) > 1
+            part["heading"] += f": {file.path.with_suffix('') if alike else file.path.stem}"
+        parts.append(part)
     page |= {
         "title": f"Vibration of {both[0][0].path.resolve().parent.name}",
         "under": f"{datetime.now(UTC).astimezone():{WHEN}}, fenics_crack {VERSION}",
         "parts": parts,
-        "facts": [text for part in parts for text in (*part["facts"][:1], part["closing"]) if text],
-        "doubts": [f"{part['heading']}: {text}" for part in parts for text in part["said"]],
+        "doubts": [f"{part['heading']}: {text}" for part in parts for text in part["doubts"]],
         "versions": _versions([file for file, _ in both]),
         "command": shlex.join(command),
     }
@@ -516,20 +553,29 @@ def _write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) -
     write_whole(target, form.from_string(packaged("cli/report.html")).render(page), "--output")
 
 
-def _part(file: Stored, result: Computed, folder: Path) -> dict[str, Any]:
+def _part(file: Stored, result: Any, folder: Path) -> dict[str, Any]:
     """A result as the page shows it."""
-    found = account_of(result)
-    drawn = _draw_result(result, folder) if _can_be_drawn(result) else []
+    found, drawn = report_of(result), Drawn(folder)
+    try:
+        draw(result, drawn)
+    except WriteError:
+        raise
+    except InputError as error:  # a sweep over words
+        drawn.notes.append(f"no picture: {error}")
     written = datetime.fromtimestamp(file.path.stat().st_mtime, UTC).astimezone()
+    box = "bad" if not found.done else "doubtful" if found.missed or found.warnings else "good"
+    tables = found.tables or {"In numbers": printed(found)}
     return {
-        "heading": RESULTS[file.kind][0],
-        "facts": [*found.facts],
-        "said": [*found.warnings, *map(str, found.remarks)],
-        "doubts": [*map(_sentence, found.warnings), *found.remarks],  # which begin with a key
-        "verdict": found.verdict,
-        "pictures": [*map(_picture, drawn)],
-        "tables": found.tables,
-        "closing": f"{_sentence(found.closing)}." if found.closing else "",
+        "heading": KINDS[file.kind].heading,
+        "closing": f"{_sentence(found.closing)}.",
+        "box": box,
+        "notes": [*map(_sentence, filter(None, (*found.notes, *dict.fromkeys(drawn.notes))))],
+        "doubts": [
+            *map(_sentence, found.warnings),
+            *map(str, found.remarks),
+        ],  # remarks: with a key
+        "pictures": [_picture(path, words) for path, words in drawn.files.items() if path.exists()],
+        "tables": {**tables, **found.further},
         "path": file.path,
         "written": f"{written:{WHEN}}",
     }
@@ -539,12 +585,12 @@ def _sentence(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def _scene(result: Computed, folder: Path) -> dict[str, Any]:
+def _scene(result: Any, folder: Path) -> dict[str, Any]:
     """The scene of a result in short, its mesh if it has one, its text."""
     scene, mesh = result.scene, None
     if scene.geometry is not None:
         own = result.structure.whole if isinstance(result, Run) else None
-        mesh = _picture(_draw_scene(scene, folder, own))
+        mesh = _picture(_draw_scene(scene, folder, own), "The mesh with its named parts.")
     rows: list[tuple[str, object]] = [
         (key_in_words(key), _value(key, value))
         for table in IN_SHORT
@@ -575,10 +621,7 @@ def _versions(files: Sequence[Stored]) -> Table:
     return Table(("file", "made with"), rows)
 
 
-def _picture(path: Path) -> dict[str, str]:
-    """A picture file with its caption, as it is."""
+def _picture(path: Path, words: str) -> dict[str, str]:
+    """A picture file with the sentence below it."""
     data = base64.b64encode(content_of(path, None)).decode("ascii")
-    return {
-        "words": CAPTIONS.get(path.stem, ""),
-        "data": f"data:image/{path.suffix[1:]};base64,{data}",
-    }
+    return {"words": words, "data": f"data:image/{path.suffix[1:]};base64,{data}"}

@@ -1,22 +1,18 @@
-"""Accounts of modes, of a steady vibration, of a curve and of a motion in time; and the results of
-all commands: their readers, their accounts, their headings in a report."""
+"""Reports of runs: modes, a steady vibration, a curve, a motion in time."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
-from mpi4py import MPI
 
-from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import INTERRUPTED, ConvergenceError, InputError
 from fenics_crack.basics.observables import PRINTED, QUANTITIES, SPECIAL, Place, names_of
+from fenics_crack.basics.report import Report
 from fenics_crack.basics.tables import (
     FEW_ROWS,
     LEAST_ERROR,
@@ -24,21 +20,13 @@ from fenics_crack.basics.tables import (
     Table,
     counted,
     in_unit,
-    percent,
     quantity,
     with_frequency,
     with_unit,
 )
-from fenics_crack.basics.untrusted_files import content_of
 from fenics_crack.cli.account import (
     IN_A_TEST,
     OTHERS,
-    Account,
-    account_of_growth,
-    account_of_sweep,
-    account_of_verification,
-    frequency_in_words,
-    how_it_is_left,
     in_short,
     largest_seen,
     of_error,
@@ -51,28 +39,21 @@ from fenics_crack.cli.account import (
 from fenics_crack.cli.scenes import remark_on
 from fenics_crack.curves.curve import PARAMETERS, ResponseCurve, kind_in_words, parameter_axis
 from fenics_crack.curves.orbit_curve import OrbitCurve
-from fenics_crack.curves.peak import AT_END, Top
+from fenics_crack.curves.peak import Top
 from fenics_crack.curves.stability import attractors
-from fenics_crack.fatigue.growth import Growth
-from fenics_crack.files.store import IDENTIFICATION, Stored
 from fenics_crack.model.modes import KINDS, BilinearFrequencies, Modes, bilinear_frequencies
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Integration
-from fenics_crack.scene.words import key_in_words, value_in_words
 from fenics_crack.study.bladed_disk import blades
 from fenics_crack.study.coarser_mesh import natural_name
-from fenics_crack.study.conclusion import conclusion, known_to, unknown_error
+from fenics_crack.study.conclusion import said_of, unknown_error, unknown_of_solution
 from fenics_crack.study.observer import observe
 from fenics_crack.study.plausibility import highest_omega
-from fenics_crack.study.run import Run, run_of
+from fenics_crack.study.run import Run
 from fenics_crack.study.stated_errors import largest_left_out
-from fenics_crack.study.verification import Verification
-from fenics_crack.sweep.result import SweepResult
 from fenics_crack.time.march import TimeHistory
 
-PNG = b"\x89PNG\r\n\x1a\n"
-"""Beginning of a PNG file."""
 ERROR = "error [%]"
 """Heading of the error due to modes, harmonics and mesh, as far as it is known."""
 UNKNOWN_PARTS = ("total_error", "displacement_error")
@@ -81,30 +62,48 @@ Row = tuple[str, str, object, str]
 """Name, words, value, unit."""
 
 
-def _account_of_modes(run: Run[Modes]) -> Account:
+def report_of_modes(run: Run[Modes]) -> Report:
     """Natural frequencies and mode shapes with the crack open."""
-    found, table = run.result, run.result.table()
-    first = float(found.omega[0])
-    hertz = first / (2.0 * np.pi)
-    names = [natural_name(run.scene, "open", number + 1) for number in range(len(found.omega))]
-    known = known_to(run, names[0])
-    fact = f"The first natural frequency with the crack open is {hertz:.5g} Hz ({first:.5g} rad/s)"
-    fact += f", estimated error {known}." if known else "."
+    table = run.result.table()
+    names = [natural_name(run.scene, "open", number) for number in range(1, len(table.rows) + 1)]
     if run.stated is not None:
         rows = [[*row, _errors(run, name)[0]] for row, name in zip(table.rows, names, strict=True)]
         table = Table([*table.columns, ERROR], rows)
-    tables = {"Natural frequencies with the crack open": table}
-    how: dict[str, Any] = {"remarks": run.remarks, "closing": conclusion(run)}
-    return Account("modes", table, facts=[fact], tables=tables, run=run, **how)
+    return _report(run, table)
+
+
+def _report(run: Run[Any], table: Table, **how: Any) -> Report:
+    """The report of a run, with what all of them have: a note where watched nodes are away from
+    their points, remarks, and the last sentence, also as a quantity where the table has those
+    (collective)."""
+    how["notes"] = [*how.get("notes", ()), *_watched_away(run)]
+    report = Report(table, said_of(run), remarks=run.remarks, **how)
+    if table.columns[0] != "name":
+        return report
+    row = ["conclusion", OTHERS["conclusion"][0], report.closing, "-"]
+    row += ["" for _ in table.columns[len(row) :]]
+    return replace(report, table=Table(table.columns, [*table.rows, row]))
+
+
+def _watched_away(run: Run[Any]) -> list[str]:
+    """A note on points whose nearest nodes are watched."""
+    away = {w.name.partition(".")[0]: w.distance for w in run.watched if w.distance > 0}
+    places = ", ".join(f"{name} {quantity(distance, 'm')}" for name, distance in away.items())
+    stated = "; not part of the stated errors" if run.stated is not None else ""
+    words = f"watched at the nearest node, at a distance of: {places}{stated}"
+    return [words] if places else []
 
 
 # --- a steady vibration ---------------------------------------------------------------------------
 
 
-def _account_of_solution(run: Run[PeriodicSolution]) -> Account:
+def report_of_solution(run: Run[PeriodicSolution]) -> Report:
     """A solution, its error and its stability (collective)."""
     found, scene = run.result, run.scene
-    table = _quantities(run, found.to_dict() | _in_doubt(run))
+    near = None
+    if run.structure.n_pairs:
+        near = bilinear_frequencies(run.structure).nearest(found.omega)
+    table = _quantities(run, found.omega, found.to_dict() | _in_doubt(run), near)
     notes = [remark_on(run.structure, highest_omega(scene, "solve"))]
     asked = scene.harmonic_balance.error
     if found.converged and found.stability is None and run.contact is not None and asked:
@@ -118,9 +117,6 @@ def _account_of_solution(run: Run[PeriodicSolution]) -> Account:
             f"harmonic {larger[0]}, which the solution leaves out, is the largest of the higher "
             f"ones: {larger[1]:.2g} of harmonic 1 in the exact orbit; more harmonics show it"
         )
-    seen = ""
-    if found.stability is not None and found.stability.verdict == "unstable":
-        seen = _seen_instead(found, run.watched_dof)
     tolerance = scene.harmonic_balance.tolerance
     missed = tolerance is not None and found.report.total > tolerance
     warnings = []
@@ -132,51 +128,38 @@ def _account_of_solution(run: Run[PeriodicSolution]) -> Account:
     if found.still:
         warnings.append("nothing vibrates: no load changes in time")
     if found.converged:
-        warnings += of_stability(scene, run, found.stability, seen)
-        if found.stability is not None:
-            warnings += of_more_modes(run.scene, found, found.stability.verdict)
+        judged, seen = found.stability, ""
+        if judged is not None:
+            seen = _seen_instead(found, run.watched_dof) if judged.verdict == "unstable" else ""
+            warnings += of_more_modes(run.scene, found, judged.verdict)
+        warnings += of_stability(scene, run, judged, seen)
         warnings += of_size(run, largest_seen(run))
         warnings += of_friction(found)
         warnings += run.stated.dents if run.stated is not None else ()
-    return Account(
-        "solution",
+    return _report(
+        run,
         table,
-        rows=_waves(run, over_time(run)),
+        rows=_waves(run, waves_of(run)),
         shown=in_short(table, scene, PRINTED),
-        facts=_facts(run),
-        verdict=_verdict(found, seen),
-        notes=[*notes, *_on_blades(run)],
+        notes=notes,
         warnings=warnings,
-        tables=_in_numbers(table, scene) | _of_blades(run),
-        remarks=run.remarks,
-        closing=conclusion(run, len(warnings)),
+        tables=_in_numbers(table, scene),
+        further=_of_blades(run, "Blades"),
         done=found.converged,
-        missed=missed or bool(unknown_error(run)),
-        run=run,
+        missed=missed or bool(unknown_of_solution(run)),
     )
 
 
-def _of_blades(run: Run[Any]) -> dict[str, Table]:
+def _of_blades(run: Run[Any], heading: str) -> dict[str, Table]:
     """The vibration of each blade of a bladed disk (collective)."""
-    if run.scene.disk is None:
-        return {}
-    heading = "Blades"
-    if isinstance(run.result, ResponseCurve):
-        heading += ", each at its largest response"
-    return {heading: blades(run).table()}
-
-
-def _on_blades(run: Run[Any]) -> Iterator[str]:
-    """The same as text (collective)."""
-    for heading, table in _of_blades(run).items():
-        yield f"{heading}:\n{table.formatted('text')}".rstrip()
+    return {} if run.scene.disk is None else {heading: blades(run).table()}
 
 
 def _in_doubt(run: Run[PeriodicSolution]) -> dict[str, object]:
     """Return the values that cast doubt on a solution, by the names of :data:`OTHERS`; without
     those that do not."""
     judged = run.result.stability
-    found: dict[str, object] = {"unknown_error": unknown_error(run)}
+    found: dict[str, object] = {"unknown_error": unknown_of_solution(run)}
     found["remarks"] = "; ".join(map(str, run.remarks))
     if judged is not None:
         found |= {"from_rest": judged.from_rest, "rest_amplitude": judged.rest_amplitude}
@@ -190,44 +173,6 @@ def _in_numbers(table: Table, scene: Scene) -> dict[str, Table]:
     rows = [row for row in table.rows if str(row[0]).rpartition(".")[2] in chosen]
     first = {"Requested by the scene": readable_rows(Table(table.columns, rows))} if rows else {}
     return first | {"In numbers": readable_rows(table)}
-
-
-def _facts(run: Run[PeriodicSolution]) -> Iterator[str]:
-    """The response, what the crack does, and the error that is known of each."""
-    found, report = run.result, run.result.report
-    size = quantity(found.amplitude(run.watched_dof), "m")
-    fact = f"At {frequency_in_words(run.scene, found.omega)} the {run.watched_name} is {size} half "
-    fact += f"peak-to-peak{_known(run)}"
-    if not found.gap_coefficients.size:
-        yield f"{fact}."
-        yield "There is no contact: the solution is exact for its mesh and modes."
-        return
-    values = found.to_dict()
-    if found.breathes:
-        yield (
-            f"{fact}; the crack opens by {quantity(values['opening'], 'm')}{_known(run, 'opening')}"
-            f" and is closed for {values['closed_share']:.0%} of the period."
-        )
-    else:
-        held = "open" if values["closed_share"] == 0.0 else "partly or wholly closed"
-        yield f"{fact}; the crack stays {held} over the period: the vibration is linear."
-    if unknown := unknown_error(run):
-        yield f"The error is unknown: {unknown}."
-    elif not report.estimated:
-        yield "Its error is not estimated (harmonic_balance.error = false)."
-    elif not known_to(run):
-        yield f"The estimated relative error of the gap is {percent(report.total)}."
-    if report.penetration > 0.0:
-        yield (
-            f"The crack faces penetrate by {report.penetration:.2%} of their motion, as the "
-            "contact law allows; this is no error of the solution."
-        )
-
-
-def _known(run: Run[Any], name: str = "") -> str:
-    """ " (estimated error 2.4 %)", where that is stated."""
-    known = known_to(run, name)
-    return f" (estimated error {known})" if known else ""
 
 
 def _seen_instead(found: PeriodicSolution, dof: int) -> str:
@@ -249,66 +194,31 @@ def _seen_instead(found: PeriodicSolution, dof: int) -> str:
     return f"; after a disturbance the motion {seen} half peak-to-peak" if seen else ""
 
 
-def _verdict(found: PeriodicSolution, seen: str) -> tuple[str, str]:
-    """Return a sentence on the vibration's stability, with the motion seen instead, and its
-    kind."""
-    if not found.converged:
-        return "Not converged: there is no orbit to assess.", "bad"
-    if found.stability is None:
-        return "The stability was not examined.", "doubtful"
-    judged = found.stability
-    grows = f"grows, and the motion leaves this orbit{how_it_is_left(judged)}{seen}"
-    undecided = f"Undecided: {judged.reason or 'more harmonics may decide'}", "doubtful"
-    text, kind = {
-        "stable": ("Stable: a small disturbance dies out", "good"),
-        "unstable": (f"Unstable: a small disturbance {grows}", "bad"),
-    }.get(judged.verdict, undecided)
-    return f"{text} (largest multiplier {np.abs(judged.multipliers).max():.6g}).", kind
-
-
 # --- a motion in time -----------------------------------------------------------------------------
 
 
-def _account_of_history(run: Run[TimeHistory]) -> Account:
+def report_of_history(run: Run[TimeHistory]) -> Report:
     """A motion in time, and whether it repeats, or how it decays (collective)."""
     found, scene = run.result, run.scene
-    distance = found.distance
-    table = _quantities(run, vars(found) | {"distance": distance})
-    asked = scene.integration or Integration()
-    change = "one period shows no change"
-    if np.isfinite(found.settled):
-        change = f"relative change over the last one {found.settled:.2g}"
-    left = f", estimated distance from the settled motion {distance:.2g}" if distance < 1.0 else ""
-    facts = [f"The motion has settled after {found.periods} periods: {change}{left}."]
+    values = vars(found) | {"distance": found.distance}
+    table = _quantities(run, scene.excitation.omega, values)
+    asked, waves = scene.integration or Integration(), waves_of_history(run)
+    done = found.periods >= asked.periods if asked.free else bool(found.settled <= asked.settle)
     warnings = []
-    done = bool(found.settled <= asked.settle)
-    if asked.free:
-        done = found.periods >= asked.periods
-        sizes = np.ptp(found.by_period(found.displacement()[:, 0]), axis=1) / 2.0
-        first, last = (quantity(float(size), "m") for size in sizes[[0, -1]])
-        facts = [
-            f"Free decay over {found.periods} periods, from {first} to {last} half peak-to-peak."
-        ]
-    elif not done:
-        facts = [f"The time integration has {found.periods} periods."]
-        warnings = [
-            f"the motion has not settled after {found.periods} of {asked.periods} periods: "
-            f"{change}{_longer_period(found)}"
-        ]
-    waves = over_time(run)
+    if not done and not asked.free:
+        warnings.append(
+            f"the motion has not settled after {found.periods} of {asked.periods} periods"
+            f"{_longer_period(found)}"
+        )
     warnings += of_size(run, np.abs(waves.motion).max(axis=0))
-    return Account(
-        "integration",
+    return _report(
+        run,
         table,
         rows=_waves(run, waves),
         shown=in_short(table, scene, PRINTED),
-        facts=facts,
         warnings=warnings,
         tables=_in_numbers(table, scene),
-        remarks=run.remarks,
-        closing=conclusion(run, len(warnings)),
         done=done,
-        run=run,
     )
 
 
@@ -323,16 +233,20 @@ def _longer_period(found: TimeHistory) -> str:
 # --- their numbers --------------------------------------------------------------------------------
 
 
-def _quantities(run: Run[Any], values: Mapping[str, object]) -> Table:
-    """The numbers of a vibration or a motion: indicators of each watched dof, those of the crack
-    faces, natural frequencies, and others (collective)."""
-    omega = run.scene.excitation.omega if isinstance(run.result, TimeHistory) else run.result.omega
+def _quantities(
+    run: Run[Any],
+    omega: float,
+    values: Mapping[str, object],
+    near: Mapping[str, np.ndarray] | None = None,
+) -> Table:
+    """The numbers of a vibration or a motion at a load frequency [rad/s]: indicators of each
+    watched dof, those of the crack faces, natural frequencies near the load's, and others
+    (collective)."""
     rows: list[Row] = [(n, n, v, UNITS[n]) for n, v in with_frequency({"omega": omega}).items()]
     rows += [one[:4] for one in observe(run, run.result)]
     if not run.structure.n_pairs:  # no errors were estimated
         values = {n: v for n, v in values.items() if not n.endswith(("_error", "_share"))}
-    if run.structure.n_pairs and isinstance(run.result, PeriodicSolution):
-        near = bilinear_frequencies(run.structure).nearest(omega)
+    if near is not None:
         rows += (
             (name, f"{words}, mode {near['mode']}", float(value), unit)
             for name, words, unit, value in _with_hertz(near)
@@ -390,19 +304,26 @@ class Waves(NamedTuple):
     force: np.ndarray
 
 
-def over_time(run: Run[Any]) -> Waves:
-    """Return a motion over time."""
+def waves_of(run: Run[PeriodicSolution]) -> Waves:
+    """Return a solution over one period."""
     found, dofs = run.result, [watched.dof for watched in run.watched]
-    if isinstance(found, TimeHistory):
-        time, motion, gap = found.time, found.displacement(dofs), found.gap
-        force = found.contact_force
-    else:
-        time = np.linspace(0.0, found.period, 401)
-        motion, gap = found.displacement(time, dofs), found.gap(time)
-        force = found.contact_force(time)
+    time = np.linspace(0.0, found.period, 401)
+    closings = _closings(run, found.gap(time))
+    return Waves(time, found.displacement(time, dofs), closings, found.contact_force(time))
+
+
+def waves_of_history(run: Run[TimeHistory]) -> Waves:
+    """Return a motion over the time that it has recorded."""
+    found, dofs = run.result, [watched.dof for watched in run.watched]
+    closings = _closings(run, found.gap)
+    return Waves(found.time, found.displacement(dofs), closings, found.contact_force)
+
+
+def _closings(run: Run[Any], gap: np.ndarray) -> dict[str, np.ndarray]:
+    """The gaps (n, n_pairs) of the pairs at the mouths of cracks, by where these are."""
     whole = run.structure.whole
     pairs = whole.watched_pairs.values() if gap.size else ()
-    return Waves(time, motion, {whole.where(pair): gap[:, pair] for pair in pairs}, force)
+    return {whole.where(pair): gap[:, pair] for pair in pairs}
 
 
 def _waves(run: Run, waves: Waves) -> Table:
@@ -419,18 +340,13 @@ def _waves(run: Run, waves: Waves) -> Table:
 # --- a curve --------------------------------------------------------------------------------------
 
 
-def _account_of_curve(run: Run[ResponseCurve]) -> Account:
+def report_of_curve(run: Run[ResponseCurve]) -> Report:
     """A curve, its special points, its errors and its stability (collective)."""
     found, scene = run.result, run.scene
     along = _along(run, found)
     special = special_points(run, along)
     few, hidden = few_special_points(run, special)
-    seen = _seen_at_largest(run)
-    largest = _largest(run, seen)
-    notes = [
-        largest if seen or not found.complete else "",
-        remark_on(run.structure, highest_omega(scene, "curve")),
-    ]
+    notes = [_seen_at_largest(run), remark_on(run.structure, highest_omega(scene, "curve"))]
     if hidden:
         notes.insert(0, f"{hidden} more bifurcations and changes of stability: curve.json")
     kinds = dict.fromkeys(point.kind for point in found.bifurcations)
@@ -448,20 +364,17 @@ def _account_of_curve(run: Run[ResponseCurve]) -> Account:
     if isinstance(found, OrbitCurve):
         width = in_unit(parameter_axis(found.parameter, True), found.resolution)
         notes.append(f"windows of instability narrower than {width} may lie between points")
-    return Account(
-        "curve",
+    return _report(
+        run,
         special,
         rows=curve_points(run, along),
         shown=in_short(few, scene, SPECIAL),
-        facts=_facts_of_curve(run, largest),
-        notes=[*notes, *_on_blades(run)],
+        notes=notes,
         warnings=warnings,
-        tables={"Special points": in_short(special, scene, SPECIAL)} | _of_blades(run),
-        remarks=run.remarks,
-        closing=conclusion(run, len(warnings)),
+        tables={"Special points": in_short(special, scene, SPECIAL)},
+        further=_of_blades(run, "Blades, each at its largest response"),
         done=bool(found.complete) and found.status != INTERRUPTED,
         missed=bool(unknown_error(run)),
-        run=run,
     )
 
 
@@ -473,29 +386,8 @@ def _seen_at_largest(run: Run[ResponseCurve]) -> str:
     judged = found.multipliers is not None and _passed(found, place)
     if not judged or found.verdicts[place] != "unstable":
         return ""
-    return f"; it is unstable{_seen_instead(found.solution(place), run.watched_dof)}"
-
-
-def _largest(run: Run[ResponseCurve], seen: str) -> str:
-    """The largest response, how well it is known, and what is seen in place of it."""
-    found = run.result
-    top = found.top(run.watched_dof)
-    size, place = quantity(top.amplitude, "m"), _place(run, top.value)
-    if not _passed(found, top.index):
-        return (
-            f"The response grows up to where the curve ended early, {size} half peak-to-peak "
-            f"({run.watched_name}) at {place}."
-        )
-    known, where = known_to(run), ""
-    if top.at_end:
-        place = f"{AT_END}, {place}: a peak lies beyond it, if there is one"
-    else:
-        where = "" if run.stated is None else known_to(run, run.stated.resonance)
-        place = f"at {place}{where and f', estimated error {where}'}"
-    return (
-        f"The largest response of the curve, {size} half peak-to-peak "
-        f"({run.watched_name}{known and f', estimated error {known}'}), is {place}{seen}."
-    )
+    seen = _seen_instead(found.solution(place), run.watched_dof)
+    return f"the largest response is unstable{seen}"
 
 
 def _passed(found: ResponseCurve, place: int) -> bool:
@@ -506,26 +398,6 @@ def _passed(found: ResponseCurve, place: int) -> bool:
 def _place(run: Run[ResponseCurve], *values: float) -> str:
     """Values of the parameter in its unit: "50.1 Hz", "50.1 and 50.3 Hz"."""
     return in_unit(parameter_axis(run.result.parameter, run.scene.in_hertz), *values)
-
-
-def _facts_of_curve(run: Run[ResponseCurve], largest: str) -> Iterator[str]:
-    """The largest response, shares of stability, and where the error is large."""
-    yield largest
-    found = run.result
-    if found.multipliers is not None:
-        states = ("stable", "unstable", "undecided")
-        shares = [f"{np.mean(found.verdicts == state):.0%} {state}" for state in states]
-        yield f"Of {len(found)} points {', '.join(shares)}."
-    if found.status == INTERRUPTED:
-        return
-    inexact = found.displacement_errors > LARGE_ERROR
-    if inexact.any():
-        at = found.values[inexact]
-        yield (
-            f"At {np.mean(inexact):.0%} of the points, between {_place(run, at.min(), at.max())}, "
-            f"the estimated error of the displacement is above {LARGE_ERROR:.0%}; these are faint "
-            "in the picture."
-        )
 
 
 def _warnings_of_curve(run: Run[ResponseCurve]) -> Iterator[str]:
@@ -685,112 +557,3 @@ def _natural_along(run: Run[ResponseCurve], omega: np.ndarray) -> BilinearFreque
 
     is_open, tied = ([getattr(one, f"omega_{kind}") for one in there] for kind in ("open", "tied"))
     return BilinearFrequencies(at_speeds(is_open), at_speeds(tied))
-
-
-# --- what identify has found ----------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Identified:
-    """Result of ``identify`` and the files that it has written."""
-
-    KIND: ClassVar[str] = IDENTIFICATION
-    scene: Scene
-    summary: Mapping[str, Any]
-    """Contents of ``identify.json``."""
-    picture: Path
-    """Picture of the posterior, a PNG file and no link."""
-
-
-def _identified(stored: Stored) -> Identified:
-    """By its file and the picture beside it."""
-    picture = stored.path.with_name("posterior.png")
-    with stored.taken() as parts:
-        scene, summary = stored.scene(), json.loads(parts["summary"])
-        if scene is None:
-            raise LookupError("scene")
-        if "priors" not in summary:
-            raise LookupError("priors")
-    drawn = b""
-    with suppress(OSError):
-        drawn = content_of(picture, links=False)
-    if not drawn.startswith(PNG):
-        raise InputError("result", str(stored.path), f"with {picture.name} in its folder")
-    return Identified(scene, summary, picture)
-
-
-def priors_in_words(priors: Mapping[str, float]) -> str:
-    """Priors of an identification by their keys: "priors: young_deviation = 0.03, ..."."""
-    pairs = ((key, value_in_words(f"identify.{key}", value)) for key, value in priors.items())
-    return f"priors: {', '.join(f'{key} = {value}' for key, value in pairs)}"
-
-
-def _account_of_identified(found: Identified) -> Account:
-    """Verdict, estimates with their intervals, and the fit."""
-    from fenics_crack.monitoring.identification.result import (
-        FITTED,  # SciPy's optimize, interpolate
-    )
-
-    values, rows = found.summary, []
-    share = f"{100.0 * values['priors']['confidence']:g} %"
-    for key, value in values["estimate"].items():
-        ends = values["intervals"].get(key)  # of a word there are none
-        limits = [value_in_words(key, end) for end in ends] if ends else ["", ""]
-        rows.append([key_in_words(key), value_in_words(key, value), *limits])
-    summary = Table(("unknown", "estimate", f"{share} from", "to"), rows)
-    where = [f"{key} {value} ({share}: {low} to {high})" for key, value, low, high in rows if low]
-    said = [*(where if values["verdict"] == "crack" else []), values["reason"]]
-    facts = [f"{values.get('conclusion', values['verdict'])}: {'; '.join(said)}"]
-    facts.append(priors_in_words(values["priors"]))
-    facts += [f"remark: {remark}" for remark in values["remarks"]]
-    facts += [f"next to measure: {advice}" for advice in values["advice"]]
-    tables = {
-        "Unknowns": summary,
-        "Measurements and predictions of the estimate": Table(FITTED, values["measurements"]),
-    }
-    return Account("identify", summary, facts=facts, warnings=values["warnings"], tables=tables)
-
-
-# --- all of them ----------------------------------------------------------------------------------
-
-Computed = Run[Any] | SweepResult | Verification | Growth | Identified
-"""Results that commands write."""
-RESULTS: dict[str, tuple[str, Callable[[Any], Account]]] = {
-    Modes.KIND: ("Natural frequencies and modes", _account_of_modes),
-    PeriodicSolution.KIND: ("Steady vibration", _account_of_solution),
-    ResponseCurve.KIND: ("Response curve", _account_of_curve),
-    SweepResult.KIND: ("Sweep", account_of_sweep),
-    TimeHistory.KIND: ("Motion in time", _account_of_history),
-    Growth.KIND: ("Growth of the crack", account_of_growth),
-    Identified.KIND: ("Identification of the crack", _account_of_identified),
-    Verification.KIND: ("Convergence study", account_of_verification),
-}
-"""Heading and account of each kind of result, in the order of a report."""
-
-
-def account_of(result: Computed) -> Account:
-    """Return the account of a result (collective)."""
-    return RESULTS[result.KIND][1](result)
-
-
-def result_of(stored: Stored) -> Computed:
-    """The result of a file that one rank has read.
-
-    Raises
-    ------
-    InputError
-        It is no result of a command.
-    """
-    if stored.kind not in RESULTS:
-        allowed = f"a result of one of these kinds: {', '.join(RESULTS)}"
-        raise InputError("result", str(stored.path), allowed)
-    if stored.kind == SweepResult.KIND:
-        return SweepResult.load(stored.path)
-    if stored.kind == Identified.KIND:
-        return _identified(stored)
-    if stored.kind == Growth.KIND:
-        return Growth.of(stored)
-    if stored.kind == Verification.KIND:
-        return Verification.of(stored)
-    judged = stored.kind != PeriodicSolution.KIND  # whose errors are in the file
-    return run_of(stored, MPI.COMM_SELF, judged=judged)

@@ -22,6 +22,7 @@ BEHIND = ("#8f8f8f", "#cc8fb1", "#6fb59a")
 """Other curves, drawn behind the one in question."""
 MARKERS = {"fold": "v", "branch_point": "s", "period_doubling": "D", "neimark_sacker": "^"}
 VERDICT_STYLES = {"stable": "-", "unstable": "--", "undecided": ":"}
+UNASSESSED = "stability not examined"
 INEXACT = f"faint: estimated error above {100 * LARGE_ERROR:g} %"
 
 
@@ -38,11 +39,11 @@ def draw_curve(
 ) -> Figure:
     """Draw half the peak-to-peak displacement of a dof along a response curve.
 
-    Stable parts are solid, unstable ones dashed and undecided ones dotted, if the curve has
-    multipliers. Parts whose displacement has a large estimated error are faint. A ring marks the
-    largest response, whose place and size the legend has. Bifurcations are marked, of many in one
-    place only some, and the legend has their number. The order of the largest harmonic stands at
-    superharmonic peaks.
+    Stable parts are solid, unstable ones dashed and undecided ones dotted; the legend says so where
+    the curve has no multipliers. Parts whose displacement has a large estimated error are faint. A
+    ring marks the largest response, whose place and size the legend has. Bifurcations are marked,
+    of many in one place only some, and the legend has their number. The order of the largest
+    harmonic stands at superharmonic peaks.
 
     Parameters
     ----------
@@ -99,7 +100,8 @@ def _draw_parts(
     states = curve.verdicts if known else np.full(len(x), "stable")
     inexact, faint = curve.displacement_errors > LARGE_ERROR, {"alpha": 0.3}
     if label:
-        axes.plot([], [], color=ink, lw=1.8, label=label, gid=FIRST)
+        name = label if known else f"{label} ({UNASSESSED})"
+        axes.plot([], [], color=ink, lw=1.8, label=name, gid=FIRST)
     for state, style in VERDICT_STYLES.items():
         if not np.any(states == state):
             continue
@@ -110,7 +112,8 @@ def _draw_parts(
             axes.plot(x, shown, style, color=ink, lw=1.4, **look)
         grey = COLOURS["grey"] if label else ink
         if known or not label:
-            axes.plot([], [], style, color=grey, lw=1.4, label=state if known else "with contact")
+            name = state if known else f"with contact, {UNASSESSED}"
+            axes.plot([], [], style, color=grey, lw=1.4, label=name)
     if inexact.any():
         axes.plot([], [], color=ink, lw=1.4, label=INEXACT, **faint)
 

@@ -28,12 +28,23 @@ from mpi4py import MPI
 from fenics_crack.basics.errors import ConvergenceError, InputError, StoppedError
 from fenics_crack.basics.observables import Place, Where, names_of
 from fenics_crack.basics.ranks import StopRequest, on_root
-from fenics_crack.basics.tables import TURN, counted, hertz_of, with_frequency
+from fenics_crack.basics.report import Report
+from fenics_crack.basics.tables import (
+    FEW_ROWS,
+    TURN,
+    Said,
+    Table,
+    counted,
+    hertz_of,
+    quantity,
+    with_frequency,
+)
 from fenics_crack.fem.build import with_crack_length
 from fenics_crack.files.saved import Saved
 from fenics_crack.numerics.equations import TINY
 from fenics_crack.scene.scene import Scene, check_known, without_tips
 from fenics_crack.scene.tables import Growth as Law
+from fenics_crack.study.plausibility import remarks_on_scene
 from fenics_crack.study.run import solve
 from fenics_crack.study.stated_errors import stated_errors
 from fenics_crack.sweep.file import NUMBERED
@@ -152,11 +163,39 @@ class Growth(Saved):
             found = {"repeats": self.repeats} | found
         return with_frequency({name: values.tolist() for name, values in found.items()})
 
+    def said(self) -> Said:
+        """What the last sentence on the growth says."""
+        first, last = (quantity(float(self.length[end]), "m") for end in (0, -1))
+        if len(self.length) == 1:
+            return Said(f"the crack stays at {first}: {ENDS[self.end]}")
+        way = f"from {first} to {last} in {self.life:.4g} cycles ({self.time[-1] / 3600.0:.4g} h)"
+        if self.repeats is not None:
+            way += f", {self.repeats[-1]:.4g} repeats of the spectrum"
+        causes = [f"{name} {error:.2g}" for name, error in self.errors.items() if error > 0.0]
+        known = f"the cycles are uncertain by a factor of {self.factor:.3g}"
+        known += f", standard deviations of their logarithm: {', '.join(causes)}" if causes else ""
+        drop = f"the breathing crack's natural frequency falls by {self.frequency_drop[-1]:.2%}"
+        return Said(f"the crack grows {way}: {ENDS[self.end]}", known, others=[drop])
+
     def _title(self) -> str:
         ends = f"{self.length[0]:.4g} to {self.length[-1]:.4g} m"
         drop = f"frequency falls by {self.frequency_drop[-1]:.2%}"
         known = f"{self.life:.4g} cycles within a factor of {self.factor:.3g}"
         return f"{ends}, {known}, {self.end}, {drop}, {counted(len(self.solved), 'length')} solved"
+
+
+def report_of_growth(found: Growth) -> Report:
+    """The table, the life and how sure it is."""
+    table, count = found.table(), len(found.length)
+    places = sorted({*np.linspace(0, count - 1, FEW_ROWS).round().astype(int).tolist()})
+    return Report(
+        table,
+        found.said(),
+        found.scene,
+        shown=Table(table.columns, [table.rows[place] for place in places]),
+        warnings=found.remarks,
+        remarks=remarks_on_scene(found.scene),
+    )
 
 
 # --- the growth -----------------------------------------------------------------------------------

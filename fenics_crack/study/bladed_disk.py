@@ -28,7 +28,8 @@ from mpi4py import MPI
 
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import MAX_CASES, InputError, check_count, check_number
-from fenics_crack.basics.tables import Tabular, counted, hertz_of
+from fenics_crack.basics.report import Report
+from fenics_crack.basics.tables import TURN, Said, Table, Tabular, counted, hertz_of, quantity
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.fem.build import assemble
 from fenics_crack.files.saved import Saved
@@ -36,6 +37,7 @@ from fenics_crack.model.structure import DampingRule, Structure
 from fenics_crack.model.wheel import Wheel, WheelStructure, excited_diameter, families_of_basis
 from fenics_crack.numerics.fourier import to_complex
 from fenics_crack.scene.scene import Scene
+from fenics_crack.study.plausibility import remarks_on_scene
 
 PER_WIDTH = 8
 """Frequencies in the half-power bandwidth of a mode at which a response is computed: the largest is
@@ -217,6 +219,13 @@ class NodalDiameters(Saved):
     def _units(self) -> dict[str, str]:
         return {f"frequency_{family + 1}": "Hz" for family in range(self.omega.shape[1])}
 
+    def said(self) -> Said:
+        """What the last sentence on the frequencies says."""
+        hertz = ", ".join(f"{omega / TURN:.6g}" for omega in self.omega[self.excited])
+        excited = f"engine order {self.order} excites nodal diameter {self.excited}: {hertz} Hz"
+        others = ["without the Coriolis force"] if self.speed > 0.0 else []
+        return Said(f"{counted(len(self.omega), 'nodal diameter')} found", excited, others=others)
+
     def _title(self) -> str:
         return f"{counted(len(self.omega), 'nodal diameter')} of {self.sectors} sectors"
 
@@ -249,6 +258,11 @@ def nodal_diameters(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> NodalDiame
     wheel = _assembled(scene, comm)
     omega = np.array(wheel.cyclic_modes().omega)
     return NodalDiameters(scene, omega, wheel.sector.count, wheel.order, scene.speed)
+
+
+def report_of_diameters(found: NodalDiameters) -> Report:
+    """The frequencies, and those that the load excites."""
+    return Report(found.table(), found.said(), remarks=remarks_on_scene(found.scene))
 
 
 def _assembled(scene: Scene, comm: MPI.Comm) -> Wheel:
@@ -319,6 +333,14 @@ class Amplification(Saved):
     def _units(self) -> dict[str, str]:
         return {"frequency": "Hz"}
 
+    def said(self) -> Said:
+        """What the last sentence on the patterns says."""
+        exceeded = f"95 % of the amplification factors are at most {self.percentile(95.0):.4g}"
+        known = (
+            f"{exceeded}, the largest {self.factor.max():.4g}; Whitehead's bound {self.bound:.4g}"
+        )
+        return Said(f"{counted(len(self.factor), 'pattern')} solved", known)
+
     def _title(self) -> str:
         return (
             f"{counted(len(self.factor), 'pattern')} of {100.0 * self.deviation:.3g} %, "
@@ -386,6 +408,19 @@ def amplification(
         scene, sizes / tuned, omegas, numbers, tuned, tuned_omega, float(deviation), seed,
         wheel.sector.count,
     )  # fmt: skip
+
+
+def report_of_amplification(found: Amplification) -> Report:
+    """Amplification factors by shares of the patterns."""
+    shares = (5.0, 25.0, 50.0, 75.0, 95.0, 99.0, 100.0)
+    rows = [[share, found.percentile(share)] for share in shares]
+    tuned = f"{quantity(found.tuned, 'm')} at {found.tuned_omega / TURN:.6g} Hz"
+    return Report(
+        found.table(),
+        found.said(),
+        shown=Table(["share of patterns [%]", "amplification factor"], rows),
+        notes=[f"the tuned wheel without a crack: {tuned}"],
+    )
 
 
 @dataclass(frozen=True, eq=False)

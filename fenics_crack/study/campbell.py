@@ -24,7 +24,16 @@ from mpi4py import MPI
 from scipy.optimize import brentq
 
 from fenics_crack.basics.errors import InputError, check_choice, check_count
-from fenics_crack.basics.tables import RPM, counted, hertz_of, with_frequency
+from fenics_crack.basics.report import Report
+from fenics_crack.basics.tables import (
+    RPM,
+    Said,
+    counted,
+    hertz_of,
+    in_unit,
+    speed_axis,
+    with_frequency,
+)
 from fenics_crack.fem.build import assemble, with_crack_length
 from fenics_crack.files.saved import Saved
 from fenics_crack.files.store import Stored
@@ -42,7 +51,7 @@ from fenics_crack.model.modes import (
 from fenics_crack.model.rotation import Ritz, coriolis_shifts, static_state
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.plausibility import damping_ratios
+from fenics_crack.study.plausibility import coriolis_in_words, damping_ratios, remarks_on_scene
 
 HELD = (*KINDS[:2], "partly")
 """Kinds of frequencies of a crack that its resonance does not change."""
@@ -53,6 +62,8 @@ STATES = {
 """Motion of a crack whose frequency is of a kind."""
 CHANGE = 1e-4
 """Relative accuracy of the speed at which the state changes, or an order meets a mode."""
+ORDERS = 8
+"""Engine orders that are reported where the load has none, and drawn."""
 At = Callable[[float], tuple[np.ndarray, np.ndarray]]
 """Frequencies at a speed, and by how much the crack is held: (3, count) each."""
 
@@ -270,6 +281,19 @@ class Campbell(Saved):
             found[f"frequency_{kind}"] = (omega / (2.0 * np.pi)).tolist()
         return with_frequency(found)
 
+    def said(self) -> Said:
+        """What the last sentence on the diagram says: where the load's engine order meets modes."""
+        axis, order = speed_axis(self.scene.in_rpm), self.scene.excitation.order
+        modes = counted(self.omega_open.shape[1], "mode")
+        outcome = f"{modes} found between {in_unit(axis, self.speed[0], self.speed[-1])}"
+        if order is None:
+            return Said(outcome)
+        met = [
+            f"mode {mode:.0f} at {in_unit(axis, speed)}"
+            for mode, speed in self.crossings(order, "real")
+        ]
+        return Said(outcome, f"engine order {order} meets {', '.join(met) or 'none of them'}")
+
     def _title(self) -> str:
         span = f"speed {self.speed[0]:.6g} to {self.speed[-1]:.6g} rad/s"
         first = self.omega_bilinear[[0, -1], 0]
@@ -353,6 +377,28 @@ def campbell(
     coriolis = coriolis_shifts(modes, wanted[-1] * axis)
     return Campbell(
         asked, wanted, opened, tied, partly, top.n_pairs > 0, kind, changes, coriolis, at
+    )
+
+
+def report_of_campbell(found: Campbell) -> Report:
+    """The frequencies, and where engine orders meet them: the load's, or those up to
+    :data:`ORDERS`."""
+    scene = found.scene
+    own, unit = scene.excitation.order, "frequency" if scene.in_hertz or scene.in_rpm else "omega"
+    orders = [own] if own else [*range(1, ORDERS + 1)]
+    notes = [text for order in orders for text in found.meetings(order)]
+    if not notes and own is None:
+        notes = [f"engine orders 1 to {ORDERS} meet none"]
+    if text := coriolis_in_words(found.coriolis):
+        notes.append(f"at {in_unit(speed_axis(scene.in_rpm), found.speed[-1])} {text}")
+    columns = ["rpm" if scene.in_rpm else "speed", "mode"]
+    columns += [*(f"{unit}_{kind}" for kind in found.kinds), *(["crack"] if found.cracked else [])]
+    return Report(
+        found.table(),
+        found.said(),
+        shown=found.table(*columns),
+        notes=notes,
+        remarks=remarks_on_scene(scene),
     )
 
 

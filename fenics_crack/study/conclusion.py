@@ -1,8 +1,9 @@
-"""Conclusion of a run: its accuracy, the doubts that its numbers alone do not show, its remarks,
-and the sentence with which the program, a report and Python's ``str`` end."""
+"""Conclusion of a run: its answer and how accurate it is, the doubts that its numbers alone do not
+show, its remarks: the sentence with which the program, a report and Python's ``str`` end."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
@@ -10,11 +11,23 @@ import numpy as np
 
 from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.basics.errors import INTERRUPTED
-from fenics_crack.basics.tables import closing_sentence, error_in_words, in_unit, percent, quantity
+from fenics_crack.basics.tables import (
+    TURN,
+    Said,
+    error_in_words,
+    frequency_axis,
+    in_unit,
+    percent,
+    quantity,
+)
 from fenics_crack.curves.curve import ResponseCurve, parameter_axis
 from fenics_crack.curves.peak import AT_END
 from fenics_crack.model.modal import is_small
+from fenics_crack.model.modes import Modes
+from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Integration
+from fenics_crack.scene.words import faces_in_words
+from fenics_crack.study.coarser_mesh import natural_name
 from fenics_crack.study.plausibility import Remark, find_key_figures, remarks_on_scene
 from fenics_crack.study.prepare import REFUSALS, Study
 from fenics_crack.study.stated_errors import not_estimated
@@ -35,6 +48,11 @@ class Answer(Study):
 
     result: Any
     stated: Verification | None
+
+    @property
+    def watched_name(self) -> str:
+        """Name of the watched dof in words."""
+        return self.watched[0].words
 
     @cached_property
     def remarks(self) -> tuple[Remark, ...]:
@@ -78,94 +96,145 @@ def known_to(run: Answer, name: str = "") -> str:
 
 def unknown_error(run: Answer) -> str:
     """Return why the error of a result is unknown; empty where it is known, or nothing is."""
-    found, stated = run.result, run.stated
-    if isinstance(found, PeriodicSolution) and found.report.unknown:
-        return not_estimated(found.report)
-    if stated is None or not is_small(run.structure):  # then the report alone has the error
+    if run.stated is None or not is_small(run.structure):  # then the report alone has the error
         return ""
-    return stated.doubt(run.watched[0].column("amplitude"))
+    return run.stated.doubt(run.watched[0].column("amplitude"))
 
 
-def conclusion(run: Answer, warnings: int = 0) -> str:
-    """Return the sentence with which a run ends, after so many warnings (collective)."""
-    return closing_sentence(
-        _outcome(run),
-        unknown=unknown_error(run),
-        known=_known(run),
-        others=_others(run),
-        warnings=warnings,
-        remarks=len(run.remarks),
+def unknown_of_solution(run: Answer) -> str:
+    """The same of a solution, which reports its error itself."""
+    report = run.result.report
+    return not_estimated(report) if report.unknown else unknown_error(run)
+
+
+def frequency_in_words(scene: Scene, omega: float) -> str:
+    """A load frequency [rad/s] in the scene's unit."""
+    return in_unit(frequency_axis(scene.in_hertz), omega)
+
+
+def said_of(run: Answer) -> Said:
+    """What the last sentence on a run says (collective)."""
+    kind: str = run.result.KIND
+    return _SAID[kind](run) if kind in _SAID else Said(kind)
+
+
+def _of_modes(run: Answer) -> Said:
+    first = float(run.result.omega[0])
+    known = f"the first natural frequency with the crack open is {first / TURN:.5g} Hz "
+    known += f"({first:.5g} rad/s){_error(run, natural_name(run.scene, 'open', 1))}"
+    return Said("modes found", known)
+
+
+def _error(run: Answer, name: str = "", instead: str = "") -> str:
+    """ ", estimated error 2.4 %", or something instead where that is not stated, and what no error
+    includes."""
+    if known := known_to(run, name):
+        return f", estimated error {known}"
+    left_out = "" if run.stated is None else run.stated.left_out
+    return f"{instead}, {left_out}" if left_out else instead
+
+
+def _of_solution(run: Answer) -> Said:
+    found: PeriodicSolution = run.result
+    unknown = unknown_of_solution(run)
+    if not found.converged:
+        return Said("not converged", unknown=unknown)
+    size, report = quantity(found.amplitude(run.watched_dof), "m"), found.report
+    error = f", estimated relative error of the gap {percent(report.total)}"
+    if not report.estimated:
+        error = ", its error is not estimated (harmonic_balance.error = false)"
+    elif not found.gap_coefficients.size:
+        error = ""
+    error = "" if unknown else _error(run, instead=error)
+    tolerance, faces = run.scene.harmonic_balance.tolerance, faces_in_words(run.scene)
+    missed = tolerance is not None and report.total > tolerance
+    return Said(
+        "solved, but the tolerance is missed" if missed else "solved",
+        f"at {frequency_in_words(run.scene, found.omega)} the {run.watched_name} is {size} half "
+        f"peak-to-peak{error}",
+        unknown,
+        ["nothing vibrates"] if found.still else _of_contact(run, found, faces),
     )
 
 
-def _outcome(run: Answer) -> str:
-    """Describe how a run ended."""
-    found = run.result
-    if isinstance(found, PeriodicSolution):
-        tolerance = run.scene.harmonic_balance.tolerance
-        if not found.converged:
-            return "not converged"
-        missed = tolerance is not None and found.report.total > tolerance
-        return "solved, but the tolerance is missed" if missed else "solved"
-    if isinstance(found, ResponseCurve):
-        if found.status == INTERRUPTED:
-            return "curve interrupted"
-        return "curve complete" if found.complete else "the curve ended early"
-    if isinstance(found, TimeHistory):
-        return "integrated"
-    return "modes found"
-
-
-def _known(run: Answer) -> str:
-    """The watched amplitude and its error; of a curve the largest."""
-    known = known_to(run)
-    if isinstance(run.result, PeriodicSolution):
-        if not run.result.report.estimated:
-            return "its error is not estimated (harmonic_balance.error = false)"
-        if known:
-            return f"estimated error of half the peak-to-peak displacement {known}"
-    if isinstance(run.result, ResponseCurve):
-        top = run.result.top(run.watched_dof)
-        axis = parameter_axis(run.result.parameter, run.scene.in_hertz)
-        where = "at "
-        if top.at_end:
-            where = f"{AT_END if run.result.complete else 'rising up to where it ended'}, "
-        size = quantity(top.amplitude, "m")
-        how = f"estimated error {known}" if known else "its error is not estimated"
-        return f"largest response {size} {where}{in_unit(axis, top.value)}, {how}"
-    if run.stated is not None and run.stated.left_out:
-        return run.stated.left_out
-    return ""
-
-
-def _others(run: Answer) -> list[str]:
-    """The verdict, and what the numbers alone do not show."""
-    found = run.result
-    if isinstance(found, ResponseCurve):
-        said = at_rest(found.indicators(run.watched_dof).closed_share)
-        if found.multipliers is not None:
-            names, counts = np.unique(found.verdicts, return_counts=True)
-            shares = (f"{n} {name}" for n, name in zip(counts, names, strict=True))
-            said.append(f"{', '.join(shares)} of {len(found)} points")
-        return said
-    if isinstance(found, TimeHistory):
-        asked = run.scene.integration or Integration()
-        if asked.free:
-            return ["free decay" if found.periods >= asked.periods else "the decay ended early"]
-        return [] if found.settled <= asked.settle else ["the motion has not settled"]
-    if not isinstance(found, PeriodicSolution) or not found.converged:
-        return []
-    if found.still:
-        return ["nothing vibrates"]
+def _of_contact(run: Answer, found: PeriodicSolution, faces: str) -> list[str]:
+    """What the crack does, the error by friction left out, and the verdict."""
     said = []
-    if run.structure.n_pairs and found.contact is not None and not found.breathes:
-        said.append(LINEAR)
+    if run.structure.n_pairs and found.contact is not None:
+        values, what = found.to_dict(), "the crack opens" if faces != "pairs" else "contact opens"
+        said.append(
+            f"{what} by {quantity(values['opening'], 'm')} and is closed for "
+            f"{percent(values['closed_share'])} of the period"
+            if found.breathes
+            else LINEAR
+        )
     least = max(run.scene.harmonic_balance.tolerance or 0.0, FRICTION_MATTERS)
     friction = {} if run.stated is None else run.stated.parts.get("friction", {})
     part = friction.get(run.watched[0].column("amplitude"))
     if part is not None and part.gci > least:
         said.append(f"friction left out: about {percent(part.gci)}")
     return [*said, *in_place_of(found.stability, found.amplitude(run.watched_dof))]
+
+
+def _of_curve(run: Answer) -> Said:
+    found: ResponseCurve = run.result
+    top, axis = found.top(run.watched_dof), parameter_axis(found.parameter, run.scene.in_hertz)
+    size, place = quantity(top.amplitude, "m"), in_unit(axis, top.value)
+    unknown = unknown_error(run)
+    error = "" if unknown else _error(run, instead=", its error is not estimated")
+    known = f"the largest response of the {run.watched_name} is {size} half peak-to-peak"
+    if top.at_end and top.index == len(found) - 1 and not found.complete:
+        known = f"the response of the {run.watched_name} grows up to where the curve ended, {size} "
+        known += f"half peak-to-peak at {place}"
+    elif top.at_end:
+        known += f", {AT_END}, {place}{error}"
+    else:
+        share = run.stated.stated(run.stated.resonance)[0] if run.stated is not None else 0.0
+        within = f" within {error_in_words(share)}" if 0.0 < share < np.inf else ""
+        known += f" at {place}{within}{error}"
+    others = at_rest(found.indicators(run.watched_dof).closed_share)
+    if found.multipliers is not None:
+        names, counts = np.unique(found.verdicts, return_counts=True)
+        shares = (f"{n} {name}" for n, name in zip(counts, names, strict=True))
+        others.append(f"{', '.join(shares)} of {len(found)} points")
+    else:
+        others.append("stability not examined")
+    outcome = "curve complete" if found.complete else "the curve ended early"
+    if found.status == INTERRUPTED:
+        outcome = "curve interrupted"
+    return Said(outcome, known, unknown, others)
+
+
+def _of_history(run: Answer) -> Said:
+    found: TimeHistory = run.result
+    asked, name = run.scene.integration or Integration(), run.watched_name
+    if asked.free:
+        sizes = np.ptp(found.by_period(found.displacement([run.watched_dof])[:, 0]), axis=1) / 2.0
+        first, last = (quantity(float(size), "m") for size in sizes[[0, -1]])
+        known = f"the {name} falls from {first} to {last} half peak-to-peak over {found.periods} "
+        early = [] if found.periods >= asked.periods else ["the decay ended early"]
+        return Said("integrated", f"{known}periods", others=["free decay", *early])
+    settled, size = found.settled <= asked.settle, found.indicators(run.watched_dof).amplitude
+    place = frequency_in_words(run.scene, run.scene.excitation.omega)
+    known = f"at {place} the {name} is {quantity(size, 'm')} half peak-to-peak"
+    change = f"{found.periods} of {asked.periods} periods: one period shows no change"
+    if np.isfinite(found.settled):
+        change = f"{found.periods} periods: relative change over the last one {found.settled:.2g}"
+    if (distance := found.distance) < 1.0:
+        change += f", estimated distance from the settled motion {distance:.2g}"
+    return Said(
+        "integrated",
+        known,
+        others=[f"{'settled' if settled else 'the motion has not settled'} after {change}"],
+    )
+
+
+_SAID: dict[str, Callable[[Answer], Said]] = {
+    Modes.KIND: _of_modes,
+    PeriodicSolution.KIND: _of_solution,
+    ResponseCurve.KIND: _of_curve,
+    TimeHistory.KIND: _of_history,
+}
 
 
 def in_place_of(judged: Stability | None, amplitude: float) -> list[str]:

@@ -52,7 +52,7 @@ from fenics_crack.motion.attractors import SETTLED
 from fenics_crack.motion.motions import Observed
 from fenics_crack.scene.scene import Scene, check_known, without_clamp, without_tips
 from fenics_crack.scene.tables import Integration
-from fenics_crack.study.conclusion import Answer, conclusion
+from fenics_crack.study.conclusion import Answer, said_of
 from fenics_crack.study.observer import (
     AtTip,
     at_tips,
@@ -107,7 +107,7 @@ class Run(Answer, Generic[Found]):
         return self.stated or errors_of(self, self.result)
 
     def __str__(self) -> str:
-        return f"{self.result!r}: {conclusion(self)}"
+        return f"{self.result!r}: {said_of(self).closing()}"
 
     def __repr__(self) -> str:
         return f"Run({self.result!r}, {self.scene!r})"
@@ -122,11 +122,6 @@ class Run(Answer, Generic[Found]):
         if name.startswith("_") or "result" not in vars(self):  # while it is being copied
             raise AttributeError(f"'Run' object has no attribute {name!r}")
         return getattr(self.result, name)
-
-    @property
-    def watched_name(self) -> str:
-        """Name of the watched dof in words."""
-        return self.watched[0].words
 
     def peak(self, dof: int | None = None) -> Peak:
         """The largest response of a curve, as :meth:`ResponseCurve.peak` has it, with the
@@ -624,6 +619,12 @@ def run_of(stored: Stored, comm: MPI.Comm = MPI.COMM_WORLD, *, judged: bool = Tr
         allowed = f"a result of this version's structure ({found}); compute it again"
         raise InputError("path", str(stored.path), allowed) from None
     return Run(**vars(study), result=result, stated=verification_of(stored))
+
+
+def read_run(stored: Stored) -> Run[Result]:
+    """The run of a file that one rank has read. The errors of a solution are in the file: it needs
+    no reference."""
+    return run_of(stored, MPI.COMM_SELF, judged=stored.kind != PeriodicSolution.KIND)
 
 
 # --- over time ------------------------------------------------------------------------------------

@@ -38,10 +38,11 @@ from fenics_crack.basics.errors import TOLERANCE, InputError, check_choice, chec
 from fenics_crack.basics.observables import QUANTITIES
 from fenics_crack.basics.tables import (
     Described,
+    Said,
     Table,
-    closing_sentence,
     error_in_words,
     percent,
+    quantity,
     with_unit,
 )
 from fenics_crack.files.codec import Parts, from_text, text_of
@@ -433,26 +434,19 @@ class Verification(Saved):
     def _title(self) -> str:
         return self.statement[0]
 
-    def __str__(self) -> str:
-        return f"{self!r}: {self.conclusion()}"
-
-    def conclusion(self, remarks: int = 0) -> str:
-        """Return the last sentence on the study, after its warnings and so many remarks."""
+    def said(self) -> Said:
+        """What the last sentence on the study says."""
         name = next(iter(self.values))
         words = getattr(QUANTITIES.get(name.rpartition(".")[2]), "words", name)
-        bound = "factors of safety included, mostly due to the"
         error, cause = self.stated(name)
-        known = f"{words} within {error_in_words(error)}, {bound} {cause}"
+        value = f"{words} {quantity(self.values[name], self.units[name])}"
+        known = f"{value} within {error_in_words(error)}, factors of safety included, mostly due "
+        known += f"to the {cause}"
         if math.isnan(error):
-            known = "nothing that was varied changes the numbers"
-        return closing_sentence(
-            "verified",
-            unknown=self.doubt(name),
-            known=known,
-            others=[self.without, *(f"{run}: {verdict}" for run, verdict in self.verdicts.items())],
-            warnings=len(self.warnings),
-            remarks=remarks,
-        )
+            known = f"{value}; nothing that was varied changes the numbers"
+        doubt = self.doubt(name)
+        verdicts = (f"{run}: {verdict}" for run, verdict in self.verdicts.items())
+        return Said("verified", value if doubt else known, doubt, [self.without, *verdicts])
 
     # --- words ------------------------------------------------------------------------------------
 

@@ -43,7 +43,7 @@ from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.observables import DRAWN, QUANTITIES, Place, names_of
 from fenics_crack.basics.progress import reaching
 from fenics_crack.basics.ranks import StopRequest, on_root
-from fenics_crack.basics.tables import Tabular, closing_sentence, counted, error_in_words, optional
+from fenics_crack.basics.tables import Said, Tabular, counted, error_in_words, optional, quantity
 from fenics_crack.files.results import solution_from
 from fenics_crack.files.store import Stored, header
 from fenics_crack.scene.fields import Axis
@@ -421,36 +421,40 @@ class SweepResult(Tabular):
         swept = {axis.key: unit_of(axis.key) for axis in self.axes}
         return swept | {name: unit for name, (unit, _) in columns_of(self.scene).items()}
 
-    def __str__(self) -> str:
-        return f"{self!r}: {self.conclusion()}"
-
-    def conclusion(self, warnings: int = 0, remarks: int = 0) -> str:
-        """Return the last sentence on the sweep, after so many warnings and remarks."""
-        total, cases = self.errors.sum(axis=0)[self.converged], counted(self.converged.size, "case")
-        unknown = int(np.sum(total >= UNKNOWN))
-        largest, known = total.max(initial=0.0), ""
-        if largest > 0.0:
-            known = f"largest estimated error by modes and harmonics {error_in_words(largest)}"
-        names, counts = np.unique(self["verdict"][self.converged], return_counts=True)
+    def said(self) -> Said:
+        """What the last sentence on the sweep says."""
+        solved, known = self.converged, []
+        total, cases = self.errors.sum(axis=0)[solved], counted(solved.size, "case")
+        if np.any(np.isfinite(height := np.where(solved, self["response"], np.nan))):
+            place = np.unravel_index(int(np.nanargmax(height)), height.shape)
+            size = quantity(float(height[place]), "m")
+            known.append(f"the largest response is {size} half peak-to-peak at ")
+            known[0] += in_words(self.axes, [*map(int, place)])
+        largest, unknown = total.max(initial=0.0), int(np.sum(total >= UNKNOWN))
         if not self.scene.harmonic_balance.error:
-            known = "errors and stability are not estimated (harmonic_balance.error = false)"
-        closed = self["closed_share"][self.converged]
+            known.append("errors and stability are not estimated (harmonic_balance.error = false)")
+        elif largest > 0.0 and not unknown:
+            error = error_in_words(largest)
+            known.append(f"largest estimated error by modes and harmonics {error}")
+        names, counts = np.unique(self["verdict"][solved], return_counts=True)
         verdicts = [f"{n} {name}" for n, name in zip(counts, names, strict=True) if name]
-        return closing_sentence(
-            "sweep complete"
-            if self.converged.all()
-            else f"{self.converged.sum()} of {cases} converged",
-            unknown=f"it could not be estimated in {counted(unknown, 'case')}" if unknown else "",
-            known=known,
-            others=[*at_rest(closed), ", ".join(verdicts)],
-            warnings=warnings,
-            remarks=remarks,
+        return Said(
+            "sweep complete" if solved.all() else f"{solved.sum()} of {cases} converged",
+            ", ".join(known),
+            f"it could not be estimated in {counted(unknown, 'case')}" if unknown else "",
+            [*at_rest(self["closed_share"][solved]), ", ".join(verdicts)],
         )
 
     def _title(self) -> str:
         counts = zip(STATE_NAMES, np.bincount(self["state"].ravel(), minlength=3), strict=True)
         swept = " x ".join(f"{len(axis.values)} {axis.key}" for axis in self.axes)
         return ", ".join([swept, *(f"{count} {state}" for state, count in counts if count)])
+
+
+def is_part(stored: Stored) -> bool:
+    """Return True for the file of a sweep that another computation has made for itself: it leaves
+    out errors that the command ``sweep`` estimates."""
+    return stored.kind == KIND and bool(stored.attributes.get("omitted"))
 
 
 # --- cases in words -------------------------------------------------------------------------------

@@ -142,3 +142,28 @@ def test_no_error_is_asked_for(
     refused = {"harmonic_balance.harmonics": None, "harmonic_balance.tolerance": 1e-2}
     with pytest.raises(fc.InputError, match=r"harmonic_balance\.error = False"):
         scene.replace(refused | {"harmonic_balance.error": False})
+
+
+def test_one_sentence_holds_the_answer(
+    paper_scene: fc.Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The terminal, the JSON, Python and the page end with it: amplitude, error, crack, verdict."""
+    path = tmp_path / "plate.toml"
+    path.write_text(paper_scene.replace({"contact.stiffness": 1e9}).as_toml())
+    assert main(["solve", str(path), "--output", str(tmp_path)]) in (0, 4)
+    closing = capsys.readouterr().err.strip().splitlines()[-1]
+    rows = rows_of(tmp_path / "solution.json")
+    assert rows["conclusion"]["value"] == closing
+    run = fc.load_run(tmp_path / "solution.h5")
+    size, opening = (fc_quantity(rows[name]["value"]) for name in ("amplitude", "opening"))
+    assert f"at 2000 rad/s the {run.watched_name} is {size} half peak-to-peak" in closing
+    assert f"; the crack opens by {opening} and is closed for " in closing
+    assert f"; {rows['verdict']['value']}; " in f"{closing}; "
+    assert closing.startswith(str(run).partition(": ")[2])
+    assert main(["report", str(tmp_path), "--quiet"]) == 0
+    assert closing.removeprefix("solved") in (tmp_path / "report.html").read_text()
+
+
+def fc_quantity(metres: float) -> str:
+    """A length in micrometres."""
+    return f"{1e6 * metres:.4g} µm"

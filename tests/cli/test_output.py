@@ -254,6 +254,8 @@ def test_what_is_seen_in_place_of_an_unstable_orbit(
     last = curve.result.solution(len(curve.result) - 1)
     [doubled] = fc.attractors(curve.structure, last)
     sizes = [f"{size:.4g} m" for size in np.sort(doubled.amplitudes(curve.watched_dof))]
-    told = f"; it is unstable; after a disturbance the motion settles to between {sizes[0]} and "
+    told = (
+        f"response is unstable; after a disturbance the motion settles to between {sizes[0]} and "
+    )
     told += f"{sizes[1]} half"
     assert told in capsys.readouterr().err

@@ -170,7 +170,7 @@ def test_new_scene_is_right_by_itself(tmp_path: Path, capsys: pytest.CaptureFixt
     said = capsys.readouterr().err
     assert "remark" not in said and "warning" not in said
     tolerance = fc.Scene.load(file).harmonic_balance.tolerance
-    stated = re.search(r"estimated error of half the peak-to-peak displacement ([0-9.]+) %", said)
+    stated = re.search(r"half peak-to-peak, estimated error ([0-9.]+) %", said)
     assert stated and tolerance and float(stated[1]) < 100.0 * tolerance
 
 

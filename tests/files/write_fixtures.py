@@ -67,7 +67,7 @@ def numbers(name: str, path: Path) -> dict[str, Any]:
         growth = fc.Growth.load(path)
         return {"length": growth.length[::50], "life": growth.life, "factor": growth.factor}
     if name in ("verification", "identify"):
-        from fenics_crack.cli.results import result_of
+        from fenics_crack.cli.kinds import result_of
         from fenics_crack.files.store import read
 
         result: Any = result_of(read(path))

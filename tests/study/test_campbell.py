@@ -286,9 +286,8 @@ def test_command(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert json.loads((tmp_path / "campbell.json").read_text())[0]["mode"] == 1
     assert (tmp_path / "campbell.png").stat().st_size > 10_000
     assert main([*words, "--speeds", "4000", "4100", "2"]) == 0
-    assert (
-        "engine order 12 meets none of 1 mode between 4000 and 4100 rpm" in capsys.readouterr().err
-    )
+    closing = "1 mode found between 4000 and 4100 rpm; engine order 12 meets none of them"
+    assert closing in capsys.readouterr().err
     for wrong in (["8000", "4000", "3"], ["0", "1", "1.5"]):
         assert main([*words, "--speeds", *wrong]) == 2
 

@@ -117,11 +117,19 @@ def _run_of(scene: Scene, source: Path | None, comm: MPI.Comm) -> Run[Result]:
     """The result from which arrivals are computed."""
     run: Run[Result] = solve(scene, comm) if source is None else load_run(source, comm)
     result = run.result
-    if not isinstance(result, PeriodicSolution | ResponseCurve):
+    if curve_of(run) is not None:
+        return run
+    if not isinstance(result, PeriodicSolution):
         raise InputError("source", str(source), "a solution, a curve, or a CSV file of arrivals")
-    if isinstance(result, PeriodicSolution) and not result.converged:
+    if not result.converged:
         raise InputError("source", str(source or "the scene"), f"converged: {result.status}")
     return run
+
+
+def curve_of(run: Run[Any] | None) -> ResponseCurve | None:
+    """Return the curve from which arrivals are computed; None for others."""
+    result = None if run is None else run.result
+    return result if isinstance(result, ResponseCurve) else None
 
 
 def _computed(
@@ -133,9 +141,9 @@ def _computed(
     blade: int = 0,
 ) -> ArrivalTimes:
     """Arrivals of one blade at probes, from a result."""
-    result = run.result
+    curve = curve_of(run)
     return tip_timing(
-        _stable_part(result) if isinstance(result, ResponseCurve) else result,
+        run.result if curve is None else _stable_part(curve),
         tip,
         probes=np.radians(degrees),
         tip_radius=table.tip_radius,
@@ -165,8 +173,7 @@ def _tips(table: TipTiming, run: Run) -> dict[int, dict[int, float]]:
 def run_up_ends(scene: Scene, run: Run[Any]) -> str:
     """Describe where along a run-up the curve becomes unstable; "" if it does not, and of other
     results."""
-    curve = run.result
-    if not isinstance(curve, ResponseCurve):
+    if (curve := curve_of(run)) is None:
         return ""
     points, lost = run_up_points(curve)
     if lost is None:
@@ -209,8 +216,7 @@ def remarks_on_arrivals(arrivals: ArrivalTimes) -> list[str]:
 def is_run_up(arrivals: ArrivalTimes, run: Run[Any] | None) -> bool:
     """Return True if the speed changes from arrival to arrival: always if they are computed from a
     curve, else by more than a constant speed varies."""
-    computed = run is not None and isinstance(run.result, ResponseCurve)
-    return computed or not arrivals.steady
+    return curve_of(run) is not None or not arrivals.steady
 
 
 def vibration_in(
@@ -412,12 +418,12 @@ def _turning(table: TipTiming, run: Run, source: Path | None) -> dict[str, Any]:
         load are not those of a run-up.
     """
     of_result = "" if source is None else f" of {str(source)!r}"
-    if isinstance(run.result, ResponseCurve) and run.scene.speed > 0.0:
-        if run.result.parameter != "speed":
-            speed = speed_in_words(run.scene.speed, run.scene.in_rpm)
-            allowed = f"'rpm' or 'speed' for arrivals of a rotor, which is at {speed} all along it"
-            raise InputError("curve.parameter", run.scene.given("curve").parameter, allowed)
-    steady = run.scene.excitation.order is None and not isinstance(run.result, ResponseCurve)
+    curve = curve_of(run)
+    if curve is not None and run.scene.speed > 0.0 and curve.parameter != "speed":
+        speed = speed_in_words(run.scene.speed, run.scene.in_rpm)
+        allowed = f"'rpm' or 'speed' for arrivals of a rotor, which is at {speed} all along it"
+        raise InputError("curve.parameter", run.scene.given("curve").parameter, allowed)
+    steady = run.scene.excitation.order is None and curve is None
     if steady and run.scene.speed > 0.0:
         table.leave_out(("order",), f"a rotor's speed, in [rotation]{of_result}")
         return {"speed": run.scene.speed}

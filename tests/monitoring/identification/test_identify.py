@@ -27,7 +27,7 @@ from test_responses import file_of as universal_file
 
 import fenics_crack as fc
 from fenics_crack import SweepResult
-from fenics_crack.cli.results import Identified, account_of
+from fenics_crack.monitoring.identification.report import Identified, report_of_identification
 from fenics_crack.scene.words import value_in_words
 
 pytestmark = pytest.mark.usefixtures("not_laid_out")
@@ -200,8 +200,8 @@ def test_one_measurement_alone(scene: fc.Scene, folder: Path) -> None:
     least = f"no crack above {longest} of crack length"
     assert sound.conclusion == least and f"({least} (" in repr(sound) and "mm," not in repr(sound)
     assert "±" not in repr(sound) and sound.intervals["crack.length"][1] > 4e-3
-    shown = account_of(Identified(scene, sound.summary(), folder))
-    assert sound.summary()["conclusion"] == least and shown.facts[0].startswith(f"{least}: log")
+    closing = report_of_identification(Identified(scene, sound.summary(), folder)).closing
+    assert sound.summary()["conclusion"] == least and closing.startswith(f"{least}; log")
 
 
 TURN = 2.0 * np.pi
@@ -717,7 +717,9 @@ def test_command(
     assert main([*words, "--output", str(folder), "--pictures", "svg"]) == 0
     printed = capsys.readouterr()
     assert printed.out.split()[:5] == ["unknown", "estimate", "deviation", "low", "high"]
-    assert "crack: log Bayes factor" in printed.err and "next to measure: " in printed.err
+    closing = printed.err.strip().splitlines()[-1]
+    assert closing.startswith("crack; crack length ") and "; log Bayes factor" in closing
+    assert "next to measure: " in printed.err
     summary = json.loads((folder / "identify.json").read_text())
     assert summary["verdict"] == "crack"
     assert summary["estimate"]["crack.length"] == pytest.approx(0.015, abs=0.003)
@@ -846,32 +848,33 @@ def test_up_to_which_length_there_may_be_a_crack(
     hertz = float(fc.solve_modes(fc.build_structure(scene), 1).omega[0]) / (2.0 * np.pi)
     fc.Measurements.from_arrays("frequency_open", [hertz], 5.0, mode=[1]).to_csv(words[2])
     assert main(words) == 0
-    said = re.search(r"no crack above ([\d.]+) mm of crack length: log", capsys.readouterr().err)
+    said = re.search(r"no crack above ([\d.]+) mm of crack length; log", capsys.readouterr().err)
     assert said is not None and bounds[0] < 1e-3 * float(said[1]) < bounds[1]
     found = json.loads((tmp_path / "out" / "identify.json").read_text("utf-8"))
     assert found["conclusion"] == f"no crack above {said[1]} mm of crack length"
     page = tmp_path / "page.html"
     assert main(["report", str(tmp_path / "out" / "identify.h5"), "--output", str(page)]) == 0
-    assert html.escape(found["conclusion"]) in page.read_text("utf-8")
+    assert html.escape(found["conclusion"][1:]) in page.read_text("utf-8")
 
 
 @pytest.mark.nightly
 def test_beside_other_results(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A report of all files in its folder has the sweeps, one of which is a single case and has no
-    picture, and has what was inferred; alone, too, and not without the files beside it."""
+    """A report of all files in its folder leaves out the sweeps that were made for it, and has what
+    was inferred; alone, too, and not without the files beside it."""
     assert main(command_of_one_unknown(tmp_path)) == 0
     files = sorted(map(str, (tmp_path / "out").glob("*.h5")))
     [own] = [name for name in files if name.endswith("identify.h5")]
     page = tmp_path / "page.html"
     capsys.readouterr()
     assert len(files) == 4 and main(["report", *files, "--output", str(page)]) == 0
-    assert capsys.readouterr().err.splitlines() == [str(page)]
+    first, left = capsys.readouterr().err.splitlines()
+    assert first == str(page) and left.startswith("left out, as parts of other results: ")
     text = page.read_text("utf-8")
-    assert all(text.count(f"of {count} cases") == 2 for count in (1, 3, 4))
+    assert "Sweep" not in text and left.count(".h5") == 3
     found = json.loads(Path(own).with_suffix(".json").read_text("utf-8"))
     said = [found["reason"], *found["remarks"], *found["warnings"], *found["advice"]]
     said += [str(row[0]) for row in found["measurements"]] + list(found["priors"])
-    assert said and all(one in html.unescape(text) for one in said)
+    assert said and all(one[1:] in html.unescape(text) for one in said)
     picture = Path(own).with_name("posterior.png")
     before = picture.read_bytes()
     assert main(["report", own, "--output", str(page)]) == 0 and main(["plot", own]) == 0

@@ -1,0 +1,165 @@
+"""Kinds of results, which no other module knows all of: their files, headings, reports, pictures
+and readers. Functions are named here, and loaded when a result of their kind is met."""
+
+from __future__ import annotations
+
+import pkgutil
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.report import Report
+from fenics_crack.files.store import Stored
+
+
+class Kind(NamedTuple):
+    """A kind of result, by the functions of the package that handle it: "folder.file:function".
+
+    Attributes
+    ----------
+    name : str
+        Of its files: "curve" for curve.h5.
+    heading : str
+        In a report.
+    report : str
+        Function of a result that builds its :class:`Report`.
+    read : str
+        Function of a file that has been read.
+    draw : str
+        Function of a result and of :class:`Drawn`; with a ``sentence`` that of one picture, of a
+        result and a ``path``.
+    sentence : str
+        Below the one picture.
+    """
+
+    name: str
+    heading: str
+    report: str
+    read: str
+    draw: str
+    sentence: str = ""
+
+
+KINDS = {
+    "set of modes": Kind(
+        "modes", "Modes", "cli.results:report_of_modes", "study.run:read_run",
+        "cli.pictures:draw_modes_of",
+    ),
+    "periodic solution": Kind(
+        "solution", "Steady vibration", "cli.results:report_of_solution", "study.run:read_run",
+        "cli.pictures:draw_solution",
+    ),
+    "response curve": Kind(
+        "curve", "Response curve", "cli.results:report_of_curve", "study.run:read_run",
+        "cli.pictures:draw_curve_of",
+    ),
+    "sweep": Kind(
+        "sweep", "Sweep", "cli.account:report_of_sweep", "sweep.result:SweepResult.of",
+        "cli.pictures:draw_sweep",
+    ),
+    "time history": Kind(
+        "integration", "Motion in time", "cli.results:report_of_history", "study.run:read_run",
+        "cli.pictures:draw_history",
+    ),
+    "crack growth": Kind(
+        "growth", "Growth of the crack", "fatigue.growth:report_of_growth",
+        "fatigue.growth:Growth.of", "cli.pictures:draw_growth_of",
+    ),
+    "identification": Kind(
+        "identify", "Identification",
+        "monitoring.identification.report:report_of_identification",
+        "monitoring.identification.report:Identified.of", "cli.pictures:draw_identified",
+    ),
+    "verification": Kind(
+        "verify", "Convergence study", "cli.account:report_of_verification",
+        "study.verification:Verification.of", "draw.plot_study:draw_verification",
+        "Distance of each quantity from its extrapolated value; contributions to its error.",
+    ),
+    "Campbell diagram": Kind(
+        "campbell", "Campbell diagram", "study.campbell:report_of_campbell",
+        "study.campbell:Campbell.of", "cli.pictures:draw_campbell_of",
+    ),
+    "nodal diameters": Kind(
+        "disk", "Nodal diameters", "study.bladed_disk:report_of_diameters",
+        "study.bladed_disk:NodalDiameters.of", "draw.plot_disk:draw_nodal_diameters",
+        "Natural frequencies over the nodal diameter; rings: what the engine order excites.",
+    ),
+    "amplification": Kind(
+        "amplification", "Mistuning", "study.bladed_disk:report_of_amplification",
+        "study.bladed_disk:Amplification.of", "draw.plot_disk:draw_amplification",
+        "Amplification factors of the patterns, and the share of patterns below a factor.",
+    ),
+    "tip timing": Kind(
+        "timing", "Tip timing", "monitoring.tip_timing.report:report_of_timing",
+        "monitoring.tip_timing.timing:Timing.of", "cli.pictures:draw_timing",
+    ),
+}  # fmt: skip
+"""By their ``KIND``, in the order of a report."""
+
+
+@dataclass
+class Drawn:
+    """Pictures of a result in a folder.
+
+    Attributes
+    ----------
+    folder : Path
+        Where they are.
+    kind : str
+        Their kind, "png".
+    meshes : bool
+        True if files for ParaView are written, too.
+    files : dict of Path to str
+        What is drawn, with a sentence each; files for ParaView have none.
+    notes : list of str
+        What is left out, and why.
+    """
+
+    folder: Path
+    kind: str = "png"
+    meshes: bool = False
+    files: dict[Path, str] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+    def __call__(self, name: str, sentence: str, kind: str = "") -> Path:
+        """The path of a picture, which has its own kind or that of all."""
+        path = self.folder / f"{name}.{kind or self.kind}"
+        self.files[path] = sentence
+        return path
+
+
+def loaded(name: str) -> Callable[..., Any]:
+    """A function of the package by its name, "folder.file:function"."""
+    function: Callable[..., Any] = pkgutil.resolve_name(f"fenics_crack.{name}")
+    return function
+
+
+def report_of(result: Any) -> Report:
+    """Return the report of a result (collective)."""
+    report: Report = loaded(KINDS[result.KIND].report)(result)
+    return report
+
+
+def draw(result: Any, drawn: Drawn) -> None:
+    """Draw the pictures of a result."""
+    kind = KINDS[result.KIND]
+    if kind.sentence:
+        loaded(kind.draw)(result, path=drawn(kind.name, kind.sentence))
+    else:
+        loaded(kind.draw)(result, drawn)
+
+
+def result_of(stored: Stored) -> Any:
+    """The result of a file that one rank has read.
+
+    Raises
+    ------
+    InputError
+        It is no result of a command.
+    """
+    if stored.kind not in KINDS:
+        allowed = f"a result of one of these kinds: {', '.join(KINDS)}"
+        raise InputError("result", str(stored.path), allowed)
+    return loaded(KINDS[stored.kind].read)(stored)
