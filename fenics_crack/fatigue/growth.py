@@ -28,7 +28,7 @@ from mpi4py import MPI
 from fenics_crack.basics.errors import ConvergenceError, InputError, StoppedError
 from fenics_crack.basics.observables import Place, Where, names_of
 from fenics_crack.basics.ranks import StopRequest, on_root
-from fenics_crack.basics.tables import TURN, counted, in_hertz, with_frequency
+from fenics_crack.basics.tables import TURN, counted, hertz_of, with_frequency
 from fenics_crack.fem.build import with_crack_length
 from fenics_crack.files.saved import Saved
 from fenics_crack.numerics.equations import TINY
@@ -103,8 +103,8 @@ class Growth(Saved):
     remarks: tuple[str, ...]
 
     KIND: ClassVar[str] = "crack growth"
-    frequency, frequency_open = in_hertz(), in_hertz("omega_open")
-    frequency_bilinear = in_hertz("omega_bilinear")
+    frequency, frequency_open = hertz_of(), hertz_of("omega_open")
+    frequency_bilinear = hertz_of("omega_bilinear")
 
     @property
     def life(self) -> float:
@@ -303,7 +303,7 @@ def _at_length(scene: Scene, length: float, omega: float) -> Scene:
     """A scene, without a curve or a sweep, with another crack length [m] at a load frequency
     [rad/s], which replaces an engine order, with the ranges that drive growth as quantities."""
     place = {"crack.length": length, "excitation.omega": omega}
-    return scene.replace(place | {"output.quantities": names_of(where=Where.GROWTH)})
+    return scene.replace(place | {"output.quantities": names_of(where=Where.GROWING)})
 
 
 def _error_at(scene: Scene, path: LengthPath, length: float) -> tuple[float, list[str]]:

@@ -28,7 +28,7 @@ from mpi4py import MPI
 
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import MAX_CASES, InputError, check_count, check_number
-from fenics_crack.basics.tables import Tabular, counted, in_hertz
+from fenics_crack.basics.tables import Tabular, counted, hertz_of
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.fem.build import assemble
 from fenics_crack.files.saved import Saved
@@ -85,7 +85,7 @@ class Blades(Tabular):
     cracked: tuple[int, ...]
 
     KIND: ClassVar[str] = "blades"
-    frequency = in_hertz()
+    frequency = hertz_of()
 
     @property
     def phase(self) -> np.ndarray:
@@ -193,7 +193,7 @@ class NodalDiameters(Saved):
     speed: float
 
     KIND: ClassVar[str] = "nodal diameters"
-    frequency = in_hertz()
+    frequency = hertz_of()
 
     @property
     def excited(self) -> int:
@@ -293,8 +293,8 @@ class Amplification(Saved):
     sectors: int
 
     KIND: ClassVar[str] = "amplification"
-    frequency = in_hertz()
-    tuned_frequency = in_hertz("tuned_omega")
+    frequency = hertz_of()
+    tuned_frequency = hertz_of("tuned_omega")
 
     @property
     def bound(self) -> float:
