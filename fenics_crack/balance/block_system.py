@@ -177,7 +177,7 @@ class BlockSystem(Snes):
         known = vars(PETSc.SNES.ConvergedReason).items()
         return next(name for name, code in known if code == self._snes.getConvergedReason())
 
-    def step(
+    def take_full_steps(
         self, displacement: np.ndarray, share: float, tolerance: float
     ) -> tuple[np.ndarray, bool, int]:
         """Where full steps lead from a displacement with a share of the contact stiffness, True if
@@ -266,7 +266,7 @@ def _stiffened(
     while reached < 1.0 and ratio >= LEAST_STIFFER:
         tolerance = search.tolerance if share == 1.0 else max(NEARLY_SOLVED, search.tolerance)
         ahead = math.log(share / reached) if reached else 0.0
-        there, converged, count = block.step(here + ahead * slope, share, tolerance)
+        there, converged, count = block.take_full_steps(here + ahead * slope, share, tolerance)
         search.iterations += count
         if converged:
             slope = (there - here) / ahead if ahead else slope

@@ -90,16 +90,16 @@ class OrbitFamily:
 
     def state(self, unknown: np.ndarray, value: float) -> np.ndarray:
         """z of x (..., 2 n_modes) where the parameter has a value."""
-        state = (unknown + self._held(value)) / self.scale
+        state = (unknown + self._offset(value)) / self.scale
         return np.asarray(state if self.name != "speed" else state @ self._modes(value).T)
 
     def unknown(self, state: np.ndarray, value: float) -> np.ndarray:
         """x of z (..., 2 n_modes) where the parameter has a value."""
         if self.name == "speed":
             state = np.linalg.solve(self._modes(value), state.T).T
-        return np.asarray(state * self.scale - self._held(value))
+        return np.asarray(state * self.scale - self._offset(value))
 
-    def _held(self, value: float) -> np.ndarray:
+    def _offset(self, value: float) -> np.ndarray:
         """x_0 + p x_1."""
         return np.asarray(self._rest[0] + self.parameter(value) * self._rest[1])
 
@@ -148,7 +148,7 @@ class OrbitFamily:
     @cached_property
     def compiled(self) -> ShootingEquations | None:
         """The same equations in the kernel; None where it does not have them."""
-        if not self._follows:
+        if not self._one_flow:
             return None
         omega = self.omega(self.start), self.omega(self.end) - self.omega(self.start)
         flow = self._first
@@ -166,7 +166,7 @@ class OrbitFamily:
         return ShootingEquations(flow, self.scale, omega, self.subharmonic, **changed)
 
     @property
-    def _follows(self) -> bool:
+    def _one_flow(self) -> bool:
         """True if one flow follows the parameter."""
         changes = {"stiffness", "speed", "friction"}
         if self._first.friction:  # where pairs stick depends on the damping, too

@@ -26,7 +26,12 @@ from fenics_crack.basics.progress import begin
 from fenics_crack.curves.curve import leading
 from fenics_crack.curves.growing import chord, points_of
 from fenics_crack.curves.harmonic_curve import HarmonicCurve
-from fenics_crack.curves.orbit_events import about_minus_one, beyond_circle, changes, counted
+from fenics_crack.curves.orbit_events import (
+    about_minus_one,
+    beyond_circle,
+    changes,
+    leading_multipliers,
+)
 from fenics_crack.curves.stability import floquet, monodromy, stability_of
 from fenics_crack.model.contact import is_unilateral
 from fenics_crack.motion.orbit import eigenvalues
@@ -94,7 +99,7 @@ def judged_by_waves(curve: HarmonicCurve) -> HarmonicCurve:
     found = [floquet(one.structure, one) for one in solutions]
     special = [*curve.unjudged().bifurcations]
     values = np.array([one.multipliers for one in found])
-    rows = counted(values)
+    rows = leading_multipliers(values)
     crossed = changes(rows)[:, 1:] != 0.0
     crossed &= np.isfinite(values[1:] + values[:-1]).all(axis=1)[:, None]
     for place, which in np.argwhere(crossed).tolist():

@@ -147,7 +147,7 @@ def _static_shapes(
     static = ResidualFlexibility(structure, kept, squares, forces.T)
     found = static.solve(factor, forces).T
     left = structure.sum_over_ranks((forces.T * found).sum(axis=0))
-    return found[:, ~_rounding(left, static.modal.T, squares)]
+    return found[:, ~_is_rounding(left, static.modal.T, squares)]
 
 
 def _massless(structure: Structure, modes: int, assessed: bool | int) -> MasslessStructure:
@@ -239,12 +239,12 @@ def _loaded_dofs(structure: Structure) -> np.ndarray:
 def _without_rounding(compliance: np.ndarray, seen: np.ndarray, squares: np.ndarray) -> np.ndarray:
     """S without the forces that the kept modes carry alone, of which rounding leaves something."""
     found = compliance.copy()
-    lost = _rounding(np.diag(compliance), seen, squares)
+    lost = _is_rounding(np.diag(compliance), seen, squares)
     found[lost] = found[:, lost] = 0.0
     return found
 
 
-def _rounding(left: np.ndarray, seen: np.ndarray, squares: np.ndarray) -> np.ndarray:
+def _is_rounding(left: np.ndarray, seen: np.ndarray, squares: np.ndarray) -> np.ndarray:
     """Return True for forces whose residual flexibility, beyond the modes, is only rounding."""
     elastic = squares > 0.0
     carried = np.sum(seen[elastic] ** 2 / squares[elastic, None], axis=0)

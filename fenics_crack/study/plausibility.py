@@ -437,7 +437,7 @@ CORIOLIS = 0.01
 """Minimum relative change of a frequency by the Coriolis force that is reported: the errors of
 usual meshes are as large."""
 WITHOUT_CORIOLIS = "the Coriolis force, left out, would move one of the first modes by {:.2%}"
-FIRST = "material.", "geometry.", "rotation.", "mesh.file", "structure.model"
+SLIPS_FIRST = "material.", "geometry.", "rotation.", "mesh.file", "structure.model"
 """Keys on which the key figures depend: with a slip there they get no remarks."""
 
 
@@ -488,7 +488,7 @@ def remarks_on_scene(
     found = [*_remarks(OF_SCENE, scene)]
     if structure is not None:
         found += _remarks(OF_STRUCTURE, scene, structure)
-    if figures is not None and not any(remark.key.startswith(FIRST) for remark in found):
+    if figures is not None and not any(remark.key.startswith(SLIPS_FIRST) for remark in found):
         found += _remarks(OF_FIGURES, scene, figures)
     if structure is not None:
         found += _remarks(OF_MODEL, scene, structure)
@@ -668,7 +668,7 @@ def _never_meet(_: object, scene: Scene, figures: KeyFigures) -> tuple[float, st
 MM = MappingProxyType({"mm": 1e-3})
 ROTOR = "larger than any rotor"
 METALS = "of critical damping, metals have 0.0001 to 0.01"
-FORCES = "excitation.force_sin excitation.force_cos"
+LOADS = "excitation.force_sin excitation.force_cos"
 STIFFNESSES = "contact.stiffness contact.stiffness_per_area"
 OF_FIRST = "{:.2g} times the first natural frequency, {:.4g} Hz = {:.4g} rad/s; is it in "
 OF_SCENE = (
@@ -698,7 +698,7 @@ OF_SCENE = (
           "(root mean square)",
           lambda _, scene: (of_wave(scene.excitation, scene.dimension)[1],
                             scene.excitation.wave_harmonics)),
-    Usual(FORCES, 1.0, 1.0, "no force at all: excitation.force_sin, force_cos and force_mean are "
+    Usual(LOADS, 1.0, 1.0, "no force at all: excitation.force_sin, force_cos and force_mean are "
           "zero", lambda _, scene: scene.has_other_loads or bool(scene.excitation.force_given)),
 )  # fmt: skip
 OF_STRUCTURE = (
@@ -717,7 +717,7 @@ OF_FIGURES = (
     Usual("excitation.frequency", 1.0, 0.0, OF_FIRST + "rad/s? then use excitation.omega",
           _other_unit(1.0 / TURN)),
     Usual("curve.start", 1.0, 0.0, "no resonance from there to {1}", _no_resonance),
-    Usual(FORCES, 0.0, SMALL_MOTION, "with an open crack it moves the {kind} by {1:.2g} m, {0:.2g} "
+    Usual(LOADS, 0.0, SMALL_MOTION, "with an open crack it moves the {kind} by {1:.2g} m, {0:.2g} "
           "rad about the clamp: beyond small displacements; in N?", _turned),
     Usual("mesh.lip_elements mesh.file", 4, math.inf, "elements longer than a quarter of the "
           "crack; 4 to 20 along each face are usual", _elements_along),
