@@ -48,7 +48,7 @@ from fenics_crack.balance.friction_integrals import (
     coupled_integrals,
 )
 from fenics_crack.basics.errors import ConvergenceError, InputError
-from fenics_crack.basics.tables import in_hertz
+from fenics_crack.basics.tables import hertz_of
 from fenics_crack.kernel import Struct, kernel, owned, pointer, shaped
 from fenics_crack.model.contact import ContactLaw, friction_of, is_rigid, seen_by, springs_of
 from fenics_crack.model.modal import all_modes
@@ -288,7 +288,7 @@ class Wave:
     Its attributes are those of :class:`fenics_crack.PeriodicSolution`.
     """
 
-    frequency = in_hertz()
+    frequency = hertz_of()
     structure: Structure
     omega: float
     contact: ContactLaw | None

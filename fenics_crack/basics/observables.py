@@ -20,7 +20,7 @@ import numpy as np
 
 
 class Place(Enum):
-    """Where an observable is read."""
+    """Source that an observable is read from."""
 
     POINT = "each watched point and direction"
     FACES = "all crack faces"
@@ -35,7 +35,7 @@ class Place(Enum):
 
 
 class Where(Flag):
-    """Where an observable is shown unless a scene chooses, and what it requires."""
+    """Tables that show an observable unless a scene chooses, and its requirements."""
 
     FILES = 0
     PRINTED = auto()
@@ -48,16 +48,16 @@ class Where(Flag):
     """With its error."""
     FRICTION = auto()
     """Requires friction."""
-    GROWTH = auto()
+    GROWING = auto()
     """Requires a law of growth."""
 
 
-PRINTED, SPECIAL, DRAWN, STATED, FRICTION, GROWTH = Where
-SHOWN = PRINTED | STATED
+PRINTED, SPECIAL, DRAWN, STATED, FRICTION, GROWING = Where
+FILES, SHOWN = Where.FILES, PRINTED | STATED
 EVERYWHERE = SHOWN | SPECIAL | DRAWN
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Observable:
     """A number that describes a motion.
 
@@ -78,7 +78,10 @@ class Observable:
     words: str
     unit: str
     read: Callable[[Any], Any] = float
-    where: Where = Where.FILES
+    where: Where = FILES
+
+    def __repr__(self) -> str:
+        return f"{self.words} [{self.unit}]"
 
 
 def _largest(vectors: np.ndarray) -> Any:
@@ -147,7 +150,7 @@ QUANTITIES: dict[str, Observable] = {
     "K_II_max": _tip("largest stress intensity K_II, of either sign", "Pa m^0.5",
         lambda at: np.abs(at.two).max()),
     "delta_K_equivalent": _tip("range of K_I, R = 0, that makes the crack grow as much", "Pa m^0.5",
-        lambda at: at.equivalent, GROWTH),
+        lambda at: at.equivalent, GROWING),
     "reaction_force": _clamp("largest force of the clamp", "N", lambda at: _largest(at.force)),
     "reaction_moment": _clamp("largest moment of the clamp, about its centre", "N m",
         lambda at: _largest(at.moment)),
@@ -157,9 +160,7 @@ QUANTITIES: dict[str, Observable] = {
 
 
 @cache
-def names_of(
-    *places: Place, where: Where = Where.FILES, without: Where = Where.FILES
-) -> tuple[str, ...]:
+def names_of(*places: Place, where: Where = FILES, without: Where = FILES) -> tuple[str, ...]:
     """Return the names of the observables of some places, or of all, that are shown somewhere and
     do not require what is missing."""
     return tuple(
@@ -169,7 +170,7 @@ def names_of(
     )
 
 
-def read_at(place: Place, there: Any, without: Where = Where.FILES) -> dict[str, float]:
+def read_at(place: Place, there: Any, without: Where = FILES) -> dict[str, float]:
     """Return the numbers of what is at a place by their names, but for those that require what is
     missing."""
     return {name: float(QUANTITIES[name].read(there)) for name in names_of(place, without=without)}

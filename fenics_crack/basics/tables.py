@@ -282,7 +282,7 @@ def with_frequency(values: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
-def in_hertz(omega: str = "omega") -> Any:
+def hertz_of(omega: str = "omega") -> Any:
     """A property: the frequency [Hz] of what an attribute of the same object has in rad/s."""
 
     def frequency(self: Any) -> Any:

@@ -57,7 +57,7 @@ from fenics_crack.basics.errors import (
     check_count,
     check_number,
 )
-from fenics_crack.basics.tables import TURN, Tabular, counted, in_hertz, with_frequency
+from fenics_crack.basics.tables import TURN, Tabular, counted, hertz_of, with_frequency
 from fenics_crack.curves.curve import PARTS
 from fenics_crack.curves.free_motion import (
     HELPS,
@@ -121,7 +121,7 @@ class Backbone(Tabular):
     samples: int | None
 
     KIND: ClassVar[str] = "backbone"
-    frequency = in_hertz()
+    frequency = hertz_of()
 
     @property
     def harmonics(self) -> int:

@@ -104,20 +104,18 @@ class Continuation(Growing):
         super().__init__(problem, parameter, start, end, **steps)
         reduced = self._problem.structure is not problem.structure
         problem, self._judged = self._problem, stability
-        if reduced and isinstance(initial, PeriodicSolution):  # its gaps are all that is used
-            initial = replace(initial, structure=problem.structure)
         if stability and is_rigid(problem.contact):
             exact_flow(problem.structure, problem.contact)
 
         if isinstance(initial, Bifurcation):
             self._family = FAMILIES[parameter](problem, start, end)
-            point = initial.point
-            assert isinstance(point, HarmonicCurve)
             factor = problem.harmonics // initial.problem.harmonics
-            unknown = stretched(point.unknowns[0], factor)
+            unknown = stretched(getattr(initial.point, initial.point.FOUND)[0], factor)
             self._begin_on_branch(initial.kind, initial.value, unknown)
             return
         if initial is not None:
+            if reduced:  # its gaps are all that is used
+                initial = replace(initial, structure=problem.structure)
             check_initial(problem, initial)
         if tolerance is not None:
             at_start = FAMILIES[parameter].vary(problem, start)

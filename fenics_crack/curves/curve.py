@@ -20,7 +20,7 @@ from fenics_crack.basics.tables import (
     Tabular,
     counted,
     frequency_axis,
-    in_hertz,
+    hertz_of,
     speed_axis,
     with_frequency,
 )
@@ -99,7 +99,7 @@ class Bifurcation(Described):
         """Load frequency [rad/s]."""
         return float(self.point.omega[0])
 
-    frequency = in_hertz()
+    frequency = hertz_of()
 
     @cached_property
     def problem(self) -> Problem:
@@ -199,7 +199,9 @@ class ResponseCurve(Observed, Tabular):
     branch: bool = False
 
     KIND: ClassVar[str] = "response curve"
-    frequency = in_hertz()
+    frequency = hertz_of()
+    EXACT: ClassVar[bool] = False
+    """True if its points are exact orbits."""
     FOUND: ClassVar[str]
     """Name of the attribute that holds the points, (n, ...)."""
 

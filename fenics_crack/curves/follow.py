@@ -26,7 +26,6 @@ from fenics_crack.curves.continuation import Continuation
 from fenics_crack.curves.curve import Bifurcation, CurvePoint, ResponseCurve
 from fenics_crack.curves.growing import Growing
 from fenics_crack.curves.orbit_continuation import OrbitContinuation, has_orbits
-from fenics_crack.curves.orbit_curve import OrbitCurve
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import reduce_structure
@@ -216,7 +215,7 @@ def _again(
             if not found.complete or found.returned:
                 break
             at_end = len(met) - 1
-            there = met.orbit(at_end) if isinstance(met, OrbitCurve) else met.solution(at_end)
+            there = met.orbit(at_end) if met.EXACT else met.solution(at_end)
         else:
             found.status += ", not by the first solution found at its start"
             return found
@@ -288,7 +287,7 @@ def follow_branch(
         samples=curve.problem.samples and doubled * curve.problem.samples,
         subharmonic=doubled * curve.subharmonic,
     )
-    exact, span = isinstance(curve, OrbitCurve), (curve.parameter, start, end)
+    exact, span = curve.EXACT, (curve.parameter, start, end)
     initial = (curve, bifurcation) if exact else bifurcation
     return _run(_grown(exact, problem, span, initial, options), progress, throw)
 

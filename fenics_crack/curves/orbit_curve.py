@@ -51,7 +51,7 @@ class OrbitCurve(ResponseCurve):
     multipliers: np.ndarray
     tolerance: float
 
-    FOUND = "states"
+    EXACT, FOUND = True, "states"
 
     @property
     def method(self) -> str:

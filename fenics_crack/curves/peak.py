@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.basics.tables import Described, in_hertz, quantity, with_frequency
+from fenics_crack.basics.tables import Described, hertz_of, quantity, with_frequency
 
 AT_END = "still rising at the end of the range"
 """Description of a largest response that is no peak."""
@@ -80,7 +80,7 @@ class Peak(Described, Top):
     omega_error: float = math.nan
     without: str = "error due to the mesh not included"
 
-    frequency = in_hertz()
+    frequency = hertz_of()
 
     def to_dict(self) -> dict[str, Any]:
         """The attributes, and the frequency [Hz]."""

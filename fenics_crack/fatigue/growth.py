@@ -35,7 +35,7 @@ from fenics_crack.basics.tables import (
     Said,
     Table,
     counted,
-    in_hertz,
+    hertz_of,
     quantity,
     with_frequency,
 )
@@ -114,8 +114,8 @@ class Growth(Saved):
     remarks: tuple[str, ...]
 
     KIND: ClassVar[str] = "crack growth"
-    frequency, frequency_open = in_hertz(), in_hertz("omega_open")
-    frequency_bilinear = in_hertz("omega_bilinear")
+    frequency, frequency_open = hertz_of(), hertz_of("omega_open")
+    frequency_bilinear = hertz_of("omega_bilinear")
 
     @property
     def life(self) -> float:
@@ -342,7 +342,7 @@ def _at_length(scene: Scene, length: float, omega: float) -> Scene:
     """A scene, without a curve or a sweep, with another crack length [m] at a load frequency
     [rad/s], which replaces an engine order, with the ranges that drive growth as quantities."""
     place = {"crack.length": length, "excitation.omega": omega}
-    return scene.replace(place | {"output.quantities": names_of(where=Where.GROWTH)})
+    return scene.replace(place | {"output.quantities": names_of(where=Where.GROWING)})
 
 
 def _error_at(scene: Scene, path: LengthPath, length: float) -> tuple[float, list[str]]:

@@ -54,6 +54,7 @@ from fenics_crack.fem.matrix_files import read_structure
 from fenics_crack.fem.msh_file import check_there
 from fenics_crack.fem.plate import Dofs, build_mesh
 from fenics_crack.fem.sector import wheel_of
+from fenics_crack.model.body import Body
 from fenics_crack.model.factor import local_rows
 from fenics_crack.model.modes import solve_modes
 from fenics_crack.model.nodes import Pairs
@@ -237,19 +238,12 @@ def _assembled(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
     gap, tangential, pairs = pair_lips(dofs, thickness(scene, space), mouth=mouth)
     force, watched = assemble_loads(scene, dofs, mass)
     clamp = clamp_of(dofs, mass, force)
-    structure = Structure(
-        dofs.free_block(mass),
-        dofs.free_block(stiffness),
-        gap,
-        force=force[:, dofs.free],
-        clearance=clearance_of(scene, pairs),
-        damping=_damping(scene.damping),
-        nodes=dofs.nodes(),
-        pairs=pairs,
-        watched=watched,
-        clamp=clamp,
-    )
-    return structure.with_tangents(tangential), dofs
+    body = Body(
+        dofs.free_block(mass), dofs.free_block(stiffness), gap, force[:, dofs.free],
+        clearance_of(scene, pairs), damping=_damping(scene.damping), tangential=tangential,
+        nodes=dofs.nodes(), pairs=pairs, watched=watched, clamp=clamp,
+    )  # fmt: skip
+    return Structure(body), dofs
 
 
 # --- matrices -------------------------------------------------------------------------------------

@@ -34,7 +34,7 @@ from fenics_crack.model.nodes import Clamp, nearest_node, nodes_at
 from fenics_crack.model.periodic_load import read_wave
 from fenics_crack.scene.fields import Vector
 from fenics_crack.scene.scene import Scene
-from fenics_crack.scene.tables import Load, add_harmonics
+from fenics_crack.scene.tables import Excitation, Load, add_harmonics
 
 
 def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.ndarray | None]:
@@ -101,18 +101,16 @@ def parts_of(scene: Scene) -> list[Vector]:
         excitation.require(sized, "harmonics", f"of {scene.dimension} components each")
     add_harmonics(rows, excitation.harmonics)
     if excitation.wave is not None:
-        for row, part in enumerate(of_wave(scene)[0]):
+        for row, part in enumerate(of_wave(excitation, scene.dimension)[0]):
             rows[row] = tuple(np.add(rows[row], part).tolist())
     return rows
 
 
-def of_wave(scene: Scene) -> tuple[np.ndarray, float]:
-    """Mean and harmonics of the excitation's table (2K+1, dimension) [N], and what they leave out
+def of_wave(load: Excitation, dimension: int) -> tuple[np.ndarray, float]:
+    """Mean and harmonics of a load's table of one period (2K+1, dimension), and what they leave out
     of it, relative."""
-    excitation = scene.excitation
-    assert excitation.wave is not None
-    key = excitation.name_of("wave")
-    return read_wave(key, excitation.wave, excitation.wave_harmonics, scene.dimension)
+    assert load.wave is not None
+    return read_wave(load.name_of("wave"), load.wave, load.wave_harmonics, dimension)
 
 
 def _unit(parts: Sequence[Vector]) -> Vector:

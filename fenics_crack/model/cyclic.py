@@ -34,6 +34,7 @@ import scipy.linalg
 import scipy.sparse as sparse
 from mpi4py import MPI
 
+from fenics_crack.model.body import Body
 from fenics_crack.model.factor import Factor, distributed, local_rows
 from fenics_crack.model.modes import NEGLIGIBLE, modes_by
 from fenics_crack.model.structure import Structure
@@ -356,13 +357,8 @@ class NodalDiameter:
         blocks = self.inside.mass, self.inside.blocks
         mass, stiffness = (distributed(one.real(self.turn), MPI.COMM_SELF) for one in blocks)
         size = mass.size[0]
-        structure = Structure(
-            mass,
-            stiffness,
-            sparse.csr_matrix((size, 0)),
-            force=np.zeros((1, size)),
-            clearance=np.zeros(0),
-        )
+        gap = sparse.csr_matrix((size, 0))
+        structure = Structure(Body(mass, stiffness, gap, np.zeros((1, size)), np.zeros(0)))
         if not self.turn.imag:
             found = modes_by(self, structure, count)
             return found.omega, self.ties @ found.shapes

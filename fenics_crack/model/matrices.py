@@ -719,3 +719,15 @@ def _check_semidefinite(name: str, matrix: Any, mass: Any) -> None:
         negative = factor.negative_pivots
     if negative:
         raise InputError(name, counted(negative, "negative eigenvalue"), "positive semidefinite")
+
+
+def read_only_rows(matrix: Any) -> sparse.csr_matrix:
+    """A copy of a sparse matrix by rows that cannot be written to; itself where it is one."""
+    if sparse.isspmatrix_csr(matrix) and matrix.has_canonical_format:
+        if not any(part.flags.writeable for part in (matrix.data, matrix.indices, matrix.indptr)):
+            return matrix
+    rows = sparse.csr_matrix(matrix, copy=True)
+    rows.sum_duplicates()
+    for part in (rows.data, rows.indices, rows.indptr):
+        part.flags.writeable = False
+    return rows

@@ -24,7 +24,7 @@ from slepc4py import SLEPc
 from fenics_crack.basics.errors import FEW_MODES, ConvergenceError, InputError, check_choice
 from fenics_crack.basics.progress import begin
 from fenics_crack.basics.ranks import gather_rows
-from fenics_crack.basics.tables import Tabular, counted, in_hertz
+from fenics_crack.basics.tables import Tabular, counted, hertz_of
 from fenics_crack.kernel import kernel
 from fenics_crack.model.factor import AT_A_TIME, TOLERATED, Factor, factored_sum
 from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
@@ -65,7 +65,7 @@ class Modes(Tabular):
     structure: Structure
 
     KIND: ClassVar[str] = "set of modes"
-    frequency = in_hertz()
+    frequency = hertz_of()
 
     def function(self, index: int) -> Any:
         """The shape of ``omega[index]`` as DOLFINx's Function, on the space of the mesh
@@ -549,8 +549,8 @@ class BilinearFrequencies(Tabular):
     omega_tied: np.ndarray
 
     KIND: ClassVar[str] = "set of bilinear frequencies"
-    frequency_open, frequency_tied = in_hertz("omega_open"), in_hertz("omega_tied")
-    frequency_bilinear = in_hertz("omega_bilinear")
+    frequency_open, frequency_tied = hertz_of("omega_open"), hertz_of("omega_tied")
+    frequency_bilinear = hertz_of("omega_bilinear")
 
     @property
     def omega_bilinear(self) -> np.ndarray:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, NoReturn, Self
+from operator import attrgetter
+from typing import Any, NoReturn
 
 import numpy as np
 import scipy.sparse as sparse
@@ -128,6 +128,11 @@ class Pairs:
                 object.__setattr__(self, name, read_only(given))
 
 
+def of_body(name: str) -> Any:
+    """A property: the attribute of a structure that its body has by this name."""
+    return property(attrgetter(f"body.{name}"))
+
+
 class Coordinates:
     """Degrees of freedom and contact pairs of a structure: how many, where, and on which rank.
 
@@ -153,27 +158,16 @@ class Coordinates:
         carries most of the load.
     """
 
-    comm: MPI.Comm
-    mass: Any
-    gap: sparse.csr_matrix
-    tangential: sparse.csr_matrix | None
+    body: Any
+    setting: Any
+    comm: MPI.Comm = of_body("comm")
+    mass: Any = of_body("mass")
+    gap: sparse.csr_matrix = of_body("gap")
+    tangential: sparse.csr_matrix | None = of_body("tangential")
     force: np.ndarray
-    nodes: Nodes | None
-    pairs: Pairs
-    watched: np.ndarray | None
-
-    def _hold(self, **values: Any) -> None:
-        """Set attributes of a structure that is being made; arrays become read-only."""
-        for name, value in values.items():
-            vars(self)[name] = read_only(value) if isinstance(value, np.ndarray) else value
-
-    def _copied(self, **changes: Any) -> Self:
-        """A copy that shares all but some attributes."""
-        other = copy(self)
-        for computed in ("damping", "damping_matrix"):
-            vars(other).pop(computed, None)
-        other._hold(**changes)
-        return other
+    nodes: Nodes | None = of_body("nodes")
+    pairs: Pairs = of_body("pairs")
+    watched: np.ndarray | None = of_body("watched")
 
     def __setattr__(self, name: str, value: object) -> NoReturn:
         raise AttributeError(
@@ -234,6 +228,8 @@ class Coordinates:
         """The dof of the whole structure that results are asked about where none is named: the
         first that the scene watches, else the load's (collective)."""
         whole = self.whole
+        if self.setting.watched_dof is not None:
+            return self.setting.watched_dof
         if whole is not self:
             return int(whole.watched_dof)
         if self.watched is None:
@@ -242,7 +238,7 @@ class Coordinates:
 
     def most_loaded(self) -> int:
         """The dof that carries most of the load, of all ranks' (collective)."""
-        return int(np.argmax(gather_rows(self.comm, np.abs(self.force).max(axis=0))))
+        return int(np.argmax(gather_rows(self.comm, np.abs(self.body.force).max(axis=0))))
 
     def where(self, pair: int) -> str:
         """A pair in words: "at the mouth", "at the middle of crack 2", "of pair 3"."""

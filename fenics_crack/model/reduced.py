@@ -16,7 +16,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import nullcontext
-from typing import Any
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Self
 
 import numpy as np
 import scipy.linalg
@@ -24,14 +26,44 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError
-from fenics_crack.basics.tables import in_hertz
+from fenics_crack.basics.tables import hertz_of
+from fenics_crack.model.body import Body
 from fenics_crack.model.factor import AT_A_TIME, Factor, distributed
 from fenics_crack.model.modes import NEGLIGIBLE, times
+from fenics_crack.model.nodes import of_body
 from fenics_crack.model.structure import DampingRule, Structure
 from fenics_crack.numerics.equations import EPSILON
 
 INSTEAD = "reduce with method = 'free_interface', or march by integrate_exponential"
 """Remedy where a scheme needs mass at the crack faces."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ReducedBody(Body):
+    """That of a reduced structure, of whose attributes these are."""
+
+    whole: Structure
+    basis: np.ndarray | None = None
+    omega: np.ndarray
+    reference: ReducedStructure | None = None
+    share: float = 0.5
+
+
+def _coordinates(
+    whole: Structure, squares: np.ndarray, damping: DampingRule | np.ndarray | None,
+    pairs: np.ndarray, tangents: np.ndarray | None, force: np.ndarray, compliance: np.ndarray,
+) -> dict[str, Any]:  # fmt: skip
+    """The body in coordinates of mass 1, and others without mass whose stiffness is given."""
+    n_modes, extra = len(squares), len(compliance)
+    if isinstance(damping, np.ndarray):
+        damping = distributed(scipy.linalg.block_diag(damping, 0.0 * compliance), MPI.COMM_SELF)
+    stiffness = sparse.block_diag([sparse.diags(squares), compliance])
+    return {
+        "mass": distributed(sparse.diags(np.repeat([1.0, 0.0], [n_modes, extra])), MPI.COMM_SELF),
+        "stiffness": distributed(stiffness, MPI.COMM_SELF), "gap": pairs, "tangential": tangents,
+        "force": force, "clearance": whole.clearance, "damping": damping, "nodes": whole.nodes,
+        "pairs": whole.pairs, "omega": np.sqrt(np.maximum(squares, 0.0)), "whole": whole,
+    }  # fmt: skip
 
 
 class ReducedStructure(Structure):
@@ -54,15 +86,11 @@ class ReducedStructure(Structure):
         Part that the reference has of what the reduction leaves out.
     """
 
-    basis: np.ndarray
-    omega: np.ndarray
-    reference: ReducedStructure | None
-    share: float = 0.5
-    frequency = in_hertz()
-
-    _whole: Structure
-    _VARIED_TOO = ("_whole", "reference")
-    _DAMPED_TOO = ("reference",)
+    body: ReducedBody
+    basis: np.ndarray = of_body("basis")
+    omega: np.ndarray = of_body("omega")
+    share: float = of_body("share")
+    frequency = hertz_of()
 
     def __init__(
         self,
@@ -74,45 +102,33 @@ class ReducedStructure(Structure):
     ) -> None:
         pairs, force = whole.apply_bt(basis.T), whole.sum_over_ranks(whole.force @ basis)
         tangents = whole.apply_tangential(basis.T)
-        self._make(whole, squares, damping, pairs, tangents, force, np.zeros((0, 0)))
-        self._hold(basis=basis, reference=reference)
-
-    def _make(
-        self,
-        whole: Structure,
-        squares: np.ndarray,
-        damping: DampingRule | np.ndarray | None,
-        pairs: np.ndarray,
-        tangents: np.ndarray | None,
-        force: np.ndarray,
-        compliance: np.ndarray,
-    ) -> None:
-        """Set up coordinates of mass 1, and others without mass whose stiffness is given."""
-        n_modes, extra = len(squares), len(compliance)
-        if isinstance(damping, np.ndarray):
-            damping = distributed(scipy.linalg.block_diag(damping, 0.0 * compliance), MPI.COMM_SELF)
-        stiffness = sparse.block_diag([sparse.diags(squares), compliance])
-        super().__init__(
-            distributed(sparse.diags(np.repeat([1.0, 0.0], [n_modes, extra])), MPI.COMM_SELF),
-            distributed(stiffness, MPI.COMM_SELF),
-            pairs,
-            force=force,
-            clearance=whole.clearance,
-            damping=damping,
-            nodes=whole.nodes,
-            pairs=whole.pairs,
-        )
-        self._hold_tangents(tangents)
-        self._hold(omega=np.sqrt(np.maximum(squares, 0.0)), _whole=whole)
+        parts = _coordinates(whole, squares, damping, pairs, tangents, force, np.zeros((0, 0)))
+        super().__init__(ReducedBody(**parts, basis=basis, reference=reference))
 
     @property
     def _size_words(self) -> str:
         return f"{self.n_dofs} coordinates of {self.whole.n_dofs} dofs"
 
+    @cached_property
+    def _whole(self) -> Structure:
+        """The structure that was reduced, in the same setting."""
+        return self._shared(self.body.whole)
+
     @property
     def whole(self) -> Structure:
         """The structure that was reduced first."""
         return self._whole.whole
+
+    @cached_property
+    def reference(self) -> ReducedStructure | None:
+        """The same with a larger basis, in the same setting."""
+        return self.body.reference and self._shared(self.body.reference)
+
+    def damped(self, damping: DampingRule | None) -> Self:
+        """Return this structure with another damping, of the reference too."""
+        given = self.body.reference
+        damped = super().damped(damping)
+        return damped._in(damped.setting, reference=given and given.damped(damping))
 
     def expand(self, displacement: np.ndarray) -> np.ndarray:
         """u = T q of coordinates (m, n_dofs): (m, whole.n_local)."""
@@ -236,7 +252,7 @@ class MasslessInterface(ReducedStructure):
     def rate(self) -> np.ndarray:
         """Phi^T C Phi, its diagonal where it is diagonal: (n_modes,) or (n_modes, n_modes) [1/s];
         without the factor of a varied copy."""
-        given = self.original.damping
+        given = self.body.damping
         if isinstance(given, DampingRule):
             return given.of_kept(self.n_modes).rate(self.omega**2)
         if given is None:
@@ -247,6 +263,14 @@ class MasslessInterface(ReducedStructure):
     def known_modes(self, *, tied: bool) -> tuple[np.ndarray, np.ndarray] | None:
         """Modes with mass, for an open crack."""
         return None if tied else (self.omega, self.shapes)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MasslessBody(ReducedBody):
+    """That of a structure with crack faces without mass."""
+
+    flexibility: np.ndarray
+    static: ResidualFlexibility
 
 
 class MasslessStructure(MasslessInterface):
@@ -264,8 +288,9 @@ class MasslessStructure(MasslessInterface):
         depend on each other.
     """
 
-    flexibility: np.ndarray
-    _static: ResidualFlexibility
+    body: MasslessBody
+    flexibility: np.ndarray = of_body("flexibility")
+    _static: ResidualFlexibility = of_body("static")
 
     def __init__(
         self,
@@ -278,6 +303,7 @@ class MasslessStructure(MasslessInterface):
         *,
         static: ResidualFlexibility,
         reference: MasslessStructure | None,
+        share: float = 0.5,
     ) -> None:
         """Take Phi^T [B, B_t] (n_modes, n_pairs or 2 n_pairs), the load on all coordinates
         (2K+1, n_dofs), and S."""
@@ -286,8 +312,9 @@ class MasslessStructure(MasslessInterface):
         seen = np.vstack([pairs, compliance[:, : pairs.shape[1]]])
         normal, tangents = np.split(seen, [whole.n_pairs], axis=1)
         known = None if whole.tangential is None else tangents
-        self._make(whole, squares, damping, normal, known, force, compliance)
-        self._hold(flexibility=_pseudoinverse(compliance), reference=reference, _static=static)
+        parts = _coordinates(whole, squares, damping, normal, known, force, compliance)
+        parts |= {"flexibility": _pseudoinverse(compliance), "static": static, "share": share}
+        Structure.__init__(self, MasslessBody(**parts, reference=reference))
 
     @property
     def shapes(self) -> np.ndarray:  # type: ignore[override]

@@ -197,9 +197,9 @@ def _massless(structure: Structure, modes: int, assessed: bool | int) -> Massles
             left,
             static=static[count],
             reference=reference,
+            share=1.0 if more == structure.n_dofs and count == counts[-1] else 0.5,
         )
     assert reference is not None
-    reference._hold(share=1.0 if more == structure.n_dofs else reference.share)
     return reference
 
 

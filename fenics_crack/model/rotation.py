@@ -32,14 +32,15 @@ from mpi4py import MPI
 from fenics_crack.basics.errors import InputError, check_number
 from fenics_crack.basics.ranks import collect_garbage, gather_rows
 from fenics_crack.basics.tables import RPM
+from fenics_crack.model.body import Body
 from fenics_crack.model.contact import solve_complementarity
 from fenics_crack.model.factor import Factor, distributed, weighted_sum
-from fenics_crack.model.matrices import read_only
+from fenics_crack.model.matrices import read_only, read_only_rows
 from fenics_crack.model.modes import AS_ZERO, Modes, independent_part, solve_modes, times
-from fenics_crack.model.nodes import Nodes
-from fenics_crack.model.reduced import MasslessInterface
+from fenics_crack.model.nodes import Nodes, of_body
+from fenics_crack.model.reduced import MasslessInterface, ReducedBody
 from fenics_crack.model.reduction import reduce_structure
-from fenics_crack.model.structure import DampingRule, Structure, read_only_rows
+from fenics_crack.model.structure import DampingRule, Structure
 
 N_SPEEDS = 3
 """Speeds of a range whose bases are put together."""
@@ -90,9 +91,8 @@ class Rotation:
         still.destroy()
         force = self.at_rest.force.copy()
         force[0] += times(stiffness, moved)[:, 0]
-        found = self.at_rest._changed(stiffness=stiffness, force=force)
-        found._hold(rotation=replace(self, speed=speed))
-        return found
+        rotation = replace(self, speed=speed)
+        return self.at_rest._changed(stiffness=stiffness, force=force, rotation=rotation)
 
     def stiffnesses(self, speed: float) -> tuple[Any, Any]:
         """K + W^2 K_1 of the displacement that rotation makes, and K(W) of what moves about it
@@ -107,14 +107,6 @@ class Rotation:
     def changed(self, change: Callable[[Structure], Structure]) -> Rotation:
         """The same of a structure that is changed."""
         return replace(self, at_rest=change(self.at_rest))
-
-    def damped(self, damping: DampingRule | None) -> Rotation:
-        """The same of a structure with another damping."""
-        return self.changed(lambda one: one.damped(damping))
-
-    def varied(self, **changes: Any) -> Rotation:
-        """The same of a structure that is varied, as :meth:`Structure.varied`."""
-        return self.changed(lambda one: one.varied(**changes))
 
 
 def static_state(
@@ -300,13 +292,19 @@ class Ritz:
     def at(self, speed: float) -> Structure:
         """The small structure at a speed [rad/s], without damping."""
         stiffness, force = self.matrices(speed)
-        return Structure(
-            self.mass,
-            distributed(stiffness, MPI.COMM_SELF),
-            self.gap,
-            force=force,
-            clearance=self.whole.clearance,
-        )
+        matrix = distributed(stiffness, MPI.COMM_SELF)
+        return Structure(Body(self.mass, matrix, self.gap, force, self.whole.clearance))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RunUpBody(ReducedBody):
+    """That of a rotating structure at one speed; ``dense`` is V^T K(W) V."""
+
+    speed: float
+    shapes: np.ndarray
+    left: np.ndarray
+    ritz: Ritz
+    dense: np.ndarray
 
 
 class RunUpStructure(MasslessInterface):
@@ -323,10 +321,10 @@ class RunUpStructure(MasslessInterface):
         Phi, mass-normalised, and G = K^-1 - Phi Lambda^-1 Phi^T.
     """
 
-    speed: float
-    _ritz: Ritz
-    _dense: np.ndarray
-    """V^T K(W) V."""
+    body: RunUpBody
+    speed: float = of_body("speed")
+    shapes: np.ndarray = of_body("shapes")
+    left: np.ndarray = of_body("left")
 
     def __init__(self, ritz: Ritz, speed: float) -> None:
         stiffness, force = ritz.matrices(speed)
@@ -339,22 +337,15 @@ class RunUpStructure(MasslessInterface):
         inverse, turned = inverse[: -ritz.modes - 1 : -1], turned[:, : -ritz.modes - 1 : -1]
         static = factor.T @ turned
         damping = ritz.whole.damping
-        Structure.__init__(
-            self,
-            ritz.mass,
-            None,
-            ritz.gap,
-            force=force,
-            clearance=ritz.whole.clearance,
-            damping=None if damping is None else damping.of_kept(len(force[0])),
-            nodes=ritz.whole.nodes,
-            pairs=ritz.whole.pairs,
-        )
         omega = 1.0 / np.sqrt(inverse)
-        self._hold_tangents(ritz.tangential)
-        self._hold(basis=ritz.basis, omega=omega, reference=None, _whole=ritz.whole)
-        left = factor.T @ factor - static @ static.T
-        self._hold(speed=speed, shapes=static * omega, left=left, _ritz=ritz, _dense=stiffness)
+        body = RunUpBody(
+            ritz.mass, None, ritz.gap, force, ritz.whole.clearance,
+            damping=None if damping is None else damping.of_kept(len(force[0])),
+            tangential=ritz.tangential, nodes=ritz.whole.nodes, pairs=ritz.whole.pairs,
+            basis=ritz.basis, omega=omega, whole=ritz.whole, speed=speed, shapes=static * omega,
+            left=factor.T @ factor - static @ static.T, ritz=ritz, dense=stiffness,
+        )  # fmt: skip
+        Structure.__init__(self, body)
 
     @property
     def stiffness(self) -> Any:  # type: ignore[override]
@@ -375,16 +366,12 @@ class RunUpStructure(MasslessInterface):
             The speed is not positive, or so high that the plate is unstable.
         """
         check_number("speed", speed, 0.0, above=True)
-        found = RunUpStructure(self._ritz, float(speed))
-        added = self.clearance - found.clearance
-        if self.damping_factor == 1.0 and not added.any():
-            return found
-        return found.varied(damping=self.damping_factor, clearance=added)
+        return RunUpStructure(self.body.ritz, float(speed))._in(self.setting)
 
     def stiffening(self, omega: float) -> float:
         """d ln w / d ln W of the natural frequency w, crack open, that is nearest to one [rad/s]:
         phi^T dK/d(ln W) phi / (2 w^2), phi being its mode."""
-        first, second, third = self.speed**2 * self._ritz.stiffness
+        first, second, third = self.speed**2 * self.body.ritz.stiffness
         mode = int(np.abs(self.omega - omega).argmin())
         shape = self.shapes[:, mode]
         change = 2.0 * (first + second + 2.0 * self.speed**2 * third)
@@ -397,7 +384,7 @@ class RunUpStructure(MasslessInterface):
 
 def _stiffness(structure: Structure) -> Any:
     assert isinstance(structure, RunUpStructure)
-    return distributed(structure._dense, MPI.COMM_SELF)
+    return distributed(structure.body.dense, MPI.COMM_SELF)
 
 
 def run_up_structure(structure: Structure, start: float, stop: float, modes: int) -> RunUpStructure:

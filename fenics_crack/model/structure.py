@@ -19,7 +19,7 @@ K phi_j = omega_j^2 M phi_j with phi_i^T M phi_j = delta_ij:
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from importlib import import_module
 from typing import Any, ClassVar, Self, TypeVar
@@ -32,6 +32,7 @@ from fenics_crack.basics.errors import InputError, check_count, check_number, ch
 from fenics_crack.basics.suggestions import checked_call
 from fenics_crack.basics.tables import counted
 from fenics_crack.basics.threads import alone
+from fenics_crack.model.body import UNVARIED, Body, Setting
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.matrices import (
     checked,
@@ -40,10 +41,11 @@ from fenics_crack.model.matrices import (
     numbers,
     per_pair,
     petsc_matrix,
+    read_only,
     with_harmonics,
     with_springs,
 )
-from fenics_crack.model.nodes import Clamp, Coordinates, Nodes, Pairs
+from fenics_crack.model.nodes import Clamp, Coordinates, Nodes, Pairs, of_body
 
 
 @dataclass(frozen=True)
@@ -194,13 +196,15 @@ DampingRule = ModalDamping | RayleighDamping
 
 
 Found = TypeVar("Found")
+Other = TypeVar("Other", bound="Structure")
 
 
 class Structure(Coordinates):
     """A linear structure with contact pairs; none of its attributes can be set.
 
     Made by :func:`fenics_crack.build_structure` from a scene, by :meth:`from_matrices` or by
-    :meth:`from_forms`.
+    :meth:`from_forms`. It is a body, which varied copies share, in a setting, which is theirs
+    (``model/body.py``).
 
     Attributes
     ----------
@@ -218,45 +222,36 @@ class Structure(Coordinates):
         Terms that rotation has added to the matrices and the mean load; None at rest.
     """
 
-    stiffness: Any
-    clearance: np.ndarray
-    damping_factor: float
-    clamp: Clamp | None
-    rotation: Any = None
-
-    _original: Structure | None
-    """None: itself. A reference to itself would keep it alive."""
-    _known: dict[Callable[[Structure], Any], Any]
-    _VARIED_TOO: ClassVar[tuple[str, ...]] = ("rotation",)
-    _DAMPED_TOO: ClassVar[tuple[str, ...]] = ("rotation",)
-    """Attributes that are varied, or damped, with this one."""
+    body: Body
+    setting: Setting
+    stiffness: Any = of_body("stiffness")
     light_lips: ClassVar[bool] = False
     """True if crack faces have no mass: the residual flexibility of the modes gives the
     quasi-static response to forces on the pairs."""
 
-    def __init__(
-        self,
-        mass: Any,
-        stiffness: Any,
-        gap: sparse.spmatrix,
-        *,
-        force: np.ndarray,
-        clearance: np.ndarray,
-        damping: DampingRule | Any | None = None,
-        nodes: Nodes | None = None,
-        pairs: Pairs | None = None,
-        watched: np.ndarray | None = None,
-        clamp: Clamp | None = None,
-    ) -> None:
-        self._hold(
-            mass=mass, stiffness=stiffness, force=force, clearance=clearance, damping=damping,
-            nodes=nodes, pairs=pairs or Pairs(), watched=watched, clamp=clamp,
-        )  # fmt: skip
-        self._hold(gap=read_only_rows(gap), tangential=None)
-        self._hold(comm=mass.comm.tompi4py(), damping_factor=1.0, _original=None, _known={})
+    def __init__(self, body: Body) -> None:
+        vars(self).update(body=body, setting=UNVARIED)
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self._size_words}, {_in_words(self)})"
+
+    @cached_property
+    def force(self) -> np.ndarray:  # type: ignore[override]
+        """Load, weighted."""
+        given = self.body.force
+        return given if self.setting is UNVARIED else read_only(np.dot(self.setting.weights, given))
+
+    @cached_property
+    def clearance(self) -> np.ndarray:
+        """g0 of every pair, with what is added; nothing to tangential ones."""
+        found, added = self.body.clearance.copy(), self.setting.clearance
+        found[: np.size(added) if np.ndim(added) else None] += added
+        return read_only(found)
+
+    @property
+    def damping_factor(self) -> float:
+        """Factor of the damping relative to that of :attr:`original`."""
+        return self.setting.damping_factor
 
     @cached_property
     def damping(self) -> Any:
@@ -264,7 +259,7 @@ class Structure(Coordinates):
 
         A varied copy computes it when it is first requested: many copies never are.
         """
-        given = self.original.damping
+        given = self.body.damping
         if given is None or self.damping_factor == 1.0:
             return given
         if isinstance(given, DampingRule):
@@ -274,16 +269,41 @@ class Structure(Coordinates):
         return matrix
 
     @property
+    def clamp(self) -> Clamp | None:
+        """Clamp of a mesh, under the weighted load."""
+        return self.body.clamp and self.body.clamp.varied(self.setting.weights)
+
+    @property
+    def rotation(self) -> Any:
+        """Terms of rotation, about a structure at rest in the same setting."""
+        return self.body.rotation and self.body.rotation.changed(self._shared)
+
+    @property
     def original(self) -> Structure:
         """The structure of which this is a varied copy, or itself."""
-        return self._original or self
+        return self._in(UNVARIED)
 
     def once(self, compute: Callable[[Structure], Found]) -> Found:
         """A result computed from :attr:`original` once, for it and all of its varied copies."""
-        if compute not in self._known:
-            self._known[compute] = compute(self.original)
-        found: Found = self._known[compute]
+        known = self.body.known
+        if compute not in known:
+            known[compute] = compute(self.original)
+        found: Found = known[compute]
         return found
+
+    def _in(self, setting: Setting, **changes: Any) -> Self:
+        """The same body in another setting; with changes another body, of which nothing is known
+        yet."""
+        if setting is self.setting and not changes:
+            return self
+        made, body = object.__new__(type(self)), self.body
+        Structure.__init__(made, replace(body, **{"known": {}, **changes}) if changes else body)
+        vars(made)["setting"] = setting
+        return made
+
+    def _shared(self, other: Other) -> Other:
+        """Another structure, varied as this one is."""
+        return other if self.setting is UNVARIED else other._in(other.setting.then(self.setting))
 
     def gap_of(self, displacement: np.ndarray) -> np.ndarray:
         """Coefficients of g = B^T u - g0 from those of u (2H+1, n_local): (2H+1, n_pairs)
@@ -340,12 +360,6 @@ class Structure(Coordinates):
 
         return _turning(self, held)
 
-    def with_tangents(self, tangential: sparse.spmatrix | None) -> Self:
-        """Return this structure with B_t (n_local, n_pairs), or without."""
-        found = self._anew()
-        found._hold_tangents(tangential)
-        return found
-
     def with_harmonics(self, harmonics: Mapping[int, tuple[Any, Any]]) -> Structure:
         """Return this structure with further harmonics of its load.
 
@@ -363,7 +377,8 @@ class Structure(Coordinates):
         """
         if self.whole is not self:
             raise InputError("structure", repr(self), "one that is not reduced")
-        return self._anew(force=with_harmonics(self.force, harmonics, self.mass), clamp=None)
+        force = with_harmonics(self.force, harmonics, self.mass)
+        return self._in(replace(self.setting, weights=1.0), force=force, clamp=None)
 
     def with_tangential_pairs(self) -> Structure:
         """This structure with tangential gaps behind the normal ones as further pairs, B = [B_n,
@@ -378,13 +393,7 @@ class Structure(Coordinates):
         if self.tangential is None:
             allowed = "one with tangents, of faces in a plane; on solids friction is not there yet"
             raise InputError("structure", repr(self), allowed)
-        known = self.once(_with_tangential_pairs)
-        clearance = np.concatenate([self.clearance, np.zeros(self.n_pairs)])
-        kept = {"force": self.force, "clamp": self.clamp, "damping_factor": self.damping_factor}
-        return known._copied(clearance=clearance, _original=known, **kept)
-
-    def _hold_tangents(self, tangential: Any) -> None:
-        self._hold(tangential=None if tangential is None else read_only_rows(tangential))
+        return self.once(_with_tangential_pairs)._in(self.setting)
 
     def placed(self, nodes: Nodes | None, pairs: Pairs) -> Structure:
         """Return this structure with the places of its nodes and pairs."""
@@ -398,18 +407,17 @@ class Structure(Coordinates):
         if not isinstance(damping, DampingRule | None):
             raise InputError("damping", damping, "a ModalDamping, a RayleighDamping or None")
         kept = damping.of_kept(self.n_modes) if damping and self.light_lips else damping
-        parts = self._parts(self._DAMPED_TOO, lambda part: part.damped(damping))
-        return self._anew(damping=kept, **parts)
-
-    def _anew(self, **changes: Any) -> Self:
-        """A copy that is no variation of another structure: nothing is known of it yet."""
-        kept = {"damping": self.damping} if "damping" not in changes else {}
-        return self._copied(damping_factor=1.0, _original=None, _known={}, **kept, **changes)
+        setting, rotation = self.setting, self.body.rotation
+        if self.damping_factor != 1.0:
+            setting = replace(setting, damping_factor=1.0)
+        if rotation is not None:
+            rotation = rotation.changed(lambda one: one.damped(damping))
+        return self._in(setting, damping=kept, rotation=rotation)
 
     def watching(self, dof: int) -> Self:
         """Return this structure with another dof for results to be asked about."""
-        found = int(self.whole.check_dofs([dof])[0])
-        return self._copied(watched_dof=found, _original=self.original)
+        checked_dof = int(self.whole.check_dofs([dof])[0])
+        return self._in(replace(self.setting, watched_dof=checked_dof))
 
     def varied(
         self,
@@ -443,26 +451,13 @@ class Structure(Coordinates):
             allowed = "1 for a structure that rotates: part of its mean load is centrifugal"
             raise InputError("load", load, allowed)
         check_number("damping", damping, 0.0)
-        changes = {"load": load, "damping": damping, "clearance": clearance}
-        return self._copied(
-            force=np.dot(weights, self.force),
-            clearance=self.clearance + per_pair("clearance", clearance, self.n_pairs),
-            clamp=None if self.clamp is None else self.clamp.varied(weights),
-            damping_factor=damping * self.damping_factor,
-            _original=self.original,
-            **self._parts(self._VARIED_TOO, lambda part: part.varied(**changes)),
-        )
-
-    def _parts(self, names: tuple[str, ...], change: Callable[[Any], Any]) -> dict[str, Any]:
-        """Attributes that change with this structure, changed."""
-        held = {name: getattr(self, name) for name in names}
-        return {name: change(part) for name, part in held.items() if part is not None}
+        added = per_pair("clearance", clearance, self.n_pairs)
+        return self._in(self.setting.then(Setting(weights, damping, added)))
 
     def _changed(self, **changes: Any) -> Structure:
-        tangential = changes.pop("tangential", self.tangential)
-        kept = "mass stiffness gap force clearance damping nodes pairs watched clamp".split()
-        found = Structure(**({name: getattr(self, name) for name in kept} | changes))
-        return found.with_tangents(tangential)
+        """A structure of its matrices and places, with some changed."""
+        names = [item.name for item in fields(Body) if item.name not in ("rotation", "known")]
+        return Structure(Body(**({name: getattr(self, name) for name in names} | changes)))
 
     @classmethod
     @alone()
@@ -515,7 +510,7 @@ class Structure(Coordinates):
         if not isinstance(damping, DampingRule | None):
             made = parts["mass"]
             damping = petsc_matrix("damping", damping, made.comm.tompi4py(), made.size[0])
-        return cls(**parts, damping=damping).with_tangents(tangential)
+        return cls(Body(**parts, damping=damping, tangential=tangential))
 
     @classmethod
     @alone()
@@ -577,7 +572,7 @@ class Structure(Coordinates):
 
 def _in_words(structure: Structure) -> str:
     """The pairs and the damping of a structure."""
-    pairs, damping = counted(structure.n_pairs, "pair"), structure.original.damping
+    pairs, damping = counted(structure.n_pairs, "pair"), structure.body.damping
     if isinstance(damping, DampingRule):
         return f"{pairs}, {damping.scaled(structure.damping_factor)}"
     return f"{pairs}, {'no damping' if damping is None else 'damping matrix'}"
@@ -593,24 +588,12 @@ def _weights(load: Any, rows: int) -> np.ndarray:
 
 
 def _with_tangential_pairs(structure: Structure) -> Structure:
-    both = read_only_rows(sparse.hstack([structure.gap, structure.tangential]))
-    return structure._anew(gap=both, tangential=None)
+    both = sparse.hstack([structure.gap, structure.tangential])
+    clearance = np.concatenate([structure.clearance, np.zeros(structure.n_pairs)])
+    return structure._in(structure.setting, gap=both, tangential=None, clearance=clearance)
 
 
 def _turning(structure: Structure, change: Callable[[Structure], Structure]) -> Structure:
     """A structure changed, and so what it is at rest where it rotates."""
-    found = change(structure)
-    found._hold(rotation=structure.rotation and structure.rotation.changed(change))
-    return found
-
-
-def read_only_rows(matrix: Any) -> sparse.csr_matrix:
-    """A copy of a sparse matrix by rows that cannot be written to; itself where it is one."""
-    if sparse.isspmatrix_csr(matrix) and matrix.has_canonical_format:
-        if not any(part.flags.writeable for part in (matrix.data, matrix.indices, matrix.indptr)):
-            return matrix
-    rows = sparse.csr_matrix(matrix, copy=True)
-    rows.sum_duplicates()
-    for part in (rows.data, rows.indices, rows.indptr):
-        part.flags.writeable = False
-    return rows
+    rotation = structure.rotation and structure.rotation.changed(change)
+    return change(structure)._in(UNVARIED, rotation=rotation)

@@ -22,7 +22,9 @@ in the frame of the sector: a wave that runs against the rotation, seen from the
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.linalg
@@ -31,6 +33,7 @@ from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError, check_count
 from fenics_crack.basics.progress import begin
+from fenics_crack.model.body import Body
 from fenics_crack.model.cyclic import (
     CyclicBasis,
     CyclicModes,
@@ -39,12 +42,23 @@ from fenics_crack.model.cyclic import (
     solve_cyclic_modes,
 )
 from fenics_crack.model.factor import distributed, local_rows
-from fenics_crack.model.matrices import numbers
+from fenics_crack.model.matrices import numbers, read_only_rows
 from fenics_crack.model.modes import solve_modes
-from fenics_crack.model.nodes import Nodes, Pairs
+from fenics_crack.model.nodes import Nodes, Pairs, of_body
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.reduction import reduce_structure
-from fenics_crack.model.structure import Structure, read_only_rows
+from fenics_crack.model.structure import Structure
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class WheelBody(Body):
+    """That of a wheel, of whose attributes these are; its matrices are made later."""
+
+    sector: Sector
+    cracked: tuple[int, ...]
+    mistuning: np.ndarray
+    order: int
+    families: int
 
 
 class Wheel(Structure):
@@ -67,11 +81,12 @@ class Wheel(Structure):
         Modes of each nodal diameter, and of each blade, that are kept.
     """
 
-    families: int
-    sector: Sector
-    cracked: tuple[int, ...]
-    mistuning: np.ndarray
-    order: int
+    body: WheelBody
+    families: int = of_body("families")
+    sector: Sector = of_body("sector")
+    cracked: tuple[int, ...] = of_body("cracked")
+    mistuning: np.ndarray = of_body("mistuning")
+    order: int = of_body("order")
 
     def __init__(
         self,
@@ -86,22 +101,25 @@ class Wheel(Structure):
     ) -> None:
         structure, places = sector.structure, tuple(cracked)
         check_count("families", families, 1)
-        self._hold(sector=sector, order=order, families=families)
-        self._hold(cracked=places if structure.n_pairs else ())
-        self._hold(mistuning=_deviations(mistuning, sector.count), comm=comm, rotation=rotation)
-        self._hold(damping_factor=1.0, _original=None, _known={}, clamp=None)
-        self._hold(damping=structure.damping, nodes=self._all_nodes(), pairs=self._all_pairs())
-        self._hold(gap=self._all_gaps(structure.gap), tangential=None)
-        if structure.tangential is not None:
-            self._hold_tangents(self._all_gaps(structure.tangential))
-        self._hold(clearance=np.tile(structure.clearance, len(self.cracked)))
-        self._hold(force=self._gathered(self.loads))
-        watched = structure.watched
+        body = WheelBody(
+            None, None, None, np.zeros((1, 0)), np.zeros(0), damping=structure.damping,
+            rotation=rotation, comm=comm, sector=sector, order=order, families=families,
+            cracked=places if structure.n_pairs else (),
+            mistuning=_deviations(mistuning, sector.count),
+        )  # fmt: skip
+        super().__init__(body)  # its dofs, by which the rest is put together
+        watched, tangential = structure.watched, structure.tangential
         if watched is None:
             watched = np.eye(1, structure.n_dofs, structure.most_loaded())[0]
         of_blade = np.zeros((sector.count, structure.n_dofs))
         of_blade[self.first] = watched
-        self._hold(watched=self._gathered(of_blade[:, None])[0])
+        whole = replace(
+            body, gap=self._all_gaps(structure.gap), force=self._gathered(self.loads),
+            tangential=None if tangential is None else self._all_gaps(tangential),
+            clearance=np.tile(structure.clearance, len(self.cracked)), nodes=self._all_nodes(),
+            pairs=self._all_pairs(), watched=self._gathered(of_blade[:, None])[0],
+        )  # fmt: skip
+        super().__init__(whole)
 
     # --- its dofs ---------------------------------------------------------------------------------
 
@@ -293,7 +311,7 @@ class Wheel(Structure):
         InputError
             There are more or fewer, or one leaves no stiffness.
         """
-        return self._anew(mistuning=_deviations(deviations, self.sector.count))
+        return self._in(self.setting, mistuning=_deviations(deviations, self.sector.count))
 
     def basis(self, families: int) -> CyclicBasis:
         """The motions in which it is sought, with so many modes of each nodal diameter; found once
@@ -410,6 +428,15 @@ NEXT = 8
 to 0.8 of what is left to change."""
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class WheelCoordinates(Body):
+    """The body of a wheel in few coordinates; ``ranked`` are its modes in another order."""
+
+    wheel: Wheel
+    basis: CyclicBasis
+    ranked: tuple[np.ndarray, np.ndarray] | None = None
+
+
 class WheelStructure(Structure):
     """A wheel in the coordinates (q, a, d) of a basis; the same on every rank.
 
@@ -423,36 +450,36 @@ class WheelStructure(Structure):
         Its motions.
     """
 
-    wheel: Wheel
-    basis: CyclicBasis
-    _ranked: tuple[np.ndarray, np.ndarray] | None = None
-    _VARIED_TOO: ClassVar[tuple[str, ...]] = ("wheel",)
+    body: WheelCoordinates
+    basis: CyclicBasis = of_body("basis")
 
     def __init__(self, wheel: Wheel, families: int) -> None:
         """Take so many modes of each nodal diameter (collective)."""
         begin(f"modes of {len(wheel.sector.diameters)} nodal diameters")
-        basis = wheel.basis(families)
-        self._hold(wheel=wheel, basis=basis)
+        basis, sector = wheel.basis(families), wheel.sector.structure
+        none, comm = (None, None, None, np.zeros((1, 0)), wheel.clearance), MPI.COMM_SELF
+        body = WheelCoordinates(*none, comm=comm, wheel=wheel, basis=basis)
+        super().__init__(body)  # what it is sought in
         begin("matrices of the wheel")
         mass, stiffness = self.tuned
         if np.any(wheel.mistuning):
             stiffness = stiffness + np.tensordot(wheel.mistuning, self.elastic, 1)
-        sector = wheel.sector.structure
         force = np.zeros((len(sector.force), len(stiffness)))
         for place, own in enumerate(wheel.loads):
             force += own @ basis.columns(place, wheel.cracked)
-        super().__init__(
-            distributed(mass, MPI.COMM_SELF),
-            distributed(stiffness, MPI.COMM_SELF),
-            self._of_cracks(sector.gap),
-            force=force,
-            clearance=wheel.clearance,
-            damping=wheel.damping,
-            nodes=wheel.nodes,
-            pairs=wheel.pairs,
-        )
-        if wheel.cracked and sector.tangential is not None:
-            self._hold_tangents(self._of_cracks(sector.tangential))
+        tangents = sector.tangential if wheel.cracked else None
+        whole = replace(
+            body, mass=distributed(mass, comm), stiffness=distributed(stiffness, comm),
+            gap=self._of_cracks(sector.gap), force=force, damping=wheel.damping,
+            tangential=None if tangents is None else self._of_cracks(tangents),
+            nodes=wheel.nodes, pairs=wheel.pairs,
+        )  # fmt: skip
+        super().__init__(whole)
+
+    @cached_property
+    def wheel(self) -> Wheel:
+        """The whole one, in the same setting."""
+        return self._shared(self.body.wheel)
 
     def _of_cracks(self, gap: sparse.spmatrix) -> sparse.csr_matrix:
         """U^T B of all cracks, from B of one: (n, p)."""
@@ -478,7 +505,7 @@ class WheelStructure(Structure):
         bonded ones are among the open ones, of which M is 1 whatever it is in coordinates."""
         if tied:
             return self.once(_tied_modes)
-        return self.once(_all_modes) if self._ranked is None else self._ranked
+        return self.once(_all_modes) if self.body.ranked is None else self.body.ranked
 
     def ranked(self, count: int) -> tuple[WheelStructure, float]:
         """The same with the lowest modes, so many of them, and the :data:`NEXT` others that move
@@ -492,8 +519,8 @@ class WheelStructure(Structure):
         others = count + np.argsort(-changes[count:], kind="stable")[:NEXT]
         kept = np.append(np.arange(count), np.sort(others))
         share = changes[others].sum() / changes[count:].sum()
-        known = omega[kept], shapes[:, kept]
-        return self._copied(_ranked=known, _original=self.original), float(share)
+        known, ranked = self.body.known, (omega[kept], shapes[:, kept])
+        return self._in(self.setting, known=known, ranked=ranked), float(share)
 
     @property
     def whole(self) -> Wheel:
@@ -607,5 +634,4 @@ def reduce_wheel(
     one, share = one.ranked(count)
     more = reference and min(count + NEXT, one.n_dofs)
     reduced = reduce_structure(one, modes=count, method="massless", reference=more)
-    reduced._hold(share=share)
-    return reduced
+    return reduced._in(reduced.setting, share=share)

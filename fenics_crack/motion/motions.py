@@ -28,8 +28,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fenics_crack.basics.errors import RECORDED_PERIODS
-from fenics_crack.basics.observables import FRICTION, Observables, Place, Where, names_of, read_at
-from fenics_crack.basics.tables import Tabular, in_hertz
+from fenics_crack.basics.observables import FILES, FRICTION, Observables, Place, names_of, read_at
+from fenics_crack.basics.tables import Tabular, hertz_of
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.extremes import InPeriod, largest
@@ -81,7 +81,7 @@ class Indicators(Observables, Tabular):
         Part of the period in which a closed pair sticks and slips, mean over the pairs.
     """
 
-    frequency = in_hertz()
+    frequency = hertz_of()
 
     def to_dict(self) -> dict[str, Any]:
         """Numbers by name, or along a curve columns; those of friction where there is some."""
@@ -169,7 +169,7 @@ class Record:
     def part(self, rows: slice) -> Record:
         """The same of some of the rows."""
         whole = self.at
-        at = whole and (lambda parts: ((seen := whole(parts))[0][:, rows], *seen[1:]))
+        at = whole and (lambda parts: ((all_of := whole(parts))[0][:, rows], *all_of[1:]))
         return replace(self, waves=self.waves[:, rows], motion=self.motion[:, rows], at=at)
 
     @cached_property
@@ -341,57 +341,58 @@ class Observed:
     def measure(self, dofs: Sequence[int | None]) -> list[Indicators]:
         """:meth:`indicators` of some dofs; the motion is formed once for all that are new
         (collective)."""
-        return [one.indicators for one in self.observe(dofs)[0]]
+        return [displacement.indicators for displacement in self.observe(dofs)[0]]
 
     @property
     def faces(self) -> dict[str, Any]:
         """Numbers of the crack faces, where there are some (collective)."""
         if not self._at_faces:
             self.walk(np.zeros((0, self.structure.n_local)))
-        found = self._along_all(self._at_faces)
-        return {name: value for name, value in found.items() if not np.all(np.isnan(value))}
+        numbers = self._along_all(self._at_faces)
+        return {name: value for name, value in numbers.items() if not np.all(np.isnan(value))}
 
     def observe(
         self, dofs: Sequence[int | None], places: Sequence[Rows] = ()
     ) -> tuple[list[Displacement], dict[str, Any]]:
-        """What is seen of some dofs, and the numbers at places of rows of their own; the motion is
-        formed once for all that is new (collective)."""
+        """Return the displacements of some dofs, and the numbers at places of rows of their own;
+        the motion is formed once for all that is new (collective)."""
         structure = self.structure
-        asked = [structure.watched_dof if dof is None else dof for dof in dofs]
-        new = [dof for dof in dict.fromkeys(asked) if dof not in self._displacements]
+        wanted = [structure.watched_dof if dof is None else dof for dof in dofs]
+        new = [dof for dof in dict.fromkeys(wanted) if dof not in self._displacements]
         numbers: dict[str, Any] = {}
         if new or places:
-            seen, numbers = self.walk(rows_of(structure, new), places)
-            self._displacements.update(zip(new, seen, strict=True))
-        return [self._displacements[dof] for dof in asked], numbers
+            displacements, numbers = self.walk(rows_of(structure, new), places)
+            self._displacements.update(zip(new, displacements, strict=True))
+        return [self._displacements[dof] for dof in wanted], numbers
 
     def walk(
         self, rows: np.ndarray, places: Sequence[Rows] = ()
     ) -> tuple[list[Displacement], dict[str, Any]]:
-        """What is seen of the products of rows (m, n_local) with the displacement, and the numbers
-        at places of rows of their own (collective)."""
+        """Return the displacements that rows (m, n_local) give, and the numbers at places of rows
+        of their own, from all records in one pass (collective)."""
         ends = np.cumsum([len(rows), *(len(place.rows) for place in places)]).tolist()
         points, waves, numbers = [], [], list[dict[str, float]]()
         for index, whole in enumerate(self.records(np.vstack([rows, *(p.rows for p in places)]))):
-            record = whole.last(RECORDED_PERIODS).part(slice(len(rows)))
+            record = whole.last(RECORDED_PERIODS)
+            record = record.part(slice(len(rows))) if places else record
             if index < len(self._at_faces):
                 record = replace(record, gap=record.gap[:, :0])
             else:
                 self._at_faces.append(_read_faces(record))
             shared = {"omega": record.omega} | self._at_faces[index]
-            seen = (read_at(Place.POINT, Point(record, row)) for row in range(len(rows)))
-            points.append([shared | one for one in seen])
+            at_rows = (read_at(Place.POINT, Point(record, row)) for row in range(len(rows)))
+            points.append([shared | values for values in at_rows])
             waves.append(record.waves.T)
             numbers.append({})
             for place, ends_of in zip(places, pairwise(ends), strict=True):
                 numbers[-1] |= place.numbers(whole.part(slice(*ends_of)))
-        columns = (Indicators(**self._along_all(one)) for one in zip(*points, strict=True))
-        along = (self._along(list(one)) for one in zip(*waves, strict=True))
+        columns = (Indicators(**self._along_all(values)) for values in zip(*points, strict=True))
+        along = (self._along(list(rows)) for rows in zip(*waves, strict=True))
         return list(map(Displacement, columns, along)), self._along_all(numbers)
 
     def _along_all(self, values: Sequence[Mapping[str, float]]) -> dict[str, Any]:
         """The same by names."""
-        return {name: self._along([one[name] for one in values]) for name in values[0]}
+        return {name: self._along([value[name] for value in values]) for name in values[0]}
 
     def _along(self, values: list[Any]) -> Any:
         """The value of a motion; of a curve those of its points, as an array."""
@@ -400,19 +401,19 @@ class Observed:
 
     @cached_property
     def _displacements(self) -> dict[int, Displacement]:
-        """What is known of dofs."""
+        """Displacements of dofs that have been observed."""
         return {}
 
     @cached_property
     def _at_faces(self) -> list[dict[str, float]]:
-        """What is known of the crack faces, at each point of a curve."""
+        """Numbers of the crack faces, once they are observed: at each point of a curve."""
         return []
 
 
 def _read_faces(record: Record) -> dict[str, float]:
     """Numbers of the crack faces; nan without pairs, or without friction."""
-    found = dict.fromkeys(names_of(Place.FACES), math.nan)
+    numbers = dict.fromkeys(names_of(Place.FACES), math.nan)
     if record.n_pairs:
-        missing = FRICTION if record.friction is None else Where.FILES
-        found |= read_at(Place.FACES, Faces(record), missing)
-    return found | dict(record.exact)
+        missing = FRICTION if record.friction is None else FILES
+        numbers |= read_at(Place.FACES, Faces(record), missing)
+    return numbers | dict(record.exact)

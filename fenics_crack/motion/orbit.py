@@ -38,7 +38,7 @@ import numpy as np
 from scipy.linalg.lapack import dgeev
 
 from fenics_crack.basics.errors import ConvergenceError
-from fenics_crack.basics.tables import Described, counted, in_hertz
+from fenics_crack.basics.tables import Described, counted, hertz_of
 from fenics_crack.kernel import kernel
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, Samples, Track
@@ -128,7 +128,7 @@ class PeriodicOrbit(Observed, Described):
     residual: float
     flows: int
 
-    frequency = in_hertz()
+    frequency = hertz_of()
 
     @property
     def period(self) -> float:
@@ -231,15 +231,14 @@ class PeriodicOrbit(Observed, Described):
             found = (share[:, None] @ values[piece])[:, 0]
             return np.split(found, splits, axis=1)
 
-        parts = np.arange(instants) / instants
+        parts, track = np.arange(instants) / instants, self.motion.track
         motion, gap, force = at(parts)
-        rubbing, track = self.flow.friction, self.motion.track
         yield Record(
             self.omega, self.subharmonic, self.period * parts, balanced(motion, HARMONICS),
             motion, gap, force,
             structure=lambda: self.structure,
             cracks=self.structure.pairs.cracks,
-            friction=None if rubbing is None else rubbing.coefficient,
+            friction=getattr(self.flow.friction, "coefficient", None),
             at=at,
             exact=({"closed_share": track.closed_share} if gap.size else {}) | self.sliding,
         )  # fmt: skip

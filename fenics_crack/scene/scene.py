@@ -50,12 +50,12 @@ from fenics_crack.scene.tables import (
     Material,
     Mesh,
     Output,
+    Periodic,
     Reduction,
     Rotation,
     Structure,
     Sweep,
     TipTiming,
-    highest,
 )
 
 SOLVED_OFTEN = ("curve", "sweep", "growth", "identify")
@@ -263,10 +263,8 @@ class Scene:
     @property
     def highest_order(self) -> int:
         """Highest multiple of the excitation's frequency at which a load acts."""
-        others = [highest(load.harmonics) for load in self.loads]
-        if self.base is not None:
-            others.append(highest(self.base.harmonics))
-        return max(self.excitation.highest, *others, 1)
+        tables: list[Periodic | None] = [self.excitation, *self.loads, self.base]
+        return max(table.highest for table in tables if table is not None)
 
     @property
     def has_other_loads(self) -> bool:
@@ -450,7 +448,7 @@ def _without(scene: Scene, one: Observable) -> str:
     """Why an observable is not known of a scene; "" where it is."""
     if Where.FRICTION in one.where and not scene.has_friction:
         return "without contact.friction"
-    if Where.GROWTH in one.where and scene.growth is None:
+    if Where.GROWING in one.where and scene.growth is None:
         return "without a table [growth], which has its exponent"
     return _WITHOUT[one.of](scene) if one.of in _WITHOUT else ""
 

@@ -213,8 +213,22 @@ class Damping(Table):
         return self.modes == "all" and float(np.min(self.ratio)) > 0.0
 
 
+class Periodic:
+    """A load with further harmonics, and maybe a table of one period of it, "wave"."""
+
+    harmonics: tuple[Harmonic, ...]
+    wave: str | None = None
+    wave_harmonics: int = 1
+
+    @property
+    def highest(self) -> int:
+        """Highest order of its harmonics."""
+        of_wave = self.wave_harmonics if self.wave is not None else 1
+        return max(of_wave, *(one.order for one in self.harmonics), 1)
+
+
 @dataclass(frozen=True)
-class Excitation(Table):
+class Excitation(Table, Periodic):
     """Point force f(t) = force_mean + force_cos cos(omega t) + force_sin sin(omega t), and
     ``[[excitation.harmonics]]`` of further orders k, cos cos(k omega t) + sin sin(k omega t); with
     an engine order n these act at k n times ``rotation.speed``."""
@@ -282,17 +296,6 @@ class Excitation(Table):
         found = next((name for name in FORCES[::-1] if any(getattr(self, name))), "")
         return found or next((n for n in ("harmonics", "wave") if getattr(self, n)), "")
 
-    @property
-    def highest(self) -> int:
-        """Highest order of its harmonics."""
-        of_wave = self.wave_harmonics if self.wave is not None else 1
-        return max(highest(self.harmonics), of_wave)
-
-
-def highest(harmonics: tuple[Harmonic, ...]) -> int:
-    """Highest order of some harmonics and the first."""
-    return max((one.order for one in harmonics), default=1)
-
 
 def add_harmonics(rows: list[Vector], harmonics: tuple[Harmonic, ...]) -> None:
     """Add harmonics to the components of a mean, and of cosine and sine of each order."""
@@ -303,7 +306,7 @@ def add_harmonics(rows: list[Vector], harmonics: tuple[Harmonic, ...]) -> None:
 
 
 @dataclass(frozen=True)
-class Load(Table):
+class Load(Table, Periodic):
     """A further load at the excitation's frequency: at a point a force, on an edge a pressure or a
     traction;
     q(t) = mean + cos cos(omega t - phase) + sin sin(omega t - phase).
@@ -366,14 +369,14 @@ class Load(Table):
         c, s = math.cos(math.radians(self.phase)), math.sin(math.radians(self.phase))
         both = list(zip_longest(cosine, sine, fillvalue=0.0))
         first = [tuple(c * a - s * b for a, b in both), tuple(s * a + c * b for a, b in both)]
-        rows: list[Vector] = [mean, *first, *((),) * (2 * highest(self.harmonics) - 2)]
+        rows: list[Vector] = [mean, *first, *((),) * (2 * self.highest - 2)]
         scalar = kind == "pressure"
         add_harmonics(rows, tuple(h for h in self.harmonics if (len(h.cos) == 1) == scalar))
         return rows
 
 
 @dataclass(frozen=True)
-class Base(Table):
+class Base(Table, Periodic):
     """A clamp that moves as a whole, as on a shaker: u(t) = cos (omega t) + sin (omega t) parts.
 
     Given by its acceleration, at the frequency of the excitation; displacements are then relative
@@ -397,7 +400,7 @@ class Base(Table):
         parts = (self.acceleration_cos, self.acceleration_sin)
         size = max(len(part) for part in (*parts, *(h.cos for h in self.harmonics)) if part)
         zero = (0.0,) * size
-        rows: list[Vector] = [zero] * (2 * highest(self.harmonics) + 1)
+        rows: list[Vector] = [zero] * (2 * self.highest + 1)
         rows[1:3] = [part or zero for part in parts]
         add_harmonics(rows, self.harmonics)
         return rows[1:]
@@ -602,8 +605,14 @@ class Contact(Table):
             self.leave_out(("sharpness",), law)
         if not self.friction:
             self.leave_out(("tangential_stiffness_per_area",), "contact.friction = 0")
-        elif self.law == "smoothed":
+        elif not self.is_unilateral:
             self.require(False, "friction", f"0, or left out, with {law}")
+
+    @property
+    def is_unilateral(self) -> bool:
+        """True if a pair is open or closed and nothing between; forces of other laws are not
+        proportional to gaps."""
+        return self.law in ("penalty", "unilateral")
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ from mpi4py import MPI
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import MAX_CASES, InputError, check_count, check_number
 from fenics_crack.basics.report import Report
-from fenics_crack.basics.tables import TURN, Said, Table, Tabular, counted, in_hertz, quantity
+from fenics_crack.basics.tables import TURN, Said, Table, Tabular, counted, hertz_of, quantity
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.fem.build import assemble
 from fenics_crack.files.saved import Saved
@@ -87,7 +87,7 @@ class Blades(Tabular):
     cracked: tuple[int, ...]
 
     KIND: ClassVar[str] = "blades"
-    frequency = in_hertz()
+    frequency = hertz_of()
 
     @property
     def phase(self) -> np.ndarray:
@@ -195,7 +195,7 @@ class NodalDiameters(Saved):
     speed: float
 
     KIND: ClassVar[str] = "nodal diameters"
-    frequency = in_hertz()
+    frequency = hertz_of()
 
     @property
     def excited(self) -> int:
@@ -307,8 +307,8 @@ class Amplification(Saved):
     sectors: int
 
     KIND: ClassVar[str] = "amplification"
-    frequency = in_hertz()
-    tuned_frequency = in_hertz("tuned_omega")
+    frequency = hertz_of()
+    tuned_frequency = hertz_of("tuned_omega")
 
     @property
     def bound(self) -> float:

@@ -29,7 +29,7 @@ from fenics_crack.basics.tables import (
     RPM,
     Said,
     counted,
-    in_hertz,
+    hertz_of,
     in_unit,
     speed_axis,
     with_frequency,
@@ -37,6 +37,7 @@ from fenics_crack.basics.tables import (
 from fenics_crack.fem.build import assemble, with_crack_length
 from fenics_crack.files.saved import Saved
 from fenics_crack.files.store import Stored
+from fenics_crack.model.body import Body
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modes import (
     KINDS,
@@ -110,9 +111,9 @@ class Campbell(Saved):
     at: At | None = None
 
     KIND: ClassVar[str] = "Campbell diagram"
-    frequency_open, frequency_tied = in_hertz("omega_open"), in_hertz("omega_tied")
-    frequency_partly, frequency_real = in_hertz("omega_partly"), in_hertz("omega_real")
-    frequency_bilinear = in_hertz("omega_bilinear")
+    frequency_open, frequency_tied = hertz_of("omega_open"), hertz_of("omega_tied")
+    frequency_partly, frequency_real = hertz_of("omega_partly"), hertz_of("omega_real")
+    frequency_bilinear = hertz_of("omega_bilinear")
 
     @classmethod
     def of(cls, stored: Stored) -> Campbell:
@@ -494,9 +495,7 @@ def _held(
     modes, structure = is_open, is_open.structure
     if tied.any():
         ties, loose = structure.gap[:, tied], np.zeros(int(tied.sum()))
-        part = Structure(
-            structure.mass, structure.stiffness, ties, force=structure.force, clearance=loose
-        )
+        part = Structure(Body(structure.mass, structure.stiffness, ties, structure.force, loose))
         found = solve_modes(part, n_tied, lips="tied")
         own = partners(is_open, found)
         modes = Modes(found.omega[own], found.shapes[:, own], structure)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fenics_crack.basics.errors import InputError
-from fenics_crack.basics.observables import GROWTH, QUANTITIES, Place, Where, names_of, read_at
+from fenics_crack.basics.observables import FILES, GROWING, QUANTITIES, Place, names_of, read_at
 from fenics_crack.fem.interaction_integral import Tip, tip_functionals
 from fenics_crack.model.factor import AT_A_TIME
 from fenics_crack.model.nodes import Clamp
@@ -53,18 +53,20 @@ class Quantity(NamedTuple):
 def observe(study: Study, motion: Observed) -> list[Quantity]:
     """The numbers of each watched displacement, of the crack faces, and at places of rows of their
     own those that a study's scene requests (collective)."""
-    seen, others = motion.observe([one.dof for one in study.watched], rows_requested(study))
-    found = []
-    for watched, (indicators, _) in zip(study.watched, seen, strict=True):
+    dofs = [watched.dof for watched in study.watched]
+    displacements, others = motion.observe(dofs, rows_requested(study))
+    quantities = []
+    for watched, (indicators, _) in zip(study.watched, displacements, strict=True):
         for name in names_of(Place.POINT):
             row = QUANTITIES[name]
             of_point = f", {watched.words}" if watched.name or name == "amplitude" else ""
             number = row.words + of_point, getattr(indicators, name), row.unit, name
-            found.append(Quantity(watched.column(name), *number))
+            quantities.append(Quantity(watched.column(name), *number))
     values = motion.faces | {name: others[name] for name in asked_quantities(study.scene)}
     for name, value in values.items():
-        found.append(Quantity(name, QUANTITIES[name].words, value, QUANTITIES[name].unit, name))
-    return found
+        row = QUANTITIES[name]
+        quantities.append(Quantity(name, row.words, value, row.unit, name))
+    return quantities
 
 
 # --- the clamp ------------------------------------------------------------------------------------
@@ -137,7 +139,7 @@ class AtTip(NamedTuple):
     def numbers(self) -> dict[str, float]:
         """Quantities of the tip by their names; the equivalent range where there is a law of
         growth."""
-        return read_at(Place.TIPS, self, GROWTH if self.law is None else Where.FILES)
+        return read_at(Place.TIPS, self, GROWING if self.law is None else FILES)
 
 
 def at_tips(record: Record, of_forces: np.ndarray, law: Growth | None) -> list[AtTip]:

@@ -418,7 +418,7 @@ def is_proportional(scene: Scene) -> bool:
     Where forces and gaps are multiplied by a positive number, the equations of crack faces that
     touch or not, at g = 0, are multiplied by it as a whole. The centrifugal load stays what it is.
     """
-    if scene.speed > 0.0 or (scene.contact is not None and scene.contact.law == "smoothed"):
+    if scene.speed > 0.0 or (scene.contact is not None and not scene.contact.is_unilateral):
         return False
     parts = scene.all_cracks.values() if scene.structure is None else (scene.structure,)
     return all(part.clearance == 0.0 for part in parts)
@@ -696,7 +696,8 @@ OF_SCENE = (
           "1.4e-10", units={"mm in a cycle": 1e-3}),
     Usual("excitation.wave", 0.0, 0.0, "{1} harmonics leave out {0:.2%} of what changes in it "
           "(root mean square)",
-          lambda _, scene: (of_wave(scene)[1], scene.excitation.wave_harmonics)),
+          lambda _, scene: (of_wave(scene.excitation, scene.dimension)[1],
+                            scene.excitation.wave_harmonics)),
     Usual(FORCES, 1.0, 1.0, "no force at all: excitation.force_sin, force_cos and force_mean are "
           "zero", lambda _, scene: scene.has_other_loads or bool(scene.excitation.force_given)),
 )  # fmt: skip

@@ -18,14 +18,12 @@ from fenics_crack.fem.blocks import lip_pairs
 from fenics_crack.fem.matrix_files import count_pairs
 from fenics_crack.fem.plate import build_mesh
 from fenics_crack.scene.scene import Scene
-from fenics_crack.scene.tables import FORCES
+from fenics_crack.scene.tables import FORCES, Contact
 
 FREQUENCIES = ("excitation.omega", "excitation.frequency")
 OF_FORCES = {f"excitation.{name}" for name in FORCES}
 SAME_GEOMETRY = {
-    *FREQUENCIES, *OF_FORCES,
-    "contact.stiffness", "contact.stiffness_per_area", "contact.law", "contact.sharpness",
-    "contact.friction", "contact.tangential_stiffness_per_area",
+    *FREQUENCIES, *OF_FORCES, *map(Contact.name_of, Contact.keys().keys() - {"pairs"}),
     "harmonic_balance.harmonics", "harmonic_balance.samples", "harmonic_balance.tolerance",
 }  # fmt: skip
 """Keys that change neither mesh, matrices and modes nor the place of the load; clearances, too."""

@@ -549,7 +549,7 @@ def test_nothing_is_kept_alive(wide_plate: fc.Structure) -> None:
         varied = reduced.varied(damping=2.0)
         for one in (plate, reduced, varied):
             all_modes(one)
-        alive = [weakref.ref(one) for one in (plate, reduced, varied)]
+        alive = [weakref.ref(one) for one in (plate.body, reduced.body, varied)]
         del plate, reduced, one
         assert all(one() is not None for one in alive)  # the copy needs them
         del varied

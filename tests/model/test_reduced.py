@@ -293,8 +293,8 @@ def test_what_is_held_does_not_grow_with_the_pairs(paper_scene: fc.Scene) -> Non
     solution.displacement_field(np.linspace(0.0, 1e-3, 3))
     solution.displacement(np.zeros(1), [3])
     largest, shapes = 0, made.basis
-    static: Any = vars(made)["_static"]
-    for thing in (made, made.reference, static):
+    static: Any = made.body.static
+    for thing in (made, made.body, made.reference, made.reference.body, static):
         for value in vars(thing).values():
             for part in value.values() if isinstance(value, dict) else [value]:
                 if isinstance(part, np.ndarray) and part.size >= plate.n_dofs:

@@ -546,7 +546,7 @@ def test_varied(damping: Any) -> None:
         (once, 2.0, 3.0, [1e-3, 1e-3]),
         (twice, -1.0, 1.5, [1e-3, 1.001]),
     ):
-        assert other.original is structure and other.mass is structure.mass
+        assert other.body is structure.body and other.mass is structure.mass
         np.testing.assert_array_equal(other.force, load * force)
         np.testing.assert_allclose(other.clearance, clearance + added, rtol=1e-14)
         assert other.damping_factor == factor
@@ -563,6 +563,7 @@ def test_varied(damping: Any) -> None:
     np.testing.assert_array_equal(structure.force, force)
     np.testing.assert_array_equal(structure.clearance, clearance)
     assert structure.damping is given and structure.original is structure
+    assert once.original.damping is given and once.original.force is structure.force
 
 
 def test_parts_of_the_load_mixed() -> None:
@@ -587,11 +588,25 @@ def test_varied_reduction_speaks_of_the_varied_plate(paper_scene: Scene) -> None
         (varied.reference, reduced.reference),
         (varied.whole, plate),
     ):
-        assert first is not None and other.original is first
+        assert first is not None and other.body is first.body
         np.testing.assert_array_equal(other.force, 2.0 * first.force)
         np.testing.assert_array_equal(other.clearance, first.clearance + 1e-6)
         assert other.damping == ModalDamping(3.0 * 0.001)
     assert reduced.whole is plate
+
+
+def test_a_reduction_is_in_one_setting(paper_scene: Scene) -> None:
+    """Another dof is watched of its whole structure, too, whatever varies then; and of a structure
+    without a load the same as with one."""
+    reduced = reduce_structure(build_structure(paper_scene), modes=5)
+    dof = reduced.watched_dof + 1
+    other, units = reduced.watching(dof).varied(load=0.0, damping=2.0), np.eye(reduced.n_dofs)
+    assert other.whole.watched_dof == other.watched_dof == dof
+    np.testing.assert_array_equal(other.values_at(units, [None]), other.values_at(units, [dof]))
+    assert reduced.varied(load=0.0).watched_dof == reduced.watched_dof == dof - 1
+    assert other.body is reduced.body and other.whole.body is reduced.whole.body
+    half = other.damped(ModalDamping(0.01))
+    assert half.damping == ModalDamping(0.01) and half.watched_dof == dof
 
 
 @pytest.mark.parametrize(

@@ -125,7 +125,10 @@ def test_extremes_of_orbits() -> None:
     ends = orbit.amplitude(), orbit.to_dict()["opening"], orbit.to_dict()["penetration"]
     for exact, fine in zip(ends, (np.ptp(moved) / 2.0, -gap.min(), gap.max()), strict=True):
         assert -1e-9 <= exact / fine - 1.0 <= 1e-7
-    assert curve.indicators().opening[0] == pytest.approx(ends[1], rel=1e-9)
+    along, alone = curve.indicators(), orbit.indicators()
+    assert along.opening[0] == pytest.approx(ends[1], rel=1e-9)
+    assert along.ratio_2_1[0] == pytest.approx(alone.ratio_2_1, rel=1e-4)
+    assert along.closed_share[0] == pytest.approx(alone.closed_share, abs=1.0 / 256)
 
 
 def test_amplitude_of_a_backbone() -> None:

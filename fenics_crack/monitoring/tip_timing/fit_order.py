@@ -28,7 +28,7 @@ from scipy.linalg import solve_triangular
 from scipy.special import chdtri, fdtrc, ndtr
 
 from fenics_crack.basics.errors import InputError, check_count, check_number
-from fenics_crack.basics.tables import TURN, UNITS, counted, in_hertz, with_frequency
+from fenics_crack.basics.tables import TURN, UNITS, counted, hertz_of, with_frequency
 from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes, smoothed
 from fenics_crack.monitoring.tip_timing.fit_frequency import find_lines
 from fenics_crack.monitoring.tip_timing.harmonics import (
@@ -478,7 +478,7 @@ class TipTrack(Fitted):
         unknown = np.isnan([self.misfit, self.folded])
         return self.does_not_fit or self.may_be_folded or bool(np.any(unknown))
 
-    frequency = in_hertz()
+    frequency = hertz_of()
 
     @property
     def omega(self) -> np.ndarray:

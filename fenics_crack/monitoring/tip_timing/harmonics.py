@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from fenics_crack.basics.errors import InputError, check_count, check_number
-from fenics_crack.basics.tables import TURN, Tabular, counted, in_hertz, quantity, with_frequency
+from fenics_crack.basics.tables import TURN, Tabular, counted, hertz_of, quantity, with_frequency
 from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes
 from fenics_crack.monitoring.tip_timing.robust import LEVELS
 from fenics_crack.numerics.fourier import waves
@@ -145,7 +145,7 @@ class TipFit(Fitted):
     asynchronous: tuple[TipFit, ...]
     folded: float = np.nan
 
-    frequency = in_hertz()
+    frequency = hertz_of()
 
     @property
     def omega(self) -> float:

@@ -19,7 +19,7 @@ from scipy.special import ndtri
 
 from fenics_crack.basics.errors import InputError, check_count, check_number
 from fenics_crack.basics.progress import begin as begin_stage
-from fenics_crack.basics.tables import RPM, TURN, Tabular, counted, in_hertz, quantity
+from fenics_crack.basics.tables import RPM, TURN, Tabular, counted, hertz_of, quantity
 from fenics_crack.monitoring.tip_timing.arrival_times import FEWEST_REVOLUTIONS, ArrivalTimes
 from fenics_crack.monitoring.tip_timing.fit_frequency import LOWEST, find_lines
 from fenics_crack.monitoring.tip_timing.harmonics import ORDERS, TipFit, wanted
@@ -113,8 +113,8 @@ class PassageFit(Tabular):
     blind: tuple[float, ...]
     stiffening: float
 
-    frequency, frequencies = in_hertz(), in_hertz("omegas")
-    frequency_error, frequency_errors = in_hertz("omega_error"), in_hertz("omega_errors")
+    frequency, frequencies = hertz_of(), hertz_of("omegas")
+    frequency_error, frequency_errors = hertz_of("omega_error"), hertz_of("omega_errors")
 
     @property
     def speed(self) -> float:
