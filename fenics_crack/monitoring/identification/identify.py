@@ -16,7 +16,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -132,15 +132,16 @@ def identify(
         begin("inference")
         identification = infer(forward, measurements)
         worst = _interpolated(identification)
-        axis = None if worst is None else _closer(forward, identification, worst)
+        axis = None if worst is None else _closer(forward, identification, *worst[1:])
         if axis is None:
             break
         closer.append(axis)
     if worst is None:
         return identification
+    name, share, _ = worst
     remark = (
-        f"interpolation between the solved cases has {worst.share.sum():.0%} of the variance of "
-        f"{worst.name}: more values in identify.unknown make regions narrower"
+        f"interpolation between the solved cases has {share.sum():.0%} of the variance of "
+        f"{name}: more values in identify.unknown make regions narrower"
     )
     return replace(identification, remarks=(*identification.remarks, remark))
 
@@ -157,8 +158,13 @@ def infer(forward: Forward, measurements: Measurements) -> Identification:
     """
     measurements.check(forward.scene)
     measurements, doubts = _predicted(forward, measurements)
+    rows = measurements.rows
+    values, deviations = np.array([(row.value, row.deviation) for row in rows]).T
     branches, plain = (
-        {name: explore(_likelihood(model, measurements)) for name, model in models.items()}
+        {
+            name: explore(Likelihood(values, deviations, model.quantities(rows)))
+            for name, model in models.items()
+        }
         for models in (forward.cracked, forward.uncracked)
     )
     remarks = (*remarks_on(forward.scene, measurements), *_unresolved(forward, measurements))
@@ -202,13 +208,6 @@ def _predicted(
     why = "too few cases have it, or only those on one side of what failed"
     doubts += [f"{row.name} is not used: {why}" for row in itertools.compress(rows, ~known)]
     return Measurements(tuple(used)), tuple(doubts)
-
-
-def _likelihood(model: Model, measurements: Measurements) -> Likelihood:
-    """Likelihood of measurements by a model."""
-    rows = measurements.rows
-    values, deviations = np.array([(row.value, row.deviation) for row in rows]).T
-    return Likelihood(values, deviations, model.quantities(rows))
 
 
 def remarks_on(scene: Scene, measurements: Measurements) -> tuple[str, ...]:
@@ -370,7 +369,8 @@ def solve_forward(
         first = [axis for axis in (*meshes, *table.unknown) if axis.key in keys]
         few = _thinned(first, count)
         finer = None if fine is None else run(f"{name}_finer", fine.replace(changes), few)
-        between = None if table.meshes else run(name, own, _thinned(_halfway(axes), count))
+        halfway = [Axis(axis.key, _halfway(axis) or axis.values) for axis in axes]
+        between = None if table.meshes else run(name, own, _thinned(halfway, count))
         return every, finer, between
 
     axes, left = list(table.unknown), [*closer]
@@ -445,28 +445,14 @@ def _denser(
     return None
 
 
-class Interpolated(NamedTuple):
-    """A measurement in whose variance interpolation between cases has a large share, on average
-    over the cracks that explain the measurements: the posterior falls as such an error grows, and
-    excludes some of them.
+def _interpolated(found: Identification) -> tuple[str, np.ndarray, np.ndarray] | None:
+    """The measurement in whose variance interpolation between cases has the largest share, on
+    average over the cracks that explain the measurements: the posterior falls as such an error
+    grows, and excludes some of them.
 
-    Attributes
-    ----------
-    name : str
-        Of the measurement.
-    share : (d,)
-        Shares of its variance by the interpolation along each unknown.
-    x : (m, d)
-        Those cracks.
+    Its name, its shares by the interpolation along each unknown, (d,), and those cracks, (m, d);
+    None if the share is small.
     """
-
-    name: str
-    share: np.ndarray
-    x: np.ndarray
-
-
-def _interpolated(found: Identification) -> Interpolated | None:
-    """The measurement with the largest share; None if it is small."""
     seen = [branch.interpolated() for branch in found.posterior.branches.values()]
     x, shares = (np.vstack(one) for one in zip(*seen, strict=True))
     if not shares.size:
@@ -475,27 +461,24 @@ def _interpolated(found: Identification) -> Interpolated | None:
     at = int(mean.sum(axis=0).argmax())
     share = mean[:, at]
     few = share.sum() <= OPTIONS.interpolated
-    return None if few else Interpolated(found.measurements.rows[at].name, share, x)
+    return None if few else (found.measurements.rows[at].name, share, x)
 
 
-def _closer(forward: Forward, found: Identification, worst: Interpolated) -> Axis | None:
+def _closer(
+    forward: Forward, found: Identification, share: np.ndarray, x: np.ndarray
+) -> Axis | None:
     """The unknown along which interpolation adds most to the error of a measurement, with further
     values halfway between those around the cracks that explain the measurements; None where it
     would be too many cases, or has none between."""
     axes = {axis.key: axis for axis in forward.axes}
-    for place in np.argsort(-worst.share):
+    for place in np.argsort(-share):
         axis = axes.get(found.unknown[place])
         if axis is not None and _is_divisible(axis):
-            halved = _halved(axis, worst.x[:, place].min(), worst.x[:, place].max())
+            between = _halfway(axis, x[:, place].min(), x[:, place].max())
+            halved = Axis(axis.key, tuple(sorted({*axis.values, *between})))
             cases = math.prod(len(one.values) for one in (axes | {axis.key: halved}).values())
             return halved if cases <= _most(forward.scene) else None
     return None
-
-
-def _halved(axis: Axis, low: float, high: float) -> Axis:
-    """An axis with values halfway between those around some numbers."""
-    around = (pair for pair in itertools.pairwise(axis.values) if pair[0] < high and pair[1] > low)
-    return Axis(axis.key, tuple(sorted({*axis.values, *(0.5 * (a + b) for a, b in around)})))
 
 
 def _meshes(scene: Scene, factor: float) -> tuple[Scene, Scene | None]:
@@ -525,14 +508,11 @@ def _is_divisible(axis: Axis) -> bool:
     return any(isinstance(value, float) for value in axis.values)
 
 
-def _halfway(axes: Sequence[Axis]) -> tuple[Axis, ...]:
-    """Values halfway between those of each unknown; words and whole numbers as they are."""
-    return tuple(
-        Axis(axis.key, tuple(0.5 * (a + b) for a, b in itertools.pairwise(axis.values)))
-        if _is_divisible(axis)
-        else axis
-        for axis in axes
-    )
+def _halfway(axis: Axis, low: float = -np.inf, high: float = np.inf) -> tuple[float, ...]:
+    """Values halfway between those of an unknown around some numbers; none between words and whole
+    numbers."""
+    pairs = itertools.pairwise(axis.values) if _is_divisible(axis) else ()
+    return tuple(0.5 * (a + b) for a, b in pairs if a < high and b > low)
 
 
 def _models(

@@ -452,7 +452,13 @@ class Quantities:
 
     def _place(self, x: np.ndarray) -> Place:
         """Features at some values (m, d) of the unknowns."""
-        smooth, left, scatter = self._of_features(x)
+        smooth, scatter = self._coarse.at(x), [self._understated * self._coarse.scatter(x)]
+        left = np.zeros_like(smooth)
+        if self._correction is not None:
+            difference = self._correction.at(x)
+            left = self._left * difference
+            smooth = smooth + difference + left
+            scatter.append(self._correction.scatter(x))
         damping, basis = self.model.damping(x), self._basis_at(x)
         scale = self._scales(x, basis)
         waves = (smooth[:, ::2] + 1j * smooth[:, 1::2]) / scale
@@ -562,23 +568,15 @@ class Quantities:
             turns[:, :, plain] += turns[:, :, own] * scale[:, None, own]
         return values, turns, common, rest
 
-    def _of_features(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
-        """Smooth forms as pairs of columns, the remaining errors of the mesh, (m, 2f) each, and
-        errors at the nodes around, (m, k, 2f) of each sweep."""
-        smooth, scatter = self._coarse.at(x), [self._understated * self._coarse.scatter(x)]
-        left = np.zeros_like(smooth)
-        if self._correction is not None:
-            difference = self._correction.at(x)
-            left = self._left * difference
-            smooth = smooth + difference + left
-            scatter.append(self._correction.scatter(x))
-        return smooth, left, scatter
-
     def _errors(
         self, smooth: np.ndarray, left: np.ndarray, scatter: list[np.ndarray]
     ) -> np.ndarray:
         """Independent errors of the smooth forms, half of each variance common to several of them:
-        (m, 2f, r)."""
+        (m, 2f, r).
+
+        From the smooth forms as pairs of columns, the remaining errors of the mesh, (m, 2f) each,
+        and errors at the nodes around, (m, k, 2f) of each sweep.
+        """
         half = np.sqrt(0.5)
         every, eye = np.concatenate(scatter, axis=1), np.eye(smooth.shape[1])
         found = [

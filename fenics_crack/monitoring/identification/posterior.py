@@ -22,11 +22,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, reduce
 from itertools import product
 from typing import Any
 
 import numpy as np
+from scipy.integrate import trapezoid
 from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import label, maximum_filter
 from scipy.optimize import least_squares
@@ -231,10 +232,8 @@ def explore(likelihood: Likelihood) -> Branch:
                 piece = optimum.x[place] + reach * np.linspace(-1.0, 1.0, CLOSER.get(d, 7))
                 pieces.append(piece[(piece > low) & (piece < high)])
         axes.append(np.unique(np.concatenate(pieces)))
-    weights = [_trapezoid(axis) for axis in axes]
-    weight = np.ones(())
-    for own in weights:
-        weight = np.multiply.outer(weight, own)
+    weights = [trapezoid(np.eye(len(axis)), axis) / np.ptp(axis) for axis in axes]
+    weight = reduce(np.multiply.outer, weights)
     points = _points(axes)
     # Interpolate on the first grid where all of it around a point is far below the maximum.
     around = maximum_filter(height, size=3, mode="nearest")
@@ -290,13 +289,6 @@ def _heights(likelihood: Likelihood, points: np.ndarray) -> np.ndarray:
 def _pieces(points: np.ndarray) -> list[np.ndarray]:
     """Points (n, d) in batches."""
     return np.array_split(points, -(-len(points) // OPTIONS.batch))
-
-
-def _trapezoid(axis: np.ndarray) -> np.ndarray:
-    """Weights of the trapezoidal rule on unequal points, of sum 1."""
-    steps = np.diff(axis)
-    weights = 0.5 * (np.append(steps, 0.0) + np.insert(steps, 0, 0.0))
-    return np.asarray(weights / weights.sum())
 
 
 def _optima(likelihood: Likelihood, axes: list[np.ndarray], height: np.ndarray) -> list[Optimum]:
@@ -473,8 +465,7 @@ class Posterior:
     def spread(self, place: int) -> float:
         """Standard deviation of an unknown."""
         values, masses = self.marginal(place)
-        mean = float(values @ masses)
-        return float(np.sqrt((values - mean) ** 2 @ masses))
+        return float(np.sqrt(np.cov(values, aweights=masses, ddof=0)))
 
     def pair(self, name: str, first: int, second: int) -> tuple[np.ndarray, np.ndarray]:
         """Mass of a branch by two of its unknowns, and its density: (n_first, n_second) each."""

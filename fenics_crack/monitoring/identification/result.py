@@ -489,7 +489,9 @@ class Identification(Tabular):
             parts.append(f"{key} = {value} ± {value_in_words(key, self.posterior.spread(place))}")
         if len(self.alternatives) > 1:
             parts.append("NOT THE ONLY ONE")
-        return ", ".join([*parts, *_conditions(self)])
+        parts += ["IF IT IS ONE CRACK"] * bool(_if_alone(self))
+        held = self.verdict == "crack" and _if_as_before(self)
+        return ", ".join(parts + ["IF ITS CLAMP HOLDS AS BEFORE"] * bool(held))
 
 
 def _too_sure(measurements: Measurements) -> list[str]:
@@ -554,13 +556,6 @@ def _verdict_of(found: Identification) -> tuple[str, str]:
     if ratio > strong:
         return "crack", factor + _if_warmer(found) + conditions
     return undecided, f"{factor}; if there is one it is at {_where(found)}{conditions}"
-
-
-def _conditions(found: Identification) -> list[str]:
-    """Conditions of the verdict in the title."""
-    claimed = found.verdict == "crack" and _if_as_before(found)
-    alone = ["IF IT IS ONE CRACK"] if _if_alone(found) else []
-    return alone + (["IF ITS CLAMP HOLDS AS BEFORE"] if claimed else [])
 
 
 def _if_alone(found: Identification) -> str:

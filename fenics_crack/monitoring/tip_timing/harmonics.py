@@ -49,13 +49,8 @@ class Candidates(Tabular):
 
     def to_dict(self) -> dict[str, Any]:
         """Columns, a row for every order."""
-        return {
-            "order": self.orders.tolist(),
-            "residual": self.residuals.tolist(),
-            "condition": self.conditions.tolist(),
-            "equivalent": self.equivalent.tolist(),
-            "hidden": self.hidden.tolist(),
-        }
+        names = "order", "residual", "condition", "equivalent", "hidden"
+        return {n: part.tolist() for n, part in zip(names, vars(self).values(), strict=True)}
 
     def _units(self) -> Mapping[str, str]:
         return {"residual": "m"}

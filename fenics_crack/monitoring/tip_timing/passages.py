@@ -196,21 +196,11 @@ class PassageFit(Tabular):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the numbers by name."""
-        return {
-            "speed": self.speed,
-            "rpm": self.speed / RPM,
-            "order": self.order,
-            "margin": self.margin,
-            "frequency": self.omega / TURN,
-            "frequency_error": self.omega_error / TURN,
-            "damping": self.damping,
-            "damping_error": self.damping_error,
-            "stiffening": self.stiffening,
-            "amplitude": self.amplitude,
-            "passages": len(self.ends),
-            "apart": self.apart,
-            "whiteness": self.whiteness,
-        }
+        names = ("order", "margin", "frequency", "frequency_error", "damping", "damping_error")
+        found = {name: getattr(self, name) for name in (*names, "stiffening", "amplitude")}
+        found = {"speed": self.speed, "rpm": self.speed / RPM} | found
+        rest = {"passages": len(self.ends), "apart": self.apart, "whiteness": self.whiteness}
+        return found | rest
 
     def _title(self) -> str:
         parts = [f"order {self.order:g}, {self.speed / RPM:.6g} rpm"]

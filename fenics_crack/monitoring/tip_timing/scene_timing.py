@@ -141,9 +141,13 @@ def _computed(
     blade: int = 0,
 ) -> ArrivalTimes:
     """Arrivals of one blade at probes, from a result."""
-    curve = curve_of(run)
+    result: Any = run.result
+    if (curve := curve_of(run)) is not None:
+        points, lost = run_up_points(curve)
+        # The part before it becomes unstable; all where that is at once.
+        result = curve if lost is None or len(points) < 2 else curve.part(points)
     return tip_timing(
-        run.result if curve is None else _stable_part(curve),
+        result,
         tip,
         probes=np.radians(degrees),
         tip_radius=table.tip_radius,
@@ -181,14 +185,6 @@ def run_up_ends(scene: Scene, run: Run[Any]) -> str:
     speeds = curve.omega[[points[-1], lost]] / engine_order(scene.given("tip_timing"), run.scene)
     last, at = (speed_in_words(speed, scene.in_rpm) for speed in speeds)
     return f"the vibration is unstable at {at}: the run-up ends before, at {last}"
-
-
-def _stable_part(curve: ResponseCurve) -> ResponseCurve:
-    """Return the part of a curve before it becomes unstable; all where that is at once."""
-    points, lost = run_up_points(curve)
-    if lost is None or len(points) < 2:
-        return curve
-    return curve.part(points)
 
 
 def of_another_scene(scene: Scene, run: Run[Any]) -> str:

@@ -106,7 +106,13 @@ def tip_timing(
     >>> arrivals = fc.tip_timing(
     ...     solution, tip, probes=[0.1, 0.5, 1.3, 3.1], tip_radius=0.4, order=6)
     """
-    angles, shares = _places(probes, tip)
+    angles = np.atleast_1d(numbers(probes))
+    check_probes(angles)
+    shares = tip if isinstance(tip, Mapping) else {tip: 1.0} if isinstance(tip, Integral) else {}
+    if not shares:
+        raise InputError("tip", tip, "a dof, or dofs with their factors")
+    for dof, share in shares.items():
+        check_number(f"tip[{dof!r}]", share)
     check_number("tip_radius", tip_radius, 0.0, above=True)
     check_count("revolutions", revolutions, 1)
     if revolutions * len(angles) > MOST_PASSAGES:
@@ -128,20 +134,6 @@ def tip_timing(
     if clock:
         time = clock * np.round(time / clock)
     return ArrivalTimes(time, marks, angles, float(tip_radius))
-
-
-def _places(
-    probes: Sequence[float] | np.ndarray, tip: int | Mapping[int, float]
-) -> tuple[np.ndarray, Mapping[int, float]]:
-    """Return angles of the probes, and dofs of the blade tip with their factors; checked."""
-    angles = np.atleast_1d(numbers(probes))
-    check_probes(angles)
-    shares = tip if isinstance(tip, Mapping) else {tip: 1.0} if isinstance(tip, Integral) else {}
-    if not shares:
-        raise InputError("tip", tip, "a dof, or dofs with their factors")
-    for dof, share in shares.items():
-        check_number(f"tip[{dof!r}]", share)
-    return angles, shares
 
 
 def _arrivals(motion: _TipMotion, angles: np.ndarray, radius: float) -> np.ndarray:
@@ -291,21 +283,11 @@ class _TipMotion:
     harmonics: np.ndarray
     order: float
 
-    @property
-    def reach(self) -> float:
-        """Bound of |u| [m]."""
-        return float(np.abs(self.harmonics).sum(axis=1).max())
-
-    @property
-    def _rates(self) -> np.ndarray:
-        """Harmonics of du/dalpha at the speeds: (n, H+1)."""
-        return 1j * self.order * np.arange(self.harmonics.shape[1]) * self.harmonics
-
     def fastest_backwards(self) -> float:
         """Return a bound of -du/dalpha [m], at all speeds: the largest of samples over a period,
         and its possible change between them."""
-        rates = self._rates.T
-        orders = np.arange(len(rates))[:, None]
+        orders = np.arange(self.harmonics.shape[1])[:, None]
+        rates = 1j * self.order * orders * self.harmonics.T
         count = max(1024, 64 * len(rates))
         between = (2.0 * np.pi / count) ** 2 / 8.0 * (orders**2 * np.abs(rates)).sum(axis=0)
         return float((between - sampled(from_complex(rates), count).min(axis=0)).max())
@@ -328,7 +310,8 @@ class _TipMotion:
 def _passing_angles(motion: _TipMotion, targets: np.ndarray, radius: float) -> np.ndarray:
     """Return rotor angles alpha with alpha + u(alpha) / R = targets (n,) [rad], to rounding:
     (n,) [rad]; nan where the blade tip moves backwards."""
-    reach = motion.reach / radius * (1.0 + 1e-12) + 4.0 * np.spacing(np.abs(targets))
+    reach = np.abs(motion.harmonics).sum(axis=1).max() / radius * (1.0 + 1e-12)
+    reach = reach + 4.0 * np.spacing(np.abs(targets))
     low, high, angle = targets - reach, targets + reach, targets.copy()
     last, slope = high - low, np.ones_like(targets)
     for _ in range(200):  # more than bisection needs
