@@ -42,27 +42,6 @@ from fenics_crack.sweep.file import NUMBERED
 # --- displacements at probes ----------------------------------------------------------------------
 
 
-class Aligned(NamedTuple):
-    """Displacements (m, n) of a model, fitted to measured ones.
-
-    Attributes
-    ----------
-    values : (m, n) [m]
-        All of them, also those that were not measured.
-    turns : (m, n, K) complex
-        Their slopes by the harmonics U_k: values = Re sum_k turns_k U_k + c.
-    free : (m, n, 3) [m]
-        Their changes by a standard deviation of A, psi and c.
-    size : (m,)
-        A.
-    """
-
-    values: np.ndarray
-    turns: np.ndarray
-    free: np.ndarray
-    size: np.ndarray
-
-
 class Passages:
     """Displacements of one point under one load of unknown size and phase.
 
@@ -115,8 +94,13 @@ class Passages:
         apart = self._phases[:, None] - self._phases
         return np.asarray(0.5 * np.cos(np.multiply.outer(orders, apart)))
 
-    def aligned(self, waves: np.ndarray) -> Aligned:
-        """The displacements of harmonics U_k: (m, K) [m]."""
+    def aligned(self, waves: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """The displacements of harmonics U_k (m, K) [m], fitted to measured ones.
+
+        All of them, also those that were not measured: (m, n) [m]; their slopes t (m, n, K) by the
+        harmonics, of which they are Re sum_k t_k U_k + c; their changes by a standard deviation of
+        A, psi and c: (m, n, 3) [m]; and A: (m,).
+        """
         orders = np.arange(1, waves.shape[1] + 1)
         turns = np.exp(1j * np.multiply.outer(self._phases, orders))
         size, shift, constant = np.ones(len(waves)), np.zeros(len(waves)), np.zeros(len(waves))
@@ -130,7 +114,7 @@ class Passages:
         phase = np.pi / np.sqrt(3.0) * (orders * parts).sum(axis=2).imag
         largest = 10.0 * np.max(np.abs(self._values), initial=0.0)
         free = np.stack([motion, phase, np.full_like(motion, largest)], axis=2)
-        return Aligned(motion + constant[:, None], turned, free, size)
+        return motion + constant[:, None], turned, free, size
 
     def _fitted(
         self, waves: np.ndarray, turns: np.ndarray, orders: np.ndarray
@@ -485,18 +469,17 @@ class Quantities:
         left_out = np.zeros((len(waves), len(self.rows), len(self.rows)))
         for passages in self._passages:
             at = self._places[passages.rows[0]]
-            found = passages.aligned(waves[:, at])
-            values[:, passages.rows] = found.values
+            values[:, passages.rows], slopes, changes, sizes = passages.aligned(waves[:, at])
             squares = np.abs(waves[:, at]) ** 2 + unsure[:, at]
             above, square = self._left_out(
                 self._features[at[0]], squares, damping, place.basis[:, at[:1]]
             )
             both = np.ix_(range(len(waves)), passages.rows, passages.rows)
-            size = found.size[:, None, None] ** 2
+            size = sizes[:, None, None] ** 2
             left_out[both] = size * np.tensordot(square, passages.together(above), axes=1)
-            turns[:, np.array(passages.rows)[:, None], at] = found.turns / scale[:, None, at]
-            moved = np.zeros((*values.shape, found.free.shape[2]))
-            moved[:, passages.rows] = found.free
+            turns[:, np.array(passages.rows)[:, None], at] = slopes / scale[:, None, at]
+            moved = np.zeros((*values.shape, changes.shape[2]))
+            moved[:, passages.rows] = changes
             free.append(moved)
         turns[:, ~self.known] = 0.0
         if still is not None:

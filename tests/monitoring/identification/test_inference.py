@@ -451,8 +451,10 @@ def test_displacements_whatever_the_load_is() -> None:
         return np.asarray(size * (turns @ waves).real)
 
     made = displaced(phases, motion(wave, 1.7, 2.5) + 3e-6)
-    found = Passages(range(12), made, []).aligned(np.stack([wave, wave * [1, 2, 1, 1, 1, 1]]))
-    left = np.abs(found.values - [row.value for row in made])
+    passages = Passages(range(12), made, [])
+    both = np.stack([wave, wave * [1, 2, 1, 1, 1, 1]])
+    values, turns, free, _ = passages.aligned(both)
+    left = np.abs(values - [row.value for row in made])
     assert left[0].max() < 1e-9 and left[1].max() > 1e-6
     more = 1.7 * 1e-3, 1e-3, 1e-8  # of size, phase and constant
     expected = [motion(wave, 1.7 * 1.001, 2.5), motion(wave, 1.7, 2.501)]
@@ -461,12 +463,12 @@ def test_displacements_whatever_the_load_is() -> None:
         difference = (after - motion(wave, 1.7, 2.5)) / step
         size = np.abs(difference).max()
         np.testing.assert_allclose(
-            found.free[0, :, place] * (scale if place == 0 else 1.0 / scale), difference,
+            free[0, :, place] * (scale if place == 0 else 1.0 / scale), difference,
             atol=2e-3 * size,
         )  # fmt: skip
     step = 1e-9 * (1.0 + 2.0j) * np.eye(6)[2]
     np.testing.assert_allclose(
-        (found.turns[0] @ step).real, motion(wave + step, 1.7, 2.5) - motion(wave, 1.7, 2.5),
+        (turns[0] @ step).real, motion(wave + step, 1.7, 2.5) - motion(wave, 1.7, 2.5),
         atol=1e-12,
     )  # fmt: skip
 
