@@ -168,16 +168,13 @@ def _matched(
         distance, partner = cKDTree(upper[:, 2:]).query(lower[:, 2:])
         matching = distance.max() <= SAME * size and len(np.unique(partner)) == len(partner)
         place = ", ".join(f"{x:g}" for x in lower[int(np.argmax(distance)), 2:])
-        reason = (
-            f"the upper node nearest to the lower one at ({place}) is {distance.max():.2g} m away"
-        )
+        reason = f"the upper node nearest to the lower one at ({place})"
+        reason += f" is {distance.max():.2g} m away"
     if not matching:
         found = f"{len(lower)} lower and {len(upper)} upper nodes"
         how = "in a mesh file one curve or surface named 'crack' is split into two that do"
-        allowed = (
-            f"meshed identically, so that nodes of the two faces pair one to one, but {reason}"
-        )
-        raise InputError("lips", found, f"{allowed}; {how}")
+        allowed = "meshed identically, so that nodes of the two faces pair one to one"
+        raise InputError("lips", found, f"{allowed}, but {reason}; {how}")
     return lower, upper[partner], cracks, positions
 
 

@@ -291,11 +291,8 @@ def _tags_of(
     for number, kind in enumerate(kinds):
         own = edges[np.sort(first[of_kind.ravel() == number])]
         sets.append((number + 1, " and ".join(names[kind]), own))
-    groups = {
-        name: tuple(int(tag) for tag in np.flatnonzero(column) + 1)
-        for name, column in zip(names.tolist(), kinds.T, strict=True)
-    }
-    return groups, sets
+    tags = [tuple((np.flatnonzero(column) + 1).tolist()) for column in kinds.T]
+    return dict(zip(curves, tags, strict=True)), sets
 
 
 def _filled(positions: np.ndarray, groups: list[Group]) -> None:
