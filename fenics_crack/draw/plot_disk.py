@@ -168,10 +168,9 @@ def draw_nodal_diameters(
     diameters = np.arange(len(shown))
     for (family, row), colour in zip(enumerate(shown.T, 1), [*COLOURS.values()] * 99, strict=False):
         panel.plot(diameters, row, ".-", color=colour, ms=7, lw=0.8, label=f"family {family}")
-    panel.plot(
-        np.full(shown.shape[1], found.excited), shown[found.excited], "o", color="black",
-        mfc="none", ms=10, label=f"excited by order {found.order}",
-    )  # fmt: skip
+    look = {"color": "black", "mfc": "none", "label": f"excited by order {found.order}"}
+    excited = shown[found.excited]
+    panel.plot(np.full(len(excited), found.excited), excited, "o", ms=10, **look)
     top = 1.08 * float(shown.max())
     if found.speed > 0.0:
         hertz = found.speed / TURN

@@ -430,11 +430,16 @@ def _draw_order(
     """The line of an engine order, and its number where it leaves the panel."""
     ends = np.array(span)
     panel.plot(ends, slope * ends, color=COLOURS["grey"], lw=0.8, ls="--", alpha=0.7)
-    look = {"textcoords": "offset points", "fontsize": 8, "color": COLOURS["grey"]}
-    place, align, moved = (span[1], slope * span[1]), {"ha": "left", "va": "center"}, (3, 0)
-    if place[1] > top:
-        place, align, moved = (top / slope, top), {"ha": "center", "va": "bottom"}, (0, 2)
-    panel.annotate(str(order), place, xytext=moved, annotation_clip=False, **align, **look)
+    if slope * span[1] <= top:
+        _write_order(panel, order, (span[1], slope * span[1]), (3, 0), ha="left", va="center")
+    else:
+        _write_order(panel, order, (top / slope, top), (0, 2), ha="center", va="bottom")
+
+
+def _write_order(panel: Any, order: float, place: Any, by: tuple[int, int], **look: Any) -> None:
+    """Write an engine order beside a place, also outside of the panel."""
+    look |= {"textcoords": "offset points", "fontsize": 8, "color": COLOURS["grey"]}
+    panel.annotate(f"{order:g}", place, xytext=by, annotation_clip=False, **look)
 
 
 def draw_arrivals(
@@ -635,15 +640,13 @@ def draw_passages(
     """
     upper, lower = picture = Picture(2, size=(7.0, 7.0), **where)
     _draw_displacements(upper, arrivals, in_rpm=True)
+    upper_edge = "data", "axes fraction"
     for number, fit in enumerate(passages):
         label = "_" * bool(number) + "resonance, with its engine order"
         look: dict[str, Any] = {"color": COLOURS["grey"], "lw": 0.7, "ls": "--", "zorder": 0}
         upper.axvline(fit.speed / RPM, **look, label=label)
-        upper.annotate(
-            f"{fit.order:g}", (fit.speed / RPM, 1.0), xycoords=("data", "axes fraction"),
-            textcoords="offset points", xytext=(0, 2 + 9 * (number % 2)), ha="center", fontsize=8,
-            color=COLOURS["grey"], annotation_clip=False,
-        )  # fmt: skip
+        place, above = (fit.speed / RPM, 1.0), (0, 2 + 9 * (number % 2))
+        _write_order(upper, fit.order, place, above, ha="center", xycoords=upper_edge)
     if passages:
         _draw_passage(lower, passages[0], arrivals)
     else:

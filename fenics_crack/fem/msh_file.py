@@ -166,12 +166,8 @@ def check_there(key: str, path: Path | str) -> None:
 def named_groups(found: dict[str, np.ndarray]) -> list[Group]:
     """Groups as :mod:`fenics_crack.fem.msh_reader` returns them."""
     parts = np.split(found["nodes"], np.cumsum(found["heads"][:, 3])[:-1])
-    return [
-        (dimension, tag, name, kind, nodes)
-        for (dimension, tag, kind, _), name, nodes in zip(
-            found["heads"].tolist(), found["names"].tolist(), parts, strict=False
-        )
-    ]
+    rows = zip(found["heads"].tolist(), found["names"].tolist(), parts, strict=False)
+    return [(dimension, tag, name, kind, own) for (dimension, tag, kind, _), name, own in rows]
 
 
 def _one_kind(

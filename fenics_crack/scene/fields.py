@@ -459,13 +459,19 @@ class Table:
         InputError
             Another vector is longer or shorter.
         """
-        vectors = copy(self)
+        zeros = {}
         for key, item in self.keys().items():
             letter, value = item.metadata.get("letter"), getattr(self, key)
             if letter is not None and value is not None and len(value) != dimension:
                 self.require(not any(value), key, components(letter, dimension))
-                object.__setattr__(vectors, key, (0.0,) * dimension)
-        return vectors
+                zeros[key] = (0.0,) * dimension
+        return self.with_values(**zeros)
+
+    def with_values(self, **values: Any) -> Any:
+        """The same with other values, which are not checked."""
+        made = copy(self)
+        vars(made).update(values)
+        return made
 
     def __post_init__(self) -> None:
         for name, item in self.keys().items():

@@ -6,7 +6,6 @@ import itertools
 import math
 import re
 from collections.abc import Mapping
-from copy import copy
 from dataclasses import MISSING, dataclass
 from itertools import zip_longest
 from typing import Any, ClassVar
@@ -269,10 +268,8 @@ class Excitation(Table, Periodic):
         """The same with the frequency that its order makes of a rotor's speed [rad/s]."""
         if "_at_speed" not in vars(self):
             self.leave_out(("frequency", "omega"), f"excitation.order = {self.order} and a speed")
-        found = copy(self)
-        object.__setattr__(found, "omega", speed * (self.order or 0))
-        object.__setattr__(found, "_at_speed", True)
-        return found
+        made: Excitation = self.with_values(omega=speed * (self.order or 0), _at_speed=True)
+        return made
 
     @classmethod
     def without_twins(
@@ -655,11 +652,8 @@ class HarmonicBalance(Table):
         least = f"a whole number >= {highest}, the highest order of the load"
         fits = self.harmonics >= highest
         self.require(fits or "harmonics" in self.derived, "harmonics", least)
-        if fits:
-            return self
-        found = copy(self)
-        object.__setattr__(found, "harmonics", highest)
-        return found
+        made: HarmonicBalance = self if fits else self.with_values(harmonics=highest)
+        return made
 
     @property
     def derived(self) -> set[str]:
@@ -725,9 +719,8 @@ class Mesh(Table):
 
     def with_vectors(self, dimension: int) -> Mesh:
         """The same in a plane or in space, of the order that is usual there."""
-        table = copy(self)
-        object.__setattr__(table, "order", self.order or dimension - 1)
-        return table
+        made: Mesh = self.with_values(order=self.order or dimension - 1)
+        return made
 
     @property
     def derived(self) -> set[str]:
