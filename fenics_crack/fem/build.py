@@ -223,10 +223,8 @@ def _assembled(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
     begin("matrices")
     if not plate.cracked and scene.mesh.layout == "file" and (scene.contact or scene.all_cracks):
         named = "curves" if scene.dimension == 2 else "surfaces"
-        allowed = (
-            f"a mesh with {named} named 'crack', or 'lower_lip' and 'upper_lip', as the scene has "
-            "contact"
-        )
+        allowed = f"a mesh with {named} named 'crack', or 'lower_lip' and 'upper_lip'"
+        allowed += ", as the scene has contact"
         raise InputError("mesh.file", scene.mesh.file, allowed)
     space = compat.function_space(plate.mesh, scene.mesh.order)
     dofs = Dofs(plate, space, comm)

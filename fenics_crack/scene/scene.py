@@ -487,18 +487,17 @@ def with_files(scene: Scene, change: Callable[[str], str]) -> Scene:
     if not paths:
         return scene
     changes: dict[str, object] = {key: change(path) for key, path in paths.items()}
-    given = ((f"{name}.{key}", getattr(scene, name), key) for name, key in _AXES)
-    for name, table, key in given:
-        if table is not None:
-            changes[name] = tuple(
-                Axis(axis.key, tuple(change(v) if isinstance(v, str) else v for v in axis.values))
-                if axis.key in _PATHS
-                else axis
-                for axis in getattr(table, key)
-            )
+
+    def moved(axis: Axis) -> Axis:
+        values = (change(v) if isinstance(v, str) else v for v in axis.values)
+        return Axis(axis.key, tuple(values)) if axis.key in _PATHS else axis
+
+    for name, key in _AXES:
+        if (table := getattr(scene, name)) is not None:
+            changes[f"{name}.{key}"] = tuple(map(moved, getattr(table, key)))
     if scene.identify is not None and scene.identify.meshes:
-        moved = (dataclasses.replace(mesh, key=change(mesh.key)) for mesh in scene.identify.meshes)
-        changes["identify.meshes"] = tuple(moved)
+        meshes = (dataclasses.replace(mesh, key=change(mesh.key)) for mesh in scene.identify.meshes)
+        changes["identify.meshes"] = tuple(meshes)
     return scene.replace(changes)
 
 
