@@ -45,7 +45,7 @@ TABLE = [
     ("solve scene.toml --output scene.toml", "--output = 'scene.toml': must be a folder that can be written ("),
     ("plot missing.h5", "path = 'missing.h5': must be a file that exists"),
     ("plot text.h5", "path = 'text.h5': must be a readable result file, one of the .h5 files"),
-    ("plot folder", "path = 'folder': must be a readable result file, one of the .h5 files"),
+    ("plot folder", "result = 'folder': must be a folder with results, .h5 files"),
     ("solve scene.toml crack.length", "--set = 'crack.length': must be key=value, for example contact.stiffness=1e9"),
     ("check scene.toml sweep.over.x=1", "sweep.over.x = 1: must be changed as a whole: sweep.over={x=...}"),
     ("solve scene.toml crack=1", "crack = 1: must be changed key by key; only REMOVABLE can be removed, by none"),

@@ -309,10 +309,10 @@ def report_of_sweep(found: SweepResult) -> Report:
         found.table(),
         found.said(),
         shown=shown,
-        notes=[f"cases: {states}{how}", higher, *stepped_over(found)],
+        notes=[f"cases: {states}{how}", higher],
         warnings=[*warnings_of(found)],
         tables=tables,
-        remarks=remarks_on_scene(found.scene),
+        remarks=[*remarks_on_scene(found.scene), *stepped_over(found)],
         done=not found.failed and found.complete,
         missed=bool(found.missed.any()),
     )

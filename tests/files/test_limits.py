@@ -151,7 +151,6 @@ def test_matrices_without_values(tmp_path: Path, capsys: pytest.CaptureFixture[s
     [
         ("crack.clearance", ["crack.clearance=1.0"]),
         ("contact.stiffness_per_area", ["contact.law=penalty", "contact.stiffness_per_area=1.0"]),
-        ("contact.law", ["crack=none", "sweep=none"]),
     ],
 )
 def test_contact_that_nothing_makes(

@@ -133,7 +133,7 @@ def test_the_example_runs_from_the_shell(
     output = [] if name == "check" else ["--output", str(tmp_path)]
     assert main([name, str(DEMOS / "chain.toml"), *output]) == 0
     printed = capsys.readouterr()
-    remarks = [line for line in printed.err.splitlines() if "remark" in line]
+    remarks = [line for line in printed.err.splitlines() if line.startswith("remark")]
     over = ["steps over a peak" in line for line in remarks]  # narrower than the steps of 1 Hz
     assert over == [True] * (name == "sweep") and "warning" not in printed.err
     result = {"solve": "solution", "integrate": "integration"}.get(name, name)

@@ -107,7 +107,7 @@ def test_command_without_a_mesh_of_no_crack(
     words += ["--output", str(own.parent / "sweeps")]
     assert main(words) == 0
     said = capsys.readouterr().err
-    assert "undecided: there is no plate without a crack" in said
+    assert "undecided; there is no plate without a crack" in said
     assert "priors: " in said and "young_deviation = 0.03" in said and "confidence = 0.95" in said
     before = replace(rows.rows[0], quantity="frequency_uncracked")
     (rows + fc.Measurements((before,))).to_csv(tmp_path / "m.csv")
