@@ -182,15 +182,6 @@ def _load_arrows(fields: PeriodFields) -> tuple[np.ndarray, np.ndarray]:
     return share @ fields.moved / share.sum(), fields.mesh.size / 8.0 * total / largest
 
 
-def _caption(solution: PeriodicSolution, fields: PeriodFields) -> str:
-    hertz = solution.omega / (2.0 * np.pi)
-    moves = "load" if fields.has_one_load else "motion"
-    return (
-        f"{moves} at {solution.omega:.5g} rad/s ({hertz:.4g} Hz), "
-        f"displacement × {float(f'{fields.magnification:.3g}'):.10g}"
-    )
-
-
 # --- the animation --------------------------------------------------------------------------------
 
 
@@ -210,10 +201,8 @@ def _write(solution: PeriodicSolution, fields: PeriodFields, path: Path) -> None
     shown = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     duration = max(20, 10 * round(300.0 / len(shown)))  # [ms], in steps of 10: 3 s in all
     timing = {"duration": duration, "loop": 0, "comment": page.caption.encode("latin-1")}
-    animation = BytesIO()
-    shown[0].save(
-        animation, "GIF", save_all=True, append_images=shown[1:], optimize=False, **timing
-    )
+    animation, every = BytesIO(), {"save_all": True, "append_images": shown[1:]}
+    shown[0].save(animation, "GIF", optimize=False, **every, **timing)
     write_whole(path, animation.getvalue())
 
 
@@ -255,9 +244,8 @@ def _draw_bar(figure: Figure, colours: _Colours) -> None:
     """Draw the colour bar beside the plate."""
     mapped = ScalarMappable(BoundaryNorm(colours.levels, colours.steps), colours.map)
     ends = {"extend": "max" if colours.beyond else "neither", "spacing": "proportional"}
-    bar = figure.colorbar(
-        mapped, cax=figure.add_axes((0.845, 0.32, 0.03, 0.49)), ticks=colours.levels[::2], **ends
-    )
+    place = figure.add_axes((0.845, 0.32, 0.03, 0.49))
+    bar = figure.colorbar(mapped, cax=place, ticks=colours.levels[::2], **ends)
     bar.set_label(colours.label, fontsize=12)
     bar.ax.tick_params(labelsize=11)
 
@@ -273,7 +261,10 @@ class _Page:
         title = "Breathing crack" if fields.cracked else "Vibrating structure"
         centred = {"ha": "center", "va": "center"}
         self.figure.text(0.5, 0.968, title, fontsize=16, weight="bold", **centred)
-        self.caption = _caption(solution, fields)
+        moves = "load" if fields.has_one_load else "motion"
+        load = f"{solution.omega:.5g} rad/s ({solution.omega / (2.0 * np.pi):.4g} Hz)"
+        factor = f"{float(f'{fields.magnification:.3g}'):.10g}"
+        self.caption = f"{moves} at {load}, displacement × {factor}"
         self.text = self.figure.text(0.06, 0.932, "", va="center", fontsize=12, animated=True)
         _draw_bar(self.figure, colours)
         self._legend(fields)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
-from textwrap import fill
+from textwrap import fill, wrap
 from typing import Any, TypedDict
 
 import numpy as np
@@ -258,15 +258,16 @@ def _draw_legend(axes: Axes) -> None:
     a long one, in lines as wide as the figure; else where it hides least.
     """
     handles, labels = axes.get_legend_handles_labels()
-    both = sorted(zip(labels, handles, strict=True), key=lambda one: _gid(one[1]) != FIRST)
-    named = dict(both)
+    first = [isinstance(handle, Artist) and handle.get_gid() == FIRST for handle in handles]
+    order = sorted(range(len(handles)), key=lambda place: not first[place])  # containers: no gid
+    named = {labels[place]: handles[place] for place in order}
     if named and axes.figure.get_layout_engine() is not None:
         alone = len(axes.figure.axes) == 1
         room = 0.9 * axes.figure.bbox.width if alone else axes.get_window_extent().width
         letters = 17.0 * room / axes.figure.dpi
         wide = max(int(letters) - 8, LETTERS)
-        named = {_in_lines(label, wide): handle for label, handle in named.items()}
-        lines = [label.splitlines() for label in named]
+        lines = [[p for line in label.splitlines() for p in wrap(line, wide)] for label in named]
+        named = dict(zip(map("\n".join, lines), named.values(), strict=True))
         longest = max(len(line) for label in lines for line in label)
         columns = max(1, min(len(named), int(letters / (longest + 8))))
         high, before = -(-len(named) // columns), axes.get_legend()
@@ -281,13 +282,3 @@ def _draw_legend(axes: Axes) -> None:
         axes.legend(list(named.values()), list(named), **where).set_gid(str(rows))
     elif named:
         axes.legend(list(named.values()), list(named), loc="best")
-
-
-def _in_lines(label: str, letters: int) -> str:
-    """A label in lines of at most so many letters."""
-    return "\n".join(fill(line, letters) for line in label.splitlines())
-
-
-def _gid(handle: Any) -> str | None:
-    """The mark of a line in a legend; of a container, which has none, None."""
-    return handle.get_gid() if isinstance(handle, Artist) else None

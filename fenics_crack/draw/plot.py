@@ -477,11 +477,8 @@ def draw_spectrum(
     count = 1 + bool(np.any(force)) if axes is None else min(2, np.size(axes))
     size, comm = (7.0, 2.4 + 2.2 * count), solution.structure.comm
     picture = Picture(count, size=size, sharex=True, comm=comm, **where)
-    parts = (
-        (lengths, "displacement", "m"),
-        ({"contact force, all pairs": force}, "contact force", "N"),
-    )
-    for panel, part in zip(picture, parts, strict=False):
+    forces = {"contact force, all pairs": force}, "contact force", "N"
+    for panel, part in zip(picture, ((lengths, "displacement", "m"), forces), strict=False):
         _stems(panel, solution.subharmonic, *part)
     picture.panels[-1].set_xlabel("order of the harmonic, in load frequencies (0: mean)")
     return picture.finished()
@@ -553,8 +550,7 @@ def draw_orbits(
     orbits: list[tuple[Motion, int, np.ndarray, str, str]] = []
     if solution.structure.n_pairs:
         pair = solution.structure.first_watched
-        place = solution.structure.where(pair)
-        closing = f"closing {place}"
+        closing = f"closing {solution.structure.where(pair)}"
         orbits.append((solution.gap, pair, closed[:, pair], closing, "crack faces touch there"))
     if dof is not None:
         moved, name = partial(solution.displacement, dofs=[dof]), solution.structure.dof_name(dof)
@@ -595,8 +591,7 @@ def _orbit(
     if closed.any():
         touch = np.where(closed, orbit, np.nan)
         axes.plot(*touch, color=COLOURS["orange"], lw=3.2, label=touching)
-    starts = 2.0 * np.pi / solution.omega * np.arange(solution.subharmonic)
-    beginnings = orbit_at(starts)
+    beginnings = orbit_at(2.0 * np.pi / solution.omega * np.arange(solution.subharmonic))
     axes.plot(*beginnings, "o", color="black", ms=5.5, label="a load period begins")
     label_axis(axes.xaxis, quantity, "m")
     label_axis(axes.yaxis, "velocity", "m/s")

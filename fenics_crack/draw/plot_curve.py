@@ -74,7 +74,7 @@ def draw_curve(
     [panel] = picture = Picture(**where)
     if curve.parameter == "omega":
         panel.set_yscale("log")
-    amplitude, factor = curve.amplitude(dof), _factor(curve, in_hertz)
+    amplitude, factor = curve.amplitude(dof), parameter_axis(curve.parameter, in_hertz)[0]
     for (name, (values, others)), grey in zip((behind or {}).items(), cycle(BEHIND), strict=False):
         panel.plot(factor * values, others, color=grey, lw=0.9, label=name)
     ink = COLOURS.get(colour, colour)
@@ -137,12 +137,11 @@ def _mark_bifurcations(
     axes: Axes, curve: ResponseCurve, dof: int | None, factor: float, ink: str
 ) -> None:
     """Mark them; ``ink`` is the colour where several curves are drawn, else empty."""
-    found = list(curve.bifurcations)
-    if not found:
+    if not curve.bifurcations:
         return
-    x = np.array([factor * one.value for one in found])
+    x = np.array([factor * one.value for one in curve.bifurcations])
     y = curve.at_bifurcations.amplitude(dof)[1:-1]
-    kinds = np.array([one.kind for one in found])
+    kinds = np.array([one.kind for one in curve.bifurcations])
     shown = _apart(axes, x, y, kinds)
     for kind, marker in MARKERS.items():
         at, name = kinds == kind, kind_in_words(kind)
@@ -182,11 +181,6 @@ def _mark_superharmonics(
     for peak in peaks[above[peaks]]:
         at = factor * curve.omega[peak], amplitude[peak]
         axes.annotate(f"{order[peak]}ω", at, (0, 5), textcoords="offset points", **style)
-
-
-def _factor(curve: ResponseCurve, in_hertz: bool) -> float:
-    """Return the factor of a curve's parameter in a picture."""
-    return parameter_axis(curve.parameter, in_hertz)[0]
 
 
 def _label_parameter(axes: Axes, curve: ResponseCurve, in_hertz: bool) -> None:
@@ -252,7 +246,7 @@ def draw_content(
     panel.set_yscale("log")
     harmonics = _harmonic_amplitudes(curve, dof)[:, curve.subharmonic - 1 :: curve.subharmonic]
     shown = harmonics[:, :highest].T
-    x = _factor(curve, in_hertz) * curve.values
+    x = parameter_axis(curve.parameter, in_hertz)[0] * curve.values
     colours = distinct_colours(len(shown))
     for order, (values, colour) in enumerate(zip(shown, colours, strict=True), 1):
         panel.plot(x, values, color=colour, lw=1.2, label=f"harmonic {order}")
@@ -297,7 +291,7 @@ def draw_multipliers(
     if curve.multipliers is None:
         raise InputError("stability", False, "True when the curve is followed")
     [panel] = picture = Picture(**where)
-    x, found = _factor(curve, in_hertz) * curve.values, curve.multipliers
+    x, found = parameter_axis(curve.parameter, in_hertz)[0] * curve.values, curve.multipliers
     sizes, open_ = np.abs(found), curve.verdicts == "undecided"
     pair = np.abs(found.imag) > 1e-9 * sizes
     where = np.select([pair, found.real > 0.0], ["pair", "+1"], "-1")

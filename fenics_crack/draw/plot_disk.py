@@ -6,7 +6,6 @@ from typing import Unpack
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
@@ -14,6 +13,7 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.tables import RPM, TURN, quantity, readable
 from fenics_crack.curves.curve import ResponseCurve, parameter_axis
 from fenics_crack.draw.figure import COLOURS, Picture, Where, label_axis, tenth
+from fenics_crack.draw.plot_mesh import draw_moved
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.wheel import excited_diameter
 from fenics_crack.study.bladed_disk import Amplification, NodalDiameters, wheel_of
@@ -60,17 +60,7 @@ def draw_wheel(solution: PeriodicSolution, **where: Unpack[Where]) -> Figure:
     [panel] = picture = Picture(size=(6.4, 6.0), comm=wheel.comm, **where)
     factor, unit = readable(float(amplitude.max()), "m")
     drawn = 0.5 * tenth(largest, mesh.size) * largest
-    if mesh.dimension == 2:
-        points = mesh.points + drawn
-        shown = panel.tripcolor(
-            *points.T, mesh.triangles, factor * amplitude, shading="gouraud", cmap="viridis"
-        )
-        panel.add_collection(LineCollection(points[mesh.boundary], colors="black", linewidths=0.7))
-        panel.autoscale_view()
-        panel.set_aspect("equal")
-    else:
-        shown = _solid(panel, mesh, drawn, factor * amplitude)
-    panel.axis("off")
+    shown = draw_moved(panel, mesh, drawn, factor * amplitude, of_wheel=True)
     panel.figure.colorbar(shown, ax=panel, label=f"amplitude [{unit}]", shrink=0.7)
     if mesh.dimension == 2:
         _number_blades(panel, solution)
@@ -91,22 +81,6 @@ def _number_blades(panel: Axes, solution: PeriodicSolution) -> None:
         weight = "bold" if place in wheel.cracked else "normal"
         panel.text(*at, str(place + 1), color=colour, weight=weight, ha="center", va="center")
         panel.update_datalim([at])
-
-
-def _solid(panel: Axes, mesh: NodalMesh, drawn: np.ndarray, amplitude: np.ndarray) -> object:
-    """The surface of a solid, seen from a corner; what the scale of its colours is of."""
-    from fenics_crack.draw import vtk
-
-    plotter = vtk.off_screen_plotter()
-    surface = vtk.surface(mesh.points + drawn, mesh.boundary_facets)
-    surface["amplitude"] = amplitude
-    plotter.add_mesh(surface, scalars="amplitude", cmap="viridis", show_scalar_bar=False)
-    edges = vtk.lines(mesh.points + drawn, vtk.outline(mesh))
-    plotter.add_mesh(edges, color="black", line_width=2)
-    panel.imshow(vtk.image_of(plotter, mesh.points), interpolation="antialiased")
-    scale = panel.scatter([], [], c=[], cmap="viridis")
-    scale.set_clim(0.0, float(amplitude.max()))
-    return scale
 
 
 def draw_blades(
@@ -194,10 +168,9 @@ def draw_nodal_diameters(
     diameters = np.arange(len(shown))
     for (family, row), colour in zip(enumerate(shown.T, 1), [*COLOURS.values()] * 99, strict=False):
         panel.plot(diameters, row, ".-", color=colour, ms=7, lw=0.8, label=f"family {family}")
-    panel.plot(
-        np.full(shown.shape[1], found.excited), shown[found.excited], "o", color="black",
-        mfc="none", ms=10, label=f"excited by order {found.order}",
-    )  # fmt: skip
+    look = {"color": "black", "mfc": "none", "label": f"excited by order {found.order}"}
+    excited = shown[found.excited]
+    panel.plot(np.full(len(excited), found.excited), excited, "o", ms=10, **look)
     top = 1.08 * float(shown.max())
     if found.speed > 0.0:
         hertz = found.speed / TURN
@@ -232,9 +205,8 @@ def draw_amplification(found: Amplification, **where: Unpack[Where]) -> Figure:
     """
     [panel] = picture = Picture(**where)
     count = len(found.factor)
-    weights = np.full(count, 100.0 / count)
-    bins = max(8, int(np.sqrt(count)))
-    panel.hist(found.factor, bins, weights=weights, color=COLOURS["blue"], alpha=0.6)
+    look = {"weights": np.full(count, 100.0 / count), "color": COLOURS["blue"], "alpha": 0.6}
+    panel.hist(found.factor, max(8, int(np.sqrt(count))), **look)
     panel.set(xlabel="amplification factor", ylabel=f"share of {count} patterns [%]")
     panel.axvline(found.bound, color=COLOURS["pink"], ls="--", label="Whitehead's bound")
     percentile = found.percentile(95.0)

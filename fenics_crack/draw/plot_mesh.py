@@ -4,12 +4,13 @@ surface, seen from a corner, into an image."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Unpack
+from typing import Any, Unpack
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
-from matplotlib.colors import to_rgb
+from matplotlib.colors import Normalize, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
@@ -151,29 +152,49 @@ def draw_modes(
     picture = Picture(len(numbers), columns=columns, size=size, comm=comm, **where)
     shapes = mesh.field(modes.structure.expand(modes.shapes.T))
     for panel, number in zip(picture, numbers, strict=True):
-        _mode_shape(panel, mesh, shapes[number - 1])
+        shape = shapes[number - 1]
+        draw_moved(panel, mesh, tenth(shape, mesh.size) * shape, np.linalg.norm(shape, axis=1))
         panel.set_title(f"mode {number}: {modes.omega[number - 1] / (2.0 * np.pi):.1f} Hz")
     return picture.saved()
 
 
-def _mode_shape(axes: Axes, mesh: NodalMesh, shape: np.ndarray) -> None:
-    """Draw a displacement (n_nodes, d), magnified and coloured by its length."""
-    amplitude = np.linalg.norm(shape, axis=1)
-    drawn = tenth(shape, mesh.size) * shape
-    if mesh.dimension == 3:
-        _solid_shape(axes, mesh, drawn)
-        return
-    moved = mesh.points + drawn
-    axes.tripcolor(*moved.T, mesh.triangles, amplitude, shading="gouraud", cmap="viridis")
-    for edges, points, colour, width in (
-        (mesh.edges, moved, "#777777", 0.3),
-        (mesh.boundary, mesh.points, COLOURS["grey"], 0.6),
-        (mesh.boundary, moved, "black", 1.2),
-    ):
-        axes.add_collection(LineCollection(points[edges], colors=colour, linewidths=width))
-    axes.autoscale_view()
-    axes.set_aspect("equal")
+def draw_moved(
+    axes: Axes,
+    mesh: NodalMesh,
+    displacement: np.ndarray,
+    values: np.ndarray,
+    *,
+    of_wheel: bool = False,
+) -> Any:
+    """Draw a mesh moved by a displacement (n_nodes, d), as large as it is to be drawn, coloured by
+    values (n_nodes,), with its edges and, but of a wheel, at rest; what the scale of the colours
+    is of."""
+    moved = mesh.points + displacement
+    if mesh.dimension == 2:
+        drawn = axes.tripcolor(*moved.T, mesh.triangles, values, shading="gouraud", cmap="viridis")
+        edges = [(mesh.boundary, moved, "black", 0.7 if of_wheel else 1.2)]
+        if not of_wheel:
+            edges.insert(0, (mesh.boundary, mesh.points, COLOURS["grey"], 0.6))
+            edges.insert(0, (mesh.edges, moved, "#777777", 0.3))
+        for ends, points, colour, width in edges:
+            axes.add_collection(LineCollection(points[ends], colors=colour, linewidths=width))
+        axes.autoscale_view()
+        axes.set_aspect("equal")
+    else:
+        from fenics_crack.draw import vtk
+
+        plotter = vtk.off_screen_plotter()
+        surface = vtk.surface(moved, mesh.boundary_facets)
+        surface["amplitude"] = values
+        plotter.add_mesh(surface, scalars="amplitude", cmap="viridis", show_scalar_bar=False)
+        outline = vtk.outline(mesh)
+        plotter.add_mesh(vtk.lines(moved, outline), color="black", line_width=2)
+        if not of_wheel:
+            plotter.add_mesh(vtk.lines(mesh.points, outline), color="#8a8a8a", line_width=2)
+        axes.imshow(vtk.image_of(plotter, mesh.points), interpolation="antialiased")
+        drawn = ScalarMappable(Normalize(0.0, float(values.max())), "viridis")
     axes.axis("off")
+    return drawn
 
 
 # --- of solids ------------------------------------------------------------------------------------
@@ -196,19 +217,16 @@ def _solid(picture: Picture, mesh: NodalMesh, load: np.ndarray) -> None:
         (facets[is_lip], "orange", "crack faces"),
     ):
         if len(rows):
-            plotter.add_mesh(
-                vtk.surface(points, rows), color=to_rgb(COLOURS[colour]), lighting=False
-            )
+            faces = vtk.surface(points, rows)
+            plotter.add_mesh(faces, color=to_rgb(COLOURS[colour]), lighting=False)
             handles.append(Patch(color=COLOURS[colour], label=label))
     for part in load:
         total, share = part.sum(axis=0), np.abs(part).sum(axis=1)
         if np.linalg.norm(total) > 0.0:
             place = share @ points / share.sum()
-            length = 0.2 * mesh.size
+            length, thick = 0.2 * mesh.size, {"shaft_radius": 0.03, "tip_radius": 0.08}
             start = place - length * total / np.linalg.norm(total)
-            arrow = vtk.pyvista().Arrow(
-                start=start, direction=total, scale=length, shaft_radius=0.03, tip_radius=0.08
-            )
+            arrow = vtk.pyvista().Arrow(start=start, direction=total, scale=length, **thick)
             plotter.add_mesh(arrow, color=to_rgb(COLOURS["pink"]), lighting=False)
     if np.any(load):
         handles.append(Patch(color=COLOURS["pink"], label="load"))
@@ -217,20 +235,3 @@ def _solid(picture: Picture, mesh: NodalMesh, load: np.ndarray) -> None:
     axes.axis("off")
     if handles and picture.legend:
         axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncol=3)
-
-
-def _solid_shape(axes: Axes, mesh: NodalMesh, displacement: np.ndarray) -> None:
-    """A displacement (n_nodes, 3), as large as it is to be drawn, coloured by its length, and the
-    solid at rest."""
-    from fenics_crack.draw import vtk
-
-    plotter = vtk.off_screen_plotter()
-    facets = mesh.boundary_facets
-    moved = vtk.surface(mesh.points + displacement, facets)
-    moved["amplitude"] = np.linalg.norm(displacement, axis=1)
-    plotter.add_mesh(moved, scalars="amplitude", cmap="viridis", show_scalar_bar=False)
-    edges = vtk.outline(mesh)
-    plotter.add_mesh(vtk.lines(mesh.points + displacement, edges), color="black", line_width=2)
-    plotter.add_mesh(vtk.lines(mesh.points, edges), color="#8a8a8a", line_width=2)
-    axes.imshow(vtk.image_of(plotter, mesh.points), interpolation="antialiased")
-    axes.axis("off")

@@ -98,25 +98,23 @@ def draw_posterior(
     [y] = others
     first, second = (found.unknown.index(key) for key in (x, y))
     posterior = found.posterior
-    grids = {}
-    for name, branch in posterior.branches.items():
-        grids[name] = branch.axes[first], branch.axes[second], *posterior.pair(name, first, second)
+    grids = {
+        name: (branch.axes[first], branch.axes[second], *posterior.pair(name, first, second))
+        for name, branch in posterior.branches.items()
+    }
     levels = _levels(list(grids.values()))
     within = [np.array([[found.estimate[x], found.estimate[y]]])]
-    for (name, (right, up, _, density)), colour in zip(
-        grids.items(), distinct_colours(len(grids)), strict=True
-    ):
-        shown = _log(density.T)
+    colours = distinct_colours(len(grids))
+    for (name, (right, up, _, density)), colour in zip(grids.items(), colours, strict=True):
+        at, shown = (right, up), _log(density.T)
         if shown.max() <= levels[0]:
             continue
-        look: dict[str, Any] = {"colors": colour}
-        panel.contour(
-            right, up, shown, levels=levels, linewidths=[0.6, 1.2, 1.8], linestyles="solid", **look
-        )
+        look: dict[str, Any] = {"linewidths": [0.6, 1.2, 1.8], "linestyles": "solid"}
+        panel.contour(*at, shown, levels=levels, colors=colour, **look)
         for level in levels:
-            panel.contourf(right, up, shown, levels=[level, np.inf], alpha=0.2, **look)
+            panel.contourf(*at, shown, levels=[level, np.inf], alpha=0.2, colors=colour)
         label = f"50, 95 and 99.9 %{', ' if name else ''}{name}"
-        panel.plot([], [], color=look["colors"], lw=1.8, label=label)
+        panel.plot([], [], color=colour, lw=1.8, label=label)
         across, upwards = np.nonzero(shown.T > levels[0])
         within.append(np.column_stack([right[across], up[upwards]]))
     look = {"color": "black", "ms": 10, "mew": 1.5, "clip_on": False, "label": "estimate"}
@@ -139,13 +137,13 @@ def _draw_density(panel: Axes, found: Identification, x: str) -> None:
         values = np.unique([*branch.axes[place], low, high])
         lines[name] = values, np.interp(values, branch.axes[place], density)
     most = max(density.max() for _, density in lines.values())
-    for (name, (values, density)), colour in zip(
-        lines.items(), distinct_colours(len(lines)), strict=True
-    ):
+    colours = distinct_colours(len(lines))
+    for (name, (values, density)), colour in zip(lines.items(), colours, strict=True):
         panel.plot(values, density / most, color=colour, label=name or "probability")
-        within = (values >= low) & (values <= high)
-        look: dict[str, Any] = {"color": colour, "alpha": 0.2, "lw": 0.0}
-        panel.fill_between(values[within], density[within] / most, **look, label="95 %")
+        within, look = (values >= low) & (values <= high), {"alpha": 0.2, "lw": 0.0}
+        panel.fill_between(
+            values[within], density[within] / most, color=colour, **look, label="95 %"
+        )
     panel.axvline(found.estimate[x], color="black", ls="--", label="estimate")
     panel.set_ylim(bottom=0.0)
     label_axis(panel.xaxis, key_in_words(x), unit_of(x))
@@ -230,18 +228,16 @@ def _draw_orders(panel: Axes, found: Verification, cause: str, looks: Looks) -> 
     panel.set_xticks([], minor=True)
     label_axis(panel.yaxis, "difference from the extrapolated value", "%")
     own = found.counts[cause][0]
-    text = f"{own} {cause} of the scene over their number"
-    if cause == "mesh":
-        text = f"element size over that of the scene ({own} elements)"
-    panel.set_xlabel(text)
+    by_size = f"element size over that of the scene ({own} elements)"
+    by_number = f"{own} {cause} of the scene over their number"
+    panel.set_xlabel(by_size if cause == "mesh" else by_number)
 
 
 def _looks(found: Verification, cause: str) -> Looks:
     """Return the looks of the lines, by the names of the quantities that are extrapolated."""
-    parts = found.parts[cause]
     drawn = [
         name
-        for name, part in parts.items()
+        for name, part in found.parts[cause].items()
         if part.is_asymptotic and found.values[name] and part.extrapolated not in part.values
     ]
     every = zip(drawn, product(MARKER_SHAPES, COLOURS.values()), strict=False)
@@ -330,25 +326,19 @@ def draw_growth(found: Growth, *, in_hertz: bool = False, **where: Unpack[Where]
     picture = Picture(3, size=size, sharex=True, **where)
     length, frequency, strength = picture.panels
     at = np.interp(solved, found.length, found.cycles)
-    length.plot(found.cycles, found.length, color=COLOURS["blue"], label="crack")
-    length.plot(at, solved, "o", color=COLOURS["blue"], ms=4.0, label="solved")
     factor, _, unit = frequency_axis(in_hertz)
     lines = {
-        "load": (found.omega, "black", "-"),
-        "natural, breathing crack": (found.omega_bilinear, COLOURS["orange"], "-"),
-        "natural, open crack": (found.omega_open, COLOURS["green"], "--"),
+        "crack": (length, found.length, "blue", "-"),
+        "load": (frequency, factor * found.omega, "black", "-"),
+        "natural, breathing crack": (frequency, factor * found.omega_bilinear, "orange", "-"),
+        "natural, open crack": (frequency, factor * found.omega_open, "green", "--"),
+        r"effective range of $K_\mathrm{I}$": (strength, found.effective, "blue", "-"),
+        r"$K_\mathrm{max}$": (strength, found.largest, "pink", ":"),
     }
-    for label, (omega, colour, style) in lines.items():
-        frequency.plot(found.cycles, factor * omega, color=colour, ls=style, label=label)
-    strength.plot(
-        found.cycles,
-        found.effective,
-        color=COLOURS["blue"],
-        label=r"effective range of $K_\mathrm{I}$",
-    )
-    strength.plot(
-        found.cycles, found.largest, color=COLOURS["pink"], ls=":", label=r"$K_\mathrm{max}$"
-    )
+    for label, (panel, values, colour, style) in lines.items():
+        look = {"color": COLOURS.get(colour, colour), "ls": style}
+        panel.plot(found.cycles, values, label=label, **look)
+    length.plot(at, solved, "o", color=COLOURS["blue"], ms=4.0, label="solved")
     there = np.interp(solved, found.length, found.effective)
     strength.plot(at, there, "o", color=COLOURS["blue"], ms=4.0)
     if found.effective.max() > 0.0:
@@ -441,14 +431,15 @@ def _draw_order(
     ends = np.array(span)
     panel.plot(ends, slope * ends, color=COLOURS["grey"], lw=0.8, ls="--", alpha=0.7)
     if slope * span[1] <= top:
-        place, align = (span[1], slope * span[1]), {"ha": "left", "va": "center"}
+        _write_order(panel, order, (span[1], slope * span[1]), (3, 0), ha="left", va="center")
     else:
-        place, align = (top / slope, top), {"ha": "center", "va": "bottom"}
-    moved = {"xytext": (3, 0) if align["ha"] == "left" else (0, 2)}
-    panel.annotate(
-        str(order), place, textcoords="offset points", fontsize=8, color=COLOURS["grey"],
-        annotation_clip=False, **moved, **align,
-    )  # fmt: skip
+        _write_order(panel, order, (top / slope, top), (0, 2), ha="center", va="bottom")
+
+
+def _write_order(panel: Any, order: float, place: Any, by: tuple[int, int], **look: Any) -> None:
+    """Write an engine order beside a place, also outside of the panel."""
+    look |= {"textcoords": "offset points", "fontsize": 8, "color": COLOURS["grey"]}
+    panel.annotate(f"{order:g}", place, xytext=by, annotation_clip=False, **look)
 
 
 def draw_arrivals(
@@ -528,10 +519,8 @@ def draw_tip_fit(fit: TipFit, arrivals: ArrivalTimes, **where: Unpack[Where]) ->
     wave = fit.displacement(2.0 * np.pi * turns / fit.order)
     seen = np.isfinite(arrivals.time)
     phase = (fit.order * fit.phases(arrivals)[seen] / (2.0 * np.pi)) % loads
-    upper.plot(
-        phase, arrivals.displacement[seen], "o", color=COLOURS["blue"], ms=3.5, mew=0, alpha=0.4,
-        label="arrivals",
-    )  # fmt: skip
+    look: dict[str, Any] = {"color": COLOURS["blue"], "ms": 3.5, "mew": 0, "alpha": 0.4}
+    upper.plot(phase, arrivals.displacement[seen], "o", **look, label="arrivals")
     label = f"fit, order {fit.order:.6g}"
     upper.plot(turns, wave, color=COLOURS["orange"], lw=1.6, label=label)
     upper.set_xlabel("time / load period")
@@ -651,18 +640,15 @@ def draw_passages(
     """
     upper, lower = picture = Picture(2, size=(7.0, 7.0), **where)
     _draw_displacements(upper, arrivals, in_rpm=True)
+    upper_edge = "data", "axes fraction"
     for number, fit in enumerate(passages):
         label = "_" * bool(number) + "resonance, with its engine order"
         look: dict[str, Any] = {"color": COLOURS["grey"], "lw": 0.7, "ls": "--", "zorder": 0}
         upper.axvline(fit.speed / RPM, **look, label=label)
-        upper.annotate(
-            f"{fit.order:g}", (fit.speed / RPM, 1.0), xycoords=("data", "axes fraction"),
-            textcoords="offset points", xytext=(0, 2 + 9 * (number % 2)), ha="center", fontsize=8,
-            color=COLOURS["grey"], annotation_clip=False,
-        )  # fmt: skip
+        place, above = (fit.speed / RPM, 1.0), (0, 2 + 9 * (number % 2))
+        _write_order(upper, fit.order, place, above, ha="center", xycoords=upper_edge)
     if passages:
-        fit = passages[0]
-        _draw_passage(lower, fit, arrivals)
+        _draw_passage(lower, passages[0], arrivals)
     else:
         lower.set_axis_off()
     return picture.finished()

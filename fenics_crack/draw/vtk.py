@@ -109,9 +109,8 @@ def outline(mesh: NodalMesh) -> np.ndarray:
     """Edges at which the surface of a solid at rest bends: (n, 2) nodes."""
     whole = surface(mesh.points, mesh.boundary_facets)
     whole["node"] = np.arange(len(mesh.points))
-    edges = whole.extract_feature_edges(
-        feature_angle=25.0, boundary_edges=False, non_manifold_edges=False, manifold_edges=False
-    )
+    others = dict.fromkeys(("boundary_edges", "non_manifold_edges", "manifold_edges"), False)
+    edges = whole.extract_feature_edges(feature_angle=25.0, **others)
     return np.asarray(edges["node"])[edges.lines.reshape(-1, 3)[:, 1:]]
 
 
@@ -223,9 +222,8 @@ def stress_at(
     mesh, places = NodalMesh(structure), numbers(points)
     fits = places.ndim == 2 and places.shape[1] == mesh.dimension
     if not (fits and places.size and np.all(np.isfinite(places))):
-        raise InputError(
-            "points", points, f"one or more rows of {mesh.dimension} finite numbers [m]"
-        )
+        allowed = f"one or more rows of {mesh.dimension} finite numbers [m]"
+        raise InputError("points", points, allowed)
     if isinstance(found, TimeHistory):
         time = found.time
         if len(found.recorded_dofs) < structure.n_local:
@@ -465,11 +463,9 @@ def write_period(
     def write() -> None:
         check_inner(target.with_name(target.stem))
         names = [f"{target.stem}/frame_{frame:04d}.vtu" for frame in range(len(fields.time))]
-        entries = [
-            f'    <DataSet timestep="{instant:.12g}" file={quoteattr(name)}/>'
-            for instant, name in zip(fields.time, names, strict=True)
-        ]
-        lines = ['<VTKFile type="Collection" version="0.1">', "  <Collection>", *entries]
+        lines = ['<VTKFile type="Collection" version="0.1">', "  <Collection>"]
+        for instant, name in zip(fields.time, names, strict=True):
+            lines.append(f'    <DataSet timestep="{instant:.12g}" file={quoteattr(name)}/>')
         series = "\n".join([*lines, "  </Collection>", "</VTKFile>", ""])
         field, unit = fields.colour
         script = target.with_name(f"{target.stem}_paraview.py")

@@ -32,7 +32,7 @@ around the corners between blade and rim: all of it scales with ``mesh.size``.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -144,15 +144,11 @@ def _check_cells(scene: Scene, key: str, cells: float, per_cell: int, shortest: 
     factor = factor_memory(dofs, solid=scene.dimension == 3)
     assembled = 1500.0 * dofs  # bytes of mesh and matrices
     needed, machine = max(assembled, factor), machine_memory()
-    reason = ""
-    if cells > most:
-        reason = f"{cells:.2g} are more than {most:.0e}"
-    elif needed > machine:
-        reason = (
-            f"to solve {cells:.2g} takes about {needed / 2**30:.0f} GiB of this machine's "
-            f"{machine / 2**30:.3g}"
-        )
-    if reason:
+    reason = f"{cells:.2g} are more than {most:.0e}"
+    if cells <= most:
+        sizes = f"{needed / 2**30:.0f} GiB of this machine's {machine / 2**30:.3g}"
+        reason = f"to solve {cells:.2g} takes about {sizes}"
+    if cells > most or needed > machine:
         allowed = f"so that there are fewer cells{shortest}: {reason}"
         raise InputError(f"mesh.{key}", getattr(scene.mesh, key), allowed)
 
@@ -199,13 +195,8 @@ def _graded_plate(
     halves: list[_Half] = []
     fine: list[tuple[float, float]] = []
     for (left, right), level in zip(spans, levels, strict=True):
-        if left == 0.0:
-            own = [_half(scene, left, right)]
-        elif right == width:
-            own = [_half(scene, right, left)]
-        else:
-            middle = 0.5 * (left + right)
-            own = [_half(scene, middle, left), _half(scene, middle, right)]
+        mouth = left if left == 0.0 else right if right == width else 0.5 * (left + right)
+        own = [_half(scene, mouth, tip) for tip in (left, right) if tip != mouth]
         fine.append((level, min(half.tip_size for half in own)))
         halves += own
     tips = [(half.tip, half.tip_size) for half in halves]
@@ -381,19 +372,14 @@ def _draw_blocks(scene: Scene) -> dict[str, tuple[int, ...]]:
     _divide(scene, surfaces)
 
     left, right = ([vertical[i, j] for j in range(len(rows))] for i in (0, len(columns)))
+    single, point = [at for at in points if at not in doubled], scene.excitation.point
+    loaded = [points[i, j] for i, j in single if (xs[i], ys[j]) == point]
     groups: dict[str, tuple[int, list[int]]] = {
         "plate": (2, surfaces),
         **sides,
         "lower_lip": (1, [horizontal[place] for place in upper]),
         "upper_lip": (1, list(upper.values())),
-        "load": (
-            0,
-            [
-                tag
-                for (i, j), tag in points.items()
-                if (xs[i], ys[j]) == scene.excitation.point and (i, j) not in doubled
-            ],
-        ),
+        "load": (0, loaded),
         "left": (1, left),
         "right": (1, right),
         "top": (1, [horizontal[i, len(rows)] for i in range(len(columns))]),
@@ -426,11 +412,11 @@ def _divide(scene: Scene, surfaces: list[int]) -> None:
     gmsh.model.geo.synchronize()
 
 
-def _curve(start: int, end: int, division: Interval) -> int:
-    return _divided(gmsh.model.geo.addLine(start, end), division)
-
-
-def _divided(curve: int, division: Interval) -> int:
+def _curve(start: int, end: int, division: Interval, center: int | None = None) -> int:
+    """A line, or an arc around a center, divided into elements."""
+    geo = gmsh.model.geo
+    points = (start, end) if center is None else (start, center, end)
+    curve: int = (geo.addLine if center is None else geo.addCircleArc)(*points)
     if division.count:  # else elements have lengths by :func:`_mesh_graded`
         nodes, ratio = division.count + 1, division.progression
         gmsh.model.geo.mesh.setTransfiniteCurve(curve, nodes, "Progression", ratio)
@@ -558,23 +544,15 @@ class Rim:
         parts = [beside, *columns, beside]
         radial = [_curve(one, other, deep) for one, other in zip(low, top, strict=True)]
         inside = [
-            _arc(one, other, center, part)
-            for (one, other), part in zip(pairwise(low), parts, strict=True)
+            _curve(*ends, part, center) for ends, part in zip(pairwise(low), parts, strict=True)
         ]
-        outside = [
-            _arc(top[0], top[1], center, beside),
-            *below,
-            _arc(top[-2], top[-1], center, beside),
-        ]
+        outside = [_curve(a, b, beside, center) for a, b in (top[:2], top[-2:])]
+        outside[1:1] = below
         for place in range(len(parts)):
             loop = [inside[place], radial[place + 1], -outside[place], -radial[place]]
             surfaces.append(geo.addPlaneSurface([geo.addCurveLoop(loop)]))
         left, right = RIM_SIDES
         return {"clamp": (1, inside), left: (1, radial[:1]), right: (1, radial[-1:])}
-
-
-def _arc(start: int, end: int, center: int, division: Interval) -> int:
-    return _divided(gmsh.model.geo.addCircleArc(start, center, end), division)
 
 
 # --- a box ----------------------------------------------------------------------------------------
@@ -700,9 +678,8 @@ def _face(crack: Crack, width: float, thickness: float) -> list[tuple[int, int]]
     occ, middle, half = gmsh.model.occ, *_ellipse(crack, width)
     depth = crack.depth or 2.0 * thickness
     if crack.front == "elliptical":
-        turned = depth > half
         face = [(2, occ.addDisk(0.0, 0.0, 0.0, max(half, depth), min(half, depth)))]
-        if turned:
+        if depth > half:
             occ.rotate(face, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.5 * math.pi)
     else:
         face = [(2, occ.addRectangle(-half, -depth, 0.0, 2.0 * half, 2.0 * depth))]
@@ -733,8 +710,7 @@ class _Grading:
 
     def compiled(self) -> Struct:
         """As the kernel takes it (``length_at``)."""
-        members = {field.name: getattr(self, field.name) for field in fields(self)}
-        return Struct("grading", count=len(self.along), **members)
+        return Struct("grading", count=len(self.along), **vars(self))
 
     def cells(self, size: float) -> float:
         """Return the number of cells around the front, in the tube in which they are shorter than a

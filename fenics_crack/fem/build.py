@@ -168,16 +168,13 @@ def _matched(
         distance, partner = cKDTree(upper[:, 2:]).query(lower[:, 2:])
         matching = distance.max() <= SAME * size and len(np.unique(partner)) == len(partner)
         place = ", ".join(f"{x:g}" for x in lower[int(np.argmax(distance)), 2:])
-        reason = (
-            f"the upper node nearest to the lower one at ({place}) is {distance.max():.2g} m away"
-        )
+        reason = f"the upper node nearest to the lower one at ({place})"
+        reason += f" is {distance.max():.2g} m away"
     if not matching:
         found = f"{len(lower)} lower and {len(upper)} upper nodes"
         how = "in a mesh file one curve or surface named 'crack' is split into two that do"
-        allowed = (
-            f"meshed identically, so that nodes of the two faces pair one to one, but {reason}"
-        )
-        raise InputError("lips", found, f"{allowed}; {how}")
+        allowed = "meshed identically, so that nodes of the two faces pair one to one"
+        raise InputError("lips", found, f"{allowed}, but {reason}; {how}")
     return lower, upper[partner], cracks, positions
 
 
@@ -226,10 +223,8 @@ def _assembled(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
     begin("matrices")
     if not plate.cracked and scene.mesh.layout == "file" and (scene.contact or scene.all_cracks):
         named = "curves" if scene.dimension == 2 else "surfaces"
-        allowed = (
-            f"a mesh with {named} named 'crack', or 'lower_lip' and 'upper_lip', as the scene has "
-            "contact"
-        )
+        allowed = f"a mesh with {named} named 'crack', or 'lower_lip' and 'upper_lip'"
+        allowed += ", as the scene has contact"
         raise InputError("mesh.file", scene.mesh.file, allowed)
     space = compat.function_space(plate.mesh, scene.mesh.order)
     dofs = Dofs(plate, space, comm)

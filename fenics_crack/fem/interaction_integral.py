@@ -31,7 +31,7 @@ from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.fem import compat
 from fenics_crack.fem.compat import dolfinx, ufl
 from fenics_crack.fem.elasticity import constants, stress
-from fenics_crack.fem.lips import Lip
+from fenics_crack.fem.lips import LIP_TAGS, Lip
 from fenics_crack.fem.plate import Dofs
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
@@ -80,12 +80,10 @@ def find_tips(dofs: Dofs) -> list[Tip]:
     for crack, lip in enumerate(lips):
         assert isinstance(lip, Lip)
         several = f" of crack {crack + 1}" if len(lips) > 1 else ""
-        ends = [("crack tip", lip.points, lip.position[-1])]
+        whole = float(lip.position[-1])
+        ends = [("crack tip" if lip.has_mouth else "right crack tip", lip.points, whole)]
         if not lip.has_mouth:
-            ends = [
-                ("right crack tip", lip.points, lip.position[-1]),
-                ("left crack tip", lip.points[::-1], 0.0),
-            ]
+            ends.append(("left crack tip", lip.points[::-1], 0.0))
         for name, points, position in ends:
             tip = points[-1]
             steps = tip - points[:-1]
@@ -94,9 +92,7 @@ def find_tips(dofs: Dofs) -> list[Tip]:
             straight = np.linalg.norm(steps[np.flatnonzero(off).max(initial=-1) + 1 :][0])
             others = [other.locate(tip[None])[0][0] for other in lips if other is not lip]
             room = min(straight, np.linalg.norm(edge - tip, axis=1).min(), *others)
-            found.append(
-                Tip(f"the {name}{several}", crack, tip, ahead, float(position), DOMAIN * room)
-            )
+            found.append(Tip(f"the {name}{several}", crack, tip, ahead, position, DOMAIN * room))
     return found
 
 
@@ -106,7 +102,7 @@ def _outer_points(dofs: Dofs) -> np.ndarray:
     topology = plate.mesh.topology
     topology.create_connectivity(1, 2)
     facets = dolfinx.mesh.exterior_facet_indices(topology)
-    lips = np.concatenate([plate.facets(name) for name in ("lower_lip", "upper_lip")])
+    lips = np.concatenate([plate.facets(name) for name in LIP_TAGS])
     outer = np.setdiff1d(facets, lips).astype(np.int32)
     nodes = dolfinx.fem.locate_dofs_topological(dofs.space, 1, outer)
     return dofs.points[nodes[nodes < dofs.n_nodes]]
@@ -170,8 +166,8 @@ def _sides(dofs: Dofs) -> np.ndarray:
     """Outward normals of the crack faces at this rank's nodes (n_nodes, 2), zero away from the
     crack faces."""
     normal, test = ufl.FacetNormal(dofs.plate.mesh), ufl.TestFunction(dofs.space)
-    lips = dofs.plate.along("lower_lip", "upper_lip")
-    return compat.assembled_vector(ufl.inner(normal, test) * lips).reshape(-1, 2)
+    work = ufl.inner(normal, test) * dofs.plate.along(*LIP_TAGS)
+    return compat.assembled_vector(work).reshape(-1, 2)
 
 
 def _singular(r: Any, c: Any, s: Any, kappa: float, kind: Any) -> tuple[Any, Any]:

@@ -69,14 +69,13 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
         if load.point is not None:
             forces, at = load.parts("force"), _share_at(scene, dofs, f"{key}.point", load.point)
             own = _point_force(dofs, f"{key}.point", load.point, at, forces)
-            force[: len(own)] += own
             if watched is None and any(map(any, forces)):
                 watched = _at_nodes(dofs, at, _unit(forces))[dofs.free]
         else:
             own = _edge_force(scene, dofs, key, load)
-            force[: len(own)] += own
             if watched is None and np.any(gather_rows(dofs.comm, own.ravel())):
                 watched = _middle_of(dofs, str(load.edge), own)
+        force[: len(own)] += own
     if scene.base is not None:
         if watched is None:
             middle = gather_rows(dofs.comm, dofs.points[dofs.nodes_on("clamp")]).mean(axis=0)
@@ -160,8 +159,16 @@ def _point_force(
 ) -> np.ndarray:
     """Forces at a point as consistent nodal forces: (len(parts), n_dofs)."""
     force = np.array([_at_nodes(dofs, share, part) for part in parts])
-    if any(map(any, parts)) and not np.any(gather_rows(dofs.comm, force[:, dofs.free].ravel())):
-        raise InputError(key, tuple(point), "where the plate is free to move")
+    return _moving(dofs, key, tuple(point), force)
+
+
+def _moving(dofs: Dofs, key: str, place: object, force: np.ndarray) -> np.ndarray:
+    """Forces (2K+1, n_dofs) of a load; InputError where all of them act on what is clamped."""
+    loaded, moving = (
+        np.any(gather_rows(dofs.comm, part.ravel())) for part in (force, force[:, dofs.free])
+    )
+    if loaded and not moving:
+        raise InputError(key, place, "where the plate is free to move")
     return force
 
 
@@ -189,21 +196,14 @@ def _edge_force(scene: Scene, dofs: Dofs, key: str, load: Load) -> np.ndarray:
     normal = ufl.FacetNormal(dofs.space.mesh)
     pressed = -compat.assembled_vector(t * ufl.inner(normal, test) * edge)
     force += np.array([sum(part) * pressed for part in load.parts("pressure")])
-    parts = force, force[:, dofs.free]
-    loaded, moving = (np.any(gather_rows(dofs.comm, part.ravel())) for part in parts)
-    if loaded and not moving:
-        raise InputError(f"{key}.edge", load.edge, "where the plate is free to move")
-    return force
+    return _moving(dofs, f"{key}.edge", load.edge, force)
 
 
 def _middle_of(dofs: Dofs, edge: str, force: np.ndarray) -> np.ndarray:
     """1 at the dof, in the direction of most of the load, of the node of an edge that is nearest
     to its middle: (n_local,)."""
-    by_dof = np.zeros_like(force)
-    by_dof[:, dofs.free] = force[:, dofs.free]
-    sums = np.abs(
-        dofs.comm.allgather(by_dof.reshape(len(force), -1, dofs.dimension).sum(axis=1))
-    ).sum(axis=(0, 1))
+    by_node = np.where(dofs.numbers < 0, 0.0, force).reshape(len(force), -1, dofs.dimension)
+    sums = np.abs(dofs.comm.allgather(by_node.sum(axis=1))).sum(axis=(0, 1))
     direction = tuple(np.eye(dofs.dimension)[int(np.argmax(sums))].tolist())
     nodes = dofs.nodes_on(edge)
     every = gather_rows(dofs.comm, dofs.points[nodes])
@@ -226,8 +226,7 @@ def clamp_of(dofs: Dofs, mass: Any, force: np.ndarray) -> Clamp:
 def rigid_motions(points: np.ndarray) -> np.ndarray:
     """Translations, and rotations about the origin by e x r, of points (n, d): (n_rigid, n d)."""
     dimension = points.shape[1]
-    placed = np.zeros((len(points), 3))
-    placed[:, :dimension] = points
+    placed = np.pad(points, ((0, 0), (0, 3 - dimension)))
     axes = np.eye(3)[2:] if dimension == 2 else np.eye(3)
     moved = [np.tile(axis, (len(points), 1)) for axis in np.eye(dimension)]
     moved += [np.cross(axis, placed)[:, :dimension] for axis in axes]

@@ -89,22 +89,22 @@ def _made(scene: Scene, table: Table, rule: DampingRule | None, comm: MPI.Comm) 
     parts: dict[str, Any] = {"gap": None, "damping": rule}
     parts |= {name: one.matrix for name, one in read.items()}
     rows, order = stiffness.shape[0], np.arange(stiffness.shape[0])
-    dofs, bounds = np.zeros((0, 3), dtype=int), None
+    pairs, nodes, labels = Pairs(), None, read["stiffness"].labels
     if model is not None:
-        order, dofs, bounds = _by_nodes(model, read["stiffness"].labels, table)
-    parts |= {name: column[order] for name, column in columns.items()}
-    pairs, nodes = Pairs(), None
-    if model is not None:
-        assert bounds is not None and read["stiffness"].labels is not None
+        if labels is None:
+            allowed = "given with structure.model: the file of each row's node and direction"
+            raise InputError("structure.dofs", None, allowed)
+        order, dofs, bounds = _by_nodes(model, labels, table)
         for name in read:
             parts[name] = parts[name][order][:, order]
         if scene.contact is not None and table.gap is None:
-            turns = bool(np.any(read["stiffness"].labels[:, 1] > 3))
+            turns = bool(np.any(labels[:, 1] > 3))
             parts["gap"], pairs = find_pairs(model, dofs, parts["stiffness"], turns=turns)
         start, stop = _own(bounds, comm)
         for name in read:
             parts[name] = distributed(parts[name][start:stop], comm)
         nodes = _nodes(model, dofs, start, stop, comm)
+    parts |= {name: column[order] for name, column in columns.items()}
     n_pairs = 0 if parts["gap"] is None else parts["gap"].shape[1]
     parts["clearance"] = _per_pair("clearance", table.clearance, n_pairs)
     if table.areas is not None:
@@ -159,13 +159,10 @@ def _read(table: Table) -> dict[str, LabelledMatrix]:
 
 
 def _by_nodes(
-    model: Model, labels: np.ndarray | None, table: Table
+    model: Model, labels: np.ndarray, table: Table
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rows in such an order that those of a node follow each other; then those of each node along
     x, y and z, (n_nodes, 3); and where each node begins, and the last one ends."""
-    if labels is None:
-        allowed = "given with structure.model: the file of each row's node and direction"
-        raise InputError("structure.dofs", None, allowed)
     _, first, node = np.unique(labels[:, 0], return_index=True, return_inverse=True)
     order = np.argsort(first[node], kind="stable")
     labels = labels[order]
@@ -212,9 +209,9 @@ def _nodes(model: Model, dofs: np.ndarray, start: int, stop: int, comm: MPI.Comm
 
 def _per_pair(name: str, given: float | str, pairs: int) -> Any:
     """Return one number for all pairs, or read from a file one for each."""
-    if not isinstance(given, str) or not pairs:
-        return 0.0 if isinstance(given, str) else given
-    return whole_rows(name, Path(given), pairs).toarray().ravel()
+    if not isinstance(given, str):
+        return given
+    return whole_rows(name, Path(given), pairs).toarray().ravel() if pairs else 0.0
 
 
 def count_pairs(table: Table) -> int:

@@ -166,12 +166,8 @@ def check_there(key: str, path: Path | str) -> None:
 def named_groups(found: dict[str, np.ndarray]) -> list[Group]:
     """Groups as :mod:`fenics_crack.fem.msh_reader` returns them."""
     parts = np.split(found["nodes"], np.cumsum(found["heads"][:, 3])[:-1])
-    return [
-        (dimension, tag, name, kind, nodes)
-        for (dimension, tag, kind, _), name, nodes in zip(
-            found["heads"].tolist(), found["names"].tolist(), parts, strict=False
-        )
-    ]
+    rows = zip(found["heads"].tolist(), found["names"].tolist(), parts, strict=False)
+    return [(dimension, tag, name, kind, own) for (dimension, tag, kind, _), name, own in rows]
 
 
 def _one_kind(
@@ -291,11 +287,8 @@ def _tags_of(
     for number, kind in enumerate(kinds):
         own = edges[np.sort(first[of_kind.ravel() == number])]
         sets.append((number + 1, " and ".join(names[kind]), own))
-    groups = {
-        name: tuple(int(tag) for tag in np.flatnonzero(column) + 1)
-        for name, column in zip(names.tolist(), kinds.T, strict=True)
-    }
-    return groups, sets
+    tags = [tuple((np.flatnonzero(column) + 1).tolist()) for column in kinds.T]
+    return dict(zip(curves, tags, strict=True)), sets
 
 
 def _filled(positions: np.ndarray, groups: list[Group]) -> None:

@@ -61,9 +61,8 @@ class NodalMesh:
 
     def in_frames(self, vectors: np.ndarray) -> np.ndarray:
         """Nodal vectors (m, n_nodes, d) in the frames of the nodes, in which the dofs are."""
-        if self._frames is None:
-            return vectors
-        return np.einsum("nji,mnj->mni", self._frames, vectors)
+        frames = self._frames
+        return vectors if frames is None else np.einsum("nji,mnj->mni", frames, vectors)
 
     @property
     def dimension(self) -> int:

@@ -15,7 +15,7 @@ from mpi4py import MPI
 from fenics_crack.basics.errors import InputError
 from fenics_crack.fem.blocks import RIM_SIDES
 from fenics_crack.fem.elasticity import rotation_of
-from fenics_crack.fem.lips import SAME
+from fenics_crack.fem.lips import LIP_TAGS, SAME
 from fenics_crack.fem.plate import Dofs
 from fenics_crack.model.cyclic import Inside, Sector
 from fenics_crack.model.modes import times
@@ -76,17 +76,12 @@ def _sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
             allowed = "a mesh of one sector whose sides are named 'left' and 'right'"
             raise InputError("mesh.file", f"without a side named {name!r}", allowed)
     left, right = (dofs.nodes_on(name) for name in names)
-    space = np.zeros((len(points), 3))
-    space[:, : points.shape[1]] = points
+    space = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
     angles = (2.0 * math.pi / disk.sectors, -2.0 * math.pi / disk.sectors)
     turns = [Rotation.from_rotvec(angle * axis).as_matrix() for angle in angles]
-    worst = []
-    for turn in turns:
-        moved = (space[left] - center) @ turn.T + center
-        worst.append(_matched(moved, space[right]))
-    (distance, place, partner), turn = min(
-        zip(worst, turns, strict=True), key=lambda found: found[0][0]
-    )
+    matched = [_matched((space[left] - center) @ turn.T + center, space[right]) for turn in turns]
+    nearer = min((0, 1), key=lambda way: matched[way][0])
+    (distance, place, partner), turn = matched[nearer], turns[nearer]
     if distance > SAME * size:
         where = place_in_words(points[left[place]])
         found = f"{len(left)} nodes of the left side and {len(right)} of the right one"
@@ -106,9 +101,8 @@ def _sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
         raise InputError("lips", "a crack", allowed)
     dimension = points.shape[1]
     turn = turn[:dimension, :dimension]
-    return Sector(
-        structure, disk.sectors, center[:dimension], turn, sides, lips, structure.stiffness
-    )
+    axis = center[:dimension]
+    return Sector(structure, disk.sectors, axis, turn, sides, lips, structure.stiffness)
 
 
 def _matched(moved: np.ndarray, places: np.ndarray) -> tuple[float, int, np.ndarray]:
@@ -126,7 +120,7 @@ def _lips(dofs: Dofs, points: np.ndarray, size: float) -> np.ndarray:
     """Nodes of the lower faces of cracks, and of the upper ones in the same places: (2, p)."""
     if not dofs.plate.cracked:
         return np.zeros((2, 0), dtype=int)
-    lower, upper = (dofs.nodes_on(name) for name in ("lower_lip", "upper_lip"))
+    lower, upper = (dofs.nodes_on(name) for name in LIP_TAGS)
     tips = np.intersect1d(lower, upper)
     lower, upper = (np.setdiff1d(side, tips) for side in (lower, upper))
     distance, place, partner = _matched(points[lower], points[upper])

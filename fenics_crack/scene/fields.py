@@ -80,10 +80,6 @@ class Harmonic:
     cos: tuple[float, ...]
     sin: tuple[float, ...]
 
-    def as_toml(self) -> str:
-        """As an inline table of a file."""
-        return f"{{ order = {self.order}, cos = {_as_toml(self.cos)}, sin = {_as_toml(self.sin)} }}"
-
 
 @dataclass(frozen=True)
 class Mistuning:
@@ -111,10 +107,6 @@ class Mistuning:
         random = np.random.default_rng(self.seed)
         return tuple(random.normal(0.0, self.deviation, sectors).tolist())
 
-    def as_toml(self) -> str:
-        """As an inline table of a file."""
-        return f"{{ deviation = {_as_toml(self.deviation)}, seed = {self.seed} }}"
-
 
 # --- how a value is read --------------------------------------------------------------------------
 
@@ -132,10 +124,6 @@ def _float(value: object) -> float:
     if value != 0 and not SMALLEST <= abs(number) <= LARGEST:
         raise OverflowError
     return number
-
-
-def _float_or_false(value: object) -> float:
-    return False if value is False else _float(value)
 
 
 def _int(value: object) -> int:
@@ -171,10 +159,6 @@ def _vector(value: object, lengths: tuple[int, ...] = (2, 3)) -> Vector:
     return _floats(value)
 
 
-def _float_or_str(value: object) -> float | str:
-    return _str(value) if isinstance(value, str) else _float(value)
-
-
 def _one_or_more(value: object) -> float | tuple[float, ...]:
     if not isinstance(value, list | tuple):
         return _float(value)
@@ -207,8 +191,7 @@ def _numbers_of_mesh(file: str, given: object) -> tuple[tuple[str, float], ...]:
 def _harmonics(value: object) -> tuple[Harmonic, ...]:
     """Harmonics of different orders, each by its cosine and sine or by amplitude and phase."""
     harmonics = tuple(one if isinstance(one, Harmonic) else _harmonic(one) for one in _list(value))
-    if len({one.order for one in harmonics}) != len(harmonics):
-        raise TypeError
+    _different([one.order for one in harmonics])
     return harmonics
 
 
@@ -238,10 +221,7 @@ def _components(value: object) -> tuple[float, ...]:
 
 def _ints(value: object) -> tuple[int, ...]:
     """A whole number, or a list of different ones."""
-    numbers = tuple(map(_int, value if isinstance(value, list | tuple) else [value]))
-    if len(set(numbers)) != len(numbers):
-        raise TypeError
-    return numbers
+    return tuple(map(_int, _different(value if isinstance(value, list | tuple) else [value])))
 
 
 def _mistuning(value: object) -> tuple[float, ...] | Mistuning:
@@ -255,12 +235,11 @@ def _mistuning(value: object) -> tuple[float, ...] | Mistuning:
     return Mistuning(_float(value["deviation"]), _int(value.get("seed", 0)))
 
 
-def _words(value: object) -> tuple[str, ...]:
-    """A list of different words."""
-    words = tuple(map(_str, _list(value)))
-    if len(set(words)) != len(words):
+def _different(values: Any) -> Any:
+    """Refuse values of which two are the same."""
+    if len(set(values)) != len(values):
         raise TypeError
-    return words
+    return values
 
 
 def _values(name: str, given: object) -> tuple[Any, ...]:
@@ -297,8 +276,8 @@ _READERS: dict[str, Callable[[object], Any]] = {
     "str": _str,
     "Pair": lambda value: _vector(value, (2,)),
     "Vector": _vector,
-    "float | bool": _float_or_false,
-    "float | str": _float_or_str,
+    "float | bool": lambda value: value is not False and _float(value),
+    "float | str": lambda value: _str(value) if isinstance(value, str) else _float(value),
     "float | tuple[float, ...]": _one_or_more,
     "int | str": lambda value: value if value == "all" else _int(value),
     "tuple[Axis, ...]": _axes(Axis, _values),
@@ -308,7 +287,7 @@ _READERS: dict[str, Callable[[object], Any]] = {
     "tuple[float, ...]": _floats,
     "tuple[float, ...] | Mistuning": _mistuning,
     "tuple[int, ...]": _ints,
-    "tuple[str, ...]": _words,
+    "tuple[str, ...]": lambda value: tuple(map(_str, _different(_list(value)))),
 }
 """Function that reads a value, by the type of a field that is not None."""
 
@@ -441,7 +420,13 @@ def scaled(value: Any, factor: float) -> Any:
 
 
 def _as_toml(value: object) -> str:
-    """A value as TOML, which is JSON but for DEL."""
+    """A value as TOML: JSON but for DEL, and for inline tables."""
+    if isinstance(value, Harmonic | Mistuning):
+        return (
+            f"{{ {', '.join(f'{key} = {_as_toml(held)}' for key, held in vars(value).items())} }}"
+        )
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_as_toml, value))}]"
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
@@ -474,13 +459,19 @@ class Table:
         InputError
             Another vector is longer or shorter.
         """
-        vectors = copy(self)
+        zeros = {}
         for key, item in self.keys().items():
             letter, value = item.metadata.get("letter"), getattr(self, key)
             if letter is not None and value is not None and len(value) != dimension:
                 self.require(not any(value), key, components(letter, dimension))
-                object.__setattr__(vectors, key, (0.0,) * dimension)
-        return vectors
+                zeros[key] = (0.0,) * dimension
+        return self.with_values(**zeros)
+
+    def with_values(self, **values: Any) -> Any:
+        """The same with other values, which are not checked."""
+        made = copy(self)
+        vars(made).update(values)
+        return made
 
     def __post_init__(self) -> None:
         for name, item in self.keys().items():
@@ -587,10 +578,6 @@ class Table:
             value = getattr(self, name)
             if isinstance(value, tuple) and value and isinstance(value[0], Axis):
                 after += ["", f"[{self.name_of(name)}]", *(axis.as_toml() for axis in value)]
-            elif isinstance(value, tuple) and value and isinstance(value[0], Harmonic):
-                lines.append(f"{name} = [{', '.join(one.as_toml() for one in value)}]")
-            elif isinstance(value, Mistuning):
-                lines.append(f"{name} = {value.as_toml()}")
             elif value != item.default and name not in found:
                 lines.append(f"{name} = {_as_toml(value)}")
         return "\n".join([*lines, *after, ""])

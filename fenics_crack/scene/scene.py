@@ -11,7 +11,7 @@ import dataclasses
 import math
 import re
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from functools import partial
 from itertools import combinations
@@ -487,18 +487,17 @@ def with_files(scene: Scene, change: Callable[[str], str]) -> Scene:
     if not paths:
         return scene
     changes: dict[str, object] = {key: change(path) for key, path in paths.items()}
-    given = ((f"{name}.{key}", getattr(scene, name), key) for name, key in _AXES)
-    for name, table, key in given:
-        if table is not None:
-            changes[name] = tuple(
-                Axis(axis.key, tuple(change(v) if isinstance(v, str) else v for v in axis.values))
-                if axis.key in _PATHS
-                else axis
-                for axis in getattr(table, key)
-            )
+
+    def moved(axis: Axis) -> Axis:
+        values = (change(v) if isinstance(v, str) else v for v in axis.values)
+        return Axis(axis.key, tuple(values)) if axis.key in _PATHS else axis
+
+    for name, key in _AXES:
+        if (table := getattr(scene, name)) is not None:
+            changes[f"{name}.{key}"] = tuple(map(moved, getattr(table, key)))
     if scene.identify is not None and scene.identify.meshes:
-        moved = (dataclasses.replace(mesh, key=change(mesh.key)) for mesh in scene.identify.meshes)
-        changes["identify.meshes"] = tuple(moved)
+        meshes = (dataclasses.replace(mesh, key=change(mesh.key)) for mesh in scene.identify.meshes)
+        changes["identify.meshes"] = tuple(meshes)
     return scene.replace(changes)
 
 
@@ -565,11 +564,9 @@ def _check_block(scene: Scene) -> None:
 
 
 def _check_matrices(scene: Scene, structure: Structure) -> None:
-    for name in PLATE_TABLES:
-        if getattr(scene, name):
-            raise InputError(name, "a table", "left out with [structure]")
-    if structure.damping is not None and scene.damping is not None:
-        raise InputError("damping", "a table", "left out with structure.damping")
+    _check_absent(scene, PLATE_TABLES, "[structure]")
+    if structure.damping is not None:
+        _check_absent(scene, ("damping",), "structure.damping")
     if structure.model is None:
         force = scene.excitation.force_given or "point"
         given = scene.excitation.force_given or scene.excitation.point is not None
@@ -596,6 +593,13 @@ def _check_matrices(scene: Scene, structure: Structure) -> None:
         if structure.model is None and structure.gap is None:
             allowed = "left out without structure.gap or model: there are no pairs"
             raise InputError("contact", "a table", allowed)
+
+
+def _check_absent(scene: Scene, tables: Iterable[str], why: str) -> None:
+    """Raise InputError for the first of some tables that is there."""
+    for name in tables:
+        if getattr(scene, name):
+            raise InputError(name, "a table", f"left out with {why}")
 
 
 def _check_vectors(scene: Scene) -> None:
@@ -638,9 +642,7 @@ def _check_dimension(scene: Scene) -> None:
 
 def _check_disk(scene: Scene, disk: Disk) -> None:
     """Raise InputError for what a bladed disk is not, or is not there yet."""
-    for name in ("base", "growth", "identify", "reduction"):
-        if getattr(scene, name) is not None:
-            raise InputError(name, "a table", "left out with [disk]")
+    _check_absent(scene, ("base", "growth", "identify", "reduction"), "[disk]")
     scene.excitation.given("order", "given with [disk]: the engine order, a whole number >= 1")
     if scene.speed == 0.0:
         allowed = "given [rad/s] with [disk] at rest, or excitation.frequency [Hz]"
@@ -671,11 +673,9 @@ def _check_plate(scene: Scene) -> None:
     geometry = scene.geometry
     _, height = (geometry.given(key) for key in ("width", "height"))
     for key in ("width", "thickness")[: scene.dimension - 1]:
-        geometry.require(
-            height / THINNEST <= getattr(geometry, key) <= height * THINNEST,
-            key,
-            f"within a factor {THINNEST:g} of geometry.height = {height:g}",
-        )
+        near = height / THINNEST <= getattr(geometry, key) <= height * THINNEST
+        allowed = f"within a factor {THINNEST:g} of geometry.height = {height:g}"
+        geometry.require(near, key, allowed)
     if not scene.has_other_loads:
         scene.excitation.given("point", "given: [x, y] on the plate")
     if scene.excitation.point is None and (force := scene.excitation.force_given):
@@ -733,33 +733,19 @@ def _check_crack(crack: Crack, geometry: Geometry, names: list[str]) -> None:
         crack.leave_out(("edge",), "crack.center")
     else:
         crack.given("edge", f"given: 'left' or 'right'; or center, for a crack inside the {kind}")
-    crack.require(
-        crack.height is not None and _inside(crack.height, height),
-        "height",
-        f"inside the {kind}: between 0 and geometry.height = {height:g}, {margin}",
-    )
+    allowed = f"inside the {kind}: between 0 and geometry.height = {height:g}, {margin}"
+    crack.require(_inside(crack.height or 0.0, height), "height", allowed)
     if len(names) > 1:
-        crack.leave_out(
-            ("first_frequency", "first_omega"),
-            "several cracks: it finds the length of the only one",
-        )
-    crack.require(
-        (crack.length is None) != (crack.first_omega is None),
-        "length",
-        "given, or left out where crack.first_omega determines it, or first_frequency",
-    )
-    crack.require(
-        crack.length is None or _inside(crack.length, width),
-        "length",
-        f"shorter than the {kind}: between 0 and geometry.width = {width:g}, {margin}",
-    )
+        why = "several cracks: it finds the length of the only one"
+        crack.leave_out(("first_frequency", "first_omega"), why)
+    allowed = "given, or left out where crack.first_omega determines it, or first_frequency"
+    crack.require((crack.length is None) != (crack.first_omega is None), "length", allowed)
+    allowed = f"shorter than the {kind}: between 0 and geometry.width = {width:g}, {margin}"
+    crack.require(crack.length is None or _inside(crack.length, width), "length", allowed)
     if inside:
         ends = [crack.center] if crack.length is None else crack.span(width)
-        crack.require(
-            all(_inside(end or 0.0, width) for end in ends),
-            "center",
-            f"such that both tips are inside the {kind}: between 0 and {width:g}, {margin}",
-        )
+        allowed = f"such that both tips are inside the {kind}: between 0 and {width:g}, {margin}"
+        crack.require(all(_inside(end or 0.0, width) for end in ends), "center", allowed)
 
 
 def _check_front(crack: Crack, geometry: Geometry) -> None:
@@ -779,19 +765,14 @@ def _check_grid(crack: Crack, geometry: Geometry, mesh: Mesh) -> None:
     (width, height), columns = geometry.sides, mesh.given("columns")
     sides = {"length": (width, columns), "height": (height, mesh.given("rows"))}
     for key, (extent, count) in sides.items():
-        cells = getattr(crack, key) / extent * count
-        crack.require(
-            0 < round(cells) < count and abs(cells - round(cells)) < 1e-9 * count,
-            key,
-            f"a whole number of grid cells of {extent / count:g} m, at least one from each end",
-        )
+        cells, size = getattr(crack, key) / extent * count, f"{extent / count:g} m"
+        whole = 0 < round(cells) < count and abs(cells - round(cells)) < 1e-9 * count
+        allowed = f"a whole number of grid cells of {size}, at least one from each end"
+        crack.require(whole, key, allowed)
     if crack.center is not None:
         tip = crack.span(width)[0] / width * columns
-        crack.require(
-            abs(tip - round(tip)) < 1e-9 * columns,
-            "center",
-            f"such that both tips are on grid lines, {width / columns:g} m apart",
-        )
+        allowed = f"such that both tips are on grid lines, {width / columns:g} m apart"
+        crack.require(abs(tip - round(tip)) < 1e-9 * columns, "center", allowed)
 
 
 def _check_apart(cracks: dict[str, Crack], first: str, second: str, geometry: Geometry) -> None:
@@ -968,13 +949,10 @@ def _instead_of(name: str) -> str:
     return f"left out; {meant(_meant(name))}known tables: {', '.join(_TABLES)}"
 
 
-_TABLES: dict[str, type[Table]] = {
-    name: (get_args(hint) or (hint,))[0] for name, hint in get_type_hints(Scene).items()
-}
-_LISTS = tuple(name for name, hint in get_type_hints(Scene).items() if get_origin(hint) is tuple)
-_OPTIONAL = tuple(
-    name for name, hint in get_type_hints(Scene).items() if type(None) in get_args(hint)
-)
+_HINTS = get_type_hints(Scene).items()
+_TABLES: dict[str, type[Table]] = {name: (get_args(hint) or (hint,))[0] for name, hint in _HINTS}
+_LISTS = tuple(name for name, hint in _HINTS if get_origin(hint) is tuple)
+_OPTIONAL = tuple(name for name, hint in _HINTS if type(None) in get_args(hint))
 _PATHS = tuple(
     kind.name_of(key)
     for kind in _TABLES.values()

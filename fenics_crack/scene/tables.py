@@ -6,7 +6,6 @@ import itertools
 import math
 import re
 from collections.abc import Mapping
-from copy import copy
 from dataclasses import MISSING, dataclass
 from itertools import zip_longest
 from typing import Any, ClassVar
@@ -269,10 +268,8 @@ class Excitation(Table, Periodic):
         """The same with the frequency that its order makes of a rotor's speed [rad/s]."""
         if "_at_speed" not in vars(self):
             self.leave_out(("frequency", "omega"), f"excitation.order = {self.order} and a speed")
-        found = copy(self)
-        object.__setattr__(found, "omega", speed * (self.order or 0))
-        object.__setattr__(found, "_at_speed", True)
-        return found
+        made: Excitation = self.with_values(omega=speed * (self.order or 0), _at_speed=True)
+        return made
 
     @classmethod
     def without_twins(
@@ -300,10 +297,7 @@ class Excitation(Table, Periodic):
 def add_harmonics(rows: list[Vector], harmonics: tuple[Harmonic, ...]) -> None:
     """Add harmonics to the components of a mean, and of cosine and sine of each order."""
     for harmonic in harmonics:
-        for row, part in (
-            (2 * harmonic.order - 1, harmonic.cos),
-            (2 * harmonic.order, harmonic.sin),
-        ):
+        for row, part in enumerate((harmonic.cos, harmonic.sin), 2 * harmonic.order - 1):
             pairs = zip_longest(rows[row], part, fillvalue=0.0)
             rows[row] = tuple(a + b for a, b in pairs)
 
@@ -339,21 +333,17 @@ class Load(Table, Periodic):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        forces, pressures, tractions = (self._names(kind) for kind in LOAD_KINDS)
+        allowed, others = forces, pressures + tractions
         if self.point is not None:
             self.leave_out(("edge",), "point")
         else:
             self.given("edge", "given, or point: where the load acts")
-        forces, pressures, tractions = (self._names(kind) for kind in LOAD_KINDS)
-        allowed, others = (
-            (forces, pressures + tractions)
-            if self.point is not None
-            else (pressures + tractions, forces)
-        )
+            allowed, others = others, allowed
         self.leave_out(others, "edge" if self.point is None else "point")
         some = any(getattr(self, name) is not None for name in allowed) or bool(self.harmonics)
-        if self.point is not None:
-            vectors = all(len(harmonic.cos) > 1 for harmonic in self.harmonics)
-            self.require(vectors, "harmonics", "vectors at a point: components of a force")
+        vectors = self.point is None or all(len(one.cos) > 1 for one in self.harmonics)
+        self.require(vectors, "harmonics", "vectors at a point: components of a force")
         self.require(some, allowed[-1], f"given, or another of {', '.join(allowed[:-1])}")
         if all(getattr(self, name) is None for name in allowed if not name.endswith("_mean")):
             self.leave_out(("phase",), "a mean load alone")
@@ -526,11 +516,9 @@ class Disk(Table):
     @property
     def deviations(self) -> np.ndarray:
         """Relative deviation of each sector's stiffness: (sectors,)."""
-        if self.mistuning is None:
-            return np.zeros(self.sectors)
         if isinstance(self.mistuning, Mistuning):
             return np.array(self.mistuning.pattern(self.sectors))
-        return np.array(self.mistuning)
+        return np.array(self.mistuning or np.zeros(self.sectors))
 
     @classmethod
     def _inner(cls, key: str) -> str:
@@ -664,11 +652,8 @@ class HarmonicBalance(Table):
         least = f"a whole number >= {highest}, the highest order of the load"
         fits = self.harmonics >= highest
         self.require(fits or "harmonics" in self.derived, "harmonics", least)
-        if fits:
-            return self
-        found = copy(self)
-        object.__setattr__(found, "harmonics", highest)
-        return found
+        made: HarmonicBalance = self if fits else self.with_values(harmonics=highest)
+        return made
 
     @property
     def derived(self) -> set[str]:
@@ -734,9 +719,8 @@ class Mesh(Table):
 
     def with_vectors(self, dimension: int) -> Mesh:
         """The same in a plane or in space, of the order that is usual there."""
-        table = copy(self)
-        object.__setattr__(table, "order", self.order or dimension - 1)
-        return table
+        made: Mesh = self.with_values(order=self.order or dimension - 1)
+        return made
 
     @property
     def derived(self) -> set[str]:
@@ -817,17 +801,9 @@ class Curve(Table):
     stiffness, damping or friction; clearances added [m]; or, with an engine order, speeds of the
     rotor [rad/s] or, with "rpm", in revolutions per minute."""
     parameter: str = choice(
-        "omega",
-        "frequency",
-        "load",
-        "stiffness",
-        "damping",
-        "clearance",
-        "friction",
-        "speed",
-        "rpm",
-        default="omega",
-    )
+        "omega", "frequency", "load", "stiffness", "damping", "clearance", "friction", "speed",
+        "rpm", default="omega",
+    )  # fmt: skip
     """Parameter that changes along the curve."""
     stability: bool = holds("true or false", default=True)
     """Floquet multipliers and period doublings along the curve."""
