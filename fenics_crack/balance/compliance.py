@@ -207,11 +207,11 @@ class ModalCompliance:
         self.basis = structure.once(_basis) if len(self._modes.pairs) < structure.n_pairs else None
         self._order = np.arange(len(load) // 2 + 1.0)
         self._unit_load = to_complex(load @ self._modes.shapes)
-        self._unit_static: np.ndarray | None = None
+        self.shape: tuple[int, ...] = len(load), structure.n_pairs
+        self._unit_static, self._static_gap = None, np.zeros(self.shape)
         if self._modes.static_loads is not None:
             self._unit_static = load @ self._modes.static_loads
             self._static_gap = structure.apply_bt(self._unit_static)
-        self.shape: tuple[int, ...] = len(load), structure.n_pairs
         self._set(base_omega, 1.0, 1.0, 0.0)
 
     def _set(self, base_omega: float, load: float, damping: float, clearance: float) -> None:
@@ -221,9 +221,7 @@ class ModalCompliance:
         )
         self._modal_load = load * self._unit_load
         self._load = load
-        self.still_gap = np.zeros(self.shape)
-        if self._unit_static is not None:
-            self.still_gap += load * self._static_gap
+        self.still_gap = load * self._static_gap
         self.still_gap[0] -= self._clearance + clearance
 
     @cached_property
@@ -302,8 +300,7 @@ class ModalCompliance:
             found[0] = 1.0
             return found
         if name == "load":
-            found = -self._gap(self._unit_load)
-            return found if self._unit_static is None else found - self._static_gap
+            return -self._gap(self._unit_load) - self._static_gap
         moved = self._moved(force)
         damped = 1j * self._modes.damped(moved)
         if name == "damping":

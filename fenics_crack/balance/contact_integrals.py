@@ -220,8 +220,7 @@ class ExactIntegrals(ContactIntegrals):
     def linearise(self, gap: np.ndarray) -> PairForces:
         rows, pairs = gap.shape
         gap = shaped(gap, 2 * self.harmonics + 1, pairs)
-        stiffness = np.empty(pairs)
-        stiffness[:] = self.stiffness
+        stiffness = np.full(pairs, self.stiffness)
         force, tangent = np.empty((rows, pairs)), np.empty((pairs, rows, rows))
         failed = kernel.contact_integrals(
             self.harmonics, pairs, pointer(gap), pointer(stiffness),
@@ -341,11 +340,8 @@ class CoupledIntegrals(ContactIntegrals):
 
     def __post_init__(self) -> None:
         assert self.residual is not None
-        compliance = self.residual.copy()
-        diagonal = np.arange(len(compliance))
-        if self.piecewise:
-            compliance[diagonal, diagonal] += self.springs
-        compliance[diagonal, diagonal] += self.softness * self.unit
+        softness = self.softness * self.unit + (self.springs if self.piecewise else 0.0)
+        compliance = self.residual + softness * np.eye(len(self.residual))
         object.__setattr__(self, "contact", ActiveSets(compliance))
 
     @property

@@ -221,24 +221,19 @@ def relative_size(change: np.ndarray, at: ContactPoint, clearance: np.ndarray) -
 
 
 def beyond_truncation(at: ContactPoint, wave: Wave) -> Errors:
-    """Return the change due to K > H harmonics, K = :func:`_more_harmonics`, by Newton's method:
-    for laws and structures whose exact flow is not at hand.
+    """Return the change due to K > H harmonics by Newton's method: for laws and structures whose
+    exact flow is not at hand. They are four times as many, or as many as leave the equations small,
+    but at least twice.
 
     Steps are found by elimination: iterative solutions of these equations do not converge where
     many pairs are stiff, unless these have a residual flexibility.
     """
-    rows, harmonics = len(at.unknown), _more_harmonics(at)
+    kept, (rows, pairs) = at.system.integrals.harmonics, at.unknown.shape
+    harmonics = max(2 * kept, kept + 4, min(4 * kept, (SMALL // pairs - 1) // 2))
     wide = at.system.widened(harmonics)
     # The first H are solved; what samples leave there is another error.
     changes = _improvement(wide, resized(at.unknown, harmonics), rows, solved=rows)
     return _errors(at, wave, changes, wave.structure, at.system.compliance)
-
-
-def _more_harmonics(at: ContactPoint) -> int:
-    """Number of harmonics that assess the truncation: four times as many, or as many as leave the
-    equations small, but at least twice."""
-    kept, pairs = at.system.integrals.harmonics, at.unknown.shape[1]
-    return max(2 * kept, kept + 4, min(4 * kept, (SMALL // pairs - 1) // 2))
 
 
 Changes = tuple[np.ndarray, np.ndarray]

@@ -26,7 +26,6 @@ import contextlib
 from bisect import bisect_left
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
@@ -285,17 +284,11 @@ def check_initial(problem: Problem, initial: PeriodicSolution) -> None:
     has = initial.structure.n_dofs, initial.structure.n_pairs
     gaps_only = structure.light_lips and has[1] == structure.n_pairs
     if not gaps_only and has != (structure.n_dofs, structure.n_pairs):
-        raise InputError(
-            "initial",
-            f"{has[0]} dofs, {has[1]} pairs",
-            f"a solution with {structure.n_dofs} dofs and {structure.n_pairs} pairs",
-        )
+        allowed = f"a solution with {structure.n_dofs} dofs and {structure.n_pairs} pairs"
+        raise InputError("initial", f"{has[0]} dofs, {has[1]} pairs", allowed)
     if subharmonic % initial.subharmonic:
-        raise InputError(
-            "initial",
-            f"subharmonic {initial.subharmonic}",
-            f"of a subharmonic that divides {subharmonic}",
-        )
+        allowed = f"of a subharmonic that divides {subharmonic}"
+        raise InputError("initial", f"subharmonic {initial.subharmonic}", allowed)
 
 
 FIRST_MODES = 10
@@ -321,7 +314,10 @@ def solve_to_tolerance(
     """
     whole = solver.problem.structure
     if reduced_to is None and not (is_small(whole) or isinstance(whole, ReducedStructure)):
-        reduced_to = partial(_without_mass, whole)
+
+        def reduced_to(modes: int) -> Structure:
+            return reduce_structure(whole, modes=modes, method="massless")
+
     most = min(max(modes, FORMED), whole.n_dofs)
     best = last = None
     while True:
@@ -369,10 +365,6 @@ def solve_beside(
             f"{tolerance:g}; {solution.status}"
         )
     return solution
-
-
-def _without_mass(whole: Structure, modes: int) -> Structure:
-    return reduce_structure(whole, modes=modes, method="massless")
 
 
 def _goal(tolerance: float, reduction: float) -> float:

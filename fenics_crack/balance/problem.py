@@ -163,9 +163,8 @@ class Problem:
         check_count("harmonics", self.harmonics, self.least_harmonics)
         check_law(self.structure, self.contact, rigid=True)
         if self.structure.n_pairs == 0:
-            raise InputError(
-                "structure", "0 pairs", "one with contact pairs; else use solve_linear"
-            )
+            allowed = "one with contact pairs; else use solve_linear"
+            raise InputError("structure", "0 pairs", allowed)
         if self.samples is not None:
             if is_rigid(self.contact):
                 raise InputError("samples", self.samples, "left out with UnilateralConstraint")

@@ -326,7 +326,8 @@ class Solver:
     ) -> tuple[Search, PeriodicSolution]:
         """The same, whether or not it converged, and the record of the search; its errors are
         estimated unless they are not requested."""
-        compliance, share = self.compliance(), 1.0 if wholly else 1.0 / len(SearchOptions.harmonics)
+        compliance = self.problem.compliance()
+        share = 1.0 if wholly else 1.0 / len(SearchOptions.harmonics)
         try:
             problem = self.problem.weighted(compliance)
             search, at, wave = replace(self, problem=problem).find(compliance, initial, share)
@@ -337,10 +338,6 @@ class Solver:
         finally:
             compliance.destroy()
         return search, replace(found, iterations=search.iterations)
-
-    def compliance(self) -> Compliance:
-        """Compliance of the structure, to be destroyed (collective)."""
-        return self.problem.compliance()
 
     def find(
         self, compliance: Compliance, initial: PeriodicSolution | None, share: float = 1.0

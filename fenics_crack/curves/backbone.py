@@ -300,7 +300,7 @@ def follow_backbone(
     first, note = first_motion(family, mode, energy_start)
     path = MotionPath(
         family, first, math.log(energy_end), lowest=first.parameter - longest,
-        max_step=longest, max_steps=most_points,
+        max_step=longest, left=most_points,
     )  # fmt: skip
     found, ended = _collected(path, progress and structure.whole.comm.rank == 0)
     ended = ended or path.in_words(most_points)

@@ -345,20 +345,14 @@ class ResponseCurve(Observed, Tabular):
         stable, and the damping by its width."""
         top = self.top(dof)
         omega, solution = float(self.omega[top.index]), self.solution(top.index)
+        error, damping = solution.report.displacement, _damping(self, top.index, dof)
         if self.parameter in ("omega", "speed"):
             omega *= top.value / float(self.values[top.index])
         if self.multipliers is None:
             verdict = floquet(solution.structure, solution).verdict
         else:
             verdict = str(self.verdicts[top.index])
-        damping = _damping(self, top.index, dof)
-        return Peak(
-            **vars(top),
-            omega=omega,
-            error=solution.report.displacement,
-            verdict=verdict,
-            damping=damping,
-        )
+        return Peak(**vars(top), omega=omega, error=error, verdict=verdict, damping=damping)
 
     @cached_property
     def displacement_errors(self) -> np.ndarray:

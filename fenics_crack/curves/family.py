@@ -137,9 +137,9 @@ class Family(ABC):
         system = self.system(self.start)
         return self._compile(system) if system.integrals.exact else None
 
-    @abstractmethod
     def _compile(self, first: ContactSystem) -> CompiledEquations | None:
-        """The kernel's equations, from the system at p = 0."""
+        """The kernel's equations, from the system at p = 0; by default it has none."""
+        return None
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> ContactPoint:
         value = self.value(parameter)
@@ -332,9 +332,6 @@ class FrictionFamily(Family):
     def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
         return by_friction(at) / value
 
-    def _compile(self, first: ContactSystem) -> None:
-        return None
-
 
 class SpeedFamily(Family):
     """v: speed of the rotor [rad/s], the load's frequency in a constant ratio to it.
@@ -365,11 +362,8 @@ class SpeedFamily(Family):
         least = max(one.cutoff for one in at)
         natural = np.array([_spinning(one.structure).omega for one in at])
         below, above = natural.max(axis=0)[:-1], natural.min(axis=0)[1:]
-        apart = np.flatnonzero((above > least) & (above > below * (1.0 + 1e-6)))
-        if not len(apart):
-            return least
-        first = apart[0]
-        return float(max(least, np.sqrt(below[first] * above[first])))
+        apart = (above > least) & (above > below * (1.0 + 1e-6))
+        return float(max([least, *np.sqrt(below * above)[apart][:1]]))
 
     def _make(self, value: float) -> ContactSystem:
         problem = self.at(value)
@@ -381,9 +375,6 @@ class SpeedFamily(Family):
         ends = (self._make(v).linearise(at.unknown).residual for v in (value - step, value + step))
         below, above = ends
         return np.asarray((above - below) / (2.0 * step))
-
-    def _compile(self, first: ContactSystem) -> CompiledEquations | None:
-        return None
 
 
 def _spinning(structure: Structure) -> RunUpStructure:

@@ -332,13 +332,12 @@ def _grown(
 
 def _where(parameter: str, point: CurvePoint, count: int) -> str:
     """A point of a curve in words: load frequency or other parameter, and how many there are."""
-    where = f"{point.value:.6g}"
-    hertz = f"{point.omega / (2.0 * math.pi):.6g} Hz"
-    if parameter == "omega":
-        where = f"{hertz}, {point.omega:.6g} rad/s"
-    if parameter == "speed":
-        where = f"{point.value / RPM:.6g} rpm, {where} rad/s; load {hertz}"
-    return f"{where}, {count} points"
+    value, hertz = f"{point.value:.6g}", f"{point.omega / (2.0 * math.pi):.6g} Hz"
+    words = {
+        "omega": f"{hertz}, {point.omega:.6g} rad/s",
+        "speed": f"{point.value / RPM:.6g} rpm, {value} rad/s; load {hertz}",
+    }
+    return f"{words.get(parameter, value)}, {count} points"
 
 
 def _run(

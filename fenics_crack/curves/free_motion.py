@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -35,11 +35,8 @@ class Equilibrium:
         self.modes: AllModes = all_modes(structure)
         squares = self.modes.squares
         if not squares[0] > 1e-12 * squares[-1]:
-            raise InputError(
-                "structure",
-                f"lowest eigenvalue {squares[0]:.3g} 1/s^2",
-                "fixed, so that it cannot move as a rigid body",
-            )
+            lowest = f"lowest eigenvalue {squares[0]:.3g} 1/s^2"
+            raise InputError("structure", lowest, "fixed, so that it cannot move as a rigid body")
         self.frequencies = np.sqrt(squares)
         compliance = ModalCompliance(structure, 0.0, np.zeros((1, structure.n_local)))
         self.rounding = rounding_left(compliance, contact)
@@ -172,11 +169,7 @@ class MotionPoint(Linearisation):
         self._stiffness = motion.stiffness(unknown)
         blocks = self._stiffness * self._z + motion.left * (self.force @ rest.modes.pairs.T)
         start = self._z.sum(axis=0)
-        self.residual = self.joined(blocks, float(start @ start) + self.work - 1.0)
-
-    def joined(self, blocks: np.ndarray, last: float) -> np.ndarray:
-        """A vector like x from its entries (H+1, n_modes) and the last one."""
-        return np.append(blocks.ravel(), last)
+        self.residual = np.append(blocks, float(start @ start) + self.work - 1.0)
 
     @cached_property
     def by_parameter(self) -> np.ndarray:
@@ -185,7 +178,7 @@ class MotionPoint(Linearisation):
         if self._motion.energy is None:
             force = 0.5 * (apply_to_pairs(self.tangent, self.change) - force)
             work = float(self.push @ self.change.sum(axis=0)) - work
-        return self.joined(self._motion.left * (force @ self._motion.rest.modes.pairs.T), work)
+        return np.append(self._motion.left * (force @ self._motion.rest.modes.pairs.T), work)
 
     @cached_property
     def _resonant(self) -> np.ndarray:
@@ -255,7 +248,7 @@ class MotionPoint(Linearisation):
         change -= self._by_frequency * found[-1]
         change *= inverse
         change[resonant] = found[len(seen) : -1]
-        return self.joined(change, found[-1])
+        return np.append(change, found[-1])
 
     @property
     def sign(self) -> float:
@@ -274,28 +267,23 @@ def solve_motion(family: FreeMotion, guess: np.ndarray, parameter: float) -> Pat
     return solve_at(family, guess, parameter, tolerance=tolerance, iterations=11)
 
 
+@dataclass
 class MotionPath:
     """The motions that follow one, up to that at a parameter: iterate over it once.
 
     Steps in the parameter itself pass over tongues; where there is none to a motion of the same
     shape, arc-length leads on. ``crosses_branch`` marks where a tongue
     was passed over. ``ended`` is as of a :class:`Path`, and ``complete`` whether it met the end and
-    not another mode's motion.
+    not another mode's motion. ``left`` is the number of points that it may still have.
     """
 
-    def __init__(
-        self,
-        family: FreeMotion,
-        start: PathPoint,
-        end: float,
-        *,
-        lowest: float,
-        max_step: float,
-        max_steps: int,
-    ) -> None:
-        self.family, self.last, self.end = family, start, end
-        self._lowest, self._max_step, self._left = lowest, max_step, max_steps
-        self.ended: Ended | None = None
+    family: FreeMotion
+    last: PathPoint
+    end: float
+    lowest: float
+    max_step: float
+    left: int
+    ended: Ended | None = None
 
     @property
     def complete(self) -> bool:
@@ -309,20 +297,20 @@ class MotionPath:
         return ELSEWHERE if other else self.ended.in_words(most)
 
     def __iter__(self) -> Iterator[PathPoint]:
-        step = 0.2 * self._max_step
+        step = 0.2 * self.max_step
         while self.ended is None:
             before = self.last
             ahead = self._step(before, step)
             if ahead is None:
                 yield from self._along()
-                step = 0.2 * self._max_step
+                step = 0.2 * self.max_step
                 continue
-            self.last, self._left = ahead, self._left - 1
+            self.last, self.left = ahead, self.left - 1
             step = ahead.parameter - before.parameter
-            step = min(self._max_step, (1.7 if ahead.iterations <= 4 else 1.0) * step)
+            step = min(self.max_step, (1.7 if ahead.iterations <= 4 else 1.0) * step)
             if ahead.parameter == self.end:
                 self.ended = Ended.MET
-            elif not self._left:
+            elif not self.left:
                 self.ended = Ended.MANY
             yield ahead
 
@@ -330,15 +318,15 @@ class MotionPath:
         """By arc-length, until steps in the parameter may lead on."""
         family, here = self.family, self.last
         options = PathOptions(
-            initial_step=0.2 * self._max_step,
-            max_step=self._max_step,
-            max_steps=self._left,
-            span=(self._lowest, np.inf),
+            initial_step=0.2 * self.max_step,
+            max_step=self.max_step,
+            max_steps=self.left,
+            span=(self.lowest, np.inf),
         )
         start = point_on_path(family, here.unknown, here.parameter)
         path = Path(family, start, options, [Target(self.end)])
         for point in path.points():
-            self.last, self._left = point, self._left - 1
+            self.last, self.left = point, self.left - 1
             yield point
             outside = point.tangent.p > 0.0 and point.parameter > here.parameter
             whole = family.is_fundamental(point.unknown)
@@ -359,7 +347,7 @@ class MotionPath:
         across = np.where(near & (slope * here.unknown > 0.0), -here.unknown, here.unknown)
         slope[near] = 0.0
         steepness = math.sqrt(float(slope @ slope) / float(here.unknown @ here.unknown))
-        step = min(step, self._max_step / math.hypot(1.0, steepness), left)
+        step = min(step, self.max_step / math.hypot(1.0, steepness), left)
         trials = (
             *((here.unknown, factor, 0.99) for factor in (1.0, 0.5, 0.25)),
             *((across, factor, 0.95) for factor in (0.25, 0.5, 1.0, 2.0, 4.0)),
@@ -400,23 +388,19 @@ def first_motion(family: FreeMotion, mode: int, energy: float) -> tuple[PathPoin
     return start, note
 
 
-def _opens(rest: Equilibrium, mode: int) -> bool:
-    """Return True if a mode opens the pairs where it is positive."""
-    return bool(rest.modes.pairs[mode - 1].sum() <= 0.0)
-
-
 def _from_linear_mode(family: FreeMotion, mode: int) -> PathPoint:
     """From the linear mode without contact to the whole contact stiffness at one energy."""
     rest, count = family.rest, len(family.rest.frequencies)
     unknown = np.zeros((family.harmonics + 1) * count + 1)
-    unknown[count + mode - 1], unknown[-1] = (1.0 if _opens(rest, mode) else -1.0), 1.0
+    opens = rest.modes.pairs[mode - 1].sum() <= 0.0  # where it is positive
+    unknown[count + mode - 1], unknown[-1] = (1.0 if opens else -1.0), 1.0
     soft = min(0.0, math.log(SOFT / max(rest.stiffness, SOFT)))
     first = solve_motion(family, unknown, soft)
     if first is None:
         raise ConvergenceError(f"backbone of mode {mode}: no motion with soft contact")
     if soft == 0.0:
         return first
-    path = MotionPath(family, first, 0.0, lowest=soft - 5.0, max_step=1.0, max_steps=400)
+    path = MotionPath(family, first, 0.0, lowest=soft - 5.0, max_step=1.0, left=400)
     furthest = max((motion.parameter for motion in path), default=soft)
     if path.complete:
         return path.last

@@ -32,7 +32,7 @@ from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.errors import ConvergenceError, InputError
 from fenics_crack.curves.family import FAMILIES
 from fenics_crack.curves.orbit_events import observe
-from fenics_crack.motion.flow import ContactFlow, Motion, exact_flow
+from fenics_crack.motion.flow import ContactFlow, Motion, doubles, exact_flow
 from fenics_crack.motion.shooting import OrbitPoint, ShootingEquations
 from fenics_crack.numerics.equations import EPSILON, ROUNDING
 
@@ -44,16 +44,19 @@ class OrbitFamily:
     """The equations of periodic orbits along a parameter, from its value ``start`` at p = 0 to
     ``end`` at p = 1.
 
-    ``scale`` is dx/dz: 1 of modal displacements, 1 / w of velocities, w the modes' frequencies, at
-    least that of the response; ``records`` how many numbers M has. The problem's structure is small
-    or reduced, its ``subharmonic`` is m, and ``budget`` is that of each motion. Raises InputError
-    where there is no exact flow.
+    ``value`` is v of p, ``parameter`` p of v, and ``omega`` the load frequency of v [rad/s], as of
+    :class:`fenics_crack.curves.family.Family`. ``scale`` is dx/dz: 1 of modal displacements, 1 / w
+    of velocities, w the modes' frequencies, at least that of the response; ``records`` how many
+    numbers M has. The problem's structure is small or reduced, its ``subharmonic`` is m, and
+    ``budget`` is that of each motion. Raises InputError where there is no exact flow.
     """
 
     def __init__(self, problem: Problem, parameter: str, start: float, end: float) -> None:
         self.problem, self.name, self.start, self.end = problem, parameter, start, end
         self.subharmonic = problem.subharmonic
         self._along = FAMILIES[parameter](problem, start, end)
+        self.value, self.parameter = self._along.value, self._along.parameter
+        self.omega = self._along.omega
         first = self.at(start)
         self._first = exact_flow(first.structure, first.contact)
         self._last: tuple[float, ContactFlow] | None = None
@@ -66,18 +69,6 @@ class OrbitFamily:
     def at(self, value: float) -> Problem:
         """The problem where the parameter has a value."""
         return self._along.vary(self.problem, value)
-
-    def value(self, parameter: float) -> float:
-        """v of p."""
-        return self._along.value(parameter)
-
-    def parameter(self, value: float) -> float:
-        """p of v."""
-        return self._along.parameter(value)
-
-    def omega(self, value: float) -> float:
-        """Load frequency where the parameter has a value [rad/s]."""
-        return self._along.omega(value)
 
     def flow(self, value: float) -> ContactFlow:
         """The flow where the parameter has a value; the last one is kept."""
@@ -148,30 +139,25 @@ class OrbitFamily:
     @cached_property
     def compiled(self) -> ShootingEquations | None:
         """The same equations in the kernel; None where it does not have them."""
-        if not self._one_flow:
+        damped = self.name == "damping"
+        # With friction where pairs stick depends on the damping, too.
+        if self.name in ("stiffness", "speed", "friction") or (damped and self._first.friction):
             return None
         omega = self.omega(self.start), self.omega(self.end) - self.omega(self.start)
-        flow = self._first
-        changed: dict[str, Any] = {"rest": self._rest} if self._rest.any() else {}
+        flow = first = self._first
+        along: dict[str, Any] = {"rest": self._rest} if self._rest.any() else {}
         if self.name != "omega":
-            first, last = self.flow(self.start), self.flow(self.end)
-            if self.name == "damping":
-                damping = first.modes.damping
-                changed["damping"] = damping, last.modes.damping - damping
+            last = self.flow(self.end)
+            problem = self.at(max(self.start, self.end) if damped else self.start)
+            flow = exact_flow(problem.structure, problem.contact)  # its own: it changes
+            if damped:
+                rate, damping = last.modes.damping - first.modes.damping, first.modes.damping
+                along |= {"damping": doubles(damping), "damping_by": doubles(rate)}
+                along["rates"] = damping.size
             else:
-                changed["load"] = last.force - first.force, last.gap - first.gap
-            origin = max(self.start, self.end) if self.name == "damping" else self.start
-            problem = self.at(origin)  # its own flow: it changes
-            flow = exact_flow(problem.structure, problem.contact)
-        return ShootingEquations(flow, self.scale, omega, self.subharmonic, **changed)
-
-    @property
-    def _one_flow(self) -> bool:
-        """True if one flow follows the parameter."""
-        changes = {"stiffness", "speed", "friction"}
-        if self._first.friction:  # where pairs stick depends on the damping, too
-            changes.add("damping")
-        return self.name not in changes
+                along |= {"force": flow.force, "force_by": last.force - first.force}
+                along |= {"gap": flow.gap, "gap_by": last.gap - first.gap}
+        return ShootingEquations(flow, self.scale, omega, self.subharmonic, **along)
 
     def rounding(self, parameter: float) -> float:
         """Return the rounding error of |F| / |x|."""

@@ -194,7 +194,10 @@ def shoot(
     known = replace(solution, structure=structure, contact=law).assessment
     found = None if settle else known.orbit
     if found is None:
-        start = orbits.state(orbits.followed(settle))
+        settled = orbits.start
+        for _ in range(settle):
+            settled = orbits.moved(settled, 1.0)
+        start = orbits.state(settled)
         found = find_orbit(orbits.flow, solution.omega, start, subharmonic=periods)
         if found is None and orbits.flow.count <= FORMED:
             begun = FlowOrbits(orbits.flow, solution.omega, start, periods)
@@ -303,7 +306,7 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
     orbit = known.orbit
     assert orbit is not None
     orbits = FlowOrbits(orbit.flow, orbit.omega, orbit.state, orbit.subharmonic)
-    values, vectors = np.linalg.eig(orbits.of_unknowns(orbit.monodromy))
+    values, vectors = np.linalg.eig(orbits.scale[:, None] * orbit.monodromy / orbits.scale)
     leading = int(np.abs(values).argmax())
     mu, change = values[leading], vectors[:, leading].real
     moved = moving_size(orbits.scale * orbit.sampled.whole_states) / np.sqrt(
@@ -313,13 +316,9 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
     found: list[Attractor] = []
     for start in (orbits.start + change, orbits.start - change)[: 2 if mu == abs(mu) else 1]:
         one = in_the_long_run(orbits, start)
-        if not any(_same(one.orbit, other.orbit) for other in found):
+        if not any(one.orbit and other.orbit and equal(one.orbit, other.orbit) for other in found):
             found.append(one)
     return tuple(found)
-
-
-def _same(one: PeriodicOrbit | None, other: PeriodicOrbit | None) -> bool:
-    return one is not None and other is not None and equal(one, other)
 
 
 def from_rest(solution: PeriodicSolution) -> Attractor | None:
@@ -339,22 +338,17 @@ def from_rest(solution: PeriodicSolution) -> Attractor | None:
 def stability_of(known: Assessment) -> Stability:
     """Stability of a solution by its orbit."""
     orbit = known.orbit
-    if orbit is None:
-        return _along_the_wave(known, known.reason)
+    if orbit is None:  # the multipliers of the flow along the solution say nothing
+        assert known.flow is not None
+        values = np.full(known.flow.size, np.nan + 0j)
+        if known.prediction is not None and known.flow.count <= FORMED:
+            values = eigenvalues(known.prediction.monodromy)
+        return Stability(values, "undecided", np.nan, reason=known.reason)
     reason, largest = known.reason, abs(orbit.multipliers[0])
     if not reason and abs(largest - 1.0) <= KNOWN:
         reason = "its largest multiplier is 1 to rounding: a bifurcation, or no damping"
     verdict = "undecided" if reason else "stable" if largest < 1.0 else "unstable"
     return Stability(orbit.multipliers, verdict, KNOWN, True, known.distance, reason)
-
-
-def _along_the_wave(known: Assessment, reason: str) -> Stability:
-    """Without an orbit: the multipliers of the flow along the solution, which say nothing."""
-    assert known.flow is not None
-    values = np.full(known.flow.size, np.nan + 0j)
-    if known.prediction is not None and known.flow.count <= FORMED:
-        values = eigenvalues(known.prediction.monodromy)
-    return Stability(values, "undecided", np.nan, reason=reason)
 
 
 def _by_waves(structure: Structure, solution: PeriodicSolution, contact: ContactLaw) -> Stability:

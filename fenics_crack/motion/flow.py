@@ -381,11 +381,10 @@ class Track:
     firsts: np.ndarray | None = None
     ratios: np.ndarray | None = None
 
-    @property
-    def closed_share(self) -> float:
-        """Part of the motion in which a pair is closed, mean over the pairs, of which there are
-        some."""
-        return float(self.lengths @ (self.sets > 0).mean(axis=1) / self.lengths.sum())
+    def share(self, which: np.ndarray) -> float:
+        """Part of the motion in which a pair is in some states, (n, n_pairs) bool; mean over the
+        pairs, of which there are some."""
+        return float(self.lengths @ which.mean(axis=1) / self.lengths.sum())
 
     @cached_property
     def _known(self) -> Struct:
@@ -406,15 +405,11 @@ class Track:
     def by_structure(self, start: np.ndarray, softness: np.ndarray) -> np.ndarray:
         """dz(end) by a parameter, from dz(start) = 0, of the motion from a state, given the
         derivative of the softness by it, (n_pairs,)."""
-        found, known = np.empty(self.flow.size), self._known.at
+        found, rates = np.empty(self.flow.size), shaped(softness, *self.flow.softness.shape)
         outcome = kernel.flow_by_structure(
-            self.flow.handle,
-            known,
-            pointer(doubles(start)),
-            NULL,
-            pointer(shaped(softness, *self.flow.softness.shape)),
+            self.flow.handle, self._known.at, pointer(doubles(start)), NULL, pointer(rates),
             pointer(found),
-        )
+        )  # fmt: skip
         _check(outcome, len(self.lengths) - 1)
         return found
 

@@ -114,8 +114,6 @@ class PeriodicOrbit(Observed, Described):
         Over the period.
     state : (2 n_modes,)
         q, q' at phase zero of the load.
-    residual : float
-        ``|z(T) - z(0)| / |z(0)|`` in the norm of the energy.
     flows : int
         Periods that were followed to find it.
     """
@@ -125,7 +123,6 @@ class PeriodicOrbit(Observed, Described):
     subharmonic: int
     motion: Motion
     state: np.ndarray
-    residual: float
     flows: int
 
     frequency = hertz_of()
@@ -154,6 +151,17 @@ class PeriodicOrbit(Observed, Described):
     def multipliers(self) -> np.ndarray:
         """Floquet multipliers, largest modulus first: (2 n_modes,) complex."""
         return eigenvalues(self.monodromy)
+
+    @cached_property
+    def residual(self) -> float:
+        """``|z(T) - z(0)| / |z(0)|`` in the norm of the energy."""
+        change = self.motion.state - self.state
+        return self.energy_norm(change) / (self.energy_norm(self.state) or 1.0)
+
+    def energy_norm(self, change: np.ndarray) -> float:
+        """Norm of a change of the state."""
+        weights = self.flow.weights(self.omega / self.subharmonic)
+        return float(np.linalg.norm(weights * change))
 
     @cached_property
     def inverse(self) -> Inverse:
@@ -233,6 +241,7 @@ class PeriodicOrbit(Observed, Described):
 
         parts, track = np.arange(instants) / instants, self.motion.track
         motion, gap, force = at(parts)
+        shares = {"closed_share": track.share(track.sets > 0)} if gap.size else {}
         yield Record(
             self.omega, self.subharmonic, self.period * parts, balanced(motion, HARMONICS),
             motion, gap, force,
@@ -240,7 +249,7 @@ class PeriodicOrbit(Observed, Described):
             cracks=self.structure.pairs.cracks,
             friction=getattr(self.flow.friction, "coefficient", None),
             at=at,
-            exact=({"closed_share": track.closed_share} if gap.size else {}) | self.sliding,
+            exact=shares | self.sliding,
         )  # fmt: skip
 
     def coefficients(self, harmonics: int) -> OrbitCoefficients:
@@ -302,15 +311,11 @@ class PeriodicOrbit(Observed, Described):
         if not self.flow.friction:
             return {}
         track = self.motion.track
-        states = {
-            "stick_share": track.sets == kernel.STICK,
-            "slip_share": track.sets > kernel.STICK,
+        return {
+            "friction_loss": float(self.work.friction.sum()),
+            "stick_share": track.share(track.sets == kernel.STICK),
+            "slip_share": track.share(track.sets > kernel.STICK),
         }
-        shares = {
-            name: float(track.lengths @ np.mean(which, axis=1) / track.lengths.sum())
-            for name, which in states.items()
-        }
-        return {"friction_loss": float(self.work.friction.sum())} | shares
 
     @property
     def stuck(self) -> np.ndarray:
@@ -510,12 +515,9 @@ def find_orbit(
             return None
     except (ConvergenceError, np.linalg.LinAlgError, ValueError):
         return None
-    residual = search.size(search.motion.state - search.state) / (search.size(search.state) or 1.0)
-    if not residual <= KNOWN:  # where M is huge a step may be short and the motion does not close
-        return None
-    return PeriodicOrbit(
-        flow, omega, subharmonic, search.motion, search.state, residual, search.flows
-    )
+    found = PeriodicOrbit(flow, omega, subharmonic, search.motion, search.state, search.flows)
+    # Where M is huge a step may be short and the motion does not close.
+    return found if found.residual <= KNOWN else None
 
 
 class _Search:
@@ -602,17 +604,12 @@ def orbit_from(
 ) -> PeriodicOrbit:
     """The orbit of a state at phase zero (2 n_modes,), which is followed over its period."""
     motion = flow.advance(state, omega, 2.0 * np.pi * subharmonic / omega)
-    weights = flow.weights(omega / subharmonic)
-    size = float(np.linalg.norm(weights * state)) or 1.0
-    residual = float(np.linalg.norm(weights * (motion.state - state))) / size
-    return PeriodicOrbit(flow, omega, subharmonic, motion, state, residual, iterations + 1)
+    return PeriodicOrbit(flow, omega, subharmonic, motion, state, iterations + 1)
 
 
 def equal(one: PeriodicOrbit, other: PeriodicOrbit) -> bool:
     """Return True if two orbits of a flow are the same to 1e-6, in the norm of the energy."""
-    weights = one.flow.weights(one.omega / one.subharmonic)
-    change = float(np.linalg.norm(weights * (one.state - other.state)))
-    return change <= KNOWN * float(np.linalg.norm(weights * one.state))
+    return one.energy_norm(one.state - other.state) <= KNOWN * one.energy_norm(one.state)
 
 
 def eigenvalues(matrix: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ al., Physical Review Letters 58 (1987) 2387-2389.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -127,11 +127,11 @@ def search_orbit(
         return OrbitSearch(met[0], tuple(met[1:]), "exact orbit by Newton's method")
     for states in tried:
         step = predicted(flow, omega, states, subharmonic)
-        orbit = None
-        if step is not None:
-            orbit = find_orbit(
-                flow, omega, step.states[0], subharmonic=subharmonic, inverse=step.inverse
-            )
+        if step is None:
+            continue
+        orbit = find_orbit(
+            flow, omega, step.states[0], subharmonic=subharmonic, inverse=step.inverse
+        )
         if orbit is not None:
             return OrbitSearch(orbit, (), "exact orbit by a step of the whole motion")
     start = tried[-1][0] if tried else np.zeros(flow.size)
@@ -223,7 +223,9 @@ def _by_recurrence(orbits: FlowOrbits, options: SearchOptions) -> OrbitSearch:
     periods, left = options.periods(flow), options.pieces(flow) // 4
     begin(f"the exact motion over up to {periods} periods, and orbits that it passes")
     passed = np.array([orbits.start, *followed(orbits, orbits.start, periods)])
-    for place in recurrences(passed):
+    apart = np.linalg.norm(np.diff(passed, axis=0), axis=1)
+    # From the last state, then from close returns, the closest first.
+    for place in (-1, *np.argsort(apart, kind="stable").tolist()):
         if left <= 0:
             break
         state = orbits.state(passed[place])
@@ -232,13 +234,6 @@ def _by_recurrence(orbits: FlowOrbits, options: SearchOptions) -> OrbitSearch:
             return OrbitSearch(orbit, (), "exact orbit, by following the motion")
         left -= FLOWS // 2 * max(PACE, orbits.pieces)  # of a search that fails, about
     return OrbitSearch(None, (), comes_back(passed, subharmonic))
-
-
-def recurrences(passed: Sequence[np.ndarray] | np.ndarray) -> list[int]:
-    """Return the places in a motion, of states (n, ...) a period apart, from which orbits are
-    sought: the last one, then its close returns, the closest first."""
-    apart = np.linalg.norm(np.diff(passed, axis=0), axis=1)
-    return [-1, *map(int, np.argsort(apart, kind="stable"))]
 
 
 def followed(orbits: FlowOrbits, state: np.ndarray, periods: int) -> Iterator[np.ndarray]:

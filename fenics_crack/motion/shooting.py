@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -25,32 +26,29 @@ from fenics_crack.numerics.equations import DenseLinearisation, Equations
 from fenics_crack.numerics.newton import PathPoint
 
 
+@dataclass(eq=False, repr=False)
 class OrbitPoint(DenseLinearisation):
     """The equations of periodic orbits at a state and a frequency.
 
     Attributes
     ----------
+    form, derive : callable
+        Return M, and dF/dp.
     events, pieces : int
         Switching instants in the period, and pieces of the Taylor series.
     """
 
-    def __init__(
-        self,
-        unknown: np.ndarray,
-        residual: np.ndarray,
-        monodromy: Callable[[], np.ndarray],
-        by_parameter: Callable[[], np.ndarray],
-        events: int,
-        pieces: int,
-    ) -> None:
-        self.unknown, self.residual = unknown, residual
-        self.events, self.pieces = events, pieces
-        self._monodromy, self._slope = monodromy, by_parameter
+    unknown: np.ndarray
+    residual: np.ndarray
+    form: Callable[[], np.ndarray]
+    derive: Callable[[], np.ndarray]
+    events: int
+    pieces: int
 
     @cached_property
     def monodromy(self) -> np.ndarray:
         """M = dz(T)/dz: (2n, 2n)."""
-        return self._monodromy()
+        return self.form()
 
     @cached_property
     def jacobian(self) -> np.ndarray:
@@ -59,7 +57,7 @@ class OrbitPoint(DenseLinearisation):
 
     @cached_property
     def by_parameter(self) -> np.ndarray:
-        return self._slope()
+        return self.derive()
 
     @property
     def record(self) -> np.ndarray:
@@ -79,41 +77,27 @@ class ShootingEquations(Equations):
         Of the load at p = 0, and its rate [rad/s].
     subharmonic : int
         The load's periods in one of the orbit.
-    load : (force, gap), optional
-        Rates of the flow's own load, (2K+1, n_modes) and (2K+1, n_pairs); the flow, at p = 0 when
-        it is given, follows p.
-    damping : (array, array), optional
-        Its own at p = 0, and its rate: likewise, the flow given with the largest one.
-    rest : (2, 2 n_modes), optional
-        x_0 and x_1, by default 0.
+    **along
+        The kernel's arrays of what follows p: ``force``, ``gap`` and their rates ``force_by``,
+        ``gap_by`` where the load does, (2K+1, n_modes) and (2K+1, n_pairs), of the flow at p = 0;
+        ``damping`` at p = 0 and its rate ``damping_by``, of so many ``rates``, the flow being the
+        one with the largest; ``rest``: x_0 and x_1, (2, 2 n_modes), by default 0. A flow whose load
+        or damping follows p is changed.
     """
 
     def __init__(
         self, flow: ContactFlow, scale: np.ndarray, omega: tuple[float, float],
-        subharmonic: int = 1,
-        load: tuple[np.ndarray, np.ndarray] | None = None,
-        damping: tuple[np.ndarray, np.ndarray] | None = None,
-        rest: np.ndarray | None = None,
+        subharmonic: int, **along: Any,
     ) -> None:  # fmt: skip
         self.flow, self.scale, self.shape = flow, scale, scale.shape
         self.subharmonic = subharmonic
-        changed: dict[str, Any] = {}
-        if load is not None:
-            changed = {
-                "force": flow.force, "gap": flow.gap, "force_by": load[0], "gap_by": load[1]
-            }  # fmt: skip
-        if damping is not None:
-            rows = [np.ascontiguousarray(one) for one in damping]
-            changed |= {"rates": rows[0].size, "damping": rows[0], "damping_by": rows[1]}
-        if rest is not None:
-            changed["rest"] = rest
         self._given = Struct(
             "shooting_equations", flow=flow.handle, modes=flow.count,
             harmonics=len(flow.force) // 2,
             pairs=flow.structure.n_pairs, friction=flow.friction is not None,
             base=omega[0], rate=omega[1],
             turns=2.0 * np.pi * subharmonic, scale=scale, pieces=Budget.pieces,
-            intervals=Budget.intervals, **changed,
+            intervals=Budget.intervals, **along,
         )  # fmt: skip
         self._point = owned(kernel.new_shooting_point(self._given.at), kernel.free_shooting_point)
         self.table = kernel.equations_of_shooting(self._point)
@@ -211,17 +195,6 @@ class FlowOrbits(ShootingEquations):
     def unknown(self, state: np.ndarray) -> np.ndarray:
         """x of z: (2n,)."""
         return np.asarray(self.scale * state)
-
-    def of_unknowns(self, monodromy: np.ndarray) -> np.ndarray:
-        """dx(T)/dx of M = dz(T)/dz: (2n, 2n)."""
-        return np.asarray(self.scale[:, None] * monodromy / self.scale)
-
-    def followed(self, periods: int) -> np.ndarray:
-        """The start after some periods of the response, nearer to what attracts it: (2n,)."""
-        state = self.start
-        for _ in range(periods):
-            state = self.moved(state, 1.0)
-        return state
 
     def orbit(self, found: PathPoint) -> PeriodicOrbit:
         """The orbit of a solution of the equations."""

@@ -40,7 +40,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from petsc4py import PETSc
 
 from fenics_crack.basics.errors import ConvergenceError, InputError, check_omega
 from fenics_crack.basics.ranks import collect_garbage
@@ -248,7 +247,9 @@ class _ModalDifferences(Scheme):
         self._increment = dt * velocity - 0.5 * dt**2 * self._acceleration(velocity)
         energy = 0.5 * float(modes.squares @ self._shape**2 + velocity @ velocity)
         self._energy = _ContactEnergy(asked, energy)
-        inverse, one = _inverse(0.5 * dt * modes.damping), np.ones(count)
+        one = np.ones(count) if modes.damping.ndim == 1 else np.eye(count)
+        damped = one + 0.5 * dt * modes.damping
+        inverse = 1.0 / damped if damped.ndim == 1 else np.linalg.inv(damped)
         push = dt**2 * (
             inverse[:, None] * modes.pairs if inverse.ndim == 1 else inverse @ modes.pairs
         )
@@ -263,8 +264,7 @@ class _ModalDifferences(Scheme):
         )  # fmt: skip
         self._known = Struct(
             "central_differences", body=body,
-            keep=2.0 * inverse - (one if inverse.ndim == 1 else np.diag(one)),
-            gain=dt**2 * inverse, push=rows(push.T),
+            keep=2.0 * inverse - one, gain=dt**2 * inverse, push=rows(push.T),
             contact=ActiveSets(modes.pairs.T @ push).handle if asked.rigid else None,
             shape=self._shape, increment=self._increment, closed=np.zeros(pairs, bool),
         )  # fmt: skip
@@ -310,13 +310,6 @@ class _ModalDifferences(Scheme):
         return found if friction_of(self._asked.contact) is None else (*found, self._held.copy())
 
 
-def _inverse(dashpots: np.ndarray) -> np.ndarray:
-    """Return the inverse of 1 + c, by mode."""
-    if dashpots.ndim == 1:
-        return np.asarray(1.0 / (1.0 + dashpots))
-    return np.linalg.inv(np.eye(len(dashpots)) + dashpots)
-
-
 # --- step by step ---------------------------------------------------------------------------------
 
 
@@ -343,7 +336,6 @@ class _CentralDifferences(Scheme):
         self._clearance = seen.clearance
         if (mu := coefficient_of(asked.contact)) is not None:
             self._sets = FrictionSets(np.diag(1.0 / _springs(structure, asked.contact)), mu)
-            self._held: np.ndarray | None = None
         self._columns = asked.recorded_dofs - structure.first_dof
         self._modes, self._damping = damped_modes(structure), structure.damping_matrix
         self._x, self._y = structure.mass.createVecs()
@@ -359,7 +351,9 @@ class _CentralDifferences(Scheme):
             damped = 1.0 + 0.5 * dt * self._modes.rate
             self._correction, self._decay = 1.0 / damped - 1.0, self._modes.rate / damped
         if self.rigid:
-            self._push = dt**2 * self._answers(structure.gap.toarray())
+            self._push, still = dt**2 * structure.gap.toarray(), np.zeros(structure.n_local)
+            for column in self._push.T:
+                column[:] = self._answer(column, still)
             self._compliance = structure.apply_bt(self._push.T).T
         displacement, velocity = asked.start
         self.displacement = self._admissible(displacement)
@@ -382,16 +376,14 @@ class _CentralDifferences(Scheme):
     def state(self) -> tuple[np.ndarray, ...]:
         velocity = _last_velocity(self.step_size, self.increment, self._acceleration)
         found = self.displacement.copy(), velocity
-        if friction_of(self.contact) is None:
-            return found
-        assert self._held is not None
-        return (*found, self._held.copy())
+        return found if friction_of(self.contact) is None else (*found, self._held.copy())
 
     def advance(self, step: int) -> None:
         """Integrate from an instant, ``step`` of the period, to the next."""
         dt = self.step_size
         self.gap = self._measured(self.displacement)
-        pull = -self._times(self.structure.stiffness, self.displacement)  # f - K u - B lambda
+        # f - K u - B lambda
+        pull = -self._applied(self.structure.stiffness.mult, self.displacement)
         pull[self.load_rows] += self.load[step]
         if not self.rigid:
             self.force = self._forces(self.gap)
@@ -408,7 +400,6 @@ class _CentralDifferences(Scheme):
         where they are now."""
         if friction_of(self.contact) is None:
             return self.contact.force(gap)
-        assert self._held is not None
         forces, _, places = self._sets.solve(gap[None], self._held)
         self._held = places[0]
         return forces[0]
@@ -427,31 +418,21 @@ class _CentralDifferences(Scheme):
         operator(self._x, self._y)
         return self._y.array_r.copy()
 
-    def _times(self, matrix: PETSc.Mat, rows: np.ndarray) -> np.ndarray:
-        """A matrix times (n_local,)."""
-        return self._applied(matrix.mult, rows)
-
     def _answer(self, right: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         """A^-1 (r - C v)."""
         modes = self._modes
         if modes is None:
             return self._applied(self._inverse.apply, right - self._damped(velocity))
-        moved = self._times(self.structure.mass, velocity)
+        moved = self._applied(self.structure.mass.mult, velocity)
         both = np.stack([right @ modes.shapes, moved @ modes.shapes])
         pushed, speed = self.structure.sum_over_ranks(both)
         found = self._applied(self._inverse.apply, right)
         return found + modes.shapes @ (self._correction * pushed - self._decay * speed)
 
-    def _answers(self, columns: np.ndarray) -> np.ndarray:
-        """A^-1 X of columns (n_local, m)."""
-        still = np.zeros(len(columns))
-        found = [self._answer(one, still) for one in columns.T]
-        return np.array(found).reshape(columns.T.shape).T
-
     def _damped(self, velocity: np.ndarray) -> np.ndarray:
         """C v."""
         if self._damping is not None:
-            return self._times(self._damping, velocity)
+            return self._applied(self._damping.mult, velocity)
         if self._modes is None:
             return np.zeros_like(velocity)
         modal = self.structure.sum_over_ranks(velocity @ self._modes.mass_shapes)
@@ -460,7 +441,8 @@ class _CentralDifferences(Scheme):
     def _acceleration(self, velocity: np.ndarray) -> np.ndarray:
         """M^-1 (f - K u - B lambda - C v) at phase zero of the load; forces of a constraint, which
         belong to the next step, are left out."""
-        right = -self._times(self.structure.stiffness, self.displacement) - self._damped(velocity)
+        right = -self._applied(self.structure.stiffness.mult, self.displacement)
+        right -= self._damped(velocity)
         right[self.load_rows] += self.load[0]
         if not self.rigid:
             force = self._forces(self._measured(self.displacement))

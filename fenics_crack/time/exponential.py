@@ -26,6 +26,7 @@ Source: Hochbruck and Ostermann, Acta Numerica 19 (2010) 209 (exponential integr
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -126,6 +127,7 @@ class ExponentialFlow(Flow):
         return Steps(self, states, forces, closed > 0, np.append(states[-1], places))
 
 
+@dataclass(frozen=True)
 class Steps:
     """Integrated periods of the load.
 
@@ -139,21 +141,16 @@ class Steps:
         State of the flow at the end.
     """
 
-    def __init__(
-        self,
-        flow: ExponentialFlow,
-        states: np.ndarray,
-        forces: np.ndarray,
-        closed: np.ndarray,
-        end: np.ndarray,
-    ) -> None:
-        self._flow, self.states, self.forces = flow, states, forces
-        self.closed, self.end = closed, end
+    flow: ExponentialFlow
+    states: np.ndarray
+    forces: np.ndarray
+    closed: np.ndarray
+    end: np.ndarray
 
     @property
     def gaps(self) -> np.ndarray:
         """Gaps of all rows at all instants: (N + 1, n_rows) [m]."""
-        flow = self._flow
+        flow = self.flow
         instants = np.arange(len(self.states)) % flow.steps
         moved = (self.states - flow.steady[instants]) @ flow.gap_rows.T
         return np.asarray(moved + flow.linear_gap[instants] - self.forces @ flow.residual)
@@ -161,7 +158,7 @@ class Steps:
     @property
     def lost(self) -> float:
         """Loss by friction over all steps [J], of the mean forces over each."""
-        flow, count = self._flow, self._flow.structure.n_pairs
+        flow, count = self.flow, self.flow.structure.n_pairs
         if not flow.friction:
             return 0.0
         force = self.forces[:, count:]

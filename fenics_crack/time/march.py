@@ -392,30 +392,6 @@ class Scheme(ABC):
             )
 
 
-class EnergyBalance:
-    """The energy at the end of a time integration and that lost, less that at its start and the
-    load's work.
-
-    The load does the work of its mean over a step, the trapezoidal rule.
-    """
-
-    def __init__(self, asked: March, energy: float) -> None:
-        self._sum_over_ranks = asked.structure.sum_over_ranks
-        self._means = 0.5 * (asked.load + np.roll(asked.load, -1, axis=0))
-        self._first = self.put_in = energy
-        """[J]"""
-        self._work = 0.0
-
-    def created(self, load_motion: np.ndarray, energy: float, lost: float) -> float:
-        """Find what is missing [J] after one more period: of displacements where the load acts at
-        its instants and its end (N + 1, rows), the energy there, and that lost so far."""
-        work = np.sum(self._means * np.diff(load_motion, axis=0))
-        gained = float(self._sum_over_ranks(np.array([work]))[0])
-        self._work += gained
-        self.put_in += abs(gained)
-        return energy + lost - self._first - self._work
-
-
 def march(asked: March, scheme: Scheme) -> TimeHistory:
     """Integrate a scheme, period by period, until it settles, and free it (collective)."""
     structure, kept, steps = asked.structure, asked.kept, asked.steps_per_period
@@ -423,7 +399,7 @@ def march(asked: March, scheme: Scheme) -> TimeHistory:
     records: list[np.ndarray] = [np.empty((kept * steps, width)) for width in widths]
     gap, force, motion = records
     load_motion = np.empty((steps, len(asked.load_rows)))
-    settled, done = np.inf, 0
+    done = 0
     before: tuple[np.ndarray, np.ndarray] | None = None
     hidden = not asked.progress or structure.comm.rank != 0
     if not hidden:
@@ -438,9 +414,7 @@ def march(asked: March, scheme: Scheme) -> TimeHistory:
             moved = np.concatenate(structure.comm.allgather(load_motion), axis=1)
             closing = window.gap[:, : structure.n_pairs] + structure.clearance
             now = closing, moved  # slow modes hardly move the gaps
-            if before is not None:
-                settled = _change(now, before)
-            before = now
+            settled, before = np.inf if before is None else _change(now, before), now
             if settled < asked.settle or stop.asked(structure.comm):
                 break
     seconds = clock.perf_counter() - started
