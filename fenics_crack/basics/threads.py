@@ -28,7 +28,7 @@ SETTINGS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "GOTO_NUM_THREADS")
 """Variables that set the number of OpenBLAS's threads."""
 LAUNCHERS = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK")
 """Variables by which mpirun gives a process its rank, before MPI is started."""
-COMPILED_FOR = ("numpy", "mpi4py")
+DEBIAN_BUILT_AGAINST = ("numpy", "mpi4py")
 """Modules for whose compiled interfaces Debian's DOLFINx, PETSc and SciPy are built."""
 _lock = threading.RLock()
 
@@ -47,7 +47,7 @@ def check_modules() -> None:
     """
     pins = Path(sys.prefix, "debian-pins.txt")
     wanted = dict(re.findall("(.+)==(.+)", pins.read_text())) if pins.exists() else {}
-    for name in wanted.keys() & COMPILED_FOR:
+    for name in wanted.keys() & DEBIAN_BUILT_AGAINST:
         place = getattr(find_spec(name), "origin", None)
         if place is None or place.startswith("/usr/lib/python3/"):
             continue

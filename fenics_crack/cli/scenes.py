@@ -24,9 +24,9 @@ from fenics_crack.study.plausibility import (
     KeyFigures,
     find_key_figures,
     highest_omega,
-    is_proportional,
     proposed_curve,
     remarks_on_scene,
+    scales_with_load,
 )
 from fenics_crack.study.prepare import (
     Study,
@@ -120,7 +120,7 @@ def _frequencies(scene: Scene, figures: KeyFigures) -> dict[str, object]:
         rows[f"first natural frequency{words} [rad/s]"] = float(natural[0])
         rows[f"the next{words} [Hz]"] = ", ".join(f"{value / TURN:.6g}" for value in natural[1:])
     if figures.elements is not None:
-        moved = "" if is_proportional(scene) else " without clearance"
+        moved = "" if scales_with_load(scene) else " without clearance"
         what = "breathing contact" if faces == "pairs" else "breathing crack"
         rows[f"{what}{moved} resonates near [Hz]"] = figures.omega_breathing / TURN
     omega = scene.excitation.omega

@@ -505,7 +505,7 @@ def _uses(rows: np.ndarray) -> np.ndarray:
     return np.asarray(uses[which])
 
 
-def _basis(corners: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _facet_basis(corners: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """At points of a facet, with their weights: the linear basis, that of the nodes in the middle
     of its edges, and the derivatives of the former; by Gauss' rule, exact for degree 5."""
     at, weights = (0.5 * x for x in np.polynomial.legendre.leggauss(3))
@@ -533,7 +533,7 @@ def _of_patches(
     areas, fronts = np.zeros(n_pairs), []
     for nodes, middles in facets:
         k = nodes.shape[1] // 2
-        (linear, between), psi, slopes = _basis(k)
+        (linear, between), psi, slopes = _facet_basis(k)
         here = lips.points[nodes[:, :k]]
         one, two = np.einsum("akq,fkx->afqx", slopes, here)
         normal = np.cross(one, two)

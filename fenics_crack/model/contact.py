@@ -331,10 +331,10 @@ def check_law(structure: Structure, contact: Any, *, rigid: bool = False) -> Non
     if not is_rigid(contact) and not np.all(np.isfinite(stiffness)):
         raise InputError("contact stiffness", contact, "finite")
     if not is_unilateral(contact):
-        _check_values(contact, structure.n_pairs)
+        _check_returned(contact, structure.n_pairs)
 
 
-def _check_values(law: ContactLaw, pairs: int) -> None:
+def _check_returned(law: ContactLaw, pairs: int) -> None:
     """Raise InputError unless a user's law returns valid values for gaps (n, n_pairs)."""
     gap, kind = np.outer([-EPSILON, 0.0, EPSILON], np.ones(pairs)), type(law).__name__
     for name in ("force", "tangent"):
@@ -428,7 +428,7 @@ KEPT = 1 / 32
 """Fraction of the machine's memory for the sets of closed pairs of one compliance, or of one flow:
 some of them may be in each of several processes. A set that is found anew takes the time of five
 pieces of a motion."""
-MAX_NEWTON = 200
+MAX_NEWTON_SMOOTH = 200
 """Maximum iterations for forces that are not piecewise linear in the gaps."""
 REGULAR: float = kernel.REGULAR
 """Smallest eigenvalue of R_inf, relative to the largest, with which a constraint is solved; the
@@ -505,7 +505,7 @@ def by_least_squares(matrix: np.ndarray, gap: np.ndarray) -> np.ndarray:
     root = np.sqrt(np.maximum(values, 1e-15 * values.max(initial=0.0)))
     allowed = 1e-10 * float(np.abs(gap).max(initial=0.0))
     force = np.zeros(len(gap))
-    for _ in range(MAX_NEWTON):
+    for _ in range(MAX_NEWTON_SMOOTH):
         target = (vectors.T @ (scale * (gap - (matrix - symmetric) @ force))) / root
         try:
             force = scale * scipy.optimize.nnls((vectors * root).T, target)[0]
@@ -554,7 +554,7 @@ def solve_forces(
 
     found, left = np.array(guess), np.arange(len(gap))
     unit, (reached, answer, tangent) = np.eye(gap.shape[1]), evaluate(found, gap)
-    for _ in range(MAX_NEWTON):
+    for _ in range(MAX_NEWTON_SMOOTH):
         force, given = found[left], gap[left]
         excess = force - answer
         if not np.any(excess):

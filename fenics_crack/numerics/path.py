@@ -555,7 +555,7 @@ class Path:
     def _remember(self, found: Stretch) -> None:
         self._known = [*self._known, *found[-2:]][-2:]
 
-    def _accepted(self, found: Stretch, known: int, step: float) -> Stretch | None:
+    def _up_to_halved_step(self, found: Stretch, known: int, step: float) -> Stretch | None:
         """The last point that was known, and those behind it, of which the first was sought by a
         step, up to the first step that is halved; None if that is the first."""
         assert self._control is not None
@@ -601,4 +601,4 @@ class Path:
             self._equations.check(outcome)
         if path.at.known == len(known) or self._control is None:
             return found[len(known) - 1 : path.at.known]
-        return self._accepted(found[: path.at.known], len(known), step)
+        return self._up_to_halved_step(found[: path.at.known], len(known), step)

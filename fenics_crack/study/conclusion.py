@@ -153,11 +153,11 @@ def _of_solution(run: Answer) -> Said:
         f"at {frequency_in_words(run.scene, found.omega)} the {run.watched_name} is {size} half "
         f"peak-to-peak{error}",
         unknown,
-        ["nothing vibrates"] if found.still else _of_contact(run, found, faces),
+        ["nothing vibrates"] if found.still else _crack_and_verdict(run, found, faces),
     )
 
 
-def _of_contact(run: Answer, found: PeriodicSolution, faces: str) -> list[str]:
+def _crack_and_verdict(run: Answer, found: PeriodicSolution, faces: str) -> list[str]:
     """What the crack does, the error by friction left out, and the verdict."""
     said = []
     if run.structure.n_pairs and found.contact is not None:

@@ -400,7 +400,7 @@ def _holds_resonance(
     forces and gaps are proportional to the load.
     """
     parameter, *ends = curve.followed
-    known = is_proportional(scene) and figures.closed == 0 and figures.mean_opening == 0.0
+    known = scales_with_load(scene) and figures.closed == 0 and figures.mean_opening == 0.0
     meeting = np.vectorize(partial(_meeting, scene, figures, parameter))
     for order in orders:
         natural = np.array([figures.omega_open[:modes], figures.omega_tied[:modes]])
@@ -412,7 +412,7 @@ def _holds_resonance(
     return False
 
 
-def is_proportional(scene: Scene) -> bool:
+def scales_with_load(scene: Scene) -> bool:
     """Return True if the response is proportional to the load: no clearance, smoothing, rotation.
 
     Where forces and gaps are multiplied by a positive number, the equations of crack faces that

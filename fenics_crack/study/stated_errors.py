@@ -425,7 +425,7 @@ def _coarser_mesh(study: Study, near: PeriodicSolution, own: Numbers, of_peak: b
         shifts = near.omega / (1.0 + left * (1.0 - moved))
         solutions = (_solved(study, float(omega), few) for omega in shifts)
         moved_to = [numbers_of(study, one, own.mode).values for one in solutions]
-    between = _between_pairs(study, half, own.mode)
+    between = _with_shifted_clearance(study, half, own.mode)
     found = {}
     for name, part in parts.items():
         value, coarse_value = part.values
@@ -463,7 +463,7 @@ def _highest(study: Study, near: PeriodicSolution) -> int:
     return int(np.nanmax([3.0, *orders]))
 
 
-def _between_pairs(study: Study, near: PeriodicSolution, mode: int) -> dict[str, float]:
+def _with_shifted_clearance(study: Study, near: PeriodicSolution, mode: int) -> dict[str, float]:
     """The numbers with the clearance moved by half a step of the gap from pair to pair, times the
     part of the period for which some pairs of a crack touch and others do not (collective)."""
     cracks, instants = study.structure.pairs.cracks, near.instants()

@@ -27,8 +27,8 @@ from fenics_crack.study.plausibility import (
     KeyFigures,
     find_key_figures,
     highest_omega,
-    is_proportional,
     remarks_on_scene,
+    scales_with_load,
     span_of,
 )
 
@@ -222,11 +222,11 @@ def test_proportional_to_the_load() -> None:
         fc.solve_harmonic_balance(plate.varied(load=factor), 2000.0, law) for factor in (1.0, 7.0)
     )
     np.testing.assert_allclose(seven.gap_coefficients, 7.0 * one.gap_coefficients, rtol=1e-6)
-    assert is_proportional(PAPER)
-    assert not is_proportional(PAPER.replace({"crack.clearance": 1e-7}))
+    assert scales_with_load(PAPER)
+    assert not scales_with_load(PAPER.replace({"crack.clearance": 1e-7}))
     smoothed = {"contact.law": "smoothed", "contact.sharpness": 1e8}
-    assert not is_proportional(PAPER.replace(smoothed))
-    assert not is_proportional(fc.Scene.load(DEMOS / "chain.toml"))
+    assert not scales_with_load(PAPER.replace(smoothed))
+    assert not scales_with_load(fc.Scene.load(DEMOS / "chain.toml"))
 
 
 def test_a_rotor_that_keeps_its_crack_open() -> None:

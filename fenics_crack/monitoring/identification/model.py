@@ -36,7 +36,7 @@ from fenics_crack.monitoring.identification.nuisance import (
     relative_changes,
 )
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.plausibility import is_proportional
+from fenics_crack.study.plausibility import scales_with_load
 from fenics_crack.sweep.file import NUMBERED
 
 # --- displacements at probes ----------------------------------------------------------------------
@@ -332,8 +332,8 @@ class Quantities:
         self._higher, still = _stillness(model.coarse, self._features, self._loads)
         self._still = RegularGridInterpolator(model.cube.axes, still) if len(still) else None
         self._faces = _faces(model) if any(row.resonance for row in self.rows) else (BREATHING,)
-        self._is_free_at_rest = is_proportional(model.scene.at_rest())
-        self._coarse = Interpolation(model.cube, self._smooth(model.coarse))
+        self._is_free_at_rest = scales_with_load(model.scene.at_rest())
+        self._coarse = Interpolation(model.cube, self._smooth_features(model.coarse))
         self._understated = self._missed()
         harmonic = np.repeat([not one.natural for one in self._features], 2)
         known = self._coarse.known & (self._coarse.between | ~harmonic)
@@ -344,7 +344,7 @@ class Quantities:
         self._left = 0.5 / max(finer - 1.0, 1.0 / finer - 1.0, 0.1)
         if model.finer is not None:
             fine = model.finer
-            difference = self._smooth(fine) - self._coarse.at(fine.cube.nodes)
+            difference = self._smooth_features(fine) - self._coarse.at(fine.cube.nodes)
             self._correction = Interpolation(fine.cube, difference)
             known &= self._correction.known & (self._correction.between | ~harmonic)
         of_features = known.reshape(-1, 2).all(axis=1)
@@ -382,7 +382,7 @@ class Quantities:
                 for faces in self._faces:
                     yield at, faces.weight * share[at], self._predicted(place, still, faces)
 
-    def _smooth(self, part: Part) -> np.ndarray:
+    def _smooth_features(self, part: Part) -> np.ndarray:
         """Smooth forms of all features at the nodes of a sweep: (n, 2f), real and imaginary parts
         in turn."""
         values = np.stack([feature.values(part) for feature in self._features], axis=1)
@@ -396,7 +396,7 @@ class Quantities:
         if part is None:
             return np.ones(2 * len(self._features))
         x = part.cube.nodes
-        missed = (self._smooth(part) - self._coarse.at(x)) ** 2
+        missed = (self._smooth_features(part) - self._coarse.at(x)) ** 2
         stated = np.sum(self._coarse.scatter(x) ** 2, axis=1)
         both = [np.nansum(one, axis=0).reshape(-1, 2).sum(axis=1) for one in (missed, stated)]
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -629,7 +629,7 @@ def _faces(model: Model) -> tuple[Faces, ...]:
 
 def is_free(scene: Scene) -> bool:
     """Return True if the shape of a motion does not depend on the size of the load."""
-    return is_proportional(scene) and not any(scene.excitation.force_mean)
+    return scales_with_load(scene) and not any(scene.excitation.force_mean)
 
 
 def _together(row: Measurement, parts: np.ndarray, state: int) -> tuple[np.ndarray, np.ndarray]:

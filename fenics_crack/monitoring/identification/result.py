@@ -587,8 +587,8 @@ def _if_as_before(found: Identification) -> str:
     healthy = plain.misfit[1] >= least
     if healthy and plain.misfit_since(temperature=0.0)[1] < least:
         return (
-            f"; {_modulus(found, plain)}, explains the measurements without a crack: measure the "
-            "temperature, too, before and since (temperature), or open the clamp, close it, "
+            f"; {_modulus_change(found, plain)}, explains the measurements without a crack: measure "
+            "the temperature, too, before and since (temperature), or open the clamp, close it, "
             "measure again and give their change as identify.before_deviation"
         )
     factors = [
@@ -598,7 +598,7 @@ def _if_as_before(found: Identification) -> str:
     other = plain.misfit_since(clamp=factors[0], temperature=factors[1])
     if (other[1] >= least) == healthy:
         return ""
-    such = f", or {_modulus(found, plain)}," if healthy else ""
+    such = f", or {_modulus_change(found, plain)}," if healthy else ""
     return (
         "; a clamp, a temperature or a sensor that has changed frequencies by "
         f"{stated if healthy else most:.2g} since before{such} explains the measurements without a "
@@ -612,10 +612,10 @@ def _if_warmer(found: Identification) -> str:
     words; else empty."""
     if found.posterior.misfit_since(temperature=0.0)[1] >= 1.0 - found.priors["confidence"]:
         return ""
-    return f"; with {_modulus(found, found.posterior)}"
+    return f"; with {_modulus_change(found, found.posterior)}"
 
 
-def _modulus(found: Identification, posterior: Posterior) -> str:
+def _modulus_change(found: Identification, posterior: Posterior) -> str:
     """Posterior mean of the change of Young's modulus, in words: "a Young's modulus 1 % lower than
     before, as about 25 K more make it"."""
     kelvin = found.priors["temperature_deviation"] * posterior.temperature_change

@@ -651,7 +651,7 @@ class _Compared:
         fits = {best.modes: best}
         for _ in range(TURNS):
             weights, before = best.weights, best
-            gains = _together(runs, begun, weights)
+            gains = _reduction_by_pairs(runs, begun, weights)
             for pair in _highest(gains):
                 modes = begun[0][pair[0]], begun[1][pair[1]]
                 if modes not in fits:
@@ -729,7 +729,7 @@ def _begun(
     return list(zip(np.asarray(gains)[rows, best].tolist(), modes, strict=True))
 
 
-def _together(
+def _reduction_by_pairs(
     runs: Sequence[Run], begun: Sequence[Sequence[Mode]], weights: Sequence[np.ndarray]
 ) -> np.ndarray:
     """Return the reduction of the sum of squares by each pair of a mode of the first list with one
