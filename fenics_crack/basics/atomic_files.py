@@ -42,7 +42,7 @@ def write_whole(path: str | Path, content: bytes | str, key: str = "path") -> No
     Raises
     ------
     InputError
-        As of :func:`not_written`.
+        As of :func:`reported`.
     """
     data = content.encode() if isinstance(content, str) else content
     if os.path.dirname(os.path.abspath(path)) in DEVICES:
@@ -59,7 +59,7 @@ def write_together(files: Iterable[tuple[Path, str]]) -> None:
     Raises
     ------
     InputError
-        As of :func:`not_written`.
+        As of :func:`reported`.
     """
     with contextlib.ExitStack() as ready:
         for path, content in files:
@@ -80,7 +80,7 @@ def whole_file(path: str | Path, key: str = "path", *, new: bool = False) -> Ite
     Raises
     ------
     InputError
-        As of :func:`not_written`.
+        As of :func:`reported`.
     """
     with reported(path, key), _hidden(Path(path), new=new) as partial:
         yield partial
@@ -132,7 +132,7 @@ def replace_files(names: Sequence[str], folder: Path, contents: Mapping[str, str
     Raises
     ------
     InputError
-        As of :func:`prepare_folder` and :func:`not_written`.
+        As of :func:`prepare_folder` and :func:`reported`.
     """
     prepare_folder(folder, (BEFORE,), "folder")
     with reported(folder, "folder"):
@@ -185,29 +185,24 @@ def put(file: int, content: bytes | memoryview, place: int) -> None:
         left, place = left[done:], place + done
 
 
-def not_written(key: str, path: str | Path, error: OSError, allowed: str = "") -> InputError:
-    """The error of a file that cannot be written: a WriteError where the disk takes no more.
+@contextlib.contextmanager
+def reported(
+    path: str | Path, key: str, allowed: str = "a file that can be written"
+) -> Iterator[None]:
+    """Raise what the block meets as the InputError of a file that cannot be written, a WriteError
+    where the disk takes no more.
 
     Parameters
     ----------
-    key, path
-        Key that named the file, and the file.
-    error : OSError
-        The reason.
+    path, key
+        The file, and the key that named it.
     allowed : str
-        Allowed values, by default "a file that can be written".
+        Allowed values.
     """
-    kind = WriteError if error.errno in FULL else InputError
-    why = error.strerror or str(error)
-    return kind(key, str(path), f"{allowed or 'a file that can be written'} ({why})")
-
-
-@contextlib.contextmanager
-def reported(path: str | Path, key: str, allowed: str = "") -> Iterator[None]:
-    """Raise what the block meets as :func:`not_written`."""
     try:
         yield
     except OSError as error:
         if isinstance(error, FileExistsError) and error.filename2:  # of the link to a new name
             raise
-        raise not_written(key, path, error, allowed) from None
+        kind = WriteError if error.errno in FULL else InputError
+        raise kind(key, str(path), f"{allowed} ({error.strerror or error})") from None

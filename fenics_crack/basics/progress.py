@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Any
 
 BEAT = 5.0
@@ -30,23 +30,23 @@ def begin(stage: str) -> None:
 
 
 @contextmanager
-def within(part: str) -> Iterator[None]:
+def _joined(many: list[Any], one: Any) -> Iterator[None]:
+    """One more at the end of some, for a while."""
+    many.append(one)
+    try:
+        yield
+    finally:
+        many.pop()
+
+
+def within(part: str) -> AbstractContextManager[None]:
     """Report stages as those of a part: "16 modes: natural modes"."""
-    _parts.append(part)
-    try:
-        yield
-    finally:
-        _parts.pop()
+    return _joined(_parts, part)
 
 
-@contextmanager
-def reaching(how_far: Callable[[], str]) -> Iterator[None]:
+def reaching(how_far: Callable[[], str]) -> AbstractContextManager[None]:
     """Add to progress messages how far something has come: "38% of 780 to 880 Hz, 120 points"."""
-    _reached.append(how_far)
-    try:
-        yield
-    finally:
-        _reached.pop()
+    return _joined(_reached, how_far)
 
 
 class StageLines(logging.Handler):
@@ -67,6 +67,7 @@ class StageLines(logging.Handler):
         self._stream = stream or sys.stderr
         self._live, self._kept = bool(self._stream.isatty()), kept
         self._stage, self._began, self._over = "", 0.0, threading.Event()
+        self._writing = self.lock or nullcontext()
 
     def __enter__(self) -> StageLines:
         _stages.addHandler(self)
@@ -76,20 +77,12 @@ class StageLines(logging.Handler):
     def __exit__(self, *exception: object) -> None:
         _stages.setLevel(logging.NOTSET)
         _stages.removeHandler(self)
-        with self._writing():
+        with self._writing:
             self._show("")
 
     def emit(self, record: logging.LogRecord) -> None:
         """End the stage before, and begin this one; the lock is held."""
         self._show(record.getMessage())
-
-    @contextmanager
-    def _writing(self) -> Iterator[None]:
-        self.acquire()
-        try:
-            yield
-        finally:
-            self.release()
 
     def _show(self, stage: str) -> None:
         now = time.perf_counter()
@@ -110,7 +103,7 @@ class StageLines(logging.Handler):
     def _repeat(self, over: threading.Event) -> None:
         """Print every few seconds the current stage and its time."""
         while not over.wait(BEAT):
-            with self._writing():
+            with self._writing:
                 said = f"  {self._stage} ... {time.perf_counter() - self._began:.0f} s"
                 said = ", ".join([said, *(how_far() for how_far in _reached)])
                 if self._stage:

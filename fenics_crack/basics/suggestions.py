@@ -62,18 +62,14 @@ CLASS_WORDS = {
 """Words for classes of arguments; those of Python's own are always compared."""
 UNIT_PREFIXES = {"G": 1e9, "M": 1e6, "k": 1e3, "": 1.0, "c": 1e-2, "m": 1e-3, "u": 1e-6, "n": 1e-9}
 FOREIGN_UNITS = {
-    ("g/cm^3", "kg/m^3"): 1e3,
-    ("kg/dm^3", "kg/m^3"): 1e3,
-    ("t/m^3", "kg/m^3"): 1e3,
-    ("t/mm^3", "kg/m^3"): 1e12,
-    ("N/mm^2", "Pa"): 1e6,
-    ("N/m^2", "Pa"): 1.0,
-    ("N/mm", "N/m"): 1e3,
-    ("N/mm^3", "N/m^3"): 1e9,
-    ("g", "m/s^2"): 9.80665,
-    ("%", ""): 1e-2,
+    "kg/m^3": {"g/cm^3": 1e3, "kg/dm^3": 1e3, "t/m^3": 1e3, "t/mm^3": 1e12},
+    "Pa": {"N/mm^2": 1e6, "N/m^2": 1.0},
+    "N/m": {"N/mm": 1e3},
+    "N/m^3": {"N/mm^3": 1e9},
+    "m/s^2": {"g": 9.80665},
+    "": {"%": 1e-2},
 }
-"""Units of others: a key's unit in them."""
+"""Units of others by a key's unit, and what they are in that."""
 SPELLINGS = str.maketrans({"µ": "u", "μ": "u", "²": "^2", "³": "^3", "·": " "})
 NUMBER = re.compile(r"([+-]?\d*(?:[.,]\d*)?(?:[eE][+-]?\d+)?) *([^\d].*)?")
 
@@ -217,7 +213,7 @@ def converted(text: str, unit: str) -> float | None:
     given = re.sub(r"([a-z])([23])\b", r"\1^\2", (found[2] or unit).strip())
     if given == unit:
         return value
-    factor = FOREIGN_UNITS.get((given, unit))
+    factor = FOREIGN_UNITS.get(unit, {}).get(given)
     if factor is None and unit and given.endswith(unit):
         factor = UNIT_PREFIXES.get(given.removesuffix(unit))
     if factor is None or not math.isfinite(value * factor):

@@ -19,8 +19,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache, lru_cache
 from importlib.util import find_spec
+from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from fenics_crack.basics.errors import InputError
 
@@ -91,30 +92,18 @@ def alone() -> Iterator[None]:
                 pool("set_num_threads", begin)
 
 
-class _Pool:
+class _Pool(NamedTuple):
     """A loaded OpenBLAS; the names of its functions differ between Debian's and those of wheels."""
 
-    def __init__(self, path: str) -> None:
-        self._library = ctypes.CDLL(path)
-        forms = [
-            (before, after)
-            for before in ("openblas_", "scipy_openblas_")
-            for after in ("", "64_", "_64")
-            if hasattr(self._library, f"{before}set_num_threads{after}")
-        ]
-        self._form = forms[0] if forms else None
-
-    def __bool__(self) -> bool:
-        return self._form is not None
+    library: ctypes.CDLL
+    form: tuple[str, str]
 
     def __call__(self, name: str, *values: int) -> int:
-        assert self._form is not None
-        return int(getattr(self._library, name.join(self._form))(*values) or 0)
+        return int(getattr(self.library, name.join(self.form))(*values) or 0)
 
     def begins_with(self) -> int:
         """Return the number of threads that it starts with by default."""
-        assert self._form is not None
-        config: Any = getattr(self._library, "get_config".join(self._form))
+        config: Any = getattr(self.library, "get_config".join(self.form))
         config.restype = ctypes.c_char_p
         most = re.search(rb"MAX_THREADS=(\d+)", config())
         processors = self("get_num_procs")
@@ -124,8 +113,11 @@ class _Pool:
 @lru_cache(maxsize=1)
 def _pools(modules: int) -> list[tuple[_Pool, int]]:
     """Each OpenBLAS of this process and the threads it begins with; found anew after imports."""
-    found = map(_Pool, _loaded(r"[^/\s]*openblas"))
-    return [(pool, pool.begins_with()) for pool in found if pool]
+    found, forms = [], [*product(("openblas_", "scipy_openblas_"), ("", "64_", "_64"))]
+    for library in map(ctypes.CDLL, _loaded(r"[^/\s]*openblas")):
+        known = [form for form in forms if hasattr(library, "set_num_threads".join(form))]
+        found += [_Pool(library, form) for form in known[:1]]
+    return [(pool, pool.begins_with()) for pool in found]
 
 
 @lru_cache(maxsize=1)

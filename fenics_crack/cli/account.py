@@ -21,14 +21,6 @@ from fenics_crack.study.verification import Verification
 from fenics_crack.sweep.plan import FREQUENCIES
 from fenics_crack.sweep.result import SweepResult, by_reason, in_words
 
-MORE = "more harmonics (harmonic_balance.harmonics, or a tolerance that chooses them)"
-FINER = "a smaller harmonic_balance.tolerance"
-PART_IN_WORDS = {
-    "truncation": "truncated harmonics",
-    "reduction": "truncated modes",
-    "sampling": "AFT sampling",
-    "residual": "the residual",
-}
 OTHERS = {
     "periods": ("periods", "-"),
     "steps_per_period": ("steps in a period", "-"),
@@ -105,26 +97,27 @@ def of_error(
     part, and never what the scene does already."""
     if not report.total > limit:  # or not requested
         return
-    part = report.largest_part
-    if part == "truncation":
-        wanted = MORE
-        if scene.harmonic_balance.tolerance is not None:
-            wanted = FINER if harmonics < MOST_HARMONICS else "more damping: H is at its limit"
-    elif part == "reduction":
-        wanted = f"more modes ({scene.modes_key})"
-    elif part == "sampling":
-        wanted = "more samples (harmonic_balance.samples)"
-    else:
-        rigid = scene.contact is not None and scene.contact.law == "unilateral"
-        softer = "softer contact, or contact.law = 'unilateral'"
-        wanted = f"{'a load that moves the crack faces more' if rigid else softer}: it is rounding"
+    finer = "more damping: H is at its limit"
+    if scene.harmonic_balance.tolerance is None:
+        finer = "more harmonics (harmonic_balance.harmonics, or a tolerance that chooses them)"
+    elif harmonics < MOST_HARMONICS:
+        finer = "a smaller harmonic_balance.tolerance"
+    rigid = scene.contact is not None and scene.contact.law == "unilateral"
+    softer = "softer contact, or contact.law = 'unilateral'"
+    softer = "a load that moves the crack faces more" if rigid else softer
+    part, wanted = {
+        "truncation": ("truncated harmonics", finer),
+        "reduction": ("truncated modes", f"more modes ({scene.modes_key})"),
+        "sampling": ("AFT sampling", "more samples (harmonic_balance.samples)"),
+        "residual": ("the residual", f"{softer}: it is rounding"),
+    }[report.largest_part]
     if report.unknown:
-        unsettled = f"its estimate for {PART_IN_WORDS[part]} did not converge"
+        unsettled = f"its estimate for {part} did not converge"
         yield f"the error is unknown{where}, {unsettled}; use {wanted}"
         return
     yield (
         f"the estimated relative error of the gap is {percent(report.total)}{where}, mostly due to "
-        f"{PART_IN_WORDS[part]}; use {wanted}"
+        f"{part}; use {wanted}"
     )
 
 
@@ -135,8 +128,12 @@ def of_stability(
     if stability is None or stability.verdict == "stable":
         return
     because = f" ({stability.reason})" if stability.reason else ""
-    left = how_it_is_left(stability)
-    text = f"the orbit is unstable{because}: a disturbed motion leaves it{left}{seen}"
+    largest, other = complex(stability.multipliers[0]), "of another size"
+    if largest.imag != 0.0:
+        other = "that does not repeat each period, whose size swells and falls slowly"
+    elif largest.real <= 0.0:
+        other = "that repeats after two periods of the load"
+    text = f"the orbit is unstable{because}: a disturbed motion leaves it, for one {other}{seen}"
     hints = []
     if stability.verdict == "undecided":
         text = f"the stability of the orbit is undecided{because}{seen}"
@@ -167,17 +164,6 @@ def of_more_modes(scene: Scene, found: PeriodicSolution, verdict: str) -> Iterat
     larger = found.assessment.more_modes
     if larger is not None and (said := larger.contradicts(verdict)):
         yield f"{said}: the verdict {verdict!r} {ON_MODES}; raise {scene.modes_key}"
-
-
-def how_it_is_left(stability: Stability) -> str:
-    """Describe how a motion leaves an unstable orbit, by its largest multiplier."""
-    largest = complex(stability.multipliers[0])
-    if stability.verdict != "unstable":
-        return ""
-    if largest.imag != 0.0:
-        return ", for one that does not repeat each period, whose size swells and falls slowly"
-    also = "of another size" if largest.real > 0.0 else "that repeats after two periods of the load"
-    return f", for one {also}"
 
 
 # --- what is printed of tables --------------------------------------------------------------------

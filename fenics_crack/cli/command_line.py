@@ -11,25 +11,18 @@ import re
 import signal
 import sys
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import takewhile
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
+from fenics_crack.basics import threads
 from fenics_crack.basics.atomic_files import FULL
 from fenics_crack.basics.errors import ConvergenceError, Exit, InputError, StoppedError, WriteError
 from fenics_crack.basics.progress import Messages
 from fenics_crack.basics.suggestions import in_other_words, meant, near
-from fenics_crack.basics.threads import (
-    LAUNCHERS,
-    address_limit,
-    alone,
-    check_modules,
-    launched,
-    memory_of_process,
-)
 from fenics_crack.version import VERSION
 
 if TYPE_CHECKING:
@@ -88,7 +81,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return the exit code; the same on every rank."""
     gc.set_threshold(10_000)  # more than 100,000 objects stay, to be searched again and again
     atexit.register(gc.freeze)  # the system takes back what is left, garbage or not
-    if any(os.environ.get(name, "0") != "0" for name in LAUNCHERS):
+    if any(os.environ.get(name, "0") != "0" for name in threads.LAUNCHERS):
         _be_silent()
     if sys.stdout is None:
         _say("standard output is closed")
@@ -126,7 +119,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _end_others(code: Exit) -> None:
     """End the other ranks, which may wait for this one, and this one, with an exit code."""
-    if launched():
+    if threads.launched():
         from mpi4py import MPI
 
         if MPI.COMM_WORLD.size > 1:
@@ -140,7 +133,7 @@ def _read(arguments: Sequence[str] | None) -> argparse.Namespace:
         given = parser().parse_args(_without_petsc() if arguments is None else arguments)
     except SystemExit:
         sys.stdout.flush()
-        if launched():
+        if threads.launched():
             from mpi4py import MPI
 
             MPI.COMM_WORLD.Barrier()  # a rank that fails earlier would silence the one that prints
@@ -198,7 +191,7 @@ def _shortage(error: Exception) -> str:
     """Describe the resource that ran out if an error is due to that, else return ""."""
     said = any(words in str(error) for words in OUT_OF_MEMORY)
     # Few libraries name their need.
-    near_limit = memory_of_process("VmPeak") > 0.9 * address_limit()
+    near_limit = threads.memory_of_process("VmPeak") > 0.9 * threads.address_limit()
     if isinstance(error, MemoryError) or said or near_limit:
         return "memory was not enough"
     if isinstance(error, OSError) and error.errno in FULL:
@@ -212,41 +205,34 @@ def _run(given: argparse.Namespace) -> Exit:
     MPI and PETSc take longer to load than most input to be refused. Where mpirun has started this
     process, rank 0 reads for all.
     """
-    check_modules()
+    threads.check_modules()
     from fenics_crack.cli.given import Console, read_inputs
 
-    inputs = None if launched() else read_inputs(given)
-    meshes = given.command != "new" and not ("scene" in given and inputs is None and not launched())
+    launched = threads.launched()
+    inputs = None if launched else read_inputs(given)
+    meshes = given.command != "new" and not ("scene" in given and inputs is None and not launched)
     if meshes and not (inputs and inputs.scene.structure):
         from fenics_crack.basics import gmsh_process as mesher  # noqa: F401  before MPI: see there
-    with _settings({} if launched() else ONE_PROCESS_SETTINGS):
-        from fenics_crack.basics.ranks import MPI, STOPS, on_root
+    wanted = {} if launched else ONE_PROCESS_SETTINGS
+    added = {name: value for name, value in wanted.items() if name not in os.environ}
+    os.environ |= added
+    from fenics_crack.basics.ranks import MPI, STOPS, on_root  # starts MPI
 
+    for name in added:  # the user's own stay
+        del os.environ[name]
     comm = MPI.COMM_WORLD
     if comm.rank > 0:
         _be_silent()
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # else PETSc ends the program if a reader leaves
     for number in STOPS:
         signal.signal(number, signal.default_int_handler)
-    with alone(), Messages(quiet=given.quiet):
-        if launched():
+    with threads.alone(), Messages(quiet=given.quiet):
+        if launched:
             inputs = on_root(comm, lambda: read_inputs(given))
         console = Console(
             comm, given.format, given.quiet, given.verbose, vars(given).get("pictures", "png")
         )
         return _command(given, inputs, console) or Exit.DONE
-
-
-@contextlib.contextmanager
-def _settings(wanted: dict[str, str]) -> Iterator[None]:
-    """Variables of the surroundings for a while, where the user has not set them."""
-    added = {name: value for name, value in wanted.items() if name not in os.environ}
-    os.environ |= added
-    try:
-        yield
-    finally:
-        for name in added:
-            del os.environ[name]
 
 
 def _command(given: argparse.Namespace, inputs: Inputs | None, console: Console) -> Exit | None:

@@ -163,9 +163,7 @@ def _measured_by(
 def identify(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     """A crack from measurements: what it is, how sure, and where to measure next."""
     from fenics_crack.draw.plot_study import draw_posterior  # Matplotlib
-    from fenics_crack.monitoring.identification import (
-        identify as search,  # SciPy's optimize, interpolate
-    )
+    from fenics_crack.monitoring.identification import identify as search  # SciPy
     from fenics_crack.monitoring.identification.report import Identified
 
     scene, folder = inputs.scene, inputs.folder

@@ -77,7 +77,8 @@ def read_inputs(given: Namespace) -> Inputs | None:
     InputError
         One of them cannot be used.
     """
-    if "scene" not in given or _is_record(given):
+    of_record = given.command == "timing" and given.scene.suffix.lower() == ".csv"
+    if "scene" not in given or of_record:
         return None
     changed = changes(given.set)
     try:
@@ -193,31 +194,20 @@ def _arrivals(scene: Scene, given: Namespace, source: Path | None) -> Source:
     if scene.disk is not None:
         probes = probes_of_blades(probes, scene.disk.sectors)
     blades = read_record(source, tip_radius=table.tip_radius, probes=probes)
-    if scene.disk is not None:
-        return one_of(blades, given.blade, source)
-    [(_, arrivals), *others] = one_of(blades, given.blade, source).items()
-    if others:
-        raise InputError(
-            "--blade", None, f"given: one of {', '.join(map(str, blades))} in {source}"
-        )
-    return arrivals
+    found = one_of(blades, given.blade, source, several=scene.disk is not None)
+    return found if scene.disk is not None else next(iter(found.values()))
 
 
 def one_of(
-    blades: dict[int, ArrivalTimes], blade: int | None, source: Path
+    blades: dict[int, ArrivalTimes], blade: int | None, source: Path, *, several: bool = True
 ) -> dict[int, ArrivalTimes]:
-    """All blades of a record, or the one whose number is given."""
-    if blade is None:
+    """All blades of a record, where ``several`` may be taken, or the one whose number is given."""
+    if blade is None and (several or len(blades) == 1):
         return blades
-    if blade not in blades:
+    if blade is None or blade not in blades:
         allowed = f"one of {', '.join(map(str, blades))} in {source}"
-        raise InputError("--blade", blade, allowed)
+        raise InputError("--blade", blade, f"{'given: ' if blade is None else ''}{allowed}")
     return {blade: blades[blade]}
-
-
-def _is_record(given: Namespace) -> bool:
-    """Return True if ``timing`` is given a record of arrivals in place of a scene."""
-    return bool(given.command == "timing" and given.scene.suffix.lower() == ".csv")
 
 
 def changes(given: Sequence[str]) -> dict[str, Any]:

@@ -36,6 +36,7 @@ from fenics_crack.cli.kinds import KINDS, Drawn, draw, report_of, result_of
 from fenics_crack.cli.results import Waves, waves_of, waves_of_history
 from fenics_crack.cli.scenes import harmonics_in_words
 from fenics_crack.curves.curve import ResponseCurve
+from fenics_crack.draw import plot_study
 from fenics_crack.draw.figure import Picture, distinct_colours
 from fenics_crack.draw.plot import (
     Wave,
@@ -50,13 +51,6 @@ from fenics_crack.draw.plot import (
 )
 from fenics_crack.draw.plot_curve import draw_content, draw_curve, draw_multipliers
 from fenics_crack.draw.plot_mesh import draw_mesh, draw_modes
-from fenics_crack.draw.plot_study import (
-    draw_campbell,
-    draw_growth,
-    draw_passages,
-    draw_tip_fit,
-    draw_tip_track,
-)
 from fenics_crack.fatigue.growth import Growth
 from fenics_crack.files.store import Stored, read, versions
 from fenics_crack.model.contact import friction_of
@@ -421,7 +415,7 @@ def _axis_words(axis: Axis, values: np.ndarray) -> tuple[np.ndarray, str]:
 def draw_growth_of(found: Growth, file: Drawn) -> None:
     """Draw the growth of a crack in the units of its scene."""
     words = "The crack over the cycles; dots are the lengths that were solved."
-    draw_growth(found, path=file("growth", words), in_hertz=found.scene.in_hertz)
+    plot_study.draw_growth(found, path=file("growth", words), in_hertz=found.scene.in_hertz)
 
 
 def draw_campbell_of(found: Campbell, file: Drawn) -> None:
@@ -430,7 +424,7 @@ def draw_campbell_of(found: Campbell, file: Drawn) -> None:
     orders = sorted({*range(1, ORDERS + 1), scene.excitation.order or 1})
     words = "Natural frequencies over the speed; circles where engine orders, grey, meet them."
     how: dict[str, Any] = {"in_hertz": scene.in_hertz or scene.in_rpm, "in_rpm": scene.in_rpm}
-    draw_campbell(found, orders, path=file("campbell", words), **how)
+    plot_study.draw_campbell(found, orders, path=file("campbell", words), **how)
 
 
 def draw_timing(found: Timing, file: Drawn) -> None:
@@ -439,16 +433,16 @@ def draw_timing(found: Timing, file: Drawn) -> None:
     for number, (blade, arrivals) in enumerate(found.arrivals.items()):
         fit, name = found.fits[blade], f"timing_blade_{blade}" if number else "timing"
         if isinstance(fit, tuple):
-            draw_passages(fit, arrivals, path=file(name, words))
+            plot_study.draw_passages(fit, arrivals, path=file(name, words))
         elif isinstance(fit, TipTrack):
             words = "Amplitudes over the load's frequency, with their standard errors."
             in_hertz = found.scene is not None and found.scene.in_hertz
-            draw_tip_track(fit, path=file(name, words), in_hertz=in_hertz)
+            plot_study.draw_tip_track(fit, path=file(name, words), in_hertz=in_hertz)
     if largest := largest_blade(found):
         words = f"Blade {largest}: arrivals over the period, the fit, the orders that were tried."
         fit = found.fits[largest]
         assert isinstance(fit, TipFit)
-        draw_tip_fit(fit, found.arrivals[largest], path=file("timing", words))
+        plot_study.draw_tip_fit(fit, found.arrivals[largest], path=file("timing", words))
 
 
 def draw_identified(found: Identified, file: Drawn) -> None:
@@ -477,9 +471,8 @@ def _draw_curves(stored: Sequence[Stored], labels: Sequence[str], folder: Path, 
         The files are no curves in the same parameter, or the labels are not as many.
     """
     if labels and len(labels) != len(stored):
-        raise InputError(
-            "--label", list(labels), f"given {len(stored)} times, once for each result"
-        )
+        allowed = f"given {len(stored)} times, once for each result"
+        raise InputError("--label", list(labels), allowed)
     paths = [file.path for file in stored]
     if {file.kind for file in stored} != {ResponseCurve.KIND}:
         kinds = [file.kind for file in stored]
@@ -570,10 +563,7 @@ def _part(file: Stored, result: Any, folder: Path) -> dict[str, Any]:
         "closing": f"{_sentence(found.closing)}.",
         "box": box,
         "notes": [*map(_sentence, filter(None, (*found.notes, *dict.fromkeys(drawn.notes))))],
-        "doubts": [
-            *map(_sentence, found.warnings),
-            *map(str, found.remarks),
-        ],  # remarks: with a key
+        "doubts": [*map(_sentence, found.warnings), *map(str, found.remarks)],  # with keys
         "pictures": [_picture(path, words) for path, words in drawn.files.items() if path.exists()],
         "tables": {**tables, **found.further},
         "path": file.path,

@@ -24,18 +24,8 @@ from fenics_crack.basics.tables import (
     with_frequency,
     with_unit,
 )
-from fenics_crack.cli.account import (
-    IN_A_TEST,
-    OTHERS,
-    in_short,
-    largest_seen,
-    of_error,
-    of_friction,
-    of_more_modes,
-    of_size,
-    of_stability,
-    readable_rows,
-)  # fmt: skip
+from fenics_crack.cli import account
+from fenics_crack.cli.account import IN_A_TEST, OTHERS
 from fenics_crack.cli.scenes import remark_on
 from fenics_crack.curves.curve import PARAMETERS, ResponseCurve, kind_in_words, parameter_axis
 from fenics_crack.curves.orbit_curve import OrbitCurve
@@ -124,23 +114,23 @@ def report_of_solution(run: Run[PeriodicSolution]) -> Report:
         failed = "" if found.converged else "not converged: "
         warnings.append(f"{failed}{found.status}")
     elif run.structure.n_pairs:
-        warnings += of_error(scene, found.report, found.harmonics)
+        warnings += account.of_error(scene, found.report, found.harmonics)
     if found.still:
         warnings.append("nothing vibrates: no load changes in time")
     if found.converged:
         judged, seen = found.stability, ""
         if judged is not None:
             seen = _seen_instead(found, run.watched_dof) if judged.verdict == "unstable" else ""
-            warnings += of_more_modes(run.scene, found, judged.verdict)
-        warnings += of_stability(scene, run, judged, seen)
-        warnings += of_size(run, largest_seen(run))
-        warnings += of_friction(found)
+            warnings += account.of_more_modes(run.scene, found, judged.verdict)
+        warnings += account.of_stability(scene, run, judged, seen)
+        warnings += account.of_size(run, account.largest_seen(run))
+        warnings += account.of_friction(found)
         warnings += run.stated.dents if run.stated is not None else ()
     return _report(
         run,
         table,
         rows=_waves(run, waves_of(run)),
-        shown=in_short(table, scene, PRINTED),
+        shown=account.in_short(table, scene, PRINTED),
         notes=notes,
         warnings=warnings,
         tables=_in_numbers(table, scene),
@@ -171,8 +161,8 @@ def _in_numbers(table: Table, scene: Scene) -> dict[str, Table]:
     """All numbers, of which a page shows the first ones; before them those that are requested."""
     chosen = scene.quantities or ()
     rows = [row for row in table.rows if str(row[0]).rpartition(".")[2] in chosen]
-    first = {"Requested by the scene": readable_rows(Table(table.columns, rows))} if rows else {}
-    return first | {"In numbers": readable_rows(table)}
+    first = {"Requested by the scene": account.readable_rows(Table(table.columns, rows))}
+    return (first if rows else {}) | {"In numbers": account.readable_rows(table)}
 
 
 def _seen_instead(found: PeriodicSolution, dof: int) -> str:
@@ -210,12 +200,12 @@ def report_of_history(run: Run[TimeHistory]) -> Report:
             f"the motion has not settled after {found.periods} of {asked.periods} periods"
             f"{_longer_period(found)}"
         )
-    warnings += of_size(run, np.abs(waves.motion).max(axis=0))
+    warnings += account.of_size(run, np.abs(waves.motion).max(axis=0))
     return _report(
         run,
         table,
         rows=_waves(run, waves),
-        shown=in_short(table, scene, PRINTED),
+        shown=account.in_short(table, scene, PRINTED),
         warnings=warnings,
         tables=_in_numbers(table, scene),
         done=done,
@@ -351,7 +341,7 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
         notes.insert(0, f"{hidden} more bifurcations and changes of stability: curve.json")
     kinds = dict.fromkeys(point.kind for point in found.bifurcations)
     notes += [f"{kind_in_words(kind)}: {IN_A_TEST[kind]}" for kind in kinds if kind in IN_A_TEST]
-    warnings = [*_warnings_of_curve(run), *of_size(run, largest_seen(run))]
+    warnings = [*_warnings_of_curve(run), *account.of_size(run, account.largest_seen(run))]
     shown = found.indicators(run.watched_dof)
     peak = int(np.argmax(shown.amplitude))
     if shown.largest_order[peak] > 3:
@@ -368,10 +358,10 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
         run,
         special,
         rows=curve_points(run, along),
-        shown=in_short(few, scene, SPECIAL),
+        shown=account.in_short(few, scene, SPECIAL),
         notes=notes,
         warnings=warnings,
-        tables={"Special points": in_short(special, scene, SPECIAL)},
+        tables={"Special points": account.in_short(special, scene, SPECIAL)},
         further=_of_blades(run, "Blades, each at its largest response"),
         done=bool(found.complete) and found.status != INTERRUPTED,
         missed=bool(unknown_error(run)),
@@ -414,9 +404,9 @@ def _warnings_of_curve(run: Run[ResponseCurve]) -> Iterator[str]:
     reports = {index: one.report for index, one in solutions.items()}
     worst = max(reports, key=lambda index: reports[index].total)
     where = f" at {_place(run, found.values[worst])}"
-    yield from of_error(scene, reports[worst], solutions[worst].harmonics, where)
+    yield from account.of_error(scene, reports[worst], solutions[worst].harmonics, where)
     if found.multipliers is not None and _passed(found, peak):
-        for said in of_more_modes(run.scene, solutions[peak], found.verdicts[peak]):
+        for said in account.of_more_modes(run.scene, solutions[peak], found.verdicts[peak]):
             yield f"at the largest response, {said}"
     stretches = _undecided_stretches(found)
     for first, last in stretches[:1]:

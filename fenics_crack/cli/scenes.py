@@ -55,7 +55,8 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
     memory = check_memory_of(scene, whole, run_up=run_up)
     with console.stage("natural frequencies"):
         figures = find_key_figures(study)
-        by_mesh = _errors_by_mesh(study, figures)
+        tied = {"tied": figures.omega_tied} if whole.n_pairs else {}
+        by_mesh = errors_of_natural(study, {"open": figures.omega_open} | tied)
     rows: dict[str, object] = {
         **({} if whole.nodes is None else _extents(figures)),
         "degrees of freedom": whole.n_dofs,
@@ -132,16 +133,8 @@ def _frequencies(scene: Scene, figures: KeyFigures) -> dict[str, object]:
     return rows
 
 
-def _errors_by_mesh(study: Study, figures: KeyFigures) -> Verification:
-    """Return the errors of these frequencies due to the mesh."""
-    natural = {"open": figures.omega_open}
-    if study.structure.n_pairs:
-        natural["tied"] = figures.omega_tied
-    return errors_of_natural(study, natural)
-
-
 def _known_by_mesh(found: Verification) -> dict[str, object]:
-    """The same as a row; of matrices none."""
+    """The errors of these frequencies due to the mesh as a row; of matrices none."""
     if found.scene.structure is not None:
         return {}
     if found.unknown:

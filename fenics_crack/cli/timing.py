@@ -121,10 +121,9 @@ def _record(given: Namespace, console: Console) -> Exit:
     for key, value in changes(given.set).items():
         table, _, name = key.partition(".")
         if table != "tip_timing" or name not in RECORD_KEYS:
-            allowed = ", ".join(f"tip_timing.{known}" for known in RECORD_KEYS)
-            raise InputError(
-                key, value, f"left out with a record in place of a scene, or {allowed}"
-            )
+            known = ", ".join(f"tip_timing.{known}" for known in RECORD_KEYS)
+            allowed = f"left out with a record in place of a scene, or {known}"
+            raise InputError(key, value, allowed)
         words[name] = TipTiming.checked(name, value)
     with console.stage("arrival times"):
         probes = words.get("probes")

@@ -85,8 +85,11 @@ def save(
     if type(result) not in _FORMS:
         names = ", ".join(kind.__name__ for kind in _FORMS)
         raise InputError("result", type(result).__name__, f"one of {names}")
-    parts = _FORMS[type(result)][0](result) | _motion(result, watched or {})
-    parts["verification"] = errors
+    parts = _FORMS[type(result)][0](result) | {"verification": errors}
+    if watched:
+        kind = "displacement" if isinstance(result, TimeHistory) else "coefficients"
+        motion = np.stack([*watched.values()], axis=-1)
+        parts |= {"watched": [*watched], f"watched_{kind}": motion}
     write(parts, path, result.KIND, scene, result.structure.comm)
 
 
@@ -141,16 +144,7 @@ def type_of(stored: Stored) -> type[Result]:
         if kind.KIND == stored.kind and (kind is OrbitCurve) == ("states" in stored.parts):
             return kind
     allowed = f"of another kind; a {stored.kind} is read by its class, as by SweepResult.load"
-    raise InputError("path", str(stored.path), allowed)
-
-
-def _motion(result: Result, watched: Mapping[str, np.ndarray]) -> Parts:
-    """Datasets of the motion of some dofs, side by side."""
-    if not watched:
-        return {}
-    kind = "displacement" if isinstance(result, TimeHistory) else "coefficients"
-    motion = np.stack(list(watched.values()), axis=-1)
-    return {"watched": list(watched), f"watched_{kind}": motion}
+    raise stored.refused(allowed)
 
 
 # --- modes ----------------------------------------------------------------------------------------
@@ -175,16 +169,19 @@ def _unpack_modes(parts: Parts, structure: Structure, contact: Law = None) -> Mo
     InputError
         The structure has other nodes, or another number of dofs.
     """
-    check_shapes(parts, {"omega": (len(parts["shapes"]),)})
-    if structure.whole.meshed is None:
-        return _modes_of_dofs(parts, structure.whole)
-    mesh, whole = NodalMesh(structure), structure.whole
+    omega, shapes, whole = parts["omega"], parts["shapes"], structure.whole
+    check_shapes(parts, {"omega": (len(shapes),)})
+    if whole.meshed is None:
+        if "nodes" in parts or shapes.ndim != 2 or shapes.shape[1] != whole.n_dofs:
+            allowed = f"that of the file, {shapes.shape}"
+            raise InputError("structure", f"{whole.n_dofs} dofs", allowed)
+        own = slice(whole.first_dof, whole.first_dof + whole.n_local)
+        return Modes(omega, shapes[:, own].T, whole)
+    mesh = NodalMesh(structure)
     assert whole.nodes is not None
-    marks = _marks(mesh)
     from scipy.spatial import cKDTree  # takes a while, and is needed here alone
 
-    omega, shapes, then = parts["omega"], parts["shapes"], parts["nodes"]
-    d = mesh.dimension
+    marks, then, d = _marks(mesh), parts["nodes"], mesh.dimension
     check_shapes(parts, {"shapes": (len(omega), len(then), d), "nodes": (-1, 2 * d)})
     distance, place = cKDTree(then).query(marks)
     same = len(then) == len(marks) and len(set(place)) == len(place)
@@ -196,15 +193,6 @@ def _unpack_modes(parts: Parts, structure: Structure, contact: Law = None) -> Mo
     rows = np.zeros((len(omega), whole.n_local))
     rows[:, whole.nodes.dofs[free] - whole.first_dof] = mine[:, free]
     return Modes(omega, rows.T, whole)
-
-
-def _modes_of_dofs(parts: Parts, whole: Structure) -> Modes:
-    """Modes of a structure without a mesh."""
-    shapes = parts["shapes"]
-    if "nodes" in parts or shapes.ndim != 2 or shapes.shape[1] != whole.n_dofs:
-        raise InputError("structure", f"{whole.n_dofs} dofs", f"that of the file, {shapes.shape}")
-    own = slice(whole.first_dof, whole.first_dof + whole.n_local)
-    return Modes(parts["omega"], shapes[:, own].T, whole)
 
 
 def _marks(mesh: NodalMesh) -> np.ndarray:
@@ -369,8 +357,7 @@ def _unpack_harmonic_curve(parts: Parts, structure: Structure, contact: Law) -> 
     shapes |= {name: (len(parts[name]) | 1, seen.n_pairs) for name in names}
     check_shapes(parts, shapes)
     special = [resized(parts[name], unknowns.shape[1] // 2) for name in names]
-    given: Parts = {"structure": structure, "contact": contact, "bifurcations": ()}
-    curve = unpacked(HarmonicCurve, parts, **given)
+    curve = unpacked(HarmonicCurve, parts, structure=structure, contact=contact, bifurcations=())
     first = curve.solution(0)
     _check_gap(first.structure, first.displacement_coefficients, first.gap_coefficients, 1e-4)
     points = zip(parts["kinds"], parts["bifurcation_values"].tolist(), special, strict=True)
@@ -384,8 +371,7 @@ def _unpack_orbit_curve(parts: Parts, structure: Structure, contact: Law) -> Orb
         shapes[f"{before}states"] = count, 2, structure.n_dofs
         shapes[f"{before}places"] = count, structure.n_pairs
     check_shapes(parts, shapes)
-    given: Parts = {"structure": structure, "contact": contact, "bifurcations": ()}
-    curve = unpacked(OrbitCurve, parts, **given)
+    curve = unpacked(OrbitCurve, parts, structure=structure, contact=contact, bifurcations=())
 
     def states(before: str) -> np.ndarray:
         """States in modes of those by dofs."""

@@ -93,10 +93,7 @@ def write(
 
 def write_header(file: h5py.File, kind: str, scene: Scene | None) -> None:
     """Write the attributes: what is in the file, what made it, and from which scene."""
-    file.attrs["kind"] = kind
-    file.attrs["program"] = PROGRAM
-    file.attrs["version"] = VERSION
-    file.attrs["versions"] = versions()
+    file.attrs.update(kind=kind, program=PROGRAM, version=VERSION, versions=versions())
     if scene is not None:
         file.attrs["scene"] = scene_text(scene)
         file.attrs["meshes"] = "\n".join(_file_digest(path) for _, path in _files_of(scene))
@@ -249,11 +246,14 @@ class Stored:
         if len(self._digests) != len(files):
             raise self._older("digests of all files of its matrices")
 
+    def refused(self, allowed: str) -> InputError:
+        """The error of a file that is not as allowed."""
+        return InputError("path", str(self.path), allowed)
+
     def check_kind(self, kind: str) -> None:
         """Raise InputError if something else is in the file."""
         if self.kind != kind:
-            allowed = f"a file with a {kind}; in this one is a {self.kind}"
-            raise InputError("path", str(self.path), allowed)
+            raise self.refused(f"a file with a {kind}; in this one is a {self.kind}")
 
     @contextlib.contextmanager
     def taken(self) -> Iterator[dict[str, Any]]:
@@ -264,8 +264,7 @@ class Stored:
         except InputError:
             raise
         except WRONG as error:
-            allowed = f"a {self.kind} written by save ({error})"
-            raise InputError("path", str(self.path), allowed) from None
+            raise self.refused(f"a {self.kind} written by save ({error})") from None
 
     @property
     def _digests(self) -> list[str]:
@@ -277,15 +276,14 @@ class Stored:
         if known is None:
             raise self._older("a digest")
         if digest(self.attributes, self.parts or places(self.columns)) != known:
-            raise InputError("path", str(self.path), "a whole file; this one is damaged")
+            raise self.refused("a whole file; this one is damaged")
 
     def _older(self, what: str) -> InputError:
-        allowed = (
+        return self.refused(
             f"a file with {what}, which older versions did not write (this one: "
             f"{self.attributes.get('version', 'unknown')}); make it again with the command that "
             "wrote it, a sweep in a new folder"
         )
-        return InputError("path", str(self.path), allowed)
 
 
 def read(path: str | Path, comm: MPI.Comm = MPI.COMM_SELF) -> Stored:
@@ -420,9 +418,8 @@ ABOUT: dict[str, tuple[str, str]] = {
     "nodes": ("m", "nodes; x and y, and those of the middle of the cells around it"),
     "time": ("s", "instants"),
     "gap": ("m", "instants; pairs; positive: penetration"),
-    "contact_force": ("N", "instants; pairs"),
+    **dict.fromkeys(("contact_force", "tangential_force"), ("N", "instants; pairs")),
     "tangential_gap": ("m", "instants; pairs"),
-    "tangential_force": ("N", "instants; pairs"),
     "friction": ("1", "coefficient of friction, of all pairs, or of each"),
     "recorded": ("m", "instants; recorded_dofs"),
     "final_state": ("m, m/s", "displacement and velocity; dofs"),
@@ -436,8 +433,7 @@ ABOUT: dict[str, tuple[str, str]] = {
     "cycles": ("1", "of the load, until the crack is so long"),
     "rate": ("m", "growth in a cycle"),
     "response": ("m", "half peak-to-peak, at the load"),
-    "largest": ("Pa m^0.5", "K_I over a cycle"),
-    "smallest": ("Pa m^0.5", "K_I over a cycle"),
+    **dict.fromkeys(("largest", "smallest"), ("Pa m^0.5", "K_I over a cycle")),
     "effective": ("Pa m^0.5", "range of K_I while the crack tip is open"),
     "sliding": ("Pa m^0.5", "largest K_II"),
     "cosines": ("m", "motions; harmonics 0 to H; dofs"),

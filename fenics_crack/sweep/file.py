@@ -31,7 +31,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from fenics_crack.basics.atomic_files import not_written, put, whole_file
+from fenics_crack.basics.atomic_files import put, reported, whole_file
 from fenics_crack.basics.errors import FEW_MODES, InputError, WriteError
 from fenics_crack.basics.observables import FRICTION, QUANTITIES, Place, names_of
 from fenics_crack.basics.tables import UNITS
@@ -88,10 +88,7 @@ COLUMNS: dict[str, tuple[str, str]] = {
     **{name: (unit, "f8") for name, (_, unit) in NATURAL.items()},
     "multiplier": ("1", "f8"),
     "verdict": ("", "S12"),
-    "residual_error": ("1", "f8"),
-    "truncation_error": ("1", "f8"),
-    "sampling_error": ("1", "f8"),
-    "reduction_error": ("1", "f8"),
+    **{f"{by}_error": ("1", "f8") for by in ("residual", "truncation", "sampling", "reduction")},
     "penetration_share": ("1", "f8"),
     "harmonics": ("1", "i4"),
     "iterations": ("1", "i4"),
@@ -146,9 +143,8 @@ class SweepFile:
         self, path: Path, scene: Scene, harmonics: int, rows: int, omitted: Sequence[str] = ()
     ) -> None:
         self._path, self._columns = path, columns_of(scene)
-        try:
-            there = os.path.lexists(path)
-            made = None if there else _made(path, scene, harmonics, rows, omitted)
+        with reported(path, "path", "a file that can be written, by one sweep at a time"):
+            made = None if os.path.lexists(path) else _made(path, scene, harmonics, rows, omitted)
             bytes_of(path, None, links=False)  # nothing is written elsewhere
             self._file = os.open(path, os.O_RDWR)
             try:
@@ -162,9 +158,6 @@ class SweepFile:
             except BaseException:
                 os.close(self._file)
                 raise
-        except OSError as error:
-            allowed = "a file that can be written, by one sweep at a time"
-            raise not_written("path", path, error, allowed) from None
         self.made = made is not None
 
     def record(self, numbers: np.ndarray, cases: Sequence[Mapping[str, Any]]) -> None:
@@ -195,7 +188,7 @@ class SweepFile:
         checksums = [_of_waves(*both) for both in zip(*waves.values(), strict=True)]
         columns[WAVES_CHECKSUM] = np.array(checksums, "u4")
         columns[CHECKSUM] = _of_cases(columns, state)
-        try:
+        with reported(self._path, "path"):
             self._put("state", places, np.full(len(state), State.PENDING))
             for name, arrays in waves.items():
                 if name in self.stored.columns:
@@ -203,18 +196,14 @@ class SweepFile:
             for name, values in columns.items():  # the checksum last, which confirms a case
                 self._put(name, places, values)
             self._put("state", places, state)
-        except OSError as error:
-            raise not_written("path", self._path, error) from None
         self.state.flat[places] = state
 
     def close(self, *, remove: bool = False) -> None:
         """Close the file, or remove it; raises InputError where that reports an error."""
-        try:
+        with reported(self._path, "path"):
             if remove and self._is_there():
                 self._path.unlink()
             os.close(self._file)
-        except OSError as error:
-            raise not_written("path", self._path, error) from None
 
     def _put(self, name: str, places: np.ndarray, values: np.ndarray) -> None:
         """Write the first values of some cases in a column or a wave."""
@@ -357,10 +346,8 @@ def _of_scene(path: Path, scene: Scene) -> store.Stored:
         value = f"{path}{there and f', begun with {there}'}"
         allowed = "the file of the same scene; for another one choose a new folder"
         raise InputError("path", value, allowed)
-    version = str(stored.attributes.get("version"))
-    if version != VERSION:
-        allowed = f"a new name: it was begun by version {version}, this is {VERSION}"
-        raise InputError("path", str(path), allowed)
+    if (version := stored.attributes["version"]) != VERSION:
+        raise stored.refused(f"a new name: it was begun by version {version}, this is {VERSION}")
     stored.check_files(begun)
     return opened(path)
 
@@ -391,18 +378,18 @@ def opened(path: Path) -> store.Stored:
     stored.check_kind(KIND)
     scene = stored.scene()
     if scene is None or scene.sweep is None:
-        raise InputError("path", str(path), "a sweep with its scene")
+        raise stored.refused("a sweep with its scene")
     total = 0
     for name, (_, kind) in _kept(scene).items():
         column = stored.columns.get(name)
         if column is None:
             allowed = f"a sweep with a column {name!r}: this one is of an older version"
-            raise InputError("path", str(path), f"{allowed}; solve it anew in another folder")
+            raise stored.refused(f"{allowed}; solve it anew in another folder")
         if column.shape != scene.given("sweep").shape or column.dtype != np.dtype(kind):
-            raise InputError("path", str(path), "a whole sweep")
+            raise stored.refused("a whole sweep")
         total += column.size
     if total > MOST_BYTES:
-        raise InputError("path", str(path), f"a sweep with at most {MOST_BYTES} bytes of columns")
+        raise stored.refused(f"a sweep with at most {MOST_BYTES} bytes of columns")
     return stored
 
 
@@ -423,7 +410,7 @@ def _numbers(stored: store.Stored, scene: Scene) -> dict[str, np.ndarray]:
     try:  # the state first: what is written later counts as pending
         return {name: stored.columns[name].of(stored.path).ravel() for name in _kept(scene)}
     except (OSError, ValueError):
-        raise InputError("path", str(stored.path), "a whole sweep") from None
+        raise stored.refused("a whole sweep") from None
 
 
 def _confirmed(found: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], np.ndarray]:
@@ -455,11 +442,10 @@ def read_columns(stored: store.Stored, scene: Scene) -> dict[str, np.ndarray]:
     shape, found = scene.given("sweep").shape, {}
     if damaged.any():
         first = tuple(map(int, np.unravel_index(int(np.argmax(damaged)), shape)))
-        allowed = (
+        raise stored.refused(
             f"a whole sweep: {damaged.sum()} of its cases are damaged, the first at {first}; the "
             "command sweep computes them again"
         )
-        raise InputError("path", str(stored.path), allowed)
     for name in ("state", *columns_of(scene)):
         values = columns[name]
         if name != "state":
@@ -478,7 +464,7 @@ def read_waves(path: Path, index: tuple[int, ...]) -> tuple[np.ndarray, np.ndarr
     found = _waves(stored, index)
     if found is None:
         allowed = f"a whole sweep: its case {index} is damaged; the command sweep computes it again"
-        raise InputError("path", str(path), allowed)
+        raise stored.refused(allowed)
     return found
 
 

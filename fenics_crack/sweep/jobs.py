@@ -176,7 +176,8 @@ class Manager:
         return self._file.stored
 
     def run(self, worker: Worker, comm: MPI.Comm, stop: StopRequest) -> None:
-        """See that all jobs are done, and close the file; an error is kept."""
+        """See that all jobs are done, and close the file; an error is kept, and removes a file that
+        is new and empty."""
         others = range(1, comm.size)
 
         def go_on() -> bool:
@@ -207,7 +208,12 @@ class Manager:
             comm.send(None, rank, tag=Tag.END)
         while self._given_out:
             self._hear(comm)
-        self._close()
+        self._bar.close()
+        useless = self._file.made and self._recorded == 0 and self._error is not None
+        try:
+            self._file.close(remove=useless)
+        except InputError as error:
+            self._fail(error)
 
     def _send(self, comm: MPI.Comm, rank: int) -> None:
         """Send a rank a job, if there is one."""
@@ -269,12 +275,3 @@ class Manager:
         """End the sweep with an error; the first one counts."""
         self._error = self._error or error
         self._left.clear()
-
-    def _close(self) -> None:
-        """Close the file; after an error remove it if it is new and empty."""
-        self._bar.close()
-        useless = self._file.made and self._recorded == 0 and self._error is not None
-        try:
-            self._file.close(remove=useless)
-        except InputError as error:
-            self._fail(error)

@@ -309,13 +309,9 @@ class SweepResult(Tabular):
             There is no such case, or it was not solved.
         """
         place = self._place(index)
-        rows, case = read_waves(self.path, place)[0], self._plan.case(place)
+        rows, case = read_waves(self.path, place)[0], Plan(self.scene).case(place)
         assert isinstance(case, Scene)
         return rows[:, : rows.shape[1] // 2] if case.has_friction else rows
-
-    @property
-    def _plan(self) -> Plan:
-        return Plan(self.scene)
 
     def solution(self, index: tuple[int, ...] | int) -> PeriodicSolution:
         """The solution of a case that converged; its structure is built again.
@@ -327,7 +323,7 @@ class SweepResult(Tabular):
         """
         place = self._place(index)
         header(self.path).check_files(self.scene)
-        plan = self._plan
+        plan = Plan(self.scene)
         case = plan.case(place)
         assert isinstance(case, Scene)
         length = float(self["crack_length"][place])
@@ -355,8 +351,7 @@ class SweepResult(Tabular):
         if problem.friction:
             parts["tangential_gap_coefficients"] = gap[:, count:]
             parts["tangential_force_coefficients"] = force[:, count:]
-        for name in ("residual", "truncation", "sampling", "reduction"):
-            parts[f"error_{name}"] = float(self[f"{name}_error"][place])
+        parts |= {f"error_{name}": float(self[f"{name}_error"][place]) for name in ERROR_PARTS}
         if problem.projected:
             parts["weight"] = default_weight(problem.compliance())
         return solution_from(parts, structure, law)
