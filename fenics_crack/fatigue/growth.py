@@ -363,14 +363,13 @@ def _lost(
 ) -> float:
     """Return the rise of ln N, beside the power of the exponent, if all ranges are smaller by a
     relative error: more of a spectrum is below the threshold then."""
-    if law.drive != "spectrum" or not law.threshold or not 0.0 < error < 1.0:
+    above = law.drive == "spectrum" and law.threshold and cycles[-1] > 0.0
+    if not (above and 0.0 < error < 1.0):
         return 0.0
     higher = replace(law, threshold=law.threshold / (1.0 - error))
     less = LengthPath(np.zeros(0), NO_COLUMNS, ())
     for table in path.tables:
         less = less.joined(table, higher, _levels(law)[1])
-    if not cycles[-1] > 0.0:
-        return 0.0
     middle = 0.5 * (length[1:] + length[:-1])
     ratio = path.at("driving", middle) / less.at("driving", middle)
     return math.log(float(np.average(ratio**law.exponent, weights=np.diff(cycles))))
@@ -590,13 +589,9 @@ def _swept(scene: Scene, lengths: np.ndarray, levels: np.ndarray) -> Scene:
     over = {"crack.length": [float(at) for at in lengths]}
     if len(levels):
         over["excitation.omega"] = [float(omega) for omega in levels]
-    return scene.replace(
-        {
-            "sweep.over": over,
-            "sweep.at_resonance": scene.given("growth").drive == "resonance",
-            "output.quantities": names_of(Place.TIPS),
-        }
-    )
+    resonant = scene.given("growth").drive == "resonance"
+    table = {"sweep.over": over, "sweep.at_resonance": resonant}
+    return scene.replace({**table, "output.quantities": names_of(Place.TIPS)})
 
 
 def _missed(before: LengthPath, path: LengthPath, missed: np.ndarray) -> np.ndarray:

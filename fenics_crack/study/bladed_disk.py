@@ -207,9 +207,7 @@ class NodalDiameters(Saved):
         found: dict[str, Any] = {"nodal_diameter": list(range(len(self.omega)))}
         for family, omega in enumerate(self.omega.T, 1):
             found[f"frequency_{family}"] = (omega / (2.0 * np.pi)).tolist()
-        orders = [self._orders(n) for n in range(len(self.omega))]
-        found["engine_orders"] = orders
-        return found
+        return found | {"engine_orders": [self._orders(n) for n in range(len(self.omega))]}
 
     def _orders(self, diameter: int) -> str:
         """The lowest engine orders that excite a nodal diameter."""
@@ -335,10 +333,8 @@ class Amplification(Saved):
 
     def said(self) -> Said:
         """What the last sentence on the patterns says."""
-        exceeded = f"95 % of the amplification factors are at most {self.percentile(95.0):.4g}"
-        known = (
-            f"{exceeded}, the largest {self.factor.max():.4g}; Whitehead's bound {self.bound:.4g}"
-        )
+        known = f"95 % of the amplification factors are at most {self.percentile(95.0):.4g}"
+        known += f", the largest {self.factor.max():.4g}; Whitehead's bound {self.bound:.4g}"
         return Said(f"{counted(len(self.factor), 'pattern')} solved", known)
 
     def _title(self) -> str:
@@ -475,12 +471,10 @@ class _Response:
         """Largest amplitude of a pattern [m], its frequency [rad/s], and the number of its
         blade."""
         stiffness = self.stiffness + np.tensordot(deviations, self.elastic, 1)
-        count = len(self.rows)
-        last = min(self.first + 2 * count, len(stiffness))
         squares, shapes = scipy.linalg.eigh(stiffness, self.mass)
         natural, rate = np.sqrt(squares), self.damping.rate(squares)
         pull, seen = shapes.T @ self.force, self.rows @ shapes
-        near = slice(self.first, last)
+        near = slice(self.first, self.first + 2 * len(self.rows))
         steps = np.arange(-WIDTHS, WIDTHS + 0.5 / PER_WIDTH, 1.0 / PER_WIDTH)
         omega = np.sort((natural[near, None] + rate[near, None] * steps).ravel())
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from itertools import pairwise
 from typing import Any, ClassVar
 
@@ -66,6 +66,8 @@ ORDERS = 8
 """Engine orders that are reported where the load has none, and drawn."""
 At = Callable[[float], tuple[np.ndarray, np.ndarray]]
 """Frequencies at a speed, and by how much the crack is held: (3, count) each."""
+Peaks = Callable[[Modes], np.ndarray]
+"""Amplitudes of modes at their own resonances under a load."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -357,11 +359,11 @@ def campbell(
     # That of an open mode's shape may come later, where the bond has taken it past others.
     n_tied = min(count + 2, most) if top.n_pairs else 0
     small = Ritz.of_range(top.damped(None), wanted[0], wanted[-1], count, n_tied)
-    load = _Load(small.force[1] - 1j * small.force[2], top)
+    peaks = partial(_at_resonance, small.force[1] - 1j * small.force[2], top)
 
     @cache
     def at(speed: float) -> tuple[np.ndarray, np.ndarray]:
-        return _frequencies(small.at(speed), load, count, n_tied)
+        return _frequencies(small.at(speed), peaks, count, n_tied)
 
     omega, holds = zip(*map(at, wanted.tolist()), strict=True)
     opened, tied, partly = np.moveaxis(omega, 1, 0)
@@ -430,30 +432,16 @@ def _in_words(speed: float) -> str:
     return f"{speed:.5g} rad/s = {speed / RPM:.5g} rpm"
 
 
-@dataclass(frozen=True)
-class _Load:
-    """Load of a structure, and its damping.
-
-    Attributes
-    ----------
-    force : (n,) [N]
-        Of the small structure, complex: cosine less i times sine part.
-    whole : Structure
-        With the damping.
-    """
-
-    force: np.ndarray
-    whole: Structure
-
-    def at_resonance(self, modes: Modes) -> np.ndarray:
-        """Amplitudes of modes at their own resonances, inf without damping: (n,)."""
-        size = np.abs(self.force @ modes.shapes)
-        below = 2.0 * damping_ratios(self.whole, modes.omega) * modes.omega**2
-        return np.divide(size, below, out=np.where(size > 0.0, np.inf, 0.0), where=below > 0.0)
+def _at_resonance(force: np.ndarray, damped: Structure, modes: Modes) -> np.ndarray:
+    """Amplitudes of modes at their own resonances, inf without damping: (n,); under a complex force
+    on them (n,) [N], cosine less i times sine part, and with the damping of a whole structure."""
+    size = np.abs(force @ modes.shapes)
+    below = 2.0 * damping_ratios(damped, modes.omega) * modes.omega**2
+    return np.divide(size, below, out=np.where(size > 0.0, np.inf, 0.0), where=below > 0.0)
 
 
 def _frequencies(
-    structure: Structure, load: _Load, count: int, n_tied: int
+    structure: Structure, peaks: Peaks, count: int, n_tied: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Natural frequencies of the states in which a crack may be held [rad/s], and by how much it is
     held at resonance under a load, > 0 where it is: (3, count) each, in the order of HELD.
@@ -471,7 +459,7 @@ def _frequencies(
     opening = np.where(shut, 0.0, clearance - structure.apply_bt(moved[None])[0])
     rest = np.where(np.array([none, every, shut]), pressed, opening)
     found = [
-        _held(is_open, load, own, tied, n_tied)
+        _held(is_open, peaks, own, tied, n_tied)
         for own, tied in zip(rest, (none, every, shut), strict=True)
     ]
     omega, hold = (np.array(part) for part in zip(*found, strict=True))
@@ -481,7 +469,7 @@ def _frequencies(
 
 
 def _held(
-    is_open: Modes, load: _Load, rest: np.ndarray, tied: np.ndarray, n_tied: int
+    is_open: Modes, peaks: Peaks, rest: np.ndarray, tied: np.ndarray, n_tied: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Natural frequencies with some pairs bonded, of the shapes of modes with the crack open
     [rad/s], and by how much less than their state at rest the resonance moves the pairs, the least
@@ -506,4 +494,4 @@ def _held(
         stiff, heavy = (times(m, modes.shapes) for m in (structure.stiffness, structure.mass))
         left = ties.T @ (heavy * modes.omega**2 - stiff)
         change[tied] = np.abs(np.linalg.lstsq((ties.T @ ties).toarray(), left, rcond=None)[0])
-    return modes.omega, (rest[:, None] - load.at_resonance(modes) * change).min(axis=0)
+    return modes.omega, (rest[:, None] - peaks(modes) * change).min(axis=0)

@@ -64,10 +64,8 @@ def errors_of_natural(study: Study, natural: Mapping[str, np.ndarray]) -> Verifi
         both = {"open": solve_modes(twin.structure, count).omega}
         if "tied" in natural:
             both["tied"] = tied_modes(twin.structure, count).omega
-        stated.take(
-            "mesh",
-            (counts, expected("mesh", counts, stated.values, named(both), scene, ratio=ratio)),
-        )
+        parts = expected("mesh", counts, stated.values, named(both), scene, ratio=ratio)
+        stated.take("mesh", (counts, parts))
     except REFUSALS as error:
         stated.unknown["mesh"] = why_failed("a coarser mesh", error)
     return stated

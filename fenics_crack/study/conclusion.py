@@ -222,11 +222,8 @@ def _of_history(run: Answer) -> Said:
         change = f"{found.periods} periods: relative change over the last one {found.settled:.2g}"
     if (distance := found.distance) < 1.0:
         change += f", estimated distance from the settled motion {distance:.2g}"
-    return Said(
-        "integrated",
-        known,
-        others=[f"{'settled' if settled else 'the motion has not settled'} after {change}"],
-    )
+    outcome = "settled" if settled else "the motion has not settled"
+    return Said("integrated", known, others=[f"{outcome} after {change}"])
 
 
 _SAID: dict[str, Callable[[Answer], Said]] = {

@@ -244,9 +244,8 @@ def _at_tips(study: Study) -> Rows:
 
 
 def _at_clamp(study: Study) -> Rows:
-    return Rows(
-        study.structure.once(inertia_rows), lambda record: read_at(Place.CLAMP, held(record))
-    )
+    rows = study.structure.once(inertia_rows)
+    return Rows(rows, lambda record: read_at(Place.CLAMP, held(record)))
 
 
 _ROWS: dict[Place, Callable[[Study], Rows]] = {Place.TIPS: _at_tips, Place.CLAMP: _at_clamp}

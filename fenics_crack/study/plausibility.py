@@ -149,9 +149,8 @@ class KeyFigures:
         omega : float, optional
             w at W_0 [rad/s].
         """
-        square = (
-            self.omega_breathing if omega is None else omega
-        ) ** 2 - self.stiffening * speed**2
+        natural = self.omega_breathing if omega is None else omega
+        square = natural**2 - self.stiffening * speed**2
         slope = order**2 - self.stiffening
         return math.sqrt(square / slope) if square > 0.0 and slope > 0.0 else math.nan
 

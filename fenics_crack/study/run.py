@@ -557,8 +557,8 @@ def _needed_law(study: Study) -> ContactLaw:
         if study.scene.structure is not None:
             allowed = "given for this command: the path of a Matrix Market file"
             raise InputError("structure.gap", None, allowed)
-        of_file = study.scene.mesh.layout == "file"  # whose crack is no table
-        missing = "contact" if of_file else "crack"
+        # The crack of a file is no table.
+        missing = "contact" if study.scene.mesh.layout == "file" else "crack"
         raise InputError(missing, None, "given for this command: a table")
     return study.contact
 
@@ -720,9 +720,9 @@ class StressIntensity(Tabular):
         return {name: "s" if name == "time" else "Pa m^0.5" for name in self.to_dict()}
 
     def _title(self) -> str:
-        shown = self.numbers, self.leading
-        parts = [f"{name} = {values[shown[1]]:.4g}" for name, values in shown[0].items()]
-        return f"{', '.join(parts)} Pa m^0.5 at {self.tips[self.leading]}"
+        tip = self.leading
+        parts = [f"{name} = {values[tip]:.4g}" for name, values in self.numbers.items()]
+        return f"{', '.join(parts)} Pa m^0.5 at {self.tips[tip]}"
 
 
 def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressIntensity:

@@ -317,14 +317,10 @@ def _more_harmonics(
             name: max((p[name] for p in both), key=methodcaller("uncertainty")) for name in parts
         }
     if "closed_share" in parts:
-        parts["closed_share"] = _counted(parts["closed_share"], len(near.instants()))
+        part = parts["closed_share"]  # counted at instants, it is not known to one
+        error = math.hypot(part.uncertainty(-1), 1.0 / len(near.instants()))
+        parts["closed_share"] = replace(part, extrapolated=part.values[-1] + error)
     return counts, parts
-
-
-def _counted(part: GridConvergence, instants: int) -> GridConvergence:
-    """The same of a duty cycle, which is counted at instants: it is not known to one."""
-    error = math.hypot(part.uncertainty(-1), 1.0 / instants)
-    return replace(part, extrapolated=part.values[-1] + error)
 
 
 def by_orbit(
@@ -353,9 +349,8 @@ def of_own_orbit(study: Study, found: PeriodicSolution, mode: int) -> dict[str, 
 def _own_orbit(found: PeriodicSolution) -> PeriodicOrbit | None:
     """The exact orbit that is a solution's own, unless it would be sought for long (collective)."""
     known = found.assessment
-    own = found.contact is not None and found.report.estimated
-    own = own and known.affordable and known.accepted
-    return known.orbit if own else None
+    judged = found.contact is not None and found.report.estimated
+    return known.orbit if judged and known.affordable and known.accepted else None
 
 
 def largest_left_out(found: PeriodicSolution, dof: int) -> tuple[int, float] | None:

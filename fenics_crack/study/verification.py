@@ -420,12 +420,9 @@ class Verification(Saved):
             row |= {f"count_{n}": count for n, count in enumerate(counts, 1)}
             by_count = dict(zip(sorted(counts, reverse=True), part.values, strict=True))
             row |= {f"value_{n}": by_count[count] for n, count in enumerate(counts, 1)}
-            row |= {key: getattr(part, key) for key in ("order", "exponent", "factor")}
-            yield row | {
-                "extrapolated": part.extrapolated,
-                "gci_finest": part.gci,
-                **_sized(self, name, self.contributions(name)[cause]),
-            }
+            numbers = "order", "exponent", "factor", "extrapolated"
+            row |= {key: getattr(part, key) for key in numbers} | {"gci_finest": part.gci}
+            yield row | _sized(self, name, self.contributions(name)[cause])
         for cause, independent in (("total", True), ("sum", False)):
             known = {"value_1": self.values[name], "extrapolated": self.extrapolated(name)}
             total = _sized(self, name, self.total(name, independent=independent))
@@ -487,8 +484,18 @@ class Verification(Saved):
 
     @property
     def dents(self) -> tuple[str, ...]:
-        """Warning that the displacement under a point force has no limit, where that matters."""
-        return _dents(self.scene, abs(self.values.get("amplitude", 0.0)))
+        """Warning that the displacement under a point force has no limit, if elements half as long
+        add much to it."""
+        scene, amplitude = self.scene, abs(self.values.get("amplitude", 0.0))
+        added = _dent(scene)
+        if scene.points or not added > TOLERANCE * amplitude > 0.0:
+            return ()
+        growth = "log(1/h)" if scene.dimension == 2 else "1/h"
+        return (
+            "amplitude: under a force at a point the displacement has no limit, it grows like "
+            f"{growth}, by about {percent(added / amplitude)} with elements half as long; "
+            "watch another place (output.points), or load an edge (loads)",
+        )
 
     def _matters(self, name: str, cause: str) -> bool:
         """Return True if a contribution is so large that a doubt about it is reported."""
@@ -526,19 +533,6 @@ def verification_of(stored: Stored) -> Verification | None:
         found = from_text(Verification, parts["verification"], stored.scene())
         found.to_dict()  # whose rows have every part
         return found
-
-
-def _dents(scene: Scene, amplitude: float) -> tuple[str, ...]:
-    """Warn of a displacement without limit, if elements half as long add much to it."""
-    added = _dent(scene)
-    if scene.points or not added > TOLERANCE * amplitude > 0.0:
-        return ()
-    growth = "log(1/h)" if scene.dimension == 2 else "1/h"
-    return (
-        "amplitude: under a force at a point the displacement has no limit, it grows like "
-        f"{growth}, by about {percent(added / amplitude)} with elements half as long; "
-        "watch another place (output.points), or load an edge (loads)",
-    )
 
 
 def _dent(scene: Scene) -> float:
