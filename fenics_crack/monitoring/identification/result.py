@@ -588,8 +588,8 @@ def _if_as_before(found: Identification) -> str:
     if healthy and plain.misfit_since(temperature=0.0)[1] < least:
         return (
             f"; {_modulus_change(found, plain)}, explains the measurements without a crack: "
-            "measure the temperature, too, before and since (temperature), or open the clamp, close "
-            "it, measure again and give their change as identify.before_deviation"
+            "measure the temperature, too, before and since (temperature), or open the clamp, "
+            "close it, measure again and give their change as identify.before_deviation"
         )
     factors = [
         0.0 if healthy else max(1.0, most / one) if one else 1.0
