@@ -54,7 +54,7 @@ from fenics_crack.draw.plot_mesh import draw_mesh, draw_modes
 from fenics_crack.fatigue.growth import Growth
 from fenics_crack.files.store import Stored, read, versions
 from fenics_crack.model.contact import friction_of
-from fenics_crack.model.modes import LIP_STATES, Modes, n_tied_modes, solve_modes
+from fenics_crack.model.modes import LIP_STATES, NEGLIGIBLE, Modes, n_tied_modes, solve_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.monitoring.identification.report import Identified
 from fenics_crack.monitoring.tip_timing.fit_order import TipTrack
@@ -297,7 +297,9 @@ def _without_contact(run: Run[ResponseCurve]) -> dict[str, tuple[np.ndarray, np.
         )
         whole = prepare(scene.replace(no_crack), MPI.COMM_SELF)
         lines["no crack"] = whole.structure, whole.watched[0].dof, "open"
-    return {label: _linear_line(found.omega, *line) for label, line in lines.items()}
+    drawn = {label: _linear_line(found.omega, *line) for label, line in lines.items()}
+    least = NEGLIGIBLE * np.max(found.amplitude(run.watched_dof))  # what is less is still
+    return {label: line for label, line in drawn.items() if np.max(line[1]) > least}
 
 
 def _linear_line(
