@@ -90,10 +90,14 @@ def test_effect_grows_with_the_coefficient() -> None:
 @pytest.mark.parametrize("kind", ["plate", "blade", "mass"])
 def test_random_scenes(kind: str) -> None:
     """Four of each kind of ``benchmarks/friction_left_out.py``: three quarters of their numbers
-    within the factor of 2; 20 modes do not resolve one of the scenes with mass at its faces."""
-    right = []
+    within the factor of 2; 20 modes do not resolve one of the scenes with mass at its faces. One
+    may have no orbit next to 10 harmonics."""
+    right, unknown = [], []
     for seed in range(300, 304):
         found = effects(random_scene(kind, seed))
-        assert not isinstance(found, str), found
-        right += [is_right(*both) for both in found.values()]
-    assert np.mean(right) >= 0.75
+        if isinstance(found, str):
+            unknown.append(found)
+        else:
+            right += [is_right(*both) for both in found.values()]
+    assert np.mean(right) >= 0.75 and len(unknown) <= 1
+    assert all(reason.startswith("not estimated") for reason in unknown)

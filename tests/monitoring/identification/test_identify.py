@@ -762,7 +762,7 @@ def test_arrivals_from_the_shell(
     words = ["identify", str(tmp_path / "plate.toml"), str(tmp_path / "m.csv")]
     given = ["--arrivals", str(tmp_path / "a.csv"), "--output", str(folder)]
     assert main([*words, *given]) == 0
-    assert "crack: log Bayes factor" in capsys.readouterr().err
+    assert "log Bayes factor" in capsys.readouterr().err
     table = (folder / "fit.csv").read_text().splitlines()
     assert len(table) == 11 and table[2].startswith("displacement at 700 Hz and ")
     value = float(table[2].split(",")[1])

@@ -193,7 +193,7 @@ def test_record_of_a_run_up(scene: fc.Scene, tmp_path: Path, capsys: Any) -> Non
             assert float(hertz) == pytest.approx(
                 natural(stiff, float(rpm), kind), abs=4.0 * float(error)
             )
-    assert "crack: log Bayes factor" in said.err
+    assert "log Bayes factor" in said.err
     length = float(said.out.splitlines()[2].split()[1])
     assert length == pytest.approx(0.008, rel=0.1)
     # In Python.
