@@ -524,16 +524,15 @@ def _write_report(files: Sequence[Stored], target: Path, command: Sequence[str])
 
     order = list(KINDS)
     both = [(file, result_of(file)) for file in {file.path: file for file in files}.values()]
-    both.sort(key=lambda one: order.index(one[0].kind))
-    scened = [result for _, result in both if result.scene is not None]  # a record may have none
+    both.sort(key=lambda one: (order.index(one[0].kind), one[1].scene is None))
+    scened = [result for _, result in both if result.scene is not None]  # or a record
     differs = iter(differences([result.scene.replace({"reduction": None}) for result in scened]))
     kinds, stems = [file.kind for file, _ in both], [file.path.stem for file, _ in both]
     folder = passing_folder()
     page = _scene(scened[0], folder) if scened else {}
     parts = []
     for number, (file, result) in enumerate(both):
-        part = _part(file, result, folder / str(number))
-        part["differs"] = "" if result.scene is None else next(differs)
+        part = _part(file, result, folder / str(number)) | {"differs": next(differs, "")}
         if kinds.count(file.kind) > 1:
             alike = stems.count(file.path.stem) > 1
             part["heading"] += f": {file.path.with_suffix('') if alike else file.path.stem}"
