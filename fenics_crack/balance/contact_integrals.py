@@ -463,9 +463,9 @@ class _ExactForces(CoupledForces):
 
     def _by_compliance(self, rate: np.ndarray) -> np.ndarray:
         """Return the derivative of the forces where the diagonal of D grows by a rate."""
-        compliance, rate = np.empty(self._gap.shape), shaped(rate, self._gap.shape[1])
-        kernel.forces_by_compliance(self._here(), pointer(rate), pointer(compliance))
-        return compliance
+        derivative, rate = np.empty(self._gap.shape), shaped(rate, self._gap.shape[1])
+        kernel.forces_by_compliance(self._here(), pointer(rate), pointer(derivative))
+        return derivative
 
     def by_softness(self) -> np.ndarray:
         return self._by_compliance(np.full(self._gap.shape[1], self._integrals.unit))

@@ -78,10 +78,10 @@ def model_to_mesh(model: Any, comm: MPI.Comm, dimension: int) -> tuple[Any, Any,
         raise MemoryError("no room for a thread")
     # DOLFINx 0.5 tries a call whose error, seen by nobody, shows all arrays.
     with np.printoptions(threshold=0, edgeitems=1):
-        mesh = gmshio.model_to_mesh(model, comm, 0, gdim=dimension)
-    if isinstance(mesh, tuple) and len(mesh) == 3:
-        return mesh
-    return mesh.mesh, mesh.cell_tags, mesh.facet_tags
+        data = gmshio.model_to_mesh(model, comm, 0, gdim=dimension)
+    if isinstance(data, tuple) and len(data) == 3:
+        return data
+    return data.mesh, data.cell_tags, data.facet_tags
 
 
 @contextmanager

@@ -268,12 +268,12 @@ class Structure(Coordinates):
         matrix.scale(self.damping_factor)
         return matrix
 
-    @property
+    @cached_property
     def clamp(self) -> Clamp | None:
         """Clamp of a mesh, under the weighted load."""
         return self.body.clamp and self.body.clamp.varied(self.setting.weights)
 
-    @property
+    @cached_property
     def rotation(self) -> Any:
         """Terms of rotation, about a structure at rest in the same setting."""
         return self.body.rotation and self.body.rotation.changed(self._shared)

@@ -47,9 +47,9 @@ def waves_of(rows: np.ndarray, phase: np.ndarray) -> np.ndarray:
 
 def _of_angles(angle: np.ndarray) -> np.ndarray:
     """1, cos, sin, cos, sin, ... of angles (..., K): (..., 2K+1)."""
-    angles = np.ones((*angle.shape[:-1], 2 * angle.shape[-1] + 1))
-    angles[..., 1::2], angles[..., 2::2] = np.cos(angle), np.sin(angle)
-    return angles
+    terms = np.ones((*angle.shape[:-1], 2 * angle.shape[-1] + 1))
+    terms[..., 1::2], terms[..., 2::2] = np.cos(angle), np.sin(angle)
+    return terms
 
 
 def evaluate(coefficients: np.ndarray, omega: float, time: np.ndarray) -> np.ndarray:

@@ -300,12 +300,12 @@ def zero_between(
             x = x + lean[0] * before.tangent.x + lean[1] * after.tangent.x
             p = before.parameter + smooth * rise
             p += lean[0] * before.tangent.p + lean[1] * after.tangent.p
-            plane = solve_in_plane(system, x, p, chord, tolerance=rtol, reach=STRAY * length)
-            if plane is None:
+            crossing = solve_in_plane(system, x, p, chord, tolerance=rtol, reach=STRAY * length)
+            if crossing is None:
                 raise ConvergenceError("path: lost between two points")
-            assert plane.at is not None
-            tangent = tangent_of(system, plane.unknown, plane.at, chord)
-            point = replace(plane, tangent=tangent, observed=observed(system, plane.at))
+            assert crossing.at is not None
+            tangent = tangent_of(system, crossing.unknown, crossing.at, chord)
+            point = replace(crossing, tangent=tangent, observed=observed(system, crossing.at))
             met[share] = point, test(point)
         return met[share][1]
 

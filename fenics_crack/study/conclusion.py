@@ -161,7 +161,7 @@ def _crack_and_verdict(run: Answer, found: PeriodicSolution, faces: str) -> list
     """What the crack does, the error by friction left out, and the verdict."""
     said = []
     if run.structure.n_pairs and found.contact is not None:
-        values, what = found.to_dict(), "the crack opens" if faces != "pairs" else "contact opens"
+        values, what = found.faces, "the crack opens" if faces != "pairs" else "contact opens"
         said.append(
             f"{what} by {quantity(values['opening'], 'm')} and is closed for "
             f"{percent(values['closed_share'])} of the period"

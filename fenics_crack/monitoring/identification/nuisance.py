@@ -402,9 +402,8 @@ def crack_deviations(x: np.ndarray, keys: Sequence[str], scene: Scene) -> np.nda
         if key in keys:
             size = x[:, keys.index(key)]
             common = table.crack_deviation * np.sqrt(table.crack_correlation)
-            deviations[:, keys.index(key)] = (
-                common / 2.0 * size
-            )  # frequencies change with its square
+            # Frequencies change with its square.
+            deviations[:, keys.index(key)] = common / 2.0 * size
         into = np.where(size > 0.0, size, into)
     if "crack.height" in keys:
         tilt = np.tan(np.radians(table.angle_deviation))
