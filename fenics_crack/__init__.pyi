@@ -21,6 +21,9 @@ from fenics_crack.curves.follow import follow_branch as follow_branch
 from fenics_crack.curves.harmonic_curve import HarmonicCurve as HarmonicCurve
 from fenics_crack.curves.orbit_curve import OrbitCurve as OrbitCurve
 from fenics_crack.curves.peak import Peak as Peak
+from fenics_crack.curves.resonance import Resonance as Resonance
+from fenics_crack.curves.resonance import follow_resonance as follow_resonance
+from fenics_crack.curves.resonance import resonance_at as resonance_at
 from fenics_crack.curves.stability import attractors as attractors
 from fenics_crack.curves.stability import floquet as floquet
 from fenics_crack.curves.stability import shoot as shoot

@@ -215,7 +215,7 @@ class ModalCompliance:
         self._set(base_omega, 1.0, 1.0, 0.0)
 
     def _set(self, base_omega: float, load: float, damping: float, clearance: float) -> None:
-        self._base, self._damping = base_omega, damping
+        self._base, self._damping, self._added = base_omega, damping, clearance
         self._receptance = self._modes.receptance(
             base_omega * self._order, damping, self._unit_load != 0.0
         )
@@ -242,6 +242,17 @@ class ModalCompliance:
             vars(other).pop(found, None)
         other._set(base_omega, load, damping, clearance)
         return other
+
+    def driven(self, factor: float) -> ModalCompliance:
+        """The same with all of the load but its mean multiplied."""
+        factors = np.append(1.0, np.full(len(self._order) - 1, factor))
+        other = copy(self)
+        other._unit_load = factors[:, None] * self._unit_load
+        if self._unit_static is not None:
+            rows = np.append(1.0, np.full(2 * len(factors) - 2, factor))[:, None]
+            other._unit_static = rows * self._unit_static
+            other._static_gap = rows * self._static_gap
+        return other.at(self._base, load=self._load, damping=self._damping, clearance=self._added)
 
     def beyond(self, highest: int) -> np.ndarray:
         """R_k for k = H+1 to a higher harmonic."""
@@ -301,11 +312,22 @@ class ModalCompliance:
             return found
         if name == "load":
             return -self._gap(self._unit_load) - self._static_gap
-        moved = self._moved(force)
-        damped = 1j * self._modes.damped(moved)
         if name == "damping":
+            damped = 1j * self._modes.damped(self._moved(force))
             return -self._gap(self._base * order * damped)
-        return -self._gap(order * (self._damping * damped - 2.0 * self._base * order * moved))
+        return from_complex(self._moved_by_omega(force) @ self._modes.pairs)
+
+    def seen_by_omega(self, rows: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """Return the derivative of :meth:`seen_through` by the base frequency for fixed forces:
+        (2H+1, m)."""
+        return from_complex(-self._moved_by_omega(force) @ (rows @ self._modes.shapes).T)
+
+    def _moved_by_omega(self, force: np.ndarray) -> np.ndarray:
+        """Derivative of the modal response to the contact forces less the load."""
+        order, moved = self._order[:, None], self._moved(force)
+        damped = 1j * self._damping * self._modes.damped(moved)
+        drive = order * (damped - 2.0 * self._base * order * moved)
+        return -self._modes.respond(self._receptance, drive)
 
     def _gap(self, drive: np.ndarray) -> np.ndarray:
         """Gap coefficients (2H+1, n_pairs) under modal forces (H+1, n_modes)."""

@@ -496,10 +496,17 @@ def _at_top(run: Run[ResponseCurve], top: Top, along: Columns) -> Columns:
 
 def _places(curve: ResponseCurve) -> dict[str, np.ndarray]:
     """Columns of a curve's parameter, of frequencies and speeds in both of their units."""
-    if curve.parameter not in ("omega", "speed"):
-        return {PARAMETERS[curve.parameter]: curve.values}
-    columns = with_frequency({curve.parameter: curve.values, "omega": curve.omega})
-    return {with_unit(name, UNITS[name]): np.asarray(column) for name, column in columns.items()}
+    found: dict[str, np.ndarray] = {}
+    columns: dict[str, Any] = {"omega": curve.omega}
+    if curve.parameter in ("omega", "speed"):
+        columns = {curve.parameter: curve.values} | columns
+    else:
+        found = {PARAMETERS[curve.parameter]: curve.values}
+        columns = columns if curve.parameter == "resonance" else {}
+    columns = with_frequency(columns)
+    return found | {
+        with_unit(name, UNITS[name]): np.asarray(column) for name, column in columns.items()
+    }
 
 
 def few_special_points(run: Run[ResponseCurve], table: Table) -> tuple[Table, int]:

@@ -41,6 +41,7 @@ PARAMETERS = {
     "clearance": "clearance added to the scene's [m]",
     "friction": "coefficient of friction, as a multiple of the scene's [-]",
     "speed": "rotor speed [rad/s]",
+    "resonance": "load at resonance, as a multiple of the scene's [-]",
 }
 """Parameters of a curve, by their names in :attr:`ResponseCurve.parameter`."""
 
@@ -162,7 +163,7 @@ class ResponseCurve(Observed, Tabular):
         Whose solutions they are, small or reduced, and the law of all pairs: as given, not as the
         parameter varies them.
     parameter : str
-        "omega", "load", "stiffness", "damping", "clearance", "friction" or "speed".
+        "omega", "load", "stiffness", "damping", "clearance", "friction", "speed", or "resonance".
     values : (n,)
         Of the parameter: load frequencies [rad/s], factors, clearances added [m], or speeds of the
         rotor [rad/s].
@@ -247,7 +248,8 @@ class ResponseCurve(Observed, Tabular):
 
     def problem_of(self, index: int) -> Problem:
         """Return the problem solved at a point, of the structure as the parameter varies it."""
-        return self.problem_at(float(self.values[index]))
+        problem = self.problem_at(float(self.values[index]))
+        return replace(problem, omega=float(self.omega[index]))
 
     def _structure_of(self, index: int) -> Structure:
         """The structure at a point."""

@@ -385,6 +385,26 @@ def _spinning(structure: Structure) -> RunUpStructure:
     return structure
 
 
+class ResonanceFamily(Family):
+    """v: factor of the load but its mean, whose frequency follows the resonance (:mod:`resonance`):
+    that is none of the equations' at one frequency."""
+
+    name = "resonance"
+
+    @classmethod
+    def check(cls, structure: Structure, key: str, value: float) -> None:
+        raise InputError("parameter", cls.name, "another one: follow_resonance follows it")
+
+    @classmethod
+    def vary(cls, problem: Problem, value: float) -> Problem:
+        weights = value * np.eye(len(problem.structure.force))
+        weights[0, 0] = 1.0
+        return replace(problem, structure=problem.structure.varied(load=weights))
+
+    def _compile(self, first: ContactSystem) -> None:
+        return None
+
+
 FAMILIES: dict[str, type[Family]] = {
     family.name: family
     for family in (
@@ -395,5 +415,6 @@ FAMILIES: dict[str, type[Family]] = {
         ClearanceFamily,
         FrictionFamily,
         SpeedFamily,
+        ResonanceFamily,
     )
 }

@@ -115,6 +115,11 @@ class HarmonicCurve(ResponseCurve):
 
     def _linearised(self) -> Iterator[ContactPoint]:
         """The equations at all points."""
+        if self.parameter == "resonance":  # at a frequency of its own each
+            for index, unknown in enumerate(self.unknowns):
+                problem = self.problem_of(index)
+                yield problem.system(problem.compliance()).linearise(unknown)
+            return
         for value, unknown in zip(self.values.tolist(), self.unknowns, strict=True):
             yield self.equations.system(value).linearise(unknown)
 

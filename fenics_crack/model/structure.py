@@ -435,7 +435,7 @@ class Structure(Coordinates):
         ----------
         load : float or (2K+1, 2K+1)
             Factor, or the matrix that maps its rows, mean, cosine and sine parts, to the new ones.
-            Left out where the structure rotates, whose mean load holds the centrifugal one.
+            Where the structure rotates the mean load stays, which holds the centrifugal one.
         damping : float
             Factor >= 0.
         clearance : float or (n_pairs,) [m]
@@ -447,7 +447,7 @@ class Structure(Coordinates):
             A value cannot be used.
         """
         weights = _weights(load, len(self.force))
-        if self.whole.rotation is not None and not (weights.ndim == 0 and weights == 1.0):
+        if self.whole.rotation is not None and not _keeps_mean(weights):
             allowed = "1 for a structure that rotates: part of its mean load is centrifugal"
             raise InputError("load", load, allowed)
         check_number("damping", damping, 0.0)
@@ -585,6 +585,13 @@ def _weights(load: Any, rows: int) -> np.ndarray:
         allowed = f"a finite number, or a finite matrix of shape ({rows}, {rows})"
         raise InputError("load", load, allowed)
     return weights
+
+
+def _keeps_mean(weights: np.ndarray) -> bool:
+    """True if weights of a load leave its mean as it is."""
+    if weights.ndim == 0:
+        return bool(weights == 1.0)
+    return bool(weights[0, 0] == 1.0 and not weights[0, 1:].any() and not weights[1:, 0].any())
 
 
 def _with_tangential_pairs(structure: Structure) -> Structure:

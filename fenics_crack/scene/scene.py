@@ -137,8 +137,9 @@ class Scene:
         if self.curve is not None and self.curve.followed[0] == "speed":
             allowed = "another one without an excitation.order, which needs a rotation"
             self.curve.require(self.excitation.order is not None, "parameter", allowed)
-        if self.curve is not None and self.curve.parameter == "load":
+        if self.curve is not None and self.curve.followed[0] == "load":
             allowed = "another one with a rotation.speed > 0: the mean load is partly centrifugal"
+            allowed += "; or curve.at = 'resonance', where it stays"
             self.curve.require(self.speed == 0.0, "parameter", allowed)
         if self.integration is not None and self.rotation is not None:
             why = "[rotation]: the mean load is partly centrifugal"

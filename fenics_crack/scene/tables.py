@@ -805,13 +805,19 @@ class Curve(Table):
         "rpm", default="omega",
     )  # fmt: skip
     """Parameter that changes along the curve."""
+    at: str | None = choice("resonance", default=None)
+    """With "load": follow the resonance nearest to the load's frequency over the load but its mean,
+    the backbone of a forced and damped vibration; of a bladed disk that of the watched blade."""
     stability: bool = holds("true or false", default=True)
     """Floquet multipliers and period doublings along the curve."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         self.require(self.start != self.stop, "stop", f"other than curve.start = {self.start:g}")
-        if self.parameter in ("omega", "frequency", "stiffness", "friction", "speed", "rpm"):
+        if self.at is not None:
+            self.require(self.parameter == "load", "at", "left out, or curve.parameter = 'load'")
+        positive_ones = "omega", "frequency", "stiffness", "friction", "speed", "rpm"
+        if self.parameter in positive_ones or self.at is not None:
             least = max(1e-12 * max(self.start, self.stop), 0.0)  # else rounding takes it to 0
             for name in ("start", "stop"):
                 allowed = f"a number > 0 with curve.parameter = {self.parameter!r}"
@@ -821,12 +827,12 @@ class Curve(Table):
     @property
     def followed(self) -> tuple[str, float, float]:
         """The parameter of the equations, and its ends: "omega" and "speed" in rad/s where Hz or
-        revolutions per minute are given."""
+        revolutions per minute are given; "resonance" over the load at resonance."""
         if self.parameter == "rpm":
             return "speed", RPM * self.start, RPM * self.stop
         if self.parameter == "frequency":
             return "omega", TURN * self.start, TURN * self.stop
-        return self.parameter, self.start, self.stop
+        return self.at or self.parameter, self.start, self.stop
 
 
 @dataclass(frozen=True)

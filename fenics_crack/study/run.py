@@ -331,7 +331,8 @@ def curve(
     """Follow the response curve of a scene's table ``[curve]``, as ``fenics-crack curve`` does.
 
     Over the frequency (:func:`continue_frequency`), the speed of a rotor or another parameter
-    (:func:`continue_parameter`); collective.
+    (:func:`continue_parameter`), or at resonance over the load (:func:`follow_resonance`);
+    collective.
 
     Parameters
     ----------
@@ -359,6 +360,8 @@ def curve(
     >>> run.result.complete
     """
     from fenics_crack.curves.follow import continue_frequency, continue_parameter
+    from fenics_crack.curves.resonance import follow_resonance
+    from fenics_crack.curves.verdicts import judge_curve
 
     table, balance = scene.given("curve"), scene.harmonic_balance
     parameter, start, stop = table.followed
@@ -378,6 +381,10 @@ def curve(
     else:
         options["tolerance"] = balance.tolerance
     structure, omega = study.structure, scene.excitation.omega
+    if parameter == "resonance":
+        problem = Problem(structure, omega, law, balance.harmonics, balance.samples)
+        found = follow_resonance(problem, start, stop, tolerance=balance.tolerance, throw=False)
+        return Run(**vars(study), result=judge_curve(found) if table.stability else found)
     if parameter == "omega":
         followed = continue_frequency(structure, start, stop, law, **options)
     else:

@@ -1,0 +1,237 @@
+"""Phase resonance: closed forms of one mass, modes beside each other, and a blade's curves."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rotating import CRACKED, cracked
+
+import fenics_crack as fc
+from fenics_crack import InputError, Problem, follow_resonance, resonance_at
+
+
+def mass(
+    ratio: float, *, force: float = 1.0, mean: float = 0.0, clearance: float = 0.0
+) -> fc.Structure:
+    """m = k = 1, damped, with a stop."""
+    return fc.Structure.from_matrices(
+        np.eye(1), np.eye(1), gap=np.ones((1, 1)), force_sin=np.array([force]),
+        force_mean=np.array([mean]), clearance=clearance, damping=np.array([[2.0 * ratio]]),
+    )  # fmt: skip
+
+
+def free_frequency(farthest: float, stiffness: float, clearance: float) -> float:
+    """Of x'' + x + k max(x - g0, 0) = 0, whose motion turns back at x = -farthest: arcs of cosine,
+    outside the stop about 0, within it about k g0 / (1 + k)."""
+    inside = math.sqrt(1.0 + stiffness)
+    if abs(clearance) >= farthest:
+        return 1.0 if clearance > 0.0 else inside
+    speed = math.sqrt(farthest**2 - clearance**2)
+    outside = math.acos(-clearance / farthest)
+    half = outside + math.atan2(speed / inside, clearance / inside**2) / inside
+    return math.pi / half
+
+
+@pytest.mark.parametrize("stiffness", [0.1, 1.0, 10.0])
+@pytest.mark.parametrize("ratio", [1e-2, 1e-3, 1e-4])
+def test_bilinear_mass(stiffness: float, ratio: float) -> None:
+    """Without clearance 2 w1 w2 / (w1 + w2) at any load, but for the square of the damping; the
+    width is that of the damping, and the amplitude grows with the load."""
+    law, closed = fc.UnilateralPenalty(stiffness), math.sqrt(1.0 + stiffness)
+    small, large = (
+        resonance_at(Problem(mass(ratio, force=force), 1.0, law, 30)) for force in (1.0, 100.0)
+    )
+    bilinear = 2.0 * closed / (1.0 + closed)
+    assert small.omega == pytest.approx(bilinear, rel=1e-7 + 0.05 * ratio**2)
+    assert large.omega == pytest.approx(small.omega, rel=1e-12)
+    assert large.solution.amplitude() == pytest.approx(100.0 * small.solution.amplitude())
+    assert small.width == pytest.approx(2.0 * ratio, rel=1e-4)
+    assert not small.several and small.solution.converged
+
+
+@pytest.mark.parametrize("clearance", [1.0, -1.0], ids=["clearance", "preload"])
+@pytest.mark.parametrize("ratio", [1e-3, 1e-4])
+@pytest.mark.parametrize("force", [0.5, 2.0, 4.0, 40.0])
+def test_mass_with_a_stop(clearance: float, ratio: float, force: float) -> None:
+    """The frequency is that of the free motion as large, whose load is what the damping takes."""
+    stiffness = 1.0
+    structure = mass(ratio, force=2.0 * ratio * force, clearance=clearance)
+    problem = Problem(structure, 1.0, fc.UnilateralPenalty(stiffness), 60)
+    found = resonance_at(problem, near=1.0 if clearance > 0.0 else math.sqrt(2.0))
+    moved = found.solution.displacement(found.solution.instants())[:, 0]
+    exact = free_frequency(-float(moved.min()), stiffness, clearance)
+    assert found.omega == pytest.approx(exact, rel=1e-6)
+    assert not found.several
+
+
+@pytest.mark.parametrize("force", [0.5, 4.0])
+def test_curve_over_the_load(force: float) -> None:
+    """Linear until the mass meets the stop, then the resonance by itself at each load; and from the
+    largest load back."""
+    ratio, law = 1e-3, fc.UnilateralPenalty(1.0)
+    problem = Problem(mass(ratio, force=2.0 * ratio, clearance=1.0), 1.0, law, 20)
+    curve = follow_resonance(problem, 0.1, 2.0 * force)
+    assert curve.complete and curve.parameter == "resonance"
+    assert curve.values[[0, -1]] == pytest.approx([0.1, 2.0 * force])
+    assert np.ptp(curve.omega[curve.values < 0.99]) < 1e-12
+    alone = resonance_at(
+        Problem(mass(ratio, force=2.0 * ratio * 2.0 * force, clearance=1.0), 1.0, law, 20)
+    )
+    assert curve.omega[-1] == pytest.approx(alone.omega, rel=1e-9)
+    assert curve.amplitude()[-1] == pytest.approx(alone.solution.amplitude(), rel=1e-6)
+    last = curve.solution(len(curve) - 1)
+    assert last.amplitude() == pytest.approx(curve.amplitude()[-1], rel=1e-6)
+    back = follow_resonance(problem, 2.0 * force, 0.1)
+    assert back.omega[-1] == pytest.approx(curve.omega[0], rel=1e-9)
+
+
+def test_stop_at_rest_is_where_contact_begins() -> None:
+    """The mean load that presses the mass onto the stop moves it as a clearance below 0 does."""
+    ratio, law = 1e-3, fc.UnilateralPenalty(1.0)
+    pressed, shifted = (
+        resonance_at(Problem(structure, math.sqrt(2.0), law, 20))
+        for structure in (
+            mass(ratio, force=6e-3, mean=1.0), mass(ratio, force=6e-3, clearance=-1.0)
+        )
+    )  # fmt: skip
+    assert pressed.omega == pytest.approx(shifted.omega, rel=1e-9)
+    assert 1.2 < pressed.omega < 1.41
+
+
+# --- several modes --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("second", "several"), [(1.15, True), (2.5, False)])
+def test_several_modes(second: float, several: bool) -> None:
+    """Two masses under one load: the point knows how far the top of the curve is, and says where
+    that is more than a tenth of the width."""
+    structure = fc.Structure.from_matrices(
+        np.eye(2), np.diag([1.0, second**2]), gap=[1.0, 0.0], force_sin=np.ones(2),
+        damping=0.06 * np.eye(2),
+    ).watching(0)  # fmt: skip
+    law = fc.UnilateralPenalty(0.1)
+    found = resonance_at(Problem(structure, 1.0, law, 20))
+    assert found.several == several and ("several" in repr(found)) == several
+
+    low, high = found.omega - 2.0 * found.width, found.omega + 2.0 * found.width
+    curve = fc.continue_frequency(structure, low, high, law, harmonics=20, longest_step=0.02)
+    along = np.hypot(*sum(curve.coefficients_at(dof)[:, 1:3] for dof in (0, 1)).T)
+    top = np.argmax(along)
+    fit = np.polyfit(curve.omega[top - 3 : top + 4] - found.omega, along[top - 3 : top + 4], 2)
+    apart = -0.5 * fit[1] / fit[0] / found.width
+    assert found.apart == pytest.approx(apart, rel=0.7 if several else 0.1)
+
+
+def test_other_mode_is_found_by_its_frequency() -> None:
+    """That nearest to the frequency that is given."""
+    structure = fc.Structure.from_matrices(
+        np.eye(2), np.diag([1.0, 9.0]), gap=[1.0, 1.0], force_sin=np.ones(2),
+        damping=0.01 * np.eye(2),
+    )  # fmt: skip
+    problem = Problem(structure, 1.0, fc.UnilateralPenalty(0.1), 10)
+    low, high = (resonance_at(problem, near=near).omega for near in (1.2, 2.7))
+    assert 1.0 < low < 1.05 and 3.0 < high < 3.05
+
+
+# --- plates ---------------------------------------------------------------------------------------
+
+
+def test_plate_pressed_by_a_mean_load() -> None:
+    """The top of its curve of exact orbits, between bonded and breathing crack."""
+    study = fc.prepare(cracked(0.0, -300.0))
+    law, omega = study.contact, study.scene.excitation.omega
+    problem = Problem(study.structure, omega, law)
+    found = fc.resonance_at(problem, tolerance=0.01)
+    natural = fc.bilinear_frequencies(study.structure)
+    assert natural.omega_bilinear[0] < found.omega < (1.0 + 1e-9) * natural.omega_tied[0]
+    ends = natural.omega_tied[0] + 3.0 * found.width, found.omega - 3.0 * found.width
+    top = fc.continue_frequency(study.structure, *ends, law, tolerance=1e-3).top()
+    assert abs(top.value - found.omega) < 0.1 * found.width
+    assert found.solution.amplitude() == pytest.approx(top.amplitude, rel=0.02)
+
+
+def test_rotor_at_the_speed_of_its_resonance() -> None:
+    """The order meets the resonance of the structure at that speed."""
+    scene = cracked(300.0)
+    whole = fc.build_structure(scene.replace({"excitation.omega": 12.0 * 300.0}))
+    rotor = fc.run_up_structure(whole, 280.0, 350.0, 4)
+    law = fc.prepare(scene).contact
+    found = resonance_at(Problem(rotor, 12.0 * rotor.speed, law), parameter="speed")
+    assert found.omega == pytest.approx(12.0 * found.value, rel=1e-12)
+    there = resonance_at(Problem(rotor.at_speed(found.value), found.omega, law))
+    assert there.omega == pytest.approx(found.omega, rel=1e-8)
+    assert there.solution.amplitude() == pytest.approx(found.solution.amplitude(), rel=1e-6)
+    assert found.damping > there.damping  # it takes longer to pass
+
+
+def test_scene_over_its_load(tmp_path: Path) -> None:
+    """curve.at = "resonance", with a mean load that stays; a file is read as it was written."""
+    scene = cracked(200.0, 100.0, curve={
+        "parameter": "load", "at": "resonance", "start": 0.1, "stop": 2.0, "stability": False,
+    })  # fmt: skip
+    run = fc.curve(scene)
+    curve = run.result
+    assert curve.complete and np.ptp(curve.omega) > 0.0
+    run.save(tmp_path / "curve.h5")
+    again = fc.load_run(tmp_path / "curve.h5").result
+    assert np.array_equal(again.omega, curve.omega)
+    assert again.amplitude() == pytest.approx(curve.amplitude(), rel=1e-9)
+    place = len(curve) // 2
+    known = curve.solution(place)
+    solved = fc.solve_harmonic_balance(
+        known.structure, known.omega, known.contact, harmonics=known.harmonics, initial=known
+    )
+    assert solved.amplitude() == pytest.approx(curve.amplitude()[place], rel=1e-5)
+
+
+TITANIUM = {
+    "geometry": {"kind": "solid", "width": 0.04, "height": 0.1, "thickness": 0.004},
+    "crack": {"edge": "left", "height": 0.012, "length": 0.004},
+    "material": {"young": 1.14e11, "poisson": 0.33, "density": 4430.0},
+    "damping": {"ratio": 0.001},
+    "rotation": {"rpm": 6000.0, "hub_radius": 0.25},
+    "contact": {"law": "unilateral"},
+    "mesh": {"layout": "graded", "order": 2, "size": 0.01, "lip_elements": 6, "grading": 4.0},
+    "reduction": {"modes": 10},
+    "curve": {"parameter": "rpm", "start": 5780.0, "stop": 5860.0},
+}
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("force", [0.2, 0.4, 1.0])
+def test_solid_blade_on_a_rotor(force: float) -> None:
+    """Its resonance is that of its curve over rpm, which the load moves by 20 rpm: the centrifugal
+    load opens the crack, and the bilinear frequency meets the order at 5,847 rpm."""
+    load = {"order": 4, "point": [0.04, 0.1, 0.002], "force_sin": [0.0, 0.0, force]}
+    scene = fc.Scene.from_mapping(TITANIUM | {"excitation": load})
+    whole = fc.build_structure(scene)
+    rotor = fc.run_up_structure(whole, 605.0, 615.0, 10)
+    problem = Problem(rotor, 4.0 * rotor.speed, fc.UnilateralConstraint())
+    found = resonance_at(problem, parameter="speed", tolerance=0.01)
+    peak = fc.curve(scene).peak()
+    assert found.omega == pytest.approx(peak.omega, rel=2e-4)
+    assert found.solution.amplitude() == pytest.approx(peak.amplitude, rel=0.02)
+    assert not found.several
+
+
+# --- refused --------------------------------------------------------------------------------------
+
+
+def test_what_has_no_phase_resonance() -> None:
+    """Friction and smooth laws, no damping, no load, a load of 0; a key beside another
+    parameter."""
+    law, structure = fc.UnilateralPenalty(1.0), mass(0.01)
+    with pytest.raises(InputError, match="without friction"):
+        resonance_at(Problem(structure, 1.0, fc.SmoothedPenalty(1.0, 1e3), 5))
+    with pytest.raises(InputError, match="no mode answers"):
+        resonance_at(Problem(mass(0.0), 1.0, law, 5))
+    with pytest.raises(InputError, match="no mode answers"):
+        resonance_at(Problem(mass(0.01, force=0.0), 1.0, law, 5))
+    with pytest.raises(InputError, match="start"):
+        follow_resonance(Problem(structure, 1.0, law, 5), 0.0, 1.0)
+    with pytest.raises(InputError, match="follow_resonance"):
+        fc.continue_parameter(structure, 1.0, law, "resonance", 0.5, 1.0)
+    span = {"parameter": "clearance", "at": "resonance", "start": 0.1, "stop": 1.0}
+    with pytest.raises(InputError, match=r"curve.at"):
+        fc.Scene.from_mapping(CRACKED | {"curve": span})
