@@ -58,7 +58,6 @@ from fenics_crack.basics.errors import (
     check_number,
 )
 from fenics_crack.basics.tables import TURN, Tabular, counted, hertz_of, with_frequency
-from fenics_crack.curves.curve import PARTS
 from fenics_crack.curves.free_motion import (
     HELPS,
     Equilibrium,
@@ -67,6 +66,7 @@ from fenics_crack.curves.free_motion import (
     cosine_rows,
     first_motion,
 )
+from fenics_crack.curves.waves import PARTS
 from fenics_crack.model.contact import ContactLaw, check_law
 from fenics_crack.model.modal import SMALL, all_modes, is_small
 from fenics_crack.model.reduction import reduce_structure

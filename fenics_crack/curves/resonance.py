@@ -45,15 +45,15 @@ from fenics_crack.balance.problem import Problem, Search
 from fenics_crack.balance.solution import PeriodicSolution, Solver, solution_of
 from fenics_crack.basics.errors import INTERRUPTED, ConvergenceError, InputError, check_number
 from fenics_crack.basics.tables import Described, counted, quantity, with_frequency
-from fenics_crack.curves.family import FAMILIES, Family
-from fenics_crack.curves.harmonic_curve import HarmonicCurve
+from fenics_crack.curves.curve import ResponseCurve
+from fenics_crack.curves.waves import WAVES, Waves
 from fenics_crack.model.contact import is_unilateral, solve_complementarity, springs_of
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.model.wheel import Wheel
-from fenics_crack.numerics.equations import DIFFERENCE, LOCATED, Linearisation, least_residual
+from fenics_crack.numerics.equations import CENTRAL_STEP, LOCATED, Linearisation, least_residual
 from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_near
 from fenics_crack.numerics.path import Crossing, Ended, Path, PathOptions, Target
 
@@ -137,7 +137,7 @@ class LoadedEquations:
     """F(s, v, w), the condensed equations at values of a family's parameter, the load's frequency
     or a rotor's speed, under a load with all but its mean multiplied."""
 
-    def __init__(self, family: Family, drive: Drive) -> None:
+    def __init__(self, family: Waves, drive: Drive) -> None:
         self.family, self.drive = family, drive
 
     def system(self, value: float, factor: float) -> ContactSystem:
@@ -155,7 +155,7 @@ class LoadedEquations:
             return by_omega, self.drive.of_waves(
                 compliance.seen_by_omega(self.drive.rows, at.force)
             )
-        step = DIFFERENCE * value
+        step = CENTRAL_STEP * value
         ends = []
         for there in (value - step, value + step):
             point = self.system(there, factor).linearise(at.unknown)
@@ -230,7 +230,7 @@ class ResonancePoint(Linearisation):
     def problem(self) -> Problem:
         """What it balances."""
         problem = self.system.equations.family.at(self.value)
-        return problem if self.factor == 1.0 else FAMILIES["resonance"].vary(problem, self.factor)
+        return problem if self.factor == 1.0 else WAVES["resonance"].vary(problem, self.factor)
 
     @cached_property
     def residual(self) -> np.ndarray:  # type: ignore[override]
@@ -571,11 +571,11 @@ class Begun:
         guess = nearest_mode(problem, near)
         for _ in range(MEETINGS if parameter == "speed" else 0):
             speed = _spinning(problem.structure).speed * guess.omega / problem.omega
-            problem = FAMILIES[parameter].vary(problem, speed)
+            problem = WAVES[parameter].vary(problem, speed)
             guess = nearest_mode(problem, guess.omega)
         omega, wide = guess.omega, guess.range
         equations = LoadedEquations(
-            FAMILIES["omega"](problem, omega - wide, omega + wide),
+            WAVES["omega"](problem, omega - wide, omega + wide),
             Drive.of(problem.structure, guess.harmonic),
         )
         factor = min(factor, guess.factor)
@@ -618,7 +618,7 @@ class Begun:
         speed = _spinning(problem.structure).speed
         value = speed * self._point.value / problem.omega
         ends = sorted((speed, 2.0 * value - speed))
-        return self._with(FAMILIES["speed"](problem, *ends), value)
+        return self._with(WAVES["speed"](problem, *ends), value)
 
     def with_harmonics(self, harmonics: int) -> Begun:
         """The same with other harmonics."""
@@ -656,7 +656,7 @@ class Begun:
         change = max(float(change), behind.solution.report.displacement)
         return (more, change) if change <= tolerance else more.within(tolerance, near, change)
 
-    def _with(self, family: Family, value: float) -> Begun:
+    def _with(self, family: Waves, value: float) -> Begun:
         """With the equations of another family at a value of its parameter."""
         equations = LoadedEquations(family, self.system.equations.drive)
         factor, at = math.exp(self.here.parameter), self._point.at
@@ -747,7 +747,7 @@ def follow_resonance(
     longest_step: float = 0.1,
     most_points: int = 1000,
     throw: bool = True,
-) -> HarmonicCurve:
+) -> ResponseCurve:
     """Follow the phase resonance of a mode over the load.
 
     Parameters
@@ -768,7 +768,7 @@ def follow_resonance(
 
     Returns
     -------
-    HarmonicCurve
+    ResponseCurve
         With the parameter "resonance": a factor and the load frequency of each point. Its status
         says at how many points several modes answer together.
 
@@ -813,14 +813,14 @@ def follow_resonance(
 
 def _curve_of(
     system: ResonanceSystem, points: list[PathPoint], complete: bool, status: str
-) -> HarmonicCurve:
+) -> ResponseCurve:
     """Points as a curve."""
     found = [system.linearise(one.unknown, one.parameter) for one in points]
     several = sum(abs(one.apart) > SEVERAL for one in found)
     if several:
         status += f"; at {several} of {counted(len(found), 'point')} several modes answer together"
     problem = system.equations.family.problem
-    return HarmonicCurve(
+    return ResponseCurve(
         structure=problem.structure,
         contact=problem.contact,
         parameter="resonance",
@@ -831,7 +831,7 @@ def _curve_of(
         complete=complete,
         status=status,
         subharmonic=1,
-        unknowns=np.array([one.at.unknown for one in found]),
+        points=np.array([one.at.unknown for one in found]),
         samples=problem.samples,
         static_above=problem.static_cutoff,
     )
