@@ -104,11 +104,11 @@ def arrivals_of_blades(
         return dict(source), None
     table = scene.given("tip_timing")
     run, found = _run_of(scene, source, comm), {}
-    wheel = run.structure.whole
-    probes = probes_of_blades(np.radians(table.probes), wheel.sector.count)
-    for blade, tip in _tips(table, run).items():
+    count = run.structure.whole.sector.count
+    for blade, probes in probes_of_blades(np.radians(table.probes), count).items():
         begin(f"arrivals of blade {blade}")
-        angles = np.degrees(np.sort(probes[blade])).tolist()
+        angles = np.degrees(np.sort(probes)).tolist()
+        tip = tip_direction(table, run, blade)
         found[blade] = _computed(table, run, source, tip, angles, blade - 1)
     return found, run
 
@@ -157,21 +157,6 @@ def _computed(
         clock=table.clock,
         seed=table.seed + blade,
     )
-
-
-def _tips(table: TipTiming, run: Run) -> dict[int, dict[int, float]]:
-    """The displacement of every tip in the direction of rotation, as factors of dofs."""
-    wheel = run.structure.whole
-    _, own = wheel.blade_of(run.watched_dof)
-    if table.tangential is None:
-        shares: dict[int, float] = wheel.sector.circumferential(own)
-    else:
-        shares = {own: table.tangential}
-    count = wheel.sector.count
-    return {
-        blade: {wheel.dof_of(blade, dof): share for dof, share in shares.items()}
-        for blade in range(1, count + 1)
-    }
 
 
 def run_up_ends(scene: Scene, run: Run[Any]) -> str:
@@ -325,9 +310,9 @@ def _diagram(scene: Scene, arrivals: ArrivalTimes) -> Campbell:
     return campbell(scene, speeds, few=10)
 
 
-def tip_direction(table: TipTiming, run: Run) -> dict[int, float]:
-    """Return the displacement of the blade tip in the direction of rotation, as factors of dofs
-    (collective).
+def tip_direction(table: TipTiming, run: Run, blade: int | None = None) -> dict[int, float]:
+    """Return the displacement of the blade tip in the direction of rotation, as factors of dofs; of
+    a wheel that of one blade, by default of the first cracked one (collective).
 
     Raises
     ------
@@ -336,7 +321,10 @@ def tip_direction(table: TipTiming, run: Run) -> dict[int, float]:
     """
     whole, rotation = run.structure.whole, _carrier(table, run.scene)
     if run.scene.disk is not None:
-        return _tips(table, run)[whole.first + 1]
+        _, own = whole.blade_of(run.watched_dof)
+        given, number = table.tangential, blade or whole.first + 1
+        of_sector = whole.sector.circumferential(own) if given is None else {own: given}
+        return {whole.dof_of(number, dof): share for dof, share in of_sector.items()}
     if rotation is None:
         return {run.watched_dof: 1.0 if table.tangential is None else table.tangential}
     dofs, points = (gather_rows(whole.comm, x) for x in (whole.nodes.dofs, whole.nodes.points))
