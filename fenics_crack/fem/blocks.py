@@ -40,8 +40,7 @@ import numpy as np
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.gmsh_process import gmsh
 from fenics_crack.basics.threads import machine_memory
-from fenics_crack.fem.crack_surface import Lips, Names
-from fenics_crack.fem.lips import Lip
+from fenics_crack.fem.cracks import Lip, Lips, Names
 from fenics_crack.kernel import Struct, kernel
 from fenics_crack.model.factor import factor_memory
 from fenics_crack.scene.scene import Scene

@@ -31,8 +31,7 @@ from scipy.linalg import eigh
 from fenics_crack.basics.atomic_files import replace_files
 from fenics_crack.basics.errors import InputError, reading
 from fenics_crack.basics.ranks import on_each, on_root
-from fenics_crack.fem.crack_surface import FACETS
-from fenics_crack.fem.lips import SAME, each_once
+from fenics_crack.fem.cracks import FACETS, SAME, each_once
 from fenics_crack.fem.model_files import Model, read_model
 from fenics_crack.model.factor import distributed, local_rows
 from fenics_crack.model.matrices import (

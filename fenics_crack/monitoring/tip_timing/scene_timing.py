@@ -15,7 +15,7 @@ from fenics_crack.basics.ranks import MPI, gather_rows
 from fenics_crack.basics.tables import RPM, TURN, speed_in_words
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.fem.build import with_crack_length
-from fenics_crack.fem.lips import SAME
+from fenics_crack.fem.cracks import SAME
 from fenics_crack.files.results import Result
 from fenics_crack.files.store import with_full_paths
 from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes, probes_of_blades
