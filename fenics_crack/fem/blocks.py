@@ -65,15 +65,8 @@ class Interval:
     progression: float
 
 
-@dataclass(frozen=True)
-class Slit:
-    """A crack in the blocks: its row, and the columns' ends at its own ends; which are tips."""
-
-    row: int
-    left: int
-    right: int
-    left_is_tip: bool
-    right_is_tip: bool
+Slit = tuple[int, range]
+"""A crack in the blocks: its row, and the columns along it. Its ends inside the plate are tips."""
 
 
 @dataclass(frozen=True)
@@ -124,14 +117,8 @@ def _plate_blocks(scene: Scene) -> tuple[list[Interval], list[Interval], list[Sl
         columns, rows = _graded_plate(scene, spans, levels)
     xs, ys = (np.array([side[0].start, *(i.stop for i in side)]) for side in (columns, rows))
     slits = [
-        Slit(
-            row=_nearest(ys, level),
-            left=_nearest(xs, span[0]),
-            right=_nearest(xs, span[1]),
-            left_is_tip=crack.edge != "left",
-            right_is_tip=crack.edge != "right",
-        )
-        for crack, span, level in zip(cracks, spans, levels, strict=True)
+        (_nearest(ys, level), range(*(_nearest(xs, end) for end in span)))
+        for span, level in zip(spans, levels, strict=True)
     ]
     return columns, rows, slits
 
@@ -163,8 +150,7 @@ def lip_pairs(scene: Scene) -> int:
     if crack is not None and crack.length is None:  # the only one
         return ((scene.mesh.lip_elements or 0) + 1) * order
     columns, _, slits = _plate_blocks(scene)
-    counts = [sum(column.count for column in columns[s.left : s.right]) for s in slits]
-    return sum(count * order for count in counts)
+    return sum(columns[place].count * order for _, along in slits for place in along)
 
 
 def _equal(extent: float, count: int, cuts: list[float]) -> list[Interval]:
@@ -199,7 +185,7 @@ def _graded_plate(
         fine.append((level, min(half.tip_size for half in own)))
         halves += own
     tips = [(half.tip, half.tip_size) for half in halves]
-    return (_Side(width, tips, halves, size).intervals(), _Side(height, fine, [], size).intervals())
+    return _side(width, tips, halves, size), _side(height, fine, [], size)
 
 
 def _half(scene: Scene, coarse: float, tip: float) -> _Half:
@@ -218,54 +204,46 @@ def _half(scene: Scene, coarse: float, tip: float) -> _Half:
     return _Half(coarse, tip, count, ratio, tip_size)
 
 
-@dataclass(frozen=True)
-class _Side:
-    """A side with elements of given lengths at its tips (or cracks), and along its crack faces."""
+def _side(
+    extent: float, tips: list[tuple[float, float]], halves: list[_Half], size: float
+) -> list[Interval]:
+    """A side with elements of given lengths at its tips (or cracks), (place, length) each, along
+    its crack faces, and elsewhere."""
+    # Places no farther apart are one; cracks and tips are farther from the plate's edges.
+    nearest = SMALLEST_CELL * extent
 
-    extent: float
-    tips: list[tuple[float, float]]  # place, length of an element there
-    halves: list[_Half]
-    size: float  # elsewhere
+    def tip_sizes(place: float) -> list[float]:
+        return [length for tip, length in tips if abs(tip - place) <= nearest]
 
-    @property
-    def nearest(self) -> float:
-        """Places no farther apart are one; cracks and tips are farther from the plate's edges."""
-        return SMALLEST_CELL * self.extent
+    def length(place: float, over: list[_Half]) -> float:
+        """Length of elements at a place of an interval along which some crack faces go."""
+        return min(([half.size(place) for half in over] or [size]) + tip_sizes(place))
 
-    def intervals(self) -> list[Interval]:
-        places = [0.0]
-        cuts = [place for place, _ in self.tips] + [half.coarse for half in self.halves]
-        for place in sorted([*cuts, self.extent]):
-            if place - places[-1] > self.nearest:
-                places.append(place)
-        return [part for ends in pairwise(places) for part in self._parts(*ends)]
-
-    def _parts(self, start: float, stop: float) -> list[Interval]:
+    def parts(start: float, stop: float) -> list[Interval]:
         """Intervals between two neighbouring places: one, or two that meet half-way."""
-        over = [half for half in self.halves if half.covers(start, stop)]
+        over = [half for half in halves if half.covers(start, stop)]
         for half in over if len(over) == 1 else ():
             ends = sorted((half.coarse, half.tip))
-            if max(abs(ends[0] - start), abs(ends[1] - stop)) <= self.nearest:
+            if max(abs(ends[0] - start), abs(ends[1] - stop)) <= nearest:
                 ratio = half.ratio if half.tip > half.coarse else 1.0 / half.ratio
                 return [Interval(start, stop, half.count, ratio)]
-        first, last = self._size(start, over), self._size(stop, over)
-        if not (self._tip_sizes(start) and self._tip_sizes(stop)):
+        first, last = length(start, over), length(stop, over)
+        if not (tip_sizes(start) and tip_sizes(stop)):
             return [_between(start, stop, first, last, over)]
         middle = 0.5 * (start + stop)
         largest = max(first, last, GROWTH * 0.5 * (stop - start))
-        between = min(largest, self._size(middle, over))
+        between = min(largest, length(middle, over))
         return [
             _between(start, middle, first, between, over),
             _between(middle, stop, between, last, over),
         ]
 
-    def _tip_sizes(self, place: float) -> list[float]:
-        return [size for tip, size in self.tips if abs(tip - place) <= self.nearest]
-
-    def _size(self, place: float, over: list[_Half]) -> float:
-        """Length of elements at a place of an interval along which some crack faces go."""
-        asked = [half.size(place) for half in over] or [self.size]
-        return min(asked + self._tip_sizes(place))
+    places = [0.0]
+    cuts = [place for place, _ in tips] + [half.coarse for half in halves]
+    for place in sorted([*cuts, extent]):
+        if place - places[-1] > nearest:
+            places.append(place)
+    return [part for ends in pairwise(places) for part in parts(*ends)]
 
 
 def _between(start: float, stop: float, first: float, last: float, over: list[_Half]) -> Interval:
@@ -339,16 +317,17 @@ def _draw_blocks(scene: Scene) -> dict[str, tuple[int, ...]]:
         for i, x in enumerate(xs)
         for j, y in enumerate(ys)
     }
+    last = len(columns)  # and the first one are at edges, where no tip is
     doubled = [
-        (i, s.row)
-        for s in slits
-        for i in range(s.left + s.left_is_tip, s.right + 1 - s.right_is_tip)
+        (i, row)
+        for row, along in slits
+        for i in range(along.start + (along.start > 0), along.stop + (along.stop == last))
     ]
     over = {(i, j): add_point(xs[i], ys[j], 0.0) for i, j in doubled}
     above = points | over  # of the blocks over a crack
 
     horizontal, vertical = {}, {}
-    faces = {(i, s.row): columns[i] for s in slits for i in range(s.left, s.right)}
+    faces = {(i, row): columns[i] for row, along in slits for i in along}
     if scene.has_element_lengths:  # on the faces of cracks alone they are counted
         columns, rows = ([replace(part, count=0) for part in side] for side in (columns, rows))
     for i, column in enumerate(columns):
