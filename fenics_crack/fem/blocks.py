@@ -69,15 +69,21 @@ Slit = tuple[int, range]
 """A crack in the blocks: its row, and the columns along it. Its ends inside the plate are tips."""
 
 
-@dataclass(frozen=True)
 class _Half:
-    """A crack face from its coarse end (the mouth, or the middle of a crack inside) to a tip."""
+    """A crack face from its coarse end to a tip: ``lip_elements`` from a mouth, or half of them
+    from the middle of a crack inside, and ``ratio`` of neighbouring ones, towards the tip."""
 
-    coarse: float
-    tip: float
-    count: int
-    ratio: float  # of neighbouring elements, towards the tip
-    tip_size: float
+    def __init__(self, scene: Scene, coarse: float, tip: float) -> None:
+        mesh, (width, height) = scene.mesh, scene.geometry.sides
+        self.coarse, self.tip, self.count = coarse, tip, mesh.given("lip_elements")
+        if coarse not in (0.0, width):
+            self.count = -(-self.count // 2)
+        self.ratio = mesh.grading ** (-1.0 / max(self.count - 1, 1))
+        shares = self.ratio ** np.arange(self.count)
+        self.tip_size = float(abs(tip - coarse) * shares[-1] / shares.sum())
+        if self.tip_size < SMALLEST_CELL * max(width, height):
+            allowed = "smaller, for this crack: the element at its tip is only "
+            raise InputError("mesh.grading", mesh.grading, f"{allowed}{self.tip_size:.1g} m")
 
     def covers(self, start: float, stop: float) -> bool:
         """Return True if the face goes along an interval."""
@@ -181,27 +187,11 @@ def _graded_plate(
     fine: list[tuple[float, float]] = []
     for (left, right), level in zip(spans, levels, strict=True):
         mouth = left if left == 0.0 else right if right == width else 0.5 * (left + right)
-        own = [_half(scene, mouth, tip) for tip in (left, right) if tip != mouth]
+        own = [_Half(scene, mouth, tip) for tip in (left, right) if tip != mouth]
         fine.append((level, min(half.tip_size for half in own)))
         halves += own
     tips = [(half.tip, half.tip_size) for half in halves]
     return _side(width, tips, halves, size), _side(height, fine, [], size)
-
-
-def _half(scene: Scene, coarse: float, tip: float) -> _Half:
-    """A crack face of ``lip_elements`` from a mouth, or of half of them from the middle of a
-    crack."""
-    mesh, (width, height) = scene.mesh, scene.geometry.sides
-    count = mesh.given("lip_elements")
-    if coarse not in (0.0, width):
-        count = -(-count // 2)
-    ratio = mesh.grading ** (-1.0 / max(count - 1, 1))
-    shares = ratio ** np.arange(count)
-    tip_size = float(abs(tip - coarse) * shares[-1] / shares.sum())
-    if tip_size < SMALLEST_CELL * max(width, height):
-        allowed = f"smaller, for this crack: the element at its tip is only {tip_size:.1g} m"
-        raise InputError("mesh.grading", mesh.grading, allowed)
-    return _Half(coarse, tip, count, ratio, tip_size)
 
 
 def _side(
@@ -278,7 +268,7 @@ def draw_plate(scene: Scene) -> tuple[Names, Lips]:
     of its cracks."""
     groups = _draw_blocks(scene)
     if scene.has_element_lengths:
-        rim = Rim.of(scene)
+        rim = Rim(scene)
         of_group = gmsh.model.getEntitiesForPhysicalGroup
         left, right = (of_group(1, *groups[name]).tolist() for name in RIM_SIDES)
         rim.match(0, left, right)
@@ -303,7 +293,7 @@ def _draw_blocks(scene: Scene) -> dict[str, tuple[int, ...]]:
     """Draw the plate, set how curves and surfaces are divided; return the tags of its sides."""
     columns, rows, slits = _plate_blocks(scene)
     cells: float = math.prod(sum(interval.count for interval in side) for side in (columns, rows))
-    rim = None if scene.disk is None else Rim.of(scene)
+    rim = None if scene.disk is None else Rim(scene)
     if rim is not None:
         cells += rim.area / _length(scene) ** 2
     key = "columns" if scene.mesh.layout == "grid" else "size"
@@ -409,7 +399,6 @@ RIM_SIDES = ("rim_left", "rim_right")
 """Names of the sides of a sector made here: "left" and "right" are those of its blade."""
 
 
-@dataclass(frozen=True)
 class Rim:
     """The part of a disk's rim that belongs to one blade, between two circles around the axis.
 
@@ -423,21 +412,12 @@ class Rim:
         Half of the angle of a sector.
     """
 
-    middle: float
-    axis: float
-    inner: float
-    outer: float
-    half: float
-
-    @classmethod
-    def of(cls, scene: Scene) -> Rim:
-        """Of a scene whose sector is made here."""
-        disk = scene.disk
-        assert disk is not None
-        (_, along, through), across = scene.axis[0], 0 if scene.dimension == 2 else 2
-        middle = through if across else scene.axis[0][0]
-        radii = disk.given("inner_radius"), disk.given("outer_radius")
-        return cls(float(middle), float(along), *radii, math.pi / disk.sectors)
+    def __init__(self, scene: Scene) -> None:
+        """Take a scene whose sector is made here."""
+        disk, place = scene.given("disk"), scene.axis[0]
+        self.middle, self.axis = float(place[0 if scene.dimension == 2 else 2]), float(place[1])
+        self.inner, self.outer = disk.given("inner_radius"), disk.given("outer_radius")
+        self.half = math.pi / disk.sectors
 
     @property
     def area(self) -> float:
@@ -568,7 +548,7 @@ def _draw_solid(scene: Scene) -> None:
     _check_size(scene, gradings)
     width, height, thickness = scene.geometry.sides
     occ = gmsh.model.occ
-    rim = None if scene.disk is None else Rim.of(scene)
+    rim = None if scene.disk is None else Rim(scene)
     if rim is None:
         box = [(3, occ.addBox(0.0, 0.0, 0.0, width, height, thickness))]
     else:
@@ -708,7 +688,7 @@ def _gradings(scene: Scene) -> list[_Grading]:
     for crack in scene.all_cracks.values():
         count = mesh.given("lip_elements")
         if crack.edge is None and scene.dimension == 2:
-            count = -(-count // 2)  # as :func:`_half`
+            count = -(-count // 2)  # as of :class:`_Half`
         middle, half = _ellipse(crack, width)
         reach = min(half, crack.depth or half)
         growth = mesh.grading ** (1.0 / max(count - 1, 1))
@@ -723,7 +703,7 @@ def _check_size(scene: Scene, gradings: list[_Grading]) -> None:
     size = scene.mesh.given("size")
     volume = math.prod(scene.geometry.sides)
     if scene.disk is not None:
-        volume += Rim.of(scene).area * scene.geometry.sides[0]
+        volume += Rim(scene).area * scene.geometry.sides[0]
     bulk = PER_VOLUME * volume / size**3
     fronts = sum(grading.cells(size) for grading in gradings)
     key, shortest = "size", ""

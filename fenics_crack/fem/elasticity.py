@@ -87,7 +87,6 @@ def rotation_of(
 
     ``static`` gives the displacement (n_local,) under a constant load on each sector of a wheel;
     without it the structure is on its own."""
-    assert scene.rotation is not None
     space, size, (place, axis) = dofs.space, scene.dimension, scene.axis
     across = (np.eye(3) - np.outer(axis, axis))[:size, :size]
     density, center, normal = constants(space, scene.material.density, place[:size], across)
@@ -124,4 +123,4 @@ def rotation_of(
     first = weighted_sum(geometric, -1.0, softening)
     geometric.destroy()
     softening.destroy()
-    return Rotation(at_rest, first, (second, third), load, scene.rotation.speed)
+    return Rotation(at_rest, first, (second, third), load, scene.given("rotation").speed)

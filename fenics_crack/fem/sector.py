@@ -34,8 +34,7 @@ def wheel_of(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Comm) -> 
         The mesh has no sides, their nodes do not match, the crack reaches one of them, or the rotor
         is so fast that the wheel is unstable.
     """
-    disk = scene.disk
-    assert disk is not None
+    disk = scene.given("disk")
     sector, rotation = _sector(scene, dofs, structure), None
     if scene.speed > 0.0:
         with sector.factored() as inside:
@@ -66,9 +65,7 @@ def _static(inside: Inside) -> Callable[[np.ndarray], np.ndarray]:
 def _sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
     from scipy.spatial.transform import Rotation  # with what only meshes of sectors need
 
-    disk = scene.disk
-    assert disk is not None
-    center, axis = scene.axis
+    disk, (center, axis) = scene.given("disk"), scene.axis
     points, size = dofs.points, float(np.ptp(dofs.points, axis=0).max())
     names = RIM_SIDES if RIM_SIDES[0] in dofs.plate.groups else ("left", "right")
     for name in names:

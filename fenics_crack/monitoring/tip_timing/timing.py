@@ -76,12 +76,14 @@ class Timing(Saved):
                 if isinstance(fit, tuple)
                 for passage in fit
             ]
-            names = [name for name in rows[0] if name != "speed"] if rows else []
-            return {name: [row[name] for row in rows] for name in names} or NO_RESONANCE
-        if len(self.fits) == 1:
+        elif len(self.fits) == 1:
             return self._first.to_dict()
-        fits = {blade: fit for blade, fit in self.fits.items() if isinstance(fit, TipFit)}
-        return {"blade": list(fits), **_columns_of_fits(fits)}
+        else:
+            fits = {blade: fit for blade, fit in self.fits.items() if isinstance(fit, TipFit)}
+            ratios = all(map(_has_second, fits.values()))
+            rows = [{"blade": blade} | _row_of(fit, ratios) for blade, fit in fits.items()]
+        names = [name for name in rows[0] if name != "speed"] if rows else []
+        return {name: [row[name] for row in rows] for name in names} or NO_RESONANCE
 
     @property
     def _first(self) -> Any:
@@ -97,19 +99,18 @@ class Timing(Saved):
         return f"{counted(len(self.arrivals), 'blade')}, {revolutions}"
 
 
-def _columns_of_fits(fits: Mapping[int, TipFit]) -> dict[str, list[float]]:
-    """Amplitude, its error and the phase of the first harmonic, and the ratio of the second to it,
-    of several fits."""
-    found: dict[str, list[float]] = {
-        "amplitude": [float(fit.amplitudes[0]) for fit in fits.values()],
-        "amplitude_error": [float(fit.amplitude_errors[0]) for fit in fits.values()],
-        "order": [float(fit.order) for fit in fits.values()],
-    }
-    if all(np.any(np.isclose(fit.multiples, 2.0)) for fit in fits.values()):
-        ratios = [fit.ratio() for fit in fits.values()]
-        found["ratio_2_1"] = [float(ratio) for ratio, _ in ratios]
-        found["ratio_2_1_error"] = [float(error) for _, error in ratios]
-    return found
+def _has_second(fit: TipFit) -> bool:
+    """True if a fit has a second harmonic, whose ratio to the first indicates a crack."""
+    return bool(np.any(np.isclose(fit.multiples, 2.0)))
+
+
+def _row_of(fit: TipFit, ratio: bool) -> dict[str, float]:
+    """Amplitude of the first harmonic, its error and the order of a fit, and the ratio of the
+    second harmonic to it."""
+    sizes, errors = fit.amplitudes, fit.amplitude_errors
+    row = {"amplitude": float(sizes[0]), "amplitude_error": float(errors[0]), "order": fit.order}
+    names = "ratio_2_1", "ratio_2_1_error"
+    return row | (dict(zip(names, fit.ratio(), strict=True)) if ratio else {})
 
 
 # --- report ---------------------------------------------------------------------------------------
@@ -250,7 +251,7 @@ def _of_fit(fit: TipFit) -> tuple[list[str], list[str]]:
     """Notes on a fit, with the ratio that indicates a crack, and doubts about it."""
     notes = [f"in addition, {_of_line(line)}" for line in fit.asynchronous]
     warnings = []
-    if np.any(np.isclose(fit.multiples, 2.0)):
+    if _has_second(fit):
         ratio, error = fit.ratio()
         notes.append(f"second harmonic over first: {ratio:.4g} ± {error:.2g}")
     if fit.does_not_fit:
