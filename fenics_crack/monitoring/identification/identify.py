@@ -32,7 +32,7 @@ from fenics_crack.monitoring.identification.measurements import (
     without_crack,
 )
 from fenics_crack.monitoring.identification.model import Model, is_free
-from fenics_crack.monitoring.identification.nuisance import Whole, whole_plate
+from fenics_crack.monitoring.identification.nuisance import Whole
 from fenics_crack.monitoring.identification.options import OPTIONS
 from fenics_crack.monitoring.identification.posterior import Likelihood, Posterior, explore, grid_of
 from fenics_crack.monitoring.identification.result import Identification
@@ -295,7 +295,7 @@ def _whole(scene: Scene, comm: MPI.Comm) -> Whole:
     table = scene.given("identify")
     plain = scene.replace(dict.fromkeys(IRRELEVANT) | (without_crack(scene) or {}))
     begin("plate without its crack")
-    return on_root(comm, lambda: whole_plate(plain, table))
+    return on_root(comm, lambda: Whole(plain, table))
 
 
 def solve_forward(
@@ -532,8 +532,8 @@ def _models(
         fixed = dict(zip(words, chosen, strict=True))
         parts: list[Part | None] = []
         for sweep, plain in zip(sweeps, bare, strict=True):
-            under = None if plain is None else Part.of(plain, loads, (), fixed)
-            parts.append(None if sweep is None else Part.of(sweep, loads, meshes, fixed, under))
+            under = None if plain is None else Part(plain, loads, (), fixed)
+            parts.append(None if sweep is None else Part(sweep, loads, meshes, fixed, under))
         coarse, *others = parts
         assert coarse is not None
         models[", ".join(chosen)] = Model(scene, whole, coarse, *others, fixed=fixed)

@@ -263,37 +263,28 @@ class Loads:
         return found / found[0] if self.turn else np.ones(len(found))
 
 
-@dataclass(frozen=True)
 class Part:
     """Solved cases of a sweep for one choice of the words, and those without the crack, if any. Its
     last axis is that of the loads."""
 
-    sweep: SweepResult
-    keys: tuple[str, ...]
-    cube: Cube
-    index: tuple[Any, ...]
-    loads: Loads
-    bare: Part | None = None
-
-    @classmethod
-    def of(
-        cls,
+    def __init__(
+        self,
         sweep: SweepResult,
         loads: Loads,
         meshes: Sequence[Axis],
         fixed: Mapping[str, Any],
         bare: Part | None = None,
-    ) -> Part:
+    ) -> None:
         """Take a sweep, the numbers of its meshes if it has some, and the chosen words."""
+        self.sweep, self.loads, self.bare = sweep, loads, bare
         numbers: list[Axis] = []
         index: list[Any] = []
         for axis in sweep.axes[:-1]:
             word = axis.key in fixed
             index.append(axis.values.index(fixed[axis.key]) if word else slice(None))
             numbers += [] if word else meshes if axis.key == MESH_AXIS else [axis]
-        cube = Cube(tuple(np.array(axis.values, dtype=float) for axis in numbers))
-        keys = tuple(axis.key for axis in numbers)
-        return cls(sweep, keys, cube, tuple(index), loads, bare)
+        self.cube = Cube(tuple(np.array(axis.values, dtype=float) for axis in numbers))
+        self.keys, self.index = tuple(axis.key for axis in numbers), tuple(index)
 
     def column(self, name: str) -> np.ndarray:
         """A column at all nodes and load frequencies: (n, n_loads)."""

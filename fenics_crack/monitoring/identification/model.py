@@ -328,7 +328,7 @@ class Quantities:
         faster = model.coarse.loads.faster
         self._changes = np.stack([model.whole.changes_at(one) for one in faster])[self._loads]
         of_rows = [faster[self._loads[places[0]]] for places in self._places]
-        self.changed = Since.of(self.rows, of_rows, model.whole)
+        self.changed = Since(self.rows, of_rows, model.whole)
         self._higher, still = _stillness(model.coarse, self._features, self._loads)
         self._still = RegularGridInterpolator(model.cube.axes, still) if len(still) else None
         self._faces = _faces(model) if any(row.resonance for row in self.rows) else (BREATHING,)

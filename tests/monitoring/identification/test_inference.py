@@ -30,7 +30,7 @@ from fenics_crack.monitoring.identification.interpolation import (
     left_out_errors,
 )
 from fenics_crack.monitoring.identification.model import Passages, Prediction
-from fenics_crack.monitoring.identification.nuisance import crack_deviations, whole_plate
+from fenics_crack.monitoring.identification.nuisance import Whole, crack_deviations
 from fenics_crack.monitoring.identification.posterior import Likelihood, Posterior, explore
 from fenics_crack.monitoring.identification.result import Worth, advice, worth_of
 from fenics_crack.monitoring.tip_timing.scene_timing import mode_of, passed_in_words
@@ -325,7 +325,7 @@ def test_soft_clamps() -> None:
     }  # fmt: skip
     scene = fc.Scene.from_text(identification.SCENE)
     table = scene.given("identify")
-    found = whole_plate(scene.replace(changes | {"identify": None}), table).since_at(1.0)[0]
+    found = Whole(scene.replace(changes | {"identify": None}), table).since_at(1.0)[0]
     roots, shares = np.array([1.8751041, 4.6940911, 7.8547574]), [0.7340955, 1.0184673, 0.9992245]
     forces = (roots * shares) ** 2
     for column, expected in ((0, 1.0), (1, forces / forces[0])):
@@ -345,7 +345,7 @@ def test_units_at_other_speeds() -> None:
         structure = fc.build_structure(plain.replace(turning) if rotor else plain.at_rest())
         return float(fc.solve_modes(structure, 1).omega[0]) / (2.0 * np.pi)
 
-    whole, fast = whole_plate(plain, scene.given("identify")), hertz(rpm=9000.0)
+    whole, fast = Whole(plain, scene.given("identify")), hertz(rpm=9000.0)
     assert fast > 1.3 * whole.frequencies[0]
     row = fc.Measurement("frequency_uncracked", fast, 0.1, 1, rpm=9000.0)
     whole.check(fc.Measurements((row,)), [], other=False)
