@@ -34,7 +34,7 @@ from fenics_crack.monitoring.identification.measurements import (
 from fenics_crack.monitoring.identification.model import Model, is_free
 from fenics_crack.monitoring.identification.nuisance import Whole
 from fenics_crack.monitoring.identification.options import OPTIONS
-from fenics_crack.monitoring.identification.posterior import Likelihood, Posterior, explore, grid_of
+from fenics_crack.monitoring.identification.posterior import Branch, Likelihood, Posterior, grid_of
 from fenics_crack.monitoring.identification.result import Identification
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene
@@ -162,7 +162,7 @@ def infer(forward: Forward, measurements: Measurements) -> Identification:
     values, deviations = np.array([(row.value, row.deviation) for row in rows]).T
     branches, plain = (
         {
-            name: explore(Likelihood(values, deviations, model.quantities(rows)))
+            name: Branch(Likelihood(values, deviations, model.quantities(rows)))
             for name, model in models.items()
         }
         for models in (forward.cracked, forward.uncracked)
@@ -340,7 +340,7 @@ def solve_forward(
     whole = whole or _whole(scene, comm)
     table = scene.given("identify")
     wanted = (*frequencies, *further, *table.frequencies)
-    loads = Loads.of(scene, [float(one) for one in wanted])
+    loads = Loads(scene, [float(one) for one in wanted])
     shaken = (*frequencies, *table.frequencies, loads.frequencies[0])
     alone = [place for place, one in enumerate(loads.frequencies) if one not in shaken]
     plain = scene.replace(dict.fromkeys(IRRELEVANT))

@@ -221,7 +221,6 @@ MESH_AXIS = "mesh.file"
 """The axis of meshes with numbers."""
 
 
-@dataclass(frozen=True)
 class Loads:
     """Loads of a forward model, the last axis of its sweeps.
 
@@ -236,20 +235,18 @@ class Loads:
         Their own, or the rotor's speeds.
     """
 
-    frequencies: tuple[float, ...]
-    axis: Axis
-
-    @classmethod
-    def of(cls, scene: Scene, frequencies: Sequence[float]) -> Loads:
-        """Loads of some frequencies [Hz]; the scene's own where it follows the rotor, or there is
-        no other."""
+    def __init__(self, scene: Scene, frequencies: Sequence[float]) -> None:
+        """Take frequencies [Hz]; the scene's own where it follows the rotor, or there is no
+        other."""
         order, others = scene.excitation.order, sorted(set(frequencies))
         own = float(f"{scene.excitation.omega / TURN:.9g}")  # as that of arrivals
         if order is None:
-            found = tuple(others) or (scene.excitation.omega / TURN,)
-            return cls(found, Axis("excitation.frequency", found))
-        found = (own, *(one for one in others if one != own))
-        return cls(found, Axis("rotation.rpm", tuple(60.0 * one / order for one in found)))
+            self.frequencies = tuple(others) or (scene.excitation.omega / TURN,)
+            self.axis = Axis("excitation.frequency", self.frequencies)
+        else:
+            self.frequencies = (own, *(one for one in others if one != own))
+            rpm = tuple(60.0 * one / order for one in self.frequencies)
+            self.axis = Axis("rotation.rpm", rpm)
 
     @property
     def turn(self) -> bool:

@@ -41,7 +41,6 @@ from fenics_crack.monitoring.tip_timing.harmonics import (
 from fenics_crack.monitoring.tip_timing.robust import (
     LEVELS,
     ROBUST_SETTLED,
-    Noise,
     refined,
     reweighted,
     student,
@@ -170,11 +169,6 @@ class _Sought:
     ends : (float, float) [rad/s]
         Range in which the frequency is sought.
     """
-
-    omega: float
-    found: np.ndarray
-    columns: np.ndarray
-    noise: Noise
 
     def __init__(
         self,

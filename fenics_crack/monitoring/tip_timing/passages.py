@@ -555,7 +555,6 @@ class _Compared:
     """
 
     best: Fit
-    margins: dict[float, float]
 
     def __init__(self, runs: Sequence[Run], speed: float, orders: np.ndarray) -> None:
         self.beside: list[_Compared] = []
@@ -563,7 +562,7 @@ class _Compared:
 
     def compare(self, runs: Sequence[Run], speed: float, orders: np.ndarray) -> None:
         """Compare orders in passages near a speed."""
-        self._runs, self.margins = runs, {}
+        self._runs = runs
         weights = [run.seen.astype(float) for run in runs]
         fits: dict[Mode, Fit] = {}
         # First without weights, where single wrong arrivals may hide the order; then with those of
