@@ -272,7 +272,7 @@ def draw_plate(scene: Scene) -> tuple[Names, Lips]:
         of_group = gmsh.model.getEntitiesForPhysicalGroup
         left, right = (of_group(1, *groups[name]).tolist() for name in RIM_SIDES)
         rim.match(0, left, right)
-        _mesh_graded(scene, [*_gradings(scene), *rim.gradings(scene)])
+        _mesh_graded(scene, [*_gradings(scene), *rim.gradings()])
         gmsh.model.mesh.setPeriodic(1, right, right, np.eye(4).ravel().tolist())  # no more
     else:
         gmsh.model.mesh.generate(2)
@@ -336,7 +336,7 @@ def _draw_blocks(scene: Scene) -> dict[str, tuple[int, ...]]:
     foot = [horizontal[i, 0] for i in range(len(columns))]
     sides: dict[str, tuple[int, list[int]]] = {"clamp": (1, foot)}
     if rim is not None:
-        sides = rim.draw(scene, [points[i, 0] for i in range(len(xs))], foot, columns, surfaces)
+        sides = rim.draw([points[i, 0] for i in range(len(xs))], foot, columns, surfaces)
     _divide(scene, surfaces)
 
     left, right = ([vertical[i, j] for j in range(len(rows))] for i in (0, len(columns)))
@@ -414,7 +414,7 @@ class Rim:
 
     def __init__(self, scene: Scene) -> None:
         """Take a scene whose sector is made here."""
-        disk, place = scene.given("disk"), scene.axis[0]
+        self.scene, disk, place = scene, scene.given("disk"), scene.axis[0]
         self.middle, self.axis = float(place[0 if scene.dimension == 2 else 2]), float(place[1])
         self.inner, self.outer = disk.given("inner_radius"), disk.given("outer_radius")
         self.half = math.pi / disk.sectors
@@ -450,10 +450,10 @@ class Rim:
         whole: list[tuple[int, int]] = occ.fuse(rim, blade)[0]
         return whole
 
-    def gradings(self, scene: Scene) -> list[_Grading]:
+    def gradings(self) -> list[_Grading]:
         """Lengths of elements around the corners between the blade and the rim, where stress is
         infinite: the shorter, and the less growing, the smaller ``mesh.size`` is."""
-        (width, _), size = scene.geometry.sides, scene.mesh.given("size")
+        (width, _), size = self.scene.geometry.sides, self.scene.mesh.given("size")
         ends, none = np.array([0.0, width]), np.zeros(2)
         return [_Grading(ends, none, self.foot(0.0), AT_CORNER * size, size / width)]
 
@@ -477,15 +477,10 @@ class Rim:
         gmsh.model.mesh.setPeriodic(1 + across // 2, right, left, turn.ravel().tolist())
 
     def draw(
-        self,
-        scene: Scene,
-        feet: list[int],
-        below: list[int],
-        columns: list[Interval],
-        surfaces: list[int],
+        self, feet: list[int], below: list[int], columns: list[Interval], surfaces: list[int]
     ) -> dict[str, tuple[int, list[int]]]:
         """Draw it below the curves of a plate's lower edge, in blocks; its named curves."""
-        size, geo = _length(scene), gmsh.model.geo
+        size, geo = _length(self.scene), gmsh.model.geo
         around = self.half - math.asin((columns[-1].stop - self.middle) / self.outer)
         lengths = self.outer * around, self.outer - self.inner
         counts = [max(1, round(length / size)) if columns[0].count else 0 for length in lengths]

@@ -7,7 +7,6 @@ node. What is bonded in sectors without a crack are the nodes of both faces in t
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 from mpi4py import MPI
@@ -15,7 +14,7 @@ from mpi4py import MPI
 from fenics_crack.basics.errors import InputError
 from fenics_crack.fem.blocks import RIM_SIDES
 from fenics_crack.fem.cracks import LIP_TAGS, SAME
-from fenics_crack.fem.elasticity import rotation_of
+from fenics_crack.fem.elasticity import Static, rotation_of
 from fenics_crack.fem.plate import Dofs
 from fenics_crack.model.cyclic import Inside, Sector
 from fenics_crack.model.modes import times
@@ -57,7 +56,7 @@ def wheel_of(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Comm) -> 
     )
 
 
-def _static(inside: Inside) -> Callable[[np.ndarray], np.ndarray]:
+def _static(inside: Inside) -> Static:
     """The displacement of a sector under the same load on all."""
     return lambda load: inside.at(0).answers(load[:, None])[:, 0]
 

@@ -168,14 +168,8 @@ def infer(forward: Forward, measurements: Measurements) -> Identification:
         for models in (forward.cracked, forward.uncracked)
     )
     remarks = (*remarks_on(forward.scene, measurements), *_unresolved(forward, measurements))
-    return Identification(
-        forward.scene,
-        measurements,
-        Posterior(branches),
-        Posterior(plain) if plain else None,
-        remarks,
-        doubts,
-    )
+    both = Posterior(branches), Posterior(plain) if plain else None
+    return Identification(forward.scene, measurements, *both, remarks, doubts)
 
 
 def _predicted(
@@ -516,11 +510,7 @@ def _halfway(axis: Axis, low: float = -np.inf, high: float = np.inf) -> tuple[fl
 
 
 def _models(
-    scene: Scene,
-    whole: Whole,
-    loads: Loads,
-    sweeps: Sweeps,
-    bare: tuple[SweepResult | None, ...] = (None, None, None),
+    scene: Scene, whole: Whole, loads: Loads, sweeps: Sweeps, bare: Sweeps | None = None
 ) -> dict[str, Model]:
     """Models of a sweep, with those of a finer mesh and between if there are, and of the plate
     without its crack, by their values of the unknowns that are words."""
@@ -531,10 +521,8 @@ def _models(
     for chosen in itertools.product(*words.values()):
         fixed = dict(zip(words, chosen, strict=True))
         parts: list[Part | None] = []
-        for sweep, plain in zip(sweeps, bare, strict=True):
+        for sweep, plain in zip(sweeps, bare or (None,) * 3, strict=True):
             under = None if plain is None else Part(plain, loads, (), fixed)
             parts.append(None if sweep is None else Part(sweep, loads, meshes, fixed, under))
-        coarse, *others = parts
-        assert coarse is not None
-        models[", ".join(chosen)] = Model(scene, whole, coarse, *others, fixed=fixed)
+        models[", ".join(chosen)] = Model(scene, whole, parts, fixed=fixed)
     return models

@@ -155,13 +155,56 @@ class Whole:
             ]
         )
 
-    @property
-    def sizes(self) -> np.ndarray:
-        """Relative changes of the size of harmonics by a standard deviation of each: (s,)."""
-        young, _, thickness = self._widths
-        found = np.zeros(self.changes_at(1.0).shape[1])
-        found[[0, 2]] = -young, -thickness
-        return found
+    def relative_changes(
+        self,
+        features: Sequence[Feature],
+        damping: np.ndarray,
+        basis: np.ndarray,
+        changes: np.ndarray,
+    ) -> np.ndarray:
+        """Return relative changes of features by a standard deviation of each prior, (m, f, s): of
+        natural frequencies without the crack, of its additions to their logarithms, and of
+        harmonics.
+
+        Parameters
+        ----------
+        features : sequence of Feature
+        damping : (m, 1)
+            Ratios.
+        basis : (m, f, 1 + 2 n)
+            :attr:`Part.basis` there at the load of each feature.
+        changes : (f, n, s)
+            Of this plate at the speed of each feature, :meth:`changes_at`.
+        """
+        table, count = self.table, changes.shape[1]
+        natural, cracked = (
+            np.array([getattr(feature, name) for feature in features])[:, None]
+            for name in ("natural", "of_crack")
+        )
+        modes = np.array([feature.mode for feature in features])[:, None]
+        shape = len(basis), len(modes), count
+        by_mode = np.broadcast_to(natural & (modes == 1 + np.arange(count)), shape)
+        by_crack, by_damping = by_mode * cracked, np.zeros((*shape[:2], 1))
+        if not natural.all():
+            with np.errstate(invalid="ignore"):
+                bilinear, plain = np.split(np.log(basis[..., 1:]), 2, axis=2)
+            shifts = np.nan_to_num(bilinear - plain)[..., :count]
+            slopes, by_ratio = _of_poles(features, damping, basis)
+            first, ratio = _of_poles(driving(features), damping, basis)
+            slopes = (slopes + turned(first, features))[..., :count]
+            by_mode = np.where(natural, by_mode, slopes)
+            by_crack = np.where(natural, by_crack, slopes * shifts)
+            by_damping = (by_ratio + turned(ratio, features)).sum(axis=2)[..., None]
+        sizes = np.zeros(changes.shape[2])  # of harmonics
+        sizes[:3] = np.multiply(self._widths, (-1.0, 0.0, -1.0))
+        own = table.crack_deviation * np.sqrt(1.0 - table.crack_correlation)
+        known = any(axis.key == "damping.ratio" for axis in table.unknown)
+        columns = [
+            np.einsum("mfn,fns->mfs", by_mode * ~cracked, changes) + ~natural * sizes,
+            own * by_crack,
+            (0.0 if known else table.damping_deviation) * by_damping,
+        ]
+        return np.concatenate(columns, axis=2)
 
     @property
     def _widths(self) -> list[float]:
@@ -311,60 +354,6 @@ def _held(modes: Modes) -> tuple[np.ndarray, int]:
     straight = nodes.points.shape[1]
     rigid[:, :straight] *= np.sqrt(np.sum(np.var(clamped, axis=0)))
     return rigid, straight
-
-
-def relative_changes(
-    features: Sequence[Feature],
-    damping: np.ndarray,
-    basis: np.ndarray,
-    scene: Scene,
-    changes: np.ndarray,
-    sizes: np.ndarray,
-) -> np.ndarray:
-    """Return relative changes of features by a standard deviation of each prior, (m, f, s): of
-    natural frequencies without the crack, of its additions to their logarithms, and of harmonics.
-
-    Parameters
-    ----------
-    features : sequence of Feature
-    damping : (m, 1)
-        Ratios.
-    basis : (m, f, 1 + 2 n)
-        :attr:`Part.basis` there at the load of each feature.
-    scene : Scene
-        With the widths of the priors.
-    changes : (f, n, s)
-        Of the plate without a crack at the speed of each feature, :meth:`Whole.changes_at`.
-    sizes : (s,)
-        The same of the size of harmonics.
-    """
-    table, count = scene.given("identify"), changes.shape[1]
-    natural, cracked = (
-        np.array([getattr(feature, name) for feature in features])[:, None]
-        for name in ("natural", "of_crack")
-    )
-    modes = np.array([feature.mode for feature in features])[:, None]
-    shape = len(basis), len(modes), count
-    by_mode = np.broadcast_to(natural & (modes == 1 + np.arange(count)), shape)
-    by_crack, by_damping = by_mode * cracked, np.zeros((*shape[:2], 1))
-    if not natural.all():
-        with np.errstate(invalid="ignore"):
-            bilinear, plain = np.split(np.log(basis[..., 1:]), 2, axis=2)
-        shifts = np.nan_to_num(bilinear - plain)[..., :count]
-        slopes, by_ratio = _of_poles(features, damping, basis)
-        first, ratio = _of_poles(driving(features), damping, basis)
-        slopes = (slopes + turned(first, features))[..., :count]
-        by_mode = np.where(natural, by_mode, slopes)
-        by_crack = np.where(natural, by_crack, slopes * shifts)
-        by_damping = (by_ratio + turned(ratio, features)).sum(axis=2)[..., None]
-    own = table.crack_deviation * np.sqrt(1.0 - table.crack_correlation)
-    known = any(axis.key == "damping.ratio" for axis in table.unknown)
-    columns = [
-        np.einsum("mfn,fns->mfs", by_mode * ~cracked, changes) + ~natural * sizes,
-        own * by_crack,
-        (0.0 if known else table.damping_deviation) * by_damping,
-    ]
-    return np.concatenate(columns, axis=2)
 
 
 def _of_poles(

@@ -114,12 +114,7 @@ def fit_frequency(
 
 
 def find_lines(
-    arrivals: ArrivalTimes,
-    values: np.ndarray,
-    constants: np.ndarray,
-    highest: float,
-    *,
-    most: int = 3,
+    arrivals: ArrivalTimes, values: np.ndarray, constants: np.ndarray, highest: float, most: int = 3
 ) -> tuple[tuple[TipFit, ...], np.ndarray]:
     """Find significant vibrations of constant frequency, beside constants that hold all that
     follows the speed; return them, and the displacements without them.

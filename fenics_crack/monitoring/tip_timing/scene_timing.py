@@ -63,7 +63,7 @@ def arrivals_of(
         return source, None
     table = scene.given("tip_timing")
     run = _run_of(scene, source, comm)
-    return _computed(table, run, source, tip_direction(table, run), table.probes), run
+    return _computed(table, run, source, table.probes), run
 
 
 def arrivals_of_blades(
@@ -108,8 +108,7 @@ def arrivals_of_blades(
     for blade, probes in probes_of_blades(np.radians(table.probes), count).items():
         begin(f"arrivals of blade {blade}")
         angles = np.degrees(np.sort(probes)).tolist()
-        tip = tip_direction(table, run, blade)
-        found[blade] = _computed(table, run, source, tip, angles, blade - 1)
+        found[blade] = _computed(table, run, source, angles, blade)
     return found, run
 
 
@@ -133,14 +132,9 @@ def curve_of(run: Run[Any] | None) -> ResponseCurve | None:
 
 
 def _computed(
-    table: TipTiming,
-    run: Run[Any],
-    source: Path | None,
-    tip: dict[int, float],
-    degrees: Sequence[float],
-    blade: int = 0,
+    table: TipTiming, run: Run[Any], source: Path | None, degrees: Sequence[float], blade: int = 0
 ) -> ArrivalTimes:
-    """Arrivals of one blade at probes, from a result."""
+    """Arrivals at probes of the blade, or of one of several, from a result."""
     result: Any = run.result
     if (curve := curve_of(run)) is not None:
         points, lost = run_up_points(curve)
@@ -148,14 +142,14 @@ def _computed(
         result = curve if lost is None or len(points) < 2 else curve.part(points)
     return tip_timing(
         result,
-        tip,
+        tip_direction(table, run, blade),
         probes=np.radians(degrees),
         tip_radius=table.tip_radius,
         **_turning(table, run, source),
         revolutions=table.revolutions,
         noise=table.noise,
         clock=table.clock,
-        seed=table.seed + blade,
+        seed=table.seed + max(blade - 1, 0),
     )
 
 
@@ -310,9 +304,9 @@ def _diagram(scene: Scene, arrivals: ArrivalTimes) -> Campbell:
     return campbell(scene, speeds, few=10)
 
 
-def tip_direction(table: TipTiming, run: Run, blade: int | None = None) -> dict[int, float]:
+def tip_direction(table: TipTiming, run: Run, blade: int = 0) -> dict[int, float]:
     """Return the displacement of the blade tip in the direction of rotation, as factors of dofs; of
-    a wheel that of one blade, by default of the first cracked one (collective).
+    a wheel that of one blade, of the first cracked one if it is 0 (collective).
 
     Raises
     ------
