@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from numbers import Integral
+from types import SimpleNamespace
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
@@ -233,16 +234,6 @@ def _lowest(structure: Structure) -> list[np.ndarray]:
     return []
 
 
-class _Inverse:
-    """Context that PETSc calls to apply a factor."""
-
-    def __init__(self, factor: Inverse) -> None:
-        self._factor = factor
-
-    def apply(self, _: Any, right: Any, solution: Any) -> None:
-        self._factor.apply(right, solution)
-
-
 def _solver(structure: Structure, prefix: str, count: int, krylov: int) -> Any:
     """SLEPc's solver of K phi = omega^2 M phi."""
     solver = SLEPc.EPS().create(structure.comm)
@@ -303,7 +294,7 @@ def _krylov(
     solver.setPurify(False)  # only a singular mass needs it, and it costs orthogonality
     inner = transformation.getKSP().getPC()
     inner.setType("python")
-    inner.setPythonContext(_Inverse(factor))
+    inner.setPythonContext(SimpleNamespace(apply=lambda _, right, x: factor.apply(right, x)))
     _solve(solver, count)
     vector, moved = structure.mass.createVecs()
     squares = np.array([solver.getEigenvalue(index).real for index in range(count)])

@@ -14,14 +14,14 @@ from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import gather_rows
-from fenics_crack.model.matrices import numbers, read_only
+from fenics_crack.model.matrices import ReadOnly, numbers
 from fenics_crack.numerics.fourier import evaluate
 
 AXES = "xyz"
 
 
 @dataclass(frozen=True, eq=False)
-class Nodes:
+class Nodes(ReadOnly):
     """Positions of the nodes that this rank owns, and their dofs; the arrays are read-only.
 
     Attributes
@@ -47,11 +47,6 @@ class Nodes:
     vtk_type: int
     numbered: Any = None
     frames: np.ndarray | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("points", "dofs", "cells", "frames"):
-            if (given := getattr(self, name)) is not None:
-                object.__setattr__(self, name, read_only(given))
 
     def nearest(
         self, comm: MPI.Comm, key: str, point: Sequence[float]
@@ -97,7 +92,7 @@ def place_in_words(point: np.ndarray, digits: str = ".8g") -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class Pairs:
+class Pairs(ReadOnly):
     """Places of the contact pairs of a structure, crack by crack; the arrays are read-only.
 
     Attributes
@@ -121,11 +116,6 @@ class Pairs:
     cracks: np.ndarray | None = None
     positions: np.ndarray | None = None
     places: dict[str, int] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        for name in ("points", "areas", "cracks", "positions"):
-            if (given := getattr(self, name)) is not None:
-                object.__setattr__(self, name, read_only(given))
 
 
 def of_body(name: str) -> Any:

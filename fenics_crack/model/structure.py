@@ -196,6 +196,13 @@ DampingRule = ModalDamping | RayleighDamping
 
 
 Found = TypeVar("Found")
+
+
+def of_original(compute: Callable[[Any], Any]) -> Any:
+    """A property: what is computed from :attr:`Structure.original` once, for all varied copies."""
+    return property(lambda structure: structure.once(compute), doc=compute.__doc__)
+
+
 Other = TypeVar("Other", bound="Structure")
 
 
@@ -283,7 +290,7 @@ class Structure(Coordinates):
         """The structure of which this is a varied copy, or itself."""
         return self._in(UNVARIED)
 
-    def once(self, compute: Callable[[Structure], Found]) -> Found:
+    def once(self, compute: Callable[[Any], Found]) -> Found:
         """A result computed from :attr:`original` once, for it and all of its varied copies."""
         known = self.body.known
         if compute not in known:
