@@ -397,9 +397,9 @@ class PeriodFields:
             fields["von Mises stress"] = von_mises(self.stress[frame])
         for name, values in fields.items():
             grid.point_data[name] = values.astype(np.float32)  # in half the time and space
-        if self.material is not None:
-            for component, axes in enumerate(COMPONENTS[self.mesh.dimension]):
-                grid.GetPointData().GetArray("stress").SetComponentName(component, axes)
+        stress = grid.GetPointData().GetArray("stress")
+        for component, axes in enumerate(COMPONENTS[self.mesh.dimension] if self.material else ()):
+            stress.SetComponentName(component, axes)
         grid.field_data["magnification"] = [self.magnification]
         return grid
 

@@ -80,8 +80,7 @@ def exact_flow(structure: Structure, contact: ContactLaw) -> ContactFlow:
 
 def check_exact(structure: Structure, contact: ContactLaw) -> None:
     """Raise InputError where a structure and a law have no flow."""
-    refused = _refused(structure, contact)
-    if refused is not None:
+    if refused := _refused(structure, contact):
         raise refused
 
 
@@ -95,7 +94,7 @@ def _refused(structure: Structure, contact: ContactLaw) -> InputError | None:
     softness = springs_of(contact, structure.n_pairs)
     if np.all(softness):
         return None
-    static = all_modes(seen_by(contact, structure)).below(None).static_part()
+    static = all_modes(seen_by(contact, structure)).static_part()
     if not is_regular(static + np.diag(softness)):
         allowed = "one whose faces have no mass: reduce_structure(structure, method='massless')"
         return InputError("structure", repr(structure), allowed)
@@ -134,7 +133,7 @@ class Flow:
         self.friction = friction_of(contact)
         seen = seen_by(contact, structure)
         self.clearance = seen.clearance
-        self.modes = modes = all_modes(seen).below(None)
+        self.modes = modes = all_modes(seen)
         self.residual = modes.static_part()
         self.softness = springs_of(contact, structure.n_pairs)
         self.compliance = self.residual + np.diag(self.softness)

@@ -474,7 +474,7 @@ class Path:
             for found, place in self._eventful(stretch):
                 left -= len(found)
                 if place is None:
-                    self._known = [*self._known, *found[-2:]][-2:]
+                    self._known[:] = [*self._known, *found[-2:]][-2:]
                 else:
                     shorter = 0.25 * min(shorter, float(stretch.lengths[place + 1]))
                     if shorter < self._options.min_step:
