@@ -292,13 +292,10 @@ _READERS: dict[str, Callable[[object], Any]] = {
 """Function that reads a value, by the type of a field that is not None."""
 
 
+_BY_NAME = ("tuple[Axis, ...]", "tuple[MeshFile, ...]", "tuple[Point, ...]", "Mistuning")
 _JSON = {"bool": "boolean", "float": "number", "int": "integer", "str": "string"}
-_ARRAY_TYPES = (
-    "Pair", "Vector", "tuple[Harmonic, ...]", "tuple[float, ...]", "tuple[int, ...]",
-    "tuple[str, ...]",
-)  # fmt: skip
-_JSON |= dict.fromkeys(_ARRAY_TYPES, "array")
-"""JSON's words for types; axes and points are objects."""
+_JSON |= dict.fromkeys(_BY_NAME, "object")
+"""JSON's words for types; all others are arrays."""
 
 
 def _reader(item: Field[Any]) -> Callable[[object], Any]:
@@ -533,7 +530,7 @@ class Table:
         found: dict[str, Any] = {}
         for name, item in cls.keys().items():
             kinds = str(item.type).removesuffix(" | None").split(" | ")
-            types = [_JSON.get(kind, "object") for kind in kinds]
+            types = [_JSON.get(kind, "array") for kind in kinds]
             if "tuple[int, ...]" in kinds:  # one number stands for a list of it
                 types.append("integer")
             found[name] = {"type": types}
@@ -556,8 +553,9 @@ class Table:
 
     @property
     def derived(self) -> set[str]:
-        """The keys whose values follow from those of others."""
-        return {key for name, key in self.twins().items() if getattr(self, name) is not None}
+        """The keys whose values follow from those of others, or are not given and chosen."""
+        given = {key for name, key in self.twins().items() if getattr(self, name) is not None}
+        return given | vars(self).get("_follow", set())
 
     @classmethod
     def name_of(cls, key: str = "") -> str:
