@@ -284,7 +284,7 @@ class Inside:
         angle = 2.0 * np.pi * diameter / self.sector.count
         single = self.sector.is_single(diameter)
         turn = float(round(np.cos(angle))) if single else complex(np.exp(1j * angle))
-        return NodalDiameter(diameter, self, turn)
+        return NodalDiameter(self, turn)
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,15 +293,12 @@ class NodalDiameter:
 
     Attributes
     ----------
-    number : int
-        n.
     inside : Inside
         The sector's stiffness.
     turn : complex
         e^(i 2 pi n / N).
     """
 
-    number: int
     inside: Inside
     turn: complex
 

@@ -85,9 +85,8 @@ class AllModes:
         """
         square = (omega * omega)[:, None]
         stiffness = self.squares - square
-        diagonal = self.damping.ndim == 1
         singular = self.unconstrained & (omega == 0.0)
-        if diagonal:
+        if self.damping.ndim == 1:
             impedance = stiffness + (1j * factor * omega)[:, None] * self.damping
             size = np.abs(self.squares) + square
             if loaded is not None:

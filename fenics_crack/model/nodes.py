@@ -396,8 +396,9 @@ class Clamp:
 
     def of_waves(
         self, waves: np.ndarray, omega: float, subharmonic: int, drag: float, phases: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Forces (n, d) and moments at phases (n,) of a periodic motion of angular frequency omega.
+    ) -> tuple[np.ndarray, ...]:
+        """Forces (n, d) [N] and moments (n, n_rigid - d) [N m] at phases (n,) of a periodic motion
+        of angular frequency omega.
 
         ``waves`` (2H+1, n_rigid) are the coefficients of r^T M u; the load has ``subharmonic``
         times the motion's frequency."""
@@ -406,11 +407,12 @@ class Clamp:
         moved = np.zeros_like(waves)
         moved[1::2] = rate * (drag * sines - rate * cosines)
         moved[2::2] = -rate * (drag * cosines + rate * sines)
-        return self._split(evaluate(moved, 1.0, phases) - evaluate(self.load, subharmonic, phases))
+        forces = evaluate(moved, 1.0, phases) - evaluate(self.load, subharmonic, phases)
+        return tuple(np.split(forces, [len(self.center)], axis=1))
 
     def of_record(
         self, time: np.ndarray, seen: np.ndarray, omega: float, drag: float
-    ) -> tuple[np.ndarray, np.ndarray]:
+    ) -> tuple[np.ndarray, ...]:
         """Forces (n, d) and moments at the instants (n,) [s] of a record (n, n_rigid) of r^T M u
         under a load of angular frequency omega."""
         from scipy.interpolate import make_interp_spline  # takes a while, rarely used
@@ -418,9 +420,4 @@ class Clamp:
         # Of degree 5: the second derivative is known to the fourth order.
         record = make_interp_spline(time, seen, k=5)
         moved = record.derivative(2)(time) + drag * record.derivative(1)(time)
-        return self._split(moved - evaluate(self.load, omega, time))
-
-    def _split(self, found: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Forces (n, d) [N] and moments (n, n_rigid - d) [N m] of R (n, n_rigid)."""
-        dimension = len(self.center)
-        return found[:, :dimension], found[:, dimension:]
+        return tuple(np.split(moved - evaluate(self.load, omega, time), [len(self.center)], axis=1))
