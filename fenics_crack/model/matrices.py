@@ -592,8 +592,9 @@ def _check_sizes(name: str, values: np.ndarray) -> None:
 
 
 def checked(
-    mass: Any, stiffness: Any, gap: Any, forces: Mapping[str, Any], clearance: Any, comm: MPI.Comm
-) -> dict[str, Any]:
+    mass: Any, stiffness: Any, gaps: tuple[Any, Any], forces: Mapping[str, Any], clearance: Any,
+    comm: MPI.Comm,
+) -> dict[str, Any]:  # fmt: skip
     """Check and distribute what :meth:`Structure.from_matrices` is given but for the damping
     (collective)."""
     mass = petsc_matrix("mass", mass, comm)
@@ -601,21 +602,32 @@ def checked(
     stiffness = petsc_matrix("stiffness", stiffness, comm, n)
     _check_symmetric("mass", mass)
     _check_symmetric("stiffness", stiffness)
-    _check_positive_definite("mass", mass)
+    with Factor(mass) as factor:
+        negative, null = factor.negative_pivots, factor.null_pivots
+    if negative or null:
+        found = f"{negative} negative and {null} zero eigenvalues"
+        raise InputError("mass", found, "positive definite")
     _check_semidefinite("stiffness", stiffness, mass)
 
-    gap = sparse.csr_matrix((n, 0)) if gap is None else whole_rows("gap", gap, n)
+    normal, tangential = gaps
+    gap = sparse.csr_matrix((n, 0)) if normal is None else whole_rows("gap", normal, n)
     if len(empty := np.flatnonzero(abs(gap).sum(axis=0) == 0.0)):
         value = f"zero in column {empty[0] + 1} of {gap.shape[1]}"
         allowed = "a pair in each: a gap that depends on no displacement never opens or closes"
         raise InputError("gap", value, allowed)
-    return {
+    parts = {
         "mass": mass,
         "stiffness": stiffness,
         "gap": gap[own],
         "force": _load(forces, n)[:, own],
         "clearance": per_pair("clearance", clearance, gap.shape[1]),
     }
+    if tangential is not None:
+        tangential = whole_rows("tangential", tangential, n)
+        if tangential.shape != gap.shape:
+            raise InputError("tangential", tangential.shape, f"of shape {gap.shape}, as gap is")
+        parts["tangential"] = tangential[own]
+    return parts
 
 
 def _load(forces: Mapping[str, Any], n: int) -> np.ndarray:
@@ -657,16 +669,6 @@ def with_harmonics(
     return found
 
 
-def checked_tangential(given: Any, parts: Mapping[str, Any]) -> sparse.csr_matrix:
-    """This rank's rows of B_t, of as many pairs as other parts of a structure have."""
-    n, own = parts["mass"].size[0], slice(*parts["mass"].owner_range)
-    found = whole_rows("tangential", given, n)
-    if found.shape[1] != parts["gap"].shape[1]:
-        allowed = f"of shape ({n}, {parts['gap'].shape[1]}), as gap is"
-        raise InputError("tangential", found.shape, allowed)
-    return found[own]
-
-
 def lumped_mass(mass: Any) -> Any:
     """The diagonal matrix of the row sums; InputError where one is not positive (collective)."""
     ones, sums = mass.createVecs()
@@ -698,14 +700,6 @@ def _check_symmetric(name: str, matrix: Any) -> None:
     difference.destroy()
     if asymmetry > TOLERATED * size:
         raise InputError(name, f"asymmetric by {asymmetry / size:.1e}", "symmetric")
-
-
-def _check_positive_definite(name: str, matrix: Any) -> None:
-    with Factor(matrix) as factor:
-        negative, null = factor.negative_pivots, factor.null_pivots
-    if negative or null:
-        found = f"{negative} negative and {null} zero eigenvalues"
-        raise InputError(name, found, "positive definite")
 
 
 def _check_semidefinite(name: str, matrix: Any, mass: Any) -> None:

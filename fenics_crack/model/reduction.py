@@ -190,7 +190,8 @@ def _massless(structure: Structure, modes: int, assessed: bool | int) -> Massles
         # What fewer modes leave out is what more do, and the static part of those between.
         between = slice(count, more)
         left = compliance + (seen[between].T / squares[between]) @ seen[between]
-        left = _without_rounding(left, seen[:count], squares[:count])
+        lost = _is_rounding(np.diag(left), seen[:count], squares[:count])
+        left[lost] = left[:, lost] = 0.0  # forces that the kept modes carry alone
         reference = MasslessStructure(
             structure,
             squares[:count],
@@ -234,14 +235,6 @@ def _loaded_dofs(structure: Structure) -> np.ndarray:
     own = np.flatnonzero(np.any(structure.force != 0.0, axis=0)) + structure.first_dof
     found = gather_rows(structure.comm, own)
     return found if len(found) <= AT_A_TIME else found[:0]
-
-
-def _without_rounding(compliance: np.ndarray, seen: np.ndarray, squares: np.ndarray) -> np.ndarray:
-    """S without the forces that the kept modes carry alone, of which rounding leaves something."""
-    found = compliance.copy()
-    lost = _is_rounding(np.diag(compliance), seen, squares)
-    found[lost] = found[:, lost] = 0.0
-    return found
 
 
 def _is_rounding(left: np.ndarray, seen: np.ndarray, squares: np.ndarray) -> np.ndarray:

@@ -36,7 +36,6 @@ from fenics_crack.model.body import UNVARIED, Body, Setting
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.matrices import (
     checked,
-    checked_tangential,
     lumped_mass,
     numbers,
     per_pair,
@@ -511,13 +510,11 @@ class Structure(Coordinates):
             symmetric, the mass is not positive definite, or the stiffness not semidefinite.
         """
         forces = {"force_mean": force_mean, "force_cos": force_cos, "force_sin": force_sin}
-        parts = checked(mass, stiffness, gap, forces, clearance, comm)
-        if tangential is not None:
-            tangential = checked_tangential(tangential, parts)
+        parts = checked(mass, stiffness, (gap, tangential), forces, clearance, comm)
         if not isinstance(damping, DampingRule | None):
             made = parts["mass"]
             damping = petsc_matrix("damping", damping, made.comm.tompi4py(), made.size[0])
-        return cls(Body(**parts, damping=damping, tangential=tangential))
+        return cls(Body(**parts, damping=damping))
 
     @classmethod
     @alone()
