@@ -105,8 +105,7 @@ class Sector:
 
     def placed(self, points: np.ndarray, times: int) -> np.ndarray:
         """Points (n, d) of the first sector where they are in another one [m]."""
-        found: np.ndarray = (points - self.center) @ self.turned(times).T + self.center
-        return found
+        return np.asarray((points - self.center) @ self.turned(times).T + self.center)
 
     @cached_property
     def own(self) -> np.ndarray:

@@ -29,6 +29,10 @@ AT_A_TIME = 16
 TOLERATED = 1e-10
 """Asymmetry relative to a matrix's size; eigenvalues of K and M that are none, to K_ii / M_ii; sums
 of a mass's rows that are zero, to the largest."""
+OF_PLANE = 40
+"""Entries of a row from which on a matrix is one of a solid: there they are 45 or more, of a plane
+18 to 32. With rows ordered for minimum fill the latter are factored in 0.6 of MUMPS's own time, the
+former in more, and larger."""
 PREFIX, ORDER, QUIET = "crack_factor_", "mat_mumps_icntl_7", "mat_cholmod_print"
 
 
@@ -128,8 +132,10 @@ class Factor:
         options, own = PETSc.Options(), {}
         if solver == "cholmod":  # it would warn of each pivot of zero; PETSc reads one of both
             own = {QUIET: 0, PREFIX + QUIET: 0}
-        elif self._by_mumps and self._is_plane:
-            own = {PREFIX + ORDER: 2}  # minimum fill; setMumpsIcntl does not last
+        elif self._by_mumps:
+            entries = self._matrix.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
+            if entries < OF_PLANE * self._matrix.size[0]:
+                own = {PREFIX + ORDER: 2}  # minimum fill; setMumpsIcntl does not last
         own = {name: value for name, value in own.items() if not options.hasName(name)}
         for name, value in own.items():
             options[name] = value
@@ -144,17 +150,6 @@ class Factor:
         finally:
             for name in own:
                 options.delValue(name)
-
-    @property
-    def _is_plane(self) -> bool:
-        """True if rows have as few entries as those of a plane, 18 to 32; of solids they have 45 or
-        more (collective).
-
-        With rows ordered for minimum fill the former are factored in 0.6 of MUMPS's own time,
-        the latter in more, and larger.
-        """
-        entries = self._matrix.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
-        return bool(entries < 40 * self._matrix.size[0])
 
     @property
     def null_pivots(self) -> int:

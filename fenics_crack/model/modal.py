@@ -123,8 +123,7 @@ class AllModes:
 
     def _fast(self, above: float) -> np.ndarray:
         """Modes beyond a frequency, but not the lowest one: (n_modes,) bool."""
-        fast: np.ndarray = self.squares > max(above**2, float(self.squares[0]))
-        return fast
+        return np.asarray(self.squares > max(above**2, float(self.squares[0])))
 
     def moved_at_once(self, above: float) -> np.ndarray:
         """Displacement of it by unit forces on the pairs: (n_dofs, n_pairs) [m/N]."""

@@ -157,6 +157,10 @@ class Coordinates:
     force: np.ndarray
     nodes: Nodes | None = of_body("nodes")
     pairs: Pairs = of_body("pairs")
+    pair_points: np.ndarray | None = of_body("pairs.points")
+    """Positions of the contact pairs where there is a mesh: (n_pairs, d) [m]."""
+    pair_areas: np.ndarray | None = of_body("pairs.areas")
+    """Area of the face that belongs to each pair, where there is a mesh: (n_pairs,) [m^2]."""
     watched: np.ndarray | None = of_body("watched")
 
     def __setattr__(self, name: str, value: object) -> NoReturn:
@@ -192,16 +196,6 @@ class Coordinates:
     def n_pairs(self) -> int:
         """Number of contact pairs."""
         return int(self.gap.shape[1])
-
-    @property
-    def pair_points(self) -> np.ndarray | None:
-        """Positions of the contact pairs where there is a mesh: (n_pairs, d) [m]."""
-        return self.pairs.points
-
-    @property
-    def pair_areas(self) -> np.ndarray | None:
-        """Area of the face that belongs to each pair, where there is a mesh: (n_pairs,) [m^2]."""
-        return self.pairs.areas
 
     @property
     def watched_pairs(self) -> dict[str, int]:

@@ -241,8 +241,7 @@ def _is_rounding(left: np.ndarray, seen: np.ndarray, squares: np.ndarray) -> np.
     """Return True for forces whose residual flexibility, beyond the modes, is only rounding."""
     elastic = squares > 0.0
     carried = np.sum(seen[elastic] ** 2 / squares[elastic, None], axis=0)
-    found: np.ndarray = left <= AS_ZERO * carried
-    return found
+    return np.asarray(left <= AS_ZERO * carried)
 
 
 def _rule_of_all(structure: Structure) -> DampingRule | None:

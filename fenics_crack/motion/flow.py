@@ -415,8 +415,7 @@ class Track:
     def __matmul__(self, change: np.ndarray) -> np.ndarray:
         """dz(end) of a change dz(start), without the matrix: (2 n_modes,)."""
         end = np.array([len(self.lengths)], dtype=np.intc)
-        found: np.ndarray = self.carried(change, np.zeros((1, self.flow.size)), end)[-1]
-        return found
+        return np.asarray(self.carried(change, np.zeros((1, self.flow.size)), end)[-1])
 
     def carried(self, start: np.ndarray, excess: np.ndarray, ends: np.ndarray) -> np.ndarray:
         """Changes d of the state at the starts of parts of the track and at its end, (n + 1,

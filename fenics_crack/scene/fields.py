@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from copy import copy
 from dataclasses import MISSING, Field, dataclass, field, fields
 from numbers import Integral, Real
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -464,7 +464,7 @@ class Table:
                 zeros[key] = (0.0,) * dimension
         return self.with_values(**zeros)
 
-    def with_values(self, **values: Any) -> Any:
+    def with_values(self, **values: Any) -> Self:
         """The same with other values, which are not checked."""
         made = copy(self)
         vars(made).update(values)
@@ -548,8 +548,8 @@ class Table:
     @classmethod
     def twins(cls) -> dict[str, str]:
         """The keys in another unit, as Hz, and those in SI units that stand for the same."""
-        twins = {name: item.metadata.get("twin") for name, item in cls.keys().items()}
-        return {name: omega for name, omega in twins.items() if omega is not None}
+        held = {name: item.metadata for name, item in cls.keys().items()}
+        return {name: known["twin"] for name, known in held.items() if "twin" in known}
 
     @property
     def derived(self) -> set[str]:

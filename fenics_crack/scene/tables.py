@@ -263,8 +263,7 @@ class Excitation(Table, Periodic):
         """The same with the frequency that its order makes of a rotor's speed [rad/s]."""
         if "_follow" not in vars(self):
             self.leave_out(("frequency", "omega"), f"excitation.order = {self.order} and a speed")
-        made: Excitation = self.with_values(omega=speed * (self.order or 0), _follow={"omega"})
-        return made
+        return self.with_values(omega=speed * (self.order or 0), _follow={"omega"})
 
     @classmethod
     def without_twins(
@@ -645,8 +644,7 @@ class HarmonicBalance(Table):
         least = f"a whole number >= {highest}, the highest order of the load"
         fits = self.harmonics >= highest
         self.require(fits or "harmonics" in self.derived, "harmonics", least)
-        made: HarmonicBalance = self if fits else self.with_values(harmonics=highest)
-        return made
+        return self if fits else self.with_values(harmonics=highest)
 
 
 @dataclass(frozen=True)
@@ -706,8 +704,7 @@ class Mesh(Table):
 
     def with_vectors(self, dimension: int) -> Mesh:
         """The same in a plane or in space, of the order that is usual there."""
-        made: Mesh = self.with_values(order=self.order or dimension - 1)
-        return made
+        return self.with_values(order=self.order or dimension - 1)
 
     @property
     def derived(self) -> set[str]:
