@@ -170,9 +170,8 @@ def _space(structure: Structure, ties: Any) -> int:
 class Inverse(Protocol):
     """What applies the inverse of a stiffness: a :class:`Factor`, for example."""
 
-    @property
-    def null_pivots(self) -> int:
-        """Dimension of the null space that was met."""
+    null_pivots: int
+    """Dimension of the null space that was met."""
 
     def apply(self, right: Any, solution: Any) -> None:
         """Solve for a PETSc vector (collective)."""

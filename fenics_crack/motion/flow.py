@@ -116,6 +116,8 @@ class Flow:
         g0 of the rows; of tangents zero.
     modes : AllModes
         Modes that move, and the rows as their pairs.
+    count, size : int
+        Number of modes, and numbers of a state.
     residual : (n_pairs, n_pairs) [m/N]
         R_inf.
     softness : (n_pairs,) [m/N]
@@ -134,6 +136,8 @@ class Flow:
         seen = seen_by(contact, structure)
         self.clearance = seen.clearance
         self.modes = modes = all_modes(seen)
+        self.count = len(modes.squares)
+        self.size = 2 * self.count + (structure.n_pairs if self.friction else 0)
         self.residual = modes.static_part()
         self.softness = springs_of(contact, structure.n_pairs)
         self.compliance = self.residual + np.diag(self.softness)
@@ -142,16 +146,6 @@ class Flow:
         if modes.static_loads is not None:
             self.gap += seen.apply_bt(structure.force @ modes.static_loads)
         self.gap[0] -= self.clearance
-
-    @property
-    def count(self) -> int:
-        """Number of modes."""
-        return len(self.modes.squares)
-
-    @property
-    def size(self) -> int:
-        """Numbers of a state."""
-        return 2 * self.count + (self.structure.n_pairs if self.friction else 0)
 
     def state(
         self, displacement: np.ndarray, velocity: np.ndarray, places: np.ndarray | None = None

@@ -334,19 +334,15 @@ class Scene:
         if self.disk is None:
             assert self.rotation is not None
             return self.rotation.place
+        plane, axis = self.dimension == 2, np.array(self.disk.axis or (1.0, 0.0, 0.0))
         if self.mesh.layout == "file":
-            point = np.array([*(self.disk.center or (0.0,)), 0.0, 0.0])[:3]
-            axis = np.array(self.disk.axis or (1.0, 0.0, 0.0))
+            point = [*(self.disk.center or (0.0,)), 0.0, 0.0][:3]
         else:
-            radius = self.disk.given("outer_radius")
-            across = self.geometry.across
-            point = np.array([0.0, -radius, 0.5 * across])
-            axis = np.array([1.0, 0.0, 0.0])
-            if self.dimension == 2:
-                point = np.array([0.5 * across, -radius, 0.0])
-        if self.dimension == 2:
+            below, middle = -self.disk.given("outer_radius"), 0.5 * self.geometry.across
+            point = [middle, below, 0.0] if plane else [0.0, below, middle]
+        if plane:
             axis = np.array([0.0, 0.0, 1.0])
-        return point, axis / np.linalg.norm(axis)
+        return np.array(point), axis / np.linalg.norm(axis)
 
     @property
     def modes_key(self) -> str:
