@@ -58,6 +58,7 @@ from fenics_crack.basics.errors import (
     check_number,
 )
 from fenics_crack.basics.tables import TURN, Tabular, counted, hertz_of, with_frequency
+from fenics_crack.curves.curve import INSTANTS
 from fenics_crack.curves.free_motion import (
     HELPS,
     Equilibrium,
@@ -66,7 +67,6 @@ from fenics_crack.curves.free_motion import (
     cosine_rows,
     first_motion,
 )
-from fenics_crack.curves.waves import PARTS
 from fenics_crack.model.contact import ContactLaw, check_law
 from fenics_crack.model.modal import SMALL, all_modes, is_small
 from fenics_crack.model.reduction import reduce_structure
@@ -203,7 +203,7 @@ class Backbone(Tabular):
         values = self.structure.values_at(self.cosines.reshape(-1, dofs), [dof])
         waves, turns = values.reshape(points, terms, 1), TURN * np.arange(terms)
         every = [lambda parts, wave=wave: np.cos(np.outer(parts, turns)) @ wave for wave in waves]
-        return np.array([half_range(at(PARTS), at)[0] for at in every])
+        return np.array([half_range(at(np.arange(INSTANTS) / INSTANTS), at)[0] for at in every])
 
     # --- shown ------------------------------------------------------------------------------------
 
