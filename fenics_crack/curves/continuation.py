@@ -280,7 +280,7 @@ class Continuation(GrowingCurve):
     tolerance : float, optional
         Without ``samples``. Choose H, between the problem's ``harmonics`` and 100, so that the
         estimated truncation error of the first point is below this. Of exact orbits
-        :attr:`ResponseCurve.tolerance`; default: that of ``branch_of``, or 0.01.
+        ``ResponseCurve.tolerance``; default: that of ``branch_of``, or 0.01.
     stability : bool
         Assess ``curve`` each time that it is taken (:func:`judge_curve`); exact orbits always have
         their stability.
