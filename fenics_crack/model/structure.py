@@ -452,7 +452,10 @@ class Structure(Coordinates):
         InputError
             A value cannot be used.
         """
-        weights = _weights(load, len(self.force))
+        weights, rows = numbers(load), len(self.force)
+        if weights.shape not in ((), (rows, rows)) or not np.all(np.isfinite(weights)):
+            allowed = f"a finite number, or a finite matrix of shape ({rows}, {rows})"
+            raise InputError("load", load, allowed)
         if self.whole.rotation is not None and not _keeps_mean(weights):
             allowed = "1 for a structure that rotates: part of its mean load is centrifugal"
             raise InputError("load", load, allowed)
@@ -580,15 +583,6 @@ def _in_words(structure: Structure) -> str:
     if isinstance(damping, DampingRule):
         return f"{pairs}, {damping.scaled(structure.damping_factor)}"
     return f"{pairs}, {'no damping' if damping is None else 'damping matrix'}"
-
-
-def _weights(load: Any, rows: int) -> np.ndarray:
-    """A factor of a load, or the matrix that maps its parts to others, of so many rows; checked."""
-    weights = numbers(load)
-    if weights.shape not in ((), (rows, rows)) or not np.all(np.isfinite(weights)):
-        allowed = f"a finite number, or a finite matrix of shape ({rows}, {rows})"
-        raise InputError("load", load, allowed)
-    return weights
 
 
 def _keeps_mean(weights: np.ndarray) -> bool:
