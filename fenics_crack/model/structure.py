@@ -239,7 +239,11 @@ class Structure(Coordinates):
         vars(self).update(body=body, setting=UNVARIED)
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({self._size_words}, {_in_words(self)})"
+        pairs, damping = counted(self.n_pairs, "pair"), self.body.damping
+        words = "no damping" if damping is None else "damping matrix"
+        if isinstance(damping, DampingRule):
+            words = str(damping.scaled(self.damping_factor))
+        return f"{type(self).__name__}({self._size_words}, {pairs}, {words})"
 
     @cached_property
     def force(self) -> np.ndarray:  # type: ignore[override]
@@ -575,14 +579,6 @@ class Structure(Coordinates):
         for key in bilinear:
             parts[key].destroy()
         return made.placed(*places)
-
-
-def _in_words(structure: Structure) -> str:
-    """The pairs and the damping of a structure."""
-    pairs, damping = counted(structure.n_pairs, "pair"), structure.body.damping
-    if isinstance(damping, DampingRule):
-        return f"{pairs}, {damping.scaled(structure.damping_factor)}"
-    return f"{pairs}, {'no damping' if damping is None else 'damping matrix'}"
 
 
 def _keeps_mean(weights: np.ndarray) -> bool:
