@@ -46,8 +46,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.monitoring.identification.report import Identified
 from fenics_crack.monitoring.tip_timing.fit_order import TipTrack
 from fenics_crack.monitoring.tip_timing.harmonics import TipFit
-from fenics_crack.monitoring.tip_timing.report import largest_blade
-from fenics_crack.monitoring.tip_timing.timing import Timing
+from fenics_crack.monitoring.tip_timing.timing import Timing, largest_blade
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene, unit_of
 from fenics_crack.scene.words import WHOLE, differences, given_values, key_in_words, value_in_words
