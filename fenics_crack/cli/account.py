@@ -48,7 +48,7 @@ OTHERS = {
     "remarks": ("remarks", "-", NEVER),
     "conclusion": ("conclusion", "-", NEVER),
 }
-"""Words and unit of quantities of a solution or a motion beside the indicators; are they printed."""
+"""Words and unit of quantities beside the indicators of a motion, and whether they are printed."""
 ON_MODES = "depends on truncated modes"
 IN_A_TEST = {
     "fold": "the curve turns back: in a test the vibration jumps to another size here",
