@@ -704,12 +704,8 @@ class Mesh(Table):
 
     def with_vectors(self, dimension: int) -> Mesh:
         """The same in a plane or in space, of the order that is usual there."""
-        return self.with_values(order=self.order or dimension - 1)
-
-    @property
-    def derived(self) -> set[str]:
-        """Keys that are derived; of a plate the order 1, too."""
-        return super().derived | ({"order"} if self.order == 1 else set())
+        order = self.order or dimension - 1
+        return self.with_values(order=order, _follow={"order"} if order == 1 else set())
 
 
 @dataclass(frozen=True)
