@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 
 import fenics_crack as fc
-from fenics_crack.curves.resonance import Resonance, nearest_mode, resonance_at
+from fenics_crack.balance.natural import nearest_mode
+from fenics_crack.curves.resonance import Resonance, resonance_at
 
 STEEL = {"young": 2.1e11, "poisson": 0.3, "density": 7850.0}
 TITANIUM = {"young": 1.14e11, "poisson": 0.33, "density": 4430.0}
