@@ -26,11 +26,13 @@ from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.basics.tables import percent, quantity
 from fenics_crack.curves.resonance import Resonance, resonance_at
 from fenics_crack.curves.stability import floquet
-from fenics_crack.model.contact import friction_of
+from fenics_crack.model.contact import ContactLaw, friction_of
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import reduce_structure
+from fenics_crack.model.rotation import Ritz, RunUpStructure
 from fenics_crack.model.structure import Structure
-from fenics_crack.study.prepare import REFUSALS, Study, reduced, reduction_of
+from fenics_crack.scene.scene import Scene
+from fenics_crack.study.prepare import REFUSALS, Study, law_of, reduced, reduction_of
 
 MODES = 10
 """Modes of the whole structure in which it is sought."""
@@ -121,13 +123,13 @@ def resonance_of(study: Study, estimates: np.ndarray, slopes: np.ndarray) -> AtL
     slopes : (m,)
         S of each.
     """
-    scene, whole = study.scene, study.structure
-    if study.contact is None:
+    scene, whole, law = study.scene, study.structure, study.contact
+    if law is None:
         return AtLoad(unknown="there is no crack")
     load, turns = scene.excitation, whole.rotation is not None and scene.disk is None
     try:
         if load.order is None or not turns:
-            problem = _problem(study, _few(study, whole), load.omega)
+            problem = _problem(scene, law, _few(study, whole), load.omega)
             return AtLoad.of(resonance(problem), nearest_mode(problem, load.omega).omega)
         mode = int(np.argmin(np.abs(estimates - load.omega)))
         return _of_rotor(study, float(estimates[mode]), float(slopes[mode]))
@@ -141,8 +143,9 @@ def _of_rotor(study: Study, estimate: float, slope: float) -> AtLoad:
 
     The structure is that at the scene's speed, or where the order meets the estimate if that is far
     away, and its centrifugal load grows with W^2 from there."""
-    order, speed, whole = study.scene.excitation.order, study.scene.speed, study.structure
-    assert order is not None
+    scene, law, whole = study.scene, study.contact, study.structure
+    order, speed = scene.excitation.order, scene.speed
+    assert order is not None and law is not None
 
     def met(omega: float, harmonic: int = 1) -> float:
         found = meeting_speed(order, speed, omega, slope / harmonic**2)
@@ -160,7 +163,7 @@ def _of_rotor(study: Study, estimate: float, slope: float) -> AtLoad:
     def at(turning: float) -> Problem:
         weights = np.diag(np.append(np.ones(count), [0.0, 0.0]))
         weights[0, count] = (turning / speed) ** 2 - 1.0
-        return _problem(study, small.varied(load=weights), order * speed)
+        return _problem(scene, law, small.varied(load=weights), order * speed)
 
     found = resonance_at(at(there))
     problem = at(met(found.omega, found.harmonic))
@@ -173,6 +176,18 @@ def _of_rotor(study: Study, estimate: float, slope: float) -> AtLoad:
     return AtLoad.of(replace(found, value=value, width=high - low), at_rest)
 
 
+def over_speed(scene: Scene, small: Ritz, speed: float) -> AtLoad:
+    """The resonance at the load of a rotor in a basis for all speeds, next to one at which the
+    scene's engine order meets a natural frequency."""
+    order, law = scene.excitation.order, law_of(scene, small.whole)
+    assert order is not None and law is not None
+    try:
+        rotor = RunUpStructure(small, speed)
+        return AtLoad.of(resonance(_problem(scene, law, rotor, order * speed), "speed"))
+    except REFUSALS as error:
+        return AtLoad(unknown=str(error))
+
+
 def _few(study: Study, whole: Structure) -> Structure:
     """A whole structure in few coordinates."""
     kept = reduction_of(study.scene, whole)
@@ -182,7 +197,8 @@ def _few(study: Study, whole: Structure) -> Structure:
     return reduce_structure(whole, modes=modes, method="massless", reference=False)
 
 
-def _problem(study: Study, structure: Structure, omega: float) -> Problem:
-    balance, friction = study.scene.harmonic_balance, friction_of(study.contact)
-    law = study.contact if friction is None else friction.law
+def _problem(scene: Scene, law: ContactLaw, structure: Structure, omega: float) -> Problem:
+    """What is balanced, without friction."""
+    balance, friction = scene.harmonic_balance, friction_of(law)
+    law = law if friction is None else friction.law
     return Problem(structure, omega, law, balance.harmonics, balance.samples)
