@@ -61,7 +61,7 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
         tied = {"tied": figures.omega_tied} if whole.n_pairs else {}
         by_mesh = errors_of_natural(study, {"open": figures.omega_open} | tied)
     with console.stage("resonance at the load"):
-        at_load = resonance_of(study, figures.omega_bilinear, figures.stiffenings)
+        at_load = resonance_of(study, figures.omega_bilinear, figures.slopes)
     figures = replace(figures, at_load=at_load)
     rows: dict[str, object] = {
         **({} if whole.nodes is None else _extents(figures)),

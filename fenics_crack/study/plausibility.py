@@ -83,8 +83,8 @@ class KeyFigures:
         other, by the open modes.
     damping : (at most 4,)
         Ratios of critical damping of the open modes.
-    stiffenings : (at most 4,)
-        S = d(w^2) / d(W^2) of the open modes under rotation; 0 without.
+    slopes : (at most 4, 2)
+        S = d(w^2) / d(W^2) of the open modes under rotation, and dS / d(W^2); 0 without.
     own_stiffness : (n_pairs,) [N/m]
         1 / (B^T K^-1 B)_jj: of the crack faces themselves, pair by pair.
     stiffness_ratio : (n_pairs,) or None
@@ -115,7 +115,7 @@ class KeyFigures:
     omega_tied: np.ndarray
     omega_bilinear: np.ndarray
     damping: np.ndarray
-    stiffenings: np.ndarray
+    slopes: np.ndarray
     own_stiffness: np.ndarray
     stiffness_ratio: np.ndarray | None
     mean_opening: float
@@ -129,11 +129,6 @@ class KeyFigures:
     modes_kept: int
     at_load: AtLoad = NOT_SOUGHT
 
-    @property
-    def stiffening(self) -> float:
-        """S of the first open mode."""
-        return float(self.stiffenings[0])
-
 
 def find_key_figures(study: Study) -> KeyFigures:
     """Compute the figures of a study; of a reduced one in its own coordinates, which hold static
@@ -142,9 +137,11 @@ def find_key_figures(study: Study) -> KeyFigures:
     known = whole.known_modes(tied=False)
     count = min(N_MODES, whole.n_dofs if known is None else len(known[0]))
     with Factor(whole.stiffness, definite=True) as factor:
-        if known is None:  # as many as the resonance at the load takes, once
-            modes_by(factor, whole, min(MODES, whole.n_dofs))
         modes = solve_modes(whole, count)
+        if known is None:  # as many as the resonance at the load takes, once
+            many = modes_by(factor, whole, min(MODES, whole.n_dofs))
+            modes = Modes(many.omega[:count], many.shapes[:, :count], whole)
+        slopes = _slopes(factor, many if known is None else modes, count)
         static = _static(factor, modes, whole.force)
         lips = whole.apply_bt(_static(factor, modes, whole.gap.T.toarray()))
     ratios = damping_ratios(whole, modes.omega)
@@ -193,7 +190,7 @@ def find_key_figures(study: Study) -> KeyFigures:
         omega_tied=tied.omega,
         omega_bilinear=breathing.omega_bilinear,
         damping=ratios,
-        stiffenings=np.array([_stiffening(whole, shape) for shape in modes.shapes.T]),
+        slopes=slopes,
         own_stiffness=own,
         stiffness_ratio=None if stiffness is None else stiffness / own,
         mean_opening=float(np.max(-resting, initial=0.0)) + 0.0,
@@ -216,17 +213,36 @@ def _static(factor: Factor, modes: Modes, forces: np.ndarray) -> np.ndarray:
     return left.solve(factor, forces) if free.size else factor.solve(forces)
 
 
-def _stiffening(whole: Structure, shape: np.ndarray) -> float:
-    """d(w^2) / d(W^2) = phi^T (K_1 + K_2 + 2 W^2 K_3) phi of a mass-normalised mode (n_local,)."""
-    rotation, shapes = whole.rotation, shape[:, None]
+def _slopes(factor: Factor, modes: Modes, count: int) -> np.ndarray:
+    """d(w^2) / d(W^2) of some of the lowest of mass-normalised modes, and its own slope,
+
+        phi_i^T K' phi_i,        phi_i^T K'' phi_i - 2 sum_j (phi_j^T K' phi_i)^2 / (w_j^2 - w_i^2),
+
+    K' = K_1 + K_2 + 2 W^2 K_3, K'' = 2 K_3, those beyond the modes quasi-static: (count, 2); 0
+    without rotation, and the second of a bladed disk."""
+    whole, squares = modes.structure, modes.omega**2
+    rotation, found = whole.rotation, np.zeros((count, 2))
     if isinstance(whole, WheelStructure):
-        rotation, shapes = whole.wheel.rotation, whole.of_sectors(shape)
+        rotation = whole.wheel.rotation
     if rotation is None:
-        return 0.0
+        return found
     second, third = rotation.displaced
-    parts = (rotation.stiffness, 1.0), (second, 1.0), (third, 2.0 * rotation.speed**2)
-    slope = sum(factor * times(matrix, shapes) for matrix, factor in parts)
-    return float(whole.sum_over_ranks((shapes * slope).sum()))
+    for mode, shape in enumerate(modes.shapes.T[:count]):
+        shapes = whole.of_sectors(shape) if isinstance(whole, WheelStructure) else shape[:, None]
+        curved = 2.0 * times(third, shapes)
+        slope = times(rotation.stiffness, shapes) + times(second, shapes)
+        slope += rotation.speed**2 * curved
+        found[mode] = [whole.sum_over_ranks((shapes * one).sum()) for one in (slope, curved)]
+        if isinstance(whole, WheelStructure):
+            found[mode, 1] = 0.0
+            continue
+        force = slope.T
+        coupling = whole.sum_over_ranks(force @ modes.shapes)[0] ** 2
+        apart = np.where(squares == squares[mode], np.inf, squares - squares[mode])
+        static = whole.sum_over_ranks((force * factor.solve(force)).sum())
+        left = static - (coupling / squares).sum() + (coupling / apart).sum()
+        found[mode, 1] -= 2.0 * left
+    return found
 
 
 def _elements(scene: Scene, whole: Structure) -> int | None:
@@ -346,7 +362,7 @@ def proposed_curve(scene: Scene, figures: KeyFigures) -> Curve | None:
         return None
     bonded = 1.0 / (2.0 / breathing - 1.0 / opened)  # of the same mode
     low, high, start, stop = (
-        _meeting(scene, parameter, omega, float(figures.stiffenings[mode]))
+        _meeting(scene, parameter, omega, figures.slopes[mode])
         for omega in (opened, bonded, opened / beyond, bonded * beyond)
     )
     if not found.unknown and turns == (parameter in ("speed", "rpm")):
@@ -368,7 +384,7 @@ def _rounded(value: float, towards: Callable[[float], int]) -> float:
 
 
 def _meeting(
-    scene: Scene, parameter: str, omega: float, slope: float, harmonic: float = 1.0
+    scene: Scene, parameter: str, omega: float, slope: np.ndarray, harmonic: float = 1.0
 ) -> float:
     """Parameter of a curve [rad/s] at which a harmonic of the load meets a natural frequency, whose
     square has a slope over that of the speed."""
@@ -599,7 +615,7 @@ def _no_resonance(_: float, scene: Scene, figures: KeyFigures) -> tuple[float, s
     assert curve is not None
     if curve.parameter not in CURVE_UNITS:
         return None
-    meeting = np.vectorize(partial(_meeting, scene, curve.parameter, slope=figures.stiffening))
+    meeting = np.vectorize(partial(_meeting, scene, curve.parameter, slope=figures.slopes[0]))
     first, last = sorted(curve.followed[1:])
     for order in (0.5, 1.0, 2.0, 3.0):
         opened, bonded = (

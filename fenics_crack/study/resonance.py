@@ -7,9 +7,9 @@ smooth law is not defined; friction is left out.
 An engine order n meets it at the speed W of a rotor at which n W is its frequency w there. From a
 speed W_0 next to it, where it is w_0,
 
-    (n W)^2 = w_0^2 + S (W^2 - W_0^2),        S = d(w^2) / d(W^2),
+    (n W)^2 = w_0^2 + S x + C x^2 / 2,        x = W^2 - W_0^2,
 
-which is exact where w^2 is linear in W^2.
+S = d(w^2) / d(W^2) and C = dS / d(W^2) being those of the mode with an open crack.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ MODES = 10
 """Modes of the whole structure in which it is sought."""
 TOLERANCE = 0.1
 """Relative error of the amplitude that is enough to name it."""
-CLOSE = 0.003
-"""Relative change of a frequency with the speed for which w^2 may be taken as linear in W^2: it is
-then wrong by 3e-5, a solid's that changes by 0.7 % by 1.5e-4."""
+CLOSE = 0.02
+"""Relative change of a frequency with the speed for which its square is taken as quadratic in W^2,
+and the centrifugal load as proportional to W^2."""
 SEVERAL = "several modes answer together: see the curve"
 
 
@@ -98,18 +98,24 @@ def resonance(problem: Problem, parameter: str = "omega") -> Resonance:
     return found if found.several else resonance_at(problem, None, parameter, tolerance=TOLERANCE)
 
 
-def meeting_speed(order: float, speed: float, omega: float, slope: float) -> float:
+def meeting_speed(order: float, speed: float, omega: float, slope: np.ndarray) -> float:
     """Rotor speed W [rad/s] at which an engine order n meets a frequency; nan where it never does.
 
     Parameters
     ----------
     order : float
         n.
-    speed, omega, slope : float
-        W_0 and w_0 [rad/s], and S.
+    speed, omega : float
+        W_0 and w_0 [rad/s].
+    slope : (2,)
+        S and C.
     """
-    square, rise = omega**2 - slope * speed**2, order**2 - slope
-    return math.sqrt(square / rise) if square > 0.0 and rise > 0.0 else math.nan
+    left, rise = omega**2 - (order * speed) ** 2, order**2 - slope[0]
+    root = rise**2 - 2.0 * slope[1] * left
+    if rise <= 0.0 or root < 0.0:
+        return math.nan
+    square = speed**2 + 2.0 * left / (rise + math.sqrt(root))
+    return math.sqrt(square) if square > 0.0 else math.nan
 
 
 def resonance_of(study: Study, estimates: np.ndarray, slopes: np.ndarray) -> AtLoad:
@@ -120,8 +126,8 @@ def resonance_of(study: Study, estimates: np.ndarray, slopes: np.ndarray) -> AtL
     ----------
     estimates : (m,) [rad/s]
         Of the frequencies of its modes at its speed: what an engine order meets first.
-    slopes : (m,)
-        S of each.
+    slopes : (m, 2)
+        S and C of each.
     """
     scene, whole, law = study.scene, study.structure, study.contact
     if law is None:
@@ -132,14 +138,14 @@ def resonance_of(study: Study, estimates: np.ndarray, slopes: np.ndarray) -> AtL
             problem = _problem(scene, law, _few(study, whole), load.omega)
             return AtLoad.of(resonance(problem), nearest_mode(problem, load.omega).omega)
         mode = int(np.argmin(np.abs(estimates - load.omega)))
-        return _of_rotor(study, float(estimates[mode]), float(slopes[mode]))
+        return _of_rotor(study, float(estimates[mode]), slopes[mode])
     except REFUSALS as error:
         return AtLoad(unknown=str(error))
 
 
-def _of_rotor(study: Study, estimate: float, slope: float) -> AtLoad:
+def _of_rotor(study: Study, estimate: float, slope: np.ndarray) -> AtLoad:
     """The same where an engine order meets it, from an estimate of its frequency at the scene's
-    speed and its S.
+    speed and its S and C.
 
     The structure is that at the scene's speed, or where the order meets the estimate if that is far
     away, and its centrifugal load grows with W^2 from there."""
@@ -158,15 +164,17 @@ def _of_rotor(study: Study, estimate: float, slope: float) -> AtLoad:
         whole, speed = whole.rotation.at(there), there
     steady, count = whole.force[0] - whole.rotation.at_rest.force[0], len(whole.force)
     loads = np.vstack([whole.force, steady, np.zeros_like(steady)])
-    small = _few(study, whole._changed(force=loads).watching(study.structure.watched_dof))
+    more = whole._changed(force=loads, known=whole.body.known)
+    small = _few(study, more.watching(study.structure.watched_dof))
 
-    def at(turning: float) -> Problem:
-        weights = np.diag(np.append(np.ones(count), [0.0, 0.0]))
-        weights[0, count] = (turning / speed) ** 2 - 1.0
+    def at(turning: float, omega: float) -> Problem:
+        # The amplitude of a mode is 1 / w^2 of the load.
+        weights = (omega / (order * turning)) ** 2 * np.diag(np.append(np.ones(count), [0.0, 0.0]))
+        weights[0, [0, count]] = 1.0, (turning / speed) ** 2 - 1.0
         return _problem(scene, law, small.varied(load=weights), order * speed)
 
-    found = resonance_at(at(there))
-    problem = at(met(found.omega, found.harmonic))
+    found = resonance_at(at(there, estimate))
+    problem = at(met(found.omega, found.harmonic), found.omega)
     found = resonance_at(problem, tolerance=None if found.several else TOLERANCE)
     half, harmonic, rest = 0.5 * found.width, found.harmonic, nearest_mode(problem, problem.omega)
     low, high, value, at_rest = (
