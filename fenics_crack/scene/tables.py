@@ -883,8 +883,7 @@ class Sweep(Table):
     )
     """Keys with a list of values, or start, stop, count and ``spacing = "logarithmic"``."""
     at_resonance: bool = holds("true or false", default=False)
-    """Solve each case at the frequency of its own largest response, next to the bilinear frequency
-    that is nearest to the excitation's."""
+    """Solve each case at its own resonance, the one nearest to the excitation's frequency."""
 
     @property
     def shape(self) -> tuple[int, ...]:
