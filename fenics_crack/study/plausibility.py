@@ -137,11 +137,12 @@ def find_key_figures(study: Study) -> KeyFigures:
     known = whole.known_modes(tied=False)
     count = min(N_MODES, whole.n_dofs if known is None else len(known[0]))
     with Factor(whole.stiffness, definite=True) as factor:
-        modes = solve_modes(whole, count)
         if known is None:  # as many as the resonance at the load takes, once
             many = modes_by(factor, whole, min(MODES, whole.n_dofs))
-            modes = Modes(many.omega[:count], many.shapes[:, :count], whole)
-        slopes = _slopes(factor, many if known is None else modes, count)
+        else:
+            many = solve_modes(whole, count)
+        modes = Modes(many.omega[:count], many.shapes[:, :count], whole)
+        slopes = _slopes(factor, many, count)
         static = _static(factor, modes, whole.force)
         lips = whole.apply_bt(_static(factor, modes, whole.gap.T.toarray()))
     ratios = damping_ratios(whole, modes.omega)
@@ -182,7 +183,6 @@ def find_key_figures(study: Study) -> KeyFigures:
     own = 1.0 / np.maximum(np.diagonal(lips), 1e-300)
     stiffness = None if law is None or not np.all(np.isfinite(law.stiffness)) else law.stiffness
     kept = reduction_of(scene, whole)
-    crack = whole.n_pairs > 0
     return KeyFigures(
         size=extents(whole.whole),
         elements=_elements(scene, whole),
@@ -200,7 +200,7 @@ def find_key_figures(study: Study) -> KeyFigures:
         gap_motion=moved,
         closed=int(closed.sum()),
         breathes=breathes,
-        modes_below=count_below(whole, highest_omega(scene) ** 2) if crack else 0,
+        modes_below=count_below(whole, highest_omega(scene) ** 2) if whole.n_pairs else 0,
         modes_kept=whole.n_dofs if kept is None else kept.modes,
     )
 
