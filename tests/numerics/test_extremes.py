@@ -131,14 +131,6 @@ def test_extremes_of_orbits() -> None:
     assert along.closed_share[0] == pytest.approx(alone.closed_share, abs=1.0 / 256)
 
 
-def test_amplitude_of_a_backbone() -> None:
-    """By its cosines at many instants."""
-    curve = fc.follow_backbone(two_masses(), fc.UnilateralPenalty(10.0), 1, 0.02, 0.05)
-    turns = np.outer(np.linspace(0.0, np.pi, 100_001), np.arange(curve.cosines.shape[1]))
-    fine = np.ptp(np.cos(turns) @ curve.cosines[-1], axis=0)[curve.structure.watched_dof] / 2.0
-    assert -1e-12 <= curve.amplitude()[-1] / fine - 1.0 <= 1e-8
-
-
 def test_a_whole_oscillator() -> None:
     """Half the period on each side of a stop, U = (1 + 1 / r) / 2 of a bilinear one, is no sine."""
     solution = fc.solve_harmonic_balance(
