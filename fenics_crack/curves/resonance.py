@@ -39,7 +39,13 @@ from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
 from fenics_crack.balance.natural import Drive, NaturalResonance, nearest_mode
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, Solver, solution_of
-from fenics_crack.basics.errors import INTERRUPTED, ConvergenceError, InputError, check_number
+from fenics_crack.basics.errors import (
+    INTERRUPTED,
+    ConvergenceError,
+    InputError,
+    check_choice,
+    check_number,
+)
 from fenics_crack.basics.tables import Described, counted, quantity, with_frequency
 from fenics_crack.curves.family import FAMILIES, FrequencyFamily
 from fenics_crack.curves.harmonic_curve import HarmonicCurve
@@ -49,7 +55,7 @@ from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.numerics.equations import LOCATED, Linearisation
 from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_near
-from fenics_crack.numerics.path import Crossing, Ended, Path, PathOptions, Target
+from fenics_crack.numerics.path import ARRIVED, Crossing, Ended, Path, PathOptions, Target
 
 SEVERAL = 0.1
 """Distance of the phase resonance from the top of the curve over the half-power width, from which
@@ -60,9 +66,8 @@ TO_PHASE = PathOptions(0.05, 0.3, max_steps=300, at_once=8, span=(-1.0, 1.0))
 """Options of the response curve on which the first point is met. Its parameter is in halves of the
 frequency, so that steps are parts of the motion: a stiff stop moves a resonance by a hundred times
 its width."""
-MEETINGS = 10
-"""Maximum corrections of the speed at which an order meets a mode, by the secant; at first, of
-natural frequencies, a third of them, each by a quarter of the one before."""
+MEETINGS = 20
+"""Maximum corrections by the secant of the speed at which an order meets a resonance."""
 
 
 class ResonanceSystem:
@@ -287,11 +292,6 @@ class Resonance(Described):
         return ", ".join([*parts, *several])
 
 
-def _first(problem: Problem, near: float | None) -> ResonancePoint:
-    """The resonance of the mode nearest to a load frequency, by default the problem's."""
-    return resonance_of(problem, nearest_mode(problem, problem.omega if near is None else near))
-
-
 def _usable(problem: Problem) -> Problem:
     """The problem with a small structure; InputError unless it can have a phase resonance."""
     if problem.friction or not is_unilateral(problem.contact):
@@ -316,7 +316,7 @@ def _within(point: ResonancePoint, tolerance: float) -> tuple[ResonancePoint, fl
     while error > tolerance and more <= MAX_HARMONICS:
         problem = replace(point.problem, harmonics=more, static_above=None)
         try:
-            finer = point.nearby(problem) or _first(problem, None)
+            finer = _next_to(point, problem)
         except ConvergenceError:
             break
         change = finer.solution.amplitude() / point.solution.amplitude() - 1.0
@@ -326,38 +326,31 @@ def _within(point: ResonancePoint, tolerance: float) -> tuple[ResonancePoint, fl
     return point, error
 
 
-def _meeting(problem: Problem, near: float | None) -> tuple[Problem, NaturalResonance]:
-    """The problem of a rotor at the speed at which its order meets a natural frequency, and that
-    mode."""
-    mode = nearest_mode(problem, problem.omega if near is None else near)
-    for _ in range(MEETINGS // 3):
-        problem = FAMILIES["speed"].vary(problem, _speed(problem) * mode.omega / problem.omega)
-        mode = nearest_mode(problem, mode.omega)
-    return problem, mode
+def _next_to(point: ResonancePoint, problem: Problem) -> ResonancePoint:
+    """The resonance of another problem next to one, or else by its own response curve."""
+    return point.nearby(problem) or _nearest(problem, point.omega)
 
 
-def _speed(problem: Problem) -> float:
-    """Speed of a structure that knows itself at every speed [rad/s]."""
-    assert isinstance(problem.structure, RunUpStructure)
-    return problem.structure.speed
+def _nearest(problem: Problem, omega: float) -> ResonancePoint:
+    """The resonance of the mode nearest to a load frequency."""
+    return resonance_of(problem, nearest_mode(problem, omega))
 
 
-def _met(point: ResonancePoint, order: float) -> tuple[ResonancePoint, float]:
-    """The resonance at the speed at which an order meets it, found by the secant; and its rate, the
-    change of the order's speed there with the speed itself."""
-    rate = 0.0
+def _meeting(point: ResonancePoint, order: float) -> tuple[ResonancePoint, float]:
+    """The resonance at the speed at which an order meets it, by the secant; and its rate, the
+    change of the order's speed there with the rotor's."""
+    rotor = point.problem.structure
+    assert isinstance(rotor, RunUpStructure)
+    speed, rate = rotor.speed, rotor.stiffening(point.omega * point.system.drive.harmonic)
     for _ in range(MEETINGS):
-        speed = _speed(point.problem)
         ahead = (point.omega / order - rate * speed) / (1.0 - rate)
-        if abs(ahead - speed) <= LOCATED * speed:
-            break
-        problem = FAMILIES["speed"].vary(point.problem, ahead)
-        found = point.nearby(replace(problem, static_above=None))
-        if found is None:
-            raise ConvergenceError(f"resonance: lost at the speed {ahead:.6g} rad/s")
+        if abs(ahead - speed) <= ARRIVED * speed:
+            return point, rate
+        structure = rotor.at_speed(ahead)
+        found = _next_to(point, replace(point.problem, structure=structure, static_above=None))
         rate = (found.omega - point.omega) / order / (ahead - speed)
-        point = found
-    return point, rate
+        point, speed = found, ahead
+    raise ConvergenceError(f"resonance: its order does not meet it next to {speed:.6g} rad/s")
 
 
 def resonance_at(
@@ -403,22 +396,20 @@ def resonance_at(
     >>> found = fc.resonance_at(fc.Problem(structure, 2000.0, contact), tolerance=0.01)
     >>> found.omega, found.solution.amplitude(), found.several
     """
-    problem, order = _usable(problem), 0.0
+    check_choice("parameter", parameter, ("omega", "speed"))
+    problem, order, rate, error = _usable(problem), 1.0, 0.0, math.nan
+    point = _nearest(problem, problem.omega if near is None else near)
     if parameter == "speed":
-        order = problem.omega / _speed(problem)
-        problem, mode = _meeting(problem, near)
-        point = resonance_of(problem, mode)
-    else:
-        point = _first(problem, near)
-    error, rate = math.nan, 0.0
+        FAMILIES["speed"].check(problem.structure, "near", point.omega)
+        order = problem.omega / problem.structure.speed  # type: ignore[attr-defined]
+        point, rate = _meeting(point, order)
     if tolerance is not None:
         point, error = _within(point, tolerance)
-    if parameter == "speed":
-        point, rate = _met(point, order)
-    over = (1.0 - rate) * (order or 1.0)
+        if parameter == "speed":
+            point, rate = _meeting(point, order)
     return Resonance(
-        point.omega / (order or 1.0), point.omega, point.system.drive.harmonic, point.width / over,
-        point.apart, point.solution, error,
+        point.omega / order, point.omega, point.system.drive.harmonic,
+        point.width / order / (1.0 - rate), point.apart, point.solution, error,
     )  # fmt: skip
 
 
@@ -473,10 +464,11 @@ def follow_resonance(
     if start == end:
         raise InputError("end", end, "different from start")
     problem, vary = _usable(problem), FAMILIES["resonance"].vary
+    near = problem.omega if near is None else near
     if tolerance is not None:
-        at_end = _first(vary(problem, end), near)
+        at_end = _nearest(vary(problem, end), near)
         problem = problem.with_harmonics(_within(at_end, tolerance)[0].problem.harmonics)
-    first = _first(vary(problem, start), near)
+    first = _nearest(vary(problem, start), near)
     family = first.system.family
     balanced = replace(family.problem, structure=problem.structure)
     family = FrequencyFamily(balanced, family.start, family.end)
