@@ -1,27 +1,10 @@
 """Phase resonance: where the displacement at the load has no part in phase with the load.
 
-What a modal test finds by its phase. Of the damped structure under its own load, with contact: the
-unknowns of the condensed equations F(s, v, w) = 0 (:mod:`contact_system`) and the load's frequency
-w, along ln v, v the factor of all of the load but its mean,
-
-    F(s, v, w) = 0,        Re P / Im P = 0,        P = f_k^H u_k,
-
-f_k and u_k being the complex coefficients of the harmonic that excites, the load's (of a wheel what
-acts on the watched blade) and the displacement's. Re P / Im P is linear in w next to a resonance of
-one mode. In the units of v, s is constant where all is linear, and the Jacobian is bordered by one
-row and one column.
-
-The first point is met on the response curve, followed over the frequency from next to the mode
-nearest to a frequency (:mod:`natural`): upwards where the displacement is in phase with the load,
-else downwards, through folds to the phase's zero.
-
-Other modes beside it, and other harmonics, shift the phase. U(w) being the displacement along the
-load, on the response curve through the point,
-
-    d ln U / dw = -2 i / D       of one mode with the half-power width D,
-
-so that the real part beside the imaginary one is the distance to the top of the curve, over the
-width: twice of what the others shift.
+What a modal test finds by its phase (:mod:`fenics_crack.balance.phase`). It is met on the response
+curve, followed from a frequency upwards where the displacement is in phase with the load, else
+downwards, through folds to the phase's zero. Over the load it is followed along p = ln v, v the
+factor of all of the load but its mean, with the frequency among the unknowns: in the units of v, s
+is constant where all is linear.
 """
 
 from __future__ import annotations
@@ -35,8 +18,8 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.balance.compliance import ModalCompliance
-from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
-from fenics_crack.balance.natural import Drive, NaturalResonance, nearest_mode
+from fenics_crack.balance.contact_system import ContactSystem
+from fenics_crack.balance.phase import Drive, PhasePoint
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, Solver, solution_of
 from fenics_crack.basics.errors import (
@@ -53,7 +36,7 @@ from fenics_crack.model.contact import is_unilateral
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.rotation import RunUpStructure
-from fenics_crack.numerics.equations import LOCATED, Linearisation
+from fenics_crack.numerics.equations import LOCATED
 from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_near
 from fenics_crack.numerics.path import ARRIVED, Crossing, Ended, Path, PathOptions, Target
 
@@ -62,132 +45,72 @@ SEVERAL = 0.1
 on several modes answer: the amplitude is then 2 % below the top."""
 MAX_HARMONICS = 100
 """Maximum harmonics for a tolerance, as of a curve."""
-TO_PHASE = PathOptions(0.05, 0.3, max_steps=300, at_once=8, span=(-1.0, 1.0))
+TO_PHASE = PathOptions(0.05, 0.3, max_steps=300, at_once=8, span=(-4.0, 1.8))
 """Options of the response curve on which the first point is met. Its parameter is in halves of the
-frequency, so that steps are parts of the motion: a stiff stop moves a resonance by a hundred times
-its width."""
+frequency, so that steps are parts of the motion; up to three times the frequency, or down to a
+tenth."""
+SMALL = 1e-3
+"""Factor of a load that moves a crack as a small one: less is lost in rounding beside a mean load."""
 MEETINGS = 20
 """Maximum corrections by the secant of the speed at which an order meets a resonance."""
 
 
 class ResonanceSystem:
-    """Phase resonance along p = ln v: unknowns s / (size v), and the frequency over a reference.
+    """Phase resonance along p = ln v: unknowns s / (size v), and the frequency over that next to
+    which it is sought."""
 
-    ``family``: equations of a load frequency, next to whose start it is sought.
-    """
-
-    def __init__(self, family: FrequencyFamily, drive: Drive, slow: np.ndarray) -> None:
-        self.family, self.drive, self.omega = family, drive, family.start
+    def __init__(self, problem: Problem, drive: Drive, slow: np.ndarray, omega: float) -> None:
+        waves = FrequencyFamily(replace(problem, omega=omega), omega, 0.5 * omega)
+        self.problem, self.drive, self.means = waves.problem, drive, waves.means
+        self._integrals, self._sharp = waves.system(omega).integrals, waves.rounding(0.0)
         self.size = float(np.linalg.norm(slow[1:]))
-        self.means = family.means
-        self.load, self.integrals = family.problem.load, family.system(self.omega).integrals
 
     def rounding(self, parameter: float) -> float:
         """Return the rounding error of |F| / |x|."""
-        return self.family.rounding(0.0)
+        return self._sharp
 
-    def linearise(self, unknown: np.ndarray, parameter: float) -> ResonancePoint:
-        return ResonancePoint(self, unknown, math.exp(parameter))
+    def linearise(self, unknown: np.ndarray, parameter: float) -> PhasePoint:
+        factor = math.exp(parameter)
+        slow = self.size * factor * unknown[:-1].reshape(-1, self.means)
+        return self.at(slow, float(unknown[-1]) * self.problem.omega, factor)
 
-    def point(self, slow: np.ndarray, omega: float) -> ResonancePoint:
-        """The point at s, under the load itself."""
-        return self.linearise(np.append(slow / self.size, omega / self.omega), 0.0)
-
-
-class ResonancePoint(Linearisation):
-    """:class:`ResonanceSystem` at a point, and the response curve through it."""
-
-    def __init__(self, system: ResonanceSystem, unknown: np.ndarray, factor: float) -> None:
-        self.system, self.unknown, self.factor = system, unknown, factor
-        self.scale, self.omega = system.size * factor, float(unknown[-1]) * system.omega
-        load = system.load.copy()
+    def at(self, slow: np.ndarray, omega: float, factor: float = 1.0) -> PhasePoint:
+        """The point at s and a load frequency."""
+        load = self.problem.load.copy()
         load[1:] *= factor
-        self.compliance = ModalCompliance(system.family.problem.seen, self.omega, load)
-        self.at: ContactPoint = ContactSystem(self.compliance, system.integrals).linearise(
-            self.scale * unknown[:-1].reshape(load.shape[0], -1)
-        )
-        self.power = self._power_of(self.at.force)
+        compliance = ModalCompliance(self.problem.seen, omega, load)
+        at = ContactSystem(compliance, self._integrals).linearise(slow)
+        return PhasePoint(self.drive, at, omega, self.size * factor, self.problem.omega)
 
-    @property
-    def problem(self) -> Problem:
-        """What it balances."""
-        problem = self.system.family.at(self.omega)
-        return problem if self.factor == 1.0 else FAMILIES["resonance"].vary(problem, self.factor)
 
-    def _power_of(self, force: np.ndarray) -> complex:
-        """P with contact forces (2H+1, n_pairs)."""
-        drive = self.system.drive
-        return drive.power(self.compliance.seen_through(drive.rows, force))
+@dataclass(frozen=True)
+class _Met:
+    """A phase resonance: the problem that is balanced there, and its point."""
 
-    def _lag(self, change: complex) -> float:
-        """Change of Re P / Im P with P."""
-        power = self.power
-        return (change.real - power.real / power.imag * change.imag) / power.imag
+    problem: Problem
+    point: PhasePoint
 
-    def _power_by(self, change: np.ndarray) -> complex:
-        """Change of P with s, at a fixed frequency."""
-        return self._power_of(self.at.force + self.at.force_of(change)) - self.power
-
-    @cached_property
-    def residual(self) -> np.ndarray:  # type: ignore[override]
-        return np.append(self.at.residual / self.scale, self.power.real / self.power.imag)
-
-    @cached_property
-    def over_frequency(self) -> np.ndarray:
-        """ds/dw along the response curve."""
-        return -self.at.solve(self.compliance.derivative("omega", self.at.force))
-
-    @cached_property
-    def power_over_frequency(self) -> complex:
-        """dP/dw along it."""
-        drive, force = self.system.drive, self.at.force
-        alone = drive.power(self.compliance.seen_by_omega(drive.rows, force))
-        return alone + self._power_by(self.over_frequency)
-
-    def solve(self, right: np.ndarray) -> np.ndarray:
-        change = self.scale * self.at.solve(right[:-1].reshape(self.at.unknown.shape))
-        left = right[-1] - self._lag(self._power_by(change))
-        rise = left / self._lag(self.power_over_frequency)
-        slow = (change + rise * self.over_frequency) / self.scale
-        return np.append(slow, rise / self.system.omega)
-
-    @cached_property
-    def by_parameter(self) -> np.ndarray:  # type: ignore[override]
-        at, still = self.at, np.zeros_like(self.at.force)
-        by_load = self.compliance.derivative("load", still)
-        by_load[0] = 0.0  # the mean load stays
-        change = (at.apply(at.unknown) + by_load - at.residual) / self.scale
-        return np.append(change, self._lag(self._power_by(at.unknown) + self._power_of(still)))
-
-    @property
-    def sign(self) -> float:
-        return self.at.sign * float(np.sign(self._lag(self.power_over_frequency)))
-
-    @property
-    def width(self) -> float:
-        """D, the half-power width of one mode that would answer like this [rad/s]."""
-        return -2.0 / (self.power_over_frequency / self.power).imag
-
-    @property
-    def apart(self) -> float:
-        """Distance from here to the top of the response curve, over the width, as two modes would
-        have it."""
-        return 0.25 * self.width * (self.power_over_frequency / self.power).real
+    @classmethod
+    def of(cls, system: ResonanceSystem, point: PhasePoint) -> _Met:
+        """At a point of the equations, under the load itself."""
+        return cls(replace(system.problem, omega=point.omega), point)
 
     @cached_property
     def solution(self) -> PeriodicSolution:
         """The motion, without a search for its exact orbit."""
-        return solution_of(self.problem, self.at, status="phase resonance", search=False)
+        return solution_of(self.problem, self.point.at, status="phase resonance", search=False)
 
-    def nearby(self, problem: Problem) -> ResonancePoint | None:
-        """The resonance of another problem next to this one, under its own load; None where it is
-        not found."""
-        family = FrequencyFamily(problem, self.omega, self.omega + self.width)
-        slow = family.system(self.omega).slow(self.at.gap, self.at.force)
-        system = ResonanceSystem(family, self.system.drive, slow)
-        start = system.point(slow, self.omega).unknown
+    def of_another(self, **changes: Any) -> _Met:
+        """That of the problem with some changes next to this one, or else on its response curve."""
+        problem, here = replace(self.problem, static_above=None, **changes), self.point
+        waves = FrequencyFamily(problem, here.omega, 0.5 * here.omega)
+        slow = waves.system(here.omega).slow(here.at.gap, here.at.force)
+        system = ResonanceSystem(problem, here.drive, slow, here.omega)
+        start = system.at(slow, here.omega).unknown
         found = solve_near(system, start, 0.0, tolerance=max(LOCATED, system.rounding(0.0)))
-        return None if found is None else system.linearise(found.unknown, 0.0)
+        if found is None:
+            return first_resonance(problem, here.omega)
+        return _Met.of(system, system.linearise(found.unknown, 0.0))
 
 
 class _InPhase(Crossing):
@@ -196,37 +119,42 @@ class _InPhase(Crossing):
     terminal, sought, words = True, True, Ended.MET.value
 
 
-def resonance_of(problem: Problem, mode: NaturalResonance) -> ResonancePoint:
-    """The phase resonance that the response curve meets from next to a mode.
+def first_resonance(problem: Problem, near: float) -> _Met:
+    """The phase resonance that the response curve meets from a load frequency on.
 
     Raises
     ------
+    InputError
+        No damped mode answers to the load.
     ConvergenceError
         There is no first solution, or the curve does not meet it.
     """
-    # From one width below the mode, where the phase has a sign if all is linear.
-    begin, drive = mode.omega - mode.width, mode.drive
-    family = FrequencyFamily(problem, begin, 0.5 * begin)
+    begin = near * (1.0 - ARRIVED)  # the phase of what is linear is not 0 then
+    waves = FrequencyFamily(problem, begin, 0.5 * begin)
+    start = Solver(waves.at(begin)).solve(reported=False).slow_gap_coefficients
+    first, count = waves.linearise(start, 0.0), len(problem.structure.force) // 2
+    drives = [Drive.of(problem.structure, harmonic + 1) for harmonic in range(count)]
+    drive = max(drives, key=lambda one: abs(one.power(first)))
+    power = drive.power(first)
+    if not abs(power.imag) > LOCATED * abs(power):
+        raise InputError("load", "no damped mode answers to it", "one that moves a damped mode")
 
     def in_phase(point: PathPoint) -> float:
-        at = family.linearise(point.unknown, point.parameter)
-        assert isinstance(at.system.compliance, ModalCompliance)
-        power = drive.power(at.system.compliance.seen_through(drive.rows, at.force))
+        power = drive.power(waves.linearise(point.unknown, point.parameter))
         return power.real / abs(power)
 
-    start = Solver(family.at(family.start)).solve(reported=False)
-    here = point_on_path(family, start.slow_gap_coefficients, 0.0)
-    if in_phase(here) > 0.0:  # upwards
+    here = point_on_path(waves, start, 0.0)
+    if power.real > 0.0:  # upwards
         here = replace(here, tangent=here.tangent.reversed())
-    met = Path(family, here, TO_PHASE, [_InPhase(in_phase)]).run()
+    met = Path(waves, here, TO_PHASE, [_InPhase(in_phase)]).run()
     if met is None:
         raise ConvergenceError(
-            f"resonance: the phase at the load does not pass through it next to {mode.omega:.6g} "
-            "rad/s: several modes answer together"
+            f"resonance: the response from {near:.6g} rad/s on always has a part in phase with the "
+            "load: several modes answer together"
         )
-    return ResonanceSystem(family, drive, met.unknown).point(
-        met.unknown, family.value(met.parameter)
-    )
+    omega = waves.value(met.parameter)
+    system = ResonanceSystem(waves.problem, drive, met.unknown, omega)
+    return _Met.of(system, system.at(met.unknown, omega))
 
 
 @dataclass(frozen=True, repr=False)
@@ -304,52 +232,39 @@ def _usable(problem: Problem) -> Problem:
     return replace(problem, structure=reduce_structure(problem.structure, method="massless"))
 
 
-def _within(point: ResonancePoint, tolerance: float) -> tuple[ResonancePoint, float]:
+def _within(met: _Met, tolerance: float) -> tuple[_Met, float]:
     """The same with so many harmonics that its error is below a tolerance, or as many as a curve
     may have or as lead to a resonance; and that error, inf where it is not known.
 
     It is what half as many harmonics change, of the amplitude and of the frequency by what lowers
     that as much, or what the exact flow predicts of the displacement, if that is more: many
-    harmonics may change nothing until one meets a mode. Where no resonance is next to that with
-    fewer harmonics, it is sought anew."""
-    error, more = math.inf, 2 * point.problem.harmonics
+    harmonics may change nothing until one meets a mode."""
+    error, more = math.inf, 2 * met.problem.harmonics
     while error > tolerance and more <= MAX_HARMONICS:
-        problem = replace(point.problem, harmonics=more, static_above=None)
         try:
-            finer = _next_to(point, problem)
+            finer = met.of_another(harmonics=more)
         except ConvergenceError:
             break
-        change = finer.solution.amplitude() / point.solution.amplitude() - 1.0
-        shift = (finer.omega - point.omega) / finer.width
+        change = finer.solution.amplitude() / met.solution.amplitude() - 1.0
+        shift = (finer.point.omega - met.point.omega) / finer.point.width
         error = max(abs(change) + 2.0 * shift**2, finer.solution.report.displacement)
-        point, more = finer, 2 * more
-    return point, error
+        met, more = finer, 2 * more
+    return met, error
 
 
-def _next_to(point: ResonancePoint, problem: Problem) -> ResonancePoint:
-    """The resonance of another problem next to one, or else by its own response curve."""
-    return point.nearby(problem) or _nearest(problem, point.omega)
-
-
-def _nearest(problem: Problem, omega: float) -> ResonancePoint:
-    """The resonance of the mode nearest to a load frequency."""
-    return resonance_of(problem, nearest_mode(problem, omega))
-
-
-def _meeting(point: ResonancePoint, order: float) -> tuple[ResonancePoint, float]:
+def _meeting(met: _Met, order: float) -> tuple[_Met, float]:
     """The resonance at the speed at which an order meets it, by the secant; and its rate, the
     change of the order's speed there with the rotor's."""
-    rotor = point.problem.structure
+    rotor = met.problem.structure
     assert isinstance(rotor, RunUpStructure)
-    speed, rate = rotor.speed, rotor.stiffening(point.omega * point.system.drive.harmonic)
+    speed, rate = rotor.speed, rotor.stiffening(met.point.omega * met.point.drive.harmonic)
     for _ in range(MEETINGS):
-        ahead = (point.omega / order - rate * speed) / (1.0 - rate)
+        ahead = (met.point.omega / order - rate * speed) / (1.0 - rate)
         if abs(ahead - speed) <= ARRIVED * speed:
-            return point, rate
-        structure = rotor.at_speed(ahead)
-        found = _next_to(point, replace(point.problem, structure=structure, static_above=None))
-        rate = (found.omega - point.omega) / order / (ahead - speed)
-        point, speed = found, ahead
+            return met, rate
+        found = met.of_another(structure=rotor.at_speed(ahead))
+        rate = (found.point.omega - met.point.omega) / order / (ahead - speed)
+        met, speed = found, ahead
     raise ConvergenceError(f"resonance: its order does not meet it next to {speed:.6g} rad/s")
 
 
@@ -360,10 +275,11 @@ def resonance_at(
     *,
     tolerance: float | None = None,
 ) -> Resonance:
-    """Find the phase resonance of the mode nearest to a load frequency, under the load as it is.
+    """Find the phase resonance next to a load frequency, under the load as it is.
 
     There the displacement at the load has no part in phase with the load, as in a modal test: next
-    to the largest response, unless several modes answer together, which is said.
+    to the largest response, unless several modes answer together, which is said. The response is
+    followed upwards from a frequency at which it is in phase with the load, else downwards.
 
     Parameters
     ----------
@@ -371,7 +287,7 @@ def resonance_at(
         Structure, law, harmonics, and a load frequency. A structure with many dofs is reduced
         first, to crack faces without mass.
     near : float, optional
-        Load frequency [rad/s]; default: the problem's.
+        Load frequency [rad/s] next to which it is sought; default: the problem's.
     parameter : "omega" or "speed"
         What follows the resonance: the load's frequency, or the speed of a rotor of
         :func:`fenics_crack.run_up_structure`, whose modes are those of each speed.
@@ -389,7 +305,7 @@ def resonance_at(
     InputError
         An argument cannot be used, or no damped mode answers to the load.
     ConvergenceError
-        The phase at the load does not pass next to the mode, or the path over the load ended.
+        No first solution, or the response from there on does not come to a resonance.
 
     Examples
     --------
@@ -398,19 +314,26 @@ def resonance_at(
     """
     check_choice("parameter", parameter, ("omega", "speed"))
     problem, order, rate, error = _usable(problem), 1.0, 0.0, math.nan
-    point = _nearest(problem, problem.omega if near is None else near)
+    met = first_resonance(problem, problem.omega if near is None else near)
     if parameter == "speed":
-        FAMILIES["speed"].check(problem.structure, "near", point.omega)
+        FAMILIES["speed"].check(problem.structure, "near", met.point.omega)
         order = problem.omega / problem.structure.speed  # type: ignore[attr-defined]
-        point, rate = _meeting(point, order)
+        met, rate = _meeting(met, order)
     if tolerance is not None:
-        point, error = _within(point, tolerance)
+        met, error = _within(met, tolerance)
         if parameter == "speed":
-            point, rate = _meeting(point, order)
+            met, rate = _meeting(met, order)
+    point = met.point
     return Resonance(
-        point.omega / order, point.omega, point.system.drive.harmonic,
-        point.width / order / (1.0 - rate), point.apart, point.solution, error,
+        point.omega / order, point.omega, point.drive.harmonic,
+        point.width / order / (1.0 - rate), point.apart, met.solution, error,
     )  # fmt: skip
+
+
+def frequency_at_rest(problem: Problem, near: float) -> float:
+    """Load frequency [rad/s] of the resonance under a small load, next to one: a crack that the
+    mean load holds open or closed stays so."""
+    return first_resonance(FAMILIES["resonance"].vary(_usable(problem), SMALL), near).point.omega
 
 
 def follow_resonance(
@@ -466,15 +389,14 @@ def follow_resonance(
     problem, vary = _usable(problem), FAMILIES["resonance"].vary
     near = problem.omega if near is None else near
     if tolerance is not None:
-        at_end = _nearest(vary(problem, end), near)
+        at_end = first_resonance(vary(problem, end), near)
         problem = problem.with_harmonics(_within(at_end, tolerance)[0].problem.harmonics)
-    first = _nearest(vary(problem, start), near)
-    family = first.system.family
-    balanced = replace(family.problem, structure=problem.structure)
-    family = FrequencyFamily(balanced, family.start, family.end)
-    system = ResonanceSystem(family, first.system.drive, first.at.unknown / start)
+    first = first_resonance(vary(problem, start), near)
+    balanced = replace(first.problem, structure=problem.structure)
+    slow, omega = first.point.at.unknown, first.point.omega
+    system = ResonanceSystem(balanced, first.point.drive, slow / start, omega)
     ends = math.log(start), math.log(end)
-    here = point_on_path(system, first.unknown, ends[0])
+    here = point_on_path(system, system.at(slow, omega, start).unknown, ends[0])
     if end < start:
         here = replace(here, tangent=here.tangent.reversed())
     # One that goes on to e times as much, or as little, is left.
@@ -507,12 +429,12 @@ def _curve_of(
     several = sum(abs(one.apart) > SEVERAL for one in found)
     if several:
         status += f"; at {several} of {counted(len(found), 'point')} several modes answer together"
-    problem = system.family.problem
+    problem = system.problem
     return HarmonicCurve(
         structure=problem.structure,
         contact=problem.contact,
         parameter="resonance",
-        values=np.array([one.factor for one in found]),
+        values=np.exp([one.parameter for one in points]),
         omega=np.array([one.omega for one in found]),
         iterations=np.array([one.iterations for one in points]),
         bifurcations=(),
