@@ -501,7 +501,7 @@ def bifurcation(case: Case, curve: fc.ResponseCurve, one: fc.Bifurcation) -> Fin
     row = Finding(one.kind, one.problem.harmonics, one.value, true=0.0)
     if (known := as_known(case, row)) is not None:
         return known
-    if not isinstance(one.point, fc.OrbitCurve):
+    if not one.point.exact:
         row.judgement = UNCONFIRMED
         return row
     near = np.abs(curve.values - one.value) / size

@@ -16,8 +16,6 @@ from fenics_crack.curves.curve import ResponseCurve as ResponseCurve
 from fenics_crack.curves.follow import continue_frequency as continue_frequency
 from fenics_crack.curves.follow import continue_parameter as continue_parameter
 from fenics_crack.curves.follow import follow_branch as follow_branch
-from fenics_crack.curves.harmonic_curve import HarmonicCurve as HarmonicCurve
-from fenics_crack.curves.orbit_curve import OrbitCurve as OrbitCurve
 from fenics_crack.curves.peak import Peak as Peak
 from fenics_crack.curves.resonance import Resonance as Resonance
 from fenics_crack.curves.resonance import follow_resonance as follow_resonance

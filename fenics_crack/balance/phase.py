@@ -81,7 +81,8 @@ def compliance_of(at: ContactPoint) -> ModalCompliance:
 
 
 class PhasePoint(Linearisation):
-    """The equations at a point: unknowns s over a ``scale`` and w over a frequency ``unit``.
+    """The equations at a point: unknowns s over a ``scale``, proportional to v, and w over a
+    frequency ``unit``; the parameter is ln v over ``rate``.
 
     Attributes
     ----------
@@ -94,9 +95,10 @@ class PhasePoint(Linearisation):
     """
 
     def __init__(
-        self, drive: Drive, at: ContactPoint, omega: float, scale: float, unit: float
+        self, drive: Drive, at: ContactPoint, omega: float, scale: float, unit: float, rate: float
     ) -> None:
-        self.drive, self.at, self.omega, self.scale, self.unit = drive, at, omega, scale, unit
+        self.drive, self.at, self.omega = drive, at, omega
+        self.scale, self.unit, self._rate = scale, unit, rate
         self.unknown = np.append(at.unknown / scale, omega / unit)
         self.power = drive.power(at)
 
@@ -129,13 +131,12 @@ class PhasePoint(Linearisation):
 
     @cached_property
     def by_parameter(self) -> np.ndarray:  # type: ignore[override]
-        """By ln v, to which the scale is proportional."""
         at, still = self.at, np.zeros_like(self.at.force)
         by_load = compliance_of(at).derivative("load", still)
         by_load[0] = 0.0  # the mean load stays
         change = (at.apply(at.unknown) + by_load - at.residual) / self.scale
         power = self._power_by(at.unknown) + self.drive.power(at, still)
-        return np.append(change, self._lag(power))
+        return self._rate * np.append(change, self._lag(power))
 
     @property
     def sign(self) -> float:

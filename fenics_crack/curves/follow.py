@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any, TypedDict, Unpack
+from typing import Any, Unpack
 
 import numpy as np
 from tqdm import tqdm
@@ -22,10 +22,8 @@ from fenics_crack.basics.errors import (
 from fenics_crack.basics.progress import begin, reaching
 from fenics_crack.basics.suggestions import check_options
 from fenics_crack.basics.tables import RPM
-from fenics_crack.curves.continuation import Continuation
+from fenics_crack.curves.continuation import Continuation, GrowingCurve, StepOptions, has_orbits
 from fenics_crack.curves.curve import Bifurcation, CurvePoint, ResponseCurve
-from fenics_crack.curves.growing import Growing
-from fenics_crack.curves.orbit_continuation import OrbitContinuation, has_orbits
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import reduce_structure
@@ -38,14 +36,14 @@ BAR = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}{postfix}"
 """Progress bar of a curve; its remaining time does not follow from its progress."""
 
 
-class CurveOptions(TypedDict, total=False):
+class CurveOptions(StepOptions, total=False):
     """Options of :func:`.continue_frequency` and :func:`.continue_parameter`.
 
     harmonics, samples, subharmonic, initial
         As in :func:`.solve_harmonic_balance`; ``initial`` is where to start.
     tolerance
-        In place of ``harmonics`` and ``samples``: follow exact orbits, an :class:`OrbitCurve` whose
-        solutions are kept to this error. Where their flow is not known, as for smooth laws, or they
+        In place of ``harmonics`` and ``samples``: follow exact orbits, whose solutions are kept
+        to this error. Where their flow is not known, as for smooth laws, or they
         would take too long, with more than 120 modes or under a very slow load: harmonic balance
         with as many harmonics as the truncation error of the first point requires.
     stability, longest_step, most_points, turning_back
@@ -58,9 +56,6 @@ class CurveOptions(TypedDict, total=False):
     initial: PeriodicSolution | None
     tolerance: float | None
     stability: bool
-    longest_step: float
-    most_points: int
-    turning_back: float
 
 
 def continue_frequency(
@@ -102,8 +97,7 @@ def continue_frequency(
     Returns
     -------
     ResponseCurve
-        From the start on; ``complete`` if it reached the end. An :class:`OrbitCurve` with a
-        ``tolerance``, else a :class:`HarmonicCurve`.
+        From the start on; ``complete`` if it reached the end; ``exact`` with a ``tolerance``.
 
     Raises
     ------
@@ -154,8 +148,7 @@ def continue_parameter(
     Returns
     -------
     ResponseCurve
-        From the start on; ``complete`` if it reached the end. An :class:`OrbitCurve` with a
-        ``tolerance``, else a :class:`HarmonicCurve`.
+        From the start on; ``complete`` if it reached the end; ``exact`` with a ``tolerance``.
 
     Raises
     ------
@@ -174,11 +167,11 @@ def continue_parameter(
         structure = reduce_structure(structure, method="massless")
     elsewhere = options.get("initial") is not None
 
-    def grow(origin: float, goal: float, **changes: Any) -> Growing:
+    def grow(origin: float, goal: float, **changes: Any) -> GrowingCurve:
         span = parameter, origin, goal
         return _continuation(structure, omega, contact, span, {**options, **changes})
 
-    def again(begun: Growing | None = None) -> Growing | None:
+    def again(begun: GrowingCurve | None = None) -> GrowingCurve | None:
         return None if elsewhere else _again(grow, start, end, begun)
 
     try:
@@ -188,12 +181,12 @@ def continue_parameter(
         if other is None:
             raise error from None
         growing = other
-    return _run(growing, progress, throw, again)
+    return run_to_end(growing, progress, throw, again)
 
 
 def _again(
-    grow: Callable[..., Growing], start: float, end: float, begun: Growing | None
-) -> Growing | None:
+    grow: Callable[..., GrowingCurve], start: float, end: float, begun: GrowingCurve | None
+) -> GrowingCurve | None:
     """Follow another curve from the start, in as many points as one before has or is soon to have.
 
     Its solution at the start is met by following one from the end, or from between. It is needed
@@ -217,7 +210,7 @@ def _again(
             if not found.complete or found.returned:
                 break
             at_end = len(met) - 1
-            there = met.orbit(at_end) if met.EXACT else met.solution(at_end)
+            there = met.orbit(at_end) if met.exact else met.solution(at_end)
         else:
             found.status += ", not by the first solution found at its start"
             return found
@@ -289,9 +282,11 @@ def follow_branch(
         samples=curve.problem.samples and doubled * curve.problem.samples,
         subharmonic=doubled * curve.subharmonic,
     )
-    exact, span = curve.EXACT, (curve.parameter, start, end)
-    initial = (curve, bifurcation) if exact else bifurcation
-    return _run(_grown(exact, problem, span, initial, options), progress, throw)
+    growing = Continuation(
+        problem, curve.parameter, start, end,
+        exact=curve.exact, initial=bifurcation, branch_of=curve, **options,  # type: ignore[misc]
+    )  # fmt: skip
+    return run_to_end(growing, progress, throw)
 
 
 def _continuation(
@@ -300,7 +295,7 @@ def _continuation(
     contact: ContactLaw,
     span: tuple[str, float, float],
     options: Mapping[str, Any],
-) -> Growing:
+) -> GrowingCurve:
     """The continuation that options request."""
     given: dict[str, Any] = dict(options)
     tolerance, keys = given.get("tolerance"), ("harmonics", "samples", "subharmonic", "initial")
@@ -313,21 +308,7 @@ def _continuation(
         harmonics = max(Problem.harmonics, least_harmonics(structure, subharmonic))
     problem = Problem(structure, omega, contact, harmonics, samples, subharmonic)
     exact = tolerance is not None and samples is None and has_orbits(problem, *span)
-    return _grown(exact, problem, span, initial, given)
-
-
-def _grown(
-    exact: bool,
-    problem: Problem,
-    span: tuple[str, float, float],
-    initial: Any,
-    options: Mapping[str, Any],
-) -> Growing:
-    """A curve of exact orbits, which have their stability, or of harmonic balance."""
-    if not exact:
-        return Continuation(problem, *span, initial=initial, **options)
-    given = {key: value for key, value in options.items() if key != "stability"}
-    return OrbitContinuation(problem, *span, initial=initial, **given)
+    return Continuation(problem, *span, exact=exact, initial=initial, **given)
 
 
 def _where(parameter: str, point: CurvePoint, count: int) -> str:
@@ -340,11 +321,11 @@ def _where(parameter: str, point: CurvePoint, count: int) -> str:
     return f"{words.get(parameter, value)}, {count} points"
 
 
-def _run(
-    growing: Growing,
+def run_to_end(
+    growing: GrowingCurve,
     progress: bool,
     throw: bool,
-    again: Callable[[Growing], Growing | None] | None = None,
+    again: Callable[[GrowingCurve], GrowingCurve | None] | None = None,
 ) -> ResponseCurve:
     """Follow to the end, where the curve comes back to its start from another solution there; the
     curve, assessed if requested, but not after Ctrl-C."""
@@ -371,7 +352,7 @@ def _run(
     return curve
 
 
-def _follow(growing: Growing, progress: bool) -> None:
+def _follow(growing: GrowingCurve, progress: bool) -> None:
     """Follow to the end with a bar, or signs of life."""
     first = growing.followed
     if not progress or first.structure.whole.comm.rank != 0:

@@ -10,10 +10,9 @@ is constant where all is linear.
 from __future__ import annotations
 
 import math
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -22,27 +21,25 @@ from fenics_crack.balance.contact_system import ContactSystem
 from fenics_crack.balance.phase import Drive, PhasePoint
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, Solver, solution_of
-from fenics_crack.basics.errors import (
-    INTERRUPTED,
-    ConvergenceError,
-    InputError,
-    check_choice,
-    check_number,
-)
+from fenics_crack.basics.errors import ConvergenceError, InputError, check_choice, check_number
 from fenics_crack.basics.tables import Described, counted, quantity, with_frequency
-from fenics_crack.curves.family import FAMILIES, FrequencyFamily
-from fenics_crack.curves.harmonic_curve import HarmonicCurve
+from fenics_crack.curves.continuation import GrowingCurve, StepOptions, Steps, first_point
+from fenics_crack.curves.curve import ResponseCurve
+from fenics_crack.curves.curve_system import CurveSystem
+from fenics_crack.curves.follow import run_to_end
+from fenics_crack.curves.waves import WAVES, FrequencyWaves
 from fenics_crack.model.contact import is_unilateral
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.numerics.equations import LOCATED
 from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_near
-from fenics_crack.numerics.path import ARRIVED, Crossing, Ended, Path, PathOptions, Target
+from fenics_crack.numerics.path import ARRIVED, Crossing, Ended, Path, PathOptions
 
 SEVERAL = 0.1
 """Distance of the phase resonance from the top of the curve over the half-power width, from which
 on several modes answer: the amplitude is then 2 % below the top."""
+TOGETHER = "several modes answer together"
 MAX_HARMONICS = 100
 """Maximum harmonics for a tolerance, as of a curve."""
 TO_PHASE = PathOptions(0.05, 0.3, max_steps=300, at_once=8, span=(-4.0, 1.8))
@@ -50,37 +47,47 @@ TO_PHASE = PathOptions(0.05, 0.3, max_steps=300, at_once=8, span=(-4.0, 1.8))
 frequency, so that steps are parts of the motion; up to three times the frequency, or down to a
 tenth."""
 SMALL = 1e-3
-"""Factor of a load that moves a crack as a small one: less is lost in rounding beside a mean load."""
+"""Factor of a load that is a small one: less is lost in rounding beside a mean load."""
 MEETINGS = 20
 """Maximum corrections by the secant of the speed at which an order meets a resonance."""
 
 
-class ResonanceSystem:
-    """Phase resonance along p = ln v: unknowns s / (size v), and the frequency over that next to
-    which it is sought."""
+class ResonanceSystem(CurveSystem):
+    """Phase resonance over the factor v of a load: unknowns s / (size v), and the frequency over
+    that of the problem, next to which it is sought."""
 
-    def __init__(self, problem: Problem, drive: Drive, slow: np.ndarray, omega: float) -> None:
-        waves = FrequencyFamily(replace(problem, omega=omega), omega, 0.5 * omega)
+    name, logarithmic = "resonance", True
+
+    def __init__(
+        self, problem: Problem, drive: Drive, slow: np.ndarray, start: float = 1.0, end: float = 2.0
+    ) -> None:
+        waves = FrequencyWaves(problem, problem.omega, 0.5 * problem.omega)
         self.problem, self.drive, self.means = waves.problem, drive, waves.means
-        self._integrals, self._sharp = waves.system(omega).integrals, waves.rounding(0.0)
-        self.size = float(np.linalg.norm(slow[1:]))
+        self.start, self.end, self.shape = start, end, (slow.size + 1,)
+        self._integrals, self._sharp = waves.system(problem.omega).integrals, waves.rounding(0.0)
+        self._size = float(np.linalg.norm(slow[1:])) / start
 
     def rounding(self, parameter: float) -> float:
-        """Return the rounding error of |F| / |x|."""
         return self._sharp
 
-    def linearise(self, unknown: np.ndarray, parameter: float) -> PhasePoint:
-        factor = math.exp(parameter)
-        slow = self.size * factor * unknown[:-1].reshape(-1, self.means)
-        return self.at(slow, float(unknown[-1]) * self.problem.omega, factor)
+    def omega(self, value: float, unknown: np.ndarray) -> float:
+        return float(unknown[-1]) * self.problem.omega
 
-    def at(self, slow: np.ndarray, omega: float, factor: float = 1.0) -> PhasePoint:
+    def state(self, unknown: np.ndarray, value: float) -> np.ndarray:
+        return self._size * value * unknown[:-1].reshape(-1, self.means)
+
+    def linearise(self, unknown: np.ndarray, parameter: float) -> PhasePoint:
+        value = self.value(parameter)
+        return self.at(self.state(unknown, value), self.omega(value, unknown), value)
+
+    def at(self, slow: np.ndarray, omega: float, value: float) -> PhasePoint:
         """The point at s and a load frequency."""
         load = self.problem.load.copy()
-        load[1:] *= factor
+        load[1:] *= value
         compliance = ModalCompliance(self.problem.seen, omega, load)
         at = ContactSystem(compliance, self._integrals).linearise(slow)
-        return PhasePoint(self.drive, at, omega, self.size * factor, self.problem.omega)
+        units = self._size * value, self.problem.omega
+        return PhasePoint(self.drive, at, omega, *units, self.rate(value) / value)
 
 
 @dataclass(frozen=True)
@@ -90,11 +97,6 @@ class _Met:
     problem: Problem
     point: PhasePoint
 
-    @classmethod
-    def of(cls, system: ResonanceSystem, point: PhasePoint) -> _Met:
-        """At a point of the equations, under the load itself."""
-        return cls(replace(system.problem, omega=point.omega), point)
-
     @cached_property
     def solution(self) -> PeriodicSolution:
         """The motion, without a search for its exact orbit."""
@@ -103,14 +105,15 @@ class _Met:
     def of_another(self, **changes: Any) -> _Met:
         """That of the problem with some changes next to this one, or else on its response curve."""
         problem, here = replace(self.problem, static_above=None, **changes), self.point
-        waves = FrequencyFamily(problem, here.omega, 0.5 * here.omega)
-        slow = waves.system(here.omega).slow(here.at.gap, here.at.force)
-        system = ResonanceSystem(problem, here.drive, slow, here.omega)
-        start = system.at(slow, here.omega).unknown
+        waves = FrequencyWaves(problem, problem.omega, 0.5 * problem.omega)
+        slow = waves.system(problem.omega).slow(here.at.gap, here.at.force)
+        system = ResonanceSystem(waves.problem, here.drive, slow)
+        start = system.at(slow, problem.omega, 1.0).unknown
         found = solve_near(system, start, 0.0, tolerance=max(LOCATED, system.rounding(0.0)))
         if found is None:
-            return first_resonance(problem, here.omega)
-        return _Met.of(system, system.linearise(found.unknown, 0.0))
+            return first_resonance(problem, problem.omega)
+        point = system.linearise(found.unknown, 0.0)
+        return _Met(replace(system.problem, omega=point.omega), point)
 
 
 class _InPhase(Crossing):
@@ -130,7 +133,7 @@ def first_resonance(problem: Problem, near: float) -> _Met:
         There is no first solution, or the curve does not meet it.
     """
     begin = near * (1.0 - ARRIVED)  # the phase of what is linear is not 0 then
-    waves = FrequencyFamily(problem, begin, 0.5 * begin)
+    waves = FrequencyWaves(problem, begin, 0.5 * begin)
     start = Solver(waves.at(begin)).solve(reported=False).slow_gap_coefficients
     first, count = waves.linearise(start, 0.0), len(problem.structure.force) // 2
     drives = [Drive.of(problem.structure, harmonic + 1) for harmonic in range(count)]
@@ -153,8 +156,9 @@ def first_resonance(problem: Problem, near: float) -> _Met:
             "load: several modes answer together"
         )
     omega = waves.value(met.parameter)
-    system = ResonanceSystem(waves.problem, drive, met.unknown, omega)
-    return _Met.of(system, system.at(met.unknown, omega))
+    problem = replace(waves.problem, omega=omega)
+    system = ResonanceSystem(problem, drive, met.unknown)
+    return _Met(problem, system.at(met.unknown, omega, 1.0))
 
 
 @dataclass(frozen=True, repr=False)
@@ -216,7 +220,7 @@ class Resonance(Described):
         ]
         if not math.isnan(self.error):
             parts.append(f"error {self.error:.2g}" if self.error < math.inf else "error unknown")
-        several = ["several modes answer together: see the curve"] * self.several
+        several = [f"{TOGETHER}: see the curve"] * self.several
         return ", ".join([*parts, *several])
 
 
@@ -316,7 +320,7 @@ def resonance_at(
     problem, order, rate, error = _usable(problem), 1.0, 0.0, math.nan
     met = first_resonance(problem, problem.omega if near is None else near)
     if parameter == "speed":
-        FAMILIES["speed"].check(problem.structure, "near", met.point.omega)
+        WAVES["speed"].check(problem.structure, "near", met.point.omega)
         order = problem.omega / problem.structure.speed  # type: ignore[attr-defined]
         met, rate = _meeting(met, order)
     if tolerance is not None:
@@ -333,7 +337,7 @@ def resonance_at(
 def frequency_at_rest(problem: Problem, near: float) -> float:
     """Load frequency [rad/s] of the resonance under a small load, next to one: a crack that the
     mean load holds open or closed stays so."""
-    return first_resonance(FAMILIES["resonance"].vary(_usable(problem), SMALL), near).point.omega
+    return first_resonance(WAVES["resonance"].vary(_usable(problem), SMALL), near).point.omega
 
 
 def follow_resonance(
@@ -343,31 +347,26 @@ def follow_resonance(
     *,
     near: float | None = None,
     tolerance: float | None = None,
-    longest_step: float = 0.1,
-    most_points: int = 1000,
+    progress: bool = False,
     throw: bool = True,
-) -> HarmonicCurve:
-    """Follow the phase resonance of a mode over the load.
+    **steps: Unpack[StepOptions],
+) -> ResponseCurve:
+    """Follow a phase resonance over the load.
 
     Parameters
     ----------
     problem, near
         As in :func:`resonance_at`.
-    tolerance : float, optional
-        Take as many harmonics as this error requires at the end.
     start, end : float
         Factors of all of the load but its mean, above 0.
-    longest_step : float
-        Relative to the size of the motion, and of the logarithm of the load.
-    most_points : int
-        Give up after so many.
-    throw : bool
-        Raise if the end is not reached; else return what was found, ``complete`` being False.
-        Ctrl-C always returns what was found.
+    tolerance : float, optional
+        Take as many harmonics as this error requires at the end.
+    progress, throw, **steps
+        As in :func:`continue_frequency`: longest_step, most_points, turning_back.
 
     Returns
     -------
-    HarmonicCurve
+    ResponseCurve
         With the parameter "resonance": a factor and the load frequency of each point. Its status
         says at how many points several modes answer together.
 
@@ -386,62 +385,23 @@ def follow_resonance(
         check_number(name, value, 0.0, above=True)
     if start == end:
         raise InputError("end", end, "different from start")
-    problem, vary = _usable(problem), FAMILIES["resonance"].vary
+    problem, vary = _usable(problem), WAVES["resonance"].vary
     near = problem.omega if near is None else near
     if tolerance is not None:
-        at_end = first_resonance(vary(problem, end), near)
-        problem = problem.with_harmonics(_within(at_end, tolerance)[0].problem.harmonics)
-    first = first_resonance(vary(problem, start), near)
-    balanced = replace(first.problem, structure=problem.structure)
-    slow, omega = first.point.at.unknown, first.point.omega
-    system = ResonanceSystem(balanced, first.point.drive, slow / start, omega)
-    ends = math.log(start), math.log(end)
-    here = point_on_path(system, system.at(slow, omega, start).unknown, ends[0])
-    if end < start:
-        here = replace(here, tangent=here.tangent.reversed())
-    # One that goes on to e times as much, or as little, is left.
-    options = PathOptions(
-        0.2 * longest_step, longest_step, max_steps=most_points,
-        span=(min(ends) - 1.0, max(ends) + 1.0),
-    )  # fmt: skip
-    path, points = Path(system, here, options, [Target(ends[1])]), [here]
-    status = INTERRUPTED
-    with suppress(KeyboardInterrupt):
-        points += path.points()
-        assert path.ended is not None
-        status = path.ended.in_words(most_points)
-    complete = path.event is not None
-    curve = _curve_of(system, points, complete, status)
-    if throw and not complete and status != INTERRUPTED:
-        raise ConvergenceError(
-            f"resonance over the load from {start:g} to {end:g}: {status} at "
-            f"{curve.values[-1]:g} after {len(curve)} points; they are the error's .found",
-            found=curve,
-        )
+        at_end = _within(first_resonance(vary(problem, end), near), tolerance)[0]
+        problem = problem.with_harmonics(at_end.problem.harmonics)
+    met = first_resonance(vary(problem, start), near)
+    point, slow = met.point, met.point.at.unknown
+    balanced = replace(met.problem, structure=problem.structure)
+    system = ResonanceSystem(balanced, point.drive, slow, start, end)
+    here = first_point(system, system.at(slow, point.omega, start).unknown, 0.0, 0)
+    growing = GrowingCurve(system, here, Steps(**steps))
+    curve = run_to_end(growing, progress, throw)
+    apart = [
+        system.at(state, omega, value).apart
+        for state, omega, value in zip(curve.points, curve.omega, curve.values, strict=True)
+    ]
+    if several := sum(abs(one) > SEVERAL for one in apart):
+        status = f"{curve.status}; at {several} of {counted(len(apart), 'point')} {TOGETHER}"
+        curve = replace(curve, status=status)
     return curve
-
-
-def _curve_of(
-    system: ResonanceSystem, points: list[PathPoint], complete: bool, status: str
-) -> HarmonicCurve:
-    """Points as a curve."""
-    found = [system.linearise(one.unknown, one.parameter) for one in points]
-    several = sum(abs(one.apart) > SEVERAL for one in found)
-    if several:
-        status += f"; at {several} of {counted(len(found), 'point')} several modes answer together"
-    problem = system.problem
-    return HarmonicCurve(
-        structure=problem.structure,
-        contact=problem.contact,
-        parameter="resonance",
-        values=np.exp([one.parameter for one in points]),
-        omega=np.array([one.omega for one in found]),
-        iterations=np.array([one.iterations for one in points]),
-        bifurcations=(),
-        complete=complete,
-        status=status,
-        subharmonic=1,
-        unknowns=np.array([one.at.unknown for one in found]),
-        samples=problem.samples,
-        static_above=problem.static_cutoff,
-    )

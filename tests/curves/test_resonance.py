@@ -224,9 +224,9 @@ def test_what_has_no_phase_resonance() -> None:
     law, structure = fc.UnilateralPenalty(1.0), mass(0.01)
     with pytest.raises(InputError, match="without friction"):
         resonance_at(Problem(structure, 1.0, fc.SmoothedPenalty(1.0, 1e3), 5))
-    with pytest.raises(InputError, match="no mode answers"):
+    with pytest.raises(InputError, match="no damped mode answers"):
         resonance_at(Problem(mass(0.0), 0.9, law, 5))
-    with pytest.raises(InputError, match="no mode answers"):
+    with pytest.raises(InputError, match="no damped mode answers"):
         resonance_at(Problem(mass(0.01, force=0.0), 1.0, law, 5))
     with pytest.raises(InputError, match="start"):
         follow_resonance(Problem(structure, 1.0, law, 5), 0.0, 1.0)
