@@ -22,7 +22,7 @@ from fenics_crack.balance.phase import Drive, PhasePoint
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, Solver, solution_of
 from fenics_crack.basics.errors import ConvergenceError, InputError, check_choice, check_number
-from fenics_crack.basics.tables import Described, counted, quantity, with_frequency
+from fenics_crack.basics.tables import TURN, Described, counted, quantity, with_frequency
 from fenics_crack.curves.continuation import GrowingCurve, StepOptions, Steps, first_point
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.curve_system import CurveSystem
@@ -54,24 +54,24 @@ MEETINGS = 20
 
 class ResonanceSystem(CurveSystem):
     """Phase resonance over the factor v of a load: unknowns s / (size v), and the frequency over
-    that of the problem, next to which it is sought."""
+    the one where its equations of a given frequency start."""
 
     name, logarithmic = "resonance", True
 
     def __init__(
-        self, problem: Problem, drive: Drive, slow: np.ndarray, start: float = 1.0, end: float = 2.0
-    ) -> None:
-        waves = FrequencyWaves(problem, problem.omega, 0.5 * problem.omega)
-        self.problem, self.drive, self.means = waves.problem, drive, waves.means
+        self, waves: FrequencyWaves, drive: Drive, slow: np.ndarray,
+        start: float = 1.0, end: float = 2.0,
+    ) -> None:  # fmt: skip
+        self.problem, self.drive, self.means, self._waves = waves.problem, drive, waves.means, waves
         self.start, self.end, self.shape = start, end, (slow.size + 1,)
-        self._integrals, self._sharp = waves.system(problem.omega).integrals, waves.rounding(0.0)
         self._size = float(np.linalg.norm(slow[1:])) / start
+        self._integrals = waves.system(waves.start).integrals
 
     def rounding(self, parameter: float) -> float:
-        return self._sharp
+        return self._waves.rounding(0.0)
 
     def omega(self, value: float, unknown: np.ndarray) -> float:
-        return float(unknown[-1]) * self.problem.omega
+        return float(unknown[-1]) * self._waves.start
 
     def state(self, unknown: np.ndarray, value: float) -> np.ndarray:
         return self._size * value * unknown[:-1].reshape(-1, self.means)
@@ -80,18 +80,22 @@ class ResonanceSystem(CurveSystem):
         value = self.value(parameter)
         return self.at(self.state(unknown, value), self.omega(value, unknown), value)
 
-    def at(self, slow: np.ndarray, omega: float, value: float) -> PhasePoint:
+    def at(self, slow: np.ndarray, omega: float, value: float = 1.0) -> PhasePoint:
         """The point at s and a load frequency."""
         load = self.problem.load.copy()
         load[1:] *= value
         compliance = ModalCompliance(self.problem.seen, omega, load)
         at = ContactSystem(compliance, self._integrals).linearise(slow)
-        units = self._size * value, self.problem.omega
+        units = self._size * value, self._waves.start
         return PhasePoint(self.drive, at, omega, *units, self.rate(value) / value)
+
+    def met(self, slow: np.ndarray, omega: float) -> Met:
+        """The resonance at s and a load frequency, under the load itself."""
+        return Met(replace(self.problem, omega=omega), self.at(slow, omega))
 
 
 @dataclass(frozen=True)
-class _Met:
+class Met:
     """A phase resonance: the problem that is balanced there, and its point."""
 
     problem: Problem
@@ -102,18 +106,16 @@ class _Met:
         """The motion, without a search for its exact orbit."""
         return solution_of(self.problem, self.point.at, status="phase resonance", search=False)
 
-    def of_another(self, **changes: Any) -> _Met:
+    def of_another(self, **changes: Any) -> Met:
         """That of the problem with some changes next to this one, or else on its response curve."""
         problem, here = replace(self.problem, static_above=None, **changes), self.point
-        waves = FrequencyWaves(problem, problem.omega, 0.5 * problem.omega)
-        slow = waves.system(problem.omega).slow(here.at.gap, here.at.force)
-        system = ResonanceSystem(waves.problem, here.drive, slow)
-        start = system.at(slow, problem.omega, 1.0).unknown
-        found = solve_near(system, start, 0.0, tolerance=max(LOCATED, system.rounding(0.0)))
+        waves = FrequencyWaves(problem, here.omega, 0.5 * here.omega)
+        slow = waves.system(here.omega).slow(here.at.gap, here.at.force)
+        system, sharp = ResonanceSystem(waves, here.drive, slow), max(LOCATED, waves.rounding(0.0))
+        found = solve_near(system, system.at(slow, here.omega).unknown, 0.0, tolerance=sharp)
         if found is None:
-            return first_resonance(problem, problem.omega)
-        point = system.linearise(found.unknown, 0.0)
-        return _Met(replace(system.problem, omega=point.omega), point)
+            return first_resonance(problem, here.omega)
+        return system.met(system.state(found.unknown, 1.0), system.omega(1.0, found.unknown))
 
 
 class _InPhase(Crossing):
@@ -122,7 +124,7 @@ class _InPhase(Crossing):
     terminal, sought, words = True, True, Ended.MET.value
 
 
-def first_resonance(problem: Problem, near: float) -> _Met:
+def first_resonance(problem: Problem, near: float) -> Met:
     """The phase resonance that the response curve meets from a load frequency on.
 
     Raises
@@ -155,10 +157,8 @@ def first_resonance(problem: Problem, near: float) -> _Met:
             f"resonance: the response from {near:.6g} rad/s on always has a part in phase with the "
             "load: several modes answer together"
         )
-    omega = waves.value(met.parameter)
-    problem = replace(waves.problem, omega=omega)
-    system = ResonanceSystem(problem, drive, met.unknown)
-    return _Met(problem, system.at(met.unknown, omega, 1.0))
+    system = ResonanceSystem(waves, drive, met.unknown)
+    return system.met(met.unknown, waves.value(met.parameter))
 
 
 @dataclass(frozen=True, repr=False)
@@ -212,31 +212,26 @@ class Resonance(Described):
         return with_frequency(found)
 
     def _title(self) -> str:
-        parts = [
-            f"{self.omega / (2.0 * math.pi):.6g} Hz ({self.omega:.6g} rad/s)",
-            f"half-power damping {self.damping:.3g}",
-            f"{quantity(self.solution.amplitude(), 'm')} half peak-to-peak",
-            f"H = {self.solution.harmonics}",
-        ]
-        if not math.isnan(self.error):
-            parts.append(f"error {self.error:.2g}" if self.error < math.inf else "error unknown")
-        several = [f"{TOGETHER}: see the curve"] * self.several
-        return ", ".join([*parts, *several])
+        together = f", {TOGETHER}: see the curve" * self.several
+        error = "" if math.isnan(self.error) else f", error {self.error:.2g}"
+        return (
+            f"{self.omega / TURN:.6g} Hz ({self.omega:.6g} rad/s), half-power damping "
+            f"{self.damping:.3g}, {quantity(self.solution.amplitude(), 'm')} half peak-to-peak, "
+            f"H = {self.solution.harmonics}{error}{together}"
+        )
 
 
 def _usable(problem: Problem) -> Problem:
     """The problem with a small structure; InputError unless it can have a phase resonance."""
-    if problem.friction or not is_unilateral(problem.contact):
-        allowed = "the penalty law or the constraint, without friction, for a phase resonance"
-        raise InputError("contact", problem.contact, allowed)
-    if problem.subharmonic != 1:
-        raise InputError("subharmonic", problem.subharmonic, "1 for a phase resonance")
+    if problem.friction or not is_unilateral(problem.contact) or problem.subharmonic != 1:
+        allowed = "the penalty law or the constraint, without friction, and subharmonic = 1"
+        raise InputError("contact", problem.contact, f"{allowed}, for a phase resonance")
     if is_small(problem.structure):
         return problem
     return replace(problem, structure=reduce_structure(problem.structure, method="massless"))
 
 
-def _within(met: _Met, tolerance: float) -> tuple[_Met, float]:
+def _within(met: Met, tolerance: float) -> tuple[Met, float]:
     """The same with so many harmonics that its error is below a tolerance, or as many as a curve
     may have or as lead to a resonance; and that error, inf where it is not known.
 
@@ -256,7 +251,7 @@ def _within(met: _Met, tolerance: float) -> tuple[_Met, float]:
     return met, error
 
 
-def _meeting(met: _Met, order: float) -> tuple[_Met, float]:
+def _meeting(met: Met, order: float) -> tuple[Met, float]:
     """The resonance at the speed at which an order meets it, by the secant; and its rate, the
     change of the order's speed there with the rotor's."""
     rotor = met.problem.structure
@@ -393,15 +388,12 @@ def follow_resonance(
     met = first_resonance(vary(problem, start), near)
     point, slow = met.point, met.point.at.unknown
     balanced = replace(met.problem, structure=problem.structure)
-    system = ResonanceSystem(balanced, point.drive, slow, start, end)
+    waves = FrequencyWaves(balanced, point.omega, 0.5 * point.omega)
+    system = ResonanceSystem(waves, point.drive, slow, start, end)
     here = first_point(system, system.at(slow, point.omega, start).unknown, 0.0, 0)
     growing = GrowingCurve(system, here, Steps(**steps))
     curve = run_to_end(growing, progress, throw)
-    apart = [
-        system.at(state, omega, value).apart
-        for state, omega, value in zip(curve.points, curve.omega, curve.values, strict=True)
-    ]
-    if several := sum(abs(one) > SEVERAL for one in apart):
-        status = f"{curve.status}; at {several} of {counted(len(apart), 'point')} {TOGETHER}"
-        curve = replace(curve, status=status)
-    return curve
+    columns = zip(curve.points, curve.omega, curve.values, strict=True)
+    several = sum(abs(system.at(*column).apart) > SEVERAL for column in columns)
+    said = f"; at {several} of {counted(len(curve), 'point')} {TOGETHER}" if several else ""
+    return replace(curve, status=curve.status + said)

@@ -386,9 +386,6 @@ class ResonanceWaves(Waves):
         weights[0, 0] = 1.0
         return replace(problem, structure=problem.structure.varied(load=weights))
 
-    def _compile(self, first: ContactSystem) -> None:
-        return None
-
 
 WAVES: dict[str, type[Waves]] = {
     waves.name: waves
