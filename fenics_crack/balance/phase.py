@@ -21,16 +21,25 @@ width: twice of what the others shift.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from fenics_crack.balance.compliance import ModalCompliance
 from fenics_crack.balance.contact_system import ContactPoint
+from fenics_crack.balance.problem import Problem
+from fenics_crack.balance.solution import PeriodicSolution, solution_of
+from fenics_crack.basics.tables import Described, with_frequency
 from fenics_crack.model.structure import Structure
 from fenics_crack.model.wheel import Wheel
 from fenics_crack.numerics.equations import Linearisation
+
+SEVERAL = 0.1
+"""Distance of the phase resonance from the top of the curve over the half-power width, from which
+on several modes answer: the amplitude is then 2 % below the top."""
 
 
 @dataclass(frozen=True)
@@ -80,27 +89,31 @@ def compliance_of(at: ContactPoint) -> ModalCompliance:
     return at.system.compliance
 
 
+@dataclass(eq=False)
 class PhasePoint(Linearisation):
     """The equations at a point: unknowns s over a ``scale``, proportional to v, and w over a
     frequency ``unit``; the parameter is ln v over ``rate``.
 
     Attributes
     ----------
+    problem : Problem
+        What is balanced where v is 1, at the frequency w.
     at : ContactPoint
         F there.
-    omega : float
-        w [rad/s].
     over_frequency, power_over_frequency : (2H+1, n_pairs), complex
         ds/dw and dP/dw along the response curve through the point.
     """
 
-    def __init__(
-        self, drive: Drive, at: ContactPoint, omega: float, scale: float, unit: float, rate: float
-    ) -> None:
-        self.drive, self.at, self.omega = drive, at, omega
-        self.scale, self.unit, self._rate = scale, unit, rate
-        self.unknown = np.append(at.unknown / scale, omega / unit)
-        self.power = drive.power(at)
+    problem: Problem
+    drive: Drive
+    at: ContactPoint
+    scale: float
+    unit: float
+    rate: float
+
+    def __post_init__(self) -> None:
+        self.unknown = np.append(self.at.unknown / self.scale, self.problem.omega / self.unit)
+        self.power = self.drive.power(self.at)
 
     def _lag(self, change: complex) -> float:
         """Change of Re P / Im P with P."""
@@ -136,7 +149,7 @@ class PhasePoint(Linearisation):
         by_load[0] = 0.0  # the mean load stays
         change = (at.apply(at.unknown) + by_load - at.residual) / self.scale
         power = self._power_by(at.unknown) + self.drive.power(at, still)
-        return self._rate * np.append(change, self._lag(power))
+        return self.rate * np.append(change, self._lag(power))
 
     @property
     def sign(self) -> float:
@@ -152,3 +165,52 @@ class PhasePoint(Linearisation):
         """Distance from here to the top of the response curve, over the width, as two modes would
         have it."""
         return 0.25 * self.width * (self.power_over_frequency / self.power).real
+
+    @cached_property
+    def solution(self) -> PeriodicSolution:
+        """The motion, without a search for its exact orbit."""
+        return solution_of(self.problem, self.at, status="phase resonance", search=False)
+
+
+@dataclass(frozen=True, repr=False)
+class Resonance(Described):
+    """The phase resonance of a structure under its load.
+
+    Attributes
+    ----------
+    value : float
+        Load frequency, or speed of the rotor [rad/s].
+    omega : float
+        Load frequency [rad/s].
+    harmonic : int
+        Harmonic of the load that excites.
+    width : float
+        Half-power width in the unit of ``value``.
+    apart : float
+        Distance to the top of the response curve over the width, as far as the point shows it.
+    solution : PeriodicSolution
+        The motion there.
+    error : float
+        Estimated truncation error of the amplitude, relative to it; inf where it is not known,
+        nan without a tolerance.
+    """
+
+    value: float
+    omega: float
+    harmonic: int
+    width: float
+    apart: float
+    solution: PeriodicSolution
+    error: float = math.nan
+
+    @property
+    def several(self) -> bool:
+        """True if several modes shift the phase by more than a tenth of the width: the curve shows
+        where the largest response is."""
+        return not abs(self.apart) <= SEVERAL
+
+    def to_dict(self) -> dict[str, Any]:
+        """Frequencies, the width, the distance to the top, the error and the amplitude."""
+        names = "value", "omega", "harmonic", "width", "apart", "several", "error"
+        found = {name: getattr(self, name) for name in names}
+        return with_frequency(found | {"amplitude": self.solution.amplitude()})

@@ -317,6 +317,8 @@ class Continuation(GrowingCurve):
         stability: bool = False,
         **steps: Unpack[StepOptions],
     ) -> None:
+        if parameter == "resonance":
+            raise InputError("parameter", parameter, "another one: follow_resonance follows it")
         how = Steps(**steps)
         if exact and tolerance is None:
             tolerance = TOLERANCE if branch_of is None else branch_of.tolerance

@@ -330,22 +330,22 @@ class SpeedWaves(Waves):
     @classmethod
     def check(cls, structure: Structure, key: str, value: float) -> None:
         super().check(structure, key, value)
-        _spinning(structure)
+        spinning(structure)
 
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
-        structure = _spinning(problem.structure).at_speed(value)
+        structure = spinning(problem.structure).at_speed(value)
         return replace(problem, structure=structure, omega=cls.frequency(problem, value))
 
     @classmethod
     def frequency(cls, problem: Problem, value: float) -> float:
-        return problem.omega * value / _spinning(problem.structure).speed
+        return problem.omega * value / spinning(problem.structure).speed
 
     def _cutoff(self, problem: Problem, start: float, end: float) -> float:
         """Between two modes whose frequencies do not cross it, for they would change the sides."""
         at = [self.vary(problem, value) for value in (start, 0.5 * (start + end), end)]
         least = max(one.cutoff for one in at)
-        natural = np.array([_spinning(one.structure).omega for one in at])
+        natural = np.array([spinning(one.structure).omega for one in at])
         below, above = natural.max(axis=0)[:-1], natural.min(axis=0)[1:]
         apart = (above > least) & (above > below * (1.0 + 1e-6))
         return float(max([least, *np.sqrt(below * above)[apart][:1]]))
@@ -362,7 +362,7 @@ class SpeedWaves(Waves):
         return np.asarray((above - below) / (2.0 * step))
 
 
-def _spinning(structure: Structure) -> RunUpStructure:
+def spinning(structure: Structure) -> RunUpStructure:
     """A structure that knows itself at every speed; InputError for another one."""
     if not isinstance(structure, RunUpStructure):
         allowed = "one of run_up_structure(structure, start, stop, modes)"
@@ -375,10 +375,6 @@ class ResonanceWaves(Waves):
     that is none of the equations' at one frequency."""
 
     name = "resonance"
-
-    @classmethod
-    def check(cls, structure: Structure, key: str, value: float) -> None:
-        raise InputError("parameter", cls.name, "another one: follow_resonance follows it")
 
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:

@@ -112,7 +112,7 @@ def test_several_modes(second: float, several: bool) -> None:
     ).watching(0)  # fmt: skip
     law = fc.UnilateralPenalty(0.1)
     found = resonance_at(Problem(structure, 1.0, law, 20))
-    assert found.several == several and ("several" in repr(found)) == several
+    assert found.several == several and ("several = yes" in repr(found)) == several
 
     low, high = found.omega - 2.0 * found.width, found.omega + 2.0 * found.width
     curve = fc.continue_frequency(structure, low, high, law, harmonics=20, longest_step=0.02)
@@ -162,7 +162,7 @@ def test_rotor_at_the_speed_of_its_resonance() -> None:
     there = resonance_at(Problem(rotor.at_speed(found.value), found.omega, law))
     assert there.omega == pytest.approx(found.omega, rel=1e-8)
     assert there.solution.amplitude() == pytest.approx(found.solution.amplitude(), rel=1e-6)
-    assert found.damping > there.damping  # it takes longer to pass
+    assert found.width / found.value > there.width / there.value  # it takes longer to pass
 
 
 def test_scene_over_its_load(tmp_path: Path) -> None:
