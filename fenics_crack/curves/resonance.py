@@ -111,7 +111,7 @@ def first_resonance(problem: Problem, near: float) -> PhasePoint:
     start = Solver(waves.at(begin)).solve(reported=False).slow_gap_coefficients
     first, count = waves.linearise(start, 0.0), len(problem.structure.force) // 2
     drives = [Drive.of(problem.structure, harmonic + 1) for harmonic in range(count)]
-    drive = max(drives, key=lambda one: abs(one.power(first)))
+    drive = max(drives, key=lambda one: abs(one.power(first).imag))
     power = drive.power(first)
     if not abs(power.imag) > LOCATED * abs(power):
         raise InputError("load", "no damped mode answers to it", "one that moves a damped mode")

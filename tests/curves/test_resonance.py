@@ -134,6 +134,27 @@ def test_other_mode_is_found_by_its_frequency() -> None:
     assert 1.0 < low < 1.05 and 3.0 < high < 3.05
 
 
+@pytest.mark.parametrize(("near", "harmonic"), [(1.0, 1), (0.35, 3), (0.45, 3)])
+def test_harmonic_that_takes_most_power(near: float, harmonic: int) -> None:
+    """Of a load with two harmonics, the third much larger: next to a frequency one of them excites
+    the mode."""
+    structure = mass(0.01, force=0.1).with_harmonics({3: (np.zeros(1), np.ones(1))})
+    found = resonance_at(Problem(structure, near, fc.UnilateralPenalty(1.0), 20))
+    bilinear = 2.0 * math.sqrt(2.0) / (1.0 + math.sqrt(2.0))
+    assert found.harmonic == harmonic
+    assert found.omega == pytest.approx(bilinear / harmonic, rel=0.02)
+    assert found.width == pytest.approx(0.02 / harmonic, rel=0.05)
+
+
+@pytest.mark.parametrize("factor", [0.5, 0.8, 1.0, 1.3, 2.0])
+def test_found_from_either_side(factor: float) -> None:
+    """The phase says on which side of a frequency the resonance lies, of a hardening one too."""
+    ratio, law = 1e-3, fc.UnilateralPenalty(1.0)
+    problem = Problem(mass(ratio, force=8e-3, clearance=1.0), 1.0, law, 20)
+    first = resonance_at(problem, 1.17)
+    assert resonance_at(problem, factor).omega == pytest.approx(first.omega, rel=1e-7)
+
+
 # --- plates ---------------------------------------------------------------------------------------
 
 
