@@ -22,7 +22,7 @@ width: twice of what the others shift.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -97,9 +97,11 @@ class PhasePoint(Linearisation):
     Attributes
     ----------
     problem : Problem
-        What is balanced where v is 1, at the frequency w.
+        What is balanced where v is 1, at another frequency.
     at : ContactPoint
         F there.
+    omega : float [rad/s]
+        w.
     over_frequency, power_over_frequency : (2H+1, n_pairs), complex
         ds/dw and dP/dw along the response curve through the point.
     """
@@ -107,12 +109,13 @@ class PhasePoint(Linearisation):
     problem: Problem
     drive: Drive
     at: ContactPoint
+    omega: float
     scale: float
     unit: float
     rate: float
 
     def __post_init__(self) -> None:
-        self.unknown = np.append(self.at.unknown / self.scale, self.problem.omega / self.unit)
+        self.unknown = np.append(self.at.unknown / self.scale, self.omega / self.unit)
         self.power = self.drive.power(self.at)
 
     def _lag(self, change: complex) -> float:
@@ -169,7 +172,8 @@ class PhasePoint(Linearisation):
     @cached_property
     def solution(self) -> PeriodicSolution:
         """The motion, without a search for its exact orbit."""
-        return solution_of(self.problem, self.at, status="phase resonance", search=False)
+        problem = replace(self.problem, omega=self.omega)
+        return solution_of(problem, self.at, status="phase resonance", search=False)
 
 
 @dataclass(frozen=True, repr=False)

@@ -80,11 +80,11 @@ class ResonanceSystem(CurveSystem):
     def linearise(self, unknown: np.ndarray, parameter: float) -> PhasePoint:
         value, load = self.value(parameter), self.problem.load.copy()
         load[1:] *= value
-        problem = replace(self.problem, omega=self.omega(value, unknown))
-        compliance = ModalCompliance(problem.seen, problem.omega, load)
+        omega = self.omega(value, unknown)
+        compliance = ModalCompliance(self.problem.seen, omega, load)
         at = ContactSystem(compliance, self._integrals).linearise(self.state(unknown, value))
         units = self._size * value, self.problem.omega, self.rate(value) / value
-        return PhasePoint(problem, self.drive, at, *units)
+        return PhasePoint(self.problem, self.drive, at, omega, *units)
 
 
 class _InPhase(Crossing):
@@ -133,7 +133,7 @@ def first_resonance(problem: Problem, near: float) -> PhasePoint:
 
 def _next_to(here: PhasePoint, **changes: Any) -> PhasePoint:
     """The resonance of a problem with some changes next to one, or else on its response curve."""
-    problem = replace(here.problem, static_above=None, **changes)
+    problem = replace(here.problem, **{"omega": here.omega, "static_above": None} | changes)
     system = ResonanceSystem(problem, here.drive, here.at)
     sharp = max(LOCATED, system.rounding(0.0))
     found = solve_near(system, system.begin, 0.0, tolerance=sharp)
@@ -156,7 +156,7 @@ def _within(point: PhasePoint, tolerance: float) -> tuple[PhasePoint, float]:
         except ConvergenceError:
             break
         change = finer.solution.amplitude() / point.solution.amplitude() - 1.0
-        shift = (finer.problem.omega - point.problem.omega) / finer.width
+        shift = (finer.omega - point.omega) / finer.width
         error = max(abs(change) + 2.0 * shift**2, finer.solution.report.displacement)
         point, more = finer, 2 * more
     return point, error
@@ -167,15 +167,15 @@ def _meeting(point: PhasePoint, order: float | None) -> tuple[PhasePoint, float]
     change of the order's speed there with the rotor's. Without an order, as it is."""
     if order is None:
         return point, 0.0
-    rotor, omega = spinning(point.problem.structure), point.problem.omega
+    rotor, omega = spinning(point.problem.structure), point.omega
     speed, rate = rotor.speed, rotor.stiffening(omega * point.drive.harmonic)
     for _ in range(MEETINGS):
         ahead = (omega / order - rate * speed) / (1.0 - rate)
         if abs(ahead - speed) <= ARRIVED * speed:
             return point, rate
-        point = _next_to(point, structure=rotor.at_speed(ahead))
-        rate = (point.problem.omega - omega) / order / (ahead - speed)
-        speed, omega = ahead, point.problem.omega
+        point = _next_to(point, structure=rotor.at_speed(ahead), omega=order * ahead)
+        rate = (point.omega - omega) / order / (ahead - speed)
+        speed, omega = ahead, point.omega
     raise ConvergenceError(f"resonance: its order does not meet it next to {speed:.6g} rad/s")
 
 
@@ -231,7 +231,7 @@ def resonance_at(
     if tolerance is not None:
         point, error = _within(point, tolerance)
         point, rate = _meeting(point, order)
-    omega, unit = point.problem.omega, order or 1.0
+    omega, unit = point.omega, order or 1.0
     width, harmonic = point.width / unit / (1.0 - rate), point.drive.harmonic
     return Resonance(omega / unit, omega, harmonic, width, point.apart, point.solution, error)
 
@@ -239,7 +239,7 @@ def resonance_at(
 def frequency_at_rest(problem: Problem, near: float) -> float:
     """Load frequency [rad/s] of the resonance under a small load, next to one: a crack that the
     mean load holds open or closed stays so."""
-    return first_resonance(WAVES["resonance"].vary(problem, SMALL), near).problem.omega
+    return first_resonance(WAVES["resonance"].vary(problem, SMALL), near).omega
 
 
 def follow_resonance(
@@ -289,7 +289,7 @@ def follow_resonance(
         at_end = _within(first_resonance(vary(problem, end), near), tolerance)[0]
         problem = problem.with_harmonics(at_end.problem.harmonics)
     point = first_resonance(vary(problem, start), near)
-    balanced = replace(point.problem, structure=problem.structure)
+    balanced = replace(point.problem, structure=problem.structure, omega=point.omega)
     system = ResonanceSystem(balanced, point.drive, point.at, (start, end))
     growing = GrowingCurve(system, first_point(system, system.begin, 0.0, 0), Steps(**steps))
     curve = run_to_end(growing, progress, throw)
