@@ -106,6 +106,7 @@ class GrowingCurve:
 
     Attributes
     ----------
+    system : CurveSystem
     points : list of CurvePoint
         All so far.
     complete, returned, status
@@ -116,27 +117,30 @@ class GrowingCurve:
         self, system: CurveSystem, here: PathPoint, steps: Steps,
         tolerance: float | None = None, branch: bool = False,
     ) -> None:  # fmt: skip
-        self._system, self._steps = system, steps
+        self.system, self._steps = system, steps
         self._tolerance, self._branch = tolerance, branch
         self.most_points = steps.most_points
         self._origin = self._here = here
-        self.points = [self._point(here)]
+        self.points = [self._point(here.parameter, here.unknown, here.iterations, here.observed)]
         self._special: list[tuple[str, CurvePoint]] = []
         self.complete, self.returned, self.status = False, False, "not begun"
 
-    def _point(self, at: PathPoint) -> CurvePoint:
+    def _point(
+        self, parameter: float, unknown: np.ndarray, iterations: int, seen: np.ndarray | None
+    ) -> CurvePoint:
         """A point of the path as one of the curve."""
-        value = self._system.value(at.parameter)
-        omega = self._system.omega(value, at.unknown)
-        multipliers = None if at.observed is None else at.observed[:-3]  # (orbit_events)
-        return CurvePoint(value, omega, at.unknown, at.iterations, multipliers)
+        value = self.system.value(parameter)
+        multipliers = None if seen is None else seen[:-3]  # (orbit_events)
+        return CurvePoint(
+            value, self.system.omega(value, unknown), unknown, iterations, multipliers
+        )
 
     # --- what there is so far ---------------------------------------------------------------------
 
     @property
     def followed(self) -> ResponseCurve:
         """All points so far, without verdicts that are requested."""
-        system, points = self._system, self.points
+        system, points = self.system, self.points
         problem, exact = system.problem, self._tolerance is not None
         multipliers = [leading(one.multipliers) for one in points if one.multipliers is not None]
         found = ResponseCurve(
@@ -170,22 +174,22 @@ class GrowingCurve:
         """All points so far, with verdicts."""
         return self.followed
 
-    @property
-    def size(self) -> int:
-        """Unknowns of a point."""
-        return self._system.size
-
     def progress(self) -> float:
         """Return the fraction of the way from start to end that is done, 0 to 1."""
         return min(1.0, max(0.0, self._here.parameter))
 
     def how_far(self) -> str:
         """The same in words, with the range and how many points there are."""
-        system = self._system
-        ends = in_unit(parameter_axis(system.name, True), system.start, system.end)
-        return (
-            f"{self.progress():.0%} of the way between {ends}, {counted(len(self.points), 'point')}"
-        )
+        ends = self._in_unit(self.system.start, self.system.end)
+        count = counted(len(self.points), "point")
+        return f"{self.progress():.0%} of the way between {ends}, {count}"
+
+    def where(self) -> str:
+        """The last point so far in words, and how many there are."""
+        return f"{self._in_unit(self.points[-1].value)}, {counted(len(self.points), 'point')}"
+
+    def _in_unit(self, *values: float) -> str:
+        return in_unit(parameter_axis(self.system.name, True), *values)
 
     # --- how it goes on ---------------------------------------------------------------------------
 
@@ -206,7 +210,7 @@ class GrowingCurve:
         """The path behind the last point, to where the curve ends."""
         if self.complete:
             return
-        system, here, longest = self._system, self._here, self._steps.longest_step
+        system, here, longest = self.system, self._here, self._steps.longest_step
         self.status = "under way"
         events: list[Event] = [kind() for kind in system.events]
         events += [Target(1.0), Closed(self._origin, system)]
@@ -231,9 +235,15 @@ class GrowingCurve:
 
     def _record(self, points: Stretch) -> CurvePoint:
         """Take up points, and what lies before the last of them; return that one."""
-        special = [(event.kind, self._point(at)) for event, at in points.met if event.kind]
+        special = [
+            (event.kind, self._point(at.parameter, at.unknown, at.iterations, at.observed))
+            for event, at in points.met
+            if event.kind
+        ]
         self._special += special
-        self.points += map(self._point, points)
+        seen = points.observed if "observed" in vars(points) else [None] * len(points)
+        columns = points.parameters.tolist(), points.unknowns, points.iterations.tolist(), seen
+        self.points += map(self._point, *columns)
         self._here = points[-1]
         met = tuple((kind, at.value) for kind, at in special)
         self.points[-1] = replace(self.points[-1], bifurcations=met)

@@ -203,10 +203,8 @@ class ResponseCurve(Observed, Tabular):
         frequency [rad/s] above which modes are quasi-static (:class:`fenics_crack.Problem`).
     multipliers : (n,) complex or None
         Floquet multiplier of largest modulus at each point, of a pair the one with positive
-        imaginary part; nan where no exact orbit is the point's own (:func:`judge_curve`); None: not
-        known.
-    undecided : (n,) bool or None
-        Points of undecided stability, for a :meth:`reason`; None: not assessed.
+        imaginary part; nan where it does not decide the stability (:func:`judge_curve`); None: not
+        assessed.
     branch : bool
         True if :func:`follow_branch` has followed it.
     """
@@ -226,16 +224,10 @@ class ResponseCurve(Observed, Tabular):
     samples: int | None = None
     static_above: float | None = None
     multipliers: np.ndarray | None = None
-    undecided: np.ndarray | None = None
     branch: bool = False
 
     KIND: ClassVar[str] = "response curve"
     frequency = hertz_of()
-
-    def __post_init__(self) -> None:
-        if self.exact and self.multipliers is not None:
-            on_circle = np.abs(np.abs(self.multipliers) - 1.0) <= KNOWN
-            object.__setattr__(self, "undecided", on_circle)
 
     def __len__(self) -> int:
         return len(self.omega)
@@ -250,7 +242,7 @@ class ResponseCurve(Observed, Tabular):
         """H; of exact orbits the fewest of a solution."""
         if not self.exact:
             return self.points.shape[1] // 2
-        least = least_harmonics(self._structure, self.subharmonic)
+        least = least_harmonics(self.structure, self.subharmonic)
         return max(MIN_HARMONICS * self.subharmonic, least)
 
     @property
@@ -261,17 +253,13 @@ class ResponseCurve(Observed, Tabular):
     @cached_property
     def problem(self) -> Problem:
         """Problem solved at the first point."""
+        structure = self.structure
+        if self.parameter == "speed" and isinstance(structure, RunUpStructure):
+            structure = structure.at_speed(float(self.values[0]))
         return Problem(
-            self._structure, float(self.omega[0]), self.contact, self.harmonics,
+            structure, float(self.omega[0]), self.contact, self.harmonics,
             self.samples, self.subharmonic, self.static_above,
         )  # fmt: skip
-
-    @cached_property
-    def _structure(self) -> Structure:
-        """Structure at the first point."""
-        if self.parameter == "speed" and isinstance(self.structure, RunUpStructure):
-            return self.structure.at_speed(float(self.values[0]))
-        return self.structure
 
     @cached_property
     def system(self) -> Waves | Orbits:
@@ -365,26 +353,29 @@ class ResponseCurve(Observed, Tabular):
         """
         if self.multipliers is None:
             raise AttributeError("stability: unknown of a curve followed with stability = False")
-        return np.asarray((np.abs(self.multipliers) < 1.0) & ~self._open)
+        return np.asarray(np.abs(self.multipliers) < 1.0 - KNOWN)
+
+    @property
+    def undecided(self) -> np.ndarray | None:
+        """Points of undecided stability, for a :meth:`reason`: (n,) bool; None: not assessed."""
+        if self.multipliers is None:
+            return None
+        return np.asarray(~(np.abs(np.abs(self.multipliers) - 1.0) > KNOWN))
 
     @property
     def verdicts(self) -> np.ndarray:
         """Stable, unstable or undecided, at each point: (n,) str; raises as :attr:`stable`."""
-        return np.where(self._open, "undecided", np.where(self.stable, "stable", "unstable"))
-
-    @property
-    def _open(self) -> np.ndarray:
-        """Points of undecided stability: (n,) bool, never None."""
-        return np.zeros(len(self), dtype=bool) if self.undecided is None else self.undecided
+        decided = np.where(self.stable, "stable", "unstable")
+        return np.where(self.undecided, "undecided", decided)
 
     def reason(self, index: int) -> str:
         """Why the stability is undecided at a point, as :func:`fenics_crack.floquet` says of the
         point's solution by itself; "" where it is decided."""
-        if not self._open[index]:
+        if self.undecided is None or not self.undecided[index]:
             return ""
         if self.exact:
             return "its largest multiplier is 1 to its accuracy"
-        if self._open.all():
+        if self.undecided.all():
             return "no exact orbit is accepted for any point of the curve"
         return self.assessment(index).reason or "its largest multiplier is 1 to rounding"
 
@@ -407,7 +398,7 @@ class ResponseCurve(Observed, Tabular):
         if self.exact:
             return self
         special = tuple(one for one in self.bifurcations if one.kind in FOLLOWED)
-        return replace(self, bifurcations=special, multipliers=None, undecided=None)
+        return replace(self, bifurcations=special, multipliers=None)
 
     def bifurcation(
         self, kind: str, value: float, omega: float, point: np.ndarray,

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Unpack
 
@@ -21,9 +20,8 @@ from fenics_crack.basics.errors import (
 )
 from fenics_crack.basics.progress import begin, reaching
 from fenics_crack.basics.suggestions import check_options
-from fenics_crack.basics.tables import RPM
 from fenics_crack.curves.continuation import Continuation, GrowingCurve, StepOptions, has_orbits
-from fenics_crack.curves.curve import Bifurcation, CurvePoint, ResponseCurve
+from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import reduce_structure
@@ -163,23 +161,33 @@ def continue_parameter(
     ...     structure, 2000.0, contact, "load", 1.0, 2.0, harmonics=5)
     """
     check_options("continue_parameter", options, CurveOptions.__annotations__)
-    if options.get("tolerance") is not None and not is_small(structure):
+    given: dict[str, Any] = dict(options)
+    keys = ("harmonics", "samples", "subharmonic", "initial")
+    harmonics, samples, subharmonic, initial = (given.pop(key, None) for key in keys)
+    tolerance = given.get("tolerance")
+    if tolerance is not None and harmonics is not None:
+        raise InputError("tolerance", tolerance, "left out where harmonics are given")
+    if tolerance is not None and not is_small(structure):
         structure = reduce_structure(structure, method="massless")
-    elsewhere = options.get("initial") is not None
+    subharmonic = 1 if subharmonic is None else subharmonic
+    check_count("subharmonic", subharmonic, 1)
+    if harmonics is None:
+        harmonics = max(Problem.harmonics, least_harmonics(structure, subharmonic))
+    problem = Problem(structure, omega, contact, harmonics, samples, subharmonic)
+    exact = tolerance is not None and samples is None and has_orbits(problem, parameter, start, end)
 
-    def grow(origin: float, goal: float, **changes: Any) -> GrowingCurve:
-        span = parameter, origin, goal
-        return _continuation(structure, omega, contact, span, {**options, **changes})
+    def grow(origin: float, goal: float, near: Any = initial) -> GrowingCurve:
+        return Continuation(problem, parameter, origin, goal, exact=exact, initial=near, **given)
 
     def again(begun: GrowingCurve | None = None) -> GrowingCurve | None:
-        return None if elsewhere else _again(grow, start, end, begun)
+        return _again(grow, start, end, begun) if initial is None else None
 
     try:
         growing = grow(start, end)
-    except ConvergenceError as error:
-        other = again() if options.get("tolerance") is not None else None
+    except ConvergenceError:
+        other = None if tolerance is None else again()
         if other is None:
-            raise error from None
+            raise
         growing = other
     return run_to_end(growing, progress, throw, again)
 
@@ -193,24 +201,23 @@ def _again(
     where the first solution lies on a curve that comes back to the start, such as a closed loop of
     the truncated equations, or where there is none.
     """
-    spent, known = 0, 0 if begun is None else len(begun.followed)
+    spent, known = 0, 0 if begun is None else len(begun.points)
     places = ATTEMPTS if begun is not None else 1  # where there is no orbit a search takes long
     for origin in np.linspace(end, start, ATTEMPTS, endpoint=False)[:places].tolist():
         there: PeriodicSolution | PeriodicOrbit | None = None
         for first, last in ((origin, start), (start, end)):
             try:
-                found = grow(first, last, initial=there)
-                left = max(known, 2 * ATTEMPTS * ON_PATH // found.size) - spent
+                found = grow(first, last, there)
+                left = max(known, 2 * ATTEMPTS * ON_PATH // found.system.size) - spent
                 found.most_points = max(1, min(left, found.most_points))
                 found.run()
             except ConvergenceError:
                 break
-            met = found.followed
-            spent += len(met)
+            spent += len(found.points)
             if not found.complete or found.returned:
                 break
-            at_end = len(met) - 1
-            there = met.orbit(at_end) if met.exact else met.solution(at_end)
+            curve = found.followed
+            there = curve.orbit(-1) if curve.exact else curve.solution(-1)
         else:
             found.status += ", not by the first solution found at its start"
             return found
@@ -289,38 +296,6 @@ def follow_branch(
     return run_to_end(growing, progress, throw)
 
 
-def _continuation(
-    structure: Structure,
-    omega: float,
-    contact: ContactLaw,
-    span: tuple[str, float, float],
-    options: Mapping[str, Any],
-) -> GrowingCurve:
-    """The continuation that options request."""
-    given: dict[str, Any] = dict(options)
-    tolerance, keys = given.get("tolerance"), ("harmonics", "samples", "subharmonic", "initial")
-    harmonics, samples, subharmonic, initial = (given.pop(key, None) for key in keys)
-    if tolerance is not None and harmonics is not None:
-        raise InputError("tolerance", tolerance, "left out where harmonics are given")
-    subharmonic = 1 if subharmonic is None else subharmonic
-    check_count("subharmonic", subharmonic, 1)
-    if harmonics is None:
-        harmonics = max(Problem.harmonics, least_harmonics(structure, subharmonic))
-    problem = Problem(structure, omega, contact, harmonics, samples, subharmonic)
-    exact = tolerance is not None and samples is None and has_orbits(problem, *span)
-    return Continuation(problem, *span, exact=exact, initial=initial, **given)
-
-
-def _where(parameter: str, point: CurvePoint, count: int) -> str:
-    """A point of a curve in words: load frequency or other parameter, and how many there are."""
-    value, hertz = f"{point.value:.6g}", f"{point.omega / (2.0 * math.pi):.6g} Hz"
-    words = {
-        "omega": f"{hertz}, {point.omega:.6g} rad/s",
-        "speed": f"{point.value / RPM:.6g} rpm, {value} rad/s; load {hertz}",
-    }
-    return f"{words.get(parameter, value)}, {count} points"
-
-
 def run_to_end(
     growing: GrowingCurve,
     progress: bool,
@@ -354,14 +329,13 @@ def run_to_end(
 
 def _follow(growing: GrowingCurve, progress: bool) -> None:
     """Follow to the end with a bar, or signs of life."""
-    first = growing.followed
-    if not progress or first.structure.whole.comm.rank != 0:
+    if not progress or growing.system.problem.structure.whole.comm.rank != 0:
         begin("curve")
         with reaching(growing.how_far):
             growing.run()
         return
     begin("")
     with tqdm(total=100, desc="curve", unit="%", bar_format=BAR) as bar:
-        for count, point in enumerate(growing, 1):
-            bar.set_postfix_str(_where(first.parameter, point, count), refresh=False)
+        for _ in growing:
+            bar.set_postfix_str(growing.where(), refresh=False)
             bar.update(max(0, int(100.0 * growing.progress()) - bar.n))

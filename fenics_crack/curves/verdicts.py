@@ -15,6 +15,7 @@ Source: Seydel, Practical Bifurcation and Stability Analysis, chapters 4 and 7.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -22,6 +23,7 @@ from functools import partial
 import numpy as np
 
 from fenics_crack.balance.assessment import MAX_ERROR
+from fenics_crack.balance.solution import Stability
 from fenics_crack.basics.progress import begin
 from fenics_crack.curves.branch import neighbours
 from fenics_crack.curves.curve import ResponseCurve, leading
@@ -73,22 +75,19 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     begin("stability by exact orbits")
     multipliers = np.full(len(curve), np.nan + 0j)
     first = {0, len(curve) // 2, len(curve) - 1}
-    if any([_decides(curve, place, multipliers) for place in first]):
-        for place in {*range(len(curve))} - first:
-            _decides(curve, place, multipliers)
-    return replace(curve, multipliers=multipliers, undecided=np.isnan(multipliers))
+    for places in first, {*range(len(curve))} - first:
+        for place in places:
+            known = curve.assessment(place)
+            if known.predicted_error <= MAX_ERROR:  # else no orbit would be its own
+                multipliers[place] = _deciding(stability_of(known))
+        if np.isnan(multipliers).all():
+            break
+    return replace(curve, multipliers=multipliers)
 
 
-def _decides(curve: ResponseCurve, place: int, multipliers: np.ndarray) -> bool:
-    """Assess a point, whose leading multiplier is set; True if that is decided."""
-    known = curve.assessment(place)
-    if not known.predicted_error <= MAX_ERROR:  # no orbit would be its own
-        return False
-    found = stability_of(known)
-    if found.verdict == "undecided":
-        return False
-    multipliers[place] = leading(found.multipliers)
-    return True
+def _deciding(stability: Stability) -> complex:
+    """The leading multiplier; nan where the stability is undecided."""
+    return math.nan if stability.verdict == "undecided" else leading(stability.multipliers)
 
 
 def judged_by_waves(curve: ResponseCurve) -> ResponseCurve:
@@ -112,8 +111,7 @@ def judged_by_waves(curve: ResponseCurve) -> ResponseCurve:
     return replace(
         curve,
         bifurcations=tuple(special),
-        multipliers=np.array([leading(one.multipliers) for one in found]),
-        undecided=np.array([one.verdict == "undecided" for one in found]),
+        multipliers=np.array([_deciding(one) for one in found], dtype=complex),
     )
 
 

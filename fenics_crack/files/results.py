@@ -298,14 +298,14 @@ def _check_gap(
 def _pack_curve(curve: ResponseCurve) -> Parts:
     """Return the parts of a curve, and its special points; of exact orbits the verdicts follow."""
     special = curve.at_bifurcations.part(slice(1, -1))
-    parts = packed(curve, *_GIVEN, "points", *["undecided"] * curve.exact)
+    parts = packed(curve, *_GIVEN, "points")
     parts["kinds"] = [b.kind for b in curve.bifurcations]
     points = {"values": special.values, "omega": special.omega}
     if curve.exact:
         parts |= _of_dofs(curve) | {"couplings": _couplings(curve.structure)}
         points |= _of_dofs(special) | {"multipliers": special.multipliers}
     else:
-        parts["unknowns"] = curve.points
+        parts |= {"unknowns": curve.points, "undecided": curve.undecided}
         points |= {str(number): point for number, point in enumerate(special.points)}
     parts |= {f"bifurcation_{name}": value for name, value in points.items()}
     return parts | _law_parts(curve.contact, curve.structure)
@@ -365,6 +365,8 @@ def _unpack_curve(parts: Parts, structure: Structure, contact: Law) -> ResponseC
         shapes |= {name: (len(parts[name]) | 1, seen.n_pairs) for name in names}
         check_shapes(parts, shapes)
         special = [resized(parts[name], unknowns.shape[1] // 2) for name in names]
+        if "undecided" in parts:  # of earlier versions, whose multiplier decides nothing there
+            parts["multipliers"] = np.where(parts["undecided"], np.nan, parts["multipliers"])
         curve = unpacked(ResponseCurve, parts, **given, points=unknowns, tolerance=None)
         first = curve.solution(0)
         _check_gap(first.structure, first.displacement_coefficients, first.gap_coefficients, 1e-4)

@@ -12,12 +12,11 @@ from mpi4py import MPI
 from rotating import cracked
 
 import fenics_crack as fc
-from fenics_crack import CurvePoint, InputError, Run, Scene
+from fenics_crack import InputError, Run, Scene
 from fenics_crack.basics.observables import SPECIAL
 from fenics_crack.basics.tables import RPM
 from fenics_crack.cli.account import in_short
 from fenics_crack.cli.results import curve_points, special_points
-from fenics_crack.curves.follow import _where
 from fenics_crack.curves.waves import SpeedWaves
 
 ORDER = 12
@@ -205,9 +204,6 @@ def test_run_up_in_the_scenes_unit(
     assert shown == (["point", "rpm", "frequency [Hz]"] if in_rpm else
                      ["point", "speed [rad/s]", "omega [rad/s]"])  # fmt: skip
     assert curve_points(run).columns[:4] == whole.columns[1:5]
-    point = CurvePoint(600.0, 7200.0, np.zeros((3, 1)), 1)
-    bar = "5729.58 rpm, 600 rad/s; load 1145.92 Hz, 7 points"
-    assert _where("speed", point, 7) == bar
 
 
 def test_bad_input() -> None:
