@@ -20,11 +20,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fenics_crack.balance.natural import nearest_mode
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.basics.tables import percent, quantity
-from fenics_crack.curves.resonance import Resonance, resonance_at
+from fenics_crack.curves.resonance import Resonance, frequency_at_rest, resonance_at
 from fenics_crack.curves.stability import floquet
 from fenics_crack.model.contact import ContactLaw, friction_of
 from fenics_crack.model.modal import is_small
@@ -90,12 +89,12 @@ class AtLoad:
         return cls(found.value, found.width, rest, amplitude, found.error, verdict)
 
 
-def resonance(problem: Problem, parameter: str = "omega") -> Resonance:
-    """The resonance nearest to a problem's frequency (:func:`resonance_at`).
+def resonance(problem: Problem, near: float, parameter: str = "omega") -> Resonance:
+    """The resonance of a problem next to a frequency (:func:`resonance_at`).
 
     Where several modes answer together more harmonics take long and show nothing."""
-    found = resonance_at(problem, parameter=parameter)
-    return found if found.several else resonance_at(problem, None, parameter, tolerance=TOLERANCE)
+    found = resonance_at(problem, near, parameter)
+    return found if found.several else resonance_at(problem, near, parameter, tolerance=TOLERANCE)
 
 
 def meeting_speed(order: float, speed: float, omega: float, slope: np.ndarray) -> float:
@@ -133,11 +132,12 @@ def resonance_of(study: Study, estimates: np.ndarray, slopes: np.ndarray) -> AtL
     if law is None:
         return AtLoad(unknown="there is no crack")
     load, turns = scene.excitation, whole.rotation is not None and scene.disk is None
+    mode = int(np.argmin(np.abs(estimates - load.omega)))
     try:
         if load.order is None or not turns:
-            problem = _problem(scene, law, _few(study, whole), load.omega)
-            return AtLoad.of(resonance(problem), nearest_mode(problem, load.omega).omega)
-        mode = int(np.argmin(np.abs(estimates - load.omega)))
+            problem, near = _problem(scene, law, _few(study, whole), load.omega), estimates[mode]
+            found = resonance(problem, float(near))
+            return AtLoad.of(found, frequency_at_rest(problem, found.omega))
         return _of_rotor(study, float(estimates[mode]), slopes[mode])
     except REFUSALS as error:
         return AtLoad(unknown=str(error))
@@ -175,11 +175,13 @@ def _of_rotor(study: Study, estimate: float, slope: np.ndarray) -> AtLoad:
 
     found = resonance_at(at(there, estimate))
     problem = at(met(found.omega, found.harmonic), found.omega)
-    found = resonance_at(problem, tolerance=None if found.several else TOLERANCE)
-    half, harmonic, rest = 0.5 * found.width, found.harmonic, nearest_mode(problem, problem.omega)
+    several, near = found.several, found.omega
+    found = resonance_at(problem, near, tolerance=None if several else TOLERANCE)
+    half, harmonic = 0.5 * found.width, found.harmonic
+    rest = frequency_at_rest(problem, near)
     low, high, value, at_rest = (
         met(omega, harmonic)
-        for omega in (found.omega - half, found.omega + half, found.omega, rest.omega)
+        for omega in (found.omega - half, found.omega + half, found.omega, rest)
     )
     return AtLoad.of(replace(found, value=value, width=high - low), at_rest)
 
@@ -191,7 +193,8 @@ def over_speed(scene: Scene, small: Ritz, speed: float) -> AtLoad:
     assert order is not None and law is not None
     try:
         rotor = RunUpStructure(small, speed)
-        return AtLoad.of(resonance(_problem(scene, law, rotor, order * speed), "speed"))
+        problem = _problem(scene, law, rotor, order * speed)
+        return AtLoad.of(resonance(problem, problem.omega, "speed"))
     except REFUSALS as error:
         return AtLoad(unknown=str(error))
 

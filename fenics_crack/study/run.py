@@ -90,7 +90,7 @@ class Run(Answer, Generic[Found]):
     ----------
     scene, structure, contact, watched
         As :class:`Study` has them.
-    result : Modes, PeriodicSolution, ResponseCurve, Backbone or TimeHistory
+    result : Modes, PeriodicSolution, ResponseCurve or TimeHistory
         Result of the computation.
     stated : Verification or None
         Its :attr:`errors`, where they were computed with it.

@@ -244,7 +244,8 @@ class Cases:
         problem = Problem(self._structure, omega, law, table.harmonics, table.samples)
         found = None
         if is_unilateral(law) and not problem.friction:
-            found = resonance_at(problem, tolerance=table.tolerance)
+            near = float(self._geometry.natural.nearest(omega)["omega_bilinear"])
+            found = resonance_at(problem, near, tolerance=table.tolerance)
         if found is None or found.several:
             omega, self._near = self._top(problem)
         else:

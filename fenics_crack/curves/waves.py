@@ -1,6 +1,6 @@
-"""Families of the condensed equations along one parameter, as :mod:`path` follows them.
+"""The condensed equations of harmonic balance along one parameter of a curve:
 
-    F(g, v) = g - g_lin(v) + R(v) b(g, v) = 0,        v = v_start + p (v_end - v_start)
+    F(g, v) = g - g_lin(v) + R(v) b(g, v) = 0,
 
 with the parameter v a load frequency, a factor of the load, of the damping or of the contact
 stiffness, a clearance, or the speed of a rotor that the load's frequency follows. Only the small or
@@ -9,9 +9,10 @@ reduced structure is touched, in closed form.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import scipy.linalg
@@ -26,17 +27,22 @@ from fenics_crack.balance.contact_system import (
 )
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.errors import InputError, check_number, check_omega
-from fenics_crack.model.contact import friction_of
+from fenics_crack.basics.tables import TURN
+from fenics_crack.curves.curve_system import CurveSystem
+from fenics_crack.model.contact import coefficient_of, friction_of
+from fenics_crack.model.modal import all_modes
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.model.structure import Structure
+from fenics_crack.motion.motions import Record
 from fenics_crack.numerics.equations import CENTRAL_STEP, least_residual
+from fenics_crack.numerics.fourier import stretched, waves_of
+
+PARTS = np.arange(256) / 256
+"""Parts of the period at which points of a curve are evaluated."""
 
 
-class Family(ABC):
-    """The condensed equations of a small or reduced structure along a parameter, from its value
-    ``start`` at p = 0 to ``end`` at p = 1."""
-
-    name: str
+class Waves(CurveSystem):
+    """The condensed equations of a small or reduced structure along a parameter."""
 
     def __init__(self, problem: Problem, start: float, end: float) -> None:
         if problem.static_above is None:
@@ -65,20 +71,8 @@ class Family(ABC):
         check_number(key, value, 0.0, above=True)
 
     def _cutoff(self, problem: Problem, start: float, end: float) -> float:
-        """Frequency above which modes are quasi-static, the same for all of the family [rad/s]."""
+        """Frequency above which modes are quasi-static, the same for all of the range [rad/s]."""
         return problem.cutoff
-
-    def value(self, parameter: float) -> float:
-        """v of p."""
-        return self.start + parameter * (self.end - self.start)
-
-    def parameter(self, value: float) -> float:
-        """p of v."""
-        return (value - self.start) / (self.end - self.start)
-
-    def rate(self, value: float) -> float:
-        """dv/dp."""
-        return self.end - self.start
 
     @cached_property
     def _integrals(self) -> ContactIntegrals:
@@ -95,8 +89,13 @@ class Family(ABC):
     def vary(cls, problem: Problem, value: float) -> Problem:
         """A problem where the parameter has a value."""
 
+    @classmethod
+    def frequency(cls, problem: Problem, value: float) -> float:
+        """Load frequency of a problem where the parameter has a value [rad/s]."""
+        return problem.omega
+
     def at(self, value: float) -> Problem:
-        """The family's own problem where the parameter has a value."""
+        """The problem where the parameter has a value."""
         return self.vary(self.problem, value)
 
     def _make(self, value: float) -> ContactSystem:
@@ -117,17 +116,12 @@ class Family(ABC):
         """Dynamic compliance where the parameter has a value."""
         return self._compliance
 
-    def omega(self, value: float) -> float:
-        """Load frequency where the parameter has a value [rad/s]."""
-        return self.problem.omega
-
-    def state(self, unknown: np.ndarray, value: float) -> np.ndarray:
-        """Return the unknowns as a curve keeps them at a value of the parameter: unchanged."""
-        return unknown
+    def omega(self, value: float, unknown: np.ndarray) -> float:
+        return self.frequency(self.problem, value)
 
     def unknown(self, state: np.ndarray, value: float) -> np.ndarray:
-        """The unknowns of what a curve keeps."""
-        return state
+        """The unknowns of what a curve keeps, also one of a shorter period."""
+        return stretched(state, max(1, self.shape[0] // 2 // max(1, len(state) // 2)))
 
     # --- what paths require -----------------------------------------------------------------------
 
@@ -190,7 +184,7 @@ class Family(ABC):
         return None if modal is None else first.compile(self._compliance.still_gap, modal)
 
 
-class FrequencyFamily(Family):
+class FrequencyWaves(Waves):
     """v: load frequency [rad/s]."""
 
     name = "omega"
@@ -209,7 +203,8 @@ class FrequencyFamily(Family):
     def compliance(self, value: float) -> ModalCompliance:
         return self._compliance.at(value / self.problem.subharmonic)
 
-    def omega(self, value: float) -> float:
+    @classmethod
+    def frequency(cls, problem: Problem, value: float) -> float:
         return value
 
     def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
@@ -221,7 +216,7 @@ class FrequencyFamily(Family):
         return self._with_modes(first, (base, rate), (1.0, 0.0))
 
 
-class _VariedFamily(Family):
+class _VariedWaves(Waves):
     """The parameter is one of those of :meth:`Structure.varied`, by its name."""
 
     @classmethod
@@ -242,7 +237,7 @@ class _VariedFamily(Family):
         return first.compile(first.linear, first.moving, linear_rate=rate)
 
 
-class LoadFamily(_VariedFamily):
+class LoadWaves(_VariedWaves):
     """v: factor of the load; a negative one reverses it."""
 
     name = "load"
@@ -255,7 +250,7 @@ class LoadFamily(_VariedFamily):
             raise InputError("parameter", "load", allowed)
 
 
-class DampingFamily(_VariedFamily):
+class DampingWaves(_VariedWaves):
     """v: factor of the damping."""
 
     name = "damping"
@@ -271,25 +266,16 @@ class DampingFamily(_VariedFamily):
         return self._with_modes(first, (self.problem.base_omega, 0.0), damping)
 
 
-class ClearanceFamily(_VariedFamily):
+class ClearanceWaves(_VariedWaves):
     """v: clearance [m] added to that of every pair."""
 
     name = "clearance"
 
 
-class StiffnessFamily(Family):
+class StiffnessWaves(Waves):
     """v: factor of the contact stiffness; p is proportional to ln v."""
 
-    name = "stiffness"
-
-    def value(self, parameter: float) -> float:
-        return float(self.start * (self.end / self.start) ** parameter)
-
-    def parameter(self, value: float) -> float:
-        return float(np.log(value / self.start) / np.log(self.end / self.start))
-
-    def rate(self, value: float) -> float:
-        return value * float(np.log(self.end / self.start))
+    name, logarithmic = "stiffness", True
 
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
@@ -302,11 +288,10 @@ class StiffnessFamily(Family):
         return respond(at.system.moving, at.forces.by_stiffness()) / value
 
     def _compile(self, first: ContactSystem) -> CompiledEquations:
-        growth = float(np.log(self.end / self.start))
-        return first.compile(first.linear, first.moving, growth=growth)
+        return first.compile(first.linear, first.moving, growth=self.rate(1.0))
 
 
-class FrictionFamily(Family):
+class FrictionWaves(Waves):
     """v: factor of the coefficient of friction."""
 
     name = "friction"
@@ -333,7 +318,7 @@ class FrictionFamily(Family):
         return by_friction(at) / value
 
 
-class SpeedFamily(Family):
+class SpeedWaves(Waves):
     """v: speed of the rotor [rad/s], the load's frequency in a constant ratio to it.
 
     The modes are those of each speed. dF/dv is a central difference: beside the compliance its
@@ -345,22 +330,22 @@ class SpeedFamily(Family):
     @classmethod
     def check(cls, structure: Structure, key: str, value: float) -> None:
         super().check(structure, key, value)
-        _spinning(structure)
+        spinning(structure)
 
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
-        structure = _spinning(problem.structure)
-        omega = problem.omega * value / structure.speed
-        return replace(problem, structure=structure.at_speed(value), omega=omega)
+        structure = spinning(problem.structure).at_speed(value)
+        return replace(problem, structure=structure, omega=cls.frequency(problem, value))
 
-    def omega(self, value: float) -> float:
-        return self.problem.omega * value / _spinning(self.problem.structure).speed
+    @classmethod
+    def frequency(cls, problem: Problem, value: float) -> float:
+        return problem.omega * value / spinning(problem.structure).speed
 
     def _cutoff(self, problem: Problem, start: float, end: float) -> float:
         """Between two modes whose frequencies do not cross it, for they would change the sides."""
         at = [self.vary(problem, value) for value in (start, 0.5 * (start + end), end)]
         least = max(one.cutoff for one in at)
-        natural = np.array([_spinning(one.structure).omega for one in at])
+        natural = np.array([spinning(one.structure).omega for one in at])
         below, above = natural.max(axis=0)[:-1], natural.min(axis=0)[1:]
         apart = (above > least) & (above > below * (1.0 + 1e-6))
         return float(max([least, *np.sqrt(below * above)[apart][:1]]))
@@ -377,7 +362,7 @@ class SpeedFamily(Family):
         return np.asarray((above - below) / (2.0 * step))
 
 
-def _spinning(structure: Structure) -> RunUpStructure:
+def spinning(structure: Structure) -> RunUpStructure:
     """A structure that knows itself at every speed; InputError for another one."""
     if not isinstance(structure, RunUpStructure):
         allowed = "one of run_up_structure(structure, start, stop, modes)"
@@ -385,15 +370,11 @@ def _spinning(structure: Structure) -> RunUpStructure:
     return structure
 
 
-class ResonanceFamily(Family):
+class ResonanceWaves(Waves):
     """v: factor of the load but its mean, whose frequency follows the resonance (:mod:`resonance`):
     that is none of the equations' at one frequency."""
 
     name = "resonance"
-
-    @classmethod
-    def check(cls, structure: Structure, key: str, value: float) -> None:
-        raise InputError("parameter", cls.name, "another one: follow_resonance follows it")
 
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
@@ -401,20 +382,53 @@ class ResonanceFamily(Family):
         weights[0, 0] = 1.0
         return replace(problem, structure=problem.structure.varied(load=weights))
 
-    def _compile(self, first: ContactSystem) -> None:
-        return None
 
-
-FAMILIES: dict[str, type[Family]] = {
-    family.name: family
-    for family in (
-        FrequencyFamily,
-        LoadFamily,
-        StiffnessFamily,
-        DampingFamily,
-        ClearanceFamily,
-        FrictionFamily,
-        SpeedFamily,
-        ResonanceFamily,
+WAVES: dict[str, type[Waves]] = {
+    waves.name: waves
+    for waves in (
+        FrequencyWaves,
+        LoadWaves,
+        StiffnessWaves,
+        DampingWaves,
+        ClearanceWaves,
+        FrictionWaves,
+        SpeedWaves,
+        ResonanceWaves,
     )
 }
+"""Equations of harmonic balance along each parameter of a curve, by its name."""
+
+
+def records_of(
+    problem: Problem, rows: np.ndarray, omega: np.ndarray, points: Iterable[ContactPoint]
+) -> Iterator[Record]:
+    """Records of solutions at load frequencies, of a problem but for these, seen through rows
+    (m, n_local); their structures are that of the problem."""
+    friction, moved = coefficient_of(problem.contact), None
+    if problem.static_above is not None:
+        moved = rows @ all_modes(problem.seen).moved_at_once(problem.static_above)
+    periods = TURN * problem.subharmonic / omega
+    for frequency, period, point in zip(omega.tolist(), periods, points, strict=True):
+        assert isinstance(point.system.compliance, ModalCompliance)
+        waves = point.system.compliance.seen_through(rows, point.force)
+        at = partial(_in_period, point, waves, moved)
+        yield Record(
+            frequency, problem.subharmonic, PARTS * period, waves, *at(PARTS),
+            structure=lambda: problem.structure,
+            cracks=problem.structure.pairs.cracks,
+            friction=friction,
+            at=at if friction is None else None,
+        )  # fmt: skip
+
+
+def _in_period(
+    at: ContactPoint, waves: np.ndarray, moved: np.ndarray | None, parts: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Motion, gaps and contact forces at parts of the period, by the coefficients of the motion
+    and its quasi-static answers to the forces."""
+    values = waves_of(waves, TURN * parts)
+    motion, (gap, force) = values @ waves, at.system.in_time(values @ at.unknown)
+    if moved is not None:
+        # The quasi-static part follows the forces as they are, with their kinks.
+        motion -= (force - values @ at.force) @ moved.T
+    return motion, gap, force
