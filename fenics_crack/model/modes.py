@@ -219,7 +219,6 @@ def modes_by(factor: Inverse, structure: Structure, count: int, ties: Any = None
     return Modes(omega, shapes, structure)
 
 
-<<<<<<< HEAD
 def _kept(structure: Structure, count: int) -> Modes | None:
     """The lowest modes, crack open, if so many have been found before."""
     kept = structure.once(_lowest)
@@ -228,19 +227,6 @@ def _kept(structure: Structure, count: int) -> Modes | None:
     return Modes(kept[0][:count], kept[1][:, :count], structure)
 
 
-def _unassembled(structure: Structure, shapes: np.ndarray) -> np.ndarray:
-    """sum K_ii phi_i^2 of mass-normalised shapes: what each dof would add to omega^2 if it moved
-    alone, and so what rounding of K is relative to (collective).
-
-    The largest K_ii / M_ii is no measure: elements that shrink towards a tip make it as large as
-    one likes, while a low mode moves them hardly more than others.
-    """
-    own = structure.stiffness.getDiagonal().array_r @ shapes**2
-    return structure.sum_over_ranks(own)
-
-
-=======
->>>>>>> main
 def _lowest(structure: Structure) -> list[np.ndarray]:
     """Frequencies and shapes of the most modes of a structure requested so far, crack open; it
     is not held by them itself, which would keep it alive."""
