@@ -135,12 +135,10 @@ def find_key_figures(study: Study) -> KeyFigures:
     responses exactly (collective)."""
     scene, whole, law = study.scene, in_few_coordinates(study.structure), study.contact
     known = whole.known_modes(tied=False)
-    count = min(N_MODES, whole.n_dofs if known is None else len(known[0]))
+    most = whole.n_dofs if known is None else len(known[0])
+    count = min(N_MODES, most)
     with Factor(whole.stiffness, definite=True) as factor:
-        if known is None:  # as many as the resonance at the load takes, once
-            many = modes_by(factor, whole, min(MODES, whole.n_dofs))
-        else:
-            many = solve_modes(whole, count)
+        many = modes_by(factor, whole, min(MODES, most))  # which the resonance at the load takes
         modes = Modes(many.omega[:count], many.shapes[:, :count], whole)
         slopes = _slopes(factor, many, count)
         static = _static(factor, modes, whole.force)

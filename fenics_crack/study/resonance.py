@@ -161,7 +161,7 @@ def _of_rotor(study: Study, estimate: float, slope: np.ndarray) -> AtLoad:
 
     there = met(estimate)
     if abs(order * there - estimate) > CLOSE * estimate:
-        whole, speed = whole.rotation.at(there), there
+        whole, speed, estimate = whole.rotation.at(there), there, order * there
     steady, count = whole.force[0] - whole.rotation.at_rest.force[0], len(whole.force)
     loads = np.vstack([whole.force, steady, np.zeros_like(steady)])
     more = whole._changed(force=loads, known=whole.body.known)
@@ -173,14 +173,13 @@ def _of_rotor(study: Study, estimate: float, slope: np.ndarray) -> AtLoad:
         weights[0, [0, count]] = 1.0, (turning / speed) ** 2 - 1.0
         return _problem(scene, law, small.varied(load=weights), order * speed)
 
-    found = resonance_at(at(there, estimate))
-    problem = at(met(found.omega, found.harmonic), found.omega)
-    several, near = found.several, found.omega
-    found = resonance_at(problem, near, tolerance=None if several else TOLERANCE)
-    half, harmonic = 0.5 * found.width, found.harmonic
-    rest = frequency_at_rest(problem, near)
+    first = resonance_at(at(there, estimate), estimate)
+    problem = at(met(first.omega, first.harmonic), first.omega)
+    tolerance = None if first.several else TOLERANCE
+    found = resonance_at(problem, first.omega, tolerance=tolerance)
+    rest, half = frequency_at_rest(problem, found.omega), 0.5 * found.width
     low, high, value, at_rest = (
-        met(omega, harmonic)
+        met(omega, found.harmonic)
         for omega in (found.omega - half, found.omega + half, found.omega, rest)
     )
     return AtLoad.of(replace(found, value=value, width=high - low), at_rest)
