@@ -98,11 +98,11 @@ class Campbell(Saved):
     coriolis : (m,)
         Relative changes of the open frequencies at the fastest speed by the Coriolis force of a
         solid, which is left out.
-    met : tuple of (mode, AtLoad)
-        At each crossing of the load's own engine order, the resonance at the load over the speed.
     at : function of a speed [rad/s], optional
         Frequencies held open, shut and partly open there, and by how much: (3, m) each; of a
         diagram from a file None: the blade is meshed again when it is needed.
+    met : tuple of (mode, AtLoad)
+        At each crossing of the load's own engine order, the resonance at the load over the speed.
     """
 
     scene: Scene
@@ -114,8 +114,8 @@ class Campbell(Saved):
     kind: np.ndarray
     changes: tuple[tuple[int, float, str], ...]
     coriolis: np.ndarray
-    met: tuple[tuple[int, AtLoad], ...] = ()
     at: At | None = None
+    met: tuple[tuple[int, AtLoad], ...] = ()
 
     KIND: ClassVar[str] = "Campbell diagram"
     frequency_open, frequency_tied = hertz_of("omega_open"), hertz_of("omega_tied")
@@ -396,7 +396,7 @@ def campbell(
     modes = Modes(last.omega, small.basis @ last.shapes, top)
     coriolis = coriolis_shifts(modes, wanted[-1] * axis)
     found = Campbell(
-        asked, wanted, opened, tied, partly, top.n_pairs > 0, kind, changes, coriolis, at=at
+        asked, wanted, opened, tied, partly, top.n_pairs > 0, kind, changes, coriolis, at
     )
     return replace(found, met=_met(found, replace(small, whole=top)))
 
