@@ -15,8 +15,7 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from fenics_crack.balance.compliance import ModalCompliance
-from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
+from fenics_crack.balance.contact_system import ContactPoint
 from fenics_crack.balance.phase import SEVERAL, Drive, PhasePoint, Resonance
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import Solver
@@ -61,10 +60,9 @@ class ResonanceSystem(CurveSystem):
     ) -> None:
         self.start, self.end = span
         self._waves = waves = FrequencyWaves(problem, problem.omega, 0.5 * problem.omega)
-        equations = waves.system(problem.omega)
-        slow, self._integrals = equations.slow(near.gap, near.force), equations.integrals
-        self._size = float(np.linalg.norm(slow[1:])) / self.start
-        self.begin = np.append(slow / (self._size * self.start), 1.0)
+        slow = waves.system(problem.omega).slow(near.gap, near.force) / self.start
+        self._size = float(np.linalg.norm(slow[1:]))
+        self.begin = np.append(slow / self._size, 1.0)
         self.problem, self.drive, self.means = waves.problem, drive, waves.means
         self.shape = self.begin.shape
 
@@ -78,13 +76,10 @@ class ResonanceSystem(CurveSystem):
         return self._size * value * unknown[:-1].reshape(-1, self.means)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> PhasePoint:
-        value, load = self.value(parameter), self.problem.load.copy()
-        load[1:] *= value
-        omega = self.omega(value, unknown)
-        compliance = ModalCompliance(self.problem.seen, omega, load)
-        at = ContactSystem(compliance, self._integrals).linearise(self.state(unknown, value))
-        units = self._size * value, self.problem.omega, self.rate(value) / value
-        return PhasePoint(self.problem, self.drive, at, omega, *units)
+        value, omega = self.value(parameter), self.omega(1.0, unknown)
+        at = self._waves.system(omega).linearise(self.state(unknown, 1.0))
+        inverse, change = 1.0 / value, -self.rate(value) / value**2
+        return PhasePoint(self.problem, self.drive, at, omega, self._size, inverse, change)
 
 
 class _InPhase(Crossing):
