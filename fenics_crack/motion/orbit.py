@@ -30,7 +30,7 @@ import math
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from itertools import pairwise
 from typing import Any
 
@@ -176,8 +176,7 @@ class PeriodicOrbit(Observed, Described):
     def _at(self, time: np.ndarray, values: str) -> np.ndarray:
         """One of the samples' arrays at any times."""
         phase, place = np.unique(np.mod(time, self.period), return_inverse=True)
-        found: np.ndarray = getattr(self.samples(phase), values)[place.ravel()]
-        return found
+        return np.asarray(getattr(self.samples(phase), values)[place.ravel()])
 
     @cached_property
     def sampled(self) -> Samples:
@@ -418,9 +417,7 @@ def predicted(
 ) -> Prediction | None:
     """One step of Newton's method for a solution, of states at equal parts of its period (n,
     2 n_modes); None where the motion cannot be followed."""
-    weights = flow.weights(omega / subharmonic)
-    period = 2.0 * np.pi * subharmonic / omega
-    return _step(flow, omega, states, period, lambda track: _inverse(flow, track, weights), FORCING)
+    return _step(flow, omega, states, subharmonic, partial(_inverse, flow), FORCING)
 
 
 def predicted_with_more_modes(
@@ -438,7 +435,6 @@ def predicted_with_more_modes(
     Of 56 plates with 20 and 50 modes and as many more, changes of the gap are 0.7 to 1.25 of those
     by the whole step.
     """
-    weights = flow.weights(omega / subharmonic)
     first = np.arange(modes)
     kept = np.concatenate([first, flow.count + first, np.arange(2 * flow.count, flow.size)])
 
@@ -447,7 +443,7 @@ def predicted_with_more_modes(
         found[kept] = inverse(change[kept], FORCING)
         return found
 
-    def inverse_along(track: Track) -> Inverse:
+    def inverse_along(track: Track, weights: np.ndarray) -> Inverse:
         def apply(change: np.ndarray) -> np.ndarray:
             found = precondition(change / weights)
             return weights * (found - track @ found)
@@ -456,23 +452,22 @@ def predicted_with_more_modes(
             gmres(apply, weights * right, sharp, PRODUCTS) / weights
         )
 
-    period = 2.0 * np.pi * subharmonic / omega
-    return _step(flow, omega, states, period, inverse_along, BLUNT)
+    return _step(flow, omega, states, subharmonic, inverse_along, BLUNT)
 
 
 def _step(
     flow: ContactFlow,
     omega: float,
     states: np.ndarray,
-    period: float,
-    inverse_along: Callable[[Track], Inverse],
+    subharmonic: int,
+    inverse_along: Callable[[Track, np.ndarray], Inverse],
     sharp: float,
 ) -> Prediction | None:
     try:
-        moved, track, ends = flow.steps(states, omega, period)
+        moved, track, ends = flow.steps(states, omega, 2.0 * np.pi * subharmonic / omega)
         excess = moved - np.roll(states, -1, axis=0)
         change = track.carried(np.zeros(flow.size), excess, ends)[-1]
-        inverse = inverse_along(track)
+        inverse = inverse_along(track, flow.weights(omega / subharmonic))
         changes = track.carried(inverse(change, sharp), excess, ends)[:-1]
     except (ConvergenceError, np.linalg.LinAlgError, ValueError):
         return None
