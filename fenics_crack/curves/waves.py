@@ -15,7 +15,6 @@ from dataclasses import replace
 from functools import cached_property, partial
 
 import numpy as np
-import scipy.linalg
 
 from fenics_crack.balance.compliance import ModalCompliance
 from fenics_crack.balance.contact_integrals import ContactIntegrals, respond
@@ -72,7 +71,7 @@ class Waves(CurveSystem):
 
     def _cutoff(self, problem: Problem, start: float, end: float) -> float:
         """Frequency above which modes are quasi-static, the same for all of the range [rad/s]."""
-        return problem.cutoff
+        return max(self.vary(problem, value).cutoff for value in (start, end))
 
     @cached_property
     def _integrals(self) -> ContactIntegrals:
@@ -158,23 +157,11 @@ class Waves(CurveSystem):
             largest = float(np.abs(moving).sum(axis=2).max())
         return least_residual(4.0 * largest * self.steepest_force)
 
-    def doubling(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
-        """Return the direction that grows at a period doubling, of equations with twice its period:
-        a null vector of J in the odd harmonics, of unit size."""
-        places = np.flatnonzero(np.repeat(self._odd, unknown.shape[1]))
-        jacobian, found = self.linearise(unknown, parameter).jacobian, np.zeros(unknown.size)
-        found[places] = scipy.linalg.svd(jacobian[np.ix_(places, places)])[2][-1]
-        return found.reshape(unknown.shape)
-
     def half_off(self, unknown: np.ndarray, parameter: float) -> float:
         """Change of a motion over half its period, relative to its size: twice what its odd
         harmonics are."""
-        return float(2.0 * np.linalg.norm(unknown[self._odd]) / (np.linalg.norm(unknown) or 1.0))
-
-    @property
-    def _odd(self) -> np.ndarray:
-        """Rows of the odd harmonics: (2H+1,) bool."""
-        return (np.arange(self.shape[0]) + 1) // 2 % 2 == 1
+        odd = (np.arange(self.shape[0]) + 1) // 2 % 2 == 1
+        return float(2.0 * np.linalg.norm(unknown[odd]) / (np.linalg.norm(unknown) or 1.0))
 
     def _with_modes(
         self, first: ContactSystem, omega: tuple[float, float], damping: tuple[float, float]
@@ -196,9 +183,6 @@ class FrequencyWaves(Waves):
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
         return replace(problem, omega=value)
-
-    def _cutoff(self, problem: Problem, start: float, end: float) -> float:
-        return max(replace(problem, omega=value).cutoff for value in (start, end))
 
     def compliance(self, value: float) -> ModalCompliance:
         return self._compliance.at(value / self.problem.subharmonic)
@@ -343,9 +327,9 @@ class SpeedWaves(Waves):
 
     def _cutoff(self, problem: Problem, start: float, end: float) -> float:
         """Between two modes whose frequencies do not cross it, for they would change the sides."""
-        at = [self.vary(problem, value) for value in (start, 0.5 * (start + end), end)]
-        least = max(one.cutoff for one in at)
-        natural = np.array([spinning(one.structure).omega for one in at])
+        least, rotor = super()._cutoff(problem, start, end), spinning(problem.structure)
+        speeds = start, 0.5 * (start + end), end
+        natural = np.array([rotor.at_speed(speed).omega for speed in speeds])
         below, above = natural.max(axis=0)[:-1], natural.min(axis=0)[1:]
         apart = (above > least) & (above > below * (1.0 + 1e-6))
         return float(max([least, *np.sqrt(below * above)[apart][:1]]))
