@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import pairwise
 from typing import Any, ClassVar, Self
 
@@ -30,7 +30,7 @@ from fenics_crack.basics.tables import (
 from fenics_crack.curves.orbits import Orbits, system_along
 from fenics_crack.curves.peak import Peak, Top, damping_by_width, top_of
 from fenics_crack.curves.stability import floquet
-from fenics_crack.curves.waves import PARTS, WAVES, Waves, records_of
+from fenics_crack.curves.waves import WAVES, Waves
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.model.structure import Structure
@@ -52,6 +52,8 @@ PARAMETERS = {
 
 MIN_HARMONICS = SearchOptions.harmonics[0]
 """Minimum harmonics of the load's frequency in a solution of exact orbits."""
+INSTANTS = 256
+"""Instants of the period at which points of a curve are evaluated."""
 RESOLUTION = 0.1
 """Width of a window that may be missed, over the longest step: steps are judged by an interpolation
 between their ends, which is not right where orbits graze, or several multipliers meet in one."""
@@ -278,10 +280,6 @@ class ResponseCurve(Observed, Tabular):
         problem = self.problem_at(float(self.values[index]))
         return replace(problem, omega=float(self.omega[index]))
 
-    def _structure_of(self, index: int) -> Structure:
-        """The structure at a point."""
-        return self.problem_of(index).structure
-
     def solution(self, index: int, *, search: bool = True) -> PeriodicSolution:
         """The solution at a point, with its displacement and error report; without ``search`` for
         its exact orbit the report is what one Newton step predicts. Of an exact orbit its Fourier
@@ -306,37 +304,30 @@ class ResponseCurve(Observed, Tabular):
     def assessment(self, index: int) -> Assessment:
         """Return the assessment of a point of harmonic balance by the exact flow; no error is
         estimated."""
+        return self._motion(index).assessment
+
+    def _motion(self, index: int) -> PeriodicSolution:
+        """The solution of harmonic balance at a point, without a report."""
         problem, at = self._balanced(index)
-        return Assessment(problem.wave(at))
+        return PeriodicSolution(**vars(problem.wave(at)))
 
     @cached_property
     def gap_coefficients(self) -> np.ndarray:
         """Closing of the pairs: (n, 2H+1, n_pairs) [m]; of exact orbits by their exact integrals,
         with 40 harmonics of their period."""
-        count = self.structure.n_pairs
+        count, places = self.structure.n_pairs, range(len(self))
         if self.exact:
-            orbits = (self.orbit(index) for index in range(len(self)))
-            return np.array([one.coefficients(HARMONICS).gap[:, :count] for one in orbits])
+            found = [self.orbit(place).coefficients(HARMONICS).gap for place in places]
+            return np.array(found)[..., :count]
         if self.static_above is None:
             return self.points[..., :count]
-        return np.array([at.gap[:, :count] for at in self._linearised()])
-
-    def _linearised(self) -> Iterator[ContactPoint]:
-        """The truncated equations at all points."""
-        if self.parameter == "resonance":  # at a frequency of its own each
-            yield from (self._balanced(index)[1] for index in range(len(self)))
-            return
-        assert isinstance(self.system, Waves)
-        for value, point in zip(self.values.tolist(), self.points, strict=True):
-            yield self.system.system(value).linearise(point)
+        return np.array([self._motion(place).gap_coefficients for place in places])
 
     def records(self, rows: np.ndarray) -> Iterator[Record]:
-        found = records_of(self.problem, rows, self.omega, self._linearised())
-        if self.exact:
-            orbits = (self.orbit(index) for index in range(len(self)))
-            found = (record for one in orbits for record in one.records(rows, len(PARTS)))
-        for index, record in enumerate(found):
-            yield replace(record, exact={}, structure=partial(self._structure_of, index))
+        for place in range(len(self)):
+            motion = self.orbit(place) if self.exact else self._motion(place)
+            [record] = motion.records(rows, INSTANTS)
+            yield replace(record, exact={})
 
     # --- stability --------------------------------------------------------------------------------
 

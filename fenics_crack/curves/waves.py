@@ -10,9 +10,8 @@ reduced structure is touched, in closed form.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 
@@ -26,22 +25,21 @@ from fenics_crack.balance.contact_system import (
 )
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.errors import InputError, check_number, check_omega
-from fenics_crack.basics.tables import TURN
 from fenics_crack.curves.curve_system import CurveSystem
-from fenics_crack.model.contact import coefficient_of, friction_of
-from fenics_crack.model.modal import all_modes
+from fenics_crack.model.contact import friction_of
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.motions import Record
 from fenics_crack.numerics.equations import CENTRAL_STEP, least_residual
-from fenics_crack.numerics.fourier import stretched, waves_of
-
-PARTS = np.arange(256) / 256
-"""Parts of the period at which points of a curve are evaluated."""
+from fenics_crack.numerics.fourier import stretched
 
 
 class Waves(CurveSystem):
-    """The condensed equations of a small or reduced structure along a parameter."""
+    """The condensed equations of a small or reduced structure along a parameter.
+
+    ``other_integrals``: the law, or its residual flexibility, changes along it.
+    """
+
+    other_integrals = False
 
     def __init__(self, problem: Problem, start: float, end: float) -> None:
         if problem.static_above is None:
@@ -62,7 +60,6 @@ class Waves(CurveSystem):
         if self.matrix_free:
             order = (np.arange(self.shape[0]) + 1) // 2
             self.counts = 1.0 / np.maximum(order, 1)[:, None] ** 2.0
-        self._last = None
 
     @classmethod
     def check(cls, structure: Structure, key: str, value: float) -> None:
@@ -98,6 +95,8 @@ class Waves(CurveSystem):
         return self.vary(self.problem, value)
 
     def _make(self, value: float) -> ContactSystem:
+        if self.other_integrals:
+            return self.at(value).system(self.compliance(value))
         return ContactSystem(self.compliance(value), self._integrals)
 
     def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
@@ -259,14 +258,11 @@ class ClearanceWaves(_VariedWaves):
 class StiffnessWaves(Waves):
     """v: factor of the contact stiffness; p is proportional to ln v."""
 
-    name, logarithmic = "stiffness", True
+    name, logarithmic, other_integrals = "stiffness", True, True
 
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
         return replace(problem, contact=problem.contact.scaled(value))
-
-    def _make(self, value: float) -> ContactSystem:
-        return self.at(value).system(self._compliance)
 
     def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
         return respond(at.system.moving, at.forces.by_stiffness()) / value
@@ -278,14 +274,7 @@ class StiffnessWaves(Waves):
 class FrictionWaves(Waves):
     """v: factor of the coefficient of friction."""
 
-    name = "friction"
-
-    @classmethod
-    def check(cls, structure: Structure, key: str, value: float) -> None:
-        super().check(structure, key, value)
-        if structure.tangential is None:
-            allowed = "another one: the structure has no tangents"
-            raise InputError("parameter", "friction", allowed)
+    name, other_integrals = "friction", True
 
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
@@ -294,9 +283,6 @@ class FrictionWaves(Waves):
             raise InputError("parameter", "friction", "another one: the law has no friction")
         coefficient = np.multiply(value, friction.coefficient)
         return replace(problem, contact=replace(friction, coefficient=coefficient))
-
-    def _make(self, value: float) -> ContactSystem:
-        return self.at(value).system(self._compliance)
 
     def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
         return by_friction(at) / value
@@ -309,7 +295,7 @@ class SpeedWaves(Waves):
     quasi-static part changes, and with it the sets of closed pairs.
     """
 
-    name = "speed"
+    name, other_integrals = "speed", True
 
     @classmethod
     def check(cls, structure: Structure, key: str, value: float) -> None:
@@ -334,10 +320,9 @@ class SpeedWaves(Waves):
         apart = (above > least) & (above > below * (1.0 + 1e-6))
         return float(max([least, *np.sqrt(below * above)[apart][:1]]))
 
-    def _make(self, value: float) -> ContactSystem:
+    def compliance(self, value: float) -> ModalCompliance:
         problem = self.at(value)
-        compliance = ModalCompliance(problem.seen, problem.base_omega, problem.load)
-        return problem.system(compliance)
+        return ModalCompliance(problem.seen, problem.base_omega, problem.load)
 
     def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
         step = CENTRAL_STEP * value
@@ -381,38 +366,3 @@ WAVES: dict[str, type[Waves]] = {
     )
 }
 """Equations of harmonic balance along each parameter of a curve, by its name."""
-
-
-def records_of(
-    problem: Problem, rows: np.ndarray, omega: np.ndarray, points: Iterable[ContactPoint]
-) -> Iterator[Record]:
-    """Records of solutions at load frequencies, of a problem but for these, seen through rows
-    (m, n_local); their structures are that of the problem."""
-    friction, moved = coefficient_of(problem.contact), None
-    if problem.static_above is not None:
-        moved = rows @ all_modes(problem.seen).moved_at_once(problem.static_above)
-    periods = TURN * problem.subharmonic / omega
-    for frequency, period, point in zip(omega.tolist(), periods, points, strict=True):
-        assert isinstance(point.system.compliance, ModalCompliance)
-        waves = point.system.compliance.seen_through(rows, point.force)
-        at = partial(_in_period, point, waves, moved)
-        yield Record(
-            frequency, problem.subharmonic, PARTS * period, waves, *at(PARTS),
-            structure=lambda: problem.structure,
-            cracks=problem.structure.pairs.cracks,
-            friction=friction,
-            at=at if friction is None else None,
-        )  # fmt: skip
-
-
-def _in_period(
-    at: ContactPoint, waves: np.ndarray, moved: np.ndarray | None, parts: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Motion, gaps and contact forces at parts of the period, by the coefficients of the motion
-    and its quasi-static answers to the forces."""
-    values = waves_of(waves, TURN * parts)
-    motion, (gap, force) = values @ waves, at.system.in_time(values @ at.unknown)
-    if moved is not None:
-        # The quasi-static part follows the forces as they are, with their kinks.
-        motion -= (force - values @ at.force) @ moved.T
-    return motion, gap, force
