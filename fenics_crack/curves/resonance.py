@@ -33,6 +33,8 @@ from fenics_crack.curves.curve_system import CurveSystem
 from fenics_crack.curves.follow import run_to_end
 from fenics_crack.curves.waves import WAVES, FrequencyWaves, spinning
 from fenics_crack.model.contact import is_unilateral
+from fenics_crack.model.modal import is_small
+from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.numerics.equations import LOCATED
 from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_near
 from fenics_crack.numerics.path import ARRIVED, Crossing, Ended, Path, PathOptions
@@ -174,6 +176,13 @@ def _meeting(point: PhasePoint, order: float | None) -> tuple[PhasePoint, float]
     raise ConvergenceError(f"resonance: its order does not meet it next to {speed:.6g} rad/s")
 
 
+def _small(problem: Problem) -> Problem:
+    """The problem with a structure that is small, or else reduced to crack faces without mass."""
+    if is_small(problem.structure):
+        return problem
+    return replace(problem, structure=reduce_structure(problem.structure, method="massless"))
+
+
 def resonance_at(
     problem: Problem,
     near: float | None = None,
@@ -190,8 +199,8 @@ def resonance_at(
     Parameters
     ----------
     problem : Problem
-        Structure, small or reduced to crack faces without mass, law, harmonics, and a load
-        frequency.
+        Structure, law, harmonics, and a load frequency. A structure with many dofs is reduced
+        first, to crack faces without mass.
     near : float, optional
         Load frequency [rad/s] next to which it is sought; default: the problem's.
     parameter : "omega" or "speed"
@@ -222,7 +231,8 @@ def resonance_at(
     order, error = None, math.nan
     if parameter == "speed":
         order = problem.omega / spinning(problem.structure).speed
-    point, rate = _meeting(first_resonance(problem, near or problem.omega), order)
+    point = first_resonance(_small(problem), near or problem.omega)
+    point, rate = _meeting(point, order)
     if tolerance is not None:
         point, error = _within(point, tolerance)
         point, rate = _meeting(point, order)
@@ -279,7 +289,7 @@ def follow_resonance(
     >>> curve = fc.follow_resonance(fc.Problem(structure, 2000.0, contact), 0.1, 10.0)
     """
     check_range(problem, "resonance", start, end)
-    near, vary = near or problem.omega, WAVES["resonance"].vary
+    problem, near, vary = _small(problem), near or problem.omega, WAVES["resonance"].vary
     if tolerance is not None:
         at_end = _within(first_resonance(vary(problem, end), near), tolerance)[0]
         problem = problem.with_harmonics(at_end.problem.harmonics)
