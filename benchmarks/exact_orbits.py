@@ -541,7 +541,7 @@ def false_verdicts(curve: fc.ResponseCurve, span: Span) -> Row:
             continue
         share = (at - way[place]) / (way[place + 1] - way[place])
         value = float(omega[place] + share * (omega[place + 1] - omega[place]))
-        state = (1.0 - share) * curve.states[place] + share * curve.states[place + 1]
+        state = (1.0 - share) * curve.points[place] + share * curve.points[place + 1]
         start = flow.state(*(shapes @ part for part in np.split(state, 2)))
         try:
             orbit = flow.orbit(start, value, curve.subharmonic * 2.0 * np.pi / value)

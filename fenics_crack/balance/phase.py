@@ -10,6 +10,10 @@ f_k and u_k being the complex coefficients of the harmonic that excites, the loa
 acts on the watched blade) and the displacement's. Re P / Im P is linear in w next to a resonance of
 one mode. The Jacobian is bordered by one row and one column.
 
+Contact of pairs that are open or closed is conewise linear: the motion is v times that under the
+load itself where the mean load and the clearance are 1 / v of theirs. These are all in the mean of
+the linear gap, so v has a part in F / v, of s / v, there alone, and none in P / v.
+
 Other modes beside it, and other harmonics, shift the phase. U(w) being the displacement along the
 load, on the response curve through the point,
 
@@ -91,32 +95,45 @@ def compliance_of(at: ContactPoint) -> ModalCompliance:
 
 @dataclass(eq=False)
 class PhasePoint(Linearisation):
-    """The equations at a point: unknowns s over a ``scale``, proportional to v, and w over a
-    frequency ``unit``; the parameter is ln v over ``rate``.
+    """The equations at a point: unknowns s over ``size`` v, and w over that of the problem.
 
     Attributes
     ----------
     problem : Problem
-        What is balanced where v is 1, at another frequency.
+        What is balanced where v is 1, next to w.
     at : ContactPoint
-        F there.
+        F of s / v where v is 1.
     omega : float [rad/s]
         w.
+    inverse, change : float
+        1 / v, and its derivative by the parameter.
     over_frequency, power_over_frequency : (2H+1, n_pairs), complex
-        ds/dw and dP/dw along the response curve through the point.
+        ds/dw and dP/dw over v, along the response curve through the point.
     """
 
     problem: Problem
     drive: Drive
     at: ContactPoint
     omega: float
-    scale: float
-    unit: float
-    rate: float
+    size: float
+    inverse: float = 1.0
+    change: float = 0.0
 
     def __post_init__(self) -> None:
-        self.unknown = np.append(self.at.unknown / self.scale, self.omega / self.unit)
+        self.unknown = np.append(self.at.unknown / self.size, self.omega / self.problem.omega)
         self.power = self.drive.power(self.at)
+
+    @cached_property
+    def residual(self) -> np.ndarray:  # type: ignore[override]
+        moved = self.at.residual.copy()
+        moved[0] += (1.0 - self.inverse) * self.at.system.linear[0]
+        return np.append(moved / self.size, self.power.real / self.power.imag)
+
+    @cached_property
+    def by_parameter(self) -> np.ndarray:  # type: ignore[override]
+        found = np.zeros_like(self.unknown)
+        found[: len(self.at.gap[0])] = -self.change * self.at.system.linear[0] / self.size
+        return found
 
     def _lag(self, change: complex) -> float:
         """Change of Re P / Im P with P."""
@@ -128,10 +145,6 @@ class PhasePoint(Linearisation):
         return self.drive.power(self.at, self.at.force + self.at.force_of(change)) - self.power
 
     @cached_property
-    def residual(self) -> np.ndarray:  # type: ignore[override]
-        return np.append(self.at.residual / self.scale, self.power.real / self.power.imag)
-
-    @cached_property
     def over_frequency(self) -> np.ndarray:
         return -self.at.solve(compliance_of(self.at).derivative("omega", self.at.force))
 
@@ -140,19 +153,11 @@ class PhasePoint(Linearisation):
         return self.drive.power_by_omega(self.at) + self._power_by(self.over_frequency)
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        change = self.scale * self.at.solve(right[:-1].reshape(self.at.unknown.shape))
+        change = self.size * self.at.solve(right[:-1].reshape(self.at.unknown.shape))
         left = right[-1] - self._lag(self._power_by(change))
         rise = left / self._lag(self.power_over_frequency)
-        return np.append((change + rise * self.over_frequency) / self.scale, rise / self.unit)
-
-    @cached_property
-    def by_parameter(self) -> np.ndarray:  # type: ignore[override]
-        at, still = self.at, np.zeros_like(self.at.force)
-        by_load = compliance_of(at).derivative("load", still)
-        by_load[0] = 0.0  # the mean load stays
-        change = (at.apply(at.unknown) + by_load - at.residual) / self.scale
-        power = self._power_by(at.unknown) + self.drive.power(at, still)
-        return self.rate * np.append(change, self._lag(power))
+        slow = (change + rise * self.over_frequency) / self.size
+        return np.append(slow, rise / self.problem.omega)
 
     @property
     def sign(self) -> float:

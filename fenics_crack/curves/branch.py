@@ -1,7 +1,7 @@
 """Branches that leave another curve at a bifurcation: where they begin, and where they come back.
 
 They are entered along the null vector of [J, F_p] across the old one; at a period doubling along
-that of the equations of twice the period.
+that of J of the equations of twice the period.
 
 Source: Keller, in Applications of Bifurcation Theory, 1977; Seydel, Practical Bifurcation and
 Stability Analysis, chapters 4, 5 and 7.
@@ -85,16 +85,13 @@ def branch_start(
     """
     kind, [state] = bifurcation.kind, bifurcation.point.points
     unknown = system.unknown(state, bifurcation.value)
-    parameter = system.parameter(bifurcation.value)
-    if doubled := kind == "period_doubling":
-        away = _doubling(system, unknown, parameter)
-    else:
-        old = None
-        if curve is not None:
-            place, last = curve.nearest(bifurcation), len(curve) - 1
-            around = neighbours(system, curve, max(place - 1, 0), min(place + 1, last))
-            old = around[0].tangent
-        away = _across(system, unknown, parameter, old)
+    parameter, doubled = system.parameter(bifurcation.value), kind == "period_doubling"
+    old = None
+    if curve is not None:
+        place, last = curve.nearest(bifurcation), len(curve) - 1
+        around = neighbours(system, curve, max(place - 1, 0), min(place + 1, last))
+        old = around[0].tangent
+    away = _away(system, unknown, parameter, doubled, old)
     start = PathPoint(unknown, parameter, 0, away)
     sharp = max(PathOptions.rtol, system.rounding(parameter))
     # Distances from the bifurcation, in longest steps, tried in turn.
@@ -114,24 +111,25 @@ def branch_start(
     )
 
 
-def _doubling(system: Waves | Orbits, unknown: np.ndarray, parameter: float) -> Tangent:
-    """Unit direction of the branch of twice the period at a period doubling."""
-    weight, of_means = norm_at(system, unknown)
-    change = system.doubling(unknown, parameter)
-    return Tangent(change / math.sqrt(weight), 0.0, weight, of_means)
-
-
-def _across(
-    system: Waves | Orbits, unknown: np.ndarray, parameter: float, old: Tangent | None
+def _away(
+    system: Waves | Orbits,
+    unknown: np.ndarray,
+    parameter: float,
+    doubled: bool,
+    old: Tangent | None,
 ) -> Tangent:
-    """Unit direction in the null space of [J, F_p] at a branch point, across the old branch."""
+    """Unit direction of the branch at a bifurcation: at a period doubling in the null space of J of
+    the equations of twice the period, else in that of [J, F_p], across the old branch."""
     at = system.linearise(unknown, parameter)
     old = old or tangent_of(system, unknown, at)
     size = math.sqrt(old.weight)  # the parameter in the units of the unknowns
-    derivative = at.by_parameter.reshape(-1, 1)
-    null = scipy.linalg.svd(np.hstack([at.jacobian, derivative * size]))[2][-2:]
-    mix = null @ np.append(old.x.ravel(), old.p / size)
-    vector = mix[1] * null[0] - mix[0] * null[1]
+    if doubled:
+        vector = np.append(scipy.linalg.svd(at.jacobian)[2][-1], 0.0)
+    else:
+        derivative = at.by_parameter.reshape(-1, 1)
+        null = scipy.linalg.svd(np.hstack([at.jacobian, derivative * size]))[2][-2:]
+        mix = null @ np.append(old.x.ravel(), old.p / size)
+        vector = mix[1] * null[0] - mix[0] * null[1]
     slope = float(vector[-1]) * size
     length = math.sqrt(old.weight * float(vector[:-1] @ vector[:-1]) + slope**2)
     return Tangent(vector[:-1].reshape(old.x.shape) / length, slope / length, old.weight)

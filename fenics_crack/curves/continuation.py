@@ -180,16 +180,14 @@ class GrowingCurve:
 
     def how_far(self) -> str:
         """The same in words, with the range and how many points there are."""
-        ends = self._in_unit(self.system.start, self.system.end)
-        count = counted(len(self.points), "point")
-        return f"{self.progress():.0%} of the way between {ends}, {count}"
+        ends = self.system.start, self.system.end
+        return f"{self.progress():.0%} of the way between {self.where(*ends)}"
 
-    def where(self) -> str:
-        """The last point so far in words, and how many there are."""
-        return f"{self._in_unit(self.points[-1].value)}, {counted(len(self.points), 'point')}"
-
-    def _in_unit(self, *values: float) -> str:
-        return in_unit(parameter_axis(self.system.name, True), *values)
+    def where(self, *values: float) -> str:
+        """Values of the parameter in its unit, by default the last one so far, and how many points
+        there are."""
+        axis, count = parameter_axis(self.system.name, True), counted(len(self.points), "point")
+        return f"{in_unit(axis, *(values or (self.points[-1].value,)))}, {count}"
 
     # --- how it goes on ---------------------------------------------------------------------------
 
@@ -281,8 +279,8 @@ class Continuation(GrowingCurve):
         The curve of the bifurcation.
     tolerance : float, optional
         Without ``samples``. Choose H, between the problem's ``harmonics`` and 100, so that the
-        estimated truncation error of the first point is below this. Of exact orbits
-        :attr:`ResponseCurve.tolerance`; default: that of ``branch_of``, or 0.01.
+        estimated truncation error of the first point is below this. Of exact orbits the
+        ``tolerance`` of the curve; default: that of ``branch_of``, or 0.01.
     stability : bool
         Assess ``curve`` each time that it is taken (:func:`judge_curve`); exact orbits always have
         their stability.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import pairwise
 from typing import Any, ClassVar, Self
 
@@ -30,7 +30,7 @@ from fenics_crack.basics.tables import (
 from fenics_crack.curves.orbits import Orbits, system_along
 from fenics_crack.curves.peak import Peak, Top, damping_by_width, top_of
 from fenics_crack.curves.stability import floquet
-from fenics_crack.curves.waves import PARTS, WAVES, Waves, records_of
+from fenics_crack.curves.waves import WAVES, Waves
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.model.structure import Structure
@@ -52,11 +52,11 @@ PARAMETERS = {
 
 MIN_HARMONICS = SearchOptions.harmonics[0]
 """Minimum harmonics of the load's frequency in a solution of exact orbits."""
+INSTANTS = 256
+"""Instants of the period at which points of a curve are evaluated."""
 RESOLUTION = 0.1
 """Width of a window that may be missed, over the longest step: steps are judged by an interpolation
 between their ends, which is not right where orbits graze, or several multipliers meet in one."""
-FOLLOWED = "fold", "branch_point"
-"""Kinds of bifurcations that a curve of harmonic balance has before its stability is assessed."""
 
 
 def parameter_axis(parameter: str, in_hertz: bool) -> tuple[float, str, str]:
@@ -280,10 +280,6 @@ class ResponseCurve(Observed, Tabular):
         problem = self.problem_at(float(self.values[index]))
         return replace(problem, omega=float(self.omega[index]))
 
-    def _structure_of(self, index: int) -> Structure:
-        """The structure at a point."""
-        return self.problem_of(index).structure
-
     def solution(self, index: int, *, search: bool = True) -> PeriodicSolution:
         """The solution at a point, with its displacement and error report; without ``search`` for
         its exact orbit the report is what one Newton step predicts. Of an exact orbit its Fourier
@@ -308,37 +304,30 @@ class ResponseCurve(Observed, Tabular):
     def assessment(self, index: int) -> Assessment:
         """Return the assessment of a point of harmonic balance by the exact flow; no error is
         estimated."""
+        return self._motion(index).assessment
+
+    def _motion(self, index: int) -> PeriodicSolution:
+        """The solution of harmonic balance at a point, without a report."""
         problem, at = self._balanced(index)
-        return Assessment(problem.wave(at))
+        return PeriodicSolution(**vars(problem.wave(at)))
 
     @cached_property
     def gap_coefficients(self) -> np.ndarray:
         """Closing of the pairs: (n, 2H+1, n_pairs) [m]; of exact orbits by their exact integrals,
         with 40 harmonics of their period."""
-        count = self.structure.n_pairs
+        count, places = self.structure.n_pairs, range(len(self))
         if self.exact:
-            orbits = (self.orbit(index) for index in range(len(self)))
-            return np.array([one.coefficients(HARMONICS).gap[:, :count] for one in orbits])
+            found = [self.orbit(place).coefficients(HARMONICS).gap for place in places]
+            return np.array(found)[..., :count]
         if self.static_above is None:
             return self.points[..., :count]
-        return np.array([at.gap[:, :count] for at in self._linearised()])
-
-    def _linearised(self) -> Iterator[ContactPoint]:
-        """The truncated equations at all points."""
-        if self.parameter == "resonance":  # at a frequency of its own each
-            yield from (self._balanced(index)[1] for index in range(len(self)))
-            return
-        assert isinstance(self.system, Waves)
-        for value, point in zip(self.values.tolist(), self.points, strict=True):
-            yield self.system.system(value).linearise(point)
+        return np.array([self._motion(place).gap_coefficients for place in places])
 
     def records(self, rows: np.ndarray) -> Iterator[Record]:
-        found = records_of(self.problem, rows, self.omega, self._linearised())
-        if self.exact:
-            orbits = (self.orbit(index) for index in range(len(self)))
-            found = (record for one in orbits for record in one.records(rows, len(PARTS)))
-        for index, record in enumerate(found):
-            yield replace(record, exact={}, structure=partial(self._structure_of, index))
+        for place in range(len(self)):
+            motion = self.orbit(place) if self.exact else self._motion(place)
+            [record] = motion.records(rows, INSTANTS)
+            yield replace(record, exact={})
 
     # --- stability --------------------------------------------------------------------------------
 
@@ -392,32 +381,30 @@ class ResponseCurve(Observed, Tabular):
         columns = {name: column[places] for name, column in _arrays_of(self).items()}
         return replace(self, **columns, bifurcations=())
 
-    def unjudged(self) -> Self:
-        """As it was followed: of harmonic balance without verdicts, and without what was found with
-        them."""
-        if self.exact:
-            return self
-        special = tuple(one for one in self.bifurcations if one.kind in FOLLOWED)
-        return replace(self, bifurcations=special, multipliers=None)
-
     def bifurcation(
         self, kind: str, value: float, omega: float, point: np.ndarray,
         multipliers: np.ndarray | None = None,
     ) -> Bifurcation:  # fmt: skip
         """A special point of this curve, by its value of the parameter and its load frequency."""
-        columns: dict[str, Any] = {"values": value, "omega": omega, "iterations": 0}
-        columns["points"] = point
-        columns |= {} if multipliers is None else {"multipliers": leading(multipliers)}
+        columns = {"values": value, "omega": omega, "iterations": 0, "points": point}
         rows = {name: np.array([entry]) for name, entry in columns.items()}
-        return Bifurcation(kind, replace(self.unjudged().part([0]), **rows), multipliers)
+        first = None if multipliers is None else np.array([leading(multipliers)])
+        alone = replace(self, **rows, multipliers=first, bifurcations=())
+        return Bifurcation(kind, alone, multipliers)
 
     @cached_property
     def at_bifurcations(self) -> Self:
         """The first point, the bifurcations and the last point, to be measured: a curve of their
-        own."""
-        plain = self.unjudged()
-        met = (one.point for one in self.bifurcations)
-        return replace(plain, **_joined(plain.part([0]), *met, plain.part([-1])), bifurcations=())
+        own, with multipliers if it has exact orbits."""
+        whole = self if self.exact else replace(self, multipliers=None)
+        points: list[ResponseCurve] = [
+            whole.part([0]),
+            *(one.point for one in self.bifurcations),
+            whole.part([-1]),
+        ]
+        columns = [_arrays_of(one) for one in points]
+        joined = {name: np.concatenate([one[name] for one in columns]) for name in columns[0]}
+        return replace(whole, **joined, bifurcations=())
 
     def nearest(self, bifurcation: Bifurcation) -> int:
         """The number of the point nearest to a bifurcation."""
@@ -446,14 +433,20 @@ class ResponseCurve(Observed, Tabular):
         """The largest response of a dof, or of the watched one: where, how large, how sure, whether
         stable, and the damping by its width."""
         top = self.top(dof)
-        omega, solution = float(self.omega[top.index]), self.solution(top.index)
-        error, damping = solution.report.displacement, _damping(self, top.index, dof)
+        omega, solution, damping = float(self.omega[top.index]), self.solution(top.index), math.nan
         if self.parameter in ("omega", "speed"):
+            waves, structure = self.coefficients_at(dof), self.structure
+            damping = damping_by_width(self.values, waves, self.subharmonic, top.index)
+            if isinstance(structure, RunUpStructure):
+                # Natural frequencies follow the load's, and it takes longer to pass them.
+                there = structure.at_speed(float(self.values[top.index]))
+                damping *= 1.0 - there.stiffening(omega)
             omega *= top.value / float(self.values[top.index])
         if self.multipliers is None:
             verdict = floquet(solution.structure, solution).verdict
         else:
             verdict = str(self.verdicts[top.index])
+        error = solution.report.displacement
         return Peak(**vars(top), omega=omega, error=error, verdict=verdict, damping=damping)
 
     @cached_property
@@ -515,22 +508,3 @@ def _arrays_of(curve: ResponseCurve) -> dict[str, np.ndarray]:
     """The columns of a curve by the names of its fields."""
     known = {one.name: getattr(curve, one.name) for one in fields(curve)}
     return {name: column for name, column in known.items() if isinstance(column, np.ndarray)}
-
-
-def _joined(*curves: ResponseCurve) -> dict[str, np.ndarray]:
-    """Columns of curves of one kind, one after the other."""
-    columns = [_arrays_of(one) for one in curves]
-    return {name: np.concatenate([one[name] for one in columns]) for name in columns[0]}
-
-
-def _damping(curve: ResponseCurve, index: int, dof: int | None) -> float:
-    """By the half-power bandwidth next to a point; over a rotor's speed natural frequencies follow
-    the load's, and it takes longer to pass them."""
-    if curve.parameter not in ("omega", "speed"):
-        return math.nan
-    waves, structure = curve.coefficients_at(dof), curve.structure
-    damping = damping_by_width(curve.values, waves, curve.subharmonic, index)
-    if isinstance(structure, RunUpStructure):
-        there = structure.at_speed(float(curve.values[index]))
-        damping *= 1.0 - there.stiffening(float(curve.omega[index]))
-    return damping

@@ -283,8 +283,6 @@ def follow_branch(
     doubled = 2 if bifurcation.kind == "period_doubling" else 1
     problem = replace(
         curve.problem,
-        structure=bifurcation.problem.structure if curve.parameter == "speed" else curve.structure,
-        omega=bifurcation.omega,
         harmonics=doubled * curve.problem.harmonics,
         samples=curve.problem.samples and doubled * curve.problem.samples,
         subharmonic=doubled * curve.subharmonic,

@@ -146,22 +146,12 @@ class Orbits(CurveSystem):
         state = self._motion(unknown, parameter, part).state
         return self.unknown(state, self.value(parameter))
 
-    def monodromy(self, unknown: np.ndarray, parameter: float, part: float = 1.0) -> np.ndarray:
-        """The derivative of that by x: (2 n_modes, 2 n_modes)."""
-        tangent = self._motion(unknown, parameter, part).track.tangent
-        return self._of_unknowns(tangent, self.value(parameter))
-
     def _of_unknowns(self, tangent: np.ndarray, value: float) -> np.ndarray:
         """dx(T)/dx of dz(T)/dz."""
         if self.name == "speed":
             modes = self._modes(value)
             tangent = np.linalg.solve(modes, tangent @ modes)
         return np.asarray(self.scale[:, None] * tangent / self.scale)
-
-    def doubling(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
-        """The eigenvector of -1 over half the period, of unit size."""
-        monodromy = self.monodromy(unknown, parameter, 0.5)
-        return np.asarray(scipy.linalg.svd(np.eye(len(unknown)) + monodromy)[2][-1])
 
     def half_off(self, unknown: np.ndarray, parameter: float) -> float:
         """Change of an orbit over half its period, relative to its size."""

@@ -15,8 +15,7 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from fenics_crack.balance.compliance import ModalCompliance
-from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
+from fenics_crack.balance.contact_system import ContactPoint
 from fenics_crack.balance.phase import SEVERAL, Drive, PhasePoint, Resonance
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import Solver
@@ -34,6 +33,8 @@ from fenics_crack.curves.curve_system import CurveSystem
 from fenics_crack.curves.follow import run_to_end
 from fenics_crack.curves.waves import WAVES, FrequencyWaves, spinning
 from fenics_crack.model.contact import is_unilateral
+from fenics_crack.model.modal import is_small
+from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.numerics.equations import LOCATED
 from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_near
 from fenics_crack.numerics.path import ARRIVED, Crossing, Ended, Path, PathOptions
@@ -61,10 +62,9 @@ class ResonanceSystem(CurveSystem):
     ) -> None:
         self.start, self.end = span
         self._waves = waves = FrequencyWaves(problem, problem.omega, 0.5 * problem.omega)
-        equations = waves.system(problem.omega)
-        slow, self._integrals = equations.slow(near.gap, near.force), equations.integrals
-        self._size = float(np.linalg.norm(slow[1:])) / self.start
-        self.begin = np.append(slow / (self._size * self.start), 1.0)
+        slow = waves.system(problem.omega).slow(near.gap, near.force) / self.start
+        self._size = float(np.linalg.norm(slow[1:]))
+        self.begin = np.append(slow / self._size, 1.0)
         self.problem, self.drive, self.means = waves.problem, drive, waves.means
         self.shape = self.begin.shape
 
@@ -78,13 +78,10 @@ class ResonanceSystem(CurveSystem):
         return self._size * value * unknown[:-1].reshape(-1, self.means)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> PhasePoint:
-        value, load = self.value(parameter), self.problem.load.copy()
-        load[1:] *= value
-        omega = self.omega(value, unknown)
-        compliance = ModalCompliance(self.problem.seen, omega, load)
-        at = ContactSystem(compliance, self._integrals).linearise(self.state(unknown, value))
-        units = self._size * value, self.problem.omega, self.rate(value) / value
-        return PhasePoint(self.problem, self.drive, at, omega, *units)
+        value, omega = self.value(parameter), self.omega(1.0, unknown)
+        at = self._waves.system(omega).linearise(self.state(unknown, 1.0))
+        inverse, change = 1.0 / value, -self.rate(value) / value**2
+        return PhasePoint(self.problem, self.drive, at, omega, self._size, inverse, change)
 
 
 class _InPhase(Crossing):
@@ -179,6 +176,13 @@ def _meeting(point: PhasePoint, order: float | None) -> tuple[PhasePoint, float]
     raise ConvergenceError(f"resonance: its order does not meet it next to {speed:.6g} rad/s")
 
 
+def _small(problem: Problem) -> Problem:
+    """The problem with a structure that is small, or else reduced to crack faces without mass."""
+    if is_small(problem.structure):
+        return problem
+    return replace(problem, structure=reduce_structure(problem.structure, method="massless"))
+
+
 def resonance_at(
     problem: Problem,
     near: float | None = None,
@@ -195,8 +199,8 @@ def resonance_at(
     Parameters
     ----------
     problem : Problem
-        Structure, small or reduced to crack faces without mass, law, harmonics, and a load
-        frequency.
+        Structure, law, harmonics, and a load frequency. A structure with many dofs is reduced
+        first, to crack faces without mass.
     near : float, optional
         Load frequency [rad/s] next to which it is sought; default: the problem's.
     parameter : "omega" or "speed"
@@ -227,7 +231,8 @@ def resonance_at(
     order, error = None, math.nan
     if parameter == "speed":
         order = problem.omega / spinning(problem.structure).speed
-    point, rate = _meeting(first_resonance(problem, near or problem.omega), order)
+    point = first_resonance(_small(problem), near or problem.omega)
+    point, rate = _meeting(point, order)
     if tolerance is not None:
         point, error = _within(point, tolerance)
         point, rate = _meeting(point, order)
@@ -284,7 +289,7 @@ def follow_resonance(
     >>> curve = fc.follow_resonance(fc.Problem(structure, 2000.0, contact), 0.1, 10.0)
     """
     check_range(problem, "resonance", start, end)
-    near, vary = near or problem.omega, WAVES["resonance"].vary
+    problem, near, vary = _small(problem), near or problem.omega, WAVES["resonance"].vary
     if tolerance is not None:
         at_end = _within(first_resonance(vary(problem, end), near), tolerance)[0]
         problem = problem.with_harmonics(at_end.problem.harmonics)

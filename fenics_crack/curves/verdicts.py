@@ -96,7 +96,7 @@ def judged_by_waves(curve: ResponseCurve) -> ResponseCurve:
     begin("stability of each point")
     solutions = (curve.solution(place, search=False) for place in range(len(curve)))
     found = [floquet(one.structure, one) for one in solutions]
-    special = [*curve.unjudged().bifurcations]
+    special = [one for one in curve.bifurcations if one.kind in ("fold", "branch_point")]
     values = np.array([one.multipliers for one in found])
     rows = leading_multipliers(values)
     crossed = changes(rows)[:, 1:] != 0.0

@@ -10,12 +10,10 @@ reduced structure is touched, in closed form.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
-import scipy.linalg
 
 from fenics_crack.balance.compliance import ModalCompliance
 from fenics_crack.balance.contact_integrals import ContactIntegrals, respond
@@ -27,22 +25,21 @@ from fenics_crack.balance.contact_system import (
 )
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.errors import InputError, check_number, check_omega
-from fenics_crack.basics.tables import TURN
 from fenics_crack.curves.curve_system import CurveSystem
-from fenics_crack.model.contact import coefficient_of, friction_of
-from fenics_crack.model.modal import all_modes
+from fenics_crack.model.contact import friction_of
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.motions import Record
 from fenics_crack.numerics.equations import CENTRAL_STEP, least_residual
-from fenics_crack.numerics.fourier import stretched, waves_of
-
-PARTS = np.arange(256) / 256
-"""Parts of the period at which points of a curve are evaluated."""
+from fenics_crack.numerics.fourier import stretched
 
 
 class Waves(CurveSystem):
-    """The condensed equations of a small or reduced structure along a parameter."""
+    """The condensed equations of a small or reduced structure along a parameter.
+
+    ``other_integrals``: the law, or its residual flexibility, changes along it.
+    """
+
+    other_integrals = False
 
     def __init__(self, problem: Problem, start: float, end: float) -> None:
         if problem.static_above is None:
@@ -63,7 +60,6 @@ class Waves(CurveSystem):
         if self.matrix_free:
             order = (np.arange(self.shape[0]) + 1) // 2
             self.counts = 1.0 / np.maximum(order, 1)[:, None] ** 2.0
-        self._last = None
 
     @classmethod
     def check(cls, structure: Structure, key: str, value: float) -> None:
@@ -72,7 +68,7 @@ class Waves(CurveSystem):
 
     def _cutoff(self, problem: Problem, start: float, end: float) -> float:
         """Frequency above which modes are quasi-static, the same for all of the range [rad/s]."""
-        return problem.cutoff
+        return max(self.vary(problem, value).cutoff for value in (start, end))
 
     @cached_property
     def _integrals(self) -> ContactIntegrals:
@@ -99,6 +95,8 @@ class Waves(CurveSystem):
         return self.vary(self.problem, value)
 
     def _make(self, value: float) -> ContactSystem:
+        if self.other_integrals:
+            return self.at(value).system(self.compliance(value))
         return ContactSystem(self.compliance(value), self._integrals)
 
     def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
@@ -158,23 +156,11 @@ class Waves(CurveSystem):
             largest = float(np.abs(moving).sum(axis=2).max())
         return least_residual(4.0 * largest * self.steepest_force)
 
-    def doubling(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
-        """Return the direction that grows at a period doubling, of equations with twice its period:
-        a null vector of J in the odd harmonics, of unit size."""
-        places = np.flatnonzero(np.repeat(self._odd, unknown.shape[1]))
-        jacobian, found = self.linearise(unknown, parameter).jacobian, np.zeros(unknown.size)
-        found[places] = scipy.linalg.svd(jacobian[np.ix_(places, places)])[2][-1]
-        return found.reshape(unknown.shape)
-
     def half_off(self, unknown: np.ndarray, parameter: float) -> float:
         """Change of a motion over half its period, relative to its size: twice what its odd
         harmonics are."""
-        return float(2.0 * np.linalg.norm(unknown[self._odd]) / (np.linalg.norm(unknown) or 1.0))
-
-    @property
-    def _odd(self) -> np.ndarray:
-        """Rows of the odd harmonics: (2H+1,) bool."""
-        return (np.arange(self.shape[0]) + 1) // 2 % 2 == 1
+        odd = (np.arange(self.shape[0]) + 1) // 2 % 2 == 1
+        return float(2.0 * np.linalg.norm(unknown[odd]) / (np.linalg.norm(unknown) or 1.0))
 
     def _with_modes(
         self, first: ContactSystem, omega: tuple[float, float], damping: tuple[float, float]
@@ -196,9 +182,6 @@ class FrequencyWaves(Waves):
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
         return replace(problem, omega=value)
-
-    def _cutoff(self, problem: Problem, start: float, end: float) -> float:
-        return max(replace(problem, omega=value).cutoff for value in (start, end))
 
     def compliance(self, value: float) -> ModalCompliance:
         return self._compliance.at(value / self.problem.subharmonic)
@@ -275,14 +258,11 @@ class ClearanceWaves(_VariedWaves):
 class StiffnessWaves(Waves):
     """v: factor of the contact stiffness; p is proportional to ln v."""
 
-    name, logarithmic = "stiffness", True
+    name, logarithmic, other_integrals = "stiffness", True, True
 
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
         return replace(problem, contact=problem.contact.scaled(value))
-
-    def _make(self, value: float) -> ContactSystem:
-        return self.at(value).system(self._compliance)
 
     def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
         return respond(at.system.moving, at.forces.by_stiffness()) / value
@@ -294,14 +274,7 @@ class StiffnessWaves(Waves):
 class FrictionWaves(Waves):
     """v: factor of the coefficient of friction."""
 
-    name = "friction"
-
-    @classmethod
-    def check(cls, structure: Structure, key: str, value: float) -> None:
-        super().check(structure, key, value)
-        if structure.tangential is None:
-            allowed = "another one: the structure has no tangents"
-            raise InputError("parameter", "friction", allowed)
+    name, other_integrals = "friction", True
 
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
@@ -310,9 +283,6 @@ class FrictionWaves(Waves):
             raise InputError("parameter", "friction", "another one: the law has no friction")
         coefficient = np.multiply(value, friction.coefficient)
         return replace(problem, contact=replace(friction, coefficient=coefficient))
-
-    def _make(self, value: float) -> ContactSystem:
-        return self.at(value).system(self._compliance)
 
     def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
         return by_friction(at) / value
@@ -325,7 +295,7 @@ class SpeedWaves(Waves):
     quasi-static part changes, and with it the sets of closed pairs.
     """
 
-    name = "speed"
+    name, other_integrals = "speed", True
 
     @classmethod
     def check(cls, structure: Structure, key: str, value: float) -> None:
@@ -343,17 +313,16 @@ class SpeedWaves(Waves):
 
     def _cutoff(self, problem: Problem, start: float, end: float) -> float:
         """Between two modes whose frequencies do not cross it, for they would change the sides."""
-        at = [self.vary(problem, value) for value in (start, 0.5 * (start + end), end)]
-        least = max(one.cutoff for one in at)
-        natural = np.array([spinning(one.structure).omega for one in at])
+        least, rotor = super()._cutoff(problem, start, end), spinning(problem.structure)
+        speeds = start, 0.5 * (start + end), end
+        natural = np.array([rotor.at_speed(speed).omega for speed in speeds])
         below, above = natural.max(axis=0)[:-1], natural.min(axis=0)[1:]
         apart = (above > least) & (above > below * (1.0 + 1e-6))
         return float(max([least, *np.sqrt(below * above)[apart][:1]]))
 
-    def _make(self, value: float) -> ContactSystem:
+    def compliance(self, value: float) -> ModalCompliance:
         problem = self.at(value)
-        compliance = ModalCompliance(problem.seen, problem.base_omega, problem.load)
-        return problem.system(compliance)
+        return ModalCompliance(problem.seen, problem.base_omega, problem.load)
 
     def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
         step = CENTRAL_STEP * value
@@ -397,38 +366,3 @@ WAVES: dict[str, type[Waves]] = {
     )
 }
 """Equations of harmonic balance along each parameter of a curve, by its name."""
-
-
-def records_of(
-    problem: Problem, rows: np.ndarray, omega: np.ndarray, points: Iterable[ContactPoint]
-) -> Iterator[Record]:
-    """Records of solutions at load frequencies, of a problem but for these, seen through rows
-    (m, n_local); their structures are that of the problem."""
-    friction, moved = coefficient_of(problem.contact), None
-    if problem.static_above is not None:
-        moved = rows @ all_modes(problem.seen).moved_at_once(problem.static_above)
-    periods = TURN * problem.subharmonic / omega
-    for frequency, period, point in zip(omega.tolist(), periods, points, strict=True):
-        assert isinstance(point.system.compliance, ModalCompliance)
-        waves = point.system.compliance.seen_through(rows, point.force)
-        at = partial(_in_period, point, waves, moved)
-        yield Record(
-            frequency, problem.subharmonic, PARTS * period, waves, *at(PARTS),
-            structure=lambda: problem.structure,
-            cracks=problem.structure.pairs.cracks,
-            friction=friction,
-            at=at if friction is None else None,
-        )  # fmt: skip
-
-
-def _in_period(
-    at: ContactPoint, waves: np.ndarray, moved: np.ndarray | None, parts: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Motion, gaps and contact forces at parts of the period, by the coefficients of the motion
-    and its quasi-static answers to the forces."""
-    values = waves_of(waves, TURN * parts)
-    motion, (gap, force) = values @ waves, at.system.in_time(values @ at.unknown)
-    if moved is not None:
-        # The quasi-static part follows the forces as they are, with their kinks.
-        motion -= (force - values @ at.force) @ moved.T
-    return motion, gap, force

@@ -790,7 +790,7 @@ class Curve(Table):
     )  # fmt: skip
     """Parameter that changes along the curve."""
     at: str | None = choice("resonance", default=None)
-    """With "load": follow the resonance nearest to the load's frequency over the load but its mean,
+    """With "load": follow the resonance next to the load's frequency over the load but its mean,
     the backbone of a forced and damped vibration; of a bladed disk that of the watched blade."""
     stability: bool = holds("true or false", default=True)
     """Floquet multipliers and period doublings along the curve."""

@@ -236,6 +236,15 @@ def test_solid_blade_on_a_rotor(force: float) -> None:
     assert not found.several
 
 
+def test_large_structures_are_reduced() -> None:
+    """As for curves, to crack faces without mass."""
+    scene = cracked(0.0)
+    whole, law = fc.build_structure(scene), fc.prepare(scene).contact
+    found = resonance_at(Problem(whole, scene.excitation.omega, law)).solution
+    assert whole.n_dofs > 600 > found.structure.n_dofs
+    assert found.structure.whole is whole and found.converged
+
+
 # --- refused --------------------------------------------------------------------------------------
 
 

@@ -14,7 +14,6 @@ import pytest
 from helpers import chain, oscillator, relative
 
 import fenics_crack as fc
-from fenics_crack.curves.stability import orbits_near
 from fenics_crack.curves.waves import WAVES
 from fenics_crack.motion.flow import flow_of
 from fenics_crack.motion.orbit import find_orbit
@@ -280,7 +279,9 @@ def test_point_between_two_is_judged_once() -> None:
     """Brent's method asks the test function once at each orbit that it meets."""
     law = fc.UnilateralPenalty(1.0)
     found = fc.solve_harmonic_balance(oscillator(), 1.0, law, harmonics=5)
-    system = orbits_near(oscillator(), law, found)
+    known = found.assessment
+    assert known.flow is not None
+    system = FlowOrbits(known.flow, found.omega, known.states[0])
     start = solve_in_plane(system, system.start, 1.0, None, tolerance=1e-12)
     assert start is not None and start.at is not None
     tangent = tangent_of(system, start.unknown, start.at)
