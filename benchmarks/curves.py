@@ -26,7 +26,7 @@ import numpy as np
 from scipy.linalg.lapack import dgetrf, dgetrs
 
 import fenics_crack as fc
-from fenics_crack.curves.family import FrequencyFamily
+from fenics_crack.curves.waves import FrequencyWaves
 from fenics_crack.draw.figure import COLOURS
 from fenics_crack.numerics.newton import Newton, solve_at
 
@@ -136,7 +136,7 @@ def newton(arguments: common.Arguments) -> None:
     rows = []
     for name, structure, k, span in cases:
         curve = fc.continue_frequency(structure, *span, fc.UnilateralPenalty(k), harmonics=10)
-        family = FrequencyFamily(curve.problem, *span)
+        family = FrequencyWaves(curve.problem, *span)
         places = [family.parameter(value) for value in curve.values.tolist()]
         pairs = [(curve.gap_coefficients[i], place) for i, place in enumerate(places[1:])]
         ways = {"SNES": partial(by_snes, family, pairs), "own": partial(by_own, family, pairs)}
@@ -154,7 +154,7 @@ def newton(arguments: common.Arguments) -> None:
     common.save_table(arguments.folder / "curves_newton.csv", "An iteration", columns, rows)
 
 
-def by_snes(family: FrequencyFamily, pairs: Pairs) -> tuple[int, int]:
+def by_snes(family: FrequencyWaves, pairs: Pairs) -> tuple[int, int]:
     """Iterations and solutions by SNES."""
     iterations = found = 0
     with Newton(family) as snes:
@@ -164,7 +164,7 @@ def by_snes(family: FrequencyFamily, pairs: Pairs) -> tuple[int, int]:
     return iterations, found
 
 
-def by_own(family: FrequencyFamily, pairs: Pairs) -> tuple[int, int]:
+def by_own(family: FrequencyWaves, pairs: Pairs) -> tuple[int, int]:
     """The same by the loop of curves."""
     iterations = found = 0
     for start, place in pairs:

@@ -55,7 +55,6 @@ from verdicts import random_chain
 
 import fenics_crack as fc
 from fenics_crack.cli.given import new_scene
-from fenics_crack.curves.follow import CurveOptions
 
 Row = dict[str, Any]
 Span = tuple[float, float]
@@ -64,8 +63,6 @@ Report = Callable[[list[Row], list[Row]], Iterator[tuple[str, bool | None]]]
 
 TOLERANCE = 1e-2
 HERE = Path(__file__).parent
-BRANCHES = Path(fc.__file__).parent.joinpath("curves", "growing.py").exists()
-"""Whether the package follows branches of exact orbits."""
 LOBES = (2615.838408, 2615.848897, 2616.218934, 2616.273243, 2616.715619, 2617.446838)
 """Period doublings of `new` with 20 modes [rad/s]: where the exact orbits' multiplier is -1, by
 Brent's method on orbits found one by one."""
@@ -127,15 +124,7 @@ def curve_to_tolerance(
     structure: fc.Structure, span: tuple[float, float], law: Any, **options: Any
 ) -> fc.ResponseCurve:
     """A curve over the frequency to a tolerance, with the verdict of every point."""
-    if "exact" in CurveOptions.__annotations__:
-        options |= {"exact": True}
-    if BRANCHES:
-        return fc.continue_frequency(
-            structure, *span, law, tolerance=TOLERANCE, throw=False, **options
-        )
-    if "tolerance" not in options:
-        options |= {"harmonics": 15}
-    return fc.continue_frequency(structure, *span, law, stability=True, throw=False, **options)
+    return fc.continue_frequency(structure, *span, law, tolerance=TOLERANCE, throw=False, **options)
 
 
 def followed(name: str, *arguments: Any, **options: Any) -> tuple[Row, fc.ResponseCurve | None]:
@@ -148,7 +137,7 @@ def followed(name: str, *arguments: Any, **options: Any) -> tuple[Row, fc.Respon
         return row | {"s": time.process_time() - started, "status": str(error)}, None
     seconds = time.process_time() - started
     undecided = (curve.verdicts == "undecided") & (off_circle(curve) > ON_CIRCLE)
-    kinds = [one.kind for one in stated(curve)]
+    kinds = [one.kind for one in curve.bifurcations]
     end = arguments[1][1]
     row = {
         "case": name, "complete": curve.complete, "points": len(curve),
@@ -166,17 +155,6 @@ def off_circle(curve: fc.ResponseCurve) -> np.ndarray:
     return np.nan_to_num(np.abs(np.abs(leading) - 1.0), nan=np.inf)
 
 
-def stated(curve: fc.ResponseCurve) -> list[Any]:
-    """Bifurcations of the exact orbits: all of a branch; of harmonic balance the confirmed ones."""
-    known = curve.bifurcations
-    return [*known] if BRANCHES else [one for one in known if one.confirmed]
-
-
-def value_of(one: Any) -> float:
-    """Of the parameter at a bifurcation."""
-    return float(one.value if BRANCHES else one.exact)
-
-
 def around(structure: fc.Structure) -> tuple[float, float]:
     """From below the first to above the second natural frequency [rad/s]."""
     first, second = fc.solve_modes(structure, 2).omega
@@ -192,7 +170,7 @@ def chains(quick: bool) -> Iterator[Row]:
     row, curve = followed("5012", structure, around(structure), law)
     fine = fc.continue_frequency(structure, *around(structure), law, harmonics=60, throw=False)
     known = [one.value for one in fine.bifurcations if one.kind == "fold"]
-    found = [value_of(one) for one in stated(curve) if one.kind == "fold"] if curve else []
+    found = [one.value for one in curve.bifurcations if one.kind == "fold"] if curve else []
     apart = [min((abs(one / its - 1.0) for one in found), default=np.inf) for its in known]
     yield row | {"folds, H = 60": len(known), "farthest": max(apart, default=np.inf)}
     structure, law = random_chain(17)
@@ -236,12 +214,11 @@ def new(**changes: Any) -> tuple[fc.Scene, fc.Structure, Any]:
 def lobes(quick: bool) -> Iterator[Row]:
     """A row for each step."""
     _, structure, law = new()
-    options = {} if BRANCHES else {"tolerance": TOLERANCE}
     for step in (0.05,) if quick else (0.05, 0.025):
         name = f"step {step:g}"
-        row, curve = followed(name, structure, (2340.0, 3140.0), law, longest_step=step, **options)
+        row, curve = followed(name, structure, (2340.0, 3140.0), law, longest_step=step)
         found = (
-            [value_of(one) for one in stated(curve) if one.kind == "period_doubling"]
+            [one.value for one in curve.bifurcations if one.kind == "period_doubling"]
             if curve
             else []
         )
@@ -296,8 +273,7 @@ def many(quick: bool) -> Iterator[Row]:
     for name, changes in cases.items():
         scene, structure, law = new(**changes)
         _, start, stop = scene.given("curve").followed
-        options = {} if BRANCHES else {"tolerance": TOLERANCE}
-        row, _ = followed(name, structure, (start, stop), law, **options)
+        row, _ = followed(name, structure, (start, stop), law)
         yield {"pairs": structure.n_pairs, "modes": structure.n_modes} | row
 
 
@@ -459,23 +435,21 @@ def few_pairs(quick: bool) -> Iterator[Row]:
             row, curve = followed(str(number), structure, span, law, most_points=POINTS)
             row |= {"_curve": True, "kind": "-", "omega": span[0], "off": np.nan}
             yield row
-            for one in [] if curve is None else stated(curve):
+            for one in [] if curve is None else curve.bifurcations:
                 if one.kind in ("period_doubling", "neimark_sacker"):
                     off = off_reference(flow, one)
                     yield {"case": str(number), "_curve": False, "kind": one.kind,
-                           "omega": value_of(one), "off": off}  # fmt: skip
+                           "omega": one.value, "off": off}  # fmt: skip
 
 
 def off_reference(flow: ReferenceFlow, one: Any) -> float:
     """Distance from the unit circle, or from -1, of the multiplier that a bifurcation has there, on
     the reference's orbit; inf where it has none."""
-    if BRANCHES:  # the exact state: Newton's method may lead elsewhere from a solution to 1e-2
-        parts = np.split(one.orbit.state, 2)
-        state = flow.state(*(one.orbit.flow.modes.shapes @ part for part in parts))
-    else:
-        state = flow.states_of(one.solution, np.zeros(1))[0]
+    # The exact state: Newton's method may lead elsewhere from a solution to 1e-2.
+    parts = np.split(one.orbit.state, 2)
+    state = flow.state(*(one.orbit.flow.modes.shapes @ part for part in parts))
     try:
-        orbit = flow.orbit(state, value_of(one), 2.0 * np.pi / value_of(one))
+        orbit = flow.orbit(state, one.value, 2.0 * np.pi / one.value)
     except (NoOrbit, np.linalg.LinAlgError):
         return float("inf")
     values = orbit.multipliers
@@ -567,7 +541,7 @@ def false_verdicts(curve: fc.ResponseCurve, span: Span) -> Row:
             continue
         share = (at - way[place]) / (way[place + 1] - way[place])
         value = float(omega[place] + share * (omega[place + 1] - omega[place]))
-        state = (1.0 - share) * curve.states[place] + share * curve.states[place + 1]
+        state = (1.0 - share) * curve.points[place] + share * curve.points[place + 1]
         start = flow.state(*(shapes @ part for part in np.split(state, 2)))
         try:
             orbit = flow.orbit(start, value, curve.subharmonic * 2.0 * np.pi / value)
@@ -588,7 +562,7 @@ def false_verdicts(curve: fc.ResponseCurve, span: Span) -> Row:
 def stated_stable(curve: fc.ResponseCurve, place: int, value: float) -> bool:
     """What a curve states of a value between two points: its verdict changes at the events."""
     ends = curve.values[place], curve.values[place + 1]
-    events = [value_of(one) for one in curve.bifurcations if one.kind != "fold"]
+    events = [one.value for one in curve.bifurcations if one.kind != "fold"]
     inside = sorted(one for one in events if min(ends) < one < max(ends))
     if not inside:
         return bool(curve.stable[place])
@@ -622,8 +596,8 @@ def events(quick: bool) -> Iterator[Row]:
         fine = followed(name, structure, span, law, most_points=5 * SOON, longest_step=STEP / 5)
         if fine[1] is None or not fine[1].complete:
             continue
-        known = stated(curve)
-        missing = apart(stated(fine[1]), known)
+        known = curve.bifurcations
+        missing = apart(fine[1].bifurcations, known)
         count = {"events": len(known) + len(missing), "missing": len(missing)}
         yield row | count | {"fine": fine[0]["s"]}
 
@@ -634,10 +608,10 @@ def apart(some: list[Any], others: list[Any]) -> list[Any]:
     for one in some:
         alike = [
             other for other in left
-            if other.kind == one.kind and abs(value_of(other) / value_of(one) - 1.0) <= CLOSE_TO
+            if other.kind == one.kind and abs(other.value / one.value - 1.0) <= CLOSE_TO
         ]  # fmt: skip
         if alike:
-            left.remove(min(alike, key=lambda other: abs(value_of(other) - value_of(one))))
+            left.remove(min(alike, key=lambda other: abs(other.value - one.value)))
         else:
             lacking.append(one)
     return lacking

@@ -52,7 +52,7 @@ import scipy.sparse as sparse
 import fenics_crack as fc
 from fenics_crack.balance.assessment import distance
 from fenics_crack.balance.solution import Solver
-from fenics_crack.curves.family import Family
+from fenics_crack.curves.waves import Waves
 from fenics_crack.model.factor import Factor
 from fenics_crack.numerics.fourier import evaluate
 from fenics_crack.time.flows import ExponentialFlow
@@ -565,8 +565,8 @@ def curves(arguments: common.Arguments) -> None:
                 structure, span, span / 0.6, LAWS["rigid"], harmonics=harmonics, throw=False
             )
 
-        for name, compiled in (("kernel", Family.compiled), ("Python", None)):
-            with patch.object(Family, "compiled", compiled):
+        for name, compiled in (("kernel", Waves.compiled), ("Python", None)):
+            with patch.object(Waves, "compiled", compiled):
                 follow()
                 started = time.process_time()
                 found[name] = follow()

@@ -9,8 +9,6 @@ from fenics_crack.balance.solution import PeriodicSolution as PeriodicSolution
 from fenics_crack.balance.solution import Stability as Stability
 from fenics_crack.basics.errors import ConvergenceError as ConvergenceError
 from fenics_crack.basics.errors import InputError as InputError
-from fenics_crack.curves.backbone import Backbone as Backbone
-from fenics_crack.curves.backbone import follow_backbone as follow_backbone
 from fenics_crack.curves.continuation import Continuation as Continuation
 from fenics_crack.curves.curve import Bifurcation as Bifurcation
 from fenics_crack.curves.curve import CurvePoint as CurvePoint
@@ -18,8 +16,6 @@ from fenics_crack.curves.curve import ResponseCurve as ResponseCurve
 from fenics_crack.curves.follow import continue_frequency as continue_frequency
 from fenics_crack.curves.follow import continue_parameter as continue_parameter
 from fenics_crack.curves.follow import follow_branch as follow_branch
-from fenics_crack.curves.harmonic_curve import HarmonicCurve as HarmonicCurve
-from fenics_crack.curves.orbit_curve import OrbitCurve as OrbitCurve
 from fenics_crack.curves.peak import Peak as Peak
 from fenics_crack.curves.resonance import Resonance as Resonance
 from fenics_crack.curves.resonance import follow_resonance as follow_resonance

@@ -59,7 +59,7 @@ from fenics_crack.numerics.equations import (
     Linearisation,
     solve_factored,
 )
-from fenics_crack.numerics.fourier import evaluate, resized, stretched
+from fenics_crack.numerics.fourier import evaluate, resized, stretched, waves_of
 from fenics_crack.numerics.newton import gmres
 
 MATRIX_FREE = 350
@@ -347,7 +347,7 @@ class Wave:
         residual = np.zeros((rows, rows)) if found is None else found
         return coupled_integrals(self.contact, self.harmonics, residual)
 
-    @property
+    @cached_property
     def slow_gap_coefficients(self) -> np.ndarray:
         """Coefficients of s = g + R_inf lambda, the gaps of all rows less their quasi-static part:
         (2H+1, n_rows)."""
@@ -355,10 +355,29 @@ class Wave:
             return self.gap_rows
         return self.gap_rows + self.force_rows @ self.residual
 
+    def at_phase(self, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """1, cos, sin, ... at phases (n,) of the response, (n, 2H+1), by which coefficients are
+        multiplied; gaps [m] and contact forces [N] of all rows there: (n, n_rows) each."""
+        values, contact = waves_of(self.gap_coefficients, phase), self.contact
+        slow = values @ self.slow_gap_coefficients
+        if contact is None:
+            return values, slow, np.zeros_like(slow)
+        if friction_of(contact) is not None:
+            assert isinstance(self._integrals, FrictionIntegrals)
+            force = self._integrals.at(self.slow_gap_coefficients, phase)[0]
+        elif self.residual is not None:
+            force = self._integrals.forces(slow)
+        elif not is_rigid(contact):
+            force = contact.force(slow)
+        else:
+            assert contact.weight is not None
+            force = np.maximum(0.0, contact.weight * slow + values @ self.force_coefficients)
+        return values, slow if self.residual is None else slow - force @ self.residual, force
+
     def gaps_and_forces(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Gaps [m] and contact forces [N] of all rows at times [s]: (len(time), n_rows) each."""
-        slow, force = self._slow(time), self._forces(time)
-        return slow if self.residual is None else slow - force @ self.residual, force
+        _, gap, force = self.at_phase(self.base_omega * np.atleast_1d(time))
+        return gap, force
 
     def gap(self, time: np.ndarray) -> np.ndarray:
         """g at times [s]: (len(time), n_pairs) [m]. Where some of it answers contact forces at
@@ -370,7 +389,7 @@ class Wave:
     def contact_force(self, time: np.ndarray) -> np.ndarray:
         """Contact force at times [s]: (len(time), n_pairs) [N], lambda(g(t)) or lambda(s(t)); of a
         constraint of uncoupled pairs, eps max(0, g + lambda / eps) of the waves."""
-        return self._forces(time)[:, : self.structure.n_pairs]
+        return self.gaps_and_forces(time)[1][:, : self.structure.n_pairs]
 
     def tangential_gap(self, time: np.ndarray) -> np.ndarray:
         """g_t of contact with friction at times [s]: (len(time), n_pairs) [m]."""
@@ -380,7 +399,7 @@ class Wave:
     def tangential_force(self, time: np.ndarray) -> np.ndarray:
         """lambda_t of contact with friction at times [s]: (len(time), n_pairs) [N]."""
         self._check_friction()
-        return self._forces(time)[:, self.structure.n_pairs :]
+        return self.gaps_and_forces(time)[1][:, self.structure.n_pairs :]
 
     def sticking_places(self, time: np.ndarray) -> np.ndarray:
         """h of contact with friction, the place in the tangential gap where a pair sticks or would,
@@ -393,33 +412,14 @@ class Wave:
         if friction_of(self.contact) is None:
             raise InputError("contact", self.contact, "CoulombFriction")
 
-    def _slow(self, time: np.ndarray) -> np.ndarray:
-        return evaluate(self.slow_gap_coefficients, self.base_omega, time)
-
-    def _forces(self, time: np.ndarray) -> np.ndarray:
-        """Contact forces on all rows at times [s]: (len(time), n_rows) [N]."""
-        if friction_of(self.contact) is not None:
-            assert isinstance(self._integrals, FrictionIntegrals)
-            return self._integrals.at(self.slow_gap_coefficients, self.base_omega * time)[0]
-        gap = self._slow(time)
-        if self.contact is None:
-            return np.zeros_like(gap)
-        if self.residual is not None:
-            return self._integrals.forces(gap)
-        if not is_rigid(self.contact):
-            return self.contact.force(gap)
-        assert self.contact.weight is not None
-        force = evaluate(self.force_coefficients, self.base_omega, time)
-        return np.asarray(np.maximum(0.0, self.contact.weight * gap + force))
-
     def coordinates(self, time: np.ndarray) -> np.ndarray:
         """Displacement of the structure's own dofs on this rank: (len(time), n_local) [m]."""
-        found = evaluate(self.displacement_coefficients, self.base_omega, time)
+        values, _, force = self.at_phase(self.base_omega * np.atleast_1d(time))
+        found = values @ self.displacement_coefficients
         if self.static_above is not None:
             # The quasi-static part follows the forces as they are, with their kinks.
-            waves = evaluate(self.force_rows, self.base_omega, time)
             moved = all_modes(self.seen).moved_at_once(self.static_above)
-            found -= (self._forces(time) - waves) @ moved.T
+            found -= (force - values @ self.force_rows) @ moved.T
         return found
 
 

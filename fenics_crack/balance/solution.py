@@ -21,7 +21,7 @@ from fenics_crack.balance.error_report import (
 )
 from fenics_crack.balance.problem import Problem, Search
 from fenics_crack.basics.errors import ConvergenceError, check_number
-from fenics_crack.basics.tables import Described, counted, quantity, with_frequency
+from fenics_crack.basics.tables import TURN, Described, counted, quantity, with_frequency
 from fenics_crack.model.contact import check_slope, coefficient_of, is_unilateral
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.modes import NEGLIGIBLE
@@ -160,23 +160,24 @@ class PeriodicSolution(Wave, Observed, Described):
         check_number("time", time)
         return self.structure.function(self.coordinates(np.array([time]))[0])
 
-    def records(self, rows: np.ndarray) -> Iterator[Record]:
+    def records(self, rows: np.ndarray, instants: int | None = None) -> Iterator[Record]:
+        """The motion, at as many instants as :meth:`instants` has, or as are given."""
         friction, moved = coefficient_of(self.contact), None
         if self.static_above is not None and not self.still:
             moved = rows @ all_modes(self.seen).moved_at_once(self.static_above)
         waves = self.structure.sum_over_ranks(self._moving @ rows.T)
 
         def at(parts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            time = self.period * parts
-            gap, force = self.gaps_and_forces(time)
-            motion = evaluate(waves, self.base_omega, time)
+            values, gap, force = self.at_phase(TURN * parts)
+            motion = values @ waves
             if moved is not None:
-                motion -= (force - evaluate(self.force_rows, self.base_omega, time)) @ moved.T
+                motion -= (force - values @ self.force_rows) @ moved.T
             return motion, gap, force
 
-        time = self.instants()
+        count = instants or len(self.instants())
+        parts = np.arange(count) / count
         yield Record(
-            self.omega, self.subharmonic, time, waves, *at(time / self.period),
+            self.omega, self.subharmonic, self.period * parts, waves, *at(parts),
             structure=lambda: self.structure,
             cracks=self.structure.pairs.cracks,
             friction=friction,

@@ -28,7 +28,6 @@ from fenics_crack.cli import account
 from fenics_crack.cli.account import IN_A_TEST, OTHERS
 from fenics_crack.cli.scenes import remark_on
 from fenics_crack.curves.curve import PARAMETERS, ResponseCurve, kind_in_words, parameter_axis
-from fenics_crack.curves.orbit_curve import OrbitCurve
 from fenics_crack.curves.peak import Top
 from fenics_crack.curves.stability import attractors
 from fenics_crack.model.modes import KINDS, BilinearFrequencies, Modes, bilinear_frequencies
@@ -351,7 +350,7 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
         notes.append(f"at {where} {order}, {share}")
     if scene.harmonic_balance.tolerance is not None and run.structure.n_pairs:
         notes.append(f"by the tolerance: {found.method}")
-    if isinstance(found, OrbitCurve):
+    if found.exact:
         width = in_unit(parameter_axis(found.parameter, True), found.resolution)
         notes.append(f"windows of instability narrower than {width} may lie between points")
     return _report(

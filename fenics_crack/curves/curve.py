@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from itertools import pairwise
@@ -11,9 +11,12 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from fenics_crack.balance.assessment import Assessment
+from fenics_crack.balance.contact_system import ContactPoint
 from fenics_crack.balance.error_report import LARGE_ERROR
-from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.balance.harmonic_balance import solution_of_orbit, wave_of
+from fenics_crack.balance.problem import Problem, least_harmonics
+from fenics_crack.balance.solution import PeriodicSolution, solution_of
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.tables import (
     Described,
@@ -24,14 +27,16 @@ from fenics_crack.basics.tables import (
     speed_axis,
     with_frequency,
 )
-from fenics_crack.curves.family import FAMILIES
+from fenics_crack.curves.orbits import Orbits, system_along
 from fenics_crack.curves.peak import Peak, Top, damping_by_width, top_of
 from fenics_crack.curves.stability import floquet
+from fenics_crack.curves.waves import WAVES, Waves
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.motions import Observed
-from fenics_crack.motion.orbit import PeriodicOrbit
+from fenics_crack.motion.motions import Observed, Record
+from fenics_crack.motion.orbit import HARMONICS, KNOWN, PeriodicOrbit, orbit_from
+from fenics_crack.motion.search import SearchOptions
 
 PARAMETERS = {
     "omega": "load frequency [rad/s]",
@@ -45,9 +50,13 @@ PARAMETERS = {
 }
 """Parameters of a curve, by their names in :attr:`ResponseCurve.parameter`."""
 
-
-PARTS = np.arange(256) / 256
-"""Parts of the period at which points of a curve are evaluated."""
+MIN_HARMONICS = SearchOptions.harmonics[0]
+"""Minimum harmonics of the load's frequency in a solution of exact orbits."""
+INSTANTS = 256
+"""Instants of the period at which points of a curve are evaluated."""
+RESOLUTION = 0.1
+"""Width of a window that may be missed, over the longest step: steps are judged by an interpolation
+between their ends, which is not right where orbits graze, or several multipliers meet in one."""
 
 
 def parameter_axis(parameter: str, in_hertz: bool) -> tuple[float, str, str]:
@@ -80,7 +89,7 @@ class Bifurcation(Described):
         multiplier leaves the unit circle through -1; "neimark_sacker": a pair of them leaves it
         anywhere else. Of harmonic balance the last two are found with ``stability=True``, and only
         under laws without exact orbits.
-    point : HarmonicCurve or OrbitCurve
+    point : ResponseCurve
         The curve that has no other point.
     multipliers : (m,) complex or None
         Leading Floquet multipliers of an exact orbit, largest modulus first; else None.
@@ -134,7 +143,8 @@ class CurvePoint:
     value, omega : float
         Of the parameter, and load frequency [rad/s].
     unknown : (2H+1, n_pairs) [m]
-        Gap coefficients, or the slow gap's (``HarmonicCurve.unknowns``).
+        Gap coefficients, or the slow gap's (``ResponseCurve.points``); of exact orbits
+        (2 n_modes,) in units of their own.
     iterations : int
         Newton iterations.
     multipliers : (8,) complex or None
@@ -153,9 +163,8 @@ class CurvePoint:
 
 @dataclass(frozen=True, repr=False, kw_only=True)
 class ResponseCurve(Observed, Tabular):
-    """Solutions along a curve, in the order in which it was followed.
-
-    It is a :class:`HarmonicCurve` or an :class:`OrbitCurve`.
+    """Solutions along a curve, in the order in which it was followed: of harmonic balance, or exact
+    periodic orbits.
 
     Attributes
     ----------
@@ -179,9 +188,23 @@ class ResponseCurve(Observed, Tabular):
         Reason for the end.
     subharmonic : int
         The response has this many times the load's period.
+    points : (n, 2H+1, n_pairs) [m], or (n, 2 n_modes)
+        Of harmonic balance the gap coefficients, or those of the slow gap s = g + R_inf lambda
+        where pairs are seen through R_inf; with friction (n, 2H+1, 2 n_pairs), tangential gaps
+        behind the normal ones. Of exact orbits modal displacements and velocities at phase zero, in
+        the modes of the structure as the parameter varies it.
+    tolerance : float or None
+        Error to which :meth:`solution` keeps the Fourier coefficients of exact orbits; None: the
+        points solve the truncated equations of harmonic balance.
+    samples : int or None
+        As given when it was followed.
+    static_above : float or None
+        Of harmonic balance with a residual flexibility R_inf, the same for all points: the
+        frequency [rad/s] above which modes are quasi-static (:class:`fenics_crack.Problem`).
     multipliers : (n,) complex or None
         Floquet multiplier of largest modulus at each point, of a pair the one with positive
-        imaginary part; None: not known.
+        imaginary part; nan where it does not decide the stability (:func:`judge_curve`); None: not
+        assessed.
     branch : bool
         True if :func:`follow_branch` has followed it.
     """
@@ -196,73 +219,115 @@ class ResponseCurve(Observed, Tabular):
     complete: bool
     status: str
     subharmonic: int
+    points: np.ndarray
+    tolerance: float | None = None
+    samples: int | None = None
+    static_above: float | None = None
     multipliers: np.ndarray | None = None
     branch: bool = False
 
     KIND: ClassVar[str] = "response curve"
     frequency = hertz_of()
-    EXACT: ClassVar[bool] = False
-    """True if its points are exact orbits."""
-    FOUND: ClassVar[str]
-    """Name of the attribute that holds the points, (n, ...)."""
 
     def __len__(self) -> int:
         return len(self.omega)
 
-    # --- what each kind knows ---------------------------------------------------------------------
+    @property
+    def exact(self) -> bool:
+        """True if its points are exact orbits."""
+        return self.tolerance is not None
+
+    @property
+    def harmonics(self) -> int:
+        """H; of exact orbits the fewest of a solution."""
+        if not self.exact:
+            return self.points.shape[1] // 2
+        least = least_harmonics(self.structure, self.subharmonic)
+        return max(MIN_HARMONICS * self.subharmonic, least)
 
     @property
     def method(self) -> str:
         """Method by which the points were found, in words: "H = 5", "exact orbits"."""
-        raise NotImplementedError
-
-    @property
-    def problem(self) -> Problem:
-        """Problem solved at the first point."""
-        raise NotImplementedError
+        return "exact orbits" if self.exact else f"H = {self.harmonics}"
 
     @cached_property
-    def _structure(self) -> Structure:
-        """Structure at the first point."""
-        if self.parameter == "speed" and isinstance(self.structure, RunUpStructure):
-            return self.structure.at_speed(float(self.values[0]))
-        return self.structure
+    def problem(self) -> Problem:
+        """Problem solved at the first point."""
+        structure = self.structure
+        if self.parameter == "speed" and isinstance(structure, RunUpStructure):
+            structure = structure.at_speed(float(self.values[0]))
+        return Problem(
+            structure, float(self.omega[0]), self.contact, self.harmonics,
+            self.samples, self.subharmonic, self.static_above,
+        )  # fmt: skip
 
-    @property
-    def undecided(self) -> np.ndarray | None:
-        """Points of undecided stability: (n,) bool; None: not requested."""
-        raise NotImplementedError
+    @cached_property
+    def system(self) -> Waves | Orbits:
+        """The equations along the parameter: from its value at the first point to the one farthest
+        from there."""
+        farthest = int(np.argmax(np.abs(self.values - self.values[0])))
+        ends = float(self.values[0]), float(self.values[farthest])
+        return system_along(self.exact, self.problem, self.parameter, *ends)
 
-    @property
-    def gap_coefficients(self) -> np.ndarray:
-        """Closing of the pairs: (n, 2H+1, n_pairs) [m]."""
-        raise NotImplementedError
-
-    def reason(self, index: int) -> str:
-        """Why the stability is undecided at a point, and what to do; "" where it is decided."""
-        raise NotImplementedError
+    # --- its points -------------------------------------------------------------------------------
 
     def problem_at(self, value: float) -> Problem:
         """Return the problem at a value of the parameter."""
-        return FAMILIES[self.parameter].vary(self.problem, value)
+        return WAVES[self.parameter].vary(self.problem, value)
 
     def problem_of(self, index: int) -> Problem:
         """Return the problem solved at a point, of the structure as the parameter varies it."""
         problem = self.problem_at(float(self.values[index]))
         return replace(problem, omega=float(self.omega[index]))
 
-    def _structure_of(self, index: int) -> Structure:
-        """The structure at a point."""
-        return self.problem_of(index).structure
-
     def solution(self, index: int, *, search: bool = True) -> PeriodicSolution:
         """The solution at a point, with its displacement and error report; without ``search`` for
-        its exact orbit the report is what one Newton step predicts."""
-        raise NotImplementedError
+        its exact orbit the report is what one Newton step predicts. Of an exact orbit its Fourier
+        series, as long as the tolerance requires; nothing is searched for."""
+        if self.tolerance is not None:
+            return solution_of_orbit(self.problem_of(index), self.orbit(index), self.tolerance)
+        return solution_of(*self._balanced(index), status="point of a curve", search=search)
+
+    def _balanced(self, index: int) -> tuple[Problem, ContactPoint]:
+        """The problem, and its truncated equations at a point."""
+        problem = self.problem_of(index)
+        return problem, problem.system(problem.compliance()).linearise(self.points[index])
 
     def orbit(self, index: int) -> PeriodicOrbit:
         """The exact orbit at a point; InputError on a curve of harmonic balance."""
-        raise InputError("curve", self.method, "one of exact orbits")
+        if not isinstance(self.system, Orbits):
+            raise InputError("curve", self.method, "one of exact orbits")
+        flow, omega = self.system.flow(float(self.values[index])), float(self.omega[index])
+        iterations = int(self.iterations[index])
+        return orbit_from(flow, omega, self.points[index], self.subharmonic, iterations)
+
+    def assessment(self, index: int) -> Assessment:
+        """Return the assessment of a point of harmonic balance by the exact flow; no error is
+        estimated."""
+        return self._motion(index).assessment
+
+    def _motion(self, index: int) -> PeriodicSolution:
+        """The solution of harmonic balance at a point, without a report."""
+        problem, at = self._balanced(index)
+        return PeriodicSolution(**vars(problem.wave(at)))
+
+    @cached_property
+    def gap_coefficients(self) -> np.ndarray:
+        """Closing of the pairs: (n, 2H+1, n_pairs) [m]; of exact orbits by their exact integrals,
+        with 40 harmonics of their period."""
+        count, places = self.structure.n_pairs, range(len(self))
+        if self.exact:
+            found = [self.orbit(place).coefficients(HARMONICS).gap for place in places]
+            return np.array(found)[..., :count]
+        if self.static_above is None:
+            return self.points[..., :count]
+        return np.array([self._motion(place).gap_coefficients for place in places])
+
+    def records(self, rows: np.ndarray) -> Iterator[Record]:
+        for place in range(len(self)):
+            motion = self.orbit(place) if self.exact else self._motion(place)
+            [record] = motion.records(rows, INSTANTS)
+            yield replace(record, exact={})
 
     # --- stability --------------------------------------------------------------------------------
 
@@ -277,52 +342,74 @@ class ResponseCurve(Observed, Tabular):
         """
         if self.multipliers is None:
             raise AttributeError("stability: unknown of a curve followed with stability = False")
-        return np.asarray((np.abs(self.multipliers) < 1.0) & ~self._open)
+        return np.asarray(np.abs(self.multipliers) < 1.0 - KNOWN)
+
+    @property
+    def undecided(self) -> np.ndarray | None:
+        """Points of undecided stability, for a :meth:`reason`: (n,) bool; None: not assessed."""
+        if self.multipliers is None:
+            return None
+        return np.asarray(~(np.abs(np.abs(self.multipliers) - 1.0) > KNOWN))
 
     @property
     def verdicts(self) -> np.ndarray:
         """Stable, unstable or undecided, at each point: (n,) str; raises as :attr:`stable`."""
-        return np.where(self._open, "undecided", np.where(self.stable, "stable", "unstable"))
+        decided = np.where(self.stable, "stable", "unstable")
+        return np.where(self.undecided, "undecided", decided)
+
+    def reason(self, index: int) -> str:
+        """Why the stability is undecided at a point, as :func:`fenics_crack.floquet` says of the
+        point's solution by itself; "" where it is decided."""
+        if self.undecided is None or not self.undecided[index]:
+            return ""
+        if self.exact:
+            return "its largest multiplier is 1 to its accuracy"
+        if self.undecided.all():
+            return "no exact orbit is accepted for any point of the curve"
+        return self.assessment(index).reason or "its largest multiplier is 1 to rounding"
 
     @property
-    def _open(self) -> np.ndarray:
-        """Points of undecided stability: (n,) bool, never None."""
-        return np.zeros(len(self), dtype=bool) if self.undecided is None else self.undecided
+    def resolution(self) -> float:
+        """Width, in the unit of ``values``, of the unstable or doubled windows that a curve of
+        exact orbits may miss between its points: a tenth of the longest step taken."""
+        return RESOLUTION * float(np.abs(np.diff(self.values)).max(initial=0.0))
 
-    # --- its points -------------------------------------------------------------------------------
+    # --- parts of it ------------------------------------------------------------------------------
 
     def part(self, places: Sequence[int] | slice) -> Self:
         """The points at some places, without the bifurcations."""
         columns = {name: column[places] for name, column in _arrays_of(self).items()}
         return replace(self, **columns, bifurcations=())
 
-    def unjudged(self) -> Self:
-        """As it was followed, without what has been requested since."""
-        return self
-
     def bifurcation(
-        self, kind: str, value: float, found: np.ndarray, multipliers: np.ndarray | None = None
-    ) -> Bifurcation:
-        """A special point of this curve, where the parameter has a value."""
-        omega = self.problem_at(value).omega
-        columns: dict[str, Any] = {"values": value, "omega": omega, "iterations": 0}
-        columns |= {self.FOUND: found}
-        columns |= {} if multipliers is None else {"multipliers": leading(multipliers)}
+        self, kind: str, value: float, omega: float, point: np.ndarray,
+        multipliers: np.ndarray | None = None,
+    ) -> Bifurcation:  # fmt: skip
+        """A special point of this curve, by its value of the parameter and its load frequency."""
+        columns = {"values": value, "omega": omega, "iterations": 0, "points": point}
         rows = {name: np.array([entry]) for name, entry in columns.items()}
-        return Bifurcation(kind, replace(self.unjudged().part([0]), **rows), multipliers)
+        first = None if multipliers is None else np.array([leading(multipliers)])
+        alone = replace(self, **rows, multipliers=first, bifurcations=())
+        return Bifurcation(kind, alone, multipliers)
 
     @cached_property
     def at_bifurcations(self) -> Self:
         """The first point, the bifurcations and the last point, to be measured: a curve of their
-        own."""
-        plain = self.unjudged()
-        met = (one.point for one in self.bifurcations)
-        return replace(plain, **_joined(plain.part([0]), *met, plain.part([-1])), bifurcations=())
+        own, with multipliers if it has exact orbits."""
+        whole = self if self.exact else replace(self, multipliers=None)
+        points: list[ResponseCurve] = [
+            whole.part([0]),
+            *(one.point for one in self.bifurcations),
+            whole.part([-1]),
+        ]
+        columns = [_arrays_of(one) for one in points]
+        joined = {name: np.concatenate([one[name] for one in columns]) for name in columns[0]}
+        return replace(whole, **joined, bifurcations=())
 
     def nearest(self, bifurcation: Bifurcation) -> int:
         """The number of the point nearest to a bifurcation."""
-        points, there = getattr(self, self.FOUND), getattr(bifurcation.point, self.FOUND)
-        off = np.linalg.norm((points - there).reshape(len(self), -1), axis=1)
+        there = bifurcation.point.points
+        off = np.linalg.norm((self.points - there).reshape(len(self), -1), axis=1)
         off /= float(np.linalg.norm(there)) or 1.0
         wide = float(np.ptp(self.values)) or 1.0
         return int(np.argmin(np.hypot(off, (self.values - bifurcation.value) / wide)))
@@ -346,14 +433,20 @@ class ResponseCurve(Observed, Tabular):
         """The largest response of a dof, or of the watched one: where, how large, how sure, whether
         stable, and the damping by its width."""
         top = self.top(dof)
-        omega, solution = float(self.omega[top.index]), self.solution(top.index)
-        error, damping = solution.report.displacement, _damping(self, top.index, dof)
+        omega, solution, damping = float(self.omega[top.index]), self.solution(top.index), math.nan
         if self.parameter in ("omega", "speed"):
+            waves, structure = self.coefficients_at(dof), self.structure
+            damping = damping_by_width(self.values, waves, self.subharmonic, top.index)
+            if isinstance(structure, RunUpStructure):
+                # Natural frequencies follow the load's, and it takes longer to pass them.
+                there = structure.at_speed(float(self.values[top.index]))
+                damping *= 1.0 - there.stiffening(omega)
             omega *= top.value / float(self.values[top.index])
         if self.multipliers is None:
             verdict = floquet(solution.structure, solution).verdict
         else:
             verdict = str(self.verdicts[top.index])
+        error = solution.report.displacement
         return Peak(**vars(top), omega=omega, error=error, verdict=verdict, damping=damping)
 
     @cached_property
@@ -380,6 +473,11 @@ class ResponseCurve(Observed, Tabular):
 
     def _displacement_error(self, index: int) -> float:
         """The same at a point."""
+        if self.exact:
+            orbit, problem = self.orbit(index), self.problem_of(index)
+            wave = wave_of(problem, orbit, orbit.coefficients(problem.harmonics))
+            if (more := wave.assessment.more_modes) is not None:
+                return more.changes[1]
         return self.solution(index, search=False).report.displacement
 
     # --- shown ------------------------------------------------------------------------------------
@@ -410,22 +508,3 @@ def _arrays_of(curve: ResponseCurve) -> dict[str, np.ndarray]:
     """The columns of a curve by the names of its fields."""
     known = {one.name: getattr(curve, one.name) for one in fields(curve)}
     return {name: column for name, column in known.items() if isinstance(column, np.ndarray)}
-
-
-def _joined(*curves: ResponseCurve) -> dict[str, np.ndarray]:
-    """Columns of curves of one kind, one after the other."""
-    columns = [_arrays_of(one) for one in curves]
-    return {name: np.concatenate([one[name] for one in columns]) for name in columns[0]}
-
-
-def _damping(curve: ResponseCurve, index: int, dof: int | None) -> float:
-    """By the half-power bandwidth next to a point; over a rotor's speed natural frequencies follow
-    the load's, and it takes longer to pass them."""
-    if curve.parameter not in ("omega", "speed"):
-        return math.nan
-    waves, structure = curve.coefficients_at(dof), curve.structure
-    damping = damping_by_width(curve.values, waves, curve.subharmonic, index)
-    if isinstance(structure, RunUpStructure):
-        there = structure.at_speed(float(curve.values[index]))
-        damping *= 1.0 - there.stiffening(float(curve.omega[index]))
-    return damping

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, TypedDict, Unpack
+from typing import Any, Unpack
 
 import numpy as np
 from tqdm import tqdm
@@ -21,11 +20,8 @@ from fenics_crack.basics.errors import (
 )
 from fenics_crack.basics.progress import begin, reaching
 from fenics_crack.basics.suggestions import check_options
-from fenics_crack.basics.tables import RPM
-from fenics_crack.curves.continuation import Continuation
-from fenics_crack.curves.curve import Bifurcation, CurvePoint, ResponseCurve
-from fenics_crack.curves.growing import Growing
-from fenics_crack.curves.orbit_continuation import OrbitContinuation, has_orbits
+from fenics_crack.curves.continuation import Continuation, GrowingCurve, StepOptions, has_orbits
+from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import reduce_structure
@@ -38,14 +34,14 @@ BAR = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}{postfix}"
 """Progress bar of a curve; its remaining time does not follow from its progress."""
 
 
-class CurveOptions(TypedDict, total=False):
+class CurveOptions(StepOptions, total=False):
     """Options of :func:`.continue_frequency` and :func:`.continue_parameter`.
 
     harmonics, samples, subharmonic, initial
         As in :func:`.solve_harmonic_balance`; ``initial`` is where to start.
     tolerance
-        In place of ``harmonics`` and ``samples``: follow exact orbits, an :class:`OrbitCurve` whose
-        solutions are kept to this error. Where their flow is not known, as for smooth laws, or they
+        In place of ``harmonics`` and ``samples``: follow exact orbits, whose solutions are kept
+        to this error. Where their flow is not known, as for smooth laws, or they
         would take too long, with more than 120 modes or under a very slow load: harmonic balance
         with as many harmonics as the truncation error of the first point requires.
     stability, longest_step, most_points, turning_back
@@ -58,9 +54,6 @@ class CurveOptions(TypedDict, total=False):
     initial: PeriodicSolution | None
     tolerance: float | None
     stability: bool
-    longest_step: float
-    most_points: int
-    turning_back: float
 
 
 def continue_frequency(
@@ -102,8 +95,7 @@ def continue_frequency(
     Returns
     -------
     ResponseCurve
-        From the start on; ``complete`` if it reached the end. An :class:`OrbitCurve` with a
-        ``tolerance``, else a :class:`HarmonicCurve`.
+        From the start on; ``complete`` if it reached the end; ``exact`` with a ``tolerance``.
 
     Raises
     ------
@@ -154,8 +146,7 @@ def continue_parameter(
     Returns
     -------
     ResponseCurve
-        From the start on; ``complete`` if it reached the end. An :class:`OrbitCurve` with a
-        ``tolerance``, else a :class:`HarmonicCurve`.
+        From the start on; ``complete`` if it reached the end; ``exact`` with a ``tolerance``.
 
     Raises
     ------
@@ -170,54 +161,63 @@ def continue_parameter(
     ...     structure, 2000.0, contact, "load", 1.0, 2.0, harmonics=5)
     """
     check_options("continue_parameter", options, CurveOptions.__annotations__)
-    if options.get("tolerance") is not None and not is_small(structure):
+    given: dict[str, Any] = dict(options)
+    keys = ("harmonics", "samples", "subharmonic", "initial")
+    harmonics, samples, subharmonic, initial = (given.pop(key, None) for key in keys)
+    tolerance = given.get("tolerance")
+    if tolerance is not None and harmonics is not None:
+        raise InputError("tolerance", tolerance, "left out where harmonics are given")
+    if tolerance is not None and not is_small(structure):
         structure = reduce_structure(structure, method="massless")
-    elsewhere = options.get("initial") is not None
+    subharmonic = 1 if subharmonic is None else subharmonic
+    check_count("subharmonic", subharmonic, 1)
+    if harmonics is None:
+        harmonics = max(Problem.harmonics, least_harmonics(structure, subharmonic))
+    problem = Problem(structure, omega, contact, harmonics, samples, subharmonic)
+    exact = tolerance is not None and samples is None and has_orbits(problem, parameter, start, end)
 
-    def grow(origin: float, goal: float, **changes: Any) -> Growing:
-        span = parameter, origin, goal
-        return _continuation(structure, omega, contact, span, {**options, **changes})
+    def grow(origin: float, goal: float, near: Any = initial) -> GrowingCurve:
+        return Continuation(problem, parameter, origin, goal, exact=exact, initial=near, **given)
 
-    def again(begun: Growing | None = None) -> Growing | None:
-        return None if elsewhere else _again(grow, start, end, begun)
+    def again(begun: GrowingCurve | None = None) -> GrowingCurve | None:
+        return _again(grow, start, end, begun) if initial is None else None
 
     try:
         growing = grow(start, end)
-    except ConvergenceError as error:
-        other = again() if options.get("tolerance") is not None else None
+    except ConvergenceError:
+        other = None if tolerance is None else again()
         if other is None:
-            raise error from None
+            raise
         growing = other
-    return _run(growing, progress, throw, again)
+    return run_to_end(growing, progress, throw, again)
 
 
 def _again(
-    grow: Callable[..., Growing], start: float, end: float, begun: Growing | None
-) -> Growing | None:
+    grow: Callable[..., GrowingCurve], start: float, end: float, begun: GrowingCurve | None
+) -> GrowingCurve | None:
     """Follow another curve from the start, in as many points as one before has or is soon to have.
 
     Its solution at the start is met by following one from the end, or from between. It is needed
     where the first solution lies on a curve that comes back to the start, such as a closed loop of
     the truncated equations, or where there is none.
     """
-    spent, known = 0, 0 if begun is None else len(begun.followed)
+    spent, known = 0, 0 if begun is None else len(begun.points)
     places = ATTEMPTS if begun is not None else 1  # where there is no orbit a search takes long
     for origin in np.linspace(end, start, ATTEMPTS, endpoint=False)[:places].tolist():
         there: PeriodicSolution | PeriodicOrbit | None = None
         for first, last in ((origin, start), (start, end)):
             try:
-                found = grow(first, last, initial=there)
-                left = max(known, 2 * ATTEMPTS * ON_PATH // found.size) - spent
+                found = grow(first, last, there)
+                left = max(known, 2 * ATTEMPTS * ON_PATH // found.system.size) - spent
                 found.most_points = max(1, min(left, found.most_points))
                 found.run()
             except ConvergenceError:
                 break
-            met = found.followed
-            spent += len(met)
+            spent += len(found.points)
             if not found.complete or found.returned:
                 break
-            at_end = len(met) - 1
-            there = met.orbit(at_end) if met.EXACT else met.solution(at_end)
+            curve = found.followed
+            there = curve.orbit(-1) if curve.exact else curve.solution(-1)
         else:
             found.status += ", not by the first solution found at its start"
             return found
@@ -283,68 +283,22 @@ def follow_branch(
     doubled = 2 if bifurcation.kind == "period_doubling" else 1
     problem = replace(
         curve.problem,
-        structure=bifurcation.problem.structure if curve.parameter == "speed" else curve.structure,
-        omega=bifurcation.omega,
         harmonics=doubled * curve.problem.harmonics,
         samples=curve.problem.samples and doubled * curve.problem.samples,
         subharmonic=doubled * curve.subharmonic,
     )
-    exact, span = curve.EXACT, (curve.parameter, start, end)
-    initial = (curve, bifurcation) if exact else bifurcation
-    return _run(_grown(exact, problem, span, initial, options), progress, throw)
+    growing = Continuation(
+        problem, curve.parameter, start, end,
+        exact=curve.exact, initial=bifurcation, branch_of=curve, **options,  # type: ignore[misc]
+    )  # fmt: skip
+    return run_to_end(growing, progress, throw)
 
 
-def _continuation(
-    structure: Structure,
-    omega: float,
-    contact: ContactLaw,
-    span: tuple[str, float, float],
-    options: Mapping[str, Any],
-) -> Growing:
-    """The continuation that options request."""
-    given: dict[str, Any] = dict(options)
-    tolerance, keys = given.get("tolerance"), ("harmonics", "samples", "subharmonic", "initial")
-    harmonics, samples, subharmonic, initial = (given.pop(key, None) for key in keys)
-    if tolerance is not None and harmonics is not None:
-        raise InputError("tolerance", tolerance, "left out where harmonics are given")
-    subharmonic = 1 if subharmonic is None else subharmonic
-    check_count("subharmonic", subharmonic, 1)
-    if harmonics is None:
-        harmonics = max(Problem.harmonics, least_harmonics(structure, subharmonic))
-    problem = Problem(structure, omega, contact, harmonics, samples, subharmonic)
-    exact = tolerance is not None and samples is None and has_orbits(problem, *span)
-    return _grown(exact, problem, span, initial, given)
-
-
-def _grown(
-    exact: bool,
-    problem: Problem,
-    span: tuple[str, float, float],
-    initial: Any,
-    options: Mapping[str, Any],
-) -> Growing:
-    """A curve of exact orbits, which have their stability, or of harmonic balance."""
-    if not exact:
-        return Continuation(problem, *span, initial=initial, **options)
-    given = {key: value for key, value in options.items() if key != "stability"}
-    return OrbitContinuation(problem, *span, initial=initial, **given)
-
-
-def _where(parameter: str, point: CurvePoint, count: int) -> str:
-    """A point of a curve in words: load frequency or other parameter, and how many there are."""
-    value, hertz = f"{point.value:.6g}", f"{point.omega / (2.0 * math.pi):.6g} Hz"
-    words = {
-        "omega": f"{hertz}, {point.omega:.6g} rad/s",
-        "speed": f"{point.value / RPM:.6g} rpm, {value} rad/s; load {hertz}",
-    }
-    return f"{words.get(parameter, value)}, {count} points"
-
-
-def _run(
-    growing: Growing,
+def run_to_end(
+    growing: GrowingCurve,
     progress: bool,
     throw: bool,
-    again: Callable[[Growing], Growing | None] | None = None,
+    again: Callable[[GrowingCurve], GrowingCurve | None] | None = None,
 ) -> ResponseCurve:
     """Follow to the end, where the curve comes back to its start from another solution there; the
     curve, assessed if requested, but not after Ctrl-C."""
@@ -371,16 +325,15 @@ def _run(
     return curve
 
 
-def _follow(growing: Growing, progress: bool) -> None:
+def _follow(growing: GrowingCurve, progress: bool) -> None:
     """Follow to the end with a bar, or signs of life."""
-    first = growing.followed
-    if not progress or first.structure.whole.comm.rank != 0:
+    if not progress or growing.system.problem.structure.whole.comm.rank != 0:
         begin("curve")
         with reaching(growing.how_far):
             growing.run()
         return
     begin("")
     with tqdm(total=100, desc="curve", unit="%", bar_format=BAR) as bar:
-        for count, point in enumerate(growing, 1):
-            bar.set_postfix_str(_where(first.parameter, point, count), refresh=False)
+        for _ in growing:
+            bar.set_postfix_str(growing.where(), refresh=False)
             bar.update(max(0, int(100.0 * growing.progress()) - bar.n))

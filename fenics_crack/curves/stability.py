@@ -53,7 +53,6 @@ from fenics_crack.motion.shooting import FlowOrbits
 from fenics_crack.numerics.equations import NEARLY_SOLVED
 from fenics_crack.numerics.fourier import resized, sampled
 from fenics_crack.numerics.newton import moving_size, solve_at
-from fenics_crack.time.march import initial_state
 
 
 def monodromy(
@@ -135,14 +134,15 @@ def _drifted(modes: AllModes, moved: np.ndarray, state: np.ndarray) -> np.ndarra
     return np.concatenate([e[0] * q + e[1] * rate, e[2] * q + e[3] * rate], axis=1)
 
 
-def orbits_near(
-    structure: Structure, contact: ContactLaw, solution: PeriodicSolution
-) -> FlowOrbits:
-    """Orbits of the exact flow."""
-    flow = exact_flow(structure, contact)
-    places = solution.sticking_places(np.zeros(1))[0] if flow.friction else None
-    state = flow.state(*initial_state(structure, solution), places)
-    return FlowOrbits(flow, solution.omega, state, solution.subharmonic)
+def _assessed(
+    structure: Structure, solution: PeriodicSolution, contact: ContactLaw | None
+) -> Assessment:
+    """The assessment of a solution of a structure, by default with the solution's own law."""
+    law = solution.contact if contact is None else contact
+    check_law(structure, law, rigid=True)
+    if solution.structure.n_dofs != structure.n_dofs:
+        raise InputError("solution", f"{solution.structure.n_dofs} dofs", "of this structure")
+    return replace(solution, structure=structure, contact=law).assessment
 
 
 def shoot(
@@ -186,21 +186,20 @@ def shoot(
     >>> orbit = fc.shoot(structure, solution)
     >>> distance = orbit.multipliers
     """
-    law = contact if contact is not None else solution.contact
-    check_law(structure, law, rigid=True)
-    assert law is not None
     check_count("settle", settle, 0)
-    orbits, periods = orbits_near(structure, law, solution), solution.subharmonic
-    known = replace(solution, structure=structure, contact=law).assessment
+    known, periods = _assessed(structure, solution, contact), solution.subharmonic
+    assert known.wave.contact is not None
+    flow = exact_flow(structure, known.wave.contact)
     found = None if settle else known.orbit
     if found is None:
+        orbits = FlowOrbits(flow, solution.omega, known.states[0], periods)
         settled = orbits.start
         for _ in range(settle):
             settled = orbits.moved(settled, 1.0)
         start = orbits.state(settled)
-        found = find_orbit(orbits.flow, solution.omega, start, subharmonic=periods)
-        if found is None and orbits.flow.count <= FORMED:
-            begun = FlowOrbits(orbits.flow, solution.omega, start, periods)
+        found = find_orbit(flow, solution.omega, start, subharmonic=periods)
+        if found is None and flow.count <= FORMED:
+            begun = FlowOrbits(flow, solution.omega, start, periods)
             found = by_homotopy(begun, SearchOptions())
     if found is not None and found.residual > tolerance:  # its last step was short, but M is large
         again = find_orbit(found.flow, found.omega, found.state, subharmonic=found.subharmonic)
@@ -250,16 +249,13 @@ def floquet(
     >>> stability = fc.floquet(structure, solution)
     >>> verdict, reason = stability.verdict, stability.reason
     """
-    contact = contact if contact is not None else solution.contact
-    check_law(structure, contact, rigid=True)
-    assert contact is not None
-    if solution.structure.n_dofs != structure.n_dofs:
-        raise InputError("solution", f"{solution.structure.n_dofs} dofs", "of this structure")
-    known = replace(solution, structure=structure, contact=contact).assessment
+    known = _assessed(structure, solution, contact)
+    law = known.wave.contact
     if known.flow is None:
-        if is_unilateral(contact) or not is_small(structure):
-            exact_flow(structure, contact)  # says what is missing
-        return _by_waves(structure, solution, contact)
+        assert law is not None
+        if is_unilateral(law) or not is_small(structure):
+            exact_flow(structure, law)  # says what is missing
+        return _by_waves(structure, solution, law)
     return stability_of(known)
 
 

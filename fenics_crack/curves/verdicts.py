@@ -15,6 +15,7 @@ Source: Seydel, Practical Bifurcation and Stability Analysis, chapters 4 and 7.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -22,10 +23,10 @@ from functools import partial
 import numpy as np
 
 from fenics_crack.balance.assessment import MAX_ERROR
+from fenics_crack.balance.solution import Stability
 from fenics_crack.basics.progress import begin
-from fenics_crack.curves.curve import leading
-from fenics_crack.curves.growing import chord, points_of
-from fenics_crack.curves.harmonic_curve import HarmonicCurve
+from fenics_crack.curves.branch import neighbours
+from fenics_crack.curves.curve import ResponseCurve, leading
 from fenics_crack.curves.orbit_events import (
     about_minus_one,
     beyond_circle,
@@ -33,13 +34,14 @@ from fenics_crack.curves.orbit_events import (
     leading_multipliers,
 )
 from fenics_crack.curves.stability import floquet, monodromy, stability_of
+from fenics_crack.curves.waves import Waves
 from fenics_crack.model.contact import is_unilateral
 from fenics_crack.motion.orbit import eigenvalues
 from fenics_crack.numerics.newton import PathPoint, point_on_path
 from fenics_crack.numerics.path import Crossing
 
 
-def judge_curve(curve: HarmonicCurve) -> HarmonicCurve:
+def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     """Assess the points of a curve over any parameter by their nearest exact orbits.
 
     Laws that are not linear in contact have no exact orbits: their points are assessed as
@@ -48,12 +50,12 @@ def judge_curve(curve: HarmonicCurve) -> HarmonicCurve:
 
     Parameters
     ----------
-    curve : HarmonicCurve
-        Followed with or without ``stability=True``.
+    curve : ResponseCurve
+        Of harmonic balance, followed with or without ``stability=True``.
 
     Returns
     -------
-    HarmonicCurve
+    ResponseCurve
         The same points, with the multipliers of their orbits; "undecided" (and nan) where the
         predicted error is above 0.1, or no orbit is nearer than that and three times what is
         predicted.
@@ -73,31 +75,28 @@ def judge_curve(curve: HarmonicCurve) -> HarmonicCurve:
     begin("stability by exact orbits")
     multipliers = np.full(len(curve), np.nan + 0j)
     first = {0, len(curve) // 2, len(curve) - 1}
-    if any([_decides(curve, place, multipliers) for place in first]):
-        for place in {*range(len(curve))} - first:
-            _decides(curve, place, multipliers)
-    return replace(curve, multipliers=multipliers, undecided=np.isnan(multipliers))
+    for places in first, {*range(len(curve))} - first:
+        for place in places:
+            known = curve.assessment(place)
+            if known.predicted_error <= MAX_ERROR:  # else no orbit would be its own
+                multipliers[place] = _deciding(stability_of(known))
+        if np.isnan(multipliers).all():
+            break
+    return replace(curve, multipliers=multipliers)
 
 
-def _decides(curve: HarmonicCurve, place: int, multipliers: np.ndarray) -> bool:
-    """Assess a point, whose leading multiplier is set; True if that is decided."""
-    known = curve.assessment(place)
-    if not known.predicted_error <= MAX_ERROR:  # no orbit would be its own
-        return False
-    found = stability_of(known)
-    if found.verdict == "undecided":
-        return False
-    multipliers[place] = leading(found.multipliers)
-    return True
+def _deciding(stability: Stability) -> complex:
+    """The leading multiplier; nan where the stability is undecided."""
+    return math.nan if stability.verdict == "undecided" else leading(stability.multipliers)
 
 
-def judged_by_waves(curve: HarmonicCurve) -> HarmonicCurve:
+def judged_by_waves(curve: ResponseCurve) -> ResponseCurve:
     """The same curve with verdicts, and with bifurcations where multipliers of the flow
     linearised along it leave the unit circle."""
     begin("stability of each point")
     solutions = (curve.solution(place, search=False) for place in range(len(curve)))
     found = [floquet(one.structure, one) for one in solutions]
-    special = [*curve.unjudged().bifurcations]
+    special = [one for one in curve.bifurcations if one.kind in ("fold", "branch_point")]
     values = np.array([one.multipliers for one in found])
     rows = leading_multipliers(values)
     crossed = changes(rows)[:, 1:] != 0.0
@@ -112,28 +111,29 @@ def judged_by_waves(curve: HarmonicCurve) -> HarmonicCurve:
     return replace(
         curve,
         bifurcations=tuple(special),
-        multipliers=np.array([leading(one.multipliers) for one in found]),
-        undecided=np.array([one.verdict == "undecided" for one in found]),
+        multipliers=np.array([_deciding(one) for one in found], dtype=complex),
     )
 
 
 def _located(
-    curve: HarmonicCurve, place: int, test: Callable[[np.ndarray], float]
-) -> tuple[float, np.ndarray]:
-    """Value of the parameter and unknown behind a point where a function of multipliers is zero."""
-    family = curve.equations
-    ends = points_of(family, curve, [place, place + 1])
-    way = chord(family, *ends)
+    curve: ResponseCurve, place: int, test: Callable[[np.ndarray], float]
+) -> tuple[float, float, np.ndarray]:
+    """Value of the parameter, load frequency and unknown behind a point where a function of
+    multipliers is zero."""
+    system = curve.system
+    assert isinstance(system, Waves)
     first, last = (
-        point_on_path(family, unknown, family.parameter(value), way) for value, unknown in ends
+        point_on_path(system, end.unknown, end.parameter, end.tangent)
+        for end in neighbours(system, curve, place, place + 1)
     )
 
     def value(at: PathPoint) -> float:
-        problem = family.at(family.value(at.parameter))
+        problem = system.at(system.value(at.parameter))
         above, omega = problem.static_cutoff, problem.base_omega
         matrix = monodromy(problem.structure, problem.contact, at.unknown, omega, above)
         return test(eigenvalues(matrix))
 
-    found = Crossing(value).locate(family, (first, last), family.rounding(last.parameter))
+    found = Crossing(value).locate(system, (first, last), system.rounding(last.parameter))
     assert found is not None
-    return family.value(found.parameter), found.unknown
+    there = system.value(found.parameter)
+    return there, system.omega(there, found.unknown), found.unknown

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -14,11 +14,8 @@ from fenics_crack.balance.error_report import ErrorReport
 from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import gather_rows
-from fenics_crack.curves.backbone import Backbone
 from fenics_crack.curves.curve import ResponseCurve
-from fenics_crack.curves.family import FAMILIES
-from fenics_crack.curves.harmonic_curve import HarmonicCurve
-from fenics_crack.curves.orbit_curve import OrbitCurve
+from fenics_crack.curves.waves import WAVES
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.files.codec import Parts, packed, unpacked
 from fenics_crack.files.store import Stored, check_shapes, read, write
@@ -39,7 +36,7 @@ from fenics_crack.scene.fields import LARGEST
 from fenics_crack.scene.scene import Scene
 from fenics_crack.time.march import TimeHistory
 
-Result = Modes | PeriodicSolution | ResponseCurve | Backbone | TimeHistory
+Result = Modes | PeriodicSolution | ResponseCurve | TimeHistory
 Law = ContactLaw | None
 Shapes = dict[str, tuple[int, ...]]
 
@@ -59,7 +56,7 @@ def save(
 
     Parameters
     ----------
-    result : Modes, PeriodicSolution, ResponseCurve, Backbone or TimeHistory
+    result : Modes, PeriodicSolution, ResponseCurve or TimeHistory
         Result to write.
     path : path
         The file; an older one is replaced once the new one is complete.
@@ -109,7 +106,7 @@ def load(path: str | Path, structure: Structure, contact: Law = None) -> Result:
 
     Returns
     -------
-    Modes, PeriodicSolution, ResponseCurve, Backbone or TimeHistory
+    Modes, PeriodicSolution, ResponseCurve or TimeHistory
         Result that was written.
 
     Raises
@@ -141,8 +138,10 @@ def type_of(stored: Stored) -> type[Result]:
         The file holds something else.
     """
     for kind in _FORMS:
-        if kind.KIND == stored.kind and (kind is OrbitCurve) == ("states" in stored.parts):
+        if kind.KIND == stored.kind:
             return kind
+    if stored.kind == "backbone":
+        raise stored.refused("of another kind; follow_resonance takes the place of backbones")
     allowed = f"of another kind; a {stored.kind} is read by its class, as by SweepResult.load"
     raise stored.refused(allowed)
 
@@ -297,33 +296,27 @@ def _check_gap(
 
 
 def _pack_curve(curve: ResponseCurve) -> Parts:
-    """Return the parts that both kinds of curves have."""
-    parts = packed(curve, *_GIVEN)
+    """Return the parts of a curve, and its special points; of exact orbits the verdicts follow."""
+    special = curve.at_bifurcations.part(slice(1, -1))
+    parts = packed(curve, *_GIVEN, "points")
     parts["kinds"] = [b.kind for b in curve.bifurcations]
-    parts["bifurcation_values"] = [b.value for b in curve.bifurcations]
+    points = {"values": special.values, "omega": special.omega}
+    if curve.exact:
+        parts |= _of_dofs(curve) | {"couplings": _couplings(curve.structure)}
+        points |= _of_dofs(special) | {"multipliers": special.multipliers}
+    else:
+        parts |= {"unknowns": curve.points, "undecided": curve.undecided}
+        points |= {str(number): point for number, point in enumerate(special.points)}
+    parts |= {f"bifurcation_{name}": value for name, value in points.items()}
     return parts | _law_parts(curve.contact, curve.structure)
 
 
-def _pack_harmonic_curve(curve: HarmonicCurve) -> Parts:
-    parts = _pack_curve(curve)
-    for number, unknown in enumerate(curve.at_bifurcations.unknowns[1:-1]):
-        parts[f"bifurcation_{number}"] = unknown
-    return parts
-
-
-def _pack_orbit_curve(curve: OrbitCurve) -> Parts:
-    """Its states by displacements and velocities of the structure's dofs, whose signs are known."""
-    points = curve.at_bifurcations.part(slice(1, -1))
-    special = _of_dofs(points) | {"multipliers": points.multipliers}
-    parts = _pack_curve(curve) | _of_dofs(curve) | {"couplings": _couplings(curve.structure)}
-    return parts | {f"bifurcation_{name}": value for name, value in special.items()}
-
-
-def _of_dofs(curve: OrbitCurve) -> Parts:
-    """Displacements [m] and velocities [m/s] of the modes that move, by dof: (n, 2, n_dofs); and
-    with friction the places where pairs stick: (n, n_pairs) [m]."""
+def _of_dofs(curve: ResponseCurve) -> Parts:
+    """States of exact orbits: displacements [m] and velocities [m/s] of the modes that move, by
+    dof, whose signs are known: (n, 2, n_dofs); and with friction the places where pairs stick:
+    (n, n_pairs) [m]."""
     moved, places = [], []
-    for value, state in zip(curve.values.tolist(), curve.states, strict=True):
+    for value, state in zip(curve.values.tolist(), curve.points, strict=True):
         shapes = all_modes(curve.problem_at(value).structure).shapes
         moves, sticks = np.split(state, [2 * shapes.shape[1]])
         moved.append(moves.reshape(2, -1) @ shapes.T)
@@ -335,77 +328,62 @@ def _of_dofs(curve: OrbitCurve) -> Parts:
     return found
 
 
-def _shapes_of_curve(parts: Parts, structure: Structure, contact: Law) -> tuple[Structure, Shapes]:
-    """The structure of a curve, reduced as it was, and shapes of what both kinds have."""
+def _unpack_curve(parts: Parts, structure: Structure, contact: Law) -> ResponseCurve:
     if not is_small(structure):
         structure = reduce_structure(structure, method="massless")
     _check_law(parts, contact, structure)
-    if parts["parameter"] not in FAMILIES or parts["subharmonic"] < 1:
+    exact, counts = (
+        "states" in parts,
+        {"": parts["values"].size, "bifurcation_": len(parts["kinds"])},
+    )
+    missing = exact and not {"multipliers", "tolerance", "bifurcation_multipliers"} <= parts.keys()
+    if missing or parts["parameter"] not in WAVES or parts["subharmonic"] < 1:
         raise ValueError("its parts do not fit")
-    along = [f.name for f in fields(HarmonicCurve) if "np.ndarray" in str(f.type)]
-    shapes: Shapes = dict.fromkeys(along, (parts["values"].size,))
-    special = "bifurcation_values", "bifurcation_multipliers"
-    return structure, shapes | dict.fromkeys(special, (len(parts["kinds"]),))
-
-
-def _unpack_harmonic_curve(parts: Parts, structure: Structure, contact: Law) -> HarmonicCurve:
-    structure, shapes = _shapes_of_curve(parts, structure, contact)
-    unknowns, names = parts["unknowns"], [f"bifurcation_{n}" for n in range(len(parts["kinds"]))]
-    seen = seen_by(contact, structure)
-    _check_pairs(seen, unknowns)
-    shapes["unknowns"] = parts["values"].size, unknowns.shape[1] | 1, seen.n_pairs
-    shapes |= {name: (len(parts[name]) | 1, seen.n_pairs) for name in names}
-    check_shapes(parts, shapes)
-    special = [resized(parts[name], unknowns.shape[1] // 2) for name in names]
-    curve = unpacked(HarmonicCurve, parts, structure=structure, contact=contact, bifurcations=())
-    first = curve.solution(0)
-    _check_gap(first.structure, first.displacement_coefficients, first.gap_coefficients, 1e-4)
-    points = zip(parts["kinds"], parts["bifurcation_values"].tolist(), special, strict=True)
-    return replace(curve, bifurcations=tuple(curve.bifurcation(*point) for point in points))
-
-
-def _unpack_orbit_curve(parts: Parts, structure: Structure, contact: Law) -> OrbitCurve:
-    structure, shapes = _shapes_of_curve(parts, structure, contact)
-    signs = _signs(structure, parts["couplings"])
-    for before, count in (("", parts["values"].size), ("bifurcation_", len(parts["kinds"]))):
-        shapes[f"{before}states"] = count, 2, structure.n_dofs
-        shapes[f"{before}places"] = count, structure.n_pairs
-    check_shapes(parts, shapes)
-    curve = unpacked(OrbitCurve, parts, structure=structure, contact=contact, bifurcations=())
-
-    def states(before: str) -> np.ndarray:
-        """States in modes of those by dofs."""
-        values, of_dofs = parts[f"{before}values"], signs * parts[f"{before}states"]
-        places = parts.get(f"{before}places", np.zeros((len(values), 0)))
-        inverses = (
-            all_modes(curve.problem_at(value).structure).inverse for value in values.tolist()
+    numbers = "values", "omega", "iterations", "multipliers", "undecided"
+    shapes: Shapes = {f"{at}{name}": (n,) for at, n in counts.items() for name in numbers}
+    given: Parts = {"structure": structure, "contact": contact, "bifurcations": ()}
+    special: Sequence[np.ndarray]
+    if exact:
+        signs = _signs(structure, parts["couplings"])
+        for at, count in counts.items():
+            shapes[f"{at}states"] = count, 2, structure.n_dofs
+            shapes[f"{at}places"] = count, structure.n_pairs
+        check_shapes(parts, shapes)
+        curve = unpacked(ResponseCurve, parts, **given, points=parts["states"])
+        points, special = (_read_states(parts, at, curve, signs) for at in counts)
+        curve = replace(curve, points=points)
+        if not curve.orbit(0).residual <= 1e-4:  # nan neither
+            raise InputError("structure", "another load, mesh or material", "that of the file")
+    else:
+        unknowns, names = (
+            parts["unknowns"],
+            [f"bifurcation_{n}" for n in range(counts["bifurcation_"])],
         )
-        each = zip(inverses, of_dofs, places, strict=True)
-        return np.array(
-            [np.append((moved @ inverse.T).ravel(), held) for inverse, moved, held in each]
-        )
-
-    curve = replace(curve, states=states(""))
-    if not curve.orbit(0).residual <= 1e-4:  # nan neither
-        raise InputError("structure", "another load, mesh or material", "that of the file")
-    multipliers = parts["bifurcation_multipliers"][:, None]
+        seen = seen_by(contact, structure)
+        _check_pairs(seen, unknowns)
+        shapes["unknowns"] = counts[""], unknowns.shape[1] | 1, seen.n_pairs
+        shapes |= {name: (len(parts[name]) | 1, seen.n_pairs) for name in names}
+        check_shapes(parts, shapes)
+        special = [resized(parts[name], unknowns.shape[1] // 2) for name in names]
+        if "undecided" in parts:  # of earlier versions, whose multiplier decides nothing there
+            parts["multipliers"] = np.where(parts["undecided"], np.nan, parts["multipliers"])
+        curve = unpacked(ResponseCurve, parts, **given, points=unknowns, tolerance=None)
+        first = curve.solution(0)
+        _check_gap(first.structure, first.displacement_coefficients, first.gap_coefficients, 1e-4)
     values = parts["bifurcation_values"].tolist()
-    points = zip(parts["kinds"], values, states("bifurcation_"), multipliers, strict=True)
-    return replace(curve, bifurcations=tuple(curve.bifurcation(*point) for point in points))
+    frequencies = parts.get("bifurcation_omega", [curve.problem_at(v).omega for v in values])
+    multipliers = parts["bifurcation_multipliers"][:, None] if exact else [None] * len(values)
+    columns = zip(parts["kinds"], values, frequencies, special, multipliers, strict=True)
+    return replace(curve, bifurcations=tuple(curve.bifurcation(*point) for point in columns))
 
 
-def _pack_backbone(backbone: Backbone) -> Parts:
-    parts = packed(backbone, *_GIVEN) | {"couplings": _couplings(backbone.structure)}
-    return parts | _law_parts(backbone.contact, backbone.structure)
-
-
-def _unpack_backbone(parts: Parts, structure: Structure, contact: Law) -> Backbone:
-    _check_law(parts, contact, structure)
-    signs, count = _signs(structure, parts["couplings"]), parts["omega"].size
-    shapes: Shapes = dict.fromkeys(("omega", "energy", "iterations", "jumps"), (count,))
-    check_shapes(parts, shapes | {"cosines": (count, -1, structure.n_local)})
-    parts["cosines"] = signs * parts["cosines"]
-    return unpacked(Backbone, parts, structure=structure, contact=contact)
+def _read_states(parts: Parts, at: str, curve: ResponseCurve, signs: np.ndarray) -> np.ndarray:
+    """States in modes of those by dofs, of all points or of the special ones."""
+    values, of_dofs = parts[f"{at}values"], signs * parts[f"{at}states"]
+    places = parts.get(f"{at}places", np.zeros((len(values), 0)))
+    inverses = (all_modes(curve.problem_at(value).structure).inverse for value in values.tolist())
+    each = zip(inverses, of_dofs, places, strict=True)
+    return np.array([np.append((moved @ inverse.T).ravel(), held) for inverse, moved, held in each])
 
 
 # --- motion in time -------------------------------------------------------------------------------
@@ -499,8 +477,6 @@ Unpack = Callable[[Parts, Structure, Law], Result]
 _FORMS: dict[type[Result], tuple[Pack, Unpack]] = {
     Modes: (_pack_modes, _unpack_modes),
     PeriodicSolution: (_pack_solution, _unpack_solution),
-    HarmonicCurve: (_pack_harmonic_curve, _unpack_harmonic_curve),
-    OrbitCurve: (_pack_orbit_curve, _unpack_orbit_curve),
-    Backbone: (_pack_backbone, _unpack_backbone),
+    ResponseCurve: (_pack_curve, _unpack_curve),
     TimeHistory: (_pack_history, _unpack_history),
 }

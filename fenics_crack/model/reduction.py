@@ -223,11 +223,11 @@ def _left_out(
 
 
 def _loaded_dofs(structure: Structure) -> np.ndarray:
-    """Dofs under the load, at which its effect is watched, if one block of static solutions holds
-    them (collective)."""
+    """Dofs under the load, at which its effect is watched; of a load on more than one block of
+    static solutions holds the watched one (collective)."""
     own = np.flatnonzero(np.any(structure.force != 0.0, axis=0)) + structure.first_dof
     found = gather_rows(structure.comm, own)
-    return found if len(found) <= AT_A_TIME else found[:0]
+    return found if len(found) <= AT_A_TIME else np.array([structure.watched_dof])
 
 
 def _is_rounding(left: np.ndarray, seen: np.ndarray, squares: np.ndarray) -> np.ndarray:

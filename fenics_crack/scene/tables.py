@@ -786,7 +786,7 @@ class Curve(Table):
     )  # fmt: skip
     """Parameter that changes along the curve."""
     at: str | None = choice("resonance", default=None)
-    """With "load": follow the resonance nearest to the load's frequency over the load but its mean,
+    """With "load": follow the resonance next to the load's frequency over the load but its mean,
     the backbone of a forced and damped vibration; of a bladed disk that of the watched blade."""
     stability: bool = holds("true or false", default=True)
     """Floquet multipliers and period doublings along the curve."""
@@ -863,8 +863,7 @@ class Sweep(Table):
     )
     """Keys with a list of values, or start, stop, count and ``spacing = "logarithmic"``."""
     at_resonance: bool = holds("true or false", default=False)
-    """Solve each case at the frequency of its own largest response, next to the bilinear frequency
-    that is nearest to the excitation's."""
+    """Solve each case at its own resonance, the one nearest to the excitation's frequency."""
 
     @property
     def shape(self) -> tuple[int, ...]:

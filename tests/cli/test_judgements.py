@@ -569,7 +569,7 @@ def test_an_interrupted_curve_of_orbits_keeps_its_verdicts(
             raise KeyboardInterrupt
         return record(*given)
 
-    wrap(monkeypatch, "fenics_crack.curves.orbit_continuation.OrbitContinuation._record", record)
+    wrap(monkeypatch, "fenics_crack.curves.continuation.Continuation._record", record)
     changes = ["contact.stiffness=1e9", "damping.ratio=0.02", "curve.start=2200.0",
                "curve.stop=2300.0", "harmonic_balance.tolerance=0.05"]  # fmt: skip
     words = ["curve", str(PAPER), "--output", str(tmp_path)]

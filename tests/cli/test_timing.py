@@ -369,7 +369,7 @@ def test_a_run_up_that_becomes_unstable(tmp_path: Path, capsys: pytest.CaptureFi
     assert isinstance(run.result, fc.ResponseCurve)
     for last, code in ((len(run.result) - 3, 0), (0, 2)):
         size = np.where(np.arange(len(run.result)) > last, 2.0, 0.5).astype(complex)
-        judged = replace(run, result=replace(run.result, multipliers=size, undecided=size > 9.0))
+        judged = replace(run, result=replace(run.result, multipliers=size))
         judged.save(tmp_path / "judged.h5")
         capsys.readouterr()
         assert main(["timing", scene, str(tmp_path / "judged.h5"), *out]) == code

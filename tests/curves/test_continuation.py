@@ -368,6 +368,7 @@ def test_points_come_one_by_one(tmp_path: Path) -> None:
     assert [point.omega for point in points] == list(part.omega)
     assert np.array_equal(part.omega, whole.omega[:stop])
     assert 0.0 < growing.progress() < 1.0
+    assert growing.where() == f"{points[-1].omega / (2.0 * np.pi):.6g} Hz, {len(points)} points"
     fc.save(part, tmp_path / "part.h5")
     again = fc.load(tmp_path / "part.h5", structure, law)
     assert np.array_equal(again.omega, part.omega) and np.array_equal(again.stable, part.stable)
@@ -472,7 +473,7 @@ def test_run_records_what_iterating_gives(span: tuple[float, float], most: int) 
     one, other = growing[0].curve, growing[1].curve
     assert len(points) == len(other) and one.status == other.status
     assert np.array_equal([point.value for point in points], other.values)
-    for name in ("values", "omega", "unknowns", "iterations", "harmonics"):
+    for name in ("values", "omega", "points", "iterations", "harmonics"):
         assert np.array_equal(getattr(one, name), getattr(other, name), equal_nan=True)
     assert folds(one) == folds(other)
     assert len(folds(other)) == sum(len(point.bifurcations) for point in points)
@@ -486,7 +487,7 @@ def test_first_point_is_the_single_solution(stiffness: float, omega: float) -> N
     first = fc.Continuation(fc.Problem(structure, omega, law, 10), "omega", omega, 0.3).curve
     known = fc.solve_harmonic_balance(structure, omega, law, harmonics=10)
     size = np.abs(known.gap_coefficients).max()
-    assert np.allclose(first.unknowns[0], known.gap_coefficients, rtol=0.0, atol=1e-8 * size)
+    assert np.allclose(first.points[0], known.gap_coefficients, rtol=0.0, atol=1e-8 * size)
     assert first.iterations[0] == known.iterations
 
 

@@ -15,10 +15,10 @@ from rotating import cracked
 from test_coupled_curves import SPAN, folds, steel
 
 import fenics_crack as fc
-from fenics_crack.curves.growing import branch_start
-from fenics_crack.curves.orbit_continuation import OrbitContinuation
+from fenics_crack.curves.branch import branch_start
+from fenics_crack.curves.continuation import Continuation
 from fenics_crack.curves.orbit_events import LEAST, MultiplierControl, changes, observe
-from fenics_crack.curves.orbit_family import OrbitFamily
+from fenics_crack.curves.orbits import Orbits
 from fenics_crack.motion.flow import exact_flow
 from fenics_crack.motion.orbit import PeriodicOrbit, find_orbit
 from fenics_crack.motion.search import wave_states
@@ -28,7 +28,7 @@ from fenics_crack.numerics.path import Path, PathOptions, Target
 sys.path.insert(0, str(ROOT / "tests" / "motion"))
 import io
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import scipy.linalg
@@ -39,7 +39,7 @@ from scipy.integrate import solve_ivp
 
 from fenics_crack import continue_frequency
 from fenics_crack.basics.errors import INTERRUPTED
-from fenics_crack.curves import orbit_continuation
+from fenics_crack.curves import continuation
 from fenics_crack.curves.stability import monodromy
 from fenics_crack.model.modal import all_modes
 
@@ -76,32 +76,39 @@ def orbit_at(problem: fc.Problem) -> PeriodicOrbit:
 
 def followed(
     problem: fc.Problem, parameter: str, start: float, end: float, step: float = 0.05
-) -> OrbitContinuation:
+) -> Continuation:
     """The curve from its start on."""
-    first = orbit_at(OrbitFamily(problem, parameter, start, end).at(start))
-    path = OrbitContinuation(
-        problem, parameter, start, end, initial=first, longest_step=step, most_points=3000
+    first = orbit_at(Orbits(problem, parameter, start, end).at(start))
+    path = Continuation(
+        problem,
+        parameter,
+        start,
+        end,
+        exact=True,
+        initial=first,
+        longest_step=step,
+        most_points=3000,
     )
     path.run()
     return path
 
 
-def special(path: OrbitContinuation) -> list[fc.Bifurcation]:
+def special(path: Continuation) -> list[fc.Bifurcation]:
     """All bifurcations."""
     curve = path.curve
-    assert isinstance(curve, fc.OrbitCurve)
+    assert curve.exact
     return list(curve.bifurcations)
 
 
-def states(path: OrbitContinuation) -> np.ndarray:
+def states(path: Continuation) -> np.ndarray:
     """Of all points."""
     curve = path.curve
-    assert isinstance(curve, fc.OrbitCurve)
-    return curve.states
+    assert curve.exact
+    return curve.points
 
 
 @pytest.fixture(scope="module")
-def stop() -> OrbitContinuation:
+def stop() -> Continuation:
     """Two masses and a stop."""
     return followed(fc.Problem(two_masses(), 0.6, LAW), "omega", 0.6, 0.9)
 
@@ -114,7 +121,7 @@ def stop() -> OrbitContinuation:
 def test_derivatives(parameter: str, damping: str) -> None:
     """dF/dx and dF/dp against central differences, through openings and closings."""
     problem = fc.Problem(chain(damping), 1.3, fc.UnilateralPenalty(5.0))
-    family = OrbitFamily(problem, parameter, *RANGES[parameter])
+    family = Orbits(problem, parameter, *RANGES[parameter])
     unknown, place, step = np.random.default_rng(1).normal(size=family.shape), 0.37, 1e-5
     at = family.linearise(unknown, place)
     assert at.events > 2
@@ -139,7 +146,7 @@ def test_end_is_the_orbit_found_there(parameter: str) -> None:
     problem = fc.Problem(chain(), 1.3, fc.UnilateralPenalty(5.0))
     path = followed(problem, parameter, *RANGES[parameter], 0.1)
     assert path.complete and path.progress() == 1.0
-    family = OrbitFamily(problem, parameter, *RANGES[parameter])
+    family = Orbits(problem, parameter, *RANGES[parameter])
     last, there, state = path.points[-1], family.at(RANGES[parameter][1]), states(path)[-1]
     assert last.value == pytest.approx(RANGES[parameter][1]) and last.omega == there.omega
     orbit = find_orbit(exact_flow(there.structure, there.contact), there.omega, 1.001 * state)
@@ -153,7 +160,7 @@ def test_over_the_speed_of_a_rotor() -> None:
     whole = fc.build_structure(cracked(600.0, -250.0), MPI.COMM_SELF)
     spinning = fc.run_up_structure(whole, 560.0, 640.0, 4).at_speed(600.0)
     problem = fc.Problem(spinning, 12 * 600.0, fc.UnilateralConstraint())
-    family = OrbitFamily(problem, "speed", 560.0, 640.0)
+    family = Orbits(problem, "speed", 560.0, 640.0)
     orbit = orbit_at(family.at(600.0))
     assert orbit.events > 0 and family.omega(620.0) == pytest.approx(12 * 620.0)
     unknown = family.unknown(orbit.state, 600.0)
@@ -195,9 +202,9 @@ def test_without_contact() -> None:
         )
 
 
-def test_paths_keep_what_the_kernel_records(stop: OrbitContinuation) -> None:
+def test_paths_keep_what_the_kernel_records(stop: Continuation) -> None:
     """M of each point is that of the equations there."""
-    family = OrbitFamily(fc.Problem(two_masses(), 0.6, LAW), "omega", 0.6, 0.9)
+    family = Orbits(fc.Problem(two_masses(), 0.6, LAW), "omega", 0.6, 0.9)
     start = point_on_path(family, stop.points[0].unknown, 0.0)
     seen: list[np.ndarray] = []
 
@@ -216,7 +223,7 @@ def test_paths_keep_what_the_kernel_records(stop: OrbitContinuation) -> None:
 # --- bifurcations ---------------------------------------------------------------------------------
 
 
-def test_bifurcations_of_two_masses_and_a_stop(stop: OrbitContinuation) -> None:
+def test_bifurcations_of_two_masses_and_a_stop(stop: Continuation) -> None:
     """Where many harmonics lead to, each on the unit circle."""
     found = special(stop)
     assert stop.complete and stop.status == "reached the end"
@@ -226,7 +233,7 @@ def test_bifurcations_of_two_masses_and_a_stop(stop: OrbitContinuation) -> None:
         assert len(mine) == len(values)
 
 
-def test_bifurcations_by_the_reference_flow(stop: OrbitContinuation) -> None:
+def test_bifurcations_by_the_reference_flow(stop: Continuation) -> None:
     """States are orbits of another integration, with a multiplier where it must be; but for the
     fold where the stop is only just touched: there multipliers jump."""
     found = special(stop)
@@ -246,11 +253,11 @@ def test_bifurcations_by_the_reference_flow(stop: OrbitContinuation) -> None:
         assert off[one.kind] < 1e-5
 
 
-def test_one_by_one_is_the_same(stop: OrbitContinuation) -> None:
+def test_one_by_one_is_the_same(stop: Continuation) -> None:
     """Iterating yields what a run records."""
     first = stop.curve.orbit(0)  # type: ignore[attr-defined]
     problem = fc.Problem(two_masses(), 0.6, LAW)
-    path = OrbitContinuation(problem, "omega", 0.6, 0.9, initial=first, most_points=3000)
+    path = Continuation(problem, "omega", 0.6, 0.9, exact=True, initial=first, most_points=3000)
     points = list(path)
     assert len(points) == len(stop.points) and path.status == stop.status
     assert [one.value for one in points] == [one.value for one in stop.points]
@@ -258,11 +265,11 @@ def test_one_by_one_is_the_same(stop: OrbitContinuation) -> None:
     assert met == [(one.kind, one.value) for one in special(stop)]
 
 
-def test_goes_on_where_it_was_stopped(stop: OrbitContinuation) -> None:
+def test_goes_on_where_it_was_stopped(stop: Continuation) -> None:
     """By too few points at first, and it says so; more are then allowed."""
     problem, half = fc.Problem(two_masses(), 0.6, LAW), len(stop.points) // 2
     first = stop.curve.orbit(0)  # type: ignore[attr-defined]
-    short = OrbitContinuation(problem, "omega", 0.6, 0.9, initial=first, most_points=half)
+    short = Continuation(problem, "omega", 0.6, 0.9, exact=True, initial=first, most_points=half)
     short.run()
     assert not short.complete and short.status == f"{half} points were not enough"
     part, short.most_points = short.curve, 3000
@@ -273,12 +280,12 @@ def test_goes_on_where_it_was_stopped(stop: OrbitContinuation) -> None:
     assert short.curve.values[: half + 1] == pytest.approx(part.values, rel=1e-12)
 
 
-def test_turns_back_past_its_start(stop: OrbitContinuation) -> None:
+def test_turns_back_past_its_start(stop: Continuation) -> None:
     """Behind the first fold, where it may not turn back."""
     place = next(k for k, one in enumerate(stop.points) if one.value > 0.7)
     first = stop.curve.orbit(place)  # type: ignore[attr-defined]
-    path = OrbitContinuation(
-        fc.Problem(two_masses(), 0.7, LAW), "omega", first.omega, 0.9, initial=first,
+    path = Continuation(
+        fc.Problem(two_masses(), 0.7, LAW), "omega", first.omega, 0.9, exact=True, initial=first,
         most_points=500, turning_back=0.0,
     )  # fmt: skip
     path.run()
@@ -289,7 +296,7 @@ def test_turns_back_past_its_start(stop: OrbitContinuation) -> None:
 # --- branches of twice the period -----------------------------------------------------------------
 
 
-def test_branch_of_twice_the_period(stop: OrbitContinuation) -> None:
+def test_branch_of_twice_the_period(stop: Continuation) -> None:
     """From one doubling of the oscillator to the other, through orbits of period two."""
     problem = fc.Problem(oscillator(), 1.5, fc.UnilateralPenalty(1.0))
     single = followed(problem, "omega", 1.5, 3.0)
@@ -297,9 +304,10 @@ def test_branch_of_twice_the_period(stop: OrbitContinuation) -> None:
     assert {first.kind, second.kind} == {"period_doubling"}
     assert first.value < 2.0 * OMEGA_0 < second.value
     twofold = fc.Problem(oscillator(), 1.5, fc.UnilateralPenalty(1.0), 10, subharmonic=2)
-    path = OrbitContinuation(
-        twofold, "omega", 1.5, 3.0, initial=(single.curve, first), most_points=500, turning_back=0.0
-    )
+    path = Continuation(
+        twofold, "omega", 1.5, 3.0, exact=True, initial=first, branch_of=single.curve,
+        most_points=500, turning_back=0.0,
+    )  # fmt: skip
     path.run()
     assert path.complete and path.status == "joined the branch that it left"
     assert path.points[-1].value == pytest.approx(second.value, rel=1e-6)
@@ -312,12 +320,14 @@ def test_branch_of_twice_the_period(stop: OrbitContinuation) -> None:
     assert np.abs(once - orbit.state).max() > 0.1 * np.abs(orbit.state).max()
 
 
-def test_no_branch_of_twice_the_period_from_a_fold(stop: OrbitContinuation) -> None:
+def test_no_branch_of_twice_the_period_from_a_fold(stop: Continuation) -> None:
     """Where no multiplier is -1 there is none."""
     problem = fc.Problem(two_masses(), 0.6, LAW, 10, subharmonic=2)
-    doubled = OrbitFamily(problem, "omega", 0.6, 0.9)
+    doubled = Orbits(problem, "omega", 0.6, 0.9)
+    curve = stop.curve
+    fold = curve.bifurcation("period_doubling", 0.6, 0.6, curve.points[0])
     with pytest.raises(fc.ConvergenceError, match="no point of another branch"):
-        branch_start(doubled, "period_doubling", stop.points[0].unknown, 0.0, 0.05)
+        branch_start(doubled, fold, 0.05)
 
 
 # --- steps and events -----------------------------------------------------------------------------
@@ -584,21 +594,6 @@ def test_rigid_contact_of_pairs_with_mass_has_no_verdicts() -> None:
 # --- what is interrupted, or lost -----------------------------------------------------------------
 
 
-def test_interrupted_backbone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ctrl-C returns what was found."""
-
-    def interrupted(follow: Callable[..., Iterator[Any]], path: Any) -> Iterator[Any]:
-        points = follow(path)
-        yield next(points)
-        if path.family.energy is None:
-            raise KeyboardInterrupt
-        yield from points
-
-    wrap(monkeypatch, "fenics_crack.curves.free_motion.MotionPath.__iter__", interrupted)
-    curve = fc.follow_backbone(two_masses(), fc.UnilateralPenalty(10.0), 1, 0.02, 1.0)
-    assert (curve.complete, curve.status, len(curve.omega)) == (False, "interrupted", 2)
-
-
 def test_interruption_keeps_what_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
     """Ctrl-C ends a curve early, but loses nothing."""
     structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(1.0)
@@ -648,16 +643,16 @@ STOP = fc.UnilateralPenalty(100.0)
 
 def test_ctrl_c_keeps_the_points(monkeypatch: pytest.MonkeyPatch) -> None:
     """Those that were found until then."""
-    record, count = OrbitContinuation._record, 0
+    record, count = Continuation._record, 0
 
-    def interrupted(path: OrbitContinuation, points: object) -> object:
+    def interrupted(path: Continuation, points: object) -> object:
         nonlocal count
         count += 1
         if count > 20:
             raise KeyboardInterrupt
         return record(path, points)
 
-    monkeypatch.setattr(OrbitContinuation, "_record", interrupted)
+    monkeypatch.setattr(Continuation, "_record", interrupted)
     curve = fc.continue_frequency(two_masses(), 0.6, 0.9, STOP, tolerance=1e-2, progress=True)
     assert curve.status == INTERRUPTED and len(curve) == 21 and not curve.complete
 
@@ -666,7 +661,7 @@ def test_begins_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where no orbit is found at the start, by a curve from the end; or it says that there is
     none."""
     whole = fc.continue_frequency(two_masses(), 0.6, 0.9, STOP, tolerance=1e-2)
-    search = orbit_continuation.initial_orbit
+    search = continuation.initial_orbit
 
     def lost(problem: fc.Problem, initial: fc.PeriodicSolution | None = None) -> object:
         return replace(search(problem, initial), orbit=None, reason="lost")
@@ -674,11 +669,11 @@ def test_begins_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
     def lost_at_start(problem: fc.Problem, initial: fc.PeriodicSolution | None = None) -> object:
         return (lost if problem.omega == 0.6 else search)(problem, initial)
 
-    monkeypatch.setattr(orbit_continuation, "initial_orbit", lost_at_start)
+    monkeypatch.setattr(continuation, "initial_orbit", lost_at_start)
     curve = fc.continue_frequency(whole.structure, 0.6, 0.9, STOP, tolerance=1e-2)
     assert curve.complete and curve.values[-1] == 0.9 and "not by the first" in curve.status
-    assert curve.states[0] == pytest.approx(whole.states[0], rel=1e-6)
-    monkeypatch.setattr(orbit_continuation, "initial_orbit", lost)
+    assert curve.points[0] == pytest.approx(whole.points[0], rel=1e-6)
+    monkeypatch.setattr(continuation, "initial_orbit", lost)
     with pytest.raises(fc.ConvergenceError, match=r"no exact orbit at 0.6 rad/s: lost"):
         fc.continue_frequency(whole.structure, 0.6, 0.9, STOP, tolerance=1e-2)
 

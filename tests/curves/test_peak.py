@@ -24,7 +24,7 @@ COARSE = {
     "curve.stability": False, "integration.periods": 2,
 }  # fmt: skip
 XI = 0.02
-COLUMNS = ("values", "omega", "unknowns", "iterations")
+COLUMNS = ("values", "omega", "points", "iterations")
 
 
 def followed(first: float, last: float) -> fc.ResponseCurve:

@@ -12,13 +12,12 @@ from mpi4py import MPI
 from rotating import cracked
 
 import fenics_crack as fc
-from fenics_crack import CurvePoint, InputError, Run, Scene
+from fenics_crack import InputError, Run, Scene
 from fenics_crack.basics.observables import SPECIAL
 from fenics_crack.basics.tables import RPM
 from fenics_crack.cli.account import in_short
 from fenics_crack.cli.results import curve_points, special_points
-from fenics_crack.curves.family import SpeedFamily
-from fenics_crack.curves.follow import _where
+from fenics_crack.curves.waves import SpeedWaves
 
 ORDER = 12
 CURVE = {"parameter": "speed", "start": 560.0, "stop": 640.0}
@@ -75,7 +74,7 @@ def test_derivative_by_the_speed() -> None:
     problem = fc.Problem(spinning, ORDER * 600.0, fc.UnilateralConstraint(), 3)
     found = fc.solve_harmonic_balance(spinning, problem.omega, problem.contact, harmonics=3)
     assert found.indicators(0).closed_share > 0.05
-    family, unknown = SpeedFamily(problem, 560.0, 640.0), found.slow_gap_coefficients
+    family, unknown = SpeedWaves(problem, 560.0, 640.0), found.slow_gap_coefficients
     rate = family._by_value(600.0, family.system(600.0).linearise(unknown))
     low, high = (family._make(600.0 + d).linearise(unknown).residual for d in (-0.01, 0.01))
     assert rate == pytest.approx((high - low) / 0.02, rel=1e-3, abs=1e-5 * np.abs(rate).max())
@@ -205,9 +204,6 @@ def test_run_up_in_the_scenes_unit(
     assert shown == (["point", "rpm", "frequency [Hz]"] if in_rpm else
                      ["point", "speed [rad/s]", "omega [rad/s]"])  # fmt: skip
     assert curve_points(run).columns[:4] == whole.columns[1:5]
-    point = CurvePoint(600.0, 7200.0, np.zeros((3, 1)), 1)
-    bar = "5729.58 rpm, 600 rad/s; load 1145.92 Hz, 7 points"
-    assert _where("speed", point, 7) == bar
 
 
 def test_bad_input() -> None:

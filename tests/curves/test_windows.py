@@ -11,12 +11,12 @@ import scipy.linalg
 from reference_flow import ReferenceFlow
 
 import fenics_crack as fc
-from fenics_crack.curves.orbit_curve import OrbitCurve
+from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.orbit_events import parting
 
 
 @pytest.fixture(scope="module")
-def doubled() -> OrbitCurve:
+def doubled() -> ResponseCurve:
     """One mass with a stop, .2 % damped, past twice its bilinear frequency; frequencies relative
     to that."""
     stop, bilinear = 0.03, 2.0 * np.sqrt(1.03) / (1.0 + np.sqrt(1.03))
@@ -24,11 +24,11 @@ def doubled() -> OrbitCurve:
         [[bilinear**2]], [[1.0]], gap=[1.0], force_cos=[1.0], damping=[[0.004 * bilinear]]
     )
     curve = fc.continue_frequency(structure, 1.8, 2.25, fc.UnilateralPenalty(stop), tolerance=1e-2)
-    assert isinstance(curve, OrbitCurve)
+    assert curve.exact
     return curve
 
 
-def test_a_window_between_two_stable_points(doubled: OrbitCurve) -> None:
+def test_a_window_between_two_stable_points(doubled: ResponseCurve) -> None:
     """Both doublings at the default step; by another flow a multiplier is -1 at each, and the
     orbit between them is unstable."""
     found = doubled.bifurcations
@@ -41,7 +41,7 @@ def test_a_window_between_two_stable_points(doubled: OrbitCurve) -> None:
     assert (doubled.verdicts[~between] == "stable").all()
 
 
-def test_resolution_of_a_curve(doubled: OrbitCurve) -> None:
+def test_resolution_of_a_curve(doubled: ResponseCurve) -> None:
     """A tenth of the longest step in the parameter; nothing of a single point."""
     steps = [after - before for before, after in pairwise(doubled.values)]
     assert doubled.resolution == pytest.approx(0.1 * max(steps))

@@ -348,7 +348,7 @@ def test_multipliers(results: dict[str, Any]) -> None:
     assert len(crosses) == undecided.sum() < len(curve)
     pairs = np.sum(~undecided & (np.abs(curve.multipliers.imag) > 1e-9))
     assert len(dots.get("a complex pair", [])) == pairs
-    without = replace(curve, multipliers=None, undecided=None)
+    without = replace(curve, multipliers=None)
     with pytest.raises(fc.InputError, match="stability"):
         fc.draw_multipliers(without)
 

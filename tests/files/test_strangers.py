@@ -272,7 +272,7 @@ def test_parts_that_do_not_fit(structure: fc.Structure, home: Path) -> None:
     curve = fc.continue_frequency(structure, 0.5, 0.52, law, harmonics=3)
     fc.save(curve, home / "curve.h5")
     assert np.array_equal(fc.load(home / "curve.h5", structure, law).omega, curve.omega)
-    values = {"unknowns": curve.unknowns[:, :-1], "iterations": curve.iterations[1:]}
+    values = {"unknowns": curve.points[:, :-1], "iterations": curve.iterations[1:]}
     values |= {"omega": curve.omega[:, None]}
     for name, value in values.items():
         shutil.copy("curve.h5", "forged.h5")

@@ -160,10 +160,9 @@ def test_run_up_jumps_before_a_fold_that_is_not_stable(verdict: str) -> None:
     how: dict[str, Any] = {"probes": [0.3, 2.0], "tip_radius": 5.0, "order": 3, "revolutions": 200}
 
     def judged(places: range) -> fc.ResponseCurve:
-        multipliers, undecided = np.full(len(curve), 0.5 + 0j), np.zeros(len(curve), dtype=bool)
-        multipliers[list(places)] = 2.0
-        undecided[list(places)] = verdict == "undecided"
-        return replace(curve, multipliers=multipliers, undecided=undecided)
+        multipliers = np.full(len(curve), 0.5 + 0j)
+        multipliers[list(places)] = 2.0 if verdict == "unstable" else np.nan
+        return replace(curve, multipliers=multipliers)
 
     near = np.flatnonzero(curve.omega[: turn + 1] > (1.0 - 9e-4) * curve.omega[turn])
     before = fc.tip_timing(judged(range(0)), 0, **how)

@@ -1,6 +1,6 @@
-"""Families of the condensed equations along one parameter, as :mod:`path` follows them.
+"""The condensed equations of harmonic balance along one parameter of a curve:
 
-    F(g, v) = g - g_lin(v) + R(v) b(g, v) = 0,        v = v_start + p (v_end - v_start)
+    F(g, v) = g - g_lin(v) + R(v) b(g, v) = 0,
 
 with the parameter v a load frequency, a factor of the load, of the damping or of the contact
 stiffness, a clearance, or the speed of a rotor that the load's frequency follows. Only the small or
@@ -9,12 +9,11 @@ reduced structure is touched, in closed form.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
-import scipy.linalg
 
 from fenics_crack.balance.compliance import ModalCompliance
 from fenics_crack.balance.contact_integrals import ContactIntegrals, respond
@@ -26,17 +25,21 @@ from fenics_crack.balance.contact_system import (
 )
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.errors import InputError, check_number, check_omega
+from fenics_crack.curves.curve_system import CurveSystem
 from fenics_crack.model.contact import friction_of
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import CENTRAL_STEP, least_residual
+from fenics_crack.numerics.fourier import stretched
 
 
-class Family(ABC):
-    """The condensed equations of a small or reduced structure along a parameter, from its value
-    ``start`` at p = 0 to ``end`` at p = 1."""
+class Waves(CurveSystem):
+    """The condensed equations of a small or reduced structure along a parameter.
 
-    name: str
+    ``other_integrals``: the law, or its residual flexibility, changes along it.
+    """
+
+    other_integrals = False
 
     def __init__(self, problem: Problem, start: float, end: float) -> None:
         if problem.static_above is None:
@@ -57,7 +60,6 @@ class Family(ABC):
         if self.matrix_free:
             order = (np.arange(self.shape[0]) + 1) // 2
             self.counts = 1.0 / np.maximum(order, 1)[:, None] ** 2.0
-        self._last = None
 
     @classmethod
     def check(cls, structure: Structure, key: str, value: float) -> None:
@@ -65,20 +67,8 @@ class Family(ABC):
         check_number(key, value, 0.0, above=True)
 
     def _cutoff(self, problem: Problem, start: float, end: float) -> float:
-        """Frequency above which modes are quasi-static, the same for all of the family [rad/s]."""
-        return problem.cutoff
-
-    def value(self, parameter: float) -> float:
-        """v of p."""
-        return self.start + parameter * (self.end - self.start)
-
-    def parameter(self, value: float) -> float:
-        """p of v."""
-        return (value - self.start) / (self.end - self.start)
-
-    def rate(self, value: float) -> float:
-        """dv/dp."""
-        return self.end - self.start
+        """Frequency above which modes are quasi-static, the same for all of the range [rad/s]."""
+        return max(self.vary(problem, value).cutoff for value in (start, end))
 
     @cached_property
     def _integrals(self) -> ContactIntegrals:
@@ -95,11 +85,18 @@ class Family(ABC):
     def vary(cls, problem: Problem, value: float) -> Problem:
         """A problem where the parameter has a value."""
 
+    @classmethod
+    def frequency(cls, problem: Problem, value: float) -> float:
+        """Load frequency of a problem where the parameter has a value [rad/s]."""
+        return problem.omega
+
     def at(self, value: float) -> Problem:
-        """The family's own problem where the parameter has a value."""
+        """The problem where the parameter has a value."""
         return self.vary(self.problem, value)
 
     def _make(self, value: float) -> ContactSystem:
+        if self.other_integrals:
+            return self.at(value).system(self.compliance(value))
         return ContactSystem(self.compliance(value), self._integrals)
 
     def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
@@ -117,17 +114,12 @@ class Family(ABC):
         """Dynamic compliance where the parameter has a value."""
         return self._compliance
 
-    def omega(self, value: float) -> float:
-        """Load frequency where the parameter has a value [rad/s]."""
-        return self.problem.omega
-
-    def state(self, unknown: np.ndarray, value: float) -> np.ndarray:
-        """Return the unknowns as a curve keeps them at a value of the parameter: unchanged."""
-        return unknown
+    def omega(self, value: float, unknown: np.ndarray) -> float:
+        return self.frequency(self.problem, value)
 
     def unknown(self, state: np.ndarray, value: float) -> np.ndarray:
-        """The unknowns of what a curve keeps."""
-        return state
+        """The unknowns of what a curve keeps, also one of a shorter period."""
+        return stretched(state, max(1, self.shape[0] // 2 // max(1, len(state) // 2)))
 
     # --- what paths require -----------------------------------------------------------------------
 
@@ -164,23 +156,11 @@ class Family(ABC):
             largest = float(np.abs(moving).sum(axis=2).max())
         return least_residual(4.0 * largest * self.steepest_force)
 
-    def doubling(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
-        """Return the direction that grows at a period doubling, of equations with twice its period:
-        a null vector of J in the odd harmonics, of unit size."""
-        places = np.flatnonzero(np.repeat(self._odd, unknown.shape[1]))
-        jacobian, found = self.linearise(unknown, parameter).jacobian, np.zeros(unknown.size)
-        found[places] = scipy.linalg.svd(jacobian[np.ix_(places, places)])[2][-1]
-        return found.reshape(unknown.shape)
-
     def half_off(self, unknown: np.ndarray, parameter: float) -> float:
         """Change of a motion over half its period, relative to its size: twice what its odd
         harmonics are."""
-        return float(2.0 * np.linalg.norm(unknown[self._odd]) / (np.linalg.norm(unknown) or 1.0))
-
-    @property
-    def _odd(self) -> np.ndarray:
-        """Rows of the odd harmonics: (2H+1,) bool."""
-        return (np.arange(self.shape[0]) + 1) // 2 % 2 == 1
+        odd = (np.arange(self.shape[0]) + 1) // 2 % 2 == 1
+        return float(2.0 * np.linalg.norm(unknown[odd]) / (np.linalg.norm(unknown) or 1.0))
 
     def _with_modes(
         self, first: ContactSystem, omega: tuple[float, float], damping: tuple[float, float]
@@ -190,7 +170,7 @@ class Family(ABC):
         return None if modal is None else first.compile(self._compliance.still_gap, modal)
 
 
-class FrequencyFamily(Family):
+class FrequencyWaves(Waves):
     """v: load frequency [rad/s]."""
 
     name = "omega"
@@ -203,13 +183,11 @@ class FrequencyFamily(Family):
     def vary(cls, problem: Problem, value: float) -> Problem:
         return replace(problem, omega=value)
 
-    def _cutoff(self, problem: Problem, start: float, end: float) -> float:
-        return max(replace(problem, omega=value).cutoff for value in (start, end))
-
     def compliance(self, value: float) -> ModalCompliance:
         return self._compliance.at(value / self.problem.subharmonic)
 
-    def omega(self, value: float) -> float:
+    @classmethod
+    def frequency(cls, problem: Problem, value: float) -> float:
         return value
 
     def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
@@ -221,7 +199,7 @@ class FrequencyFamily(Family):
         return self._with_modes(first, (base, rate), (1.0, 0.0))
 
 
-class _VariedFamily(Family):
+class _VariedWaves(Waves):
     """The parameter is one of those of :meth:`Structure.varied`, by its name."""
 
     @classmethod
@@ -242,7 +220,7 @@ class _VariedFamily(Family):
         return first.compile(first.linear, first.moving, linear_rate=rate)
 
 
-class LoadFamily(_VariedFamily):
+class LoadWaves(_VariedWaves):
     """v: factor of the load; a negative one reverses it."""
 
     name = "load"
@@ -255,7 +233,7 @@ class LoadFamily(_VariedFamily):
             raise InputError("parameter", "load", allowed)
 
 
-class DampingFamily(_VariedFamily):
+class DampingWaves(_VariedWaves):
     """v: factor of the damping."""
 
     name = "damping"
@@ -271,52 +249,32 @@ class DampingFamily(_VariedFamily):
         return self._with_modes(first, (self.problem.base_omega, 0.0), damping)
 
 
-class ClearanceFamily(_VariedFamily):
+class ClearanceWaves(_VariedWaves):
     """v: clearance [m] added to that of every pair."""
 
     name = "clearance"
 
 
-class StiffnessFamily(Family):
+class StiffnessWaves(Waves):
     """v: factor of the contact stiffness; p is proportional to ln v."""
 
-    name = "stiffness"
-
-    def value(self, parameter: float) -> float:
-        return float(self.start * (self.end / self.start) ** parameter)
-
-    def parameter(self, value: float) -> float:
-        return float(np.log(value / self.start) / np.log(self.end / self.start))
-
-    def rate(self, value: float) -> float:
-        return value * float(np.log(self.end / self.start))
+    name, logarithmic, other_integrals = "stiffness", True, True
 
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
         return replace(problem, contact=problem.contact.scaled(value))
 
-    def _make(self, value: float) -> ContactSystem:
-        return self.at(value).system(self._compliance)
-
     def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
         return respond(at.system.moving, at.forces.by_stiffness()) / value
 
     def _compile(self, first: ContactSystem) -> CompiledEquations:
-        growth = float(np.log(self.end / self.start))
-        return first.compile(first.linear, first.moving, growth=growth)
+        return first.compile(first.linear, first.moving, growth=self.rate(1.0))
 
 
-class FrictionFamily(Family):
+class FrictionWaves(Waves):
     """v: factor of the coefficient of friction."""
 
-    name = "friction"
-
-    @classmethod
-    def check(cls, structure: Structure, key: str, value: float) -> None:
-        super().check(structure, key, value)
-        if structure.tangential is None:
-            allowed = "another one: the structure has no tangents"
-            raise InputError("parameter", "friction", allowed)
+    name, other_integrals = "friction", True
 
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
@@ -326,49 +284,45 @@ class FrictionFamily(Family):
         coefficient = np.multiply(value, friction.coefficient)
         return replace(problem, contact=replace(friction, coefficient=coefficient))
 
-    def _make(self, value: float) -> ContactSystem:
-        return self.at(value).system(self._compliance)
-
     def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
         return by_friction(at) / value
 
 
-class SpeedFamily(Family):
+class SpeedWaves(Waves):
     """v: speed of the rotor [rad/s], the load's frequency in a constant ratio to it.
 
     The modes are those of each speed. dF/dv is a central difference: beside the compliance its
     quasi-static part changes, and with it the sets of closed pairs.
     """
 
-    name = "speed"
+    name, other_integrals = "speed", True
 
     @classmethod
     def check(cls, structure: Structure, key: str, value: float) -> None:
         super().check(structure, key, value)
-        _spinning(structure)
+        spinning(structure)
 
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
-        structure = _spinning(problem.structure)
-        omega = problem.omega * value / structure.speed
-        return replace(problem, structure=structure.at_speed(value), omega=omega)
+        structure = spinning(problem.structure).at_speed(value)
+        return replace(problem, structure=structure, omega=cls.frequency(problem, value))
 
-    def omega(self, value: float) -> float:
-        return self.problem.omega * value / _spinning(self.problem.structure).speed
+    @classmethod
+    def frequency(cls, problem: Problem, value: float) -> float:
+        return problem.omega * value / spinning(problem.structure).speed
 
     def _cutoff(self, problem: Problem, start: float, end: float) -> float:
         """Between two modes whose frequencies do not cross it, for they would change the sides."""
-        at = [self.vary(problem, value) for value in (start, 0.5 * (start + end), end)]
-        least = max(one.cutoff for one in at)
-        natural = np.array([_spinning(one.structure).omega for one in at])
+        least, rotor = super()._cutoff(problem, start, end), spinning(problem.structure)
+        speeds = start, 0.5 * (start + end), end
+        natural = np.array([rotor.at_speed(speed).omega for speed in speeds])
         below, above = natural.max(axis=0)[:-1], natural.min(axis=0)[1:]
         apart = (above > least) & (above > below * (1.0 + 1e-6))
         return float(max([least, *np.sqrt(below * above)[apart][:1]]))
 
-    def _make(self, value: float) -> ContactSystem:
+    def compliance(self, value: float) -> ModalCompliance:
         problem = self.at(value)
-        compliance = ModalCompliance(problem.seen, problem.base_omega, problem.load)
-        return problem.system(compliance)
+        return ModalCompliance(problem.seen, problem.base_omega, problem.load)
 
     def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
         step = CENTRAL_STEP * value
@@ -377,7 +331,7 @@ class SpeedFamily(Family):
         return np.asarray((above - below) / (2.0 * step))
 
 
-def _spinning(structure: Structure) -> RunUpStructure:
+def spinning(structure: Structure) -> RunUpStructure:
     """A structure that knows itself at every speed; InputError for another one."""
     if not isinstance(structure, RunUpStructure):
         allowed = "one of run_up_structure(structure, start, stop, modes)"
@@ -385,15 +339,11 @@ def _spinning(structure: Structure) -> RunUpStructure:
     return structure
 
 
-class ResonanceFamily(Family):
+class ResonanceWaves(Waves):
     """v: factor of the load but its mean, whose frequency follows the resonance (:mod:`resonance`):
     that is none of the equations' at one frequency."""
 
     name = "resonance"
-
-    @classmethod
-    def check(cls, structure: Structure, key: str, value: float) -> None:
-        raise InputError("parameter", cls.name, "another one: follow_resonance follows it")
 
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
@@ -401,20 +351,18 @@ class ResonanceFamily(Family):
         weights[0, 0] = 1.0
         return replace(problem, structure=problem.structure.varied(load=weights))
 
-    def _compile(self, first: ContactSystem) -> None:
-        return None
 
-
-FAMILIES: dict[str, type[Family]] = {
-    family.name: family
-    for family in (
-        FrequencyFamily,
-        LoadFamily,
-        StiffnessFamily,
-        DampingFamily,
-        ClearanceFamily,
-        FrictionFamily,
-        SpeedFamily,
-        ResonanceFamily,
+WAVES: dict[str, type[Waves]] = {
+    waves.name: waves
+    for waves in (
+        FrequencyWaves,
+        LoadWaves,
+        StiffnessWaves,
+        DampingWaves,
+        ClearanceWaves,
+        FrictionWaves,
+        SpeedWaves,
+        ResonanceWaves,
     )
 }
+"""Equations of harmonic balance along each parameter of a curve, by its name."""

@@ -1,9 +1,9 @@
-"""Periodic orbits of exact flows along one parameter, as :mod:`path` follows them.
+"""Periodic orbits of exact flows along one parameter of a curve:
 
-    F(x, p) = scale (z(T; x, v) - z(0)) = 0,    v = v_start + p (v_end - v_start),
+    F(x, p) = scale (z(T; x, v) - z(0)) = 0,
 
 z = (q, q') the state at phase zero of the load, x = scale z(0) - x_0 - p x_1, T = 2 pi m / omega,
-and v one of the parameters of :mod:`family`. x_0 and x_0 + x_1 are where the mean of the load holds
+and v one of the parameters of :mod:`waves`. x_0 and x_0 + x_1 are where the mean of the load holds
 the structure at the start and at the end: steps are parts of what moves, lest a resonance beside a
 large preload is stepped over. dF/dx = M - I with the monodromy matrix M in the unknowns.
 
@@ -30,65 +30,99 @@ import scipy.linalg
 
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.errors import ConvergenceError, InputError
-from fenics_crack.curves.family import FAMILIES
-from fenics_crack.curves.orbit_events import observe
+from fenics_crack.curves.curve_system import CurveSystem
+from fenics_crack.curves.orbit_events import (
+    MultiplierControl,
+    NeimarkSacker,
+    PeriodDoubling,
+    observe,
+)
+from fenics_crack.curves.waves import WAVES, Waves
 from fenics_crack.motion.flow import ContactFlow, Motion, doubles, exact_flow
 from fenics_crack.motion.shooting import OrbitPoint, ShootingEquations
 from fenics_crack.numerics.equations import EPSILON, ROUNDING
+from fenics_crack.numerics.path import BranchPoint, Fold
 
 FORWARD_STEP = math.sqrt(EPSILON)
 """Step of p for a forward difference: its truncation error is then as small as its rounding."""
 
 
-class OrbitFamily:
-    """The equations of periodic orbits along a parameter, from its value ``start`` at p = 0 to
-    ``end`` at p = 1.
+class Orbits(CurveSystem):
+    """The equations of periodic orbits along a parameter.
 
-    ``value`` is v of p, ``parameter`` p of v, and ``omega`` the load frequency of v [rad/s], as of
-    :class:`fenics_crack.curves.family.Family`. ``scale`` is dx/dz: 1 of modal displacements, 1 / w
-    of velocities, w the modes' frequencies, at least that of the response; ``records`` how many
-    numbers M has. The problem's structure is small or reduced, its ``subharmonic`` is m, and
-    ``budget`` is that of each motion. Raises InputError where there is no exact flow.
+    ``along`` are its equations of harmonic balance. The problem's ``subharmonic`` is m. Raises
+    InputError where there is no exact flow.
     """
+
+    events = (Fold, BranchPoint, PeriodDoubling, NeimarkSacker)
 
     def __init__(self, problem: Problem, parameter: str, start: float, end: float) -> None:
         self.problem, self.name, self.start, self.end = problem, parameter, start, end
-        self.subharmonic = problem.subharmonic
-        self._along = FAMILIES[parameter](problem, start, end)
-        self.value, self.parameter = self._along.value, self._along.parameter
-        self.omega = self._along.omega
-        first = self.at(start)
-        self._first = exact_flow(first.structure, first.contact)
-        self._last: tuple[float, ContactFlow] | None = None
-        self.scale = self._first.amplitude_weights(self.omega(start) / self.subharmonic)
-        self.shape, self.records = self.scale.shape, self._first.size**2
-        self._rest = np.zeros((2, self._first.size))
-        ends = [self.unknown(self.flow(one).rest, one) for one in (start, end)]
-        self._rest = np.array([ends[0], ends[1] - ends[0]])
+        self.along = WAVES[parameter]
+        self.logarithmic, self.subharmonic = self.along.logarithmic, problem.subharmonic
+        self._first = self._flow_at(start)
+        self._last: tuple[float, ContactFlow] = start, self._first
+        self.shape = (self._first.size,)
 
     def at(self, value: float) -> Problem:
         """The problem where the parameter has a value."""
-        return self._along.vary(self.problem, value)
+        return self.along.vary(self.problem, value)
+
+    def omega(self, value: float, unknown: np.ndarray | None = None) -> float:
+        return self.along.frequency(self.problem, value)
+
+    def _flow_at(self, value: float) -> ContactFlow:
+        problem = self.at(value)
+        return exact_flow(problem.structure, problem.contact)
 
     def flow(self, value: float) -> ContactFlow:
         """The flow where the parameter has a value; the last one is kept."""
         if self.name == "omega" or value == self.start:
             return self._first
-        if self._last is None or self._last[0] != value:
-            problem = self.at(value)
-            self._last = value, exact_flow(problem.structure, problem.contact)
+        if self._last[0] != value:
+            self._last = value, self._flow_at(value)
         return self._last[1]
 
+    @cached_property
+    def scale(self) -> np.ndarray:
+        """dx/dz: 1 of modal displacements, 1 / w of velocities, w the modes' frequencies, at least
+        that of the response."""
+        return self._first.amplitude_weights(self.omega(self.start) / self.subharmonic)
+
+    @property
+    def records(self) -> int:
+        """How many numbers M has."""
+        return self.size**2
+
+    @property
+    def at_once(self) -> int:
+        # Monodromy matrices of 8192 numbers together: those behind a rejected step are lost, and
+        # of large ones few pay for the time between calls.
+        return 2**13 // self.records
+
+    def control(self, longest_step: float) -> MultiplierControl:
+        return MultiplierControl(longest_step)
+
+    @cached_property
+    def _rest(self) -> np.ndarray:
+        """x_0 and x_1."""
+        first, last = (self._scaled(self.flow(v).rest, v) for v in (self.start, self.end))
+        return np.array([first, last - first])
+
     def state(self, unknown: np.ndarray, value: float) -> np.ndarray:
-        """z of x (..., 2 n_modes) where the parameter has a value."""
+        """z of x where the parameter has a value."""
         state = (unknown + self._offset(value)) / self.scale
         return np.asarray(state if self.name != "speed" else state @ self._modes(value).T)
 
     def unknown(self, state: np.ndarray, value: float) -> np.ndarray:
-        """x of z (..., 2 n_modes) where the parameter has a value."""
+        """x of z where the parameter has a value."""
+        return self._scaled(state, value) - self._offset(value)
+
+    def _scaled(self, state: np.ndarray, value: float) -> np.ndarray:
+        """x + x_0 + p x_1."""
         if self.name == "speed":
-            state = np.linalg.solve(self._modes(value), state.T).T
-        return np.asarray(state * self.scale - self._offset(value))
+            state = np.linalg.solve(self._modes(value), state)
+        return np.asarray(state * self.scale)
 
     def _offset(self, value: float) -> np.ndarray:
         """x_0 + p x_1."""
@@ -112,22 +146,12 @@ class OrbitFamily:
         state = self._motion(unknown, parameter, part).state
         return self.unknown(state, self.value(parameter))
 
-    def monodromy(self, unknown: np.ndarray, parameter: float, part: float = 1.0) -> np.ndarray:
-        """The derivative of that by x: (2 n_modes, 2 n_modes)."""
-        tangent = self._motion(unknown, parameter, part).track.tangent
-        return self._of_unknowns(tangent, self.value(parameter))
-
     def _of_unknowns(self, tangent: np.ndarray, value: float) -> np.ndarray:
         """dx(T)/dx of dz(T)/dz."""
         if self.name == "speed":
             modes = self._modes(value)
             tangent = np.linalg.solve(modes, tangent @ modes)
         return np.asarray(self.scale[:, None] * tangent / self.scale)
-
-    def doubling(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
-        """The eigenvector of -1 over half the period, of unit size."""
-        monodromy = self.monodromy(unknown, parameter, 0.5)
-        return np.asarray(scipy.linalg.svd(np.eye(len(unknown)) + monodromy)[2][-1])
 
     def half_off(self, unknown: np.ndarray, parameter: float) -> float:
         """Change of an orbit over half its period, relative to its size."""
@@ -148,8 +172,8 @@ class OrbitFamily:
         along: dict[str, Any] = {"rest": self._rest} if self._rest.any() else {}
         if self.name != "omega":
             last = self.flow(self.end)
-            problem = self.at(max(self.start, self.end) if damped else self.start)
-            flow = exact_flow(problem.structure, problem.contact)  # its own: it changes
+            # Its own: it changes.
+            flow = self._flow_at(max(self.start, self.end) if damped else self.start)
             if damped:
                 rate, damping = last.modes.damping - first.modes.damping, first.modes.damping
                 along |= {"damping": doubles(damping), "damping_by": doubles(rate)}
@@ -188,7 +212,7 @@ class OrbitFamily:
                 step = FORWARD_STEP if parameter < 0.5 else -FORWARD_STEP
                 return (self.moved(unknown, parameter + step) - unknown - residual) / step
             state = self.state(unknown, value)
-            softness = -self._along.rate(value) / value * motion.track.flow.softness
+            softness = -self.rate(value) / value * motion.track.flow.softness
             change = self.scale * motion.track.by_structure(state, softness)
             return np.asarray(change + monodromy() @ self._rest[1] - self._rest[1])
 
@@ -197,5 +221,13 @@ class OrbitFamily:
 
     def observe(self, records: np.ndarray) -> np.ndarray:
         """Leading multipliers of points from their M, and r, d and c (:mod:`orbit_events`)."""
-        size = len(self.scale)
-        return observe(records.reshape(-1, size, size))
+        return observe(records.reshape(-1, self.size, self.size))
+
+
+def system_along(
+    exact: bool, problem: Problem, parameter: str, start: float, end: float
+) -> Waves | Orbits:
+    """The equations of exact orbits, or of harmonic balance, along a parameter."""
+    if exact:
+        return Orbits(problem, parameter, start, end)
+    return WAVES[parameter](problem, start, end)
