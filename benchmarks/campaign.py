@@ -12,7 +12,6 @@ any of them can be repeated by itself (``--family plate --first N --cases 1``). 
                 damping or the clearance at one frequency: the same of it (by itself: --kind)
     branch      follow_branch from a period doubling of such a curve, up to 4 points
     ends        the same, the points next to both ends, and floquet of them once more
-    backbone    follow_backbone of an undamped structure, up to 4 points
     reduction   the reduction's estimated error against the orbit with twice the modes
 
 The judge is :mod:`reference_flow`, which shares no code with the package and knows no harmonics:
@@ -23,9 +22,7 @@ answer's own within three times the estimate, or within three times one Newton s
 wave (``pred``). The error is the distance of the gaps from that orbit of the same reduced
 structure, relative to what of B^T u moves. Of a verdict: the exact leading multiplier, and for
 "stable" the exact motion that begins with the answer. Of a bifurcation: that the number of exact
-multipliers outside the unit circle changes along the curve within 1 % of its frequency. Of a
-backbone's point: the nearest free motion at rest at t = 0, of any period; the larger of both
-differences.
+multipliers outside the unit circle changes along the curve within 1 % of its frequency.
 
     right        the true error is at most three times the estimate (a tolerance: at most the
                  tolerance), or below 1e-6; a verdict is the exact one; a bifurcation is there
@@ -562,58 +559,10 @@ def ends(case: Case) -> Iterator[Finding]:
             yield row
 
 
-def backbones(case: Case) -> Iterator[Finding]:
-    """Points of a backbone of the undamped structure, from where contact begins."""
-    motion = fc.solve_linear(case.structure, case.omega).displacement_coefficients[1:3]
-    squares = case.flow(case.structure).system.squares
-    energy = 0.5 * float(np.sum(motion**2 * squares)) or 1.0  # or so
-    backbone = fc.follow_backbone(
-        case.structure, case.law, 1, 1e-2 * energy, 10.0 * energy, harmonics=case.harmonics,
-        throw=False,
-    )  # fmt: skip
-    for place in np.unique(np.linspace(0, len(backbone.omega) - 1, 4).astype(int)):
-        yield free_motion(case, backbone.solution(int(place)))
-
-
-def free_motion(case: Case, found: fc.PeriodicSolution) -> Finding:
-    """A point of a backbone against the nearest free motion in the exact flow that is at rest at
-    t = 0, and so again after half a period, of any period and energy: by least squares, as motions
-    come in families."""
-    row = Finding("backbone", found.harmonics, found.omega, found.report.truncation)
-    free = case.structure.varied(load=0.0, damping=0.0)
-    flow, omega = ReferenceFlow(free, case.law), found.omega
-    state, period = flow.states_of(found, np.zeros(1))[0], found.period
-    rest = len(state) // 2
-    wave = found.gap(np.arange(512) / 512 * period)
-    size = float(np.linalg.norm(state))
-    for _ in range(20):
-        passage = flow.advance(state, omega, 0.0, 0.5 * period)
-        moved, left = passage.state, passage.state[rest:]
-        if np.linalg.norm(state) < 0.5 * size:
-            break
-        if np.linalg.norm(left) < 1e-9 * size:
-            gap = flow.advance(state, omega, 0.0, period, 512).gap
-            apart = np.linalg.norm(wave - gap) / size_of_motion(gap + free.clearance)
-            row.true = max(float(apart), abs(period / found.period - 1.0))
-            good = row.true <= max(TIMES * row.estimate, ROUNDING)
-            row.judgement = RIGHT if good else TOO_LARGE if row.estimate > LARGE else WRONG
-            return row
-        later = flow.advance(moved, omega, 0.0, 5e-7 * period).state - moved
-        slopes = np.column_stack([passage.tangent()[rest:, :rest], later[rest:] / (1e-6 * size)])
-        step = np.linalg.lstsq(slopes, left / size, rcond=1e-7)[0]
-        if np.linalg.norm(step) > 0.5:  # to another motion, or to rest
-            break
-        state[:rest] -= size * step[:-1]
-        period *= 1.0 - step[-1]
-    row.judgement = TOO_LARGE if row.estimate > LARGE else OPEN
-    row.remark = "no free motion"
-    return row
-
-
 ASKED = {
     "solution": solutions, "tolerance": tolerances, "whole": wholes, "peak": peaks,
     "curve": curves, "parameter": parameters, "branch": branches, "ends": ends,
-    "backbone": backbones, "reduction": reductions,
+    "reduction": reductions,
 }  # fmt: skip
 
 

@@ -39,8 +39,7 @@ from reference_flow import WHOLE, ReferenceFlow, SmoothFlow
 import fenics_crack as fc
 
 FEW_KINDS = {
-    "solution": 0.6, "tolerance": 0.2, "curve": 0.12, "branch": 0.04, "backbone": 0.04,
-    "parameter": 0.0,
+    "solution": 0.6, "tolerance": 0.2, "curve": 0.12, "branch": 0.08, "parameter": 0.0,
 }  # fmt: skip
 TURNING_KINDS = {"solution": 0.6, "tolerance": 0.2, "curve": 0.15, "branch": 0.05}
 MASS_KINDS = {"solution": 0.6, "tolerance": 0.3, "curve": 0.1}
@@ -130,9 +129,9 @@ def _of_masses(rng: np.random.Generator, number: int, kind: str, family: str) ->
     if plates and rng.random() < plates:
         structure = _plate(rng)
     else:
-        structure = _masses(rng, kind == "backbone", most, family == "turning")
+        structure = _masses(rng, most, family == "turning")
         while family == "smooth" and structure.n_dofs > 8:  # few enough for an integrator
-            structure = _masses(rng, False)
+            structure = _masses(rng)
     squares, static = _modes(structure)
     natural = np.sqrt(np.maximum(squares[:3], 0.0))
     share = rng.choice([1 / 3, 1 / 2, 1.0, 2.0, 3.0, 10.0 ** rng.uniform(-0.5, 0.5)])
@@ -175,10 +174,7 @@ def _extremum(wave: np.ndarray, rng: np.random.Generator) -> float:
 
 
 def _masses(
-    rng: np.random.Generator,
-    undamped: bool,
-    pairs_from: tuple[int, int] | None = None,
-    turning: bool = False,
+    rng: np.random.Generator, pairs_from: tuple[int, int] | None = None, turning: bool = False
 ) -> fc.Structure:
     """A chain, or modes of random shapes with frequencies up to 30 times the first; ``turning``:
     with gyroscopic forces."""
@@ -216,7 +212,7 @@ def _masses(
     loads[2] *= 0.0 if rng.random() < 0.7 else 0.3
     return fc.Structure.from_matrices(
         mass, stiffness, gap=gap, force_cos=loads[0], force_sin=loads[1], force_mean=loads[2],
-        damping=None if undamped else damping,
+        damping=damping,
     )  # fmt: skip
 
 

@@ -589,14 +589,10 @@ def make_base(folder: Path) -> None:
             )
             if code not in (0, 3, 4):
                 raise RuntimeError(errors)
-    scene = fc.Scene.load(folder / "plate.toml")
     solution = folder / "plate" / "solution.h5"
     assert (
         call(["timing", str(folder / "plate.toml"), str(solution), "--output", str(folder)])[0] == 0
     )
-    study = fc.prepare(scene.replace({"damping.ratio": 0.0}))
-    backbone = fc.follow_backbone(study.structure, study.contact, 1, 1e-6, 1e-5, harmonics=1)
-    fc.save(backbone, folder / "plate" / "backbone.h5", scene)
     (folder / COMPLETE).touch()
 
 

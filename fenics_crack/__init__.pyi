@@ -9,8 +9,6 @@ from fenics_crack.balance.solution import PeriodicSolution as PeriodicSolution
 from fenics_crack.balance.solution import Stability as Stability
 from fenics_crack.basics.errors import ConvergenceError as ConvergenceError
 from fenics_crack.basics.errors import InputError as InputError
-from fenics_crack.curves.backbone import Backbone as Backbone
-from fenics_crack.curves.backbone import follow_backbone as follow_backbone
 from fenics_crack.curves.continuation import Continuation as Continuation
 from fenics_crack.curves.curve import Bifurcation as Bifurcation
 from fenics_crack.curves.curve import CurvePoint as CurvePoint

@@ -22,7 +22,7 @@ import fenics_crack as fc
 
 pytestmark = pytest.mark.usefixtures("not_laid_out")
 
-BREATHING = "breathing crack resonates near [Hz]"
+BREATHING = "resonance at the load [Hz]"
 LOADS = {"weak": 1.0, "strong": 100.0}
 """Forces in newtons: of the least, the preload keeps the crack closed."""
 COARSE = (
@@ -75,7 +75,7 @@ def test_from_a_new_scene_to_a_report(folder: Path, ask: object) -> None:
         checked[f"first natural frequency, crack faces {how} [Hz]"] for how in ("open", "bonded")
     )
     breathing = 2.0 * opened * tied / (opened + tied)
-    assert checked[BREATHING] == pytest.approx(breathing)
+    assert checked[BREATHING] == pytest.approx(breathing, rel=2e-3)
     modes = json.loads(ask("modes --count 3 --format json"))
     assert modes[0]["frequency [Hz]"] == pytest.approx(opened)
     solved = {r["name"]: r["value"] for r in json.loads(ask("solve --format json"))}

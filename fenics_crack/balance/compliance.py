@@ -215,7 +215,7 @@ class ModalCompliance:
         self._set(base_omega, 1.0, 1.0, 0.0)
 
     def _set(self, base_omega: float, load: float, damping: float, clearance: float) -> None:
-        self._base, self._damping, self._added = base_omega, damping, clearance
+        self._base, self._damping = base_omega, damping
         self._receptance = self._modes.receptance(
             base_omega * self._order, damping, self._unit_load != 0.0
         )
@@ -242,17 +242,6 @@ class ModalCompliance:
             vars(other).pop(found, None)
         other._set(base_omega, load, damping, clearance)
         return other
-
-    def driven(self, factor: float) -> ModalCompliance:
-        """The same with all of the load but its mean multiplied."""
-        factors = np.append(1.0, np.full(len(self._order) - 1, factor))
-        other = copy(self)
-        other._unit_load = factors[:, None] * self._unit_load
-        if self._unit_static is not None:
-            rows = np.append(1.0, np.full(2 * len(factors) - 2, factor))[:, None]
-            other._unit_static = rows * self._unit_static
-            other._static_gap = rows * self._static_gap
-        return other.at(self._base, load=self._load, damping=self._damping, clearance=self._added)
 
     def beyond(self, highest: int) -> np.ndarray:
         """R_k for k = H+1 to a higher harmonic."""

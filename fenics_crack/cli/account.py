@@ -21,38 +21,34 @@ from fenics_crack.study.verification import Verification
 from fenics_crack.sweep.plan import FREQUENCIES
 from fenics_crack.sweep.result import SweepResult, by_reason, in_words
 
+ALWAYS, BY_DEFAULT, NEVER = range(3)
+"""Whether a quantity is printed: whatever the scene chooses, where it does not choose, or in files
+alone. These are parts of an error, and sentences, which are below the table."""
 OTHERS = {
-    "periods": ("periods", "-"),
-    "steps_per_period": ("steps in a period", "-"),
-    "settled": ("change over the last period", "-"),
-    "distance": ("distance from the settled motion", "-"),
-    "created_energy": ("energy created", "-"),
-    "verdict": ("verdict", "-"),
-    "multiplier": ("largest multiplier", "-"),
-    "converged": ("converged", "-"),
-    "harmonics": ("harmonics", "-"),
-    "iterations": ("iterations", "-"),
-    "residual_error": ("relative error of the gap: residual", "-"),
-    "truncation_error": ("relative error of the gap: harmonics", "-"),
-    "sampling_error": ("relative error of the gap: AFT sampling", "-"),
-    "reduction_error": ("relative error of the gap: modal truncation", "-"),
-    "displacement_error": ("relative error of the displacement at the load", "-"),
-    "total_error": ("relative error of the gap by modes and harmonics", "-"),
-    "penetration_share": ("relative penetration", "-"),
-    "from_rest": ("the motion from rest", "-"),
-    "rest_amplitude": ("half peak-to-peak, motion from rest", "m"),
-    "unknown_error": ("reason of the unknown error", "-"),
-    "remarks": ("remarks", "-"),
-    "conclusion": ("conclusion", "-"),
+    "periods": ("periods", "-", BY_DEFAULT),
+    "steps_per_period": ("steps in a period", "-", BY_DEFAULT),
+    "settled": ("change over the last period", "-", BY_DEFAULT),
+    "distance": ("distance from the settled motion", "-", ALWAYS),
+    "created_energy": ("energy created", "-", BY_DEFAULT),
+    "verdict": ("verdict", "-", ALWAYS),
+    "multiplier": ("largest multiplier", "-", BY_DEFAULT),
+    "converged": ("converged", "-", ALWAYS),
+    "harmonics": ("harmonics", "-", BY_DEFAULT),
+    "iterations": ("iterations", "-", BY_DEFAULT),
+    "residual_error": ("relative error of the gap: residual", "-", NEVER),
+    "truncation_error": ("relative error of the gap: harmonics", "-", NEVER),
+    "sampling_error": ("relative error of the gap: AFT sampling", "-", NEVER),
+    "reduction_error": ("relative error of the gap: modal truncation", "-", NEVER),
+    "displacement_error": ("relative error of the displacement at the load", "-", NEVER),
+    "total_error": ("relative error of the gap by modes and harmonics", "-", ALWAYS),
+    "penetration_share": ("relative penetration", "-", BY_DEFAULT),
+    "from_rest": ("the motion from rest", "-", NEVER),
+    "rest_amplitude": ("half peak-to-peak, motion from rest", "m", BY_DEFAULT),
+    "unknown_error": ("reason of the unknown error", "-", NEVER),
+    "remarks": ("remarks", "-", NEVER),
+    "conclusion": ("conclusion", "-", NEVER),
 }
-"""Words and unit of the printed quantities of a solution or a motion beside the indicators."""
-IN_FILES = (
-    "residual_error", "truncation_error", "sampling_error", "reduction_error",
-    "displacement_error", "from_rest", "unknown_error", "remarks", "conclusion",
-)  # fmt: skip
-"""Quantities that no printed table has: parts of an error, and sentences, which are below it."""
-ALWAYS = ("omega", "frequency", "verdict", "converged", "total_error", "distance")
-"""Quantities printed whatever the scene chooses."""
+"""Words and unit of quantities beside the indicators of a motion, and whether they are printed."""
 ON_MODES = "depends on truncated modes"
 IN_A_TEST = {
     "fold": "the curve turns back: in a test the vibration jumps to another size here",
@@ -186,13 +182,13 @@ def in_short(table: Table, scene: Scene, where: Where) -> Table:
         return name in (chosen or default) if name in QUANTITIES else True
 
     if table.columns[0] == "name":
+        shown = (ALWAYS, BY_DEFAULT) if chosen is None else (ALWAYS,)
         rows = [
             row[1:]
             for row in table.rows
             if wanted(row[0], row[3])
             and not (isinstance(row[2], float) and np.isnan(row[2]))
-            and (chosen is None or row[0] in ALWAYS or row[0] not in OTHERS)
-            and row[0] not in IN_FILES
+            and OTHERS.get(row[0], ("", "", ALWAYS))[2] in shown
         ]
         return Table(table.columns[1:], rows)
     return _with_columns(table, wanted)

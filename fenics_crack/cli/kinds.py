@@ -145,10 +145,8 @@ def report_of(result: Any) -> Report:
 def draw(result: Any, drawn: Drawn) -> None:
     """Draw the pictures of a result."""
     kind = KINDS[result.KIND]
-    if kind.sentence:
-        loaded(kind.draw)(result, path=drawn(kind.name, kind.sentence))
-    else:
-        loaded(kind.draw)(result, drawn)
+    where = {"path": drawn(kind.name, kind.sentence)} if kind.sentence else {"file": drawn}
+    loaded(kind.draw)(result, **where)
 
 
 def result_of(stored: Stored) -> Any:

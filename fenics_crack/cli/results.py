@@ -240,7 +240,7 @@ def _quantities(
             (name, f"{words}, mode {near['mode']}", float(value), unit)
             for name, words, unit, value in _with_hertz(near)
         )
-    rows += [(n, words, values[n], unit) for n, (words, unit) in OTHERS.items() if n in values]
+    rows += [(n, words, values[n], unit) for n, (words, unit, _) in OTHERS.items() if n in values]
     columns = ["name", "quantity", "value", "unit"]
     rows = [(*row[:3], "-" if row[3] == "1" else row[3]) for row in rows]
     if run.stated is None:

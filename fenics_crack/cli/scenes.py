@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import itertools
+import math
 from argparse import Namespace
 from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 
@@ -35,6 +37,7 @@ from fenics_crack.study.prepare import (
     prepare,
     reduction_of,
 )
+from fenics_crack.study.resonance import resonance_of
 from fenics_crack.study.verification import Verification
 from fenics_crack.sweep.plan import Plan
 
@@ -57,11 +60,15 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
         figures = find_key_figures(study)
         tied = {"tied": figures.omega_tied} if whole.n_pairs else {}
         by_mesh = errors_of_natural(study, {"open": figures.omega_open} | tied)
+    with console.stage("resonance at the load"):
+        at_load = resonance_of(study, figures.omega_bilinear, figures.slopes)
+    figures = replace(figures, at_load=at_load)
     rows: dict[str, object] = {
         **({} if whole.nodes is None else _extents(figures)),
         "degrees of freedom": whole.n_dofs,
         **_frequencies(study.scene, figures),
         **_known_by_mesh(by_mesh),
+        **_resonance(study.scene, figures),
         **_rotation(study.scene, figures),
         **_contact(study, figures),
         "harmonics": harmonics_in_words(scene),
@@ -120,10 +127,6 @@ def _frequencies(scene: Scene, figures: KeyFigures) -> dict[str, object]:
         rows[f"first natural frequency{words} [Hz]"] = float(natural[0]) / TURN
         rows[f"first natural frequency{words} [rad/s]"] = float(natural[0])
         rows[f"the next{words} [Hz]"] = ", ".join(f"{value / TURN:.6g}" for value in natural[1:])
-    if figures.elements is not None:
-        moved = "" if scales_with_load(scene) else " without clearance"
-        what = "breathing contact" if faces == "pairs" else "breathing crack"
-        rows[f"{what}{moved} resonates near [Hz]"] = figures.omega_breathing / TURN
     omega = scene.excitation.omega
     rows["load's frequency [Hz]"] = omega / TURN
     rows["load's frequency [rad/s]"] = omega
@@ -143,22 +146,37 @@ def _known_by_mesh(found: Verification) -> dict[str, object]:
     return {"error of first natural frequencies due to the mesh": " and ".join(ends)}
 
 
+def _resonance(scene: Scene, figures: KeyFigures) -> dict[str, object]:
+    """The resonance at the scene's own load, or why it is not known."""
+    found, order = figures.at_load, scene.excitation.order
+    if figures.elements is None:
+        return {}
+    words = "resonance at the load"
+    if scene.contact is not None and scene.contact.friction:
+        words += ", without friction"
+    rows: dict[str, object] = {}
+    if math.isfinite(found.value) and (order is None or scene.disk is not None):
+        rows[f"{words} [Hz]"], rows[f"{words} [rad/s]"] = found.value / TURN, found.value
+    elif math.isfinite(found.value):
+        words = f"order {order} meets the {words}, rotor speed"
+        rows[f"{words} [rad/s]"], rows[f"{words} [rpm]"] = found.value, found.value / RPM
+    held = figures.closed or figures.mean_opening or not scales_with_load(scene)
+    rows["vibration there" if rows else words] = found.in_words
+    if not (held or found.unknown):
+        rows["vibration there"] = f"{found.in_words}; proportional to the load"
+    return rows
+
+
 def _rotation(scene: Scene, figures: KeyFigures) -> dict[str, object]:
-    """The rotor's speed, how far it opens the crack, and its engine orders."""
+    """The rotor's speed, and how far it opens the crack."""
     if scene.speed == 0.0:
         return {}
-    first = figures.omega_breathing
     rows: dict[str, object] = {
         "rotor speed [rad/s]": scene.speed,
         "rotor speed [rpm]": scene.speed / RPM,
-        "first breathing frequency / rotor speed": first / scene.speed,
     }
     if figures.elements is not None:
         rows["crack opened by rotation and mean load [m]"] = figures.mean_opening
-    if scene.excitation.order is not None:
-        met = figures.meeting_speed(scene.excitation.order, scene.speed)
-        words = f"order {scene.excitation.order} meets it near a rotor speed of"
-        rows[f"{words} [rad/s]"], rows[f"{words} [rpm]"] = met, met / RPM
     return rows
 
 

@@ -279,8 +279,8 @@ class Continuation(GrowingCurve):
         The curve of the bifurcation.
     tolerance : float, optional
         Without ``samples``. Choose H, between the problem's ``harmonics`` and 100, so that the
-        estimated truncation error of the first point is below this. Of exact orbits
-        ``ResponseCurve.tolerance``; default: that of ``branch_of``, or 0.01.
+        estimated truncation error of the first point is below this. Of exact orbits the
+        ``tolerance`` of the curve; default: that of ``branch_of``, or 0.01.
     stability : bool
         Assess ``curve`` each time that it is taken (:func:`judge_curve`); exact orbits always have
         their stability.
@@ -325,6 +325,8 @@ class Continuation(GrowingCurve):
         stability: bool = False,
         **steps: Unpack[StepOptions],
     ) -> None:
+        if parameter == "resonance":
+            raise InputError("parameter", parameter, "another one: follow_resonance follows it")
         how = Steps(**steps)
         if exact and tolerance is None:
             tolerance = TOLERANCE if branch_of is None else branch_of.tolerance

@@ -346,17 +346,10 @@ class ResonanceWaves(Waves):
     name = "resonance"
 
     @classmethod
-    def check(cls, structure: Structure, key: str, value: float) -> None:
-        raise InputError("parameter", cls.name, "another one: follow_resonance follows it")
-
-    @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
         weights = value * np.eye(len(problem.structure.force))
         weights[0, 0] = 1.0
         return replace(problem, structure=problem.structure.varied(load=weights))
-
-    def _compile(self, first: ContactSystem) -> None:
-        return None
 
 
 WAVES: dict[str, type[Waves]] = {

@@ -56,10 +56,9 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
     point = excitation.point if excitation.point is not None else dofs.plate.points.get("load")
     if point is not None:
         parts = parts_of(scene)
-        share = _share_at(scene, dofs, "excitation.point", point)
-        force += _point_force(dofs, "excitation.point", point, share, parts)
-        if (scene.has_other_loads or scene.speed > 0.0) and any(map(any, parts)):
-            watched = _at_nodes(dofs, share, _unit(parts))[dofs.free]
+        own, along = _at_point(scene, dofs, "excitation", point, parts)
+        force += own
+        watched = along if scene.has_other_loads or scene.speed > 0.0 else None
     elif (name := excitation.force_given) or not scene.has_other_loads:
         by = f" with excitation.{name}" if name else ""
         allowed = f"given{by}, or a physical point 'load' in the mesh file"
@@ -67,10 +66,8 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
     for number, load in enumerate(scene.loads, 1):
         key = f"loads.{number}"
         if load.point is not None:
-            forces, at = load.parts("force"), _share_at(scene, dofs, f"{key}.point", load.point)
-            own = _point_force(dofs, f"{key}.point", load.point, at, forces)
-            if watched is None and any(map(any, forces)):
-                watched = _at_nodes(dofs, at, _unit(forces))[dofs.free]
+            own, along = _at_point(scene, dofs, key, load.point, load.parts("force"))
+            watched = along if watched is None else watched
         else:
             own = _edge_force(scene, dofs, key, load)
             if watched is None and np.any(gather_rows(dofs.comm, own.ravel())):
@@ -84,8 +81,8 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
         for row, acceleration in enumerate(scene.base.accelerations, 1):
             force[row] -= _inertia(mass, np.tile(acceleration, dofs.n_nodes))
     if watched is None and point is not None and not any(map(any, parts)):
-        along_x = [np.eye(dofs.dimension)[0].tolist()]
-        watched = _point_force(dofs, "excitation.point", point, share, along_x)[0, dofs.free]
+        along_x = [np.eye(dofs.dimension)[0].tolist()] * 2
+        _, watched = _at_point(scene, dofs, "excitation", point, along_x)
     return force, watched
 
 
@@ -153,12 +150,15 @@ def _share_at(scene: Scene, dofs: Dofs, key: str, point: Vector) -> np.ndarray:
     return share
 
 
-def _point_force(
-    dofs: Dofs, key: str, point: Vector, share: np.ndarray, parts: Sequence[Vector]
-) -> np.ndarray:
-    """Forces at a point as consistent nodal forces: (len(parts), n_dofs)."""
+def _at_point(
+    scene: Scene, dofs: Dofs, key: str, point: Vector, parts: Sequence[Vector]
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Forces at the point of a load as consistent nodal forces, (len(parts), n_dofs), and their
+    direction there, of the free dofs (n_local,); None: no force."""
+    share = _share_at(scene, dofs, f"{key}.point", point)
     force = np.array([_at_nodes(dofs, share, part) for part in parts])
-    return _moving(dofs, key, tuple(point), force)
+    along = _at_nodes(dofs, share, _unit(parts))[dofs.free] if any(map(any, parts)) else None
+    return _moving(dofs, f"{key}.point", tuple(point), force), along
 
 
 def _moving(dofs: Dofs, key: str, place: object, force: np.ndarray) -> np.ndarray:

@@ -14,7 +14,6 @@ from fenics_crack.balance.error_report import ErrorReport
 from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import gather_rows
-from fenics_crack.curves.backbone import Backbone
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.waves import WAVES
 from fenics_crack.fem.nodal_mesh import NodalMesh
@@ -37,7 +36,7 @@ from fenics_crack.scene.fields import LARGEST
 from fenics_crack.scene.scene import Scene
 from fenics_crack.time.march import TimeHistory
 
-Result = Modes | PeriodicSolution | ResponseCurve | Backbone | TimeHistory
+Result = Modes | PeriodicSolution | ResponseCurve | TimeHistory
 Law = ContactLaw | None
 Shapes = dict[str, tuple[int, ...]]
 
@@ -57,7 +56,7 @@ def save(
 
     Parameters
     ----------
-    result : Modes, PeriodicSolution, ResponseCurve, Backbone or TimeHistory
+    result : Modes, PeriodicSolution, ResponseCurve or TimeHistory
         Result to write.
     path : path
         The file; an older one is replaced once the new one is complete.
@@ -107,7 +106,7 @@ def load(path: str | Path, structure: Structure, contact: Law = None) -> Result:
 
     Returns
     -------
-    Modes, PeriodicSolution, ResponseCurve, Backbone or TimeHistory
+    Modes, PeriodicSolution, ResponseCurve or TimeHistory
         Result that was written.
 
     Raises
@@ -141,6 +140,8 @@ def type_of(stored: Stored) -> type[Result]:
     for kind in _FORMS:
         if kind.KIND == stored.kind:
             return kind
+    if stored.kind == "backbone":
+        raise stored.refused("of another kind; follow_resonance takes the place of backbones")
     allowed = f"of another kind; a {stored.kind} is read by its class, as by SweepResult.load"
     raise stored.refused(allowed)
 
@@ -385,20 +386,6 @@ def _read_states(parts: Parts, at: str, curve: ResponseCurve, signs: np.ndarray)
     return np.array([np.append((moved @ inverse.T).ravel(), held) for inverse, moved, held in each])
 
 
-def _pack_backbone(backbone: Backbone) -> Parts:
-    parts = packed(backbone, *_GIVEN) | {"couplings": _couplings(backbone.structure)}
-    return parts | _law_parts(backbone.contact, backbone.structure)
-
-
-def _unpack_backbone(parts: Parts, structure: Structure, contact: Law) -> Backbone:
-    _check_law(parts, contact, structure)
-    signs, count = _signs(structure, parts["couplings"]), parts["omega"].size
-    shapes: Shapes = dict.fromkeys(("omega", "energy", "iterations", "jumps"), (count,))
-    check_shapes(parts, shapes | {"cosines": (count, -1, structure.n_local)})
-    parts["cosines"] = signs * parts["cosines"]
-    return unpacked(Backbone, parts, structure=structure, contact=contact)
-
-
 # --- motion in time -------------------------------------------------------------------------------
 
 
@@ -491,6 +478,5 @@ _FORMS: dict[type[Result], tuple[Pack, Unpack]] = {
     Modes: (_pack_modes, _unpack_modes),
     PeriodicSolution: (_pack_solution, _unpack_solution),
     ResponseCurve: (_pack_curve, _unpack_curve),
-    Backbone: (_pack_backbone, _unpack_backbone),
     TimeHistory: (_pack_history, _unpack_history),
 }

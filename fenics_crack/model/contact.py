@@ -490,8 +490,7 @@ def solve_complementarity(
     lambda > 0. Raises ConvergenceError where there is no solution, or it was not found.
     """
     guess = None if closed is None else np.array(closed)[None]
-    found: np.ndarray = ActiveSets(matrix).solve(shaped(gap, len(matrix))[None], guess)[0][0]
-    return found
+    return np.asarray(ActiveSets(matrix).solve(shaped(gap, len(matrix))[None], guess)[0][0])
 
 
 def by_least_squares(matrix: np.ndarray, gap: np.ndarray) -> np.ndarray:

@@ -497,7 +497,10 @@ def cyclic_basis(
         for diameter in mine:
             one = inside.at(diameter)
             _, shapes = ahead.get(diameter) or one.modes(families)
-            omega, shapes = _with_answers(sector, shapes, one.answers(forces, at_sides))
+            beside = one.answers(forces, at_sides)
+            beside = beside - shapes @ (shapes.conj().T @ (sector.mass @ beside))
+            beside /= np.sqrt(np.sum(np.abs(beside) ** 2, axis=0))
+            omega, shapes = sector.ritz(np.hstack([shapes, sector.ritz(beside)[1]]))
             answers = [
                 _beside_modes(one.answers(force[:, None])[:, 0], force, omega, shapes, sector)
                 for number, force in loads
@@ -540,16 +543,6 @@ def _of_all_ranks(found: dict[int, Any], comm: MPI.Comm) -> dict[int, Any]:
     if comm.size == 1:
         return found
     return {n: values for part in comm.allgather(found) for n, values in part.items()}
-
-
-def _with_answers(
-    sector: Sector, shapes: np.ndarray, answers: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies and shapes in the space of modes and static answers."""
-    answers = answers - shapes @ (shapes.conj().T @ (sector.mass @ answers))
-    answers /= np.sqrt(np.sum(np.abs(answers) ** 2, axis=0))
-    _, answers = sector.ritz(answers)
-    return sector.ritz(np.hstack([shapes, answers]))
 
 
 PATTERN = 0.5

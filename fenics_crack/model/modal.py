@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import scipy.linalg
 
 from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.kernel import kernel
+from fenics_crack.model.factor import local_rows
 from fenics_crack.model.modes import AS_ZERO, NEGLIGIBLE, damped_modes, damping_in, solve_modes
 from fenics_crack.model.reduced import MasslessInterface
 from fenics_crack.model.structure import Structure
@@ -247,7 +247,8 @@ def _all_modes(structure: Structure) -> AllModes:
     if known is not None and len(known.omega) == structure.n_dofs:
         squares, shapes, damping = known.omega**2, known.shapes, known.rate
     else:
-        squares, shapes = scipy.linalg.eigh(*map(_dense, (structure.stiffness, structure.mass)))
+        matrices = (local_rows(one).toarray() for one in (structure.stiffness, structure.mass))
+        squares, shapes = scipy.linalg.eigh(*matrices)
         damping = damping_in(structure, shapes, squares)
     # Beside the largest it may be rounding of LAPACK's; one mode of K itself decides.
     doubtful = squares[0] <= AS_ZERO * squares[-1]
@@ -270,8 +271,3 @@ def _of_interface(structure: MasslessInterface) -> AllModes:
         structure.left,
         (structure.mass.getDiagonal().array_r[:, None] * shapes).T,
     )
-
-
-def _dense(matrix: Any) -> np.ndarray:
-    """A PETSc matrix on one rank as an array."""
-    return np.asarray(matrix.getValues(range(matrix.size[0]), range(matrix.size[1])))

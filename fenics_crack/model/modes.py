@@ -137,6 +137,8 @@ def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Mode
     if known is not None:
         omega, shapes = known
         return Modes(omega[:count], shapes[:, :count], structure)
+    if ties is None and (kept := _kept(structure, count)) is not None:
+        return kept
     with Factor(structure.stiffness, definite=True, border=ties) as factor:
         return modes_by(factor, structure, int(count), ties)
 
@@ -183,9 +185,8 @@ def modes_by(factor: Inverse, structure: Structure, count: int, ties: Any = None
     if ties is None and structure.whole is not structure:  # small and dense
         if (known := structure.known_modes(tied=False)) is not None:
             return Modes(known[0][:count], known[1][:, :count], structure)
-    kept = structure.once(_lowest) if ties is None else []
-    if kept and len(kept[0]) >= count:
-        return Modes(kept[0][:count], kept[1][:, :count], structure)
+    if ties is None and (kept := _kept(structure, count)) is not None:
+        return kept
     quotients = structure.stiffness.getDiagonal().array_r / structure.mass.getDiagonal().array_r
     quotients = gather_rows(structure.comm, quotients)  # [rad^2/s^2]
     scale = float(np.min(quotients[quotients > 0.0], initial=np.inf))
@@ -213,8 +214,17 @@ def modes_by(factor: Inverse, structure: Structure, count: int, ties: Any = None
         raise ConvergenceError(f"modes: omega^2 of the lowest is rounding of the stiffness: {LOST}")
     omega = np.sqrt(squares)
     shapes *= _signs(structure, shapes)
-    kept[:] = omega, shapes
+    if ties is None:
+        structure.once(_lowest)[:] = omega, shapes
     return Modes(omega, shapes, structure)
+
+
+def _kept(structure: Structure, count: int) -> Modes | None:
+    """The lowest modes, crack open, if so many have been found before."""
+    kept = structure.once(_lowest)
+    if not kept or len(kept[0]) < count:
+        return None
+    return Modes(kept[0][:count], kept[1][:, :count], structure)
 
 
 def _lowest(structure: Structure) -> list[np.ndarray]:

@@ -125,7 +125,13 @@ def reduce_structure(
         found = modes_by(own, structure, int(modes))
         kept, squares = found.shapes[:, :modes], found.omega[:modes] ** 2
         with _regular(own, structure, held=bool(squares[0] > 0.0)) as factor:
-            static = _static_shapes(structure, factor, kept, squares)
+            # Static responses to forces of pairs and to the load, without the part of the modes.
+            loaded = structure.sum_over_ranks((structure.force**2).sum(axis=1)) > 0.0
+            forces = np.vstack([structure.gap.T.toarray(), structure.force[loaded]])
+            flexibility = ResidualFlexibility(structure, kept, squares, forces.T)
+            static = flexibility.solve(factor, forces).T
+            left = structure.sum_over_ranks((forces.T * static).sum(axis=0))
+            static = static[:, ~_is_rounding(left, flexibility.modal.T, squares)]
             static = independent_part(structure, structure.mass, kept, static)
             if not reference:
                 return _reduced(structure, kept, squares, static, None)
@@ -135,19 +141,6 @@ def reduce_structure(
                 following.append(factor.solve(damping.T).T)
     finer = _reduced(structure, kept, squares, np.hstack(following), None)
     return _reduced(structure, kept, squares, static, finer)
-
-
-def _static_shapes(
-    structure: Structure, factor: Factor, kept: np.ndarray, squares: np.ndarray
-) -> np.ndarray:
-    """Static response to each pair's force and to each part of the load, without the part of the
-    kept modes: (n_local, m) (collective)."""
-    loaded = structure.sum_over_ranks((structure.force**2).sum(axis=1)) > 0.0
-    forces = np.vstack([structure.gap.T.toarray(), structure.force[loaded]])
-    static = ResidualFlexibility(structure, kept, squares, forces.T)
-    found = static.solve(factor, forces).T
-    left = structure.sum_over_ranks((forces.T * found).sum(axis=0))
-    return found[:, ~_is_rounding(left, static.modal.T, squares)]
 
 
 def _massless(structure: Structure, modes: int, assessed: bool | int) -> MasslessStructure:
@@ -230,11 +223,11 @@ def _left_out(
 
 
 def _loaded_dofs(structure: Structure) -> np.ndarray:
-    """Dofs under the load, at which its effect is watched, if one block of static solutions holds
-    them (collective)."""
+    """Dofs under the load, at which its effect is watched; of a load on more than one block of
+    static solutions holds the watched one (collective)."""
     own = np.flatnonzero(np.any(structure.force != 0.0, axis=0)) + structure.first_dof
     found = gather_rows(structure.comm, own)
-    return found if len(found) <= AT_A_TIME else found[:0]
+    return found if len(found) <= AT_A_TIME else np.array([structure.watched_dof])
 
 
 def _is_rounding(left: np.ndarray, seen: np.ndarray, squares: np.ndarray) -> np.ndarray:

@@ -37,7 +37,7 @@ from fenics_crack.model.contact import solve_complementarity
 from fenics_crack.model.factor import Factor, distributed, weighted_sum
 from fenics_crack.model.matrices import read_only, read_only_rows
 from fenics_crack.model.modes import AS_ZERO, Modes, independent_part, solve_modes, times
-from fenics_crack.model.nodes import Nodes, of_body
+from fenics_crack.model.nodes import of_body
 from fenics_crack.model.reduced import MasslessInterface, ReducedBody
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import DampingRule, Structure, of_original
@@ -148,19 +148,13 @@ def too_fast(structure: Structure, speed: float) -> str:
     """Describe the allowed values instead of a speed [rad/s] at which a plate is unstable; or a
     solid, which the Coriolis force may keep from that. A mesh in mm is: so its size is reported
     (collective)."""
-    at = f"is unstable at {speed / RPM:.6g} rpm"
+    what, at = "the plate", f"is unstable at {speed / RPM:.6g} rpm"
     if structure.nodes is not None:
         sides = np.ptp(gather_rows(structure.comm, structure.nodes.points), axis=0)
         at += f"; it measures {' x '.join(f'{side:.3g}' for side in sides)} m"
-    if _nodes_of_solid(structure) is not None:
-        return f"lower: without the Coriolis force, which is left out, the solid {at}"
-    return f"lower: the plate {at}"
-
-
-def _nodes_of_solid(structure: Structure) -> Nodes | None:
-    """None where it is none."""
-    nodes = structure.nodes
-    return nodes if nodes is not None and nodes.points.shape[1] == 3 else None
+        if len(sides) == 3:
+            what = "without the Coriolis force, which is left out, the solid"
+    return f"lower: {what} {at}"
 
 
 def coriolis_shifts(modes: Modes, turning: np.ndarray) -> np.ndarray:
@@ -180,8 +174,8 @@ def coriolis_shifts(modes: Modes, turning: np.ndarray) -> np.ndarray:
         W.
     """
     structure, count = modes.structure, len(modes.omega)
-    nodes = _nodes_of_solid(structure)
-    if nodes is None:
+    nodes = structure.nodes
+    if nodes is None or nodes.points.shape[1] != 3:
         return np.zeros(count)
     rows = nodes.dofs[nodes.dofs[:, 0] >= 0] - structure.first_dof
     turned = np.zeros_like(modes.shapes)

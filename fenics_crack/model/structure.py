@@ -239,7 +239,11 @@ class Structure(Coordinates):
         vars(self).update(body=body, setting=UNVARIED)
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({self._size_words}, {_in_words(self)})"
+        pairs, damping = counted(self.n_pairs, "pair"), self.body.damping
+        words = "no damping" if damping is None else "damping matrix"
+        if isinstance(damping, DampingRule):
+            words = str(damping.scaled(self.damping_factor))
+        return f"{type(self).__name__}({self._size_words}, {pairs}, {words})"
 
     @cached_property
     def force(self) -> np.ndarray:  # type: ignore[override]
@@ -452,7 +456,10 @@ class Structure(Coordinates):
         InputError
             A value cannot be used.
         """
-        weights = _weights(load, len(self.force))
+        weights, rows = numbers(load), len(self.force)
+        if weights.shape not in ((), (rows, rows)) or not np.all(np.isfinite(weights)):
+            allowed = f"a finite number, or a finite matrix of shape ({rows}, {rows})"
+            raise InputError("load", load, allowed)
         if self.whole.rotation is not None and not _keeps_mean(weights):
             allowed = "1 for a structure that rotates: part of its mean load is centrifugal"
             raise InputError("load", load, allowed)
@@ -572,23 +579,6 @@ class Structure(Coordinates):
         for key in bilinear:
             parts[key].destroy()
         return made.placed(*places)
-
-
-def _in_words(structure: Structure) -> str:
-    """The pairs and the damping of a structure."""
-    pairs, damping = counted(structure.n_pairs, "pair"), structure.body.damping
-    if isinstance(damping, DampingRule):
-        return f"{pairs}, {damping.scaled(structure.damping_factor)}"
-    return f"{pairs}, {'no damping' if damping is None else 'damping matrix'}"
-
-
-def _weights(load: Any, rows: int) -> np.ndarray:
-    """A factor of a load, or the matrix that maps its parts to others, of so many rows; checked."""
-    weights = numbers(load)
-    if weights.shape not in ((), (rows, rows)) or not np.all(np.isfinite(weights)):
-        allowed = f"a finite number, or a finite matrix of shape ({rows}, {rows})"
-        raise InputError("load", load, allowed)
-    return weights
 
 
 def _keeps_mean(weights: np.ndarray) -> bool:

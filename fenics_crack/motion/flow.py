@@ -381,11 +381,8 @@ class Track:
 
     @cached_property
     def _known(self) -> Struct:
-        return Struct(
-            "flow_track", omega=self.omega, start=self.start, intervals=len(self.lengths),
-            sets=self.sets, lengths=self.lengths, causes=self.causes, firsts=self.firsts,
-            ratios=self.ratios,
-        )  # fmt: skip
+        members = {name: value for name, value in vars(self).items() if name != "flow"}
+        return Struct("flow_track", intervals=len(self.lengths), **members)
 
     @cached_property
     def tangent(self) -> np.ndarray:

@@ -40,10 +40,3 @@ def largest(values: np.ndarray, at: Motion | None = None) -> np.ndarray:
         np.maximum.at(tops, columns, seen[each, best])
         places, distance = near[each, best], distance * (AROUND[1] - AROUND[0])
     return tops
-
-
-def half_range(values: np.ndarray, at: Motion | None = None) -> np.ndarray:
-    """Half the peak-to-peak values (m,) of functions, given as for :func:`largest`."""
-    both = np.hstack([values, -values])
-    tops = largest(both, at and (lambda parts: np.hstack([seen := at(parts), -seen])))
-    return np.asarray(tops.reshape(2, -1).sum(axis=0)) / 2.0

@@ -18,7 +18,7 @@ At a fixed parameter the plane is p = const. (t_x = 0, t_p = 1), one solution is
 method is Newton's own. Where the residual would grow, as where crack faces begin to touch and the
 Jacobian changes like a square root, the step is shortened.
 
-All paths are followed with this loop: response curves, paths to a cold start, backbones, and
+All paths are followed with this loop: response curves, paths to a cold start, resonances, and
 branches of exact orbits. It is the kernel's
 (``kernel/bordered.c``), for compiled equations and for those in Python (:mod:`equations`). Single
 solutions go through it where the kernel has their equations, and through PETSc's SNES

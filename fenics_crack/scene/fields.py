@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from copy import copy
 from dataclasses import MISSING, Field, dataclass, field, fields
+from functools import partial
 from numbers import Integral, Real
 from typing import Any, ClassVar, Self
 
@@ -111,8 +112,9 @@ class Mistuning:
 # --- how a value is read --------------------------------------------------------------------------
 
 
-def _bool(value: object) -> bool:
-    if not isinstance(value, bool):
+def _of(kind: Any, value: object) -> Any:
+    """The value, if it is of a kind."""
+    if not isinstance(value, kind):
         raise TypeError
     return value
 
@@ -142,19 +144,13 @@ def _str(value: object) -> str:
     return value
 
 
-def _list(value: object) -> list[object] | tuple[object, ...]:
-    if not isinstance(value, list | tuple):
-        raise TypeError
-    return value
-
-
 def _floats(value: object) -> tuple[float, ...]:
-    return tuple(map(_float, _list(value)))
+    return tuple(map(_float, _of(list | tuple, value)))
 
 
 def _vector(value: object, lengths: tuple[int, ...] = (2, 3)) -> Vector:
     """In a plane or in space: of which of them a scene is, it says itself."""
-    if len(_list(value)) not in lengths:
+    if len(_of(list | tuple, value)) not in lengths:
         raise TypeError
     return _floats(value)
 
@@ -175,22 +171,20 @@ def _axes(
     def read(value: object) -> tuple[Axis, ...]:
         if isinstance(value, tuple) and all(isinstance(one, kind) for one in value):
             return value
-        if not isinstance(value, Mapping):
-            raise TypeError
-        return tuple(kind(_str(name), values(name, given)) for name, given in value.items())
+        pairs = _of(Mapping, value).items()
+        return tuple(kind(_str(name), values(name, given)) for name, given in pairs)
 
     return read
 
 
 def _numbers_of_mesh(file: str, given: object) -> tuple[tuple[str, float], ...]:
-    if not isinstance(given, Mapping):
-        raise TypeError
-    return tuple((_str(name), _float(number)) for name, number in given.items())
+    return tuple((_str(name), _float(number)) for name, number in _of(Mapping, given).items())
 
 
 def _harmonics(value: object) -> tuple[Harmonic, ...]:
     """Harmonics of different orders, each by its cosine and sine or by amplitude and phase."""
-    harmonics = tuple(one if isinstance(one, Harmonic) else _harmonic(one) for one in _list(value))
+    given = _of(list | tuple, value)
+    harmonics = tuple(one if isinstance(one, Harmonic) else _harmonic(one) for one in given)
     _different([one.order for one in harmonics])
     return harmonics
 
@@ -270,7 +264,7 @@ def _values(name: str, given: object) -> tuple[Any, ...]:
 
 
 _READERS: dict[str, Callable[[object], Any]] = {
-    "bool": _bool,
+    "bool": partial(_of, bool),
     "float": _float,
     "int": _int,
     "str": _str,
@@ -287,7 +281,7 @@ _READERS: dict[str, Callable[[object], Any]] = {
     "tuple[float, ...]": _floats,
     "tuple[float, ...] | Mistuning": _mistuning,
     "tuple[int, ...]": _ints,
-    "tuple[str, ...]": lambda value: tuple(map(_str, _different(_list(value)))),
+    "tuple[str, ...]": lambda value: tuple(map(_str, _different(_of(list | tuple, value)))),
 }
 """Function that reads a value, by the type of a field that is not None."""
 

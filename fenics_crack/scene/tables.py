@@ -704,12 +704,8 @@ class Mesh(Table):
 
     def with_vectors(self, dimension: int) -> Mesh:
         """The same in a plane or in space, of the order that is usual there."""
-        return self.with_values(order=self.order or dimension - 1)
-
-    @property
-    def derived(self) -> set[str]:
-        """Keys that are derived; of a plate the order 1, too."""
-        return super().derived | ({"order"} if self.order == 1 else set())
+        order = self.order or dimension - 1
+        return self.with_values(order=order, _follow={"order"} if order == 1 else set())
 
 
 @dataclass(frozen=True)
@@ -790,7 +786,7 @@ class Curve(Table):
     )  # fmt: skip
     """Parameter that changes along the curve."""
     at: str | None = choice("resonance", default=None)
-    """With "load": follow the resonance nearest to the load's frequency over the load but its mean,
+    """With "load": follow the resonance next to the load's frequency over the load but its mean,
     the backbone of a forced and damped vibration; of a bladed disk that of the watched blade."""
     stability: bool = holds("true or false", default=True)
     """Floquet multipliers and period doublings along the curve."""
@@ -867,8 +863,7 @@ class Sweep(Table):
     )
     """Keys with a list of values, or start, stop, count and ``spacing = "logarithmic"``."""
     at_resonance: bool = holds("true or false", default=False)
-    """Solve each case at the frequency of its own largest response, next to the bilinear frequency
-    that is nearest to the excitation's."""
+    """Solve each case at its own resonance, the one nearest to the excitation's frequency."""
 
     @property
     def shape(self) -> tuple[int, ...]:

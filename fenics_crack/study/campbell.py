@@ -13,8 +13,9 @@ with these bonded, (K - w^2 M) phi + B lambda = 0.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
 from itertools import pairwise
 from typing import Any, ClassVar
@@ -52,6 +53,7 @@ from fenics_crack.model.rotation import Ritz, coriolis_shifts, static_state
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import coriolis_in_words, damping_ratios, remarks_on_scene
+from fenics_crack.study.resonance import MODES, AtLoad, over_speed
 
 HELD = (*KINDS[:2], "partly")
 """Kinds of frequencies of a crack that its resonance does not change."""
@@ -99,6 +101,8 @@ class Campbell(Saved):
     at : function of a speed [rad/s], optional
         Frequencies held open, shut and partly open there, and by how much: (3, m) each; of a
         diagram from a file None: the blade is meshed again when it is needed.
+    met : tuple of (mode, AtLoad)
+        At each crossing of the load's own engine order, the resonance at the load over the speed.
     """
 
     scene: Scene
@@ -111,6 +115,7 @@ class Campbell(Saved):
     changes: tuple[tuple[int, float, str], ...]
     coriolis: np.ndarray
     at: At | None = None
+    met: tuple[tuple[int, AtLoad], ...] = ()
 
     KIND: ClassVar[str] = "Campbell diagram"
     frequency_open, frequency_tied = hertz_of("omega_open"), hertz_of("omega_tied")
@@ -224,13 +229,25 @@ class Campbell(Saved):
             for kind in dict.fromkeys(self._states(mode, at))
         ]
 
+    def _at_load(self, order: int) -> list[tuple[int, float, AtLoad]]:
+        """Each crossing of an engine order: mode, speed, and of the load's own the resonance there;
+        elsewhere it is not known."""
+        own, every = order == self.scene.excitation.order, self.crossings(order, "real").tolist()
+        found = [one for _, one in self.met] if own else []
+        found += [AtLoad(unknown="not sought")] * len(every)
+        return [(int(mode), speed, one) for (mode, speed), one in zip(every, found, strict=False)]
+
     def meetings(self, order: int) -> Iterator[str]:
-        """Each crossing of an engine order in words: with which mode, at which speed with the crack
-        as it is there, and at which speeds it would be otherwise."""
-        for mode, speed in self.crossings(order, "real"):
-            text = f"engine order {order} meets mode {mode:.0f} at {_in_words(speed)}"
+        """Each crossing of an engine order in words: with which mode, of the load's own at which
+        speed at the load, and at which with the natural frequency of the crack as it is there, and
+        as it would be otherwise."""
+        for mode, speed, found in self._at_load(order):
+            text = f"engine order {order} meets mode {mode} at "
+            if math.isfinite(found.value):
+                text += f"{_in_words(found.value)} at the load, {found.in_words}; estimated at "
+            text += _in_words(speed)
             if self.cracked:
-                own = [*dict.fromkeys(self._states(int(mode), speed))]
+                own = [*dict.fromkeys(self._states(mode, speed))]
                 others = [
                     f"{STATES[kind]} at {_in_words(other)}"
                     for kind in KINDS
@@ -240,6 +257,7 @@ class Campbell(Saved):
                 ]
                 text += f" with the crack {' before and '.join(STATES[kind] for kind in own)}"
                 text += " after" if len(own) > 1 else ""
+                text += " (bilinear estimate)" if "bilinear" in own else ""
                 text += f"; it would be {', '.join(others)}" if others else ""
             yield text + f"; there d ln f / d ln n = {self.stiffening(speed, order * speed):.2g}"
 
@@ -291,8 +309,8 @@ class Campbell(Saved):
         if order is None:
             return Said(outcome)
         met = [
-            f"mode {mode:.0f} at {in_unit(axis, speed)}"
-            for mode, speed in self.crossings(order, "real")
+            f"mode {mode} at {in_unit(axis, speed if found.unknown else found.value)}"
+            for mode, speed, found in self._at_load(order)
         ]
         return Said(outcome, f"engine order {order} meets {', '.join(met) or 'none of them'}")
 
@@ -377,8 +395,21 @@ def campbell(
     last = solve_modes(small.at(wanted[-1]), count)
     modes = Modes(last.omega, small.basis @ last.shapes, top)
     coriolis = coriolis_shifts(modes, wanted[-1] * axis)
-    return Campbell(
+    found = Campbell(
         asked, wanted, opened, tied, partly, top.n_pairs > 0, kind, changes, coriolis, at
+    )
+    return replace(found, met=_met(found, replace(small, whole=top)))
+
+
+def _met(found: Campbell, small: Ritz) -> tuple[tuple[int, AtLoad], ...]:
+    """The resonances at the load where its engine order crosses natural frequencies."""
+    scene, order = found.scene, found.scene.excitation.order
+    if order is None or not found.cracked:
+        return ()
+    many = replace(small, modes=max(small.modes, MODES))
+    return tuple(
+        (int(mode), over_speed(scene, many, speed))
+        for mode, speed in found.crossings(order, "real").tolist()
     )
 
 

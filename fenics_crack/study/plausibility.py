@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fenics_crack.basics.ranks import gather_rows
-from fenics_crack.basics.tables import RPM, TURN
+from fenics_crack.basics.tables import RPM, TURN, frequency_axis, in_unit
 from fenics_crack.fem.cracks import SAME
 from fenics_crack.fem.loads import of_wave
 from fenics_crack.model.contact import solve_complementarity
@@ -53,12 +53,16 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Curve
 from fenics_crack.scene.words import faces_in_words
 from fenics_crack.study.prepare import Study, reduction_of
+from fenics_crack.study.resonance import MODES, AtLoad, meeting_speed
 
 N_MODES = 4
 """Modes that are computed."""
 SMALL_MOTION = 0.1
 """Displacement over length, a rotation [rad], up to which displacements are small: the terms that
 linear theory neglects are about its square, 1 %."""
+
+
+NOT_SOUGHT = AtLoad(unknown="not sought")
 
 
 @dataclass(frozen=True)
@@ -75,12 +79,12 @@ class KeyFigures:
         Lowest natural frequencies, crack open and crack bonded; these are infinite where there
         are no more.
     omega_bilinear : (at most 4,) [rad/s]
-        Resonances of a crack that opens for one half of a motion and closes for the other, by the
-        open modes.
+        Estimated resonances of a crack that opens for one half of a motion and closes for the
+        other, by the open modes.
     damping : (at most 4,)
         Ratios of critical damping of the open modes.
-    stiffenings : (at most 4,)
-        S = d(w^2) / d(W^2) of the open modes under rotation; 0 without.
+    slopes : (at most 4, 2)
+        S = d(w^2) / d(W^2) of the open modes under rotation, and dS / d(W^2); 0 without.
     own_stiffness : (n_pairs,) [N/m]
         1 / (B^T K^-1 B)_jj: of the crack faces themselves, pair by pair.
     stiffness_ratio : (n_pairs,) or None
@@ -101,6 +105,8 @@ class KeyFigures:
         Natural frequencies below that of the highest harmonic.
     modes_kept : int
         After the reduction.
+    at_load : AtLoad
+        The resonance at the scene's own load, if it has been sought.
     """
 
     size: tuple[float, ...]
@@ -109,7 +115,7 @@ class KeyFigures:
     omega_tied: np.ndarray
     omega_bilinear: np.ndarray
     damping: np.ndarray
-    stiffenings: np.ndarray
+    slopes: np.ndarray
     own_stiffness: np.ndarray
     stiffness_ratio: np.ndarray | None
     mean_opening: float
@@ -121,38 +127,7 @@ class KeyFigures:
     breathes: bool
     modes_below: int
     modes_kept: int
-
-    @property
-    def omega_breathing(self) -> float:
-        """First resonance of a breathing crack [rad/s]."""
-        return float(self.omega_bilinear[0])
-
-    @property
-    def stiffening(self) -> float:
-        """S of the first open mode."""
-        return float(self.stiffenings[0])
-
-    def meeting_speed(self, order: float, speed: float, omega: float | None = None) -> float:
-        """Rotor speed W [rad/s] at which an engine order n meets a natural frequency w of the first
-        mode, by default the breathing one,
-
-            (n W)^2 = w^2 + S (W^2 - W_0^2);
-
-        nan where it never does. Exact where w^2 is linear in W^2 with the slope of an open crack.
-
-        Parameters
-        ----------
-        order : float
-            n.
-        speed : float
-            W_0, of the structure [rad/s].
-        omega : float, optional
-            w at W_0 [rad/s].
-        """
-        natural = self.omega_breathing if omega is None else omega
-        square = natural**2 - self.stiffening * speed**2
-        slope = order**2 - self.stiffening
-        return math.sqrt(square / slope) if square > 0.0 and slope > 0.0 else math.nan
+    at_load: AtLoad = NOT_SOUGHT
 
 
 def find_key_figures(study: Study) -> KeyFigures:
@@ -160,9 +135,12 @@ def find_key_figures(study: Study) -> KeyFigures:
     responses exactly (collective)."""
     scene, whole, law = study.scene, in_few_coordinates(study.structure), study.contact
     known = whole.known_modes(tied=False)
-    count = min(N_MODES, whole.n_dofs if known is None else len(known[0]))
+    most = whole.n_dofs if known is None else len(known[0])
+    count = min(N_MODES, most)
     with Factor(whole.stiffness, definite=True) as factor:
-        modes = modes_by(factor, whole, count) if known is None else solve_modes(whole, count)
+        many = modes_by(factor, whole, min(MODES, most))  # which the resonance at the load takes
+        modes = Modes(many.omega[:count], many.shapes[:, :count], whole)
+        slopes = _slopes(factor, many, count)
         static = _static(factor, modes, whole.force)
         lips = whole.apply_bt(_static(factor, modes, whole.gap.T.toarray()))
     ratios = damping_ratios(whole, modes.omega)
@@ -203,7 +181,6 @@ def find_key_figures(study: Study) -> KeyFigures:
     own = 1.0 / np.maximum(np.diagonal(lips), 1e-300)
     stiffness = None if law is None or not np.all(np.isfinite(law.stiffness)) else law.stiffness
     kept = reduction_of(scene, whole)
-    crack = whole.n_pairs > 0
     return KeyFigures(
         size=extents(whole.whole),
         elements=_elements(scene, whole),
@@ -211,7 +188,7 @@ def find_key_figures(study: Study) -> KeyFigures:
         omega_tied=tied.omega,
         omega_bilinear=breathing.omega_bilinear,
         damping=ratios,
-        stiffenings=np.array([_stiffening(whole, shape) for shape in modes.shapes.T]),
+        slopes=slopes,
         own_stiffness=own,
         stiffness_ratio=None if stiffness is None else stiffness / own,
         mean_opening=float(np.max(-resting, initial=0.0)) + 0.0,
@@ -221,7 +198,7 @@ def find_key_figures(study: Study) -> KeyFigures:
         gap_motion=moved,
         closed=int(closed.sum()),
         breathes=breathes,
-        modes_below=count_below(whole, highest_omega(scene) ** 2) if crack else 0,
+        modes_below=count_below(whole, highest_omega(scene) ** 2) if whole.n_pairs else 0,
         modes_kept=whole.n_dofs if kept is None else kept.modes,
     )
 
@@ -234,17 +211,36 @@ def _static(factor: Factor, modes: Modes, forces: np.ndarray) -> np.ndarray:
     return left.solve(factor, forces) if free.size else factor.solve(forces)
 
 
-def _stiffening(whole: Structure, shape: np.ndarray) -> float:
-    """d(w^2) / d(W^2) = phi^T (K_1 + K_2 + 2 W^2 K_3) phi of a mass-normalised mode (n_local,)."""
-    rotation, shapes = whole.rotation, shape[:, None]
+def _slopes(factor: Factor, modes: Modes, count: int) -> np.ndarray:
+    """d(w^2) / d(W^2) of some of the lowest of mass-normalised modes, and its own slope,
+
+        phi_i^T K' phi_i,        phi_i^T K'' phi_i - 2 sum_j (phi_j^T K' phi_i)^2 / (w_j^2 - w_i^2),
+
+    K' = K_1 + K_2 + 2 W^2 K_3, K'' = 2 K_3, those beyond the modes quasi-static: (count, 2); 0
+    without rotation, and the second of a bladed disk."""
+    whole, squares = modes.structure, modes.omega**2
+    rotation, found = whole.rotation, np.zeros((count, 2))
     if isinstance(whole, WheelStructure):
-        rotation, shapes = whole.wheel.rotation, whole.of_sectors(shape)
+        rotation = whole.wheel.rotation
     if rotation is None:
-        return 0.0
+        return found
     second, third = rotation.displaced
-    parts = (rotation.stiffness, 1.0), (second, 1.0), (third, 2.0 * rotation.speed**2)
-    slope = sum(factor * times(matrix, shapes) for matrix, factor in parts)
-    return float(whole.sum_over_ranks((shapes * slope).sum()))
+    for mode, shape in enumerate(modes.shapes.T[:count]):
+        shapes = whole.of_sectors(shape) if isinstance(whole, WheelStructure) else shape[:, None]
+        curved = 2.0 * times(third, shapes)
+        slope = times(rotation.stiffness, shapes) + times(second, shapes)
+        slope += rotation.speed**2 * curved
+        found[mode] = [whole.sum_over_ranks((shapes * one).sum()) for one in (slope, curved)]
+        if isinstance(whole, WheelStructure):
+            found[mode, 1] = 0.0
+            continue
+        force = slope.T
+        coupling = whole.sum_over_ranks(force @ modes.shapes)[0] ** 2
+        apart = np.where(squares == squares[mode], np.inf, squares - squares[mode])
+        static = whole.sum_over_ranks((force * factor.solve(force)).sum())
+        left = static - (coupling / squares).sum() + (coupling / apart).sum()
+        found[mode, 1] -= 2.0 * left
+    return found
 
 
 def _elements(scene: Scene, whole: Structure) -> int | None:
@@ -340,37 +336,43 @@ CURVE_UNITS = {"omega": (1.0, "rad/s"), "frequency": (TURN, "Hz"), "speed": (1.0
 
 
 def proposed_curve(scene: Scene, figures: KeyFigures) -> Curve | None:
-    """Return a curve through the first resonance of the breathing crack, without a table [curve]
-    through the one nearest to the load's frequency; None where the scene's holds the first, or
-    follows another parameter, or nothing is damped.
+    """Return a curve through the resonance at the load; None where the scene's holds it, or follows
+    another parameter, or nothing is damped.
 
-    From below the resonance of the open crack to above that of the bonded one: a clearance, a mean
-    load or a rotor moves it between them. Ends are rounded outwards to three digits.
+    From three half-power widths below to three above that and its place under a small load: the
+    curve meets its peak. Where it is not known, the same of the mode nearest to the load, with the
+    crack open and bonded. Ends are rounded outwards to three digits.
     """
-    load, curve = scene.excitation, scene.curve
-    parameter = "rpm" if scene.in_rpm else "speed"
-    if load.order is None or scene.disk is not None:
-        parameter = "frequency" if scene.in_hertz else "omega"
+    load, curve, found = scene.excitation, scene.curve, figures.at_load
+    turns = load.order is not None and scene.disk is None
+    parameter = "frequency" if scene.in_hertz else "omega"
+    if turns:
+        parameter = "rpm" if scene.in_rpm else "speed"
     if curve is not None:
         parameter = curve.parameter
-        if parameter not in CURVE_UNITS or _holds_resonance(scene, figures, curve, (1.0,), 1):
-            return None
-    else:  # of the modes from the nearest one on
-        mode = int(np.argmin(np.abs(figures.omega_bilinear - load.omega)))
-        firsts = "omega_open", "omega_bilinear", "damping", "stiffenings"
-        figures = replace(figures, **{name: getattr(figures, name)[mode:] for name in firsts})
-    opened, breathing = float(figures.omega_open[0]), figures.omega_breathing
+    if parameter not in CURVE_UNITS:
+        return None
+    mode = int(np.argmin(np.abs(figures.omega_bilinear - load.omega)))
+    opened, breathing = float(figures.omega_open[mode]), float(figures.omega_bilinear[mode])
     # Three half-power bandwidths from it the response is a sixth of the peak.
-    beyond = 1.0 + 3.0 * 2.0 * float(figures.damping[0])
+    beyond = 1.0 + 3.0 * 2.0 * float(figures.damping[mode])
     if not (opened > 0.0 and breathing < 2.0 * opened and beyond > 1.0):
         return None
     bonded = 1.0 / (2.0 / breathing - 1.0 / opened)  # of the same mode
-    unit = CURVE_UNITS[parameter][0]
-    ends = opened / beyond, bonded * beyond
-    start, stop = (_meeting(scene, figures, parameter, omega) / unit for omega in ends)
+    low, high, start, stop = (
+        _meeting(scene, parameter, omega, figures.slopes[mode])
+        for omega in (opened, bonded, opened / beyond, bonded * beyond)
+    )
+    if not found.unknown and turns == (parameter in ("speed", "rpm")):
+        low = high = found.value
+        start, stop = min(low, found.rest), max(high, found.rest)
+        start, stop = start - 3.0 * found.width, stop + 3.0 * found.width
+    if curve is not None and min(curve.followed[1:]) <= high and max(curve.followed[1:]) >= low:
+        return None
     if not 0.0 < start < stop < math.inf:
         return None
-    return Curve(_rounded(start, math.floor), _rounded(stop, math.ceil), parameter)
+    unit = CURVE_UNITS[parameter][0]
+    return Curve(_rounded(start / unit, math.floor), _rounded(stop / unit, math.ceil), parameter)
 
 
 def _rounded(value: float, towards: Callable[[float], int]) -> float:
@@ -380,35 +382,14 @@ def _rounded(value: float, towards: Callable[[float], int]) -> float:
 
 
 def _meeting(
-    scene: Scene, figures: KeyFigures, parameter: str, omega: float, harmonic: float = 1.0
+    scene: Scene, parameter: str, omega: float, slope: np.ndarray, harmonic: float = 1.0
 ) -> float:
-    """Parameter of a curve [rad/s] at which a harmonic of the load meets a natural frequency."""
+    """Parameter of a curve [rad/s] at which a harmonic of the load meets a natural frequency, whose
+    square has a slope over that of the speed."""
     order = scene.excitation.order
     if parameter in ("speed", "rpm") and order is not None:
-        return figures.meeting_speed(harmonic * order, scene.speed, omega)
+        return meeting_speed(harmonic * order, scene.speed, omega, slope)
     return omega / harmonic
-
-
-def _holds_resonance(
-    scene: Scene, figures: KeyFigures, curve: Curve, orders: Sequence[float], modes: int
-) -> bool:
-    """Return True if a range of load frequencies or rotor speeds may hold a resonance of the first
-    modes with some harmonics of the load, or with half its frequency.
-
-    Modes are between open and bonded crack; the first one is at its breathing frequency where all
-    forces and gaps are proportional to the load.
-    """
-    parameter, *ends = curve.followed
-    known = scales_with_load(scene) and figures.closed == 0 and figures.mean_opening == 0.0
-    meeting = np.vectorize(partial(_meeting, scene, figures, parameter))
-    for order in orders:
-        natural = np.array([figures.omega_open[:modes], figures.omega_tied[:modes]])
-        if known and order == 1.0:
-            natural[:, 0] = figures.omega_breathing
-        opened, bonded = meeting(natural, order)
-        if np.any((min(ends) <= bonded) & (max(ends) >= opened)):
-            return True
-    return False
 
 
 def scales_with_load(scene: Scene) -> bool:
@@ -625,22 +606,29 @@ def _is_near(omega: float, natural: np.ndarray) -> bool:
 
 
 def _no_resonance(_: float, scene: Scene, figures: KeyFigures) -> tuple[float, str] | None:
-    """The first resonance [rad/s] of a curve that holds none, and a range with it."""
+    """The first natural frequency [rad/s] if a curve holds no resonance of the first modes, between
+    open and bonded crack, with some harmonics of the load or half its frequency; and a range with
+    the one at the load."""
     curve = scene.curve
     assert curve is not None
     if curve.parameter not in CURVE_UNITS:
         return None
-    if _holds_resonance(scene, figures, curve, (0.5, 1.0, 2.0, 3.0), N_MODES):
-        return None
-    beyond = _meeting(scene, figures, curve.parameter, float(figures.omega_tied[-1]))
-    if max(curve.followed[1:]) >= beyond:  # more modes are not computed
+    meeting = np.vectorize(partial(_meeting, scene, curve.parameter, slope=figures.slopes[0]))
+    first, last = sorted(curve.followed[1:])
+    for order in (0.5, 1.0, 2.0, 3.0):
+        opened, bonded = (
+            meeting(w, harmonic=order) for w in (figures.omega_open, figures.omega_tied)
+        )
+        if np.any((first <= bonded) & (last >= opened)):
+            return None
+    if last >= meeting(figures.omega_tied[-1], harmonic=1.0):  # more modes are not computed
         return None
     proposed, unit = proposed_curve(scene, figures), CURVE_UNITS[curve.parameter][1]
-    first = figures.omega_breathing
-    text = f"{curve.stop:g} {unit}: the first is near {first / TURN:.4g} Hz = {first:.4g} rad/s"
+    ends = figures.omega_open[0], figures.omega_tied[0]
+    text = f"{curve.stop:g} {unit}: the first is between {in_unit(frequency_axis(True), *ends)}"
     if proposed is not None:
-        text += f"; start = {proposed.start:g} and stop = {proposed.stop:g} hold it"
-    return first, text
+        text += f"; start = {proposed.start:g} and stop = {proposed.stop:g} hold one"
+    return float(ends[0]), text
 
 
 def _turned(_: object, scene: Scene, figures: KeyFigures) -> tuple[float, float] | None:

@@ -90,7 +90,7 @@ class Run(Answer, Generic[Found]):
     ----------
     scene, structure, contact, watched
         As :class:`Study` has them.
-    result : Modes, PeriodicSolution, ResponseCurve, Backbone or TimeHistory
+    result : Modes, PeriodicSolution, ResponseCurve or TimeHistory
         Result of the computation.
     stated : Verification or None
         Its :attr:`errors`, where they were computed with it.
@@ -383,7 +383,9 @@ def curve(
     structure, omega = study.structure, scene.excitation.omega
     if parameter == "resonance":
         problem = Problem(structure, omega, law, balance.harmonics, balance.samples)
-        found = follow_resonance(problem, start, stop, tolerance=balance.tolerance, throw=False)
+        found = follow_resonance(
+            problem, start, stop, tolerance=balance.tolerance, progress=progress, throw=False
+        )
         return Run(**vars(study), result=judge_curve(found) if table.stability else found)
     if parameter == "omega":
         followed = continue_frequency(structure, start, stop, law, **options)

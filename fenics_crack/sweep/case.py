@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.balance.harmonic_balance import solve_beside, solve_linear
-from fenics_crack.balance.problem import Problem, check_memory, least_harmonics
-from fenics_crack.balance.solution import PeriodicSolution, Solver
-from fenics_crack.basics.errors import ConvergenceError, InputError
+from fenics_crack.balance.problem import Problem, check_memory
+from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.basics.tables import with_frequency
-from fenics_crack.curves.peak import top_of
+from fenics_crack.curves.follow import continue_frequency
+from fenics_crack.curves.resonance import resonance_at
 from fenics_crack.curves.stability import floquet
 from fenics_crack.fem.build import clearance_of
 from fenics_crack.fem.loads import parts_of
-from fenics_crack.model.contact import is_rigid
+from fenics_crack.model.contact import is_rigid, is_unilateral
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import BilinearFrequencies, bilinear_frequencies
 from fenics_crack.model.structure import Structure
@@ -32,12 +33,6 @@ from fenics_crack.study.plausibility import damping_ratios
 from fenics_crack.study.prepare import REFUSALS, Study, law_of, prepare
 from fenics_crack.sweep.file import AT_POINTS, PHASES, UNSURE, YET, of_load
 from fenics_crack.sweep.plan import Chunk
-
-PEAK_HARMONICS = 10
-"""Harmonics with which the largest response is sought."""
-PEAK_STEPS = 4
-"""Steps in half the width of a resonance there: a parabola's top is then known to a tenth of one,
-the response to 3e-4."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +46,7 @@ class Asked:
     hopeless : bool
         True if a structure that stays large ends the sweep.
     at_resonance : bool
-        True if each case is solved at its largest response.
+        True if each case is solved at its resonance.
     verdicts : bool
         True if the stability of each case is assessed.
     judged : bool
@@ -236,56 +231,45 @@ class Cases:
             self._law = law_of(case, self._structure)
 
     def at_resonance(self, case: Scene) -> PeriodicSolution:
-        """The largest response of a case over the frequency, in the norm of its modes, of the mode
-        whose bilinear frequency is nearest to the case's; raises as :meth:`solve`.
+        """The solution of a case at the resonance nearest to its frequency; raises as
+        :meth:`solve`.
 
-        It is looked for with few harmonics, from below around that frequency, and on from there as
-        far as that of a crack always open or bonded: a mean load or a clearance takes it there.
-        With all harmonics three neighbours have its top between them. Where the curve folds a
-        larger one may not be found.
+        Where several modes answer together, and with friction or a smooth law, which have no phase
+        resonance, it is the top of the response curve.
         """
-        natural, table = self._geometry.natural, case.harmonic_balance
-        nearest = natural.nearest(case.excitation.omega)
-        place, middle = int(nearest["mode"]) - 1, float(nearest["omega_bilinear"])
-        ratio = float(damping_ratios(self._geometry.structure.whole, natural.omega_open)[place])
+        table = case.harmonic_balance
+        self._take(case)
+        law, omega = self._law, case.excitation.omega
+        assert law is not None
+        problem = Problem(self._structure, omega, law, table.harmonics, table.samples)
+        found = None
+        if is_unilateral(law) and not problem.friction:
+            near = float(self._geometry.natural.nearest(omega)["omega_bilinear"])
+            found = resonance_at(problem, near, tolerance=table.tolerance)
+        if found is None or found.several:
+            omega, self._near = self._top(problem)
+        else:
+            omega, self._near = found.omega, found.solution
+        return self.solve(case.replace({"excitation.omega": omega}))
+
+    def _top(self, problem: Problem) -> tuple[float, PeriodicSolution]:
+        """Where the response curve is largest, from below the mode with the crack open to above
+        that with it bonded, and the nearest of its points."""
+        natural = self._geometry.natural
+        nearest = natural.nearest(problem.omega)
+        ratios = damping_ratios(self._geometry.structure.whole, natural.omega_open)
+        ratio = float(ratios[int(nearest["mode"]) - 1])
         if not 0.0 < 2.0 * ratio < 1.0:  # widths to either side where it is looked for
             allowed = "above 0 and below 0.5 of critical, of the mode, with sweep.at_resonance"
             raise InputError("damping", ratio, allowed)
-        self._take(case)
-        assert self._law is not None
-        few = PEAK_HARMONICS
-        if table.tolerance is None:
-            few = min(few, table.harmonics)
-        few = max(few, least_harmonics(self._structure, 1))
-        problem = Problem(self._structure, middle, self._law, few, table.samples)
-        step = ratio * middle / PEAK_STEPS
-        lowest = (1.0 - 2.0 * ratio) * float(nearest["omega_open"])
-        highest = (1.0 + 2.0 * ratio) * float(nearest["omega_tied"])
-        seen = _around(problem, step, lowest, highest)
-        top = self._first_of(case, sorted(seen, key=_response, reverse=True))
-        problem = problem.with_harmonics(top.harmonics)
-        for _ in range(8 * PEAK_STEPS):  # few harmonics may place it some widths away
-            sides = [_beside(replace(problem, omega=top.omega + by), top) for by in (-step, step)]
-            sizes = np.array([_response(one) for one in (sides[0], top, sides[1])])
-            if sizes[1] >= sizes.max():
-                break
-            top = sides[int(sizes[2] > sizes[0])] or top
-        else:
-            raise ConvergenceError("the largest response was not found: it is no peak")
-        self._near = top
-        omega = top_of(top.omega + step * np.array([-1.0, 0.0, 1.0]), sizes, 1)[0]
-        return self.solve(case.replace({"excitation.omega": omega}))
-
-    def _first_of(self, case: Scene, places: list[PeriodicSolution]) -> PeriodicSolution:
-        """The solution of a case next to the first of some others that has one at its frequency:
-        beside a fold more harmonics may have none."""
-        reason = ConvergenceError("there is no vibration next to the bilinear frequency")
-        for self._near in places[:PEAK_STEPS]:
-            try:
-                return self.solve(case.replace({"excitation.omega": self._near.omega}))
-            except ConvergenceError as error:
-                reason = error
-        raise reason
+        low, high = float(nearest["omega_open"]), float(nearest["omega_tied"])
+        ends = (1.0 - 2.0 * ratio) * low, (1.0 + 2.0 * ratio) * high
+        curve = continue_frequency(
+            problem.structure, *ends, problem.contact, harmonics=problem.harmonics,
+            samples=problem.samples, stability=False,
+        )  # fmt: skip
+        top = curve.top()
+        return top.value, curve.solution(top.index)
 
     def verdict(self, solution: PeriodicSolution) -> Found:
         """Verdict on a solution, modulus of its leading multiplier, and a remark: why it is
@@ -304,46 +288,6 @@ class Cases:
             said = more.contradicts(found.verdict, quick=True)
             remark = YET + said if said else ""
         return {"verdict": found.verdict, "multiplier": abs(found.multipliers[0]), "remark": remark}
-
-
-def _around(problem: Problem, step: float, lowest: float, highest: float) -> list[PeriodicSolution]:
-    """Solutions at frequencies a step apart, around that of a problem, and on to where the largest
-    one has smaller ones on both sides, or to the ends [rad/s]."""
-    middle, near = problem.omega, None
-    seen: dict[int, PeriodicSolution] = {}
-    for number in range(-2 * PEAK_STEPS, 2 * PEAK_STEPS + 1):
-        near = _beside(replace(problem, omega=middle + number * step), near)
-        seen |= {number: near} if near is not None else {}
-    while seen:
-        best = max(seen, key=lambda number: _response(seen[number]))
-        beside = best + (best == max(seen)) - (best == min(seen))
-        omega = middle + beside * step
-        if beside == best or not lowest <= omega <= highest:
-            break
-        near = _beside(replace(problem, omega=omega), seen[best])
-        if near is None:
-            break
-        seen[beside] = near
-    return list(seen.values())
-
-
-def _beside(problem: Problem, near: PeriodicSolution | None) -> PeriodicSolution | None:
-    """A solution without its errors, sought from another one, with half of its harmonics first,
-    from which it is nearer; None where there is none."""
-    half = max(problem.harmonics // 2, problem.least_harmonics)
-    if near is not None and problem.harmonics >= 2 * PEAK_HARMONICS and half < problem.harmonics:
-        near = _beside(problem.with_harmonics(half), near) or near
-    try:
-        return Solver(problem).solve(near, reported=False)
-    except ConvergenceError:
-        return None
-
-
-def _response(found: PeriodicSolution | None) -> float:
-    """Size of a vibration in the norm of its modes, without its mean; 0 without one."""
-    if found is None:
-        return 0.0
-    return float(np.linalg.norm(found.displacement_coefficients[1:, : found.structure.n_modes]))
 
 
 def _at(omega: float, natural: BilinearFrequencies) -> Found:

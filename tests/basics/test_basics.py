@@ -123,7 +123,7 @@ def test_signs_of_life(stream: io.StringIO, kept: bool, monkeypatch: pytest.Monk
 
 # --- tables ---------------------------------------------------------------------------------------
 
-TABLES = ("modes", "curve", "backbone", "sweep")
+TABLES = ("modes", "curve", "sweep")
 RESULTS = ("solution", "judged", "linear", "report", "stability", "bifurcation", "orbit", *TABLES)
 
 
@@ -144,7 +144,6 @@ def results(paper_scene: fc.Scene) -> dict[str, Any]:
         "orbit": fc.shoot(masses, solution),
         "modes": fc.solve_modes(masses, 2),
         "curve": curve,
-        "backbone": fc.follow_backbone(masses, law, 1, 1.0, 10.0, harmonics=3),
         "sweep": made_sweep(paper_scene),
     }
 

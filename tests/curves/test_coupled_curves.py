@@ -266,8 +266,6 @@ def test_what_is_refused(plate: fc.Structure) -> None:
         fc.continue_frequency(oscillator(), 0.5, 1.5, RIGID)
     with pytest.raises(fc.InputError, match=r"^parameter = 'stiffness'"):
         fc.continue_parameter(plate, 8000.0, RIGID, "stiffness", 1.0, 2.0)
-    with pytest.raises(fc.InputError, match=r'^structure.*method="free_interface"'):
-        fc.follow_backbone(plate, fc.UnilateralPenalty(1e8), 1, 1e-6, 1e-5)
     nothing = fc.reduce_structure(chain(n=6, pairs=1), modes=6, method="massless")
     with pytest.raises(fc.InputError, match=r"^contact"):
         fc.continue_frequency(nothing, 1.0, 2.0, RIGID)

@@ -28,7 +28,7 @@ from fenics_crack.numerics.path import Path, PathOptions, Target
 sys.path.insert(0, str(ROOT / "tests" / "motion"))
 import io
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import scipy.linalg
@@ -592,21 +592,6 @@ def test_rigid_contact_of_pairs_with_mass_has_no_verdicts() -> None:
 
 
 # --- what is interrupted, or lost -----------------------------------------------------------------
-
-
-def test_interrupted_backbone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ctrl-C returns what was found."""
-
-    def interrupted(follow: Callable[..., Iterator[Any]], path: Any) -> Iterator[Any]:
-        points = follow(path)
-        yield next(points)
-        if path.family.energy is None:
-            raise KeyboardInterrupt
-        yield from points
-
-    wrap(monkeypatch, "fenics_crack.curves.free_motion.MotionPath.__iter__", interrupted)
-    curve = fc.follow_backbone(two_masses(), fc.UnilateralPenalty(10.0), 1, 0.02, 1.0)
-    assert (curve.complete, curve.status, len(curve.omega)) == (False, "interrupted", 2)
 
 
 def test_interruption_keeps_what_is_done(monkeypatch: pytest.MonkeyPatch) -> None:

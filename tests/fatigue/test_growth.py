@@ -447,12 +447,35 @@ def test_solids_are_refused() -> None:
             fc.grow(scene, comm=MPI.COMM_SELF)
 
 
-@pytest.mark.parametrize("ratio", [0.0, 0.5])
-def test_resonance_needs_damping(ratio: float) -> None:
-    """Else there is no largest response; nor may it be so wide that it is looked for down to 0."""
-    scene = plate(drive="resonance").replace({"damping.ratio": ratio})
-    with pytest.raises(fc.ConvergenceError, match=rf"damping = {ratio}: .*sweep\.at_resonance"):
+SMOOTH = {
+    "contact.law": "smoothed", "contact.stiffness_per_area": 1e13, "contact.sharpness": 1e7,
+}  # fmt: skip
+
+
+def test_resonance_needs_damping() -> None:
+    """Else there is none; with a smooth law nor may it be so wide that its curve begins at 0."""
+    scene = plate(drive="resonance").replace({"damping.ratio": 0.0})
+    with pytest.raises(fc.ConvergenceError, match="no damped mode answers"):
         fc.grow(scene, comm=MPI.COMM_SELF)
+    for ratio in (0.0, 0.5):
+        scene = plate(drive="resonance").replace({"damping.ratio": ratio} | SMOOTH)
+        with pytest.raises(fc.ConvergenceError, match=rf"damping = {ratio}: .*at_resonance"):
+            fc.grow(scene, comm=MPI.COMM_SELF)
+
+
+@pytest.mark.parametrize("contact", [SMOOTH, {"contact.friction": 0.3}], ids=["smooth", "friction"])
+def test_a_sweep_at_the_top_of_its_curve(contact: dict[str, Any]) -> None:
+    """Where a law has no phase resonance: the peak of the curve through it."""
+    scene = plate().replace(contact | {"harmonic_balance.harmonics": 5})
+    swept = scene.replace({"sweep.over": {"crack.length": [0.03]}, "sweep.at_resonance": True})
+    found = fc.run_sweep(swept, comm=MPI.COMM_SELF)
+    assert found.converged.all()
+    ends = 0.99 * found["omega"][0], 1.01 * found["omega"][0]
+    keys = {"parameter": "omega", "start": ends[0], "stop": ends[1], "stability": False}
+    span = {f"curve.{key}": value for key, value in keys.items()} | {"crack.length": 0.03}
+    peak = fc.curve(scene.replace(span), MPI.COMM_SELF).result.peak()
+    assert not peak.at_end and found["omega"][0] == pytest.approx(peak.omega, rel=5e-4)
+    assert found["response"][0] == pytest.approx(peak.amplitude, rel=0.01)
 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

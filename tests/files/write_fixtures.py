@@ -31,7 +31,6 @@ RIGID = {"contact": {"law": "unilateral"}, "harmonic_balance": {}, "reduction": 
 FRICTION = RIGID | {"contact": {"law": "unilateral", "friction": 0.3}}
 FRICTION |= {"harmonic_balance": {"harmonics": 5}}
 SHORT = {"harmonic_balance": {}, "curve": {"start": 1510.0, "stop": 1515.0}}
-FREE = {"reduction": {"method": "free_interface", "modes": 2}}
 SWEPT = {"sweep": {"over": {"excitation.omega": [1500.0, 1800.0]}}}
 GROWING = RIGID | {
     "harmonic_balance": {"harmonics": 5},
@@ -76,7 +75,7 @@ def numbers(name: str, path: Path) -> dict[str, Any]:
         return {"values": result.values, "stated": {q: result.stated(q)[0] for q in result.values}}
     run = fc.load_run(path)
     found: Any = run.result
-    if name in ("modes", "backbone"):
+    if name == "modes":
         return {"omega": found.omega}
     if "integration" in name:
         return {"time": found.time, "gap": found.gap[-1], "force": found.contact_force[-1]}
@@ -117,10 +116,6 @@ def write(folder: Path) -> None:
         program(command, scene, "--output", work / name)
         for one in (work / name).glob("*[a-z].h5"):  # growth_1.h5 is a sweep of its own
             one.rename(folder / f"{name}.h5")
-    scene = fc.Scene.from_mapping(PLATE | FREE)
-    study = fc.prepare(scene)
-    backbone = fc.follow_backbone(study.structure, study.contact, 1, 1e-6, 2e-6, harmonics=3)
-    fc.save(backbone, folder / "backbone.h5", scene)
     program("new", work / "plate.toml", "--identify")
     changed = [word for change in COARSE for word in ("--set", change)]
     measured = work / "plate_measured.csv"

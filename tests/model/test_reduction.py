@@ -342,14 +342,12 @@ def test_a_ratio_for_each_of_too_many_modes(
 
 
 def test_what_reduces_by_itself(fine_plate: fc.Structure, counts: list[int]) -> None:
-    """Curves, backbones and solutions to a tolerance ask for few modes of the whole structure."""
+    """Curves and solutions to a tolerance ask for few modes of the whole structure."""
     law = fc.UnilateralPenalty(1e9)
     curve = fc.continue_frequency(fine_plate, 1500.0, 1600.0, law)
     assert curve.complete and counts[0] == 100  # 50, and those of the reference
     found = fc.solve_harmonic_balance(fine_plate, 1500.0, law, tolerance=0.03)
     assert found.converged and found.structure.whole is fine_plate
-    backbone = fc.follow_backbone(fine_plate, law, 1, 1e-6, 1e-5, harmonics=3, throw=False)
-    assert backbone.structure.whole is fine_plate
     assert max(counts) <= 100  # all of a reduced structure are few
 
 

@@ -11,16 +11,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import Cubic, chain, oscillator, relative
+from helpers import chain, oscillator, relative
 
 import fenics_crack as fc
-from fenics_crack.balance.contact_integrals import contact_integrals
-from fenics_crack.curves import free_motion
 from fenics_crack.curves.waves import WAVES
 from fenics_crack.motion.flow import flow_of
 from fenics_crack.motion.orbit import find_orbit
 from fenics_crack.motion.shooting import FlowOrbits
-from fenics_crack.numerics.equations import DenseLinearisation, System
+from fenics_crack.numerics.equations import DenseLinearisation
 from fenics_crack.numerics.newton import (
     Newton,
     PathPoint,
@@ -336,36 +334,6 @@ def test_without_a_sign_no_way_back(number: int) -> None:
         assert point.parameter > reached
         reached = point.parameter
     assert reached > 1.0
-
-
-@pytest.mark.parametrize(
-    "law",
-    [fc.UnilateralPenalty(3.0), Cubic(0.5), fc.SmoothedPenalty(3.0, 20.0)],
-    ids=["penalty", "cubic", "smoothed"],
-)
-@pytest.mark.parametrize("parameter", ["stiffness", "energy"])
-def test_jacobian_of_free_motions(law: fc.UnilateralPenalty, parameter: str) -> None:
-    """Its inverse, the sign of its determinant and dF/dp against finite differences."""
-    rest = free_motion.Equilibrium(chain("none"), law)
-    given = rest, contact_integrals(law, 4), float(rest.frequencies[1])
-    system: System = free_motion.FreeMotion(*given, 2.0 if parameter == "stiffness" else None)
-    rng = np.random.default_rng(0)
-    unknown = 0.3 * rng.normal(size=51)
-    unknown[-1] = 0.5 * rest.frequencies[4] / rest.frequencies[1] * (1.0 + 1e-6)  # in resonance
-    step = 1e-6
-
-    def residual(unknown: np.ndarray, parameter: float = 0.1) -> np.ndarray:
-        return system.linearise(unknown, parameter).residual
-
-    matrix = np.array([
-        (residual(unknown + step * row) - residual(unknown - step * row)) for row in np.eye(51)
-    ]).T / (2.0 * step)  # fmt: skip
-    at = system.linearise(unknown, 0.1)
-    right = rng.normal(size=51)
-    assert np.allclose(matrix @ at.solve(right), right, atol=2e-6)
-    assert at.sign == np.sign(np.linalg.det(matrix))
-    slope = (residual(unknown, 0.1 + step) - residual(unknown, 0.1 - step)) / (2.0 * step)
-    assert np.allclose(at.by_parameter, slope, atol=1e-8)
 
 
 def test_rounding_does_not_grow_with_the_stiffness() -> None:

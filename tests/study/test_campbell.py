@@ -279,7 +279,7 @@ def test_command(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert main([*words, "--speeds", "4000", "8000", "3"]) == 0
     printed = capsys.readouterr()
     assert "rpm" in printed.out and "engine order 12 meets mode 1" in printed.err
-    assert "with the crack breathing; it would be held open at" in printed.err
+    assert "with the crack breathing (bilinear estimate); it would be held open at" in printed.err
     assert "; there d ln f / d ln n = 0.0" in printed.err
     rows = list(csv.DictReader((tmp_path / "campbell.csv").open()))
     assert [float(row["rpm"]) for row in rows] == pytest.approx([4e3, 6e3, 8e3])

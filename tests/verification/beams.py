@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from book import Row, case
+from free_motions import free_frequency
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
@@ -220,8 +221,8 @@ def free_breathing(beam: Beam, share: float) -> float:
     """Frequency of the free motion with a breathing crack, over the uncracked beam's."""
     plate = fc.build_structure(beam.scene(share))
     reduced = fc.reduce_structure(plate, modes=8, method="free_interface")
-    free = fc.follow_backbone(reduced, fc.UnilateralPenalty(1e10), 1, 1e-3, 1.001e-3, harmonics=7)
-    return float(free.omega[-1] / beam.frequencies(0.0)[0])
+    free = free_frequency(reduced, fc.UnilateralPenalty(1e10), 1e-3, harmonics=7)
+    return float(free / beam.frequencies(0.0)[0])
 
 
 def draw_breathing(axes: Any) -> None:
@@ -251,8 +252,8 @@ def breathing_crack_in_a_beam() -> list[Row]:
 
     The beam of 300 x 20 x 20 mm with a crack of half its depth, loaded at its tip; the crack faces
     do not penetrate (8 modes, crack faces without mass, 0.2 % of critical damping,
-    `fc.continue_frequency` with H = 5). Without load and damping, `fc.follow_backbone` with a
-    penalty of 1e10 N/m a pair gives the frequency of the free motion (H = 7), here for both of the
+    `fc.continue_frequency` with H = 5). Without load and damping, the free motion is balanced with
+    a penalty of 1e10 N/m a pair (H = 7; `tests/verification/free_motions.py`), here for both of the
     [beams with an open crack](open_crack_in_a_beam.md) and for several depths.
 
     Reference: a bilinear oscillator spends a half period of either stiffness, so that it resonates

@@ -185,11 +185,11 @@ class PassageFit(Tabular):
         """Return for each passage the speeds (R,) [rad/s], and the displacements (R, P) [m],
         measured without drift (nan where none was) and of the fit; without blind probes."""
         arrivals = arrivals.without(np.flatnonzero(np.isin(arrivals.probes, self.blind)))
-        root = np.array([pole(self.omega, self.damping / (1.0 - self.stiffening))])
+        root = complex(pole(self.omega, self.damping / (1.0 - self.stiffening)))
         record, found = Record(arrivals, _checked(self.stiffening)), []
         for (begin, end), force in zip(self.ends, self.forces, strict=True):
             run = Run(record, arrivals.displacement, int(begin), int(end))
-            motion = (force * run.waves(self.order, root)[0]).real
+            motion = (force * run.wave(Mode(self.order, root))).real
             left = run.without_drifts(run.values - motion, run.seen.astype(float))
             found.append((run.speed, np.where(run.seen, left + motion, np.nan), motion))
         return found
@@ -735,8 +735,8 @@ def _reduction_by_pairs(
     pairs = np.stack([2 * first, 2 * first + 1, 2 * (count + second), 2 * (count + second) + 1], -1)
     total = np.zeros(first.shape)
     for run, weight in zip(runs, weights, strict=True):
-        waves = [run.waves(mode.order, np.array([mode.root]))[0] for mode in every]
-        *parts, values = run.without_drifts(np.array([*waves, run.values]), weight)
+        waves = np.array([*map(run.wave, every), run.values])
+        *parts, values = run.without_drifts(waves, weight)
         parts = np.stack([np.real(parts), -np.imag(parts)], axis=1)[..., run.seen]
         columns = parts.reshape(2 * len(every), -1)
         square, seen = columns @ columns.T, columns @ values[run.seen].real

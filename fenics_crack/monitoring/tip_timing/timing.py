@@ -18,7 +18,6 @@ from fenics_crack.monitoring.tip_timing.harmonics import TipFit, in_words
 from fenics_crack.monitoring.tip_timing.passages import PassageFit
 from fenics_crack.monitoring.tip_timing.robust import LEVELS
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.plausibility import remarks_on_scene
 
 NO_RESONANCE: dict[str, list[Any]] = {"blade": [], "rpm": [], "order": [], "frequency": []}
 """Columns without a resonance."""
@@ -118,6 +117,8 @@ def _row_of(fit: TipFit, ratio: bool) -> dict[str, float]:
 
 def report_of_timing(found: Timing) -> Report:
     """What was found in the arrivals of each blade, and doubts about it."""
+    from fenics_crack.study.plausibility import remarks_on_scene  # with DOLFINx
+
     passed = {blade: fit for blade, fit in found.fits.items() if isinstance(fit, tuple)}
     tracks = [fit for fit in found.fits.values() if isinstance(fit, TipTrack)]
     shown = found.table()

@@ -105,6 +105,10 @@ class Run:
         envelope *= -roots.real * turned
         return envelope.reshape(-1, *self.path.shape)
 
+    def wave(self, mode: Mode) -> np.ndarray:
+        """Return a(t) exp(i p alpha) of a mode at the arrivals, for F = 1: (R, P)."""
+        return np.asarray(self.waves(mode.order, np.array([mode.root]))[0])
+
     def sloped(self, order: float, root: complex) -> np.ndarray:
         """Return a(t) exp(i p alpha) at the arrivals, for F = 1 and a root lambda, and zeta w_n
         times the derivative of the rest of it by ln lambda: (2, R, P)."""
@@ -375,20 +379,18 @@ class Fit:
     @cached_property
     def amplitude(self) -> float:
         """Largest amplitude of the first mode in the runs [m]."""
-        root, order = np.array([self.mode.root]), self.mode.order
         pairs = zip(self.forces[0], self._runs, strict=True)
-        return float(max(np.abs(force * run.waves(order, root)).max() for force, run in pairs))
+        return float(max(np.abs(force * run.wave(self.mode)).max() for force, run in pairs))
 
     def motion(self, record: Record, revolutions: int, place: int = 0) -> np.ndarray:
         """Return displacements by one of the modes (revolutions, probes), of each passage up to
         halfway to the next."""
-        mode, found = self.modes[place], []
-        root = np.array([mode.root])
+        found = []
         halfway = [(one.end + after.begin) // 2 for one, after in itertools.pairwise(self._runs)]
         ends = itertools.pairwise([0, *halfway, revolutions])
         nothing = np.zeros(record.arrivals.time.shape)
         for (begin, end), force in zip(ends, self.forces[place], strict=True):
-            wave = Run(record, nothing, begin, end).waves(mode.order, root)[0]
+            wave = Run(record, nothing, begin, end).wave(self.modes[place])
             found.append((force * wave).real)
         return np.concatenate(found)
 
@@ -412,11 +414,10 @@ class Fit:
 
         A vibration of any phase is fitted at each probe.
         """
-        root, count = np.array([self.mode.root]), self._runs[0].path.shape[1]
+        count = self._runs[0].path.shape[1]
         square, seen, size = np.zeros((count, 2, 2)), np.zeros((count, 2)), np.ones(count)
         for run, force, weight in zip(self._runs, self.forces[0], self.weights, strict=True):
-            wave = force * run.waves(self.mode.order, root)[0]
-            more = run.phased(wave, weight)
+            more = run.phased(force * run.wave(self.mode), weight)
             square, seen = square + more[0], seen + more[1]
         there = square.any(axis=(1, 2))
         found = np.linalg.solve(square[there], seen[there, :, None])[..., 0]

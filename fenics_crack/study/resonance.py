@@ -1,0 +1,214 @@
+"""The resonance of a scene at its own load: the one that all commands name.
+
+It is the phase resonance of the mode nearest to the load's frequency
+(:mod:`fenics_crack.curves.resonance`), with as many harmonics as its amplitude takes. That of a
+smooth law is not defined; friction is left out.
+
+An engine order n meets it at the speed W of a rotor at which n W is its frequency w there. From a
+speed W_0 next to it, where it is w_0,
+
+    (n W)^2 = w_0^2 + S x + C x^2 / 2,        x = W^2 - W_0^2,
+
+S = d(w^2) / d(W^2) and C = dS / d(W^2) being those of the mode with an open crack.
+"""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fenics_crack.balance.problem import Problem
+from fenics_crack.basics.errors import ConvergenceError
+from fenics_crack.basics.tables import percent, quantity
+from fenics_crack.curves.resonance import Resonance, frequency_at_rest, resonance_at
+from fenics_crack.curves.stability import floquet
+from fenics_crack.model.contact import ContactLaw, friction_of
+from fenics_crack.model.modal import is_small
+from fenics_crack.model.reduction import reduce_structure
+from fenics_crack.model.rotation import Ritz, RunUpStructure
+from fenics_crack.model.structure import Structure
+from fenics_crack.scene.scene import Scene
+from fenics_crack.study.prepare import REFUSALS, Study, law_of, reduced, reduction_of
+
+MODES = 10
+"""Modes of the whole structure in which it is sought."""
+TOLERANCE = 0.1
+"""Relative error of the amplitude that is enough to name it."""
+CLOSE = 0.02
+"""Relative change of a frequency with the speed for which its square is taken as quadratic in W^2,
+and the centrifugal load as proportional to W^2."""
+SEVERAL = "several modes answer together: see the curve"
+
+
+@dataclass(frozen=True)
+class AtLoad:
+    """The resonance of a scene at its own load, in numbers.
+
+    Attributes
+    ----------
+    value, width : float [rad/s]
+        Load frequency, or speed of the rotor that an engine order follows, and half-power width.
+    rest : float [rad/s]
+        The same under a small load.
+    amplitude : float [m]
+        Half of the peak-to-peak displacement that is watched.
+    error : float
+        Its relative error due to truncated harmonics.
+    verdict : str
+        Stability.
+    unknown : str
+        Why there is no amplitude; "" if there is one.
+    """
+
+    value: float = math.nan
+    width: float = math.nan
+    rest: float = math.nan
+    amplitude: float = math.nan
+    error: float = math.nan
+    verdict: str = ""
+    unknown: str = ""
+
+    @property
+    def in_words(self) -> str:
+        """Amplitude, error and verdict, or why there are none."""
+        size = f"{quantity(self.amplitude, 'm')} half peak-to-peak"
+        return self.unknown or f"{size}, error {percent(self.error)}, {self.verdict}"
+
+    @classmethod
+    def of(cls, found: Resonance, rest: float = math.nan) -> AtLoad:
+        """That of a resonance, whose solution is followed for its stability."""
+        if found.several:
+            return cls(found.value, found.width, rest, unknown=SEVERAL)
+        solution, verdict = found.solution, "undecided"
+        with suppress(*REFUSALS):
+            verdict = floquet(solution.structure, solution).verdict
+        amplitude = solution.amplitude()
+        return cls(found.value, found.width, rest, amplitude, found.error, verdict)
+
+
+def resonance(problem: Problem, near: float, parameter: str = "omega") -> Resonance:
+    """The resonance of a problem next to a frequency (:func:`resonance_at`).
+
+    Where several modes answer together more harmonics take long and show nothing."""
+    found = resonance_at(problem, near, parameter)
+    return found if found.several else resonance_at(problem, near, parameter, tolerance=TOLERANCE)
+
+
+def meeting_speed(order: float, speed: float, omega: float, slope: np.ndarray) -> float:
+    """Rotor speed W [rad/s] at which an engine order n meets a frequency; nan where it never does.
+
+    Parameters
+    ----------
+    order : float
+        n.
+    speed, omega : float
+        W_0 and w_0 [rad/s].
+    slope : (2,)
+        S and C.
+    """
+    left, rise = omega**2 - (order * speed) ** 2, order**2 - slope[0]
+    root = rise**2 - 2.0 * slope[1] * left
+    if rise <= 0.0 or root < 0.0:
+        return math.nan
+    square = speed**2 + 2.0 * left / (rise + math.sqrt(root))
+    return math.sqrt(square) if square > 0.0 else math.nan
+
+
+def resonance_of(study: Study, estimates: np.ndarray, slopes: np.ndarray) -> AtLoad:
+    """The resonance of a study, not reduced, at its own load; why it is not known, if it is not
+    (collective).
+
+    Parameters
+    ----------
+    estimates : (m,) [rad/s]
+        Of the frequencies of its modes at its speed: what an engine order meets first.
+    slopes : (m, 2)
+        S and C of each.
+    """
+    scene, whole, law = study.scene, study.structure, study.contact
+    if law is None:
+        return AtLoad(unknown="there is no crack")
+    load, turns = scene.excitation, whole.rotation is not None and scene.disk is None
+    mode = int(np.argmin(np.abs(estimates - load.omega)))
+    try:
+        if load.order is None or not turns:
+            problem, near = _problem(scene, law, _few(study, whole), load.omega), estimates[mode]
+            found = resonance(problem, float(near))
+            return AtLoad.of(found, frequency_at_rest(problem, found.omega))
+        return _of_rotor(study, float(estimates[mode]), slopes[mode])
+    except REFUSALS as error:
+        return AtLoad(unknown=str(error))
+
+
+def _of_rotor(study: Study, estimate: float, slope: np.ndarray) -> AtLoad:
+    """The same where an engine order meets it, from an estimate of its frequency at the scene's
+    speed and its S and C.
+
+    The structure is that at the scene's speed, or where the order meets the estimate if that is far
+    away, and its centrifugal load grows with W^2 from there."""
+    scene, law, whole = study.scene, study.contact, study.structure
+    order, speed = scene.excitation.order, scene.speed
+    assert order is not None and law is not None
+
+    def met(omega: float, harmonic: int = 1) -> float:
+        found = meeting_speed(order, speed, omega, slope / harmonic**2)
+        if math.isnan(found):
+            raise ConvergenceError(f"engine order {order} does not meet it")
+        return found
+
+    there = met(estimate)
+    if abs(order * there - estimate) > CLOSE * estimate:
+        whole, speed, estimate = whole.rotation.at(there), there, order * there
+    steady, count = whole.force[0] - whole.rotation.at_rest.force[0], len(whole.force)
+    loads = np.vstack([whole.force, steady, np.zeros_like(steady)])
+    more = whole._changed(force=loads, known=whole.body.known)
+    small = _few(study, more.watching(study.structure.watched_dof))
+
+    def at(turning: float, omega: float) -> Problem:
+        # The amplitude of a mode is 1 / w^2 of the load.
+        weights = (omega / (order * turning)) ** 2 * np.diag(np.append(np.ones(count), [0.0, 0.0]))
+        weights[0, [0, count]] = 1.0, (turning / speed) ** 2 - 1.0
+        return _problem(scene, law, small.varied(load=weights), order * speed)
+
+    first = resonance_at(at(there, estimate), estimate)
+    problem = at(met(first.omega, first.harmonic), first.omega)
+    tolerance = None if first.several else TOLERANCE
+    found = resonance_at(problem, first.omega, tolerance=tolerance)
+    rest, half = frequency_at_rest(problem, found.omega), 0.5 * found.width
+    low, high, value, at_rest = (
+        met(omega, found.harmonic)
+        for omega in (found.omega - half, found.omega + half, found.omega, rest)
+    )
+    return AtLoad.of(replace(found, value=value, width=high - low), at_rest)
+
+
+def over_speed(scene: Scene, small: Ritz, speed: float) -> AtLoad:
+    """The resonance at the load of a rotor in a basis for all speeds, next to one at which the
+    scene's engine order meets a natural frequency."""
+    order, law = scene.excitation.order, law_of(scene, small.whole)
+    assert order is not None and law is not None
+    try:
+        rotor = RunUpStructure(small, speed)
+        problem = _problem(scene, law, rotor, order * speed)
+        return AtLoad.of(resonance(problem, problem.omega, "speed"))
+    except REFUSALS as error:
+        return AtLoad(unknown=str(error))
+
+
+def _few(study: Study, whole: Structure) -> Structure:
+    """A whole structure in few coordinates."""
+    kept = reduction_of(study.scene, whole)
+    if study.scene.disk is not None or (kept is None and is_small(whole)):
+        return reduced(replace(study, structure=whole), judged=False).structure
+    modes = min(MODES, whole.n_dofs if kept is None else kept.modes)
+    return reduce_structure(whole, modes=modes, method="massless", reference=False)
+
+
+def _problem(scene: Scene, law: ContactLaw, structure: Structure, omega: float) -> Problem:
+    """What is balanced, without friction."""
+    balance, friction = scene.harmonic_balance, friction_of(law)
+    law = law if friction is None else friction.law
+    return Problem(structure, omega, law, balance.harmonics, balance.samples)

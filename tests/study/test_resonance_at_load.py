@@ -1,0 +1,120 @@
+"""The resonance of a scene at its own load, as check and campbell name it."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers import ROOT
+from mpi4py import MPI
+from surroundings import main
+
+import fenics_crack as fc
+from fenics_crack.study.plausibility import find_key_figures, proposed_curve
+from fenics_crack.study.resonance import SEVERAL, AtLoad, meeting_speed, resonance_of
+
+DEMOS = ROOT / "demos"
+
+
+def at_load(scene: fc.Scene) -> AtLoad:
+    study = fc.prepare(scene, MPI.COMM_SELF, whole=True)
+    figures = find_key_figures(study)
+    return resonance_of(study, figures.omega_bilinear, figures.slopes)
+
+
+def test_plate() -> None:
+    """In ten modes that of all that are kept, and proportional to the load."""
+    scene = fc.Scene.load(DEMOS / "blade.toml")
+    study = fc.prepare(scene, MPI.COMM_SELF)
+    assert study.contact is not None
+    problem = fc.Problem(study.structure, scene.excitation.omega, study.contact)
+    whole = fc.resonance_at(problem, tolerance=0.01)
+    found = at_load(scene)
+    assert found.value == pytest.approx(whole.omega, abs=0.1 * whole.width)
+    assert found.amplitude == pytest.approx(whole.solution.amplitude(), rel=0.02)
+    assert found.width == pytest.approx(whole.width, rel=0.05) and found.verdict == "stable"
+    assert found.rest == pytest.approx(found.value, rel=1e-3)
+    twice = tuple(2.0 * force for force in scene.excitation.force_sin)
+    more = at_load(scene.replace({"excitation.force_sin": twice}))
+    assert more.value == pytest.approx(found.value, rel=1e-9)
+    assert more.amplitude == pytest.approx(2.0 * found.amplitude, rel=1e-6)
+
+
+def test_what_is_not_known() -> None:
+    """It is said why: several modes, a smooth law, no damping, no crack; friction is left out."""
+    several = at_load(fc.Scene.load(DEMOS / "paper_plate.toml"))
+    assert several.in_words == SEVERAL and several.value > 0.0
+    plate = fc.Scene.load(DEMOS / "blade.toml")
+    smooth = {"contact.law": "smoothed", "contact.sharpness": 1e9, "contact.stiffness": 1e10}
+    assert "law" in at_load(plate.replace(smooth)).unknown
+    assert "not met" in at_load(plate.replace({"damping.ratio": 0.0})).unknown
+    assert at_load(plate.replace({"crack": None, "contact": None})).unknown
+    rubbing = fc.Scene.load(DEMOS / "friction.toml")
+    sliding = rubbing.replace({"contact.friction": 0.0})
+    assert at_load(rubbing).value == pytest.approx(at_load(sliding).value, rel=1e-9)
+
+
+def test_speed_that_meets_an_order() -> None:
+    """Of (n W)^2 = w^2 + S x + C x^2 / 2 with x = W^2 - W_0^2; never where it is not real."""
+    for slope in ((0.0, 0.0), (1.5, 0.0), (1.5, -1e-5), (-2.0, 1e-5)):
+        met = meeting_speed(4.0, 100.0, 430.0, np.array(slope))
+        apart = met**2 - 100.0**2
+        square = 430.0**2 + slope[0] * apart + 0.5 * slope[1] * apart**2
+        assert met == pytest.approx(math.sqrt(square) / 4.0, rel=1e-12)
+    assert math.isnan(meeting_speed(1.0, 100.0, 430.0, np.array([1.5, 0.0])))
+
+
+BLADE = {
+    "geometry": {"kind": "solid", "width": 0.04, "height": 0.1, "thickness": 0.004},
+    "crack": {"edge": "left", "height": 0.012, "length": 0.004},
+    "material": {"young": 1.14e11, "poisson": 0.33, "density": 4430.0},
+    "damping": {"ratio": 0.001},
+    "rotation": {"rpm": 6000.0, "hub_radius": 0.25},
+    "contact": {"law": "unilateral"},
+    "mesh": {"layout": "graded", "order": 2, "size": 0.01, "lip_elements": 6, "grading": 4.0,
+             "error": False},
+    "reduction": {"modes": 10},
+    "curve": {"parameter": "rpm", "start": 5780.0, "stop": 5860.0},
+}  # fmt: skip
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("force", [0.2, 0.4, 1.0])
+def test_blade_that_its_load_moves(
+    force: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The centrifugal load opens the crack, and the bilinear frequency meets the order at 5,847 rpm
+    whatever the load is: check and campbell name the peak of its curve, and check a range with it.
+    """
+    load = {"order": 4, "point": [0.04, 0.1, 0.002], "force_sin": [0.0, 0.0, force]}
+    scene = fc.Scene.from_mapping(BLADE | {"excitation": load})
+    peak = fc.curve(scene, MPI.COMM_SELF).result.peak()
+    speed = peak.omega / 4.0
+    path = tmp_path / "blade.toml"
+    path.write_text(scene.replace({"curve": None}).as_toml())
+    assert main(["check", str(path), "--format", "json"]) == 0
+    rows = {row["what"]: row["value"] for row in json.loads(capsys.readouterr().out)}
+    told = rows["order 4 meets the resonance at the load, rotor speed [rad/s]"]
+    assert told == pytest.approx(speed, rel=2e-4)
+    start, stop = (rows[f"proposed curve.{end} [rpm]"] for end in ("start", "stop"))
+    assert start < peak.value * 30.0 / math.pi < stop < 1.03 * start
+    [(mode, found)] = fc.campbell(scene, [600.0, 620.0], 1).met
+    assert mode == 1 and found.value == pytest.approx(speed, rel=2e-4)
+    assert found.amplitude == pytest.approx(peak.amplitude, rel=0.02)
+
+
+def test_proposed_curve_meets_its_peak() -> None:
+    """From three widths below to as many above the resonance and its place at rest."""
+    scene = fc.Scene.load(DEMOS / "blade.toml").replace({"curve": None})
+    study = fc.prepare(scene, MPI.COMM_SELF, whole=True)
+    figures = find_key_figures(study)
+    found = resonance_of(study, figures.omega_bilinear, figures.slopes)
+    curve = proposed_curve(study.scene, replace(figures, at_load=found))
+    assert curve is not None
+    start, stop = curve.followed[1:]
+    assert start <= found.value - 3.0 * found.width < found.value + 3.0 * found.width <= stop
+    keys = {"curve.start": start, "curve.stop": stop, "curve.parameter": "omega"}
+    known = study.scene.replace(keys)
+    assert proposed_curve(known, replace(figures, at_load=found)) is None
