@@ -36,12 +36,11 @@ from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Integration
 from fenics_crack.study.bladed_disk import blades
-from fenics_crack.study.coarser_mesh import natural_name
 from fenics_crack.study.conclusion import said_of, unknown_error, unknown_of_solution
+from fenics_crack.study.numbers import largest_left_out, natural_name
 from fenics_crack.study.observer import observe
 from fenics_crack.study.plausibility import highest_omega
 from fenics_crack.study.run import Run
-from fenics_crack.study.stated_errors import largest_left_out
 from fenics_crack.time.march import TimeHistory
 
 ERROR = "error [%]"

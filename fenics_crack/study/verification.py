@@ -1,7 +1,7 @@
 """Contributions to the error of a result's numbers: storage, text and files.
 
-:func:`fenics_crack.verify` finds it with finer meshes, more modes, harmonics and samples
-(:mod:`refinement`), each command with one other run for each cause (:mod:`stated_errors`).
+:func:`fenics_crack.verify` finds it with finer meshes, more modes, harmonics and
+samples, each command with one other run for each cause (:mod:`vary`).
 
 **The error of a number that is computed with two or three step sizes** (Roache's index). Of values
 f_i with sizes h_1 < h_2 < h_3 it is assumed that f_i = f + C h_i^p. Then
@@ -85,10 +85,10 @@ class GridConvergence(Described):
     sizes: tuple[float, ...]
     values: tuple[float, ...]
     behaviour: str
-    order: float
-    exponent: float
-    factor: float
-    extrapolated: float
+    order: float = math.nan
+    exponent: float = math.nan
+    factor: float = CAUTIOUS
+    extrapolated: float = math.nan
 
     @property
     def is_asymptotic(self) -> bool:
@@ -209,9 +209,10 @@ def _observed(h: np.ndarray, f: np.ndarray) -> float:
     return float(scipy.optimize.brentq(excess, -steepest, steepest))
 
 
-Varied = tuple[tuple[int, ...], dict[str, GridConvergence]] | str
-"""Counts of a cause, those of the result first, and its parts; or the reason why there are none, ""
-where it does not apply."""
+Part = tuple[tuple[int, ...], dict[str, GridConvergence]]
+"""Counts of a cause, those of the result first, and its parts."""
+Varied = Part | str
+"""The same; or the reason why there is none, "" where it does not apply."""
 
 MESH_CAUSES = ("mesh", "shift")
 """The mesh's part: of the answer at a given distance from the resonance, and by the shift of the

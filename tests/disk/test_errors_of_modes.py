@@ -13,7 +13,7 @@ from fenics_crack.balance.compliance import ModalCompliance
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import Solver
 from fenics_crack.model.contact import UnilateralConstraint
-from fenics_crack.study.stated_errors import stated_errors
+from fenics_crack.study.vary import stated_errors
 
 RIGID = UnilateralConstraint()
 
