@@ -53,7 +53,7 @@ from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.model.wheel import Wheel
-from fenics_crack.numerics.equations import DIFFERENCE, LOCATED, Linearisation, least_residual
+from fenics_crack.numerics.equations import CENTRAL_STEP, LOCATED, Linearisation, least_residual
 from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_near
 from fenics_crack.numerics.path import Crossing, Ended, Path, PathOptions, Target
 
@@ -155,7 +155,7 @@ class LoadedEquations:
             return by_omega, self.drive.of_waves(
                 compliance.seen_by_omega(self.drive.rows, at.force)
             )
-        step = DIFFERENCE * value
+        step = CENTRAL_STEP * value
         ends = []
         for there in (value - step, value + step):
             point = self.system(there, factor).linearise(at.unknown)
