@@ -92,7 +92,7 @@ def measured(
     """A row of the table."""
     solver = Solver(fc.Problem(structure, omega, law, harmonics), throw=False)
     clock = time.process_time()
-    solution = solver.solve(reported=False)
+    solution = solver.solve()
     search = time.process_time() - clock
     found = assessed(solution)
     parts = np.array([found.step, found.orbit, found.reference])

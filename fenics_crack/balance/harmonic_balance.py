@@ -26,13 +26,14 @@ import contextlib
 from bisect import bisect_left
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
 from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.block_system import FORMS
 from fenics_crack.balance.compliance import DynamicStiffness, ModalCompliance, load_coefficients
-from fenics_crack.balance.error_report import ErrorReport, beside
+from fenics_crack.balance.error_report import NOT_ESTIMATED, ErrorReport, beside
 from fenics_crack.balance.more_modes import UNKNOWN, reference_of
 from fenics_crack.balance.problem import Problem, check_memory, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, Solver
@@ -95,10 +96,15 @@ def solve_linear(
     harmonics = max(Problem.harmonics, least) if harmonics is None else harmonics
     check_count("harmonics", harmonics, least)
     solution = _without_contact(structure, omega, harmonics)
-    reference = reference_of(solution)
-    if reference is None:
-        return solution
-    return replace(solution, report=beside(solution, _without_contact(reference, omega, harmonics)))
+
+    @cache
+    def estimate() -> ErrorReport:
+        reference = reference_of(solution)
+        if reference is None:
+            return ErrorReport()
+        return beside(solution, _without_contact(reference, omega, harmonics))
+
+    return replace(solution, estimate=estimate)
 
 
 def _without_contact(structure: Structure, omega: float, harmonics: int) -> PeriodicSolution:
@@ -325,7 +331,7 @@ def solve_to_tolerance(
             problem = replace(solver.problem, structure=reduced_to(modes))
             solver = replace(solver, problem=problem)
         last = _solved(solver, tolerance, initial)
-        last = replace(last, report=whole.comm.bcast(last.report))
+        last = last.reported(whole.comm.bcast(last.report))
         if best is None or last.report.total < best.report.total:
             best = last
         lacking = last.report.total > tolerance and last.report.reduction > tolerance / 2.0
@@ -356,7 +362,8 @@ def solve_beside(
         There is no solution, or not to the tolerance.
     """
     if tolerance is None:
-        return Solver(problem).solve(near, reported=error)
+        found = Solver(problem).solve(near)
+        return found if error else found.reported(NOT_ESTIMATED)
     solution = _solved(Solver(problem), tolerance, near)
     if not solution.report.truncation <= tolerance:
         raise ConvergenceError(
@@ -457,7 +464,7 @@ def _sought(
                 yield known.sampled.whole_states[:: INSTANTS // SEGMENTS]
         for count in SearchOptions.harmonics:
             few = problem.with_harmonics(problem.few_harmonics(count))
-            near = _begun(solver, few).attempt(initial, wholly=False, reported=False)[1]
+            near = _begun(solver, few).attempt(initial, wholly=False)[1]
             if near.converged:
                 balanced.append(near)
                 yield near.assessment.states
@@ -512,7 +519,7 @@ def solution_of_orbit(problem: Problem, orbit: PeriodicOrbit, tolerance: float) 
         penetration=relative_to_motion(np.maximum(gap, 0.0), closing),
         displacement=min(known_errors[1] + at_load, UNKNOWN),
     )
-    return replace(found, report=report, iterations=orbit.iterations)
+    return replace(found.reported(report), iterations=orbit.iterations)
 
 
 def wave_of(problem: Problem, orbit: PeriodicOrbit, known: OrbitCoefficients) -> PeriodicSolution:

@@ -36,6 +36,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -160,7 +161,7 @@ class Backbone(Tabular):
             subharmonic=1,
             status="point of a backbone",
             iterations=int(self.iterations[index]),
-            report=self._report(index),
+            estimate=partial(self._report, index),
         )
 
     def _report(self, index: int) -> ErrorReport:

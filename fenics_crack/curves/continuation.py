@@ -123,7 +123,7 @@ class Continuation(Growing):
             problem = problem.with_harmonics(initial.harmonics)
         check_memory(problem.structure, problem.harmonics)
         self._family = FAMILIES[parameter](problem, start, end)
-        found = Solver(self._family.at(start)).solve(initial, reported=False)
+        found = Solver(self._family.at(start)).solve(initial)
         self._begin(start, found.slow_gap_coefficients, found.iterations)
 
     _family: Family

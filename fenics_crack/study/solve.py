@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from fenics_crack.balance.block_system import FORMS
+from fenics_crack.balance.error_report import NOT_ESTIMATED
 from fenics_crack.balance.harmonic_balance import FIRST_MODES, solve_linear, solve_to_tolerance
 from fenics_crack.balance.problem import Problem, check_memory
 from fenics_crack.balance.solution import PeriodicSolution, Solver
@@ -45,7 +46,8 @@ def solve_prepared(
         check_memory(study.structure, table.harmonics)
         problem = Problem(study.structure, omega, law, table.harmonics, table.samples)
         solver = FORMS[table.form](problem, throw=False)
-        solution = solver.solve(initial, reported=table.error)
+        solution = solver.solve(initial)
+        solution = solution if table.error else solution.reported(NOT_ESTIMATED)
     else:
         study, solution = _solve_to_tolerance(whole, law)
     structure = study.structure

@@ -503,7 +503,7 @@ def _solved(
     if study.contact is None:
         return solve_linear(study.structure, omega, harmonics=harmonics)
     problem = Problem(study.structure, omega, study.contact, harmonics)
-    return Solver(problem).solve(initial, reported=False)
+    return Solver(problem).solve(initial)
 
 
 # --- verification: two finer runs for each cause --------------------------------------------------

@@ -334,7 +334,7 @@ def _beside(problem: Problem, near: PeriodicSolution | None) -> PeriodicSolution
     if near is not None and problem.harmonics >= 2 * PEAK_HARMONICS and half < problem.harmonics:
         near = _beside(problem.with_harmonics(half), near) or near
     try:
-        return Solver(problem).solve(near, reported=False)
+        return Solver(problem).solve(near)
     except ConvergenceError:
         return None
 
