@@ -43,12 +43,7 @@ import numpy as np
 from tqdm import tqdm
 
 from fenics_crack.balance.contact_integrals import contact_integrals
-from fenics_crack.balance.error_report import (
-    SETTLED_STEP,
-    ErrorReport,
-    mean_square,
-    moving_mean_square,
-)
+from fenics_crack.balance.error_report import ErrorReport, mean_square, moving_mean_square
 from fenics_crack.balance.more_modes import UNKNOWN
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import (
@@ -74,6 +69,9 @@ from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.extremes import half_range
 from fenics_crack.numerics.newton import PathPoint, solve_at
+
+SETTLED_STEP = 0.05
+"""Relative size of the second Newton step up to which an error counts as estimated."""
 
 
 @dataclass(frozen=True, repr=False)
