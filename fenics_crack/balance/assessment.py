@@ -17,7 +17,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from fenics_crack.balance.contact_system import Wave
-from fenics_crack.balance.more_modes import UNKNOWN, MoreModes, is_still, reference_flow, seen_parts
+from fenics_crack.balance.more_modes import UNKNOWN, MoreModes, is_still, loaded, reference_flow
 from fenics_crack.basics.tables import percent
 from fenics_crack.motion.flow import ContactFlow, flow_of
 from fenics_crack.motion.orbit import (
@@ -201,20 +201,21 @@ class Assessment:
             return np.inf
         assert self.flow is not None
         wave, flow = self.wave, self.flow
-        change = (self.prediction.states - self.states)[:, : flow.count]
+        change = (self.prediction.states - self.states)[:, : flow.count] @ flow.modes.shapes.T
         time = np.arange(len(change)) * wave.period / len(change)
-        force = wave.structure.force[seen_parts(wave.structure)].T
-        return relative_to_motion(
-            change @ flow.modes.shapes.T @ force, wave.coordinates(time) @ force
-        )
+        return _at_load(wave, change, wave.coordinates(time))
 
     @property
     def _away_at_load(self) -> float:
         assert self.orbit is not None
-        samples, structure = self.orbit.sampled, self.wave.structure
-        force, moved = structure.force[seen_parts(structure)].T, samples.displacement
-        change = moved - self.wave.coordinates(samples.time)
-        return relative_to_motion(change @ force, moved @ force)
+        samples = self.orbit.sampled
+        change = samples.displacement - self.wave.coordinates(samples.time)
+        return _at_load(self.wave, change, samples.displacement)
+
+
+def _at_load(wave: Wave, change: np.ndarray, motion: np.ndarray) -> float:
+    """Return the size of a change of the displacement at the load relative to that of a motion."""
+    return relative_to_motion(*(loaded(wave.structure, one) for one in (change, motion)))
 
 
 def distance(wave: Wave, orbit: PeriodicOrbit) -> float:

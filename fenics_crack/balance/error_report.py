@@ -29,7 +29,7 @@ import numpy as np
 
 from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem, Wave
-from fenics_crack.balance.more_modes import UNKNOWN, Errors, left_out, reference_of, seen_parts
+from fenics_crack.balance.more_modes import UNKNOWN, Errors, left_out, loaded, reference_of
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.tables import Described
 from fenics_crack.model.contact import REGULAR, as_penalty, is_regular, is_rigid
@@ -176,18 +176,11 @@ def beside(found: Wave, better: Wave) -> ErrorReport:
 
 
 def _at_load(wave: Wave, structure: Structure, displacement: np.ndarray) -> float:
-    """Change of the displacement at the load, in the direction of each of its parts that vibrates,
-    to that of a structure, relative to its root mean square, to which its mean contributes no more
-    than all else (collective)."""
-    seen = seen_parts(wave.structure)
-    known, better = (
-        one.sum_over_ranks(rows @ one.force[seen].T)
-        for one, rows in (
-            (wave.structure, wave.displacement_coefficients), (structure, displacement)
-        )
-    )  # fmt: skip
-    square = mean_square(better - known) / moving_mean_square(known)
-    return math.sqrt(square) if known.any() else 0.0
+    """Change of the displacement at the load to that of a structure, relative to its root mean
+    square, to which its mean contributes no more than all else (collective)."""
+    known = loaded(wave.structure, wave.displacement_coefficients)
+    change = mean_square(loaded(structure, displacement) - known)
+    return math.sqrt(change / moving_mean_square(known)) if known.any() else 0.0
 
 
 def relative_size(change: np.ndarray, at: ContactPoint, clearance: np.ndarray) -> float:

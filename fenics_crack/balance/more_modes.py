@@ -29,13 +29,11 @@ from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.motion.flow import ContactFlow, Samples, flow_of
 from fenics_crack.motion.orbit import (
     FLOWS,
-    FORMED,
     INSTANTS,
     KNOWN,
     PeriodicOrbit,
     Prediction,
     affordable,
-    eigenvalues,
     find_orbit,
     predicted,
     predicted_with_more_modes,
@@ -182,51 +180,46 @@ class MoreModes:
         """Errors by that step; :data:`UNKNOWN` where the time integration fails."""
         if self.prediction is None:
             return UNKNOWN, UNKNOWN
-        wave, states = self.wave, self._states
+        wave, states, ahead = self.wave, self._states, self.prediction.states
         assert states is not None
-        gap, ahead = self._gap(states), self.prediction.states
-        seen, half = seen_parts(wave.structure), self.flow.count
-        moved = (ahead - states)[:, :half] @ self.flow.force[seen].T
-        at_load = relative_to_motion(
-            moved, wave.coordinates(self._time) @ wave.structure.force[seen].T
-        )
-        return left_out(wave.structure, (self._of_gap(self._gap(ahead) - gap, gap), at_load))
+        gaps, moved = self._gap(states), wave.coordinates(self._time)
+        more = (ahead - states)[:, : self.flow.count] @ self.flow.modes.shapes.T
+        at_load = loaded(wave.structure, moved)
+        better = at_load + loaded(self.flow.structure, more)
+        return self._errors(gaps, self._gap(ahead), at_load, better)
 
     @property
     def distances(self) -> Errors:
-        """The same by the orbits with these modes and without them; by the step where one is not
-        known."""
-        few, many = self.nearest, self.orbit
+        """The same by the orbits with these modes and without them, where that without them is the
+        solution's own and both are known."""
+        few, many = self.nearest, self.orbit if self.accepted else None
         if few is None or many is None:
             return self.changes
-        gap, seen = few.sampled.gaps, seen_parts(few.flow.structure)
-        moved, more = (
-            orbit.sampled.displacement @ orbit.flow.structure.force[seen].T for orbit in (few, many)
-        )
-        of_gap = self._of_gap(many.sampled.gaps - gap, gap)
-        return left_out(few.flow.structure, (of_gap, relative_to_motion(more - moved, moved)))
+        moved = (loaded(one.flow.structure, one.sampled.displacement) for one in (few, many))
+        return self._errors(few.sampled.gaps, many.sampled.gaps, *moved)
 
-    def _of_gap(self, change: np.ndarray, gap: np.ndarray) -> float:
-        """A change relative to what moves of B^T u; 0 where that is rounding."""
-        if self.nearest is not None and is_still(self.nearest.sampled):
-            return 0.0
-        return relative_to_motion(change, gap + self.wave.seen.clearance)
+    def _errors(
+        self, gap: np.ndarray, better: np.ndarray, at_load: np.ndarray, better_at_load: np.ndarray
+    ) -> Errors:
+        """Errors by changes of the gaps and of the displacement at the load over the period; that
+        of the gaps is 0 where they move by rounding."""
+        still = self.nearest is not None and is_still(self.nearest.sampled)
+        of_gap = relative_to_motion(better - gap, gap + self.wave.seen.clearance)
+        of_load = relative_to_motion(better_at_load - at_load, at_load)
+        return left_out(self.wave.structure, (0.0 if still else of_gap, of_load))
 
     @cached_property
     def orbit(self) -> PeriodicOrbit | None:
         """Next to the motion; None where none is found."""
-        step, wave = self.prediction, self.wave
-        if step is None or self._states is None:
+        if self._states is None:
             return None
+        wave = self.wave
         return find_orbit(self.flow, wave.omega, self._states[0], subharmonic=wave.subharmonic)
 
-    def contradicts(self, verdict: str, *, quick: bool = False) -> str:
+    def contradicts(self, verdict: str) -> str:
         """Return in words how the orbit with these modes contradicts a verdict on stability; ""
-        where it agrees, or is not known. With ``quick`` only where M along the motion already
-        contradicts it."""
-        if verdict not in ("stable", "unstable") or (quick and not self._foreseen(verdict)):
-            return ""
-        if self.orbit is None:
+        where it agrees, or is not known."""
+        if verdict not in ("stable", "unstable") or self.orbit is None:
             return ""
         size = float(abs(self.orbit.multipliers[0]))
         other = "stable" if size < 1.0 else "unstable"
@@ -234,13 +227,6 @@ class MoreModes:
             return ""
         many = len(self.flow.modes.squares)
         return f"with {many} modes the orbit is {other} (largest multiplier {size:.6g})"
-
-    def _foreseen(self, verdict: str) -> bool:
-        """Return True if the multipliers of M along the motion contradict a verdict."""
-        step = self.prediction
-        if step is None or self.flow.count > FORMED:
-            return False
-        return bool((abs(eigenvalues(step.monodromy)[0]) < 1.0) != (verdict == "stable"))
 
 
 def is_still(samples: Samples) -> bool:
@@ -250,9 +236,9 @@ def is_still(samples: Samples) -> bool:
     return bool(np.linalg.norm(moved) <= NEGLIGIBLE * np.linalg.norm(slow))
 
 
-def seen_parts(structure: Structure) -> np.ndarray:
-    """By which parts of the load the displacement at it is seen: (2K+1,) bool; those that vibrate,
-    if there are some (collective)."""
-    found = structure.sum_over_ranks(np.sum(structure.force**2, axis=1)) > 0.0
-    found[0] &= not found[1:].any()
-    return np.asarray(found)
+def loaded(structure: Structure, motion: np.ndarray) -> np.ndarray:
+    """Return a motion (n, n_local) at the load, in the direction of each of its parts that vibrate,
+    or of its mean if none does: (n, n_parts) (collective)."""
+    seen = structure.sum_over_ranks(np.sum(structure.force**2, axis=1)) > 0.0
+    seen[0] &= not seen[1:].any()
+    return structure.sum_over_ranks(motion @ structure.force[seen].T)
