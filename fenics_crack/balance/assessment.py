@@ -158,13 +158,12 @@ class Assessment:
 
     @cached_property
     def more_modes(self) -> MoreModes | None:
-        """The motion corrected with more modes; None where no flow with more modes is at hand."""
-        wave = self.wave
-        flow = None if self.flow is None else reference_flow(wave)
-        if self.flow is None or flow is None:
+        """The motion with more modes; None where no flow with these is at hand, or no orbit is
+        accepted for the solution."""
+        flow = None if self.flow is None else reference_flow(self.wave)
+        if flow is None or not self.accepted or self.orbit is None:
             return None
-        step = None if self.accepted else self.prediction
-        return MoreModes(flow, wave, self.flow, step, self.orbit, self.accepted)
+        return MoreModes(flow, self.wave, self.orbit)
 
     @property
     def reason(self) -> str:

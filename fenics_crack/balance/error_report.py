@@ -133,13 +133,13 @@ def estimate_errors(
     else:
         error, at_load = _beyond_truncation(at, wave)
     truncation = UNKNOWN if error >= UNKNOWN else max(error - sampling, 0.0)
-    exactly, lost = known.affordable and search and structure.light_lips, (0.0, 0.0)
-    if exactly and truncation < UNKNOWN and known.more_modes is not None:
-        lost = known.more_modes.distances
-    elif isinstance(structure, ReducedStructure):
-        # Nor is it known what more modes make of a motion that is not.
-        unknown = exactly and truncation >= UNKNOWN
-        lost = (UNKNOWN, UNKNOWN) if unknown else _lost_in_reduction(at, wave, problem)
+    exactly = known.affordable and search and structure.light_lips
+    lost: Errors | None = None
+    if exactly and truncation >= UNKNOWN and isinstance(structure, ReducedStructure):
+        lost = UNKNOWN, UNKNOWN  # nor is it known what more modes make of a motion that is not
+    elif exactly and (more := known.more_modes):
+        lost = more.errors
+    lost = lost or _lost_in_reduction(at, wave, problem)
     return ErrorReport(
         residual=max(relative(at.residual), relative(expanded - at.gap)),
         truncation=truncation,

@@ -536,8 +536,9 @@ def _lost(problem: Problem, wave_with: Callable[[int], PeriodicSolution]) -> tup
     if not isinstance(structure, ReducedStructure) or structure.reference is None:
         return 0.0, 0.0
     fewest, many = (problem.few_harmonics(SearchOptions.harmonics[place]) for place in (0, -1))
-    if (more := wave_with(fewest).assessment.more_modes) is not None:
-        return more.distances
+    more = wave_with(fewest).assessment.more_modes
+    if more is not None and (errors := more.errors) is not None:
+        return errors
     balance = Solver(problem.with_harmonics(many))
     report = balance.attempt(wave_with(many), wholly=False)[1].report
     return report.reduction, report.displacement

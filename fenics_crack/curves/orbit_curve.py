@@ -90,7 +90,8 @@ class OrbitCurve(ResponseCurve):
         orbit, problem = self.orbit(index), self.problem_of(index)
         found = wave_of(problem, orbit, orbit.coefficients(problem.harmonics))
         more = found.assessment.more_modes
-        return super()._displacement_error(index) if more is None else more.changes[1]
+        errors = None if more is None else more.errors
+        return super()._displacement_error(index) if errors is None else errors[1]
 
     @property
     def undecided(self) -> np.ndarray:
