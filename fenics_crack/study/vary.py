@@ -80,6 +80,7 @@ from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import Modes, bilinear_frequencies, solve_modes, tied_modes
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.reduction import reduce_structure
+from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.meshes import coarser, finer_mesh, is_even, n_elements
 from fenics_crack.study.numbers import (
@@ -280,12 +281,44 @@ def errors_of(study: Study, result: object) -> Verification | None:
     """
     if isinstance(result, Modes):
         return errors_of_natural(study, {"open": result.omega})
-    if isinstance(result, ResponseCurve) and result.parameter == "omega":
+    if isinstance(result, ResponseCurve) and result.parameter in ("omega", "speed"):
         top = result.top(study.watched[0].dof)
-        return stated_errors(study, result.solution(top.index), of_peak=not top.at_end)
+        found = result.solution(top.index)
+        if not isinstance(found.structure, RunUpStructure):
+            return stated_errors(study, found, of_peak=not top.at_end)
+        return _errors_at_speed(study, found, found.structure, of_peak=not top.at_end)
     if isinstance(result, PeriodicSolution) and result.converged and result.report.estimated:
         return stated_errors(study, result)
     return None
+
+
+def _errors_at_speed(
+    study: Study, found: PeriodicSolution, structure: RunUpStructure, *, of_peak: bool
+) -> Verification:
+    """The errors of a solution of a run-up: of the scene at its speed, with as many modes
+    (collective).
+
+    Where a resonance is off by e, the speed at which the load meets it is off by e / (1 - s), s
+    being d ln w / d ln W.
+    """
+    speed, rate = structure.speed, 1.0 - structure.stiffening(found.omega)
+    changes = {"rotation.speed": speed, "excitation.omega": found.omega, "curve": None}
+    fixed = prepare(study.scene.replace(changes), structure.whole.comm, like=study)
+    answer = _solved(fixed, found.omega, found.harmonics, found)
+    stated = stated_errors(fixed, answer, of_peak=of_peak)
+    if (resonance := stated.resonance) not in stated.values:
+        return stated
+    own = stated.values[resonance]
+
+    def met(frequency: float) -> float:
+        return speed * (1.0 + (frequency / own - 1.0) / rate)
+
+    stated.values["speed"], stated.units["speed"] = speed, "rad/s"
+    for parts in stated.parts.values():
+        part = parts[resonance]
+        values, limit = tuple(map(met, part.values)), met(part.extrapolated)
+        parts["speed"] = replace(part, values=values, extrapolated=limit)
+    return stated
 
 
 def errors_of_natural(study: Study, natural: Mapping[str, np.ndarray]) -> Verification:

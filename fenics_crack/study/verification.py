@@ -374,8 +374,10 @@ class Verification(Saved):
 
     @property
     def resonance(self) -> str:
-        """Name of the resonance that the result lies next to; empty without crack faces."""
-        return next((name for name in self.values if "_bilinear_" in name), "")
+        """Name of the resonance that the result lies next to, in a run-up the speed at which it is
+        met; empty without crack faces."""
+        resonances = (name for name in self.values if "_bilinear_" in name)
+        return "speed" if "speed" in self.values else next(resonances, "")
 
     @property
     def without(self) -> str:
