@@ -25,6 +25,10 @@ class Solved(Study):
     result: PeriodicSolution
 
 
+def _solved(study: Study, found: PeriodicSolution) -> Solved:
+    return Solved(study.scene, study.structure, study.contact, study.watched, found)
+
+
 def solve_prepared(
     whole: Study, initial: PeriodicSolution | None = None, omega: float | None = None
 ) -> Solved:
@@ -40,7 +44,7 @@ def solve_prepared(
     if law is None:
         study = reduced(whole)
         linear = solve_linear(study.structure, omega, harmonics=table.harmonics)
-        return Solved(**vars(study), result=linear)
+        return _solved(study, linear)
     if table.tolerance is None:
         study = reduced(whole)
         check_memory(study.structure, table.harmonics)
@@ -57,7 +61,7 @@ def solve_prepared(
     if solution.converged and quick and is_small(structure) and table.error:
         begin("stability")
         solution = replace(solution, stability=floquet(structure, solution))
-    return Solved(**vars(study), result=solution)
+    return _solved(study, solution)
 
 
 def _solve_to_tolerance(whole: Study, law: ContactLaw) -> tuple[Study, PeriodicSolution]:

@@ -54,7 +54,6 @@ sum, if they are not.
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -581,14 +580,9 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
     """
     with within(OWN):
         whole = prepare(scene, comm, whole=True)
-        if scene.reduction is not None and scene.reduction.modes is not None:
-            kept = _kept_modes(whole)
-            if not isinstance(kept, str):  # all at once: each run takes the first of them
-                with contextlib.suppress(*REFUSALS):
-                    solve_modes(whole.structure, min(COUNTS[-1] * kept[0], kept[1]))
         own = solve_prepared(whole)
         if scene.harmonic_balance.tolerance is not None and own.result.converged:
-            own = solve_prepared(_as_settled(own, _settled(own)), own.result)
+            own = solve_prepared(replace(own, scene=_settled(own)), own.result)
     if not own.result.converged:
         raise ConvergenceError(f"{OWN}: {own.result.status}")
     whole = replace(whole, scene=_settled(own))
@@ -599,11 +593,6 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
     others = {"harmonics": case.harmonics, "samples": case.samples, "friction": case.friction}
     vary(made, causes | others)
     return replace(made, failures=tuple(case.failures))
-
-
-def _as_settled(study: Study, scene: Scene) -> Study:
-    """Another scene of the same mesh, and with the same reduction where the study is reduced."""
-    return Study(scene, study.structure, study.contact, study.watched)
 
 
 def _settled(solved: Solved) -> Scene:
@@ -683,7 +672,7 @@ class _Verified(_Case):
         study, mode = self.study, self.own.mode
         initial, omega = self.found if shared is study else None, self.found.omega
         if shared is not None:
-            varied = reduced(_as_settled(shared, scene), judged=False)
+            varied = reduced(replace(shared, scene=scene), judged=False)
         else:
             varied = prepare(scene, study.structure.comm, judged=False)
             omega *= resonance_of(varied.structure, mode) / resonance_of(study.structure, mode)

@@ -96,8 +96,10 @@ class GridConvergence(Described):
         return self.behaviour not in ("irregular", "carried", "two coefficients")
 
     def uncertainty(self, place: int = 0) -> float:
-        """F abs(f_i - f) of a value, by default that of the smallest size; or F times their
-        spread."""
+        """F abs(f_i - f) of a value, by default that of the smallest size; or F times their spread;
+        0 of what differs by rounding."""
+        if self.behaviour == "unchanged":
+            return 0.0
         if self.is_asymptotic:
             return self.factor * abs(self.values[place] - self.extrapolated)
         return self.factor * (max(self.values) - min(self.values))
