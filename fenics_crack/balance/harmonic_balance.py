@@ -310,13 +310,15 @@ def solve_to_tolerance(
     *,
     reduced_to: Callable[[int], Structure] | None = None,
     modes: int = FIRST_MODES,
+    modes_key: str = "",
 ) -> PeriodicSolution:
     """The solution with few modes and harmonics that meet a tolerance, no fewer harmonics than the
     problem has; else the best one, or the error that says how far it is from what was
     requested.
 
     ``reduced_to`` gives the structure with so many modes (collective), which are as many as
-    ``modes`` at first; by itself only a structure of many dofs is reduced.
+    ``modes`` at first; by itself only a structure of many dofs is reduced. ``modes_key`` is what a
+    scene calls their number.
     """
     whole = solver.problem.structure
     if reduced_to is None and not (is_small(whole) or isinstance(whole, ReducedStructure)):
@@ -336,7 +338,7 @@ def solve_to_tolerance(
             best = last
         lacking = last.report.total > tolerance and last.report.reduction > tolerance / 2.0
         if reduced_to is None or not (lacking and modes < most and last.converged):
-            return _told(solver, best, tolerance)
+            return _told(solver, best, tolerance, modes_key)
         modes = min(2 * modes, most)
         initial = last if last.structure.light_lips else None
 
@@ -380,21 +382,22 @@ def _goal(tolerance: float, reduction: float) -> float:
     return min(left, tolerance / 2.0) if left > 0.0 else tolerance / 2.0
 
 
-def _told(solver: Solver, found: PeriodicSolution, tolerance: float) -> PeriodicSolution:
+def _told(
+    solver: Solver, found: PeriodicSolution, tolerance: float, modes_key: str
+) -> PeriodicSolution:
     """The solution with the word of what it took or what it lacks; or the error that says so."""
     report, structure = found.report, found.structure
     if not found.converged:
         return found
-    lips, kept, more = massless(structure), "", "modes"
+    lips, kept, more, each = massless(structure), "", modes_key or "modes", 1
     if isinstance(structure, ReducedStructure):
         size = f"{structure.n_dofs} coordinates"
         kept = f", {size}"
         if lips is not None:
             kept = f", {lips.n_modes} modes ({size})"
-            more = f"modes {2 * lips.n_modes}"
             if isinstance(lips.whole, Wheel):
-                more = f"disk.families {2 * lips.n_modes // lips.whole.sector.count}"
-            more += ", in about twice the time"
+                more, each = modes_key or "families", lips.whole.sector.count
+            more += f" {2 * lips.n_modes // each}, in about twice the time"
     if report.total <= tolerance:
         chosen = f"chosen for an error of {tolerance:g}: H = {found.harmonics}{kept}"
         return replace(found, status=f"{found.status}; {chosen}")

@@ -96,10 +96,10 @@ def report_of_solution(run: Run[PeriodicSolution]) -> Report:
     notes = [remark_on(run.structure, highest_omega(scene, "solve"))]
     asked = scene.harmonic_balance.error
     if found.converged and found.stability is None and run.contact is not None and asked:
+        reduced = "" if scene.disk is not None else "for a reduced structure (reduction.method), "
         notes.append(
-            "the stability is not assessed, as that would take long; it is for a reduced "
-            "structure, with contact.law = 'unilateral' for one without mass at the crack faces "
-            "(reduction.method)"
+            f"the stability is not assessed, as that would take long; it is {reduced}with "
+            "contact.law = 'unilateral' for crack faces without mass"
         )
     if found.converged and (larger := largest_left_out(found, run.watched_dof)) is not None:
         notes.append(

@@ -73,7 +73,8 @@ def _solve_to_tolerance(whole: Study, law: ContactLaw) -> tuple[Study, PeriodicS
     if first is None or chosen or scene.disk is not None:
         study = reduced(whole)
         problem = replace(problem, structure=study.structure)
-        return study, solve_to_tolerance(Solver(problem, throw=False), tolerance)
+        solver = Solver(problem, throw=False)
+        return study, solve_to_tolerance(solver, tolerance, modes_key=scene.modes_key)
     studies: list[Study] = []
 
     def reduced_to(modes: int) -> Structure:
@@ -84,5 +85,7 @@ def _solve_to_tolerance(whole: Study, law: ContactLaw) -> tuple[Study, PeriodicS
     large = first.method == "massless" and not is_small(structure)
     modes = FIRST_MODES if large else first.modes
     solver = Solver(problem, throw=False)
-    found = solve_to_tolerance(solver, tolerance, reduced_to=reduced_to, modes=modes)
+    found = solve_to_tolerance(
+        solver, tolerance, reduced_to=reduced_to, modes=modes, modes_key=scene.modes_key
+    )
     return next(study for study in studies if study.structure is found.structure), found

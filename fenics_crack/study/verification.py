@@ -495,11 +495,11 @@ class Verification(Saved):
         added = _dent(scene)
         if scene.points or not added > TOLERANCE * amplitude > 0.0:
             return ()
-        growth = "log(1/h)" if scene.dimension == 2 else "1/h"
+        growth, side = ("log(1/h)", "an edge") if scene.dimension == 2 else ("1/h", "a face")
         return (
             "amplitude: under a force at a point the displacement has no limit, it grows like "
             f"{growth}, by about {percent(added / amplitude)} with elements half as long; "
-            "watch another place (output.points), or load an edge (loads)",
+            f"watch another place (output.points), or load {side} (loads)",
         )
 
     def _matters(self, name: str, cause: str) -> bool:
