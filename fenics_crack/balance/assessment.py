@@ -148,12 +148,19 @@ class Assessment:
         none. At most :data:`UNKNOWN`, the value where no orbit is found though a small error was
         predicted.
         """
+        wave, step = self.wave, self.prediction
         if self.own is not None or (search and self.orbit is not None):
-            found = self.distance, self._away_at_load
-        elif search and self.predicted_error <= MAX_ERROR:
+            assert self.orbit is not None
+            samples = self.orbit.sampled
+            change = samples.displacement - wave.coordinates(samples.time)
+            found = self.distance, _at_load(wave, change, samples.displacement)
+        elif step is None or (search and step.error <= MAX_ERROR):
             found = UNKNOWN, UNKNOWN
         else:
-            found = self.predicted_error, self._predicted_at_load
+            assert self.flow is not None
+            change = (step.states - self.states)[:, : self.flow.count] @ self.flow.modes.shapes.T
+            time = np.arange(len(change)) * wave.period / len(change)
+            found = step.error, _at_load(wave, change, wave.coordinates(time))
         return min(found[0], UNKNOWN), min(found[1], UNKNOWN)
 
     @cached_property
@@ -193,23 +200,6 @@ class Assessment:
             f"the nearest exact orbit, which is {own}, is {percent(self.distance)} away where "
             f"{size} was predicted: it may be another motion; use more harmonics, or a tolerance"
         )
-
-    @property
-    def _predicted_at_load(self) -> float:
-        if self.prediction is None:
-            return np.inf
-        assert self.flow is not None
-        wave, flow = self.wave, self.flow
-        change = (self.prediction.states - self.states)[:, : flow.count] @ flow.modes.shapes.T
-        time = np.arange(len(change)) * wave.period / len(change)
-        return _at_load(wave, change, wave.coordinates(time))
-
-    @property
-    def _away_at_load(self) -> float:
-        assert self.orbit is not None
-        samples = self.orbit.sampled
-        change = samples.displacement - self.wave.coordinates(samples.time)
-        return _at_load(self.wave, change, samples.displacement)
 
 
 def _at_load(wave: Wave, change: np.ndarray, motion: np.ndarray) -> float:

@@ -191,7 +191,7 @@ def report_of_history(run: Run[TimeHistory]) -> Report:
     found, scene = run.result, run.scene
     values = vars(found) | {"distance": found.distance}
     table = _quantities(run, scene.excitation.omega, values)
-    asked, waves = scene.integration or Integration(), waves_of_history(run)
+    asked, waves = scene.integration or Integration(), waves_of(run)
     done = found.periods >= asked.periods if asked.free else bool(found.settled <= asked.settle)
     warnings = []
     if not done and not asked.free:
@@ -293,26 +293,18 @@ class Waves(NamedTuple):
     force: np.ndarray
 
 
-def waves_of(run: Run[PeriodicSolution]) -> Waves:
-    """Return a solution over one period."""
-    found, dofs = run.result, [watched.dof for watched in run.watched]
-    time = np.linspace(0.0, found.period, 401)
-    closings = _closings(run, found.gap(time))
-    return Waves(time, found.displacement(time, dofs), closings, found.contact_force(time))
-
-
-def waves_of_history(run: Run[TimeHistory]) -> Waves:
-    """Return a motion over the time that it has recorded."""
-    found, dofs = run.result, [watched.dof for watched in run.watched]
-    closings = _closings(run, found.gap)
-    return Waves(found.time, found.displacement(dofs), closings, found.contact_force)
-
-
-def _closings(run: Run[Any], gap: np.ndarray) -> dict[str, np.ndarray]:
-    """The gaps (n, n_pairs) of the pairs at the mouths of cracks, by where these are."""
-    whole = run.structure.whole
+def waves_of(run: Run[Any]) -> Waves:
+    """Return a solution over one period, or a motion over the time that it has recorded."""
+    found, dofs, whole = run.result, [watched.dof for watched in run.watched], run.structure.whole
+    if isinstance(found, TimeHistory):
+        time, motion = found.time, found.displacement(dofs)
+        gap, force = found.gap, found.contact_force
+    else:
+        time = np.linspace(0.0, found.period, 401)
+        motion, gap = found.displacement(time, dofs), found.gap(time)
+        force = found.contact_force(time)
     pairs = whole.watched_pairs.values() if gap.size else ()
-    return {whole.where(pair): gap[:, pair] for pair in pairs}
+    return Waves(time, motion, {whole.where(pair): gap[:, pair] for pair in pairs}, force)
 
 
 def _waves(run: Run, waves: Waves) -> Table:
