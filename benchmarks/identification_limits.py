@@ -58,7 +58,7 @@ from scipy.sparse.linalg import eigsh
 
 import fenics_crack as fc
 from fenics_crack.monitoring.identification.identify import infer, solve_forward
-from fenics_crack.monitoring.identification.nuisance import whole_plate
+from fenics_crack.monitoring.identification.nuisance import Whole
 
 SEED = 671
 """Written down before it was run."""
@@ -229,7 +229,7 @@ def softer(folder: Path, rng: np.random.Generator, share: float) -> None:
         size = (TALL / ratio, TALL, THICKNESS)
         shape = {"geometry.width": size[0], "excitation.point": size[:2], "output": None}
         own = scene.replace(NO_CRACK | shape | {"identify": None})
-        directions = whole_plate(own, scene.given("identify")).by_clamp(1.0)
+        directions = Whole(own, scene.given("identify")).by_clamp(1.0)
         directions = np.column_stack([directions, np.ones(len(directions))])
         tip = 0.02 * size[0]  # lines of the mesh, where the clamp may end
         rigid = LetGo(size, YOUNG, POISSON, DENSITY, tip, TALL / 3.0, cracked=False)

@@ -54,7 +54,7 @@ from fenics_crack.balance.solution import Solver
 from fenics_crack.curves.family import Family
 from fenics_crack.model.factor import Factor
 from fenics_crack.numerics.fourier import evaluate
-from fenics_crack.time.exponential import ExponentialFlow
+from fenics_crack.time.flows import ExponentialFlow
 
 REFERENCE = 120
 NEW = Path(__file__).with_name("plate.toml")

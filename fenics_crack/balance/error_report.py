@@ -37,7 +37,7 @@ from fenics_crack.model.modal import SMALL, all_modes
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.equations import NEARLY_SOLVED
+from fenics_crack.numerics.equations import NEARLY_SOLVED, ROUNDING
 from fenics_crack.numerics.fourier import resized, sampled
 from fenics_crack.numerics.newton import moving_square, solve_near
 
@@ -214,7 +214,7 @@ def _change(
     method from a start; :data:`UNKNOWN` where that does not arrive."""
     first = better.linearise(start)
     size = max(float(np.linalg.norm(start)), 1e-300)
-    sharp = NEARLY_SOLVED * float(np.linalg.norm(first.residual)) / size
+    sharp = max(NEARLY_SOLVED * float(np.linalg.norm(first.residual)) / size, ROUNDING)
     near = solve_near(better, start, 1.0, tolerance=sharp)
     if near is None:
         return UNKNOWN, UNKNOWN

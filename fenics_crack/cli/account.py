@@ -180,8 +180,8 @@ def in_short(table: Table, scene: Scene, where: Where) -> Table:
     """
     chosen, table, default = scene.quantities, _rounded(table), names_of(where=where)
 
-    def wanted(heading: str, unit: str) -> bool:
-        name = heading.partition(" [")[0].rpartition(".")[2]
+    def wanted(name: str, unit: str) -> bool:
+        name = name.rpartition(".")[2]
         if _is_twin(name, unit, scene):
             return False
         name = name.replace("frequency_", "omega_")
@@ -222,9 +222,7 @@ def printed(report: Report) -> Table:
     table, scene = report.shown or report.table, report.scene
     if scene is None:
         return table
-    return _with_columns(
-        table, lambda heading, unit: not _is_twin(heading.partition(" [")[0], unit, scene)
-    )
+    return _with_columns(table, lambda name, unit: not _is_twin(name, unit, scene))
 
 
 def _is_twin(name: str, unit: str, scene: Scene) -> bool:
@@ -235,9 +233,9 @@ def _is_twin(name: str, unit: str, scene: Scene) -> bool:
 
 
 def _with_columns(table: Table, wanted: Callable[[str, str], bool]) -> Table:
-    """The columns of a table that are wanted by their headings and units."""
-    headings = enumerate(table.columns)
-    kept = [n for n, name in headings if wanted(name, name.partition("[")[2].rstrip("]"))]
+    """The columns of a table that are wanted by their names and units."""
+    headings = (heading.rstrip("]").partition(" [") for heading in table.columns)
+    kept = [n for n, (name, _, unit) in enumerate(headings) if wanted(name, unit)]
     return Table([table.columns[n] for n in kept], [[row[n] for n in kept] for row in table.rows])
 
 

@@ -315,7 +315,7 @@ COMMANDS = {
     "plot": (
         "pictures of a result, of all in a folder, of several curves in one, or of a scene's mesh; "
         "files for ParaView",
-        "cli.pictures:plot results --label --output --pictures",
+        "cli.pictures:plot_results results --label --output --pictures",
     ),
     "report": (
         "one HTML page with all of some results, or of a folder, to be read anywhere",

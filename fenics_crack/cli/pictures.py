@@ -36,21 +36,8 @@ from fenics_crack.cli.kinds import KINDS, Drawn, draw, report_of, result_of
 from fenics_crack.cli.results import Waves, waves_of
 from fenics_crack.cli.scenes import harmonics_in_words
 from fenics_crack.curves.curve import ResponseCurve
-from fenics_crack.draw import plot_study
+from fenics_crack.draw import plot, plot_curve, plot_mesh, plot_study
 from fenics_crack.draw.figure import Picture, distinct_colours
-from fenics_crack.draw.plot import (
-    Wave,
-    draw_contact_map,
-    draw_friction_loops,
-    draw_map,
-    draw_orbits,
-    draw_response,
-    draw_spectrum,
-    draw_stress_intensity,
-    draw_waves,
-)
-from fenics_crack.draw.plot_curve import draw_content, draw_curve, draw_multipliers
-from fenics_crack.draw.plot_mesh import draw_mesh, draw_modes
 from fenics_crack.fatigue.growth import Growth
 from fenics_crack.files.store import Stored, read, versions
 from fenics_crack.model.contact import friction_of
@@ -59,8 +46,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.monitoring.identification.report import Identified
 from fenics_crack.monitoring.tip_timing.fit_order import TipTrack
 from fenics_crack.monitoring.tip_timing.harmonics import TipFit
-from fenics_crack.monitoring.tip_timing.report import largest_blade
-from fenics_crack.monitoring.tip_timing.timing import Timing
+from fenics_crack.monitoring.tip_timing.timing import Timing, largest_blade
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene, unit_of
 from fenics_crack.scene.words import WHOLE, differences, given_values, key_in_words, value_in_words
@@ -85,7 +71,7 @@ NO_MESH = "no mesh: what would be drawn on one is left out"
 WHEN = "%d %B %Y, %H:%M %Z"
 
 
-def plot(given: Namespace, _: None, console: Console) -> None:
+def plot_results(given: Namespace, _: None, console: Console) -> None:
     """Pictures of results, of several curves in one, or of a scene's mesh; by rank 0."""
     first, labels = given.results[0], given.label
     is_scene = first.suffix.lower() == ".toml"
@@ -155,7 +141,7 @@ def _draw_scene(
     """Draw the mesh of a scene, which is made unless its structure is there; return the file."""
     file = folder / f"mesh.{kind}"
     structure = structure or prepare(scene, MPI.COMM_SELF, whole=True).structure
-    draw_mesh(structure, path=file, title=f"{structure.n_dofs} degrees of freedom")
+    plot_mesh.draw_mesh(structure, path=file, title=f"{structure.n_dofs} degrees of freedom")
     return file
 
 
@@ -165,7 +151,7 @@ def draw_modes_of(run: Run[Modes], file: Drawn) -> None:
         file.notes.append(NO_MESH)
         return
     words = "Mode shapes with the crack open. Without contact, so the crack faces may overlap."
-    draw_modes(run.result, path=file("modes", words))
+    plot_mesh.draw_modes(run.result, path=file("modes", words))
     if file.meshes:
         from fenics_crack.draw.vtk import write_modes  # VTK
 
@@ -189,13 +175,13 @@ def draw_solution(run: Run[PeriodicSolution], file: Drawn) -> None:
     how = {"path": file("solution_waves", words), "title": title}
     _waves(run, waves_of(run), found.omega, **how)
     words = "Amplitudes of the harmonics; enough are kept if the last are small."
-    draw_spectrum(found, dof, path=file("solution_spectrum", words), title=title)
+    plot.draw_spectrum(found, dof, path=file("solution_spectrum", words), title=title)
     words = "The motion in the phase plane; thick where the crack faces touch."
-    draw_orbits(found, dof, path=file("solution_orbits", words), title=title)
+    plot.draw_orbits(found, dof, path=file("solution_orbits", words), title=title)
     if friction_of(found.contact) is not None:
         heading = f"Friction, {frequency_in_words(run.scene, found.omega)}"
         words = "Friction force over the sliding of the crack faces; the area is the energy lost."
-        draw_friction_loops(found, path=file("solution_friction_loops", words), title=heading)
+        plot.draw_friction_loops(found, path=file("solution_friction_loops", words), title=heading)
     if run.scene.disk is not None:
         from fenics_crack.draw.plot_disk import draw_wheel
 
@@ -216,7 +202,7 @@ def _on_mesh(run: Run[PeriodicSolution], file: Drawn) -> None:
     if found.gap_coefficients.shape[1] > 1:
         heading = "Where and when the crack is closed"
         words = "Contact of the crack faces along the crack and over the period."
-        draw_contact_map(found, path=file("solution_contact_map", words), title=heading)
+        plot.draw_contact_map(found, path=file("solution_contact_map", words), title=heading)
     words = "One period, slowed down and magnified as stated above the plate."
     animate_period(found, file("solution_breathing_crack", words, "gif"), material=material)
     if file.meshes:
@@ -245,7 +231,7 @@ def _tips(run: Run[Any], file: Drawn, name: str) -> None:
         factor, unit = readable(float(found.effective.max()), "Pa m^0.5")
         title = f"Stress intensity, range while open {factor * found.effective.max():.4g} {unit}"
         words = "Stress intensity at the crack tips over the period."
-        draw_stress_intensity(found, path=file(name, words), title=title)
+        plot.draw_stress_intensity(found, path=file(name, words), title=title)
 
 
 def _waves(run: Run, found: Waves, omega: float | None, **where: Any) -> None:
@@ -253,11 +239,11 @@ def _waves(run: Run, found: Waves, omega: float | None, **where: Any) -> None:
     frequency [rad/s], else in seconds."""
     styles = itertools.cycle(STYLES)
     time, touch = found.time - found.time[0], "crack faces touch" if found.closings else None
-    waves = [Wave(run.watched_name, time, found.motion[:, 0])]
+    waves = [plot.Wave(run.watched_name, time, found.motion[:, 0])]
     for place, wave in found.closings.items():
-        waves.append(Wave(f"closing {place}", time, wave, *next(styles)))
+        waves.append(plot.Wave(f"closing {place}", time, wave, *next(styles)))
     period = None if omega is None else 2.0 * np.pi / omega
-    draw_waves(waves, quantity="displacement", period=period, zero=touch, **where)
+    plot.draw_waves(waves, quantity="displacement", period=period, zero=touch, **where)
 
 
 def draw_curve_of(run: Run[ResponseCurve], file: Drawn) -> None:
@@ -268,9 +254,9 @@ def draw_curve_of(run: Run[ResponseCurve], file: Drawn) -> None:
     if found.multipliers is None:
         words = "Response; its stability was not examined. Faint: large estimated error."
     path = file("curve", words)
-    draw_curve(found, dof, path=path, title=title, in_hertz=in_hertz, behind=without)
+    plot_curve.draw_curve(found, dof, path=path, title=title, in_hertz=in_hertz, behind=without)
     path = file("curve_content", "Amplitudes of the lowest harmonics.")
-    draw_content(found, dof, path=path, title=title, in_hertz=in_hertz)
+    plot_curve.draw_content(found, dof, path=path, title=title, in_hertz=in_hertz)
     if run.scene.disk is not None:
         from fenics_crack.draw.plot_disk import draw_blades
 
@@ -280,7 +266,7 @@ def draw_curve_of(run: Run[ResponseCurve], file: Drawn) -> None:
     if found.multipliers is not None:
         words = "The orbit is stable where the largest multiplier is below 1."
         title, path = "Largest Floquet multiplier along the curve", file("curve_multipliers", words)
-        draw_multipliers(found, path=path, title=title, in_hertz=in_hertz)
+        plot_curve.draw_multipliers(found, path=path, title=title, in_hertz=in_hertz)
 
 
 def _without_contact(run: Run[ResponseCurve]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
@@ -394,7 +380,7 @@ def draw_swept(
         curves, rings = (dict(zip(labels, part.T, strict=True)) for part in (values, doubtful))
         how: dict[str, Any] = {"over": scaled[0][1], "doubtful": rings, "unit": unit}
         path = file(base, sentence)
-        draw_response(scaled[0][0], curves, quantity=name, path=path, title=title, **how)
+        plot.draw_response(scaled[0][0], curves, quantity=name, path=path, title=title, **how)
     if not few or (len(axes) > 1 and min(values.shape) >= 4):
         (x, x_label), (y, y_label) = scaled
         factor, prefixed = 1.0, unit
@@ -403,7 +389,7 @@ def draw_swept(
         words: dict[str, Any] = {"x_label": x_label, "y_label": y_label}
         words["value_label"] = with_unit(name, prefixed)
         path = file(f"{base}_map", sentence)
-        draw_map(x, y, factor * values.T, doubtful=doubtful.T, path=path, title=title, **words)
+        plot.draw_map(x, y, factor * values.T, doubtful=doubtful.T, path=path, title=title, **words)
 
 
 def _axis_words(axis: Axis, values: np.ndarray) -> tuple[np.ndarray, str]:
@@ -492,8 +478,8 @@ def _draw_curves(stored: Sequence[Stored], labels: Sequence[str], folder: Path, 
     title = watched.pop() if len(watched) == 1 else None
     [panel] = picture = Picture(size=(7.0, 4.6), path=folder / f"overlay_curve.{kind}", title=title)
     for label, run, colour in zip(names, found, distinct_colours(len(found)), strict=True):
-        dof, in_hertz = run.watched_dof, run.scene.in_hertz
-        draw_curve(run.result, dof, axes=panel, label=label, colour=colour, in_hertz=in_hertz)
+        look = {"label": label, "colour": colour, "in_hertz": run.scene.in_hertz}
+        plot_curve.draw_curve(run.result, run.watched_dof, axes=panel, **look)
     picture.saved()
     return folder / f"overlay_curve.{kind}"
 

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 from textwrap import fill, wrap
-from typing import Any, TypedDict
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 from matplotlib import colormaps, rc_context, rc_params_from_file
@@ -81,8 +81,8 @@ class Picture:
         The panels of a new figure have one horizontal axis.
     comm : MPI.Comm
         Its rank 0 saves the figure.
-    axes, ax, path, title, legend
-        As of :class:`Where`.
+    where
+        As of every picture (:class:`Where`).
 
     Raises
     ------
@@ -99,17 +99,12 @@ class Picture:
         size: tuple[float, float] | None = None,
         sharex: bool = False,
         comm: MPI.Comm = MPI.COMM_SELF,
-        axes: Any = None,
-        ax: Any = None,
-        path: str | Path | None = None,
-        title: str | None = None,
-        legend: bool = True,
-        **others: Any,
+        **where: Unpack[Where],
     ) -> None:
-        check_options("pictures (labels and limits: of their axes)", others, Where.__annotations__)
-        self._path, self._title, self._comm = path, title, comm
-        self.legend = legend
-        axes = given_axes(axes, ax)
+        check_options("pictures (labels and limits: of their axes)", where, Where.__annotations__)
+        path, axes = where.get("path"), given_axes(where)
+        self._path, self._title, self._comm = path, where.get("title"), comm
+        self.legend = where.get("legend", True)
         if axes is None:
             with rc_context(STYLE):
                 figure = ShownFigure(figsize=size)
@@ -185,8 +180,9 @@ def tenth(vectors: np.ndarray, size: float) -> float:
     return float(0.1 * size / largest) if largest > 0.0 else 1.0
 
 
-def given_axes(axes: Any = None, ax: Any = None) -> Any:
+def given_axes(where: Where) -> Any:
     """The axes that are given by either name, or None."""
+    axes, ax = where.get("axes"), where.get("ax")
     if axes is not None and ax is not None:
         raise InputError("ax", "axes", "left out with axes: one of the two")
     return axes if ax is None else ax

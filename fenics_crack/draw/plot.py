@@ -473,7 +473,7 @@ def draw_spectrum(
     if not lengths:
         raise InputError("dof", None, "given where there is no contact pair")
     force = solution.force_coefficients.sum(axis=1)
-    axes = given_axes(where.get("axes"), where.get("ax"))
+    axes = given_axes(where)
     count = 1 + bool(np.any(force)) if axes is None else min(2, np.size(axes))
     size, comm = (7.0, 2.4 + 2.2 * count), solution.structure.comm
     picture = Picture(count, size=size, sharex=True, comm=comm, **where)
@@ -547,14 +547,14 @@ def draw_orbits(
     """
     time = np.linspace(0.0, solution.period, instants + 1)
     closed = solution.contact_force(time) > 0.0
-    orbits: list[tuple[Motion, int, np.ndarray, str, str]] = []
+    orbits: list[tuple[Motion, np.ndarray, str, str]] = []
     if solution.structure.n_pairs:
         pair = solution.structure.first_watched
-        closing = f"closing {solution.structure.where(pair)}"
-        orbits.append((solution.gap, pair, closed[:, pair], closing, "crack faces touch there"))
+        gap, name = lambda time: solution.gap(time)[:, pair], solution.structure.where(pair)
+        orbits.append((gap, closed[:, pair], f"closing {name}", "crack faces touch there"))
     if dof is not None:
         moved, name = partial(solution.displacement, dofs=[dof]), solution.structure.dof_name(dof)
-        orbits.append((moved, 0, np.any(closed, axis=1), name, "crack faces touch somewhere"))
+        orbits.append((moved, np.any(closed, axis=1), name, "crack faces touch somewhere"))
     if not orbits:
         raise InputError("dof", None, "given where there is no contact pair")
     count = len(orbits)
@@ -566,15 +566,13 @@ def draw_orbits(
 
 
 Motion = Callable[[np.ndarray], np.ndarray]
-"""Displacements at times [s], a column each, with the kinks of crack faces, which harmonics round
-off."""
+"""A displacement at times [s], with the kinks of crack faces, which harmonics round off."""
 
 
 def _orbit(
     axes: Axes,
     solution: PeriodicSolution,
     motion: Motion,
-    column: int,
     closed: np.ndarray,
     quantity: str,
     touching: str,
@@ -583,7 +581,7 @@ def _orbit(
     step = CENTRAL_STEP * solution.period
 
     def orbit_at(time: np.ndarray) -> np.ndarray:
-        before, now, after = (motion(time + by)[:, column] for by in (-step, 0.0, step))
+        before, now, after = (np.ravel(motion(time + by)) for by in (-step, 0.0, step))
         return np.array([now, (after - before) / (2.0 * step)])
 
     orbit = orbit_at(np.linspace(0.0, solution.period, len(closed)))

@@ -307,6 +307,10 @@ class PeriodFields:
         Of the displacement in pictures.
     material : Material or None
         For stresses.
+    has_one_load : bool
+        True if there is a load of which one arrow says something: not one on each blade.
+    colour : (str, str)
+        Name and unit of the field to colour by: with a material the von Mises stress.
     """
 
     def __init__(
@@ -331,16 +335,13 @@ class PeriodFields:
         parts = self.mesh.field(structure.force).reshape(len(structure.force), -1)
         load = evaluate(parts, solution.omega, self.time)
         self.load = load.reshape(self.displacement.shape)
+        one_frame = structure.nodes is None or structure.nodes.frames is None
+        self.has_one_load = bool(np.any(self.load)) and one_frame
+        self.colour = ("von Mises stress", "Pa") if material else ("displacement", "m")
         if self.mesh.dimension == 3 and structure.n_pairs:
             self.pair_nodes, self.shares = _of_patches(self.mesh, structure.pair_points)
         else:
             self.pair_nodes = self.shares = _nodes_of_pairs(structure)
-
-    @property
-    def has_one_load(self) -> bool:
-        """True if there is a load of which one arrow says something: not one on each blade."""
-        nodes = self.mesh.structure.nodes
-        return bool(np.any(self.load)) and (nodes is None or nodes.frames is None)
 
     @property
     def cracked(self) -> bool:
@@ -351,11 +352,6 @@ class PeriodFields:
     def moved(self) -> np.ndarray:
         """Places of the nodes by the magnified displacement: (n, n_nodes, d) [m]."""
         return self.mesh.points + self.magnification * self.displacement
-
-    @property
-    def colour(self) -> tuple[str, str]:
-        """Name and unit of the field to colour by: with a material the von Mises stress."""
-        return ("von Mises stress", "Pa") if self.material else ("displacement", "m")
 
     @cached_property
     def colour_values(self) -> np.ndarray:
@@ -397,9 +393,9 @@ class PeriodFields:
             fields["von Mises stress"] = von_mises(self.stress[frame])
         for name, values in fields.items():
             grid.point_data[name] = values.astype(np.float32)  # in half the time and space
-        if self.material is not None:
-            for component, axes in enumerate(COMPONENTS[self.mesh.dimension]):
-                grid.GetPointData().GetArray("stress").SetComponentName(component, axes)
+        stress = grid.GetPointData().GetArray("stress")
+        for component, axes in enumerate(COMPONENTS[self.mesh.dimension] if self.material else ()):
+            stress.SetComponentName(component, axes)
         grid.field_data["magnification"] = [self.magnification]
         return grid
 

@@ -40,8 +40,7 @@ import numpy as np
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.gmsh_process import gmsh
 from fenics_crack.basics.threads import machine_memory
-from fenics_crack.fem.crack_surface import Lips, Names
-from fenics_crack.fem.lips import Lip
+from fenics_crack.fem.cracks import Lip, Lips, Names
 from fenics_crack.kernel import Struct, kernel
 from fenics_crack.model.factor import factor_memory
 from fenics_crack.scene.scene import Scene
@@ -66,26 +65,25 @@ class Interval:
     progression: float
 
 
-@dataclass(frozen=True)
-class Slit:
-    """A crack in the blocks: its row, and the columns' ends at its own ends; which are tips."""
-
-    row: int
-    left: int
-    right: int
-    left_is_tip: bool
-    right_is_tip: bool
+Slit = tuple[int, range]
+"""A crack in the blocks: its row, and the columns along it. Its ends inside the plate are tips."""
 
 
-@dataclass(frozen=True)
 class _Half:
-    """A crack face from its coarse end (the mouth, or the middle of a crack inside) to a tip."""
+    """A crack face from its coarse end to a tip: ``lip_elements`` from a mouth, or half of them
+    from the middle of a crack inside, and ``ratio`` of neighbouring ones, towards the tip."""
 
-    coarse: float
-    tip: float
-    count: int
-    ratio: float  # of neighbouring elements, towards the tip
-    tip_size: float
+    def __init__(self, scene: Scene, coarse: float, tip: float) -> None:
+        mesh, (width, height) = scene.mesh, scene.geometry.sides
+        self.coarse, self.tip, self.count = coarse, tip, mesh.given("lip_elements")
+        if coarse not in (0.0, width):
+            self.count = -(-self.count // 2)
+        self.ratio = mesh.grading ** (-1.0 / max(self.count - 1, 1))
+        shares = self.ratio ** np.arange(self.count)
+        self.tip_size = float(abs(tip - coarse) * shares[-1] / shares.sum())
+        if self.tip_size < SMALLEST_CELL * max(width, height):
+            allowed = "smaller, for this crack: the element at its tip is only "
+            raise InputError("mesh.grading", mesh.grading, f"{allowed}{self.tip_size:.1g} m")
 
     def covers(self, start: float, stop: float) -> bool:
         """Return True if the face goes along an interval."""
@@ -125,14 +123,8 @@ def _plate_blocks(scene: Scene) -> tuple[list[Interval], list[Interval], list[Sl
         columns, rows = _graded_plate(scene, spans, levels)
     xs, ys = (np.array([side[0].start, *(i.stop for i in side)]) for side in (columns, rows))
     slits = [
-        Slit(
-            row=_nearest(ys, level),
-            left=_nearest(xs, span[0]),
-            right=_nearest(xs, span[1]),
-            left_is_tip=crack.edge != "left",
-            right_is_tip=crack.edge != "right",
-        )
-        for crack, span, level in zip(cracks, spans, levels, strict=True)
+        (_nearest(ys, level), range(*(_nearest(xs, end) for end in span)))
+        for span, level in zip(spans, levels, strict=True)
     ]
     return columns, rows, slits
 
@@ -164,8 +156,7 @@ def lip_pairs(scene: Scene) -> int:
     if crack is not None and crack.length is None:  # the only one
         return ((scene.mesh.lip_elements or 0) + 1) * order
     columns, _, slits = _plate_blocks(scene)
-    counts = [sum(column.count for column in columns[s.left : s.right]) for s in slits]
-    return sum(count * order for count in counts)
+    return sum(columns[place].count * order for _, along in slits for place in along)
 
 
 def _equal(extent: float, count: int, cuts: list[float]) -> list[Interval]:
@@ -196,77 +187,53 @@ def _graded_plate(
     fine: list[tuple[float, float]] = []
     for (left, right), level in zip(spans, levels, strict=True):
         mouth = left if left == 0.0 else right if right == width else 0.5 * (left + right)
-        own = [_half(scene, mouth, tip) for tip in (left, right) if tip != mouth]
+        own = [_Half(scene, mouth, tip) for tip in (left, right) if tip != mouth]
         fine.append((level, min(half.tip_size for half in own)))
         halves += own
     tips = [(half.tip, half.tip_size) for half in halves]
-    return (_Side(width, tips, halves, size).intervals(), _Side(height, fine, [], size).intervals())
+    return _side(width, tips, halves, size), _side(height, fine, [], size)
 
 
-def _half(scene: Scene, coarse: float, tip: float) -> _Half:
-    """A crack face of ``lip_elements`` from a mouth, or of half of them from the middle of a
-    crack."""
-    mesh, (width, height) = scene.mesh, scene.geometry.sides
-    count = mesh.given("lip_elements")
-    if coarse not in (0.0, width):
-        count = -(-count // 2)
-    ratio = mesh.grading ** (-1.0 / max(count - 1, 1))
-    shares = ratio ** np.arange(count)
-    tip_size = float(abs(tip - coarse) * shares[-1] / shares.sum())
-    if tip_size < SMALLEST_CELL * max(width, height):
-        allowed = f"smaller, for this crack: the element at its tip is only {tip_size:.1g} m"
-        raise InputError("mesh.grading", mesh.grading, allowed)
-    return _Half(coarse, tip, count, ratio, tip_size)
+def _side(
+    extent: float, tips: list[tuple[float, float]], halves: list[_Half], size: float
+) -> list[Interval]:
+    """A side with elements of given lengths at its tips (or cracks), (place, length) each, along
+    its crack faces, and elsewhere."""
+    # Places no farther apart are one; cracks and tips are farther from the plate's edges.
+    nearest = SMALLEST_CELL * extent
 
+    def tip_sizes(place: float) -> list[float]:
+        return [length for tip, length in tips if abs(tip - place) <= nearest]
 
-@dataclass(frozen=True)
-class _Side:
-    """A side with elements of given lengths at its tips (or cracks), and along its crack faces."""
+    def length(place: float, over: list[_Half]) -> float:
+        """Length of elements at a place of an interval along which some crack faces go."""
+        return min(([half.size(place) for half in over] or [size]) + tip_sizes(place))
 
-    extent: float
-    tips: list[tuple[float, float]]  # place, length of an element there
-    halves: list[_Half]
-    size: float  # elsewhere
-
-    @property
-    def nearest(self) -> float:
-        """Places no farther apart are one; cracks and tips are farther from the plate's edges."""
-        return SMALLEST_CELL * self.extent
-
-    def intervals(self) -> list[Interval]:
-        places = [0.0]
-        cuts = [place for place, _ in self.tips] + [half.coarse for half in self.halves]
-        for place in sorted([*cuts, self.extent]):
-            if place - places[-1] > self.nearest:
-                places.append(place)
-        return [part for ends in pairwise(places) for part in self._parts(*ends)]
-
-    def _parts(self, start: float, stop: float) -> list[Interval]:
+    def parts(start: float, stop: float) -> list[Interval]:
         """Intervals between two neighbouring places: one, or two that meet half-way."""
-        over = [half for half in self.halves if half.covers(start, stop)]
+        over = [half for half in halves if half.covers(start, stop)]
         for half in over if len(over) == 1 else ():
             ends = sorted((half.coarse, half.tip))
-            if max(abs(ends[0] - start), abs(ends[1] - stop)) <= self.nearest:
+            if max(abs(ends[0] - start), abs(ends[1] - stop)) <= nearest:
                 ratio = half.ratio if half.tip > half.coarse else 1.0 / half.ratio
                 return [Interval(start, stop, half.count, ratio)]
-        first, last = self._size(start, over), self._size(stop, over)
-        if not (self._tip_sizes(start) and self._tip_sizes(stop)):
+        first, last = length(start, over), length(stop, over)
+        if not (tip_sizes(start) and tip_sizes(stop)):
             return [_between(start, stop, first, last, over)]
         middle = 0.5 * (start + stop)
         largest = max(first, last, GROWTH * 0.5 * (stop - start))
-        between = min(largest, self._size(middle, over))
+        between = min(largest, length(middle, over))
         return [
             _between(start, middle, first, between, over),
             _between(middle, stop, between, last, over),
         ]
 
-    def _tip_sizes(self, place: float) -> list[float]:
-        return [size for tip, size in self.tips if abs(tip - place) <= self.nearest]
-
-    def _size(self, place: float, over: list[_Half]) -> float:
-        """Length of elements at a place of an interval along which some crack faces go."""
-        asked = [half.size(place) for half in over] or [self.size]
-        return min(asked + self._tip_sizes(place))
+    places = [0.0]
+    cuts = [place for place, _ in tips] + [half.coarse for half in halves]
+    for place in sorted([*cuts, extent]):
+        if place - places[-1] > nearest:
+            places.append(place)
+    return [part for ends in pairwise(places) for part in parts(*ends)]
 
 
 def _between(start: float, stop: float, first: float, last: float, over: list[_Half]) -> Interval:
@@ -301,11 +268,11 @@ def draw_plate(scene: Scene) -> tuple[Names, Lips]:
     of its cracks."""
     groups = _draw_blocks(scene)
     if scene.has_element_lengths:
-        rim = Rim.of(scene)
+        rim = Rim(scene)
         of_group = gmsh.model.getEntitiesForPhysicalGroup
         left, right = (of_group(1, *groups[name]).tolist() for name in RIM_SIDES)
         rim.match(0, left, right)
-        _mesh_graded(scene, [*_gradings(scene), *rim.gradings(scene)])
+        _mesh_graded(scene, [*_gradings(scene), *rim.gradings()])
         gmsh.model.mesh.setPeriodic(1, right, right, np.eye(4).ravel().tolist())  # no more
     else:
         gmsh.model.mesh.generate(2)
@@ -326,7 +293,7 @@ def _draw_blocks(scene: Scene) -> dict[str, tuple[int, ...]]:
     """Draw the plate, set how curves and surfaces are divided; return the tags of its sides."""
     columns, rows, slits = _plate_blocks(scene)
     cells: float = math.prod(sum(interval.count for interval in side) for side in (columns, rows))
-    rim = None if scene.disk is None else Rim.of(scene)
+    rim = None if scene.disk is None else Rim(scene)
     if rim is not None:
         cells += rim.area / _length(scene) ** 2
     key = "columns" if scene.mesh.layout == "grid" else "size"
@@ -340,16 +307,17 @@ def _draw_blocks(scene: Scene) -> dict[str, tuple[int, ...]]:
         for i, x in enumerate(xs)
         for j, y in enumerate(ys)
     }
+    last = len(columns)  # and the first one are at edges, where no tip is
     doubled = [
-        (i, s.row)
-        for s in slits
-        for i in range(s.left + s.left_is_tip, s.right + 1 - s.right_is_tip)
+        (i, row)
+        for row, along in slits
+        for i in range(along.start + (along.start > 0), along.stop + (along.stop == last))
     ]
     over = {(i, j): add_point(xs[i], ys[j], 0.0) for i, j in doubled}
     above = points | over  # of the blocks over a crack
 
     horizontal, vertical = {}, {}
-    faces = {(i, s.row): columns[i] for s in slits for i in range(s.left, s.right)}
+    faces = {(i, row): columns[i] for row, along in slits for i in along}
     if scene.has_element_lengths:  # on the faces of cracks alone they are counted
         columns, rows = ([replace(part, count=0) for part in side] for side in (columns, rows))
     for i, column in enumerate(columns):
@@ -368,7 +336,7 @@ def _draw_blocks(scene: Scene) -> dict[str, tuple[int, ...]]:
     foot = [horizontal[i, 0] for i in range(len(columns))]
     sides: dict[str, tuple[int, list[int]]] = {"clamp": (1, foot)}
     if rim is not None:
-        sides = rim.draw(scene, [points[i, 0] for i in range(len(xs))], foot, columns, surfaces)
+        sides = rim.draw([points[i, 0] for i in range(len(xs))], foot, columns, surfaces)
     _divide(scene, surfaces)
 
     left, right = ([vertical[i, j] for j in range(len(rows))] for i in (0, len(columns)))
@@ -431,7 +399,6 @@ RIM_SIDES = ("rim_left", "rim_right")
 """Names of the sides of a sector made here: "left" and "right" are those of its blade."""
 
 
-@dataclass(frozen=True)
 class Rim:
     """The part of a disk's rim that belongs to one blade, between two circles around the axis.
 
@@ -445,21 +412,12 @@ class Rim:
         Half of the angle of a sector.
     """
 
-    middle: float
-    axis: float
-    inner: float
-    outer: float
-    half: float
-
-    @classmethod
-    def of(cls, scene: Scene) -> Rim:
-        """Of a scene whose sector is made here."""
-        disk = scene.disk
-        assert disk is not None
-        (_, along, through), across = scene.axis[0], 0 if scene.dimension == 2 else 2
-        middle = through if across else scene.axis[0][0]
-        radii = disk.given("inner_radius"), disk.given("outer_radius")
-        return cls(float(middle), float(along), *radii, math.pi / disk.sectors)
+    def __init__(self, scene: Scene) -> None:
+        """Take a scene whose sector is made here."""
+        self.scene, disk, place = scene, scene.given("disk"), scene.axis[0]
+        self.middle, self.axis = float(place[0 if scene.dimension == 2 else 2]), float(place[1])
+        self.inner, self.outer = disk.given("inner_radius"), disk.given("outer_radius")
+        self.half = math.pi / disk.sectors
 
     @property
     def area(self) -> float:
@@ -492,10 +450,10 @@ class Rim:
         whole: list[tuple[int, int]] = occ.fuse(rim, blade)[0]
         return whole
 
-    def gradings(self, scene: Scene) -> list[_Grading]:
+    def gradings(self) -> list[_Grading]:
         """Lengths of elements around the corners between the blade and the rim, where stress is
         infinite: the shorter, and the less growing, the smaller ``mesh.size`` is."""
-        (width, _), size = scene.geometry.sides, scene.mesh.given("size")
+        (width, _), size = self.scene.geometry.sides, self.scene.mesh.given("size")
         ends, none = np.array([0.0, width]), np.zeros(2)
         return [_Grading(ends, none, self.foot(0.0), AT_CORNER * size, size / width)]
 
@@ -519,15 +477,10 @@ class Rim:
         gmsh.model.mesh.setPeriodic(1 + across // 2, right, left, turn.ravel().tolist())
 
     def draw(
-        self,
-        scene: Scene,
-        feet: list[int],
-        below: list[int],
-        columns: list[Interval],
-        surfaces: list[int],
+        self, feet: list[int], below: list[int], columns: list[Interval], surfaces: list[int]
     ) -> dict[str, tuple[int, list[int]]]:
         """Draw it below the curves of a plate's lower edge, in blocks; its named curves."""
-        size, geo = _length(scene), gmsh.model.geo
+        size, geo = _length(self.scene), gmsh.model.geo
         around = self.half - math.asin((columns[-1].stop - self.middle) / self.outer)
         lengths = self.outer * around, self.outer - self.inner
         counts = [max(1, round(length / size)) if columns[0].count else 0 for length in lengths]
@@ -590,7 +543,7 @@ def _draw_solid(scene: Scene) -> None:
     _check_size(scene, gradings)
     width, height, thickness = scene.geometry.sides
     occ = gmsh.model.occ
-    rim = None if scene.disk is None else Rim.of(scene)
+    rim = None if scene.disk is None else Rim(scene)
     if rim is None:
         box = [(3, occ.addBox(0.0, 0.0, 0.0, width, height, thickness))]
     else:
@@ -730,7 +683,7 @@ def _gradings(scene: Scene) -> list[_Grading]:
     for crack in scene.all_cracks.values():
         count = mesh.given("lip_elements")
         if crack.edge is None and scene.dimension == 2:
-            count = -(-count // 2)  # as :func:`_half`
+            count = -(-count // 2)  # as of :class:`_Half`
         middle, half = _ellipse(crack, width)
         reach = min(half, crack.depth or half)
         growth = mesh.grading ** (1.0 / max(count - 1, 1))
@@ -745,7 +698,7 @@ def _check_size(scene: Scene, gradings: list[_Grading]) -> None:
     size = scene.mesh.given("size")
     volume = math.prod(scene.geometry.sides)
     if scene.disk is not None:
-        volume += Rim.of(scene).area * scene.geometry.sides[0]
+        volume += Rim(scene).area * scene.geometry.sides[0]
     bulk = PER_VOLUME * volume / size**3
     fronts = sum(grading.cells(size) for grading in gradings)
     key, shortest = "size", ""

@@ -46,9 +46,8 @@ from fenics_crack.basics.ranks import collect_garbage, gather_rows, on_each, on_
 from fenics_crack.basics.untrusted_files import text_of
 from fenics_crack.fem import compat
 from fenics_crack.fem.compat import ufl
-from fenics_crack.fem.crack_surface import Lips
+from fenics_crack.fem.cracks import LIP_TAGS, SAME, Lips, along
 from fenics_crack.fem.elasticity import constants, rotation_of, stress, thickness
-from fenics_crack.fem.lips import LIP_TAGS, SAME, along
 from fenics_crack.fem.loads import assemble_loads, clamp_of
 from fenics_crack.fem.matrix_files import read_structure
 from fenics_crack.fem.msh_file import check_there

@@ -77,17 +77,15 @@ def stress(scene: Scene, space: Any, strain: Any) -> Any:
     return young / (1.0 + poisson) * (strain + spread)
 
 
-def rotation_of(
-    scene: Scene,
-    dofs: Dofs,
-    at_rest: Structure,
-    static: Callable[[np.ndarray], np.ndarray] | None = None,
-) -> Rotation:
-    """Assemble what the rotation of a scene adds to its structure at rest (collective).
+Static = Callable[[np.ndarray], np.ndarray]
+"""Displacement (n_local,) under a constant load on each sector of a wheel."""
 
-    ``static`` gives the displacement (n_local,) under a constant load on each sector of a wheel;
-    without it the structure is on its own."""
-    assert scene.rotation is not None
+
+def rotation_of(
+    scene: Scene, dofs: Dofs, at_rest: Structure, static: Static | None = None
+) -> Rotation:
+    """Assemble what the rotation of a scene adds to its structure at rest, of a wheel with its
+    ``static`` displacement (collective)."""
     space, size, (place, axis) = dofs.space, scene.dimension, scene.axis
     across = (np.eye(3) - np.outer(axis, axis))[:size, :size]
     density, center, normal = constants(space, scene.material.density, place[:size], across)
@@ -124,4 +122,4 @@ def rotation_of(
     first = weighted_sum(geometric, -1.0, softening)
     geometric.destroy()
     softening.destroy()
-    return Rotation(at_rest, first, (second, third), load, scene.rotation.speed)
+    return Rotation(at_rest, first, (second, third), load, scene.given("rotation").speed)

@@ -20,9 +20,8 @@ from fenics_crack.basics.ranks import collect_garbage, gather_rows, on_each
 from fenics_crack.fem import compat
 from fenics_crack.fem.build import pair_lips
 from fenics_crack.fem.compat import dolfinx
-from fenics_crack.fem.crack_surface import cracks_between
+from fenics_crack.fem.cracks import LIP_TAGS, cracks_between, find_lips
 from fenics_crack.fem.elasticity import constants
-from fenics_crack.fem.lips import LIP_TAGS, find_lips
 from fenics_crack.fem.plate import Dofs, PlateMesh
 
 CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")

@@ -30,8 +30,8 @@ from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.fem import compat
 from fenics_crack.fem.compat import dolfinx, ufl
+from fenics_crack.fem.cracks import LIP_TAGS, Lip
 from fenics_crack.fem.elasticity import constants, stress
-from fenics_crack.fem.lips import LIP_TAGS, Lip
 from fenics_crack.fem.plate import Dofs
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene

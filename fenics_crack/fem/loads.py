@@ -108,8 +108,7 @@ def parts_of(scene: Scene) -> list[Vector]:
 def of_wave(load: Excitation, dimension: int) -> tuple[np.ndarray, float]:
     """Mean and harmonics of a load's table of one period (2K+1, dimension), and what they leave out
     of it, relative."""
-    assert load.wave is not None
-    return read_wave(load.name_of("wave"), load.wave, load.wave_harmonics, dimension)
+    return read_wave(load.name_of("wave"), load.given("wave"), load.wave_harmonics, dimension)
 
 
 def _unit(parts: Sequence[Vector]) -> Vector:
@@ -182,9 +181,9 @@ def _at_nodes(dofs: Dofs, share: np.ndarray, vector: Vector) -> np.ndarray:
 
 def _edge_force(scene: Scene, dofs: Dofs, key: str, load: Load) -> np.ndarray:
     """Tractions and pressures on an edge as consistent nodal forces: (2K+1, n_dofs)."""
-    assert load.edge is not None
-    check_choice(f"{key}.edge", load.edge, sorted(set(dofs.plate.groups) - {"clamp"}))
-    edge = dofs.plate.along(load.edge)
+    name = load.given("edge")
+    check_choice(f"{key}.edge", name, sorted(set(dofs.plate.groups) - {"clamp"}))
+    edge = dofs.plate.along(name)
     test, t = ufl.TestFunction(dofs.space), thickness(scene, dofs.space)
     x = ufl.as_vector(np.eye(dofs.dimension)[0].tolist())
     along_x = compat.assembled_vector(t * ufl.inner(x, test) * edge)

@@ -19,7 +19,7 @@ points from the side of a to that of b.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +31,7 @@ from scipy.linalg import eigh
 from fenics_crack.basics.atomic_files import replace_files
 from fenics_crack.basics.errors import InputError, reading
 from fenics_crack.basics.ranks import on_each, on_root
-from fenics_crack.fem.crack_surface import FACETS
-from fenics_crack.fem.lips import SAME, each_once
+from fenics_crack.fem.cracks import FACETS, SAME, each_once
 from fenics_crack.fem.model_files import Model, read_model
 from fenics_crack.model.factor import distributed, local_rows
 from fenics_crack.model.matrices import (
@@ -84,7 +83,7 @@ def read_structure(scene: Scene, rule: DampingRule | None, comm: MPI.Comm) -> St
 
 
 def _made(scene: Scene, table: Table, rule: DampingRule | None, comm: MPI.Comm) -> Structure:
-    read, columns, model = on_each(comm, lambda: _read_files(table))
+    read, columns, model = on_each(comm, lambda: _read(table))
     stiffness = read["stiffness"].matrix
     parts: dict[str, Any] = {"gap": None, "damping": rule}
     parts |= {name: one.matrix for name, one in read.items()}
@@ -125,21 +124,11 @@ def _made(scene: Scene, table: Table, rule: DampingRule | None, comm: MPI.Comm) 
     return Structure.from_matrices(**parts, comm=comm).placed(nodes, pairs)
 
 
-def _read_files(table: Table) -> tuple[dict[str, LabelledMatrix], dict[str, Any], Model | None]:
-    """The matrices, the columns with a row for each dof, and the model, if there is one."""
-    read, model = _read(table), None
-    if table.model is not None:
-        with reading("model", table.model, "the input file of the matrices' program"):
-            model = read_model(Path(table.model))
-    rows = read["stiffness"].matrix.shape[0]
-    given = {name: path for name in ROW_FILES if (path := getattr(table, name)) is not None}
-    return read, {name: whole_rows(name, Path(path), rows) for name, path in given.items()}, model
-
-
-def _read(table: Table) -> dict[str, LabelledMatrix]:
-    """The matrices of a table, with the rows of its stiffness."""
+def _read(table: Table) -> tuple[dict[str, LabelledMatrix], dict[str, Any], Model | None]:
+    """The matrices of a table, with the rows of its stiffness, the columns with a row for each dof,
+    and the model, if there is one."""
     labels, found = None if table.dofs is None else Path(table.dofs), {}
-    rows: int | None = None
+    rows, model = None, None
     for name, letter in MATRIX_LETTERS.items():
         if (path := getattr(table, name)) is not None:
             with reading(name, path, "a matrix of Matrix Market, CalculiX, Abaqus or Nastran"):
@@ -155,7 +144,12 @@ def _read(table: Table) -> dict[str, LabelledMatrix]:
             where = "node {}, direction {}".format(*stiffness.labels[empty[0]])
         allowed = "positive definite: rows without mass have to be condensed beforehand"
         raise InputError("mass", f"no mass at {where}", allowed)
-    return found
+    if table.model is not None:
+        with reading("model", table.model, "the input file of the matrices' program"):
+            model = read_model(Path(table.model))
+    given = {name: path for name in ROW_FILES if (path := getattr(table, name)) is not None}
+    rows = stiffness.matrix.shape[0]
+    return found, {name: whole_rows(name, Path(path), rows) for name, path in given.items()}, model
 
 
 def _by_nodes(
@@ -343,9 +337,8 @@ def coincident(points: np.ndarray) -> np.ndarray:
     return np.asarray(found[np.lexsort(found.T[::-1])])
 
 
-@dataclass(frozen=True)
 class _Lips:
-    """Nodes of a model that exist twice, and what surrounds them.
+    """Nodes of a model that exist twice and are not joined, and what surrounds them.
 
     ``points`` (n, 3) of all nodes, and their ``dofs`` (n, 3), of so many ``rows``; ``first`` and
     ``second``: the two nodes of each pair; ``split``: the pair of each node, -1 where it has none;
@@ -353,15 +346,35 @@ class _Lips:
     of a place where one of two has no dofs, held or tied by equations.
     """
 
-    points: np.ndarray
-    dofs: np.ndarray
-    rows: int
-    first: np.ndarray
-    second: np.ndarray
-    split: np.ndarray
-    place: np.ndarray
-    joined: sparse.csr_matrix
-    torn: np.ndarray
+    def __init__(self, model: Model, dofs: np.ndarray, stiffness: sparse.csr_matrix) -> None:
+        n, pairs = len(dofs), coincident(model.points)
+        self.points, self.dofs, self.rows = model.points, dofs, stiffness.shape[0]
+        node = np.full(self.rows, n)
+        node[dofs[dofs >= 0]] = np.nonzero(dofs >= 0)[0]
+        entries = stiffness.tocoo()
+        at = node[entries.row].astype(np.int64), node[entries.col]
+        links = np.ones(len(entries.data), bool), at
+        self.joined = sparse.csr_matrix(links, (n + 1, n + 1))[:n, :n]
+        free = np.any(dofs >= 0, axis=1)
+        both = free[pairs].all(axis=1) & ~np.isin(n * pairs[:, 0] + pairs[:, 1], n * at[0] + at[1])
+        self.place = np.arange(n)
+        self.place[pairs[:, 1]] = pairs[:, 0]
+        self.torn = np.zeros(n, dtype=bool)
+        self.torn[pairs[free[pairs[:, 0]] != free[pairs[:, 1]]]] = True
+        self.first, self.second = pairs[both].T
+        nodes, uses = np.unique(np.append(self.first, self.second), return_counts=True)
+        if np.any(uses > 1):
+            most = nodes[np.argmax(uses)]
+            where = "({:g}, {:g}, {:g}), one of them {}".format(
+                *model.points[most], model.labels[most]
+            )
+            allowed = "one with two nodes at each place of a crack: cracks neither branch nor cross"
+            raise InputError("model", f"more than two nodes at {where}", allowed)
+        if not len(self.first):
+            found = f"{len(pairs)} nodes in the same place as another, all of them joined or held"
+            raise InputError("model", found, "one with two nodes at each place of a crack's faces")
+        self.split = np.full(n, -1)
+        self.split[self.first] = self.split[self.second] = np.arange(len(self.first))
 
 
 def find_pairs(
@@ -385,7 +398,7 @@ def find_pairs(
     InputError
         There are no two nodes in the same place, or three; or they do not tell a crack's sides.
     """
-    lips = _doubled(model, dofs, stiffness)
+    lips = _Lips(model, dofs, stiffness)
     facets = _lip_facets(model, lips)
     if facets:
         gap, areas, chosen, fronts = _of_patches(lips, facets)
@@ -409,36 +422,6 @@ def find_pairs(
         dict(zip(names, last.tolist(), strict=True)),
     )  # fmt: skip
     return gap[:, order], pairs
-
-
-def _doubled(model: Model, dofs: np.ndarray, stiffness: sparse.csr_matrix) -> _Lips:
-    """Nodes that exist twice and are not joined."""
-    n, pairs = len(dofs), coincident(model.points)
-    node = np.full(stiffness.shape[0], n)
-    node[dofs[dofs >= 0]] = np.nonzero(dofs >= 0)[0]
-    entries = stiffness.tocoo()
-    at = node[entries.row].astype(np.int64), node[entries.col]
-    joined = sparse.csr_matrix((np.ones(len(entries.data), bool), at), (n + 1, n + 1))[:n, :n]
-    free = np.any(dofs >= 0, axis=1)
-    both = free[pairs].all(axis=1) & ~np.isin(n * pairs[:, 0] + pairs[:, 1], n * at[0] + at[1])
-    place = np.arange(n)
-    place[pairs[:, 1]] = pairs[:, 0]
-    torn = np.zeros(n, dtype=bool)
-    torn[pairs[free[pairs[:, 0]] != free[pairs[:, 1]]]] = True
-    first, second = pairs[both].T
-    nodes, uses = np.unique(np.append(first, second), return_counts=True)
-    if np.any(uses > 1):
-        where = "({:g}, {:g}, {:g})".format(*model.points[nodes[np.argmax(uses)]])
-        label = model.labels[nodes[np.argmax(uses)]]
-        allowed = "one with two nodes at each place of a crack: cracks neither branch nor cross"
-        raise InputError("model", f"more than two nodes at {where}, one of them {label}", allowed)
-    if not len(first):
-        found = f"{len(pairs)} nodes in the same place as another, all of them joined or held"
-        raise InputError("model", found, "one with two nodes at each place of a crack's faces")
-    split = np.full(n, -1)
-    split[first] = split[second] = np.arange(len(first))
-    rows = stiffness.shape[0]
-    return _Lips(model.points, dofs, rows, first, second, split, place, joined, torn)
 
 
 def _cracks(lips: _Lips, chosen: np.ndarray) -> np.ndarray:

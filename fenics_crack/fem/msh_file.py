@@ -5,7 +5,7 @@ gmsh runs what it does not know as a script, decides by the name of a file what 
 if the file begins as a mesh does.
 
 A mesh of a plate or of a solid comes as nodes, cells and named facets: curves, or surfaces. Nodes
-along a crack are doubled here (:mod:`fenics_crack.fem.crack_surface`), whether gmsh's plugin
+along a crack are doubled here (:mod:`fenics_crack.fem.cracks`), whether gmsh's plugin
 "Crack" has done it already or not. Every cell, facet and point is put into gmsh's current model
 once. Facets with several names are in a physical group for each combination of these.
 
@@ -31,16 +31,21 @@ import scipy.sparse as sparse
 from fenics_crack.basics.errors import InputError, reading
 from fenics_crack.basics.gmsh_process import gmsh
 from fenics_crack.basics.untrusted_files import beginning_of, copied, run_reader
-from fenics_crack.fem.crack_surface import (
+from fenics_crack.fem.cracks import (
     FACETS,
+    LIP_TAGS,
+    SAME,
     Cells,
     Lips,
     Names,
     cracks_between,
+    each_once,
+    find_lips,
     joined,
+    require,
+    rows_in,
     split_cracks,
 )
-from fenics_crack.fem.lips import LIP_TAGS, SAME, each_once, find_lips, rows_in
 
 Group = tuple[int, int, str, int, np.ndarray]
 """Dimension, tag and name, and elements of one kind: gmsh's number of it and the nodes."""
@@ -110,7 +115,7 @@ def put(given: Given, dimension: int) -> tuple[Names, Lips]:
         cells, places = replace(cells, nodes=nodes), positions[:, :dimension]
     sides = [facets[name][:, : cells.facets.shape[1]] for name in LIP_TAGS if name in facets]
     allowed = "one with both 'lower_lip' and 'upper_lip', or with 'crack', or none of them"
-    _require(len(sides) != 1, "one lip", allowed)
+    require(len(sides) != 1, "one lip", allowed)
     lips: Lips = ()
     if sides and dimension == 2:
         lips = find_lips(sides[0], sides[1], places)
@@ -125,11 +130,6 @@ def put(given: Given, dimension: int) -> tuple[Names, Lips]:
     _fill_model(positions, every + points)
     single = {name: np.unique(places[own], axis=0) for _, _, name, _, own in points}
     return (tags, {n: tuple(own[0].tolist()) for n, own in single.items() if len(own) == 1}), lips
-
-
-def _require(condition: object, found: str, allowed: str) -> None:
-    if not condition:
-        raise InputError("mesh", found, allowed)
 
 
 # --- what a file holds ----------------------------------------------------------------------------
@@ -180,29 +180,29 @@ def _one_kind(
     held, side = _GROUPS[dimension]
     if dimension == 2:
         flat = len(positions) > 0 and np.ptp(positions[:, 2]) == 0.0
-        _require(flat, "no plane mesh", "a plane mesh, z the same at every node")
+        require(flat, "no plane mesh", "a plane mesh, z the same at every node")
     kinds = {kind for own, _, _, kind, _ in groups if own == dimension}
     allowed = (
         "one of tetrahedra, or of hexahedra with 27 nodes: the load of a unit pressure is negative "
         "at corners of these"
     )
-    _require(kinds.isdisjoint((17, 29)), "hexahedra with 20 nodes", allowed)
+    require(kinds.isdisjoint((17, 29)), "hexahedra with 20 nodes", allowed)
     known = len(kinds) == 1 and kinds <= _KINDS[dimension].keys()
-    _require(known, f"{len(kinds)} kinds of cells", f"one whose physical {held}")
+    require(known, f"{len(kinds)} kinds of cells", f"one whose physical {held}")
     kind = kinds.pop()
     numbers, first = np.unique(numbers, return_index=True)
     raw = np.concatenate([nodes for own, *_, nodes in groups if own == dimension])
     used, places = np.unique(raw, return_inverse=True)
-    _require(np.isin(used, numbers).all(), "cells with nodes that do not exist", "a whole file")
+    require(np.isin(used, numbers).all(), "cells with nodes that do not exist", "a whole file")
     nodes = places.reshape(-1, gmsh.model.mesh.getElementProperties(kind)[3])
     nodes = nodes[np.sort(each_once(nodes)[0])]
     ordered = np.sort(nodes, axis=1)
     twice = np.any(ordered[:, 1:] == ordered[:, :-1])
-    _require(not twice, "a cell with a node twice", "one whose cells have different nodes")
+    require(not twice, "a cell with a node twice", "one whose cells have different nodes")
     facets, points = _named(groups, {0: _POINT, dimension - 1: _KINDS[dimension][kind]}, used)
     there = f"{side}s named {', '.join(map(repr, facets))}" if facets else f"no {side} has a name"
     allowed = f"one with a physical {side} named 'clamp'"
-    _require("clamp" in facets, f"no clamp; {there}", allowed)
+    require("clamp" in facets, f"no clamp; {there}", allowed)
     at = positions[first][np.searchsorted(numbers, used)]
     return kind, cells_of(kind, nodes), at, facets, points
 
@@ -217,13 +217,13 @@ def _named(
         if name and dimension in kinds:
             fits = kind == kinds[dimension] and np.isin(nodes, used).all()
             allowed = "one whose named groups hold facets, and corners, of its cells"
-            _require(fits, f"other elements in the group {name!r}", allowed)
+            require(fits, f"other elements in the group {name!r}", allowed)
             size = gmsh.model.mesh.getElementProperties(kind)[3]
             rows = np.searchsorted(used, nodes).reshape(-1, size)
             found.setdefault((dimension, name), []).append(rows)
     merged = {key: np.concatenate(rows) for key, rows in found.items()}
     loads = len(merged.get((0, "load"), [0]))
-    _require(loads == 1, f"{loads} points in the group 'load'", "one with one")
+    require(loads == 1, f"{loads} points in the group 'load'", "one with one")
     facets = {name: rows for (dimension, name), rows in merged.items() if dimension}
     points = {name: rows[:, 0] for (dimension, name), rows in merged.items() if not dimension}
     return facets, [(0, n, name, _POINT, own) for n, (name, own) in enumerate(points.items(), 1)]
@@ -319,9 +319,12 @@ def check_cells(kind: int, cells: Cells, places: np.ndarray) -> None:
     lie on one side of the facet that they share; ``places`` (n_nodes, d) [m] are those of all
     nodes."""
     dimension, part = places.shape[1], _FACET[places.shape[1]]
-    least, most, smallest = _determinants(kind, cells.nodes, places)
-    here, largest = places[cells.nodes], np.maximum(-least, most)
-    size = np.ptp(here, axis=1).max(axis=1) ** dimension
+    here, at = places[cells.nodes], _places_in(kind)
+    gradients = _functions(kind, at, "GradLagrange").reshape(len(at), len(at), 3)[..., :dimension]
+    # Jacobian determinants at the nodes of each cell [m^d].
+    every = np.array([np.linalg.det(here.swapaxes(1, 2) @ gradient) for gradient in gradients])
+    least, most, smallest = every.min(axis=0), every.max(axis=0), np.abs(every).min(axis=0)
+    size, largest = np.ptp(here, axis=1).max(axis=1) ** dimension, np.maximum(-least, most)
     extent = ("area", "volume")[dimension - 2]
     # In a plane a corner may have 180 degrees.
     flat = (largest if dimension == 2 else smallest) <= DEGENERATE * size
@@ -343,19 +346,6 @@ def check_cells(kind: int, cells: Cells, places: np.ndarray) -> None:
     ):
         if np.any(wrong):
             raise _refusal(found, corners[np.argmax(wrong)].mean(axis=0), allowed)
-
-
-def _determinants(
-    kind: int, cells: np.ndarray, places: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Least and largest of the Jacobian determinants at the nodes of each cell, as gmsh numbers a
-    kind, and the one of least size: (n_cells,) each [m^d]."""
-    at = _places_in(kind)
-    gradients = _functions(kind, at, "GradLagrange").reshape(len(at), len(at), 3)
-    gradients = gradients[:, :, : places.shape[1]]
-    here = places[cells].swapaxes(1, 2)
-    every = np.array([np.linalg.det(here @ gradient) for gradient in gradients])
-    return every.min(axis=0), every.max(axis=0), np.abs(every).min(axis=0)
 
 
 def _check_inside(cells: Cells, surfaces: dict[str, np.ndarray], cracks: list[str]) -> None:

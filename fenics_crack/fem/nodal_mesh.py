@@ -8,8 +8,7 @@ import numpy as np
 
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import gather_rows
-from fenics_crack.fem.crack_surface import FACETS
-from fenics_crack.fem.lips import each_once
+from fenics_crack.fem.cracks import FACETS, each_once
 from fenics_crack.model.structure import Structure
 
 _TRIANGLES = {

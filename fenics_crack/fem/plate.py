@@ -27,7 +27,7 @@ from fenics_crack.basics.untrusted_files import content_of
 from fenics_crack.fem import compat
 from fenics_crack.fem.blocks import draw_box, draw_plate
 from fenics_crack.fem.compat import dolfinx, ufl
-from fenics_crack.fem.crack_surface import Lips, Names
+from fenics_crack.fem.cracks import Lips, Names
 from fenics_crack.model.nodes import Nodes
 from fenics_crack.scene.scene import Scene
 

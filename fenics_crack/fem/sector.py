@@ -7,15 +7,14 @@ node. What is bonded in sectors without a crack are the nodes of both faces in t
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError
 from fenics_crack.fem.blocks import RIM_SIDES
-from fenics_crack.fem.elasticity import rotation_of
-from fenics_crack.fem.lips import LIP_TAGS, SAME
+from fenics_crack.fem.cracks import LIP_TAGS, SAME
+from fenics_crack.fem.elasticity import Static, rotation_of
 from fenics_crack.fem.plate import Dofs
 from fenics_crack.model.cyclic import Inside, Sector
 from fenics_crack.model.modes import times
@@ -34,8 +33,7 @@ def wheel_of(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Comm) -> 
         The mesh has no sides, their nodes do not match, the crack reaches one of them, or the rotor
         is so fast that the wheel is unstable.
     """
-    disk = scene.disk
-    assert disk is not None
+    disk = scene.given("disk")
     sector, rotation = _sector(scene, dofs, structure), None
     if scene.speed > 0.0:
         with sector.factored() as inside:
@@ -58,7 +56,7 @@ def wheel_of(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Comm) -> 
     )
 
 
-def _static(inside: Inside) -> Callable[[np.ndarray], np.ndarray]:
+def _static(inside: Inside) -> Static:
     """The displacement of a sector under the same load on all."""
     return lambda load: inside.at(0).answers(load[:, None])[:, 0]
 
@@ -66,9 +64,7 @@ def _static(inside: Inside) -> Callable[[np.ndarray], np.ndarray]:
 def _sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
     from scipy.spatial.transform import Rotation  # with what only meshes of sectors need
 
-    disk = scene.disk
-    assert disk is not None
-    center, axis = scene.axis
+    disk, (center, axis) = scene.given("disk"), scene.axis
     points, size = dofs.points, float(np.ptp(dofs.points, axis=0).max())
     names = RIM_SIDES if RIM_SIDES[0] in dofs.plate.groups else ("left", "right")
     for name in names:

@@ -92,14 +92,13 @@ int correct_in_plane(equations *at, const plane *in, const correction *how, doub
             if (*taken >= stall) smallest = fmin(smallest, sizes[(*taken - stall) % LONGEST_STALL]);
         }
         if (*taken == how->iterations || 0.5 * smallest < size) return NOT_FOUND;
-        const int former = *taken && at->solve_nearly && size <= how->lasting * before;
         /* (dx, dp) = (a + dp b, dp), J a = -F, J b = -F_p, dp = -w <t_x, a> / (w <t_x, b> + t_p) */
         for (int j = 0; j < n; j++) change[j] = -F[j];
         at->sharp = STEP;
-        (former ? at->solve_nearly : at->solve)(at, change);
+        at->solve(at, change);
         shift = 0.0;
         if (in) {
-            if (!former) slope_at(at, n, STEP, rate);
+            slope_at(at, n, STEP, rate);
             const double along = product(at, in->size, in->across, rate) + in->slope;
             const double off = product(at, in->size, in->across, change);
             shift = -off / (along + 1e-300); /* not 0 */

@@ -5,11 +5,10 @@
 #include "equations.h"
 
 /* Of Newton's method: |F| / |x| of the solution, how far the parameter may go, and how much a step
- * may be shortened (below 0: not at all); to what part of it one has to shrink the residual that the
- * next one may have the same J (0: none has); steps, and those that may together fail to halve the
+ * may be shortened (below 0: not at all); steps, and those that may together fail to halve the
  * residual (0: any number; else at most 30). */
 typedef struct {
-    double tolerance, reach, least_damping, lasting;
+    double tolerance, reach, least_damping;
     int iterations, stall;
 } correction;
 

@@ -29,7 +29,6 @@ extern "Python" {
     int python_evaluate(equations *at, const double *x, double p);
     void python_residual(const equations *at, double *found);
     void python_solve(equations *at, double *x);
-    void python_solve_nearly(equations *at, double *x);
     void python_by_parameter(equations *at, double *found);
     double python_sign(equations *at);
     void python_record(equations *at, double *found);

@@ -29,13 +29,8 @@ void factor_dense(dense *at)
 
 void solve_dense(equations *own, double *x)
 {
-    factor_dense((dense *)own);
-    solve_nearly_dense(own, x);
-}
-
-void solve_nearly_dense(equations *own, double *x)
-{
-    const dense *at = (const dense *)own;
+    dense *at = (dense *)own;
+    factor_dense(at);
     solve_factored(at->size, at->matrix, at->pivots, x);
 }
 

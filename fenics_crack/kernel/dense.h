@@ -21,7 +21,6 @@ void free_dense(dense *at);
 void factor_dense(dense *at);
 /* What vtables take. */
 void solve_dense(equations *own, double *x);
-void solve_nearly_dense(equations *own, double *x);
 double sign_of_dense(equations *own);
 
 #endif

@@ -23,8 +23,6 @@ typedef struct equations {
     const double *counts;                  /* are judged with unknowns that count so much (n) */
     void *context; /* what equations in Python are made of (numerics/equations.py) */
     void (*apply)(struct equations *at, const double *x, double *found); /* J x, for products */
-    /* x = J^-1 x with the J of the last point where solve was asked for; NULL: it is not kept. */
-    void (*solve_nearly)(struct equations *at, double *x);
     int records; /* numbers that paths may keep of each point: */
     void (*record)(struct equations *at, double *found); /* those of a point with its tangent */
 } equations;

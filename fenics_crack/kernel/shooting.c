@@ -145,7 +145,7 @@ shooting_point *new_shooting_point(const shooting_equations *given)
     at->loads = (int)loads;
     at->common.own = (equations){
         .unknowns = (int)n, .evaluate = evaluate, .residual = residual, .solve = solve_dense,
-        .solve_nearly = solve_nearly_dense, .by_parameter = by_parameter, .sign = sign_of_dense,
+        .by_parameter = by_parameter, .sign = sign_of_dense,
         .records = (int)(n * n), .record = record};
     const int failed = make_dense(&at->common, (int)n, form_jacobian);
     const long load = given->force ? loads * (given->modes + rows) : 0;

@@ -7,18 +7,18 @@ all that has been computed from them.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from mpi4py import MPI
 
-from fenics_crack.model.matrices import read_only, read_only_rows
+from fenics_crack.model.matrices import ReadOnly, read_only_rows
 from fenics_crack.model.nodes import Clamp, Nodes, Pairs
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
+class Body(ReadOnly):
     """The attributes of a structure as it was made; arrays are made read-only.
 
     The load and the clearance are those that weights and additions of a setting refer to. A mean
@@ -44,11 +44,10 @@ class Body:
     def __post_init__(self) -> None:
         if self.comm is None:
             object.__setattr__(self, "comm", self.mass.comm.tompi4py())
-        for item in fields(self):
-            value, rows = getattr(self, item.name), item.name in ("gap", "tangential")
-            if isinstance(value, np.ndarray) or (rows and value is not None):
-                value = read_only_rows(value) if rows else read_only(value)
-                object.__setattr__(self, item.name, value)
+        for name in ("gap", "tangential"):
+            if (rows := getattr(self, name)) is not None:
+                object.__setattr__(self, name, read_only_rows(rows))
+        super().__post_init__()
 
 
 @dataclass(frozen=True, eq=False)

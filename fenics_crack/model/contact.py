@@ -255,8 +255,7 @@ def friction_of(contact: object) -> CoulombFriction | None:
 
 def coefficient_of(contact: object) -> float | np.ndarray | None:
     """mu of a law; None without friction."""
-    friction = friction_of(contact)
-    return None if friction is None else friction.coefficient
+    return getattr(friction_of(contact), "coefficient", None)
 
 
 def normal_law(contact: ContactLaw) -> ContactLaw:

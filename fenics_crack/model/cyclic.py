@@ -27,7 +27,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import scipy.linalg
@@ -38,8 +38,6 @@ from fenics_crack.model.body import Body
 from fenics_crack.model.factor import Factor, distributed, local_rows
 from fenics_crack.model.modes import NEGLIGIBLE, modes_by
 from fenics_crack.model.structure import Structure
-
-Found = TypeVar("Found")
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,8 +105,7 @@ class Sector:
 
     def placed(self, points: np.ndarray, times: int) -> np.ndarray:
         """Points (n, d) of the first sector where they are in another one [m]."""
-        found: np.ndarray = (points - self.center) @ self.turned(times).T + self.center
-        return found
+        return np.asarray((points - self.center) @ self.turned(times).T + self.center)
 
     @cached_property
     def own(self) -> np.ndarray:
@@ -163,12 +160,11 @@ class Sector:
     def _known(self) -> dict[tuple[Any, ...], Any]:
         return {}
 
-    def once(self, key: tuple[Any, ...], compute: Callable[[], Found]) -> Found:
+    def once(self, key: tuple[Any, ...], compute: Callable[[], Any]) -> Any:
         """What was computed of it once under a name and what it depends on."""
         if key not in self._known:
             self._known[key] = compute()
-        found: Found = self._known[key]
-        return found
+        return self._known[key]
 
     def ritz(self, shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Frequencies, ascending, and shapes with v^H M v = 1 and v^H K v diagonal, in the space of
@@ -233,9 +229,9 @@ class Blocks:
     def real(self, factor: complex) -> sparse.csr_matrix:
         """The matrix of e^(it), in real form where that is not real."""
         fixed, turn = self.own + self.after, self.across.T
-        if not factor.imag:
-            return fixed + factor.real * (self.across + turn)
         real = fixed + factor.real * (self.across + turn)
+        if not factor.imag:
+            return real
         imaginary = factor.imag * (self.across - turn)
         return sparse.bmat([[real, -imaginary], [imaginary, real]], format="csr")
 
@@ -286,8 +282,8 @@ class Inside:
         """One nodal diameter."""
         angle = 2.0 * np.pi * diameter / self.sector.count
         single = self.sector.is_single(diameter)
-        turn = complex(round(np.cos(angle)) if single else np.exp(1j * angle))
-        return NodalDiameter(diameter, self, turn)
+        turn = float(round(np.cos(angle))) if single else complex(np.exp(1j * angle))
+        return NodalDiameter(self, turn)
 
 
 @dataclass(frozen=True, eq=False)
@@ -296,35 +292,27 @@ class NodalDiameter:
 
     Attributes
     ----------
-    number : int
-        n.
     inside : Inside
         The sector's stiffness.
     turn : complex
         e^(i 2 pi n / N).
     """
 
-    number: int
     inside: Inside
     turn: complex
 
     null_pivots = 0
 
     @cached_property
-    def _turn(self) -> Any:
-        """A real number where it is one."""
-        return self.turn if self.turn.imag else self.turn.real
-
-    @cached_property
     def ties(self) -> sparse.csr_matrix:
         """T_n: (n_dofs, n_own)."""
         first, second = self.inside.sector.bonds
-        return sparse.csr_matrix(first + self._turn * second)
+        return sparse.csr_matrix(first + self.turn * second)
 
     @cached_property
     def _left(self) -> tuple[np.ndarray, sparse.csr_matrix, sparse.csr_matrix]:
         """S_n^-1, and K_il of this nodal diameter and its adjoint."""
-        inside, turn = self.inside, self._turn
+        inside, turn = self.inside, self.turn
         across = np.asarray(turn * inside.across)
         inverse = np.linalg.inv(np.asarray(inside.own) + across + across.conj().T)
         coupling = sparse.csr_matrix(inside.coupling[0] + turn * inside.coupling[1])

@@ -29,6 +29,10 @@ AT_A_TIME = 16
 TOLERATED = 1e-10
 """Asymmetry relative to a matrix's size; eigenvalues of K and M that are none, to K_ii / M_ii; sums
 of a mass's rows that are zero, to the largest."""
+OF_PLANE = 40
+"""Entries of a row from which on a matrix is one of a solid: there they are 45 or more, of a plane
+18 to 32. With rows ordered for minimum fill the latter are factored in 0.6 of MUMPS's own time, the
+former in more, and larger."""
 PREFIX, ORDER, QUIET = "crack_factor_", "mat_mumps_icntl_7", "mat_cholmod_print"
 
 
@@ -91,11 +95,21 @@ class Factor:
     border : (n_local, m), optional
         Independent columns of B: solutions x have B^T x = 0.
 
+    Attributes
+    ----------
+    null_pivots : int
+        Number of pivots that vanished: the dimension of the null space that was met.
+    negative_pivots : int
+        Number of negative eigenvalues of a symmetric matrix (Sylvester's law of inertia), on the
+        space where B^T x = 0.
+
     Notes
     -----
     Use as a context manager, or call :meth:`destroy`: the factors of a parallel matrix are freed
     by all ranks together. PETSc options with the prefix ``crack_factor_`` reach the solver.
     """
+
+    null_pivots = negative_pivots = 0
 
     def __init__(
         self,
@@ -109,15 +123,16 @@ class Factor:
         self._matrix = matrix if border is None else _bordered(matrix, border)
         self._matrix.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
         self._vectors = self._matrix.createVecs()
-        self._kind, self._by_mumps = "cholesky" if symmetric else "lu", False
+        self._kind = "cholesky" if symmetric else "lu"
         if definite and border is None and matrix.comm.size == 1:
             try:
                 self._set_up("cholmod" if symmetric else "umfpack")
                 return
             except PETSc.Error:
                 self._free()
-        self._by_mumps = True
         self._set_up("mumps")
+        self.null_pivots = int(self._factor.getMumpsInfog(28))
+        self.negative_pivots = int(self._factor.getMumpsInfog(12)) - self._border
 
     def _set_up(self, solver: str) -> None:
         self._pc = PETSc.PC().create(self._matrix.comm)
@@ -128,8 +143,10 @@ class Factor:
         options, own = PETSc.Options(), {}
         if solver == "cholmod":  # it would warn of each pivot of zero; PETSc reads one of both
             own = {QUIET: 0, PREFIX + QUIET: 0}
-        elif self._by_mumps and self._is_plane:
-            own = {PREFIX + ORDER: 2}  # minimum fill; setMumpsIcntl does not last
+        elif solver == "mumps":
+            entries = self._matrix.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
+            if entries < OF_PLANE * self._matrix.size[0]:
+                own = {PREFIX + ORDER: 2}  # minimum fill; setMumpsIcntl does not last
         own = {name: value for name, value in own.items() if not options.hasName(name)}
         for name, value in own.items():
             options[name] = value
@@ -137,35 +154,13 @@ class Factor:
             self._pc.setFactorSetUpSolverType()
             self._factor = self._pc.getFactorMatrix()
             self._factor.setOptionsPrefix(PREFIX)  # PETSc would set it after it has read them
-            if self._by_mumps:
+            if solver == "mumps":
                 self._factor.setMumpsIcntl(24, 1)  # detect null pivots
             self._pc.setFromOptions()
             self._pc.setUp()
         finally:
             for name in own:
                 options.delValue(name)
-
-    @property
-    def _is_plane(self) -> bool:
-        """True if rows have as few entries as those of a plane, 18 to 32; of solids they have 45 or
-        more (collective).
-
-        With rows ordered for minimum fill the former are factored in 0.6 of MUMPS's own time,
-        the latter in more, and larger.
-        """
-        entries = self._matrix.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
-        return bool(entries < 40 * self._matrix.size[0])
-
-    @property
-    def null_pivots(self) -> int:
-        """Number of pivots that vanished: the dimension of the null space that was met."""
-        return int(self._factor.getMumpsInfog(28)) if self._by_mumps else 0
-
-    @property
-    def negative_pivots(self) -> int:
-        """Number of negative eigenvalues of a symmetric matrix (Sylvester's law of inertia), on
-        the space where B^T x = 0."""
-        return int(self._factor.getMumpsInfog(12)) - self._border if self._by_mumps else 0
 
     def apply(self, right: Any, solution: Any) -> None:
         """Solve for a PETSc vector (collective)."""

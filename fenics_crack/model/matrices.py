@@ -50,7 +50,8 @@ from fenics_crack.numerics.fourier import resized
 from fenics_crack.scene.fields import LARGEST
 
 DIRECTIONS = {"UX": 1, "UY": 2, "UZ": 3, "ROTX": 4, "ROTY": 5, "ROTZ": 6}
-"""Ansys' numbers of directions."""
+DIRECTIONS |= {str(number): number for number in range(1, 10)}
+"""Numbers of directions, by Ansys' words and by themselves."""
 MIN_ENTRY_BYTES = {"coordinate": 4, "array": 2}
 """Bytes of an entry and the end of its line."""
 MATRIX_LAYOUTS, FIELDS = ("coordinate", "array"), ("real", "integer")
@@ -132,11 +133,15 @@ def read_matrix(
         return _of_calculix(path, labels or path.with_suffix(".dof"))
     if ending == ".pch":
         return _of_nastran(path, kind)
-    if ending == ".op4":
-        return LabelledMatrix(_of_op4(path, kind), None if labels is None else read_labels(labels))
     if ending == ".mtx" and _begins_as_abaqus(path):
         return _of_abaqus(path)
-    return _of_matrix_market(path, labels, rows)
+    named = None if labels is None else read_labels(labels)
+    if ending == ".op4":
+        return LabelledMatrix(_of_op4(path, kind), named)
+    matrix = read_matrix_market(path, rows if named is None else len(named))
+    if named is not None and matrix.shape[1] != len(named):
+        raise ValueError(f"of shape {matrix.shape}, for {len(named)} rows that are named")
+    return LabelledMatrix(matrix, named)
 
 
 def read_labels(path: Path) -> np.ndarray:
@@ -152,11 +157,8 @@ def read_labels(path: Path) -> np.ndarray:
     rows: list[int] = []
     for number, line in numbered_lines(path, "#"):
         match = _LABEL.fullmatch(line.rstrip())
-        direction = 0 if match is None else DIRECTIONS.get(match[3], 0)
-        if match is not None and match[3].isdigit():
-            direction = int(match[3])
-        if match is not None and direction:
-            found.append((int(match[2]), direction))
+        if match is not None and match[3] in DIRECTIONS:
+            found.append((int(match[2]), DIRECTIONS[match[3]]))
             rows.append(int(match[1] or len(found)))
         elif found:
             raise ValueError(f"{path.name}, line {number}: {line[:80]!r} names no dof of a node")
@@ -198,9 +200,8 @@ def _between_labels(ends: np.ndarray, values: np.ndarray, *, whole: bool) -> Lab
     labels = np.column_stack([nodes[keys // len(ways)], ways[keys % len(ways)]])
     rows, columns = places.reshape(-1, 2).T
     n = len(labels)
-    if whole:
-        return LabelledMatrix(sparse.csr_matrix((values, (rows, columns)), (n, n)), labels)
-    return LabelledMatrix(_mirrored(values, rows, columns, n), labels)
+    both = sparse.csr_matrix((values, (rows, columns)), (n, n)) if whole else None
+    return LabelledMatrix(_mirrored(values, rows, columns, n) if both is None else both, labels)
 
 
 def _of_calculix(path: Path, labels: Path) -> LabelledMatrix:
@@ -336,14 +337,6 @@ def _of_op4(path: Path, kind: str) -> sparse.csr_matrix:
         raise ValueError(f"line {number}: {line[:80]!r} is not of {wanted}") from None
 
 
-def _of_matrix_market(path: Path, labels: Path | None, rows: int | None) -> LabelledMatrix:
-    named = None if labels is None else read_labels(labels)
-    matrix = read_matrix_market(path, rows if named is None else len(named))
-    if named is not None and matrix.shape[1] != len(named):
-        raise ValueError(f"of shape {matrix.shape}, for {len(named)} rows that are named")
-    return LabelledMatrix(matrix, named)
-
-
 # --- Matrix Market --------------------------------------------------------------------------------
 
 
@@ -418,10 +411,13 @@ def _announced(lines: Iterator[str], most: int) -> tuple[tuple[str, str], list[i
     sizes = [int(word) for word in line.split()]
     if len(sizes) != (3 if header[0] == "coordinate" else 2) or min(sizes) < 0:
         raise ValueError("the line with its size is missing or wrong")
+    rows, columns = sizes[:2]
     if len(sizes) == 3:
         entries = sizes[2]
+    elif sign := MIRROR.get(header[1]):  # from the diagonal down
+        entries = rows * (rows + sign) // 2
     else:
-        entries = _entries(sizes[0], sizes[1], header[1])
+        entries = rows * columns
     if entries * MIN_ENTRY_BYTES[header[0]] > most:
         raise ValueError(f"it announces {entries} entries, more than it can hold")
     return header, sizes, entries
@@ -436,12 +432,6 @@ def _header(line: str) -> tuple[str, str]:
         if word not in known:
             raise ValueError(f"{word!r} instead of one of {', '.join(known)}")
     return layout, symmetry
-
-
-def _entries(rows: int, columns: int, symmetry: str) -> int:
-    """Number of entries of a dense file: of a symmetric matrix from the diagonal down."""
-    sign = MIRROR.get(symmetry)
-    return rows * columns if sign is None else rows * (rows + sign) // 2
 
 
 def _places_in_array(shape: tuple[int, int], symmetry: str) -> tuple[np.ndarray, np.ndarray]:
@@ -521,6 +511,15 @@ def read_only(array: np.ndarray) -> np.ndarray:
     return array
 
 
+class ReadOnly:
+    """Makes the arrays among the fields of a frozen dataclass read-only."""
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if isinstance(value, np.ndarray):
+                object.__setattr__(self, name, read_only(value))
+
+
 def per_pair(name: str, given: Any, pairs: int) -> np.ndarray:
     """One finite number per pair, from one for all or one for each: (pairs,)."""
     values = numbers(given)
@@ -593,8 +592,9 @@ def _check_sizes(name: str, values: np.ndarray) -> None:
 
 
 def checked(
-    mass: Any, stiffness: Any, gap: Any, forces: Mapping[str, Any], clearance: Any, comm: MPI.Comm
-) -> dict[str, Any]:
+    mass: Any, stiffness: Any, gaps: tuple[Any, Any], forces: Mapping[str, Any], clearance: Any,
+    comm: MPI.Comm,
+) -> dict[str, Any]:  # fmt: skip
     """Check and distribute what :meth:`Structure.from_matrices` is given but for the damping
     (collective)."""
     mass = petsc_matrix("mass", mass, comm)
@@ -602,29 +602,38 @@ def checked(
     stiffness = petsc_matrix("stiffness", stiffness, comm, n)
     _check_symmetric("mass", mass)
     _check_symmetric("stiffness", stiffness)
-    _check_positive_definite("mass", mass)
+    with Factor(mass) as factor:
+        negative, null = factor.negative_pivots, factor.null_pivots
+    if negative or null:
+        found = f"{negative} negative and {null} zero eigenvalues"
+        raise InputError("mass", found, "positive definite")
     _check_semidefinite("stiffness", stiffness, mass)
 
-    gap = sparse.csr_matrix((n, 0)) if gap is None else whole_rows("gap", gap, n)
+    normal, tangential = gaps
+    gap = sparse.csr_matrix((n, 0)) if normal is None else whole_rows("gap", normal, n)
     if len(empty := np.flatnonzero(abs(gap).sum(axis=0) == 0.0)):
         value = f"zero in column {empty[0] + 1} of {gap.shape[1]}"
         allowed = "a pair in each: a gap that depends on no displacement never opens or closes"
         raise InputError("gap", value, allowed)
-    return {
+    parts = {
         "mass": mass,
         "stiffness": stiffness,
         "gap": gap[own],
         "force": _load(forces, n)[:, own],
         "clearance": per_pair("clearance", clearance, gap.shape[1]),
     }
+    if tangential is not None:
+        tangential = whole_rows("tangential", tangential, n)
+        if tangential.shape != gap.shape:
+            raise InputError("tangential", tangential.shape, f"of shape {gap.shape}, as gap is")
+        parts["tangential"] = tangential[own]
+    return parts
 
 
 def _load(forces: Mapping[str, Any], n: int) -> np.ndarray:
     """A load (2K+1, n) of its mean, and of cosine and sine parts with a column for each order."""
-    orders = {"force_mean": 1}
-    parts = [
-        _of_dofs(name, part, n, orders.get(name, MOST_HARMONICS)) for name, part in forces.items()
-    ]
+    most = {"force_mean": 1}
+    parts = [_of_dofs(key, part, n, most.get(key, MOST_HARMONICS)) for key, part in forces.items()]
     force = np.zeros((2 * max(map(len, parts)) + 1, n))
     for first, part in enumerate(parts):
         force[first::2][: len(part)] = part
@@ -660,16 +669,6 @@ def with_harmonics(
     return found
 
 
-def checked_tangential(given: Any, parts: Mapping[str, Any]) -> sparse.csr_matrix:
-    """This rank's rows of B_t, of as many pairs as other parts of a structure have."""
-    n, own = parts["mass"].size[0], slice(*parts["mass"].owner_range)
-    found = whole_rows("tangential", given, n)
-    if found.shape[1] != parts["gap"].shape[1]:
-        allowed = f"of shape ({n}, {parts['gap'].shape[1]}), as gap is"
-        raise InputError("tangential", found.shape, allowed)
-    return found[own]
-
-
 def lumped_mass(mass: Any) -> Any:
     """The diagonal matrix of the row sums; InputError where one is not positive (collective)."""
     ones, sums = mass.createVecs()
@@ -701,14 +700,6 @@ def _check_symmetric(name: str, matrix: Any) -> None:
     difference.destroy()
     if asymmetry > TOLERATED * size:
         raise InputError(name, f"asymmetric by {asymmetry / size:.1e}", "symmetric")
-
-
-def _check_positive_definite(name: str, matrix: Any) -> None:
-    with Factor(matrix) as factor:
-        negative, null = factor.negative_pivots, factor.null_pivots
-    if negative or null:
-        found = f"{negative} negative and {null} zero eigenvalues"
-        raise InputError(name, found, "positive definite")
 
 
 def _check_semidefinite(name: str, matrix: Any, mass: Any) -> None:

@@ -85,9 +85,8 @@ class AllModes:
         """
         square = (omega * omega)[:, None]
         stiffness = self.squares - square
-        diagonal = self.damping.ndim == 1
         singular = self.unconstrained & (omega == 0.0)
-        if diagonal:
+        if self.damping.ndim == 1:
             impedance = stiffness + (1j * factor * omega)[:, None] * self.damping
             size = np.abs(self.squares) + square
             if loaded is not None:
@@ -124,8 +123,7 @@ class AllModes:
 
     def _fast(self, above: float) -> np.ndarray:
         """Modes beyond a frequency, but not the lowest one: (n_modes,) bool."""
-        fast: np.ndarray = self.squares > max(above**2, float(self.squares[0]))
-        return fast
+        return np.asarray(self.squares > max(above**2, float(self.squares[0])))
 
     def moved_at_once(self, above: float) -> np.ndarray:
         """Displacement of it by unit forces on the pairs: (n_dofs, n_pairs) [m/N]."""

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from numbers import Integral
+from types import SimpleNamespace
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
@@ -24,7 +25,7 @@ from slepc4py import SLEPc
 from fenics_crack.basics.errors import FEW_MODES, ConvergenceError, InputError, check_choice
 from fenics_crack.basics.progress import begin
 from fenics_crack.basics.ranks import gather_rows
-from fenics_crack.basics.tables import Tabular, counted, hertz_of
+from fenics_crack.basics.tables import Tabular, counted, hertz_of, with_frequency
 from fenics_crack.kernel import kernel
 from fenics_crack.model.factor import AT_A_TIME, TOLERATED, Factor, factored_sum
 from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
@@ -77,11 +78,8 @@ class Modes(Tabular):
 
     def to_dict(self) -> dict[str, Any]:
         """Columns, a row for every mode: its number, omega [rad/s] and frequency [Hz]."""
-        return {
-            "mode": list(range(1, len(self.omega) + 1)),
-            "omega": self.omega.tolist(),
-            "frequency": (self.omega / (2.0 * np.pi)).tolist(),
-        }
+        number = list(range(1, len(self.omega) + 1))
+        return with_frequency({"mode": number, "omega": self.omega.tolist()})
 
     def _title(self) -> str:
         span = " to ".join(f"{omega:.6g}" for omega in self.omega[[0, -1]])
@@ -172,9 +170,8 @@ def _space(structure: Structure, ties: Any) -> int:
 class Inverse(Protocol):
     """What applies the inverse of a stiffness: a :class:`Factor`, for example."""
 
-    @property
-    def null_pivots(self) -> int:
-        """Dimension of the null space that was met."""
+    null_pivots: int
+    """Dimension of the null space that was met."""
 
     def apply(self, right: Any, solution: Any) -> None:
         """Solve for a PETSc vector (collective)."""
@@ -207,7 +204,11 @@ def modes_by(factor: Inverse, structure: Structure, count: int, ties: Any = None
             break
         asked = min(2 * asked + 2, most)
     squares, shapes = squares[:count], shapes[:, :count]
-    squares[squares <= AS_ZERO * np.maximum(_unassembled(structure, shapes), scale)] = 0.0
+    # Rounding of K is relative to sum K_ii phi_i^2, what each dof would add to omega^2 if it moved
+    # alone. The largest K_ii / M_ii is no measure: elements that shrink towards a tip make it as
+    # large as one likes, while a low mode moves them hardly more than others.
+    alone = structure.sum_over_ranks(structure.stiffness.getDiagonal().array_r @ shapes**2)
+    squares[squares <= AS_ZERO * np.maximum(alone, scale)] = 0.0
     if squares[0] == 0.0 and structure.clamp is not None:  # no part of a mesh is without one
         raise ConvergenceError(f"modes: omega^2 of the lowest is rounding of the stiffness: {LOST}")
     omega = np.sqrt(squares)
@@ -216,31 +217,10 @@ def modes_by(factor: Inverse, structure: Structure, count: int, ties: Any = None
     return Modes(omega, shapes, structure)
 
 
-def _unassembled(structure: Structure, shapes: np.ndarray) -> np.ndarray:
-    """sum K_ii phi_i^2 of mass-normalised shapes: what each dof would add to omega^2 if it moved
-    alone, and so what rounding of K is relative to (collective).
-
-    The largest K_ii / M_ii is no measure: elements that shrink towards a tip make it as large as
-    one likes, while a low mode moves them hardly more than others.
-    """
-    own = structure.stiffness.getDiagonal().array_r @ shapes**2
-    return structure.sum_over_ranks(own)
-
-
 def _lowest(structure: Structure) -> list[np.ndarray]:
     """Frequencies and shapes of the most modes of a structure requested so far, crack open; it
     is not held by them itself, which would keep it alive."""
     return []
-
-
-class _Inverse:
-    """Context that PETSc calls to apply a factor."""
-
-    def __init__(self, factor: Inverse) -> None:
-        self._factor = factor
-
-    def apply(self, _: Any, right: Any, solution: Any) -> None:
-        self._factor.apply(right, solution)
 
 
 def _solver(structure: Structure, prefix: str, count: int, krylov: int) -> Any:
@@ -303,7 +283,7 @@ def _krylov(
     solver.setPurify(False)  # only a singular mass needs it, and it costs orthogonality
     inner = transformation.getKSP().getPC()
     inner.setType("python")
-    inner.setPythonContext(_Inverse(factor))
+    inner.setPythonContext(SimpleNamespace(apply=lambda _, right, x: factor.apply(right, x)))
     _solve(solver, count)
     vector, moved = structure.mass.createVecs()
     squares = np.array([solver.getEigenvalue(index).real for index in range(count)])
@@ -579,12 +559,9 @@ class BilinearFrequencies(Tabular):
 
     def to_dict(self) -> dict[str, Any]:
         """Columns, a row for every mode."""
-        return {
-            "mode": list(range(1, len(self.omega_open) + 1)),
-            "omega_open": self.omega_open.tolist(),
-            "omega_tied": self.omega_tied.tolist(),
-            "omega_bilinear": self.omega_bilinear.tolist(),
-        }
+        columns: dict[str, Any] = {"mode": list(range(1, len(self.omega_open) + 1))}
+        names = [f"omega_{kind}" for kind in KINDS]
+        return columns | {name: getattr(self, name).tolist() for name in names}
 
     def _title(self) -> str:
         first = f"first {self.omega_open[0]:.6g} open, {self.omega_tied[0]:.6g} rad/s bonded"

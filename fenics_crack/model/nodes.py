@@ -14,14 +14,14 @@ from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import gather_rows
-from fenics_crack.model.matrices import numbers, read_only
+from fenics_crack.model.matrices import ReadOnly, numbers
 from fenics_crack.numerics.fourier import evaluate
 
 AXES = "xyz"
 
 
 @dataclass(frozen=True, eq=False)
-class Nodes:
+class Nodes(ReadOnly):
     """Positions of the nodes that this rank owns, and their dofs; the arrays are read-only.
 
     Attributes
@@ -47,11 +47,6 @@ class Nodes:
     vtk_type: int
     numbered: Any = None
     frames: np.ndarray | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("points", "dofs", "cells", "frames"):
-            if (given := getattr(self, name)) is not None:
-                object.__setattr__(self, name, read_only(given))
 
     def nearest(
         self, comm: MPI.Comm, key: str, point: Sequence[float]
@@ -97,7 +92,7 @@ def place_in_words(point: np.ndarray, digits: str = ".8g") -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class Pairs:
+class Pairs(ReadOnly):
     """Places of the contact pairs of a structure, crack by crack; the arrays are read-only.
 
     Attributes
@@ -121,11 +116,6 @@ class Pairs:
     cracks: np.ndarray | None = None
     positions: np.ndarray | None = None
     places: dict[str, int] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        for name in ("points", "areas", "cracks", "positions"):
-            if (given := getattr(self, name)) is not None:
-                object.__setattr__(self, name, read_only(given))
 
 
 def of_body(name: str) -> Any:
@@ -167,6 +157,10 @@ class Coordinates:
     force: np.ndarray
     nodes: Nodes | None = of_body("nodes")
     pairs: Pairs = of_body("pairs")
+    pair_points: np.ndarray | None = of_body("pairs.points")
+    """Positions of the contact pairs where there is a mesh: (n_pairs, d) [m]."""
+    pair_areas: np.ndarray | None = of_body("pairs.areas")
+    """Area of the face that belongs to each pair, where there is a mesh: (n_pairs,) [m^2]."""
     watched: np.ndarray | None = of_body("watched")
 
     def __setattr__(self, name: str, value: object) -> NoReturn:
@@ -202,16 +196,6 @@ class Coordinates:
     def n_pairs(self) -> int:
         """Number of contact pairs."""
         return int(self.gap.shape[1])
-
-    @property
-    def pair_points(self) -> np.ndarray | None:
-        """Positions of the contact pairs where there is a mesh: (n_pairs, d) [m]."""
-        return self.pairs.points
-
-    @property
-    def pair_areas(self) -> np.ndarray | None:
-        """Area of the face that belongs to each pair, where there is a mesh: (n_pairs,) [m^2]."""
-        return self.pairs.areas
 
     @property
     def watched_pairs(self) -> dict[str, int]:
@@ -406,8 +390,9 @@ class Clamp:
 
     def of_waves(
         self, waves: np.ndarray, omega: float, subharmonic: int, drag: float, phases: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Forces (n, d) and moments at phases (n,) of a periodic motion of angular frequency omega.
+    ) -> tuple[np.ndarray, ...]:
+        """Forces (n, d) [N] and moments (n, n_rigid - d) [N m] at phases (n,) of a periodic motion
+        of angular frequency omega.
 
         ``waves`` (2H+1, n_rigid) are the coefficients of r^T M u; the load has ``subharmonic``
         times the motion's frequency."""
@@ -416,11 +401,12 @@ class Clamp:
         moved = np.zeros_like(waves)
         moved[1::2] = rate * (drag * sines - rate * cosines)
         moved[2::2] = -rate * (drag * cosines + rate * sines)
-        return self._split(evaluate(moved, 1.0, phases) - evaluate(self.load, subharmonic, phases))
+        forces = evaluate(moved, 1.0, phases) - evaluate(self.load, subharmonic, phases)
+        return tuple(np.split(forces, [len(self.center)], axis=1))
 
     def of_record(
         self, time: np.ndarray, seen: np.ndarray, omega: float, drag: float
-    ) -> tuple[np.ndarray, np.ndarray]:
+    ) -> tuple[np.ndarray, ...]:
         """Forces (n, d) and moments at the instants (n,) [s] of a record (n, n_rigid) of r^T M u
         under a load of angular frequency omega."""
         from scipy.interpolate import make_interp_spline  # takes a while, rarely used
@@ -428,9 +414,4 @@ class Clamp:
         # Of degree 5: the second derivative is known to the fourth order.
         record = make_interp_spline(time, seen, k=5)
         moved = record.derivative(2)(time) + drag * record.derivative(1)(time)
-        return self._split(moved - evaluate(self.load, omega, time))
-
-    def _split(self, found: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Forces (n, d) [N] and moments (n, n_rigid - d) [N m] of R (n, n_rigid)."""
-        dimension = len(self.center)
-        return found[:, :dimension], found[:, dimension:]
+        return tuple(np.split(moved - evaluate(self.load, omega, time), [len(self.center)], axis=1))

@@ -291,6 +291,8 @@ class MasslessStructure(MasslessInterface):
 
     body: MasslessBody
     flexibility: np.ndarray = of_body("flexibility")
+    basis: np.ndarray = of_body("static.shapes")
+    """Phi: (whole.n_local, n_modes)."""
     _static: ResidualFlexibility = of_body("static")
 
     def __init__(
@@ -369,11 +371,6 @@ class MasslessStructure(MasslessInterface):
     def _size_words(self) -> str:
         return f"{self.n_modes} modes of {self.whole.n_dofs} dofs, crack faces without mass"
 
-    @property
-    def basis(self) -> np.ndarray:
-        """Phi: (whole.n_local, n_modes)."""
-        return self._static.shapes
-
     def expand(self, displacement: np.ndarray) -> np.ndarray:
         """u = Phi q + G X c of coordinates (m, n_dofs): (m, whole.n_local) (collective)."""
         return self._whole.expand(self._one_step(displacement))
@@ -409,5 +406,4 @@ def _pseudoinverse(compliance: np.ndarray) -> np.ndarray:
     size = np.sqrt(np.maximum(np.diag(compliance), 0.0))
     scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0)
     scaled = scale[:, None] * compliance * scale
-    found: np.ndarray = scale[:, None] * np.linalg.pinv(scaled, NEGLIGIBLE, hermitian=True) * scale
-    return found
+    return np.asarray(scale[:, None] * np.linalg.pinv(scaled, NEGLIGIBLE, hermitian=True) * scale)

@@ -190,7 +190,8 @@ def _massless(structure: Structure, modes: int, assessed: bool | int) -> Massles
         # What fewer modes leave out is what more do, and the static part of those between.
         between = slice(count, more)
         left = compliance + (seen[between].T / squares[between]) @ seen[between]
-        left = _without_rounding(left, seen[:count], squares[:count])
+        lost = _is_rounding(np.diag(left), seen[:count], squares[:count])
+        left[lost] = left[:, lost] = 0.0  # forces that the kept modes carry alone
         reference = MasslessStructure(
             structure,
             squares[:count],
@@ -236,20 +237,11 @@ def _loaded_dofs(structure: Structure) -> np.ndarray:
     return found if len(found) <= AT_A_TIME else found[:0]
 
 
-def _without_rounding(compliance: np.ndarray, seen: np.ndarray, squares: np.ndarray) -> np.ndarray:
-    """S without the forces that the kept modes carry alone, of which rounding leaves something."""
-    found = compliance.copy()
-    lost = _is_rounding(np.diag(compliance), seen, squares)
-    found[lost] = found[:, lost] = 0.0
-    return found
-
-
 def _is_rounding(left: np.ndarray, seen: np.ndarray, squares: np.ndarray) -> np.ndarray:
     """Return True for forces whose residual flexibility, beyond the modes, is only rounding."""
     elastic = squares > 0.0
     carried = np.sum(seen[elastic] ** 2 / squares[elastic, None], axis=0)
-    found: np.ndarray = left <= AS_ZERO * carried
-    return found
+    return np.asarray(left <= AS_ZERO * carried)
 
 
 def _rule_of_all(structure: Structure) -> DampingRule | None:

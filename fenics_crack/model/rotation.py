@@ -40,7 +40,7 @@ from fenics_crack.model.modes import AS_ZERO, Modes, independent_part, solve_mod
 from fenics_crack.model.nodes import Nodes, of_body
 from fenics_crack.model.reduced import MasslessInterface, ReducedBody
 from fenics_crack.model.reduction import reduce_structure
-from fenics_crack.model.structure import DampingRule, Structure
+from fenics_crack.model.structure import DampingRule, Structure, of_original
 
 N_SPEEDS = 3
 """Speeds of a range whose bases are put together."""
@@ -347,11 +347,11 @@ class RunUpStructure(MasslessInterface):
         )  # fmt: skip
         Structure.__init__(self, body)
 
-    @property
-    def stiffness(self) -> Any:  # type: ignore[override]
+    @of_original
+    def stiffness(self) -> Any:
         """V^T K(W) V. Paths make a structure for each of their many speeds, and do not ask for its
         matrix."""
-        return self.once(_stiffness)
+        return distributed(self.body.dense, MPI.COMM_SELF)
 
     @property
     def _size_words(self) -> str:
@@ -380,11 +380,6 @@ class RunUpStructure(MasslessInterface):
     def damped(self, damping: DampingRule | None) -> RunUpStructure:
         """Return this structure with a modal or Rayleigh damping, or none."""
         raise InputError("damping", damping, "that of the structure from which this one was made")
-
-
-def _stiffness(structure: Structure) -> Any:
-    assert isinstance(structure, RunUpStructure)
-    return distributed(structure.body.dense, MPI.COMM_SELF)
 
 
 def run_up_structure(structure: Structure, start: float, stop: float, modes: int) -> RunUpStructure:

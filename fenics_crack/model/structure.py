@@ -36,7 +36,6 @@ from fenics_crack.model.body import UNVARIED, Body, Setting
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.matrices import (
     checked,
-    checked_tangential,
     lumped_mass,
     numbers,
     per_pair,
@@ -196,6 +195,13 @@ DampingRule = ModalDamping | RayleighDamping
 
 
 Found = TypeVar("Found")
+
+
+def of_original(compute: Callable[[Any], Any]) -> Any:
+    """A property: what is computed from :attr:`Structure.original` once, for all varied copies."""
+    return property(lambda structure: structure.once(compute), doc=compute.__doc__)
+
+
 Other = TypeVar("Other", bound="Structure")
 
 
@@ -283,7 +289,7 @@ class Structure(Coordinates):
         """The structure of which this is a varied copy, or itself."""
         return self._in(UNVARIED)
 
-    def once(self, compute: Callable[[Structure], Found]) -> Found:
+    def once(self, compute: Callable[[Any], Found]) -> Found:
         """A result computed from :attr:`original` once, for it and all of its varied copies."""
         known = self.body.known
         if compute not in known:
@@ -504,13 +510,11 @@ class Structure(Coordinates):
             symmetric, the mass is not positive definite, or the stiffness not semidefinite.
         """
         forces = {"force_mean": force_mean, "force_cos": force_cos, "force_sin": force_sin}
-        parts = checked(mass, stiffness, gap, forces, clearance, comm)
-        if tangential is not None:
-            tangential = checked_tangential(tangential, parts)
+        parts = checked(mass, stiffness, (gap, tangential), forces, clearance, comm)
         if not isinstance(damping, DampingRule | None):
             made = parts["mass"]
             damping = petsc_matrix("damping", damping, made.comm.tompi4py(), made.size[0])
-        return cls(Body(**parts, damping=damping, tangential=tangential))
+        return cls(Body(**parts, damping=damping))
 
     @classmethod
     @alone()

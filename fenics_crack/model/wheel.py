@@ -21,9 +21,10 @@ in the frame of the sector: a wave that runs against the rotation, seen from the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import repeat
 from typing import Any
 
 import numpy as np
@@ -47,7 +48,7 @@ from fenics_crack.model.modes import solve_modes
 from fenics_crack.model.nodes import Nodes, Pairs, of_body
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.reduction import reduce_structure
-from fenics_crack.model.structure import Structure
+from fenics_crack.model.structure import Structure, of_original
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -282,15 +283,24 @@ class Wheel(Structure):
 
     # --- its matrices -----------------------------------------------------------------------------
 
-    @property
-    def mass(self) -> Any:  # type: ignore[override]
+    @of_original
+    def mass(self) -> Any:
         """M: (n, n) [kg]; made when it is first requested (collective)."""
-        return self.once(_mass)
+        return self._sum_of_sectors(repeat(self.sector.mass, self.sector.count))
 
-    @property
-    def stiffness(self) -> Any:  # type: ignore[override]
+    @of_original
+    def stiffness(self) -> Any:
         """K: (n, n) [N/m], likewise."""
-        return self.once(_stiffness)
+        tuned, elastic = self.sector.stiffness, local_rows(self.sector.elastic)
+        return self._sum_of_sectors(tuned + d * elastic if d else tuned for d in self.mistuning)
+
+    def _sum_of_sectors(self, matrices: Iterable[sparse.spmatrix]) -> Any:
+        """sum_j A_j^T K_j A_j of a matrix of each sector (collective)."""
+        total = sparse.csr_matrix((self.n_dofs, self.n_dofs))
+        for place, own in enumerate(matrices):
+            to = self.of_sector(place)
+            total = total + to.T @ own @ to
+        return distributed(total[: self.n_local], self.comm)
 
     @property
     def _size_words(self) -> str:
@@ -353,30 +363,6 @@ def _complex_loads(wheel: Wheel) -> list[tuple[int, np.ndarray]]:
             diameter = excited_diameter(order, count)
             found.append((diameter, part if diameter == order % count else part.conj()))
     return found
-
-
-def _copied_matrix(wheel: Structure, weights: np.ndarray, *matrices: sparse.spmatrix) -> Any:
-    """sum_j A_j^T (R + weights_j E) A_j of the sector's matrices, R and E."""
-    assert isinstance(wheel, Wheel)
-    total = sparse.csr_matrix((wheel.n_dofs, wheel.n_dofs))
-    for place, weight in enumerate(weights):
-        own = matrices[0]
-        if weight:
-            own = own + weight * matrices[1]
-        to = wheel.of_sector(place)
-        total = total + to.T @ own @ to
-    return distributed(total[: wheel.n_local], wheel.comm)
-
-
-def _mass(wheel: Structure) -> Any:
-    assert isinstance(wheel, Wheel)
-    return _copied_matrix(wheel, np.zeros(wheel.sector.count), wheel.sector.mass)
-
-
-def _stiffness(wheel: Structure) -> Any:
-    assert isinstance(wheel, Wheel)
-    sector = wheel.sector
-    return _copied_matrix(wheel, wheel.mistuning, sector.stiffness, local_rows(sector.elastic))
 
 
 # --- in few coordinates ---------------------------------------------------------------------------

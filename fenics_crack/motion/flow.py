@@ -80,8 +80,7 @@ def exact_flow(structure: Structure, contact: ContactLaw) -> ContactFlow:
 
 def check_exact(structure: Structure, contact: ContactLaw) -> None:
     """Raise InputError where a structure and a law have no flow."""
-    refused = _refused(structure, contact)
-    if refused is not None:
+    if refused := _refused(structure, contact):
         raise refused
 
 
@@ -95,7 +94,7 @@ def _refused(structure: Structure, contact: ContactLaw) -> InputError | None:
     softness = springs_of(contact, structure.n_pairs)
     if np.all(softness):
         return None
-    static = all_modes(seen_by(contact, structure)).below(None).static_part()
+    static = all_modes(seen_by(contact, structure)).static_part()
     if not is_regular(static + np.diag(softness)):
         allowed = "one whose faces have no mass: reduce_structure(structure, method='massless')"
         return InputError("structure", repr(structure), allowed)
@@ -117,6 +116,8 @@ class Flow:
         g0 of the rows; of tangents zero.
     modes : AllModes
         Modes that move, and the rows as their pairs.
+    count, size : int
+        Number of modes, and numbers of a state.
     residual : (n_pairs, n_pairs) [m/N]
         R_inf.
     softness : (n_pairs,) [m/N]
@@ -134,7 +135,9 @@ class Flow:
         self.friction = friction_of(contact)
         seen = seen_by(contact, structure)
         self.clearance = seen.clearance
-        self.modes = modes = all_modes(seen).below(None)
+        self.modes = modes = all_modes(seen)
+        self.count = len(modes.squares)
+        self.size = 2 * self.count + (structure.n_pairs if self.friction else 0)
         self.residual = modes.static_part()
         self.softness = springs_of(contact, structure.n_pairs)
         self.compliance = self.residual + np.diag(self.softness)
@@ -143,16 +146,6 @@ class Flow:
         if modes.static_loads is not None:
             self.gap += seen.apply_bt(structure.force @ modes.static_loads)
         self.gap[0] -= self.clearance
-
-    @property
-    def count(self) -> int:
-        """Number of modes."""
-        return len(self.modes.squares)
-
-    @property
-    def size(self) -> int:
-        """Numbers of a state."""
-        return 2 * self.count + (self.structure.n_pairs if self.friction else 0)
 
     def state(
         self, displacement: np.ndarray, velocity: np.ndarray, places: np.ndarray | None = None
@@ -416,8 +409,7 @@ class Track:
     def __matmul__(self, change: np.ndarray) -> np.ndarray:
         """dz(end) of a change dz(start), without the matrix: (2 n_modes,)."""
         end = np.array([len(self.lengths)], dtype=np.intc)
-        found: np.ndarray = self.carried(change, np.zeros((1, self.flow.size)), end)[-1]
-        return found
+        return np.asarray(self.carried(change, np.zeros((1, self.flow.size)), end)[-1])
 
     def carried(self, start: np.ndarray, excess: np.ndarray, ends: np.ndarray) -> np.ndarray:
         """Changes d of the state at the starts of parts of the track and at its end, (n + 1,

@@ -176,8 +176,7 @@ class PeriodicOrbit(Observed, Described):
     def _at(self, time: np.ndarray, values: str) -> np.ndarray:
         """One of the samples' arrays at any times."""
         phase, place = np.unique(np.mod(time, self.period), return_inverse=True)
-        found: np.ndarray = getattr(self.samples(phase), values)[place.ravel()]
-        return found
+        return np.asarray(getattr(self.samples(phase), values)[place.ravel()])
 
     @cached_property
     def sampled(self) -> Samples:

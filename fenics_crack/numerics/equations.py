@@ -205,8 +205,8 @@ class _Interpreted(Equations):
             "equations", unknowns=size, means=getattr(system, "means", 0), context=self._handle,
             counts=counts, records=getattr(system, "records", 0), record=kernel.python_record,
             evaluate=kernel.python_evaluate, residual=kernel.python_residual,
-            solve=kernel.python_solve, solve_nearly=kernel.python_solve_nearly,
-            by_parameter=kernel.python_by_parameter, sign=kernel.python_sign,
+            solve=kernel.python_solve, by_parameter=kernel.python_by_parameter,
+            sign=kernel.python_sign,
         )  # fmt: skip
         self.table = self._struct.at
 
@@ -224,8 +224,6 @@ class _State:
     """A system in Python where the kernel has evaluated it, and what it raised."""
 
     at: Linearisation
-    solved: Linearisation
-    """Point at which J was used last."""
     failure: BaseException | None = None
 
     def __init__(self, system: System, shape: tuple[int, ...]) -> None:
@@ -268,17 +266,8 @@ def _residual(state: _State, found: Any) -> None:
 
 @_called_back(None)
 def _solve(state: _State, right: Any) -> None:
-    state.solved = state.at
-    _solve_by(state.at, state.array(right))
-
-
-@_called_back(None)
-def _solve_nearly(state: _State, right: Any) -> None:
-    _solve_by(state.solved, state.array(right))
-
-
-def _solve_by(at: Linearisation, both: np.ndarray) -> None:
-    both[...] = at.solve(both.copy())
+    both = state.array(right)
+    both[...] = state.at.solve(both.copy())
 
 
 @_called_back(None)

@@ -36,6 +36,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from types import SimpleNamespace
 from typing import Any, Protocol, Self
 
 import numpy as np
@@ -54,17 +55,6 @@ FORCING = 1e-2
 (Eisenstat and Walker, SIAM Journal on Scientific Computing 17, 1996, 16)."""
 
 
-class _Operator:
-    """A linear map of arrays as PETSc calls it."""
-
-    def __init__(self, apply: Callable[[np.ndarray], np.ndarray], shape: tuple[int, ...]) -> None:
-        self._apply, self._shape = apply, shape
-
-    def mult(self, matrix: Any, source: Any, target: Any) -> None:
-        """The map of a vector."""
-        target.array_w[:] = self._apply(source.array_r.reshape(self._shape)).ravel()
-
-
 def gmres(
     apply: Callable[[np.ndarray], np.ndarray],
     right: np.ndarray,
@@ -73,7 +63,11 @@ def gmres(
 ) -> np.ndarray:
     """x with A x = r to |A x - r| <= tolerance |r|, for arrays of one shape, the same on all ranks;
     or the best that ``most`` iterations find."""
-    matrix = PETSc.Mat().createPython((right.size,) * 2, _Operator(apply, right.shape), SELF)
+
+    def multiply(_: Any, source: Any, target: Any) -> None:
+        target.array_w[:] = apply(source.array_r.reshape(right.shape)).ravel()
+
+    matrix = PETSc.Mat().createPython((right.size,) * 2, SimpleNamespace(mult=multiply), SELF)
     matrix.setUp()
     solver = PETSc.KSP().create(SELF)
     solver.setOptionsPrefix("crack_krylov_")
@@ -375,16 +369,14 @@ def solve_in_plane(
     iterations: int = MAX_ITERATIONS,
     reach: float = np.inf,
     least_damping: float | None = MIN_DAMPING,
-    stall: int | None = None,
-    lasting: float = 0.0,
+    stall: int = 0,
 ) -> PathPoint | None:
     """Newton's method in the plane across a tangent, or at a given parameter; None where it fails.
 
     ``tolerance`` is |F| / |x| of the solution, |x| that of the tangent's point; ``reach``: how far
     from the guess the parameter may go; ``least_damping``: how much a step may be shortened where
     the residual would grow, None for full steps whatever it does; ``stall``: steps, at most 30,
-    that may together fail to halve |F| / |x|; ``lasting``: to what part of it a step has to shrink
-    it that the next one may have the same Jacobian.
+    that may together fail to halve |F| / |x|, 0 for any number.
     """
     equations = equations_of(system, unknown.shape)
     flat = plane or Tangent(np.zeros_like(unknown), 1.0, 0.0)
@@ -395,7 +387,7 @@ def solve_in_plane(
         size = Struct("norm", weight=plane.weight, of_means=plane.of_means)
         border = Struct("plane", across=across, slope=plane.p, size=size).at
     shortest = -1.0 if least_damping is None else least_damping
-    how = correction(tolerance, reach, iterations, shortest, stall or 0, lasting)
+    how = correction(tolerance, reach, iterations, shortest, stall)
     outcome = equations.run(
         kernel.solve_in_plane, border, how.at, pointer(shaped(found, *equations.shape)),
         pointer(place), pointer(taken),
@@ -413,12 +405,11 @@ def correction(
     iterations: int = MAX_ITERATIONS,
     least_damping: float = MIN_DAMPING,
     stall: int = 0,
-    lasting: float = 0.0,
 ) -> Struct:
     """The kernel's own, as :func:`solve_in_plane` has it; ``reach`` along a path in steps."""
     return Struct(
         "correction", tolerance=tolerance, reach=reach, iterations=iterations,
-        least_damping=least_damping, stall=stall, lasting=lasting,
+        least_damping=least_damping, stall=stall,
     )  # fmt: skip
 
 
@@ -455,11 +446,13 @@ def solve_at(
     *,
     tolerance: float,
     iterations: int = FULL_STEPS,
+    least_damping: float | None = None,
 ) -> PathPoint | None:
-    """Full Newton steps from a guess at a given parameter; None where they do not converge."""
+    """Newton steps from a guess at a given parameter, full ones unless they may be shortened; None
+    where they do not converge."""
     return solve_in_plane(
         system, unknown, parameter, None,
-        tolerance=tolerance, iterations=iterations, least_damping=None, stall=STALL,
+        tolerance=tolerance, iterations=iterations, least_damping=least_damping, stall=STALL,
     )  # fmt: skip
 
 
@@ -469,10 +462,7 @@ def solve_near(
     """A solution at a parameter by full steps from a guess, or else by steps that are shortened
     where the residual would grow; by these alone unless ``full``."""
     found = solve_at(system, unknown, parameter, tolerance=tolerance) if full else None
-    return found or solve_in_plane(
-        system, unknown, parameter, None,
-        tolerance=tolerance, iterations=FULL_STEPS, least_damping=0.01, stall=STALL,
-    )  # fmt: skip
+    return found or solve_at(system, unknown, parameter, tolerance=tolerance, least_damping=0.01)
 
 
 def distance(system: System, before: PathPoint, after: PathPoint) -> float:

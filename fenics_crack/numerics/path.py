@@ -156,12 +156,8 @@ class Stretch(Sequence[PathPoint]):
 
     def struct(self, known: int, **numbers: float) -> Struct:
         """The kernel's path, of which so many points are known."""
-        return Struct("path", room=len(self), known=known, **self._arrays, **numbers)
-
-    @property
-    def _arrays(self) -> dict[str, np.ndarray]:
-        """Its arrays by their names in the kernel."""
-        return {name: array for name, array in vars(self).items() if name not in NOT_IN_KERNEL}
+        arrays = {name: array for name, array in vars(self).items() if name not in NOT_IN_KERNEL}
+        return Struct("path", room=len(self), known=known, **arrays, **numbers)
 
     def __len__(self) -> int:
         return len(self.parameters)
@@ -191,11 +187,6 @@ class Stretch(Sequence[PathPoint]):
             record=self.records[place] if "records" in vars(self) else None,
             observed=self.observed[place] if "observed" in vars(self) else None,
         )  # fmt: skip
-
-    def observe(self, system: System, known: Sequence[PathPoint]) -> None:
-        """See all points behind those that are known."""
-        new = system.observe(self.records[len(known) :])  # type: ignore[attr-defined]
-        self.observed = np.concatenate([[point.observed for point in known], new])
 
 
 # --- events ---------------------------------------------------------------------------------------
@@ -483,7 +474,7 @@ class Path:
             for found, place in self._eventful(stretch):
                 left -= len(found)
                 if place is None:
-                    self._remember(found)
+                    self._known[:] = [*self._known, *found[-2:]][-2:]
                 else:
                     shorter = 0.25 * min(shorter, float(stretch.lengths[place + 1]))
                     if shorter < self._options.min_step:
@@ -552,14 +543,12 @@ class Path:
         """Go on from a point, with a step."""
         self._known, self._step, self._orientation = [point], step, 0.0
 
-    def _remember(self, found: Stretch) -> None:
-        self._known = [*self._known, *found[-2:]][-2:]
-
     def _up_to_halved_step(self, found: Stretch, known: int, step: float) -> Stretch | None:
         """The last point that was known, and those behind it, of which the first was sought by a
         step, up to the first step that is halved; None if that is the first."""
         assert self._control is not None
-        found.observe(self._system, self._known)
+        new = self._system.observe(found.records[known:])  # type: ignore[attr-defined]
+        found.observed = np.concatenate([[point.observed for point in self._known], new])
         lengths = found.lengths[known:].copy()
         lengths[0] = min(lengths[0], step)  # where the path jumps its chord is no step
         long = lengths > 2.0 * self._options.min_step

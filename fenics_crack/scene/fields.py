@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from copy import copy
 from dataclasses import MISSING, Field, dataclass, field, fields
 from numbers import Integral, Real
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -292,13 +292,10 @@ _READERS: dict[str, Callable[[object], Any]] = {
 """Function that reads a value, by the type of a field that is not None."""
 
 
+_BY_NAME = ("tuple[Axis, ...]", "tuple[MeshFile, ...]", "tuple[Point, ...]", "Mistuning")
 _JSON = {"bool": "boolean", "float": "number", "int": "integer", "str": "string"}
-_ARRAY_TYPES = (
-    "Pair", "Vector", "tuple[Harmonic, ...]", "tuple[float, ...]", "tuple[int, ...]",
-    "tuple[str, ...]",
-)  # fmt: skip
-_JSON |= dict.fromkeys(_ARRAY_TYPES, "array")
-"""JSON's words for types; axes and points are objects."""
+_JSON |= dict.fromkeys(_BY_NAME, "object")
+"""JSON's words for types; all others are arrays."""
 
 
 def _reader(item: Field[Any]) -> Callable[[object], Any]:
@@ -467,7 +464,7 @@ class Table:
                 zeros[key] = (0.0,) * dimension
         return self.with_values(**zeros)
 
-    def with_values(self, **values: Any) -> Any:
+    def with_values(self, **values: Any) -> Self:
         """The same with other values, which are not checked."""
         made = copy(self)
         vars(made).update(values)
@@ -533,7 +530,7 @@ class Table:
         found: dict[str, Any] = {}
         for name, item in cls.keys().items():
             kinds = str(item.type).removesuffix(" | None").split(" | ")
-            types = [_JSON.get(kind, "object") for kind in kinds]
+            types = [_JSON.get(kind, "array") for kind in kinds]
             if "tuple[int, ...]" in kinds:  # one number stands for a list of it
                 types.append("integer")
             found[name] = {"type": types}
@@ -551,13 +548,14 @@ class Table:
     @classmethod
     def twins(cls) -> dict[str, str]:
         """The keys in another unit, as Hz, and those in SI units that stand for the same."""
-        twins = {name: item.metadata.get("twin") for name, item in cls.keys().items()}
-        return {name: omega for name, omega in twins.items() if omega is not None}
+        held = {name: item.metadata for name, item in cls.keys().items()}
+        return {name: known["twin"] for name, known in held.items() if "twin" in known}
 
     @property
     def derived(self) -> set[str]:
-        """The keys whose values follow from those of others."""
-        return {key for name, key in self.twins().items() if getattr(self, name) is not None}
+        """The keys whose values follow from those of others, or are not given and chosen."""
+        given = {key for name, key in self.twins().items() if getattr(self, name) is not None}
+        return given | vars(self).get("_follow", set())
 
     @classmethod
     def name_of(cls, key: str = "") -> str:

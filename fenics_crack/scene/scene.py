@@ -32,31 +32,8 @@ from fenics_crack.basics.suggestions import (
 )
 from fenics_crack.basics.tables import RPM, TURN, frequency_axis
 from fenics_crack.basics.untrusted_files import text_of
+from fenics_crack.scene import tables as kinds
 from fenics_crack.scene.fields import Axis, Point, Table, components, named, with_key
-from fenics_crack.scene.tables import (
-    Base,
-    Contact,
-    Crack,
-    Curve,
-    Damping,
-    Disk,
-    Excitation,
-    Geometry,
-    Growth,
-    HarmonicBalance,
-    Identify,
-    Integration,
-    Load,
-    Material,
-    Mesh,
-    Output,
-    Periodic,
-    Reduction,
-    Rotation,
-    Structure,
-    Sweep,
-    TipTiming,
-)
 
 SOLVED_OFTEN = ("curve", "sweep", "growth", "identify")
 """Tables by which a scene is solved many times."""
@@ -86,30 +63,30 @@ class Scene:
         A table is missing or has a key that cannot be used.
     """
 
-    geometry: Geometry = None  # type: ignore[assignment]
-    material: Material = None  # type: ignore[assignment]
-    damping: Damping = None  # type: ignore[assignment]
-    excitation: Excitation = None  # type: ignore[assignment]
-    mesh: Mesh = None  # type: ignore[assignment]
-    contact: Contact | None = None
-    crack: Crack | None = None
-    cracks: tuple[Crack, ...] = ()
+    geometry: kinds.Geometry = None  # type: ignore[assignment]
+    material: kinds.Material = None  # type: ignore[assignment]
+    damping: kinds.Damping = None  # type: ignore[assignment]
+    excitation: kinds.Excitation = None  # type: ignore[assignment]
+    mesh: kinds.Mesh = None  # type: ignore[assignment]
+    contact: kinds.Contact | None = None
+    crack: kinds.Crack | None = None
+    cracks: tuple[kinds.Crack, ...] = ()
     """Further cracks."""
-    loads: tuple[Load, ...] = ()
+    loads: tuple[kinds.Load, ...] = ()
     """Loads beside the force of the excitation."""
-    base: Base | None = None
-    rotation: Rotation | None = None
-    disk: Disk | None = None
-    structure: Structure | None = None
-    harmonic_balance: HarmonicBalance = field(default_factory=HarmonicBalance)
-    reduction: Reduction | None = None
-    curve: Curve | None = None
-    integration: Integration | None = None
-    sweep: Sweep | None = None
-    growth: Growth | None = None
-    identify: Identify | None = None
-    tip_timing: TipTiming | None = None
-    output: Output | None = None
+    base: kinds.Base | None = None
+    rotation: kinds.Rotation | None = None
+    disk: kinds.Disk | None = None
+    structure: kinds.Structure | None = None
+    harmonic_balance: kinds.HarmonicBalance = field(default_factory=kinds.HarmonicBalance)
+    reduction: kinds.Reduction | None = None
+    curve: kinds.Curve | None = None
+    integration: kinds.Integration | None = None
+    sweep: kinds.Sweep | None = None
+    growth: kinds.Growth | None = None
+    identify: kinds.Identify | None = None
+    tip_timing: kinds.TipTiming | None = None
+    output: kinds.Output | None = None
 
     def __post_init__(self) -> None:
         for name, table in _TABLES.items():
@@ -166,7 +143,7 @@ class Scene:
         return f"Scene({_in_short(self)})"
 
     @property
-    def all_cracks(self) -> dict[str, Crack]:
+    def all_cracks(self) -> dict[str, kinds.Crack]:
         """Every crack by its name: "crack", "cracks.1", "cracks.2"."""
         first = {} if self.crack is None else {"crack": self.crack}
         return first | {f"cracks.{number}": c for number, c in enumerate(self.cracks, 1)}
@@ -264,7 +241,7 @@ class Scene:
     @property
     def highest_order(self) -> int:
         """Highest multiple of the excitation's frequency at which a load acts."""
-        tables: list[Periodic | None] = [self.excitation, *self.loads, self.base]
+        tables: list[kinds.Periodic | None] = [self.excitation, *self.loads, self.base]
         return max(table.highest for table in tables if table is not None)
 
     @property
@@ -357,19 +334,15 @@ class Scene:
         if self.disk is None:
             assert self.rotation is not None
             return self.rotation.place
+        plane, axis = self.dimension == 2, np.array(self.disk.axis or (1.0, 0.0, 0.0))
         if self.mesh.layout == "file":
-            point = np.array([*(self.disk.center or (0.0,)), 0.0, 0.0])[:3]
-            axis = np.array(self.disk.axis or (1.0, 0.0, 0.0))
+            point = [*(self.disk.center or (0.0,)), 0.0, 0.0][:3]
         else:
-            radius = self.disk.given("outer_radius")
-            across = self.geometry.across
-            point = np.array([0.0, -radius, 0.5 * across])
-            axis = np.array([1.0, 0.0, 0.0])
-            if self.dimension == 2:
-                point = np.array([0.5 * across, -radius, 0.0])
-        if self.dimension == 2:
+            below, middle = -self.disk.given("outer_radius"), 0.5 * self.geometry.across
+            point = [middle, below, 0.0] if plane else [0.0, below, middle]
+        if plane:
             axis = np.array([0.0, 0.0, 1.0])
-        return point, axis / np.linalg.norm(axis)
+        return np.array(point), axis / np.linalg.norm(axis)
 
     @property
     def modes_key(self) -> str:
@@ -564,7 +537,7 @@ def _check_block(scene: Scene) -> None:
         scene.harmonic_balance.require(not wrong, "form", f"'condensed' {words}")
 
 
-def _check_matrices(scene: Scene, structure: Structure) -> None:
+def _check_matrices(scene: Scene, structure: kinds.Structure) -> None:
     _check_absent(scene, PLATE_TABLES, "[structure]")
     if structure.damping is not None:
         _check_absent(scene, ("damping",), "structure.damping")
@@ -641,7 +614,7 @@ def _check_dimension(scene: Scene) -> None:
         geometry.given("thickness", "given: a finite number > 0")
 
 
-def _check_disk(scene: Scene, disk: Disk) -> None:
+def _check_disk(scene: Scene, disk: kinds.Disk) -> None:
     """Raise InputError for what a bladed disk is not, or is not there yet."""
     _check_absent(scene, ("base", "growth", "identify", "reduction"), "[disk]")
     scene.excitation.given("order", "given with [disk]: the engine order, a whole number >= 1")
@@ -689,7 +662,7 @@ def _check_plate(scene: Scene) -> None:
             where = ", ".join(f"0..{side:g}" for side in sides)
             load.require(all(within), "point", f"on the {geometry.kind}: [{where}]")
     if scene.all_cracks:
-        _check_cracks(scene.all_cracks, geometry, scene.mesh)
+        _check_cracks(scene)
         if scene.contact is None:
             raise InputError("contact", None, "given where there is a crack: a table")
 
@@ -712,8 +685,9 @@ _OF_SHAPES = (
 """Keys of a crack that a mesh file defines itself."""
 
 
-def _check_cracks(cracks: dict[str, Crack], geometry: Geometry, mesh: Mesh) -> None:
+def _check_cracks(scene: Scene) -> None:
     """Raise InputError where a crack cannot be in a plate, by the crack's name in the scene."""
+    cracks, geometry, mesh = scene.all_cracks, scene.geometry, scene.mesh
     for name, crack in cracks.items():
         with named(name):
             _check_crack(crack, geometry, list(cracks))
@@ -723,10 +697,10 @@ def _check_cracks(cracks: dict[str, Crack], geometry: Geometry, mesh: Mesh) -> N
     if mesh.layout == "graded":
         mesh.given("lip_elements", "given where there is a crack")
     for first, second in combinations(cracks, 2):
-        _check_apart(cracks, first, second, geometry)
+        _check_apart(scene, first, second)
 
 
-def _check_crack(crack: Crack, geometry: Geometry, names: list[str]) -> None:
+def _check_crack(crack: kinds.Crack, geometry: kinds.Geometry, names: list[str]) -> None:
     width, height, *_ = geometry.sides
     kind, margin = geometry.kind, f"at least {LEAST_DISTANCE:g} of that from both"
     inside = crack.center is not None
@@ -749,7 +723,7 @@ def _check_crack(crack: Crack, geometry: Geometry, names: list[str]) -> None:
         crack.require(all(_inside(end or 0.0, width) for end in ends), "center", allowed)
 
 
-def _check_front(crack: Crack, geometry: Geometry) -> None:
+def _check_front(crack: kinds.Crack, geometry: kinds.Geometry) -> None:
     if geometry.dimension == 2:
         crack.leave_out(("depth", "front"), "geometry.kind = 'plate'")
     elif crack.depth is None:
@@ -761,7 +735,7 @@ def _check_front(crack: Crack, geometry: Geometry) -> None:
         crack.require(_inside(crack.depth, thickness), "depth", allowed)
 
 
-def _check_grid(crack: Crack, geometry: Geometry, mesh: Mesh) -> None:
+def _check_grid(crack: kinds.Crack, geometry: kinds.Geometry, mesh: kinds.Mesh) -> None:
     crack.given("length", "given with mesh.layout = 'grid'")
     (width, height), columns = geometry.sides, mesh.given("columns")
     sides = {"length": (width, columns), "height": (height, mesh.given("rows"))}
@@ -776,10 +750,10 @@ def _check_grid(crack: Crack, geometry: Geometry, mesh: Mesh) -> None:
         crack.require(abs(tip - round(tip)) < 1e-9 * columns, "center", allowed)
 
 
-def _check_apart(cracks: dict[str, Crack], first: str, second: str, geometry: Geometry) -> None:
+def _check_apart(scene: Scene, first: str, second: str) -> None:
     """Raise InputError unless two cracks are far enough from each other."""
-    one, other = cracks[first], cracks[second]
-    width, height, *_ = geometry.sides
+    one, other = (scene.all_cracks[name] for name in (first, second))
+    width, height, *_ = scene.geometry.sides
     distance = abs(one.given("height") - other.given("height"))
     if distance >= LEAST_DISTANCE * height:
         return

@@ -259,17 +259,11 @@ class Excitation(Table, Periodic):
         if self.order is None:
             self.given("omega", "given [rad/s], or excitation.frequency [Hz]: a finite number > 0")
 
-    @property
-    def derived(self) -> set[str]:
-        """With an order at a speed, omega too."""
-        return super().derived | ({"omega"} if "_at_speed" in vars(self) else set())
-
     def at_speed(self, speed: float) -> Excitation:
         """The same with the frequency that its order makes of a rotor's speed [rad/s]."""
-        if "_at_speed" not in vars(self):
+        if "_follow" not in vars(self):
             self.leave_out(("frequency", "omega"), f"excitation.order = {self.order} and a speed")
-        made: Excitation = self.with_values(omega=speed * (self.order or 0), _at_speed=True)
-        return made
+        return self.with_values(omega=speed * (self.order or 0), _follow={"omega"})
 
     @classmethod
     def without_twins(
@@ -633,10 +627,8 @@ class HarmonicBalance(Table):
         if self.form == "block":
             self.leave_out(("tolerance",), "form = 'block'")
             chosen.pop("tolerance", None)
-        follows = {key for key in chosen if getattr(self, key) is None}
-        for key in follows:
-            object.__setattr__(self, key, chosen[key])
-        object.__setattr__(self, "_follows", follows)
+        follow = {key for key in chosen if getattr(self, key) is None}
+        vars(self).update({key: chosen[key] for key in follow}, _follow=follow)
         if self.tolerance is not None:
             self.leave_out(("samples",), "a tolerance")
             self.require(self.error, "error", "true, or left out, with a tolerance")
@@ -652,14 +644,7 @@ class HarmonicBalance(Table):
         least = f"a whole number >= {highest}, the highest order of the load"
         fits = self.harmonics >= highest
         self.require(fits or "harmonics" in self.derived, "harmonics", least)
-        made: HarmonicBalance = self if fits else self.with_values(harmonics=highest)
-        return made
-
-    @property
-    def derived(self) -> set[str]:
-        """The keys that are not given, and have their defaults."""
-        found: set[str] = vars(self)["_follows"]
-        return super().derived | found
+        return self if fits else self.with_values(harmonics=highest)
 
 
 @dataclass(frozen=True)
@@ -719,8 +704,7 @@ class Mesh(Table):
 
     def with_vectors(self, dimension: int) -> Mesh:
         """The same in a plane or in space, of the order that is usual there."""
-        made: Mesh = self.with_values(order=self.order or dimension - 1)
-        return made
+        return self.with_values(order=self.order or dimension - 1)
 
     @property
     def derived(self) -> set[str]:

@@ -31,6 +31,7 @@ from fenics_crack.cli.account import (
     warnings_of,
 )
 from fenics_crack.cli.results import _undecided_stretches, few_special_points
+from fenics_crack.draw import plot
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.words import differences, key_in_words, value_in_words
 from fenics_crack.sweep import result
@@ -228,7 +229,7 @@ def test_sweep_of_few_modes(
         marked.append(how["doubtful"]["modes kept 2"].tolist())
         return draw(x, curves, **how)
 
-    wrap(monkeypatch, "fenics_crack.cli.pictures.draw_response", recorded)
+    wrap(monkeypatch, "fenics_crack.draw.plot.draw_response", recorded)
     assert main(["plot", str(tmp_path / "sweep.h5"), "--output", str(tmp_path), "--quiet"]) == 0
     assert marked and all(rings == [False, True, True] for rings in marked)
     unasked = fc.run_sweep(swept, judged=False)
@@ -397,7 +398,7 @@ def test_lines_and_maps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     """Two axes: few values of the second make lines, many a map, some both; words on the axes."""
     drawn: list[tuple[str, dict[str, Any]]] = []
     for name in ("draw_map", "draw_response"):
-        monkeypatch.setattr(pictures, name, lambda *a, name=name, **how: drawn.append((name, how)))
+        monkeypatch.setattr(plot, name, lambda *a, name=name, **how: drawn.append((name, how)))
     for count, expected in (
         (3, ["draw_response"]),
         (5, ["draw_response", "draw_map"]),

@@ -29,7 +29,7 @@ from fenics_crack import InputError, Scene
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.fem import compat
 from fenics_crack.fem.compat import function_space
-from fenics_crack.fem.crack_surface import FACETS, Cells, cracks_between, split_cracks
+from fenics_crack.fem.cracks import FACETS, Cells, cracks_between, split_cracks
 from fenics_crack.fem.loads import assemble_loads
 from fenics_crack.fem.matrix_files import coincident
 from fenics_crack.fem.msh_file import cells_of

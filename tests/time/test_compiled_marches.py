@@ -16,7 +16,7 @@ import fenics_crack as fc
 from fenics_crack.model.contact import solve_complementarity
 from fenics_crack.model.modal import all_modes
 from fenics_crack.time import central_differences
-from fenics_crack.time.exponential import ExponentialFlow
+from fenics_crack.time.flows import ExponentialFlow
 from fenics_crack.time.march import March, march
 
 SEEDS = st.integers(0, 2**32 - 1)

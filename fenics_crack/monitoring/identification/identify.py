@@ -32,9 +32,9 @@ from fenics_crack.monitoring.identification.measurements import (
     without_crack,
 )
 from fenics_crack.monitoring.identification.model import Model, is_free
-from fenics_crack.monitoring.identification.nuisance import Whole, whole_plate
+from fenics_crack.monitoring.identification.nuisance import Whole
 from fenics_crack.monitoring.identification.options import OPTIONS
-from fenics_crack.monitoring.identification.posterior import Likelihood, Posterior, explore, grid_of
+from fenics_crack.monitoring.identification.posterior import Branch, Likelihood, Posterior, grid_of
 from fenics_crack.monitoring.identification.result import Identification
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene
@@ -162,20 +162,14 @@ def infer(forward: Forward, measurements: Measurements) -> Identification:
     values, deviations = np.array([(row.value, row.deviation) for row in rows]).T
     branches, plain = (
         {
-            name: explore(Likelihood(values, deviations, model.quantities(rows)))
+            name: Branch(Likelihood(values, deviations, model.quantities(rows)))
             for name, model in models.items()
         }
         for models in (forward.cracked, forward.uncracked)
     )
     remarks = (*remarks_on(forward.scene, measurements), *_unresolved(forward, measurements))
-    return Identification(
-        forward.scene,
-        measurements,
-        Posterior(branches),
-        Posterior(plain) if plain else None,
-        remarks,
-        doubts,
-    )
+    both = Posterior(branches), Posterior(plain) if plain else None
+    return Identification(forward.scene, measurements, *both, remarks, doubts)
 
 
 def _predicted(
@@ -295,7 +289,7 @@ def _whole(scene: Scene, comm: MPI.Comm) -> Whole:
     table = scene.given("identify")
     plain = scene.replace(dict.fromkeys(IRRELEVANT) | (without_crack(scene) or {}))
     begin("plate without its crack")
-    return on_root(comm, lambda: whole_plate(plain, table))
+    return on_root(comm, lambda: Whole(plain, table))
 
 
 def solve_forward(
@@ -340,7 +334,7 @@ def solve_forward(
     whole = whole or _whole(scene, comm)
     table = scene.given("identify")
     wanted = (*frequencies, *further, *table.frequencies)
-    loads = Loads.of(scene, [float(one) for one in wanted])
+    loads = Loads(scene, [float(one) for one in wanted])
     shaken = (*frequencies, *table.frequencies, loads.frequencies[0])
     alone = [place for place, one in enumerate(loads.frequencies) if one not in shaken]
     plain = scene.replace(dict.fromkeys(IRRELEVANT))
@@ -516,11 +510,7 @@ def _halfway(axis: Axis, low: float = -np.inf, high: float = np.inf) -> tuple[fl
 
 
 def _models(
-    scene: Scene,
-    whole: Whole,
-    loads: Loads,
-    sweeps: Sweeps,
-    bare: tuple[SweepResult | None, ...] = (None, None, None),
+    scene: Scene, whole: Whole, loads: Loads, sweeps: Sweeps, bare: Sweeps | None = None
 ) -> dict[str, Model]:
     """Models of a sweep, with those of a finer mesh and between if there are, and of the plate
     without its crack, by their values of the unknowns that are words."""
@@ -531,10 +521,8 @@ def _models(
     for chosen in itertools.product(*words.values()):
         fixed = dict(zip(words, chosen, strict=True))
         parts: list[Part | None] = []
-        for sweep, plain in zip(sweeps, bare, strict=True):
-            under = None if plain is None else Part.of(plain, loads, (), fixed)
-            parts.append(None if sweep is None else Part.of(sweep, loads, meshes, fixed, under))
-        coarse, *others = parts
-        assert coarse is not None
-        models[", ".join(chosen)] = Model(scene, whole, coarse, *others, fixed=fixed)
+        for sweep, plain in zip(sweeps, bare or (None,) * 3, strict=True):
+            under = None if plain is None else Part(plain, loads, (), fixed)
+            parts.append(None if sweep is None else Part(sweep, loads, meshes, fixed, under))
+        models[", ".join(chosen)] = Model(scene, whole, parts, fixed=fixed)
     return models

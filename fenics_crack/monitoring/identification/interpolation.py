@@ -221,7 +221,6 @@ MESH_AXIS = "mesh.file"
 """The axis of meshes with numbers."""
 
 
-@dataclass(frozen=True)
 class Loads:
     """Loads of a forward model, the last axis of its sweeps.
 
@@ -236,20 +235,18 @@ class Loads:
         Their own, or the rotor's speeds.
     """
 
-    frequencies: tuple[float, ...]
-    axis: Axis
-
-    @classmethod
-    def of(cls, scene: Scene, frequencies: Sequence[float]) -> Loads:
-        """Loads of some frequencies [Hz]; the scene's own where it follows the rotor, or there is
-        no other."""
+    def __init__(self, scene: Scene, frequencies: Sequence[float]) -> None:
+        """Take frequencies [Hz]; the scene's own where it follows the rotor, or there is no
+        other."""
         order, others = scene.excitation.order, sorted(set(frequencies))
         own = float(f"{scene.excitation.omega / TURN:.9g}")  # as that of arrivals
         if order is None:
-            found = tuple(others) or (scene.excitation.omega / TURN,)
-            return cls(found, Axis("excitation.frequency", found))
-        found = (own, *(one for one in others if one != own))
-        return cls(found, Axis("rotation.rpm", tuple(60.0 * one / order for one in found)))
+            self.frequencies = tuple(others) or (scene.excitation.omega / TURN,)
+            self.axis = Axis("excitation.frequency", self.frequencies)
+        else:
+            self.frequencies = (own, *(one for one in others if one != own))
+            rpm = tuple(60.0 * one / order for one in self.frequencies)
+            self.axis = Axis("rotation.rpm", rpm)
 
     @property
     def turn(self) -> bool:
@@ -263,37 +260,28 @@ class Loads:
         return found / found[0] if self.turn else np.ones(len(found))
 
 
-@dataclass(frozen=True)
 class Part:
     """Solved cases of a sweep for one choice of the words, and those without the crack, if any. Its
     last axis is that of the loads."""
 
-    sweep: SweepResult
-    keys: tuple[str, ...]
-    cube: Cube
-    index: tuple[Any, ...]
-    loads: Loads
-    bare: Part | None = None
-
-    @classmethod
-    def of(
-        cls,
+    def __init__(
+        self,
         sweep: SweepResult,
         loads: Loads,
         meshes: Sequence[Axis],
         fixed: Mapping[str, Any],
         bare: Part | None = None,
-    ) -> Part:
+    ) -> None:
         """Take a sweep, the numbers of its meshes if it has some, and the chosen words."""
+        self.sweep, self.loads, self.bare = sweep, loads, bare
         numbers: list[Axis] = []
         index: list[Any] = []
         for axis in sweep.axes[:-1]:
             word = axis.key in fixed
             index.append(axis.values.index(fixed[axis.key]) if word else slice(None))
             numbers += [] if word else meshes if axis.key == MESH_AXIS else [axis]
-        cube = Cube(tuple(np.array(axis.values, dtype=float) for axis in numbers))
-        keys = tuple(axis.key for axis in numbers)
-        return cls(sweep, keys, cube, tuple(index), loads, bare)
+        self.cube = Cube(tuple(np.array(axis.values, dtype=float) for axis in numbers))
+        self.keys, self.index = tuple(axis.key for axis in numbers), tuple(index)
 
     def column(self, name: str) -> np.ndarray:
         """A column at all nodes and load frequencies: (n, n_loads)."""

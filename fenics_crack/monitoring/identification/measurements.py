@@ -170,10 +170,9 @@ class Measurement:
             return float(self.frequency)
         if math.isnan(self.rpm):
             return 0.0
-        assert scene.excitation.order is not None  # checked
         own = scene.excitation.omega / TURN
         # At rest the load of a thousandth of the speed, which adds a millionth of its stiffening.
-        found = max(scene.excitation.order * self.rpm / 60.0, 1e-3 * own)
+        found = max(scene.excitation.given("order") * self.rpm / 60.0, 1e-3 * own)
         return 0.0 if f"{found:.9g}" == f"{own:.9g}" else float(f"{found:.9g}")
 
     def check(self, scene: Scene) -> None:

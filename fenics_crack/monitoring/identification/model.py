@@ -28,13 +28,7 @@ from fenics_crack.monitoring.identification.interpolation import (
     scales,
 )
 from fenics_crack.monitoring.identification.measurements import Measurement
-from fenics_crack.monitoring.identification.nuisance import (
-    OF_SIZE,
-    Since,
-    Whole,
-    crack_deviations,
-    relative_changes,
-)
+from fenics_crack.monitoring.identification.nuisance import OF_SIZE, Since, Whole, crack_deviations
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import scales_with_load
 from fenics_crack.sweep.file import NUMBERED
@@ -60,33 +54,28 @@ class Passages:
     rows : sequence of int
         Their places among all measurements, those made first.
     made : sequence of Measurement
-        Measurements made.
+        All measurements made.
     more : sequence of Measurement
-        Possible further measurements.
+        Possible further ones.
     """
 
     def __init__(
         self, rows: Sequence[int], made: Sequence[Measurement], more: Sequence[Measurement]
     ) -> None:
-        self.rows = list(rows)
-        self._phases = np.array([row.phase for row in (*made, *more)])
-        self._count = len(made)
-        self._values = np.array([row.value for row in made])
-        self._weights = 1.0 / np.array([row.deviation for row in made])
+        self.rows, every = list(rows), (*made, *more)
+        own = [every[place] for place in self.rows if place < len(made)]
+        self._phases = np.array([every[place].phase for place in self.rows])
+        self._count, self._values = len(own), np.array([row.value for row in own])
+        self._weights = 1.0 / np.array([row.deviation for row in own])
 
     @classmethod
     def among(cls, made: Sequence[Measurement], more: Sequence[Measurement]) -> list[Passages]:
         """Group measurements by load and point."""
         groups: dict[tuple[float, str], list[int]] = {}
-        rows = (*made, *more)
-        for place, row in enumerate(rows):
+        for place, row in enumerate((*made, *more)):
             if row.quantity == "displacement":
                 groups.setdefault((row.frequency, row.point), []).append(place)
-        found = []
-        for places in groups.values():
-            mine = [rows[place] for place in places if place < len(made)]
-            found.append(cls(places, mine, [rows[place] for place in places[len(mine) :]]))
-        return found
+        return [cls(places, made, more) for places in groups.values()]
 
     def together(self, orders: np.ndarray) -> np.ndarray:
         """Covariance of the displacements by a harmonic of mean square 1 and any phase, of each of
@@ -187,24 +176,19 @@ class Model:
         For its damping, and its table ``[identify]``.
     whole : Whole
         The plate without its crack.
-    coarse, finer, between : Part
+    parts : (coarse, finer, between)
         The sweep; that of the finer mesh, or None; and that halfway between the nodes, or None.
     fixed : mapping of str to object
         The unknowns that are words, and their values here.
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        whole: Whole,
-        coarse: Part,
-        finer: Part | None = None,
-        between: Part | None = None,
-        *,
-        fixed: Mapping[str, Any],
+        self, scene: Scene, whole: Whole, parts: Sequence[Part | None], *, fixed: Mapping[str, Any]
     ) -> None:
         self.scene, self.table, self.whole = scene, scene.given("identify"), whole
-        self.coarse, self.finer, self.between = coarse, finer, between
+        coarse, self.finer, self.between = parts
+        assert coarse is not None
+        self.coarse = coarse
         self.fixed, self.keys, self.cube = dict(fixed), coarse.keys, coarse.cube
 
     def quantities(
@@ -328,7 +312,7 @@ class Quantities:
         faster = model.coarse.loads.faster
         self._changes = np.stack([model.whole.changes_at(one) for one in faster])[self._loads]
         of_rows = [faster[self._loads[places[0]]] for places in self._places]
-        self.changed = Since.of(self.rows, of_rows, model.whole)
+        self.changed = Since(self.rows, of_rows, model.whole)
         self._higher, still = _stillness(model.coarse, self._features, self._loads)
         self._still = RegularGridInterpolator(model.cube.axes, still) if len(still) else None
         self._faces = _faces(model) if any(row.resonance for row in self.rows) else (BREATHING,)
@@ -446,9 +430,8 @@ class Quantities:
         damping, basis = self.model.damping(x), self._basis_at(x)
         scale = self._scales(x, basis)
         waves = (smooth[:, ::2] + 1j * smooth[:, 1::2]) / scale
-        changes = relative_changes(
-            self._features, damping, basis, self.model.scene, self._changes, self.model.whole.sizes
-        )
+        whole = self.model.whole
+        changes = whole.relative_changes(self._features, damping, basis, self._changes)
         changes = changes * np.where(self._is_plain, 1.0, waves * scale)[..., None]
         waves[:, self._own] += waves[:, self._plain]
         unsure = sum(np.sum(errors**2, axis=1) for errors in scatter)

@@ -40,7 +40,8 @@ speed: with a temperature that makes the same relative change of all frequencies
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from copy import copy
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -63,9 +64,9 @@ FACTORS = {"rad/s": 2.0 * np.pi, "kHz": 1e-3, "mHz": 1e3}
 """Numbers in these units over those in Hz."""
 
 
-@dataclass(frozen=True)
 class Whole:
-    """The plate without its crack: natural frequencies and their sensitivities to the priors.
+    """The plate without its crack, or with a bonded one: natural frequencies and their
+    sensitivities to the priors, found on this rank alone.
 
     Attributes
     ----------
@@ -82,11 +83,20 @@ class Whole:
         With the widths of the priors.
     """
 
-    speed: float
-    stiffness: np.ndarray
-    reactions: np.ndarray
-    turning: int
-    table: Identify
+    def __init__(self, scene: Scene, table: Identify) -> None:
+        if table.temperature_deviation is None:  # of a room; of blades that their gas or drag warms
+            table = replace(table, temperature_deviation=25.0 if scene.speed else 10.0)
+        self.speed, self.table, modes = scene.speed, table, _modes(scene)
+        still = _modes(scene.at_rest()) if scene.speed > 0.0 else modes
+        every = np.hstack([still.shapes, modes.shapes]) if scene.speed > 0.0 else modes.shapes
+        squares, vectors = eigh(every.T @ times(modes.structure.mass, every))
+        kept = squares > np.sqrt(np.finfo(float).eps) * squares[-1]  # independent motions
+        basis = every @ (vectors[:, kept] / np.sqrt(squares[kept]))
+        at_rest = times(still.structure.stiffness, basis)
+        elastic = basis.T @ at_rest
+        rotating = basis.T @ times(modes.structure.stiffness, basis) - elastic
+        rigid, self.turning = _held(modes)
+        self.stiffness, self.reactions = np.stack([elastic, rotating]), at_rest.T @ rigid
 
     @cached_property
     def frequencies(self) -> np.ndarray:
@@ -145,13 +155,56 @@ class Whole:
             ]
         )
 
-    @property
-    def sizes(self) -> np.ndarray:
-        """Relative changes of the size of harmonics by a standard deviation of each: (s,)."""
-        young, _, thickness = self._widths
-        found = np.zeros(self.changes_at(1.0).shape[1])
-        found[[0, 2]] = -young, -thickness
-        return found
+    def relative_changes(
+        self,
+        features: Sequence[Feature],
+        damping: np.ndarray,
+        basis: np.ndarray,
+        changes: np.ndarray,
+    ) -> np.ndarray:
+        """Return relative changes of features by a standard deviation of each prior, (m, f, s): of
+        natural frequencies without the crack, of its additions to their logarithms, and of
+        harmonics.
+
+        Parameters
+        ----------
+        features : sequence of Feature
+        damping : (m, 1)
+            Ratios.
+        basis : (m, f, 1 + 2 n)
+            :attr:`Part.basis` there at the load of each feature.
+        changes : (f, n, s)
+            Of this plate at the speed of each feature, :meth:`changes_at`.
+        """
+        table, count = self.table, changes.shape[1]
+        natural, cracked = (
+            np.array([getattr(feature, name) for feature in features])[:, None]
+            for name in ("natural", "of_crack")
+        )
+        modes = np.array([feature.mode for feature in features])[:, None]
+        shape = len(basis), len(modes), count
+        by_mode = np.broadcast_to(natural & (modes == 1 + np.arange(count)), shape)
+        by_crack, by_damping = by_mode * cracked, np.zeros((*shape[:2], 1))
+        if not natural.all():
+            with np.errstate(invalid="ignore"):
+                bilinear, plain = np.split(np.log(basis[..., 1:]), 2, axis=2)
+            shifts = np.nan_to_num(bilinear - plain)[..., :count]
+            slopes, by_ratio = _of_poles(features, damping, basis)
+            first, ratio = _of_poles(driving(features), damping, basis)
+            slopes = (slopes + turned(first, features))[..., :count]
+            by_mode = np.where(natural, by_mode, slopes)
+            by_crack = np.where(natural, by_crack, slopes * shifts)
+            by_damping = (by_ratio + turned(ratio, features)).sum(axis=2)[..., None]
+        sizes = np.zeros(changes.shape[2])  # of harmonics
+        sizes[:3] = np.multiply(self._widths, (-1.0, 0.0, -1.0))
+        own = table.crack_deviation * np.sqrt(1.0 - table.crack_correlation)
+        known = any(axis.key == "damping.ratio" for axis in table.unknown)
+        columns = [
+            np.einsum("mfn,fns->mfs", by_mode * ~cracked, changes) + ~natural * sizes,
+            own * by_crack,
+            (0.0 if known else table.damping_deviation) * by_damping,
+        ]
+        return np.concatenate(columns, axis=2)
 
     @property
     def _widths(self) -> list[float]:
@@ -222,7 +275,6 @@ def _unit(ratio: float) -> str:
     return next(near, "")
 
 
-@dataclass(frozen=True)
 class Since:
     """Changes between the record before there was a crack and the one since, of q measurements: 0
     of those that are no natural frequency, and of modes that are not known.
@@ -239,14 +291,8 @@ class Since:
         The same of temperatures that are known: by the coefficient, the thermometer and rotation.
     """
 
-    factors: np.ndarray
-    clamp: np.ndarray
-    temperature: np.ndarray
-    known: np.ndarray
-
-    @classmethod
-    def of(cls, rows: Sequence[Measurement], faster: Sequence[float], whole: Whole) -> Since:
-        """Changes of measurements, each at a speed over the rotor's.
+    def __init__(self, rows: Sequence[Measurement], faster: Sequence[float], whole: Whole) -> None:
+        """Take measurements, each at a speed over the rotor's.
 
         Records since are at the mean of their stated temperatures, if any is; those before at the
         stated one, or at one that is not known.
@@ -257,28 +303,24 @@ class Since:
         now = stated[~before & np.isfinite(stated)]
         off = np.nan_to_num(stated - (now.mean() if len(now) else np.nan))
         measured = before & np.isfinite(stated) & (len(now) > 0)
-        factors = np.ones(len(rows))
-        clamp, heat = np.zeros((len(rows), 3 + count)), np.zeros((len(rows), 1 + count))
+        self.factors, heat = np.ones(len(rows)), np.zeros((len(rows), 1 + count))
+        self.clamp = np.zeros((len(rows), 3 + count))
         since = {speed: whole.since_at(speed) for speed in set(faster)}
         for place, (row, speed) in enumerate(zip(rows, faster, strict=True)):
             if row.natural and row.mode <= count:
                 by_clamp, by_kelvin = since[speed]
-                clamp[place] = before[place] * by_clamp[row.mode - 1]
+                self.clamp[place] = before[place] * by_clamp[row.mode - 1]
                 heat[place] = by_kelvin[row.mode - 1]
                 stiffer = 1.0 + table.temperature_coefficient * off[place]
-                factors[place] = whole.stiffened(speed, stiffer)[row.mode - 1]
+                self.factors[place] = whole.stiffened(speed, stiffer)[row.mode - 1]
         unknown = (before & ~measured)[:, None]
+        self.temperature = -table.priors["temperature_deviation"] * unknown * heat
         of_known = [
             table.coefficient_deviation * off[:, None] * heat[:, :1],
             table.thermometer_deviation * measured[:, None] * heat[:, :1],
             off[:, None] * heat[:, 1:],
         ]
-        return cls(
-            factors,
-            clamp,
-            -table.priors["temperature_deviation"] * unknown * heat,
-            np.hstack(of_known),
-        )
+        self.known = np.hstack(of_known)
 
     @property
     def columns(self) -> np.ndarray:
@@ -287,24 +329,9 @@ class Since:
 
     def scaled(self, clamp: float, temperature: float) -> Since:
         """The same with the changes by the clamp and by an unknown temperature multiplied."""
-        return replace(self, clamp=clamp * self.clamp, temperature=temperature * self.temperature)
-
-
-def whole_plate(scene: Scene, table: Identify) -> Whole:
-    """Find the modes of a plate without a crack, or with a bonded one, on this rank alone."""
-    if table.temperature_deviation is None:  # of a room; of blades that their gas or drag warms
-        table = replace(table, temperature_deviation=25.0 if scene.speed else 10.0)
-    modes = _modes(scene)
-    still = _modes(scene.at_rest()) if scene.speed > 0.0 else modes
-    every = np.hstack([still.shapes, modes.shapes]) if scene.speed > 0.0 else modes.shapes
-    squares, vectors = eigh(every.T @ times(modes.structure.mass, every))
-    kept = squares > np.sqrt(np.finfo(float).eps) * squares[-1]  # independent motions
-    basis = every @ (vectors[:, kept] / np.sqrt(squares[kept]))
-    at_rest = times(still.structure.stiffness, basis)
-    elastic = basis.T @ at_rest
-    rotating = basis.T @ times(modes.structure.stiffness, basis) - elastic
-    rigid, forces = _held(modes)
-    return Whole(scene.speed, np.stack([elastic, rotating]), at_rest.T @ rigid, forces, table)
+        found = copy(self)
+        found.clamp, found.temperature = clamp * self.clamp, temperature * self.temperature
+        return found
 
 
 def _modes(scene: Scene) -> Modes:
@@ -327,60 +354,6 @@ def _held(modes: Modes) -> tuple[np.ndarray, int]:
     straight = nodes.points.shape[1]
     rigid[:, :straight] *= np.sqrt(np.sum(np.var(clamped, axis=0)))
     return rigid, straight
-
-
-def relative_changes(
-    features: Sequence[Feature],
-    damping: np.ndarray,
-    basis: np.ndarray,
-    scene: Scene,
-    changes: np.ndarray,
-    sizes: np.ndarray,
-) -> np.ndarray:
-    """Return relative changes of features by a standard deviation of each prior, (m, f, s): of
-    natural frequencies without the crack, of its additions to their logarithms, and of harmonics.
-
-    Parameters
-    ----------
-    features : sequence of Feature
-    damping : (m, 1)
-        Ratios.
-    basis : (m, f, 1 + 2 n)
-        :attr:`Part.basis` there at the load of each feature.
-    scene : Scene
-        With the widths of the priors.
-    changes : (f, n, s)
-        Of the plate without a crack at the speed of each feature, :meth:`Whole.changes_at`.
-    sizes : (s,)
-        The same of the size of harmonics.
-    """
-    table, count = scene.given("identify"), changes.shape[1]
-    natural, cracked = (
-        np.array([getattr(feature, name) for feature in features])[:, None]
-        for name in ("natural", "of_crack")
-    )
-    modes = np.array([feature.mode for feature in features])[:, None]
-    shape = len(basis), len(modes), count
-    by_mode = np.broadcast_to(natural & (modes == 1 + np.arange(count)), shape)
-    by_crack, by_damping = by_mode * cracked, np.zeros((*shape[:2], 1))
-    if not natural.all():
-        with np.errstate(invalid="ignore"):
-            bilinear, plain = np.split(np.log(basis[..., 1:]), 2, axis=2)
-        shifts = np.nan_to_num(bilinear - plain)[..., :count]
-        slopes, by_ratio = _of_poles(features, damping, basis)
-        first, ratio = _of_poles(driving(features), damping, basis)
-        slopes = (slopes + turned(first, features))[..., :count]
-        by_mode = np.where(natural, by_mode, slopes)
-        by_crack = np.where(natural, by_crack, slopes * shifts)
-        by_damping = (by_ratio + turned(ratio, features)).sum(axis=2)[..., None]
-    own = table.crack_deviation * np.sqrt(1.0 - table.crack_correlation)
-    known = any(axis.key == "damping.ratio" for axis in table.unknown)
-    columns = [
-        np.einsum("mfn,fns->mfs", by_mode * ~cracked, changes) + ~natural * sizes,
-        own * by_crack,
-        (0.0 if known else table.damping_deviation) * by_damping,
-    ]
-    return np.concatenate(columns, axis=2)
 
 
 def _of_poles(

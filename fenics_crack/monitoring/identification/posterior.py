@@ -154,9 +154,9 @@ class Optimum:
     covariance: np.ndarray
 
 
-@dataclass(frozen=True)
 class Branch:
-    """The posterior of one choice of the unknowns that are words.
+    """The posterior of one choice of the unknowns that are words, on a grid that is denser around
+    the optima of its likelihood.
 
     Attributes
     ----------
@@ -171,11 +171,42 @@ class Branch:
         Prior mass of each grid point; their sum is 1.
     """
 
-    likelihood: Likelihood
-    optima: list[Optimum]
-    axes: tuple[np.ndarray, ...]
-    height: np.ndarray
-    weight: np.ndarray
+    def __init__(self, likelihood: Likelihood) -> None:
+        self.likelihood, cube = likelihood, likelihood.quantities.model.cube
+        d = len(cube.axes)
+        self.axes: tuple[np.ndarray, ...] = ()
+        if d == 0:
+            self.height, self.weight = likelihood(np.zeros((1, 0))).reshape(()), np.ones(())
+            self.optima = [Optimum(np.zeros(0), float(self.height), np.zeros((0, 0)))]
+            return
+        first = _even(cube)
+        height = _heights(likelihood, _points(first)).reshape([len(axis) for axis in first])
+        self.optima = _optima(likelihood, first, height)
+        crack_deviations = likelihood.quantities.model.crack_deviations
+        few = self.optima[:3]
+        reaches = [OPTIONS.reach * np.sqrt(np.diag(one.covariance)) for one in few]
+        wider = [OPTIONS.reach * crack_deviations(one.x[None])[0] for one in few]
+        axes = []
+        for place, (axis, low, high) in enumerate(zip(first, cube.low, cube.high, strict=True)):
+            pieces = [axis]
+            for optimum, near, far in zip(few, reaches, wider, strict=True):
+                for reach in (near[place], math.hypot(near[place], far[place])):
+                    piece = optimum.x[place] + reach * np.linspace(-1.0, 1.0, CLOSER.get(d, 7))
+                    pieces.append(piece[(piece > low) & (piece < high)])
+            axes.append(np.unique(np.concatenate(pieces)))
+        weights = [trapezoid(np.eye(len(axis)), axis) / np.ptp(axis) for axis in axes]
+        self.axes, self.weight = tuple(axes), reduce(np.multiply.outer, weights)
+        points = _points(axes)
+        # Interpolate on the first grid where all of it around a point is far below the maximum.
+        around = maximum_filter(height, size=3, mode="nearest")
+        least = self.optima[0].height - OPTIONS.skipped
+        near = RegularGridInterpolator(first, around)(points) > least
+        for optimum, reach in zip(few, reaches, strict=True):
+            near |= np.all(np.abs(points - optimum.x) < reach, axis=1)
+        closer = RegularGridInterpolator(first, height)(points)
+        closer[near] = _heights(likelihood, points[near])
+        widths = crack_deviations(points)
+        self.height = _spread(closer.reshape(self.weight.shape), axes, weights, widths)
 
     @property
     def log_evidence(self) -> float:
@@ -207,43 +238,6 @@ class Branch:
                 every.append(x)
                 shares.append(parts / (total + likelihood.deviations**2)[:, None])
         return np.vstack(every), np.vstack(shares)
-
-
-def explore(likelihood: Likelihood) -> Branch:
-    """Find the optima of a likelihood, and its values on a grid that is denser around them."""
-    cube = likelihood.quantities.model.cube
-    d = len(cube.axes)
-    if d == 0:
-        height = likelihood(np.zeros((1, 0)))
-        only = Optimum(np.zeros(0), float(height[0]), np.zeros((0, 0)))
-        return Branch(likelihood, [only], (), height.reshape(()), np.ones(()))
-    first = _even(cube)
-    height = _heights(likelihood, _points(first)).reshape([len(axis) for axis in first])
-    optima = _optima(likelihood, first, height)
-    crack_deviations = likelihood.quantities.model.crack_deviations
-    few = optima[:3]
-    reaches = [OPTIONS.reach * np.sqrt(np.diag(one.covariance)) for one in few]
-    wider = [OPTIONS.reach * crack_deviations(one.x[None])[0] for one in few]
-    axes = []
-    for place, (axis, low, high) in enumerate(zip(first, cube.low, cube.high, strict=True)):
-        pieces = [axis]
-        for optimum, near, far in zip(few, reaches, wider, strict=True):
-            for reach in (near[place], math.hypot(near[place], far[place])):
-                piece = optimum.x[place] + reach * np.linspace(-1.0, 1.0, CLOSER.get(d, 7))
-                pieces.append(piece[(piece > low) & (piece < high)])
-        axes.append(np.unique(np.concatenate(pieces)))
-    weights = [trapezoid(np.eye(len(axis)), axis) / np.ptp(axis) for axis in axes]
-    weight = reduce(np.multiply.outer, weights)
-    points = _points(axes)
-    # Interpolate on the first grid where all of it around a point is far below the maximum.
-    around = maximum_filter(height, size=3, mode="nearest")
-    near = RegularGridInterpolator(first, around)(points) > optima[0].height - OPTIONS.skipped
-    for optimum, reach in zip(few, reaches, strict=True):
-        near |= np.all(np.abs(points - optimum.x) < reach, axis=1)
-    closer = RegularGridInterpolator(first, height)(points)
-    closer[near] = _heights(likelihood, points[near])
-    closer = _spread(closer.reshape(weight.shape), axes, weights, crack_deviations(points))
-    return Branch(likelihood, optima, tuple(axes), closer, weight)
 
 
 def _spread(

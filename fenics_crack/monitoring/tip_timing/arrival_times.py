@@ -411,7 +411,8 @@ def read_record(
             seen[turns - turns[0], place] = _angles_from_mark(
                 path, name, columns[name], turns, marks
             )
-        own = probes.get(blade) if isinstance(probes, Mapping) else probes
+        angles = probes.get(blade) if isinstance(probes, Mapping) else probes
+        own = None if angles is None else np.asarray(angles, dtype=float)
         found_blades[blade] = _arrivals(seen, marks, tip_radius, own, int(turns[0]))
     return found_blades
 
@@ -522,17 +523,13 @@ def _angles_from_mark(
 
 
 def _arrivals(
-    seen: np.ndarray,
-    marks: np.ndarray,
-    tip_radius: float,
-    probes: Sequence[float] | np.ndarray | None,
-    first: int,
+    seen: np.ndarray, marks: np.ndarray, tip_radius: float, probes: np.ndarray | None, first: int
 ) -> ArrivalTimes:
     """Return arrivals of a blade by angles from the mark (revolutions, probes) [rad]."""
     for column in seen.T:  # a blade at the mark is seen before it and after it
         column -= TURN * np.round((column - column[np.isfinite(column)][0]) / TURN)
     middle = np.nanmedian(seen, axis=0)
-    places = middle % TURN if probes is None else np.asarray(probes, dtype=float)
+    places = middle % TURN if probes is None else probes
     if len(places) != seen.shape[1]:
         raise InputError("probes", places, f"{seen.shape[1]} angles, as the record has probes")
     order = np.argsort(places)

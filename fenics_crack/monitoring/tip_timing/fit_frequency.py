@@ -41,7 +41,6 @@ from fenics_crack.monitoring.tip_timing.harmonics import (
 from fenics_crack.monitoring.tip_timing.robust import (
     LEVELS,
     ROBUST_SETTLED,
-    Noise,
     refined,
     reweighted,
     student,
@@ -115,12 +114,7 @@ def fit_frequency(
 
 
 def find_lines(
-    arrivals: ArrivalTimes,
-    values: np.ndarray,
-    constants: np.ndarray,
-    highest: float,
-    *,
-    most: int = 3,
+    arrivals: ArrivalTimes, values: np.ndarray, constants: np.ndarray, highest: float, most: int = 3
 ) -> tuple[tuple[TipFit, ...], np.ndarray]:
     """Find significant vibrations of constant frequency, beside constants that hold all that
     follows the speed; return them, and the displacements without them.
@@ -170,11 +164,6 @@ class _Sought:
     ends : (float, float) [rad/s]
         Range in which the frequency is sought.
     """
-
-    omega: float
-    found: np.ndarray
-    columns: np.ndarray
-    noise: Noise
 
     def __init__(
         self,

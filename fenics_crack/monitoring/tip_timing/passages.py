@@ -356,7 +356,7 @@ def _lines(
     """Find vibrations of constant frequency in displacements, and return them and their motion."""
     begin_stage("vibrations of constant frequency")
     constants = np.arange(values.shape[1]) * np.ones(values.shape, dtype=int)
-    lines, left = find_lines(arrivals, values, constants, orders.max(), most=most)
+    lines, left = find_lines(arrivals, values, constants, orders.max(), most)
     return lines, values - left
 
 
@@ -555,7 +555,6 @@ class _Compared:
     """
 
     best: Fit
-    margins: dict[float, float]
 
     def __init__(self, runs: Sequence[Run], speed: float, orders: np.ndarray) -> None:
         self.beside: list[_Compared] = []
@@ -563,13 +562,13 @@ class _Compared:
 
     def compare(self, runs: Sequence[Run], speed: float, orders: np.ndarray) -> None:
         """Compare orders in passages near a speed."""
-        self._runs, self.margins = runs, {}
+        self._runs = runs
         weights = [run.seen.astype(float) for run in runs]
         fits: dict[Mode, Fit] = {}
         # First without weights, where single wrong arrivals may hide the order; then with those of
         # the best fit, until it is the one that they make the best.
         for last in (False, False, True):
-            tried = _begun(runs, weights, orders, speed, TYPICAL)
+            tried = _begun(zip(runs, weights, strict=True), orders, speed, TYPICAL)
             tried.sort(key=lambda one: -one[0])
             last = last or (len(fits) > 0 and tried[0][1].order == self.best.mode.order)
             for gain, mode in tried[: REFINED if last else 1]:
@@ -645,8 +644,9 @@ class _Compared:
         begun: list[list[Mode]] = []
         for one, beside in (both, both[::-1]):
             alone = values - beside.best.motion(record, len(values))
-            parts, mode = record.runs(alone, self.speed), one.best.mode
-            tried = _begun(parts, best.weights, orders, one.speed, mode.damping)
+            parts = zip(record.runs(alone, self.speed), best.weights, strict=True)
+            mode = one.best.mode
+            tried = _begun(parts, orders, one.speed, mode.damping)
             begun.append([mode if other.order == mode.order else other for _, other in tried])
         fits = {best.modes: best}
         for _ in range(TURNS):
@@ -713,17 +713,13 @@ class _Compared:
 
 
 def _begun(
-    runs: Sequence[Run],
-    weights: Sequence[np.ndarray],
-    orders: np.ndarray,
-    speed: float,
-    damping: float,
+    runs: Iterable[tuple[Run, np.ndarray]], orders: np.ndarray, speed: float, damping: float
 ) -> list[tuple[float, Mode]]:
-    """Return the mode of each order near a speed that reduces the sum of squares most, on a grid of
-    frequencies half a width apart, with this reduction."""
+    """Return the mode of each order near a speed that reduces the sum of squares most, of runs with
+    their weights, on a grid of frequencies half a width apart, with this reduction."""
     omegas = orders[:, None] * speed * (1.0 + damping * np.linspace(-2.5, 2.5, 11))
     roots = pole(omegas, damping)
-    gains = sum(run.gains(orders, roots, own) for run, own in zip(runs, weights, strict=True))
+    gains = sum(run.gains(orders, roots, weights) for run, weights in runs)
     best, rows = np.argmax(gains, axis=1), np.arange(len(orders))
     modes = map(Mode, orders.tolist(), roots[rows, best].tolist())
     return list(zip(np.asarray(gains)[rows, best].tolist(), modes, strict=True))

@@ -71,30 +71,59 @@ Places = tuple[np.ndarray, np.ndarray]
 """Revolutions and probes of arrivals: two (n,)."""
 
 
-@dataclass(frozen=True)
 class Noise:
-    """Residuals of a fit, as errors from Student's t.
+    """Residuals of a fit, as errors from Student's t of the most likely scale and degrees of
+    freedom.
 
-    Attributes
+    Steps of the scale are 1 + 3 / nu times those of the weighted squares, as the information of
+    Student's t, 2 nu / (nu + 3), has it.
+
+    Parameters
     ----------
     left : (n,)
         Residuals.
+    unknowns : int
+        Number of unknowns of the fit.
+    least : float
+        Minimum of the scale: rounding.
+    scales : (k,)
+        Scales of all degrees that are tried, of the residuals before, from which these begin.
+
+    Attributes
+    ----------
     weights : (n,)
         Weights of the arrivals in the fit.
     scale, freedom : float
         s and nu.
-    unknowns : int
-        Number of unknowns of the fit.
     cost : float
         -2 log likelihood.
     """
 
-    left: np.ndarray
-    weights: np.ndarray
-    scale: float
-    freedom: float
-    unknowns: int
-    cost: float
+    def __init__(
+        self, left: np.ndarray, unknowns: int, least: float, scales: np.ndarray | None = None
+    ) -> None:
+        self.left, self.unknowns = left, unknowns
+        square, spare = left**2, max(len(left) - unknowns, 1)
+        # As many arrivals as unknowns may be met exactly: few to spare have no tails.
+        freedoms = FREEDOMS if spare > unknowns else FREEDOMS[-1:]
+        if scales is None:
+            scale = 1.5 * float(np.median(np.abs(left))) * np.sqrt(len(left) / spare)
+            scales = np.full(len(freedoms), scale)
+        value, nu = np.maximum(scales, least), freedoms[:, None]
+        for _ in range(ROBUST_ROUNDS):
+            scaled = square / value[:, None] ** 2
+            ratio = (nu + 1.0) / (nu + scaled) @ square / (spare * value**2)
+            before, value = value, np.maximum(value * ratio ** (0.5 + 1.5 / freedoms), least)
+            if np.all(np.abs(value - before) < ROBUST_SETTLED * value):
+                break
+        self.scales, scaled = value, square / value[:, None] ** 2
+        each = 2.0 * (gammaln(0.5 * freedoms) - gammaln(0.5 * freedoms + 0.5) + np.log(value))
+        each += np.log(freedoms * np.pi)
+        costs = len(left) * each + (freedoms + 1.0) * np.log1p(scaled / nu).sum(axis=1)
+        # Tails are one unknown more, by which the likelihood has to gain (Akaike's criterion).
+        best = int(np.argmin(costs + 2.0 * (freedoms < FREEDOMS[-1])))
+        self.scale, self.freedom, self.cost = (float(one[best]) for one in (value, freedoms, costs))
+        self.weights = (self.freedom + 1.0) / (self.freedom + scaled[best])
 
     @property
     def psi(self) -> np.ndarray:
@@ -241,7 +270,8 @@ def reweighted(
     """
     before, scales = np.inf, None
     for _ in range(ROBUST_ROUNDS):
-        noise, scales = _noise(solve(weights), unknowns, scales, least)
+        noise = Noise(solve(weights), unknowns, least, scales)
+        scales = noise.scales
         change = np.abs(noise.weights - weights).max(), np.abs(noise.left - before).max()
         weights, before = noise.weights, noise.left
         if change[0] < ROBUST_SETTLED and change[1] < ROBUST_SETTLED * noise.scale:
@@ -279,37 +309,3 @@ def refined(
         gtol=None,
     )
     return both(found.x.tobytes())[0]
-
-
-def _noise(
-    left: np.ndarray, unknowns: int, scales: np.ndarray | None, least: float
-) -> tuple[Noise, np.ndarray]:
-    """Find scale and degrees of freedom of residuals, by maximum likelihood; return them, and the
-    scales of all degrees that are tried, from which those of the next residuals begin.
-
-    Steps of the scale are 1 + 3 / nu times those of the weighted squares, as the information of
-    Student's t, 2 nu / (nu + 3), has it.
-    """
-    square, spare = left**2, max(len(left) - unknowns, 1)
-    # As many arrivals as unknowns may be met exactly: few to spare have no tails.
-    freedoms = FREEDOMS if spare > unknowns else FREEDOMS[-1:]
-    if scales is None:
-        scale = 1.5 * float(np.median(np.abs(left))) * np.sqrt(len(left) / spare)
-        scales = np.full(len(freedoms), scale)
-    value, nu = np.maximum(scales, least), freedoms[:, None]
-    for _ in range(ROBUST_ROUNDS):
-        scaled = square / value[:, None] ** 2
-        ratio = (nu + 1.0) / (nu + scaled) @ square / (spare * value**2)
-        before, value = value, np.maximum(value * ratio ** (0.5 + 1.5 / freedoms), least)
-        if np.all(np.abs(value - before) < ROBUST_SETTLED * value):
-            break
-    scaled = square / value[:, None] ** 2
-    each = 2.0 * (gammaln(0.5 * freedoms) - gammaln(0.5 * freedoms + 0.5) + np.log(value))
-    each += np.log(freedoms * np.pi)
-    costs = len(left) * each + (freedoms + 1.0) * np.log1p(scaled / nu).sum(axis=1)
-    # Tails are one unknown more, by which the likelihood has to gain (Akaike's criterion).
-    best = int(np.argmin(costs + 2.0 * (freedoms < FREEDOMS[-1])))
-    freedom = float(freedoms[best])
-    weights = (freedom + 1.0) / (freedom + scaled[best])
-    cost = float(costs[best])
-    return Noise(left, weights, float(value[best]), freedom, unknowns, cost), value

@@ -15,7 +15,7 @@ from fenics_crack.basics.ranks import MPI, gather_rows
 from fenics_crack.basics.tables import RPM, TURN, speed_in_words
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.fem.build import with_crack_length
-from fenics_crack.fem.lips import SAME
+from fenics_crack.fem.cracks import SAME
 from fenics_crack.files.results import Result
 from fenics_crack.files.store import with_full_paths
 from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes, probes_of_blades
@@ -63,7 +63,7 @@ def arrivals_of(
         return source, None
     table = scene.given("tip_timing")
     run = _run_of(scene, source, comm)
-    return _computed(table, run, source, tip_direction(table, run), table.probes), run
+    return _computed(table, run, source, table.probes), run
 
 
 def arrivals_of_blades(
@@ -104,12 +104,11 @@ def arrivals_of_blades(
         return dict(source), None
     table = scene.given("tip_timing")
     run, found = _run_of(scene, source, comm), {}
-    wheel = run.structure.whole
-    probes = probes_of_blades(np.radians(table.probes), wheel.sector.count)
-    for blade, tip in _tips(table, run).items():
+    count = run.structure.whole.sector.count
+    for blade, probes in probes_of_blades(np.radians(table.probes), count).items():
         begin(f"arrivals of blade {blade}")
-        angles = np.degrees(np.sort(probes[blade])).tolist()
-        found[blade] = _computed(table, run, source, tip, angles, blade - 1)
+        angles = np.degrees(np.sort(probes)).tolist()
+        found[blade] = _computed(table, run, source, angles, blade)
     return found, run
 
 
@@ -133,14 +132,9 @@ def curve_of(run: Run[Any] | None) -> ResponseCurve | None:
 
 
 def _computed(
-    table: TipTiming,
-    run: Run[Any],
-    source: Path | None,
-    tip: dict[int, float],
-    degrees: Sequence[float],
-    blade: int = 0,
+    table: TipTiming, run: Run[Any], source: Path | None, degrees: Sequence[float], blade: int = 0
 ) -> ArrivalTimes:
-    """Arrivals of one blade at probes, from a result."""
+    """Arrivals at probes of the blade, or of one of several, from a result."""
     result: Any = run.result
     if (curve := curve_of(run)) is not None:
         points, lost = run_up_points(curve)
@@ -148,30 +142,15 @@ def _computed(
         result = curve if lost is None or len(points) < 2 else curve.part(points)
     return tip_timing(
         result,
-        tip,
+        tip_direction(table, run, blade),
         probes=np.radians(degrees),
         tip_radius=table.tip_radius,
         **_turning(table, run, source),
         revolutions=table.revolutions,
         noise=table.noise,
         clock=table.clock,
-        seed=table.seed + blade,
+        seed=table.seed + max(blade - 1, 0),
     )
-
-
-def _tips(table: TipTiming, run: Run) -> dict[int, dict[int, float]]:
-    """The displacement of every tip in the direction of rotation, as factors of dofs."""
-    wheel = run.structure.whole
-    _, own = wheel.blade_of(run.watched_dof)
-    if table.tangential is None:
-        shares: dict[int, float] = wheel.sector.circumferential(own)
-    else:
-        shares = {own: table.tangential}
-    count = wheel.sector.count
-    return {
-        blade: {wheel.dof_of(blade, dof): share for dof, share in shares.items()}
-        for blade in range(1, count + 1)
-    }
 
 
 def run_up_ends(scene: Scene, run: Run[Any]) -> str:
@@ -325,9 +304,9 @@ def _diagram(scene: Scene, arrivals: ArrivalTimes) -> Campbell:
     return campbell(scene, speeds, few=10)
 
 
-def tip_direction(table: TipTiming, run: Run) -> dict[int, float]:
-    """Return the displacement of the blade tip in the direction of rotation, as factors of dofs
-    (collective).
+def tip_direction(table: TipTiming, run: Run, blade: int = 0) -> dict[int, float]:
+    """Return the displacement of the blade tip in the direction of rotation, as factors of dofs; of
+    a wheel that of one blade, of the first cracked one if it is 0 (collective).
 
     Raises
     ------
@@ -336,7 +315,10 @@ def tip_direction(table: TipTiming, run: Run) -> dict[int, float]:
     """
     whole, rotation = run.structure.whole, _carrier(table, run.scene)
     if run.scene.disk is not None:
-        return _tips(table, run)[whole.first + 1]
+        _, own = whole.blade_of(run.watched_dof)
+        given, number = table.tangential, blade or whole.first + 1
+        of_sector = whole.sector.circumferential(own) if given is None else {own: given}
+        return {whole.dof_of(number, dof): share for dof, share in of_sector.items()}
     if rotation is None:
         return {run.watched_dof: 1.0 if table.tangential is None else table.tangential}
     dofs, points = (gather_rows(whole.comm, x) for x in (whole.nodes.dofs, whole.nodes.points))

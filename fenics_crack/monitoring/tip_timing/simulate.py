@@ -124,7 +124,7 @@ def tip_timing(
 
     motion = _motion(result, shares, speed, order, revolutions)
     time = _arrivals(motion, angles, tip_radius)
-    marks = motion.rotor.time(2.0 * np.pi * np.arange(revolutions + 1))
+    marks = motion.time(2.0 * np.pi * np.arange(revolutions + 1))
     turn = float(np.diff(marks).min())
     for key, value in (("noise", noise), ("clock", clock)):
         if value >= turn:
@@ -139,7 +139,7 @@ def tip_timing(
 def _arrivals(motion: _TipMotion, angles: np.ndarray, radius: float) -> np.ndarray:
     """Return the times at which the blade tip passes the probes: (revolutions, probes) [s]."""
     backwards = motion.fastest_backwards() / radius
-    targets = 2.0 * np.pi * np.arange(motion.rotor.revolutions)[:, None] + angles
+    targets = 2.0 * np.pi * np.arange(motion.revolutions)[:, None] + angles
     parts = np.array_split(targets.ravel(), -(-targets.size // 2**15))  # for the memory
     passed = np.concatenate([_passing_angles(motion, part, radius) for part in parts])
     if backwards >= 1.0 or np.any(np.isnan(passed)):
@@ -148,7 +148,7 @@ def _arrivals(motion: _TipMotion, angles: np.ndarray, radius: float) -> np.ndarr
             f"vibration reaches {backwards:.3g} of the speed of rotation"
         )
         raise InputError("tip_radius", radius, allowed)
-    return motion.rotor.time(passed).reshape(targets.shape)
+    return motion.time(passed).reshape(targets.shape)
 
 
 def _motion(
@@ -175,7 +175,8 @@ def _motion(
     turning = float(speed or result.omega / (order or 1))
     waves = result.coefficients_at(list(shares)) @ np.array(list(shares.values()), dtype=float)
     return _TipMotion(
-        _Rotor(turning, turning, revolutions),
+        (turning, turning),
+        revolutions,
         np.array([turning, 2.0 * turning]),
         to_complex(waves)[None].repeat(2, axis=0),
         result.base_omega / turning,
@@ -197,8 +198,8 @@ def _run_up(
     speeds, harmonics = curve.omega[kept] / order, to_complex(np.asarray(waves)[kept].T).T
     if end < begin:
         speeds, harmonics = speeds[::-1], harmonics[::-1]
-    rotor = _Rotor(begin / order, float(curve.omega[kept][-1]) / order, revolutions)
-    return _TipMotion(rotor, speeds, harmonics, order / curve.subharmonic)
+    ends = begin / order, float(curve.omega[kept][-1]) / order
+    return _TipMotion(ends, revolutions, speeds, harmonics, order / curve.subharmonic)
 
 
 def run_up_points(curve: ResponseCurve) -> tuple[np.ndarray, int | None]:
@@ -233,43 +234,16 @@ def _next_to_folds(rising: np.ndarray, kept: np.ndarray, doubtful: np.ndarray) -
 
 
 @dataclass(frozen=True)
-class _Rotor:
-    """Rotation at constant acceleration, from angle 0 at time 0.
+class _TipMotion:
+    """Tangential displacement of the blade tip over the angle of a rotor, which turns at constant
+    acceleration, from angle 0 at time 0.
 
     Attributes
     ----------
-    begin, end : float [rad/s]
-        Speed at the beginning, and after all revolutions.
+    ends : (float, float) [rad/s]
+        Speed of the rotor at the beginning, and after all revolutions.
     revolutions : int
         Number of revolutions.
-    """
-
-    begin: float
-    end: float
-    revolutions: int
-
-    @property
-    def acceleration(self) -> float:
-        """[rad/s^2]."""
-        return (self.end - self.begin) * (self.end + self.begin) / (4.0 * np.pi * self.revolutions)
-
-    def speed(self, angle: np.ndarray) -> np.ndarray:
-        """Return the speed [rad/s] at angles [rad]."""
-        return np.asarray(np.sqrt(self.begin**2 + 2.0 * self.acceleration * angle))
-
-    def time(self, angle: np.ndarray) -> np.ndarray:
-        """Return the time [s] at angles [rad], without cancellation at small accelerations."""
-        return np.asarray(2.0 * angle / (self.begin + self.speed(angle)))
-
-
-@dataclass(frozen=True)
-class _TipMotion:
-    """Tangential displacement of the blade tip over the rotor's angle.
-
-    Attributes
-    ----------
-    rotor : Rotor
-        Rotation of the hub.
     speeds : (n,) [rad/s]
         Speeds at which the vibration is known, increasing; between them it is interpolated.
     harmonics : (n, H+1) complex [m]
@@ -278,10 +252,25 @@ class _TipMotion:
         Periods of the response in a revolution, q.
     """
 
-    rotor: _Rotor
+    ends: tuple[float, float]
+    revolutions: int
     speeds: np.ndarray
     harmonics: np.ndarray
     order: float
+
+    @property
+    def acceleration(self) -> float:
+        """Of the rotor [rad/s^2]."""
+        begin, end = self.ends
+        return (end - begin) * (end + begin) / (4.0 * np.pi * self.revolutions)
+
+    def speed(self, angle: np.ndarray) -> np.ndarray:
+        """Return the rotor's speed [rad/s] at angles [rad]."""
+        return np.asarray(np.sqrt(self.ends[0] ** 2 + 2.0 * self.acceleration * angle))
+
+    def time(self, angle: np.ndarray) -> np.ndarray:
+        """Return the time [s] at angles [rad], without cancellation at small accelerations."""
+        return np.asarray(2.0 * angle / (self.ends[0] + self.speed(angle)))
 
     def fastest_backwards(self) -> float:
         """Return a bound of -du/dalpha [m], at all speeds: the largest of samples over a period,
@@ -295,7 +284,7 @@ class _TipMotion:
     def at(self, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return u [m] and du/dalpha [m] at rotor angles (n,) [rad]."""
         turn = np.exp(1j * self.order * angle)
-        speed = self.rotor.speed(angle)
+        speed = self.speed(angle)
         left = np.clip(np.searchsorted(self.speeds, speed) - 1, 0, len(self.speeds) - 2)
         width = self.speeds[left + 1] - self.speeds[left]
         share = np.clip((speed - self.speeds[left]) / width, 0.0, 1.0)
@@ -303,7 +292,7 @@ class _TipMotion:
         here = self.harmonics[left].T + share * steps
         rates = 1j * self.order * np.arange(len(here))[:, None] * here
         inside = (speed > self.speeds[0]) & (speed < self.speeds[-1])
-        rates += np.where(inside, self.rotor.acceleration / (speed * width), 0.0) * steps
+        rates += np.where(inside, self.acceleration / (speed * width), 0.0) * steps
         return (polyval(turn, here, tensor=False).real, polyval(turn, rates, tensor=False).real)
 
 

@@ -30,8 +30,8 @@ from fenics_crack.monitoring.identification.interpolation import (
     left_out_errors,
 )
 from fenics_crack.monitoring.identification.model import Passages, Prediction
-from fenics_crack.monitoring.identification.nuisance import crack_deviations, whole_plate
-from fenics_crack.monitoring.identification.posterior import Likelihood, Posterior, explore
+from fenics_crack.monitoring.identification.nuisance import Whole, crack_deviations
+from fenics_crack.monitoring.identification.posterior import Branch, Likelihood, Posterior
 from fenics_crack.monitoring.identification.result import Worth, advice, worth_of
 from fenics_crack.monitoring.tip_timing.scene_timing import mode_of, passed_in_words
 
@@ -158,7 +158,7 @@ def test_ridge_that_is_narrower_than_the_grid() -> None:
     for deviation, resolved in ((1.0, True), (0.4, True), (1e-2, False), (1e-4, False)):
         model: Any = Linear(np.array([[1.0, 0.37]]), np.zeros(1), cube)
         likelihood = Likelihood(np.array([9.13]), np.array([deviation]), model)
-        posterior = Posterior({"": explore(likelihood)})
+        posterior = Posterior({"": Branch(likelihood)})
         assert (posterior.unresolved < 0.01) == resolved
         assert (posterior.unresolved > 0.3) != resolved
         # Of that posterior: along the ridge both are uniform.
@@ -180,7 +180,7 @@ def test_linear_model() -> None:
         deviations,
         Linear(matrix, np.full(3, 5.0), cube, rows=(None,) * 3),  # type: ignore[arg-type]
     )
-    posterior = Posterior({"": explore(likelihood)})
+    posterior = Posterior({"": Branch(likelihood)})
     weights = matrix / deviations[:, None]
     covariance = np.linalg.inv(weights.T @ weights)
     np.testing.assert_allclose(posterior.best[1], truth, atol=1e-6)
@@ -221,7 +221,7 @@ def test_misfit_of_what_is_fitted() -> None:
         total, chance = likelihood.misfit(x)
         chances.append(chance)
     assert kstest(chances, "uniform").pvalue > 0.01
-    posterior = Posterior({"": explore(likelihood)})
+    posterior = Posterior({"": Branch(likelihood)})
     left = (total - ((values - matrix @ x) / 0.1) ** 2).tolist()
     assert [one[0] for one in posterior.misfits_without_one] == pytest.approx(left, rel=1e-3)
 
@@ -232,7 +232,7 @@ def test_picture_of_one_unknown() -> None:
     cube = Cube((np.linspace(0.0, 0.1, 4), np.linspace(0.0, 0.2, 4)))
     linear = Linear(np.eye(2), np.zeros(2), cube, rows=(None,) * 2)
     likelihood = Likelihood(np.array([0.03, 0.08]), np.array([1e-3, 4e-3]), linear)  # type: ignore[arg-type]
-    posterior = Posterior({"": explore(likelihood)})
+    posterior = Posterior({"": Branch(likelihood)})
     keys = ("crack.length", "crack.height")
     found: Any = type("Identification", (SimpleNamespace,), {})(
         unknown=keys,
@@ -308,7 +308,7 @@ def test_two_that_cannot_be_told_apart() -> None:
     cube = Cube((np.linspace(0.0, 10.0, 4), np.linspace(0.0, 20.0, 4)))
     even = Even(np.zeros((2, 2)), np.zeros(2), cube)
     likelihood = Likelihood(np.array([9.0, 4.0]), np.array([0.3, 0.2]), even)  # type: ignore[arg-type]
-    parts = Posterior({"": explore(likelihood)}).parts(0.95, 0.03)
+    parts = Posterior({"": Branch(likelihood)}).parts(0.95, 0.03)
     assert sorted(round(float(x[0]), 1) for _, x, _ in parts) == [2.0, 8.0]
     assert all(mass == pytest.approx(0.475, abs=0.02) for *_, mass in parts)
 
@@ -325,7 +325,7 @@ def test_soft_clamps() -> None:
     }  # fmt: skip
     scene = fc.Scene.from_text(identification.SCENE)
     table = scene.given("identify")
-    found = whole_plate(scene.replace(changes | {"identify": None}), table).since_at(1.0)[0]
+    found = Whole(scene.replace(changes | {"identify": None}), table).since_at(1.0)[0]
     roots, shares = np.array([1.8751041, 4.6940911, 7.8547574]), [0.7340955, 1.0184673, 0.9992245]
     forces = (roots * shares) ** 2
     for column, expected in ((0, 1.0), (1, forces / forces[0])):
@@ -345,7 +345,7 @@ def test_units_at_other_speeds() -> None:
         structure = fc.build_structure(plain.replace(turning) if rotor else plain.at_rest())
         return float(fc.solve_modes(structure, 1).omega[0]) / (2.0 * np.pi)
 
-    whole, fast = whole_plate(plain, scene.given("identify")), hertz(rpm=9000.0)
+    whole, fast = Whole(plain, scene.given("identify")), hertz(rpm=9000.0)
     assert fast > 1.3 * whole.frequencies[0]
     row = fc.Measurement("frequency_uncracked", fast, 0.1, 1, rpm=9000.0)
     whole.check(fc.Measurements((row,)), [], other=False)

@@ -1,9 +1,13 @@
-"""Cracks: curves of a plate's mesh, or surfaces of a solid's, along which nodes are doubled.
+"""Cracks of a mesh: where they run, and how the nodes along them are doubled.
 
-A rim of a crack is a front, or a tip of a plate's, where it lies inside, else a mouth. All of its
-nodes that are not on a front exist twice afterwards; which of the two a cell has is found by
-walking from cell to cell around each of them, across facets that are not of the crack. A facet
-whose corners are all on fronts stays whole: its nodes exist once.
+A crack face of a plate is a chain of edges from a mouth to a tip, from tip to tip, or from mouth to
+mouth; that of a solid is a surface. A rim of a crack is a front, or a tip of a plate's, where it
+lies inside, else a mouth. A node of a front belongs to both faces.
+
+Where cracks are curves or surfaces inside, all of their nodes that are not on a front are doubled;
+which of the two a cell has is found by walking from cell to cell around each of them, across facets
+that are not of the crack. A facet whose corners are all on fronts stays whole: its nodes exist
+once.
 
 The material of a lower face lies below the crack: the normals that point out of it, summed along
 the face, point up; or to the right where they are level.
@@ -11,26 +15,24 @@ the face, point up; or to the right where they are level.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sparse
 
 from fenics_crack.basics.errors import InputError
-from fenics_crack.fem.lips import (
-    COINCIDENT,
-    SAME,
-    Lip,
-    both_sides,
-    connected,
-    rows_in,
-    to_edges,
-    upwards,
-)
 
+LIP_TAGS = ("lower_lip", "upper_lip")
+"""Names of the two faces of all cracks of a mesh."""
+SAME = 1e-6
+"""Distance within which two places are one, relative to the size of the mesh or the length of the
+crack: text files have six digits and more."""
+COINCIDENT = 1e-3
+"""Distance of nodes in the same place, relative to the shortest edge."""
 FACETS = {
     4: np.array([[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]),
     8: np.array(
@@ -38,6 +40,57 @@ FACETS = {
     ),
 }
 """Facets of a cell of a solid by its number of corners, in turn."""
+
+
+@dataclass(frozen=True)
+class Lip:
+    """A crack face of one crack.
+
+    Attributes
+    ----------
+    points : (n, 2) [m]
+        Its corners, from the mouth to the tip; from the left to the right tip of a crack inside. Of
+        a straight one both ends are enough.
+    has_mouth : bool
+        True if it begins at an edge of the plate.
+    """
+
+    points: np.ndarray
+    has_mouth: bool
+
+    @property
+    def edges(self) -> np.ndarray:
+        """Ends of its edges: (n - 1, 2, 2) [m]."""
+        return np.stack([self.points[:-1], self.points[1:]], axis=1)
+
+    @property
+    def position(self) -> np.ndarray:
+        """Distance of each corner from the beginning, along the face [m]."""
+        steps = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
+        return np.concatenate([[0.0], np.cumsum(steps)])
+
+    @property
+    def watched(self) -> tuple[str, float]:
+        """Name of the watched pair, and its position: at the mouth, or in the middle of a crack
+        inside."""
+        return ("the mouth", 0.0) if self.has_mouth else ("the middle", 0.5 * self.position[-1])
+
+    def locate(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Distance of points (n, 2) from the face, and of the nearest place from its beginning [m]:
+        two arrays (n,)."""
+        to, share = to_edges(points, self.edges)
+        off, position = np.linalg.norm(to, axis=2), self.position
+        places = position[:-1] + share * np.diff(position)
+        edge, row = off.argmin(axis=1), np.arange(len(points))
+        return off[row, edge], places[row, edge]
+
+    def beside(self, point: Sequence[float]) -> tuple[list[float], list[float]] | None:
+        """Points below and above one that lies on the crack, and not at its tip; else None."""
+        (off,), (place,) = self.locate(np.array([point]))
+        length = float(self.position[-1])
+        from_tip = length - place if self.has_mouth else min(place, length - place)
+        edge = np.searchsorted(self.position[1:-1], place)
+        return both_sides(point, off, from_tip, _normals(self.edges[[edge]])[0], length)
 
 
 @dataclass(frozen=True)
@@ -85,11 +138,10 @@ class CrackSurface:
     def beside(self, point: Sequence[float]) -> tuple[list[float], list[float]] | None:
         """Points below and above one that lies on the crack, and not at its front; else None."""
         at = np.asarray(point, dtype=float)
-        (off,), (position,) = self.locate(at[None])
-        if off > SAME * self.size or position <= SAME * self.size:
-            return None
+        (off,), (from_front,) = self.locate(at[None])
         nearest = np.linalg.norm(_to_triangles(at[None], self.triangles)[0], axis=1).argmin()
-        return both_sides(point, _normals(self.triangles[nearest][None])[0], self.size)
+        normal = _normals(self.triangles[[nearest]])[0]
+        return both_sides(point, off, from_front, normal, self.size)
 
 
 def _to_triangles(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -122,6 +174,144 @@ Lips = tuple[Lip, ...] | tuple[CrackSurface, ...]
 Names = tuple[dict[str, tuple[int, ...]], dict[str, tuple[float, ...]]]
 """Named parts of a mesh: tags of the facets of each curve or surface, and positions of the points
 [m]."""
+
+
+def to_edges(points: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Vectors to points (n, d) from the nearest points of edges (m, 2, d): (n, m, d); and the parts
+    of the edges at which these are: (n, m)."""
+    span = edges[:, 1] - edges[:, 0]
+    to = points[:, None] - edges[:, 0]
+    share = np.clip((to * span).sum(axis=2) / (span**2).sum(axis=1), 0.0, 1.0)
+    return to - share[..., None] * span, share
+
+
+def both_sides(
+    point: Sequence[float], off: float, from_front: float, normal: np.ndarray, size: float
+) -> tuple[list[float], list[float]] | None:
+    """Points below and above one on a crack of some size, by the crack's normal there; None where
+    it is off the crack, or at its front."""
+    if off > SAME * size or from_front <= SAME * size:
+        return None
+    across = 1e-3 * size * upwards(normal) * normal / np.linalg.norm(normal)
+    return np.round(point - across, 9).tolist(), np.round(point + across, 9).tolist()
+
+
+def upwards(normal: np.ndarray) -> float:
+    """1 where a normal points up: along y, or else along x, or else along z; otherwise -1."""
+    for axis in (1, 0, 2)[: len(normal)]:
+        if abs(normal[axis]) > COINCIDENT * np.abs(normal).max():
+            return float(np.sign(normal[axis]))
+    return 1.0
+
+
+def along(lips: Sequence[Any], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """On which crack points (n, dimension) lie, and their positions on it [m]: two arrays (n,)."""
+    off, positions = np.array([lip.locate(points) for lip in lips]).transpose(1, 0, 2)
+    crack = off.argmin(axis=0)
+    return crack, positions[crack, np.arange(len(points))]
+
+
+def connected(rows: np.ndarray) -> np.ndarray:
+    """The part of each row of nodes, (n,) int: rows are of one where they share a node."""
+    from scipy.sparse.csgraph import connected_components  # takes a while, for few meshes
+
+    count, k = rows.shape
+    at = np.repeat(np.arange(count), k), rows.ravel()
+    touches = sparse.csr_matrix((np.ones(count * k), at))
+    return np.asarray(connected_components(touches @ touches.T)[1])
+
+
+def each_once(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the first places of different rows of nodes, in any order, and their counts; and the
+    index among them of each row (n,)."""
+    _, first, which, uses = np.unique(
+        np.sort(rows, axis=1), axis=0, return_index=True, return_inverse=True, return_counts=True
+    )
+    return first, which.ravel(), uses
+
+
+def rows_in(rows: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Return True for each row of nodes, in any order, that is among others: (n,) bool."""
+    _, kinds, _ = each_once(np.concatenate([others, rows]))
+    return np.asarray(np.isin(kinds[len(others) :], kinds[: len(others)]))
+
+
+# --- finding them by their faces ------------------------------------------------------------------
+
+
+def find_lips(lower: np.ndarray, upper: np.ndarray, positions: np.ndarray) -> tuple[Lip, ...]:
+    """The faces of all cracks, from bottom to top and from left to right by where they begin.
+
+    Parameters
+    ----------
+    lower, upper : (n, 2) int
+        Edges of the lower and of the upper faces: their nodes.
+    positions : (n_nodes, 2) [m]
+        Of all nodes.
+
+    Raises
+    ------
+    InputError
+        The two faces are the same curve, or a crack branches or is closed.
+    """
+    shared = np.intersect1d(lower, upper)
+    if len(shared) == len(np.unique(lower)):
+        allowed = "different nodes in the same places but for the tips; or one curve named 'crack'"
+        raise InputError("lips", "the same nodes for 'lower_lip' and 'upper_lip'", allowed)
+    lips = []
+    for chain in _chains(lower, shared, positions):
+        first, last = (tuple(positions[chain[end]]) for end in (0, -1))
+        mouths = chain[0] not in shared, chain[-1] not in shared
+        turned = last < first if mouths[0] == mouths[1] else mouths[1]
+        points = positions[chain[::-1] if turned else chain]
+        lips.append(Lip(points, any(mouths)))
+    return tuple(sorted(lips, key=lambda lip: tuple(lip.points[0, ::-1])))
+
+
+def _chains(edges: np.ndarray, tips: np.ndarray, positions: np.ndarray) -> Iterator[np.ndarray]:
+    """Yield edges (n, 2) put together to chains of nodes, which end at tips and mouths."""
+    from scipy.sparse.csgraph import breadth_first_order
+
+    nodes, uses = np.unique(edges, return_counts=True)
+    for node, count in zip(nodes, uses, strict=True):
+        if count > 2 and node not in tips:
+            place = "({:g}, {:g})".format(*positions[node])
+            allowed = "cracks that neither branch nor cross, as one of them does here"
+            raise InputError("lips", f"{count} edges of a crack face at {place}", allowed)
+    apart = len(positions) + np.arange(edges.size).reshape(edges.shape)  # a tip of each crack
+    part = connected(np.where(np.isin(edges, tips), apart, edges))
+    for number in range(part.max() + 1):
+        ends, which = np.unique(edges[part == number], return_inverse=True)
+        single = np.flatnonzero(np.bincount(which) == 1)
+        if not len(single):
+            allowed = "cracks with two ends; a closed curve would cut a piece out of the structure"
+            raise InputError("lips", "a closed curve", allowed)
+        links = np.ones(len(which) // 2), tuple(which.reshape(-1, 2).T)
+        graph = sparse.coo_matrix(links, (len(ends),) * 2)
+        yield ends[breadth_first_order(graph.tocsr(), single[0], directed=False)[0]]
+
+
+def cracks_between(
+    lower: np.ndarray, upper: np.ndarray, places: np.ndarray
+) -> tuple[CrackSurface, ...]:
+    """The cracks of a solid that is split, from bottom to top, by the corners of the facets of both
+    crack faces, (m, k) and (m', k) int: these share the nodes of the fronts."""
+    edges, uses = np.unique(_edges(lower), axis=0, return_counts=True)
+    rim = edges[uses == 1]
+    is_front = np.isin(rim, upper).all(axis=1)
+    part, found = connected(lower), []
+    halves = [[0, 1, 2], [0, 2, 3]][: lower.shape[1] - 2]
+    for number in range(part.max() + 1):
+        facets = lower[part == number]
+        own = np.isin(rim, facets).all(axis=1)
+        corners = places[np.concatenate([facets[:, half] for half in halves])]
+        front = places[rim[own & is_front]]
+        found.append(CrackSurface(corners, front, bool(np.any(own & ~is_front))))
+    found.sort(key=lambda crack: tuple(crack.triangles.mean(axis=(0, 1))[[1, 0, 2]]))
+    return tuple(found)
+
+
+# --- doubling their nodes -------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -224,7 +414,7 @@ def split_cracks(
     of_crack = on_crack[facets].all(axis=1)
     of_crack[of_crack] = rows_in(facets[of_crack], corners)
     inside = np.flatnonzero(same & of_crack[:-1])
-    _require(
+    require(
         len(inside) == len(surface),
         f"{len(surface) - len(inside)} of the {len(surface)} {part} of cracks not between cells",
         f"inside the structure, with a cell on either side of {part}",
@@ -234,7 +424,7 @@ def split_cracks(
     is_split[_fronts(surface[:, :width], outer)] = False
     piece = connected(corners)
     closed = np.setdiff1d(piece, piece[is_split[corners].any(axis=1)])
-    _require(not len(closed), "all nodes of a crack on its front", "meshed more finely")
+    require(not len(closed), "all nodes of a crack on its front", "meshed more finely")
 
     # Of each facet both sides: around which nodes' stars they are connected to others.
     label = _stars(cells, same & ~of_crack[:-1], is_split).reshape(-1, cells.n_corners)
@@ -245,7 +435,7 @@ def split_cracks(
     chain = connected(stars)
     facing = np.unique(np.sort(np.split(chain, 2), axis=0), axis=1)  # two by two
     touching = is_split[cells.nodes[:, : cells.n_corners]]
-    _require(
+    require(
         facing.size == chain.max() + 1
         and np.all(facing[0] != facing[1])
         and np.all(np.isin(label[touching], stars)),
@@ -261,34 +451,20 @@ def split_cracks(
     first_is_lower = np.array([upwards(normal) > 0.0 for normal in outwards[facing[0]]])
     upper = np.where(first_is_lower, facing[1], facing[0])
     is_upper = touching & np.isin(label, stars[np.isin(chain, upper)])
-    nodes, new = _renumbered(cells, is_upper, surface, len(places))
+    # A node between corners is doubled with any of them.
+    on_crack[surface] = True
+    above = on_crack[cells.nodes] & (is_upper @ cells.supports.T)
+    twins, new = np.unique(cells.nodes[above]), np.arange(len(places))
+    new[twins] = len(places) + np.arange(len(twins))
     lower = surface[is_split[surface[:, :width]].any(axis=1)]
-    lips = np.stack([lower, np.where(new[lower] >= 0, new[lower], lower)], axis=1)
-    return nodes, np.flatnonzero(new >= 0), lips
+    nodes = np.where(above, new[cells.nodes], cells.nodes)
+    return nodes, twins, np.stack([lower, new[lower]], axis=1)
 
 
-def cracks_between(
-    lower: np.ndarray, upper: np.ndarray, places: np.ndarray
-) -> tuple[CrackSurface, ...]:
-    """The cracks of a solid that is split, from bottom to top, by the corners of the facets of both
-    crack faces, (m, k) and (m', k) int: these share the nodes of the fronts."""
-    edges, uses = np.unique(_edges(lower), axis=0, return_counts=True)
-    rim = edges[uses == 1]
-    is_front = np.isin(rim, upper).all(axis=1)
-    part, found = connected(lower), []
-    for number in range(part.max() + 1):
-        facets = lower[part == number]
-        own = np.isin(rim, facets).all(axis=1)
-        corners = places[np.concatenate(_triangles(facets))]
-        front = places[rim[own & is_front]]
-        found.append(CrackSurface(corners, front, bool(np.any(own & ~is_front))))
-    found.sort(key=lambda crack: tuple(crack.triangles.mean(axis=(0, 1))[[1, 0, 2]]))
-    return tuple(found)
-
-
-def _require(condition: object, found: str, allowed: str) -> None:
+def require(condition: object, found: str, allowed: str) -> None:
+    """Raise InputError of a mesh unless a condition holds."""
     if not condition:
-        raise InputError("crack", found, allowed)
+        raise InputError("mesh", found, allowed)
 
 
 def _edges(polygons: np.ndarray) -> np.ndarray:
@@ -303,17 +479,11 @@ def _fronts(surface: np.ndarray, boundary: np.ndarray) -> np.ndarray:
     parts = surface.reshape(-1, 1) if width == 2 else _edges(surface)
     parts, uses = np.unique(parts, axis=0, return_counts=True)
     allowed = "cracks that neither branch nor cross"
-    _require(np.all(uses <= 2), "more than two sides of a crack meeting", allowed)
+    require(np.all(uses <= 2), "more than two sides of a crack meeting", allowed)
     rim = parts[uses == 1]
     # Sorted corners of four are not in turn: take every two of them.
     every = [boundary[:, own] for own in combinations(range(width), parts.shape[1])]
     return np.asarray(rim[~rows_in(rim, np.concatenate(every))])
-
-
-def _triangles(surface: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Facets as triangles: of each the first half, and the other half of those with four
-    corners."""
-    return surface[:, :3], surface[:, [0, 2, 3]] if surface.shape[1] == 4 else surface[:0, :3]
 
 
 def _stars(cells: Cells, passable: np.ndarray, is_split: np.ndarray) -> np.ndarray:
@@ -328,20 +498,3 @@ def _stars(cells: Cells, passable: np.ndarray, is_split: np.ndarray) -> np.ndarr
     size = len(cells.nodes) * cells.n_corners
     links = np.ones(int(wanted.sum()), dtype=np.int8), (one[wanted], other[wanted])
     return np.asarray(connected_components(sparse.coo_matrix(links, (size, size)))[1])
-
-
-def _renumbered(
-    cells: Cells, is_upper: np.ndarray, surface: np.ndarray, count: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """The cells with new nodes above the cracks, and the new number of each node, -1 where it
-    exists once.
-
-    A node between corners is doubled with any of them; ``is_upper`` marks those of each cell.
-    """
-    on_crack = np.zeros(count, dtype=bool)
-    on_crack[surface] = True
-    above = on_crack[cells.nodes] & (is_upper @ cells.supports.T)
-    new = np.full(count, -1)
-    doubled = np.unique(cells.nodes[above])
-    new[doubled] = count + np.arange(len(doubled))
-    return np.where(above, new[cells.nodes], cells.nodes), new
