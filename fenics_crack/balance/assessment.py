@@ -17,10 +17,12 @@ from functools import cached_property, partial
 import numpy as np
 
 from fenics_crack.balance.contact_system import Wave
-from fenics_crack.balance.more_modes import UNKNOWN, MoreModes, is_still, loaded, reference_flow
+from fenics_crack.balance.more_modes import UNKNOWN, MoreModes, is_still, loaded, reference_of
 from fenics_crack.basics.tables import percent
+from fenics_crack.model.modal import is_small
 from fenics_crack.motion.flow import ContactFlow, flow_of
 from fenics_crack.motion.orbit import (
+    FLOWS,
     PeriodicOrbit,
     Prediction,
     affordable,
@@ -165,12 +167,17 @@ class Assessment:
 
     @cached_property
     def more_modes(self) -> MoreModes | None:
-        """The motion with more modes; None where no flow with these is at hand, or no orbit is
-        accepted for the solution."""
-        flow = None if self.flow is None else reference_flow(self.wave)
-        if flow is None or not self.accepted or self.orbit is None:
+        """The motion with more modes; None where no flow with these is at hand, or would take long,
+        or no orbit is accepted for the solution."""
+        wave, reference = self.wave, reference_of(self.wave)
+        if self.flow is None or reference is None or not is_small(reference):
             return None
-        return MoreModes(flow, self.wave, self.orbit)
+        assert wave.contact is not None
+        flow = flow_of(reference, wave.contact)
+        known = flow is not None and affordable(flow, wave.omega, wave.subharmonic, FLOWS)
+        if flow is None or not known or not self.accepted or self.orbit is None:
+            return None
+        return MoreModes(flow, wave, self.orbit)
 
     @property
     def reason(self) -> str:

@@ -115,16 +115,20 @@ class ErrorReport(Described):
 
 
 def estimate_errors(
-    at: ContactPoint, known: Assessment, problem: Problem, *, search: bool = True
+    at: ContactPoint, known: Assessment, problem: Problem, *, search: bool, converged: bool
 ) -> ErrorReport:
     """Estimate the errors of a solution, given as the equations there and by what the exact flow
-    says of it; with ``search`` its orbit is looked for (collective)."""
+    says of it; with ``search`` its orbit is looked for (collective). Of equations that are not
+    solved it has their residual, and that no error is known."""
     structure, wave = problem.structure, known.wave
     expanded = problem.seen.gap_of(wave.displacement_coefficients)
 
     def relative(change: np.ndarray) -> float:
         return relative_size(change, at, problem.seen.clearance)
 
+    residual, penetration = relative(at.residual), relative(_penetration(at, problem))
+    if not converged:
+        return ErrorReport(residual, UNKNOWN, 0.0, 0.0, penetration, UNKNOWN)
     finer, sampling = at.system.integrals.finer(), 0.0
     if finer is not None:
         sampling = relative(at.gap_by_force(finer.force(at.unknown) - at.force))
@@ -141,26 +145,17 @@ def estimate_errors(
         lost = more.errors
     lost = lost or _lost_in_reduction(at, wave, problem)
     return ErrorReport(
-        residual=max(relative(at.residual), relative(expanded - at.gap)),
+        residual=max(residual, relative(expanded - at.gap)),
         truncation=truncation,
         sampling=sampling,
         reduction=lost[0],
-        penetration=relative(_penetration(at, problem)),
+        penetration=penetration,
         displacement=min(at_load + lost[1], UNKNOWN),
     )
 
 
 NOT_ESTIMATED = ErrorReport(*[math.nan] * 6)
 """Report of a solution whose errors were not requested."""
-
-
-def of_no_solution(at: ContactPoint, problem: Problem) -> ErrorReport:
-    """The report of equations that are not solved: their residual, and that no error is known."""
-    residual, penetration = (
-        relative_size(change, at, problem.seen.clearance)
-        for change in (at.residual, _penetration(at, problem))
-    )
-    return ErrorReport(residual, UNKNOWN, 0.0, 0.0, penetration, UNKNOWN)
 
 
 def beside(found: Wave, better: Wave) -> ErrorReport:

@@ -20,12 +20,11 @@ from functools import cached_property
 import numpy as np
 
 from fenics_crack.balance.contact_system import Wave
-from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import NEGLIGIBLE, times
 from fenics_crack.model.reduced import ReducedStructure, massless
 from fenics_crack.model.structure import RayleighDamping, Structure
-from fenics_crack.motion.flow import ContactFlow, Samples, flow_of
-from fenics_crack.motion.orbit import FLOWS, KNOWN, PeriodicOrbit, affordable, find_orbit
+from fenics_crack.motion.flow import ContactFlow, Samples
+from fenics_crack.motion.orbit import KNOWN, PeriodicOrbit, find_orbit
 from fenics_crack.numerics.fourier import waves_of
 from fenics_crack.numerics.newton import relative_to_motion
 
@@ -63,17 +62,6 @@ def left_out(structure: Structure, changes: Errors) -> Errors:
     """Return the errors due to the modes left out, by the changes to a structure's reference."""
     share = structure.share if isinstance(structure, ReducedStructure) else 1.0
     return min(changes[0] / share, UNKNOWN), min(changes[1] / share, UNKNOWN)
-
-
-def reference_flow(wave: Wave) -> ContactFlow | None:
-    """The flow of the reference of a solution's reduced structure; None where there is none, or a
-    step on it would take long."""
-    reference = reference_of(wave)
-    if reference is None or wave.contact is None or not is_small(reference):
-        return None
-    flow = flow_of(reference, wave.contact)
-    known = flow is not None and affordable(flow, wave.omega, wave.subharmonic, FLOWS)
-    return flow if known else None
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import numpy as np
 from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.compliance import Compliance
 from fenics_crack.balance.contact_system import ContactPoint, Wave
-from fenics_crack.balance.error_report import ErrorReport, estimate_errors, of_no_solution
+from fenics_crack.balance.error_report import ErrorReport, estimate_errors
 from fenics_crack.balance.problem import Problem, Search
 from fenics_crack.basics.errors import ConvergenceError, check_number
 from fenics_crack.basics.tables import Described, counted, quantity, with_frequency
@@ -281,9 +281,8 @@ def solution_of(
     """
     wave = wave or problem.wave(at)
     known = Assessment(wave, source=source)
-    estimate = partial(of_no_solution, at, problem)
-    if converged:
-        estimate = partial(estimate_errors, at, known, problem, search=search)
+    how = {"search": search, "converged": converged}
+    estimate = partial(estimate_errors, at, known, problem, **how)
     found = PeriodicSolution(
         **vars(wave), status=status, converged=converged, assessment=known, estimate=cache(estimate)
     )
