@@ -735,15 +735,12 @@ class _Verified(_Case):
         parts = {}
         for name, value in self.own.values.items():
             there = [values.get(name, 0.0) for values in moved]
-            parts[name] = GridConvergence(
-                (resonance.sizes[0], resonance.sizes[-1]),
-                (max(there, key=lambda one: abs(one - value)), value),
-                "carried",
-                resonance.order,
-                resonance.exponent,
-                factor=1.0,
-                extrapolated=there[-1] if known else math.nan,
-            )
+            farthest = max(there, key=lambda one: abs(one - value))
+            limit = there[-1] if known else math.nan
+            parts[name] = replace(
+                resonance, sizes=(resonance.sizes[0], resonance.sizes[-1]), factor=1.0,
+                values=(farthest, value), behaviour="carried", extrapolated=limit,
+            )  # fmt: skip
         return counts[:: len(counts) - 1], parts
 
     def modes(self) -> Varied:
