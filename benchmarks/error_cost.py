@@ -27,7 +27,6 @@ from growth import MESHES, MILLION, MODES, PER_AREA
 from orbits import plate
 
 import fenics_crack as fc
-from fenics_crack.balance.more_modes import UNKNOWN
 from fenics_crack.balance.solution import Solver
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.motion.orbit import FORMED
@@ -80,8 +79,8 @@ def assessed(solution: fc.PeriodicSolution) -> Assessed:
         if known.orbit.flow.size <= FORMED:
             found.multiplier = float(abs(known.orbit.multipliers[0]))
     found.orbit, clock = time.process_time() - clock, time.process_time()
-    if found.truncation < UNKNOWN and known.more_modes is not None:  # as the report does
-        found.more_modes = known.more_modes.changes[0]
+    if (more := known.more_modes) is not None and more.errors is not None:  # as the report does
+        found.more_modes = more.errors[0]
     found.reference = time.process_time() - clock
     return found
 
@@ -92,7 +91,7 @@ def measured(
     """A row of the table."""
     solver = Solver(fc.Problem(structure, omega, law, harmonics), throw=False)
     clock = time.process_time()
-    solution = solver.solve(reported=False)
+    solution = solver.solve()
     search = time.process_time() - clock
     found = assessed(solution)
     parts = np.array([found.step, found.orbit, found.reference])

@@ -47,10 +47,10 @@ import common
 import numpy as np
 
 import fenics_crack as fc
-from fenics_crack.study.coarser_mesh import finer_mesh
+from fenics_crack.study.meshes import finer_mesh
+from fenics_crack.study.numbers import numbers_of
 from fenics_crack.study.prepare import Study
-from fenics_crack.study.run import solve_prepared
-from fenics_crack.study.stated_errors import numbers_of
+from fenics_crack.study.solve import solve_prepared
 from fenics_crack.study.verification import MESH_CAUSES
 
 Numbers = dict[str, float]

@@ -117,7 +117,6 @@ from fenics_crack.study.campbell import campbell as campbell
 from fenics_crack.study.prepare import Study as Study
 from fenics_crack.study.prepare import contact_law as contact_law
 from fenics_crack.study.prepare import prepare as prepare
-from fenics_crack.study.refinement import verify as verify
 from fenics_crack.study.run import Reaction as Reaction
 from fenics_crack.study.run import Run as Run
 from fenics_crack.study.run import StressIntensity as StressIntensity
@@ -128,6 +127,7 @@ from fenics_crack.study.run import modes as modes
 from fenics_crack.study.run import reaction as reaction
 from fenics_crack.study.run import solve as solve
 from fenics_crack.study.run import stress_intensity as stress_intensity
+from fenics_crack.study.vary import verify as verify
 from fenics_crack.study.verification import GridConvergence as GridConvergence
 from fenics_crack.study.verification import Verification as Verification
 from fenics_crack.study.verification import grid_convergence as grid_convergence

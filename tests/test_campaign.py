@@ -274,7 +274,7 @@ def test_tolerance_that_says_that_it_is_missed() -> None:
 
     def judged(status: str, share: float = 1.0) -> str:
         report = replace(found.report, truncation=share * found.report.truncation)
-        told = replace(found, status=status, report=report)
+        told = replace(found, status=status).reported(report)
         return campaign.judge(case, told, "tolerance", "-", 1e-9).judgement
 
     missed = "solved; error 1 %, 1e-07 % was asked; what helps: "

@@ -17,10 +17,12 @@ from functools import cached_property, partial
 import numpy as np
 
 from fenics_crack.balance.contact_system import Wave
-from fenics_crack.balance.more_modes import UNKNOWN, MoreModes, is_still, reference_flow, seen_parts
+from fenics_crack.balance.more_modes import UNKNOWN, MoreModes, is_still, loaded, reference_of
 from fenics_crack.basics.tables import percent
+from fenics_crack.model.modal import is_small
 from fenics_crack.motion.flow import ContactFlow, flow_of
 from fenics_crack.motion.orbit import (
+    FLOWS,
     PeriodicOrbit,
     Prediction,
     affordable,
@@ -148,23 +150,34 @@ class Assessment:
         none. At most :data:`UNKNOWN`, the value where no orbit is found though a small error was
         predicted.
         """
+        wave, step = self.wave, self.prediction
         if self.own is not None or (search and self.orbit is not None):
-            found = self.distance, self._away_at_load
-        elif search and self.predicted_error <= MAX_ERROR:
+            assert self.orbit is not None
+            samples = self.orbit.sampled
+            change = samples.displacement - wave.coordinates(samples.time)
+            found = self.distance, _at_load(wave, change, samples.displacement)
+        elif step is None or (search and step.error <= MAX_ERROR):
             found = UNKNOWN, UNKNOWN
         else:
-            found = self.predicted_error, self._predicted_at_load
+            assert self.flow is not None
+            change = (step.states - self.states)[:, : self.flow.count] @ self.flow.modes.shapes.T
+            time = np.arange(len(change)) * wave.period / len(change)
+            found = step.error, _at_load(wave, change, wave.coordinates(time))
         return min(found[0], UNKNOWN), min(found[1], UNKNOWN)
 
     @cached_property
     def more_modes(self) -> MoreModes | None:
-        """The motion corrected with more modes; None where no flow with more modes is at hand."""
-        wave = self.wave
-        flow = None if self.flow is None else reference_flow(wave)
-        if self.flow is None or flow is None:
+        """The motion with more modes; None where no flow with these is at hand, or would take long,
+        or no orbit is accepted for the solution."""
+        wave, reference = self.wave, reference_of(self.wave)
+        if self.flow is None or reference is None or not is_small(reference):
             return None
-        step = None if self.accepted else self.prediction
-        return MoreModes(flow, wave, self.flow, step, self.orbit, self.accepted)
+        assert wave.contact is not None
+        flow = flow_of(reference, wave.contact)
+        known = flow is not None and affordable(flow, wave.omega, wave.subharmonic, FLOWS)
+        if flow is None or not known or not self.accepted or self.orbit is None:
+            return None
+        return MoreModes(flow, wave, self.orbit)
 
     @property
     def reason(self) -> str:
@@ -195,26 +208,10 @@ class Assessment:
             f"{size} was predicted: it may be another motion; use more harmonics, or a tolerance"
         )
 
-    @property
-    def _predicted_at_load(self) -> float:
-        if self.prediction is None:
-            return np.inf
-        assert self.flow is not None
-        wave, flow = self.wave, self.flow
-        change = (self.prediction.states - self.states)[:, : flow.count]
-        time = np.arange(len(change)) * wave.period / len(change)
-        force = wave.structure.force[seen_parts(wave.structure)].T
-        return relative_to_motion(
-            change @ flow.modes.shapes.T @ force, wave.coordinates(time) @ force
-        )
 
-    @property
-    def _away_at_load(self) -> float:
-        assert self.orbit is not None
-        samples, structure = self.orbit.sampled, self.wave.structure
-        force, moved = structure.force[seen_parts(structure)].T, samples.displacement
-        change = moved - self.wave.coordinates(samples.time)
-        return relative_to_motion(change @ force, moved @ force)
+def _at_load(wave: Wave, change: np.ndarray, motion: np.ndarray) -> float:
+    """Return the size of a change of the displacement at the load relative to that of a motion."""
+    return relative_to_motion(*(loaded(wave.structure, one) for one in (change, motion)))
 
 
 def distance(wave: Wave, orbit: PeriodicOrbit) -> float:

@@ -28,10 +28,8 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.balance.assessment import Assessment
-from fenics_crack.balance.compliance import Compliance
-from fenics_crack.balance.contact_integrals import respond
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem, Wave
-from fenics_crack.balance.more_modes import UNKNOWN, Errors, left_out, reference_of, seen_parts
+from fenics_crack.balance.more_modes import UNKNOWN, Errors, left_out, loaded, reference_of
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.tables import Described
 from fenics_crack.model.contact import REGULAR, as_penalty, is_regular, is_rigid
@@ -39,8 +37,7 @@ from fenics_crack.model.modal import SMALL, all_modes
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.orbit import KNOWN
-from fenics_crack.numerics.equations import NEARLY_SOLVED
+from fenics_crack.numerics.equations import NEARLY_SOLVED, ROUNDING
 from fenics_crack.numerics.fourier import resized, sampled
 from fenics_crack.numerics.newton import moving_square, solve_near
 
@@ -48,9 +45,6 @@ LARGE_ERROR = 0.05
 """Estimated relative error above which a solution has a warning."""
 ERROR_PARTS = ("truncation", "reduction", "sampling", "residual")
 """Parts of a total error; of equal ones the first is reported."""
-
-SETTLED_STEP = 0.05
-"""Relative size of the second Newton step up to which an error counts as estimated."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -121,53 +115,47 @@ class ErrorReport(Described):
 
 
 def estimate_errors(
-    at: ContactPoint, known: Assessment, problem: Problem, *, search: bool = True
+    at: ContactPoint, known: Assessment, problem: Problem, *, search: bool, converged: bool
 ) -> ErrorReport:
     """Estimate the errors of a solution, given as the equations there and by what the exact flow
-    says of it; with ``search`` its orbit is looked for (collective)."""
+    says of it; with ``search`` its orbit is looked for (collective). Of equations that are not
+    solved it has their residual, and that no error is known."""
     structure, wave = problem.structure, known.wave
     expanded = problem.seen.gap_of(wave.displacement_coefficients)
 
     def relative(change: np.ndarray) -> float:
         return relative_size(change, at, problem.seen.clearance)
 
+    residual, penetration = relative(at.residual), relative(_penetration(at, problem))
+    if not converged:
+        return ErrorReport(residual, UNKNOWN, 0.0, 0.0, penetration, UNKNOWN)
     finer, sampling = at.system.integrals.finer(), 0.0
     if finer is not None:
         sampling = relative(at.gap_by_force(finer.force(at.unknown) - at.force))
-    if known.affordable:
-        # The distance of the orbit is what harmonics and samples leave out together.
+    if known.affordable:  # better equations differ by what harmonics and samples leave out
         error, at_load = known.errors(search=search)
-        truncation = UNKNOWN if error >= UNKNOWN else max(error - sampling, 0.0)
     else:
-        truncation, at_load = beyond_truncation(at, wave)
-    exactly, lost = known.affordable and search and structure.light_lips, (0.0, 0.0)
-    if exactly and truncation < UNKNOWN and known.more_modes is not None:
-        lost = known.more_modes.changes
-    elif isinstance(structure, ReducedStructure):
-        # Nor is it known what more modes make of a motion that is not.
-        unknown = exactly and truncation >= UNKNOWN
-        lost = (UNKNOWN, UNKNOWN) if unknown else _lost_in_reduction(at, wave, problem)
+        error, at_load = _beyond_truncation(at, wave)
+    truncation = UNKNOWN if error >= UNKNOWN else max(error - sampling, 0.0)
+    exactly = known.affordable and search and structure.light_lips
+    lost: Errors | None = None
+    if exactly and truncation >= UNKNOWN and isinstance(structure, ReducedStructure):
+        lost = UNKNOWN, UNKNOWN  # nor is it known what more modes make of a motion that is not
+    elif exactly and (more := known.more_modes):
+        lost = more.errors
+    lost = lost or _lost_in_reduction(at, wave, problem)
     return ErrorReport(
-        residual=max(relative(at.residual), relative(expanded - at.gap)),
+        residual=max(residual, relative(expanded - at.gap)),
         truncation=truncation,
         sampling=sampling,
         reduction=lost[0],
-        penetration=relative(_penetration(at, problem)),
+        penetration=penetration,
         displacement=min(at_load + lost[1], UNKNOWN),
     )
 
 
 NOT_ESTIMATED = ErrorReport(*[math.nan] * 6)
 """Report of a solution whose errors were not requested."""
-
-
-def of_no_solution(at: ContactPoint, problem: Problem) -> ErrorReport:
-    """The report of equations that are not solved: their residual, and that no error is known."""
-    residual, penetration = (
-        relative_size(change, at, problem.seen.clearance)
-        for change in (at.residual, _penetration(at, problem))
-    )
-    return ErrorReport(residual, UNKNOWN, 0.0, 0.0, penetration, UNKNOWN)
 
 
 def beside(found: Wave, better: Wave) -> ErrorReport:
@@ -183,30 +171,11 @@ def beside(found: Wave, better: Wave) -> ErrorReport:
 
 
 def _at_load(wave: Wave, structure: Structure, displacement: np.ndarray) -> float:
-    """Change of the displacement at the load, in the direction of each of its parts that vibrates,
-    to that of a structure, relative to its root mean square, to which its mean contributes no more
-    than all else (collective)."""
-    seen = seen_parts(wave.structure)
-    known, better = (
-        one.sum_over_ranks(rows @ one.force[seen].T)
-        for one, rows in (
-            (wave.structure, wave.displacement_coefficients), (structure, displacement)
-        )
-    )  # fmt: skip
-    square = mean_square(better - known) / moving_mean_square(known)
-    return math.sqrt(square) if known.any() else 0.0
-
-
-def _errors(
-    at: ContactPoint, wave: Wave, changes: Changes | None, structure: Structure, better: Compliance
-) -> Errors:
-    """Return the errors due to changes of the gap and of the force, by the compliance of the better
-    equations; :data:`UNKNOWN` where these were not solved."""
-    if changes is None:
-        return UNKNOWN, UNKNOWN
-    gap = relative_size(changes[0], at, wave.seen.clearance)
-    at_load = _at_load(wave, structure, better.displacement(at.force + changes[1]))
-    return min(gap, UNKNOWN), min(at_load, UNKNOWN)
+    """Change of the displacement at the load to that of a structure, relative to its root mean
+    square, to which its mean contributes no more than all else (collective)."""
+    known = loaded(wave.structure, wave.displacement_coefficients)
+    change = mean_square(loaded(structure, displacement) - known)
+    return math.sqrt(change / moving_mean_square(known)) if known.any() else 0.0
 
 
 def relative_size(change: np.ndarray, at: ContactPoint, clearance: np.ndarray) -> float:
@@ -220,82 +189,53 @@ def relative_size(change: np.ndarray, at: ContactPoint, clearance: np.ndarray) -
     return 0.0 if still else math.sqrt(mean_square(change) / moving_mean_square(closing))
 
 
-def beyond_truncation(at: ContactPoint, wave: Wave) -> Errors:
-    """Return the change due to K > H harmonics by Newton's method: for laws and structures whose
-    exact flow is not at hand. They are four times as many, or as many as leave the equations small,
-    but at least twice.
+def _beyond_truncation(at: ContactPoint, wave: Wave) -> Errors:
+    """Return the change due to K > H harmonics: for laws and structures whose exact flow is not at
+    hand. They are four times as many, or as many as leave the equations small, but at least twice.
 
     Steps are found by elimination: iterative solutions of these equations do not converge where
     many pairs are stiff, unless these have a residual flexibility.
     """
-    kept, (rows, pairs) = at.system.integrals.harmonics, at.unknown.shape
+    kept, pairs = at.system.integrals.harmonics, at.unknown.shape[1]
     harmonics = max(2 * kept, kept + 4, min(4 * kept, (SMALL // pairs - 1) // 2))
     wide = at.system.widened(harmonics)
-    # The first H are solved; what samples leave there is another error.
-    changes = _improvement(wide, resized(at.unknown, harmonics), rows, solved=rows)
-    return _errors(at, wave, changes, wave.structure, at.system.compliance)
+    return _change(at, wave, wide, resized(at.unknown, harmonics), wave.structure)
 
 
-Changes = tuple[np.ndarray, np.ndarray]
-"""Changes of the gap (2K+1, n_pairs) [m] and of the force (2H+1, n_pairs) [N]."""
-
-
-def _improvement(
-    system: ContactSystem, start: np.ndarray, rows: int, *, solved: int = 0
-) -> Changes | None:
-    """Return the change from a solution to that of better equations.
-
-    Where the first ``solved`` rows are solved, it is two steps of Newton's method with the first
-    Jacobian: the second must be much shorter, or rounding, and the residual of these rows stays as
-    it is. Else all steps from the same start are made, shortened where the residual would grow.
-    None where these do not converge.
-    """
-    first = system.linearise(start)
-    known = first.residual.copy()
-    known[solved:] = 0.0
-    if solved:
-        step = first.solve(known - first.residual)
-        again = first.solve(known - system.linearise(start + step).residual)
-        settled = SETTLED_STEP * np.linalg.norm(step)
-        if np.linalg.norm(again) < max(settled, KNOWN * np.linalg.norm(start)):
-            step = step + again
-            return first.gap_of(step), first.force_of(step)[:rows]
+def _change(
+    at: ContactPoint, wave: Wave, better: ContactSystem, start: np.ndarray, structure: Structure
+) -> Errors:
+    """Return the change from a solution to that of better equations, of a structure, by Newton's
+    method from a start; :data:`UNKNOWN` where that does not arrive."""
+    first = better.linearise(start)
     size = max(float(np.linalg.norm(start)), 1e-300)
-    sharp = NEARLY_SOLVED * float(np.linalg.norm(known - first.residual)) / size
-    near = solve_near(system, start, 1.0, tolerance=sharp)
+    sharp = max(NEARLY_SOLVED * float(np.linalg.norm(first.residual)) / size, ROUNDING)
+    near = solve_near(better, start, 1.0, tolerance=sharp)
     if near is None:
-        return None
-    point = system.linearise(near.unknown)
-    return point.gap - first.gap, (point.force - first.force)[:rows]
+        return UNKNOWN, UNKNOWN
+    point, rows = better.linearise(near.unknown), len(at.force)
+    gap = relative_size(point.gap - first.gap, at, wave.seen.clearance)
+    force = at.force + (point.force - first.force)[:rows]
+    at_load = _at_load(wave, structure, better.compliance.displacement(force))
+    return min(gap, UNKNOWN), min(at_load, UNKNOWN)
 
 
 def _lost_in_reduction(at: ContactPoint, wave: Wave, problem: Problem) -> Errors:
-    """Return the errors due to the modes left out, by the compliance of the reduced structure's
-    reference."""
-    reference, used = reference_of(wave), at.system.compliance
+    """Return the errors due to the modes left out, by the reference of the reduced structure."""
+    reference, residual = reference_of(wave), at.system.residual
     if reference is None:
         return 0.0, 0.0
-    other = replace(problem, structure=reference)
-    changes: Changes | None
+    cutoff = np.inf if residual is None else problem.cutoff
+    other, start = replace(problem, structure=reference, static_above=cutoff), at.gap
     if at.system.integrals.coupled:
-        other = replace(other, static_above=problem.cutoff)
-        residual = at.system.residual
-        if is_rigid(problem.contact) and not is_regular(
-            all_modes(other.seen).static_part(problem.cutoff)
-        ):
-            assert residual is not None
+        assert residual is not None
+        if is_rigid(problem.contact) and not is_regular(all_modes(other.seen).static_part(cutoff)):
             nearly = len(residual) / (REGULAR * np.trace(residual))  # a constraint to rounding
             other = replace(other, contact=as_penalty(problem.contact, float(nearly)))
-        better = other.compliance()
-        system = other.system(better)
-        assert system.residual is not None
-        changes = _improvement(system, at.gap + at.force @ system.residual, len(at.gap))
-    else:
-        better = other.compliance()
-        free = better.linear_gap - used.linear_gap
-        moved = at.solve(free - respond(better.matrices - used.matrices, at.force))
-        changes = at.gap_of(moved), at.force_of(moved)
-    return left_out(problem.structure, _errors(at, wave, changes, reference, better))
+    system = other.system(other.compliance())
+    if system.residual is not None:
+        start = start + at.force @ system.residual
+    return left_out(problem.structure, _change(at, wave, system, start, reference))
 
 
 def _penetration(at: ContactPoint, problem: Problem) -> np.ndarray:

@@ -26,13 +26,14 @@ import contextlib
 from bisect import bisect_left
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
 from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.block_system import FORMS
 from fenics_crack.balance.compliance import DynamicStiffness, ModalCompliance, load_coefficients
-from fenics_crack.balance.error_report import ErrorReport, beside
+from fenics_crack.balance.error_report import NOT_ESTIMATED, ErrorReport, beside
 from fenics_crack.balance.more_modes import UNKNOWN, reference_of
 from fenics_crack.balance.problem import Problem, check_memory, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, Solver
@@ -95,10 +96,15 @@ def solve_linear(
     harmonics = max(Problem.harmonics, least) if harmonics is None else harmonics
     check_count("harmonics", harmonics, least)
     solution = _without_contact(structure, omega, harmonics)
-    reference = reference_of(solution)
-    if reference is None:
-        return solution
-    return replace(solution, report=beside(solution, _without_contact(reference, omega, harmonics)))
+
+    @cache
+    def estimate() -> ErrorReport:
+        reference = reference_of(solution)
+        if reference is None:
+            return ErrorReport()
+        return beside(solution, _without_contact(reference, omega, harmonics))
+
+    return replace(solution, estimate=estimate)
 
 
 def _without_contact(structure: Structure, omega: float, harmonics: int) -> PeriodicSolution:
@@ -304,13 +310,15 @@ def solve_to_tolerance(
     *,
     reduced_to: Callable[[int], Structure] | None = None,
     modes: int = FIRST_MODES,
+    modes_key: str = "",
 ) -> PeriodicSolution:
     """The solution with few modes and harmonics that meet a tolerance, no fewer harmonics than the
     problem has; else the best one, or the error that says how far it is from what was
     requested.
 
     ``reduced_to`` gives the structure with so many modes (collective), which are as many as
-    ``modes`` at first; by itself only a structure of many dofs is reduced.
+    ``modes`` at first; by itself only a structure of many dofs is reduced. ``modes_key`` is what a
+    scene calls their number.
     """
     whole = solver.problem.structure
     if reduced_to is None and not (is_small(whole) or isinstance(whole, ReducedStructure)):
@@ -325,12 +333,12 @@ def solve_to_tolerance(
             problem = replace(solver.problem, structure=reduced_to(modes))
             solver = replace(solver, problem=problem)
         last = _solved(solver, tolerance, initial)
-        last = replace(last, report=whole.comm.bcast(last.report))
+        last = last.reported(whole.comm.bcast(last.report))
         if best is None or last.report.total < best.report.total:
             best = last
         lacking = last.report.total > tolerance and last.report.reduction > tolerance / 2.0
         if reduced_to is None or not (lacking and modes < most and last.converged):
-            return _told(solver, best, tolerance)
+            return _told(solver, best, tolerance, modes_key)
         modes = min(2 * modes, most)
         initial = last if last.structure.light_lips else None
 
@@ -356,7 +364,8 @@ def solve_beside(
         There is no solution, or not to the tolerance.
     """
     if tolerance is None:
-        return Solver(problem).solve(near, reported=error)
+        found = Solver(problem).solve(near)
+        return found if error else found.reported(NOT_ESTIMATED)
     solution = _solved(Solver(problem), tolerance, near)
     if not solution.report.truncation <= tolerance:
         raise ConvergenceError(
@@ -373,21 +382,22 @@ def _goal(tolerance: float, reduction: float) -> float:
     return min(left, tolerance / 2.0) if left > 0.0 else tolerance / 2.0
 
 
-def _told(solver: Solver, found: PeriodicSolution, tolerance: float) -> PeriodicSolution:
+def _told(
+    solver: Solver, found: PeriodicSolution, tolerance: float, modes_key: str
+) -> PeriodicSolution:
     """The solution with the word of what it took or what it lacks; or the error that says so."""
     report, structure = found.report, found.structure
     if not found.converged:
         return found
-    lips, kept, more = massless(structure), "", "modes"
+    lips, kept, more, each = massless(structure), "", modes_key or "modes", 1
     if isinstance(structure, ReducedStructure):
         size = f"{structure.n_dofs} coordinates"
         kept = f", {size}"
         if lips is not None:
             kept = f", {lips.n_modes} modes ({size})"
-            more = f"modes {2 * lips.n_modes}"
             if isinstance(lips.whole, Wheel):
-                more = f"disk.families {2 * lips.n_modes // lips.whole.sector.count}"
-            more += ", in about twice the time"
+                more, each = modes_key or "families", lips.whole.sector.count
+            more += f" {2 * lips.n_modes // each}, in about twice the time"
     if report.total <= tolerance:
         chosen = f"chosen for an error of {tolerance:g}: H = {found.harmonics}{kept}"
         return replace(found, status=f"{found.status}; {chosen}")
@@ -457,7 +467,7 @@ def _sought(
                 yield known.sampled.whole_states[:: INSTANTS // SEGMENTS]
         for count in SearchOptions.harmonics:
             few = problem.with_harmonics(problem.few_harmonics(count))
-            near = _begun(solver, few).attempt(initial, wholly=False, reported=False)[1]
+            near = _begun(solver, few).attempt(initial, wholly=False)[1]
             if near.converged:
                 balanced.append(near)
                 yield near.assessment.states
@@ -512,7 +522,7 @@ def solution_of_orbit(problem: Problem, orbit: PeriodicOrbit, tolerance: float) 
         penetration=relative_to_motion(np.maximum(gap, 0.0), closing),
         displacement=min(known_errors[1] + at_load, UNKNOWN),
     )
-    return replace(found, report=report, iterations=orbit.iterations)
+    return replace(found.reported(report), iterations=orbit.iterations)
 
 
 def wave_of(problem: Problem, orbit: PeriodicOrbit, known: OrbitCoefficients) -> PeriodicSolution:
@@ -529,8 +539,9 @@ def _lost(problem: Problem, wave_with: Callable[[int], PeriodicSolution]) -> tup
     if not isinstance(structure, ReducedStructure) or structure.reference is None:
         return 0.0, 0.0
     fewest, many = (problem.few_harmonics(SearchOptions.harmonics[place]) for place in (0, -1))
-    if (more := wave_with(fewest).assessment.more_modes) is not None:
-        return more.distances
+    more = wave_with(fewest).assessment.more_modes
+    if more is not None and (errors := more.errors) is not None:
+        return errors
     balance = Solver(problem.with_harmonics(many))
     report = balance.attempt(wave_with(many), wholly=False)[1].report
     return report.reduction, report.displacement

@@ -2,9 +2,8 @@
 
 The reference of a reduced structure has more modes (:mod:`fenics_crack.model.reduction`). Those
 that crack faces without mass leave out begin as their statics have them, Lambda q = f - P lambda.
-One step of Newton's method of the whole motion on the reference's flow estimates the change of the
-gaps; the orbit that is found from there gives it exactly. The reference has a share of what is left
-out, so that
+The orbit that Newton's method finds from there gives the change exactly. The reference has a share
+of what is left out, so that
 
     e = |f - f_ref| / share.
 
@@ -21,26 +20,11 @@ from functools import cached_property
 import numpy as np
 
 from fenics_crack.balance.contact_system import Wave
-from fenics_crack.balance.friction_integrals import coupled_integrals
-from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import NEGLIGIBLE, times
 from fenics_crack.model.reduced import ReducedStructure, massless
 from fenics_crack.model.structure import RayleighDamping, Structure
-from fenics_crack.motion.flow import ContactFlow, Samples, flow_of
-from fenics_crack.motion.orbit import (
-    FLOWS,
-    FORMED,
-    INSTANTS,
-    KNOWN,
-    PeriodicOrbit,
-    Prediction,
-    affordable,
-    eigenvalues,
-    find_orbit,
-    predicted,
-    predicted_with_more_modes,
-)
-from fenics_crack.motion.search import SEGMENTS
+from fenics_crack.motion.flow import ContactFlow, Samples
+from fenics_crack.motion.orbit import KNOWN, PeriodicOrbit, find_orbit
 from fenics_crack.numerics.fourier import waves_of
 from fenics_crack.numerics.newton import relative_to_motion
 
@@ -80,17 +64,6 @@ def left_out(structure: Structure, changes: Errors) -> Errors:
     return min(changes[0] / share, UNKNOWN), min(changes[1] / share, UNKNOWN)
 
 
-def reference_flow(wave: Wave) -> ContactFlow | None:
-    """The flow of the reference of a solution's reduced structure; None where there is none, or a
-    step on it would take long."""
-    reference = reference_of(wave)
-    if reference is None or wave.contact is None or not is_small(reference):
-        return None
-    flow = flow_of(reference, wave.contact)
-    known = flow is not None and affordable(flow, wave.omega, wave.subharmonic, FLOWS)
-    return flow if known else None
-
-
 @dataclass(frozen=True)
 class MoreModes:
     """The motion of a solution on the flow of more modes."""
@@ -99,37 +72,24 @@ class MoreModes:
     """Flow with more modes."""
     wave: Wave
     """Harmonic-balance solution."""
-    fewer: ContactFlow
-    """Flow of the solution's own structure."""
-    step: Prediction | None
-    """Newton step of the solution on that flow; not needed where its orbit is accepted."""
-    nearest: PeriodicOrbit | None
-    """Nearest periodic orbit of that flow."""
-    accepted: bool
-    """True if that orbit is accepted for the solution."""
+    fewer: PeriodicOrbit
+    """Its own exact orbit, with the modes of its structure."""
 
-    @cached_property
-    def _states(self) -> np.ndarray | None:
-        """At equal parts of the period: of the orbit, where it is the solution's own, else of the
-        solution behind its own step; None where that is not known."""
-        wave = self.wave
-        time = wave.period / INSTANTS * np.arange(INSTANTS)
-        every = slice(None, None, INSTANTS // SEGMENTS)
-        if self.accepted:
-            assert self.nearest is not None
-            sampled = self.nearest.sampled
-            few, force = sampled.whole_states[every], sampled.forces
-        elif self.step is not None:
-            few, force = self.step.states, wave.gaps_and_forces(time)[1]
-        else:
-            return None
-        count = self.fewer.count
-        shape, speed, places = np.split(few, [count, 2 * count], axis=1)
-        if massless(wave.structure) is None:
-            return self._expanded(shape, speed, places)
-        static = self._static(time, force, shape.shape[1])
-        rate = (np.roll(static, -1, axis=0) - np.roll(static, 1, axis=0)) / (2.0 * time[1])
-        return np.hstack([shape, static[every], speed, rate[every], places])
+    @property
+    def _state(self) -> np.ndarray:
+        """State at phase zero of the solution's own orbit, with what new modes have of its load and
+        contact forces."""
+        samples, flow = self.fewer.sampled, self.flow
+        count = self.fewer.flow.count
+        shape, speed, places = np.split(samples.whole_states[:1], [count, 2 * count], axis=1)
+        if massless(self.wave.structure) is None:
+            return self._expanded(shape, speed, places)[0]
+        near, kept = np.arange(-1, 2), shape.shape[1]
+        loads = waves_of(flow.force, self.wave.omega * samples.time[near]) @ flow.force[:, kept:]
+        loads = loads - samples.forces[near] @ flow.modes.pairs[kept:].T
+        static = loads / flow.modes.squares[kept:]
+        rate = (static[2:] - static[:1]) / (2.0 * samples.time[1])
+        return np.hstack([shape, static[1:2], speed, rate, places])[0]
 
     def _expanded(self, shape: np.ndarray, speed: np.ndarray, places: np.ndarray) -> np.ndarray:
         """States of the reference of modal ones of a structure with mass."""
@@ -137,96 +97,31 @@ class MoreModes:
         assert isinstance(structure, ReducedStructure) and isinstance(reference, ReducedStructure)
         whole = structure.whole
         moved = times(whole.mass, structure.basis)
-        map_to = whole.sum_over_ranks(reference.basis.T @ moved) @ self.fewer.modes.shapes
+        map_to = whole.sum_over_ranks(reference.basis.T @ moved) @ self.fewer.flow.modes.shapes
         return self.flow.state(shape @ map_to.T, speed @ map_to.T, places)
-
-    def _static(self, time: np.ndarray, force: np.ndarray, kept: int) -> np.ndarray:
-        """The new modes under the load and contact forces at times."""
-        modes = self.flow.modes
-        loads = self._waves(time) @ self.flow.force[:, kept:] - force @ modes.pairs[kept:].T
-        found: np.ndarray = loads / modes.squares[kept:]
-        return found
-
-    def _gap(self, states: np.ndarray) -> np.ndarray:
-        """g of states at equal parts of the period: (n, n_pairs) [m]."""
-        flow = self.flow
-        slow = states[:, : flow.count] @ flow.modes.pairs + self._waves(self._time) @ flow.gap
-        if not np.any(flow.residual):
-            return slow
-        integrals = coupled_integrals(flow.contact, 1, flow.residual)
-        return slow - integrals.forces(slow) @ flow.residual
-
-    def _waves(self, time: np.ndarray) -> np.ndarray:
-        """Return the load's time functions: mean, cosines and sines."""
-        return waves_of(self.flow.force, self.wave.omega * time)
-
-    @property
-    def _time(self) -> np.ndarray:
-        return self.wave.period / SEGMENTS * np.arange(SEGMENTS)
-
-    @cached_property
-    def prediction(self) -> Prediction | None:
-        """One step of Newton's method; None where the motion is not followed."""
-        wave, states = self.wave, self._states
-        if states is None:
-            return None
-        flow, omega, periods = self.flow, wave.omega, wave.subharmonic
-        few = self.nearest if self.accepted else self.step
-        lips = massless(wave.structure)
-        if few is None or lips is None:
-            return predicted(flow, omega, states, periods)
-        return predicted_with_more_modes(flow, omega, states, few.inverse, lips.n_modes, periods)
-
-    @cached_property
-    def changes(self) -> Errors:
-        """Errors by that step; :data:`UNKNOWN` where the time integration fails."""
-        if self.prediction is None:
-            return UNKNOWN, UNKNOWN
-        wave, states = self.wave, self._states
-        assert states is not None
-        gap, ahead = self._gap(states), self.prediction.states
-        seen, half = seen_parts(wave.structure), self.flow.count
-        moved = (ahead - states)[:, :half] @ self.flow.force[seen].T
-        at_load = relative_to_motion(
-            moved, wave.coordinates(self._time) @ wave.structure.force[seen].T
-        )
-        return left_out(wave.structure, (self._of_gap(self._gap(ahead) - gap, gap), at_load))
-
-    @property
-    def distances(self) -> Errors:
-        """The same by the orbits with these modes and without them; by the step where one is not
-        known."""
-        few, many = self.nearest, self.orbit
-        if few is None or many is None:
-            return self.changes
-        gap, seen = few.sampled.gaps, seen_parts(few.flow.structure)
-        moved, more = (
-            orbit.sampled.displacement @ orbit.flow.structure.force[seen].T for orbit in (few, many)
-        )
-        of_gap = self._of_gap(many.sampled.gaps - gap, gap)
-        return left_out(few.flow.structure, (of_gap, relative_to_motion(more - moved, moved)))
-
-    def _of_gap(self, change: np.ndarray, gap: np.ndarray) -> float:
-        """A change relative to what moves of B^T u; 0 where that is rounding."""
-        if self.nearest is not None and is_still(self.nearest.sampled):
-            return 0.0
-        return relative_to_motion(change, gap + self.wave.seen.clearance)
 
     @cached_property
     def orbit(self) -> PeriodicOrbit | None:
         """Next to the motion; None where none is found."""
-        step, wave = self.prediction, self.wave
-        if step is None or self._states is None:
-            return None
-        return find_orbit(self.flow, wave.omega, self._states[0], subharmonic=wave.subharmonic)
+        wave = self.wave
+        return find_orbit(self.flow, wave.omega, self._state, subharmonic=wave.subharmonic)
 
-    def contradicts(self, verdict: str, *, quick: bool = False) -> str:
-        """Return in words how the orbit with these modes contradicts a verdict on stability; ""
-        where it agrees, or is not known. With ``quick`` only where M along the motion already
-        contradicts it."""
-        if verdict not in ("stable", "unstable") or (quick and not self._foreseen(verdict)):
-            return ""
+    @property
+    def errors(self) -> Errors | None:
+        """Errors by the orbits with these modes and without them; None where it is not found. That
+        of the gaps is 0 where they move by rounding."""
         if self.orbit is None:
+            return None
+        few, many = self.fewer.sampled, self.orbit.sampled
+        of_gap = relative_to_motion(many.gaps - few.gaps, few.gaps + self.wave.seen.clearance)
+        moved, more = (loaded(one.flow.structure, one.displacement) for one in (few, many))
+        at_load = relative_to_motion(more - moved, moved)
+        return left_out(self.wave.structure, (0.0 if is_still(few) else of_gap, at_load))
+
+    def contradicts(self, verdict: str) -> str:
+        """Return in words how the orbit with these modes contradicts a verdict on stability; ""
+        where it agrees, or is not known."""
+        if verdict not in ("stable", "unstable") or self.orbit is None:
             return ""
         size = float(abs(self.orbit.multipliers[0]))
         other = "stable" if size < 1.0 else "unstable"
@@ -234,13 +129,6 @@ class MoreModes:
             return ""
         many = len(self.flow.modes.squares)
         return f"with {many} modes the orbit is {other} (largest multiplier {size:.6g})"
-
-    def _foreseen(self, verdict: str) -> bool:
-        """Return True if the multipliers of M along the motion contradict a verdict."""
-        step = self.prediction
-        if step is None or self.flow.count > FORMED:
-            return False
-        return bool((abs(eigenvalues(step.monodromy)[0]) < 1.0) != (verdict == "stable"))
 
 
 def is_still(samples: Samples) -> bool:
@@ -250,9 +138,9 @@ def is_still(samples: Samples) -> bool:
     return bool(np.linalg.norm(moved) <= NEGLIGIBLE * np.linalg.norm(slow))
 
 
-def seen_parts(structure: Structure) -> np.ndarray:
-    """By which parts of the load the displacement at it is seen: (2K+1,) bool; those that vibrate,
-    if there are some (collective)."""
-    found = structure.sum_over_ranks(np.sum(structure.force**2, axis=1)) > 0.0
-    found[0] &= not found[1:].any()
-    return np.asarray(found)
+def loaded(structure: Structure, motion: np.ndarray) -> np.ndarray:
+    """Return a motion (n, n_local) at the load, in the direction of each of its parts that vibrate,
+    or of its mean if none does: (n, n_parts) (collective)."""
+    seen = structure.sum_over_ranks(np.sum(structure.force**2, axis=1)) > 0.0
+    seen[0] &= not seen[1:].any()
+    return structure.sum_over_ranks(motion @ structure.force[seen].T)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
+from functools import cache, cached_property, partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -13,17 +13,12 @@ import numpy as np
 from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.compliance import Compliance
 from fenics_crack.balance.contact_system import ContactPoint, Wave
-from fenics_crack.balance.error_report import (
-    NOT_ESTIMATED,
-    ErrorReport,
-    estimate_errors,
-    of_no_solution,
-)
+from fenics_crack.balance.error_report import ErrorReport, estimate_errors
 from fenics_crack.balance.problem import Problem, Search
 from fenics_crack.basics.errors import ConvergenceError, check_number
 from fenics_crack.basics.tables import TURN, Described, counted, quantity, with_frequency
 from fenics_crack.model.contact import check_slope, coefficient_of, is_unilateral
-from fenics_crack.model.modal import all_modes
+from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.motion.motions import Observed, Record
 from fenics_crack.motion.orbit import PeriodicOrbit
@@ -117,23 +112,23 @@ class PeriodicSolution(Wave, Observed, Described):
         Attempts and their outcomes, in words.
     iterations : int
         Newton iterations, all attempts together.
-    report : ErrorReport
-        Estimated errors, relative to the gap's amplitude.
     stability : Stability or None
         Set by :func:`fenics_crack.floquet`.
     others : tuple of PeriodicOrbit
         Exact orbits at the same frequency that were met when this one was sought.
     assessment : Assessment
         Assessment by the exact flow: the predicted error, and the nearest orbit.
+    estimate : callable
+        Gives the :attr:`report`.
     """
 
     converged: bool = True
     status: str = "linear"
     iterations: int = 0
-    report: ErrorReport = ErrorReport()
     stability: Stability | None = None
     others: tuple[PeriodicOrbit, ...] = field(default=(), compare=False)
     assessment: Assessment = field(default=None, compare=False)  # type: ignore[assignment]
+    estimate: Callable[[], ErrorReport] = field(default=ErrorReport, compare=False)
 
     KIND: ClassVar[str] = "periodic solution"
 
@@ -141,6 +136,16 @@ class PeriodicSolution(Wave, Observed, Described):
         if self.assessment is None or not self.assessment.is_of(self):
             wave = Wave(**{one.name: getattr(self, one.name) for one in fields(Wave)})
             object.__setattr__(self, "assessment", Assessment(wave))
+
+    @property
+    def report(self) -> ErrorReport:
+        """Estimated errors, relative to the gap's amplitude; computed when first requested, of a
+        structure of many dofs with the solution."""
+        return self.estimate()
+
+    def reported(self, report: ErrorReport) -> PeriodicSolution:
+        """The same with a report."""
+        return replace(self, estimate=lambda: report)
 
     @property
     def orbit(self) -> PeriodicOrbit | None:
@@ -267,24 +272,24 @@ def solution_of(
     status: str,
     converged: bool = True,
     search: bool = True,
-    reported: bool = True,
     wave: Wave | None = None,
     source: PeriodicOrbit | None = None,
 ) -> PeriodicSolution:
     """The solution that belongs to a point of the condensed equations, by default with the motion
     that follows from it (collective), found from the coefficients of the orbit ``source``.
 
-    With ``search`` its exact orbit is looked for; else its error is what is predicted without; and
-    nothing is estimated where it is not ``reported``, or of equations that are not solved.
+    With ``search`` its error is by its exact orbit; else it is what is predicted without.
     """
     wave = wave or problem.wave(at)
     known = Assessment(wave, source=source)
-    found = PeriodicSolution(**vars(wave), status=status, converged=converged, assessment=known)
-    if not reported:
-        return replace(found, report=NOT_ESTIMATED)
-    if not converged:
-        return replace(found, report=of_no_solution(at, problem))
-    return replace(found, report=estimate_errors(at, known, problem, search=search))
+    how = {"search": search, "converged": converged}
+    estimate = partial(estimate_errors, at, known, problem, **how)
+    found = PeriodicSolution(
+        **vars(wave), status=status, converged=converged, assessment=known, estimate=cache(estimate)
+    )
+    if not is_small(problem.structure):  # its factors do not stay
+        found.estimate()
+    return found
 
 
 @dataclass(frozen=True)
@@ -297,12 +302,10 @@ class Solver:
     throw: bool = True
     """Raise ConvergenceError if nothing converged; else return the last iterate."""
 
-    def solve(
-        self, initial: PeriodicSolution | None = None, *, reported: bool = True
-    ) -> PeriodicSolution:
+    def solve(self, initial: PeriodicSolution | None = None) -> PeriodicSolution:
         """Solve from a solution nearby, or from the linear one (collective); InputError where
         nothing converged and the law's tangent is not the slope of its force."""
-        search, solution = self.attempt(initial, reported=reported)
+        search, solution = self.attempt(initial)
         if not search.converged:
             self._check_slope(solution.gap_coefficients)
         if self.throw and not search.converged:
@@ -323,18 +326,17 @@ class Solver:
             check_slope(self.problem.contact, np.concatenate([gap, -gap]))
 
     def attempt(
-        self, initial: PeriodicSolution | None, *, wholly: bool = True, reported: bool = True
+        self, initial: PeriodicSolution | None, *, wholly: bool = True
     ) -> tuple[Search, PeriodicSolution]:
-        """The same, whether or not it converged, and the record of the search; its errors are
-        estimated unless they are not requested."""
+        """The same, whether or not it converged, and the record of the search."""
         compliance = self.problem.compliance()
         share = 1.0 if wholly else 1.0 / len(SearchOptions.harmonics)
         try:
             problem = self.problem.weighted(compliance)
             search, at, wave = replace(self, problem=problem).find(compliance, initial, share)
             found = solution_of(
-                problem, at, status=search.status, converged=search.converged, reported=reported,
-                wave=wave, source=search.orbit,
+                problem, at, status=search.status, converged=search.converged, wave=wave,
+                source=search.orbit,
             )  # fmt: skip
         finally:
             compliance.destroy()

@@ -93,9 +93,11 @@ def of_error(
     part, and never what the scene does already."""
     if not report.total > limit:  # or not requested
         return
-    finer = "more damping: H is at its limit"
-    if scene.harmonic_balance.tolerance is None:
-        finer = "more harmonics (harmonic_balance.harmonics, or a tolerance that chooses them)"
+    finer, table = "more damping: H is at its limit", scene.harmonic_balance
+    if table.tolerance is None:
+        finer = "more harmonics (harmonic_balance.harmonics"
+        choose = table.samples is None and table.form != "block"
+        finer += f"{', or a tolerance that chooses them' if choose else ''})"
     elif harmonics < MOST_HARMONICS:
         finer = "a smaller harmonic_balance.tolerance"
     rigid = scene.contact is not None and scene.contact.law == "unilateral"

@@ -290,7 +290,7 @@ COMMANDS = {
     "verify": (
         "contributions of mesh, modes, harmonics and samples to the error of solve: observed "
         "orders, extrapolated values, grid-convergence indices, and a picture",
-        f"study.refinement:verify {SOLVED} --pictures",
+        f"study.vary:verify {SOLVED} --pictures",
     ),
     "curve": ("response curve of the table [curve]", f"study.run:curve {SOLVED}"),
     "integrate": ("motion in time by the table [integration]", f"study.run:integrate {SOLVED}"),

@@ -33,7 +33,7 @@ from fenics_crack.basics.untrusted_files import content_of
 from fenics_crack.cli.account import printed
 from fenics_crack.cli.given import PERIOD, Console, make_writable
 from fenics_crack.cli.kinds import KINDS, Drawn, draw, report_of, result_of
-from fenics_crack.cli.results import Waves, waves_of, waves_of_history
+from fenics_crack.cli.results import Waves, waves_of
 from fenics_crack.cli.scenes import harmonics_in_words
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.draw import plot, plot_curve, plot_mesh, plot_study
@@ -220,7 +220,7 @@ def draw_history(run: Run[TimeHistory], file: Drawn) -> None:
         omega = load
     words = "The motion in time, its last periods or a free decay."
     how = {"path": file("integration_waves", words), "title": title}
-    _waves(run, waves_of_history(run), omega, **how)
+    _waves(run, waves_of(run), omega, **how)
     _tips(run, file, "integration_tips")
 
 

@@ -35,12 +35,11 @@ from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Integration
 from fenics_crack.study.bladed_disk import blades
-from fenics_crack.study.coarser_mesh import natural_name
 from fenics_crack.study.conclusion import said_of, unknown_error, unknown_of_solution
+from fenics_crack.study.numbers import largest_left_out, natural_name
 from fenics_crack.study.observer import observe
 from fenics_crack.study.plausibility import highest_omega
 from fenics_crack.study.run import Run
-from fenics_crack.study.stated_errors import largest_left_out
 from fenics_crack.time.march import TimeHistory
 
 ERROR = "error [%]"
@@ -96,10 +95,10 @@ def report_of_solution(run: Run[PeriodicSolution]) -> Report:
     notes = [remark_on(run.structure, highest_omega(scene, "solve"))]
     asked = scene.harmonic_balance.error
     if found.converged and found.stability is None and run.contact is not None and asked:
+        reduced = "" if scene.disk is not None else "for a reduced structure (reduction.method), "
         notes.append(
-            "the stability is not assessed, as that would take long; it is for a reduced "
-            "structure, with contact.law = 'unilateral' for one without mass at the crack faces "
-            "(reduction.method)"
+            f"the stability is not assessed, as that would take long; it is {reduced}with "
+            "contact.law = 'unilateral' for crack faces without mass"
         )
     if found.converged and (larger := largest_left_out(found, run.watched_dof)) is not None:
         notes.append(
@@ -191,7 +190,7 @@ def report_of_history(run: Run[TimeHistory]) -> Report:
     found, scene = run.result, run.scene
     values = vars(found) | {"distance": found.distance}
     table = _quantities(run, scene.excitation.omega, values)
-    asked, waves = scene.integration or Integration(), waves_of_history(run)
+    asked, waves = scene.integration or Integration(), waves_of(run)
     done = found.periods >= asked.periods if asked.free else bool(found.settled <= asked.settle)
     warnings = []
     if not done and not asked.free:
@@ -293,26 +292,18 @@ class Waves(NamedTuple):
     force: np.ndarray
 
 
-def waves_of(run: Run[PeriodicSolution]) -> Waves:
-    """Return a solution over one period."""
-    found, dofs = run.result, [watched.dof for watched in run.watched]
-    time = np.linspace(0.0, found.period, 401)
-    closings = _closings(run, found.gap(time))
-    return Waves(time, found.displacement(time, dofs), closings, found.contact_force(time))
-
-
-def waves_of_history(run: Run[TimeHistory]) -> Waves:
-    """Return a motion over the time that it has recorded."""
-    found, dofs = run.result, [watched.dof for watched in run.watched]
-    closings = _closings(run, found.gap)
-    return Waves(found.time, found.displacement(dofs), closings, found.contact_force)
-
-
-def _closings(run: Run[Any], gap: np.ndarray) -> dict[str, np.ndarray]:
-    """The gaps (n, n_pairs) of the pairs at the mouths of cracks, by where these are."""
-    whole = run.structure.whole
+def waves_of(run: Run[Any]) -> Waves:
+    """Return a solution over one period, or a motion over the time that it has recorded."""
+    found, dofs, whole = run.result, [watched.dof for watched in run.watched], run.structure.whole
+    if isinstance(found, TimeHistory):
+        time, motion = found.time, found.displacement(dofs)
+        gap, force = found.gap, found.contact_force
+    else:
+        time = np.linspace(0.0, found.period, 401)
+        motion, gap = found.displacement(time, dofs), found.gap(time)
+        force = found.contact_force(time)
     pairs = whole.watched_pairs.values() if gap.size else ()
-    return {whole.where(pair): gap[:, pair] for pair in pairs}
+    return Waves(time, motion, {whole.where(pair): gap[:, pair] for pair in pairs}, force)
 
 
 def _waves(run: Run, waves: Waves) -> Table:

@@ -20,7 +20,6 @@ from fenics_crack.model.modes import damped_range
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene, asked_quantities
 from fenics_crack.scene.words import faces_in_words
-from fenics_crack.study.coarser_mesh import errors_of_natural
 from fenics_crack.study.plausibility import (
     CURVE_UNITS,
     KeyFigures,
@@ -38,6 +37,7 @@ from fenics_crack.study.prepare import (
     reduction_of,
 )
 from fenics_crack.study.resonance import resonance_of
+from fenics_crack.study.vary import errors_of_natural
 from fenics_crack.study.verification import Verification
 from fenics_crack.sweep.plan import Plan
 

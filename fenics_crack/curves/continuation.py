@@ -373,7 +373,7 @@ class Continuation(GrowingCurve):
                 problem = problem.with_harmonics(initial.harmonics)
             check_memory(problem.structure, problem.harmonics)
             system = system_along(exact, problem, parameter, start, end)
-            found = Solver(system.at(start)).solve(initial, reported=False)  # type: ignore[arg-type]
+            found = Solver(system.at(start)).solve(initial)  # type: ignore[arg-type]
             here = first_point(system, found.slow_gap_coefficients, 0.0, found.iterations)
         branch = isinstance(initial, Bifurcation)
         super().__init__(system, here, how, tolerance if exact else None, branch)

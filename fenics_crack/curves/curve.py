@@ -476,8 +476,9 @@ class ResponseCurve(Observed, Tabular):
         if self.exact:
             orbit, problem = self.orbit(index), self.problem_of(index)
             wave = wave_of(problem, orbit, orbit.coefficients(problem.harmonics))
-            if (more := wave.assessment.more_modes) is not None:
-                return more.changes[1]
+            more = wave.assessment.more_modes
+            if more is not None and (errors := more.errors) is not None:
+                return errors[1]
         return self.solution(index, search=False).report.displacement
 
     # --- shown ------------------------------------------------------------------------------------

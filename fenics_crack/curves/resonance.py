@@ -105,7 +105,7 @@ def first_resonance(problem: Problem, near: float) -> PhasePoint:
         raise InputError("contact", problem.contact, f"{allowed}, for a phase resonance")
     begin = near * (1.0 - ARRIVED)  # the phase of what is linear is not 0 then
     waves = FrequencyWaves(problem, begin, 0.5 * begin)
-    start = Solver(waves.at(begin)).solve(reported=False).slow_gap_coefficients
+    start = Solver(waves.at(begin)).solve().slow_gap_coefficients
     first, count = waves.linearise(start, 0.0), len(problem.structure.force) // 2
     drives = [Drive.of(problem.structure, harmonic + 1) for harmonic in range(count)]
     drive = max(drives, key=lambda one: abs(one.power(first).imag))

@@ -46,7 +46,7 @@ from fenics_crack.scene.scene import Scene, check_known, without_tips
 from fenics_crack.scene.tables import Growth as Law
 from fenics_crack.study.plausibility import remarks_on_scene
 from fenics_crack.study.run import solve
-from fenics_crack.study.stated_errors import stated_errors
+from fenics_crack.study.vary import stated_errors
 from fenics_crack.sweep.file import NUMBERED
 from fenics_crack.sweep.result import NO_PEAK_SOUGHT, SweepResult, resonates, run_sweep
 

@@ -209,7 +209,7 @@ def _marks(mesh: NodalMesh) -> np.ndarray:
 
 def _pack_solution(solution: PeriodicSolution) -> Parts:
     of_report = {f"error_{name}": value for name, value in packed(solution.report).items()}
-    parts = packed(solution, *_GIVEN, "displacement_coefficients", "report", "stability")
+    parts = packed(solution, *_GIVEN, "displacement_coefficients", "stability")
     if is_rigid(solution.contact) and friction_of(solution.contact) is None:
         parts["weight"] = solution.contact.weight
     if solution.stability is not None:
@@ -264,9 +264,8 @@ def solution_from(parts: Parts, structure: Structure, contact: Law) -> PeriodicS
         structure=structure,
         contact=contact,
         displacement_coefficients=displacement,
-        report=unpacked(ErrorReport, errors),
         stability=unpacked(Stability, parts) if "multipliers" in parts else None,
-    )
+    ).reported(unpacked(ErrorReport, errors))
     if solution.converged:
         _check_gap(structure, displacement, gap, max(1e-6, 10.0 * solution.report.residual))
     return solution
@@ -470,7 +469,7 @@ def _check_law(parts: Parts, contact: Law, structure: Structure) -> None:
         raise InputError("contact", contact, "the law of the file: its forces are others")
 
 
-_GIVEN = ("structure", "contact", "bifurcations", "others", "assessment")
+_GIVEN = ("structure", "contact", "bifurcations", "others", "assessment", "estimate")
 """Fields that are not in a file, or by other datasets."""
 Pack = Callable[[Any], Parts]
 Unpack = Callable[[Parts, Structure, Law], Result]

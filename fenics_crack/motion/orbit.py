@@ -30,7 +30,7 @@ import math
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import Any
 
@@ -417,58 +417,13 @@ def predicted(
 ) -> Prediction | None:
     """One step of Newton's method for a solution, of states at equal parts of its period (n,
     2 n_modes); None where the motion cannot be followed."""
-    return _step(flow, omega, states, subharmonic, partial(_inverse, flow), FORCING)
-
-
-def predicted_with_more_modes(
-    flow: ContactFlow,
-    omega: float,
-    states: np.ndarray,
-    inverse: Inverse,
-    modes: int,
-    subharmonic: int = 1,
-) -> Prediction | None:
-    """The same of a motion of which (I - M)^-1 is known with the first ``modes`` alone, to a
-    relative residual of 0.25: GMRES, preconditioned by that and by I for the other modes, takes two
-    or three products with M, which is not formed.
-
-    Of 56 plates with 20 and 50 modes and as many more, changes of the gap are 0.7 to 1.25 of those
-    by the whole step.
-    """
-    first = np.arange(modes)
-    kept = np.concatenate([first, flow.count + first, np.arange(2 * flow.count, flow.size)])
-
-    def precondition(change: np.ndarray) -> np.ndarray:
-        found = change.copy()
-        found[kept] = inverse(change[kept], FORCING)
-        return found
-
-    def inverse_along(track: Track, weights: np.ndarray) -> Inverse:
-        def apply(change: np.ndarray) -> np.ndarray:
-            found = precondition(change / weights)
-            return weights * (found - track @ found)
-
-        return lambda right, sharp: precondition(
-            gmres(apply, weights * right, sharp, PRODUCTS) / weights
-        )
-
-    return _step(flow, omega, states, subharmonic, inverse_along, BLUNT)
-
-
-def _step(
-    flow: ContactFlow,
-    omega: float,
-    states: np.ndarray,
-    subharmonic: int,
-    inverse_along: Callable[[Track, np.ndarray], Inverse],
-    sharp: float,
-) -> Prediction | None:
+    weights = flow.weights(omega / subharmonic)
     try:
         moved, track, ends = flow.steps(states, omega, 2.0 * np.pi * subharmonic / omega)
         excess = moved - np.roll(states, -1, axis=0)
         change = track.carried(np.zeros(flow.size), excess, ends)[-1]
-        inverse = inverse_along(track, flow.weights(omega / subharmonic))
-        changes = track.carried(inverse(change, sharp), excess, ends)[:-1]
+        inverse = _inverse(flow, track, weights)
+        changes = track.carried(inverse(change, FORCING), excess, ends)[:-1]
     except (ConvergenceError, np.linalg.LinAlgError, ValueError):
         return None
     count = flow.count

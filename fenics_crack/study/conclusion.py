@@ -27,10 +27,10 @@ from fenics_crack.model.modes import Modes
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Integration
 from fenics_crack.scene.words import faces_in_words
-from fenics_crack.study.coarser_mesh import natural_name
+from fenics_crack.study.numbers import natural_name
 from fenics_crack.study.plausibility import Remark, find_key_figures, remarks_on_scene
 from fenics_crack.study.prepare import REFUSALS, Study
-from fenics_crack.study.stated_errors import not_estimated
+from fenics_crack.study.vary import not_estimated
 from fenics_crack.study.verification import Verification
 from fenics_crack.time.march import TimeHistory
 

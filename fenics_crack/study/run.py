@@ -15,15 +15,9 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from mpi4py import MPI
 
-from fenics_crack.balance.block_system import FORMS
-from fenics_crack.balance.harmonic_balance import (
-    FIRST_MODES,
-    solve_harmonic_balance,
-    solve_linear,
-    solve_to_tolerance,
-)
-from fenics_crack.balance.problem import Problem, check_memory, least_harmonics
-from fenics_crack.balance.solution import PeriodicSolution, Solver
+from fenics_crack.balance.harmonic_balance import solve_harmonic_balance
+from fenics_crack.balance.problem import Problem, least_harmonics
+from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import RECORDED_PERIODS, InputError
 from fenics_crack.basics.observables import Place, read_at
 from fenics_crack.basics.progress import begin
@@ -31,16 +25,10 @@ from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.tables import Tabular, counted, quantity
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.peak import Peak
-from fenics_crack.curves.stability import floquet, from_rest
+from fenics_crack.curves.stability import from_rest
 from fenics_crack.files.results import Result, save, type_of, unpack
 from fenics_crack.files.store import Stored, read
-from fenics_crack.model.contact import (
-    ContactLaw,
-    friction_of,
-    is_piecewise_linear,
-    is_rigid,
-    is_unilateral,
-)
+from fenics_crack.model.contact import ContactLaw, friction_of, is_rigid, is_unilateral
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import Modes, solve_modes, times
 from fenics_crack.model.nodes import AXES
@@ -62,15 +50,9 @@ from fenics_crack.study.observer import (
     rows_requested,
     tip_rows,
 )
-from fenics_crack.study.prepare import (
-    FEW_DOFS,
-    Study,
-    check_memory_of,
-    prepare,
-    reduced,
-    reduction_of,
-)
-from fenics_crack.study.stated_errors import errors_of
+from fenics_crack.study.prepare import Study, check_memory_of, prepare, reduction_of
+from fenics_crack.study.solve import solve_prepared
+from fenics_crack.study.vary import errors_of
 from fenics_crack.study.verification import Verification, verification_of
 from fenics_crack.time.central_differences import (
     integrate_central_difference,
@@ -240,7 +222,8 @@ def solve(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[PeriodicSolution
     >>> run = fc.solve(scene)
     >>> run.result.report.total, run.result.stability.verdict, run.motion()
     """
-    return _with_motion_from_rest(solve_prepared(prepare(scene, comm, whole=True)))
+    solved = solve_prepared(prepare(scene, comm, whole=True))
+    return _with_motion_from_rest(Run(**vars(solved)))
 
 
 def _with_motion_from_rest(run: Run[PeriodicSolution]) -> Run[PeriodicSolution]:
@@ -266,63 +249,6 @@ def _with_motion_from_rest(run: Run[PeriodicSolution]) -> Run[PeriodicSolution]:
             return run  # the same motion
     seen = replace(judged, from_rest=outcome, rest_amplitude=amplitude)
     return replace(run, result=replace(found, stability=seen))
-
-
-def solve_prepared(
-    whole: Study, initial: PeriodicSolution | None = None, omega: float | None = None
-) -> Run[PeriodicSolution]:
-    """The same of a scene that is prepared; reduced, if its modes are chosen (collective).
-
-    Without a tolerance it is sought from a solution of the same structure, if there is one, and
-    at another frequency than the scene's, if that is given.
-    """
-    rows_requested(whole)  # before anything is solved: it may be refused
-    scene, law = whole.scene, whole.contact
-    omega, table = omega or scene.excitation.omega, scene.harmonic_balance
-    if law is None:
-        study = reduced(whole)
-        linear = solve_linear(study.structure, omega, harmonics=table.harmonics)
-        return Run(**vars(study), result=linear)
-    if table.tolerance is None:
-        study = reduced(whole)
-        check_memory(study.structure, table.harmonics)
-        problem = Problem(study.structure, omega, law, table.harmonics, table.samples)
-        solver = FORMS[table.form](problem, throw=False)
-        solution = solver.solve(initial, reported=table.error)
-    else:
-        study, solution = _solve_to_tolerance(whole, law)
-    structure = study.structure
-    quick = is_piecewise_linear(law) or structure.n_dofs <= FEW_DOFS  # else it takes minutes
-    if is_rigid(law):
-        quick = structure.light_lips
-    if solution.converged and quick and is_small(structure) and table.error:
-        begin("stability")
-        solution = replace(solution, stability=floquet(structure, solution))
-    return Run(**vars(study), result=solution)
-
-
-def _solve_to_tolerance(whole: Study, law: ContactLaw) -> tuple[Study, PeriodicSolution]:
-    """The solution to the tolerance, and its study with the modes that it takes."""
-    scene, structure, table = whole.scene, whole.structure, whole.scene.harmonic_balance
-    first, tolerance = reduction_of(scene, structure), table.given("tolerance")
-    problem = Problem(structure, scene.excitation.omega, law, table.harmonics)
-    chosen = scene.reduction is not None and scene.reduction.modes is not None
-    if first is None or chosen or scene.disk is not None:
-        study = reduced(whole)
-        problem = replace(problem, structure=study.structure)
-        return study, solve_to_tolerance(Solver(problem, throw=False), tolerance)
-    studies: list[Study] = []
-
-    def reduced_to(modes: int) -> Structure:
-        kept = {"reduction.method": first.method, "reduction.modes": modes}
-        studies.append(reduced(replace(whole, scene=scene.replace(kept))))
-        return studies[-1].structure
-
-    large = first.method == "massless" and not is_small(structure)
-    modes = FIRST_MODES if large else first.modes
-    solver = Solver(problem, throw=False)
-    found = solve_to_tolerance(solver, tolerance, reduced_to=reduced_to, modes=modes)
-    return next(study for study in studies if study.structure is found.structure), found
 
 
 def curve(

@@ -1,7 +1,7 @@
 """Contributions to the error of a result's numbers: storage, text and files.
 
-:func:`fenics_crack.verify` finds it with finer meshes, more modes, harmonics and samples
-(:mod:`refinement`), each command with one other run for each cause (:mod:`stated_errors`).
+:func:`fenics_crack.verify` finds it with finer meshes, more modes, harmonics and
+samples, each command with one other run for each cause (:mod:`vary`).
 
 **The error of a number that is computed with two or three step sizes** (Roache's index). Of values
 f_i with sizes h_1 < h_2 < h_3 it is assumed that f_i = f + C h_i^p. Then
@@ -85,10 +85,10 @@ class GridConvergence(Described):
     sizes: tuple[float, ...]
     values: tuple[float, ...]
     behaviour: str
-    order: float
-    exponent: float
-    factor: float
-    extrapolated: float
+    order: float = math.nan
+    exponent: float = math.nan
+    factor: float = CAUTIOUS
+    extrapolated: float = math.nan
 
     @property
     def is_asymptotic(self) -> bool:
@@ -96,8 +96,10 @@ class GridConvergence(Described):
         return self.behaviour not in ("irregular", "carried", "two coefficients")
 
     def uncertainty(self, place: int = 0) -> float:
-        """F abs(f_i - f) of a value, by default that of the smallest size; or F times their
-        spread."""
+        """F abs(f_i - f) of a value, by default that of the smallest size; or F times their spread;
+        0 of what differs by rounding."""
+        if self.behaviour == "unchanged":
+            return 0.0
         if self.is_asymptotic:
             return self.factor * abs(self.values[place] - self.extrapolated)
         return self.factor * (max(self.values) - min(self.values))
@@ -209,9 +211,10 @@ def _observed(h: np.ndarray, f: np.ndarray) -> float:
     return float(scipy.optimize.brentq(excess, -steepest, steepest))
 
 
-Varied = tuple[tuple[int, ...], dict[str, GridConvergence]] | str
-"""Counts of a cause, those of the result first, and its parts; or the reason why there are none, ""
-where it does not apply."""
+Part = tuple[tuple[int, ...], dict[str, GridConvergence]]
+"""Counts of a cause, those of the result first, and its parts."""
+Varied = Part | str
+"""The same; or the reason why there is none, "" where it does not apply."""
 
 MESH_CAUSES = ("mesh", "shift")
 """The mesh's part: of the answer at a given distance from the resonance, and by the shift of the
@@ -373,8 +376,10 @@ class Verification(Saved):
 
     @property
     def resonance(self) -> str:
-        """Name of the resonance that the result lies next to; empty without crack faces."""
-        return next((name for name in self.values if "_bilinear_" in name), "")
+        """Name of the resonance that the result lies next to, in a run-up the speed at which it is
+        met; empty without crack faces."""
+        resonances = (name for name in self.values if "_bilinear_" in name)
+        return "speed" if "speed" in self.values else next(resonances, "")
 
     @property
     def without(self) -> str:
@@ -490,11 +495,11 @@ class Verification(Saved):
         added = _dent(scene)
         if scene.points or not added > TOLERANCE * amplitude > 0.0:
             return ()
-        growth = "log(1/h)" if scene.dimension == 2 else "1/h"
+        growth, side = ("log(1/h)", "an edge") if scene.dimension == 2 else ("1/h", "a face")
         return (
             "amplitude: under a force at a point the displacement has no limit, it grows like "
             f"{growth}, by about {percent(added / amplitude)} with elements half as long; "
-            "watch another place (output.points), or load an edge (loads)",
+            f"watch another place (output.points), or load {side} (loads)",
         )
 
     def _matters(self, name: str, cause: str) -> bool:

@@ -285,7 +285,7 @@ class Cases:
         if found.reason:
             remark = f"; {UNSURE}{found.reason}"
         elif structure.light_lips and (more := solution.assessment.more_modes):
-            said = more.contradicts(found.verdict, quick=True)
+            said = more.contradicts(found.verdict)
             remark = YET + said if said else ""
         return {"verdict": found.verdict, "multiplier": abs(found.multipliers[0]), "remark": remark}
 

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
-from helpers import OMEGA_0, chain, mean_square, oscillator, resized, true_error
+from helpers import OMEGA_0, chain, mean_square, oscillator, resized, true_error, wrap
 from reference_flow import size_of_motion
 
 import fenics_crack as fc
@@ -29,6 +33,22 @@ def assert_estimated(
     error = true_error(found, exact)
     assert error > least
     assert error / 3.0 < getattr(found.report, part) < 3.0 * error
+
+
+def test_errors_are_estimated_when_they_are_requested(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Once, and not again of a solution with other fields; those read from a file are not."""
+    calls = []
+
+    def counted(estimate: Callable[..., Any], *given: Any, **how: Any) -> Any:
+        calls.append(given)
+        return estimate(*given, **how)
+
+    wrap(monkeypatch, "fenics_crack.balance.solution.estimate_errors", counted)
+    found = fc.solve_harmonic_balance(oscillator(), 1.0, fc.UnilateralPenalty(1.0))
+    again = replace(found, stability=fc.floquet(found.structure, found))
+    assert not calls and again == replace(again)
+    assert again.report is found.report and len(calls) == 1
+    assert found.reported(fc.ErrorReport()).report.total == 0.0 and len(calls) == 1
 
 
 # --- truncation -----------------------------------------------------------------------------------

@@ -523,7 +523,7 @@ def test_hint_to_damp_more_modes(
 ) -> None:
     """Of an undecided orbit, where there are modes without damping."""
     undecided = fc.Stability(np.array([1.0 + 0j]), "undecided", np.nan)
-    monkeypatch.setattr("fenics_crack.study.run.floquet", lambda structure, solution: undecided)
+    monkeypatch.setattr("fenics_crack.study.solve.floquet", lambda structure, solution: undecided)
     words = ["solve", str(PAPER), "--output", str(tmp_path), "--set", "contact.stiffness=1e9"]
     words += [word for change in changes.split() for word in ("--set", change)]
     assert main(words) == 0

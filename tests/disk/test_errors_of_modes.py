@@ -13,7 +13,7 @@ from fenics_crack.balance.compliance import ModalCompliance
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import Solver
 from fenics_crack.model.contact import UnilateralConstraint
-from fenics_crack.study.stated_errors import stated_errors
+from fenics_crack.study.vary import stated_errors
 
 RIGID = UnilateralConstraint()
 
@@ -82,7 +82,7 @@ def test_rayleigh_damping(monkeypatch: pytest.MonkeyPatch, length: float) -> Non
         with monkeypatch.context() as patch:
             patch.setattr(ModalCompliance, "_seen", damped)
             problem = Problem(study.structure, peak.omega, RIGID, 20)
-            true = Solver(problem).solve(peak, reported=False)
+            true = Solver(problem).solve(peak)
         own = peak.amplitude(tip)
         off = float(own / true.amplitude(tip) - 1.0)
         part = stated.contributions("amplitude")["modes"] / own

@@ -12,7 +12,7 @@ from wheels import RING, SOLID, ring, wheel_of
 import fenics_crack as fc
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.wheel import Wheel, WheelStructure
-from fenics_crack.study.coarser_mesh import finer_mesh
+from fenics_crack.study.meshes import finer_mesh
 
 LAW = fc.UnilateralConstraint()
 

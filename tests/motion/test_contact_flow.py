@@ -19,7 +19,7 @@ from fenics_crack.kernel import kernel, pointer
 from fenics_crack.motion import flow as flow_module
 from fenics_crack.motion.attractors import in_the_long_run
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, flow_of
-from fenics_crack.motion.orbit import Prediction, find_orbit, predicted, predicted_with_more_modes
+from fenics_crack.motion.orbit import Prediction, find_orbit, predicted
 from fenics_crack.motion.search import SearchOptions, search_orbit, wave_states
 from fenics_crack.motion.shooting import FlowOrbits
 from fenics_crack.numerics.fourier import balanced, evaluate, waves
@@ -373,28 +373,6 @@ def test_by_products_as_by_factors(seed: int, monkeypatch: pytest.MonkeyPatch) -
     assert found is not None and found.error == pytest.approx(expected.error, rel=0.05)
     assert relative(found.monodromy, expected.monodromy) < 1e-10
     assert again is not None and relative(again.state, orbit.state) < 1e-7
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_step_with_more_modes(seed: int) -> None:
-    """With the inverse of the orbit of few modes, about as by the factors of all."""
-    whole = chain("modal", 30, 5, seed).varied(load=0.5)
-    few, many = (fc.reduce_structure(whole, modes=n, method="massless") for n in (8, 20))
-    flow, more = known(few, RIGID), known(many, RIGID)
-    settled = flow.advance(np.zeros(flow.size), 0.5, 60 * 2.0 * np.pi / 0.5).state
-    orbit = find_orbit(flow, 0.5, settled)
-    assert orbit is not None and orbit.events > 0
-    shape, speed = np.split(orbit.sampled.states, 2, axis=1)
-    new = waves(0.5 * orbit.sampled.time) @ more.force[:, 8:]
-    new -= orbit.sampled.force @ more.modes.pairs[8:].T
-    new /= more.modes.squares[8:]
-    rate = np.gradient(new, orbit.sampled.time, axis=0)
-    states = np.hstack([shape, new, speed, rate])[::16]
-    exact = predicted(more, 0.5, states)
-    found = predicted_with_more_modes(more, 0.5, states, orbit.inverse, 8)
-    assert exact is not None and found is not None and exact.error > 1e-3
-    assert relative(found.states - states, exact.states - states) < 0.5
-    assert 0.7 < found.error / exact.error < 1.4
 
 
 def test_by_omega() -> None:

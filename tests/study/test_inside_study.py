@@ -22,7 +22,7 @@ from fenics_crack.balance.solution import Solver
 from fenics_crack.fem import blocks
 from fenics_crack.model.factor import Factor, distributed
 from fenics_crack.study import prepare
-from fenics_crack.study.coarser_mesh import finer_mesh
+from fenics_crack.study.meshes import finer_mesh
 from fenics_crack.study.plausibility import (
     KeyFigures,
     find_key_figures,

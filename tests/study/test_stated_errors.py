@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from helpers import DEMOS, ROOT, changed
 from mpi4py import MPI
+from reference_flow import size_of_motion
 from surroundings import main
 
 import fenics_crack as fc
@@ -259,6 +260,19 @@ def test_parts_are_what_their_runs_say(scene: fc.Scene, run: fc.Run) -> None:
         (own, own + there - half), rel=1e-6
     )
     assert rows["count_1"][row] == many and cause == "mesh"
+
+
+def test_the_report_and_the_stated_error_are_by_the_same_orbits(run: fc.Run) -> None:
+    """Those with the modes kept and with the reference's, over the share that these have."""
+    found, stated = run.result, run.errors
+    more = found.assessment.more_modes
+    assert more is not None and more.orbit is not None and stated is not None
+    share, few, many = found.structure.share, more.fewer, more.orbit
+    moved = abs(many.amplitude(run.watched_dof) - few.amplitude(run.watched_dof)) / share
+    assert stated.contributions("amplitude")["modes"] == pytest.approx(moved, rel=1e-2)
+    gaps, other = few.sampled.gaps, many.sampled.gaps
+    size = size_of_motion(gaps + found.structure.clearance)
+    assert found.report.reduction == pytest.approx(np.linalg.norm(other - gaps) / size / share)
 
 
 @pytest.mark.parametrize(

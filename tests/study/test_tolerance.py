@@ -68,7 +68,7 @@ def test_modes_of_the_scene_stay(paper_scene: fc.Scene) -> None:
     run = fc.solve(scene.replace({"harmonic_balance.tolerance": 1e-3}), MPI.COMM_SELF)
     assert run.scene.reduction is not None and run.scene.reduction.modes == 2
     assert run.result.converged and run.result.report.total > 1e-3
-    assert "0.1 % was asked; what helps: modes 4, in about twice" in run.result.status
+    assert "0.1 % was asked; what helps: reduction.modes 4, in about twice" in run.result.status
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +94,7 @@ def test_tighter_is_never_worse(new: fc.Scene, modes: int | None) -> None:
             assert modes and tolerance < 5e-3
             size = f"{100.0 * totals[-1]:.2g} %"
             asked = f"{100.0 * tolerance:.2g} % was asked"
-            words = f"solved; error {size}, {asked}; what helps: modes "
+            words = f"solved; error {size}, {asked}; what helps: reduction.modes "
             assert found.status.startswith(words)
     assert totals == sorted(totals, reverse=True) and totals[-1] < 1e-2
 
@@ -107,7 +107,7 @@ def test_command_that_misses_its_tolerance(
     scene.write_text(new.replace({"harmonic_balance.tolerance": 1e-4, "mesh.size": 0.02}).as_toml())
     assert main(["solve", str(scene), "--output", str(tmp_path / "found")]) == 4
     said = capsys.readouterr().err
-    assert "warning: solved; error 0." in said and "what helps: modes 40" in said
+    assert "warning: solved; error 0." in said and "what helps: reduction.modes 40" in said
     assert "not converged" not in said
 
 

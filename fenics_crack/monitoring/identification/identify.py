@@ -39,7 +39,7 @@ from fenics_crack.monitoring.identification.result import Identification
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import MIN_VALUES, Identify, Sweep
-from fenics_crack.study.coarser_mesh import finer_mesh
+from fenics_crack.study.meshes import finer_mesh
 from fenics_crack.sweep.result import SweepResult, by_reason, run_sweep
 
 IRRELEVANT = ("sweep", "curve", "integration", "identify", "tip_timing")

@@ -1,81 +1,25 @@
-"""Discretisation error of the mesh, by a coarser one: elements about twice as long, those of
-mesh.coarser where the mesh is a file, and
+"""Other meshes of a scene: a coarser one, elements about twice as long or those of mesh.coarser
+where the mesh is a file, and finer ones.
 
-    e = |f - f_r| / (r - 1),
-
-as they converge with the order 1 at the tip of a crack (:mod:`refinement`). The ratio r of lengths
-follows from the numbers of elements; of a solid that is meshed here it is that at the fronts of its
-cracks, as no element becomes longer than the solid is thick, and of a disk's sector that at its
-crack tips and corners.
+The ratio of lengths follows from the numbers of elements; of a solid that is meshed here it is that
+at the fronts of its cracks, as no element becomes longer than the solid is thick, and of a disk's
+sector that at its crack tips and corners.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.progress import within
-from fenics_crack.basics.tables import frequency_axis
-from fenics_crack.model.modes import solve_modes, tied_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import extents
-from fenics_crack.study.prepare import REFUSALS, Study, prepare
-from fenics_crack.study.verification import GridConvergence, Verification, grid_convergence
-
-TIP, CLAMP = 1.0, 1.5
-"""Orders of convergence at a crack tip and at a clamp's ends."""
-
-
-def natural_name(scene: Scene, kind: str, mode: int) -> str:
-    """The name of a natural frequency: "frequency_open_1"."""
-    return f"{'frequency' if scene.in_hertz else 'omega'}_{kind}_{mode}"
-
-
-def errors_of_natural(study: Study, natural: Mapping[str, np.ndarray]) -> Verification:
-    """The errors by the mesh of natural frequencies [rad/s] of a whole structure, with crack faces
-    "open" and "tied" (collective)."""
-    scene, stated = study.scene, Verification(study.scene, {}, {})
-    factor, _, unit = frequency_axis(scene.in_hertz)
-
-    def named(kinds: Mapping[str, np.ndarray]) -> dict[str, float]:
-        return {
-            natural_name(scene, kind, number): factor * float(omega)
-            for kind, values in kinds.items()
-            for number, omega in enumerate(values, 1)
-            if 0.0 < omega < np.inf
-        }
-
-    stated.values.update(named(natural))
-    stated.units.update(dict.fromkeys(stated.values, unit))
-    try:
-        coarse = coarser(study)
-        if isinstance(coarse, str):
-            stated.take("mesh", coarse)
-            return stated
-        twin, counts, ratio = coarse
-        count = max(map(len, natural.values()))
-        both = {"open": solve_modes(twin.structure, count).omega}
-        if "tied" in natural:
-            both["tied"] = tied_modes(twin.structure, count).omega
-        parts = expected("mesh", counts, stated.values, named(both), scene, ratio=ratio)
-        stated.take("mesh", (counts, parts))
-    except REFUSALS as error:
-        stated.unknown["mesh"] = why_failed("a coarser mesh", error)
-    return stated
-
-
-def why_failed(run: str, error: Exception) -> str:
-    """Return why another run gives no error: the key that it cannot have, or no solution."""
-    if isinstance(error, InputError):
-        return f"{run} cannot be used, for its {error.key}"
-    return f"{run} has no solution"
+from fenics_crack.study.prepare import Study, prepare
 
 
 def coarser(study: Study) -> tuple[Study, tuple[int, int], float] | str:
@@ -156,44 +100,6 @@ def _lips(structure: Structure) -> list[tuple[np.ndarray, np.ndarray]]:
     return [(pairs.areas[its], pairs.points[its]) for its in each]
 
 
-def expected(
-    cause: str, counts: tuple[int, int], own: Mapping[str, float], other: Mapping[str, float],
-    scene: Scene, ratio: float | None = None,
-) -> dict[str, GridConvergence]:  # fmt: skip
-    """The part of a cause, of order 1 in :func:`_size_of`, or by a ratio of sizes, without a factor
-    of safety."""
-    parts = parts_of(cause, counts, [own, other], scene, formal=1.0, ratio=ratio)
-    return {name: replace(part, factor=1.0) for name, part in parts.items()}
-
-
-def parts_of(
-    cause: str, counts: Sequence[int], levels: Sequence[Mapping[str, float]], scene: Scene,
-    *, formal: float, highest: float = math.inf, ratio: float | None = None,
-) -> dict[str, GridConvergence]:  # fmt: skip
-    """Return the part of a cause in each number, which is 0 where a run has none.
-
-    It follows from the numbers of two or three runs, the answer's own first, or of two by a ratio
-    of sizes; orders are those of :func:`grid_convergence`.
-    """
-    sizes = [_size_of(cause, count, scene) for count in counts]
-    if ratio is not None:
-        sizes[1] = ratio * sizes[0]
-    return {
-        name: grid_convergence(
-            sizes, [values.get(name, 0.0) for values in levels], formal=formal, highest=highest
-        )
-        for name in levels[0]
-    }
-
-
-def _size_of(cause: str, count: int, scene: Scene) -> float:
-    """The side of a square or cube of the mean size of so many elements, in [m] where the plate is
-    the scene's (Celik and others, equation 1); or one over the number of something else."""
-    if cause != "mesh":
-        return 1.0 / count
-    return float((math.prod(scene.geometry.sides) / count) ** (1.0 / scene.dimension))
-
-
 def finer_mesh(scene: Scene, factor: float) -> Scene | None:
     """A scene whose elements are ``factor`` times as short; None where the scene makes no such
     mesh.
@@ -246,3 +152,12 @@ def n_elements(structure: Structure) -> int:
     """Return the number of elements; of matrices 1 (collective)."""
     whole = structure.whole
     return max(1, 0 if whole.nodes is None else whole.comm.allreduce(len(whole.nodes.cells)))
+
+
+def is_even(scene: Scene) -> bool:
+    """Return True if a mesh 1.5 times finer is of the same kind: not where elements along a crack
+    face, rounded up, are many more than that."""
+    if scene.mesh.layout != "graded":
+        return False
+    finer, lips = finer_mesh(scene, 1.5), scene.mesh.lip_elements
+    return finer is None or lips is None or finer.mesh.given("lip_elements") <= 1.56 * lips
