@@ -12,7 +12,6 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from fenics_crack.balance.assessment import Assessment
-from fenics_crack.balance.contact_system import ContactPoint
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.harmonic_balance import solution_of_orbit, wave_of
 from fenics_crack.balance.problem import Problem, least_harmonics
@@ -286,12 +285,9 @@ class ResponseCurve(Observed, Tabular):
         series, as long as the tolerance requires; nothing is searched for."""
         if self.tolerance is not None:
             return solution_of_orbit(self.problem_of(index), self.orbit(index), self.tolerance)
-        return solution_of(*self._balanced(index), status="point of a curve", search=search)
-
-    def _balanced(self, index: int) -> tuple[Problem, ContactPoint]:
-        """The problem, and its truncated equations at a point."""
         problem = self.problem_of(index)
-        return problem, problem.system(problem.compliance()).linearise(self.points[index])
+        at = problem.system(problem.compliance()).linearise(self.points[index])
+        return solution_of(problem, at, status="point of a curve", search=search)
 
     def orbit(self, index: int) -> PeriodicOrbit:
         """The exact orbit at a point; InputError on a curve of harmonic balance."""
@@ -304,12 +300,7 @@ class ResponseCurve(Observed, Tabular):
     def assessment(self, index: int) -> Assessment:
         """Return the assessment of a point of harmonic balance by the exact flow; no error is
         estimated."""
-        return self._motion(index).assessment
-
-    def _motion(self, index: int) -> PeriodicSolution:
-        """The solution of harmonic balance at a point, without a report."""
-        problem, at = self._balanced(index)
-        return PeriodicSolution(**vars(problem.wave(at)))
+        return self.solution(index).assessment
 
     @cached_property
     def gap_coefficients(self) -> np.ndarray:
@@ -321,11 +312,11 @@ class ResponseCurve(Observed, Tabular):
             return np.array(found)[..., :count]
         if self.static_above is None:
             return self.points[..., :count]
-        return np.array([self._motion(place).gap_coefficients for place in places])
+        return np.array([self.solution(place).gap_coefficients for place in places])
 
     def records(self, rows: np.ndarray) -> Iterator[Record]:
         for place in range(len(self)):
-            motion = self.orbit(place) if self.exact else self._motion(place)
+            motion = self.orbit(place) if self.exact else self.solution(place)
             [record] = motion.records(rows, INSTANTS)
             yield replace(record, exact={})
 
