@@ -19,7 +19,7 @@ from fenics_crack.balance.contact_system import ContactPoint
 from fenics_crack.balance.phase import SEVERAL, Drive, PhasePoint, Resonance
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import Solver
-from fenics_crack.basics.errors import ConvergenceError, InputError, check_choice
+from fenics_crack.basics.errors import ConvergenceError, InputError, check_choice, check_number
 from fenics_crack.basics.tables import counted
 from fenics_crack.curves.continuation import (
     GrowingCurve,
@@ -176,11 +176,16 @@ def _meeting(point: PhasePoint, order: float | None) -> tuple[PhasePoint, float]
     raise ConvergenceError(f"resonance: its order does not meet it next to {speed:.6g} rad/s")
 
 
-def _small(problem: Problem) -> Problem:
-    """The problem with a structure that is small, or else reduced to crack faces without mass."""
-    if is_small(problem.structure):
-        return problem
-    return replace(problem, structure=reduce_structure(problem.structure, method="massless"))
+def _begun(problem: Problem, near: float | None, tolerance: float | None) -> tuple[Problem, float]:
+    """The problem with a structure that is small, or else reduced to crack faces without mass, and
+    where a resonance of it is sought."""
+    for key, value in ("near", near), ("tolerance", tolerance):
+        if value is not None:
+            check_number(key, value, 0.0, above=True)
+    if not is_small(problem.structure):
+        reduced = reduce_structure(problem.structure, method="massless")
+        problem = replace(problem, structure=reduced)
+    return problem, problem.omega if near is None else near
 
 
 def resonance_at(
@@ -231,7 +236,7 @@ def resonance_at(
     order, error = None, math.nan
     if parameter == "speed":
         order = problem.omega / spinning(problem.structure).speed
-    point = first_resonance(_small(problem), near or problem.omega)
+    point = first_resonance(*_begun(problem, near, tolerance))
     point, rate = _meeting(point, order)
     if tolerance is not None:
         point, error = _within(point, tolerance)
@@ -289,7 +294,7 @@ def follow_resonance(
     >>> curve = fc.follow_resonance(fc.Problem(structure, 2000.0, contact), 0.1, 10.0)
     """
     check_range(problem, "resonance", start, end)
-    problem, near, vary = _small(problem), near or problem.omega, WAVES["resonance"].vary
+    (problem, near), vary = _begun(problem, near, tolerance), WAVES["resonance"].vary
     if tolerance is not None:
         at_end = _within(first_resonance(vary(problem, end), near), tolerance)[0]
         problem = problem.with_harmonics(at_end.problem.harmonics)

@@ -258,8 +258,13 @@ def test_what_has_no_phase_resonance() -> None:
         resonance_at(Problem(mass(0.0), 0.9, law, 5))
     with pytest.raises(InputError, match="no damped mode answers"):
         resonance_at(Problem(mass(0.01, force=0.0), 1.0, law, 5))
+    problem = Problem(structure, 1.0, law, 5)
     with pytest.raises(InputError, match="start"):
-        follow_resonance(Problem(structure, 1.0, law, 5), 0.0, 1.0)
+        follow_resonance(problem, 0.0, 1.0)
+    with pytest.raises(InputError, match="near"):
+        resonance_at(problem, near=0.0)
+    with pytest.raises(InputError, match="tolerance"):
+        follow_resonance(problem, 0.5, 1.0, tolerance=-0.01)
     with pytest.raises(InputError, match="follow_resonance"):
         fc.continue_parameter(structure, 1.0, law, "resonance", 0.5, 1.0)
     span = {"parameter": "clearance", "at": "resonance", "start": 0.1, "stop": 1.0}
