@@ -11,8 +11,6 @@ import pytest
 from helpers import DEMOS, ROOT
 from ranks import LIMIT
 
-import fenics_crack as fc
-
 HEAVY = ("dolfinx", "ufl", "basix", "ffcx", "gmsh", "pyvista", "vtk", "vtkmodules", "matplotlib")
 ALL = (*HEAVY, "numpy", "scipy", "mpi4py", "petsc4py", "slepc4py", "h5py")
 
@@ -144,18 +142,6 @@ sys.stderr = sys.stdout
 assert main(["check", {str(DEMOS / "paper_plate.toml")!r}]) == 130
 """
     assert fresh(program) == "fenics-crack: stopped"
-
-
-def test_check_needs_no_solver() -> None:
-    """Neither it nor the plan of a sweep."""
-    solvers = (fc.PeriodicSolution.__module__, "scipy.optimize")
-    program = f"""
-import sys
-from surroundings import main
-assert main(["check", {str(DEMOS / "paper_plate.toml")!r}, "--quiet"]) == 0
-print([name for name in {solvers} if name in sys.modules])
-"""
-    assert fresh(program).splitlines()[-1] == "[]"
 
 
 def test_what_takes_longer_after_mpi_is_loaded_before_it() -> None:

@@ -27,7 +27,7 @@ def natural_name(scene: Scene, kind: str, mode: int) -> str:
     return f"{'frequency' if scene.in_hertz else 'omega'}_{kind}_{mode}"
 
 
-def resonance_of(structure: Structure, mode: int) -> float:
+def bilinear_of(structure: Structure, mode: int) -> float:
     """Bilinear frequency of a mode [rad/s] (collective)."""
     return float(bilinear_frequencies(structure).omega_bilinear[mode - 1])
 

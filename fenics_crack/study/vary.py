@@ -86,11 +86,11 @@ from fenics_crack.study.numbers import (
     Numbers,
     accepted_orbit,
     as_changed,
+    bilinear_of,
     many_harmonics,
     natural_name,
     numbers_of,
     of_orbit,
-    resonance_of,
 )
 from fenics_crack.study.prepare import REFUSALS, Study, law_of, prepare, reduced, reduction_of
 from fenics_crack.study.solve import Solved, solve_prepared
@@ -462,7 +462,7 @@ class _Stated(_Case):
         few = max(few, least_harmonics(near.structure, near.subharmonic))
         half = _solved(study, near.omega, few, near)
         with_few, mode = self.values_of(half), self._moving(half)
-        moved = resonance_of(twin.structure, mode) / resonance_of(study.structure, mode)
+        moved = bilinear_of(twin.structure, mode) / bilinear_of(study.structure, mode)
         there = self.values_of(_solved(twin, near.omega * moved, few), twin)
         levels = map(Level, counts, (with_few, there))
         _, parts = part_of("mesh", [*levels], study.scene, ratio=ratio)
@@ -675,7 +675,7 @@ class _Verified(_Case):
             varied = reduced(replace(shared, scene=scene), judged=False)
         else:
             varied = prepare(scene, study.structure.comm, judged=False)
-            omega *= resonance_of(varied.structure, mode) / resonance_of(study.structure, mode)
+            omega *= bilinear_of(varied.structure, mode) / bilinear_of(study.structure, mode)
         run = solve_prepared(varied, initial, omega)
         if not run.result.converged:
             raise ConvergenceError(run.result.status)

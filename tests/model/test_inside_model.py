@@ -525,6 +525,7 @@ def test_curves_solve_no_further_eigenproblem(
     reduced = fc.reduce_structure(chain(kind, 30), modes=8)
     law = fc.UnilateralPenalty(4.0)
     first = fc.solve_harmonic_balance(reduced, 0.3, law)
+    assert first.report.reduction > 0.0
     fc.floquet(reduced, first)
     start, end = (0.0, 0.1) if parameter == "clearance" else (1.0, 1.5)
     del eigensolutions[:]
