@@ -140,14 +140,15 @@ def _next_to(here: PhasePoint, **changes: Any) -> PhasePoint:
 
 
 def _within(point: PhasePoint, tolerance: float) -> tuple[PhasePoint, float]:
-    """The same with so many harmonics that its error is below a tolerance, or as many as a curve
-    may have or as lead to a resonance; and that error, inf where it is not known.
+    """The same with so many harmonics that its error is below a tolerance, that several modes are
+    seen to answer together, or as many as a curve may have or as lead to a resonance; and that
+    error, inf where it is not known.
 
     It is what half as many harmonics change, of the amplitude and of the frequency by what lowers
     that as much, or what the exact flow predicts of the displacement, if that is more: many
     harmonics may change nothing until one meets a mode."""
     error, more = math.inf, 2 * point.problem.harmonics
-    while error > tolerance and more <= MAX_HARMONICS:
+    while error > tolerance and abs(point.apart) <= SEVERAL and more <= MAX_HARMONICS:
         try:
             finer = _next_to(point, harmonics=more)
         except ConvergenceError:
@@ -213,7 +214,7 @@ def resonance_at(
         :func:`fenics_crack.run_up_structure`, whose modes are those of each speed.
     tolerance : float, optional
         Take more harmonics, twice as many each time, until the estimated error of the amplitude is
-        below this.
+        below this, or several modes answer together: the curve shows more then.
 
     Returns
     -------

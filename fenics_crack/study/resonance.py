@@ -89,14 +89,6 @@ class AtLoad:
         return cls(found.value, found.width, rest, amplitude, found.error, verdict)
 
 
-def resonance(problem: Problem, near: float, parameter: str = "omega") -> Resonance:
-    """The resonance of a problem next to a frequency (:func:`resonance_at`).
-
-    Where several modes answer together more harmonics take long and show nothing."""
-    found = resonance_at(problem, near, parameter)
-    return found if found.several else resonance_at(problem, near, parameter, tolerance=TOLERANCE)
-
-
 def meeting_speed(order: float, speed: float, omega: float, slope: np.ndarray) -> float:
     """Rotor speed W [rad/s] at which an engine order n meets a frequency; nan where it never does.
 
@@ -135,9 +127,9 @@ def resonance_of(study: Study, estimates: np.ndarray, slopes: np.ndarray) -> AtL
     mode = int(np.argmin(np.abs(estimates - load.omega)))
     try:
         if load.order is None or not turns:
-            problem, near = _problem(scene, law, _few(study, whole), load.omega), estimates[mode]
-            found = resonance(problem, float(near))
-            return AtLoad.of(found, frequency_at_rest(problem, found.omega))
+            problem = _problem(scene, law, _few(study, whole), load.omega)
+            found = resonance_at(problem, float(estimates[mode]), tolerance=TOLERANCE)
+            return AtLoad.of(found, _at_rest(problem, found.omega))
         return _of_rotor(study, float(estimates[mode]), slopes[mode])
     except REFUSALS as error:
         return AtLoad(unknown=str(error))
@@ -175,9 +167,8 @@ def _of_rotor(study: Study, estimate: float, slope: np.ndarray) -> AtLoad:
 
     first = resonance_at(at(there, estimate), estimate)
     problem = at(met(first.omega, first.harmonic), first.omega)
-    tolerance = None if first.several else TOLERANCE
-    found = resonance_at(problem, first.omega, tolerance=tolerance)
-    rest, half = frequency_at_rest(problem, found.omega), 0.5 * found.width
+    found = resonance_at(problem, first.omega, tolerance=TOLERANCE)
+    rest, half = _at_rest(problem, found.omega), 0.5 * found.width
     low, high, value, at_rest = (
         met(omega, found.harmonic)
         for omega in (found.omega - half, found.omega + half, found.omega, rest)
@@ -193,9 +184,17 @@ def over_speed(scene: Scene, small: Ritz, speed: float) -> AtLoad:
     try:
         rotor = RunUpStructure(small, speed)
         problem = _problem(scene, law, rotor, order * speed)
-        return AtLoad.of(resonance(problem, problem.omega, "speed"))
+        return AtLoad.of(resonance_at(problem, parameter="speed", tolerance=TOLERANCE))
     except REFUSALS as error:
         return AtLoad(unknown=str(error))
+
+
+def _at_rest(problem: Problem, resonance: float) -> float:
+    """The frequency of a resonance under a small load: the same where nothing else holds pairs."""
+    structure = problem.structure
+    if not np.any(structure.force[0]) and not np.any(structure.clearance):
+        return resonance
+    return frequency_at_rest(problem, resonance)
 
 
 def _few(study: Study, whole: Structure) -> Structure:
