@@ -220,7 +220,8 @@ def test_sweep_of_few_modes(
     found = SweepResult.load(tmp_path / "sweep.h5")
     assert found.inexact.tolist() == [[False, True, True], [False, False, True]]
     asked = swept.replace({"harmonic_balance.tolerance": 0.01})
-    [told] = warnings_of(replace(found, scene=asked))
+    told, depends = warnings_of(replace(found, scene=asked))
+    assert "whose verdict depends on truncated modes" in depends
     assert told.startswith("6 cases with an error above 1 %, the largest at modes = 2, ")
 
     marked: list[list[bool]] = []
