@@ -6,7 +6,7 @@ Of the leading multipliers mu of each point,
 
 Between two points lies a fold where the parameter turns back, a period doubling where d changes, a
 Neimark-Sacker point where c does; two real multipliers outside the circle that meet and become a
-pair are none. Where multipliers cross the unit circle is located by Brent's
+pair are none. Where multipliers cross the unit circle is located by the Illinois
 method (:func:`fenics_crack.numerics.path.zero_between`) on
 
     the product of all 1 + mu,    |mu_k| - 1 of the k-th pair.

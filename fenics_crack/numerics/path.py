@@ -270,13 +270,14 @@ class Crossing(Event):
 def zero_between(
     system: System, ends: Ends, test: Callable[[PathPoint], float], rtol: float
 ) -> tuple[PathPoint, float]:
-    """The point between two neighbours where a function vanishes, by Brent's method, and the
+    """The point between two neighbours where a function vanishes, by the Illinois method, and the
     function there; where that fails the point at which it was smallest.
 
-    Points are found in the planes across the chord, from Hermite's cubic through both ends.
-    """
-    import scipy.optimize  # takes a while, and a path without events needs none
+    Points are found in the planes across the chord, from Hermite's cubic through both ends. (SciPy
+    has such methods, and takes longer to load than many curves to be followed.)
 
+    Source: Dowell and Jarratt, BIT 11, 1971, 168.
+    """
     before, after = ends
     change, rise = after.unknown - before.unknown, after.parameter - before.parameter
     length = distance(system, before, after) or 1.0
@@ -300,8 +301,19 @@ def zero_between(
             met[share] = point, test(point)
         return met[share][1]
 
-    with suppress(ConvergenceError, ValueError):
-        scipy.optimize.brentq(value, 0.0, 1.0, xtol=1e-12, rtol=1e-12)
+    kept, last = 0.0, 1.0
+    size, left = value(kept), value(last)
+    with suppress(ConvergenceError):
+        while size * left < 0.0 and abs(last - kept) > 1e-12:
+            share = last - left * (last - kept) / (left - size)
+            if share in (kept, last):
+                break
+            there = value(share)
+            if there * left < 0.0:
+                kept, size = last, left
+            else:  # so that this end does not stay
+                size *= 0.5
+            last, left = share, there
     return min(met.values(), key=lambda found: abs(found[1]))
 
 
