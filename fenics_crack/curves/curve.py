@@ -51,7 +51,7 @@ PARAMETERS = {
 
 MIN_HARMONICS = SearchOptions.harmonics[0]
 """Minimum harmonics of the load's frequency in a solution of exact orbits."""
-INSTANTS = 256
+CURVE_INSTANTS = 256
 """Instants of the period at which points of a curve are evaluated."""
 RESOLUTION = 0.1
 """Width of a window that may be missed, over the longest step: steps are judged by an interpolation
@@ -317,7 +317,7 @@ class ResponseCurve(Observed, Tabular):
     def records(self, rows: np.ndarray) -> Iterator[Record]:
         for place in range(len(self)):
             motion = self.orbit(place) if self.exact else self.solution(place)
-            [record] = motion.records(rows, INSTANTS)
+            [record] = motion.records(rows, CURVE_INSTANTS)
             yield replace(record, exact={})
 
     # --- stability --------------------------------------------------------------------------------

@@ -19,7 +19,13 @@ from fenics_crack.balance.contact_system import ContactPoint
 from fenics_crack.balance.phase import SEVERAL, Drive, PhasePoint, Resonance
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import Solver
-from fenics_crack.basics.errors import ConvergenceError, InputError, check_choice, check_number
+from fenics_crack.basics.errors import (
+    MOST_HARMONICS,
+    ConvergenceError,
+    InputError,
+    check_choice,
+    check_number,
+)
 from fenics_crack.basics.tables import counted
 from fenics_crack.curves.continuation import (
     GrowingCurve,
@@ -39,13 +45,11 @@ from fenics_crack.numerics.equations import LOCATED
 from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_near
 from fenics_crack.numerics.path import ARRIVED, Crossing, Ended, Path, PathOptions
 
-MAX_HARMONICS = 100
-"""Maximum harmonics for a tolerance, as of a curve."""
 TO_PHASE = PathOptions(0.05, 0.3, max_steps=300, at_once=8, span=(-4.0, 1.8))
 """Options of the response curve on which the first point is met. Its parameter is in halves of the
 frequency, so that steps are parts of the motion; up to three times the frequency, or down to a
 tenth."""
-SMALL = 1e-3
+SMALL_LOAD = 1e-3
 """Factor of a load that is a small one: less is lost in rounding beside a mean load."""
 MEETINGS = 20
 """Maximum corrections by the secant of the speed at which an order meets a resonance."""
@@ -148,7 +152,7 @@ def _within(point: PhasePoint, tolerance: float) -> tuple[PhasePoint, float]:
     that as much, or what the exact flow predicts of the displacement, if that is more: many
     harmonics may change nothing until one meets a mode."""
     error, more = math.inf, 2 * point.problem.harmonics
-    while error > tolerance and abs(point.apart) <= SEVERAL and more <= MAX_HARMONICS:
+    while error > tolerance and abs(point.apart) <= SEVERAL and more <= MOST_HARMONICS:
         try:
             finer = _next_to(point, harmonics=more)
         except ConvergenceError:
@@ -250,7 +254,7 @@ def resonance_at(
 def frequency_at_rest(problem: Problem, near: float) -> float:
     """Load frequency [rad/s] of the resonance under a small load, next to one: a crack that the
     mean load holds open or closed stays so."""
-    return first_resonance(WAVES["resonance"].vary(problem, SMALL), near).omega
+    return first_resonance(WAVES["resonance"].vary(problem, SMALL_LOAD), near).omega
 
 
 def follow_resonance(

@@ -53,7 +53,7 @@ from fenics_crack.model.rotation import Ritz, coriolis_shifts, static_state
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import coriolis_in_words, damping_ratios, remarks_on_scene
-from fenics_crack.study.resonance import MODES, AtLoad, over_speed
+from fenics_crack.study.resonance import SOUGHT_MODES, AtLoad, over_speed
 
 HELD = (*KINDS[:2], "partly")
 """Kinds of frequencies of a crack that its resonance does not change."""
@@ -406,7 +406,7 @@ def _met(found: Campbell, small: Ritz) -> tuple[tuple[int, AtLoad], ...]:
     scene, order = found.scene, found.scene.excitation.order
     if order is None or not found.cracked:
         return ()
-    many = replace(small, modes=max(small.modes, MODES))
+    many = replace(small, modes=max(small.modes, SOUGHT_MODES))
     return tuple(
         (int(mode), over_speed(scene, many, speed))
         for mode, speed in found.crossings(order, "real").tolist()

@@ -53,7 +53,7 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Curve
 from fenics_crack.scene.words import faces_in_words
 from fenics_crack.study.prepare import Study, reduction_of
-from fenics_crack.study.resonance import MODES, AtLoad, meeting_speed
+from fenics_crack.study.resonance import SOUGHT_MODES, AtLoad, meeting_speed
 
 N_MODES = 4
 """Modes that are computed."""
@@ -138,7 +138,7 @@ def find_key_figures(study: Study) -> KeyFigures:
     most = whole.n_dofs if known is None else len(known[0])
     count = min(N_MODES, most)
     with Factor(whole.stiffness, definite=True) as factor:
-        many = modes_by(factor, whole, min(MODES, most))  # which the resonance at the load takes
+        many = modes_by(factor, whole, min(SOUGHT_MODES, most))  # of the resonance, too
         modes = Modes(many.omega[:count], many.shapes[:, :count], whole)
         slopes = _slopes(factor, many, count)
         static = _static(factor, modes, whole.force)

@@ -33,14 +33,14 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import REFUSALS, Study, law_of, reduced, reduction_of
 
-MODES = 10
+SOUGHT_MODES = 10
 """Modes of the whole structure in which it is sought."""
-TOLERANCE = 0.1
+ENOUGH = 0.1
 """Relative error of the amplitude that is enough to name it."""
-CLOSE = 0.02
+NEAR_SPEED = 0.02
 """Relative change of a frequency with the speed for which its square is taken as quadratic in W^2,
 and the centrifugal load as proportional to W^2."""
-SEVERAL = "several modes answer together: see the curve"
+SEE_CURVE = "several modes answer together: see the curve"
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class AtLoad:
     def of(cls, found: Resonance, rest: float = math.nan) -> AtLoad:
         """That of a resonance, whose solution is followed for its stability."""
         if found.several:
-            return cls(found.value, found.width, rest, unknown=SEVERAL)
+            return cls(found.value, found.width, rest, unknown=SEE_CURVE)
         solution, verdict = found.solution, "undecided"
         with suppress(*REFUSALS):
             verdict = floquet(solution.structure, solution).verdict
@@ -128,7 +128,7 @@ def resonance_of(study: Study, estimates: np.ndarray, slopes: np.ndarray) -> AtL
     try:
         if load.order is None or not turns:
             problem = _problem(scene, law, _few(study, whole), load.omega)
-            found = resonance_at(problem, float(estimates[mode]), tolerance=TOLERANCE)
+            found = resonance_at(problem, float(estimates[mode]), tolerance=ENOUGH)
             return AtLoad.of(found, _at_rest(problem, found.omega))
         return _of_rotor(study, float(estimates[mode]), slopes[mode])
     except REFUSALS as error:
@@ -152,7 +152,7 @@ def _of_rotor(study: Study, estimate: float, slope: np.ndarray) -> AtLoad:
         return found
 
     there = met(estimate)
-    if abs(order * there - estimate) > CLOSE * estimate:
+    if abs(order * there - estimate) > NEAR_SPEED * estimate:
         whole, speed, estimate = whole.rotation.at(there), there, order * there
     steady, count = whole.force[0] - whole.rotation.at_rest.force[0], len(whole.force)
     loads = np.vstack([whole.force, steady, np.zeros_like(steady)])
@@ -167,7 +167,7 @@ def _of_rotor(study: Study, estimate: float, slope: np.ndarray) -> AtLoad:
 
     first = resonance_at(at(there, estimate), estimate)
     problem = at(met(first.omega, first.harmonic), first.omega)
-    found = resonance_at(problem, first.omega, tolerance=TOLERANCE)
+    found = resonance_at(problem, first.omega, tolerance=ENOUGH)
     rest, half = _at_rest(problem, found.omega), 0.5 * found.width
     low, high, value, at_rest = (
         met(omega, found.harmonic)
@@ -184,7 +184,7 @@ def over_speed(scene: Scene, small: Ritz, speed: float) -> AtLoad:
     try:
         rotor = RunUpStructure(small, speed)
         problem = _problem(scene, law, rotor, order * speed)
-        return AtLoad.of(resonance_at(problem, parameter="speed", tolerance=TOLERANCE))
+        return AtLoad.of(resonance_at(problem, parameter="speed", tolerance=ENOUGH))
     except REFUSALS as error:
         return AtLoad(unknown=str(error))
 
@@ -202,7 +202,7 @@ def _few(study: Study, whole: Structure) -> Structure:
     kept = reduction_of(study.scene, whole)
     if study.scene.disk is not None or (kept is None and is_small(whole)):
         return reduced(replace(study, structure=whole), judged=False).structure
-    modes = min(MODES, whole.n_dofs if kept is None else kept.modes)
+    modes = min(SOUGHT_MODES, whole.n_dofs if kept is None else kept.modes)
     return reduce_structure(whole, modes=modes, method="massless", reference=False)
 
 

@@ -13,7 +13,7 @@ from surroundings import main
 
 import fenics_crack as fc
 from fenics_crack.study.plausibility import find_key_figures, proposed_curve
-from fenics_crack.study.resonance import SEVERAL, AtLoad, meeting_speed, resonance_of
+from fenics_crack.study.resonance import SEE_CURVE, AtLoad, meeting_speed, resonance_of
 
 DEMOS = ROOT / "demos"
 
@@ -45,7 +45,7 @@ def test_plate() -> None:
 def test_what_is_not_known() -> None:
     """It is said why: several modes, a smooth law, no damping, no crack; friction is left out."""
     several = at_load(fc.Scene.load(DEMOS / "paper_plate.toml"))
-    assert several.in_words == SEVERAL and several.value > 0.0
+    assert several.in_words == SEE_CURVE and several.value > 0.0
     plate = fc.Scene.load(DEMOS / "blade.toml")
     smooth = {"contact.law": "smoothed", "contact.sharpness": 1e9, "contact.stiffness": 1e10}
     assert "law" in at_load(plate.replace(smooth)).unknown
