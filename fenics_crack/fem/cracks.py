@@ -281,7 +281,7 @@ def _chains(edges: np.ndarray, tips: np.ndarray, positions: np.ndarray) -> Itera
     apart = len(positions) + np.arange(edges.size).reshape(edges.shape)  # a tip of each crack
     part = connected(np.where(np.isin(edges, tips), apart, edges))
     for number in range(part.max() + 1):
-        ends, which = np.unique(edges[part == number], return_inverse=True)
+        ends, which = np.unique(edges[part == number].ravel(), return_inverse=True)
         single = np.flatnonzero(np.bincount(which) == 1)
         if not len(single):
             allowed = "cracks with two ends; a closed curve would cut a piece out of the structure"
