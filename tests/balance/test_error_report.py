@@ -46,7 +46,7 @@ def test_errors_are_estimated_when_they_are_requested(monkeypatch: pytest.Monkey
     wrap(monkeypatch, "fenics_crack.balance.solution.estimate_errors", counted)
     found = fc.solve_harmonic_balance(oscillator(), 1.0, fc.UnilateralPenalty(1.0))
     again = replace(found, stability=fc.floquet(found.structure, found))
-    assert not calls and again == replace(again)
+    assert not calls
     assert again.report is found.report and len(calls) == 1
     assert found.reported(fc.ErrorReport()).report.total == 0.0 and len(calls) == 1
 
