@@ -44,8 +44,26 @@ contact = { law = "penalty", stiffness = 1e8 }
 mesh = { layout = "graded", order = 2, size = 0.012, lip_elements = 2, error = false }
 """)
 """A cracked solid with contact of crack faces with mass."""
+TITANIUM = fc.Scene.from_text("""
+geometry = { kind = "solid", width = 0.04, height = 0.1, thickness = 0.004 }
+crack = { edge = "left", height = 0.012, length = 0.004 }
+material = { young = 1.14e11, poisson = 0.33, density = 4430.0 }
+damping = { ratio = 0.001 }
+rotation = { rpm = 6000.0, hub_radius = 0.25 }
+excitation = { order = 4, point = [0.04, 0.1, 0.002], force_sin = [0.0, 0.0, 1.0] }
+contact = { law = "unilateral" }
+mesh = { layout = "graded", order = 2, size = 0.01, lip_elements = 6, grading = 4.0 }
+reduction = { modes = 10 }
+curve = { parameter = "rpm", start = 5780.0, stop = 5860.0 }
+""")
+"""A blade on a rotor, whose resonance the load moves by 20 rpm."""
 DAMPINGS = ("modal", "rayleigh", "matrix", "few modes", "none")
 """Kinds of damping of a chain."""
+
+
+def titanium_blade(force: float) -> fc.Scene:
+    """That blade under a load of so many N."""
+    return TITANIUM.replace({"excitation.force_sin": [0.0, 0.0, force]})
 
 
 def csr(matrix: Any) -> sparse.csr_matrix:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import titanium_blade
 from rotating import CRACKED, cracked
 
 import fenics_crack as fc
@@ -206,26 +207,12 @@ def test_scene_over_its_load(tmp_path: Path) -> None:
     assert solved.amplitude() == pytest.approx(curve.amplitude()[place], rel=1e-5)
 
 
-TITANIUM = {
-    "geometry": {"kind": "solid", "width": 0.04, "height": 0.1, "thickness": 0.004},
-    "crack": {"edge": "left", "height": 0.012, "length": 0.004},
-    "material": {"young": 1.14e11, "poisson": 0.33, "density": 4430.0},
-    "damping": {"ratio": 0.001},
-    "rotation": {"rpm": 6000.0, "hub_radius": 0.25},
-    "contact": {"law": "unilateral"},
-    "mesh": {"layout": "graded", "order": 2, "size": 0.01, "lip_elements": 6, "grading": 4.0},
-    "reduction": {"modes": 10},
-    "curve": {"parameter": "rpm", "start": 5780.0, "stop": 5860.0},
-}
-
-
 @pytest.mark.nightly
 @pytest.mark.parametrize("force", [0.2, 0.4, 1.0])
 def test_solid_blade_on_a_rotor(force: float) -> None:
     """Its resonance is that of its curve over rpm, which the load moves by 20 rpm: the centrifugal
     load opens the crack, and the bilinear frequency meets the order at 5,847 rpm."""
-    load = {"order": 4, "point": [0.04, 0.1, 0.002], "force_sin": [0.0, 0.0, force]}
-    scene = fc.Scene.from_mapping(TITANIUM | {"excitation": load})
+    scene = titanium_blade(force)
     whole = fc.build_structure(scene)
     rotor = fc.run_up_structure(whole, 605.0, 615.0, 10)
     problem = Problem(rotor, 4.0 * rotor.speed, fc.UnilateralConstraint())

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import ROOT
+from helpers import ROOT, titanium_blade
 from mpi4py import MPI
 from surroundings import main
 
@@ -66,20 +66,6 @@ def test_speed_that_meets_an_order() -> None:
     assert math.isnan(meeting_speed(1.0, 100.0, 430.0, np.array([1.5, 0.0])))
 
 
-BLADE = {
-    "geometry": {"kind": "solid", "width": 0.04, "height": 0.1, "thickness": 0.004},
-    "crack": {"edge": "left", "height": 0.012, "length": 0.004},
-    "material": {"young": 1.14e11, "poisson": 0.33, "density": 4430.0},
-    "damping": {"ratio": 0.001},
-    "rotation": {"rpm": 6000.0, "hub_radius": 0.25},
-    "contact": {"law": "unilateral"},
-    "mesh": {"layout": "graded", "order": 2, "size": 0.01, "lip_elements": 6, "grading": 4.0,
-             "error": False},
-    "reduction": {"modes": 10},
-    "curve": {"parameter": "rpm", "start": 5780.0, "stop": 5860.0},
-}  # fmt: skip
-
-
 @pytest.mark.nightly
 @pytest.mark.parametrize("force", [0.2, 0.4, 1.0])
 def test_blade_that_its_load_moves(
@@ -88,8 +74,7 @@ def test_blade_that_its_load_moves(
     """The centrifugal load opens the crack, and the bilinear frequency meets the order at 5,847 rpm
     whatever the load is: check and campbell name the peak of its curve, and check a range with it.
     """
-    load = {"order": 4, "point": [0.04, 0.1, 0.002], "force_sin": [0.0, 0.0, force]}
-    scene = fc.Scene.from_mapping(BLADE | {"excitation": load})
+    scene = titanium_blade(force).replace({"mesh.error": False})
     peak = fc.curve(scene, MPI.COMM_SELF).result.peak()
     speed = peak.omega / 4.0
     path = tmp_path / "blade.toml"
