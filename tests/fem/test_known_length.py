@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import gmsh
 import pytest
 from helpers import DEMOS
 from mpi4py import MPI
 
 import fenics_crack as fc
+from fenics_crack.fem.blocks import mesh_plate
 
 
 @pytest.fixture
@@ -22,14 +22,14 @@ def scene(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> fc.Scene:
 
 @pytest.fixture
 def meshes(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """One for each time that gmsh makes a mesh."""
-    made, generate = list[Any](), gmsh.model.mesh.generate
+    """One for each time that a plate is meshed."""
+    made = list[Any]()
 
-    def counted(dimension: int) -> None:
-        made.append(dimension)
-        generate(dimension)
+    def counted(scene: fc.Scene) -> Any:
+        made.append(scene)
+        return mesh_plate(scene)
 
-    monkeypatch.setattr(gmsh.model.mesh, "generate", counted)
+    monkeypatch.setattr("fenics_crack.fem.plate.mesh_plate", counted)
     return made
 
 
