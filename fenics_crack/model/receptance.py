@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy.linalg
 import scipy.sparse as sparse
 
 from fenics_crack.basics.errors import InputError
@@ -27,7 +28,7 @@ from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.model.factor import AT_A_TIME, Factor
 from fenics_crack.model.modes import lowest_known, modes_by, times
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.equations import EPSILON
+from fenics_crack.numerics.equations import EPSILON, ROUNDING
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,11 +81,12 @@ def receptance(structure: Structure, count: int) -> Receptance:
         It is made from arrays alone, which have fewer modes, or another load.
     """
     structure = structure.original
-    held = structure.once(held_receptance, of_matrices=True)
-    known = held[0] if held and held[0].force is structure.force else None
-    if known is None or known.n_modes < count:
+    held, last = structure.once(held_receptance), structure.once(last_receptance, of_matrices=True)
+    if not held and last:
+        held += filter(None, [_of_load(structure, last[0])])
+    if not held or held[0].n_modes < count:
         check_matrices(structure, f"{count} modes")
-        held[:] = [_extended(structure, known, count)]
+        held[:] = last[:] = [_extended(structure, held[0] if held else None, count)]
     return held[0]
 
 
@@ -92,6 +94,28 @@ def held_receptance(structure: Structure) -> list[Receptance]:
     """The receptance with the most modes requested so far; it does not hold the structure itself,
     which would keep it alive."""
     return []
+
+
+def last_receptance(structure: Structure) -> list[Receptance]:
+    """That of the last of all structures that share the matrices, whatever their loads."""
+    return []
+
+
+def _of_load(structure: Structure, known: Receptance) -> Receptance | None:
+    """The receptance of a structure by that of another load, where its own is a sum of the other's
+    parts; else None (collective)."""
+    own, other = structure.force[loaded_parts(structure)], known.force
+    both = np.vstack([other[loaded_parts(structure, other)], own])
+    gram = structure.sum_over_ranks(both @ both.T)
+    given = len(both) - len(own)
+    weights = np.linalg.pinv(gram[:given, :given], hermitian=True) @ gram[:given, given:]
+    left = structure.sum_over_ranks(((own - weights.T @ both[:given]) ** 2).sum(axis=1))
+    if np.any(left > (ROUNDING * ROUNDING) * np.diag(gram)[given:]):
+        return None
+    change = scipy.linalg.block_diag(np.eye(len(known.modal) - given), weights)
+    rows = {dof: (shape, static @ change) for dof, (shape, static) in known.rows.items()}
+    compliance = change.T @ known.compliance @ change
+    return Receptance(known.squares, change.T @ known.modal, compliance, rows, structure.force)
 
 
 def check_matrices(structure: Structure, wanted: str) -> None:
@@ -108,9 +132,10 @@ def sources_of(structure: Structure) -> sparse.csr_matrix:
     return sparse.hstack([*contact, force.T]).tocsr()
 
 
-def loaded_parts(structure: Structure) -> np.ndarray:
-    """True for parts of the load that are not zero: (2K+1,) (collective)."""
-    return np.asarray(structure.sum_over_ranks((structure.force**2).sum(axis=1)) > 0.0)
+def loaded_parts(structure: Structure, force: np.ndarray | None = None) -> np.ndarray:
+    """True for parts of the load, or of another, that are not zero: (2K+1,) (collective)."""
+    force = structure.force if force is None else force
+    return np.asarray(structure.sum_over_ranks((force**2).sum(axis=1)) > 0.0)
 
 
 def _extended(structure: Structure, known: Receptance | None, count: int) -> Receptance:

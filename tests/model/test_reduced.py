@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.linalg
-from helpers import DAMPINGS, DEMOS, chain, dense_matrices, random_stiffness, relative
+from helpers import DAMPINGS, DEMOS, chain, dense_matrices, random_stiffness, relative, wrap
 from mpi4py import MPI
 
 import fenics_crack as fc
 from fenics_crack import MasslessStructure
-from fenics_crack.model.receptance import Receptance, held_receptance, receptance
+from fenics_crack.model.receptance import Receptance, last_receptance, receptance
 
 
 def reduced(structure: fc.Structure, modes: int) -> MasslessStructure:
@@ -328,8 +328,29 @@ def test_any_number_of_modes_from_those_of_another(damping: str, unconstrained: 
         anew = numbers(chain(damping, 40, unconstrained=unconstrained), modes)
         for found, expected in zip(numbers(one, modes), anew, strict=True):
             assert np.linalg.norm(found - expected) <= 1e-7 * np.linalg.norm(expected)
-    undamped = one.damped(None)
-    assert receptance(undamped, 40) is receptance(one, 40)
+
+
+def test_another_load_or_damping_needs_no_factor(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the load is a sum of the parts of another; else statics are solved for."""
+    force = np.array(chain("modal", 40).force)
+    harmonics = {1: (3.0 * force[2], None), 2: (force[1] - force[0], 0.5 * force[2])}
+    other = {3: (None, np.linspace(0.0, 1.0, 40))}
+    one, made = chain("modal", 40), list[int]()
+    reduced(one, 8)
+    plain = reduced(chain("rayleigh", 40).with_harmonics(harmonics), 6)
+    factor = "fenics_crack.model.receptance.Factor"
+    wrap(
+        monkeypatch, factor, lambda call, *args, **options: made.append(1) or call(*args, **options)
+    )
+    changed = reduced(one.with_harmonics(harmonics).damped(plain.whole.damping), 6)
+    assert not made
+    for name in ("omega", "force", "compliance", "rate", "residual"):
+        assert relative(getattr(changed, name), getattr(plain, name)) < 1e-9
+    dofs, motion = [changed.watched_dof], np.cos(np.arange(1.0 * plain.n_dofs))[None]
+    assert relative(changed.values_at(motion, dofs), plain.values_at(motion, dofs)) < 1e-9
+    expected = reduced(chain("modal", 40).with_harmonics(other), 6)
+    made.clear()
+    assert relative(reduced(one.with_harmonics(other), 6).force, expected.force) < 1e-9 and made
 
 
 def test_from_arrays_alone() -> None:
@@ -338,7 +359,7 @@ def test_from_arrays_alone() -> None:
     expected, known = reduced(whole, 6), receptance(whole, 16)
     parts = {name: getattr(known, name) for name in ("squares", "modal", "compliance", "rows")}
     made = chain("modal", 30)
-    held = made.once(held_receptance, of_matrices=True)
+    held = made.once(last_receptance, of_matrices=True)
     held[:] = [Receptance(**parts, force=made.force)]
     object.__setattr__(made.body, "stiffness", None)
     found = reduced(made, 6)
