@@ -8,9 +8,12 @@ The complex form of the k-th harmonic is X_k = a_k - i b_k, so that x = Re sum_k
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
+
+if TYPE_CHECKING:  # which takes a tenth of NumPy's own time
+    from numpy.typing import ArrayLike
 
 AS_MATRIX = 25_000
 """Numbers in the values of all harmonics at all instants up to which a product with them is less
