@@ -143,8 +143,8 @@ def find_key_figures(study: Study) -> KeyFigures:
         slopes = _slopes(factor, many, count)
         static = _static(factor, modes, whole.force)
         lips = whole.apply_bt(_static(factor, modes, whole.gap.T.toarray()))
+        tied = tied_modes(whole, count, factor) if whole.n_pairs else modes
     ratios = damping_ratios(whole, modes.omega)
-    tied = tied_modes(whole, count) if whole.n_pairs else modes
     breathing = BilinearFrequencies(modes.omega, tied.omega[partners(modes, tied)])
     gaps, psi = whole.apply_bt(static), whole.apply_bt(modes.shapes.T)
     loads = whole.sum_over_ranks(whole.force @ modes.shapes)
