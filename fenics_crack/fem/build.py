@@ -37,10 +37,7 @@ from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.cracks import LIP_TAGS, SAME, Lips, along
 from fenics_crack.fem.elasticity import constants, rotation_of, stress, thickness
 from fenics_crack.fem.loads import assemble_loads, clamp_of
-from fenics_crack.fem.matrix_files import read_structure
-from fenics_crack.fem.msh_file import check_there
 from fenics_crack.fem.plate import Dofs, build_mesh
-from fenics_crack.fem.sector import wheel_of
 from fenics_crack.model.body import UNVARIED, Body
 from fenics_crack.model.factor import local_rows
 from fenics_crack.model.modes import solve_modes
@@ -139,8 +136,6 @@ def _matched(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Rows (number, weight, x, y, ...) of both faces without the tips, partner by partner in order
     along the cracks; the crack of each pair, and its position."""
-    from scipy.spatial import cKDTree
-
     shared = np.intersect1d(lower[:, 0], upper[:, 0])
     size = np.ptp(lower[:, 2:], axis=0).max()
     lower, upper = (side[~np.isin(side[:, 0], shared)] for side in (lower, upper))
@@ -152,7 +147,8 @@ def _matched(
     matching = len(lower) == len(upper) > 0
     reason = "one has more nodes than the other"
     if matching:
-        distance, partner = cKDTree(upper[:, 2:]).query(lower[:, 2:])
+        apart = [np.linalg.norm(upper[:, 2:] - place, axis=1) for place in lower[:, 2:]]
+        distance, partner = np.min(apart, axis=1), np.argmin(apart, axis=1)
         matching = distance.max() <= SAME * size and len(np.unique(partner)) == len(partner)
         place = ", ".join(f"{x:g}" for x in lower[int(np.argmax(distance)), 2:])
         reason = f"the upper node nearest to the lower one at ({place})"
@@ -188,12 +184,18 @@ def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     """
     collect_garbage(comm)  # of structures made before
     if scene.structure is not None:
+        from fenics_crack.fem.matrix_files import read_structure
+
         rule = None if scene.damping is None else _damping(scene.damping)
         return read_structure(scene, rule, comm)
     coarser = scene.mesh.coarser
     if coarser is not None:  # which is read after all else
+        from fenics_crack.fem.msh_file import check_there
+
         on_root(comm, lambda: check_there("mesh.coarser", coarser))
     if scene.disk is not None:  # every rank has the sector
+        from fenics_crack.fem.sector import wheel_of
+
         structure, dofs = on_each(comm, lambda: _assembled(scene, MPI.COMM_SELF))
         return wheel_of(scene, dofs, structure, comm)
     structure, dofs = _assembled(scene, comm)
