@@ -51,12 +51,15 @@ class Assessment:
         The orbit whose Fourier coefficients it is.
     source : PeriodicOrbit, optional
         The orbit from whose coefficients it was found.
+    flow : ContactFlow, optional
+        The exact flow, where it is at hand.
     """
 
     def __init__(
-        self, wave: Wave, own: PeriodicOrbit | None = None, source: PeriodicOrbit | None = None
-    ) -> None:
-        self.wave, self.own, self._source = wave, own, source
+        self, wave: Wave, own: PeriodicOrbit | None = None, source: PeriodicOrbit | None = None,
+        flow: ContactFlow | None = None,
+    ) -> None:  # fmt: skip
+        self.wave, self.own, self._source, self._flow = wave, own, source, flow
 
     def is_of(self, other: Wave) -> bool:
         """Return True if ``other`` is the assessed solution, for which this assessment holds."""
@@ -68,8 +71,8 @@ class Assessment:
     @cached_property
     def flow(self) -> ContactFlow | None:
         """Exact flow of the structure; None where there is none."""
-        if self.own is not None:
-            return self.own.flow
+        if self.own is not None or self._flow is not None:
+            return self._flow if self.own is None else self.own.flow
         if self.wave.contact is None or not self.wave.structure.n_pairs:
             return None
         return flow_of(self.wave.structure, self.wave.contact)
