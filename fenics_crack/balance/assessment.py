@@ -224,4 +224,4 @@ def distance(wave: Wave, orbit: PeriodicOrbit) -> float:
     if is_still(samples):
         return 0.0
     moved = samples.gaps + wave.seen.clearance
-    return relative_to_motion(samples.gaps - wave.gaps_and_forces(samples.time)[0], moved)
+    return relative_to_motion(samples.gaps - wave.over_period(len(moved))[1], moved)

@@ -173,7 +173,11 @@ class PeriodicSolution(Wave, Observed, Described):
         waves = self.structure.sum_over_ranks(self._moving @ rows.T)
 
         def at(parts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            values, gap, force = self.at_phase(TURN * parts)
+            return seen(*self.at_phase(TURN * parts))
+
+        def seen(
+            values: np.ndarray, gap: np.ndarray, force: np.ndarray
+        ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             motion = values @ waves
             if moved is not None:
                 motion -= (force - values @ self.force_rows) @ moved.T
@@ -182,7 +186,7 @@ class PeriodicSolution(Wave, Observed, Described):
         count = instants or len(self.instants())
         parts = np.arange(count) / count
         yield Record(
-            self.omega, self.subharmonic, self.period * parts, waves, *at(parts),
+            self.omega, self.subharmonic, self.period * parts, waves, *seen(*self.over_period(count)),
             structure=lambda: self.structure,
             cracks=self.structure.pairs.cracks,
             friction=friction,

@@ -69,8 +69,7 @@ def derivative(coefficients: np.ndarray, omega: float) -> np.ndarray:
 def sampled(coefficients: np.ndarray, count: int) -> np.ndarray:
     """Values at the instants i T / count of coefficients (2H+1, ...), 2H < count: (count, ...)."""
     if len(coefficients) * count <= AS_MATRIX:
-        waves, _ = _waves(len(coefficients) // 2, count)
-        return _product(waves, coefficients)
+        return _product(waves_over(len(coefficients) // 2, count), coefficients)
     import scipy.fft  # takes a while, and long series alone need it
 
     spectrum = 0.5 * count * to_complex(coefficients)
@@ -81,8 +80,7 @@ def sampled(coefficients: np.ndarray, count: int) -> np.ndarray:
 def balanced(values: np.ndarray, harmonics: int) -> np.ndarray:
     """Coefficients (2H+1, ...) of values at equally spaced instants, more than 2H."""
     if (2 * harmonics + 1) * len(values) <= AS_MATRIX:
-        _, means = _waves(harmonics, len(values))
-        return _product(means, values)
+        return _product(_means(harmonics, len(values)), values)
     import scipy.fft
 
     spectrum = scipy.fft.rfft(values, axis=0)[: harmonics + 1] * (2.0 / len(values))
@@ -102,15 +100,20 @@ def instants(harmonics: int) -> int:
 
 
 @lru_cache(maxsize=16)
-def _waves(harmonics: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Values of 1, cos k theta, sin k theta at instants, (count, 2H+1), and what makes coefficients
-    of values there, (2H+1, count)."""
+def waves_over(harmonics: int, count: int) -> np.ndarray:
+    """Values of 1, cos k theta, sin k theta at the instants i T / count: (count, 2H+1)."""
     order = np.arange(1, harmonics + 1)
-    phase = 2.0 * np.pi / count * (np.outer(np.arange(count), order) % count)
-    waves = _of_angles(phase)
-    means = 2.0 / count * waves.T
+    found = _of_angles(2.0 * np.pi / count * (np.outer(np.arange(count), order) % count))
+    found.flags.writeable = False  # all have the same
+    return found
+
+
+@lru_cache(maxsize=16)
+def _means(harmonics: int, count: int) -> np.ndarray:
+    """What makes coefficients of values there: (2H+1, count)."""
+    means = 2.0 / count * waves_over(harmonics, count).T
     means[0] *= 0.5
-    return waves, means
+    return means
 
 
 def _product(matrix: np.ndarray, columns: np.ndarray) -> np.ndarray:
