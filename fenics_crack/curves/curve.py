@@ -317,8 +317,24 @@ class ResponseCurve(Observed, Tabular):
     def assessment(self, index: int) -> Assessment:
         """Return the assessment of a point of harmonic balance by the exact flow; no error is
         estimated."""
-        problem, at = self._balanced(index)
-        return Assessment(problem.wave(at), flow=self._flow)
+        return next(self.assessments([index]))
+
+    def assessments(self, places: Sequence[int]) -> Iterator[Assessment]:
+        """The same of some points; over the frequency their motions are computed at once."""
+        if self._flow is None or not isinstance(self.system, Waves):
+            for problem, at in map(self._balanced, places):
+                yield Assessment(problem.wave(at))
+            return
+        along = self.system
+        first, some = along.system(along.start), max(1, along.at_once)
+        for part in (places[start : start + some] for start in range(0, len(places), some)):
+            slow, omega = self.points[part], self.omega[part]
+            forces = np.stack([first.integrals.force(one) for one in slow], axis=1)
+            moved = along.compliance(along.start).displacements(omega / self.subharmonic, forces)
+            for place, unknown in enumerate(slow):
+                force = np.ascontiguousarray(forces[:, place])
+                wave = along.problem.wave_of(moved[:, place], first.gap(unknown, force), force)
+                yield Assessment(replace(wave, omega=float(omega[place])), flow=self._flow)
 
     @cached_property
     def gap_coefficients(self) -> np.ndarray:
