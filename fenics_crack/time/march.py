@@ -161,7 +161,7 @@ class March:
         """1, cos and sin of the multiples of the load's phase at the instants of a period: (N,
         2K+1)."""
         instants = np.arange(self.steps_per_period) / self.steps_per_period
-        return np.ascontiguousarray(waves_of(self.structure.force, 2.0 * np.pi * instants))
+        return waves_of(self.structure.force, 2.0 * np.pi * instants)
 
     @cached_property
     def load(self) -> np.ndarray:
