@@ -257,17 +257,27 @@ def _graded(length: float, first: float, last: float) -> tuple[int, float]:
 # --- a plate of quadrilaterals --------------------------------------------------------------------
 
 
-def mesh_plate(scene: Scene) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
-    """Mesh the plate of a scene by quadrilaterals, block by block, as gmsh would.
+@dataclass(frozen=True)
+class Quadrilaterals:
+    """A plate of quadrilaterals.
 
-    Returns
-    -------
+    Attributes
+    ----------
     points : (n, 2) [m]
         Their corners.
     cells : (m, 4) int
         Corners of each: below, left and right; above, left and right.
     curves : dict of str to (k, 2) int
         Ends of the edges of named sides and crack faces.
+    """
+
+    points: np.ndarray
+    cells: np.ndarray
+    curves: dict[str, np.ndarray]
+
+
+def mesh_plate(scene: Scene) -> Quadrilaterals:
+    """Mesh the plate of a scene whose blocks are of quadrilaterals.
 
     Raises
     ------
@@ -282,9 +292,9 @@ def mesh_plate(scene: Scene) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarr
     )  # fmt: skip
     at, up = (np.cumsum([0, *(part.count for part in side)]) for side in (columns, rows))
     points = np.stack(np.meshgrid(xs, ys, indexing="ij"), axis=-1).reshape(-1, 2)
-    # Corner at each place, of the cells under it and of those over it.
     under = np.arange(len(points)).reshape(len(xs), len(ys))
     over = under.copy()
+    """Corner at each place, of the cells below it and of those above it."""
     lower, upper = [], []
     for row, along in slits:
         first, last, level = at[along.start], at[along.stop], up[row]
@@ -300,7 +310,7 @@ def mesh_plate(scene: Scene) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarr
         curves[name] = np.column_stack([over[side, :-1], under[side, 1:]])
     if slits:
         curves |= {"lower_lip": np.concatenate(lower), "upper_lip": np.concatenate(upper)}
-    return points, np.stack(cells, axis=-1).reshape(-1, 4), curves
+    return Quadrilaterals(points, np.stack(cells, axis=-1).reshape(-1, 4), curves)
 
 
 def _edges(chain: np.ndarray) -> np.ndarray:

@@ -31,6 +31,7 @@ from fenics_crack.fem.blocks import (
     check_cells,
     element_length,
     lips_of,
+    mesh_plate,
     plate_blocks,
 )
 from fenics_crack.fem.cracks import Lips, Names
@@ -55,6 +56,24 @@ def draw_plate(scene: Scene) -> tuple[Names, Lips]:
     else:
         gmsh.model.mesh.generate(2)
     return (groups, {}), lips_of(scene)
+
+
+def put_plate(scene: Scene) -> tuple[Names, Lips]:
+    """Put the mesh of a plate of quadrilaterals into the current gmsh model, as
+    :func:`draw_plate`."""
+    from fenics_crack.fem.msh_file import fill_model
+
+    made = mesh_plate(scene)
+    sides: dict[str, tuple[int, ...]] = {}
+    groups = [(2, 1, "plate", 3, made.cells[:, [0, 1, 3, 2]])]
+    for tag, (name, edges) in enumerate(made.curves.items(), 1):
+        groups.append((1, tag, name, 1, edges))
+        sides[name] = (tag,)
+    loaded = np.flatnonzero(np.all(made.points == scene.excitation.point, axis=1))
+    if len(loaded) == 1:
+        groups.append((0, 1, "load", 15, loaded))
+    fill_model(np.pad(made.points, ((0, 0), (0, 1))), groups)
+    return (sides, {}), lips_of(scene)
 
 
 def _draw_blocks(scene: Scene) -> dict[str, tuple[int, ...]]:

@@ -79,9 +79,9 @@ def build_mesh(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> PlateMesh:
         The mesh file cannot be read, is not a plane mesh of one kind of cells, or lacks a group.
     """
     if scene.is_of_quadrilaterals:
-        points, cells, curves = on_each(comm, lambda: mesh_plate(scene))
-        mesh, tags = compat.quadrilateral_mesh(comm, points, cells, curves.values())
-        named: Names = {name: (tag,) for tag, name in enumerate(curves, 1)}, {}
+        made = on_each(comm, lambda: mesh_plate(scene))
+        mesh, tags = compat.quadrilateral_mesh(comm, made.points, made.cells, made.curves.values())
+        named: Names = {name: (tag,) for tag, name in enumerate(made.curves, 1)}, {}
         named[0]["bottom"] = named[0]["clamp"]
         return PlateMesh(mesh, tags, *named, lips_of(scene))
     from fenics_crack.basics.gmsh_process import gmsh  # takes longer than such a plate
@@ -153,9 +153,10 @@ def _model(scene: Scene) -> tuple[Names, Lips]:
 
         found = read_file(Path(str(scene.mesh.file)), scene.dimension)
     else:
-        from fenics_crack.fem.drawn import draw_box, draw_plate
+        from fenics_crack.fem.drawn import draw_box, draw_plate, put_plate
 
-        found = draw_plate(scene) if scene.dimension == 2 else draw_box(scene)
+        draw = put_plate if scene.is_of_quadrilaterals else draw_plate
+        found = draw(scene) if scene.dimension == 2 else draw_box(scene)
     gmsh.model.mesh.renumberNodes()
     return found
 

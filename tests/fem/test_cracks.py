@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from mpi4py import MPI
 from test_mesh import area, gather_rows, nodes_of_side, pair_nodes
 
 import fenics_crack as fc
-from fenics_crack import InputError, Scene, Structure, build_structure, solve_modes, write_msh
+from fenics_crack import InputError, Scene, Structure, build_structure
 
 WIDTH, HEIGHT = 0.3, 0.2
 THREE: list[dict[str, Any]] = [
@@ -284,32 +283,3 @@ def test_two_ranks_build_the_same_cracks(on_ranks: Callable[..., Any]) -> None:
     assert parallel.keys() == alone.keys()
     for name, value in alone.items():
         np.testing.assert_allclose(parallel[name], value, rtol=1e-8, atol=1e-12, err_msg=name)
-
-
-@pytest.mark.parametrize("layout", LAYOUTS)
-@pytest.mark.parametrize("cracks", [THREE, TOGETHER], ids=["apart", "in line"])
-def test_blocks_are_those_of_gmsh(
-    layout: str, cracks: list[dict[str, Any]], tmp_path: Path
-) -> None:
-    """Nodes, pairs and natural frequencies are those of the blocks that gmsh divides, in a file."""
-    scene, path = plate(cracks, layout), tmp_path / "plate.msh"
-    write_msh(scene, path)
-    read: dict[str, Any] = {f"mesh.{key}": None for key in LAYOUTS[layout] if key != "grading"}
-    read |= {"mesh.grading": 4.0}  # the default, which is not given
-    read |= dict.fromkeys(("geometry.width", "geometry.height", "cracks"))
-    read |= {f"crack.{key}": None for key in cracks[0]} | {"mesh.file": str(path)}
-    drawn = build_structure(scene.replace(read | {"mesh.layout": "file"}))
-    made = build_structure(scene)
-    for one, other in zip(_places(made), _places(drawn), strict=True):
-        np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-9)
-    omega = [solve_modes(structure, 4).omega for structure in (made, drawn)]
-    np.testing.assert_allclose(*omega, rtol=1e-7)
-
-
-def _places(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
-    """Places of all nodes, and of all pairs, in an order of their own."""
-    assert structure.nodes is not None and structure.pairs.points is not None
-    first, second = (
-        x[np.lexsort(np.round(x, 7).T)] for x in (structure.nodes.points, structure.pairs.points)
-    )
-    return first, second
