@@ -145,42 +145,15 @@ assert main(["check", {str(DEMOS / "paper_plate.toml")!r}]) == 130
 
 
 def test_what_takes_longer_after_mpi_is_loaded_before_it() -> None:
-    """gmsh, where it meshes a scene; and UFL comes without setuptools, which tells its version."""
-    words = ["check", str(DEMOS / "paper_plate.toml"), "--quiet", "--set", "mesh.cells=triangle"]
+    """gmsh, where a scene has a mesh; and UFL comes without setuptools, which tells its version."""
     program = f"""
 import sys
 from surroundings import main
-assert main({words}) == 0
+assert main(["check", {str(DEMOS / "paper_plate.toml")!r}, "--quiet"]) == 0
 places = [[*sys.modules].index(name) for name in ("gmsh", "mpi4py.MPI", "petsc4py.PETSc", "ufl")]
 print(places == sorted(places), "pkg_resources" in sys.modules)
 """
     assert fresh(program).splitlines()[-1] == "True False"
-
-
-NEEDLESS = {
-    "solve": (
-        "gmsh", "tqdm", "scipy.spatial", "scipy.optimize", "scipy.interpolate", "scipy.signal",
-        "matplotlib", "vtkmodules", "fenics_crack.sweep.result", "fenics_crack.time.flows",
-        "fenics_crack.time.central_differences", "fenics_crack.study.bladed_disk",
-        "fenics_crack.study.campbell", "fenics_crack.fem.drawn", "fenics_crack.fem.msh_file",
-        "fenics_crack.draw", "fenics_crack.monitoring", "fenics_crack.fatigue",
-    ),
-    "check": ("gmsh", "tqdm", "h5py", "scipy.spatial", "matplotlib", "fenics_crack.draw"),
-}  # fmt: skip
-"""What a command on a plate of quadrilaterals must not load, by the command."""
-
-
-@pytest.mark.parametrize("command", NEEDLESS)
-def test_command_loads_what_it_uses(command: str, tmp_path: Path) -> None:
-    """On a plate that takes no mesh of gmsh's, neither for the scene nor for its errors."""
-    program = f"""
-import os, sys
-from surroundings import main
-os.chdir({str(tmp_path)!r})
-assert main([{command!r}, {str(DEMOS / "paper_plate.toml")!r}, "--quiet"]) in (0, 4)
-print([name for name in {NEEDLESS[command]} if name in sys.modules])
-"""
-    assert fresh(program).splitlines()[-1] == "[]"
 
 
 @pytest.mark.drawn(2)

@@ -210,8 +210,8 @@ def _run(given: argparse.Namespace) -> Exit:
 
     launched = threads.launched()
     inputs = None if launched else read_inputs(given)
-    scene = inputs.scene if inputs else None
-    if scene and not (scene.structure or scene.is_of_quadrilaterals):
+    meshes = given.command != "new" and not ("scene" in given and inputs is None and not launched)
+    if meshes and not (inputs and inputs.scene.structure):
         from fenics_crack.basics import gmsh_process as mesher  # noqa: F401  before MPI: see there
     wanted = {} if launched else ONE_PROCESS_SETTINGS
     added = {name: value for name, value in wanted.items() if name not in os.environ}

@@ -1,6 +1,6 @@
-"""Plates with cracks in blocks of cells. Those of quadrilaterals are meshed here.
+"""Plates and boxes with cracks, which are meshed here by gmsh.
 
-A plate is cut into blocks at all tips and along all cracks; for one edge crack into four,
+**A plate** is cut into blocks at all tips and along all cracks; for one edge crack into four,
 
     mouth side  +-----------+---------------+
                 |           |               |      upper blocks
@@ -16,21 +16,35 @@ of them between neighbouring tips, rows between neighbouring cracks. Elements gr
 away from tips and from cracks, so the size is linear in the distance. Between two tips, or two
 cracks, they grow from both to the middle, where the block is cut once more. A crack inside the
 plate is two halves that meet in its middle, each like an edge crack whose mouth is there.
+
+**A box** has its cracks as surfaces inside, whose nodes exist once: they are split like those of a
+mesh file (:mod:`fenics_crack.fem.msh_file`). Its elements are ``mesh.size`` long and, at a distance
+d from the front of a crack,
+
+    h(d) = h_0 + max(r - 1, 1/3) d,    r = grading^(1 / (lip_elements - 1)),
+
+h_0 such that ``lip_elements`` elements in a row, each r times as long as the one before, reach from
+the front to the mouth. **The graded sector of a plane disk** has triangles of such lengths around
+the tips and, with h_0 = ``mesh.size`` / 32 and a slope of ``mesh.size`` over the blade's width,
+around the corners between blade and rim: all of it scales with ``mesh.size``.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
 from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.gmsh_process import gmsh
 from fenics_crack.basics.threads import machine_memory
-from fenics_crack.fem.cracks import Lip
+from fenics_crack.fem.cracks import Lip, Lips, Names
+from fenics_crack.kernel import Struct, kernel
 from fenics_crack.model.factor import factor_memory
 from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.tables import Crack
 
 SMALLEST_CELL = 1e-7
 """Minimum cell size relative to the plate: gmsh and the matrices allow no smaller one."""
@@ -49,14 +63,6 @@ class Interval:
     stop: float
     count: int
     progression: float
-
-    @property
-    def ends(self) -> np.ndarray:
-        """Where its elements end: (count,), the last one at ``stop``."""
-        lengths = self.progression ** np.arange(self.count)
-        shares = np.cumsum(lengths) / lengths.sum()
-        shares[-1] = 1.0
-        return self.start + (self.stop - self.start) * shares
 
 
 Slit = tuple[int, range]
@@ -97,7 +103,7 @@ class _Half:
         return (stop - start) * math.log(one / other) / (one - other)
 
 
-def plate_blocks(scene: Scene) -> tuple[list[Interval], list[Interval], list[Slit]]:
+def _plate_blocks(scene: Scene) -> tuple[list[Interval], list[Interval], list[Slit]]:
     """Columns and rows of blocks, and the cracks in them.
 
     Raises
@@ -123,7 +129,7 @@ def plate_blocks(scene: Scene) -> tuple[list[Interval], list[Interval], list[Sli
     return columns, rows, slits
 
 
-def check_cells(scene: Scene, key: str, cells: float, per_cell: int, shortest: str = "") -> None:
+def _check_cells(scene: Scene, key: str, cells: float, per_cell: int, shortest: str = "") -> None:
     """Raise InputError where there are too many cells for gmsh, or their matrices, of so many
     degrees of freedom per cell, or the factor of one would not fit."""
     dofs, most = per_cell * cells, 5e6  # a mesh file may have any number of cells
@@ -139,7 +145,7 @@ def check_cells(scene: Scene, key: str, cells: float, per_cell: int, shortest: s
         raise InputError(f"mesh.{key}", getattr(scene.mesh, key), allowed)
 
 
-def element_length(scene: Scene) -> float:
+def _length(scene: Scene) -> float:
     """Length of elements away from cracks [m]; of a grid that along the plate."""
     return scene.mesh.size or scene.geometry.sides[1] / scene.mesh.given("rows")
 
@@ -149,7 +155,7 @@ def lip_pairs(scene: Scene) -> int:
     crack, order = scene.crack, scene.mesh.order
     if crack is not None and crack.length is None:  # the only one
         return ((scene.mesh.lip_elements or 0) + 1) * order
-    columns, _, slits = plate_blocks(scene)
+    columns, _, slits = _plate_blocks(scene)
     return sum(columns[place].count * order for _, along in slits for place in along)
 
 
@@ -254,70 +260,26 @@ def _graded(length: float, first: float, last: float) -> tuple[int, float]:
     return count, (last / first) ** (1.0 / max(count - 1, 1))
 
 
-# --- a plate of quadrilaterals --------------------------------------------------------------------
+# --- a plate --------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Quadrilaterals:
-    """A plate of quadrilaterals.
-
-    Attributes
-    ----------
-    points : (n, 2) [m]
-        Their corners.
-    cells : (m, 4) int
-        Corners of each: below, left and right; above, left and right.
-    curves : dict of str to (k, 2) int
-        Ends of the edges of named sides and crack faces.
-    """
-
-    points: np.ndarray
-    cells: np.ndarray
-    curves: dict[str, np.ndarray]
+def draw_plate(scene: Scene) -> tuple[Names, Lips]:
+    """Fill the current gmsh model with the mesh of a scene's plate; its named sides, and the faces
+    of its cracks."""
+    groups = _draw_blocks(scene)
+    if scene.has_element_lengths:
+        rim = Rim(scene)
+        of_group = gmsh.model.getEntitiesForPhysicalGroup
+        left, right = (of_group(1, *groups[name]).tolist() for name in RIM_SIDES)
+        rim.match(0, left, right)
+        _mesh_graded(scene, [*_gradings(scene), *rim.gradings()])
+        gmsh.model.mesh.setPeriodic(1, right, right, np.eye(4).ravel().tolist())  # no more
+    else:
+        gmsh.model.mesh.generate(2)
+    return (groups, {}), _lips(scene)
 
 
-def mesh_plate(scene: Scene) -> Quadrilaterals:
-    """Mesh the plate of a scene whose blocks are of quadrilaterals.
-
-    Raises
-    ------
-    InputError
-        There would be too many cells, or too small ones.
-    """
-    columns, rows, slits = plate_blocks(scene)
-    xs, ys = (np.concatenate([[0.0], *(part.ends for part in side)]) for side in (columns, rows))
-    check_cells(
-        scene, "columns" if scene.mesh.layout == "grid" else "size",
-        float(len(xs) - 1) * (len(ys) - 1), 2 * scene.mesh.order**2,
-    )  # fmt: skip
-    at, up = (np.cumsum([0, *(part.count for part in side)]) for side in (columns, rows))
-    points = np.stack(np.meshgrid(xs, ys, indexing="ij"), axis=-1).reshape(-1, 2)
-    under = np.arange(len(points)).reshape(len(xs), len(ys))
-    over = under.copy()
-    """Corner at each place, of the cells below it and of those above it."""
-    lower, upper = [], []
-    for row, along in slits:
-        first, last, level = at[along.start], at[along.stop], up[row]
-        inner = slice(first + (first > 0), last + (last == len(xs) - 1))  # without tips
-        twins = under[inner, level]
-        over[inner, level] = len(points) + np.arange(len(twins))
-        points = np.concatenate([points, points[twins]])
-        lower.append(_edges(under[first : last + 1, level]))
-        upper.append(_edges(over[first : last + 1, level]))
-    cells = over[:-1, :-1], over[1:, :-1], under[:-1, 1:], under[1:, 1:]
-    curves = {"clamp": _edges(under[:, 0]), "top": _edges(under[:, -1])}
-    for name, side in (("left", 0), ("right", -1)):
-        curves[name] = np.column_stack([over[side, :-1], under[side, 1:]])
-    if slits:
-        curves |= {"lower_lip": np.concatenate(lower), "upper_lip": np.concatenate(upper)}
-    return Quadrilaterals(points, np.stack(cells, axis=-1).reshape(-1, 4), curves)
-
-
-def _edges(chain: np.ndarray) -> np.ndarray:
-    return np.column_stack([chain[:-1], chain[1:]])
-
-
-def lips_of(scene: Scene) -> tuple[Lip, ...]:
+def _lips(scene: Scene) -> tuple[Lip, ...]:
     """The faces of the cracks of a plate that is made here, in the order of the scene."""
     width, found = scene.geometry.sides[0], []
     for crack in scene.all_cracks.values():
@@ -325,3 +287,441 @@ def lips_of(scene: Scene) -> tuple[Lip, ...]:
         ends = (right, left) if crack.edge == "right" else (left, right)
         found.append(Lip(np.array(ends), crack.edge is not None))
     return tuple(found)
+
+
+def _draw_blocks(scene: Scene) -> dict[str, tuple[int, ...]]:
+    """Draw the plate, set how curves and surfaces are divided; return the tags of its sides."""
+    columns, rows, slits = _plate_blocks(scene)
+    cells: float = math.prod(sum(interval.count for interval in side) for side in (columns, rows))
+    rim = None if scene.disk is None else Rim(scene)
+    if rim is not None:
+        cells += rim.area / _length(scene) ** 2
+    key = "columns" if scene.mesh.layout == "grid" else "size"
+    _check_cells(scene, key, cells, 2 * scene.mesh.order**2)
+
+    xs, ys = ([0.0, *(interval.stop for interval in side)] for side in (columns, rows))
+    add_point = gmsh.model.geo.addPoint
+    feet = [0.0 if rim is None else rim.foot(x) for x in xs]
+    points = {
+        (i, j): add_point(x, y if j else feet[i], 0.0)
+        for i, x in enumerate(xs)
+        for j, y in enumerate(ys)
+    }
+    last = len(columns)  # and the first one are at edges, where no tip is
+    doubled = [
+        (i, row)
+        for row, along in slits
+        for i in range(along.start + (along.start > 0), along.stop + (along.stop == last))
+    ]
+    over = {(i, j): add_point(xs[i], ys[j], 0.0) for i, j in doubled}
+    above = points | over  # of the blocks over a crack
+
+    horizontal, vertical = {}, {}
+    faces = {(i, row): columns[i] for row, along in slits for i in along}
+    if scene.has_element_lengths:  # on the faces of cracks alone they are counted
+        columns, rows = ([replace(part, count=0) for part in side] for side in (columns, rows))
+    for i, column in enumerate(columns):
+        for j in range(len(ys)):
+            horizontal[i, j] = _curve(points[i, j], points[i + 1, j], faces.get((i, j), column))
+    for j, row in enumerate(rows):
+        for i in range(len(xs)):
+            vertical[i, j] = _curve(above[i, j], points[i, j + 1], row)
+    upper = {(i, j): _curve(above[i, j], above[i + 1, j], part) for (i, j), part in faces.items()}
+    surfaces = []
+    for i in range(len(columns)):
+        for j in range(len(rows)):
+            below = upper.get((i, j), horizontal[i, j])
+            loop = [below, vertical[i + 1, j], -horizontal[i, j + 1], -vertical[i, j]]
+            surfaces.append(gmsh.model.geo.addPlaneSurface([gmsh.model.geo.addCurveLoop(loop)]))
+    foot = [horizontal[i, 0] for i in range(len(columns))]
+    sides: dict[str, tuple[int, list[int]]] = {"clamp": (1, foot)}
+    if rim is not None:
+        sides = rim.draw([points[i, 0] for i in range(len(xs))], foot, columns, surfaces)
+    _divide(scene, surfaces)
+
+    left, right = ([vertical[i, j] for j in range(len(rows))] for i in (0, len(columns)))
+    single, point = [at for at in points if at not in doubled], scene.excitation.point
+    loaded = [points[i, j] for i, j in single if (xs[i], ys[j]) == point]
+    groups: dict[str, tuple[int, list[int]]] = {
+        "plate": (2, surfaces),
+        **sides,
+        "lower_lip": (1, [horizontal[place] for place in upper]),
+        "upper_lip": (1, list(upper.values())),
+        "load": (0, loaded),
+        "left": (1, left),
+        "right": (1, right),
+        "top": (1, [horizontal[i, len(rows)] for i in range(len(columns))]),
+    }
+    curves = {name: tag for name, tag in _name(groups).items() if groups[name][0] == 1}
+    if rim is None:
+        curves["bottom"] = curves["clamp"]
+    return {name: (tag,) for name, tag in curves.items()}
+
+
+def _name(groups: dict[str, tuple[int, list[int]]]) -> dict[str, int]:
+    """Make named groups of entities of a dimension, where there are some; the tag of each."""
+    found = {name: tag for tag, (name, (_, own)) in enumerate(groups.items(), 1) if own}
+    for name, tag in found.items():
+        dimension, own = groups[name]
+        gmsh.model.addPhysicalGroup(dimension, own, tag)
+        gmsh.model.setPhysicalName(dimension, tag, name)
+    return found
+
+
+def _divide(scene: Scene, surfaces: list[int]) -> None:
+    """Set how the surfaces are filled with cells."""
+    if scene.has_element_lengths or (scene.mesh.layout, scene.mesh.cells) == ("graded", "triangle"):
+        gmsh.option.setNumber("Mesh.Algorithm", 6)  # frontal Delaunay
+        surfaces = []
+    for surface in surfaces:
+        gmsh.model.geo.mesh.setTransfiniteSurface(surface)
+        if scene.mesh.cells == "quadrilateral":
+            gmsh.model.geo.mesh.setRecombine(2, surface)
+    gmsh.model.geo.synchronize()
+
+
+def _curve(start: int, end: int, division: Interval, center: int | None = None) -> int:
+    """A line, or an arc around a center, divided into elements."""
+    geo = gmsh.model.geo
+    points = (start, end) if center is None else (start, center, end)
+    curve: int = (geo.addLine if center is None else geo.addCircleArc)(*points)
+    if division.count:  # else elements have lengths by :func:`_mesh_graded`
+        nodes, ratio = division.count + 1, division.progression
+        gmsh.model.geo.mesh.setTransfiniteCurve(curve, nodes, "Progression", ratio)
+    return curve
+
+
+# --- the rim below a blade of a disk --------------------------------------------------------------
+
+AT_CORNER = 1.0 / 32.0
+"""Length of elements at the corners between blade and rim, relative to ``mesh.size``."""
+RIM_SIDES = ("rim_left", "rim_right")
+"""Names of the sides of a sector made here: "left" and "right" are those of its blade."""
+
+
+class Rim:
+    """The part of a disk's rim that belongs to one blade, between two circles around the axis.
+
+    Attributes
+    ----------
+    middle, axis : float [m]
+        Place of the blade's middle across, and of the axis along the blade.
+    inner, outer : float [m]
+        Radii.
+    half : float [rad]
+        Half of the angle of a sector.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        """Take a scene whose sector is made here."""
+        self.scene, disk, place = scene, scene.given("disk"), scene.axis[0]
+        self.middle, self.axis = float(place[0 if scene.dimension == 2 else 2]), float(place[1])
+        self.inner, self.outer = disk.given("inner_radius"), disk.given("outer_radius")
+        self.half = math.pi / disk.sectors
+
+    @property
+    def area(self) -> float:
+        """Of the rim's part [m^2]."""
+        return self.half * (self.outer**2 - self.inner**2)
+
+    def foot(self, place: float) -> float:
+        """Where the blade meets the rim, at a place across."""
+        return self.axis + math.sqrt(self.outer**2 - (place - self.middle) ** 2)
+
+    def at(self, radius: float, angle: float) -> tuple[float, float]:
+        """A point, by its angle from the middle of the blade to the right."""
+        return self.middle + radius * math.sin(angle), self.axis + radius * math.cos(angle)
+
+    def with_box(self, width: float, height: float, thickness: float) -> list[tuple[int, int]]:
+        """The volume of a solid's sector: the rim, as thick as the blade is wide, and the blade."""
+        occ = gmsh.model.occ
+        corners = [(r, a) for r in (self.inner, self.outer) for a in (-self.half, self.half)]
+        places = [self.at(*corner) for corner in corners]
+        low, low_end, top, top_end = (occ.addPoint(0.0, along, z) for z, along in places)
+        center = occ.addPoint(0.0, self.axis, self.middle)
+        curves = [
+            occ.addCircleArc(low, center, low_end), occ.addLine(low_end, top_end),
+            occ.addCircleArc(top_end, center, top), occ.addLine(top, low),
+        ]  # fmt: skip
+        face = occ.addPlaneSurface([occ.addCurveLoop(curves)])
+        rim = [one for one in occ.extrude([(2, face)], width, 0.0, 0.0) if one[0] == 3]
+        depth = 0.5 * (-self.foot(0.0) + self.outer - self.inner)
+        blade = [(3, occ.addBox(0.0, -depth, 0.0, width, height + depth, thickness))]
+        whole: list[tuple[int, int]] = occ.fuse(rim, blade)[0]
+        return whole
+
+    def gradings(self) -> list[_Grading]:
+        """Lengths of elements around the corners between the blade and the rim, where stress is
+        infinite: the shorter, and the less growing, the smaller ``mesh.size`` is."""
+        (width, _), size = self.scene.geometry.sides, self.scene.mesh.given("size")
+        ends, none = np.array([0.0, width]), np.zeros(2)
+        return [_Grading(ends, none, self.foot(0.0), AT_CORNER * size, size / width)]
+
+    def name_of(self, middle: tuple[float, float, float]) -> str:
+        """The name of a face of a solid's rim, by its center of mass."""
+        across, along = middle[2] - self.middle, middle[1] - self.axis
+        radius, angle = math.hypot(across, along), math.atan2(across, along)
+        if abs(abs(angle) - self.half) < 1e-6:
+            return RIM_SIDES[int(angle > 0.0)]
+        bent = self.inner * math.sin(self.half) / self.half  # of an arc
+        return "clamp" if abs(radius - bent) < 1e-6 * self.outer else "rim"
+
+    def match(self, across: int, left: list[int], right: list[int]) -> None:
+        """Let gmsh mesh the right side as its left one, turned in the plane of y and another axis:
+        the curves of a plate, or the surfaces of a solid."""
+        c, s = math.cos(2.0 * self.half), math.sin(2.0 * self.half)
+        turn, place, plane = np.eye(4), np.zeros(3), [1, across]
+        turn[np.ix_(plane, plane)] = [[c, -s], [s, c]]
+        place[plane] = self.axis, self.middle
+        turn[:3, 3] = place - turn[:3, :3] @ place
+        gmsh.model.mesh.setPeriodic(1 + across // 2, right, left, turn.ravel().tolist())
+
+    def draw(
+        self, feet: list[int], below: list[int], columns: list[Interval], surfaces: list[int]
+    ) -> dict[str, tuple[int, list[int]]]:
+        """Draw it below the curves of a plate's lower edge, in blocks; its named curves."""
+        size, geo = _length(self.scene), gmsh.model.geo
+        around = self.half - math.asin((columns[-1].stop - self.middle) / self.outer)
+        lengths = self.outer * around, self.outer - self.inner
+        counts = [max(1, round(length / size)) if columns[0].count else 0 for length in lengths]
+        beside, deep = (Interval(0.0, 1.0, count, 1.0) for count in counts)
+        center = geo.addPoint(self.middle, self.axis, 0.0)
+        places = [columns[0].start, *(column.stop for column in columns)]
+        angles = [math.asin((x - self.middle) / self.outer) for x in places]
+        angles = [-self.half, *angles, self.half]
+        ends = [
+            geo.addPoint(*self.at(self.outer, angle), 0.0) for angle in angles[:: len(angles) - 1]
+        ]
+        top = [ends[0], *feet, ends[1]]
+        low = [geo.addPoint(*self.at(self.inner, angle), 0.0) for angle in angles]
+        parts = [beside, *columns, beside]
+        radial = [_curve(one, other, deep) for one, other in zip(low, top, strict=True)]
+        inside = [
+            _curve(*ends, part, center) for ends, part in zip(pairwise(low), parts, strict=True)
+        ]
+        outside = [_curve(a, b, beside, center) for a, b in (top[:2], top[-2:])]
+        outside[1:1] = below
+        for place in range(len(parts)):
+            loop = [inside[place], radial[place + 1], -outside[place], -radial[place]]
+            surfaces.append(geo.addPlaneSurface([geo.addCurveLoop(loop)]))
+        left, right = RIM_SIDES
+        return {"clamp": (1, inside), left: (1, radial[:1]), right: (1, radial[-1:])}
+
+
+# --- a box ----------------------------------------------------------------------------------------
+
+PER_VOLUME = 5.0
+"""Tetrahedra that gmsh makes of a volume h^3 where they are to be h long, of a fine mesh."""
+
+
+def draw_box(scene: Scene) -> tuple[Names, Lips]:
+    """Fill the current gmsh model with the mesh of a scene's box; its named surfaces, and its
+    cracks.
+
+    Raises
+    ------
+    InputError
+        gmsh cannot mesh it, or a crack's surface cannot be split.
+    """
+    _draw_solid(scene)
+    from fenics_crack.fem.msh_file import named_groups, put  # with what takes surfaces apart
+    from fenics_crack.fem.msh_reader import groups
+
+    numbers, positions, _ = gmsh.model.mesh.getNodes()
+    named = named_groups(groups())
+    gmsh.model.remove()
+    gmsh.model.add("fenics_crack")
+    try:
+        return put((numbers, positions.reshape(-1, 3), named), 3)
+    except InputError as error:
+        raise _not_meshed(scene, f"{error.value}") from None
+
+
+def _draw_solid(scene: Scene) -> None:
+    """Mesh the box of a scene, with its cracks as surfaces inside, and name its faces."""
+    gradings = _gradings(scene)
+    _check_size(scene, gradings)
+    width, height, thickness = scene.geometry.sides
+    occ = gmsh.model.occ
+    rim = None if scene.disk is None else Rim(scene)
+    if rim is None:
+        box = [(3, occ.addBox(0.0, 0.0, 0.0, width, height, thickness))]
+    else:
+        box = rim.with_box(width, height, thickness)
+    cracks = list(scene.all_cracks.values())
+    faces = []
+    for crack in cracks:
+        face = _face(crack, width, thickness)
+        faces += occ.intersect(face, box, removeObject=True, removeTool=False)[0]
+    if faces:
+        occ.fragment(box, faces)
+    occ.synchronize()
+    volumes = [tag for _, tag in gmsh.model.getEntities(3)]
+    groups: dict[str, tuple[int, list[int]]] = {
+        "solid": (3, volumes), "clamp": (2, []), "crack": (2, [])
+    }  # fmt: skip
+    sides = [
+        ("left", 0, 0.0), ("right", 0, width), ("clamp", 1, 0.0), ("top", 1, height),
+        ("back", 2, 0.0), ("front", 2, thickness),
+    ]  # fmt: skip
+    near = 1e-6 * max(width, height, thickness)
+    for _, tag in gmsh.model.getEntities(2):
+        middle = occ.getCenterOfMass(2, tag)
+        at = [name for name, axis, place in sides if abs(middle[axis] - place) < near]
+        if rim is not None and middle[1] < 0.0:
+            at = [rim.name_of(middle)]
+        groups.setdefault(at[0] if at else "crack", (2, []))[1].append(tag)
+    _name(groups)
+    if rim is not None:
+        rim.match(2, *(groups[name][1] for name in RIM_SIDES))
+    _mesh_graded(scene, gradings)
+
+
+def _mesh_graded(scene: Scene, gradings: list[_Grading]) -> None:
+    """Fill what is drawn with elements ``mesh.size`` long, and shorter by some gradings.
+
+    Raises
+    ------
+    InputError
+        gmsh cannot.
+    """
+    size, around = scene.mesh.given("size"), [one.compiled() for one in gradings]
+
+    def length(dimension: int, tag: int, x: float, y: float, z: float, *_: float) -> float:
+        """Asked for a hundred thousand times a mesh."""
+        return min([size, *(kernel.length_at(one.at, x, y, z) for one in around)])
+
+    for option in ("MeshSizeFromPoints", "MeshSizeExtendFromBoundary", "MeshSizeFromCurvature"):
+        gmsh.option.setNumber(f"Mesh.{option}", 0)
+    gmsh.model.mesh.setSizeCallback(length)
+    try:
+        gmsh.model.mesh.generate(scene.dimension)
+    except Exception as error:  # gmsh raises nothing else
+        raise _not_meshed(scene, str(error)) from None
+    finally:
+        gmsh.model.mesh.removeSizeCallback()
+
+
+def _not_meshed(scene: Scene, reason: str) -> InputError:
+    """The refusal of what gmsh makes no sound mesh of: of its smallest crack, or else of the
+    size of elements."""
+    sizes = {
+        f"{name}.{key}": value
+        for name, crack in scene.all_cracks.items()
+        for key in ("depth", "length")
+        if (value := getattr(crack, key)) is not None
+    }
+    key = min(sizes, key=lambda one: sizes[one], default="mesh.size")
+    kind = scene.geometry.kind
+    allowed = f"such that gmsh can mesh the {kind} ({reason}): not as small beside its other sizes"
+    return InputError(key, sizes.get(key, scene.mesh.size), allowed)
+
+
+def _ellipse(crack: Crack, width: float) -> tuple[float, float]:
+    """Middle and half of the extent along x of the whole ellipse or rectangle of which a crack is
+    a part."""
+    first, last = crack.span(width)
+    if crack.edge is None:
+        return 0.5 * (first + last), 0.5 * (last - first)
+    return (0.0 if crack.edge == "left" else width), last - first
+
+
+def _face(crack: Crack, width: float, thickness: float) -> list[tuple[int, int]]:
+    """A surface in a crack's plane whose part inside the box is the crack."""
+    occ, middle, half = gmsh.model.occ, *_ellipse(crack, width)
+    depth = crack.depth or 2.0 * thickness
+    if crack.front == "elliptical":
+        face = [(2, occ.addDisk(0.0, 0.0, 0.0, max(half, depth), min(half, depth)))]
+        if depth > half:
+            occ.rotate(face, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.5 * math.pi)
+    else:
+        face = [(2, occ.addRectangle(-half, -depth, 0.0, 2.0 * half, 2.0 * depth))]
+    occ.rotate(face, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.5 * math.pi)
+    occ.translate(face, middle, crack.given("height"), thickness)
+    return face
+
+
+@dataclass(frozen=True)
+class _Grading:
+    """Lengths of elements h = shortest + growth d around a crack, d from its front.
+
+    Attributes
+    ----------
+    along, through, height : (n,), (n,), () [m]
+        x, z and y of points on the front.
+    shortest : float [m]
+        Of an element at the front.
+    growth : float
+        With the distance.
+    """
+
+    along: np.ndarray
+    through: np.ndarray
+    height: float
+    shortest: float
+    growth: float
+
+    def compiled(self) -> Struct:
+        """As the kernel takes it (``length_at``)."""
+        return Struct("grading", count=len(self.along), **vars(self))
+
+    def cells(self, size: float) -> float:
+        """Return the number of cells around the front, in the tube in which they are shorter than a
+        size: its length times int 2 pi d / h^3 dd."""
+        ends = np.diff(self.along), np.diff(self.through)
+        steps = np.hypot(*ends)
+        length = steps[steps < 2.0 * np.median(steps)].sum()  # the sides of a rectangle are apart
+        least = min(self.shortest, size)
+        turns = 0.5 / least - 1.0 / size + 0.5 * least / size**2
+        return PER_VOLUME * length * 2.0 * math.pi / self.growth**2 * turns
+
+
+def _gradings(scene: Scene) -> list[_Grading]:
+    """One for each crack, of a plate without thickness."""
+    width, _, thickness = (*scene.geometry.sides, 0.0)[:3]
+    mesh, found = scene.mesh, []
+    for crack in scene.all_cracks.values():
+        count = mesh.given("lip_elements")
+        if crack.edge is None and scene.dimension == 2:
+            count = -(-count // 2)  # as of :class:`_Half`
+        middle, half = _ellipse(crack, width)
+        reach = min(half, crack.depth or half)
+        growth = mesh.grading ** (1.0 / max(count - 1, 1))
+        shortest = reach / float((growth ** np.arange(count)).sum())
+        front = _front(crack, middle, half, thickness)
+        found.append(_Grading(*front, crack.given("height"), shortest, max(growth - 1.0, GROWTH)))
+    return found
+
+
+def _check_size(scene: Scene, gradings: list[_Grading]) -> None:
+    """Raise InputError where gmsh would make too many cells, before it does."""
+    size = scene.mesh.given("size")
+    volume = math.prod(scene.geometry.sides)
+    if scene.disk is not None:
+        volume += Rim(scene).area * scene.geometry.sides[0]
+    bulk = PER_VOLUME * volume / size**3
+    fronts = sum(grading.cells(size) for grading in gradings)
+    key, shortest = "size", ""
+    if fronts > bulk:
+        least = min(grading.shortest for grading in gradings)
+        key, shortest = "lip_elements", f", at a crack's front {least:.2g} m long"
+    _check_cells(scene, key, bulk + fronts, scene.mesh.order**3 // 2, shortest)
+
+
+def _front(
+    crack: Crack, middle: float, half: float, thickness: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates x and z along the front of a crack, and of what goes on outside: (n,) each."""
+    count = 60  # points from which distances are measured while meshing
+    share = np.linspace(0.0, 1.0, count)
+    if crack.front == "elliptical":
+        turn, depth = np.pi * share, crack.given("depth")
+        x, z = middle + half * np.cos(turn), thickness - depth * np.sin(turn)
+    else:
+        depth = crack.depth or thickness
+        ends = [middle + sign * half * np.ones(count) for sign in (-1.0, 1.0)]
+        x, z = np.concatenate(ends), np.tile(thickness - depth * share, 2)
+        if crack.depth is not None:
+            x = np.append(x, middle + half * (2.0 * share - 1.0))
+            z = np.append(z, np.full(count, thickness - depth))
+    return x, z

@@ -10,7 +10,7 @@ from __future__ import annotations
 import importlib.metadata
 import logging
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import ModuleType
 from typing import Any
@@ -22,6 +22,7 @@ from petsc4py import PETSc
 from fenics_crack.basics.caches import settle_caches
 from fenics_crack.basics.errors import reading
 from fenics_crack.basics.form_cache import load_form
+from fenics_crack.basics.gmsh_process import gmsh
 from fenics_crack.basics.threads import addresses_left
 from fenics_crack.basics.untrusted_files import away
 
@@ -61,8 +62,6 @@ _CACHE = _READ[0].pop("cache_dir")
 
 def gmsh_is_running() -> bool:
     """Return True if gmsh is initialised; gmsh 4.8 does not report it, which is taken as False."""
-    from fenics_crack.basics.gmsh_process import gmsh
-
     return bool(getattr(gmsh, "isInitialized", lambda: False)())
 
 
@@ -73,55 +72,16 @@ def model_to_mesh(model: Any, comm: MPI.Comm, dimension: int) -> tuple[Any, Any,
         from dolfinx.io import gmshio
     except ImportError:  # 0.10
         from dolfinx.io import gmsh as gmshio
-    _check_room(comm)
+    # A thread of SCOTCH takes 8 MiB of stack, 128 MiB of heap and some more: without them it ends
+    # with words of its own, or DOLFINx loops for ever.
+    if comm.allreduce(addresses_left() < 150 * 2**20, MPI.LOR):
+        raise MemoryError("no room for a thread")
     # DOLFINx 0.5 tries a call whose error, seen by nobody, shows all arrays.
     with np.printoptions(threshold=0, edgeitems=1):
         data = gmshio.model_to_mesh(model, comm, 0, gdim=dimension)
     if isinstance(data, tuple) and len(data) == 3:
         return data
     return data.mesh, data.cell_tags, data.facet_tags
-
-
-def _check_room(comm: MPI.Comm) -> None:
-    """Raise MemoryError where SCOTCH, which distributes meshes, has no room for a thread
-    (collective): 8 MiB of stack, 128 MiB of heap and some more. Without them it ends with words of
-    its own, or DOLFINx loops for ever."""
-    if comm.allreduce(addresses_left() < 150 * 2**20, MPI.LOR):
-        raise MemoryError("no room for a thread")
-
-
-def quadrilateral_mesh(
-    comm: MPI.Comm, points: np.ndarray, cells: np.ndarray, curves: Iterable[np.ndarray]
-) -> tuple[Any, Any]:
-    """Distribute a plane mesh of quadrilaterals, the same on every rank, and tags of its boundary
-    (collective).
-
-    Parameters
-    ----------
-    points : (n, 2) [m]
-        Corners.
-    cells : (m, 4) int
-        Corners of each cell: those with the first coordinate of a reference cell change first.
-    curves : iterable of (k, 2) int
-        Ends of edges, which together are the whole boundary; those of the first one are tagged 1.
-    """
-    _check_room(comm)
-    if _NEW:
-        linear = basix.ufl.element("Lagrange", "quadrilateral", 1, shape=(2,))
-    else:
-        linear = ufl.VectorElement("Lagrange", ufl.Cell("quadrilateral", 2), 1)
-    given = {"x": points, "e" if _NEW else "domain": ufl.Mesh(linear)}
-    if comm.rank > 0:
-        cells, given["x"] = cells[:0], points[:0]
-    mesh = dolfinx.mesh.create_mesh(comm, cells.astype(np.int64), **given)
-    mesh.topology.create_connectivity(1, 2)
-    facets = np.sort(dolfinx.mesh.exterior_facet_indices(mesh.topology))
-    numbers = np.asarray(mesh.geometry.input_global_indices)[facet_corners(mesh, facets)]
-    ends = [np.sort(curve, axis=1) @ [len(points), 1] for curve in curves]
-    tags, known = np.repeat(np.arange(len(ends)) + 1, [*map(len, ends)]), np.concatenate(ends)
-    order = np.argsort(known)
-    at = order[np.searchsorted(known[order], np.sort(numbers, axis=1) @ [len(points), 1])]
-    return mesh, dolfinx.mesh.meshtags(mesh, 1, facets, tags[at].astype(np.int32))
 
 
 @contextmanager

@@ -127,7 +127,7 @@ def put(given: Given, dimension: int) -> tuple[Names, Lips]:
     tags, sets = _tags_of(facets)
     every = [(dimension, 1, ("plate", "solid")[dimension - 2], kind, cells.nodes)]
     every += [(dimension - 1, tag, name, _KINDS[dimension][kind], own) for tag, name, own in sets]
-    fill_model(positions, every + points)
+    _fill_model(positions, every + points)
     single = {name: np.unique(places[own], axis=0) for _, _, name, _, own in points}
     return (tags, {n: tuple(own[0].tolist()) for n, own in single.items() if len(own) == 1}), lips
 
@@ -291,7 +291,7 @@ def _tags_of(
     return dict(zip(curves, tags, strict=True)), sets
 
 
-def fill_model(positions: np.ndarray, groups: list[Group]) -> None:
+def _fill_model(positions: np.ndarray, groups: list[Group]) -> None:
     """Put nodes and the elements of physical groups, those of the cells first, by the places of
     their nodes, into the current model."""
     model, dimension = gmsh.model, groups[0][0]

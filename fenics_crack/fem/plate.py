@@ -1,4 +1,4 @@
-"""Meshes of cracked plates and solids, most made or read by gmsh, and distributed by DOLFINx.
+"""Meshes of cracked plates and solids, made or read by gmsh and distributed by DOLFINx.
 
 A crack is a slit: its two faces are different curves, or surfaces, in the same place that share
 only the tips, so that every node on a crack face but a tip exists twice. gmsh runs on rank 0 only.
@@ -21,10 +21,11 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenics_crack.basics.atomic_files import whole_file
-from fenics_crack.basics.ranks import on_each, on_root
+from fenics_crack.basics.gmsh_process import gmsh, kept_interrupts
+from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.untrusted_files import content_of
 from fenics_crack.fem import compat
-from fenics_crack.fem.blocks import lips_of, mesh_plate
+from fenics_crack.fem.blocks import draw_box, draw_plate
 from fenics_crack.fem.compat import dolfinx, ufl
 from fenics_crack.fem.cracks import Lips, Names
 from fenics_crack.model.nodes import Nodes
@@ -78,14 +79,6 @@ def build_mesh(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> PlateMesh:
     InputError
         The mesh file cannot be read, is not a plane mesh of one kind of cells, or lacks a group.
     """
-    if scene.is_of_quadrilaterals:
-        made = on_each(comm, lambda: mesh_plate(scene))
-        mesh, tags = compat.quadrilateral_mesh(comm, made.points, made.cells, made.curves.values())
-        named: Names = {name: (tag,) for tag, name in enumerate(made.curves, 1)}, {}
-        named[0]["bottom"] = named[0]["clamp"]
-        return PlateMesh(mesh, tags, *named, lips_of(scene))
-    from fenics_crack.basics.gmsh_process import gmsh  # takes longer than such a plate
-
     with _gmsh_on_root(comm):
         (groups, points), lips = on_root(comm, lambda: _model(scene))
         mesh, _, facet_tags = compat.model_to_mesh(gmsh.model, comm, scene.dimension)
@@ -111,8 +104,6 @@ def write_msh(scene: Scene, path: str | Path) -> None:
     --------
     >>> fc.write_msh(scene, "plate.msh")
     """
-    from fenics_crack.basics.gmsh_process import gmsh
-
     with _gmsh_on_root(MPI.COMM_SELF):
         _model(scene)
         with whole_file(path) as partial:
@@ -126,8 +117,6 @@ def _gmsh_on_root(comm: MPI.Comm) -> Iterator[None]:
     if comm.rank != 0:
         yield
         return
-    from fenics_crack.basics.gmsh_process import gmsh, kept_interrupts
-
     with kept_interrupts():
         started = not compat.gmsh_is_running()
         if started:
@@ -146,17 +135,12 @@ def _gmsh_on_root(comm: MPI.Comm) -> Iterator[None]:
 def _model(scene: Scene) -> tuple[Names, Lips]:
     """Fill the current gmsh model with a mesh; return what is in it by its name, and the crack
     faces."""
-    from fenics_crack.basics.gmsh_process import gmsh
-
     if scene.mesh.layout == "file":
         from fenics_crack.fem.msh_file import read_file  # with what checks meshes of others
 
         found = read_file(Path(str(scene.mesh.file)), scene.dimension)
     else:
-        from fenics_crack.fem.drawn import draw_box, draw_plate, put_plate
-
-        draw = put_plate if scene.is_of_quadrilaterals else draw_plate
-        found = draw(scene) if scene.dimension == 2 else draw_box(scene)
+        found = draw_plate(scene) if scene.dimension == 2 else draw_box(scene)
     gmsh.model.mesh.renumberNodes()
     return found
 

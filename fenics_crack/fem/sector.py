@@ -12,8 +12,8 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError
+from fenics_crack.fem.blocks import RIM_SIDES
 from fenics_crack.fem.cracks import LIP_TAGS, SAME
-from fenics_crack.fem.drawn import RIM_SIDES
 from fenics_crack.fem.elasticity import Static, rotation_of
 from fenics_crack.fem.plate import Dofs
 from fenics_crack.model.cyclic import Inside, Sector

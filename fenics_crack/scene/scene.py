@@ -227,12 +227,6 @@ class Scene:
         return 2 if self.geometry is None else self.geometry.dimension
 
     @property
-    def is_of_quadrilaterals(self) -> bool:
-        """True of a plate that is meshed without gmsh, by quadrilaterals in blocks."""
-        blocks = self.mesh is not None and self.mesh.layout != "file" and self.disk is None
-        return blocks and self.dimension == 2 and self.mesh.cells == "quadrilateral"
-
-    @property
     def has_element_lengths(self) -> bool:
         """True if elements are as long as their distance from crack tips and corners allows: of a
         solid, and of a sector that is graded."""
