@@ -186,7 +186,8 @@ class PeriodicSolution(Wave, Observed, Described):
         count = instants or len(self.instants())
         parts = np.arange(count) / count
         yield Record(
-            self.omega, self.subharmonic, self.period * parts, waves, *seen(*self.over_period(count)),
+            self.omega, self.subharmonic, self.period * parts, waves,
+            *seen(*self.over_period(count)),
             structure=lambda: self.structure,
             cracks=self.structure.pairs.cracks,
             friction=friction,
@@ -287,7 +288,11 @@ def solution_of(
     how = {"search": search, "converged": converged}
     estimate = partial(estimate_errors, at, known, problem, **how)
     found = PeriodicSolution(
-        **vars(known.wave), status=status, converged=converged, assessment=known, estimate=cache(estimate)
+        **vars(known.wave),
+        status=status,
+        converged=converged,
+        assessment=known,
+        estimate=cache(estimate),
     )
     if not is_small(problem.structure):  # its factors do not stay
         found.estimate()

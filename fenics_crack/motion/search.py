@@ -145,7 +145,10 @@ def search_orbit(
 def wave_states(flow: ContactFlow, displacement: np.ndarray, base_omega: float) -> np.ndarray:
     """States at equal parts of the period of a wave of the displacement, given by its coefficients
     (2H+1, n_dofs) [m]: (32, 2 n_modes)."""
-    values, rate = waves_over(len(displacement) // 2, SEGMENTS), derivative(displacement, base_omega)
+    values, rate = (
+        waves_over(len(displacement) // 2, SEGMENTS),
+        derivative(displacement, base_omega),
+    )
     return flow.state(values @ displacement, values @ rate)
 
 

@@ -315,7 +315,9 @@ def moving_size(motion: np.ndarray) -> float:
     """The size of a motion in time (n, k), over all of that, likewise."""
     mean = motion.sum(axis=0) / len(motion)
     moving = motion - mean
-    return math.sqrt(moving_square(float(np.vdot(moving, moving)), len(motion) * float(mean @ mean)))
+    return math.sqrt(
+        moving_square(float(np.vdot(moving, moving)), len(motion) * float(mean @ mean))
+    )
 
 
 def relative_to_motion(change: np.ndarray, whole: np.ndarray) -> float:
