@@ -49,7 +49,9 @@ def largest(values: np.ndarray, at: Motion | None = None) -> np.ndarray:
             there, expected = _top_of_polynomial(seen, AROUND[best])
             top = at(places + distance * there)[each, columns]
             np.maximum.at(tops, columns, top)
-            each = np.flatnonzero(~(np.abs(top - expected) <= SMOOTH * np.ptp(seen, axis=1)))
+            smooth = np.abs(top - expected) <= SMOOTH * np.ptp(seen, axis=1)
+            flat = (seen == seen[each, best][:, None]).sum(axis=1) > 2  # closed without penetration
+            each = np.flatnonzero(~(smooth | flat))
         places, columns = near[each, best[each]], columns[each]
         distance *= AROUND[1] - AROUND[0]
     return tops
