@@ -62,6 +62,7 @@ class Assessment:
         wave: Wave,
         own: PeriodicOrbit | None = None,
         source: PeriodicOrbit | None = None,
+        *,
         more: MoreModes | None = None,
         flow: ContactFlow | None = None,
     ) -> None:

@@ -185,9 +185,9 @@ class PeriodicSolution(Wave, Observed, Described):
 
         count = instants or len(self.instants())
         parts = np.arange(count) / count
+        motion, gap, force = seen(*self.over_period(count))
         yield Record(
-            self.omega, self.subharmonic, self.period * parts, waves,
-            *seen(*self.over_period(count)),
+            self.omega, self.subharmonic, self.period * parts, waves, motion, gap, force,
             structure=lambda: self.structure,
             cracks=self.structure.pairs.cracks,
             friction=friction,

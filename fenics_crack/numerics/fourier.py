@@ -114,10 +114,10 @@ def waves_over(harmonics: int, count: int) -> np.ndarray:
     """Values of 1, cos k theta, sin k theta at the instants i T / count: (count, 2H+1)."""
     instants, order = np.arange(count), np.arange(1, harmonics + 1)
     turned = np.exp(2j * np.pi / count * instants)[np.outer(instants, order) % count]
-    values = np.ones((count, 2 * harmonics + 1))
-    values[:, 1::2], values[:, 2::2] = turned.real, turned.imag
-    values.flags.writeable = False  # all have the same
-    return values
+    found = np.ones((count, 2 * harmonics + 1))
+    found[:, 1::2], found[:, 2::2] = turned.real, turned.imag
+    found.flags.writeable = False  # all have the same
+    return found
 
 
 @lru_cache(maxsize=16)
