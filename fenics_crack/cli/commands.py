@@ -112,6 +112,17 @@ def sweep(_: Namespace, inputs: Inputs, console: Console) -> Exit:
     return tell(report_of(found), path, console)
 
 
+def reduce(_: Namespace, inputs: Inputs, console: Console) -> None:
+    """Write what the mesh of a scene gives to a file."""
+    from fenics_crack.study.artefact import save_prepared
+    from fenics_crack.study.prepare import prepare
+
+    path = inputs.folder / f"{inputs.folder.name}.h5"
+    with console.stage("mesh, modes and statics"):
+        save_prepared(prepare(inputs.scene, console.comm), path)
+    console.note(f"{path}: {inputs.scene!r}; now: {command('solve', path)}")
+
+
 def disk(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     """Frequencies over the nodal diameter, and amplification by patterns of mistuning."""
     from fenics_crack.study.bladed_disk import amplification, nodal_diameters

@@ -39,7 +39,6 @@ from fenics_crack.study.prepare import (
 from fenics_crack.study.resonance import resonance_of
 from fenics_crack.study.vary import errors_of_natural
 from fenics_crack.study.verification import Verification
-from fenics_crack.sweep.plan import Plan
 
 
 def check(_: Namespace, inputs: Inputs, console: Console) -> None:
@@ -231,6 +230,8 @@ def _reduction(scene: Scene, whole: Structure) -> str:
 
 def _impossible(scene: Scene) -> str:
     """Return the number of cases that are not valid scenes, with the first one's reason."""
+    from fenics_crack.sweep.plan import Plan  # gmsh
+
     plan = Plan(scene)
     places = [*itertools.islice(np.ndindex(*plan.shape), 10_000)]  # others while they are run
     reasons = [case for case in map(plan.case, places) if isinstance(case, str)]
