@@ -50,10 +50,12 @@ def assembled(scene: Scene, comm: MPI.Comm, last: list[Made] = LAST) -> Structur
     bound = scene.speed > 0.0 or scene.disk is not None or scene.structure is not None
     same = False
     if known is not None:
-        alike = MPI.Comm.Compare(known.comm, comm) in (MPI.IDENT, MPI.CONGRUENT)
-        same = alike and known.parts[0] == parts[0]
+        same = known.parts[0] == parts[0]
         if known.structure.stiffness is None:  # without a mesh for loads
-            same = same and known.parts[1] == parts[1]
+            alike = MPI.Comm.Compare(known.comm, comm) in (MPI.IDENT, MPI.CONGRUENT)
+            same = same and alike and known.parts[1] == parts[1]
+        else:
+            same = same and known.comm == comm
         if bound:
             same = same and known.parts == parts
     if not comm.allreduce(same, MPI.LAND):
