@@ -203,6 +203,7 @@ def load_prepared(
 
     Examples
     --------
+    >>> fc.save_prepared(fc.prepare(scene), "plate.h5")
     >>> prepared = fc.load_prepared("plate.h5", {"excitation.frequency": 800.0})
     >>> fc.solve(prepared.scene)
     """
