@@ -155,7 +155,8 @@ def save_prepared(prepared: Study, path: str | Path) -> None:
 
     Examples
     --------
-    >>> fc.save_prepared(fc.prepare(scene), "plate.h5")
+    >>> kept = scene.replace({"reduction.method": "massless", "reduction.modes": 10})
+    >>> fc.save_prepared(fc.prepare(kept), "plate.h5")
     """
     scene, structure = prepared.scene, prepared.structure
     if scene.speed > 0.0 or scene.disk is not None:
@@ -203,7 +204,8 @@ def load_prepared(
 
     Examples
     --------
-    >>> fc.save_prepared(fc.prepare(scene), "plate.h5")
+    >>> kept = scene.replace({"reduction.method": "massless", "reduction.modes": 10})
+    >>> fc.save_prepared(fc.prepare(kept), "plate.h5")
     >>> prepared = fc.load_prepared("plate.h5", {"excitation.frequency": 800.0})
     >>> fc.solve(prepared.scene)
     """
