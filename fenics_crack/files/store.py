@@ -96,7 +96,7 @@ def write_header(file: h5py.File, kind: str, scene: Scene | None) -> None:
     file.attrs.update(kind=kind, program=PROGRAM, version=VERSION, versions=versions())
     if scene is not None:
         file.attrs["scene"] = scene_text(scene)
-        file.attrs["meshes"] = "\n".join(_file_digest(path) for _, path in _files_of(scene))
+        file.attrs["meshes"] = "\n".join(digests_of(scene))
 
 
 def versions() -> str:
@@ -374,6 +374,11 @@ def _files_of(scene: Scene) -> list[tuple[str, str]]:
         for more in read_with(Path(path))
         if not (named and more.suffix == ".dof")
     ]
+
+
+def digests_of(scene: Scene) -> list[str]:
+    """SHA-256 of the files that a scene names, and of those that are read with them."""
+    return [_file_digest(path) for _, path in _files_of(scene)]
 
 
 def _file_digest(path: str) -> str:

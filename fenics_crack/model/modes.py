@@ -137,9 +137,9 @@ def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Mode
     if known is not None:
         omega, shapes = known
         return Modes(omega[:count], shapes[:, :count], structure)
-    if ties is None and (kept := _kept(structure, count)) is not None:
+    if ties is None and (kept := lowest_known(structure, count)) is not None:
         return kept
-    with Factor(structure.stiffness, definite=True, border=ties) as factor:
+    with Factor(structure.stiffness, definite=True) as factor:
         return modes_by(factor, structure, int(count), ties)
 
 
@@ -179,22 +179,41 @@ class Inverse(Protocol):
         """Solve for a PETSc vector (collective)."""
 
 
+class Bonded:
+    """Inverse of a stiffness where B^T x = 0, by its factor and independent columns of B:
+
+    x = K^-1 r - K^-1 B S^-1 B^T K^-1 r,        S = B^T K^-1 B.
+    """
+
+    def __init__(self, factor: Any, structure: Structure, ties: Any) -> None:
+        self.null_pivots = factor.null_pivots
+        self._factor, self._ties, self._sum = factor, ties.T, structure.sum_over_ranks
+        if not self.null_pivots:
+            self._moved = factor.solve(self._ties)
+            flexibility = self._sum(self._ties @ self._moved.T)
+            self._compliance = scipy.linalg.cho_factor(flexibility)
+
+    def apply(self, right: Any, solution: Any) -> None:
+        """Solve for a PETSc vector (collective)."""
+        self._factor.apply(right, solution)
+        gap = self._sum(self._ties @ solution.array_r)
+        solution.array_w[:] -= scipy.linalg.cho_solve(self._compliance, gap) @ self._moved
+
+
 def modes_by(factor: Inverse, structure: Structure, count: int, ties: Any = None) -> Modes:
     """The same of a structure with mass everywhere, by the factor of its stiffness; ``ties`` are
     the independent columns of B where the crack is bonded."""
-    if ties is None and structure.whole is not structure:  # small and dense
-        if (known := structure.known_modes(tied=False)) is not None:
-            return Modes(known[0][:count], known[1][:, :count], structure)
-    if ties is None and (kept := _kept(structure, count)) is not None:
+    if ties is None and (kept := lowest_known(structure, count)) is not None:
         return kept
     quotients = structure.stiffness.getDiagonal().array_r / structure.mass.getDiagonal().array_r
     quotients = gather_rows(structure.comm, quotients)  # [rad^2/s^2]
     scale = float(np.min(quotients[quotients > 0.0], initial=np.inf))
     scale = scale if np.isfinite(scale) else 1.0
     begin(counted(count, "natural mode"))
+    inverse: Inverse = factor if ties is None else Bonded(factor, structure, ties)
     asked, most = count, _space(structure, ties)
     while True:
-        squares, shapes = _nearest_zero(factor, structure, asked, scale, ties)
+        squares, shapes = _nearest_zero(inverse, structure, asked, scale, ties)
         if squares[0] < -1e-8 * scale:
             worst = f"{squares[0]:.3g} = omega^2 of a mode"
             raise InputError("stiffness", worst, "positive semidefinite")
@@ -215,13 +234,16 @@ def modes_by(factor: Inverse, structure: Structure, count: int, ties: Any = None
     omega = np.sqrt(squares)
     shapes *= _signs(structure, shapes)
     if ties is None:
-        structure.once(_lowest)[:] = omega, shapes
+        structure.once(_lowest, of_matrices=True)[:] = omega, shapes
     return Modes(omega, shapes, structure)
 
 
-def _kept(structure: Structure, count: int) -> Modes | None:
-    """The lowest modes, crack open, if so many have been found before."""
-    kept = structure.once(_lowest)
+def lowest_known(structure: Structure, count: int) -> Modes | None:
+    """The lowest modes, crack open, if so many have been found before, or are its coordinates."""
+    if structure.whole is not structure:  # small and dense
+        if (known := structure.known_modes(tied=False)) is not None:
+            return Modes(known[0][:count], known[1][:, :count], structure)
+    kept = structure.once(_lowest, of_matrices=True)
     if not kept or len(kept[0]) < count:
         return None
     return Modes(kept[0][:count], kept[1][:, :count], structure)
@@ -605,7 +627,7 @@ def bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
     >>> natural = fc.bilinear_frequencies(structure)
     >>> resonance = natural.omega_bilinear[0]
     """
-    return structure.once(_bilinear_frequencies)
+    return structure.once(_bilinear_frequencies, of_matrices=True)
 
 
 def _bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
@@ -614,12 +636,15 @@ def _bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
     return BilinearFrequencies(is_open.omega, tied.omega[partners(is_open, tied)])
 
 
-def tied_modes(structure: Structure, count: int) -> Modes:
-    """The lowest modes with the crack bonded; where there are no more, infinite frequencies and
-    shapes of zero (collective)."""
+def tied_modes(structure: Structure, count: int, factor: Factor | None = None) -> Modes:
+    """The lowest modes with the crack bonded, perhaps by the factor of the stiffness; where there
+    are no more, infinite frequencies and shapes of zero (collective)."""
     omega, shapes = np.full(count, np.inf), np.zeros((structure.n_local, count))
     if most := min(count, n_tied_modes(structure)):
-        found = solve_modes(structure, most, lips="tied")
+        if factor is None or structure.known_modes(tied=True) is not None:
+            found = solve_modes(structure, most, lips="tied")
+        else:
+            found = modes_by(factor, structure, most, independent_ties(structure))
         omega[:most], shapes[:, :most] = found.omega, found.shapes
     return Modes(omega, shapes, structure)
 

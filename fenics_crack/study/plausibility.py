@@ -44,7 +44,7 @@ from fenics_crack.model.modes import (
     times,
 )
 from fenics_crack.model.nodes import place_in_words
-from fenics_crack.model.reduced import ResidualFlexibility
+from fenics_crack.model.receptance import ResidualFlexibility
 from fenics_crack.model.rotation import coriolis_shifts
 from fenics_crack.model.structure import ModalDamping, RayleighDamping, Structure
 from fenics_crack.model.wheel import WheelStructure, in_few_coordinates
@@ -143,8 +143,8 @@ def find_key_figures(study: Study) -> KeyFigures:
         slopes = _slopes(factor, many, count)
         static = _static(factor, modes, whole.force)
         lips = whole.apply_bt(_static(factor, modes, whole.gap.T.toarray()))
+        tied = tied_modes(whole, count, factor) if whole.n_pairs else modes
     ratios = damping_ratios(whole, modes.omega)
-    tied = tied_modes(whole, count) if whole.n_pairs else modes
     breathing = BilinearFrequencies(modes.omega, tied.omega[partners(modes, tied)])
     gaps, psi = whole.apply_bt(static), whole.apply_bt(modes.shapes.T)
     loads = whole.sum_over_ranks(whole.force @ modes.shapes)
@@ -198,9 +198,16 @@ def find_key_figures(study: Study) -> KeyFigures:
         gap_motion=moved,
         closed=int(closed.sum()),
         breathes=breathes,
-        modes_below=count_below(whole, highest_omega(scene) ** 2) if whole.n_pairs else 0,
+        modes_below=_modes_below(whole, many, highest_omega(scene)) if whole.n_pairs else 0,
         modes_kept=whole.n_dofs if kept is None else kept.modes,
     )
+
+
+def _modes_below(whole: Structure, known: Modes, omega: float) -> int:
+    """Number of modes below a frequency [rad/s]; counted where all known ones are."""
+    if omega < known.omega[-1]:
+        return int(np.sum(known.omega < omega))
+    return count_below(whole, omega**2)
 
 
 def _static(factor: Factor, modes: Modes, forces: np.ndarray) -> np.ndarray:

@@ -439,8 +439,9 @@ def test_method_of_integration(
 ) -> None:
     """The scene's, or that of the structure."""
     asked: list[dict[str, Any]] = []
+    module = "central_differences" if scheme == "integrate_central_difference" else "flows"
     monkeypatch.setattr(
-        f"fenics_crack.study.run.{scheme}", lambda *given, **rest: asked.append(rest)
+        f"fenics_crack.time.{module}.{scheme}", lambda *given, **rest: asked.append(rest)
     )
     fc.integrate(paper_scene.replace(FINE | changes), MPI.COMM_SELF)
     assert len(asked) == 1
