@@ -51,12 +51,18 @@ class Assessment:
         The orbit whose Fourier coefficients it is.
     source : PeriodicOrbit, optional
         The orbit from whose coefficients it was found.
+    more : MoreModes, optional
+        The motion of ``own`` with more modes, where that has been sought.
     """
 
     def __init__(
-        self, wave: Wave, own: PeriodicOrbit | None = None, source: PeriodicOrbit | None = None
+        self,
+        wave: Wave,
+        own: PeriodicOrbit | None = None,
+        source: PeriodicOrbit | None = None,
+        more: MoreModes | None = None,
     ) -> None:
-        self.wave, self.own, self._source = wave, own, source
+        self.wave, self.own, self._source, self._more = wave, own, source, more
 
     def is_of(self, other: Wave) -> bool:
         """Return True if ``other`` is the assessed solution, for which this assessment holds."""
@@ -150,13 +156,13 @@ class Assessment:
         none. At most :data:`UNKNOWN`, the value where no orbit is found though a small error was
         predicted.
         """
-        wave, step = self.wave, self.prediction
+        wave = self.wave
         if self.own is not None or (search and self.orbit is not None):
             assert self.orbit is not None
             samples = self.orbit.sampled
             change = samples.displacement - wave.coordinates(samples.time)
             found = self.distance, _at_load(wave, change, samples.displacement)
-        elif step is None or (search and step.error <= MAX_ERROR):
+        elif (step := self.prediction) is None or (search and step.error <= MAX_ERROR):
             found = UNKNOWN, UNKNOWN
         else:
             assert self.flow is not None
@@ -169,6 +175,8 @@ class Assessment:
     def more_modes(self) -> MoreModes | None:
         """The motion with more modes; None where no flow with these is at hand, or would take long,
         or no orbit is accepted for the solution."""
+        if self._more is not None:
+            return self._more
         wave, reference = self.wave, reference_of(self.wave)
         if self.flow is None or reference is None or not is_small(reference):
             return None

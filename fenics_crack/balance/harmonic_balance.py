@@ -35,7 +35,7 @@ from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.block_system import FORMS
 from fenics_crack.balance.compliance import DynamicStiffness, ModalCompliance, load_coefficients
 from fenics_crack.balance.error_report import NOT_ESTIMATED, ErrorReport, beside
-from fenics_crack.balance.more_modes import UNKNOWN, reference_of
+from fenics_crack.balance.more_modes import UNKNOWN, MoreModes, reference_of
 from fenics_crack.balance.problem import Problem, check_memory, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import (
@@ -506,14 +506,16 @@ def solution_of_orbit(problem: Problem, orbit: PeriodicOrbit, tolerance: float) 
     problem has; its errors are those of the coefficients left out, and of the modes."""
     most = MAX_HARMONICS * problem.subharmonic
     known = orbit.coefficients(problem.few_harmonics(SearchOptions.harmonics[-1]))
+    more: MoreModes | None = None
 
     def wave_with(harmonics: int) -> PeriodicSolution:
         nonlocal known
         if 2 * harmonics + 1 > len(known.gap):
             known = orbit.coefficients(harmonics)
-        return wave_of(problem.with_harmonics(harmonics), orbit, known)
+        return wave_of(problem.with_harmonics(harmonics), orbit, known, more)
 
-    reduction, at_load = _lost(problem, wave_with)
+    more = wave_with(problem.few_harmonics(SearchOptions.harmonics[0])).assessment.more_modes
+    reduction, at_load = _lost(problem, wave_with, more)
     goal = _goal(tolerance, reduction)
     fewer, found = 0, wave_with(problem.harmonics)
     while not found.assessment.distance <= goal and found.harmonics < most:
@@ -534,23 +536,26 @@ def solution_of_orbit(problem: Problem, orbit: PeriodicOrbit, tolerance: float) 
     return replace(found.reported(report), iterations=orbit.iterations)
 
 
-def wave_of(problem: Problem, orbit: PeriodicOrbit, known: OrbitCoefficients) -> PeriodicSolution:
+def wave_of(
+    problem: Problem, orbit: PeriodicOrbit, known: OrbitCoefficients, more: MoreModes | None = None
+) -> PeriodicSolution:
     """An orbit's motion with the harmonics of a problem."""
     rows = slice(2 * problem.harmonics + 1)
     wave = problem.wave_of(known.displacement[rows], known.gap[rows], known.force[rows])
-    return PeriodicSolution(**vars(wave), assessment=Assessment(wave, orbit))
+    return PeriodicSolution(**vars(wave), assessment=Assessment(wave, orbit, more=more))
 
 
-def _lost(problem: Problem, wave_with: Callable[[int], PeriodicSolution]) -> tuple[float, float]:
+def _lost(
+    problem: Problem, wave_with: Callable[[int], PeriodicSolution], more: MoreModes | None
+) -> tuple[float, float]:
     """Return the modal truncation error of the gap, and of the displacement at the load, of an
-    orbit, known by its waves with some harmonics."""
+    orbit, known by its motion with more modes, or by its waves with some harmonics."""
     structure = problem.structure
     if not isinstance(structure, ReducedStructure) or structure.reference is None:
         return 0.0, 0.0
-    fewest, many = (problem.few_harmonics(SearchOptions.harmonics[place]) for place in (0, -1))
-    more = wave_with(fewest).assessment.more_modes
     if more is not None and (errors := more.errors) is not None:
         return errors
+    many = problem.few_harmonics(SearchOptions.harmonics[-1])
     balance = Solver(problem.with_harmonics(many))
     report = balance.attempt(wave_with(many), wholly=False)[1].report
     return report.reduction, report.displacement

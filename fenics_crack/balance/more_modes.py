@@ -25,6 +25,7 @@ from fenics_crack.model.reduced import ReducedStructure, massless
 from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.motion.flow import ContactFlow, Samples
 from fenics_crack.motion.orbit import KNOWN, PeriodicOrbit, find_orbit
+from fenics_crack.numerics.equations import CLOSE
 from fenics_crack.numerics.fourier import waves_of
 from fenics_crack.numerics.newton import relative_to_motion
 
@@ -102,9 +103,9 @@ class MoreModes:
 
     @cached_property
     def orbit(self) -> PeriodicOrbit | None:
-        """Next to the motion; None where none is found."""
-        wave = self.wave
-        return find_orbit(self.flow, wave.omega, self._state, subharmonic=wave.subharmonic)
+        """Next to the motion, as sharp as an estimated error takes; None where none is found."""
+        omega, periods = self.wave.omega, self.wave.subharmonic
+        return find_orbit(self.flow, omega, self._state, subharmonic=periods, located=CLOSE)
 
     @property
     def errors(self) -> Errors | None:

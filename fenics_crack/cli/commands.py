@@ -16,7 +16,6 @@ from fenics_crack.basics.tables import speed_in_words
 from fenics_crack.cli.account import printed
 from fenics_crack.cli.given import Console, Inputs, command, keep_before
 from fenics_crack.cli.kinds import KINDS, Drawn, draw, report_of
-from fenics_crack.cli.scenes import without_curve
 from fenics_crack.study.plausibility import remarks_on_scene
 from fenics_crack.study.run import Run
 
@@ -33,6 +32,8 @@ def compute(
     the arguments, the folder and the ranks; write and print its result."""
     folder = inputs.folder
     if given.command == "curve" and inputs.scene.curve is None:
+        from fenics_crack.cli.scenes import without_curve
+
         raise without_curve(inputs.scene, console)
     offered = {"comm": console.comm, "progress": console.progress, "few": FEW_MODES}
     offered |= vars(given) | vars(inputs)

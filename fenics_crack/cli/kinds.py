@@ -56,7 +56,7 @@ KINDS = {
         "cli.pictures:draw_curve_of",
     ),
     "sweep": Kind(
-        "sweep", "Sweep", "cli.account:report_of_sweep", "sweep.result:SweepResult.of",
+        "sweep", "Sweep", "cli.studies:report_of_sweep", "sweep.result:SweepResult.of",
         "cli.pictures:draw_sweep",
     ),
     "time history": Kind(
@@ -73,7 +73,7 @@ KINDS = {
         "monitoring.identification.report:Identified.of", "cli.pictures:draw_identified",
     ),
     "verification": Kind(
-        "verify", "Convergence study", "cli.account:report_of_verification",
+        "verify", "Convergence study", "cli.studies:report_of_verification",
         "study.verification:Verification.of", "draw.plot_study:draw_verification",
         "Distance of each quantity from its extrapolated value; contributions to its error.",
     ),

@@ -34,7 +34,6 @@ from fenics_crack.model.modes import KINDS, BilinearFrequencies, Modes, bilinear
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Integration
-from fenics_crack.study.bladed_disk import blades
 from fenics_crack.study.conclusion import said_of, unknown_error, unknown_of_solution
 from fenics_crack.study.numbers import largest_left_out, natural_name
 from fenics_crack.study.observer import observe
@@ -140,7 +139,11 @@ def report_of_solution(run: Run[PeriodicSolution]) -> Report:
 
 def _of_blades(run: Run[Any], heading: str) -> dict[str, Table]:
     """The vibration of each blade of a bladed disk (collective)."""
-    return {} if run.scene.disk is None else {heading: blades(run).table()}
+    if run.scene.disk is None:
+        return {}
+    from fenics_crack.study.bladed_disk import blades
+
+    return {heading: blades(run).table()}
 
 
 def _in_doubt(run: Run[PeriodicSolution]) -> dict[str, object]:

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any, Unpack
 
 import numpy as np
-from tqdm import tqdm
 
 from fenics_crack.balance.problem import ON_PATH, Problem, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution
@@ -333,6 +332,8 @@ def _follow(growing: GrowingCurve, progress: bool) -> None:
             growing.run()
         return
     begin("")
+    from tqdm import tqdm
+
     with tqdm(total=100, desc="curve", unit="%", bar_format=BAR) as bar:
         for _ in growing:
             bar.set_postfix_str(growing.where(), refresh=False)

@@ -1,10 +1,5 @@
 """The structure of a scene, whose crack may be given by its length or by a natural frequency.
 
-Lengths found from a frequency are kept beside the compiled forms in the user's cache. A file holds
-a length [m] and what its frequency exceeds the requested one by [rad/s]. Its name is a digest of
-the tables of the scene on which both depend. Whoever reads it checks it: nothing rests on the file
-but time.
-
 DOLFINx assembles the matrices, with sigma and t of :mod:`fenics_crack.fem.elasticity`,
 
     u^T K v = t int sigma(u) : eps(v) dx,                     u^T M v = t rho int u . v dx.
@@ -27,33 +22,23 @@ Nodes of tips and fronts have no pair.
 
 from __future__ import annotations
 
-import contextlib
-import hashlib
-import json
-import os
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sparse
 from mpi4py import MPI
 
-from fenics_crack.basics.atomic_files import write_whole
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.progress import begin
 from fenics_crack.basics.ranks import collect_garbage, gather_rows, on_each, on_root
-from fenics_crack.basics.untrusted_files import text_of
 from fenics_crack.fem import compat
 from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.cracks import LIP_TAGS, SAME, Lips, along
 from fenics_crack.fem.elasticity import constants, rotation_of, stress, thickness
 from fenics_crack.fem.loads import assemble_loads, clamp_of
-from fenics_crack.fem.matrix_files import read_structure
-from fenics_crack.fem.msh_file import check_there
 from fenics_crack.fem.plate import Dofs, build_mesh
-from fenics_crack.fem.sector import wheel_of
-from fenics_crack.model.body import Body
+from fenics_crack.model.body import UNVARIED, Body
 from fenics_crack.model.factor import local_rows
 from fenics_crack.model.modes import solve_modes
 from fenics_crack.model.nodes import Pairs
@@ -151,8 +136,6 @@ def _matched(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Rows (number, weight, x, y, ...) of both faces without the tips, partner by partner in order
     along the cracks; the crack of each pair, and its position."""
-    from scipy.spatial import cKDTree
-
     shared = np.intersect1d(lower[:, 0], upper[:, 0])
     size = np.ptp(lower[:, 2:], axis=0).max()
     lower, upper = (side[~np.isin(side[:, 0], shared)] for side in (lower, upper))
@@ -164,7 +147,8 @@ def _matched(
     matching = len(lower) == len(upper) > 0
     reason = "one has more nodes than the other"
     if matching:
-        distance, partner = cKDTree(upper[:, 2:]).query(lower[:, 2:])
+        apart = [np.linalg.norm(upper[:, 2:] - place, axis=1) for place in lower[:, 2:]]
+        distance, partner = np.min(apart, axis=1), np.argmin(apart, axis=1)
         matching = distance.max() <= SAME * size and len(np.unique(partner)) == len(partner)
         place = ", ".join(f"{x:g}" for x in lower[int(np.argmax(distance)), 2:])
         reason = f"the upper node nearest to the lower one at ({place})"
@@ -200,12 +184,18 @@ def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     """
     collect_garbage(comm)  # of structures made before
     if scene.structure is not None:
+        from fenics_crack.fem.matrix_files import read_structure
+
         rule = None if scene.damping is None else _damping(scene.damping)
         return read_structure(scene, rule, comm)
     coarser = scene.mesh.coarser
     if coarser is not None:  # which is read after all else
+        from fenics_crack.fem.msh_file import check_there
+
         on_root(comm, lambda: check_there("mesh.coarser", coarser))
     if scene.disk is not None:  # every rank has the sector
+        from fenics_crack.fem.sector import wheel_of
+
         structure, dofs = on_each(comm, lambda: _assembled(scene, MPI.COMM_SELF))
         return wheel_of(scene, dofs, structure, comm)
     structure, dofs = _assembled(scene, comm)
@@ -213,6 +203,22 @@ def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
         begin("rotation")
         structure = rotation_of(scene, dofs, structure).at(scene.speed)
     return structure
+
+
+def in_another(scene: Scene, structure: Structure, *, loads: bool) -> Structure:
+    """A structure of a mesh at rest with the clearance and the damping of another scene of the same
+    mesh, and with its loads (collective)."""
+    changes: dict[str, Any] = {
+        "clearance": clearance_of(scene, structure.pairs), "damping": _damping(scene.damping),
+    }  # fmt: skip
+    if loads:
+        dofs: Dofs = structure.nodes.numbered  # type: ignore[union-attr]
+        _, mass = _forms(scene, dofs.space)
+        matrix = compat.assembled_matrix(mass)
+        force, changes["watched"] = assemble_loads(scene, dofs, matrix)
+        changes |= {"force": force[:, dofs.free], "clamp": clamp_of(dofs, matrix, force)}
+        matrix.destroy()
+    return structure._in(UNVARIED, **changes)
 
 
 def _assembled(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
@@ -227,7 +233,7 @@ def _assembled(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
         raise InputError("mesh.file", scene.mesh.file, allowed)
     space = compat.function_space(plate.mesh, scene.mesh.order)
     dofs = Dofs(plate, space, comm)
-    stiffness, mass = _matrices(scene, space)
+    stiffness, mass = map(compat.assembled_matrix, _forms(scene, space))
     mouth = scene.contact is not None and scene.contact.pairs == "mouth"
     gap, tangential, pairs = pair_lips(dofs, thickness(scene, space), mouth=mouth)
     force, watched = assemble_loads(scene, dofs, mass)
@@ -243,14 +249,14 @@ def _assembled(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
 # --- matrices -------------------------------------------------------------------------------------
 
 
-def _matrices(scene: Scene, space: Any) -> tuple[Any, Any]:
-    """Stiffness and mass matrix of all dofs, clamped ones included."""
+def _forms(scene: Scene, space: Any) -> tuple[Any, Any]:
+    """Forms of stiffness and mass."""
     (density,), t = constants(space, scene.material.density), thickness(scene, space)
     u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
     strain = ufl.sym(ufl.grad(u))
     stiffness = t * ufl.inner(stress(scene, space, strain), ufl.sym(ufl.grad(v))) * ufl.dx
     mass = t * density * ufl.inner(u, v) * ufl.dx
-    return compat.assembled_matrix(stiffness), compat.assembled_matrix(mass)
+    return stiffness, mass
 
 
 def _damping(table: Damping) -> DampingRule:
@@ -326,12 +332,15 @@ def with_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Scene:
     return _with_length(scene, find_crack_length(scene, comm))
 
 
+_LENGTHS: dict[str, float] = {}
+"""Lengths found in this process, by all tables of a scene on which they depend."""
+
+
 def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     """Find the crack length [m] at which the first natural frequency is ``crack.first_omega``.
 
     The frequency of the open crack, without rotation, falls with its length; Brent's method over
-    re-meshed plates, to 1e-5 of the width. A length found before is taken if it gives the frequency
-    that it gave then.
+    re-meshed plates, to 1e-5 of the width; once in a process.
 
     Parameters
     ----------
@@ -359,6 +368,9 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     crack, width = scene.crack, None if scene.structure else scene.geometry.width
     if crack is None or crack.first_omega is None or width is None:
         raise InputError("crack.first_omega", None, "given: a finite number > 0")
+    tables = repr((scene.geometry, crack, scene.material, scene.mesh))
+    if (known := comm.bcast(_LENGTHS.get(tables))) is not None:
+        return float(known)
     target, at_rest = crack.first_omega, scene.at_rest()
 
     @cache
@@ -370,9 +382,6 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     if crack.center is not None:
         room, words = 2.0 * min(crack.center, width - crack.center), "room around its center"
     shortest, longest = 0.01 * room, 0.95 * room
-    length, known = on_root(comm, lambda: _kept_length(scene))
-    if shortest <= length <= longest and abs(excess(length) - known) <= 1e-9 * target:
-        return length
     highest, lowest = target + excess(shortest), target + excess(longest)
     if not lowest <= target <= highest:
         span = f"between {lowest:.1f} and {highest:.1f} rad/s"
@@ -381,35 +390,9 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     import scipy.optimize  # takes a while, and most scenes give a length
 
     found = float(scipy.optimize.brentq(excess, shortest, longest, xtol=1e-5 * width))
-    left = excess(found)
-    on_root(comm, lambda: _keep_length(scene, found, left))
+    _LENGTHS[tables] = found
     return found
 
 
 def _with_length(scene: Scene, length: float) -> Scene:
     return scene.replace({"crack.length": length, "crack.first_omega": None})
-
-
-# --- lengths that were found before ---------------------------------------------------------------
-
-
-def _kept_length(scene: Scene) -> tuple[float, float]:
-    """Length and excess kept for a scene; 0 for both if there are none."""
-    try:
-        length, excess = map(float, json.loads(text_of(_file(scene))))
-    except (OSError, RuntimeError, ValueError, TypeError):  # none, no home, or damaged
-        return 0.0, 0.0
-    return length, excess
-
-
-def _keep_length(scene: Scene, length: float, excess: float) -> None:
-    """Keep what was found, where that is possible."""
-    with contextlib.suppress(InputError, RuntimeError):
-        write_whole(_file(scene), json.dumps((length, excess)))
-
-
-def _file(scene: Scene) -> Path:
-    """In ``$XDG_CACHE_HOME/fenics_crack``, by default in ``~/.cache``."""
-    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fenics_crack"
-    tables = repr((scene.geometry, scene.crack, scene.material, scene.mesh))
-    return folder / f"length_{hashlib.sha256(tables.encode()).hexdigest()[:32]}.json"

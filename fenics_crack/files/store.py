@@ -376,6 +376,13 @@ def _files_of(scene: Scene) -> list[tuple[str, str]]:
     ]
 
 
+def digests_of(scene: Scene) -> list[str]:
+    """SHA-256 of the files that a scene names, of those that are read with them, and of tables of
+    its loads."""
+    waves = [load.wave for load in scene.loads if load.wave is not None]
+    return [_file_digest(path) for path in [path for _, path in _files_of(scene)] + waves]
+
+
 def _file_digest(path: str) -> str:
     """SHA-256 of a file, or "missing"."""
     try:

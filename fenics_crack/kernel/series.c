@@ -31,10 +31,12 @@ WIDE void add_rows(int count, int n, const double *restrict rows, const double *
         for (int i = 0; i < n; i++) sum[i] += weights[k] * rows[i];
 }
 
-typedef double block __attribute__((vector_size(BLOCK * sizeof(double))));
+/* Numbers of a register, and so many of these at once: a processor works on the others while it waits
+ * for the first. More, or longer ones, would not stay in registers. */
+enum { LANES = 4, AT_ONCE = 6 };
+typedef double block __attribute__((vector_size(LANES * sizeof(double))));
 
-/* Four blocks of functions at once: a processor works on the others while it waits for the first.
- * Those behind the last function are the last block once more. */
+/* Those behind the last function are the last block once more. */
 WIDE void series_at(int n, int order, const double *restrict terms, double time,
                     double *restrict value, double *restrict slope)
 {
@@ -42,19 +44,19 @@ WIDE void series_at(int n, int order, const double *restrict terms, double time,
         for (int i = 0; i < n; i++) value[i] = column_at(n, order, terms, i, 0, time, slope + i);
         return;
     }
-    for (int first = 0; first < n; first += 4 * BLOCK) {
-        block v[4] = {{0.0}}, d[4] = {{0.0}}, term;
-        int at[4];
-        for (int j = 0; j < 4; j++)
-            at[j] = first + (j + 1) * BLOCK <= n ? first + j * BLOCK : n - BLOCK;
+    for (int first = 0; first < n; first += AT_ONCE * LANES) {
+        block v[AT_ONCE] = {{0.0}}, d[AT_ONCE] = {{0.0}}, term;
+        int at[AT_ONCE];
+        for (int j = 0; j < AT_ONCE; j++)
+            at[j] = first + (j + 1) * LANES <= n ? first + j * LANES : n - LANES;
         const double *row = terms + (long)order * n;
         for (int k = order; k >= 0; k--, row -= n)
-            for (int j = 0; j < 4; j++) {
+            for (int j = 0; j < AT_ONCE; j++) {
                 memcpy(&term, row + at[j], sizeof term);
                 d[j] = d[j] * time + v[j];
                 v[j] = v[j] * time + term;
             }
-        for (int j = 0; j < 4; j++) {
+        for (int j = 0; j < AT_ONCE; j++) {
             memcpy(value + at[j], v + j, sizeof term);
             memcpy(slope + at[j], d + j, sizeof term);
         }

@@ -40,6 +40,8 @@ class Body(ReadOnly):
     comm: MPI.Comm = None
     known: dict[Callable[..., Any], Any] = field(default_factory=dict)
     """Results of :meth:`Structure.once`."""
+    of_matrices: dict[Callable[..., Any], Any] = field(default_factory=dict)
+    """Those that follow from mass, stiffness and pairs: bodies that share these share it."""
 
     def __post_init__(self) -> None:
         if self.comm is None:
@@ -48,6 +50,10 @@ class Body(ReadOnly):
             if (rows := getattr(self, name)) is not None:
                 object.__setattr__(self, name, read_only_rows(rows))
         super().__post_init__()
+
+
+BESIDE_MATRICES = {"force", "clearance", "damping", "clamp", "rotation", "watched"}
+"""Attributes of a body on which none of :attr:`Body.of_matrices` depends."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -137,7 +137,7 @@ def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Mode
     if known is not None:
         omega, shapes = known
         return Modes(omega[:count], shapes[:, :count], structure)
-    if ties is None and (kept := _kept(structure, count)) is not None:
+    if ties is None and (kept := lowest_known(structure, count)) is not None:
         return kept
     with Factor(structure.stiffness, definite=True, border=ties) as factor:
         return modes_by(factor, structure, int(count), ties)
@@ -182,10 +182,7 @@ class Inverse(Protocol):
 def modes_by(factor: Inverse, structure: Structure, count: int, ties: Any = None) -> Modes:
     """The same of a structure with mass everywhere, by the factor of its stiffness; ``ties`` are
     the independent columns of B where the crack is bonded."""
-    if ties is None and structure.whole is not structure:  # small and dense
-        if (known := structure.known_modes(tied=False)) is not None:
-            return Modes(known[0][:count], known[1][:, :count], structure)
-    if ties is None and (kept := _kept(structure, count)) is not None:
+    if ties is None and (kept := lowest_known(structure, count)) is not None:
         return kept
     quotients = structure.stiffness.getDiagonal().array_r / structure.mass.getDiagonal().array_r
     quotients = gather_rows(structure.comm, quotients)  # [rad^2/s^2]
@@ -215,13 +212,16 @@ def modes_by(factor: Inverse, structure: Structure, count: int, ties: Any = None
     omega = np.sqrt(squares)
     shapes *= _signs(structure, shapes)
     if ties is None:
-        structure.once(_lowest)[:] = omega, shapes
+        structure.once(_lowest, of_matrices=True)[:] = omega, shapes
     return Modes(omega, shapes, structure)
 
 
-def _kept(structure: Structure, count: int) -> Modes | None:
-    """The lowest modes, crack open, if so many have been found before."""
-    kept = structure.once(_lowest)
+def lowest_known(structure: Structure, count: int) -> Modes | None:
+    """The lowest modes, crack open, if so many have been found before, or are its coordinates."""
+    if structure.whole is not structure:  # small and dense
+        if (known := structure.known_modes(tied=False)) is not None:
+            return Modes(known[0][:count], known[1][:, :count], structure)
+    kept = structure.once(_lowest, of_matrices=True)
     if not kept or len(kept[0]) < count:
         return None
     return Modes(kept[0][:count], kept[1][:, :count], structure)
@@ -605,7 +605,7 @@ def bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
     >>> natural = fc.bilinear_frequencies(structure)
     >>> resonance = natural.omega_bilinear[0]
     """
-    return structure.once(_bilinear_frequencies)
+    return structure.once(_bilinear_frequencies, of_matrices=True)
 
 
 def _bilinear_frequencies(structure: Structure) -> BilinearFrequencies:

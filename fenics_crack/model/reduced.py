@@ -15,7 +15,6 @@ requested.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Self
@@ -28,11 +27,11 @@ from mpi4py import MPI
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.tables import hertz_of
 from fenics_crack.model.body import Body
-from fenics_crack.model.factor import AT_A_TIME, Factor, distributed
-from fenics_crack.model.modes import NEGLIGIBLE, times
+from fenics_crack.model.factor import distributed
+from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.model.nodes import of_body
+from fenics_crack.model.receptance import expanded, lowest_modes, rows_at
 from fenics_crack.model.structure import DampingRule, Structure
-from fenics_crack.numerics.equations import EPSILON
 
 INSTEAD = "reduce with method = 'free_interface', or march by integrate_exponential"
 """Remedy where a scheme needs mass at the crack faces."""
@@ -144,90 +143,6 @@ class ReducedStructure(Structure):
         return super()._changed(**({"nodes": None} | changes))
 
 
-class ResidualFlexibility:
-    """G = K^-1 - Phi Lambda^-1 Phi^T of a structure, as a map of forces to displacements.
-
-    A force is first freed of its part on the modes, r = f - M Phi Phi^T f, and the displacement
-    x = K^-1 r of its own, x - Phi Phi^T M x: nothing cancels, and a structure that can move as a
-    rigid body is held by its modes.
-
-    Attributes
-    ----------
-    structure : Structure
-        The whole one.
-    shapes : (n_local, n_modes)
-        Phi, mass-normalised.
-    squares : (n_modes,) [rad^2/s^2]
-        The squares of their frequencies.
-    sources : (n_local, n_sources)
-        X: the forces of unit amplitude, a sparse matrix.
-    modal : (n_sources, n_modes)
-        X^T Phi.
-    """
-
-    def __init__(
-        self, structure: Structure, shapes: np.ndarray, squares: np.ndarray, sources: Any
-    ) -> None:
-        self.structure, self.shapes, self.squares = structure, shapes, squares
-        self.sources = sparse.csr_matrix(sources)
-        self.modal = structure.sum_over_ranks(self.sources.T @ shapes)
-        # Of a hinge that hardly resists, rounding of the modal part would be all that is left.
-        self._held = bool(np.all(squares > np.sqrt(EPSILON) * squares[-1:]))
-        self._measured: dict[int, np.ndarray] = {}
-
-    def solve(self, factor: Factor, forces: np.ndarray) -> np.ndarray:
-        """G f of forces (m, n_local), with the factor of K: the same shape (collective)."""
-        structure, shapes = self.structure, self.shapes
-        modal = structure.sum_over_ranks(forces @ shapes)
-        found = factor.solve(forces - times(structure.mass, shapes @ modal.T).T)
-        moved = times(structure.mass, found.T).T
-        return found - structure.sum_over_ranks(moved @ shapes) @ shapes.T
-
-    def seen(self, factor: Factor, columns: sparse.spmatrix) -> np.ndarray:
-        """Y^T G X of sparse forces Y (n_local, m): (m, n_sources) (collective)."""
-        rows = [np.zeros((0, self.sources.shape[1]))]
-        for start in range(0, columns.shape[1], AT_A_TIME):
-            block = columns[:, start : start + AT_A_TIME].T.toarray()
-            # Where K^-1 is small enough its modal part is subtracted once, below.
-            moved = factor.solve(block) if self._held else self.solve(factor, block)
-            rows.append((self.sources.T @ moved.T).T)
-        found: np.ndarray = self.structure.sum_over_ranks(np.concatenate(rows))
-        if self._held:
-            seen = self.structure.sum_over_ranks(columns.T @ self.shapes)
-            found -= (seen / self.squares) @ self.modal.T
-        return found
-
-    def compliance(self, factor: Factor) -> np.ndarray:
-        """S = X^T G X: (n_sources, n_sources) (collective)."""
-        found = self.seen(factor, self.sources)
-        return 0.5 * (found + found.T)
-
-    def expand(self, amplitude: np.ndarray) -> np.ndarray:
-        """G X c of amplitudes (m, n_sources): (m, n_local) (collective)."""
-        used = np.any(amplitude != 0.0, axis=1)
-        found = np.zeros((len(amplitude), self.structure.n_local))
-        if np.any(used):
-            with Factor(self.structure.stiffness, definite=True) as factor:
-                found[used] = self.solve(factor, (self.sources @ amplitude[used].T).T)
-        return found
-
-    def rows(self, dofs: np.ndarray, factor: Factor | None = None) -> np.ndarray:
-        """G X at some dofs: (n_dofs, n_sources); kept (collective)."""
-        wanted: list[int] = [int(dof) for dof in dofs]
-        missing = [dof for dof in dict.fromkeys(wanted) if dof not in self._measured]
-        if missing:
-            structure = self.structure
-            own = np.array(missing) - structure.first_dof
-            mine = np.flatnonzero((own >= 0) & (own < structure.n_local))
-            shape = structure.n_local, len(missing)
-            units = sparse.csr_matrix((np.ones(len(mine)), (own[mine], mine)), shape)
-            made = factor or Factor(structure.stiffness, definite=True)
-            with nullcontext(made) if factor else made as known:
-                found = self.seen(known, units)
-            self._measured |= dict(zip(missing, found, strict=True))
-        return np.array([self._measured[dof] for dof in wanted])
-
-
 class MasslessInterface(ReducedStructure):
     """Modes with mass, and what they leave out quasi-static: :class:`MasslessStructure`, and
     :class:`fenics_crack.model.rotation.RunUpStructure`.
@@ -271,7 +186,6 @@ class MasslessBody(ReducedBody):
     """That of a structure with crack faces without mass."""
 
     flexibility: np.ndarray
-    static: ResidualFlexibility
 
 
 class MasslessStructure(MasslessInterface):
@@ -291,9 +205,6 @@ class MasslessStructure(MasslessInterface):
 
     body: MasslessBody
     flexibility: np.ndarray = of_body("flexibility")
-    basis: np.ndarray = of_body("static.shapes")
-    """Phi: (whole.n_local, n_modes)."""
-    _static: ResidualFlexibility = of_body("static")
 
     def __init__(
         self,
@@ -304,7 +215,6 @@ class MasslessStructure(MasslessInterface):
         force: np.ndarray,
         compliance: np.ndarray,
         *,
-        static: ResidualFlexibility,
         reference: MasslessStructure | None,
         share: float = 0.5,
     ) -> None:
@@ -316,8 +226,13 @@ class MasslessStructure(MasslessInterface):
         normal, tangents = np.split(seen, [whole.n_pairs], axis=1)
         known = None if whole.tangential is None else tangents
         parts = _coordinates(whole, squares, damping, normal, known, force, compliance)
-        parts |= {"flexibility": _pseudoinverse(compliance), "static": static, "share": share}
+        parts |= {"flexibility": _pseudoinverse(compliance), "share": share}
         Structure.__init__(self, MasslessBody(**parts, reference=reference))
+
+    @property
+    def basis(self) -> np.ndarray:  # type: ignore[override]
+        """Phi: (whole.n_local, n_modes)."""
+        return lowest_modes(self._whole, self.n_modes)
 
     @property
     def shapes(self) -> np.ndarray:  # type: ignore[override]
@@ -378,16 +293,14 @@ class MasslessStructure(MasslessInterface):
     def _one_step(self, displacement: np.ndarray) -> np.ndarray:
         """The same in the coordinates of the structure that was reduced."""
         modal, static = np.split(displacement, [self.n_modes], axis=1)
-        return modal @ self._static.shapes.T + self._static.expand(static)
+        return modal @ self.basis.T + expanded(self._whole, self.basis, self.omega**2, static)
 
     def values_at(self, displacement: np.ndarray, dofs: Sequence[int | None]) -> np.ndarray:
         """Displacement of dofs of the whole structure from coordinates (m, n_dofs) (collective)."""
         if self._whole.whole is not self._whole:  # itself in few coordinates
             return self._whole.values_at(self._one_step(displacement), dofs)
         wanted = self._whole.check_dofs(dofs)
-        modal, static = np.split(displacement, [self.n_modes], axis=1)
-        seen = modal @ self._whole.values_at(self._static.shapes.T, dofs)
-        return seen + static @ self._static.rows(wanted).T
+        return displacement @ np.hstack(rows_at(self._whole, self.n_modes, wanted)).T
 
 
 def check_mass(structure: Structure, instead: str) -> None:

@@ -25,14 +25,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
-import scipy.sparse as sparse
 
 from fenics_crack.basics.errors import InputError, check_choice
 from fenics_crack.basics.progress import begin
-from fenics_crack.basics.ranks import gather_rows
-from fenics_crack.model.factor import AT_A_TIME, Factor, factored_sum
+from fenics_crack.model.factor import Factor, factored_sum
 from fenics_crack.model.modal import SMALL
 from fenics_crack.model.modes import (
     AS_ZERO,
@@ -43,12 +42,13 @@ from fenics_crack.model.modes import (
     modes_by,
     times,
 )
-from fenics_crack.model.reduced import (
-    MasslessStructure,
-    ReducedStructure,
+from fenics_crack.model.receptance import (
     ResidualFlexibility,
-    check_mass,
+    loaded_parts,
+    lowest_modes,
+    receptance,
 )
+from fenics_crack.model.reduced import MasslessStructure, ReducedStructure, check_mass
 from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
 
 METHODS = ("massless", "free_interface")
@@ -126,8 +126,8 @@ def reduce_structure(
         kept, squares = found.shapes[:, :modes], found.omega[:modes] ** 2
         with _regular(own, structure, held=bool(squares[0] > 0.0)) as factor:
             # Static responses to forces of pairs and to the load, without the part of the modes.
-            loaded = structure.sum_over_ranks((structure.force**2).sum(axis=1)) > 0.0
-            forces = np.vstack([structure.gap.T.toarray(), structure.force[loaded]])
+            loaded = structure.force[loaded_parts(structure)]
+            forces = np.vstack([structure.gap.T.toarray(), loaded])
             flexibility = ResidualFlexibility(structure, kept, squares, forces.T)
             static = flexibility.solve(factor, forces).T
             left = structure.sum_over_ranks((forces.T * static).sum(axis=0))
@@ -150,84 +150,47 @@ def _massless(structure: Structure, modes: int, assessed: bool | int) -> Massles
     something for every pair, without which it has mass, and no more than half of what the kept ones
     leave. Else it has all modes, or the number that is given.
     """
-    twice, most = modes + max(modes, 10), structure.n_dofs - structure.n_pairs
-    more = min(twice, most) if most > modes else structure.n_dofs
+    whole = structure.original
+    twice, most = modes + max(modes, 10), whole.n_dofs - whole.n_pairs
+    more = min(twice, most) if most > modes else whole.n_dofs
     if chosen := assessed is not True and assessed > modes:
         more = int(assessed)
-    loaded = structure.sum_over_ranks((structure.force**2).sum(axis=1)) > 0.0
-    contact = [structure.gap] + ([] if structure.tangential is None else [structure.tangential])
-    rows = structure.n_pairs * len(contact)
-    sources = sparse.hstack([*contact, structure.force[loaded].T]).tocsr()
-    begin("factor of the stiffness")
-    with Factor(structure.stiffness, definite=True) as factor:
-        counts = (more, modes) if assessed else (modes,)
-        squares, shapes, static, compliance = _left_out(structure, factor, counts, sources)
-        if assessed and not chosen and more < twice and more == most:
-            here, between = slice(structure.n_pairs), slice(modes, more)
-            seen = static[more].modal[here, between]
-            kept = np.sum(seen**2 / squares[between], axis=1)
-            if np.any(np.diag(compliance)[here] > kept):
-                counts = (structure.n_dofs, modes)
-                squares, shapes, static, compliance = _left_out(structure, factor, counts, sources)
-        for flexibility in static.values():
-            flexibility.rows(_loaded_dofs(structure), factor)
-    more = max(counts)
-    seen = static[more].modal.T
-    force = structure.sum_over_ranks(structure.force @ shapes)
-    # The amplitudes of the load's parts are unknowns whose force is S times themselves.
-    parts = len(loaded)
-    patterns = np.hstack([np.zeros((parts, rows)), np.eye(parts)[:, loaded]])
-    own, reference = structure.damping, None
-    modal = isinstance(own, ModalDamping)
-    for count in counts:
-        # What fewer modes leave out is what more do, and the static part of those between.
-        between = slice(count, more)
-        left = compliance + (seen[between].T / squares[between]) @ seen[between]
-        lost = _is_rounding(np.diag(left), seen[:count], squares[:count])
-        left[lost] = left[:, lost] = 0.0  # forces that the kept modes carry alone
-        reference = MasslessStructure(
-            structure,
-            squares[:count],
-            own if modal else _damping(structure, shapes[:, :count], squares[:count]),
-            seen[:count, :rows],
-            np.hstack([force[:, :count], patterns @ left]),
-            left,
-            static=static[count],
-            reference=reference,
-            share=1.0 if more == structure.n_dofs and count == counts[-1] else 0.5,
-        )
-    assert reference is not None
-    return reference
-
-
-def _left_out(
-    structure: Structure, factor: Factor, counts: tuple[int, ...], sources: sparse.csr_matrix
-) -> tuple[np.ndarray, np.ndarray, dict[int, ResidualFlexibility], np.ndarray]:
-    """omega^2 and shapes of the most of some numbers of modes, what each number leaves out, and of
-    the most the compliance seen by the sources."""
-    most, modes = max(counts), min(counts)
-    found = modes_by(factor, structure, most)
-    begin("static responses")
-    squares, shapes = found.omega**2, found.shapes
-    if rigid := np.count_nonzero(squares[modes:] == 0.0):
+    counts = (more, modes) if assessed else (modes,)
+    known = receptance(whole, max(counts))
+    if rigid := np.count_nonzero(known.squares[modes:] == 0.0):
         allowed = f"at least {modes + rigid}: all motions as a rigid body"
         raise InputError("modes", modes, allowed)
-    static = {
-        count: ResidualFlexibility(structure, shapes[:, :count], squares[:count], sources)
-        for count in counts
-    }
-    compliance = np.zeros((sources.shape[1],) * 2)
-    if most < structure.n_dofs:
-        compliance = static[most].compliance(factor)
-    return squares, shapes, static, compliance
-
-
-def _loaded_dofs(structure: Structure) -> np.ndarray:
-    """Dofs under the load, at which its effect is watched; of a load on more than one block of
-    static solutions holds the watched one (collective)."""
-    own = np.flatnonzero(np.any(structure.force != 0.0, axis=0)) + structure.first_dof
-    found = gather_rows(structure.comm, own)
-    return found if len(found) <= AT_A_TIME else np.array([structure.watched_dof])
+    if assessed and not chosen and more < twice and more == most:
+        here = slice(whole.n_pairs)
+        beyond, left = (np.diag(known.compliance_beyond(count))[here] for count in counts)
+        if np.any(beyond > left - beyond):
+            counts = (whole.n_dofs, modes)
+            known = receptance(whole, whole.n_dofs)
+    loaded, seen = loaded_parts(whole), known.modal.T
+    parts, rows = len(loaded), len(known.modal) - np.count_nonzero(loaded)
+    # The amplitudes of the load's parts are unknowns whose force is S times themselves.
+    patterns = np.hstack([np.zeros((parts, rows)), np.eye(parts)[:, loaded]])
+    own, reference = whole.damping, None
+    damping: Any = own
+    for count in counts:
+        left = known.compliance_beyond(count)
+        squares = known.squares[:count]
+        lost = _is_rounding(np.diag(left), seen[:count], squares)
+        left[lost] = left[:, lost] = 0.0  # forces that the kept modes carry alone
+        if not isinstance(own, DampingRule | None):
+            damping = _damping(whole, lowest_modes(whole, count), squares)
+        reference = MasslessStructure(
+            whole,
+            squares,
+            damping,
+            seen[:count, :rows],
+            patterns @ np.hstack([known.modal[:, :count], left]),
+            left,
+            reference=reference,
+            share=1.0 if counts[0] == whole.n_dofs and count == counts[-1] else 0.5,
+        )
+    assert reference is not None
+    return reference._in(structure.setting)
 
 
 def _is_rounding(left: np.ndarray, seen: np.ndarray, squares: np.ndarray) -> np.ndarray:

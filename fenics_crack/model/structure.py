@@ -32,7 +32,7 @@ from fenics_crack.basics.errors import InputError, check_count, check_number, ch
 from fenics_crack.basics.suggestions import checked_call
 from fenics_crack.basics.tables import counted
 from fenics_crack.basics.threads import alone
-from fenics_crack.model.body import UNVARIED, Body, Setting
+from fenics_crack.model.body import BESIDE_MATRICES, UNVARIED, Body, Setting
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.matrices import (
     checked,
@@ -194,6 +194,8 @@ DampingRule = ModalDamping | RayleighDamping
 """Damping that follows from mass and stiffness."""
 
 
+NEVER_COPIED = {"rotation", "known", "of_matrices"}
+"""Attributes of a body that one with other matrices has not."""
 Found = TypeVar("Found")
 
 
@@ -293,9 +295,10 @@ class Structure(Coordinates):
         """The structure of which this is a varied copy, or itself."""
         return self._in(UNVARIED)
 
-    def once(self, compute: Callable[[Any], Found]) -> Found:
-        """A result computed from :attr:`original` once, for it and all of its varied copies."""
-        known = self.body.known
+    def once(self, compute: Callable[[Any], Found], *, of_matrices: bool = False) -> Found:
+        """A result computed from :attr:`original` once, for it and all of its varied copies; what
+        follows from mass, stiffness and pairs alone, for all that share these."""
+        known = self.body.of_matrices if of_matrices else self.body.known
         if compute not in known:
             known[compute] = compute(self.original)
         found: Found = known[compute]
@@ -303,11 +306,16 @@ class Structure(Coordinates):
 
     def _in(self, setting: Setting, **changes: Any) -> Self:
         """The same body in another setting; with changes another body, of which nothing is known
-        yet."""
+        yet but what follows from its matrices, where these stay."""
         if setting is self.setting and not changes:
             return self
         made, body = object.__new__(type(self)), self.body
-        Structure.__init__(made, replace(body, **{"known": {}, **changes}) if changes else body)
+        if changes:
+            anew: dict[str, Any] = {"known": {}}
+            if not changes.keys() <= BESIDE_MATRICES:
+                anew["of_matrices"] = {}
+            body = replace(body, **anew | changes)
+        Structure.__init__(made, body)
         vars(made)["setting"] = setting
         return made
 
@@ -469,7 +477,7 @@ class Structure(Coordinates):
 
     def _changed(self, **changes: Any) -> Structure:
         """A structure of its matrices and places, with some changed."""
-        names = [item.name for item in fields(Body) if item.name not in ("rotation", "known")]
+        names = [item.name for item in fields(Body) if item.name not in NEVER_COPIED]
         return Structure(Body(**({name: getattr(self, name) for name in names} | changes)))
 
     @classmethod

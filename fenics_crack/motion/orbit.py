@@ -453,15 +453,17 @@ def find_orbit(
     *,
     subharmonic: int = 1,
     inverse: Inverse | None = None,
+    located: float = LOCATED,
 ) -> PeriodicOrbit | None:
-    """The orbit that Newton's method leads to from a state at phase zero, closed to 1e-6.
+    """The orbit that Newton's method leads to from a state at phase zero, closed to 1e-6: behind a
+    relative step of ``located``, of large states CLOSE.
 
     None where it leads to none, or takes more than the budget allows: pieces of all motions
     together, and intervals of each. It may begin with the inverse of a motion nearby.
     """
     search = _Search(flow, omega, subharmonic, state)
     try:
-        if not search.leads_to_orbit(inverse):
+        if not search.leads_to_orbit(inverse, located):
             return None
     except (ConvergenceError, np.linalg.LinAlgError, ValueError):
         return None
@@ -495,10 +497,10 @@ class _Search:
         """In the norm of the energy."""
         return float(np.linalg.norm(self._weights * change))
 
-    def leads_to_orbit(self, inverse: Inverse | None) -> bool:
+    def leads_to_orbit(self, inverse: Inverse | None, located: float) -> bool:
         """Return True if the search ends with an orbit."""
         formed = self._flow.count <= FORMED
-        closed, shortest = (LOCATED, MIN_NEWTON_STEP) if formed else (CLOSE, 0.1)
+        closed, shortest = (located, MIN_NEWTON_STEP) if formed else (CLOSE, 0.1)
         self.motion = self._follow(self.state)
         share, own = 1.0, False  # whether the derivative is that of the motion here
         steps: list[np.ndarray] = []  # with one derivative

@@ -35,7 +35,7 @@ from fenics_crack.basics.tables import (
     speed_axis,
     with_frequency,
 )
-from fenics_crack.fem.build import assemble, with_crack_length
+from fenics_crack.fem.build import with_crack_length
 from fenics_crack.files.saved import Saved
 from fenics_crack.files.store import Stored
 from fenics_crack.model.body import Body
@@ -54,6 +54,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import coriolis_in_words, damping_ratios, remarks_on_scene
 from fenics_crack.study.resonance import SOUGHT_MODES, AtLoad, over_speed
+from fenics_crack.study.sharing import assembled
 
 HELD = (*KINDS[:2], "partly")
 """Kinds of frequencies of a crack that its resonance does not change."""
@@ -369,7 +370,7 @@ def campbell(
         raise InputError("speeds", speeds, "two or more finite numbers, rising from 0 or more")
     asked = scene
     scene = with_crack_length(scene.replace({"rotation.speed": float(wanted[-1])}), comm)
-    top = assemble(scene, comm)
+    top = assembled(scene, comm)
     most = n_tied_modes(top)
     if count is not None and count > most:
         raise InputError("count", count, f"a whole number from 1 to {most}")

@@ -20,6 +20,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import extents
 from fenics_crack.study.prepare import Study, prepare
+from fenics_crack.study.sharing import kept
 
 
 def coarser(study: Study) -> tuple[Study, tuple[int, int], float] | str:
@@ -45,7 +46,8 @@ def coarser(study: Study) -> tuple[Study, tuple[int, int], float] | str:
         coarse = made
     with within("a coarser mesh"):
         whole = structure.whole is structure
-        twin = prepare(coarse, structure.comm, whole=whole, judged=False)
+        last = structure.whole.once(kept, of_matrices=True)
+        twin = prepare(coarse, structure.comm, whole=whole, judged=False, last=last)
     counts = n_elements(structure), n_elements(twin.structure)
     if not counts[1] < counts[0]:
         return "a coarser one has as many elements"

@@ -44,7 +44,7 @@ from fenics_crack.model.modes import (
     times,
 )
 from fenics_crack.model.nodes import place_in_words
-from fenics_crack.model.reduced import ResidualFlexibility
+from fenics_crack.model.receptance import ResidualFlexibility
 from fenics_crack.model.rotation import coriolis_shifts
 from fenics_crack.model.structure import ModalDamping, RayleighDamping, Structure
 from fenics_crack.model.wheel import WheelStructure, in_few_coordinates

@@ -17,7 +17,7 @@ from petsc4py import PETSc
 
 from fenics_crack.basics.errors import ConvergenceError, InputError
 from fenics_crack.basics.threads import machine_memory, memory_of_process
-from fenics_crack.fem.build import assemble, with_crack_length
+from fenics_crack.fem.build import with_crack_length
 from fenics_crack.model.contact import (
     ContactLaw,
     CoulombFriction,
@@ -34,6 +34,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.model.wheel import Wheel, families_of_basis, reduce_wheel
 from fenics_crack.scene.scene import LOOKED_AT, Scene
 from fenics_crack.scene.tables import Contact, Reduction
+from fenics_crack.study.sharing import LAST, Made, assembled
 
 REFUSALS = (InputError, ConvergenceError, np.linalg.LinAlgError)
 """Errors that fail one run while others go on."""
@@ -100,6 +101,7 @@ def prepare(
     whole: bool = False,
     like: Study | None = None,
     judged: bool = True,
+    last: list[Made] = LAST,
 ) -> Study:
     """Find a scene's crack length, build its structure, reduce it, and make its law (collective).
 
@@ -116,6 +118,9 @@ def prepare(
         differs.
     judged : bool
         Reduce with what estimates the error of the reduction (:func:`reduce_structure`).
+    last : list
+        The structure with which it is shared if it is of the same mesh, and whose place it takes;
+        default: that of the last scene.
 
     Returns
     -------
@@ -136,7 +141,7 @@ def prepare(
     """
     scene = with_crack_length(scene, comm)
     known = None if like is None else _at_another_speed(scene, like)
-    structure = assemble(scene, comm) if known is None else known
+    structure = assembled(scene, comm, last) if known is None else known
     watched = _watched_dofs(scene, structure)
     if watched[0].name:
         structure = structure.watching(watched[0].dof)

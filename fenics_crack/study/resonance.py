@@ -156,7 +156,8 @@ def _of_rotor(study: Study, estimate: float, slope: np.ndarray) -> AtLoad:
         whole, speed, estimate = whole.rotation.at(there), there, order * there
     steady, count = whole.force[0] - whole.rotation.at_rest.force[0], len(whole.force)
     loads = np.vstack([whole.force, steady, np.zeros_like(steady)])
-    more = whole._changed(force=loads, known=whole.body.known)
+    setting = replace(whole.setting, weights=1.0)
+    more = whole._in(setting, force=loads, clamp=None, rotation=None)
     small = _few(study, more.watching(study.structure.watched_dof))
 
     def at(turning: float, omega: float) -> Problem:

@@ -55,11 +55,6 @@ from fenics_crack.study.prepare import REFUSALS, Study, check_memory_of, prepare
 from fenics_crack.study.solve import modes_chosen, solve_prepared, with_more_modes
 from fenics_crack.study.vary import error_by_modes, errors_of
 from fenics_crack.study.verification import Verification, verification_of
-from fenics_crack.time.central_differences import (
-    integrate_central_difference,
-    stable_steps_per_period,
-)
-from fenics_crack.time.flows import integrate_events, integrate_exponential
 from fenics_crack.time.march import Initial, TimeHistory, initial_places, initial_state
 
 Found = TypeVar("Found", bound=Result, covariant=True)
@@ -460,6 +455,12 @@ def integrate(
         "initial": start,
         "progress": progress,
     }
+    from fenics_crack.time.central_differences import (
+        integrate_central_difference,
+        stable_steps_per_period,
+    )
+    from fenics_crack.time.flows import integrate_events, integrate_exponential
+
     marches: dict[str, tuple[Callable[..., TimeHistory], int]] = {  # and usual steps per period
         "events": (integrate_events, 256),
         "exponential": (integrate_exponential, 512),

@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 from mpi4py import MPI
-from tqdm import tqdm
 
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import StopRequest, collect_garbage
@@ -157,6 +156,8 @@ class Manager:
         self._given_out, self._recorded = 0, 0
         """Jobs at the other ranks, and chunks written."""
         self._failed = int(np.count_nonzero(file.state == State.FAILED))
+        from tqdm import tqdm
+
         how = {"desc": "sweep", "unit": "case", "disable": not progress}
         self._bar = tqdm(total=file.state.size, initial=self._done, **how)
 

@@ -13,7 +13,6 @@ from inspect import signature
 from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
-from tqdm import tqdm
 
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import (
@@ -404,6 +403,8 @@ def march(asked: March, scheme: Scheme) -> TimeHistory:
     hidden = not asked.progress or structure.comm.rank != 0
     if not hidden:
         begin("")
+    from tqdm import tqdm
+
     started = clock.perf_counter()
     with StopRequest() as stop, reaching(lambda: f"{done} of {asked.periods} periods"):
         for number in tqdm(range(asked.periods), scheme.name, unit="period", disable=hidden):

@@ -22,15 +22,9 @@ from fenics_crack import ErrorReport, ResponseCurve, SweepResult
 from fenics_crack.basics.progress import StageLines
 from fenics_crack.basics.tables import Table
 from fenics_crack.cli import pictures
-from fenics_crack.cli.account import (
-    few_cases,
-    of_error,
-    of_more_modes,
-    of_stability,
-    stepped_over,
-    warnings_of,
-)
+from fenics_crack.cli.account import of_error, of_more_modes, of_stability
 from fenics_crack.cli.results import _undecided_stretches, few_special_points
+from fenics_crack.cli.studies import few_cases, stepped_over, warnings_of
 from fenics_crack.draw import plot
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.words import differences, key_in_words, value_in_words

@@ -6,11 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.linalg
-from helpers import DAMPINGS, DEMOS, chain, dense_matrices, random_stiffness, relative
+from helpers import DAMPINGS, DEMOS, chain, dense_matrices, random_stiffness, relative, wrap
 from mpi4py import MPI
 
 import fenics_crack as fc
 from fenics_crack import MasslessStructure
+from fenics_crack.model.receptance import Receptance, last_receptance, receptance
 
 
 def reduced(structure: fc.Structure, modes: int) -> MasslessStructure:
@@ -292,16 +293,85 @@ def test_what_is_held_does_not_grow_with_the_pairs(paper_scene: fc.Scene) -> Non
     solution = fc.solve_harmonic_balance(made, 2000.0, fc.UnilateralPenalty(1e9), harmonics=3)
     solution.displacement_field(np.linspace(0.0, 1e-3, 3))
     solution.displacement(np.zeros(1), [3])
-    largest, shapes = 0, made.basis
-    static: Any = made.body.static
-    for thing in (made, made.body, made.reference, made.reference.body, static):
-        for value in vars(thing).values():
-            for part in value.values() if isinstance(value, dict) else [value]:
-                if isinstance(part, np.ndarray) and part.size >= plate.n_dofs:
-                    # The modes of the reference too, of which these are some.
-                    assert part is static.shapes or part.base is shapes.base, part.shape
-                    largest = max(largest, part.shape[1])
-    assert largest == 4
+    known = receptance(plate, 4)
+    assert made.reference is not None
+    assert known.n_modes == len(made.reference.omega) == 14
+    for thing in (made, made.body, made.reference, made.reference.body, known):
+        for name, value in vars(thing).items():
+            assert not isinstance(value, np.ndarray) or value.size < plate.n_dofs or name == "force"
+    [shapes] = [value for value in plate.body.of_matrices.values() if len(value) == 2]
+    assert shapes[1].shape == (plate.n_dofs, 14) and np.shares_memory(made.basis, shapes[1])
+
+
+@pytest.mark.parametrize("damping", DAMPINGS)
+@pytest.mark.parametrize("unconstrained", [False, True])
+def test_any_number_of_modes_from_those_of_another(damping: str, unconstrained: bool) -> None:
+    """Extended from fewer, or cut from more, a structure is what it is made anew; in any setting,
+    by other dampings, and with displacements of any dof."""
+    rigid = int(unconstrained)
+
+    def numbers(structure: fc.Structure, modes: int) -> list[np.ndarray]:
+        structure = structure.varied(load=2.0, damping=3.0, clearance=0.1)
+        made, motion = reduced(structure, modes), []
+        for one in (made, made.reference):
+            assert isinstance(one, MasslessStructure)
+            some = np.sin(np.arange(3.0 * one.n_dofs)).reshape(3, -1)
+            shown = one.expand(some)
+            dofs = [0, 7, structure.n_dofs - 1]
+            assert relative(one.values_at(some, dofs), shown[:, dofs]) < 1e-8
+            motion += [one.omega, one.residual, one.force, one.clearance, shown]
+            motion += [np.asarray(one.damping_factor * one.rate)]
+        return motion
+
+    one = chain(damping, 40, unconstrained=unconstrained)
+    for modes in (rigid + 12, rigid + 3, rigid + 25, 40, rigid + 5):
+        anew = numbers(chain(damping, 40, unconstrained=unconstrained), modes)
+        for found, expected in zip(numbers(one, modes), anew, strict=True):
+            assert np.linalg.norm(found - expected) <= 1e-7 * np.linalg.norm(expected)
+
+
+def test_another_load_or_damping_needs_no_factor(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the load is a sum of the parts of another; else statics are solved for."""
+    force = np.array(chain("modal", 40).force)
+    harmonics = {1: (3.0 * force[2], None), 2: (force[1] - force[0], 0.5 * force[2])}
+    other = {3: (None, np.linspace(0.0, 1.0, 40))}
+    one, made = chain("modal", 40), list[int]()
+    reduced(one, 8)
+    plain = reduced(chain("rayleigh", 40).with_harmonics(harmonics), 6)
+    factor = "fenics_crack.model.receptance.Factor"
+    wrap(
+        monkeypatch, factor, lambda call, *args, **options: made.append(1) or call(*args, **options)
+    )
+    changed = reduced(one.with_harmonics(harmonics).damped(plain.whole.damping), 6)
+    assert not made
+    for name in ("omega", "force", "compliance", "rate", "residual"):
+        assert relative(getattr(changed, name), getattr(plain, name)) < 1e-9
+    dofs, motion = [changed.watched_dof], np.cos(np.arange(1.0 * plain.n_dofs))[None]
+    assert relative(changed.values_at(motion, dofs), plain.values_at(motion, dofs)) < 1e-9
+    expected = reduced(chain("modal", 40).with_harmonics(other), 6)
+    made.clear()
+    assert relative(reduced(one.with_harmonics(other), 6).force, expected.force) < 1e-9 and made
+
+
+def test_from_arrays_alone() -> None:
+    """A receptance gives a reduced structure without matrices; what it has not is refused."""
+    whole = chain("modal", 30)
+    expected, known = reduced(whole, 6), receptance(whole, 16)
+    parts = {name: getattr(known, name) for name in ("squares", "modal", "compliance", "rows")}
+    made = chain("modal", 30)
+    held = made.once(last_receptance, of_matrices=True)
+    held[:] = [Receptance(**parts, force=made.force)]
+    object.__setattr__(made.body, "stiffness", None)
+    found = reduced(made, 6)
+    assert relative(found.residual, expected.residual) < 1e-14
+    dof = [expected.watched_dof]
+    motion = np.cos(np.arange(1.0 * found.n_dofs))[None]
+    assert relative(found.values_at(motion, dof), expected.values_at(motion, dof)) < 1e-12
+    with pytest.raises(fc.InputError, match="for 22 modes"):
+        reduced(made, 11)
+    for missing in (lambda: found.expand(motion), lambda: found.values_at(motion, [3])):
+        with pytest.raises(fc.InputError, match="solve the scene itself"):
+            missing()
 
 
 @pytest.mark.parametrize("modes", [4, 20])

@@ -297,7 +297,7 @@ def counts(monkeypatch: pytest.MonkeyPatch) -> list[int]:
         asked.append(count)
         return solve(factor, structure, count, *ties)
 
-    for module in ("reduction", "modes"):
+    for module in ("receptance", "reduction", "modes"):
         wrap(monkeypatch, f"fenics_crack.model.{module}.modes_by", counted)
     return asked
 

@@ -1,0 +1,83 @@
+"""One structure for scenes of one mesh: what the last of them has computed serves the next.
+
+What is kept is the last structure with all that hangs on it, the coarser mesh among it, and it is
+let go before another mesh is made. Frequencies, laws, harmonics, modes and what is requested of
+results do not change it; another load, damping or clearance of a plate or solid at rest shares its
+matrices. Files count by their content: a copy may keep the time of a file that it replaces, and
+times are coarse.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+from mpi4py import MPI
+
+from fenics_crack.basics.ranks import on_root
+from fenics_crack.fem.build import assemble, in_another
+from fenics_crack.files.store import digests_of
+from fenics_crack.model.structure import Structure
+from fenics_crack.scene.scene import Scene
+
+
+@dataclass(frozen=True)
+class Made:
+    """A structure and what it was made of: parts that mesh and matrices depend on, loads, and the
+    rest."""
+
+    structure: Structure
+    comm: MPI.Comm
+    parts: tuple[Any, Any, Any]
+
+
+LAST: list[Made] = []
+"""The structure made last in this process, alone."""
+
+
+def kept(structure: Structure) -> list[Made]:
+    """Place for the structure of a coarser mesh beside one."""
+    return []
+
+
+def assembled(scene: Scene, comm: MPI.Comm, last: list[Made] = LAST) -> Structure:
+    """The structure of a scene whose crack length is known, shared with the last one where that is
+    of the same mesh, and in its place (collective).
+
+    Parameters and errors are those of :func:`fenics_crack.build_structure`.
+    """
+    parts = _parts(scene, comm)
+    known = last[0] if last else None
+    bound = scene.speed > 0.0 or scene.disk is not None or scene.structure is not None
+    same = known is not None and known.comm == comm and known.parts[0] == parts[0]
+    if bound and known is not None:
+        same = same and known.parts == parts
+    if not comm.allreduce(same, MPI.LAND):
+        known = None
+        last.clear()
+        last.append(Made(assemble(scene, comm), comm, parts))
+    elif known is not None and known.parts != parts:
+        made = in_another(scene, known.structure, loads=known.parts[1] != parts[1])
+        last[:] = [Made(made, comm, parts)]
+    return last[0].structure
+
+
+def _parts(scene: Scene, comm: MPI.Comm) -> tuple[Any, Any, Any]:
+    """Of the keys of a scene, what mesh and matrices depend on; its loads; clearances and
+    damping."""
+    cracks = [*scene.all_cracks.values()]
+    contact = scene.contact is not None and scene.contact.pairs
+    matrices = (
+        scene.geometry, scene.material, _without(scene.mesh, "error", "coarser"), contact,
+        [_without(crack, "clearance") for crack in cracks], scene.rotation, scene.disk,
+        scene.structure, on_root(comm, lambda: digests_of(scene)),
+    )  # fmt: skip
+    loads = _without(scene.excitation, "omega", "frequency"), scene.loads, scene.base
+    return matrices, loads, ([crack.clearance for crack in cracks], scene.damping)
+
+
+def _without(table: Any, *names: str) -> Any:
+    """Values of a table but those of some keys; None without the table."""
+    return table and {
+        item.name: getattr(table, item.name) for item in fields(table) if item.name not in names
+    }
