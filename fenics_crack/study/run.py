@@ -52,7 +52,7 @@ from fenics_crack.study.observer import (
     tip_rows,
 )
 from fenics_crack.study.prepare import REFUSALS, Study, check_memory_of, prepare, reduction_of
-from fenics_crack.study.solve import modes_chosen, solve_prepared, with_more_modes
+from fenics_crack.study.solve import MOST_OF_MANY, modes_chosen, solve_prepared, with_more_modes
 from fenics_crack.study.vary import error_by_modes, errors_of
 from fenics_crack.study.verification import Verification, verification_of
 from fenics_crack.time.march import Initial, TimeHistory, initial_places, initial_state
@@ -334,18 +334,13 @@ def curve(
     return Run(**vars(study), result=found)
 
 
-MOST_ALONG = 40
-"""Most modes that a tolerance chooses for a curve: with twice as many it takes four times as
-long."""
-
-
 def _studies_of_curve(scene: Scene, comm: MPI.Comm) -> Iterator[Study]:
     """A scene prepared for its curve, with more and more modes: of a run-up with a basis for all
     speeds, and as many as without a tolerance."""
     parameter, start, stop = scene.given("curve").followed
     whole = prepare(scene, comm, whole=True)
     if parameter != "speed":
-        yield from with_more_modes(whole, MOST_ALONG)
+        yield from with_more_modes(whole, MOST_OF_MANY)
         return
     if scene.reduction is not None:
         allowed = "'massless', or left out, for a run-up: it has one basis for all speeds"
@@ -358,24 +353,20 @@ def _studies_of_curve(scene: Scene, comm: MPI.Comm) -> Iterator[Study]:
 
 
 def _enough_before(study: Study, studies: Iterator[Study], start: float, stop: float) -> Study:
-    """The first of some studies with enough modes, as far as solutions at the ends of a curve over
-    the frequency and next to a resonance tell (collective)."""
-    scene, law = study.scene, study.contact
+    """The first of some studies with enough modes, as far as a solution next to the first resonance
+    of a curve over the frequency tells, or without one at its start (collective)."""
+    balance, law = study.scene.harmonic_balance, study.contact
     assert law is not None
     low, high = sorted((start, stop))
     for more in chain([study], studies):
         study = more
         natural = bilinear_frequencies(study.structure).omega_bilinear
-        between = natural[(natural > low) & (natural < high)][:1].tolist()
-        errors = [0.0]
-        for omega in (*between, start, stop):
-            problem = Problem(study.structure, omega, law, scene.harmonic_balance.harmonics)
-            with suppress(*REFUSALS):  # the curve itself will tell
-                near = solve_beside(problem, None, scene.harmonic_balance.tolerance)
-                errors.append(error_by_modes(study, near))
-            if scene.harmonic_balance.given("tolerance") < errors[-1] < math.inf:
-                break
-        else:
+        omega = min(natural[(natural > low) & (natural < high)], default=start)
+        problem = Problem(study.structure, float(omega), law, balance.harmonics)
+        error = 0.0
+        with suppress(*REFUSALS):  # the curve itself will tell
+            error = error_by_modes(study, solve_beside(problem, None, balance.tolerance))
+        if error <= balance.given("tolerance") or error == math.inf:
             break
     return study
 

@@ -93,6 +93,11 @@ def _solve_to_tolerance(whole: Study, law: ContactLaw) -> tuple[Study, PeriodicS
 # --- how many modes -------------------------------------------------------------------------------
 
 
+MOST_OF_MANY = 40
+"""Most modes that a tolerance chooses for a curve or a sweep: with twice as many a curve takes four
+times as long."""
+
+
 def modes_chosen(study: Study, most: int = FORMED) -> list[int]:
     """Numbers of modes among which a study's tolerance chooses, from few on; none where the scene
     says how many, has no tolerance, or is not reduced (collective)."""
