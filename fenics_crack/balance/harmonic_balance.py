@@ -307,7 +307,7 @@ MAX_HARMONICS = 500
 def modes_tried(structure: Structure, first: int = FIRST_MODES, most: int = FORMED) -> list[int]:
     """Numbers of modes of a large structure: few, and twice as many each time."""
     most = min(max(first, most), structure.n_dofs)
-    doublings = math.ceil(math.log2(most / first))
+    doublings = max(0, math.ceil(math.log2(most / first)))
     return [min(first * 2**power, most) for power in range(doublings + 1)]
 
 

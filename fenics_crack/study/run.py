@@ -336,7 +336,7 @@ def curve(
 
 def _studies_of_curve(scene: Scene, comm: MPI.Comm) -> Iterator[Study]:
     """A scene prepared for its curve, with more and more modes: of a run-up with a basis for all
-    speeds, and as many as without a tolerance."""
+    speeds, and as many as a resonance at the scene's own takes."""
     parameter, start, stop = scene.given("curve").followed
     whole = prepare(scene, comm, whole=True)
     if parameter != "speed":
@@ -346,6 +346,13 @@ def _studies_of_curve(scene: Scene, comm: MPI.Comm) -> Iterator[Study]:
         allowed = "'massless', or left out, for a run-up: it has one basis for all speeds"
         scene.reduction.require(scene.reduction.method in (None, "massless"), "method", allowed)
     check_memory_of(scene, whole.structure, run_up=True)
+    if modes_chosen(whole):
+        times_speed, few = (
+            scene.excitation.omega / scene.speed,
+            with_more_modes(whole, MOST_OF_MANY),
+        )
+        chosen = _enough_before(next(few), few, times_speed * start, times_speed * stop)
+        whole = replace(whole, scene=chosen.scene)
     kept = reduction_of(whole.scene, whole.structure)
     modes = min(MODES, whole.structure.n_dofs) if kept is None else kept.modes
     structure = run_up_structure(whole.structure, start, stop, modes)

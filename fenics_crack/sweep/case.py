@@ -251,7 +251,7 @@ class Cases:
         self._near: PeriodicSolution | None = None
 
     def found(self, case: Scene, asked: Asked) -> PeriodicSolution:
-        """The solution of a case, at its resonance if that is requested; raises as :meth:`solve`."""
+        """The solution of a case, or at its resonance, as requested; raises as :meth:`solve`."""
         return self.at_resonance(case) if asked.at_resonance else self.solve(case)
 
     def solve(self, case: Scene) -> PeriodicSolution:
