@@ -53,6 +53,8 @@ class Assessment:
         The orbit from whose coefficients it was found.
     more : MoreModes, optional
         The motion of ``own`` with more modes, where that has been sought.
+    flow : ContactFlow, optional
+        The exact flow, where it is at hand.
     """
 
     def __init__(
@@ -60,9 +62,12 @@ class Assessment:
         wave: Wave,
         own: PeriodicOrbit | None = None,
         source: PeriodicOrbit | None = None,
+        *,
         more: MoreModes | None = None,
+        flow: ContactFlow | None = None,
     ) -> None:
-        self.wave, self.own, self._source, self._more = wave, own, source, more
+        self.wave, self.own, self._source = wave, own, source
+        self._more, self._flow = more, flow
 
     def is_of(self, other: Wave) -> bool:
         """Return True if ``other`` is the assessed solution, for which this assessment holds."""
@@ -74,8 +79,8 @@ class Assessment:
     @cached_property
     def flow(self) -> ContactFlow | None:
         """Exact flow of the structure; None where there is none."""
-        if self.own is not None:
-            return self.own.flow
+        if self.own is not None or self._flow is not None:
+            return self._flow if self.own is None else self.own.flow
         if self.wave.contact is None or not self.wave.structure.n_pairs:
             return None
         return flow_of(self.wave.structure, self.wave.contact)
@@ -229,4 +234,4 @@ def distance(wave: Wave, orbit: PeriodicOrbit) -> float:
     if is_still(samples):
         return 0.0
     moved = samples.gaps + wave.seen.clearance
-    return relative_to_motion(samples.gaps - wave.gaps_and_forces(samples.time)[0], moved)
+    return relative_to_motion(samples.gaps - wave.over_period(len(moved))[1], moved)

@@ -260,6 +260,20 @@ class ModalCompliance:
         found = from_complex(-self._moved(force) @ self._modes.shapes.T)
         return found if self._unit_static is None else found + self._at_once(force)
 
+    def displacements(self, base_omega: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """The same at many base frequencies (n,), of forces (2H+1, n, n_pairs): (2H+1, n,
+        n_local)."""
+        modes, omega = self._modes, np.multiply.outer(self._order, base_omega)
+        loaded = np.repeat(self._unit_load != 0.0, len(base_omega), axis=0)
+        receptance = modes.receptance(omega.ravel(), self._damping, loaded)
+        drive = self._modal_load[:, None] - to_complex(force) @ modes.pairs.T
+        moved = modes.respond(receptance.reshape(*omega.shape, *receptance.shape[1:]), drive)
+        found = from_complex(moved @ modes.shapes.T)
+        if self._unit_static is None:
+            return found
+        assert modes.static_pairs is not None
+        return found + self._load * self._unit_static[:, None] - force @ modes.static_pairs.T
+
     def seen_through(self, rows: np.ndarray, force: np.ndarray) -> np.ndarray:
         """T u for rows T (m, n_local) that give the displacement of some dofs: (2H+1, m)."""
         found = from_complex(-self._moved(force) @ (rows @ self._modes.shapes).T)

@@ -59,7 +59,7 @@ from fenics_crack.numerics.equations import (
     Linearisation,
     solve_factored,
 )
-from fenics_crack.numerics.fourier import evaluate, resized, stretched, waves_of
+from fenics_crack.numerics.fourier import evaluate, resized, stretched, waves_of, waves_over
 from fenics_crack.numerics.newton import gmres
 
 MATRIX_FREE = 350
@@ -358,7 +358,17 @@ class Wave:
     def at_phase(self, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """1, cos, sin, ... at phases (n,) of the response, (n, 2H+1), by which coefficients are
         multiplied; gaps [m] and contact forces [N] of all rows there: (n, n_rows) each."""
-        values, contact = waves_of(self.gap_coefficients, phase), self.contact
+        return self._with(waves_of(self.gap_coefficients, phase), phase)
+
+    def over_period(self, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The same at the instants i T / count."""
+        phase = 2.0 * np.pi / count * np.arange(count)
+        return self._with(waves_over(self.harmonics, count), phase)
+
+    def _with(
+        self, values: np.ndarray, phase: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        contact = self.contact
         slow = values @ self.slow_gap_coefficients
         if contact is None:
             return values, slow, np.zeros_like(slow)

@@ -14,8 +14,9 @@ reference has its share of that, too, as so much more damping of its modes.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from fenics_crack.model.modes import NEGLIGIBLE, times
 from fenics_crack.model.reduced import ReducedStructure, massless
 from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.motion.flow import ContactFlow, Samples
-from fenics_crack.motion.orbit import KNOWN, PeriodicOrbit, find_orbit
+from fenics_crack.motion.orbit import KNOWN, Inverse, PeriodicOrbit, find_orbit
 from fenics_crack.numerics.equations import CLOSE
 from fenics_crack.numerics.fourier import waves_of
 from fenics_crack.numerics.newton import relative_to_motion
@@ -75,6 +76,8 @@ class MoreModes:
     """Harmonic-balance solution."""
     fewer: PeriodicOrbit
     """Its own exact orbit, with the modes of its structure."""
+    inverse: Inverse | None = None
+    """(I - M)^-1 of a motion nearby, with which the search begins."""
 
     @property
     def _state(self) -> np.ndarray:
@@ -104,8 +107,17 @@ class MoreModes:
     @cached_property
     def orbit(self) -> PeriodicOrbit | None:
         """Next to the motion, as sharp as an estimated error takes; None where none is found."""
-        omega, periods = self.wave.omega, self.wave.subharmonic
-        return find_orbit(self.flow, omega, self._state, subharmonic=periods, located=CLOSE)
+        periods, state = self.wave.subharmonic, self._state
+        search = partial(find_orbit, self.flow, self.wave.omega, state, subharmonic=periods)
+        orbit = search(located=CLOSE, inverse=self.inverse)
+        return orbit or (search(located=CLOSE) if self.inverse else None)
+
+    @property
+    def hint(self) -> Inverse | None:
+        """(I - M)^-1, for the search of a motion nearby; None where there is none."""
+        with suppress(np.linalg.LinAlgError):
+            return self.orbit.inverse if self.orbit else None
+        return None
 
     @property
     def errors(self) -> Errors | None:

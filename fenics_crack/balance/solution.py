@@ -173,7 +173,11 @@ class PeriodicSolution(Wave, Observed, Described):
         waves = self.structure.sum_over_ranks(self._moving @ rows.T)
 
         def at(parts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            values, gap, force = self.at_phase(TURN * parts)
+            return seen(*self.at_phase(TURN * parts))
+
+        def seen(
+            values: np.ndarray, gap: np.ndarray, force: np.ndarray
+        ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             motion = values @ waves
             if moved is not None:
                 motion -= (force - values @ self.force_rows) @ moved.T
@@ -181,8 +185,9 @@ class PeriodicSolution(Wave, Observed, Described):
 
         count = instants or len(self.instants())
         parts = np.arange(count) / count
+        motion, gap, force = seen(*self.over_period(count))
         yield Record(
-            self.omega, self.subharmonic, self.period * parts, waves, *at(parts),
+            self.omega, self.subharmonic, self.period * parts, waves, motion, gap, force,
             structure=lambda: self.structure,
             cracks=self.structure.pairs.cracks,
             friction=friction,
@@ -272,20 +277,22 @@ def solution_of(
     status: str,
     converged: bool = True,
     search: bool = True,
-    wave: Wave | None = None,
-    source: PeriodicOrbit | None = None,
+    known: Assessment | None = None,
 ) -> PeriodicSolution:
     """The solution that belongs to a point of the condensed equations, by default with the motion
-    that follows from it (collective), found from the coefficients of the orbit ``source``.
+    that follows from it (collective), else with the one that is ``known``.
 
     With ``search`` its error is by its exact orbit; else it is what is predicted without.
     """
-    wave = wave or problem.wave(at)
-    known = Assessment(wave, source=source)
+    known = known or Assessment(problem.wave(at))
     how = {"search": search, "converged": converged}
     estimate = partial(estimate_errors, at, known, problem, **how)
     found = PeriodicSolution(
-        **vars(wave), status=status, converged=converged, assessment=known, estimate=cache(estimate)
+        **vars(known.wave),
+        status=status,
+        converged=converged,
+        assessment=known,
+        estimate=cache(estimate),
     )
     if not is_small(problem.structure):  # its factors do not stay
         found.estimate()
@@ -335,8 +342,8 @@ class Solver:
             problem = self.problem.weighted(compliance)
             search, at, wave = replace(self, problem=problem).find(compliance, initial, share)
             found = solution_of(
-                problem, at, status=search.status, converged=search.converged, wave=wave,
-                source=search.orbit,
+                problem, at, status=search.status, converged=search.converged,
+                known=Assessment(wave, source=search.orbit),
             )  # fmt: skip
         finally:
             compliance.destroy()

@@ -10,6 +10,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from itertools import dropwhile
@@ -63,6 +64,18 @@ def check_communicator(comm: object) -> None:
         raise InputError("comm", comm, allowed)
 
 
+SHORTEST_SLEEP, LONGEST_SLEEP = 5e-5, 2e-3
+"""Between two looks at what a rank waits for [s]: each sleep is twice the one before."""
+
+
+def wait_until(done: Callable[[], bool]) -> None:
+    """Sleep until something is done: MPI itself would wait with all of a processor."""
+    pause = SHORTEST_SLEEP
+    while not done():
+        time.sleep(pause)
+        pause = min(2.0 * pause, LONGEST_SLEEP)
+
+
 def raise_together(comm: MPI.Comm, error: Exception | None) -> None:
     """Raise on every rank the error that the lowest failing rank met (collective).
 
@@ -93,6 +106,8 @@ def on_root(comm: MPI.Comm, function: Callable[[], Result]) -> Result:
             result = function()
         except BaseException as caught:  # an interrupt too, for which the others would wait
             error = caught
+    if comm.size > 1:  # the others have nothing else to do
+        wait_until(comm.Ibarrier().Test)
     met = comm.bcast(error)
     if met is not None:
         raise error or met  # rank 0's own, with its cause

@@ -12,6 +12,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from fenics_crack.balance.assessment import Assessment
+from fenics_crack.balance.contact_system import ContactPoint
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.harmonic_balance import solution_of_orbit, wave_of
 from fenics_crack.balance.problem import Problem, least_harmonics
@@ -29,10 +30,11 @@ from fenics_crack.basics.tables import (
 from fenics_crack.curves.orbits import Orbits, system_along
 from fenics_crack.curves.peak import Peak, Top, damping_by_width, top_of
 from fenics_crack.curves.stability import floquet
-from fenics_crack.curves.waves import WAVES, Waves
+from fenics_crack.curves.waves import WAVES, ResonanceWaves, Waves
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.model.structure import Structure
+from fenics_crack.motion.flow import ContactFlow, flow_of
 from fenics_crack.motion.motions import Observed, Record
 from fenics_crack.motion.orbit import HARMONICS, KNOWN, PeriodicOrbit, orbit_from
 from fenics_crack.motion.search import SearchOptions
@@ -276,8 +278,8 @@ class ResponseCurve(Observed, Tabular):
 
     def problem_of(self, index: int) -> Problem:
         """Return the problem solved at a point, of the structure as the parameter varies it."""
-        problem = self.problem_at(float(self.values[index]))
-        return replace(problem, omega=float(self.omega[index]))
+        problem, omega = self.problem_at(float(self.values[index])), float(self.omega[index])
+        return problem if problem.omega == omega else replace(problem, omega=omega)
 
     def solution(self, index: int, *, search: bool = True) -> PeriodicSolution:
         """The solution at a point, with its displacement and error report; without ``search`` for
@@ -285,9 +287,24 @@ class ResponseCurve(Observed, Tabular):
         series, as long as the tolerance requires; nothing is searched for."""
         if self.tolerance is not None:
             return solution_of_orbit(self.problem_of(index), self.orbit(index), self.tolerance)
-        problem = self.problem_of(index)
-        at = problem.system(problem.compliance()).linearise(self.points[index])
-        return solution_of(problem, at, status="point of a curve", search=search)
+        problem, at = self._balanced(index)
+        known = Assessment(problem.wave(at), flow=self._flow)
+        return solution_of(problem, at, status="point of a curve", search=search, known=known)
+
+    def _balanced(self, index: int) -> tuple[Problem, ContactPoint]:
+        """The problem at a point of harmonic balance, and its equations there."""
+        problem, along = self.problem_of(index), self.system
+        if isinstance(along, ResonanceWaves) or not isinstance(along, Waves):
+            system = problem.system(problem.compliance())
+        else:
+            system = along.system(float(self.values[index]))
+        return problem, system.linearise(self.points[index])
+
+    @cached_property
+    def _flow(self) -> ContactFlow | None:
+        """The exact flow of all points where the parameter leaves the structure and its load."""
+        fixed = self.parameter == "omega"
+        return flow_of(self.structure, self.contact) if fixed else None
 
     def orbit(self, index: int) -> PeriodicOrbit:
         """The exact orbit at a point; InputError on a curve of harmonic balance."""
@@ -300,7 +317,24 @@ class ResponseCurve(Observed, Tabular):
     def assessment(self, index: int) -> Assessment:
         """Return the assessment of a point of harmonic balance by the exact flow; no error is
         estimated."""
-        return self.solution(index).assessment
+        return next(self.assessments([index]))
+
+    def assessments(self, places: Sequence[int]) -> Iterator[Assessment]:
+        """The same of some points; over the frequency their motions are computed at once."""
+        if self._flow is None or not isinstance(self.system, Waves):
+            for problem, at in map(self._balanced, places):
+                yield Assessment(problem.wave(at))
+            return
+        along = self.system
+        first, some = along.system(along.start), max(1, along.at_once)
+        for part in (places[start : start + some] for start in range(0, len(places), some)):
+            slow, omega = self.points[part], self.omega[part]
+            forces = np.stack([first.integrals.force(one) for one in slow], axis=1)
+            moved = along.compliance(along.start).displacements(omega / self.subharmonic, forces)
+            for place, unknown in enumerate(slow):
+                force = np.ascontiguousarray(forces[:, place])
+                wave = along.problem.wave_of(moved[:, place], first.gap(unknown, force), force)
+                yield Assessment(replace(wave, omega=float(omega[place])), flow=self._flow)
 
     @cached_property
     def gap_coefficients(self) -> np.ndarray:

@@ -75,9 +75,8 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     begin("stability by exact orbits")
     multipliers = np.full(len(curve), np.nan + 0j)
     first = {0, len(curve) // 2, len(curve) - 1}
-    for places in first, {*range(len(curve))} - first:
-        for place in places:
-            known = curve.assessment(place)
+    for places in map(sorted, (first, {*range(len(curve))} - first)):
+        for place, known in zip(places, curve.assessments(places), strict=True):
             if known.predicted_error <= MAX_ERROR:  # else no orbit would be its own
                 multipliers[place] = _deciding(stability_of(known))
         if np.isnan(multipliers).all():

@@ -332,15 +332,15 @@ def with_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Scene:
     return _with_length(scene, find_crack_length(scene, comm))
 
 
-_LENGTHS: dict[str, float] = {}
-"""Lengths found in this process, by all tables of a scene on which they depend."""
+_LENGTH: list[tuple[str, float]] = []
+"""The length found last in this process, after all tables of a scene on which it depends."""
 
 
 def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     """Find the crack length [m] at which the first natural frequency is ``crack.first_omega``.
 
     The frequency of the open crack, without rotation, falls with its length; Brent's method over
-    re-meshed plates, to 1e-5 of the width; once in a process.
+    re-meshed plates, to 1e-5 of the width; not again of the same plate.
 
     Parameters
     ----------
@@ -369,7 +369,7 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     if crack is None or crack.first_omega is None or width is None:
         raise InputError("crack.first_omega", None, "given: a finite number > 0")
     tables = repr((scene.geometry, crack, scene.material, scene.mesh))
-    if (known := comm.bcast(_LENGTHS.get(tables))) is not None:
+    if (known := comm.bcast(dict(_LENGTH).get(tables))) is not None:
         return float(known)
     target, at_rest = crack.first_omega, scene.at_rest()
 
@@ -390,7 +390,7 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     import scipy.optimize  # takes a while, and most scenes give a length
 
     found = float(scipy.optimize.brentq(excess, shortest, longest, xtol=1e-5 * width))
-    _LENGTHS[tables] = found
+    _LENGTH[:] = [(tables, found)]
     return found
 
 

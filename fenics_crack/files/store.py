@@ -96,7 +96,7 @@ def write_header(file: h5py.File, kind: str, scene: Scene | None) -> None:
     file.attrs.update(kind=kind, program=PROGRAM, version=VERSION, versions=versions())
     if scene is not None:
         file.attrs["scene"] = scene_text(scene)
-        file.attrs["meshes"] = "\n".join(_file_digest(path) for _, path in _files_of(scene))
+        file.attrs["meshes"] = "\n".join(digests_of(scene))
 
 
 def versions() -> str:
@@ -377,10 +377,8 @@ def _files_of(scene: Scene) -> list[tuple[str, str]]:
 
 
 def digests_of(scene: Scene) -> list[str]:
-    """SHA-256 of the files that a scene names, of those that are read with them, and of tables of
-    its loads."""
-    waves = [load.wave for load in scene.loads if load.wave is not None]
-    return [_file_digest(path) for path in [path for _, path in _files_of(scene)] + waves]
+    """SHA-256 of the files that a scene names, and of those that are read with them."""
+    return [_file_digest(path) for _, path in _files_of(scene)]
 
 
 def _file_digest(path: str) -> str:

@@ -25,8 +25,11 @@ kernel: Any = lib
 NULL: Any = ffi.NULL
 """The null pointer."""
 IN_C = {
-    np.dtype(float): "double[]", np.dtype(complex): "double[]", np.dtype(np.intc): "int[]",
-    np.dtype(bool): "signed char[]", np.dtype(np.int8): "signed char[]",
+    np.dtype(kind): ffi.typeof(f"{name}[]")
+    for name, kinds in {
+        "double": (float, complex), "int": (np.intc,), "signed char": (bool, np.int8),
+    }.items()
+    for kind in kinds
 }  # fmt: skip
 """Kinds of numbers in arrays, and their C types."""
 
@@ -67,9 +70,10 @@ def pointer(array: np.ndarray) -> Any:
     ValueError
         It has gaps, or they are of no kind that the kernel knows.
     """
-    if array.dtype not in IN_C:
+    known = IN_C.get(array.dtype)
+    if known is None:
         raise ValueError(f"numbers of type {array.dtype} instead of {', '.join(map(str, IN_C))}")
-    return ffi.from_buffer(IN_C[array.dtype], array)
+    return ffi.from_buffer(known, array)
 
 
 def owned(pointer: Any, free: Any) -> Any:
@@ -90,17 +94,16 @@ class Struct:
 
     def __init__(self, kind: str, **members: Any) -> None:
         self._members = members
-        self.at = ffi.new(f"{kind} *")
-        for name, value in members.items():
-            setattr(self.at, name, _as_member(value))
+        given = {name: _as_member(value) for name, value in members.items()}
+        self.at = ffi.new(f"{kind} *", given)
 
 
 def _as_member(value: Any) -> Any:
-    if value is None:
-        return NULL
+    if isinstance(value, np.ndarray):
+        return pointer(value)
     if isinstance(value, Struct):
         return value.at[0]
-    return pointer(value) if isinstance(value, np.ndarray) else value
+    return NULL if value is None else value
 
 
 _bind()

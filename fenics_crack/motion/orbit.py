@@ -29,7 +29,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import Any
@@ -489,13 +489,14 @@ class _Search:
         most = PIECES
         if flow.count <= FORMED and not too_slow(flow, omega, subharmonic):
             most = max(most, math.ceil(FLOWS * flow.pieces(self._period)))
-        self._left = Budget(pieces=most)
+        self._left = most
         self._weights = flow.weights(omega / subharmonic)
         self.state, self.flows = state, 0
 
     def size(self, change: np.ndarray) -> float:
         """In the norm of the energy."""
-        return float(np.linalg.norm(self._weights * change))
+        weighted = self._weights * change
+        return math.sqrt(weighted @ weighted)
 
     def leads_to_orbit(self, inverse: Inverse | None, located: float) -> bool:
         """Return True if the search ends with an orbit."""
@@ -546,8 +547,9 @@ class _Search:
 
     def _follow(self, state: np.ndarray) -> Motion:
         self.flows += 1
-        found = self._flow.advance(state, self._omega, self._period, budget=self._left)
-        self._left = replace(self._left, pieces=self._left.pieces - found.pieces)
+        left = Budget(pieces=self._left)
+        found = self._flow.advance(state, self._omega, self._period, budget=left)
+        self._left -= found.pieces
         return found
 
 

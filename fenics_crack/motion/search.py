@@ -30,7 +30,7 @@ from fenics_crack.motion.flow import Budget, ContactFlow
 from fenics_crack.motion.orbit import FLOWS, FORMED, PeriodicOrbit, equal, find_orbit, predicted
 from fenics_crack.motion.shooting import FlowOrbits, OrbitPoint
 from fenics_crack.numerics.equations import LOCATED, DenseLinearisation
-from fenics_crack.numerics.fourier import derivative, evaluate
+from fenics_crack.numerics.fourier import derivative, waves_over
 from fenics_crack.numerics.newton import point_on_path, solve_in_plane
 from fenics_crack.numerics.path import NARROW, Path, Target
 
@@ -145,9 +145,11 @@ def search_orbit(
 def wave_states(flow: ContactFlow, displacement: np.ndarray, base_omega: float) -> np.ndarray:
     """States at equal parts of the period of a wave of the displacement, given by its coefficients
     (2H+1, n_dofs) [m]: (32, 2 n_modes)."""
-    time = 2.0 * np.pi / base_omega / SEGMENTS * np.arange(SEGMENTS)
-    rate = derivative(displacement, base_omega)
-    return flow.state(evaluate(displacement, base_omega, time), evaluate(rate, base_omega, time))
+    values, rate = (
+        waves_over(len(displacement) // 2, SEGMENTS),
+        derivative(displacement, base_omega),
+    )
+    return flow.state(values @ displacement, values @ rate)
 
 
 # --- along a path ---------------------------------------------------------------------------------

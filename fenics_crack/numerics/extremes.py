@@ -1,8 +1,9 @@
 """Extremes of periodic functions, from samples at equal parts of the period to rounding.
 
 Next to each sample that may be the largest one the function is evaluated at places around it, and
-again around the largest of these, ever nearer: nothing is differentiated, and a kink is found as
-well as a smooth maximum, whose error is the square of the last distance.
+where the polynomial through these has its maximum. Where it is not that polynomial, as next to a
+kink, it is evaluated around the largest of them again, ever nearer: nothing is differentiated, and
+the error of a smooth maximum is the square of the last distance.
 """
 
 from __future__ import annotations
@@ -18,6 +19,12 @@ InPeriod = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
 AROUND, STEPS = np.linspace(-1.0, 1.0, 9), 10
 """Places around the largest, a quarter as far apart at each step: 4e-9 of the period from 256
 samples on, whose square is rounding with 100 harmonics."""
+POWERS = np.arange(len(AROUND))
+POLYNOMIAL = np.linalg.inv(AROUND[:, None] ** POWERS)
+"""Coefficients of the polynomial through values there."""
+SMOOTH = 1e-6
+"""Maximum distance of a function from its polynomial, over the range of its values next to a
+maximum, of which that is then as small a part."""
 
 
 def largest(values: np.ndarray, at: Motion | None = None) -> np.ndarray:
@@ -30,13 +37,33 @@ def largest(values: np.ndarray, at: Motion | None = None) -> np.ndarray:
         (values > before) & (values >= after) & (2.0 * values - np.minimum(before, after) >= tops)
     )
     rows, columns = np.nonzero(peaks)
-    places, distance, each = rows / len(values), 1.0 / len(values), np.arange(len(rows))
-    for _ in range(STEPS):
-        if at is None or not len(rows):
+    places, distance = rows / len(values), 1.0 / len(values)
+    for step in range(STEPS):
+        if at is None or not len(places):
             break
-        near = places[:, None] + distance * AROUND
+        each, near = np.arange(len(places)), places[:, None] + distance * AROUND
         seen = at(near.ravel()).reshape(*near.shape, -1)[each, :, columns]
         best = seen.argmax(axis=1)
         np.maximum.at(tops, columns, seen[each, best])
-        places, distance = near[each, best], distance * (AROUND[1] - AROUND[0])
+        if step == 0:
+            there, expected = _top_of_polynomial(seen, AROUND[best])
+            top = at(places + distance * there)[each, columns]
+            np.maximum.at(tops, columns, top)
+            each = np.flatnonzero(~(np.abs(top - expected) <= SMOOTH * np.ptp(seen, axis=1)))
+        places, columns = near[each, best[each]], columns[each]
+        distance *= AROUND[1] - AROUND[0]
     return tops
+
+
+def _top_of_polynomial(values: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Places (n,) from -1 to 1, and values, of the maxima of polynomials through values (n, 9), by
+    Newton's method from places nearby."""
+    known, place = values @ POLYNOMIAL.T, start
+    slopes = known[:, 1:] * POWERS[1:]
+    curvatures = slopes[:, 1:] * POWERS[1:-1]
+    for _ in range(4):
+        powers = place[:, None] ** POWERS
+        bend = np.sum(curvatures * powers[:, :-2], axis=1)
+        step = np.sum(slopes * powers[:, :-1], axis=1) / np.where(bend < 0.0, bend, -np.inf)
+        place = np.clip(place - step, -1.0, 1.0)
+    return place, np.sum(known * place[:, None] ** POWERS, axis=1)

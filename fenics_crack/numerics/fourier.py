@@ -79,8 +79,7 @@ def derivative(coefficients: np.ndarray, omega: float) -> np.ndarray:
 def sampled(coefficients: np.ndarray, count: int) -> np.ndarray:
     """Values at the instants i T / count of coefficients (2H+1, ...), 2H < count: (count, ...)."""
     if len(coefficients) * count <= AS_MATRIX:
-        waves, _ = _waves(len(coefficients) // 2, count)
-        return _product(waves, coefficients)
+        return _product(waves_over(len(coefficients) // 2, count), coefficients)
     import scipy.fft  # takes a while, and long series alone need it
 
     spectrum = 0.5 * count * to_complex(coefficients)
@@ -91,8 +90,7 @@ def sampled(coefficients: np.ndarray, count: int) -> np.ndarray:
 def balanced(values: np.ndarray, harmonics: int) -> np.ndarray:
     """Coefficients (2H+1, ...) of values at equally spaced instants, more than 2H."""
     if (2 * harmonics + 1) * len(values) <= AS_MATRIX:
-        _, means = _waves(harmonics, len(values))
-        return _product(means, values)
+        return _product(_means(harmonics, len(values)), values)
     import scipy.fft
 
     spectrum = scipy.fft.rfft(values, axis=0)[: harmonics + 1] * (2.0 / len(values))
@@ -112,16 +110,22 @@ def instants(harmonics: int) -> int:
 
 
 @lru_cache(maxsize=16)
-def _waves(harmonics: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Values of 1, cos k theta, sin k theta at instants, (count, 2H+1), and what makes coefficients
-    of values there, (2H+1, count)."""
+def waves_over(harmonics: int, count: int) -> np.ndarray:
+    """Values of 1, cos k theta, sin k theta at the instants i T / count: (count, 2H+1)."""
     instants, order = np.arange(count), np.arange(1, harmonics + 1)
     turned = np.exp(2j * np.pi / count * instants)[np.outer(instants, order) % count]
-    values = np.ones((count, 2 * harmonics + 1))
-    values[:, 1::2], values[:, 2::2] = turned.real, turned.imag
-    means = 2.0 / count * values.T
+    found = np.ones((count, 2 * harmonics + 1))
+    found[:, 1::2], found[:, 2::2] = turned.real, turned.imag
+    found.flags.writeable = False  # all have the same
+    return found
+
+
+@lru_cache(maxsize=16)
+def _means(harmonics: int, count: int) -> np.ndarray:
+    """What makes coefficients of values there: (2H+1, count)."""
+    means = 2.0 / count * waves_over(harmonics, count).T
     means[0] *= 0.5
-    return values, means
+    return means
 
 
 def _product(matrix: np.ndarray, columns: np.ndarray) -> np.ndarray:

@@ -313,9 +313,11 @@ def moving_square(moving: float, means: float) -> float:
 
 def moving_size(motion: np.ndarray) -> float:
     """The size of a motion in time (n, k), over all of that, likewise."""
-    mean = motion.mean(axis=0)
-    means = len(motion) * float(np.sum(mean**2))
-    return math.sqrt(moving_square(float(np.sum((motion - mean) ** 2)), means))
+    mean = motion.sum(axis=0) / len(motion)
+    moving = motion - mean
+    return math.sqrt(
+        moving_square(float(np.vdot(moving, moving)), len(motion) * float(mean @ mean))
+    )
 
 
 def relative_to_motion(change: np.ndarray, whole: np.ndarray) -> float:

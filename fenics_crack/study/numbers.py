@@ -119,15 +119,15 @@ def many_harmonics(found: PeriodicSolution) -> int:
 
 
 def of_orbit(
-    study: Study, found: PeriodicSolution, orbit: PeriodicOrbit, mode: int, harmonics: int = 0
+    study: Study, found: PeriodicSolution, orbit: PeriodicOrbit, mode: int
 ) -> dict[str, float]:
     """The numbers of an orbit next to a solution, of a study's structure: of crack faces by its
     motion at the solution's instants, but for the duty cycle, which follows from its switching
     instants.
 
-    Those of points have so many harmonics, by default many (collective).
+    Those of points have many harmonics (collective).
     """
-    law, harmonics = study.contact, harmonics or many_harmonics(found)
+    law, harmonics = study.contact, many_harmonics(found)
     assert law is not None
     problem = Problem(study.structure, found.omega, law, harmonics, subharmonic=found.subharmonic)
     wave = wave_of(problem, orbit, orbit.coefficients(harmonics))

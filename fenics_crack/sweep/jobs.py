@@ -1,7 +1,8 @@
 """The jobs of a sweep: rank 0 hands them out, does some itself, and writes what is found.
 
 Every rank has one job to do and one to go on with, so that none waits for rank 0, which hears what
-the others have found between two chunks of its own. Messages to a rank are jobs, and one with the
+the others have found between two chunks of its own. Messages to a rank are jobs, numbers of cases
+that are short enough to arrive at once while it computes, and one with the
 tag ``END``, on which it stops after the present chunk; those from it are what it has found of each
 chunk, and None behind a job.
 """
@@ -9,7 +10,6 @@ chunk, and None behind a job.
 from __future__ import annotations
 
 import gc
-import time
 import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError
-from fenics_crack.basics.ranks import StopRequest, collect_garbage
+from fenics_crack.basics.ranks import StopRequest, collect_garbage, wait_until
 from fenics_crack.files.store import Stored
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import REFUSALS
@@ -42,10 +42,10 @@ Outcome = list[Found] | Exception
 
 @dataclass(frozen=True)
 class Job:
-    """Some chunks of a geometry."""
+    """Some chunks of a geometry, as numbers of their cases."""
 
     geometry: int
-    chunks: tuple[Chunk, ...]
+    chunks: tuple[np.ndarray, ...]
 
 
 class Worker:
@@ -55,10 +55,12 @@ class Worker:
     ----------
     asked : Asked
         Request for each case.
+    plan : Plan
+        Of the cases.
     """
 
-    def __init__(self, asked: Asked) -> None:
-        self._asked = asked
+    def __init__(self, asked: Asked, plan: Plan) -> None:
+        self._asked, self._plan = asked, plan
         self._number = -1
         self._built: Geometry | Exception | None = None
         """Geometry of that number, or the error that prevents it."""
@@ -72,17 +74,18 @@ class Worker:
     def work(self, job: Job, go_on: Callable[[], bool]) -> Iterator[tuple[np.ndarray, Outcome]]:
         """Do a job, and yield what is found of each chunk; ``go_on`` is called before each of
         them, and before each of its cases."""
-        for chunk in job.chunks:
+        chunks = list(map(self._plan.chunk, job.chunks))
+        for chunk in chunks:
             if not go_on():
                 return
-            self._build(job)
+            self._build(job.geometry, chunks)
             yield self._outcome(chunk, go_on)
 
-    def _build(self, job: Job) -> None:
+    def _build(self, number: int, chunks: list[Chunk]) -> None:
         """Build the geometry of a job, unless it is at hand or none of the cases is a scene."""
-        every = (case for chunk in job.chunks for case in chunk.cases)
+        every = (case for chunk in chunks for case in chunk.cases)
         scene = next((case for case in every if isinstance(case, Scene)), None)
-        if scene is None or job.geometry == self._number:
+        if scene is None or number == self._number:
             return
         known = self._built if scene.speed and isinstance(self._built, Geometry) else None
         try:
@@ -91,7 +94,7 @@ class Worker:
             self._built = error
         except Exception:
             self._built = _unforeseen()
-        self._number = job.geometry
+        self._number = number
 
     def _outcome(self, chunk: Chunk, go_on: Callable[[], bool]) -> tuple[np.ndarray, Outcome]:
         """Numbers of the cases that were done, and what was found of them."""
@@ -132,10 +135,18 @@ def serve(worker: Worker, comm: MPI.Comm) -> None:
 
 
 def _received(comm: MPI.Comm, status: MPI.Status) -> Any:
-    """The next message; MPI itself would wait with all of a processor."""
-    while not comm.iprobe(status=status):
-        time.sleep(0.002)  # without work there is time
-    return comm.recv(source=status.source, tag=status.tag)
+    """The next message; MPI itself would wait with all of a processor, also for the end of a long
+    one."""
+    wait_until(lambda: comm.iprobe(status=status))
+    room = bytearray(status.Get_count(MPI.BYTE))
+    request, arrived = comm.irecv(room, status.source, status.tag), list[Any]()
+
+    def has_arrived() -> bool:
+        arrived[:] = request.test()
+        return bool(arrived[0])
+
+    wait_until(has_arrived)
+    return arrived[1]
 
 
 class Manager:
@@ -143,7 +154,7 @@ class Manager:
 
     def __init__(self, plan: Plan, file: SweepFile, ranks: int, *, progress: bool) -> None:
         self._error: BaseException | None = None
-        self._plan, self._file, self._ranks = plan, file, ranks
+        self.plan, self._file, self._ranks = plan, file, ranks
         left = {
             number: [chunk for chunk in chunks if np.any(file.state.flat[chunk] == State.PENDING)]
             for number, chunks in enumerate(plan.geometries)
@@ -253,7 +264,7 @@ class Manager:
         self._left[number] = places[count:]
         if not self._left[number]:
             del self._left[number]
-        return Job(number, tuple(map(self._plan.chunk, places[:count])))
+        return Job(number, tuple(places[:count]))
 
     def _record(self, numbers: np.ndarray, outcome: Outcome) -> None:
         """Write the cases of a chunk; what cannot be written or solved ends the sweep."""

@@ -152,7 +152,7 @@ def run_sweep(
         )
 
     asked = on_root(comm, start)
-    worker, shared = Worker(asked), comm.Dup()
+    worker, shared = Worker(asked, managers[0].plan if managers else Plan(scene)), comm.Dup()
     with StopRequest() as stop:
         if managers:
             with reaching(managers[0].how_far):

@@ -259,7 +259,7 @@ class _ModalDifferences(Scheme):
             squares=rows(modes.squares), rows=rows(modes.pairs.T),
             clearance=np.array(self._seen.clearance, dtype=float),
             springs=springs, load=rows(asked.structure.force @ modes.shapes),
-            waves=asked.waves, loads=len(asked.structure.force),
+            waves=rows(asked.waves), loads=len(asked.structure.force),
             room=np.empty(2 * count + pairs), **own,
         )  # fmt: skip
         self._known = Struct(

@@ -1,0 +1,166 @@
+"""Scenes of one mesh share its structure, and have the answers that they have alone."""
+
+from __future__ import annotations
+
+import os
+import weakref
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import DEMOS, wrap
+from mpi4py import MPI
+
+import fenics_crack as fc
+from fenics_crack.study.sharing import LAST
+
+COARSE: dict[str, object] = {
+    "mesh.size": 0.02, "mesh.lip_elements": 4, "mesh.order": 2, "crack.first_omega": None,
+    "crack.length": 0.03, "reduction": None, "harmonic_balance.harmonics": None,
+    "harmonic_balance.tolerance": 0.05, "damping.modes": "all", "damping.ratio": 0.02,
+}  # fmt: skip
+
+
+@pytest.fixture
+def scene() -> fc.Scene:
+    return fc.Scene.load(DEMOS / "breathing_plate.toml").replace(COARSE)
+
+
+@pytest.fixture
+def meshes(monkeypatch: pytest.MonkeyPatch) -> list[fc.Scene]:
+    """Scenes that are meshed from now on, with nothing kept from before."""
+    LAST.clear()
+    made: list[fc.Scene] = []
+
+    def noted(assemble: Callable[..., Any], scene: fc.Scene, *rest: Any) -> Any:
+        made.append(scene)
+        return assemble(scene, *rest)
+
+    wrap(monkeypatch, "fenics_crack.study.sharing.assemble", noted)
+    return made
+
+
+def numbers(scene: fc.Scene, comm: MPI.Comm = MPI.COMM_SELF) -> dict[str, Any]:
+    """All that is stated of a solution, and the solution at its watched dof (collective)."""
+    run = fc.solve(scene, comm)
+    assert run.errors is not None
+    found: dict[str, Any] = dict(run.errors.values)
+    for cause, parts in run.errors.parts.items():
+        found |= {f"{cause} {name}": part.uncertainty(-1) for name, part in parts.items()}
+    [(_, waves)] = run.motion().items()
+    return found | {
+        "waves": waves,
+        "modes": run.structure.n_modes,
+        "clamp": run.structure.whole.clamp.load,
+    }
+
+
+LOAD: dict[str, object] = {"excitation.force_sin": [0.0, 30.0], "excitation.force_mean": [2.0, 1.0]}
+CHANGES: list[tuple[dict[str, object], int]] = [
+    ({"excitation.omega": 2400.0}, 0),
+    ({"crack.clearance": -1e-7, "damping.ratio": 0.01} | LOAD, 0),
+    ({"excitation.point": [0.05, 0.1]}, 0),
+    ({"crack.length": 0.04}, 2),
+]
+MORE: list[tuple[dict[str, object], int]] = [
+    ({"harmonic_balance.tolerance": 0.02}, 0),
+    ({"base.acceleration_sin": [3.0, 0.0], "excitation.omega": 2200.0}, 0),
+    ({"damping.ratio": None, "damping.mass": 20.0, "damping.stiffness": 1e-6}, 0),
+    ({"crack.clearance": 1e-7}, 0),
+    ({"contact.friction": 0.2}, 0),
+    ({"material.young": 2e11}, 2),
+    ({"contact.pairs": "mouth"}, 2),
+]
+EVERY = CHANGES + [pytest.param(*one, marks=pytest.mark.nightly) for one in MORE]
+
+
+@pytest.mark.parametrize(("changes", "made"), EVERY)
+def test_as_alone(
+    changes: dict[str, object], made: int, scene: fc.Scene, meshes: list[fc.Scene]
+) -> None:
+    """Whatever was solved before: the same to rounding; a mesh and a coarser one are made where
+    the matrices change, else none."""
+    other = scene.replace(changes)
+    expected = numbers(other)
+    LAST.clear()
+    first = numbers(scene)
+    meshes.clear()
+    found = numbers(other)
+    assert len(meshes) == made
+    assert found.keys() == expected.keys()
+    for name, value in expected.items():
+        assert found[name] == pytest.approx(value, rel=1e-6, abs=1e-9 * np.abs(value).max()), name
+    again = numbers(scene)
+    assert all(again[name] == pytest.approx(first[name], rel=1e-6) for name in ("waves", "modes"))
+
+
+def test_one_is_kept(scene: fc.Scene, meshes: list[fc.Scene]) -> None:
+    """The last one, let go before another mesh is made; ranks that share another communicator do
+    not share it."""
+    fine = weakref.ref(fc.solve(scene, MPI.COMM_SELF).structure.whole.body)
+    assert fine() is not None and len(LAST) == 1
+    fc.prepare(scene, MPI.COMM_SELF, whole=True)
+    assert len(meshes) == 1
+    fc.prepare(scene, MPI.COMM_WORLD, whole=True)
+    assert len(meshes) == 2 and fine() is None
+
+
+def test_a_changed_mesh_is_noticed(scene: fc.Scene, tmp_path: Path, meshes: list[fc.Scene]) -> None:
+    """A file of the same name, size and time counts by its content."""
+    path, other = tmp_path / "plate.msh", tmp_path / "other.msh"
+    fc.write_msh(scene, path)
+    fc.write_msh(scene.replace({"crack.length": 0.05}), other)
+    keys = {"mesh.layout": "file", "mesh.file": str(path), "mesh.size": None}
+    file = scene.replace(
+        keys
+        | {
+            "mesh.lip_elements": None,
+            "crack": None,
+            "geometry.width": None,
+            "geometry.height": None,
+        }
+    )
+    first = fc.solve(file).amplitude(None)
+    assert fc.solve(file).amplitude(None) == first and len(meshes) == 1
+    when = path.stat()
+    path.write_bytes(other.read_bytes())
+    os.utime(path, ns=(when.st_atime_ns, when.st_mtime_ns))
+    assert abs(fc.solve(file).amplitude(None) / first - 1.0) > 0.01 and len(meshes) == 2
+
+
+def test_a_changed_table_of_a_load_is_noticed(
+    scene: fc.Scene, tmp_path: Path, meshes: list[fc.Scene]
+) -> None:
+    """Its path is the same."""
+    table, amplitudes = tmp_path / "wave.csv", []
+    for force in (5.0, 10.0):
+        table.write_text(f"t,fx,fy\n0,{force},0\n0.5,{force},0\n0.5,-5,0\n1,-5,0\n")
+        run = fc.solve(scene.replace({"excitation.wave": str(table)}), MPI.COMM_SELF)
+        amplitudes.append(run.amplitude(None))
+    assert abs(amplitudes[1] / amplitudes[0] - 1.0) > 0.02 and meshes
+
+
+OTHER: dict[str, object] = {"excitation.omega": 2400.0, "damping.ratio": 0.03} | LOAD
+
+
+def both_on(scene: fc.Scene, comm: MPI.Comm) -> tuple[int, list[dict[str, Any]]]:
+    """After a structure that one rank has for itself: two scenes, the second shared."""
+    LAST.clear()
+    if comm.rank == 0:
+        fc.prepare(scene, MPI.COMM_SELF, whole=True)
+    found = [numbers(one, comm) for one in (scene, scene.replace(OTHER))]
+    return len(LAST), found
+
+
+@pytest.mark.nightly
+def test_same_on_two_ranks(on_ranks: Callable[..., Any], scene: fc.Scene) -> None:
+    """Ranks agree on what they share."""
+    count, found = on_ranks(both_on, scene)
+    assert count == 1
+    for one, changes in zip(found, ({}, OTHER), strict=True):
+        LAST.clear()
+        expected = numbers(scene.replace(changes))
+        assert one["amplitude"] == pytest.approx(expected["amplitude"], rel=1e-6)
+        assert one["mesh amplitude"] == pytest.approx(expected["mesh amplitude"], rel=1e-3)
