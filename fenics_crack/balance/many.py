@@ -5,7 +5,7 @@ and a clearance that are multiplied alike multiply the orbit: over the load's fa
 
     x = omega, damping, sign of the load, clearance / load,
 
-each scaled by its spread. Cases are taken from the middle of them outwards. Newton's method
+each scaled by its spread, frequencies by the width of the resonance next to their middle. Cases are taken from the middle of them outwards. Newton's method
 (:func:`fenics_crack.motion.orbit.find_orbit`) begins where the plane through the orbits of the
 nearest cases before leads, then with that of the nearest one; where it finds none, or an unstable
 one, the case is sought as a single solution is.
@@ -21,27 +21,28 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fenics_crack.balance.harmonic_balance import initial_orbit, wave_of
+from fenics_crack.balance.more_modes import is_still
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import ConvergenceError, InputError
 from fenics_crack.basics.tables import Tabular, hertz_of
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.matrices import numbers
+from fenics_crack.model.modal import AllModes
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.flow import check_exact, exact_flow
+from fenics_crack.motion.flow import ContactFlow, check_exact
 from fenics_crack.motion.motions import rows_of
-from fenics_crack.motion.orbit import (
-    KNOWN,
-    OrbitCoefficients,
-    PeriodicOrbit,
-    affordable,
-    find_orbit,
-    orbit_from,
-)
+from fenics_crack.motion.orbit import KNOWN, PeriodicOrbit, affordable, find_orbit, orbit_from
 from fenics_crack.numerics.fourier import balanced
+from fenics_crack.numerics.newton import relative_to_motion
 
 NEAREST, BEFORE = 16, 8
 """Nearest cases among which neighbours are, and as many as a plane goes through."""
+SAMPLES = 256
+"""Least instants of a period that an orbit's numbers are from: a coefficient of order 20 is off by
+less than a hundredth of itself."""
+SHORT = 1e-10
+"""Relative length of a step behind which an orbit is found."""
 VARIED = "omega", "load", "damping", "clearance"
 
 
@@ -70,7 +71,7 @@ class ManyOrbits(Tabular):
     verdict : (n,) str
         "stable", "unstable", or "undecided" where that is 1 to rounding.
     truncation : (n,)
-        Relative error of the gap due to the harmonics above H, from 512 instants.
+        Relative error of the gap due to the harmonics above H.
     states : (n, 2 n_modes)
         States of the orbits at phase zero.
     """
@@ -111,7 +112,7 @@ class ManyOrbits(Tabular):
         problem = self.problem(case)
         if not self.verdict[case]:
             raise ConvergenceError(f"case {case}: {self.reason[case]}")
-        flow = exact_flow(problem.structure, problem.contact)
+        flow = ContactFlow(problem.structure, problem.contact)
         return orbit_from(flow, problem.omega, self.states[case], 1)
 
     def solution(self, case: int) -> PeriodicSolution:
@@ -183,15 +184,15 @@ def solve_many(
         raise InputError("structure", repr(structure), "one with crack faces")
     check_exact(structure, contact)
     Problem(structure, 1.0, contact, harmonics)
-    count, size = cases.shape[1], exact_flow(structure, contact).size
+    count, flow = cases.shape[1], ContactFlow(structure, contact)
     columns: dict[str, Any] = dict(zip(VARIED, cases, strict=True))
     columns |= {name: np.full(count, "", dtype=object) for name in ("status", "reason", "verdict")}
     names = "amplitude", "opening", "closed_share", "multiplier", "truncation"
     columns |= {name: np.full(count, np.nan) for name in names}
-    columns["states"] = np.full((count, size), np.nan)
+    columns["states"] = np.full((count, flow.size), np.nan)
     many = ManyOrbits(structure, contact, harmonics, **columns)
     watched = rows_of(structure, [structure.watched_dof])
-    for case, before, x in _ordered(many):
+    for case, before, x in _ordered(many, flow.modes):
         try:
             problem = many.problem(case)
         except InputError as error:
@@ -206,7 +207,7 @@ def solve_many(
     return many
 
 
-def _ordered(many: ManyOrbits) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
+def _ordered(many: ManyOrbits, modes: AllModes) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
     """Cases from the middle outwards, with those before among the nearest ones, the nearest first,
     and how far these are: (k, d)."""
     with np.errstate(all="ignore"):
@@ -221,8 +222,12 @@ def _ordered(many: ManyOrbits) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
     cases, x = np.flatnonzero(fine), x[:, fine].T
     if not len(cases):
         return
-    spread = np.ptp(x, axis=0)
-    x = (x - np.median(x, axis=0))[:, spread > 0.0] / spread[spread > 0.0]
+    spread, middle = np.ptp(x, axis=0), np.median(x, axis=0)
+    nearest = int(np.abs(modes.squares - middle[0] ** 2).argmin())
+    damping = np.diag(modes.damping) if modes.damping.ndim == 2 else modes.damping
+    if (width := damping[nearest] * middle[1]) > 0.0:
+        spread[0] = min(spread[0], width)
+    x = (x - middle)[:, spread > 0.0] / spread[spread > 0.0]
     if not x.size:
         x = np.zeros((len(cases), 1))
     order = np.argsort(np.linalg.norm(x, axis=1), kind="stable")
@@ -238,7 +243,7 @@ def _sought(
     many: ManyOrbits, case: int, problem: Problem, before: np.ndarray, x: np.ndarray
 ) -> PeriodicOrbit:
     """The orbit of a case."""
-    flow = exact_flow(problem.structure, problem.contact)
+    flow = ContactFlow(problem.structure, problem.contact)
     if not affordable(flow, problem.omega):
         raise ConvergenceError(
             "the load is too slow, or there are too many modes, for exact orbits"
@@ -249,9 +254,10 @@ def _sought(
     states = many.states[before] / size[before][:, None] * size[case]
     guesses = list(states[:1])
     if len(states) > x.shape[1] + 1:
-        plane = np.linalg.lstsq(np.column_stack([np.ones(len(x)), x]), states, rcond=None)[0]
-        guesses.insert(0, plane[0])
-    found = (find_orbit(flow, problem.omega, state) for state in guesses)
+        weights = 1.0 / np.maximum(np.linalg.norm(x, axis=1), 1e-9)[:, None]
+        rows = weights * np.column_stack([np.ones(len(x)), x])
+        guesses.insert(0, np.linalg.lstsq(rows, weights * states, rcond=None)[0][0])
+    found = (find_orbit(flow, problem.omega, state, located=SHORT) for state in guesses)
     orbit = next(filter(None, found), None)
     if orbit is not None and orbit.is_stable:
         many.status[case] = "neighbour"
@@ -268,20 +274,22 @@ def _sought(
 
 def _numbers(problem: Problem, orbit: PeriodicOrbit, watched: np.ndarray) -> dict[str, Any]:
     """What is said of an orbit."""
-    samples, track = orbit.sampled, orbit.motion.track
-    displacement = samples.displacement
-    harmonics = problem.harmonics
-    parts = (balanced(one, harmonics) for one in (samples.gaps, samples.forces, displacement))
-    wave = wave_of(problem, orbit, OrbitCoefficients(*parts))
-    moved = (displacement @ watched.T)[:, 0]
-    multiplier = abs(orbit.multipliers[0])
+    count, track = max(SAMPLES, 4 * problem.harmonics + 4), orbit.motion.track
+    samples = orbit.samples(np.arange(count) * orbit.period / count)
+    gaps, displacement = samples.gaps, samples.displacement
+    parts = (balanced(one, problem.harmonics) for one in (displacement, gaps, samples.forces))
+    wave, error = problem.wave_of(*parts), 0.0
+    if not is_still(samples):
+        change = gaps - wave.over_period(count)[1]
+        error = relative_to_motion(change, gaps + wave.seen.clearance)
+    moved, multiplier = (displacement @ watched.T)[:, 0], abs(orbit.multipliers[0])
     verdict = "stable" if multiplier < 1.0 else "unstable"
     return {
         "amplitude": 0.5 * (_top(moved) + _top(-moved)),
         "opening": max(0.0, *(_top(-gap) for gap in samples.gap.T)),
         "closed_share": track.share(track.sets > 0),
         "multiplier": multiplier,
-        "truncation": wave.assessment.distance,
+        "truncation": error,
         "states": orbit.state,
         "verdict": "undecided" if abs(multiplier - 1.0) <= KNOWN else verdict,
     }
