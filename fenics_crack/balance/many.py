@@ -5,14 +5,15 @@ and a clearance that are multiplied alike multiply the orbit: over the load's fa
 
     x = omega, damping, sign of the load, clearance / load,
 
-each scaled by its spread, frequencies by the width of the resonance next to their middle. Cases are taken from the middle of them outwards. Newton's method
-(:func:`fenics_crack.motion.orbit.find_orbit`) begins where the plane through the orbits of the
-nearest cases before leads, then with that of the nearest one; where it finds none, or an unstable
-one, the case is sought as a single solution is.
+each scaled by its spread, frequencies by the width of the resonance next to their middle. Cases are
+taken from the middle of them outwards. Newton's method (:mod:`fenics_crack.motion.orbit`) begins
+where the plane through the orbits of the nearest cases before leads, then with that of the nearest
+one; where it finds none, or an unstable one, the case is sought as a single solution is.
 """
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields
 from typing import Any
@@ -20,17 +21,15 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fenics_crack.balance.harmonic_balance import initial_orbit, wave_of
+from fenics_crack.balance.harmonic_balance import initial_orbit
 from fenics_crack.balance.more_modes import is_still
 from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import ConvergenceError, InputError
-from fenics_crack.basics.tables import Tabular, hertz_of
+from fenics_crack.basics.tables import Tabular
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.matrices import numbers
-from fenics_crack.model.modal import AllModes
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.flow import ContactFlow, check_exact
+from fenics_crack.motion.flow import ContactFlow, exact_flow
 from fenics_crack.motion.motions import rows_of
 from fenics_crack.motion.orbit import KNOWN, PeriodicOrbit, affordable, find_orbit, orbit_from
 from fenics_crack.numerics.fourier import balanced
@@ -44,6 +43,8 @@ less than a hundredth of itself."""
 SHORT = 1e-10
 """Relative length of a step behind which an orbit is found."""
 VARIED = "omega", "load", "damping", "clearance"
+WORDS = "status", "reason", "verdict"
+NUMBERS = "amplitude", "opening", "closed_share", "multiplier", "truncation"
 
 
 @dataclass(frozen=True, repr=False)
@@ -93,8 +94,6 @@ class ManyOrbits(Tabular):
     truncation: np.ndarray
     states: np.ndarray
 
-    frequency = hertz_of()
-
     def problem(self, case: int) -> Problem:
         """The problem of a case, with H harmonics; InputError where it cannot be."""
         omega, load, damping, clearance = (float(getattr(self, name)[case]) for name in VARIED)
@@ -109,26 +108,18 @@ class ManyOrbits(Tabular):
         ConvergenceError
             None was found.
         """
-        problem = self.problem(case)
         if not self.verdict[case]:
             raise ConvergenceError(f"case {case}: {self.reason[case]}")
+        problem = self.problem(case)
         flow = ContactFlow(problem.structure, problem.contact)
         return orbit_from(flow, problem.omega, self.states[case], 1)
 
-    def solution(self, case: int) -> PeriodicSolution:
-        """The same by its H harmonics."""
-        orbit = self.orbit(case)
-        return wave_of(self.problem(case), orbit, orbit.coefficients(self.harmonics))
-
     def to_dict(self) -> dict[str, Any]:
         """Columns of all that is (n,)."""
-        names = [one.name for one in fields(self)[3:-1]]
-        return {name: getattr(self, name).tolist() for name in names}
+        return {one.name: getattr(self, one.name).tolist() for one in fields(self)[3:-1]}
 
     def _title(self) -> str:
-        kinds, counts = np.unique(self.status, return_counts=True)
-        parts = [f"{n} {kind}" for kind, n in zip(kinds, counts, strict=True)]
-        return f"{len(self.omega)} cases: {', '.join(parts)}"
+        return f"{len(self.omega)} cases, {np.sum(self.verdict == '')} without an orbit"
 
 
 def solve_many(
@@ -169,74 +160,53 @@ def solve_many(
 
     Examples
     --------
-    >>> many = fc.solve_many(structure, omega, contact, damping=np.linspace(0.5, 2.0, 1000))
-    >>> np.flatnonzero(many.status == "lost")
+    >>> many = fc.solve_many(structure, 2000.0, contact, damping=np.linspace(0.5, 2.0, 20))
+    >>> lost = np.flatnonzero(many.status == "lost")
     """
     given = [numbers(one) for one in (omega, load, damping, clearance)]
-    try:
-        cases = np.array(np.broadcast_arrays(*given), dtype=float)
-    except ValueError:
-        cases = np.empty(0)
-    if cases.ndim != 2 or not cases.shape[1]:
-        shapes = ", ".join(str(one.shape) for one in given)
-        raise InputError("omega, load, damping, clearance", shapes, "numbers and arrays (n,)")
-    if not structure.n_pairs:
-        raise InputError("structure", repr(structure), "one with crack faces")
-    check_exact(structure, contact)
-    Problem(structure, 1.0, contact, harmonics)
-    count, flow = cases.shape[1], ContactFlow(structure, contact)
+    shapes = {one.shape for one in given} - {()}
+    if len(shapes) != 1 or not all(len(shape) == 1 and shape[0] for shape in shapes):
+        words = ", ".join(str(one.shape) for one in given)
+        raise InputError("omega, load, damping, clearance", words, "numbers and arrays (n,)")
+    cases = np.array(np.broadcast_arrays(*given), dtype=float)
+    Problem(structure, 1.0, contact, harmonics)  # raises what concerns all
+    count, flow = cases.shape[1], exact_flow(structure, contact)
     columns: dict[str, Any] = dict(zip(VARIED, cases, strict=True))
-    columns |= {name: np.full(count, "", dtype=object) for name in ("status", "reason", "verdict")}
-    names = "amplitude", "opening", "closed_share", "multiplier", "truncation"
-    columns |= {name: np.full(count, np.nan) for name in names}
+    columns |= {name: np.full(count, "", dtype=object) for name in WORDS}
+    columns |= {name: np.full(count, np.nan) for name in NUMBERS}
     columns["states"] = np.full((count, flow.size), np.nan)
     many = ManyOrbits(structure, contact, harmonics, **columns)
     watched = rows_of(structure, [structure.watched_dof])
-    for case, before, x in _ordered(many, flow.modes):
+    for case, before, x in _ordered(many, flow):
         try:
             problem = many.problem(case)
-        except InputError as error:
-            many.status[case], many.reason[case] = "refused", str(error)
-            continue
-        try:
             orbit = _sought(many, case, problem, before, x)
             for name, value in _numbers(problem, orbit, watched).items():
                 columns[name][case] = value
         except (ConvergenceError, InputError, np.linalg.LinAlgError) as error:
-            many.status[case], many.reason[case] = "lost", str(error)
+            many.status[case] = "refused" if isinstance(error, InputError) else "lost"
+            many.reason[case] = str(error)
     return many
 
 
-def _ordered(many: ManyOrbits, modes: AllModes) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
+def _ordered(many: ManyOrbits, flow: ContactFlow) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
     """Cases from the middle outwards, with those before among the nearest ones, the nearest first,
-    and how far these are: (k, d)."""
-    with np.errstate(all="ignore"):
-        size = np.abs(many.load)
-        held = np.abs(many.structure.clearance).max()
-        x = np.array(
-            [many.omega, many.damping, np.sign(many.load), many.clearance / size, held / size]
-        )
-    fine = np.isfinite(x).all(axis=0)
-    for case in np.flatnonzero(~fine):
-        yield int(case), np.zeros(0, dtype=int), np.zeros((0, 0))
-    cases, x = np.flatnonzero(fine), x[:, fine].T
-    if not len(cases):
-        return
+    and how far these are: (k, d). It does not matter where those that cannot be are."""
+    size = np.where(many.load == 0.0, 1.0, np.abs(many.load))
+    rows = [many.omega, many.damping, np.sign(many.load), many.clearance / size]
+    rows.append(np.abs(flow.clearance).max() / size)
+    x = np.nan_to_num(np.array(rows).T, nan=0.0, posinf=0.0, neginf=0.0)
     spread, middle = np.ptp(x, axis=0), np.median(x, axis=0)
-    nearest = int(np.abs(modes.squares - middle[0] ** 2).argmin())
-    damping = np.diag(modes.damping) if modes.damping.ndim == 2 else modes.damping
-    if (width := damping[nearest] * middle[1]) > 0.0:
-        spread[0] = min(spread[0], width)
-    x = (x - middle)[:, spread > 0.0] / spread[spread > 0.0]
-    if not x.size:
-        x = np.zeros((len(cases), 1))
+    nearest = int(np.abs(flow.modes.squares - middle[0] ** 2).argmin())
+    width = middle[1] * flow.modes.damped(np.eye(flow.count))[nearest, nearest]
+    spread[0] = min(spread[0], width) if width > 0.0 else spread[0]
+    x = (x - middle) / np.where(spread > 0.0, spread, 1.0)
     order = np.argsort(np.linalg.norm(x, axis=1), kind="stable")
     near = cKDTree(x).query(x, min(NEAREST, len(x)))[1].reshape(len(x), -1)
-    rank = np.empty(len(x), dtype=int)
-    rank[order] = np.arange(len(x))
-    for one in order:
-        before = near[one][rank[near[one]] < rank[one]]
-        yield int(cases[one]), cases[before], x[before] - x[one]
+    rank = np.argsort(order)
+    for case in order.tolist():
+        before = near[case][rank[near[case]] < rank[case]]
+        yield case, before, x[before] - x[case]
 
 
 def _sought(
@@ -245,28 +215,22 @@ def _sought(
     """The orbit of a case."""
     flow = ContactFlow(problem.structure, problem.contact)
     if not affordable(flow, problem.omega):
-        raise ConvergenceError(
-            "the load is too slow, or there are too many modes, for exact orbits"
-        )
-    size = np.abs(many.load)
-    known = many.verdict[before] != ""
+        raise ConvergenceError("a load too slow, or too many modes, for exact orbits")
+    known = (many.verdict[before] != "") & (many.load[before] != 0.0)
     before, x = before[known][:BEFORE], x[known][:BEFORE]
-    states = many.states[before] / size[before][:, None] * size[case]
+    states = many.states[before] * np.abs(many.load[case] / many.load[before])[:, None]
     guesses = list(states[:1])
-    if len(states) > x.shape[1] + 1:
-        weights = 1.0 / np.maximum(np.linalg.norm(x, axis=1), 1e-9)[:, None]
+    if len(states) > np.any(x, axis=0).sum() + 1:
+        weights = 1.0 / np.maximum(np.linalg.norm(x, axis=1), SHORT)[:, None]
         rows = weights * np.column_stack([np.ones(len(x)), x])
         guesses.insert(0, np.linalg.lstsq(rows, weights * states, rcond=None)[0][0])
     found = (find_orbit(flow, problem.omega, state, located=SHORT) for state in guesses)
-    orbit = next(filter(None, found), None)
+    orbit, many.status[case] = next(filter(None, found), None), "neighbour"
     if orbit is not None and orbit.is_stable:
-        many.status[case] = "neighbour"
         return orbit
     search = initial_orbit(problem)
     if orbit is None or (search.orbit is not None and search.orbit.is_stable):
         orbit, many.status[case], many.reason[case] = search.orbit, "alone", search.reason
-    else:
-        many.status[case] = "neighbour"
     if orbit is None:
         raise ConvergenceError(search.reason)
     return orbit
@@ -276,28 +240,28 @@ def _numbers(problem: Problem, orbit: PeriodicOrbit, watched: np.ndarray) -> dic
     """What is said of an orbit."""
     count, track = max(SAMPLES, 4 * problem.harmonics + 4), orbit.motion.track
     samples = orbit.samples(np.arange(count) * orbit.period / count)
-    gaps, displacement = samples.gaps, samples.displacement
-    parts = (balanced(one, problem.harmonics) for one in (displacement, gaps, samples.forces))
-    wave, error = problem.wave_of(*parts), 0.0
-    if not is_still(samples):
-        change = gaps - wave.over_period(count)[1]
-        error = relative_to_motion(change, gaps + wave.seen.clearance)
-    moved, multiplier = (displacement @ watched.T)[:, 0], abs(orbit.multipliers[0])
+    motion = samples.displacement, samples.gaps, samples.forces
+    wave = problem.wave_of(*(balanced(one, problem.harmonics) for one in motion))
+    change, moved = motion[1] - wave.over_period(count)[1], motion[0] @ watched.T
+    multiplier = abs(orbit.multipliers[0])
     verdict = "stable" if multiplier < 1.0 else "unstable"
     return {
         "amplitude": 0.5 * (_top(moved) + _top(-moved)),
-        "opening": max(0.0, *(_top(-gap) for gap in samples.gap.T)),
+        "opening": max(0.0, _top(-samples.gap)),
         "closed_share": track.share(track.sets > 0),
         "multiplier": multiplier,
-        "truncation": error,
+        "truncation": 0.0
+        if is_still(samples)
+        else relative_to_motion(change, motion[1] + wave.seen.clearance),
         "states": orbit.state,
         "verdict": "undecided" if abs(multiplier - 1.0) <= KNOWN else verdict,
     }
 
 
 def _top(values: np.ndarray) -> float:
-    """Largest value over a period of equal parts, by the parabola through it and its neighbours."""
-    place = int(values.argmax())
-    before, top, after = values[place - 1], values[place], values[(place + 1) % len(values)]
-    bend = 2.0 * top - before - after
-    return float(top + (after - before) ** 2 / (8.0 * bend)) if bend > 0.0 else float(top)
+    """Largest value of columns over a period of equal parts, by the parabola through it and its
+    neighbours."""
+    place, column = np.unravel_index(values.argmax(), values.shape)
+    before, top, after = values[np.arange(place - 1, place + 2) % len(values), column]
+    bend = max(2.0 * top - before - after, sys.float_info.min)
+    return float(top + (after - before) ** 2 / (8.0 * bend))
