@@ -4,6 +4,8 @@ from fenics_crack.balance.error_report import ErrorReport as ErrorReport
 from fenics_crack.balance.harmonic_balance import linear_response as linear_response
 from fenics_crack.balance.harmonic_balance import solve_harmonic_balance as solve_harmonic_balance
 from fenics_crack.balance.harmonic_balance import solve_linear as solve_linear
+from fenics_crack.balance.many import ManyOrbits as ManyOrbits
+from fenics_crack.balance.many import solve_many as solve_many
 from fenics_crack.balance.problem import Problem as Problem
 from fenics_crack.balance.solution import PeriodicSolution as PeriodicSolution
 from fenics_crack.balance.solution import Stability as Stability

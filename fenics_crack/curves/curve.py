@@ -327,7 +327,7 @@ class ResponseCurve(Observed, Tabular):
             return
         along = self.system
         first, some = along.system(along.start), max(1, along.at_once)
-        for part in (places[start : start + some] for start in range(0, len(places), some)):
+        for part in (places[at : at + some] for at in range(0, len(places), some)):
             slow, omega = self.points[part], self.omega[part]
             forces = np.stack([first.integrals.force(one) for one in slow], axis=1)
             moved = along.compliance(along.start).displacements(omega / self.subharmonic, forces)
@@ -346,11 +346,19 @@ class ResponseCurve(Observed, Tabular):
             return np.array(found)[..., :count]
         if self.static_above is None:
             return self.points[..., :count]
-        return np.array([self.solution(place).gap_coefficients for place in places])
+        return np.array([known.wave.gap_coefficients for known in self.assessments(places)])
 
     def records(self, rows: np.ndarray) -> Iterator[Record]:
-        for place in range(len(self)):
-            motion = self.orbit(place) if self.exact else self.solution(place)
+        places = range(len(self))
+        motions: Iterator[PeriodicOrbit | PeriodicSolution]
+        if self.exact:
+            motions = map(self.orbit, places)
+        else:
+            motions = (
+                PeriodicSolution(**vars(known.wave), assessment=known)
+                for known in self.assessments(places)
+            )
+        for motion in motions:
             [record] = motion.records(rows, CURVE_INSTANTS)
             yield replace(record, exact={})
 

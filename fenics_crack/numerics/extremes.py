@@ -49,7 +49,9 @@ def largest(values: np.ndarray, at: Motion | None = None) -> np.ndarray:
             there, expected = _top_of_polynomial(seen, AROUND[best])
             top = at(places + distance * there)[each, columns]
             np.maximum.at(tops, columns, top)
-            each = np.flatnonzero(~(np.abs(top - expected) <= SMOOTH * np.ptp(seen, axis=1)))
+            smooth = np.abs(top - expected) <= SMOOTH * np.ptp(seen, axis=1)
+            flat = (seen == seen[each, best][:, None]).sum(axis=1) > 2  # closed without penetration
+            each = np.flatnonzero(~(smooth | flat))
         places, columns = near[each, best[each]], columns[each]
         distance *= AROUND[1] - AROUND[0]
     return tops
@@ -60,10 +62,10 @@ def _top_of_polynomial(values: np.ndarray, start: np.ndarray) -> tuple[np.ndarra
     Newton's method from places nearby."""
     known, place = values @ POLYNOMIAL.T, start
     slopes = known[:, 1:] * POWERS[1:]
-    curvatures = slopes[:, 1:] * POWERS[1:-1]
-    for _ in range(4):
+    bends = slopes[:, 1:] * POWERS[1:-1]
+    for _ in range(3):
         powers = place[:, None] ** POWERS
-        bend = np.sum(curvatures * powers[:, :-2], axis=1)
-        step = np.sum(slopes * powers[:, :-1], axis=1) / np.where(bend < 0.0, bend, -np.inf)
-        place = np.clip(place - step, -1.0, 1.0)
-    return place, np.sum(known * place[:, None] ** POWERS, axis=1)
+        slope, bend = (slopes * powers[:, :-1]).sum(1), (bends * powers[:, :-2]).sum(1)
+        place = place - slope / np.where(bend < 0.0, bend, -np.inf)
+        place = np.minimum(np.maximum(place, -1.0), 1.0)
+    return place, (known * place[:, None] ** POWERS).sum(1)

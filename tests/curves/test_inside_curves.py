@@ -349,6 +349,26 @@ def row(*values: complex) -> np.ndarray:
     return observe(blocks[None, :size, :size])[0]
 
 
+@pytest.mark.parametrize("damping", ["modal", "matrix"])
+@pytest.mark.parametrize("rigid", [False, True])
+def test_motions_of_all_points_are_those_of_each(damping: str, rigid: bool) -> None:
+    """Computed at once over the frequency as by the compliance of each point by itself."""
+    structure, law = chain(damping), fc.UnilateralPenalty(5.0)
+    span = 0.9 * fc.solve_modes(structure, 1).omega[0], 1.1 * fc.solve_modes(structure, 1).omega[0]
+    if rigid:
+        structure = fc.reduce_structure(structure, modes=4, method="massless")
+        law = fc.UnilateralConstraint()
+    curve = continue_frequency(structure, *map(float, span), law, harmonics=6, throw=False)
+    for place, known in enumerate(curve.assessments(range(len(curve)))):
+        problem = curve.problem_of(place)
+        at = problem.system(problem.compliance()).linearise(curve.points[place])
+        alone = problem.wave(at)
+        assert known.wave.omega == alone.omega and known.wave.static_above == alone.static_above
+        for name in ("displacement", "gap", "force"):
+            mine, its = (getattr(one, name + "_coefficients") for one in (known.wave, alone))
+            assert relative(mine, its) < 1e-12
+
+
 @pytest.mark.parametrize(
     ("before", "after", "expected"),
     [
@@ -617,7 +637,7 @@ def test_the_bar_counts_whole_per_cents(monkeypatch: pytest.MonkeyPatch) -> None
     def narrow(bar: Callable[..., Any], **options: Any) -> Any:
         return bar(**options, ncols=0, file=shown, mininterval=0.0)
 
-    wrap(monkeypatch, "fenics_crack.curves.follow.tqdm", narrow)
+    wrap(monkeypatch, "tqdm.tqdm", narrow)
     law = fc.UnilateralPenalty(1.0)
     assert continue_frequency(oscillator(0.02, 0.1), 2.0, 0.3, law, progress=True).complete
     counts = re.findall(r"% (\S+)/100 ", shown.getvalue())

@@ -42,6 +42,21 @@ def test_kinks_and_ties() -> None:
     assert largest(np.zeros((8, 0)), lambda parts: np.zeros((len(parts), 0))).shape == (0,)
 
 
+def test_smooth_tops_and_plateaus_are_evaluated_twice() -> None:
+    """Next to a smooth maximum, and where a function stays at its largest value."""
+    calls = []
+
+    def both(parts: np.ndarray) -> Any:
+        calls.append(len(parts))
+        wave = np.cos(2.0 * np.pi * parts - 0.3)
+        return np.column_stack([wave + 0.1 * np.cos(20.0 * np.pi * parts - 3.0), -np.fmax(wave, 0)])
+
+    found = largest(both(PARTS), both)
+    assert len(calls) == 3
+    fine = np.linspace(0.04, 0.06, 400_001)
+    assert found == pytest.approx([both(fine)[:, 0].max(), 0.0], rel=1e-11)
+
+
 @pytest.mark.parametrize("harmonics", [1, 3, 12])
 def test_random_waves(harmonics: int) -> None:
     """Of 20 waves at once, against Newton's method from a fine grid."""

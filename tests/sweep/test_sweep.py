@@ -25,7 +25,7 @@ from ranks import HELD, LIMIT, kill
 from rotating import cracked
 
 import fenics_crack as fc
-import fenics_crack.study.prepare
+import fenics_crack.study.sharing
 from fenics_crack import Scene, SweepResult, prepare, run_sweep
 from fenics_crack.basics.errors import WriteError
 from fenics_crack.fem.build import assemble
@@ -608,14 +608,15 @@ def refused_and_broken(folder: Path, refused: fc.Scene, good: fc.Scene, comm: MP
     with pytest.raises(fc.InputError) as error:
         run_sweep(refused, folder / "sweep.h5", comm)
     told.append(error.value.key)
-    whole, calls = sweep_case.Cases.solve, []
+    whole, calls, met = sweep_case.Cases.solve, [], folder / "met"
 
     def broken(*given: Any) -> Any:
         calls.append(given)
         if comm.rank == 1 and len(calls) > 10:  # after its first chunk
+            met.touch()
             raise KeyError("unforeseen")
         until = time.monotonic() + LIMIT
-        while comm.rank == 0 and not comm.iprobe():  # until the other one has done something
+        while comm.rank == 0 and not met.exists():  # until the other one has done something
             assert time.monotonic() < until
             time.sleep(0.01)
         return whole(*given)
@@ -821,7 +822,7 @@ def test_speeds_share_a_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     coarse |= {"curve.parameter": "rpm", "curve.start": 5000.0, "curve.stop": 6000.0}
     scene = cracked(600.0, -250.0).replace({"excitation.order": 12, **coarse})
     over = {"crack.length": [0.005, 0.006], "rotation.speed": [580.0, 600.0, 620.0]}
-    monkeypatch.setattr(fenics_crack.study.prepare, "assemble", counted)
+    monkeypatch.setattr(fenics_crack.study.sharing, "assemble", counted)
     found = fc.run_sweep(scene.replace({"sweep.over": over}), tmp_path / "sweep.h5")
     assert len(meshed) == 2
     case = scene.replace({"crack.length": 0.006, "rotation.speed": 600.0})
