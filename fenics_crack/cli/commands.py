@@ -36,7 +36,7 @@ def compute(
 
         raise without_curve(inputs.scene, console)
     offered = {"comm": console.comm, "progress": console.progress, "few": FEW_MODES}
-    offered |= vars(given) | vars(inputs)
+    offered |= vars(given) | vars(inputs) | {"scene": inputs.prepared or inputs.scene}
     options = {name: offered[name] for name in signature(function).parameters if name in offered}
     with console.stage(given.command, bars="folder" in options):
         result = function(**options)
@@ -119,7 +119,7 @@ def reduce(_: Namespace, inputs: Inputs, console: Console) -> None:
 
     path = inputs.folder / f"{inputs.folder.name}.h5"
     with console.stage("mesh, modes and statics"):
-        save_prepared(prepare(inputs.scene, console.comm), path)
+        save_prepared(prepare(inputs.scene, console.comm, whole=True), path)
     console.note(f"{path}: {inputs.scene!r}; now: {command('solve', path)}")
 
 

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 
     from fenics_crack.monitoring.identification.measurements import Measurements
     from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes
+    from fenics_crack.study.prepare import Study
 
     Source = ArrivalTimes | Path | dict[int, ArrivalTimes] | None
 
@@ -68,6 +69,7 @@ class Inputs:
     arrivals: Source = None  # or the result from which they are computed
     before: Source = None  # of the blade before it had a crack
     speeds: np.ndarray | None = None  # of a Campbell diagram [rad/s]
+    prepared: Study | None = None  # of a file, for its scene
 
 
 def read_inputs(given: Namespace) -> Inputs | None:
@@ -107,13 +109,14 @@ def read_prepared(given: Namespace, comm: MPI.Comm) -> Inputs:
     InputError
         It cannot be used, a changed key needs a mesh, or the command does.
     """
-    from fenics_crack.study.artefact import read_scene  # the solver
+    from fenics_crack.study.artefact import load_prepared  # the solver
 
     if given.command not in OF_PREPARED:
         allowed = f"a scene for {given.command}; a file of reduce is one for "
         raise InputError("scene", str(given.scene), allowed + " and ".join(OF_PREPARED))
-    scene = read_scene(given.scene, changes(given.set), comm)
-    return Inputs(scene, given.output or Path("output") / given.scene.stem)
+    study = load_prepared(given.scene, changes(given.set), comm)
+    folder = given.output or Path("output") / given.scene.stem
+    return Inputs(study.scene, folder, prepared=study)
 
 
 def _errors_behind(error: InputError, path: Path, given: dict[str, Any]) -> Iterator[InputError]:

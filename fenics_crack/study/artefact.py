@@ -3,14 +3,15 @@
 It holds what a mesh gives: modes and statics seen at pairs, loads and watched points, of the
 scene's mesh and of a coarser one, with places and areas of the pairs. What follows from it, another
 frequency, amplitude of the load, damping, clearance, law or tolerance, needs no mesh and no
-matrices. It takes the place of the structure that scenes of one mesh share (:mod:`sharing`), so
-that it gives what the scene itself gives.
+matrices. :func:`load_prepared` makes a study of it, whose structure no scene shares: what needs
+matrices takes the scene itself.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.observables import QUANTITIES
 from fenics_crack.basics.ranks import gather_rows, on_root
 from fenics_crack.fem.setting import clearance_of, damping_of, parts_of
 from fenics_crack.files.codec import Parts, packed, unpacked
@@ -31,8 +33,9 @@ from fenics_crack.model.structure import DampingRule, Structure
 from fenics_crack.numerics.equations import ROUNDING
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.meshes import coarser, coarser_scene
-from fenics_crack.study.prepare import Study, prepare
-from fenics_crack.study.sharing import LAST, Made, kept, parts_shared
+from fenics_crack.study.prepare import Study, prepare, reduced
+from fenics_crack.study.sharing import Made, kept, parts_shared
+from fenics_crack.study.solve import MOST_OF_MANY, modes_chosen, reduced_to
 
 KIND = "prepared structure"
 COARSER = "coarser."
@@ -143,7 +146,8 @@ def save_prepared(prepared: Study, path: str | Path) -> None:
     Parameters
     ----------
     prepared : Study
-        What :func:`fenics_crack.prepare` returns.
+        What :func:`fenics_crack.prepare` returns. Not reduced (``whole=True``), the file has as
+        many modes as a tolerance may choose.
     path : path
         The file; an older one is replaced once the new one is complete.
 
@@ -158,6 +162,10 @@ def save_prepared(prepared: Study, path: str | Path) -> None:
     >>> kept = scene.replace({"reduction.method": "massless", "reduction.modes": 10})
     >>> fc.save_prepared(fc.prepare(kept), "plate.h5")
     """
+    chosen = modes_chosen(prepared, MOST_OF_MANY)
+    if chosen:
+        prepared = replace(reduced_to(prepared, chosen[-1]), scene=prepared.scene)
+    prepared = reduced(prepared)
     scene, structure = prepared.scene, prepared.structure
     if scene.speed > 0.0 or scene.disk is not None:
         key = "disk" if scene.disk is not None else "rotation"
@@ -176,11 +184,8 @@ def save_prepared(prepared: Study, path: str | Path) -> None:
 def load_prepared(
     path: str | Path, changes: Mapping[str, object] | None = None, comm: MPI.Comm = MPI.COMM_WORLD
 ) -> Study:
-    """Read a file of :func:`save_prepared`: its scene, changed, without a mesh (collective).
-
-    It takes the place of the structure that scenes of one mesh share in this process: what is
-    computed from its scene, by :func:`fenics_crack.solve` or another function, needs no mesh
-    either.
+    """Read a file of :func:`save_prepared`: its scene, changed, prepared without a mesh, for
+    :func:`fenics_crack.solve` and :func:`fenics_crack.curve` (collective).
 
     Parameters
     ----------
@@ -194,7 +199,7 @@ def load_prepared(
     Returns
     -------
     Study
-        Of the scene with these changes, reduced.
+        Of the scene with these changes, not reduced.
 
     Raises
     ------
@@ -206,18 +211,11 @@ def load_prepared(
     --------
     >>> kept = scene.replace({"reduction.method": "massless", "reduction.modes": 10})
     >>> fc.save_prepared(fc.prepare(kept), "plate.h5")
-    >>> prepared = fc.load_prepared("plate.h5", {"excitation.frequency": 800.0})
-    >>> fc.solve(prepared.scene)
+    >>> fc.solve(fc.load_prepared("plate.h5", {"excitation.frequency": 800.0}))
     """
-    return prepare(read_scene(path, changes or {}, comm), comm)
-
-
-def read_scene(path: str | Path, changes: Mapping[str, object], comm: MPI.Comm) -> Scene:
-    """The same without what is prepared of it (collective)."""
     stored = read(path, comm)
-    scene = on_root(comm, lambda: _scene_of(stored, changes))
-    _share(stored, scene, comm)
-    return scene
+    scene = on_root(comm, lambda: _scene_of(stored, changes or {}))
+    return prepare(scene, comm, whole=True, last=[_made(stored, scene, comm)])
 
 
 def _scene_of(stored: Stored, changes: Mapping[str, object]) -> Scene:
@@ -233,13 +231,23 @@ def _scene_of(stored: Stored, changes: Mapping[str, object]) -> Scene:
     if known is None:
         raise stored.refused("one with its scene")
     stored.check_files(known)
-    scene = known.replace(changes)
-    before = parts_shared(known, MPI.COMM_SELF)
-    for key, value in changes.items():
-        after = parts_shared(known.replace({key: value}), MPI.COMM_SELF)
-        same_place = _without_amplitudes(after[1]) == _without_amplitudes(before[1])
-        if after[0] != before[0] or not same_place or (scene.structure and after[1:] != before[1:]):
-            raise InputError(key, value, f"{VARIED}, for {stored.path}")
+    scene, before = known.replace(changes), parts_shared(known, MPI.COMM_SELF)
+
+    def needs_mesh(changed: Scene) -> bool:
+        after = parts_shared(changed, MPI.COMM_SELF)
+        moved = _without_amplitudes(after[1]) != _without_amplitudes(before[1])
+        return after[0] != before[0] or moved or (bool(scene.structure) and after != before)
+
+    if needs_mesh(scene):
+        for key, value in changes.items():
+            with suppress(InputError):  # of keys that need another one beside them
+                if needs_mesh(known.replace({key: value})):
+                    break
+        raise InputError(key, value, f"{VARIED}, for {stored.path}")
+    beyond = [name for name in scene.quantities or () if QUANTITIES[name].of.on_request]
+    if beyond:
+        allowed = "those of points and crack faces, for a file; else the scene itself is solved"
+        raise InputError("output.quantities", beyond, allowed)
     _weights(known, scene)
     return scene
 
@@ -266,8 +274,8 @@ def _weights(known: Scene, scene: Scene) -> np.ndarray:
     return weights
 
 
-def _share(stored: Stored, scene: Scene, comm: MPI.Comm) -> None:
-    """Let a scene of a file have the structure of the file (collective).
+def _made(stored: Stored, scene: Scene, comm: MPI.Comm) -> Made:
+    """The structure of a file for a scene, with that of its coarser mesh (collective).
 
     Raises
     ------
@@ -288,7 +296,7 @@ def _share(stored: Stored, scene: Scene, comm: MPI.Comm) -> None:
             twin = _structure(its, coarse, weights, alone)
             made = Made(twin, alone, parts_shared(coarse, alone))
             whole.once(kept, of_matrices=True).append(made)
-    LAST[:] = [Made(whole, comm, parts_shared(scene, comm))]
+    return Made(whole, comm, parts_shared(scene, comm))
 
 
 def _structure(parts: Parts, scene: Scene, weights: np.ndarray, comm: MPI.Comm) -> Structure:

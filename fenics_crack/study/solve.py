@@ -19,6 +19,7 @@ from fenics_crack.basics.progress import begin
 from fenics_crack.curves.stability import floquet
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
 from fenics_crack.model.modal import is_small
+from fenics_crack.model.receptance import held_receptance
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import FORMED
 from fenics_crack.study.observer import rows_requested
@@ -108,7 +109,10 @@ def modes_chosen(study: Study, most: int = FORMED) -> list[int]:
     given = scene.disk is not None or (table is not None and table.modes is not None)
     if kept is None or given or scene.harmonic_balance.tolerance is None or study.contact is None:
         return []
-    large = kept.method == "massless" and not is_small(whole)
+    of_file = whole.stiffness is None
+    large = kept.method == "massless" and (of_file or not is_small(whole))
+    if of_file:  # which holds so many and their reference
+        most = min(most, len(whole.once(held_receptance)[0].squares) // 2)
     return modes_tried(whole, FIRST_MODES if large else kept.modes, most)
 
 
