@@ -108,6 +108,8 @@ from fenics_crack.motion.attractors import Attractor as Attractor
 from fenics_crack.motion.motions import Indicators as Indicators
 from fenics_crack.motion.orbit import PeriodicOrbit as PeriodicOrbit
 from fenics_crack.scene.scene import Scene as Scene
+from fenics_crack.study.artefact import load_prepared as load_prepared
+from fenics_crack.study.artefact import save_prepared as save_prepared
 from fenics_crack.study.bladed_disk import Amplification as Amplification
 from fenics_crack.study.bladed_disk import Blades as Blades
 from fenics_crack.study.bladed_disk import NodalDiameters as NodalDiameters

@@ -40,7 +40,6 @@ from fenics_crack.study.resonance import resonance_of
 from fenics_crack.study.solve import modes_chosen
 from fenics_crack.study.vary import errors_of_natural
 from fenics_crack.study.verification import Verification
-from fenics_crack.sweep.plan import Plan
 
 
 def check(_: Namespace, inputs: Inputs, console: Console) -> None:
@@ -236,6 +235,8 @@ def _reduction(study: Study) -> str:
 
 def _impossible(scene: Scene) -> str:
     """Return the number of cases that are not valid scenes, with the first one's reason."""
+    from fenics_crack.sweep.plan import Plan  # gmsh
+
     plan = Plan(scene)
     places = [*itertools.islice(np.ndindex(*plan.shape), 10_000)]  # others while they are run
     reasons = [case for case in map(plan.case, places) if isinstance(case, str)]

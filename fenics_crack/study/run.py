@@ -189,7 +189,7 @@ def modes(scene: Scene, count: int | None = None, comm: MPI.Comm = MPI.COMM_WORL
     return Run(**vars(study), result=solve_modes(study.structure, wanted))
 
 
-def solve(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[PeriodicSolution]:
+def solve(scene: Scene | Study, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[PeriodicSolution]:
     """Solve a scene for its steady vibration, as ``fenics-crack solve`` does (collective).
 
     Harmonic balance at the load's frequency (:func:`solve_harmonic_balance`), with its stability
@@ -198,8 +198,8 @@ def solve(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[PeriodicSolution
 
     Parameters
     ----------
-    scene : Scene
-        Scene with its load, contact and harmonic balance.
+    scene : Scene or Study
+        Scene with its load, contact and harmonic balance; or what :func:`load_prepared` returns.
     comm : MPI.Comm
         Ranks that share the structure.
 
@@ -218,7 +218,7 @@ def solve(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[PeriodicSolution
     >>> run = fc.solve(scene)
     >>> run.result.report.total, run.result.stability.verdict, run.motion()
     """
-    solved = solve_prepared(prepare(scene, comm, whole=True))
+    solved = solve_prepared(_whole(scene, comm))
     return _with_motion_from_rest(Run(**vars(solved)))
 
 
@@ -247,8 +247,13 @@ def _with_motion_from_rest(run: Run[PeriodicSolution]) -> Run[PeriodicSolution]:
     return replace(run, result=replace(found, stability=seen))
 
 
+def _whole(scene: Scene | Study, comm: MPI.Comm) -> Study:
+    """A scene prepared, but not reduced, unless it is (collective)."""
+    return scene if isinstance(scene, Study) else prepare(scene, comm, whole=True)
+
+
 def curve(
-    scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, *, progress: bool = False
+    scene: Scene | Study, comm: MPI.Comm = MPI.COMM_WORLD, *, progress: bool = False
 ) -> Run[ResponseCurve]:
     """Follow the response curve of a scene's table ``[curve]``, as ``fenics-crack curve`` does.
 
@@ -258,8 +263,8 @@ def curve(
 
     Parameters
     ----------
-    scene : Scene
-        Scene that vibrates, with its curve.
+    scene : Scene or Study
+        Scene that vibrates, with its curve; or what :func:`load_prepared` returns.
     comm : MPI.Comm
         Ranks that share the structure.
     progress : bool
@@ -285,9 +290,10 @@ def curve(
     from fenics_crack.curves.resonance import follow_resonance
     from fenics_crack.curves.verdicts import judge_curve
 
+    studies = _studies_of_curve(scene, comm)
+    scene = scene.scene if isinstance(scene, Study) else scene
     table, balance = scene.given("curve"), scene.harmonic_balance
     parameter, start, stop = table.followed
-    studies = _studies_of_curve(scene, comm)
     study = next(studies)
     if not study.structure.sum_over_ranks(np.abs(study.structure.force[1:]).sum()):
         raise InputError(
@@ -334,11 +340,12 @@ def curve(
     return Run(**vars(study), result=found)
 
 
-def _studies_of_curve(scene: Scene, comm: MPI.Comm) -> Iterator[Study]:
+def _studies_of_curve(given: Scene | Study, comm: MPI.Comm) -> Iterator[Study]:
     """A scene prepared for its curve, with more and more modes: of a run-up with a basis for all
     speeds, and as many as a resonance at the scene's own takes."""
+    scene = given.scene if isinstance(given, Study) else given
     parameter, start, stop = scene.given("curve").followed
-    whole = prepare(scene, comm, whole=True)
+    whole = _whole(given, comm)
     if parameter != "speed":
         yield from with_more_modes(whole, MOST_OF_MANY)
         return

@@ -20,8 +20,7 @@ from fenics_crack.basics.tables import with_frequency
 from fenics_crack.curves.follow import continue_frequency
 from fenics_crack.curves.resonance import resonance_at
 from fenics_crack.curves.stability import floquet
-from fenics_crack.fem.build import clearance_of
-from fenics_crack.fem.loads import parts_of
+from fenics_crack.fem.setting import clearance_of, parts_of
 from fenics_crack.model.contact import is_rigid, is_unilateral
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import BilinearFrequencies, bilinear_frequencies
