@@ -4,6 +4,8 @@ from fenics_crack.balance.error_report import ErrorReport as ErrorReport
 from fenics_crack.balance.harmonic_balance import linear_response as linear_response
 from fenics_crack.balance.harmonic_balance import solve_harmonic_balance as solve_harmonic_balance
 from fenics_crack.balance.harmonic_balance import solve_linear as solve_linear
+from fenics_crack.balance.many import ManyOrbits as ManyOrbits
+from fenics_crack.balance.many import solve_many as solve_many
 from fenics_crack.balance.problem import Problem as Problem
 from fenics_crack.balance.solution import PeriodicSolution as PeriodicSolution
 from fenics_crack.balance.solution import Stability as Stability
@@ -106,6 +108,8 @@ from fenics_crack.motion.attractors import Attractor as Attractor
 from fenics_crack.motion.motions import Indicators as Indicators
 from fenics_crack.motion.orbit import PeriodicOrbit as PeriodicOrbit
 from fenics_crack.scene.scene import Scene as Scene
+from fenics_crack.study.artefact import load_prepared as load_prepared
+from fenics_crack.study.artefact import save_prepared as save_prepared
 from fenics_crack.study.bladed_disk import Amplification as Amplification
 from fenics_crack.study.bladed_disk import Blades as Blades
 from fenics_crack.study.bladed_disk import NodalDiameters as NodalDiameters

@@ -23,10 +23,11 @@ harmonics as bring the estimated error down.
 from __future__ import annotations
 
 import contextlib
+import math
 from bisect import bisect_left
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 
@@ -303,44 +304,52 @@ MAX_HARMONICS = 500
 """Maximum harmonics solved for, or kept of an orbit, for each period of the load."""
 
 
+def modes_tried(structure: Structure, first: int = FIRST_MODES, most: int = FORMED) -> list[int]:
+    """Numbers of modes of a large structure: few, and twice as many each time."""
+    most = min(max(first, most), structure.n_dofs)
+    doublings = max(0, math.ceil(math.log2(most / first)))
+    return [min(first * 2**power, most) for power in range(doublings + 1)]
+
+
 def solve_to_tolerance(
     solver: Solver,
     tolerance: float,
     initial: PeriodicSolution | None = None,
     *,
-    reduced_to: Callable[[int], Structure] | None = None,
-    modes: int = FIRST_MODES,
+    structures: Iterable[Structure] | None = None,
     modes_key: str = "",
 ) -> PeriodicSolution:
     """The solution with few modes and harmonics that meet a tolerance, no fewer harmonics than the
     problem has; else the best one, or the error that says how far it is from what was
     requested.
 
-    ``reduced_to`` gives the structure with so many modes (collective), which are as many as
-    ``modes`` at first; by itself only a structure of many dofs is reduced. ``modes_key`` is what a
-    scene calls their number.
+    ``structures`` are those with more and more modes, each made when it is needed (collective); by
+    itself only a structure of many dofs is reduced. ``modes_key`` is what a scene calls the number
+    of modes.
     """
     whole = solver.problem.structure
-    if reduced_to is None and not (is_small(whole) or isinstance(whole, ReducedStructure)):
-
-        def reduced_to(modes: int) -> Structure:
-            return reduce_structure(whole, modes=modes, method="massless")
-
-    most = min(max(modes, FORMED), whole.n_dofs)
-    best = last = None
-    while True:
-        if reduced_to is not None:
-            problem = replace(solver.problem, structure=reduced_to(modes))
-            solver = replace(solver, problem=problem)
+    if structures is None and (is_small(whole) or isinstance(whole, ReducedStructure)):
+        structures = [whole]
+    elif structures is None:
+        reduced_to = partial(reduce_structure, whole, method="massless")
+        structures = (reduced_to(modes=modes) for modes in modes_tried(whole))
+    best = None
+    for structure in structures:
+        solver = replace(solver, problem=replace(solver.problem, structure=structure))
         last = _solved(solver, tolerance, initial)
         last = last.reported(whole.comm.bcast(last.report))
         if best is None or last.report.total < best.report.total:
             best = last
-        lacking = last.report.total > tolerance and last.report.reduction > tolerance / 2.0
-        if reduced_to is None or not (lacking and modes < most and last.converged):
-            return _told(solver, best, tolerance, modes_key)
-        modes = min(2 * modes, most)
-        initial = last if last.structure.light_lips else None
+        if not (last.converged and lacks_modes(last, tolerance)):
+            break
+        initial = last if structure.light_lips else None
+    assert best is not None
+    return _told(solver, best, tolerance, modes_key)
+
+
+def lacks_modes(found: PeriodicSolution, tolerance: float) -> bool:
+    """Return True if a solution misses a tolerance, and its modes leave more than half of that."""
+    return found.report.total > tolerance and found.report.reduction > tolerance / 2.0
 
 
 def solve_beside(

@@ -209,8 +209,10 @@ def _run(given: argparse.Namespace) -> Exit:
     from fenics_crack.cli.given import Console, read_inputs
 
     launched = threads.launched()
-    inputs = None if launched else read_inputs(given)
-    meshes = given.command != "new" and not ("scene" in given and inputs is None and not launched)
+    prepared = "scene" in given and given.scene.suffix.lower() == ".h5"
+    inputs = None if launched or prepared else read_inputs(given)
+    of_scene = launched or not ("scene" in given and inputs is None)
+    meshes = given.command != "new" and not prepared and of_scene
     if meshes and not (inputs and inputs.scene.structure):
         from fenics_crack.basics import gmsh_process as mesher  # noqa: F401  before MPI: see there
     wanted = {} if launched else ONE_PROCESS_SETTINGS
@@ -227,7 +229,11 @@ def _run(given: argparse.Namespace) -> Exit:
     for number in STOPS:
         signal.signal(number, signal.default_int_handler)
     with threads.alone(), Messages(quiet=given.quiet):
-        if launched:
+        if prepared:
+            from fenics_crack.cli.given import read_prepared
+
+            inputs = read_prepared(given, comm)
+        elif launched:
             inputs = on_root(comm, lambda: read_inputs(given))
         console = Console(
             comm, given.format, given.quiet, given.verbose, vars(given).get("pictures", "png")
@@ -286,6 +292,10 @@ COMMANDS = {
         "mistuning amplifies the response of a blade, with pictures",
         f"cli.commands:disk {SOLVED} --patterns --deviation --pictures",
     ),
+    "reduce": (
+        "write what a scene's mesh gives to a file with which solve and curve need no mesh",
+        f"cli.commands:reduce {SOLVED}",
+    ),
     "solve": ("steady vibration at excitation.omega", f"study.run:solve {SOLVED}"),
     "verify": (
         "contributions of mesh, modes, harmonics and samples to the error of solve: observed "
@@ -340,7 +350,8 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
         {"type": float, "default": 0.01},
     ),
     "scene": (
-        "the scene, a TOML file; of timing also a measured record, a CSV file",
+        "the scene, a TOML file; of solve and curve also a file of reduce, of timing a measured "
+        "record, a CSV file",
         {"type": path},
     ),
     "measurements": (

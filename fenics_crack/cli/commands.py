@@ -36,7 +36,7 @@ def compute(
 
         raise without_curve(inputs.scene, console)
     offered = {"comm": console.comm, "progress": console.progress, "few": FEW_MODES}
-    offered |= vars(given) | vars(inputs)
+    offered |= vars(given) | vars(inputs) | {"scene": inputs.prepared or inputs.scene}
     options = {name: offered[name] for name in signature(function).parameters if name in offered}
     with console.stage(given.command, bars="folder" in options):
         result = function(**options)
@@ -110,6 +110,17 @@ def sweep(_: Namespace, inputs: Inputs, console: Console) -> Exit:
     with console.stage("sweep", bars=True):
         found = run_sweep(scene, f"{path}.h5", console.comm, progress=console.progress)
     return tell(report_of(found), path, console)
+
+
+def reduce(_: Namespace, inputs: Inputs, console: Console) -> None:
+    """Write what the mesh of a scene gives to a file."""
+    from fenics_crack.study.artefact import save_prepared
+    from fenics_crack.study.prepare import prepare
+
+    path = inputs.folder / f"{inputs.folder.name}.h5"
+    with console.stage("mesh, modes and statics"):
+        save_prepared(prepare(inputs.scene, console.comm, whole=True), path)
+    console.note(f"{path}: {inputs.scene!r}; now: {command('solve', path)}")
 
 
 def disk(given: Namespace, inputs: Inputs, console: Console) -> Exit:

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 
     from fenics_crack.monitoring.identification.measurements import Measurements
     from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes
+    from fenics_crack.study.prepare import Study
 
     Source = ArrivalTimes | Path | dict[int, ArrivalTimes] | None
 
@@ -50,6 +51,8 @@ PERIOD = "solution_period"
 """Folder below that for results, of the frames of a period."""
 RESULT_ENDINGS = (".h5", ".csv", ".json", ".png", ".pdf", ".svg")
 """Endings of the files of a result."""
+OF_PREPARED = ("solve", "curve")
+"""Commands that a file of ``reduce`` has all for."""
 JOINABLE_SCENES = ("blade", "timing", "identify")
 """Scenes that ``new`` writes besides a plate."""
 WHOLE_SCENES = ("solid", "disk")
@@ -66,6 +69,7 @@ class Inputs:
     arrivals: Source = None  # or the result from which they are computed
     before: Source = None  # of the blade before it had a crack
     speeds: np.ndarray | None = None  # of a Campbell diagram [rad/s]
+    prepared: Study | None = None  # of a file, for its scene
 
 
 def read_inputs(given: Namespace) -> Inputs | None:
@@ -95,6 +99,24 @@ def read_inputs(given: Namespace) -> Inputs | None:
     before = _arrivals(scene, given, given.before) if seen else None
     rows = _measurements(given, scene, None if seen else given.before)
     return Inputs(scene, folder, rows, arrivals, before)
+
+
+def read_prepared(given: Namespace, comm: MPI.Comm) -> Inputs:
+    """Read the file of ``reduce`` that a command is given in place of a scene (collective).
+
+    Raises
+    ------
+    InputError
+        It cannot be used, a changed key needs a mesh, or the command does.
+    """
+    from fenics_crack.study.artefact import load_prepared  # the solver
+
+    if given.command not in OF_PREPARED:
+        allowed = f"a scene for {given.command}; a file of reduce is one for "
+        raise InputError("scene", str(given.scene), allowed + " and ".join(OF_PREPARED))
+    study = load_prepared(given.scene, changes(given.set), comm)
+    folder = given.output or Path("output") / given.scene.stem
+    return Inputs(study.scene, folder, prepared=study)
 
 
 def _errors_behind(error: InputError, path: Path, given: dict[str, Any]) -> Iterator[InputError]:

@@ -343,7 +343,8 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
         where = "the largest response" if _passed(found, peak) else "its end"
         notes.append(f"at {where} {order}, {share}")
     if scene.harmonic_balance.tolerance is not None and run.structure.n_pairs:
-        notes.append(f"by the tolerance: {found.method}")
+        chosen = found.status.partition("; ")[2] if found.complete else ""
+        notes.append("; ".join(filter(None, (f"by the tolerance: {found.method}", chosen))))
     if found.exact:
         width = in_unit(parameter_axis(found.parameter, True), found.resolution)
         notes.append(f"windows of instability narrower than {width} may lie between points")

@@ -37,9 +37,9 @@ from fenics_crack.study.prepare import (
     reduction_of,
 )
 from fenics_crack.study.resonance import resonance_of
+from fenics_crack.study.solve import modes_chosen
 from fenics_crack.study.vary import errors_of_natural
 from fenics_crack.study.verification import Verification
-from fenics_crack.sweep.plan import Plan
 
 
 def check(_: Namespace, inputs: Inputs, console: Console) -> None:
@@ -73,7 +73,7 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
         **_contact(study, figures),
         "harmonics": harmonics_in_words(scene),
         "unknowns of harmonic balance": (2 * harmonics + 1) * whole.n_pairs,
-        "reduction": _reduction(scene, whole),
+        "reduction": _reduction(study),
         "memory, estimated [GiB]": round(memory / 2**30, 2),
     }
     if scene.curve is not None:
@@ -218,12 +218,16 @@ def harmonics_in_words(scene: Scene) -> int | str:
     return f"{table.harmonics} or more, for an error of {table.tolerance:g}"
 
 
-def _reduction(scene: Scene, whole: Structure) -> str:
+def _reduction(study: Study) -> str:
     """Describe the reduction by which the structure is solved."""
-    reduction = reduction_of(scene, whole)
+    scene = study.scene
+    reduction, few = reduction_of(scene, study.structure), modes_chosen(study)
     if reduction is None:
         return "none"
     modes = counted(reduction.modes, "mode")
+    if few:
+        modes = f"{counted(few[0], 'mode')} or more, for an error of "
+        modes += f"{scene.harmonic_balance.tolerance:g}"
     if reduction.method == "massless":
         return f"massless, {modes}, {faces_in_words(scene)} without mass"
     return f"{reduction.method}, {modes}"
@@ -231,6 +235,8 @@ def _reduction(scene: Scene, whole: Structure) -> str:
 
 def _impossible(scene: Scene) -> str:
     """Return the number of cases that are not valid scenes, with the first one's reason."""
+    from fenics_crack.sweep.plan import Plan  # gmsh
+
     plan = Plan(scene)
     places = [*itertools.islice(np.ndindex(*plan.shape), 10_000)]  # others while they are run
     reasons = [case for case in map(plan.case, places) if isinstance(case, str)]

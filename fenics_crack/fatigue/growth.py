@@ -46,7 +46,7 @@ from fenics_crack.scene.scene import Scene, check_known, without_tips
 from fenics_crack.scene.tables import Growth as Law
 from fenics_crack.study.plausibility import remarks_on_scene
 from fenics_crack.study.run import solve
-from fenics_crack.study.vary import stated_errors
+from fenics_crack.study.vary import EVERY, stated_errors
 from fenics_crack.sweep.file import NUMBERED
 from fenics_crack.sweep.result import NO_PEAK_SOUGHT, SweepResult, resonates, run_sweep
 
@@ -353,7 +353,8 @@ def _error_at(scene: Scene, path: LengthPath, length: float) -> tuple[float, lis
     if drive == "spectrum":
         omega = float(path.leading[np.abs(path.lengths - length).argmin()])
     run = solve(_at_length(scene, length, omega), MPI.COMM_SELF)
-    stated = stated_errors(run, run.result, of_peak=drive == "resonance", friction=False)
+    causes = [cause for cause in EVERY if cause != "friction"]
+    stated = stated_errors(run, run.result, of_peak=drive == "resonance", causes=causes)
     without = [f"vibration: {stated.left_out}"] if stated.left_out else []
     return stated.stated("delta_K_equivalent")[0], without
 

@@ -38,13 +38,13 @@ from fenics_crack.fem.cracks import LIP_TAGS, SAME, Lips, along
 from fenics_crack.fem.elasticity import constants, rotation_of, stress, thickness
 from fenics_crack.fem.loads import assemble_loads, clamp_of
 from fenics_crack.fem.plate import Dofs, build_mesh
+from fenics_crack.fem.setting import clearance_of, damping_of
 from fenics_crack.model.body import UNVARIED, Body
 from fenics_crack.model.factor import local_rows
 from fenics_crack.model.modes import solve_modes
 from fenics_crack.model.nodes import Pairs
-from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
+from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
-from fenics_crack.scene.tables import Damping
 
 
 def pair_lips(
@@ -186,7 +186,7 @@ def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     if scene.structure is not None:
         from fenics_crack.fem.matrix_files import read_structure
 
-        rule = None if scene.damping is None else _damping(scene.damping)
+        rule = None if scene.damping is None else damping_of(scene.damping)
         return read_structure(scene, rule, comm)
     coarser = scene.mesh.coarser
     if coarser is not None:  # which is read after all else
@@ -209,7 +209,7 @@ def in_another(scene: Scene, structure: Structure, *, loads: bool) -> Structure:
     """A structure of a mesh at rest with the clearance and the damping of another scene of the same
     mesh, and with its loads (collective)."""
     changes: dict[str, Any] = {
-        "clearance": clearance_of(scene, structure.pairs), "damping": _damping(scene.damping),
+        "clearance": clearance_of(scene, structure.pairs), "damping": damping_of(scene.damping),
     }  # fmt: skip
     if loads:
         dofs: Dofs = structure.nodes.numbered  # type: ignore[union-attr]
@@ -240,7 +240,7 @@ def _assembled(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
     clamp = clamp_of(dofs, mass, force)
     body = Body(
         dofs.free_block(mass), dofs.free_block(stiffness), gap, force[:, dofs.free],
-        clearance_of(scene, pairs), damping=_damping(scene.damping), tangential=tangential,
+        clearance_of(scene, pairs), damping=damping_of(scene.damping), tangential=tangential,
         nodes=dofs.nodes(), pairs=pairs, watched=watched, clamp=clamp,
     )  # fmt: skip
     return Structure(body), dofs
@@ -259,40 +259,7 @@ def _forms(scene: Scene, space: Any) -> tuple[Any, Any]:
     return stiffness, mass
 
 
-def _damping(table: Damping) -> DampingRule:
-    """The damping that a scene's table describes."""
-    if table.ratio is not None:
-        return ModalDamping(table.ratio, None if table.modes == "all" else int(table.modes))
-    if table.ratios is not None and table.omegas is not None:
-        return RayleighDamping.from_ratios(table.ratios, table.omegas)
-    return RayleighDamping(table.mass or 0.0, table.stiffness or 0.0)
-
-
 # --- cracks ---------------------------------------------------------------------------------------
-
-
-def clearance_of(scene: Scene, pairs: Pairs) -> np.ndarray:
-    """Clearance of every pair, by its crack: (n_pairs,) [m].
-
-    Raises
-    ------
-    InputError
-        There are several tables, but not one for each crack of a mesh file.
-    """
-    given = np.array([crack.clearance for crack in scene.all_cracks.values()] or [0.0])
-    assert pairs.cracks is not None
-    if len(given) == 1:
-        return np.full(len(pairs.cracks), given[0])
-    cracks = int(pairs.cracks.max(initial=-1)) + 1
-    if scene.disk is not None:  # those of each cracked blade
-        cracks //= max(len(scene.disk.cracked), 1)
-    if cracks and len(given) != cracks:
-        allowed = (
-            f"[crack] alone, for all, or one table for each of the {cracks} cracks of the mesh "
-            "file: [crack] and then [[cracks]], from bottom to top"
-        )
-        raise InputError("cracks", f"{len(given)} tables with [crack]", allowed)
-    return np.asarray(given[pairs.cracks % len(given)])
 
 
 def build_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:

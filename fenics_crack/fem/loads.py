@@ -30,11 +30,11 @@ from fenics_crack.fem import compat
 from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.elasticity import thickness
 from fenics_crack.fem.plate import Dofs
+from fenics_crack.fem.setting import parts_of
 from fenics_crack.model.nodes import Clamp, nearest_node, nodes_at
-from fenics_crack.model.periodic_load import read_wave
 from fenics_crack.scene.fields import Vector
 from fenics_crack.scene.scene import Scene
-from fenics_crack.scene.tables import Excitation, Load, add_harmonics
+from fenics_crack.scene.tables import Load
 
 
 def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.ndarray | None]:
@@ -84,28 +84,6 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
         along_x = [np.eye(dofs.dimension)[0].tolist()] * 2
         _, watched = _at_point(scene, dofs, "excitation", point, along_x)
     return force, watched
-
-
-def parts_of(scene: Scene) -> list[Vector]:
-    """Mean, and cosine and sine part of each order, of the force of the excitation [N]; as many as
-    the scene's loads have."""
-    excitation, zero = scene.excitation, (0.0,) * scene.dimension
-    given = excitation.force_mean, excitation.force_cos, excitation.force_sin
-    rows = [part or zero for part in given] + [zero] * (2 * scene.highest_order - 2)
-    for harmonic in excitation.harmonics:
-        sized = len(harmonic.cos) == scene.dimension
-        excitation.require(sized, "harmonics", f"of {scene.dimension} components each")
-    add_harmonics(rows, excitation.harmonics)
-    if excitation.wave is not None:
-        for row, part in enumerate(of_wave(excitation, scene.dimension)[0]):
-            rows[row] = tuple(np.add(rows[row], part).tolist())
-    return rows
-
-
-def of_wave(load: Excitation, dimension: int) -> tuple[np.ndarray, float]:
-    """Mean and harmonics of a load's table of one period (2K+1, dimension), and what they leave out
-    of it, relative."""
-    return read_wave(load.name_of("wave"), load.given("wave"), load.wave_harmonics, dimension)
 
 
 def _unit(parts: Sequence[Vector]) -> Vector:

@@ -767,7 +767,8 @@ class Reduction(Table):
     """Default: "massless" (modes, and crack faces without mass) with contact, unless all modes are
     kept; without contact "free_interface"."""
     modes: int | None = at_least_one(None)
-    """Lowest modes to keep; default: those that are damped, but 50 where all are."""
+    """Lowest modes to keep. Default: with a tolerance few that meet it, else those that are damped,
+    but 50 where all are."""
 
 
 @dataclass(frozen=True)

@@ -26,24 +26,10 @@ from fenics_crack.study.sharing import kept
 def coarser(study: Study) -> tuple[Study, tuple[int, int], float] | str:
     """The twin on a coarser mesh, reduced where the study is, the elements of both, and how much
     longer those of the twin are; or why there is none (collective)."""
-    scene, structure = study.scene, study.structure
-    if scene.structure is not None:
-        return "matrices have no coarser mesh"
-    if not scene.mesh.error:
-        return "mesh.error = false"
-    if scene.mesh.lip_elements == 1:
-        return "one element along the crack is too few to estimate its error"
-    if scene.mesh.layout == "file":
-        if scene.mesh.coarser is None:
-            return "mesh.coarser is not given"
-        coarse = scene.replace({"mesh.file": scene.mesh.coarser, "mesh.coarser": None})
-    else:
-        made = None
-        with suppress(InputError):  # its lines miss the crack
-            made = finer_mesh(scene, 0.5)
-        if made is None:
-            return "a grid of half as many columns and rows has no lines along the crack"
-        coarse = made
+    structure, coarse = study.structure, coarser_scene(study.scene)
+    if isinstance(coarse, str):
+        return coarse
+    scene = study.scene
     with within("a coarser mesh"):
         whole = structure.whole is structure
         last = structure.whole.once(kept, of_matrices=True)
@@ -58,6 +44,24 @@ def coarser(study: Study) -> tuple[Study, tuple[int, int], float] | str:
     if scene.mesh.layout == "file" and (why := _other_cracks(structure, twin.structure)):
         return why
     return twin, counts, _ratio(scene, coarse, counts)
+
+
+def coarser_scene(scene: Scene) -> Scene | str:
+    """The scene with a coarser mesh, or why there is none."""
+    if scene.structure is not None:
+        return "matrices have no coarser mesh"
+    if not scene.mesh.error:
+        return "mesh.error = false"
+    if scene.mesh.lip_elements == 1:
+        return "one element along the crack is too few to estimate its error"
+    if scene.mesh.layout == "file":
+        if scene.mesh.coarser is None:
+            return "mesh.coarser is not given"
+        return scene.replace({"mesh.file": scene.mesh.coarser, "mesh.coarser": None})
+    with suppress(InputError):  # its lines miss the crack
+        if (made := finer_mesh(scene, 0.5)) is not None:
+            return made
+    return "a grid of half as many columns and rows has no lines along the crack"
 
 
 def _ratio(scene: Scene, coarse: Scene, counts: tuple[int, int]) -> float:

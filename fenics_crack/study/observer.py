@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.observables import FILES, GROWING, QUANTITIES, Place, names_of, read_at
-from fenics_crack.fem.interaction_integral import Tip, tip_functionals
 from fenics_crack.model.factor import AT_A_TIME
 from fenics_crack.model.nodes import Clamp
 from fenics_crack.model.structure import RayleighDamping, Structure
@@ -22,6 +21,9 @@ from fenics_crack.motion.motions import Observed, Record, Rows
 from fenics_crack.scene.scene import Scene, asked_quantities, check_known, without_tips
 from fenics_crack.scene.tables import Growth
 from fenics_crack.study.prepare import Study
+
+if TYPE_CHECKING:
+    from fenics_crack.fem.interaction_integral import Tip
 
 
 def rows_requested(study: Study) -> list[Rows]:
@@ -183,6 +185,8 @@ class _OfScene:
 
     def __call__(self, structure: Structure) -> tuple[list[Tip], np.ndarray, np.ndarray]:
         if structure is structure.whole:
+            from fenics_crack.fem.interaction_integral import tip_functionals  # DOLFINx
+
             found = tip_functionals(self.scene, structure)
             if not found[0]:
                 raise InputError("crack", "a crack without a tip", "one that ends in the plate")

@@ -29,7 +29,7 @@ import numpy as np
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.basics.tables import RPM, TURN, frequency_axis, in_unit
 from fenics_crack.fem.cracks import SAME
-from fenics_crack.fem.loads import of_wave
+from fenics_crack.fem.setting import of_wave
 from fenics_crack.model.contact import solve_complementarity
 from fenics_crack.model.factor import Factor
 from fenics_crack.model.modes import (

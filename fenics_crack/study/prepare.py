@@ -17,7 +17,6 @@ from petsc4py import PETSc
 
 from fenics_crack.basics.errors import ConvergenceError, InputError
 from fenics_crack.basics.threads import machine_memory, memory_of_process
-from fenics_crack.fem.build import with_crack_length
 from fenics_crack.model.contact import (
     ContactLaw,
     CoulombFriction,
@@ -139,7 +138,10 @@ def prepare(
     >>> plate = fc.prepare(scene)
     >>> structure, contact = plate.structure, plate.contact
     """
-    scene = with_crack_length(scene, comm)
+    if scene.crack is not None and scene.crack.first_omega is not None:
+        from fenics_crack.fem.build import with_crack_length  # DOLFINx
+
+        scene = with_crack_length(scene, comm)
     known = None if like is None else _at_another_speed(scene, like)
     structure = assembled(scene, comm, last) if known is None else known
     watched = _watched_dofs(scene, structure)
@@ -212,7 +214,8 @@ def reduced(study: Study, *, judged: bool = True) -> Study:
     scene, whole = study.scene, study.structure
     if whole.whole is not whole:
         return study
-    check_memory_of(scene, whole)
+    if whole.stiffness is not None:
+        check_memory_of(scene, whole)
     if isinstance(whole, Wheel):
         assert scene.disk is not None
         structure = reduce_wheel(whole, scene.disk.families, reference=judged)

@@ -5,24 +5,25 @@ clamp."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
+from itertools import chain
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 from mpi4py import MPI
 
-from fenics_crack.balance.harmonic_balance import solve_harmonic_balance
+from fenics_crack.balance.harmonic_balance import solve_beside, solve_harmonic_balance
 from fenics_crack.balance.problem import Problem, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.basics.errors import RECORDED_PERIODS, InputError
+from fenics_crack.basics.errors import INTERRUPTED, RECORDED_PERIODS, InputError
 from fenics_crack.basics.observables import Place, read_at
 from fenics_crack.basics.progress import begin
 from fenics_crack.basics.ranks import on_root
-from fenics_crack.basics.tables import Tabular, counted, quantity
+from fenics_crack.basics.tables import Tabular, counted, percent, quantity
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.peak import Peak
 from fenics_crack.curves.stability import from_rest
@@ -30,7 +31,7 @@ from fenics_crack.files.results import Result, save, type_of, unpack
 from fenics_crack.files.store import Stored, read
 from fenics_crack.model.contact import ContactLaw, friction_of, is_rigid, is_unilateral
 from fenics_crack.model.modal import is_small
-from fenics_crack.model.modes import Modes, solve_modes, times
+from fenics_crack.model.modes import Modes, bilinear_frequencies, solve_modes, times
 from fenics_crack.model.nodes import AXES
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.reduction import MODES
@@ -50,9 +51,9 @@ from fenics_crack.study.observer import (
     rows_requested,
     tip_rows,
 )
-from fenics_crack.study.prepare import Study, check_memory_of, prepare, reduction_of
-from fenics_crack.study.solve import solve_prepared
-from fenics_crack.study.vary import errors_of
+from fenics_crack.study.prepare import REFUSALS, Study, check_memory_of, prepare, reduction_of
+from fenics_crack.study.solve import MOST_OF_MANY, modes_chosen, solve_prepared, with_more_modes
+from fenics_crack.study.vary import error_by_modes, errors_of
 from fenics_crack.study.verification import Verification, verification_of
 from fenics_crack.time.march import Initial, TimeHistory, initial_places, initial_state
 
@@ -188,7 +189,7 @@ def modes(scene: Scene, count: int | None = None, comm: MPI.Comm = MPI.COMM_WORL
     return Run(**vars(study), result=solve_modes(study.structure, wanted))
 
 
-def solve(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[PeriodicSolution]:
+def solve(scene: Scene | Study, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[PeriodicSolution]:
     """Solve a scene for its steady vibration, as ``fenics-crack solve`` does (collective).
 
     Harmonic balance at the load's frequency (:func:`solve_harmonic_balance`), with its stability
@@ -197,8 +198,8 @@ def solve(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[PeriodicSolution
 
     Parameters
     ----------
-    scene : Scene
-        Scene with its load, contact and harmonic balance.
+    scene : Scene or Study
+        Scene with its load, contact and harmonic balance; or what :func:`load_prepared` returns.
     comm : MPI.Comm
         Ranks that share the structure.
 
@@ -217,7 +218,7 @@ def solve(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[PeriodicSolution
     >>> run = fc.solve(scene)
     >>> run.result.report.total, run.result.stability.verdict, run.motion()
     """
-    solved = solve_prepared(prepare(scene, comm, whole=True))
+    solved = solve_prepared(_whole(scene, comm))
     return _with_motion_from_rest(Run(**vars(solved)))
 
 
@@ -246,8 +247,13 @@ def _with_motion_from_rest(run: Run[PeriodicSolution]) -> Run[PeriodicSolution]:
     return replace(run, result=replace(found, stability=seen))
 
 
+def _whole(scene: Scene | Study, comm: MPI.Comm) -> Study:
+    """A scene prepared, but not reduced, unless it is (collective)."""
+    return scene if isinstance(scene, Study) else prepare(scene, comm, whole=True)
+
+
 def curve(
-    scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, *, progress: bool = False
+    scene: Scene | Study, comm: MPI.Comm = MPI.COMM_WORLD, *, progress: bool = False
 ) -> Run[ResponseCurve]:
     """Follow the response curve of a scene's table ``[curve]``, as ``fenics-crack curve`` does.
 
@@ -257,8 +263,8 @@ def curve(
 
     Parameters
     ----------
-    scene : Scene
-        Scene that vibrates, with its curve.
+    scene : Scene or Study
+        Scene that vibrates, with its curve; or what :func:`load_prepared` returns.
     comm : MPI.Comm
         Ranks that share the structure.
     progress : bool
@@ -284,9 +290,11 @@ def curve(
     from fenics_crack.curves.resonance import follow_resonance
     from fenics_crack.curves.verdicts import judge_curve
 
+    studies = _studies_of_curve(scene, comm)
+    scene = scene.scene if isinstance(scene, Study) else scene
     table, balance = scene.given("curve"), scene.harmonic_balance
     parameter, start, stop = table.followed
-    study = _prepare_curve(scene, comm)
+    study = next(studies)
     if not study.structure.sum_over_ranks(np.abs(study.structure.force[1:]).sum()):
         raise InputError(
             "load", "steady", "one that changes in time, for a curve: nothing vibrates"
@@ -301,36 +309,96 @@ def curve(
         options |= {"harmonics": balance.harmonics, "samples": balance.samples}
     else:
         options["tolerance"] = balance.tolerance
-    structure, omega = study.structure, scene.excitation.omega
-    if parameter == "resonance":
-        problem = Problem(structure, omega, law, balance.harmonics, balance.samples)
-        found = follow_resonance(
-            problem, start, stop, tolerance=balance.tolerance, progress=progress, throw=False
-        )
-        return Run(**vars(study), result=judge_curve(found) if table.stability else found)
-    if parameter == "omega":
-        followed = continue_frequency(structure, start, stop, law, **options)
-    else:
+
+    def follow(study: Study) -> ResponseCurve:
+        structure, omega = study.structure, scene.excitation.omega
+        if parameter == "resonance":
+            problem = Problem(structure, omega, law, balance.harmonics, balance.samples)
+            found = follow_resonance(
+                problem, start, stop, tolerance=balance.tolerance, progress=progress, throw=False
+            )
+            return judge_curve(found) if table.stability else found
+        if parameter == "omega":
+            return continue_frequency(structure, start, stop, law, **options)
         if parameter == "speed":
             omega *= start / scene.speed  # the structure is that of the start
-        followed = continue_parameter(structure, omega, law, parameter, start, stop, **options)
-    return Run(**vars(study), result=followed)
+        return continue_parameter(structure, omega, law, parameter, start, stop, **options)
+
+    whole = replace(study, scene=scene, structure=study.structure.whole)
+    if parameter == "speed" or not modes_chosen(whole):
+        return Run(**vars(study), result=follow(study))
+    if parameter == "omega":
+        study = _enough_before(study, studies, start, stop)
+    for more in chain([study], studies):
+        study, found = more, follow(more)
+        if found.status == INTERRUPTED:
+            break
+        error = max(map(partial(error_by_modes, study), _examined(study, found)))
+        vars(found)["status"] += f"; {_modes_in_words(study, error)}"  # what is observed is kept
+        if error <= balance.given("tolerance"):
+            break
+    return Run(**vars(study), result=found)
 
 
-def _prepare_curve(scene: Scene, comm: MPI.Comm) -> Study:
-    """A scene prepared for its curve: of a run-up with a basis for all speeds."""
+def _studies_of_curve(given: Scene | Study, comm: MPI.Comm) -> Iterator[Study]:
+    """A scene prepared for its curve, with more and more modes: of a run-up with a basis for all
+    speeds, and as many as a resonance at the scene's own takes."""
+    scene = given.scene if isinstance(given, Study) else given
     parameter, start, stop = scene.given("curve").followed
+    whole = _whole(given, comm)
     if parameter != "speed":
-        return prepare(scene, comm)
+        yield from with_more_modes(whole, MOST_OF_MANY)
+        return
     if scene.reduction is not None:
         allowed = "'massless', or left out, for a run-up: it has one basis for all speeds"
         scene.reduction.require(scene.reduction.method in (None, "massless"), "method", allowed)
-    study = prepare(scene, comm, whole=True)
-    check_memory_of(scene, study.structure, run_up=True)
-    kept = reduction_of(study.scene, study.structure)
-    modes = min(MODES, study.structure.n_dofs) if kept is None else kept.modes
-    structure = run_up_structure(study.structure, start, stop, modes)
-    return replace(study, structure=structure.at_speed(start))
+    check_memory_of(scene, whole.structure, run_up=True)
+    if modes_chosen(whole):
+        times_speed, few = (
+            scene.excitation.omega / scene.speed,
+            with_more_modes(whole, MOST_OF_MANY),
+        )
+        chosen = _enough_before(next(few), few, times_speed * start, times_speed * stop)
+        whole = replace(whole, scene=chosen.scene)
+    kept = reduction_of(whole.scene, whole.structure)
+    modes = min(MODES, whole.structure.n_dofs) if kept is None else kept.modes
+    structure = run_up_structure(whole.structure, start, stop, modes)
+    yield replace(whole, structure=structure.at_speed(start))
+
+
+def _enough_before(study: Study, studies: Iterator[Study], start: float, stop: float) -> Study:
+    """The first of some studies with enough modes, as far as a solution next to the first resonance
+    of a curve over the frequency tells, or without one at its start (collective)."""
+    balance, law = study.scene.harmonic_balance, study.contact
+    assert law is not None
+    low, high = sorted((start, stop))
+    for more in chain([study], studies):
+        study = more
+        natural = bilinear_frequencies(study.structure).omega_bilinear
+        omega = min(natural[(natural > low) & (natural < high)], default=start)
+        problem = Problem(study.structure, float(omega), law, balance.harmonics)
+        error = 0.0
+        with suppress(*REFUSALS):  # the curve itself will tell
+            error = error_by_modes(study, solve_beside(problem, None, balance.tolerance))
+        if error <= balance.given("tolerance") or error == math.inf:
+            break
+    return study
+
+
+def _examined(study: Study, found: ResponseCurve) -> list[PeriodicSolution]:
+    """The solutions at the largest response of a curve and at its ends (collective)."""
+    places = {found.top(study.watched[0].dof).index, 0, len(found) - 1}
+    return [found.solution(place) for place in sorted(places)]
+
+
+def _modes_in_words(study: Study, error: float) -> str:
+    """That the modes of a curve meet its tolerance, or by how much they miss it."""
+    scene = study.scene
+    tolerance, modes = scene.harmonic_balance.given("tolerance"), scene.given("reduction").modes
+    if error <= tolerance:
+        return f"chosen for an error of {tolerance:g}: {modes} modes"
+    size = f"error by {modes} modes {percent(error)}" if error < math.inf else "error unknown"
+    return f"{size}, {percent(tolerance)} was asked; what helps: {scene.modes_key} {2 * modes}"
 
 
 def integrate(
@@ -541,7 +609,7 @@ def run_of(stored: Stored, comm: MPI.Comm = MPI.COMM_WORLD, *, judged: bool = Tr
         raise InputError("path", str(stored.path), f"a {kind.KIND} saved with its scene")
     on_root(comm, lambda: stored.check_files(scene))
     if issubclass(kind, ResponseCurve) and scene.curve is not None:
-        study = _prepare_curve(scene, comm)
+        study = next(_studies_of_curve(scene, comm))
     else:
         study = prepare(scene, comm, whole=kind is Modes, judged=judged)
     if kind is TimeHistory and scene.integration is not None and scene.integration.free:

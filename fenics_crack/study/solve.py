@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from fenics_crack.balance.block_system import FORMS
 from fenics_crack.balance.error_report import NOT_ESTIMATED
-from fenics_crack.balance.harmonic_balance import FIRST_MODES, solve_linear, solve_to_tolerance
+from fenics_crack.balance.harmonic_balance import (
+    FIRST_MODES,
+    modes_tried,
+    solve_linear,
+    solve_to_tolerance,
+)
 from fenics_crack.balance.problem import Problem, check_memory
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.progress import begin
 from fenics_crack.curves.stability import floquet
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
 from fenics_crack.model.modal import is_small
-from fenics_crack.model.receptance import receptance
+from fenics_crack.model.receptance import held_receptance, receptance
 from fenics_crack.model.structure import Structure
+from fenics_crack.motion.orbit import FORMED
 from fenics_crack.study.observer import rows_requested
 from fenics_crack.study.prepare import FEW_DOFS, Study, reduced, reduction_of
-
-MODES_AT_ONCE = 4 * FIRST_MODES
-"""Modes of a large structure that are found together, those of the first two attempts with their
-references. One after the other they take two more factors, and 67 steps beside 106 of a plate;
-of ten plates with a tolerance of 1 % six took the second attempt, or more."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -72,28 +74,66 @@ def solve_prepared(
 
 def _solve_to_tolerance(whole: Study, law: ContactLaw) -> tuple[Study, PeriodicSolution]:
     """The solution to the tolerance, and its study with the modes that it takes."""
-    scene, structure, table = whole.scene, whole.structure, whole.scene.harmonic_balance
-    first, tolerance = reduction_of(scene, structure), table.given("tolerance")
-    problem = Problem(structure, scene.excitation.omega, law, table.harmonics)
-    chosen = scene.reduction is not None and scene.reduction.modes is not None
-    if first is None or chosen or scene.disk is not None:
-        study = reduced(whole)
-        problem = replace(problem, structure=study.structure)
-        solver = Solver(problem, throw=False)
-        return study, solve_to_tolerance(solver, tolerance, modes_key=scene.modes_key)
-    studies: list[Study] = []
+    scene, table, studies = whole.scene, whole.scene.harmonic_balance, list[Study]()
 
-    def reduced_to(modes: int) -> Structure:
-        kept = {"reduction.method": first.method, "reduction.modes": modes}
-        studies.append(reduced(replace(whole, scene=scene.replace(kept))))
-        return studies[-1].structure
+    def structures() -> Iterator[Structure]:
+        for study in with_more_modes(whole):
+            studies.append(study)
+            yield study.structure
 
-    large = first.method == "massless" and not is_small(structure)
-    modes = FIRST_MODES if large else first.modes
-    if large and structure.stiffness is not None:
-        receptance(structure, min(MODES_AT_ONCE, structure.n_dofs - structure.n_pairs))
-    solver = Solver(problem, throw=False)
+    problem = Problem(whole.structure, scene.excitation.omega, law, table.harmonics)
     found = solve_to_tolerance(
-        solver, tolerance, reduced_to=reduced_to, modes=modes, modes_key=scene.modes_key
+        Solver(problem, throw=False),
+        table.given("tolerance"),
+        structures=structures(),
+        modes_key=scene.modes_key,
     )
     return next(study for study in studies if study.structure is found.structure), found
+
+
+# --- how many modes -------------------------------------------------------------------------------
+
+
+MOST_OF_MANY = 40
+"""Most modes that a tolerance chooses for a curve or a sweep: with twice as many a curve takes four
+times as long."""
+
+
+def modes_chosen(study: Study, most: int = FORMED) -> list[int]:
+    """Numbers of modes among which a study's tolerance chooses, from few on; none where the scene
+    says how many, has no tolerance, or is not reduced (collective)."""
+    scene, whole = study.scene, study.structure
+    if whole.whole is not whole:
+        return []
+    kept, table = reduction_of(scene, whole), scene.reduction
+    given = scene.disk is not None or (table is not None and table.modes is not None)
+    if kept is None or given or scene.harmonic_balance.tolerance is None or study.contact is None:
+        return []
+    of_file = whole.stiffness is None
+    large = kept.method == "massless" and (of_file or not is_small(whole))
+    if of_file:  # which holds so many and their reference
+        most = min(most, len(whole.once(held_receptance)[0].squares) // 2)
+    return modes_tried(whole, FIRST_MODES if large else kept.modes, most)
+
+
+def reduced_to(whole: Study, modes: int) -> Study:
+    """A study with so many modes (collective)."""
+    kept = reduction_of(whole.scene, whole.structure)
+    keys = {"reduction.method": kept and kept.method, "reduction.modes": modes}
+    return reduced(replace(whole, scene=whole.scene.replace(keys)))
+
+
+def with_more_modes(whole: Study, most: int = FORMED) -> Iterator[Study]:
+    """A study with the numbers of modes among which its tolerance chooses, each reduced when it is
+    needed; else once, as its scene says (collective).
+
+    Few modes, and twice as many, are found together with those of their references: one after the
+    other they take two more factors, and of a plate 67 steps beside 106. At a tolerance of 1 % six
+    of ten plates took the second number or more.
+    """
+    chosen, structure = modes_chosen(whole, most), whole.structure
+    if chosen[:1] == [FIRST_MODES] and structure.stiffness is not None:
+        receptance(structure, min(4 * FIRST_MODES, structure.n_dofs - structure.n_pairs))
+    yield from (reduced_to(whole, modes) for modes in chosen)
+    if not chosen:
+        yield reduced(whole)

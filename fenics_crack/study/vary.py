@@ -353,8 +353,12 @@ def errors_of_natural(study: Study, natural: Mapping[str, np.ndarray]) -> Verifi
     return vary(Verification(scene, values, dict.fromkeys(values, unit)), {"mesh": by_mesh})
 
 
+EVERY = ("modes", "harmonics", "mesh", "friction")
+"""Causes of stated errors."""
+
+
 def stated_errors(
-    study: Study, found: PeriodicSolution, *, of_peak: bool = False, friction: bool = True
+    study: Study, found: PeriodicSolution, *, of_peak: bool = False, causes: Sequence[str] = EVERY
 ) -> Verification:
     """The errors of a solution's numbers that are expected by modes, harmonics, mesh and friction
     that is left out (collective).
@@ -367,8 +371,8 @@ def stated_errors(
         The answer.
     of_peak : bool
         True if it is the largest of a curve over the frequency, which moves with the resonance.
-    friction : bool
-        Whether friction is one of the causes.
+    causes : sequence of str
+        Those that are varied.
 
     Returns
     -------
@@ -378,8 +382,7 @@ def stated_errors(
     numbers = numbers_of(study, found)
     stated = Verification(study.scene, numbers.values, numbers.units)
     if not is_small(study.structure):  # three more solutions take three times as long
-        causes = "modes", "harmonics", "mesh"
-        stated.unknown.update(dict.fromkeys(causes, "the structure is not reduced"))
+        stated.unknown.update(dict.fromkeys(EVERY[:3], "the structure is not reduced"))
         return stated
     if found.report.unknown:  # other runs may agree by chance
         stated.unknown["harmonics"] = not_estimated(found.report)
@@ -391,12 +394,22 @@ def stated_errors(
         return stated
     own = numbers_of(study, near, numbers.mode)
     case = _Stated(study, found, near, own, stated, of_peak)
-    varied = {"modes": case.modes, "harmonics": case.harmonics, "mesh": case.mesh}
-    vary(stated, varied | ({"friction": case.friction} if friction else {}))
+    vary(stated, {cause: getattr(case, cause) for cause in causes})
     for name in [*stated.values]:  # of some of the other runs it may be none
         if not all(name in parts for parts in stated.parts.values()):
             del stated.values[name]
     return stated
+
+
+def error_by_modes(study: Study, found: PeriodicSolution) -> float:
+    """Relative error of what is watched, and of the opening of cracks, that modes left out are
+    expected to make; inf where it is not known (collective)."""
+    stated = stated_errors(study, found, causes=["modes"])
+    names = [*(one.column("amplitude") for one in study.watched), "opening"]
+    if stated.unknown:
+        return math.inf
+    seen = [one for one in names if stated.parts and stated.values.get(one)]
+    return max((stated.stated(one)[0] for one in seen), default=0.0)
 
 
 def not_estimated(report: ErrorReport) -> str:

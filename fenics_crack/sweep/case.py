@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from mpi4py import MPI
 
-from fenics_crack.balance.harmonic_balance import solve_beside, solve_linear
+from fenics_crack.balance.harmonic_balance import lacks_modes, solve_beside, solve_linear
 from fenics_crack.balance.problem import Problem, check_memory
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import InputError
@@ -19,8 +20,7 @@ from fenics_crack.basics.tables import with_frequency
 from fenics_crack.curves.follow import continue_frequency
 from fenics_crack.curves.resonance import resonance_at
 from fenics_crack.curves.stability import floquet
-from fenics_crack.fem.build import clearance_of
-from fenics_crack.fem.loads import parts_of
+from fenics_crack.fem.setting import clearance_of, parts_of
 from fenics_crack.model.contact import is_rigid, is_unilateral
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import BilinearFrequencies, bilinear_frequencies
@@ -30,7 +30,8 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCES
 from fenics_crack.study.observer import rows_requested
 from fenics_crack.study.plausibility import damping_ratios
-from fenics_crack.study.prepare import REFUSALS, Study, law_of, prepare
+from fenics_crack.study.prepare import REFUSALS, Study, law_of, prepare, reduced
+from fenics_crack.study.solve import MOST_OF_MANY, modes_chosen, reduced_to
 from fenics_crack.sweep.file import AT_POINTS, PHASES, UNSURE, YET, of_load
 from fenics_crack.sweep.plan import Chunk
 
@@ -81,6 +82,11 @@ class Geometry:
     watched : dict of str to (n_dofs,)
         Factors of the coordinates in the motion of the named points [m], by "tip.ux",
         and at the load, by ""; of one load alone its own vector does that.
+    whole : Study
+        Not reduced.
+    modes : tuple of int
+        Number of modes, and those that the tolerance may choose instead; empty where it does not
+        choose them.
     """
 
     study: Study
@@ -88,6 +94,16 @@ class Geometry:
     crack_length: float
     natural: BilinearFrequencies
     watched: dict[str, np.ndarray]
+    whole: Study
+    modes: tuple[int, ...] = ()
+
+    @cached_property
+    def finer(self) -> Geometry | None:
+        """The same with the next number of modes; None where these are the most."""
+        if len(self.modes) < 2:
+            return None
+        study = reduced_to(self.whole, self.modes[1])
+        return replace(self, study=study, watched=_watched(study), modes=self.modes[1:])
 
     @property
     def structure(self) -> Structure:
@@ -113,24 +129,43 @@ def build(scene: Scene, comm: MPI.Comm, asked: Asked, last: Geometry | None = No
         size = scene.dimension
         units = zip(FORCES, np.eye(len(FORCES), size, size - len(FORCES))[:, ::-1], strict=True)
         scene = scene.replace({f"excitation.{name}": tuple(unit) for name, unit in units})
-    study = prepare(scene, comm, like=None if last is None else last.study, judged=asked.judged)
-    structure = study.structure
+    whole = prepare(scene, comm, whole=True, like=None if last is None else last.study)
+    modes = modes_chosen(whole, MOST_OF_MANY) if asked.judged else []
+    # Natural frequencies have no error of their own: they are of many modes.
+    every = reduced(whole, judged=asked.judged and not modes)
+    structure = every.structure
     if not is_small(structure):
         method = "off" if scene.reduction is None else scene.reduction.method
         allowed = f"one that leaves fewer than {structure.n_dofs} coordinates"
         raise InputError("reduction.method", method, allowed)
-    rows_requested(study)
-    lengths = [crack.length for crack in study.scene.all_cracks.values()]
+    rows_requested(every)
+    lengths = [crack.length for crack in every.scene.all_cracks.values()]
+    known = lengths[0] if lengths and lengths[0] is not None else np.nan
+    natural = bilinear_frequencies(structure)
+    study = reduced_to(whole, modes[0]) if modes else every
+    rows = _watched(study)
+    return Geometry(study, asked.unit_loads, known, natural, rows, whole, tuple(modes))
+
+
+def with_any_modes(scene: Scene, asked: Asked) -> Iterator[Geometry]:
+    """The geometry of a case with each number of modes with which it may have been solved."""
+    made = build(scene, MPI.COMM_SELF, asked)
+    yield made
+    if not made.modes:
+        return
+    finer = made.finer
+    while finer is not None:
+        yield finer
+        finer = finer.finer
+    yield build(scene, MPI.COMM_SELF, replace(asked, judged=False))
+
+
+def _watched(study: Study) -> dict[str, np.ndarray]:
+    """The rows of the motion at the load and at the named points (collective)."""
     named = [watched for watched in study.watched if watched.name]
-    rows = rows_of(structure, [watched.dof for watched in named])
-    return Geometry(
-        study,
-        asked.unit_loads,
-        lengths[0] if lengths and lengths[0] is not None else np.nan,
-        bilinear_frequencies(structure),
-        _at_load(study.scene, structure)
-        | {watched.name: row for watched, row in zip(named, rows, strict=True)},
-    )
+    rows = rows_of(study.structure, [watched.dof for watched in named])
+    found = {watched.name: row for watched, row in zip(named, rows, strict=True)}
+    return _at_load(study.scene, study.structure) | found
 
 
 def _at_load(scene: Scene, structure: Structure) -> dict[str, np.ndarray]:
@@ -182,7 +217,12 @@ def solve_chunk(
             solved.append(found | {"status": ALONE, "seconds": time.perf_counter() - started})
             continue
         try:
-            solution = cases.at_resonance(case) if asked.at_resonance else cases.solve(case)
+            solution = cases.found(case, asked)
+            tolerance = case.harmonic_balance.tolerance
+            while tolerance and lacks_modes(solution, tolerance) and geometry.finer:
+                geometry = geometry.finer  # for the cases behind it, too
+                cases = Cases(geometry)
+                solution = cases.found(case, asked)
             found |= _observed(solution, case, geometry)
             found |= _at(solution.omega, geometry.natural) | solution.to_dict()
             if not asked.judged:
@@ -208,6 +248,10 @@ class Cases:
         self._geometry = geometry
         self._last: Scene | None = None
         self._near: PeriodicSolution | None = None
+
+    def found(self, case: Scene, asked: Asked) -> PeriodicSolution:
+        """The solution of a case, or at its resonance, as requested; raises as :meth:`solve`."""
+        return self.at_resonance(case) if asked.at_resonance else self.solve(case)
 
     def solve(self, case: Scene) -> PeriodicSolution:
         """The solution of a case; one of :data:`REFUSALS` where there is none."""

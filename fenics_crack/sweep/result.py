@@ -46,12 +46,13 @@ from fenics_crack.basics.ranks import StopRequest, on_root
 from fenics_crack.basics.tables import Said, Tabular, counted, error_in_words, optional, quantity
 from fenics_crack.files.results import solution_from
 from fenics_crack.files.store import Stored, header
+from fenics_crack.model.structure import Structure
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene, unit_of
 from fenics_crack.scene.tables import Sweep
 from fenics_crack.study.conclusion import at_rest
 from fenics_crack.study.prepare import law_of
-from fenics_crack.sweep.case import Asked, build
+from fenics_crack.sweep.case import Asked, with_any_modes
 from fenics_crack.sweep.file import (
     KIND,
     UNSURE,
@@ -329,7 +330,17 @@ class SweepResult(Tabular):
         length = float(self["crack_length"][place])
         if case.crack is not None and case.crack.first_omega is not None:
             case = case.replace({"crack.length": length, "crack.first_omega": None})
-        structure = build(case, MPI.COMM_SELF, Asked(plan.unit_loads)).of_case(case)
+        for geometry in with_any_modes(case, Asked(plan.unit_loads)):
+            try:
+                return self._solution_in(geometry.of_case(case), case, place)
+            except InputError as error:  # the file's waves may be of other modes
+                refused = error
+        raise refused
+
+    def _solution_in(
+        self, structure: Structure, case: Scene, place: tuple[int, ...]
+    ) -> PeriodicSolution:
+        """The solution of a case in its structure; InputError where it is of another one."""
         omega = float(self["omega"][place])
         law = law_of(case, structure)
         if law is None:

@@ -38,7 +38,7 @@ def meshes(monkeypatch: pytest.MonkeyPatch) -> list[fc.Scene]:
         made.append(scene)
         return assemble(scene, *rest)
 
-    wrap(monkeypatch, "fenics_crack.study.sharing.assemble", noted)
+    wrap(monkeypatch, "fenics_crack.fem.build.assemble", noted)
     return made
 
 

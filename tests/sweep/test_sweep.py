@@ -608,14 +608,15 @@ def refused_and_broken(folder: Path, refused: fc.Scene, good: fc.Scene, comm: MP
     with pytest.raises(fc.InputError) as error:
         run_sweep(refused, folder / "sweep.h5", comm)
     told.append(error.value.key)
-    whole, calls = sweep_case.Cases.solve, []
+    whole, calls, met = sweep_case.Cases.solve, [], folder / "met"
 
     def broken(*given: Any) -> Any:
         calls.append(given)
         if comm.rank == 1 and len(calls) > 10:  # after its first chunk
+            met.touch()
             raise KeyError("unforeseen")
         until = time.monotonic() + LIMIT
-        while comm.rank == 0 and not comm.iprobe():  # until the other one has done something
+        while comm.rank == 0 and not met.exists():  # until the other one has done something
             assert time.monotonic() < until
             time.sleep(0.01)
         return whole(*given)

@@ -1,0 +1,136 @@
+"""Exact orbits of many cases in one call: those of single solutions, each with what is said of
+it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import chain, oscillator
+
+import fenics_crack as fc
+from fenics_crack.balance.harmonic_balance import wave_of
+
+RIGID = fc.UnilateralConstraint()
+
+
+def drawn(omega: float, count: int, clearance: float = 0.0) -> dict[str, np.ndarray]:
+    """Random cases about a frequency."""
+    draw = np.random.default_rng(3)
+    return {
+        "omega": omega * draw.uniform(0.9, 1.1, count),
+        "load": draw.uniform(0.5, 4.0, count),
+        "damping": draw.uniform(0.8, 2.0, count),
+        "clearance": clearance * draw.uniform(0.0, 1.0, count),
+    }
+
+
+def solved(structure: fc.Structure, law: Any, cases: dict[str, np.ndarray]) -> fc.ManyOrbits:
+    """All at once."""
+    rest = {name: values for name, values in cases.items() if name != "omega"}
+    return fc.solve_many(structure, cases["omega"], law, **rest)
+
+
+def check_single(many: fc.ManyOrbits, share: float) -> None:
+    """Each is a single solution's orbit, at least a share of them the one that is found alone; with
+    its numbers."""
+    same = 0
+    for case in range(len(many.omega)):
+        problem, own = many.problem(case), many.orbit(case)
+        assert own.residual < 1e-8
+        single = fc.solve_harmonic_balance(
+            problem.structure, problem.omega, problem.contact, tolerance=0.05, throw=False
+        )
+        assert single.orbit is not None
+        if many.verdict[case] == "unstable":
+            assert not single.orbit.is_stable  # else that one would have been returned
+        if np.abs(single.orbit.gap - own.gap).max() > 1e-9 * np.abs(own.gap).max():
+            continue
+        same += 1
+        assert many.multiplier[case] == pytest.approx(abs(single.orbit.multipliers[0]), rel=1e-6)
+        expected = single.orbit.indicators()
+        for name in ("amplitude", "opening", "closed_share"):
+            value = getattr(many, name)[case]
+            assert value == pytest.approx(getattr(expected, name), rel=1e-4), name
+        known = own.coefficients(many.harmonics)
+        error = wave_of(problem, own, known).assessment.distance
+        assert many.truncation[case] == pytest.approx(error, rel=0.02, abs=1e-6)
+    assert same >= share * len(many.omega)
+
+
+def test_plate(light_lips: fc.Structure) -> None:
+    """Rigid contact of crack faces without mass: neighbours lead to nearly all."""
+    omega = float(fc.bilinear_frequencies(light_lips).omega_bilinear[0])
+    many = solved(light_lips, RIGID, drawn(omega, 40))
+    assert np.mean(many.status == "neighbour") > 0.8
+    check_single(many, 0.95)
+
+
+def test_chain() -> None:
+    """Faces with mass on springs, whose clearances and mean load are not multiplied alike."""
+    check_single(solved(chain(), fc.UnilateralPenalty(5.0), drawn(0.6, 30, 0.1)), 0.9)
+
+
+def test_friction() -> None:
+    """Where pairs stick is part of the state."""
+    structure = fc.Structure.from_matrices(
+        np.eye(2), np.eye(2), gap=[0.0, 1.0], tangential=[1.0, 0.0],
+        force_cos=[1.0, 0.0], force_mean=[0.0, 0.6], damping=fc.ModalDamping(0.02),
+    )  # fmt: skip
+    law = fc.CoulombFriction(fc.UnilateralPenalty(1.0), 1.0, 0.5)
+    check_single(solved(structure, law, drawn(0.9, 20)), 0.9)
+
+
+def test_order_of_cases(light_lips: fc.Structure) -> None:
+    """Shuffled cases have the same orbits."""
+    omega = float(fc.bilinear_frequencies(light_lips).omega_bilinear[0])
+    cases, order = drawn(omega, 60), np.random.default_rng(1).permutation(60)
+    one = solved(light_lips, RIGID, cases)
+    other = solved(light_lips, RIGID, {name: values[order] for name, values in cases.items()})
+    apart = np.abs(one.states[order] - other.states).max(axis=1)
+    assert np.all(apart <= 1e-9 * np.abs(other.states).max(axis=1))
+    assert one.verdict[order].tolist() == other.verdict.tolist()
+
+
+def test_proportional_loads() -> None:
+    """Without a clearance the orbit grows with the load; a reversed one is another motion."""
+    many = fc.solve_many(oscillator(), 0.7, fc.UnilateralPenalty(3.0), load=[1.0, 3.0, -2.0, 0.0])
+    assert many.amplitude[1] == pytest.approx(3.0 * many.amplitude[0], rel=1e-9)
+    assert many.amplitude[2] == pytest.approx(2.0 * many.amplitude[0], rel=1e-4)  # half a period on
+    assert many.amplitude[3] == 0.0
+    assert many.verdict.tolist() == ["stable"] * 4
+
+
+def test_bad_cases_stop_no_other() -> None:
+    """They are listed with the reason."""
+    nan = float("nan")
+    many = fc.solve_many(
+        oscillator(), [0.7, nan, 0.7, 0.7, -1.0, 1e-9], fc.UnilateralPenalty(3.0),
+        load=[1.0, 1.0, nan, 1.0, 1.0, 1.0], damping=[1.0, 1.0, 1.0, -1.0, 1.0, 1.0],
+    )  # fmt: skip
+    assert many.status.tolist() == ["alone", *["refused"] * 4, "lost"]
+    for case, word in enumerate(("omega", "load", "damping", "omega", "too slow"), 1):
+        assert word in many.reason[case]
+        assert np.isnan(many.amplitude[case]) and not many.verdict[case]
+    with pytest.raises(fc.ConvergenceError, match="too slow"):
+        many.orbit(5)
+    assert len(many.to_dict()["amplitude"]) == 6
+    assert "5 without an orbit" in repr(many)
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [
+        ({"omega": [[1.0]]}, "omega"), ({"omega": 1.0}, "omega"), ({"omega": []}, "omega"),
+        ({"load": [1.0, 2.0, 3.0]}, "load"), ({"harmonics": 0}, "harmonics"),
+        ({"contact": fc.SmoothedPenalty(1.0, 1.0)}, "contact"),
+        ({"structure": fc.Structure.from_matrices([[1.0]], [[1.0]], gap=None)}, "pairs"),
+    ],
+)  # fmt: skip
+def test_bad_arguments(change: dict[str, Any], key: str) -> None:
+    """What concerns all cases is refused before any is solved."""
+    given: dict[str, Any] = {"structure": oscillator(), "omega": [0.7, 0.8]}
+    given |= {"contact": fc.UnilateralPenalty(3.0)} | change
+    with pytest.raises(fc.InputError, match=key):
+        fc.solve_many(**given)

@@ -1,0 +1,162 @@
+"""A prepared structure in a file: the answers of its scene, without a mesh."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fenics_crack as fc
+
+PLATE = """
+[geometry]
+width = 0.1
+height = 0.3
+thickness = 0.002
+[crack]
+edge = "left"
+height = 0.15
+length = 0.03
+[material]
+young = 2.1e11
+poisson = 0.3
+density = 7850.0
+[damping]
+ratio = 0.005
+[excitation]
+point = [0.1, 0.3]
+force_sin = [10.0, 0.0]
+frequency = 780.0
+[contact]
+law = "unilateral"
+[harmonic_balance]
+harmonics = 7
+[mesh]
+layout = "graded"
+size = 0.03
+lip_elements = 4
+[reduction]
+modes = 10
+"""
+CHANGES = {
+    "excitation.frequency": 800.0,
+    "excitation.force_sin": [20.0, 0.0],
+    "excitation.force_mean": [3.0, 0.0],
+    "damping.ratio": 0.01,
+    "crack.clearance": 1e-8,
+    "contact.friction_error": 0.3,
+}
+PROGRAM = """
+import sys
+class Blocked:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in ("dolfinx", "ufl", "basix", "ffcx", "gmsh", "vtkmodules"):
+            raise ImportError(name + " is blocked")
+sys.meta_path.insert(0, Blocked())
+from fenics_crack.cli.command_line import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The file of the plate."""
+    path = tmp_path_factory.mktemp("prepared") / "plate.h5"
+    fc.save_prepared(fc.prepare(fc.Scene.from_text(PLATE)), path)
+    return path
+
+
+def test_file_gives_the_answer_of_its_scene(file: Path) -> None:
+    """Amplitude and stated errors under another load, frequency, damping and clearance."""
+    own = fc.solve(fc.Scene.from_text(PLATE).replace(CHANGES))
+    expected = own.errors
+    run = fc.solve(fc.load_prepared(file, CHANGES))
+    assert run.structure.whole.stiffness is None
+    assert run.errors is not None and expected is not None
+    assert set(run.errors.parts) == {"modes", "harmonics", "mesh", "friction"}
+    assert run.errors.values == pytest.approx(expected.values, rel=1e-6)
+    for name in expected.values:
+        assert run.errors.stated(name)[0] == pytest.approx(expected.stated(name)[0], rel=1e-4)
+
+
+def test_solve_imports_no_mesher(file: Path, tmp_path: Path) -> None:
+    """The command writes its files where neither DOLFINx nor gmsh can be imported."""
+    words = ["solve", str(file), "--set", "excitation.frequency=790", "--output", str(tmp_path)]
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, *words], capture_output=True, text=True, check=False
+    )
+    assert done.returncode in (0, 4), done.stderr  # 4: the error of so coarse a mesh is large
+    assert (tmp_path / "solution.h5").exists() and (tmp_path / "solution.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("mesh.size", 0.02),
+        ("crack.length", 0.02),
+        ("material.young", 7e10),
+        ("excitation.point", [0.0, 0.3]),
+        ("excitation.force_sin", [0.0, 1.0]),
+        ("output.quantities", ["reaction_force"]),
+    ],
+)
+def test_keys_of_the_mesh_are_refused(file: Path, key: str, value: object) -> None:
+    """Each by its name, with what can be varied."""
+    with pytest.raises(fc.InputError, match=r"needs no mesh|for a file") as error:
+        fc.load_prepared(file, {key: value})
+    assert error.value.key == key
+
+
+def test_more_modes_than_the_file_has_are_refused(file: Path) -> None:
+    """It is never silently wrong."""
+    with pytest.raises(fc.InputError, match="solve the scene itself"):
+        fc.solve(fc.load_prepared(file, {"reduction.modes": 30}))
+
+
+def test_tolerance_beyond_the_file_is_said_to_be_missed(file: Path) -> None:
+    """A solution has no more modes than the file, and states their error."""
+    keys = {"harmonic_balance.tolerance": 1e-3, "harmonic_balance.harmonics": None}
+    run = fc.solve(fc.load_prepared(file, keys | {"reduction.modes": None}))
+    assert run.structure.n_modes == 10
+    assert run.result.report.reduction > 1e-3 and "was asked" in run.result.status
+
+
+def test_curve_of_a_file(file: Path) -> None:
+    """The points of its scene's own curve."""
+    keys = {"curve.start": 780.0, "curve.stop": 800.0, "curve.stability": False}
+    own, found = (
+        fc.curve(given).result
+        for given in (fc.Scene.from_text(PLATE).replace(keys), fc.load_prepared(file, keys))
+    )
+    assert found.omega == pytest.approx(own.omega, rel=1e-6)
+    assert found.amplitude() == pytest.approx(own.amplitude(), rel=1e-6)
+
+
+def test_other_commands_make_a_mesh_of_their_own(file: Path) -> None:
+    """A scene of the same mesh is not given the structure of a file."""
+    prepared = fc.load_prepared(file)
+    assert fc.modes(prepared.scene).structure.stiffness is not None
+
+
+def omega_of(path: Path) -> np.ndarray:
+    """Natural frequencies that a file holds."""
+    structure = fc.load_prepared(path).structure
+    return fc.reduce_structure(structure, modes=10, method="massless").omega
+
+
+def test_damaged_files_are_refused_in_one_line(file: Path, tmp_path: Path) -> None:
+    """Truncated, or with a byte changed anywhere: one error, or the same file as before."""
+    whole, broken = file.read_bytes(), tmp_path / "broken.h5"
+    rng = np.random.default_rng(1)
+    known = omega_of(file)
+    for place in rng.integers(0, len(whole), 12):
+        image = bytearray(whole)
+        image[place] ^= 0xFF
+        broken.write_bytes(image if place % 3 else whole[:place])
+        try:
+            assert np.array_equal(omega_of(broken), known)
+        except fc.InputError as error:
+            assert "\n" not in str(error)

@@ -1,0 +1,69 @@
+"""One tolerance chooses the modes: of curves and sweeps, against many more modes."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fenics_crack as fc
+import fenics_crack.cli
+from fenics_crack.study.solve import MOST_OF_MANY, modes_chosen
+
+COARSE = {
+    "reduction": None, "mesh.size": 0.03, "mesh.lip_elements": 4, "mesh.error": False,
+    "contact.friction_error": False, "curve.start": 815.0, "curve.stop": 850.0,
+    "curve.stability": False, "damping.ratio": 0.01,
+}  # fmt: skip
+RATIO = 1.3
+"""Most of a true error over the stated one."""
+
+
+def new_scene() -> fc.Scene:
+    """The scene of ``fenics-crack new``."""
+    return fc.Scene.load(Path(fenics_crack.cli.__file__).with_name("new_scene.toml"))
+
+
+def test_a_curve_has_the_modes_that_its_tolerance_takes() -> None:
+    """Its largest response and opening are those with four times as many, within the tolerance."""
+    scene = new_scene().replace(COARSE)
+    few = fc.curve(scene)
+    kept = few.scene.given("reduction").modes
+    assert kept in (10, 20, 40) and f"; chosen for an error of 0.01: {kept} modes" in few.status
+    many = fc.curve(scene.replace({"reduction.modes": 4 * kept}))
+    assert "chosen" not in many.status and many.structure.n_modes == 4 * kept
+    for name in ("amplitude", "opening"):
+        seen = [getattr(one.indicators(), name).max() for one in (few, many)]
+        assert seen[0] == pytest.approx(seen[1], rel=RATIO * 0.01)
+    stricter = fc.curve(scene.replace({"harmonic_balance.tolerance": 1e-4}))
+    assert stricter.scene.given("reduction").modes == MOST_OF_MANY
+    assert "was asked; what helps: reduction.modes 80" in stricter.status
+
+
+def test_each_case_of_a_sweep_meets_the_tolerance(tmp_path: Path) -> None:
+    """Modes are doubled where a case needs more; its solution has those with which it was found."""
+    over = {"excitation.frequency": [600.0, 828.0, 832.0]}
+    scene = new_scene().replace(COARSE | {"curve": None, "sweep.over": over})
+    found = fc.run_sweep(scene, tmp_path / "sweep.h5")
+    for name in ("residual", "truncation", "sampling"):
+        assert np.all(found[f"{name}_error"] <= 0.01)
+    assert np.all(found["reduction_error"] <= 0.01)
+    plain = scene.replace({"sweep": None})
+    for index, omega in enumerate(found["omega"]):
+        solution = found.solution(index)
+        assert solution.amplitude() == pytest.approx(found["response"][index], rel=1e-9)
+        modes = 4 * solution.structure.n_modes
+        changes = {"excitation.omega": float(omega), "reduction.modes": modes}
+        true = fc.solve(plain.replace(changes)).amplitude()
+        assert found["response"][index] == pytest.approx(true, rel=RATIO * 0.01)
+
+
+def test_modes_that_are_given_are_kept() -> None:
+    """A number of modes, harmonics, or no contact leave nothing to choose."""
+    scene = new_scene().replace(COARSE)
+    assert modes_chosen(fc.prepare(scene, whole=True)) == [10, 20, 40, 80, 120]
+    for keys in (
+        {"reduction.modes": 7},
+        {"harmonic_balance.tolerance": None, "harmonic_balance.harmonics": 5},
+        {"crack": None, "contact": None},
+    ):
+        assert modes_chosen(fc.prepare(scene.replace(keys), whole=True)) == []
