@@ -127,12 +127,13 @@ def with_more_modes(whole: Study, most: int = FORMED) -> Iterator[Study]:
     """A study with the numbers of modes among which its tolerance chooses, each reduced when it is
     needed; else once, as its scene says (collective).
 
-    Modes of the first two and of their references are found together: one after the other they take
-    two more factors and 67 steps beside 106 of a plate, and most tolerances of 1 % take the second.
+    Few modes, and twice as many, are found together with those of their references: one after the
+    other they take two more factors, and of a plate 67 steps beside 106. At a tolerance of 1 % six
+    of ten plates took the second number or more.
     """
     chosen, structure = modes_chosen(whole, most), whole.structure
-    if len(chosen) > 1 and structure.stiffness is not None:
-        receptance(structure, min(4 * chosen[0], structure.n_dofs - structure.n_pairs))
+    if chosen[:1] == [FIRST_MODES] and structure.stiffness is not None:
+        receptance(structure, min(4 * FIRST_MODES, structure.n_dofs - structure.n_pairs))
     yield from (reduced_to(whole, modes) for modes in chosen)
     if not chosen:
         yield reduced(whole)
