@@ -25,7 +25,7 @@ from ranks import HELD, LIMIT, kill
 from rotating import cracked
 
 import fenics_crack as fc
-import fenics_crack.study.sharing
+import fenics_crack.fem.build
 from fenics_crack import Scene, SweepResult, prepare, run_sweep
 from fenics_crack.basics.errors import WriteError
 from fenics_crack.fem.build import assemble
@@ -822,7 +822,7 @@ def test_speeds_share_a_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     coarse |= {"curve.parameter": "rpm", "curve.start": 5000.0, "curve.stop": 6000.0}
     scene = cracked(600.0, -250.0).replace({"excitation.order": 12, **coarse})
     over = {"crack.length": [0.005, 0.006], "rotation.speed": [580.0, 600.0, 620.0]}
-    monkeypatch.setattr(fenics_crack.study.sharing, "assemble", counted)
+    monkeypatch.setattr(fenics_crack.fem.build, "assemble", counted)
     found = fc.run_sweep(scene.replace({"sweep.over": over}), tmp_path / "sweep.h5")
     assert len(meshed) == 2
     case = scene.replace({"crack.length": 0.006, "rotation.speed": 600.0})
