@@ -74,7 +74,6 @@ def test_file_gives_the_answer_of_its_scene(file: Path) -> None:
     own = fc.solve(fc.Scene.from_text(PLATE).replace(CHANGES))
     expected = own.errors
     run = fc.solve(fc.load_prepared(file, CHANGES))
-    assert run.structure.whole.stiffness is None
     assert run.errors is not None and expected is not None
     assert set(run.errors.parts) == {"modes", "harmonics", "mesh", "friction"}
     assert run.errors.values == pytest.approx(expected.values, rel=1e-6)
@@ -112,7 +111,7 @@ def test_keys_of_the_mesh_are_refused(file: Path, key: str, value: object) -> No
 
 def test_more_modes_than_the_file_has_are_refused(file: Path) -> None:
     """It is never silently wrong."""
-    with pytest.raises(fc.InputError, match="solve the scene itself"):
+    with pytest.raises(fc.InputError, match="that of the scene itself"):
         fc.solve(fc.load_prepared(file, {"reduction.modes": 30}))
 
 
@@ -138,7 +137,7 @@ def test_curve_of_a_file(file: Path) -> None:
 def test_other_commands_make_a_mesh_of_their_own(file: Path) -> None:
     """A scene of the same mesh is not given the structure of a file."""
     prepared = fc.load_prepared(file)
-    assert fc.modes(prepared.scene).structure.stiffness is not None
+    assert fc.modes(prepared.scene).structure.stiffness.size
 
 
 def omega_of(path: Path) -> np.ndarray:
