@@ -99,14 +99,14 @@ class SeenStructure(Structure):
 
     @property
     def mass(self) -> NoReturn:
-        """Refused, as the stiffness is: InputError."""
+        """Refused, as stiffness and clamp are: InputError."""
         allowed = (
             "that of the scene itself, not of a file: this takes matrices or a mesh, as more modes "
             "and other watched points than the file has do"
         )
         raise InputError("structure", self, allowed)
 
-    stiffness = mass
+    stiffness = clamp = mass
 
 
 def receptance(structure: Structure, count: int) -> Receptance:
