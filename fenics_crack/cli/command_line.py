@@ -294,7 +294,7 @@ COMMANDS = {
     ),
     "reduce": (
         "write what a scene's mesh gives to a file with which solve and curve need no mesh",
-        f"cli.commands:reduce {SOLVED}",
+        "cli.commands:reduce scene --set --output=FILE.h5",
     ),
     "solve": ("steady vibration at excitation.omega", f"study.run:solve {SOLVED}"),
     "verify": (
@@ -410,6 +410,10 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     "--output=FILE": (
         "the .html file (default: report.html in the folder of the first result)",
         {"type": path, "metavar": "FILE.html"},
+    ),
+    "--output=FILE.h5": (
+        "the .h5 file (default: output/NAME/NAME.h5, NAME being that of the scene)",
+        {"type": path, "metavar": "FILE.h5"},
     ),
     "--pictures": (
         "kind of the pictures; pdf and svg are vector graphics, for papers (default: png)",

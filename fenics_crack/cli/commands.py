@@ -112,12 +112,12 @@ def sweep(_: Namespace, inputs: Inputs, console: Console) -> Exit:
     return tell(report_of(found), path, console)
 
 
-def reduce(_: Namespace, inputs: Inputs, console: Console) -> None:
+def reduce(given: Namespace, inputs: Inputs, console: Console) -> None:
     """Write what the mesh of a scene gives to a file."""
     from fenics_crack.study.artefact import save_prepared
     from fenics_crack.study.prepare import prepare
 
-    path = inputs.folder / f"{inputs.folder.name}.h5"
+    path = given.output or inputs.folder / f"{given.scene.stem}.h5"
     with console.stage("mesh, modes and statics"):
         save_prepared(prepare(inputs.scene, console.comm, whole=True), path)
     console.note(f"{path}: {inputs.scene!r}; now: {command('solve', path)}")

@@ -91,7 +91,12 @@ def read_inputs(given: Namespace) -> Inputs | None:
         error.others = tuple(_errors_behind(error, given.scene, changed))
         raise
     _check_options(given, scene)
-    folder = vars(given).get("output") or Path("output") / given.scene.stem
+    output = vars(given).get("output")
+    if given.command == "reduce" and output is not None:
+        if output.suffix.lower() != ".h5":
+            raise InputError("--output", str(output), "a .h5 file")
+        output = output.parent
+    folder = output or Path("output") / given.scene.stem
     arrivals = _arrivals(scene, given, vars(given).get("arrivals"))
     if given.command != "identify":
         return Inputs(scene, folder, arrivals=arrivals, speeds=_speeds(given, scene))
@@ -109,11 +114,11 @@ def read_prepared(given: Namespace, comm: MPI.Comm) -> Inputs:
     InputError
         It cannot be used, a changed key needs a mesh, or the command does.
     """
-    from fenics_crack.study.artefact import load_prepared  # the solver
-
     if given.command not in OF_PREPARED:
         allowed = f"a scene for {given.command}; a file of reduce is one for "
         raise InputError("scene", str(given.scene), allowed + " and ".join(OF_PREPARED))
+    from fenics_crack.study.artefact import load_prepared  # the solver
+
     study = load_prepared(given.scene, changes(given.set), comm)
     folder = given.output or Path("output") / given.scene.stem
     return Inputs(study.scene, folder, prepared=study)

@@ -43,6 +43,8 @@ if TYPE_CHECKING:
 IDENTIFICATION = "identification"
 """Kind of the file of ``identify``, which draws its picture itself."""
 PROGRAM = "fenics_crack"
+MISSING = "missing"
+"""In place of the digest of a file that cannot be read."""
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 
@@ -236,14 +238,16 @@ class Stored:
             raise self._older("digests of its mesh or matrices")
         return scene
 
-    def check_files(self, scene: Scene) -> None:
-        """Raise InputError if a file of the scene, of its mesh or matrices, has changed."""
+    def check_files(self, scene: Scene, *, needed: bool = True) -> None:
+        """Raise InputError if a file of the scene, of its mesh or matrices, has changed, or has
+        gone where it is needed."""
         files = _files_of(scene)
         for (key, path), known in zip(files, self._digests, strict=False):
-            if _file_digest(path) != known:
+            found = _file_digest(path)
+            if found != known and (needed or found != MISSING):
                 allowed = f"the file with which {self.path} was computed; it has changed or gone"
                 raise InputError(key, path, allowed)
-        if len(self._digests) != len(files):
+        if needed and len(self._digests) != len(files):
             raise self._older("digests of all files of its matrices")
 
     def refused(self, allowed: str) -> InputError:
@@ -382,11 +386,11 @@ def digests_of(scene: Scene) -> list[str]:
 
 
 def _file_digest(path: str) -> str:
-    """SHA-256 of a file, or "missing"."""
+    """SHA-256 of a file, or :data:`MISSING`."""
     try:
         return sha256(path)
     except OSError:
-        return "missing"
+        return MISSING
 
 
 # --- units ----------------------------------------------------------------------------------------

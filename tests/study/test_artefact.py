@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from helpers import changed
+from mpi4py import MPI
 
 import fenics_crack as fc
+from fenics_crack.cli.command_line import main
 
 PLATE = """
 [geometry]
@@ -53,7 +60,9 @@ PROGRAM = """
 import sys
 class Blocked:
     def find_spec(self, name, path=None, target=None):
-        if name.split(".")[0] in ("dolfinx", "ufl", "basix", "ffcx", "gmsh", "vtkmodules"):
+        others = ("matplotlib", "PIL", "pyvista", "jinja2")
+        others += ("dolfinx", "ufl", "basix", "ffcx", "cffi", "gmsh", "vtkmodules")
+        if name.split(".")[0] in others:
             raise ImportError(name + " is blocked")
 sys.meta_path.insert(0, Blocked())
 from fenics_crack.cli.command_line import main
@@ -159,3 +168,106 @@ def test_damaged_files_are_refused_in_one_line(file: Path, tmp_path: Path) -> No
             assert np.array_equal(omega_of(broken), known)
         except fc.InputError as error:
             assert "\n" not in str(error)
+
+
+FORGERIES: dict[str, Callable[[Any], None]] = {
+    "no modes": lambda file: file.pop("squares"),
+    "fewer modes": lambda file: replaced(file, "squares", file["squares"][:-1]),
+    "fewer sources": lambda file: replaced(file, "compliance", file["compliance"][1:]),
+    "pairs of another structure": lambda file: replaced(file, "clearance", [0.0]),
+    "dofs that are not there": lambda file: replaced(file, "n_dofs", 2),
+    "words": lambda file: replaced(file, "modal", "words"),
+    "infinite": lambda file: replaced(file, "modal", np.inf * file["modal"][()]),
+    "another kind": lambda file: file.attrs.modify("kind", "solution"),
+    "no scene": lambda file: file.attrs.pop("scene"),
+    "no version": lambda file: file.attrs.pop("version"),
+}
+"""What may be wrong in a file whose digest is right."""
+
+
+def replaced(file: Any, name: str, value: object) -> None:
+    """Put another dataset in the place of one."""
+    del file[name]
+    file[name] = value
+
+
+@pytest.mark.parametrize("name", FORGERIES)
+def test_forged_files_are_refused(name: str, file: Path, tmp_path: Path) -> None:
+    """In one line that names the file."""
+    forged = Path(shutil.copy(file, tmp_path / "forged.h5"))
+    with changed(forged) as parts:
+        FORGERIES[name](parts)
+    with pytest.raises(fc.InputError, match=r"forged\.h5") as error:
+        fc.solve(fc.load_prepared(forged))
+    assert "\n" not in str(error.value)
+
+
+def test_a_killed_writer_leaves_the_whole_file(file: Path, tmp_path: Path) -> None:
+    """The one before, or the new one, whenever kill -9 comes."""
+    path = Path(shutil.copy(file, tmp_path / "plate.h5"))
+    program = (
+        "import sys, fenics_crack as fc\n"
+        "from fenics_crack.files.store import read, write\n"
+        f"stored = read({str(file)!r})\n"
+        "print('x', end='', flush=True)\n"
+        f"while True: write(stored.parts, {str(path)!r}, stored.kind, stored.scene())\n"
+    )
+    known, random = omega_of(file), np.random.default_rng(1)
+    for _ in range(4):
+        writer = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE)
+        assert writer.stdout is not None and writer.stdout.read(1)
+        time.sleep(random.uniform(0.0, 0.05))
+        writer.kill()
+        writer.communicate()
+        assert np.array_equal(omega_of(path), known)
+
+
+def test_files_of_the_scene_may_have_gone(tmp_path: Path) -> None:
+    """Of mesh and load; changed ones are refused."""
+    mesh, wave, path = (tmp_path / name for name in ("plate.msh", "wave.csv", "plate.h5"))
+    scene = fc.Scene.from_text(PLATE)
+    fc.write_msh(scene, mesh)
+    wave.write_text("t,fx,fy\n0,5,0\n0.5,5,0\n0.5,-5,0\n1,-5,0\n")
+    of_mesh = {"mesh.layout": "file", "mesh.file": str(mesh), "mesh.order": 2}
+    of_mesh |= dict.fromkeys(("geometry.width", "geometry.height"))
+    of_mesh |= {"mesh.size": None, "mesh.lip_elements": None, "crack.edge": None}
+    of_mesh |= {"crack.height": None, "crack.length": None}
+    of_wave = {"excitation.wave": str(wave), "excitation.wave_harmonics": 3}
+    scene = scene.replace(of_mesh | of_wave)
+    fc.save_prepared(fc.prepare(scene), path)
+    changes = {"excitation.frequency": 800.0}
+    expected = fc.solve(scene.replace(changes)).amplitude(None)
+    mesh.unlink(), wave.unlink()
+    assert fc.solve(fc.load_prepared(path, changes)).amplitude(None) == pytest.approx(expected)
+    wave.write_text("t,fx,fy\n0,1,0\n1,-5,0\n")
+    with pytest.raises(fc.InputError, match="has changed"):
+        fc.load_prepared(path)
+
+
+def test_command_writes_the_file_that_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Other commands than solve and curve say what takes it."""
+    scene, path = tmp_path / "plate.toml", tmp_path / "there" / "kept.h5"
+    scene.write_text(PLATE)
+    assert main(["reduce", str(scene), "--output", str(tmp_path / "kept")]) == 2
+    assert "a .h5 file" in capsys.readouterr().err
+    assert main(["reduce", str(scene), "--output", str(path)]) == 0
+    assert omega_of(path).size and [*path.parent.iterdir()] == [path]
+    for command in ("check", "sweep", "modes", "verify", "grow"):
+        assert main([command, str(path)]) == 2
+        (line,) = capsys.readouterr().err.splitlines()[-1:]
+        assert f"a scene for {command}; a file of reduce is one for solve and curve" in line
+
+
+def amplitude_of(path: str, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
+    """That at another frequency."""
+    run = fc.solve(fc.load_prepared(path, {"excitation.frequency": 800.0}, comm), comm)
+    return run.amplitude(None)
+
+
+@pytest.mark.mpi
+def test_two_ranks_read_one_file(file: Path, on_ranks: Callable[..., Any]) -> None:
+    """With one answer."""
+    parallel, alone = on_ranks(amplitude_of, str(file)), amplitude_of(str(file), MPI.COMM_SELF)
+    assert parallel == pytest.approx(alone, rel=1e-9)
