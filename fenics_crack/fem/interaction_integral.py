@@ -33,6 +33,7 @@ from fenics_crack.fem.compat import dolfinx, ufl
 from fenics_crack.fem.cracks import LIP_TAGS, Lip
 from fenics_crack.fem.elasticity import constants, stress
 from fenics_crack.fem.plate import Dofs
+from fenics_crack.model.receptance import check_matrices
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 
@@ -148,6 +149,7 @@ def tip_functionals(scene: Scene, structure: Structure) -> tuple[list[Tip], np.n
         A tip is closer to an edge, a bend or another crack than the elements of its crack faces are
         long.
     """
+    check_matrices(structure, "stress intensities")
     assert structure.nodes is not None
     dofs: Dofs = structure.nodes.numbered
     tips, sides, points = find_tips(dofs), _sides(dofs), dofs.points

@@ -120,7 +120,7 @@ def _of_load(structure: Structure, known: Receptance) -> Receptance | None:
 
 def check_matrices(structure: Structure, wanted: str) -> None:
     """Raise InputError for what a structure of arrays alone has not."""
-    if structure.stiffness is None:
+    if not structure.has_matrices:
         allowed = f"one with its matrices, for {wanted}: solve the scene itself"
         raise InputError("structure", "a file of a prepared structure", allowed)
 

@@ -27,6 +27,7 @@ from fenics_crack.fem.setting import clearance_of, damping_of, parts_of
 from fenics_crack.files.codec import Parts, packed, unpacked
 from fenics_crack.files.store import Stored, read, write
 from fenics_crack.model.body import Body
+from fenics_crack.model.matrices import Absent
 from fenics_crack.model.nodes import Nodes, Pairs
 from fenics_crack.model.receptance import Receptance, held_receptance, receptance, rows_at
 from fenics_crack.model.structure import DampingRule, Structure
@@ -46,14 +47,6 @@ VARIED = (
     "else the scene itself is solved"
 )
 """What a file can vary, in words."""
-
-
-class _Rows:
-    """Sizes of matrices of which there is nothing else; rank 0 has all rows."""
-
-    def __init__(self, count: int, rank: int) -> None:
-        self.size, own = (count, count), count if rank == 0 else 0
-        self.local_size, self.owner_range = (own, own), ((0, count) if own else (count, count))
 
 
 @dataclass(frozen=True)
@@ -113,8 +106,9 @@ class _Prepared:
             own = slice(None) if first else slice(0)
             nodes = Nodes(self.points[own], self.node_dofs[own], self.cells[own], 0)
         clearance = self.clearance if self.pairs.cracks is None else clearance_of(scene, self.pairs)
+        sizes = Absent(self.n_dofs, comm.rank)
         made = Structure(Body(
-            _Rows(self.n_dofs, comm.rank), None, rows(self.gap, count), force, clearance,
+            sizes, sizes, rows(self.gap, count), force, clearance,
             damping_of(scene.given("damping")),
             None if self.tangential is None else rows(self.tangential, count),
             nodes, self.pairs, comm=comm,

@@ -214,7 +214,7 @@ def reduced(study: Study, *, judged: bool = True) -> Study:
     scene, whole = study.scene, study.structure
     if whole.whole is not whole:
         return study
-    if whole.stiffness is not None:
+    if whole.has_matrices:
         check_memory_of(scene, whole)
     if isinstance(whole, Wheel):
         assert scene.disk is not None

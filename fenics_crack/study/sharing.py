@@ -51,7 +51,7 @@ def assembled(scene: Scene, comm: MPI.Comm, last: list[Made] = LAST) -> Structur
     same = False
     if known is not None:
         same = known.parts[0] == parts[0]
-        if known.structure.stiffness is None:  # without a mesh for loads
+        if not known.structure.has_matrices:  # without a mesh for loads
             alike = MPI.Comm.Compare(known.comm, comm) in (MPI.IDENT, MPI.CONGRUENT)
             same = same and alike and known.parts[1] == parts[1]
         else:

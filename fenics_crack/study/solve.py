@@ -109,7 +109,7 @@ def modes_chosen(study: Study, most: int = FORMED) -> list[int]:
     given = scene.disk is not None or (table is not None and table.modes is not None)
     if kept is None or given or scene.harmonic_balance.tolerance is None or study.contact is None:
         return []
-    of_file = whole.stiffness is None
+    of_file = not whole.has_matrices
     large = kept.method == "massless" and (of_file or not is_small(whole))
     if of_file:  # which holds so many and their reference
         most = min(most, len(whole.once(held_receptance)[0].squares) // 2)
@@ -132,7 +132,7 @@ def with_more_modes(whole: Study, most: int = FORMED) -> Iterator[Study]:
     of ten plates took the second number or more.
     """
     chosen, structure = modes_chosen(whole, most), whole.structure
-    if chosen[:1] == [FIRST_MODES] and structure.stiffness is not None:
+    if chosen[:1] == [FIRST_MODES] and structure.has_matrices:
         receptance(structure, min(4 * FIRST_MODES, structure.n_dofs - structure.n_pairs))
     yield from (reduced_to(whole, modes) for modes in chosen)
     if not chosen:

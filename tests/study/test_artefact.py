@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -74,7 +75,7 @@ def test_file_gives_the_answer_of_its_scene(file: Path) -> None:
     own = fc.solve(fc.Scene.from_text(PLATE).replace(CHANGES))
     expected = own.errors
     run = fc.solve(fc.load_prepared(file, CHANGES))
-    assert run.structure.whole.stiffness is None
+    assert not run.structure.whole.has_matrices
     assert run.errors is not None and expected is not None
     assert set(run.errors.parts) == {"modes", "harmonics", "mesh", "friction"}
     assert run.errors.values == pytest.approx(expected.values, rel=1e-6)
@@ -108,6 +109,29 @@ def test_keys_of_the_mesh_are_refused(file: Path, key: str, value: object) -> No
     with pytest.raises(fc.InputError, match=r"needs no mesh|for a file") as error:
         fc.load_prepared(file, {key: value})
     assert error.value.key == key
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda run: fc.solve_modes(run.structure.whole, 3),
+        lambda run: fc.bilinear_frequencies(run.structure.whole),
+        lambda run: fc.solve_linear(run.structure.whole, run.result.omega),
+        lambda run: fc.reduce_structure(run.structure.whole, modes=5, method="free_interface"),
+        lambda run: fc.integrate_central_difference(
+            run.structure.whole, run.result.omega, run.contact, periods=2, steps_per_period=9
+        ),
+        lambda run: fc.stress_intensity(run),
+        lambda run: fc.reaction(run),
+        lambda run: run.structure.whole.tied(1e8),
+        lambda run: run.result.amplitude(7),
+    ],
+)
+def test_what_needs_matrices_is_refused(file: Path, call: Callable[[fc.Run], object]) -> None:
+    """In one way."""
+    run = fc.solve(fc.load_prepared(file))
+    with pytest.raises(fc.InputError, match=r"a file of a prepared structure.*the scene itself"):
+        call(run)
 
 
 def test_more_modes_than_the_file_has_are_refused(file: Path) -> None:
