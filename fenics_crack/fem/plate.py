@@ -155,9 +155,7 @@ class Dofs:
         self, plate: PlateMesh, space: Any, comm: MPI.Comm, held: np.ndarray | None = None
     ) -> None:
         """Take which of this rank's dofs are held, (n_dofs,) bool; None: those at the clamp."""
-        self.comm = comm
-        self.plate = plate
-        self.space = space
+        self.comm, self.plate, self.space = comm, plate, space
         self.dimension = space.mesh.geometry.dim
         self.n_nodes = space.dofmap.index_map.size_local
         self.first_node = space.dofmap.index_map.local_range[0]
