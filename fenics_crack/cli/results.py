@@ -91,15 +91,12 @@ def report_of_solution(run: Run[PeriodicSolution]) -> Report:
     asked = scene.harmonic_balance.error
     if found.converged and found.stability is None and run.contact is not None and asked:
         reduced = "" if scene.disk is not None else "for a reduced structure (reduction.method), "
-        notes.append(
-            f"the stability is not assessed, as that would take long; it is {reduced}with "
-            "contact.law = 'unilateral' for crack faces without mass"
-        )
+        where = f"{reduced}with contact.law = 'unilateral' for crack faces without mass"
+        notes.append(f"the stability is not assessed, as that would take long; it is {where}")
     if found.converged and (larger := largest_left_out(found, run.watched_dof)) is not None:
-        notes.append(
-            f"harmonic {larger[0]}, which the solution leaves out, is the largest of the higher "
-            f"ones: {larger[1]:.2g} of harmonic 1 in the exact orbit; more harmonics show it"
-        )
+        share = f"{larger[1]:.2g} of harmonic 1 in the exact orbit; more harmonics show it"
+        left = f"harmonic {larger[0]}, which the solution leaves out"
+        notes.append(f"{left}, is the largest of the higher ones: {share}")
     tolerance = scene.harmonic_balance.tolerance
     missed = tolerance is not None and found.report.total > tolerance
     warnings = []
@@ -189,10 +186,8 @@ def report_of_history(run: Run[TimeHistory]) -> Report:
     done = found.periods >= asked.periods if asked.free else bool(found.settled <= asked.settle)
     warnings = []
     if not done and not asked.free:
-        warnings.append(
-            f"the motion has not settled after {found.periods} of {asked.periods} periods"
-            f"{_longer_period(found)}"
-        )
+        unsettled = f"the motion has not settled after {found.periods} of {asked.periods} periods"
+        warnings.append(f"{unsettled}{_longer_period(found)}")
     warnings += account.of_size(run, np.abs(waves.motion).max(axis=0))
     return _report(run, table, rows=_waves(run, waves), warnings=warnings, done=done)
 
@@ -391,10 +386,8 @@ def _warnings_of_curve(run: Run[ResponseCurve]) -> Iterator[str]:
         yield f"the stability is undecided at {count}, {where}: {reason}"
     if len(stretches) > 1:
         more = sum(last + 1 - first for first, last in stretches[1:])
-        yield (
-            f"the stability is undecided at {counted(more, 'other point')}, each for its own "
-            "reason: curve.reason(index) in Python"
-        )
+        own = "each for its own reason: curve.reason(index) in Python"
+        yield f"the stability is undecided at {counted(more, 'other point')}, {own}"
     yield from run.stated.dents if run.stated is not None else ()
     if not found.complete:
         yield f"the curve ended early: {found.status}"

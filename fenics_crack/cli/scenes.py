@@ -256,10 +256,8 @@ def remark_on(structure: Structure, highest: float) -> str:
     if count == 0:
         return f"harmonics up to H w = {highest:g} rad/s: nothing damps what they excite"
     modes = "the damped mode" if count == 1 else f"the {count} damped modes"
-    return (
-        f"harmonics up to H w = {highest:g} rad/s reach beyond {modes} ({end:g} rad/s): "
-        "nothing damps what they excite there"
-    )
+    beyond = f"harmonics up to H w = {highest:g} rad/s reach beyond {modes} ({end:g} rad/s)"
+    return f"{beyond}: nothing damps what they excite there"
 
 
 def _remark_on_whole(scene: Scene, whole: Structure, highest: float) -> str:

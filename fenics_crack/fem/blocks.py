@@ -223,10 +223,8 @@ def _side(
         middle = 0.5 * (start + stop)
         largest = max(first, last, GROWTH * 0.5 * (stop - start))
         between = min(largest, length(middle, over))
-        return [
-            _between(start, middle, first, between, over),
-            _between(middle, stop, between, last, over),
-        ]
+        both = (start, middle, first, between), (middle, stop, between, last)
+        return [_between(*half, over) for half in both]
 
     places = [0.0]
     cuts = [place for place, _ in tips] + [half.coarse for half in halves]

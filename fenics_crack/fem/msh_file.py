@@ -427,11 +427,9 @@ def check_boundary(kind: int, cells: Cells, places: np.ndarray, lips: Sequence[n
     apart = owner[point] != cell
     cell, point = cell[apart], point[apart]
     if np.any(covered := _in_cells(kind, cells.n_corners, here[cell], points[point])):
-        allowed = (
-            "one whose cells share their nodes where they touch (gmsh: BooleanFragments, or "
-            "Coherence Mesh), but for the faces of named cracks ('crack', or 'lower_lip' and "
-            "'upper_lip')"
-        )
+        allowed = "one whose cells share their nodes where they touch (gmsh: BooleanFragments, or"
+        allowed += " Coherence Mesh), but for the faces of named cracks"
+        allowed += " ('crack', or 'lower_lip' and 'upper_lip')"
         found = "cells that overlap, or touch without a node of both,"
         raise _refusal(found, points[point[covered][0]], allowed)
 

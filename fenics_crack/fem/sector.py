@@ -46,14 +46,9 @@ def wheel_of(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Comm) -> 
         force[0] += load + (times(stiffness, moved) - times(still, moved))[:, 0]
         sector = sector.at_speed(stiffness, force)
     return Wheel(
-        sector,
-        cracked=[number - 1 for number in disk.cracked],
-        mistuning=disk.deviations,
-        order=scene.excitation.order or 0,
-        families=disk.families,
-        rotation=rotation,
-        comm=comm,
-    )
+        sector, cracked=[number - 1 for number in disk.cracked], mistuning=disk.deviations,
+        order=scene.excitation.order or 0, families=disk.families, rotation=rotation, comm=comm,
+    )  # fmt: skip
 
 
 def _static(inside: Inside) -> Static:

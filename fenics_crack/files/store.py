@@ -279,11 +279,10 @@ class Stored:
             raise self.refused("a whole file; this one is damaged")
 
     def _older(self, what: str) -> InputError:
-        return self.refused(
-            f"a file with {what}, which older versions did not write (this one: "
-            f"{self.attributes.get('version', 'unknown')}); make it again with the command that "
-            "wrote it, a sweep in a new folder"
-        )
+        version = self.attributes.get("version", "unknown")
+        older = f"a file with {what}, which older versions did not write (this one: {version})"
+        remedy = "make it again with the command that wrote it, a sweep in a new folder"
+        return self.refused(f"{older}; {remedy}")
 
 
 def read(path: str | Path, comm: MPI.Comm = MPI.COMM_SELF) -> Stored:

@@ -337,10 +337,8 @@ class PeriodicOrbit(Observed, Described):
         }
 
     def _title(self) -> str:
-        return (
-            f"largest multiplier {abs(self.multipliers[0]):.6g} of {len(self.multipliers)}, "
-            f"{counted(self.events, 'event')}, residual {self.residual:.2g}"
-        )
+        largest = f"largest multiplier {abs(self.multipliers[0]):.6g} of {len(self.multipliers)}"
+        return f"{largest}, {counted(self.events, 'event')}, residual {self.residual:.2g}"
 
 
 @dataclass(frozen=True)

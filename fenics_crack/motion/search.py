@@ -259,7 +259,6 @@ def comes_back(passed: np.ndarray, subharmonic: int, motion: str = "the exact mo
         return f"{motion} cannot be integrated over a period"
     nearest = int(np.argmin(found))
     most, after = (one * subharmonic for one in (len(passed) - 1, nearest + 1))
-    return (
-        f"followed for {counted(most, 'period')} of the load, {motion} comes back to within "
-        f"{percent(found[nearest])} of where it was at best, after {counted(after, 'period')}"
-    )
+    best = f"{percent(found[nearest])} of where it was at best, after {counted(after, 'period')}"
+    said = f"followed for {counted(most, 'period')} of the load, {motion} comes back"
+    return f"{said} to within {best}"

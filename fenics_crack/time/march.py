@@ -380,10 +380,9 @@ class Scheme(ABC):
         if put_in > 0.0:
             self.created_share = created / put_in
         if not np.isfinite(created) or created > 2.0 * put_in > 0.0:
-            raise ConvergenceError(
-                f"{self.name}: the steps are too long for this contact, which creates "
-                f"{self.created_share:.3g} times the energy put in; {self.remedy}"
-            )
+            creates = f"{self.created_share:.3g} times the energy put in; {self.remedy}"
+            long = f"{self.name}: the steps are too long for this contact, which creates"
+            raise ConvergenceError(f"{long} {creates}")
 
 
 def march(asked: March, scheme: Scheme) -> TimeHistory:
