@@ -206,7 +206,7 @@ def _run(given: argparse.Namespace) -> Exit:
     process, rank 0 reads for all.
     """
     threads.check_modules()
-    from fenics_crack.cli.given import Console, read_inputs
+    from fenics_crack.cli.given import Console, read_inputs, read_prepared
 
     launched = threads.launched()
     prepared = "scene" in given and given.scene.suffix.lower() == ".h5"
@@ -230,8 +230,6 @@ def _run(given: argparse.Namespace) -> Exit:
         signal.signal(number, signal.default_int_handler)
     with threads.alone(), Messages(quiet=given.quiet):
         if prepared:
-            from fenics_crack.cli.given import read_prepared
-
             inputs = read_prepared(given, comm)
         elif launched:
             inputs = on_root(comm, lambda: read_inputs(given))
