@@ -378,7 +378,7 @@ def check_parts(
     part = connected(cells.nodes)
 
     def has(nodes: np.ndarray) -> np.ndarray:
-        """Which cells are of a part that has one of some nodes."""
+        """True for cells of a part that has one of some nodes: (n_cells,)."""
         return np.isin(part, part[np.isin(cells.nodes, nodes).any(axis=1)])
 
     loose = ~has(clamp)
