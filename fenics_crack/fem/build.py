@@ -255,8 +255,7 @@ def _forms(scene: Scene, space: Any) -> tuple[Any, Any]:
     u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
     strain = ufl.sym(ufl.grad(u))
     stiffness = t * ufl.inner(stress(scene, space, strain), ufl.sym(ufl.grad(v))) * ufl.dx
-    mass = t * density * ufl.inner(u, v) * ufl.dx
-    return stiffness, mass
+    return stiffness, t * density * ufl.inner(u, v) * ufl.dx
 
 
 # --- cracks ---------------------------------------------------------------------------------------

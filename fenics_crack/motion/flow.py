@@ -172,9 +172,8 @@ class Flow:
         modes = self.modes
         found: np.ndarray = states[:, : self.count] @ modes.shapes[dofs].T
         if modes.static_loads is not None and modes.static_pairs is not None:
-            found += waves_of(self.force, phase) @ (
-                self.structure.force @ modes.static_loads[:, dofs]
-            )
+            loads = self.structure.force @ modes.static_loads[:, dofs]
+            found += waves_of(self.force, phase) @ loads
             found -= force @ modes.static_pairs[dofs].T
         return found
 
@@ -188,9 +187,8 @@ class ContactFlow(Flow):
     def __init__(self, structure: Structure, contact: ContactLaw) -> None:
         super().__init__(structure, contact)
         modes, pairs = self.modes, structure.n_pairs
-        stiffness = np.diag(modes.squares) + modes.pairs @ np.linalg.solve(
-            self.compliance, modes.pairs.T
-        )
+        closed = np.linalg.solve(self.compliance, modes.pairs.T)
+        stiffness = np.diag(modes.squares) + modes.pairs @ closed
         self.fastest = _fastest(float(np.linalg.eigvalsh(stiffness)[-1]), modes.damping)
         """Bound of the rates at which any set of closed pairs turns or decays [1/s]."""
         coefficient = None
@@ -217,8 +215,7 @@ class ContactFlow(Flow):
         mu E_1): mu = -1 / a real negative eigenvalue of (D_rows E_0)^-1 D_rows E_1.
         """
         count, found = self.structure.n_pairs, [np.inf]
-        random = np.random.default_rng(1)
-        for states in random.integers(0, 4, (400, count)):
+        for states in np.random.default_rng(1).integers(0, 4, (400, count)):
             closed, stuck = np.flatnonzero(states), np.flatnonzero(states == kernel.STICK)
             rows = np.concatenate([closed, count + stuck])
             part = self.compliance[rows]
@@ -262,8 +259,7 @@ class ContactFlow(Flow):
         rates = np.sqrt(np.maximum(self.modes.squares, base_omega**2))
         parts = [rates, np.ones_like(rates)]
         if self.friction:  # of springs as stiff as a pair that sticks alone
-            pairs = self.structure.n_pairs
-            parts.append(1.0 / np.sqrt(np.diag(self.compliance)[pairs:]))
+            parts.append(1.0 / np.sqrt(np.diag(self.compliance)[self.structure.n_pairs :]))
         return np.concatenate(parts)
 
     def amplitude_weights(self, base_omega: float) -> np.ndarray:
@@ -332,20 +328,14 @@ class ContactFlow(Flow):
         budget = budget or Budget()
         if self._intervals < budget.intervals:
             self._intervals = most = budget.intervals
-            self._record = {
-                "sets": np.empty((most, self.structure.n_pairs), dtype=np.int8),
-                "lengths": np.empty(most),
-            }
+            sets = np.empty((most, self.structure.n_pairs), np.int8)
+            self._record = {"sets": sets, "lengths": np.empty(most)}
             if self.friction:
-                self._record |= {
-                    "causes": np.empty(most, dtype=np.intc),
-                    "firsts": np.empty(most, dtype=np.int8),
-                    "ratios": np.empty(most),
-                }
+                ends = {"causes": np.intc, "firsts": np.int8, "ratios": float}
+                self._record |= {name: np.empty(most, kind) for name, kind in ends.items()}
         arrays = self._record
-        given = Struct(
-            "flow_motion", most_pieces=budget.pieces, most=budget.intervals, **arrays, **members
-        )
+        limits = {"most_pieces": budget.pieces, "most": budget.intervals}
+        given = Struct("flow_motion", **limits, **arrays, **members)
         return given, lambda passed: {name: one[:passed].copy() for name, one in arrays.items()}
 
 

@@ -160,8 +160,7 @@ class PeriodicOrbit(Observed, Described):
 
     def energy_norm(self, change: np.ndarray) -> float:
         """Norm of a change of the state."""
-        weights = self.flow.weights(self.omega / self.subharmonic)
-        return float(np.linalg.norm(weights * change))
+        return float(np.linalg.norm(self.flow.weights(self.omega / self.subharmonic) * change))
 
     @cached_property
     def inverse(self) -> Inverse:
@@ -235,8 +234,7 @@ class PeriodicOrbit(Observed, Described):
             away = (1.0 + 2.0 * (time - ends[piece]) / length[piece])[:, None] - nodes
             share = barycentric / np.where(away == 0.0, sys.float_info.min, away)
             share /= share.sum(axis=1, keepdims=True)
-            found = (share[:, None] @ values[piece])[:, 0]
-            return np.split(found, splits, axis=1)
+            return np.split((share[:, None] @ values[piece])[:, 0], splits, axis=1)
 
         parts, track = np.arange(instants) / instants, self.motion.track
         motion, gap, force = at(parts)
@@ -339,10 +337,8 @@ class PeriodicOrbit(Observed, Described):
         }
 
     def _title(self) -> str:
-        return (
-            f"largest multiplier {abs(self.multipliers[0]):.6g} of {len(self.multipliers)}, "
-            f"{counted(self.events, 'event')}, residual {self.residual:.2g}"
-        )
+        largest = f"largest multiplier {abs(self.multipliers[0]):.6g} of {len(self.multipliers)}"
+        return f"{largest}, {counted(self.events, 'event')}, residual {self.residual:.2g}"
 
 
 @dataclass(frozen=True)
