@@ -97,6 +97,8 @@ def parting(monodromy: np.ndarray) -> np.ndarray:
         parts = (coupled * end.conj() ** 2).real < 0.0
         real = values.imag == 0.0  # two of these have parted already
         parts &= ~(real[:, :, None] & real[:, None])
+        lasting = size > KNOWN  # where faces stick, the state before a period leaves nothing
+        parts &= lasting[:, :, None] & lasting[:, None]
         coupled, gap, end = np.abs(coupled), np.abs(gap), np.abs(end)
         way = gap + end
         share = np.where(coupled < way * end, way * gap / (way**2 - coupled), 1.0)

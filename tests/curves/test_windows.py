@@ -89,3 +89,14 @@ def test_verdicts_between_points(seed: int) -> None:
     assert found["judged"] >= 0.99 * found["of"] > 900
     assert found["false"] <= 1e-3
     assert found["widest/resolution"] <= 1.0 and found["resolution/longest"] <= 0.2
+
+
+def test_multipliers_of_rounding() -> None:
+    """Where faces stick nothing is left of the state before a period but rounding, which is not
+    what multipliers that meet look like, whatever it is coupled to."""
+    rng = np.random.default_rng(3)
+    matrices = np.zeros((2, 5, 5))
+    matrices[:, :2, :2] = scipy.linalg.expm([[-0.1, 1.0], [-1.0, -0.1]])
+    matrices[:, 2:, :2] = rng.normal(size=(2, 3, 2))
+    matrices[:, :, 2:] = 1e-13 * rng.normal(size=(2, 5, 3))
+    assert parting(matrices) == pytest.approx([0.0], abs=1e-6)
