@@ -218,8 +218,9 @@ class PeriodicOrbit(Observed, Described):
         """The structure that vibrates."""
         return self.flow.structure
 
-    def records(self, rows: np.ndarray, instants: int = INSTANTS) -> Iterator[Record]:
-        """The motion, on each part of the period by the polynomials through Gauss's nodes."""
+    def records(self, rows: np.ndarray, instants: int | None = None) -> Iterator[Record]:
+        """The motion, on each part of the period by the polynomials through Gauss's nodes; at as
+        many instants as are given all numbers are from these."""
         time, length = self._nodes(len(self.flow.force) // 2 * self.omega)
         samples, (nodes, weights, _) = self.samples(time), gauss_nodes()
         seen = samples.displacement @ rows.T, samples.gaps, samples.forces
@@ -236,9 +237,12 @@ class PeriodicOrbit(Observed, Described):
             share /= share.sum(axis=1, keepdims=True)
             return np.split((share[:, None] @ values[piece])[:, 0], splits, axis=1)
 
-        parts, track = np.arange(instants) / instants, self.motion.track
+        count, exact = instants or INSTANTS, {}
+        parts = np.arange(count) / count
         motion, gap, force = at(parts)
-        shares = {"closed_share": track.share(track.sets > 0)} if gap.size else {}
+        if instants is None:
+            track, exact = self.motion.track, dict(self.sliding)
+            exact |= {"closed_share": track.share(track.sets > 0)} if gap.size else {}
         yield Record(
             self.omega, self.subharmonic, self.period * parts, balanced(motion, HARMONICS),
             motion, gap, force,
@@ -246,7 +250,7 @@ class PeriodicOrbit(Observed, Described):
             cracks=self.structure.pairs.cracks,
             friction=getattr(self.flow.friction, "coefficient", None),
             at=at,
-            exact=shares | self.sliding,
+            exact=exact,
         )  # fmt: skip
 
     def coefficients(self, harmonics: int) -> OrbitCoefficients:
