@@ -14,8 +14,8 @@ import numpy as np
 from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.contact_system import ContactPoint
 from fenics_crack.balance.error_report import LARGE_ERROR
-from fenics_crack.balance.more_modes import UNKNOWN
 from fenics_crack.balance.harmonic_balance import solution_of_orbit, wave_of
+from fenics_crack.balance.more_modes import UNKNOWN
 from fenics_crack.balance.problem import Problem, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
 from fenics_crack.basics.errors import InputError
