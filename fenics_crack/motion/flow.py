@@ -60,6 +60,10 @@ class Budget:
     intervals: int = 20_000
 
 
+BUDGET = Budget()
+"""That of a motion of which nothing else is said."""
+
+
 def flow_of(structure: Structure, contact: ContactLaw) -> ContactFlow | None:
     """The exact flow of a structure and a law; None where there is none: for a smooth law, a large
     structure, and rigid contact where the residual flexibility is singular."""
@@ -256,11 +260,12 @@ class ContactFlow(Flow):
     def weights(self, base_omega: float) -> np.ndarray:
         """Return the weights that make the norm of a state that of its energy, (2 n_modes,); modes
         slower than a frequency [rad/s] count as if they had it."""
-        rates = np.sqrt(np.maximum(self.modes.squares, base_omega**2))
-        parts = [rates, np.ones_like(rates)]
+        found = np.ones(self.size)
+        np.sqrt(np.maximum(self.modes.squares, base_omega**2), out=found[: self.count])
         if self.friction:  # of springs as stiff as a pair that sticks alone
-            parts.append(1.0 / np.sqrt(np.diag(self.compliance)[self.structure.n_pairs :]))
-        return np.concatenate(parts)
+            own = np.diag(self.compliance)[self.structure.n_pairs :]
+            found[2 * self.count :] = 1.0 / np.sqrt(own)
+        return found
 
     def amplitude_weights(self, base_omega: float) -> np.ndarray:
         """Return the same weights over the modes' rates: 1 of displacements, (size,)."""
@@ -325,7 +330,7 @@ class ContactFlow(Flow):
         self, budget: Budget | None, **members: Any
     ) -> tuple[Struct, Callable[[int], dict[str, np.ndarray]]]:
         """Return the kernel's motion, and what copies the arrays of its track."""
-        budget = budget or Budget()
+        budget = budget or BUDGET
         if self._intervals < budget.intervals:
             self._intervals = most = budget.intervals
             sets = np.empty((most, self.structure.n_pairs), np.int8)
@@ -333,9 +338,9 @@ class ContactFlow(Flow):
             if self.friction:
                 ends = {"causes": np.intc, "firsts": np.int8, "ratios": float}
                 self._record |= {name: np.empty(most, kind) for name, kind in ends.items()}
+            self._empty = Struct("flow_motion", **self._record)
         arrays = self._record
-        limits = {"most_pieces": budget.pieces, "most": budget.intervals}
-        given = Struct("flow_motion", **limits, **arrays, **members)
+        given = self._empty.but(most_pieces=budget.pieces, most=budget.intervals, **members)
         return given, lambda passed: {name: one[:passed].copy() for name, one in arrays.items()}
 
 

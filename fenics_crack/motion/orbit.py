@@ -420,7 +420,7 @@ def predicted(
     weights = flow.weights(omega / subharmonic)
     try:
         moved, track, ends = flow.steps(states, omega, 2.0 * np.pi * subharmonic / omega)
-        excess = moved - np.roll(states, -1, axis=0)
+        excess = moved - np.concatenate([states[1:], states[:1]])
         change = track.carried(np.zeros(flow.size), excess, ends)[-1]
         inverse = _inverse(flow, track, weights)
         changes = track.carried(inverse(change, FORCING), excess, ends)[:-1]
