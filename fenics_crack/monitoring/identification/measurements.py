@@ -287,12 +287,11 @@ class Measurements(Tabular):
         from fenics_crack.monitoring.tip_timing.robust import student
 
         check_count("order", order, 1)
-        check_number("angle_deviation", angle_deviation, 0.0)
         if noise is not None:
             check_number("noise", noise, 0.0, above=True)
         if not arrivals.steady:
             raise InputError("arrivals", repr(arrivals), "those of a constant speed")
-        check_places(arrivals)
+        check_places(arrivals, angle_deviation)
         count = np.isfinite(arrivals.time).sum(axis=0)
         count, speed = count[count > 0], arrivals.mean_speed
         if len(count) < 4:  # one more than the load's size and phase, and a constant

@@ -404,13 +404,8 @@ class Posterior:
         "below" or "above", and the bound."""
         level, branches = self.level(share), [*self.branches.values()]
         for place, end in product(range(len(branches[0].axes)), (0, -1)):
-            cut = [
-                branch
-                for branch in branches
-                if np.any(branch.height.take(end, axis=place) >= level)
-            ]
-            if cut:
-                yield place, "above" if end else "below", float(cut[0].axes[place][end])
+            if any(np.any(one.height.take(end, axis=place) >= level) for one in branches):
+                yield place, "above" if end else "below", float(branches[0].axes[place][end])
 
     def marginal(self, place: int) -> tuple[np.ndarray, np.ndarray]:
         """Values of an unknown, and their probabilities: (n,) each."""

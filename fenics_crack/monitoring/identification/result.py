@@ -118,9 +118,8 @@ def worth_of(
     values = quantities(x[None]).values[0]
     noise = np.array([row.deviation for row in rows])
     if measurements is None:
-        of_row = {True: deviations[0], False: deviations[1]}
         at_probe = np.array([row.quantity == "displacement" for row in rows])
-        shares = np.array([of_row[row.natural] for row in rows])
+        shares = np.where([row.natural for row in rows], *deviations)
         noise = np.where(at_probe, noise, shares * values[count:])
     fit = np.isfinite(values[count:]) & (noise > 0.0)
     every = np.concatenate([likelihood.deviations, np.where(fit, noise, 1.0)])

@@ -408,9 +408,7 @@ def read_record(
         for place, (_, name) in enumerate(sorted(headings.items())):
             if not np.any(np.isfinite(columns[name])):
                 raise InputError("path", f"{path}: {name}", "a column with finite numbers")
-            seen[turns - turns[0], place] = _angles_from_mark(
-                path, name, columns[name], turns, marks
-            )
+            seen[turns - turns[0], place] = _angles(path, name, columns[name], turns, marks)
         angles = probes.get(blade) if isinstance(probes, Mapping) else probes
         own = None if angles is None else np.asarray(angles, dtype=float)
         found_blades[blade] = _arrivals(seen, marks, tip_radius, own, int(turns[0]))
@@ -508,7 +506,7 @@ def _marks(path: str | Path, columns: dict[str, np.ndarray], turns: np.ndarray) 
     raise InputError("path", str(path), f"{allowed}; it has {', '.join(columns)}")
 
 
-def _angles_from_mark(
+def _angles(
     path: str | Path, name: str, column: np.ndarray, turns: np.ndarray, marks: np.ndarray
 ) -> np.ndarray:
     """Return angles from the mark to the arrivals: (rows,) [rad]."""

@@ -96,8 +96,7 @@ def fit_frequency(
     check_number("low", low, 0.0, above=True)
     check_number("high", high, low, above=True)
     check_count("harmonics", harmonics, 1)
-    check_number("angle_deviation", angle_deviation, 0.0)
-    check_places(arrivals)
+    check_places(arrivals, angle_deviation)
     seen = np.isfinite(arrivals.time)
     count, own = int(seen.sum()), int(seen.any(axis=0).sum()) if angle_deviation else 1
     if count <= (unknowns := 2 * harmonics + 1 + own):

@@ -27,7 +27,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import chdtri, fdtrc, ndtr
 
-from fenics_crack.basics.errors import InputError, check_count, check_number
+from fenics_crack.basics.errors import InputError, check_count
 from fenics_crack.basics.tables import TURN, UNITS, counted, hertz_of, with_frequency
 from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes, smoothed
 from fenics_crack.monitoring.tip_timing.fit_frequency import find_lines
@@ -104,14 +104,11 @@ def fit_order(
     >>> fit = fc.fit_order(arrivals, range(1, 13))
     """
     tried, multiples = wanted(orders, harmonics, subharmonic)
-    check_number("angle_deviation", angle_deviation, 0.0)
-    check_places(arrivals)
+    check_places(arrivals, angle_deviation)
     period, highest = _period(tried, multiples), float(tried.max())
     means = Means(arrivals, period, highest, angle_deviation)
     fit = _compared(arrivals, means, tried, multiples)
-    if (
-        means.lines and not fit.does_not_fit
-    ):  # once more at the angles to which lines move the blade tip
+    if means.lines and not fit.does_not_fit:  # again at the angles to which lines move the tip
         moved = means.moved(arrivals, fit)
         means = Means(arrivals, period, highest, angle_deviation, moved)
         fit = _compared(arrivals, means, tried, multiples)
@@ -248,7 +245,7 @@ class _Seen:
         slope = np.ones(len(columns))
         # An arrival that is late by e leaves R W e (1 + u' / R): it is elsewhere, too.
         for _ in range(2):
-            passed, (whitened, values) = slope, self._whitened(slope, columns)
+            passed, (whitened, values) = slope, self._whitened(columns, self.values, slope)
             found = np.linalg.lstsq(whitened, values, rcond=None)[0]
             turned = columns[:, 1::2] * found[2::2] - columns[:, 2::2] * found[1::2]
             slope = 1.0 + order * turned @ multiples / self._radius
@@ -258,9 +255,11 @@ class _Seen:
         covariance = np.linalg.inv(whitened.T @ whitened)
         return _Fit(order, multiples, found, covariance, float(left @ left), passed)
 
-    def _whitened(self, slope: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return columns (g, m) and the means, over slopes and in standard deviations."""
-        both = np.column_stack([columns, self.values]) / slope[:, None]
+    def _whitened(
+        self, columns: np.ndarray, values: np.ndarray, slope: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return columns (g, m) and values (g,), over slopes and in standard deviations."""
+        both = np.column_stack([columns, values]) / slope[:, None]
         both = solve_triangular(self._root, both, lower=True)
         return both[:, :-1], both[:, -1]
 
@@ -318,7 +317,7 @@ class _Seen:
         others = multiples[-1] + multiples[0] * np.arange(1.0, N_FOLDED + 1.0)
         columns = waves(fit.order * self.angle, np.append(multiples, others))
         volume = np.linalg.slogdet(columns[:, :unknowns].T @ columns[:, :unknowns])[1]
-        columns, values = self._whitened(fit.slope, columns)
+        columns, values = self._whitened(columns, self.values, fit.slope)
         units = np.ones((len(sizes), columns.shape[1]))
         units[:, unknowns:] = np.repeat(sizes, 2, axis=1)
         square = units[:, :, None] * (columns.T @ columns) * units[:, None, :]
@@ -424,10 +423,8 @@ class Means(_Seen):
 
     def unexplained(self, wave: np.ndarray, order: float, multiples: np.ndarray) -> float:
         """Return the residual of a wave at the nominal angles, fitted by an order, in variances."""
-        columns, values = (
-            solve_triangular(self._root, part, lower=True)
-            for part in (waves(order * self.nominal, multiples), wave)
-        )
+        columns = waves(order * self.nominal, multiples)
+        columns, values = self._whitened(columns, wave, np.ones(len(wave)))
         left = values - columns @ np.linalg.lstsq(columns, values, rcond=1e-10)[0]
         return float(left @ left)
 
@@ -492,8 +489,7 @@ class TipTrack(Fitted):
 
     def to_dict(self) -> dict[str, Any]:
         """Return columns, a row for every group of revolutions."""
-        values = {"speed": self.speed.tolist(), "omega": self.omega.tolist()}
-        found = with_frequency(values)
+        found = with_frequency({"speed": self.speed.tolist(), "omega": self.omega.tolist()})
         for place, multiple in enumerate(self.multiples):
             found[f"amplitude_{multiple:g}"] = self.amplitudes[:, place].tolist()
             found[f"amplitude_error_{multiple:g}"] = self.amplitude_errors[:, place].tolist()
@@ -553,8 +549,7 @@ def track_order(
     """
     _, multiples = wanted([order], harmonics, subharmonic)
     check_count("revolutions", revolutions, 1)
-    check_number("angle_deviation", angle_deviation, 0.0)
-    check_places(arrivals)
+    check_places(arrivals, angle_deviation)
     groups, unknowns = len(arrivals) // revolutions, 2 * len(multiples) + 1
     probes = len(arrivals.probes)
     if not groups:

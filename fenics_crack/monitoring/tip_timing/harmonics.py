@@ -261,10 +261,8 @@ def strengths(coefficients: np.ndarray, covariance: np.ndarray) -> tuple[np.ndar
     """
     parts = np.stack([coefficients[..., 1::2], coefficients[..., 2::2]])
     sizes = np.hypot(*parts)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        cosine, sine = np.where(
-            sizes > 0.0, parts / sizes, np.reshape([1.0, 0.0], (2, *(1,) * sizes.ndim))
-        )
+    turned = np.stack([np.ones_like(sizes), np.zeros_like(sizes)])
+    cosine, sine = np.divide(parts, sizes, out=turned, where=sizes > 0.0)
     places = np.arange(1, coefficients.shape[-1], 2)
     own, other = covariance[..., places, places], covariance[..., places + 1, places + 1]
     both = covariance[..., places, places + 1]
@@ -315,9 +313,11 @@ def condition(columns: np.ndarray) -> float:
     return value if value < 1e8 else np.inf
 
 
-def check_places(arrivals: ArrivalTimes) -> None:
+def check_places(arrivals: ArrivalTimes, angle_deviation: float) -> None:
     """Raise InputError where a probe is passed, but for a shift of all of them, nearer to the place
-    of another one, or in another revolution: a fit would take that for a vibration."""
+    of another one, or in another revolution: a fit would take that for a vibration; and for a
+    standard deviation of the probes' angles [rad] that is none."""
+    check_number("angle_deviation", angle_deviation, 0.0)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # a probe without arrivals
         off = np.nanmedian(arrivals.nominal_angle - arrivals.angle, axis=0)
@@ -334,9 +334,8 @@ def check_places(arrivals: ArrivalTimes) -> None:
     if len(wrong):
         said, passed = np.degrees(arrivals.probes[[wrong[0], nearest[wrong[0]]]])
         found = f"the one at {said:g} degrees is passed where that at {passed:g} degrees is"
-        raise InputError(
-            "probes", found, "where their arrivals are; two are swapped, or times too coarse"
-        )
+        allowed = "where their arrivals are; two are swapped, or times too coarse"
+        raise InputError("probes", found, allowed)
 
 
 def refuse(arrivals: ArrivalTimes, unknowns: int) -> NoReturn:

@@ -93,11 +93,8 @@ class Run:
         for part in self._parts(slower * roots.real.min()):
             passed = slower * (time[part] - time[part.start])
             grown = np.exp(1j * slower * (path[part] - path[part.start]) - roots[0] * passed)
-            growths = [grown]
-            if len(roots) > 1:
-                factor = np.exp((roots[0] - roots[1]) * passed)
-                growths += [grown := grown * factor for _ in roots[1:]]
-            growth = np.array(growths)
+            factor = np.exp((roots[0] - roots[-1]) / max(len(roots) - 1, 1) * passed)
+            growth = np.cumprod([grown, *[factor] * (len(roots) - 1)], axis=0)
             pushed = (growth[:, 1:] - growth[:, :-1]) * push[:, part.start : part.stop - 1]
             np.cumsum(pushed, axis=1, out=pushed)
             pushed += envelope[:, [part.start]]
@@ -329,6 +326,7 @@ class Fit:
         """Fit the forces with weights (R, P), and return residuals (n,) and their derivatives by
         ln w_n and ln zeta of each mode (n, m), all times the roots of the weights."""
         forces, parts = [], []
+        by_mode = np.array([(1.0, mode.root.real / mode.root) for mode in self.modes])
         for run, waves, weight in zip(self._runs, self._waves(self.modes), weights, strict=True):
             given = run.without_drifts(np.concatenate([run.values[None], waves]), weight)
             values, *waves = given[:, run.seen]
@@ -339,13 +337,9 @@ class Fit:
             found = np.linalg.lstsq(columns @ columns.T, columns @ both.T, rcond=None)[0]
             both -= found.T @ columns
             forces.append(found[0::2, 0] + 1j * found[1::2, 0])
-            slopes = []
-            for mode, force, slope in zip(
-                self.modes, forces[-1], both[1:].reshape(-1, 2, len(values)), strict=True
-            ):
-                for turned in (force, force * mode.root.real / mode.root):
-                    slopes.append(-(turned.real * slope[0] + turned.imag * slope[1]))
-            parts.append(np.stack([both[0], *slopes], axis=1))
+            turned = forces[-1][:, None] * by_mode  # by ln w_n, and by ln zeta
+            slopes = turned[..., None] * (both[1::2] - 1j * both[2::2])[:, None]
+            parts.append(np.vstack([both[:1], -slopes.real.reshape(-1, len(values))]).T)
         self.forces, both = np.array(forces).T, np.concatenate(parts)
         return both[:, 0], both[:, 1:]
 
