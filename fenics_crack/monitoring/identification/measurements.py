@@ -311,15 +311,11 @@ class Measurements(Tabular):
             own = np.diag(means.covariance) - places**2
             deviations = np.sqrt(larger * own + places**2)
         # Rounded, for one sweep to serve all arrivals at a speed.
-        frequency = float(f"{order * speed / (2.0 * math.pi):.9g}")
-        return cls.from_arrays(
-            "displacement",
-            (-means.values if against else means.values).tolist(),
-            deviations.tolist(),
-            frequency=[frequency] * len(count),
-            point=[point] * len(count),
-            phase=(order * means.angle % (2.0 * math.pi)).tolist(),
-        )
+        frequency = float(f"{order * speed / TURN:.9g}")
+        values = -means.values if against else means.values
+        where = {"frequency": [frequency] * len(count), "point": [point] * len(count)}
+        where["phase"] = (order * means.angle % TURN).tolist()
+        return cls.from_arrays("displacement", values.tolist(), deviations.tolist(), **where)
 
     @classmethod
     def from_passages(
@@ -350,13 +346,11 @@ class Measurements(Tabular):
         if len(modes) != len(passages):
             raise InputError("modes", list(modes), f"one of each of {len(passages)} passages")
         used = [one for one in zip(passages, modes, strict=True) if one[1]]
-        return cls.from_arrays(
-            quantity,
-            [fit.omega / TURN for fit, _ in used],
-            [fit.deviation / TURN for fit, _ in used],
-            mode=[mode for _, mode in used],
-            rpm=[float(f"{fit.speed / RPM:.7g}") for fit, _ in used],
-        )
+        values = [fit.frequency for fit, _ in used]
+        deviations = [fit.deviation / TURN for fit, _ in used]
+        rpm = [float(f"{fit.speed / RPM:.7g}") for fit, _ in used]
+        where = {"mode": [mode for _, mode in used], "rpm": rpm}
+        return cls.from_arrays(quantity, values, deviations, **where)
 
     @classmethod
     def from_csv(cls, path: str | Path) -> Measurements:

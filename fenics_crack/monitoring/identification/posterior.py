@@ -310,9 +310,7 @@ def _optima(likelihood: Likelihood, axes: list[np.ndarray], height: np.ndarray) 
     found.sort(key=lambda optimum: -optimum.height)
     kept: list[Optimum] = []
     for one in found:
-        near = (
-            np.max(np.abs(one.x - two.x) / np.sqrt(np.diag(two.covariance))) < 1.0 for two in kept
-        )
+        near = (np.all((one.x - two.x) ** 2 < np.diag(two.covariance)) for two in kept)
         if one.height > found[0].height - OPTIONS.worse and not any(near):
             kept.append(one)
     return kept

@@ -469,9 +469,8 @@ class _Search:
         it has one within the speeds that are fitted. Others within the width of either may be
         residuals of wrong orders, and are dropped."""
         found, size = self.found, one.best.amplitude
-        if len(self.orders) < 2 or any(
-            other.covers(one) and other.best.amplitude > size for other in found
-        ):
+        larger = [other for other in found if other.best.amplitude > size]
+        if len(self.orders) < 2 or any(other.covers(one) for other in larger):
             return False
         others = [other for other in found if one.near(other, WIDTH) and not one.covers(other)]
         if not others:
@@ -665,9 +664,8 @@ class _Compared:
         for place, one in enumerate(both):
             most = dict(zip(orders.tolist(), gains.max(axis=1 - place).tolist(), strict=True))
             one.margins = _margins(most, fits.values(), best, place)
-            one.again(
-                record, values - best.motion(record, len(values), 1 - place), best.modes[place]
-            )
+            alone = values - best.motion(record, len(values), 1 - place)
+            one.again(record, alone, best.modes[place])
 
     def described(
         self,

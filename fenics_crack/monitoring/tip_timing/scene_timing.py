@@ -138,16 +138,10 @@ def _computed(
         points, lost = run_up_points(curve)
         # The part before it becomes unstable; all where that is at once.
         result = curve if lost is None or len(points) < 2 else curve.part(points)
+    given = {key: getattr(table, key) for key in ("tip_radius", "revolutions", "noise", "clock")}
+    given |= {"probes": np.radians(degrees), "seed": table.seed + max(blade - 1, 0)}
     return tip_timing(
-        result,
-        tip_direction(table, run, blade),
-        probes=np.radians(degrees),
-        tip_radius=table.tip_radius,
-        **_turning(table, run, source),
-        revolutions=table.revolutions,
-        noise=table.noise,
-        clock=table.clock,
-        seed=table.seed + max(blade - 1, 0),
+        result, tip_direction(table, run, blade), **given, **_turning(table, run, source)
     )
 
 

@@ -106,9 +106,10 @@ class Run:
         """Return a(t) exp(i p alpha) of a mode at the arrivals, for F = 1: (R, P)."""
         return np.asarray(self.waves(mode.order, np.array([mode.root]))[0])
 
-    def sloped(self, order: float, root: complex) -> np.ndarray:
-        """Return a(t) exp(i p alpha) at the arrivals, for F = 1 and a root lambda, and zeta w_n
-        times the derivative of the rest of it by ln lambda: (2, R, P)."""
+    def sloped(self, mode: Mode) -> np.ndarray:
+        """Return a(t) exp(i p alpha) of a mode at the arrivals, for F = 1, and zeta w_n times the
+        derivative of the rest of it by ln lambda: (2, R, P)."""
+        order, root = mode.order, mode.root
         time, path, turning, turned = self._turned(order)
         slower = self._slower(order, np.array([root]))
         found, push = np.empty((2, len(time)), dtype=complex), 1.0 / (1j * turning - root)
@@ -292,9 +293,7 @@ class Fit:
         self._runs, self.modes = runs, tuple(modes)
         self._omegas = [mode.omega for mode in modes]
         self._waves = lru_cache(maxsize=1)(self._waves_of)
-        begin = np.concatenate(
-            [weight[run.seen] for run, weight in zip(runs, weights, strict=True)]
-        )
+        begin = np.concatenate([part[run.seen] for run, part in zip(runs, weights, strict=True)])
         unknowns = 2 * len(modes) + sum(2 * len(modes) + 2 * run.probes for run in runs)
         self.noise = reweighted(self._solve, begin, unknowns, runs[0].least)
 
@@ -318,9 +317,7 @@ class Fit:
 
     def _waves_of(self, modes: tuple[Mode, ...]) -> list[np.ndarray]:
         """Return the waves of modes in each run, and their slopes, by :meth:`Run.sloped`."""
-        return [
-            np.concatenate([run.sloped(one.order, one.root) for one in modes]) for run in self._runs
-        ]
+        return [np.concatenate([*map(run.sloped, modes)]) for run in self._runs]
 
     def _linear(self, weights: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Fit the forces with weights (R, P), and return residuals (n,) and their derivatives by
