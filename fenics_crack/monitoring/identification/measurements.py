@@ -283,7 +283,6 @@ class Measurements(Tabular):
             or too few for an estimate, as in one revolution alone.
         """
         from fenics_crack.monitoring.tip_timing.fit_order import Means  # SciPy
-        from fenics_crack.monitoring.tip_timing.harmonics import check_places, rounding
         from fenics_crack.monitoring.tip_timing.robust import student
 
         check_count("order", order, 1)
@@ -291,7 +290,7 @@ class Measurements(Tabular):
             check_number("noise", noise, 0.0, above=True)
         if not arrivals.steady:
             raise InputError("arrivals", repr(arrivals), "those of a constant speed")
-        check_places(arrivals, angle_deviation)
+        arrivals.check_places(angle_deviation)
         count = np.isfinite(arrivals.time).sum(axis=0)
         count, speed = count[count > 0], arrivals.mean_speed
         if len(count) < 4:  # one more than the load's size and phase, and a constant
@@ -301,7 +300,7 @@ class Measurements(Tabular):
         if noise is not None:
             own = speed * noise / np.sqrt(count)
             deviations = arrivals.tip_radius * np.hypot(own, angle_deviation)
-        elif means.scatter <= rounding(arrivals):
+        elif means.scatter <= arrivals.rounding:
             raise InputError("noise", None, "given where passages have no scatter")
         elif np.isnan(larger := student(means.within)):
             found = counted(int(count.sum()), "arrival")
@@ -313,8 +312,8 @@ class Measurements(Tabular):
         # Rounded, for one sweep to serve all arrivals at a speed.
         frequency = float(f"{order * speed / TURN:.9g}")
         values = -means.values if against else means.values
-        where = {"frequency": [frequency] * len(count), "point": [point] * len(count)}
-        where["phase"] = (order * means.angle % TURN).tolist()
+        where: dict[str, Any] = {"phase": (order * means.angle % TURN).tolist()}
+        where |= {"frequency": [frequency] * len(count), "point": [point] * len(count)}
         return cls.from_arrays("displacement", values.tolist(), deviations.tolist(), **where)
 
     @classmethod
@@ -349,7 +348,7 @@ class Measurements(Tabular):
         values = [fit.frequency for fit, _ in used]
         deviations = [fit.deviation / TURN for fit, _ in used]
         rpm = [float(f"{fit.speed / RPM:.7g}") for fit, _ in used]
-        where = {"mode": [mode for _, mode in used], "rpm": rpm}
+        where: dict[str, Any] = {"mode": [mode for _, mode in used], "rpm": rpm}
         return cls.from_arrays(quantity, values, deviations, **where)
 
     @classmethod

@@ -36,10 +36,8 @@ from fenics_crack.monitoring.tip_timing.harmonics import (
     Candidates,
     Fitted,
     TipFit,
-    check_places,
     condition,
     refuse,
-    rounding,
     strengths,
     taken,
     wanted,
@@ -104,7 +102,7 @@ def fit_order(
     >>> fit = fc.fit_order(arrivals, range(1, 13))
     """
     tried, multiples = wanted(orders, harmonics, subharmonic)
-    check_places(arrivals, angle_deviation)
+    arrivals.check_places(angle_deviation)
     period, highest = _period(tried, multiples), float(tried.max())
     means = Means(arrivals, period, highest, angle_deviation)
     fit = _compared(arrivals, means, tried, multiples)
@@ -398,13 +396,13 @@ class Means(_Seen):
             self.values = np.bincount(where, weights * self._data) / np.bincount(where, weights)
             return self._data - self.values[where]
 
-        noise = reweighted(solve, np.ones(len(where)), len(groups), rounding(arrivals))
+        noise = reweighted(solve, np.ones(len(where)), len(groups), arrivals.rounding)
         own = np.eye(len(groups))[where]
         self.scatter, covariance = 1.0, np.diag(1.0 / np.bincount(where))
         if within > 0:
-            self.scatter = max(float(np.sqrt(noise.variance)), rounding(arrivals))
+            self.scatter = max(float(np.sqrt(noise.variance)), arrivals.rounding)
             covariance = noise.covariance(own, places)
-            covariance += np.eye(len(groups)) * rounding(arrivals) ** 2
+            covariance += np.eye(len(groups)) * arrivals.rounding**2
             place = groups % probes
             spread = (arrivals.tip_radius * angle_deviation) ** 2
             covariance += spread * (place[:, None] == place)
@@ -549,7 +547,7 @@ def track_order(
     """
     _, multiples = wanted([order], harmonics, subharmonic)
     check_count("revolutions", revolutions, 1)
-    check_places(arrivals, angle_deviation)
+    arrivals.check_places(angle_deviation)
     groups, unknowns = len(arrivals) // revolutions, 2 * len(multiples) + 1
     probes = len(arrivals.probes)
     if not groups:
@@ -577,7 +575,7 @@ def track_order(
     own = probes * (subharmonic if revolutions > 1 else 1) - unknowns
     misfit = trend(left.reshape(-1, probes)[places], places) if own > 0 else np.nan
     variance, within = _variance(left, seen, np.where(enough, count - unknowns, 0))
-    variance = max(variance, rounding(arrivals) ** 2)
+    variance = max(variance, arrivals.rounding**2)
     place = np.tile(np.arange(probes), revolutions)
     spread = (arrivals.tip_radius * angle_deviation) ** 2 * (place[:, None] == place)
     covariance = variance * np.eye(len(place)) + spread

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NoReturn
@@ -11,7 +10,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from fenics_crack.basics.errors import InputError, check_count, check_number
-from fenics_crack.basics.tables import TURN, Tabular, counted, hertz_of, quantity, with_frequency
+from fenics_crack.basics.tables import Tabular, counted, hertz_of, quantity, with_frequency
 from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes
 from fenics_crack.monitoring.tip_timing.robust import LEVELS
 from fenics_crack.numerics.fourier import waves
@@ -313,31 +312,6 @@ def condition(columns: np.ndarray) -> float:
     return value if value < 1e8 else np.inf
 
 
-def check_places(arrivals: ArrivalTimes, angle_deviation: float) -> None:
-    """Raise InputError where a probe is passed, but for a shift of all of them, nearer to the place
-    of another one, or in another revolution: a fit would take that for a vibration; and for a
-    standard deviation of the probes' angles [rad] that is none."""
-    check_number("angle_deviation", angle_deviation, 0.0)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # a probe without arrivals
-        off = np.nanmedian(arrivals.nominal_angle - arrivals.angle, axis=0)
-    off -= np.nanmedian(off)
-    late = np.flatnonzero(np.abs(off) > 0.5 * TURN)
-    if len(late):
-        where = f"those at {np.degrees(arrivals.probes[late[0]]):g} degrees"
-        found = f"{where} are of the revolutions {'before' if off[late[0]] > 0.0 else 'after'}"
-        raise InputError("time", found, "in the rows of their own revolutions, at all probes")
-    apart = np.abs(arrivals.probes - off - arrivals.probes[:, None])  # [said, passed]
-    apart = np.minimum(apart % TURN, -apart % TURN)
-    nearest = np.argmin(apart, axis=0)
-    wrong = np.flatnonzero(np.isfinite(off) & (nearest != np.arange(len(off))))
-    if len(wrong):
-        said, passed = np.degrees(arrivals.probes[[wrong[0], nearest[wrong[0]]]])
-        found = f"the one at {said:g} degrees is passed where that at {passed:g} degrees is"
-        allowed = "where their arrivals are; two are swapped, or times too coarse"
-        raise InputError("probes", found, allowed)
-
-
 def refuse(arrivals: ArrivalTimes, unknowns: int) -> NoReturn:
     """Raise InputError: these probes cannot determine so many unknowns."""
     angles = ", ".join(f"{angle:g}" for angle in np.degrees(arrivals.probes))
@@ -345,10 +319,3 @@ def refuse(arrivals: ArrivalTimes, unknowns: int) -> NoReturn:
     allowed = f"able to determine {unknowns} unknowns of a fit: more probes, unequally spaced, "
     allowed += "fewer harmonics, or arrivals that scatter less"
     raise InputError("probes", found, allowed)
-
-
-def rounding(arrivals: ArrivalTimes) -> float:
-    """Return the rounding of displacements [m]: of the angles, and 1e-9 of the motion."""
-    largest = float(np.nanmax(np.abs(arrivals.angle)))
-    motion = float(np.nanmax(np.abs(arrivals.displacement)))
-    return 1e-9 * motion + 4.0 * float(np.spacing(largest)) * arrivals.tip_radius

@@ -41,7 +41,6 @@ from fenics_crack.monitoring.tip_timing.arrival_times import (
     ArrivalTimes,
     between,
 )
-from fenics_crack.monitoring.tip_timing.harmonics import rounding
 from fenics_crack.monitoring.tip_timing.robust import refined, reweighted
 from fenics_crack.numerics.equations import TINY
 
@@ -74,7 +73,7 @@ class Run:
         self.values = np.where(self.seen, values[rows], 0.0)
         self.path, self.time = arrivals.nominal_angle[rows], arrivals.expected[rows]
         self.angle = np.where(self.seen, arrivals.angle[rows], self.path)
-        self.speed, self.least = record.speed[rows], record.least
+        self.speed, self.least = record.speed[rows], arrivals.rounding
         self.along = (self.speed - self.speed.mean()) / (self.speed.max() - self.speed.min())
 
     @property
@@ -206,11 +205,6 @@ class Record:
     def speed(self) -> np.ndarray:
         """Mean speed of each revolution [rad/s]."""
         return self.arrivals.speed
-
-    @cached_property
-    def least(self) -> float:
-        """Rounding of displacements [m]."""
-        return rounding(self.arrivals)
 
     def runs(self, values: np.ndarray, speed: float) -> list[Run]:
         """Return the parts of a record in which the speed is near one, and on both sides of it."""
