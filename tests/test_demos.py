@@ -303,6 +303,7 @@ def test_bladed_disk(tmp_path: Path) -> None:
     assert {f"{name}.png" for name in pictures} < {path.name for path in tmp_path.iterdir()}
 
 
+@pytest.mark.nightly
 def test_friction(tmp_path: Path) -> None:
     """Friction halves the peak of the inclined crack; the solution without says so of itself."""
     found = load("friction").main(tmp_path)

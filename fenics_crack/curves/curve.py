@@ -14,6 +14,7 @@ import numpy as np
 from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.contact_system import ContactPoint
 from fenics_crack.balance.error_report import LARGE_ERROR
+from fenics_crack.balance.more_modes import UNKNOWN
 from fenics_crack.balance.harmonic_balance import solution_of_orbit, wave_of
 from fenics_crack.balance.problem import Problem, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
@@ -510,8 +511,8 @@ class ResponseCurve(Observed, Tabular):
             orbit, problem = self.orbit(index), self.problem_of(index)
             wave = wave_of(problem, orbit, orbit.coefficients(problem.harmonics))
             more = wave.assessment.more_modes
-            if more is not None and (errors := more.errors) is not None:
-                return errors[1]
+            if more is not None:
+                return UNKNOWN if more.errors is None else more.errors[1]
         return self.solution(index, search=False).report.displacement
 
     # --- shown ------------------------------------------------------------------------------------

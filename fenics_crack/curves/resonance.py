@@ -39,7 +39,7 @@ from fenics_crack.curves.curve_system import CurveSystem
 from fenics_crack.curves.follow import run_to_end
 from fenics_crack.curves.waves import WAVES, FrequencyWaves, spinning
 from fenics_crack.model.contact import is_unilateral
-from fenics_crack.model.modal import is_small
+from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.numerics.equations import LOCATED
 from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_near
@@ -107,6 +107,9 @@ def first_resonance(problem: Problem, near: float) -> PhasePoint:
     if problem.friction or not is_unilateral(problem.contact) or problem.subharmonic != 1:
         allowed = "the penalty law or the constraint, without friction, and subharmonic = 1"
         raise InputError("contact", problem.contact, f"{allowed}, for a phase resonance")
+    allowed = "one that moves a damped mode"
+    if not all_modes(problem.structure).damping.any():
+        raise InputError("load", "no damped mode answers to it", allowed)
     begin = near * (1.0 - ARRIVED)  # the phase of what is linear is not 0 then
     waves = FrequencyWaves(problem, begin, 0.5 * begin)
     start = Solver(waves.at(begin)).solve().slow_gap_coefficients
@@ -115,7 +118,7 @@ def first_resonance(problem: Problem, near: float) -> PhasePoint:
     drive = max(drives, key=lambda one: abs(one.power(first).imag))
     power = drive.power(first)
     if not abs(power.imag) > LOCATED * abs(power):
-        raise InputError("load", "no damped mode answers to it", "one that moves a damped mode")
+        raise InputError("load", "no damped mode answers to it", allowed)
 
     def in_phase(point: PathPoint) -> float:
         power = drive.power(waves.linearise(point.unknown, point.parameter))
