@@ -105,12 +105,7 @@ class Likelihood:
     def explains(self, x: np.ndarray) -> np.ndarray:
         """True where values (m, d) of the unknowns, chosen before measuring, would explain the
         measurements: (m,) bool."""
-        return np.asarray(self._fit(x, 0)[1] >= 1.0 - self.confidence)
-
-    @property
-    def confidence(self) -> float:
-        """Probability of the regions that are reported."""
-        return self.quantities.model.table.confidence
+        return np.asarray(self._fit(x, 0)[1] >= 1.0 - self.quantities.model.table.confidence)
 
     def misfit(self, x: np.ndarray) -> tuple[float, float]:
         """chi^2 at the best values (d,) of the unknowns, and its p-value with as many degrees of
