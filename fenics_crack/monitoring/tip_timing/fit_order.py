@@ -118,17 +118,17 @@ def _compared(
 ) -> TipFit:
     """Return the candidate that fits best, with the smallest vibration, and the others."""
     unknowns = 2 * len(multiples) + 1
-    fits = [means.fit(order, multiples) for order in tried]
-    hidden = np.array([fit is None for fit in fits])
-    if np.all(hidden):
+    every = {place: means.fit(order, multiples) for place, order in enumerate(tried)}
+    fits = {place: fit for place, fit in every.items() if fit is not None}
+    if not fits:
         refuse(arrivals, unknowns)
-    sums = np.array([np.inf if fit is None else fit.least for fit in fits])
+    hidden, (sums, sizes, costs) = np.full(len(tried), True), np.full((3, len(tried)), np.inf)
+    for place, fit in fits.items():
+        hidden[place], sums[place] = False, fit.least
+        sizes[place] = np.linalg.norm(fit.coefficients[1:])
     lowest, misfit, freedom = means.tested(float(sums.min()), unknowns)
-    found = [[np.inf] if fit is None else fit.coefficients[1:] for fit in fits]
-    sizes = np.array([np.linalg.norm(one) for one in found])
     equivalent, best = taken(sums, sizes, LEVELS.equal * lowest)
     chosen = fits[best]
-    assert chosen is not None
     # Arrivals that are not at the probes' angles distinguish aliases, but not reliably.
     wave = waves(tried[best] * means.nominal, multiples) @ chosen.coefficients
     left = np.array([means.unexplained(wave, one, multiples) for one in tried])
@@ -136,11 +136,10 @@ def _compared(
     known = lowest if np.isfinite(lowest) else np.nan
     if means.within > 0 and len(means.values) > unknowns + 1:
         # Nor do harmonics that are left out make another order less likely.
-        beside = [(np.inf, fit) if fit is None else means.beside_others(fit) for fit in fits]
-        costs = np.array([cost for cost, _ in beside])
+        for place, fit in fits.items():
+            costs[place], fits[place] = means.beside_others(fit)
         equivalent |= costs - costs.min() < LEVELS.equal
-        chosen = beside[best][1]
-        assert chosen is not None
+        chosen = fits[best]
         known, _, freedom = means.tested(chosen.least, unknowns)
         known = max(known, 1.0)
     chosen = replace(chosen, covariance=known * student(freedom) * chosen.covariance)
