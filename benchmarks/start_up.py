@@ -8,7 +8,7 @@ whole commands, or relative to the last of several versions. The program ends wi
 missed.
 
 The plate is that of ``fenics-crack new``, of this version, for all. Versions are folders with a
-``.venv`` of their own (``install.sh``); what one of them does not have is left out.
+``.venv`` of their own (``install.sh``); what a later one does not have is left out.
 
     OMP_NUM_THREADS=1 python benchmarks/start_up.py [--quick] [--only PART] [--sources FOLDER ...]
 """
@@ -101,15 +101,16 @@ given = study.structure, 4900.0, 5500.0, study.contact
 CASES = """
 changes = {"mesh.lip_elements": %d, "reduction.modes": 10, "reduction.method": "massless"}
 study, count = fc.prepare(scene.replace(changes)), 10_000
-middle = fc.solve(scene).result.omega * 5227.0 / 4901.0
-draw = np.random.default_rng(1).uniform
+middle, draw = 5227.0, np.random.default_rng(1).uniform  # the resonance [rad/s]
 cases = {
     "omega": draw(0.9 * middle, 1.1 * middle, count), "load": draw(0.5, 2.0, count),
     "damping": draw(0.5, 2.0, count),
 }
 began = time.process_time()
-found = fc.solve_many(study.structure, contact=study.contact, tolerance=1e-2, **cases)
-print(time.process_time() - began)
+found = fc.solve_many(study.structure, contact=study.contact, **cases)
+spent = time.process_time() - began
+assert np.mean(found.verdict != "") >= 0.98 and np.isfinite(found.truncation).mean() >= 0.98
+print(spent)
 """
 COMMANDS = {
     IMPORT: Figure(["-c", IMPORT], None, ""),
@@ -193,11 +194,13 @@ def measured(arguments: common.Arguments, figures: dict[str, Figure]) -> list[st
             seconds = middle[source, name]
             key = (sources[-1], name) if figure.of == LAST else (source, figure.of)
             value = seconds / middle.get(key, 1.0)
-            above = source == sources[0] and figure.budget is not None and value > figure.budget
+            lacking = seconds != seconds
+            above = source == sources[0] and figure.budget is not None
+            above &= lacking or value > (figure.budget or 0.0)
             if figure.of == LAST and source == sources[-1]:  # compared with itself
-                value, above = np.nan, False
+                value, above = np.nan, above and lacking
             missed += [name] if above else []
-            mark = "missed" if above else "" if seconds == seconds else "not there"
+            mark = "not there" if lacking else "missed" if above else ""
             rows.append((name, source, seconds, value, figure.of, figure.budget or "", mark))
     columns = ("figure", "version", "time [s]", "relative", "to", "budget", "")
     common.save_table(arguments.folder / "start_up.csv", "Processor time", columns, rows)

@@ -166,7 +166,8 @@ class PeriodicSolution(Wave, Observed, Described):
         return self.structure.function(self.coordinates(np.array([time]))[0])
 
     def records(self, rows: np.ndarray, instants: int | None = None) -> Iterator[Record]:
-        """The motion, at as many instants as :meth:`instants` has, or as are given."""
+        """The motion, at as many instants as :meth:`instants` has; at as many as are given all
+        numbers are from these."""
         friction, moved = coefficient_of(self.contact), None
         if self.static_above is not None and not self.still:
             moved = rows @ all_modes(self.seen).moved_at_once(self.static_above)
@@ -192,7 +193,7 @@ class PeriodicSolution(Wave, Observed, Described):
             cracks=self.structure.pairs.cracks,
             friction=friction,
             at=at if friction is None else None,  # forces of friction follow from those before
-            exact={} if self.orbit is None else self.orbit.sliding,
+            exact={} if instants or self.orbit is None else self.orbit.sliding,
         )  # fmt: skip
 
     @property

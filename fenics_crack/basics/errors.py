@@ -61,9 +61,7 @@ class InputError(ValueError):
 
     def __init__(self, key: str, value: object, allowed: str) -> None:
         super().__init__(key, value, allowed)
-        self.key = key
-        self.value = value
-        self.allowed = allowed
+        self.key, self.value, self.allowed = key, value, allowed
 
     def __reduce__(self) -> tuple[Any, ...]:
         """For other ranks: what cannot be sent, such as a nest too deep, goes as words."""
@@ -102,8 +100,7 @@ class ConvergenceError(RuntimeError):
 
     def __init__(self, message: str, history: Sequence[float] = (), found: object = None) -> None:
         super().__init__(message)
-        self.history = tuple(history)
-        self.found = found
+        self.history, self.found = tuple(history), found
 
 
 class StoppedError(ConvergenceError):
@@ -174,8 +171,6 @@ def check_two_ratios(key: str, ratios: Sequence[float], omegas: Sequence[float])
     (low, at_low), (high, at_high) = sorted(zip(omegas, ratios, strict=True))
     least, most = at_low * (low / high), at_low * (high / low)
     if not least * (1.0 - 1e-15) <= at_high <= most * (1.0 + 1e-15):
-        allowed = (
-            f"such that no coefficient is negative: with {at_low:g} at {low:g} rad/s, from "
-            f"{least:g} to {most:g} at {high:g} rad/s"
-        )
+        allowed = f"such that no coefficient is negative: with {at_low:g} at {low:g} rad/s,"
+        allowed += f" from {least:g} to {most:g} at {high:g} rad/s"
         raise InputError(key, tuple(ratios), allowed)

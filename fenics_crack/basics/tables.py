@@ -40,7 +40,6 @@ _UNITS = {
     "s": "time mark next_mark arrival",
     "m": "amplitude_error displacement response clearance crack_length tip_radius rest_amplitude",
     "m/cycle": "rate",
-    "J": "energy",
 }
 UNITS = {name: one.unit for name, one in QUANTITIES.items()}
 UNITS |= {name: unit for unit, names in _UNITS.items() for name in names.split()}

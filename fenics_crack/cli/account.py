@@ -106,14 +106,11 @@ def of_error(
         "sampling": ("AFT sampling", "more samples (harmonic_balance.samples)"),
         "residual": ("the residual", f"{softer}: it is rounding"),
     }[report.largest_part]
+    said = f"the estimated relative error of the gap is {percent(report.total)}{where}"
+    said += f", mostly due to {part}"
     if report.unknown:
-        unsettled = f"its estimate for {part} did not converge"
-        yield f"the error is unknown{where}, {unsettled}; use {wanted}"
-        return
-    yield (
-        f"the estimated relative error of the gap is {percent(report.total)}{where}, mostly due to "
-        f"{part}; use {wanted}"
-    )
+        said = f"the error is unknown{where}, its estimate for {part} did not converge"
+    yield f"{said}; use {wanted}"
 
 
 def of_stability(
@@ -147,10 +144,8 @@ def of_friction(found: PeriodicSolution) -> Iterator[str]:
         return
     largest, critical = float(np.max(flow.friction.coefficient)), flow.critical_friction
     if largest > 0.5 * critical:
-        yield (
-            f"the coefficient of friction, {largest:g}, is above half of {critical:.2g}, from "
-            "which on the contact forces of an instant need not be the only ones"
-        )
+        high = f"the coefficient of friction, {largest:g}, is above half of {critical:.2g}"
+        yield f"{high}, from which on the contact forces of an instant need not be the only ones"
 
 
 def of_more_modes(scene: Scene, found: PeriodicSolution, verdict: str) -> Iterator[str]:

@@ -206,7 +206,7 @@ def _run(given: argparse.Namespace) -> Exit:
     process, rank 0 reads for all.
     """
     threads.check_modules()
-    from fenics_crack.cli.given import Console, read_inputs
+    from fenics_crack.cli.given import Console, read_inputs, read_prepared
 
     launched = threads.launched()
     prepared = "scene" in given and given.scene.suffix.lower() == ".h5"
@@ -230,14 +230,11 @@ def _run(given: argparse.Namespace) -> Exit:
         signal.signal(number, signal.default_int_handler)
     with threads.alone(), Messages(quiet=given.quiet):
         if prepared:
-            from fenics_crack.cli.given import read_prepared
-
             inputs = read_prepared(given, comm)
         elif launched:
             inputs = on_root(comm, lambda: read_inputs(given))
-        console = Console(
-            comm, given.format, given.quiet, given.verbose, vars(given).get("pictures", "png")
-        )
+        pictures = vars(given).get("pictures", "png")
+        console = Console(comm, given.format, given.quiet, given.verbose, pictures)
         return _command(given, inputs, console) or Exit.DONE
 
 
@@ -456,12 +453,8 @@ class Parser(argparse.ArgumentParser):
             message += f"; {meant([] if takers else near(option, options_of(*COMMANDS)))}"
             message += f"of {', '.join(takers)} alone" if takers else ""
         elif wrong:
-            others = [
-                name
-                for name in COMMANDS
-                for text in in_other_words(wrong[1])
-                if re.search(rf"fc\.(run_)?{name}\(", text)
-            ]
+            calls = "\n".join(in_other_words(wrong[1]))
+            others = [name for name in COMMANDS if re.search(rf"fc\.(run_)?{name}\(", calls)]
             message += f"; {meant(near(wrong[1], COMMANDS) or others)}"
         super().error(message.rstrip("; "))
 
@@ -500,9 +493,7 @@ def parser() -> argparse.ArgumentParser:
     )
     whole.add_argument("--version", action="version", version=f"fenics-crack {VERSION}")
     shell = 'print what a shell needs to complete words: eval "$(fenics-crack --completion bash)"'
-    whole.add_argument(
-        "--completion", action=Completion, choices=("bash", "zsh", "fish"), help=shell
-    )
+    whole.add_argument("--completion", action=Completion, choices=(*KEY_FUNCTIONS,), help=shell)
     group = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, (text, words) in COMMANDS.items():
         command = group.add_parser(name, help=text, description=text[0].upper() + text[1:])

@@ -185,10 +185,9 @@ def identify(given: Namespace, inputs: Inputs, console: Console) -> Exit:
         parts.append(_measured_by(inputs.arrivals, scene, console))
     if inputs.before is not None:
         parts.append(_measured_by(inputs.before, scene, console, before=True))
-    rows = sum(parts[1:], parts[0])
+    how = {"folder": folder, "comm": console.comm, "progress": console.progress}
     with console.stage("identification", bars=True):
-        how = {"comm": console.comm, "progress": console.progress}
-        found = search.identify(scene, rows, folder=folder, **how)
+        found = search.identify(scene, sum(parts[1:], parts[0]), **how)
     worth = found.where_to_measure()
 
     def write() -> None:

@@ -120,8 +120,7 @@ def read_prepared(given: Namespace, comm: MPI.Comm) -> Inputs:
     from fenics_crack.study.artefact import load_prepared  # the solver
 
     study = load_prepared(given.scene, changes(given.set), comm)
-    folder = given.output or Path("output") / given.scene.stem
-    return Inputs(study.scene, folder, prepared=study)
+    return Inputs(study.scene, given.output or Path("output") / given.scene.stem, prepared=study)
 
 
 def _errors_behind(error: InputError, path: Path, given: dict[str, Any]) -> Iterator[InputError]:
@@ -137,8 +136,7 @@ def _errors_behind(error: InputError, path: Path, given: dict[str, Any]) -> Iter
         passed.add(error.key)
         table, _, name = error.key.partition(".")
         value = re.search(r"; did you mean (.+)\?$", error.allowed)
-        unknown = error.allowed.startswith("left out; ")
-        if unknown:
+        if error.allowed.startswith("left out; "):
             meant += error.allowed.partition(" known ")[0]
             changed.pop(error.key, None)
             held = tables.get(table) if name else tables
@@ -382,10 +380,8 @@ def new(given: Namespace, _: None, console: Console) -> None:
 def new_scene(name: str, rows: str, kinds: Collection[str]) -> str:
     """A scene of some :data:`JOINABLE_SCENES` under a name, with a file of measurements."""
     marks = [f"(--{kind})" for kind in {*kinds, *(["blade"] if "timing" in kinds else [])}]
-    lines = (
-        _turned(line) if line.endswith(tuple(marks)) else line
-        for line in packaged(COMMENTED).splitlines()
-    )
+    lines = packaged(COMMENTED).splitlines()
+    lines = [_turned(line) if line.endswith(tuple(marks)) else line for line in lines]
     whole = "\n".join([*map(_without_mark, lines), ""])
     return whole.replace("SCENE", shlex.quote(name)).replace("MEASURED", shlex.quote(rows))
 

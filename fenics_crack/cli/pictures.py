@@ -165,15 +165,13 @@ def draw_solution(run: Run[PeriodicSolution], file: Drawn) -> None:
     if known := known_to(run):
         title += f", error {known.partition(',')[0]}"
     elif found.gap_coefficients.size and found.report.estimated:
-        error = "unknown" if found.report.unknown else percent(found.report.total)
-        title += f", error {error}"
+        title += f", error {'unknown' if found.report.unknown else percent(found.report.total)}"
     if found.stability is not None:
         title += f", {found.stability.verdict}"
     if not found.converged:
         title += ", NOT CONVERGED"
     words = "Displacement at the output point, and closing of the crack faces."
-    how = {"path": file("solution_waves", words), "title": title}
-    _waves(run, waves_of(run), found.omega, **how)
+    _waves(run, waves_of(run), found.omega, path=file("solution_waves", words), title=title)
     words = "Amplitudes of the harmonics; enough are kept if the last are small."
     plot.draw_spectrum(found, dof, path=file("solution_spectrum", words), title=title)
     words = "The motion in the phase plane; thick where the crack faces touch."
@@ -219,8 +217,7 @@ def draw_history(run: Run[TimeHistory], file: Drawn) -> None:
         title = f"The last periods of {run.result.periods}, {frequency_in_words(run.scene, load)}"
         omega = load
     words = "The motion in time, its last periods or a free decay."
-    how = {"path": file("integration_waves", words), "title": title}
-    _waves(run, waves_of(run), omega, **how)
+    _waves(run, waves_of(run), omega, path=file("integration_waves", words), title=title)
     _tips(run, file, "integration_tips")
 
 
@@ -570,12 +567,9 @@ def _scene(result: Any, folder: Path) -> dict[str, Any]:
     if scene.geometry is not None:
         own = result.structure.whole if isinstance(result, Run) else None
         mesh = _picture(_draw_scene(scene, folder, own), "The mesh with its named parts.")
-    rows: list[tuple[str, object]] = [
-        (key_in_words(key), _value(key, value))
-        for table in IN_SHORT
-        for key, value in given_values(scene).items()
-        if key.startswith(f"{table}.")
-    ]
+    given = given_values(scene)
+    keys = [key for table in IN_SHORT for key in given if key.startswith(f"{table}.")]
+    rows: list[tuple[str, object]] = [(key_in_words(k), _value(k, given[k])) for k in keys]
     if scene.excitation.order is not None:
         rows.append(("load frequency", frequency_in_words(scene, scene.excitation.omega)))
     rows.append(("harmonics", harmonics_in_words(scene)))

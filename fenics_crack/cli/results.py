@@ -32,7 +32,6 @@ from fenics_crack.curves.peak import Top
 from fenics_crack.curves.stability import attractors
 from fenics_crack.model.modes import KINDS, BilinearFrequencies, Modes, bilinear_frequencies
 from fenics_crack.model.rotation import RunUpStructure
-from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Integration
 from fenics_crack.study.conclusion import said_of, unknown_error, unknown_of_solution
 from fenics_crack.study.numbers import largest_left_out, natural_name
@@ -64,9 +63,10 @@ def _report(run: Run[Any], table: Table, **how: Any) -> Report:
     their points, remarks, and the last sentence, also as a quantity where the table has those
     (collective)."""
     how["notes"] = [*how.get("notes", ()), *_watched_away(run)]
-    report = Report(table, said_of(run), remarks=run.remarks, **how)
     if table.columns[0] != "name":
-        return report
+        return Report(table, said_of(run), remarks=run.remarks, **how)
+    how |= {"shown": account.in_short(table, run.scene, PRINTED), "tables": _in_numbers(run, table)}
+    report = Report(table, said_of(run), remarks=run.remarks, **how)
     row = ["conclusion", OTHERS["conclusion"][0], report.closing, "-"]
     row += ["" for _ in table.columns[len(row) :]]
     return replace(report, table=Table(table.columns, [*table.rows, row]))
@@ -77,8 +77,7 @@ def _watched_away(run: Run[Any]) -> list[str]:
     away = {w.name.partition(".")[0]: w.distance for w in run.watched if w.distance > 0}
     places = ", ".join(f"{name} {quantity(distance, 'm')}" for name, distance in away.items())
     stated = "; not part of the stated errors" if run.stated is not None else ""
-    words = f"watched at the nearest node, at a distance of: {places}{stated}"
-    return [words] if places else []
+    return [f"watched at the nearest node, at a distance of: {places}{stated}"] if places else []
 
 
 # --- a steady vibration ---------------------------------------------------------------------------
@@ -87,29 +86,22 @@ def _watched_away(run: Run[Any]) -> list[str]:
 def report_of_solution(run: Run[PeriodicSolution]) -> Report:
     """A solution, its error and its stability (collective)."""
     found, scene = run.result, run.scene
-    near = None
-    if run.structure.n_pairs:
-        near = bilinear_frequencies(run.structure).nearest(found.omega)
-    table = _quantities(run, found.omega, found.to_dict() | _in_doubt(run), near)
+    table = _quantities(run, found.omega, found.to_dict() | _in_doubt(run))
     notes = [remark_on(run.structure, highest_omega(scene, "solve"))]
     asked = scene.harmonic_balance.error
     if found.converged and found.stability is None and run.contact is not None and asked:
         reduced = "" if scene.disk is not None else "for a reduced structure (reduction.method), "
-        notes.append(
-            f"the stability is not assessed, as that would take long; it is {reduced}with "
-            "contact.law = 'unilateral' for crack faces without mass"
-        )
+        where = f"{reduced}with contact.law = 'unilateral' for crack faces without mass"
+        notes.append(f"the stability is not assessed, as that would take long; it is {where}")
     if found.converged and (larger := largest_left_out(found, run.watched_dof)) is not None:
-        notes.append(
-            f"harmonic {larger[0]}, which the solution leaves out, is the largest of the higher "
-            f"ones: {larger[1]:.2g} of harmonic 1 in the exact orbit; more harmonics show it"
-        )
+        share = f"{larger[1]:.2g} of harmonic 1 in the exact orbit; more harmonics show it"
+        left = f"harmonic {larger[0]}, which the solution leaves out"
+        notes.append(f"{left}, is the largest of the higher ones: {share}")
     tolerance = scene.harmonic_balance.tolerance
     missed = tolerance is not None and found.report.total > tolerance
     warnings = []
     if not found.converged or missed:
-        failed = "" if found.converged else "not converged: "
-        warnings.append(f"{failed}{found.status}")
+        warnings.append(f"{'' if found.converged else 'not converged: '}{found.status}")
     elif run.structure.n_pairs:
         warnings += account.of_error(scene, found.report, found.harmonics)
     if found.still:
@@ -127,10 +119,8 @@ def report_of_solution(run: Run[PeriodicSolution]) -> Report:
         run,
         table,
         rows=_waves(run, waves_of(run)),
-        shown=account.in_short(table, scene, PRINTED),
         notes=notes,
         warnings=warnings,
-        tables=_in_numbers(table, scene),
         further=_of_blades(run, "Blades"),
         done=found.converged,
         missed=missed or bool(unknown_of_solution(run)),
@@ -158,9 +148,9 @@ def _in_doubt(run: Run[PeriodicSolution]) -> dict[str, object]:
     return known | (dict.fromkeys(UNKNOWN_PARTS, np.nan) if run.result.report.unknown else {})
 
 
-def _in_numbers(table: Table, scene: Scene) -> dict[str, Table]:
+def _in_numbers(run: Run[Any], table: Table) -> dict[str, Table]:
     """All numbers, of which a page shows the first ones; before them those that are requested."""
-    chosen = scene.quantities or ()
+    chosen = run.scene.quantities or ()
     rows = [row for row in table.rows if str(row[0]).rpartition(".")[2] in chosen]
     first = {"Requested by the scene": account.readable_rows(Table(table.columns, rows))}
     return (first if rows else {}) | {"In numbers": account.readable_rows(table)}
@@ -191,26 +181,15 @@ def _seen_instead(found: PeriodicSolution, dof: int) -> str:
 def report_of_history(run: Run[TimeHistory]) -> Report:
     """A motion in time, and whether it repeats, or how it decays (collective)."""
     found, scene = run.result, run.scene
-    values = vars(found) | {"distance": found.distance}
-    table = _quantities(run, scene.excitation.omega, values)
+    table = _quantities(run, scene.excitation.omega, vars(found) | {"distance": found.distance})
     asked, waves = scene.integration or Integration(), waves_of(run)
     done = found.periods >= asked.periods if asked.free else bool(found.settled <= asked.settle)
     warnings = []
     if not done and not asked.free:
-        warnings.append(
-            f"the motion has not settled after {found.periods} of {asked.periods} periods"
-            f"{_longer_period(found)}"
-        )
+        unsettled = f"the motion has not settled after {found.periods} of {asked.periods} periods"
+        warnings.append(f"{unsettled}{_longer_period(found)}")
     warnings += account.of_size(run, np.abs(waves.motion).max(axis=0))
-    return _report(
-        run,
-        table,
-        rows=_waves(run, waves),
-        shown=account.in_short(table, scene, PRINTED),
-        warnings=warnings,
-        tables=_in_numbers(table, scene),
-        done=done,
-    )
+    return _report(run, table, rows=_waves(run, waves), warnings=warnings, done=done)
 
 
 def _longer_period(found: TimeHistory) -> str:
@@ -224,20 +203,16 @@ def _longer_period(found: TimeHistory) -> str:
 # --- their numbers --------------------------------------------------------------------------------
 
 
-def _quantities(
-    run: Run[Any],
-    omega: float,
-    values: Mapping[str, object],
-    near: Mapping[str, np.ndarray] | None = None,
-) -> Table:
+def _quantities(run: Run[Any], omega: float, values: Mapping[str, object]) -> Table:
     """The numbers of a vibration or a motion at a load frequency [rad/s]: indicators of each
-    watched dof, those of the crack faces, natural frequencies near the load's, and others
-    (collective)."""
+    watched dof, those of the crack faces, of a vibration natural frequencies near the load's, and
+    others (collective)."""
     rows: list[Row] = [(n, n, v, UNITS[n]) for n, v in with_frequency({"omega": omega}).items()]
     rows += [one[:4] for one in observe(run, run.result)]
     if not run.structure.n_pairs:  # no errors were estimated
         values = {n: v for n, v in values.items() if not n.endswith(("_error", "_share"))}
-    if near is not None:
+    elif isinstance(run.result, PeriodicSolution):
+        near = bilinear_frequencies(run.structure).nearest(omega)
         rows += (
             (name, f"{words}, mode {near['mode']}", float(value), unit)
             for name, words, unit, value in _with_hertz(near)
@@ -411,10 +386,8 @@ def _warnings_of_curve(run: Run[ResponseCurve]) -> Iterator[str]:
         yield f"the stability is undecided at {count}, {where}: {reason}"
     if len(stretches) > 1:
         more = sum(last + 1 - first for first, last in stretches[1:])
-        yield (
-            f"the stability is undecided at {counted(more, 'other point')}, each for its own "
-            "reason: curve.reason(index) in Python"
-        )
+        own = "each for its own reason: curve.reason(index) in Python"
+        yield f"the stability is undecided at {counted(more, 'other point')}, {own}"
     yield from run.stated.dents if run.stated is not None else ()
     if not found.complete:
         yield f"the curve ended early: {found.status}"
@@ -459,8 +432,7 @@ def special_points(run: Run[ResponseCurve], along: Columns | None = None) -> Tab
     top = found.top(run.watched_dof)
     largest = "largest, still rising" if top.at_end else "largest"
     largest = largest if _passed(found, top.index) else "largest so far"
-    at_top = _at_top(run, top, along)
-    rows = [("start", 0, along), ("end", -1, along), (largest, 0, at_top)]
+    rows = [("start", 0, along), ("end", -1, along), (largest, 0, _at_top(run, top, along))]
     for number, point in enumerate(found.bifurcations, 1):
         rows.append((kind_in_words(point.kind), number, there))
     if found.multipliers is not None:
@@ -497,10 +469,8 @@ def _places(curve: ResponseCurve) -> dict[str, np.ndarray]:
     else:
         found = {PARAMETERS[curve.parameter]: curve.values}
         columns = columns if curve.parameter == "resonance" else {}
-    columns = with_frequency(columns)
-    return found | {
-        with_unit(name, UNITS[name]): np.asarray(column) for name, column in columns.items()
-    }
+    every = with_frequency(columns).items()
+    return found | {with_unit(name, UNITS[name]): np.asarray(column) for name, column in every}
 
 
 def few_special_points(run: Run[ResponseCurve], table: Table) -> tuple[Table, int]:

@@ -62,7 +62,7 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
         by_mesh = errors_of_natural(study, {"open": figures.omega_open} | tied)
     with console.stage("resonance at the load"):
         at_load = resonance_of(study, figures.omega_bilinear, figures.slopes)
-    figures = replace(figures, at_load=at_load)
+        figures = replace(figures, at_load=at_load)
     rows: dict[str, object] = {
         **({} if whole.nodes is None else _extents(figures)),
         "degrees of freedom": whole.n_dofs,
@@ -200,9 +200,8 @@ def _contact(study: Study, figures: KeyFigures) -> dict[str, object]:
         rows["softest pair [N/m]"] = float(stiffness.min())
         rows["stiffest pair [N/m]"] = float(stiffness.max())
     faces = faces_in_words(study.scene)
-    rows[f"static stiffness of the {faces}, each pair [N/m]"] = ranging(
-        figures.own_stiffness, ".3g"
-    )
+    static = ranging(figures.own_stiffness, ".3g")
+    rows[f"static stiffness of the {faces}, each pair [N/m]"] = static
     if figures.stiffness_ratio is not None:
         rows["contact stiffness / static stiffness"] = ranging(figures.stiffness_ratio, ".3g")
     rows["static opening, mean load [m]"] = figures.mean_opening
@@ -257,10 +256,8 @@ def remark_on(structure: Structure, highest: float) -> str:
     if count == 0:
         return f"harmonics up to H w = {highest:g} rad/s: nothing damps what they excite"
     modes = "the damped mode" if count == 1 else f"the {count} damped modes"
-    return (
-        f"harmonics up to H w = {highest:g} rad/s reach beyond {modes} ({end:g} rad/s): "
-        "nothing damps what they excite there"
-    )
+    beyond = f"harmonics up to H w = {highest:g} rad/s reach beyond {modes} ({end:g} rad/s)"
+    return f"{beyond}: nothing damps what they excite there"
 
 
 def _remark_on_whole(scene: Scene, whole: Structure, highest: float) -> str:

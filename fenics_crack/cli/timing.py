@@ -45,17 +45,15 @@ def timing(given: Namespace, inputs: Inputs | None, console: Console) -> Exit:
 
     def write() -> None:
         arrivals.to_csv(folder / "arrivals.csv")
-        picture = folder / f"arrivals.{console.pictures}"
-        draw_arrivals(arrivals, path=picture, in_rpm=scene.in_rpm)
+        draw_arrivals(arrivals, path=folder / f"arrivals.{console.pictures}", in_rpm=scene.in_rpm)
 
     rows = arrivals.table().formatted("csv")
     console.note(keep_before(folder / "arrivals.csv", rows, console.comm))
     on_root(console.comm, write)
     first, last = (speed_in_words(arrivals.speed[end], scene.in_rpm) for end in (0, -1))
     ends = f"{first} to {last}" if scene_timing.is_run_up(arrivals, run) else first
-    console.note(
-        f"arrivals of {_size(arrivals)}, {ends}: {folder / 'arrivals.csv'}, .{console.pictures}"
-    )
+    files = f"{folder / 'arrivals.csv'}, .{console.pictures}"
+    console.note(f"arrivals of {_size(arrivals)}, {ends}: {files}")
     if run is not None:
         console.note(scene_timing.tip_in_words(scene.given("tip_timing"), run))
     with console.stage("vibration"):
@@ -106,9 +104,8 @@ def _warnings_of(arrivals: ArrivalTimes, scene: Scene, run: Run[Any] | None) -> 
             seen, own = (speed_in_words(speed, scene.in_rpm) for speed in speeds)
             yield f"the arrivals are of {seen}, [rotation] has {own}: are they in seconds?"
         return
-    yield from filter(
-        None, (scene_timing.of_another_scene(scene, run), scene_timing.run_up_ends(scene, run))
-    )
+    doubts = scene_timing.of_another_scene(scene, run), scene_timing.run_up_ends(scene, run)
+    yield from filter(None, doubts)
     if scene_timing.curve_of(run) is None:
         found = run.result
         yield from of_error(run.scene, found.report, found.harmonics)
@@ -126,12 +123,8 @@ def _record(given: Namespace, console: Console) -> Exit:
             raise InputError(key, value, allowed)
         words[name] = TipTiming.checked(name, value)
     with console.stage("arrival times"):
-        probes = words.get("probes")
-        blades = read_record(
-            given.scene,
-            tip_radius=words.get("tip_radius"),
-            probes=None if probes is None else np.radians(probes),
-        )
+        probes = np.radians(words["probes"]) if "probes" in words else None
+        blades = read_record(given.scene, tip_radius=words.get("tip_radius"), probes=probes)
         blades = one_of(blades, given.blade, given.scene)
     folder = given.output or Path("output") / given.scene.stem
     make_writable(folder, console.comm)

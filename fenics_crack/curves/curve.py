@@ -360,8 +360,7 @@ class ResponseCurve(Observed, Tabular):
                 for known in self.assessments(places)
             )
         for motion in motions:
-            [record] = motion.records(rows, CURVE_INSTANTS)
-            yield replace(record, exact={})
+            yield from motion.records(rows, CURVE_INSTANTS)
 
     # --- stability --------------------------------------------------------------------------------
 

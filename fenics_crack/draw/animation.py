@@ -95,8 +95,7 @@ class _Colours:
         end, highest = fields.colour_end, fields.colour_values.max()
         self.factor, unit = readable(end, unit)
         self.label = f"{name} [{unit}]"
-        ticks = MaxNLocator(16, steps=[1, 2, 2.5, 5, 10])
-        self.levels = ticks.tick_values(0.0, self.factor * end)
+        self.levels = MaxNLocator(16, steps=[1, 2, 2.5, 5, 10]).tick_values(0.0, self.factor * end)
         self.steps = len(self.levels) - 1
         self.beyond = bool(self.factor * highest > self.levels[-1])
         self.map = ListedColormap(colormaps["viridis"](np.linspace(0.0, 1.0, self.steps)))
@@ -111,8 +110,7 @@ class _Plate:
         solid = mesh.dimension == 3
         boundary = vtk.outline(mesh) if solid else mesh.boundary
         self._line(boundary, "rest", 2)
-        facets = mesh.boundary_facets if solid else mesh.triangles
-        self.surface = vtk.surface(mesh.points, facets)
+        self.surface = vtk.surface(mesh.points, mesh.boundary_facets if solid else mesh.triangles)
         self.surface["shown"] = colours.factor * fields.colour_values[0]
         plotter.add_mesh(
             self.surface, scalars="shown", cmap=colours.map, clim=colours.levels[[0, -1]],
@@ -128,7 +126,7 @@ class _Plate:
             plotter.add_mesh(self.dots, color=INK["contact"], **round_dots, **FLAT)
         self.arrow = vtk.pyvista().Arrow(tip_length=0.45, tip_radius=0.16, shaft_radius=0.055)
         self.unit_arrow = self.arrow.points.copy()
-        self.room = np.zeros(3) if solid else np.array([0.0, 0.0, 2.0 * self.height])
+        self.room = np.array([0.0, 0.0, 0.0 if solid else 2.0 * self.height])
         self.starts, self.arrows = _load_arrows(fields)
         if fields.has_one_load:
             plotter.add_mesh(self.arrow, color=INK["load"], **FLAT)
@@ -161,8 +159,7 @@ class _Plate:
         self.surface["shown"] = self.colours.factor * fields.colour_values[frame]
         pairs = (fields.pair_nodes / fields.pair_nodes.sum(axis=0)).T
         self.dots.points = vtk.in_space(pairs @ moved) + self.room
-        closed = np.argwhere(fields.force[frame] > 0.0)
-        self.dots.verts = np.insert(closed, 0, 1, axis=1).ravel()
+        self.dots.verts = np.insert(np.argwhere(fields.force[frame] > 0.0), 0, 1, axis=1).ravel()
         start, arrow = (vtk.in_space(part[frame][None])[0] for part in (self.starts, self.arrows))
         _, size, axes = np.linalg.svd(arrow[None])
         axes[0] *= np.sign(axes[0] @ arrow)

@@ -140,9 +140,8 @@ class Picture:
         """Set the title, save the figure on rank 0 if it has a path, return it (collective)."""
         if self._title is not None and len(self.panels) > 1:
             self.figure.suptitle(self._title, fontsize="large")
-        elif self._title is not None:
-            above = self.panels[0].child_axes  # the title makes way for one of them on the top
-            self.panels[0].set_title(self._title, y=None if above else 1.0)
+        elif self._title is not None:  # which makes way for axes on the top
+            self.panels[0].set_title(self._title, y=None if self.panels[0].child_axes else 1.0)
         if self._path is not None:
             file = Path(self._path)
             begin(file.name)

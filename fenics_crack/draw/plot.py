@@ -587,8 +587,7 @@ def _orbit(
     orbit = orbit_at(np.linspace(0.0, solution.period, len(closed)))
     axes.plot(*orbit, color=COLOURS["blue"], lw=1.4, label="orbit")
     if closed.any():
-        touch = np.where(closed, orbit, np.nan)
-        axes.plot(*touch, color=COLOURS["orange"], lw=3.2, label=touching)
+        axes.plot(*np.where(closed, orbit, np.nan), color=COLOURS["orange"], lw=3.2, label=touching)
     beginnings = orbit_at(2.0 * np.pi / solution.omega * np.arange(solution.subharmonic))
     axes.plot(*beginnings, "o", color="black", ms=5.5, label="a load period begins")
     label_axis(axes.xaxis, quantity, "m")

@@ -15,7 +15,7 @@ from fenics_crack.curves.curve import ResponseCurve, parameter_axis
 from fenics_crack.draw.figure import COLOURS, Picture, Where, label_axis, tenth
 from fenics_crack.draw.plot_mesh import draw_moved
 from fenics_crack.fem.nodal_mesh import NodalMesh
-from fenics_crack.model.wheel import excited_diameter
+from fenics_crack.model.wheel import Wheel, excited_diameter
 from fenics_crack.study.bladed_disk import Amplification, NodalDiameters, wheel_of
 
 FRAMES = 48
@@ -52,8 +52,7 @@ def draw_wheel(solution: PeriodicSolution, **where: Unpack[Where]) -> Figure:
     """
     wheel = wheel_of(solution.structure)
     mesh = NodalMesh(solution.structure)
-    time = solution.period / FRAMES * np.arange(FRAMES)
-    moved = mesh.field(solution.displacement_field(time))
+    moved = mesh.field(solution.displacement_field(solution.period / FRAMES * np.arange(FRAMES)))
     moved = moved - moved.mean(axis=0)
     sizes = np.linalg.norm(moved, axis=2)
     amplitude, largest = sizes.max(axis=0), moved[int(np.argmax(sizes.max(axis=1)))]
@@ -63,23 +62,21 @@ def draw_wheel(solution: PeriodicSolution, **where: Unpack[Where]) -> Figure:
     shown = draw_moved(panel, mesh, drawn, factor * amplitude, of_wheel=True)
     panel.figure.colorbar(shown, ax=panel, label=f"amplitude [{unit}]", shrink=0.7)
     if mesh.dimension == 2:
-        _number_blades(panel, solution)
+        _number_blades(panel, wheel)
     return picture.saved()
 
 
-def _number_blades(panel: Axes, solution: PeriodicSolution) -> None:
+def _number_blades(panel: Axes, wheel: Wheel) -> None:
     """The number of each blade, beyond the node that is farthest from the axis."""
-    wheel = wheel_of(solution.structure)
     sector, nodes = wheel.sector, wheel.sector.structure.nodes
     assert nodes is not None
-    away = nodes.points - sector.center
     middle = nodes.points.mean(axis=0) - sector.center
-    reach = 1.08 * float(np.linalg.norm(away, axis=1).max())
+    reach = 1.08 * float(np.linalg.norm(nodes.points - sector.center, axis=1).max())
     for place in range(sector.count):
         at = sector.center + reach * sector.turned(place) @ (middle / np.linalg.norm(middle))
-        colour = COLOURS["orange"] if place in wheel.cracked else COLOURS["grey"]
-        weight = "bold" if place in wheel.cracked else "normal"
-        panel.text(*at, str(place + 1), color=colour, weight=weight, ha="center", va="center")
+        colour, weight = ("orange", "bold") if place in wheel.cracked else ("grey", "normal")
+        look = {"color": COLOURS[colour], "weight": weight, "ha": "center", "va": "center"}
+        panel.text(*at, str(place + 1), **look)
         panel.update_datalim([at])
 
 

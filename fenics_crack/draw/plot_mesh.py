@@ -100,10 +100,9 @@ def _arrows(axes: Axes, mesh: NodalMesh, load: np.ndarray, label: str, colour: s
     loaded = np.flatnonzero(sizes > 1e-9 * sizes.max())
     loaded = loaded[:: -(-len(loaded) // 40)]  # at most 40 arrows
     arrows = tenth(load, mesh.size) * load[loaded]
-    ends = mesh.points[loaded] + arrows
     look = {"color": colour, "angles": "xy", "scale_units": "xy", "scale": 1.0}
     axes.quiver(*mesh.points[loaded].T, *arrows.T, units="inches", width=0.03, zorder=4, **look)
-    axes.update_datalim(ends)
+    axes.update_datalim(mesh.points[loaded] + arrows)
     axes.plot([], [], color=colour, marker=">", label=label)
 
 
@@ -148,8 +147,7 @@ def draw_modes(
     across, up = np.ptp(mesh.points, axis=0)[:2] + 0.2 * mesh.size  # they move by a tenth
     row = 0.4 + 2.4 * float(np.clip(up / across, 0.3, 1.0))
     size = (2.7 * columns, row * -(-len(numbers) // columns))
-    comm = mesh.structure.comm
-    picture = Picture(len(numbers), columns=columns, size=size, comm=comm, **where)
+    picture = Picture(len(numbers), columns=columns, size=size, comm=mesh.structure.comm, **where)
     shapes = mesh.field(modes.structure.expand(modes.shapes.T))
     for panel, number in zip(picture, numbers, strict=True):
         shape = shapes[number - 1]

@@ -35,7 +35,7 @@ from fenics_crack.draw.figure import (
 )
 from fenics_crack.scene.scene import unit_of
 from fenics_crack.scene.words import key_in_words
-from fenics_crack.study.verification import CAUSES, SAFE, GridConvergence, Verification
+from fenics_crack.study.verification import CAUSES, SAFE, Verification
 
 if TYPE_CHECKING:  # which load SciPy's interpolation, and DOLFINx
     from fenics_crack.fatigue.growth import Growth
@@ -140,10 +140,9 @@ def _draw_density(panel: Axes, found: Identification, x: str) -> None:
     colours = distinct_colours(len(lines))
     for (name, (values, density)), colour in zip(lines.items(), colours, strict=True):
         panel.plot(values, density / most, color=colour, label=name or "probability")
-        within, look = (values >= low) & (values <= high), {"alpha": 0.2, "lw": 0.0}
-        panel.fill_between(
-            values[within], density[within] / most, color=colour, **look, label="95 %"
-        )
+        within = (values >= low) & (values <= high)
+        look = {"color": colour, "alpha": 0.2, "lw": 0.0, "label": "95 %"}
+        panel.fill_between(values[within], density[within] / most, **look)
     panel.axvline(found.estimate[x], color="black", ls="--", label="estimate")
     panel.set_ylim(bottom=0.0)
     label_axis(panel.xaxis, key_in_words(x), unit_of(x))
@@ -157,8 +156,7 @@ def _levels(grids: list[tuple[np.ndarray, ...]]) -> list[float]:
     order = np.argsort(-logs)
     held = np.cumsum(masses[order])
     places = np.minimum(np.searchsorted(held, CONTOUR_PROBABILITIES), len(order) - 1)[::-1]
-    rising = 1e-6 * np.arange(len(places))  # of a region of one point, too
-    return list(logs[order[places]] + rising)
+    return list(logs[order[places]] + 1e-6 * np.arange(len(places)))  # of one point rising, too
 
 
 def _log(density: np.ndarray) -> np.ndarray:
@@ -263,7 +261,8 @@ def _draw_contributions(panel: Axes, found: Verification, looks: Looks) -> None:
             at = {"transform": beside, "clip_on": False}
             panel.plot([-0.06, -0.035, -0.01], 3 * [place], markevery=[1], **at, **looks[name])
         if found.causes:
-            order = _order(found.parts[found.causes[0]][name])
+            part = found.parts[found.causes[0]][name]
+            order = f"{part.order:.2g}" if np.isfinite(part.order) else part.behaviour
             panel.text(1.02, place, order, transform=beside, va="center", fontsize=9)
     for cause in found.causes:
         panel.plot([], [], "o", ms=7, color=colours[cause], label=CAUSE_WORDS.get(cause, cause))
@@ -288,10 +287,6 @@ def _in_words(found: Verification, name: str) -> str:
     value, unit = found.values[name], found.units[name]
     shown = quantity(value, unit) if unit and unit not in NO_PREFIX else f"{value:.4g} {unit}"
     return f"{fill(words, LETTERS)}, {shown.rstrip()}"
-
-
-def _order(part: GridConvergence) -> str:
-    return f"{part.order:.2g}" if np.isfinite(part.order) else part.behaviour
 
 
 def draw_growth(found: Growth, *, in_hertz: bool = False, **where: Unpack[Where]) -> Figure:
@@ -521,8 +516,7 @@ def draw_tip_fit(fit: TipFit, arrivals: ArrivalTimes, **where: Unpack[Where]) ->
     phase = (fit.order * fit.phases(arrivals)[seen] / (2.0 * np.pi)) % loads
     look: dict[str, Any] = {"color": COLOURS["blue"], "ms": 3.5, "mew": 0, "alpha": 0.4}
     upper.plot(phase, arrivals.displacement[seen], "o", **look, label="arrivals")
-    label = f"fit, order {fit.order:.6g}"
-    upper.plot(turns, wave, color=COLOURS["orange"], lw=1.6, label=label)
+    upper.plot(turns, wave, color=COLOURS["orange"], lw=1.6, label=f"fit, order {fit.order:.6g}")
     upper.set_xlabel("time / load period")
     label_axis(upper.yaxis, "blade tip displacement", "m")
     if len(fit.candidates.orders) > 1:

@@ -239,8 +239,7 @@ def stress_at(
     off = np.flatnonzero(np.asarray(seen["vtkValidPointMask"]) == 0)
     if len(off):
         raise InputError("points", places[off[0]].tolist(), "on the mesh")
-    stress = np.asarray(seen["stress"]).reshape(len(places), len(time), -1)
-    return time, np.moveaxis(stress, 0, 1)
+    return time, np.moveaxis(np.asarray(seen["stress"]).reshape(len(places), len(time), -1), 0, 1)
 
 
 # --- files for ParaView ---------------------------------------------------------------------------
@@ -333,8 +332,7 @@ class PeriodFields:
         self.magnification = float(magnification or tenth(self.displacement, self.mesh.size))
         self.force, self.areas = solution.contact_force(self.time), structure.pair_areas
         parts = self.mesh.field(structure.force).reshape(len(structure.force), -1)
-        load = evaluate(parts, solution.omega, self.time)
-        self.load = load.reshape(self.displacement.shape)
+        self.load = evaluate(parts, solution.omega, self.time).reshape(self.displacement.shape)
         one_frame = structure.nodes is None or structure.nodes.frames is None
         self.has_one_load = bool(np.any(self.load)) and one_frame
         self.colour = ("von Mises stress", "Pa") if material else ("displacement", "m")

@@ -223,10 +223,8 @@ def _side(
         middle = 0.5 * (start + stop)
         largest = max(first, last, GROWTH * 0.5 * (stop - start))
         between = min(largest, length(middle, over))
-        return [
-            _between(start, middle, first, between, over),
-            _between(middle, stop, between, last, over),
-        ]
+        both = (start, middle, first, between), (middle, stop, between, last)
+        return [_between(*half, over) for half in both]
 
     places = [0.0]
     cuts = [place for place, _ in tips] + [half.coarse for half in halves]
@@ -447,8 +445,7 @@ class Rim:
         rim = [one for one in occ.extrude([(2, face)], width, 0.0, 0.0) if one[0] == 3]
         depth = 0.5 * (-self.foot(0.0) + self.outer - self.inner)
         blade = [(3, occ.addBox(0.0, -depth, 0.0, width, height + depth, thickness))]
-        whole: list[tuple[int, int]] = occ.fuse(rim, blade)[0]
-        return whole
+        return list(occ.fuse(rim, blade)[0])
 
     def gradings(self) -> list[_Grading]:
         """Lengths of elements around the corners between the blade and the rim, where stress is
@@ -489,23 +486,19 @@ class Rim:
         places = [columns[0].start, *(column.stop for column in columns)]
         angles = [math.asin((x - self.middle) / self.outer) for x in places]
         angles = [-self.half, *angles, self.half]
-        ends = [
-            geo.addPoint(*self.at(self.outer, angle), 0.0) for angle in angles[:: len(angles) - 1]
-        ]
-        top = [ends[0], *feet, ends[1]]
+        left, right = (geo.addPoint(*self.at(self.outer, a), 0.0) for a in (-self.half, self.half))
+        top = [left, *feet, right]
         low = [geo.addPoint(*self.at(self.inner, angle), 0.0) for angle in angles]
         parts = [beside, *columns, beside]
         radial = [_curve(one, other, deep) for one, other in zip(low, top, strict=True)]
-        inside = [
-            _curve(*ends, part, center) for ends, part in zip(pairwise(low), parts, strict=True)
-        ]
+        arcs = zip(pairwise(low), parts, strict=True)
+        inside = [_curve(*ends, part, center) for ends, part in arcs]
         outside = [_curve(a, b, beside, center) for a, b in (top[:2], top[-2:])]
         outside[1:1] = below
         for place in range(len(parts)):
             loop = [inside[place], radial[place + 1], -outside[place], -radial[place]]
             surfaces.append(geo.addPlaneSurface([geo.addCurveLoop(loop)]))
-        left, right = RIM_SIDES
-        return {"clamp": (1, inside), left: (1, radial[:1]), right: (1, radial[-1:])}
+        return {"clamp": (1, inside), RIM_SIDES[0]: (1, radial[:1]), RIM_SIDES[1]: (1, radial[-1:])}
 
 
 # --- a box ----------------------------------------------------------------------------------------
@@ -541,16 +534,12 @@ def _draw_solid(scene: Scene) -> None:
     """Mesh the box of a scene, with its cracks as surfaces inside, and name its faces."""
     gradings = _gradings(scene)
     _check_size(scene, gradings)
-    width, height, thickness = scene.geometry.sides
+    width, height, thickness = size = scene.geometry.sides
     occ = gmsh.model.occ
     rim = None if scene.disk is None else Rim(scene)
-    if rim is None:
-        box = [(3, occ.addBox(0.0, 0.0, 0.0, width, height, thickness))]
-    else:
-        box = rim.with_box(width, height, thickness)
-    cracks = list(scene.all_cracks.values())
+    box = [(3, occ.addBox(0.0, 0.0, 0.0, *size))] if rim is None else rim.with_box(*size)
     faces = []
-    for crack in cracks:
+    for crack in scene.all_cracks.values():
         face = _face(crack, width, thickness)
         faces += occ.intersect(face, box, removeObject=True, removeTool=False)[0]
     if faces:
@@ -564,7 +553,7 @@ def _draw_solid(scene: Scene) -> None:
         ("left", 0, 0.0), ("right", 0, width), ("clamp", 1, 0.0), ("top", 1, height),
         ("back", 2, 0.0), ("front", 2, thickness),
     ]  # fmt: skip
-    near = 1e-6 * max(width, height, thickness)
+    near = 1e-6 * max(size)
     for _, tag in gmsh.model.getEntities(2):
         middle = occ.getCenterOfMass(2, tag)
         at = [name for name, axis, place in sides if abs(middle[axis] - place) < near]
@@ -668,8 +657,7 @@ class _Grading:
     def cells(self, size: float) -> float:
         """Return the number of cells around the front, in the tube in which they are shorter than a
         size: its length times int 2 pi d / h^3 dd."""
-        ends = np.diff(self.along), np.diff(self.through)
-        steps = np.hypot(*ends)
+        steps = np.hypot(np.diff(self.along), np.diff(self.through))
         length = steps[steps < 2.0 * np.median(steps)].sum()  # the sides of a rectangle are apart
         least = min(self.shortest, size)
         turns = 0.5 / least - 1.0 / size + 0.5 * least / size**2

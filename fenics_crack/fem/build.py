@@ -212,7 +212,7 @@ def in_another(scene: Scene, structure: Structure, *, loads: bool) -> Structure:
         "clearance": clearance_of(scene, structure.pairs), "damping": damping_of(scene.damping),
     }  # fmt: skip
     if loads:
-        dofs: Dofs = structure.numbered
+        dofs: Dofs = structure.nodes.numbered  # type: ignore[union-attr]
         _, mass = _forms(scene, dofs.space)
         matrix = compat.assembled_matrix(mass)
         force, changes["watched"] = assemble_loads(scene, dofs, matrix)
@@ -255,8 +255,7 @@ def _forms(scene: Scene, space: Any) -> tuple[Any, Any]:
     u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
     strain = ufl.sym(ufl.grad(u))
     stiffness = t * ufl.inner(stress(scene, space, strain), ufl.sym(ufl.grad(v))) * ufl.dx
-    mass = t * density * ufl.inner(u, v) * ufl.dx
-    return stiffness, mass
+    return stiffness, t * density * ufl.inner(u, v) * ufl.dx
 
 
 # --- cracks ---------------------------------------------------------------------------------------

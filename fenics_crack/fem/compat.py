@@ -173,12 +173,9 @@ def basis_at(space: Any, order: int, point: np.ndarray) -> tuple[np.ndarray, np.
     cell = int(hits[0])
     corners = mesh.geometry.x[geometry_dofmap(mesh)[cell], :dimension]
     reference = mesh.geometry.cmap.pull_back(where[None, :dimension], corners)
-    element = basix.create_element(
-        basix.ElementFamily.P,
-        getattr(basix.CellType, mesh.topology.cell_type.name),
-        order,
-        basix.LagrangeVariant.gll_warped,
-    )
+    kind, variant = mesh.topology.cell_type.name, basix.LagrangeVariant.gll_warped
+    of_cell = getattr(basix.CellType, kind)
+    element = basix.create_element(basix.ElementFamily.P, of_cell, order, variant)
     values = element.tabulate(0, reference)[0, 0].ravel()
     return np.asarray(space.dofmap.cell_dofs(cell)), values
 

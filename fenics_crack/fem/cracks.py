@@ -215,10 +215,10 @@ def connected(rows: np.ndarray) -> np.ndarray:
     """The part of each row of nodes, (n,) int: rows are of one where they share a node."""
     from scipy.sparse.csgraph import connected_components  # takes a while, for few meshes
 
-    count, k = rows.shape
-    at = np.repeat(np.arange(count), k), rows.ravel()
-    touches = sparse.csr_matrix((np.ones(count * k), at))
-    return np.asarray(connected_components(touches @ touches.T)[1])
+    ends = rows[:, :-1].ravel(), rows[:, 1:].ravel()
+    links = sparse.coo_matrix((np.ones(len(ends[0]), bool), ends), 2 * (int(rows.max()) + 1,))
+    part = connected_components(links, directed=False)[1][rows[:, 0]]
+    return np.unique(part, return_inverse=True)[1]
 
 
 def each_once(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -67,10 +67,8 @@ def parts_of_forms(
 
 def _check_space(space: Any) -> None:
     """Raise InputError unless a structure can have the displacements of a space."""
-    allowed = (
-        "vectors of the mesh's dimension (of a plate gdim = 2), Lagrange of order 1 or 2, whole"
-    )
-    with reading("space", type(space).__name__, allowed):
+    allowed = "vectors of the mesh's dimension (of a plate gdim = 2), Lagrange of order 1 or 2"
+    with reading("space", type(space).__name__, f"{allowed}, whole"):
         mesh, element = space.mesh, space.ufl_element()
         fits = mesh.topology.cell_type.name in CELLS and mesh.geometry.dim == mesh.topology.dim
         fits = fits and element in [compat.element(mesh, order) for order in (1, 2)]

@@ -33,6 +33,7 @@ from fenics_crack.fem.compat import dolfinx, ufl
 from fenics_crack.fem.cracks import LIP_TAGS, Lip
 from fenics_crack.fem.elasticity import constants, stress
 from fenics_crack.fem.plate import Dofs
+from fenics_crack.model.receptance import check_matrices
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 
@@ -101,9 +102,8 @@ def _outer_points(dofs: Dofs) -> np.ndarray:
     plate = dofs.plate
     topology = plate.mesh.topology
     topology.create_connectivity(1, 2)
-    facets = dolfinx.mesh.exterior_facet_indices(topology)
     lips = np.concatenate([plate.facets(name) for name in LIP_TAGS])
-    outer = np.setdiff1d(facets, lips).astype(np.int32)
+    outer = np.setdiff1d(dolfinx.mesh.exterior_facet_indices(topology), lips).astype(np.int32)
     nodes = dolfinx.fem.locate_dofs_topological(dofs.space, 1, outer)
     return dofs.points[nodes[nodes < dofs.n_nodes]]
 
@@ -118,10 +118,8 @@ def _check_resolved(scene: Scene, tips: list[Tip], lips: np.ndarray) -> None:
         if tip.radius >= element:
             continue
         value = f"{tip.name}, {tip.radius / DOMAIN:.3g} m from an edge, a bend or another crack"
-        allowed = (
-            f"further away than {element / DOMAIN:.3g} m where stress intensities are requested, "
-            "or with shorter elements along the crack"
-        )
+        allowed = f"further away than {element / DOMAIN:.3g} m where stress intensities are"
+        allowed += " requested, or with shorter elements along the crack"
         raise InputError("crack", value, allowed)
 
 
@@ -148,8 +146,9 @@ def tip_functionals(scene: Scene, structure: Structure) -> tuple[list[Tip], np.n
         A tip is closer to an edge, a bend or another crack than the elements of its crack faces are
         long.
     """
+    check_matrices(structure, "stress intensities")
     assert structure.nodes is not None
-    dofs: Dofs = structure.numbered
+    dofs: Dofs = structure.nodes.numbered
     tips, sides, points = find_tips(dofs), _sides(dofs), dofs.points
     row_of, rows, pressed = _form(scene, dofs), [], []
     on_lips = np.any(sides != 0.0, axis=1)[: dofs.n_nodes]
@@ -223,8 +222,7 @@ def _form(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndarray], np.ndarr
     moved = dolfinx.fem.Function(space)
     given = constants(space, *(0.0,) * 6, *_scale(scene), scene.material.young)
     x0, y0, a, b, radius, which, kappa, scale, young = given
-    place = ufl.SpatialCoordinate(space.mesh)
-    to = place - ufl.as_vector([x0, y0])
+    to = ufl.SpatialCoordinate(space.mesh) - ufl.as_vector([x0, y0])
     ahead, across = ufl.as_vector([a, b]), ufl.as_vector([-b, a])
     x, y = ufl.dot(to, ahead), ufl.dot(to, across)
     r = ufl.sqrt(x * x + y * y)

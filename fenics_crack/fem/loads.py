@@ -50,8 +50,7 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
         A load is off the mesh, where the plate is clamped, or on a crack, where there are two
         faces.
     """
-    rows = 2 * scene.highest_order + 1
-    force, watched = np.zeros((rows, len(dofs.numbers))), None
+    force, watched = np.zeros((2 * scene.highest_order + 1, len(dofs.numbers))), None
     excitation = scene.excitation
     point = excitation.point if excitation.point is not None else dofs.plate.points.get("load")
     if point is not None:
@@ -141,9 +140,8 @@ def _at_point(
 
 def _moving(dofs: Dofs, key: str, place: object, force: np.ndarray) -> np.ndarray:
     """Forces (2K+1, n_dofs) of a load; InputError where all of them act on what is clamped."""
-    loaded, moving = (
-        np.any(gather_rows(dofs.comm, part.ravel())) for part in (force, force[:, dofs.free])
-    )
+    parts = force, force[:, dofs.free]
+    loaded, moving = (np.any(gather_rows(dofs.comm, part.ravel())) for part in parts)
     if loaded and not moving:
         raise InputError(key, place, "where the plate is free to move")
     return force

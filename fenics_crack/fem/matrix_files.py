@@ -42,7 +42,7 @@ from fenics_crack.model.matrices import (
     whole_rows,
 )
 from fenics_crack.model.modes import check_damped_modes
-from fenics_crack.model.nodes import Nodes, Pairs
+from fenics_crack.model.nodes import Nodes, Pairs, place_in_words
 from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCES, Damping, Excitation
@@ -365,9 +365,7 @@ class _Lips:
         nodes, uses = np.unique(np.append(self.first, self.second), return_counts=True)
         if np.any(uses > 1):
             most = nodes[np.argmax(uses)]
-            where = "({:g}, {:g}, {:g}), one of them {}".format(
-                *model.points[most], model.labels[most]
-            )
+            where = f"{place_in_words(model.points[most], 'g')}, one of them {model.labels[most]}"
             allowed = "one with two nodes at each place of a crack: cracks neither branch nor cross"
             raise InputError("model", f"more than two nodes at {where}", allowed)
         if not len(self.first):
@@ -563,7 +561,7 @@ def _of_nodes(lips: _Lips, tangents: int) -> tuple[sparse.csr_matrix, np.ndarray
         up = points[beside[1]].mean(axis=0) - points[beside[0]].mean(axis=0)
         up -= along.T @ (along @ up)
         if np.linalg.norm(up) <= SAME * size:
-            where = "({:g}, {:g}, {:g})".format(*points[a])
+            where = place_in_words(points[a], "g")
             allowed = "a crack with a side below and one above, or a model with its elements"
             raise InputError("model", f"two nodes at {where} that lie on the same side", allowed)
         up /= np.linalg.norm(up)

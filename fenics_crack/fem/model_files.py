@@ -244,8 +244,7 @@ def _of_ansys(path: Path, nodes: Nodes, cells: Cells) -> None:
                     raise ValueError  # of a cell that goes on
                 block = ""
             elif block == "NBLOCK":
-                begins = n_whole * whole
-                fields = [line[at : at + real] for at in range(begins, len(line), real)]
+                fields = [line[at : at + real] for at in range(n_whole * whole, len(line), real)]
                 place = [float(field) for field in fields if field.strip()]
                 if any(place[3:]):
                     raise ValueError  # turned

@@ -26,7 +26,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import scipy.sparse as sparse
 
 from fenics_crack.basics.errors import InputError, reading
 from fenics_crack.basics.gmsh_process import gmsh
@@ -38,6 +37,7 @@ from fenics_crack.fem.cracks import (
     Cells,
     Lips,
     Names,
+    connected,
     cracks_between,
     each_once,
     find_lips,
@@ -182,10 +182,8 @@ def _one_kind(
         flat = len(positions) > 0 and np.ptp(positions[:, 2]) == 0.0
         require(flat, "no plane mesh", "a plane mesh, z the same at every node")
     kinds = {kind for own, _, _, kind, _ in groups if own == dimension}
-    allowed = (
-        "one of tetrahedra, or of hexahedra with 27 nodes: the load of a unit pressure is negative "
-        "at corners of these"
-    )
+    allowed = "one of tetrahedra, or of hexahedra with 27 nodes"
+    allowed += ": the load of a unit pressure is negative at corners of these"
     require(kinds.isdisjoint((17, 29)), "hexahedra with 20 nodes", allowed)
     known = len(kinds) == 1 and kinds <= _KINDS[dimension].keys()
     require(known, f"{len(kinds)} kinds of cells", f"one whose physical {held}")
@@ -267,10 +265,9 @@ def _check_tips(cells: Cells, places: np.ndarray, lips: Sequence[np.ndarray]) ->
     closed = np.intersect1d(np.intersect1d(*lips), edges)
     if len(closed):
         place = "({:g}, {:g})".format(*places[closed[0]])
-        allowed = (
-            "open there, with a node of each face; or of one curve named 'crack', which is split"
-        )
-        raise InputError("lips", f"a mouth at {place} that is closed", allowed)
+        allowed = "open there, with a node of each face; or of one curve named 'crack'"
+        found = f"a mouth at {place} that is closed"
+        raise InputError("lips", found, f"{allowed}, which is split")
 
 
 def _tags_of(
@@ -378,23 +375,19 @@ def check_parts(
     lips : sequence of (n, d) int
         Corners of the facets of crack faces.
     """
-    from scipy.sparse.csgraph import connected_components  # takes a while, for mesh files alone
+    part = connected(cells.nodes)
 
-    nodes = cells.nodes
-    ones = np.ones(nodes.size - len(nodes), dtype=np.int8)
-    ends = nodes[:, :-1].ravel(), nodes[:, 1:].ravel()
-    graph = sparse.coo_matrix((ones, ends), (len(places), len(places)))
-    part = connected_components(graph, directed=False)[1]
-    of_cell = part[nodes[:, 0]]
-    loose = np.flatnonzero(~np.isin(of_cell, part[clamp]))
-    if len(loose):
-        held = any(np.any(np.isin(of_cell[loose], part[own])) for own in lips)
+    def has(nodes: np.ndarray) -> np.ndarray:
+        """True for cells of a part that has one of some nodes: (n_cells,)."""
+        return np.isin(part, part[np.isin(cells.nodes, nodes).any(axis=1)])
+
+    loose = ~has(clamp)
+    if np.any(loose):
+        held = any(np.any(has(own) & loose) for own in lips)
         found = "a part held by contact alone" if held else "a part without a clamp"
-        allowed = (
-            f"one whose parts each have {_FACET[places.shape[1]]} in 'clamp', or share nodes with "
-            "one that has: nothing else holds them"
-        )
-        raise _refusal(found, places[nodes[loose]].mean(axis=(0, 1)), allowed)
+        allowed = f"one whose parts each have {_FACET[places.shape[1]]} in 'clamp', or share nodes"
+        allowed += " with one that has: nothing else holds them"
+        raise _refusal(found, places[cells.nodes[loose]].mean(axis=(0, 1)), allowed)
 
 
 def check_boundary(kind: int, cells: Cells, places: np.ndarray, lips: Sequence[np.ndarray]) -> None:
@@ -434,11 +427,9 @@ def check_boundary(kind: int, cells: Cells, places: np.ndarray, lips: Sequence[n
     apart = owner[point] != cell
     cell, point = cell[apart], point[apart]
     if np.any(covered := _in_cells(kind, cells.n_corners, here[cell], points[point])):
-        allowed = (
-            "one whose cells share their nodes where they touch (gmsh: BooleanFragments, or "
-            "Coherence Mesh), but for the faces of named cracks ('crack', or 'lower_lip' and "
-            "'upper_lip')"
-        )
+        allowed = "one whose cells share their nodes where they touch (gmsh: BooleanFragments, or"
+        allowed += " Coherence Mesh), but for the faces of named cracks"
+        allowed += " ('crack', or 'lower_lip' and 'upper_lip')"
         found = "cells that overlap, or touch without a node of both,"
         raise _refusal(found, points[point[covered][0]], allowed)
 
@@ -485,5 +476,4 @@ def _places_in(kind: int) -> np.ndarray:
 def _functions(kind: int, at: np.ndarray, name: str = "Lagrange") -> np.ndarray:
     """Basis functions of cells, or their gradients, as gmsh names and numbers them, at places in
     cells (n, 3): (n, n_functions)."""
-    found = gmsh.model.mesh.getBasisFunctions(kind, at.ravel(), name)[1]
-    return np.reshape(found, (len(at), -1))
+    return np.reshape(gmsh.model.mesh.getBasisFunctions(kind, at.ravel(), name)[1], (len(at), -1))

@@ -53,8 +53,7 @@ class NodalMesh:
 
     def field(self, rows: np.ndarray) -> np.ndarray:
         """Nodal vectors (m, n_nodes, d) of dof values (m, n_local); zero where clamped."""
-        comm = self.structure.comm
-        whole = np.concatenate(comm.allgather(rows), axis=1)
+        whole = np.concatenate(self.structure.comm.allgather(rows), axis=1)
         found = np.where(self._dofs >= 0, whole[:, np.maximum(self._dofs, 0)], 0.0)
         return found if self._frames is None else np.einsum("nij,mnj->mni", self._frames, found)
 

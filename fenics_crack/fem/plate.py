@@ -155,9 +155,7 @@ class Dofs:
         self, plate: PlateMesh, space: Any, comm: MPI.Comm, held: np.ndarray | None = None
     ) -> None:
         """Take which of this rank's dofs are held, (n_dofs,) bool; None: those at the clamp."""
-        self.comm = comm
-        self.plate = plate
-        self.space = space
+        self.comm, self.plate, self.space = comm, plate, space
         self.dimension = space.mesh.geometry.dim
         self.n_nodes = space.dofmap.index_map.size_local
         self.first_node = space.dofmap.index_map.local_range[0]
@@ -216,10 +214,5 @@ class Dofs:
         """Positions, numbers and cells for look-ups and pictures."""
         cells, vtk_type = compat.vtk_cells(self.space)
         numbers = self.space.dofmap.index_map.local_to_global(cells.ravel().astype(np.int32))
-        return Nodes(
-            points=self.points.copy(),
-            dofs=self.numbers.reshape(-1, self.dimension),
-            cells=np.asarray(numbers).reshape(cells.shape),
-            vtk_type=max(self.comm.allgather(vtk_type)),
-            numbered=self,
-        )
+        cells, dofs = np.reshape(numbers, cells.shape), self.numbers.reshape(-1, self.dimension)
+        return Nodes(self.points.copy(), dofs, cells, max(self.comm.allgather(vtk_type)), self)

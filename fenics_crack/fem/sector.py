@@ -46,14 +46,9 @@ def wheel_of(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Comm) -> 
         force[0] += load + (times(stiffness, moved) - times(still, moved))[:, 0]
         sector = sector.at_speed(stiffness, force)
     return Wheel(
-        sector,
-        cracked=[number - 1 for number in disk.cracked],
-        mistuning=disk.deviations,
-        order=scene.excitation.order or 0,
-        families=disk.families,
-        rotation=rotation,
-        comm=comm,
-    )
+        sector, cracked=[number - 1 for number in disk.cracked], mistuning=disk.deviations,
+        order=scene.excitation.order or 0, families=disk.families, rotation=rotation, comm=comm,
+    )  # fmt: skip
 
 
 def _static(inside: Inside) -> Static:
@@ -81,10 +76,9 @@ def _sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
     if distance > SAME * size:
         where = place_in_words(points[left[place]])
         found = f"{len(left)} nodes of the left side and {len(right)} of the right one"
-        allowed = (
-            f"sides that match: the left one, turned about the axis by 360/{disk.sectors} degrees, "
-            f"is the right one node by node; that at {where} is {distance:.2g} m from the nearest"
-        )
+        allowed = f"sides that match: the left one, turned about the axis by 360/{disk.sectors}"
+        allowed += " degrees, is the right one node by node;"
+        allowed += f" that at {where} is {distance:.2g} m from the nearest"
         raise InputError("mesh.file" if names[0] == "left" else "disk", found, allowed)
     sides = np.array([left, right[partner]])
     if len(shared := np.intersect1d(left, right)):
@@ -95,10 +89,8 @@ def _sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
     if len(shared := np.intersect1d(lips, sides)):
         allowed = f"away from the sides of its sector, not at {place_in_words(points[shared[0]])}"
         raise InputError("lips", "a crack", allowed)
-    dimension = points.shape[1]
-    turn = turn[:dimension, :dimension]
-    axis = center[:dimension]
-    return Sector(structure, disk.sectors, axis, turn, sides, lips, structure.stiffness)
+    d, count = points.shape[1], disk.sectors
+    return Sector(structure, count, center[:d], turn[:d, :d], sides, lips, structure.stiffness)
 
 
 def _matched(moved: np.ndarray, places: np.ndarray) -> tuple[float, int, np.ndarray]:

@@ -38,10 +38,8 @@ def clearance_of(scene: Scene, pairs: Pairs) -> np.ndarray:
     if scene.disk is not None:  # those of each cracked blade
         cracks //= max(len(scene.disk.cracked), 1)
     if cracks and len(given) != cracks:
-        allowed = (
-            f"[crack] alone, for all, or one table for each of the {cracks} cracks of the mesh "
-            "file: [crack] and then [[cracks]], from bottom to top"
-        )
+        allowed = f"[crack] alone, for all, or one table for each of the {cracks} cracks of the"
+        allowed += " mesh file: [crack] and then [[cracks]], from bottom to top"
         raise InputError("cracks", f"{len(given)} tables with [crack]", allowed)
     return np.asarray(given[pairs.cracks % len(given)])
 

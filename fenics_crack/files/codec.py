@@ -30,8 +30,8 @@ WRONG = (
 )  # fmt: skip
 """Errors of a dataset that is not what its field is."""
 _ARRAYS = {
-    **dict.fromkeys(("multipliers", "bifurcation_multipliers", "forces", "fundamental"), "bifuc"),
-    **dict.fromkeys(("undecided", "jumps", "equivalent", "hidden"), "b"),
+    **dict.fromkeys(("multipliers", "bifurcation_multipliers", "forces"), "bifuc"),
+    **dict.fromkeys(("undecided", "equivalent", "hidden"), "b"),
 }
 """Kinds of the types of arrays by their fields, where not every real one is valid."""
 

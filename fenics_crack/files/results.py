@@ -85,8 +85,7 @@ def save(
     parts = _FORMS[type(result)][0](result) | {"verification": errors}
     if watched:
         kind = "displacement" if isinstance(result, TimeHistory) else "coefficients"
-        motion = np.stack([*watched.values()], axis=-1)
-        parts |= {"watched": [*watched], f"watched_{kind}": motion}
+        parts |= {"watched": [*watched], f"watched_{kind}": np.stack([*watched.values()], axis=-1)}
     write(parts, path, result.KIND, scene, result.structure.comm)
 
 
@@ -258,14 +257,10 @@ def solution_from(parts: Parts, structure: Structure, contact: Law) -> PeriodicS
     compliance = dynamic_compliance(seen, omega / subharmonic, len(gap) // 2, subharmonic)
     displacement = compliance.displacement(rows)
     compliance.destroy()
-    solution = unpacked(
-        PeriodicSolution,
-        parts,
-        structure=structure,
-        contact=contact,
-        displacement_coefficients=displacement,
-        stability=unpacked(Stability, parts) if "multipliers" in parts else None,
-    ).reported(unpacked(ErrorReport, errors))
+    known: Parts = {"structure": structure, "contact": contact}
+    known["displacement_coefficients"] = displacement
+    known["stability"] = unpacked(Stability, parts) if "multipliers" in parts else None
+    solution = unpacked(PeriodicSolution, parts, **known).reported(unpacked(ErrorReport, errors))
     if solution.converged:
         _check_gap(structure, displacement, gap, max(1e-6, 10.0 * solution.report.residual))
     return solution
@@ -331,10 +326,8 @@ def _unpack_curve(parts: Parts, structure: Structure, contact: Law) -> ResponseC
     if not is_small(structure):
         structure = reduce_structure(structure, method="massless")
     _check_law(parts, contact, structure)
-    exact, counts = (
-        "states" in parts,
-        {"": parts["values"].size, "bifurcation_": len(parts["kinds"])},
-    )
+    exact = "states" in parts
+    counts = {"": parts["values"].size, "bifurcation_": len(parts["kinds"])}
     missing = exact and not {"multipliers", "tolerance", "bifurcation_multipliers"} <= parts.keys()
     if missing or parts["parameter"] not in WAVES or parts["subharmonic"] < 1:
         raise ValueError("its parts do not fit")
@@ -354,10 +347,8 @@ def _unpack_curve(parts: Parts, structure: Structure, contact: Law) -> ResponseC
         if not curve.orbit(0).residual <= 1e-4:  # nan neither
             raise InputError("structure", "another load, mesh or material", "that of the file")
     else:
-        unknowns, names = (
-            parts["unknowns"],
-            [f"bifurcation_{n}" for n in range(counts["bifurcation_"])],
-        )
+        names = [f"bifurcation_{number}" for number in range(len(parts["kinds"]))]
+        unknowns = parts["unknowns"]
         seen = seen_by(contact, structure)
         _check_pairs(seen, unknowns)
         shapes["unknowns"] = counts[""], unknowns.shape[1] | 1, seen.n_pairs
@@ -429,8 +420,7 @@ def _signs(structure: Structure, then: np.ndarray) -> np.ndarray:
     now = _couplings(structure)
     if then.shape != now.shape:
         found = f"{structure.n_local} dofs, {structure.n_pairs} pairs"
-        count = len(then) - len(structure.force)
-        allowed = f"one with {then.shape[1]} dofs and {count} pairs"
+        allowed = f"one with {then.shape[1]} dofs and {len(then) - len(structure.force)} pairs"
         raise InputError("structure", found, allowed)
     signs = np.where((then * now).sum(axis=0) < 0.0, -1.0, 1.0)
     largest = np.abs(then).max(axis=1, initial=0.0, keepdims=True)

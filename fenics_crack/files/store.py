@@ -283,11 +283,10 @@ class Stored:
             raise self.refused("a whole file; this one is damaged")
 
     def _older(self, what: str) -> InputError:
-        return self.refused(
-            f"a file with {what}, which older versions did not write (this one: "
-            f"{self.attributes.get('version', 'unknown')}); make it again with the command that "
-            "wrote it, a sweep in a new folder"
-        )
+        version = self.attributes.get("version", "unknown")
+        older = f"a file with {what}, which older versions did not write (this one: {version})"
+        remedy = "make it again with the command that wrote it, a sweep in a new folder"
+        return self.refused(f"{older}; {remedy}")
 
 
 def read(path: str | Path, comm: MPI.Comm = MPI.COMM_SELF) -> Stored:
@@ -372,12 +371,8 @@ def _files_of(scene: Scene) -> list[tuple[str, str]]:
     """The keys that name files of a scene, and these; then those that are read with them."""
     found = files_of(scene)
     named = any(key == "structure.dofs" for key, _ in found)  # takes the place of those beside
-    return found + [
-        (key, str(more))
-        for key, path in found
-        for more in read_with(Path(path))
-        if not (named and more.suffix == ".dof")
-    ]
+    beside = [(key, str(more)) for key, path in found for more in read_with(Path(path))]
+    return found + [one for one in beside if not (named and one[1].endswith(".dof"))]
 
 
 def digests_of(scene: Scene) -> list[str]:
@@ -435,8 +430,6 @@ ABOUT: dict[str, tuple[str, str]] = {
     "final_places": ("m", "tangential gaps where pairs stick at the end; pairs"),
     "couplings": ("1, N", "pairs, then mean, cosine and sine part of the load; dofs"),
     "seconds": ("s", "wall-clock time"),
-    "energy": ("J", "motions"),
-    "rest_energy": ("J", ""),
     "length": ("m", "of the crack"),
     "solved": ("m", "lengths that were solved; between them are splines"),
     "cycles": ("1", "of the load, until the crack is so long"),
@@ -445,7 +438,6 @@ ABOUT: dict[str, tuple[str, str]] = {
     **dict.fromkeys(("largest", "smallest"), ("Pa m^0.5", "K_I over a cycle")),
     "effective": ("Pa m^0.5", "range of K_I while the crack tip is open"),
     "sliding": ("Pa m^0.5", "largest K_II"),
-    "cosines": ("m", "motions; harmonics 0 to H; dofs"),
     "omega_open": ("rad/s", "natural frequencies with the crack open: speeds; modes"),
     "omega_tied": ("rad/s", "natural frequencies with the crack bonded: speeds; modes"),
     "omega_partly": ("rad/s", "natural frequencies with the pressed pairs bonded: speeds; modes"),

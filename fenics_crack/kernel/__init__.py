@@ -97,6 +97,15 @@ class Struct:
         given = {name: _as_member(value) for name, value in members.items()}
         self.at = ffi.new(f"{kind} *", given)
 
+    def but(self, **members: Any) -> Struct:
+        """A copy with other values of some members: a part of the time of another one."""
+        found = Struct.__new__(Struct)
+        found._members = self._members | members
+        found.at = ffi.new(ffi.typeof(self.at), self.at[0])
+        for name, value in members.items():
+            setattr(found.at, name, _as_member(value))
+        return found
+
 
 def _as_member(value: Any) -> Any:
     if isinstance(value, np.ndarray):

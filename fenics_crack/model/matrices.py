@@ -520,6 +520,20 @@ class ReadOnly:
                 object.__setattr__(self, name, read_only(value))
 
 
+class Absent:
+    """A matrix of a file of a prepared structure: its sizes, and a refusal of all else."""
+
+    def __init__(self, count: int, rank: int) -> None:
+        self.size, own = (count, count), count if rank == 0 else 0  # rank 0 has all rows
+        self.local_size, self.owner_range = (own, own), ((0, count) if own else (count, count))
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        allowed = "one with its matrices, for this: solve the scene itself"
+        raise InputError("structure", "a file of a prepared structure", allowed)
+
+
 def per_pair(name: str, given: Any, pairs: int) -> np.ndarray:
     """One finite number per pair, from one for all or one for each: (pairs,)."""
     values = numbers(given)

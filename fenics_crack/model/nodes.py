@@ -251,15 +251,10 @@ class Coordinates:
         InputError
             The structure is not one of a mesh of DOLFINx.
         """
-        return self.numbered.function(self.expand(displacement[None])[0])
-
-    @property
-    def numbered(self) -> Any:
-        """DOLFINx's mesh and the dofs on it; InputError where there is none."""
         dofs = getattr(self.whole.nodes, "numbered", None)
         if dofs is None:
             raise InputError("structure", repr(self), "made from a mesh of DOLFINx, or from forms")
-        return dofs
+        return dofs.function(self.expand(displacement[None])[0])
 
     def apply_bt(self, displacement: np.ndarray) -> np.ndarray:
         """B^T u of displacements (m, n_local): (m, n_pairs) on every rank (collective)."""

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from contextlib import nullcontext
 from dataclasses import dataclass
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 import scipy.linalg
@@ -25,10 +25,8 @@ import scipy.sparse as sparse
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.progress import begin
 from fenics_crack.basics.ranks import gather_rows
-from fenics_crack.model.body import Body
 from fenics_crack.model.factor import AT_A_TIME, Factor
-from fenics_crack.model.modes import modes_by, solve_modes, times
-from fenics_crack.model.nodes import of_body
+from fenics_crack.model.modes import lowest_known, modes_by, times
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import EPSILON, ROUNDING
 
@@ -74,54 +72,20 @@ class Receptance:
         return self.beyond(count, self.compliance, self.modal)
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class SeenBody(Body):
-    """That of a structure without matrices: how many dofs it has."""
-
-    n_dofs: int
-
-
-class SeenStructure(Structure):
-    """A structure of which there is its receptance alone, as in a file; rank 0 owns all rows."""
-
-    body: SeenBody
-    n_dofs: int = of_body("n_dofs")
-
-    @property
-    def n_local(self) -> int:
-        """All on the first rank."""
-        return self.n_dofs if self.comm.rank == 0 else 0
-
-    @property
-    def first_dof(self) -> int:
-        """Number of the first degree of freedom that this rank owns."""
-        return 0 if self.comm.rank == 0 else self.n_dofs
-
-    @property
-    def mass(self) -> NoReturn:
-        """Refused, as stiffness and clamp are: InputError."""
-        allowed = (
-            "that of the scene itself, not of a file: this takes matrices or a mesh, as more modes "
-            "and other watched points than the file has do"
-        )
-        raise InputError("structure", self, allowed)
-
-    stiffness = clamp = mass
-
-
 def receptance(structure: Structure, count: int) -> Receptance:
     """The receptance of a structure, not varied, with so many modes or more (collective).
 
     Raises
     ------
     InputError
-        It is made from arrays alone, which have fewer modes.
+        It is made from arrays alone, which have fewer modes, or another load.
     """
     structure = structure.original
     held, last = structure.once(held_receptance), structure.once(last_receptance, of_matrices=True)
     if not held and last:
         held += filter(None, [_of_load(structure, last[0])])
     if not held or held[0].n_modes < count:
+        check_matrices(structure, f"{count} modes")
         held[:] = last[:] = [_extended(structure, held[0] if held else None, count)]
     return held[0]
 
@@ -152,6 +116,13 @@ def _of_load(structure: Structure, known: Receptance) -> Receptance | None:
     rows = {dof: (shape, static @ change) for dof, (shape, static) in known.rows.items()}
     compliance = change.T @ known.compliance @ change
     return Receptance(known.squares, change.T @ known.modal, compliance, rows, structure.force)
+
+
+def check_matrices(structure: Structure, wanted: str) -> None:
+    """Raise InputError for what a structure of arrays alone has not."""
+    if not structure.has_matrices:
+        allowed = f"one with its matrices, for {wanted}: solve the scene itself"
+        raise InputError("structure", "a file of a prepared structure", allowed)
 
 
 def sources_of(structure: Structure) -> sparse.csr_matrix:
@@ -199,13 +170,23 @@ def rows_at(structure: Structure, count: int, dofs: np.ndarray) -> tuple[np.ndar
     wanted = [int(dof) for dof in dofs]
     missing = [dof for dof in dict.fromkeys(wanted) if dof not in known.rows]
     if missing:
-        shapes = solve_modes(structure, known.n_modes).shapes
+        check_matrices(structure, f"displacements of dofs {missing}")
+        shapes = lowest_modes(structure, known.n_modes)
         left = ResidualFlexibility(structure, shapes, known.squares, sources_of(structure))
         _add_rows(known, structure, np.array(missing), left)
     shapes, static = (
         np.array(rows) for rows in zip(*(known.rows[dof] for dof in wanted), strict=True)
     )
     return shapes[:, :count], known.beyond(count, static, shapes)
+
+
+def lowest_modes(structure: Structure, count: int) -> np.ndarray:
+    """Shapes of the lowest modes of a structure whose receptance has them: (n_local, count)."""
+    found = lowest_known(structure, count)
+    if found is None:
+        check_matrices(structure, "shapes of its modes")
+    assert found is not None
+    return found.shapes
 
 
 def expanded(

@@ -35,6 +35,7 @@ from fenics_crack.basics.threads import alone
 from fenics_crack.model.body import BESIDE_MATRICES, UNVARIED, Body, Setting
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.matrices import (
+    Absent,
     checked,
     lumped_mass,
     numbers,
@@ -294,6 +295,11 @@ class Structure(Coordinates):
     def original(self) -> Structure:
         """The structure of which this is a varied copy, or itself."""
         return self._in(UNVARIED)
+
+    @property
+    def has_matrices(self) -> bool:
+        """False if it is that of a file of a prepared structure."""
+        return not isinstance(self.stiffness, Absent)
 
     def once(self, compute: Callable[[Any], Found], *, of_matrices: bool = False) -> Found:
         """A result computed from :attr:`original` once, for it and all of its varied copies; what

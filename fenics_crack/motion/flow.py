@@ -60,6 +60,10 @@ class Budget:
     intervals: int = 20_000
 
 
+BUDGET = Budget()
+"""That of a motion of which nothing else is said."""
+
+
 def flow_of(structure: Structure, contact: ContactLaw) -> ContactFlow | None:
     """The exact flow of a structure and a law; None where there is none: for a smooth law, a large
     structure, and rigid contact where the residual flexibility is singular."""
@@ -172,9 +176,8 @@ class Flow:
         modes = self.modes
         found: np.ndarray = states[:, : self.count] @ modes.shapes[dofs].T
         if modes.static_loads is not None and modes.static_pairs is not None:
-            found += waves_of(self.force, phase) @ (
-                self.structure.force @ modes.static_loads[:, dofs]
-            )
+            loads = self.structure.force @ modes.static_loads[:, dofs]
+            found += waves_of(self.force, phase) @ loads
             found -= force @ modes.static_pairs[dofs].T
         return found
 
@@ -188,9 +191,8 @@ class ContactFlow(Flow):
     def __init__(self, structure: Structure, contact: ContactLaw) -> None:
         super().__init__(structure, contact)
         modes, pairs = self.modes, structure.n_pairs
-        stiffness = np.diag(modes.squares) + modes.pairs @ np.linalg.solve(
-            self.compliance, modes.pairs.T
-        )
+        closed = np.linalg.solve(self.compliance, modes.pairs.T)
+        stiffness = np.diag(modes.squares) + modes.pairs @ closed
         self.fastest = _fastest(float(np.linalg.eigvalsh(stiffness)[-1]), modes.damping)
         """Bound of the rates at which any set of closed pairs turns or decays [1/s]."""
         coefficient = None
@@ -217,8 +219,7 @@ class ContactFlow(Flow):
         mu E_1): mu = -1 / a real negative eigenvalue of (D_rows E_0)^-1 D_rows E_1.
         """
         count, found = self.structure.n_pairs, [np.inf]
-        random = np.random.default_rng(1)
-        for states in random.integers(0, 4, (400, count)):
+        for states in np.random.default_rng(1).integers(0, 4, (400, count)):
             closed, stuck = np.flatnonzero(states), np.flatnonzero(states == kernel.STICK)
             rows = np.concatenate([closed, count + stuck])
             part = self.compliance[rows]
@@ -259,12 +260,12 @@ class ContactFlow(Flow):
     def weights(self, base_omega: float) -> np.ndarray:
         """Return the weights that make the norm of a state that of its energy, (2 n_modes,); modes
         slower than a frequency [rad/s] count as if they had it."""
-        rates = np.sqrt(np.maximum(self.modes.squares, base_omega**2))
-        parts = [rates, np.ones_like(rates)]
+        found = np.ones(self.size)
+        np.sqrt(np.maximum(self.modes.squares, base_omega**2), out=found[: self.count])
         if self.friction:  # of springs as stiff as a pair that sticks alone
-            pairs = self.structure.n_pairs
-            parts.append(1.0 / np.sqrt(np.diag(self.compliance)[pairs:]))
-        return np.concatenate(parts)
+            own = np.diag(self.compliance)[self.structure.n_pairs :]
+            found[2 * self.count :] = 1.0 / np.sqrt(own)
+        return found
 
     def amplitude_weights(self, base_omega: float) -> np.ndarray:
         """Return the same weights over the modes' rates: 1 of displacements, (size,)."""
@@ -329,23 +330,17 @@ class ContactFlow(Flow):
         self, budget: Budget | None, **members: Any
     ) -> tuple[Struct, Callable[[int], dict[str, np.ndarray]]]:
         """Return the kernel's motion, and what copies the arrays of its track."""
-        budget = budget or Budget()
+        budget = budget or BUDGET
         if self._intervals < budget.intervals:
             self._intervals = most = budget.intervals
-            self._record = {
-                "sets": np.empty((most, self.structure.n_pairs), dtype=np.int8),
-                "lengths": np.empty(most),
-            }
+            sets = np.empty((most, self.structure.n_pairs), np.int8)
+            self._record = {"sets": sets, "lengths": np.empty(most)}
             if self.friction:
-                self._record |= {
-                    "causes": np.empty(most, dtype=np.intc),
-                    "firsts": np.empty(most, dtype=np.int8),
-                    "ratios": np.empty(most),
-                }
+                ends = {"causes": np.intc, "firsts": np.int8, "ratios": float}
+                self._record |= {name: np.empty(most, kind) for name, kind in ends.items()}
+            self._empty = Struct("flow_motion", **self._record)
         arrays = self._record
-        given = Struct(
-            "flow_motion", most_pieces=budget.pieces, most=budget.intervals, **arrays, **members
-        )
+        given = self._empty.but(most_pieces=budget.pieces, most=budget.intervals, **members)
         return given, lambda passed: {name: one[:passed].copy() for name, one in arrays.items()}
 
 

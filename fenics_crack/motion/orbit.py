@@ -160,8 +160,7 @@ class PeriodicOrbit(Observed, Described):
 
     def energy_norm(self, change: np.ndarray) -> float:
         """Norm of a change of the state."""
-        weights = self.flow.weights(self.omega / self.subharmonic)
-        return float(np.linalg.norm(weights * change))
+        return float(np.linalg.norm(self.flow.weights(self.omega / self.subharmonic) * change))
 
     @cached_property
     def inverse(self) -> Inverse:
@@ -219,8 +218,9 @@ class PeriodicOrbit(Observed, Described):
         """The structure that vibrates."""
         return self.flow.structure
 
-    def records(self, rows: np.ndarray, instants: int = INSTANTS) -> Iterator[Record]:
-        """The motion, on each part of the period by the polynomials through Gauss's nodes."""
+    def records(self, rows: np.ndarray, instants: int | None = None) -> Iterator[Record]:
+        """The motion, on each part of the period by the polynomials through Gauss's nodes; at as
+        many instants as are given all numbers are from these."""
         time, length = self._nodes(len(self.flow.force) // 2 * self.omega)
         samples, (nodes, weights, _) = self.samples(time), gauss_nodes()
         seen = samples.displacement @ rows.T, samples.gaps, samples.forces
@@ -235,12 +235,14 @@ class PeriodicOrbit(Observed, Described):
             away = (1.0 + 2.0 * (time - ends[piece]) / length[piece])[:, None] - nodes
             share = barycentric / np.where(away == 0.0, sys.float_info.min, away)
             share /= share.sum(axis=1, keepdims=True)
-            found = (share[:, None] @ values[piece])[:, 0]
-            return np.split(found, splits, axis=1)
+            return np.split((share[:, None] @ values[piece])[:, 0], splits, axis=1)
 
-        parts, track = np.arange(instants) / instants, self.motion.track
+        count, exact = instants or INSTANTS, {}
+        parts = np.arange(count) / count
         motion, gap, force = at(parts)
-        shares = {"closed_share": track.share(track.sets > 0)} if gap.size else {}
+        if instants is None:
+            track, exact = self.motion.track, dict(self.sliding)
+            exact |= {"closed_share": track.share(track.sets > 0)} if gap.size else {}
         yield Record(
             self.omega, self.subharmonic, self.period * parts, balanced(motion, HARMONICS),
             motion, gap, force,
@@ -248,7 +250,7 @@ class PeriodicOrbit(Observed, Described):
             cracks=self.structure.pairs.cracks,
             friction=getattr(self.flow.friction, "coefficient", None),
             at=at,
-            exact=shares | self.sliding,
+            exact=exact,
         )  # fmt: skip
 
     def coefficients(self, harmonics: int) -> OrbitCoefficients:
@@ -339,10 +341,8 @@ class PeriodicOrbit(Observed, Described):
         }
 
     def _title(self) -> str:
-        return (
-            f"largest multiplier {abs(self.multipliers[0]):.6g} of {len(self.multipliers)}, "
-            f"{counted(self.events, 'event')}, residual {self.residual:.2g}"
-        )
+        largest = f"largest multiplier {abs(self.multipliers[0]):.6g} of {len(self.multipliers)}"
+        return f"{largest}, {counted(self.events, 'event')}, residual {self.residual:.2g}"
 
 
 @dataclass(frozen=True)
@@ -420,7 +420,7 @@ def predicted(
     weights = flow.weights(omega / subharmonic)
     try:
         moved, track, ends = flow.steps(states, omega, 2.0 * np.pi * subharmonic / omega)
-        excess = moved - np.roll(states, -1, axis=0)
+        excess = moved - np.concatenate([states[1:], states[:1]])
         change = track.carried(np.zeros(flow.size), excess, ends)[-1]
         inverse = _inverse(flow, track, weights)
         changes = track.carried(inverse(change, FORCING), excess, ends)[:-1]

@@ -145,10 +145,8 @@ def search_orbit(
 def wave_states(flow: ContactFlow, displacement: np.ndarray, base_omega: float) -> np.ndarray:
     """States at equal parts of the period of a wave of the displacement, given by its coefficients
     (2H+1, n_dofs) [m]: (32, 2 n_modes)."""
-    values, rate = (
-        waves_over(len(displacement) // 2, SEGMENTS),
-        derivative(displacement, base_omega),
-    )
+    values = waves_over(len(displacement) // 2, SEGMENTS)
+    rate = derivative(displacement, base_omega)
     return flow.state(values @ displacement, values @ rate)
 
 
@@ -206,8 +204,7 @@ def by_homotopy(orbits: FlowOrbits, options: SearchOptions) -> PeriodicOrbit | N
         closed = solve_in_plane(orbits, orbits.start, 1.0, None, tolerance=LOCATED, iterations=1)
         if closed is not None:
             return orbits.orbit(closed)
-        begun = point_on_path(system, orbits.start, 0.0)
-        end = Path(system, begun, steps, [Target(1.0)]).run()
+        end = Path(system, point_on_path(system, orbits.start, 0.0), steps, [Target(1.0)]).run()
     except (ConvergenceError, np.linalg.LinAlgError):
         return None
     if end is None:
@@ -230,8 +227,7 @@ def _by_recurrence(orbits: FlowOrbits, options: SearchOptions) -> OrbitSearch:
     for place in (-1, *np.argsort(apart, kind="stable").tolist()):
         if left <= 0:
             break
-        state = orbits.state(passed[place])
-        orbit = find_orbit(flow, omega, state, subharmonic=subharmonic)
+        orbit = find_orbit(flow, omega, orbits.state(passed[place]), subharmonic=subharmonic)
         if orbit is not None:
             return OrbitSearch(orbit, (), "exact orbit, by following the motion")
         left -= FLOWS // 2 * max(PACE, orbits.pieces)  # of a search that fails, about
@@ -263,7 +259,6 @@ def comes_back(passed: np.ndarray, subharmonic: int, motion: str = "the exact mo
         return f"{motion} cannot be integrated over a period"
     nearest = int(np.argmin(found))
     most, after = (one * subharmonic for one in (len(passed) - 1, nearest + 1))
-    return (
-        f"followed for {counted(most, 'period')} of the load, {motion} comes back to within "
-        f"{percent(found[nearest])} of where it was at best, after {counted(after, 'period')}"
-    )
+    best = f"{percent(found[nearest])} of where it was at best, after {counted(after, 'period')}"
+    said = f"followed for {counted(most, 'period')} of the load, {motion} comes back"
+    return f"{said} to within {best}"

@@ -127,8 +127,7 @@ def factored(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def solve_factored(factors: tuple[np.ndarray, np.ndarray], right: np.ndarray) -> np.ndarray:
     """A^-1 r from the LU factors of A^T, for a right-hand side of any shape."""
-    found: np.ndarray = dgetrs(*factors, right.ravel(), trans=1)[0]
-    return found.reshape(right.shape)
+    return np.reshape(dgetrs(*factors, right.ravel(), trans=1)[0], right.shape)
 
 
 def determinant_sign(factors: tuple[np.ndarray, np.ndarray]) -> float:

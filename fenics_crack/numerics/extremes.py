@@ -33,10 +33,8 @@ def largest(values: np.ndarray, at: Motion | None = None) -> np.ndarray:
     tops: np.ndarray = np.max(values, axis=0)
     before, after = np.roll(values, 1, 0), np.roll(values, -1, 0)
     # Next to a peak the function rises by less than it falls to its neighbours.
-    peaks = (
-        (values > before) & (values >= after) & (2.0 * values - np.minimum(before, after) >= tops)
-    )
-    rows, columns = np.nonzero(peaks)
+    high = 2.0 * values - np.minimum(before, after) >= tops
+    rows, columns = np.nonzero((values > before) & (values >= after) & high)
     places, distance = rows / len(values), 1.0 / len(values)
     for step in range(STEPS):
         if at is None or not len(places):

@@ -230,13 +230,11 @@ class Newton(Snes):
 
     def mult(self, matrix: Any, source: Any, target: Any) -> None:
         """Jacobian times a vector, called by PETSc."""
-        change = source.array_r.reshape(self.system.shape)
-        target.array_w[:] = self._tangent.apply(change).ravel()
+        target.array_w[:] = self._tangent.apply(source.array_r.reshape(self.system.shape)).ravel()
 
     def apply(self, preconditioner: Any, source: Any, target: Any) -> None:
         """Inverse of the Jacobian times a vector, called by PETSc."""
-        right = source.array_r.reshape(self.system.shape)
-        target.array_w[:] = self._tangent.solve(right).ravel()
+        target.array_w[:] = self._tangent.solve(source.array_r.reshape(self.system.shape)).ravel()
 
 
 MAX_ITERATIONS = 8
@@ -315,9 +313,8 @@ def moving_size(motion: np.ndarray) -> float:
     """The size of a motion in time (n, k), over all of that, likewise."""
     mean = motion.sum(axis=0) / len(motion)
     moving = motion - mean
-    return math.sqrt(
-        moving_square(float(np.vdot(moving, moving)), len(motion) * float(mean @ mean))
-    )
+    means = len(motion) * float(mean @ mean)
+    return math.sqrt(moving_square(float(np.vdot(moving, moving)), means))
 
 
 def relative_to_motion(change: np.ndarray, whole: np.ndarray) -> float:
@@ -425,9 +422,8 @@ def correct(
     """
     ahead = start.tangent
     unknown, parameter = start.unknown + step * ahead.x, start.parameter + step * ahead.p
-    return solve_in_plane(
-        system, unknown, parameter, ahead, tolerance=tolerance, reach=reach or STRAY * step
-    )
+    reach = reach or STRAY * step
+    return solve_in_plane(system, unknown, parameter, ahead, tolerance=tolerance, reach=reach)
 
 
 def step_along(

@@ -387,8 +387,7 @@ class Closed(Event):
         if met is None or met.tangent.along(origin.tangent, system) < STRAIGHT:
             return None
         off = met.unknown - origin.unknown
-        same = origin.tangent.product(system, off, off) < 1e-10
-        return origin if same else None
+        return origin if origin.tangent.product(system, off, off) < 1e-10 else None
 
 
 def _between(system: System, ends: Ends, target: float | None, rtol: float) -> PathPoint | None:

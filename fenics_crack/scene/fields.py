@@ -105,8 +105,7 @@ class Mistuning:
 
     def pattern(self, sectors: int) -> tuple[float, ...]:
         """One deviation for each of so many sectors."""
-        random = np.random.default_rng(self.seed)
-        return tuple(random.normal(0.0, self.deviation, sectors).tolist())
+        return tuple(np.random.default_rng(self.seed).normal(0.0, self.deviation, sectors).tolist())
 
 
 # --- how a value is read --------------------------------------------------------------------------
@@ -249,10 +248,8 @@ def _values(name: str, given: object) -> tuple[Any, ...]:
         right = False
     full_name = f'."{name}"'  # behind the name of the key: Table.checked
     if not right or spacing not in ("linear", "logarithmic"):
-        allowed = (
-            "a list of values, or a table of start, stop, count (2 to 1e6) and, if wanted, "
-            "spacing = 'linear' or 'logarithmic'"
-        )
+        allowed = "a list of values, or a table of start, stop, count (2 to 1e6) and, if wanted,"
+        allowed += " spacing = 'linear' or 'logarithmic'"
         if span and not span.keys() & {"start", "stop", "count"}:
             allowed += f'; did you mean "{name}.{next(iter(span))}", in quotes?'
         raise InputError(full_name, given, allowed)
@@ -308,9 +305,8 @@ def holds(
     **more: Any,
 ) -> Any:
     """Field of values for which ``accepts`` is true, ``allowed`` in words, with a unit."""
-    return field(
-        default=default, metadata={"allowed": allowed, "accepts": accepts, "unit": unit} | more
-    )
+    metadata = {"allowed": allowed, "accepts": accepts, "unit": unit} | more
+    return field(default=default, metadata=metadata)
 
 
 def number(default: Any = MISSING, unit: str = "") -> Any:
@@ -346,9 +342,8 @@ def vector(letter: str, default: Any = None, unit: str = "", *, of_solid: bool =
 
 def components(letter: str, dimension: int) -> str:
     """Describe the allowed components of a vector."""
-    return (
-        f"{_names(letter, dimension)}, {('two', 'three')[dimension - 2]} finite numbers {OR_ZERO}"
-    )
+    count = ("two", "three")[dimension - 2]
+    return f"{_names(letter, dimension)}, {count} finite numbers {OR_ZERO}"
 
 
 def _names(letter: str, dimension: int) -> str:
@@ -358,10 +353,8 @@ def _names(letter: str, dimension: int) -> str:
 
 def of_harmonics() -> Any:
     """Field of harmonics of a load."""
-    allowed = (
-        f"a list of tables with an order, a whole number from 1 to {MOST_HARMONICS} and another in "
-        "each, and cos or sin, or amplitude and phase [degrees] by which it lags"
-    )
+    allowed = f"a list of tables with an order, a whole number from 1 to {MOST_HARMONICS} and"
+    allowed += " another in each, and cos or sin, or amplitude and phase [degrees] by which it lags"
     return holds(allowed, default=())
 
 
@@ -413,9 +406,8 @@ def scaled(value: Any, factor: float) -> Any:
 def _as_toml(value: object) -> str:
     """A value as TOML: JSON but for DEL, and for inline tables."""
     if isinstance(value, Harmonic | Mistuning):
-        return (
-            f"{{ {', '.join(f'{key} = {_as_toml(held)}' for key, held in vars(value).items())} }}"
-        )
+        pairs = ", ".join(f"{key} = {_as_toml(held)}" for key, held in vars(value).items())
+        return f"{{ {pairs} }}"
     if isinstance(value, tuple):
         return f"[{', '.join(map(_as_toml, value))}]"
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
@@ -488,9 +480,8 @@ class Table:
         except (TypeError, OverflowError):
             accepted = False
         if not accepted:
-            raise InputError(
-                cls.name_of(key), value, item.metadata["allowed"] + cls._hint(key, value)
-            )
+            allowed = item.metadata["allowed"] + cls._hint(key, value)
+            raise InputError(cls.name_of(key), value, allowed)
         return found
 
     @classmethod
@@ -527,9 +518,8 @@ class Table:
             types = [_JSON.get(kind, "array") for kind in kinds]
             if "tuple[int, ...]" in kinds:  # one number stands for a list of it
                 types.append("integer")
-            found[name] = {"type": types}
             words = f"{item.metadata['allowed']} [{item.metadata['unit']}]"
-            found[name]["description"] = words.removesuffix(" []")
+            found[name] = {"type": types, "description": words.removesuffix(" []")}
             if "words" in item.metadata:
                 found[name]["enum"] = item.metadata["words"]
             if item.default not in (MISSING, None, ()):
@@ -599,10 +589,8 @@ class Table:
         """
         tables = [cls, *(table for table in Table.__subclasses__() if table is not cls)]
         own = [cls.proposed(name) for name in near(key, cls.keys())]
-        same = with_key(key, tables)
         every = {name: table.proposed(name) for table in tables[::-1] for name in table.keys()}
-        similar = [every[name] for name in near(key, every, 0.8)]
-        return own or same or similar
+        return own or with_key(key, tables) or [every[name] for name in near(key, every, 0.8)]
 
     @classmethod
     def instead_of(cls, key: str) -> str:

@@ -542,10 +542,10 @@ def _check_matrices(scene: Scene, structure: kinds.Structure) -> None:
     if structure.damping is not None:
         _check_absent(scene, ("damping",), "structure.damping")
     if structure.model is None:
-        force = scene.excitation.force_given or "point"
-        given = scene.excitation.force_given or scene.excitation.point is not None
+        force = scene.excitation.force_given
         allowed = "left out with [structure], which has files, or has no model with the places"
-        scene.excitation.require(not given, force, allowed)
+        absent = not force and scene.excitation.point is None
+        scene.excitation.require(absent, force or "point", allowed)
         matrices = structure.mass, structure.stiffness, structure.damping or ""
         if not any(Path(file).suffix.lower() in (".sti", ".mas") for file in matrices):
             structure.leave_out(("dofs",), "matrices that have no model, and are not CalculiX's")
@@ -784,8 +784,7 @@ def _checked_axes(scene: Scene, name: str, given: tuple[Axis, ...]) -> tuple[Axi
         there = number is None or number <= len(getattr(scene, table))
         known_key = table in _SWEPT and _TABLES[table].knows(key)
         if not (known_key and there) or axis.key in seen:
-            known = ", ".join(_SWEPT)
-            allowed = f"a table.key of the scene, given once, with a table of {known}"
+            allowed = f"a table.key of the scene, given once, with a table of {', '.join(_SWEPT)}"
             if (question := meant(_meant(axis.key))) and axis.key not in seen:
                 allowed += f"; {question}".rstrip()
             raise InputError(name, axis.key, allowed)
@@ -896,8 +895,7 @@ def _changed_list(
         raise InputError(key, next(iter(change.values())), allowed)
     old = tables[number - 1] if number <= len(tables) else None
     with named(f"{name}.{number}"):
-        new = _changed(name, old, change)
-    return (*tables[: number - 1], new, *tables[number:])
+        return (*tables[: number - 1], _changed(name, old, change), *tables[number:])
 
 
 def _meant(name: str) -> list[str]:
@@ -908,8 +906,7 @@ def _meant(name: str) -> list[str]:
     if key:
         every = {kind.proposed(key) for kind in _TABLES.values() for key in kind.keys()}
         return near(name, every, 0.8) or sorted(full for full in every if full.endswith(f".{key}"))
-    same = dict.fromkeys(with_key(table, _TABLES.values()))
-    return list(same) or near(table, _TABLES)
+    return list(dict.fromkeys(with_key(table, _TABLES.values()))) or near(table, _TABLES)
 
 
 def meant_keys(name: str) -> list[str]:

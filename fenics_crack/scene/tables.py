@@ -185,11 +185,8 @@ class Damping(Table):
         super().__post_init__()
         ways = [("ratio",), ("mass", "stiffness"), ("ratios", "frequencies", "omegas")]
         found = [(way, key) for way in ways for key in way if getattr(self, key) is not None]
-        allowed = (
-            "given, or damping.mass or damping.stiffness, or damping.ratios with omegas or "
-            "frequencies"
-        )
-        self.require(bool(found), "ratio", allowed)
+        allowed = "given, or damping.mass or damping.stiffness, or damping.ratios with omegas"
+        self.require(bool(found), "ratio", f"{allowed} or frequencies")
         (chosen, key), *_ = found
         for way in ways:
             if way is not chosen:
@@ -272,8 +269,7 @@ class Excitation(Table, Periodic):
         """As of every table; a frequency takes the place of the order, or it of that."""
         both = ("omega", "frequency")
         others = {key for key in both if values.get(key) is not None}
-        beside = any(held.get(key) is not None for key in both)
-        if held.get("order") is not None and beside:
+        if held.get("order") is not None and any(held.get(key) is not None for key in both):
             pass  # of a bladed disk at rest, where neither makes the other
         elif others and "order" not in values:
             values = {"order": None, **values}
@@ -292,8 +288,7 @@ def add_harmonics(rows: list[Vector], harmonics: tuple[Harmonic, ...]) -> None:
     """Add harmonics to the components of a mean, and of cosine and sine of each order."""
     for harmonic in harmonics:
         for row, part in enumerate((harmonic.cos, harmonic.sin), 2 * harmonic.order - 1):
-            pairs = zip_longest(rows[row], part, fillvalue=0.0)
-            rows[row] = tuple(a + b for a, b in pairs)
+            rows[row] = tuple(a + b for a, b in zip_longest(rows[row], part, fillvalue=0.0))
 
 
 @dataclass(frozen=True)
@@ -350,13 +345,12 @@ class Load(Table, Periodic):
         """Mean, and cosine and sine part of each order, of the "force" or the "traction"; of the
         "pressure" (p,); without numbers where they are not given."""
         values = [getattr(self, name) for name in self._names(kind)]
-        mean, cosine, sine = (
-            v if isinstance(v, tuple) else () if v is None else (v,) for v in values
-        )
+        rows = [v if isinstance(v, tuple) else () if v is None else (v,) for v in values]
+        mean, cosine, sine = rows
         c, s = math.cos(math.radians(self.phase)), math.sin(math.radians(self.phase))
         both = list(zip_longest(cosine, sine, fillvalue=0.0))
         first = [tuple(c * a - s * b for a, b in both), tuple(s * a + c * b for a, b in both)]
-        rows: list[Vector] = [mean, *first, *((),) * (2 * self.highest - 2)]
+        rows = [mean, *first, *((),) * (2 * self.highest - 2)]
         scalar = kind == "pressure"
         add_harmonics(rows, tuple(h for h in self.harmonics if (len(h.cos) == 1) == scalar))
         return rows
@@ -502,9 +496,8 @@ class Disk(Table):
         self.require(max(self.cracked, default=1) <= self.sectors, "cracked",
                      f"numbers of sectors, from 1 to disk.sectors = {self.sectors}")  # fmt: skip
         if isinstance(self.mistuning, tuple):
-            one_each = len(self.mistuning) == self.sectors
             allowed = f"one number for each of the {self.sectors} sectors"
-            self.require(one_each, "mistuning", allowed)
+            self.require(len(self.mistuning) == self.sectors, "mistuning", allowed)
         self.require(self.axis is None or any(self.axis), "axis", "a vector that is not zero")
 
     @property
@@ -530,8 +523,7 @@ class Disk(Table):
         """As of every table; of "mistuning.seed" as that of a pattern."""
         if not (own := cls._inner(key)):
             return super().checked(key, value)
-        pattern = super().checked("mistuning", {"deviation": 0.0, own: value})
-        return getattr(pattern, own)
+        return getattr(super().checked("mistuning", {"deviation": 0.0, own: value}), own)
 
     @classmethod
     def without_twins(
@@ -633,11 +625,9 @@ class HarmonicBalance(Table):
             self.leave_out(("samples",), "a tolerance")
             self.require(self.error, "error", "true, or left out, with a tolerance")
         least = 4 * self.harmonics + 1
-        self.require(
-            self.samples is None or least <= self.samples <= MAX_SAMPLES,
-            "samples",
-            f"a whole number from {least} (4 harmonics + 1) to {MAX_SAMPLES}, or left out",
-        )
+        fits = self.samples is None or least <= self.samples <= MAX_SAMPLES
+        allowed = f"a whole number from {least} (4 harmonics + 1) to {MAX_SAMPLES}, or left out"
+        self.require(fits, "samples", allowed)
 
     def of_load(self, highest: int) -> HarmonicBalance:
         """The same with as many harmonics as a load has, unless fewer are given."""
@@ -1062,12 +1052,10 @@ class Identify(Table):
         self._check_meshes()
         for axis in self.unknown:
             words = [isinstance(value, str) for value in axis.values]
-            if not all(words):
-                fine = not any(words) and len(axis.values) >= MIN_VALUES
-                fine = fine and bool(np.all(np.diff(axis.values) > 0))
-                if not fine:
-                    allowed = f"words, or {MIN_VALUES} or more numbers in ascending order"
-                    raise InputError(f'identify.unknown."{axis.key}"', axis.values, allowed)
+            numbers = not any(words) and len(axis.values) >= MIN_VALUES
+            if not (all(words) or (numbers and np.all(np.diff(axis.values) > 0))):
+                allowed = f"words, or {MIN_VALUES} or more numbers in ascending order"
+                raise InputError(f'identify.unknown."{axis.key}"', axis.values, allowed)
 
     def _check_meshes(self) -> None:
         """Raise InputError unless there is one mesh for every combination of enough numbers."""

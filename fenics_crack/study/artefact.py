@@ -26,15 +26,10 @@ from fenics_crack.basics.ranks import gather_rows, on_root
 from fenics_crack.fem.setting import clearance_of, damping_of, parts_of
 from fenics_crack.files.codec import Parts, packed, unpacked
 from fenics_crack.files.store import Stored, check_shapes, read, write
+from fenics_crack.model.body import Body
+from fenics_crack.model.matrices import Absent
 from fenics_crack.model.nodes import Nodes, Pairs
-from fenics_crack.model.receptance import (
-    Receptance,
-    SeenBody,
-    SeenStructure,
-    held_receptance,
-    receptance,
-    rows_at,
-)
+from fenics_crack.model.receptance import Receptance, held_receptance, receptance, rows_at
 from fenics_crack.model.structure import DampingRule, Structure
 from fenics_crack.numerics.equations import ROUNDING
 from fenics_crack.scene.scene import Scene
@@ -117,11 +112,12 @@ class _Prepared:
             own = slice(None) if first else slice(0)
             nodes = Nodes(self.points[own], self.node_dofs[own], self.cells[own], 0)
         clearance = self.clearance if self.pairs.cracks is None else clearance_of(scene, self.pairs)
-        made = SeenStructure(SeenBody(
-            None, None, rows(self.gap, count), force, clearance,
+        sizes = Absent(self.n_dofs, comm.rank)
+        made = Structure(Body(
+            sizes, sizes, rows(self.gap, count), force, clearance,
             damping_of(scene.given("damping")),
             None if self.tangential is None else rows(self.tangential, count),
-            nodes, self.pairs, comm=comm, n_dofs=self.n_dofs,
+            nodes, self.pairs, comm=comm,
         )).watching(self.watched_dof)  # fmt: skip
         loaded = np.unique(self.force[1].astype(int))  # parts that are not zero
         of_loads = weights[np.any(weights[:, loaded] != 0.0, axis=1)][:, loaded].T

@@ -16,6 +16,7 @@ from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.observables import FILES, GROWING, QUANTITIES, Place, names_of, read_at
 from fenics_crack.model.factor import AT_A_TIME
 from fenics_crack.model.nodes import Clamp
+from fenics_crack.model.receptance import check_matrices
 from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.motion.motions import Observed, Record, Rows
 from fenics_crack.scene.scene import Scene, asked_quantities, check_known, without_tips
@@ -94,6 +95,7 @@ def held(record: Record) -> Held:
 
 def _clamp(whole: Structure) -> tuple[Clamp, float]:
     """The clamp of a structure, and a [1/s] of Rayleigh's damping."""
+    check_matrices(whole, "its clamp")
     assert whole.clamp is not None  # the scene has been checked
     return whole.clamp, whole.damping.mass if isinstance(whole.damping, RayleighDamping) else 0.0
 

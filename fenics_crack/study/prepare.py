@@ -27,7 +27,6 @@ from fenics_crack.model.contact import (
 from fenics_crack.model.factor import AT_A_TIME, factor_memory
 from fenics_crack.model.modes import krylov_vectors
 from fenics_crack.model.nodes import AXES
-from fenics_crack.model.receptance import SeenStructure
 from fenics_crack.model.reduction import MODES, reduce_structure
 from fenics_crack.model.rotation import N_SPEEDS
 from fenics_crack.model.structure import Structure
@@ -215,7 +214,7 @@ def reduced(study: Study, *, judged: bool = True) -> Study:
     scene, whole = study.scene, study.structure
     if whole.whole is not whole:
         return study
-    if not isinstance(whole, SeenStructure):
+    if whole.has_matrices:
         check_memory_of(scene, whole)
     if isinstance(whole, Wheel):
         assert scene.disk is not None

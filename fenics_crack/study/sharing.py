@@ -16,7 +16,6 @@ from mpi4py import MPI
 
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.files.store import digests_of
-from fenics_crack.model.receptance import SeenStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 
@@ -52,7 +51,7 @@ def assembled(scene: Scene, comm: MPI.Comm, last: list[Made] = LAST) -> Structur
     same = False
     if known is not None:
         same = known.parts[0] == parts[0]
-        if isinstance(known.structure, SeenStructure):  # without a mesh for loads
+        if not known.structure.has_matrices:  # without a mesh for loads
             alike = MPI.Comm.Compare(known.comm, comm) in (MPI.IDENT, MPI.CONGRUENT)
             same = same and alike and known.parts[1] == parts[1]
         else:

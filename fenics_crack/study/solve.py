@@ -19,7 +19,7 @@ from fenics_crack.basics.progress import begin
 from fenics_crack.curves.stability import floquet
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
 from fenics_crack.model.modal import is_small
-from fenics_crack.model.receptance import SeenStructure, held_receptance, receptance
+from fenics_crack.model.receptance import held_receptance, receptance
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import FORMED
 from fenics_crack.study.observer import rows_requested
@@ -109,7 +109,7 @@ def modes_chosen(study: Study, most: int = FORMED) -> list[int]:
     given = scene.disk is not None or (table is not None and table.modes is not None)
     if kept is None or given or scene.harmonic_balance.tolerance is None or study.contact is None:
         return []
-    of_file = isinstance(whole, SeenStructure)
+    of_file = not whole.has_matrices
     large = kept.method == "massless" and (of_file or not is_small(whole))
     if of_file:  # which holds so many and their reference
         most = min(most, len(whole.once(held_receptance)[0].squares) // 2)
@@ -132,7 +132,7 @@ def with_more_modes(whole: Study, most: int = FORMED) -> Iterator[Study]:
     of ten plates took the second number or more.
     """
     chosen, structure = modes_chosen(whole, most), whole.structure
-    if chosen[:1] == [FIRST_MODES] and not isinstance(structure, SeenStructure):
+    if chosen[:1] == [FIRST_MODES] and structure.has_matrices:
         receptance(structure, min(4 * FIRST_MODES, structure.n_dofs - structure.n_pairs))
     yield from (reduced_to(whole, modes) for modes in chosen)
     if not chosen:

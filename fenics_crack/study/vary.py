@@ -7,7 +7,11 @@ expected, not bounds: scenes beside a mesh four times finer are in docs/notebook
 - *modes*: the reference of a reduced structure, which has more of them, is solved from the answer
   itself, and e = |f - f_ref| / share, with the share that it has of what is left out. To few
   harmonics the modes above all of them seem static, whether they are kept or not: where an exact
-  orbit is the answer's own, f and f_ref are those of orbits.
+  orbit is the answer's own, f and f_ref are those of orbits. Amplitude and opening are extremes,
+  which change by what the motion changes at an instant. This may be small there by chance, where
+  what the reference leaves out, too, has another phase. So e is at least the root mean square over
+  the period of what vibrates of the change, of the pair that changes most, over the share. A shift
+  in time, which changes no extreme, is taken off: at a resonance most of the change is one.
 - *harmonics*: e = |f - f_orbit|. Without an orbit twice as many are solved; where the report says
   that harmonics are too few the difference may vanish by chance, and four times as many say it,
   too.
@@ -80,6 +84,7 @@ from fenics_crack.model.modes import Modes, bilinear_frequencies, solve_modes, t
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.rotation import RunUpStructure
+from fenics_crack.motion.orbit import INSTANTS, PeriodicOrbit
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.meshes import coarser, finer_mesh, is_even, n_elements
 from fenics_crack.study.numbers import (
@@ -437,12 +442,30 @@ class _Stated(_Case):
         if self.exact and larger and larger.orbit:
             exact = of_orbit(more, self.found, larger.orbit, self.own.mode)
             other = as_changed(self.own.values, self.exact, exact)
+            least = self._sizes_of_change(larger.fewer, larger.orbit)
         else:
             start = near if structure.light_lips else None  # else these have other coordinates
-            other = self.values_of(_solved(more, near.omega, near.harmonics, start), more)
+            solution = _solved(more, near.omega, near.harmonics, start)
+            other, least = self.values_of(solution, more), self._sizes_of_change(near, solution)
         counts, ratio = (len(structure.omega), len(reference.omega)), 1.0 - structure.share
         levels = map(Level, counts, (self.own.values, other))
-        return part_of("modes", [*levels], self.study.scene, ratio=max(ratio, UNCHANGED))
+        _, parts = part_of("modes", [*levels], self.study.scene, ratio=max(ratio, UNCHANGED))
+        for name, size in least.items():
+            error = parts[name].uncertainty(-1) if name in parts else 0.0
+            if 0.0 < error < size / structure.share:
+                parts[name] = replace(parts[name], factor=size / structure.share / error)
+        return counts, parts
+
+    def _sizes_of_change(self, *both: PeriodicOrbit | PeriodicSolution) -> dict[str, float]:
+        """Root mean square of what vibrates of the change, but for a shift in time, of the motions
+        that amplitudes and the opening are extremes of (collective)."""
+        watched = self.study.watched
+        few, many = (_motion_of(one, [point.dof for point in watched]) for one in both)
+        change, rate = many - few, np.roll(few, -1, axis=0) - np.roll(few, 1, axis=0)
+        squares = np.maximum(np.sum(rate**2, axis=0), np.finfo(float).tiny)
+        sizes = (change - np.sum(change * rate, axis=0) / squares * rate).std(axis=0).tolist()
+        found = {point.column("amplitude"): sizes.pop(0) for point in watched}
+        return found | {"opening": max(sizes, default=0.0)}
 
     def harmonics(self) -> Varied:
         if self.study.contact is None:
@@ -542,6 +565,15 @@ class _Stated(_Case):
             steps[its] = 0.5 * np.ptp(apart) / along * np.ptp(shares)
         moved = replace(study, structure=study.structure.varied(clearance=steps))
         return self.values_of(_solved(moved, near.omega, near.harmonics, near), moved)
+
+
+def _motion_of(motion: PeriodicOrbit | PeriodicSolution, dofs: Sequence[int]) -> np.ndarray:
+    """Displacements of dofs, and gaps, at equally spaced times of the period (collective)."""
+    if isinstance(motion, PeriodicOrbit):
+        moved = motion.structure.values_at(motion.sampled.displacement, dofs)
+        return np.hstack([moved, motion.gap])
+    time = np.arange(INSTANTS) * motion.period / INSTANTS
+    return np.hstack([motion.displacement(time, dofs), motion.gap(time)])
 
 
 def _solved(

@@ -167,9 +167,8 @@ def integrate_central_difference(
     asked = March.of(integrate_central_difference, options, *given)
     least = stable_steps_per_period(structure, omega, contact)
     if steps_per_period < least:
-        raise InputError(
-            "steps_per_period", steps_per_period, f">= {least}, the stable limit of the scheme"
-        )
+        allowed = f">= {least}, the stable limit of the scheme"
+        raise InputError("steps_per_period", steps_per_period, allowed)
     compiled = is_small(structure) and (is_piecewise_linear(contact) or asked.rigid)
     return march(asked, (_ModalDifferences if compiled else _CentralDifferences)(asked))
 
@@ -250,9 +249,8 @@ class _ModalDifferences(Scheme):
         one = np.ones(count) if modes.damping.ndim == 1 else np.eye(count)
         damped = one + 0.5 * dt * modes.damping
         inverse = 1.0 / damped if damped.ndim == 1 else np.linalg.inv(damped)
-        push = dt**2 * (
-            inverse[:, None] * modes.pairs if inverse.ndim == 1 else inverse @ modes.pairs
-        )
+        moved = inverse[:, None] * modes.pairs if inverse.ndim == 1 else inverse @ modes.pairs
+        push = dt**2 * moved
         rows = np.ascontiguousarray
         body = Struct(
             "vibration", modes=count, pairs=pairs, coupled=modes.damping.ndim == 2,
@@ -448,8 +446,7 @@ class _CentralDifferences(Scheme):
             force = self._forces(self._measured(self.displacement))
             right[self._gap_rows] -= self._gap_block @ force
         with Factor(self.structure.mass, definite=True) as factor:
-            found: np.ndarray = factor.solve(right[None])[0]
-        return found
+            return np.asarray(factor.solve(right[None])[0])
 
     def _linear_energy(self, velocity: np.ndarray) -> float:
         """(u^T K u + v^T M v) / 2: [J]."""

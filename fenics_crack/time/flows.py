@@ -170,8 +170,7 @@ class _ByEvents(Scheme):
 
     def fill(self, window: Window, number: int) -> None:
         asked = self._asked
-        flow, period = self._flow, self._period
-        motion = flow.advance(self._state, asked.omega, period, instants=self._instants)
+        motion = self._flow.advance(self._state, asked.omega, self._period, instants=self._instants)
         self._state, samples = motion.state, motion.samples
         moved = samples.displacement
         self._motion = moved[-1]
@@ -210,15 +209,11 @@ class ExponentialFlow(Flow):
         pushed = 0.5 * held  # Gamma
         moved_gap = modes.pairs.T @ pushed[:count]
         self.gap_rows = np.hstack([modes.pairs.T, np.zeros((pairs, count))])
-        mean = modes.steady_response(0.0, self.force[0] + 0j).real
-        moving = [
-            modes.steady_response(order * omega, load)
-            for order, load in enumerate(to_complex(self.force)[1:], 1)
-        ]
-        shape = from_complex(np.array([mean, *moving]))
-        rate = derivative(shape, omega)
+        loads = enumerate(to_complex(self.force))
+        answers = [modes.steady_response(order * omega, load) for order, load in loads]
+        shape = from_complex(np.array(answers))
         instants = waves_of(self.force, 2.0 * np.pi * np.arange(steps) / steps)
-        self.steady = instants @ np.hstack([shape, rate])
+        self.steady = instants @ np.hstack([shape, derivative(shape, omega)])
         self.linear_gap = instants @ (shape @ modes.pairs + self.gap)
         seen = self.compliance + moved_gap
         own: dict[str, Any]
@@ -260,9 +255,8 @@ class ExponentialFlow(Flow):
             self._held[:] = held[0]
         else:
             forces[:1], closed[:1] = self._static.solve(gap[None])
-        done = kernel.march_exponential(
-            self._known.at, total, pointer(states), pointer(forces), pointer(closed)
-        )
+        arrays = map(pointer, (states, forces, closed))
+        done = kernel.march_exponential(self._known.at, total, *arrays)
         if done < total:
             raise ConvergenceError(
                 f"exponential: the contact forces of step {done + 1} were not found"
@@ -327,16 +321,15 @@ class _ByExponentials(Scheme):
     def fill(self, window: Window, number: int) -> None:
         flow, asked = self._flow, self._asked
         steps = flow.advance(self._state)
-        window.gap[:], window.force[:] = steps.gaps[:-1], steps.forces[:-1]
-        window.motion[:] = flow.coordinates(
-            steps.states[:-1], steps.forces[:-1], asked.recorded_dofs
-        )
-        load_motion = flow.coordinates(steps.states, steps.forces, asked.load_rows)
+        states, forces = steps.states, steps.forces
+        window.gap[:], window.force[:] = steps.gaps[:-1], forces[:-1]
+        window.motion[:] = flow.coordinates(states[:-1], forces[:-1], asked.recorded_dofs)
+        load_motion = flow.coordinates(states, forces, asked.load_rows)
         window.load_motion[:] = load_motion[:-1] * _load_sizes(asked)
         if number == 0:
             self._put_in = self._energy(steps, 0)
             self._missing = -self._put_in
-        rate = steps.states[:, len(flow.modes.squares) :]
+        rate = states[:, len(flow.modes.squares) :]
         lost = np.einsum("nj,nj->n", flow.modes.damped(rate), rate)
         work = float(np.sum(self._means * np.diff(load_motion, axis=0)))
         self._put_in += abs(work)
@@ -344,7 +337,7 @@ class _ByExponentials(Scheme):
         self._missing += steps.lost - work
         self.book(self._energy(steps, -1) + self._missing, self._put_in)
         self._state = steps.end
-        self._motion = flow.coordinates(steps.states[-1:], steps.forces[-1:])[0]
+        self._motion = flow.coordinates(states[-1:], forces[-1:])[0]
 
     def _energy(self, steps: Steps, place: int) -> float:
         """Kinetic, elastic, and contact energy at an instant."""

@@ -102,12 +102,9 @@ class March:
         most = max(self.structure.comm.allgather(len(self.recorded_dofs)))
         instants = self.kept * self.steps_per_period
         if 8 * instants * (most + 2 * self.n_rows) > MEMORY_LIMIT:
-            raise InputError(
-                "record_periods",
-                self.record_periods,
-                f"fewer, or fewer dofs: {instants} instants of {most} dofs do not fit in "
-                f"{MEMORY_LIMIT // 2**30} GiB",
-            )
+            what, room = f"{instants} instants of {most} dofs", f"{MEMORY_LIMIT // 2**30} GiB"
+            allowed = f"fewer, or fewer dofs: {what} do not fit in {room}"
+            raise InputError("record_periods", self.record_periods, allowed)
         _ = self.start, self.places
 
     @classmethod
@@ -245,9 +242,8 @@ class TimeHistory(Observed, Tabular):
     def _title(self) -> str:
         periods = counted(self.periods, "period")
         steps = counted(self.steps_per_period, "step")
-        pairs = counted(self.structure.n_pairs, "pair")
         settled = f", settled to {self.settled:.0e}" if np.isfinite(self.settled) else ""
-        return f"{periods} of {steps}{settled}, {pairs}"
+        return f"{periods} of {steps}{settled}, {counted(self.structure.n_pairs, 'pair')}"
 
     def by_period(self, values: np.ndarray) -> np.ndarray:
         """Fold a record (n, ...) at the load's period: (periods kept, steps_per_period, ...).
@@ -329,8 +325,7 @@ class TimeHistory(Observed, Tabular):
         """
         structure = self.structure
         own, first = np.unique(self.recorded_dofs - structure.first_dof, return_index=True)
-        left_out = np.delete(rows, own, axis=1)
-        if any(structure.comm.allgather(bool(np.any(left_out)))):
+        if any(structure.comm.allgather(bool(np.any(np.delete(rows, own, axis=1))))):
             allowed = "None, to record all displacements, of which these are made"
             raise InputError("dofs", "some", allowed)
         motion = structure.sum_over_ranks(self.recorded[:, first] @ rows[:, own].T)
@@ -385,10 +380,9 @@ class Scheme(ABC):
         if put_in > 0.0:
             self.created_share = created / put_in
         if not np.isfinite(created) or created > 2.0 * put_in > 0.0:
-            raise ConvergenceError(
-                f"{self.name}: the steps are too long for this contact, which creates "
-                f"{self.created_share:.3g} times the energy put in; {self.remedy}"
-            )
+            creates = f"{self.created_share:.3g} times the energy put in; {self.remedy}"
+            long = f"{self.name}: the steps are too long for this contact, which creates"
+            raise ConvergenceError(f"{long} {creates}")
 
 
 def march(asked: March, scheme: Scheme) -> TimeHistory:
@@ -427,24 +421,15 @@ def march(asked: March, scheme: Scheme) -> TimeHistory:
     for item in scheme.owned:
         item.destroy()
     pairs, coefficient = structure.n_pairs, coefficient_of(asked.contact)
-    known = coefficient is not None
+    of_friction: dict[str, Any] = {}
+    if coefficient is not None:
+        of_friction = {"tangential_gap": gap[:, pairs:], "tangential_force": force[:, pairs:]}
+    time = np.arange(done * steps - count, done * steps) * asked.step_size
     return TimeHistory(
-        time=np.arange(done * steps - count, done * steps) * asked.step_size,
-        gap=gap[:, :pairs],
-        settled=settled,
-        created_energy=scheme.created_share,
-        periods=done,
-        seconds=seconds,
-        steps_per_period=steps,
-        structure=structure,
-        recorded=motion,
-        recorded_dofs=asked.recorded_dofs,
-        final_state=final_state,
-        contact_force=force[:, :pairs],
-        tangential_gap=gap[:, pairs:] if known else None,
-        tangential_force=force[:, pairs:] if known else None,
+        time, gap[:, :pairs], settled, scheme.created_share, done, seconds, steps, structure,
+        motion, asked.recorded_dofs, final_state, force[:, :pairs], **of_friction,
         friction=coefficient,
-    )
+    )  # fmt: skip
 
 
 def _change(now: Sequence[np.ndarray], before: Sequence[np.ndarray]) -> float:
@@ -479,14 +464,10 @@ def initial_state(structure: Structure, initial: Initial) -> tuple[np.ndarray, n
             state = tuple(numbers(part) for part in initial)
         except TypeError:
             state = ()
-    right = len(state) in (2, 3) and all(
-        part.shape == shape and np.all(np.isfinite(part)) for part in state[:2]
-    )
-    error = InputError(
-        "initial",
-        [part.shape for part in state],
-        f"a solution of this structure, or finite displacement and velocity of shape {shape}",
-    )
+    fits = [part.shape == shape and np.all(np.isfinite(part)) for part in state[:2]]
+    right = len(state) in (2, 3) and all(fits)
+    allowed = f"a solution of this structure, or finite displacement and velocity of shape {shape}"
+    error = InputError("initial", [part.shape for part in state], allowed)
     raise_together(structure.comm, None if right else error)
     return state[0], state[1]
 

@@ -131,14 +131,12 @@ def identify(
         forward = solve_forward(scene, shaken, Path(folder), comm, progress=progress, **more)
         begin("inference")
         identification = infer(forward, measurements)
-        worst = _interpolated(identification)
-        axis = None if worst is None else _closer(forward, identification, *worst[1:])
-        if axis is None:
+        if (worst := _interpolated(identification)) is None:
+            return identification
+        name, share, cracks = worst
+        if (axis := _closer(forward, identification, share, cracks)) is None:
             break
         closer.append(axis)
-    if worst is None:
-        return identification
-    name, share, _ = worst
     remark = (
         f"interpolation between the solved cases has {share.sum():.0%} of the variance of "
         f"{name}: more values in identify.unknown make regions narrower"
@@ -207,16 +205,14 @@ def _predicted(
 def remarks_on(scene: Scene, measurements: Measurements) -> tuple[str, ...]:
     """Return limits of measurements that do not depend on their values."""
     table = scene.given("identify")
-    sides = any(axis.key == "crack.edge" for axis in table.unknown)
-    crack, rows = scene.crack, measurements.rows
-    found = []
-    if crack is not None and crack.edge is not None and all(row.natural for row in rows):
+    crack, rows, found = scene.crack, measurements.rows, []
+    given = not any(axis.key == "crack.edge" for axis in table.unknown)
+    if given and crack is not None and crack.edge and all(row.natural for row in rows):
         other = {"left": "right", "right": "left"}[crack.edge]
-        if not sides:
-            found.append(
-                f"a crack from the {other} edge has the same natural frequencies: they do not "
-                "distinguish the edges"
-            )
+        found.append(
+            f"a crack from the {other} edge has the same natural frequencies: they do not "
+            "distinguish the edges"
+        )
     if table.meshes:
         found.append(
             "a file has one mesh: its error is in no interval; compare with meshes twice as fine"

@@ -241,7 +241,7 @@ class Loads:
         order, others = scene.excitation.order, sorted(set(frequencies))
         own = float(f"{scene.excitation.omega / TURN:.9g}")  # as that of arrivals
         if order is None:
-            self.frequencies = tuple(others) or (scene.excitation.omega / TURN,)
+            self.frequencies = tuple(others) or (own,)
             self.axis = Axis("excitation.frequency", self.frequencies)
         else:
             self.frequencies = (own, *(one for one in others if one != own))

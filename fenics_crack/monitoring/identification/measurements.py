@@ -283,16 +283,14 @@ class Measurements(Tabular):
             or too few for an estimate, as in one revolution alone.
         """
         from fenics_crack.monitoring.tip_timing.fit_order import Means  # SciPy
-        from fenics_crack.monitoring.tip_timing.harmonics import check_places, rounding
         from fenics_crack.monitoring.tip_timing.robust import student
 
         check_count("order", order, 1)
-        check_number("angle_deviation", angle_deviation, 0.0)
         if noise is not None:
             check_number("noise", noise, 0.0, above=True)
         if not arrivals.steady:
             raise InputError("arrivals", repr(arrivals), "those of a constant speed")
-        check_places(arrivals)
+        arrivals.check_places(angle_deviation)
         count = np.isfinite(arrivals.time).sum(axis=0)
         count, speed = count[count > 0], arrivals.mean_speed
         if len(count) < 4:  # one more than the load's size and phase, and a constant
@@ -302,7 +300,7 @@ class Measurements(Tabular):
         if noise is not None:
             own = speed * noise / np.sqrt(count)
             deviations = arrivals.tip_radius * np.hypot(own, angle_deviation)
-        elif means.scatter <= rounding(arrivals):
+        elif means.scatter <= arrivals.rounding:
             raise InputError("noise", None, "given where passages have no scatter")
         elif np.isnan(larger := student(means.within)):
             found = counted(int(count.sum()), "arrival")
@@ -312,15 +310,11 @@ class Measurements(Tabular):
             own = np.diag(means.covariance) - places**2
             deviations = np.sqrt(larger * own + places**2)
         # Rounded, for one sweep to serve all arrivals at a speed.
-        frequency = float(f"{order * speed / (2.0 * math.pi):.9g}")
-        return cls.from_arrays(
-            "displacement",
-            (-means.values if against else means.values).tolist(),
-            deviations.tolist(),
-            frequency=[frequency] * len(count),
-            point=[point] * len(count),
-            phase=(order * means.angle % (2.0 * math.pi)).tolist(),
-        )
+        frequency = float(f"{order * speed / TURN:.9g}")
+        values = -means.values if against else means.values
+        where: dict[str, Any] = {"phase": (order * means.angle % TURN).tolist()}
+        where |= {"frequency": [frequency] * len(count), "point": [point] * len(count)}
+        return cls.from_arrays("displacement", values.tolist(), deviations.tolist(), **where)
 
     @classmethod
     def from_passages(
@@ -351,13 +345,11 @@ class Measurements(Tabular):
         if len(modes) != len(passages):
             raise InputError("modes", list(modes), f"one of each of {len(passages)} passages")
         used = [one for one in zip(passages, modes, strict=True) if one[1]]
-        return cls.from_arrays(
-            quantity,
-            [fit.omega / TURN for fit, _ in used],
-            [fit.deviation / TURN for fit, _ in used],
-            mode=[mode for _, mode in used],
-            rpm=[float(f"{fit.speed / RPM:.7g}") for fit, _ in used],
-        )
+        values = [fit.frequency for fit, _ in used]
+        deviations = [fit.deviation / TURN for fit, _ in used]
+        rpm = [float(f"{fit.speed / RPM:.7g}") for fit, _ in used]
+        where: dict[str, Any] = {"mode": [mode for _, mode in used], "rpm": rpm}
+        return cls.from_arrays(quantity, values, deviations, **where)
 
     @classmethod
     def from_csv(cls, path: str | Path) -> Measurements:

@@ -134,9 +134,8 @@ class Whole:
         def taken(faster: float) -> np.ndarray:
             omega, modes = self.modes_at(faster)
             squares = (self.reactions.T @ modes) ** 2 / omega**2
-            return np.stack(
-                [squares[self.turning :].sum(axis=0), squares[: self.turning].sum(axis=0)]
-            )
+            turning, moving = squares[self.turning :], squares[: self.turning]
+            return np.stack([turning.sum(axis=0), moving.sum(axis=0)])
 
         return np.asarray((taken(faster) / np.hypot(*taken(1.0)[:, 0])).T)
 

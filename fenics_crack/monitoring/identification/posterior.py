@@ -105,12 +105,7 @@ class Likelihood:
     def explains(self, x: np.ndarray) -> np.ndarray:
         """True where values (m, d) of the unknowns, chosen before measuring, would explain the
         measurements: (m,) bool."""
-        return np.asarray(self._fit(x, 0)[1] >= 1.0 - self.confidence)
-
-    @property
-    def confidence(self) -> float:
-        """Probability of the regions that are reported."""
-        return self.quantities.model.table.confidence
+        return np.asarray(self._fit(x, 0)[1] >= 1.0 - self.quantities.model.table.confidence)
 
     def misfit(self, x: np.ndarray) -> tuple[float, float]:
         """chi^2 at the best values (d,) of the unknowns, and its p-value with as many degrees of
@@ -310,9 +305,7 @@ def _optima(likelihood: Likelihood, axes: list[np.ndarray], height: np.ndarray) 
     found.sort(key=lambda optimum: -optimum.height)
     kept: list[Optimum] = []
     for one in found:
-        near = (
-            np.max(np.abs(one.x - two.x) / np.sqrt(np.diag(two.covariance))) < 1.0 for two in kept
-        )
+        near = (np.all((one.x - two.x) ** 2 < np.diag(two.covariance)) for two in kept)
         if one.height > found[0].height - OPTIONS.worse and not any(near):
             kept.append(one)
     return kept
@@ -404,13 +397,8 @@ class Posterior:
         "below" or "above", and the bound."""
         level, branches = self.level(share), [*self.branches.values()]
         for place, end in product(range(len(branches[0].axes)), (0, -1)):
-            cut = [
-                branch
-                for branch in branches
-                if np.any(branch.height.take(end, axis=place) >= level)
-            ]
-            if cut:
-                yield place, "above" if end else "below", float(cut[0].axes[place][end])
+            if any(np.any(one.height.take(end, axis=place) >= level) for one in branches):
+                yield place, "above" if end else "below", float(branches[0].axes[place][end])
 
     def marginal(self, place: int) -> tuple[np.ndarray, np.ndarray]:
         """Values of an unknown, and their probabilities: (n,) each."""

@@ -118,9 +118,8 @@ def worth_of(
     values = quantities(x[None]).values[0]
     noise = np.array([row.deviation for row in rows])
     if measurements is None:
-        of_row = {True: deviations[0], False: deviations[1]}
         at_probe = np.array([row.quantity == "displacement" for row in rows])
-        shares = np.array([of_row[row.natural] for row in rows])
+        shares = np.where([row.natural for row in rows], *deviations)
         noise = np.where(at_probe, noise, shares * values[count:])
     fit = np.isfinite(values[count:]) & (noise > 0.0)
     every = np.concatenate([likelihood.deviations, np.where(fit, noise, 1.0)])
@@ -318,7 +317,28 @@ class Identification(Tabular):
 
     @cached_property
     def _assessed(self) -> tuple[str, str]:
-        return _verdict_of(self)
+        """Verdict and reason, from the misfits of both hypotheses, the logarithm of the ratio of
+        their evidences, and the interval of a crack."""
+        undecided, priors = "undecided", self.priors
+        if self.plain is None:
+            return undecided, "there is no plate without a crack to compare with"
+        least, strong = 1.0 - priors["confidence"], priors["log_bayes_factor"]
+        fits, healthy, ratio = self.misfit[1], self.plain.misfit[1], self.log_bayes_factor
+        factor = f"log Bayes factor {ratio:.3g}, crack over no crack"
+        if max(fits, healthy) < least:
+            why = "neither a crack of this kind nor a plate without one explains the measurements"
+            other = "two cracks, one of another kind or elsewhere, or a wrong measurement might"
+            return undecided, f"{why}; {other} ({factor})"
+        if ratio > strong and healthy >= least:
+            why = "a plate without a crack explains the measurements within its priors"
+            return undecided, f"{why} ({factor}){_if_as_before(self)}"
+        if ratio < -strong:
+            unseen = f"{factor}; an undetected one would be at {_where(self)}"
+            return NO_CRACK, unseen + _if_as_before(self)
+        conditions = _if_alone(self) + _if_as_before(self)
+        if ratio > strong:
+            return "crack", factor + _if_warmer(self) + conditions
+        return undecided, f"{factor}; if there is one it is at {_where(self)}{conditions}"
 
     @property
     def misfit(self) -> tuple[float, float]:
@@ -531,31 +551,6 @@ def _of_fit(found: Identification) -> list[str]:
             alone = f"a plate without a crack explains all but {' or '.join(names)}"
             said.append(f"{alone}: measure {that} again")
     return said
-
-
-def _verdict_of(found: Identification) -> tuple[str, str]:
-    """Verdict and reason, from the misfits of both hypotheses, the logarithm of the ratio of their
-    evidences, and the interval of a crack."""
-    undecided, priors = "undecided", found.priors
-    if found.plain is None:
-        return undecided, "there is no plate without a crack to compare with"
-    least, strong = 1.0 - priors["confidence"], priors["log_bayes_factor"]
-    fits, healthy, ratio = found.misfit[1], found.plain.misfit[1], found.log_bayes_factor
-    factor = f"log Bayes factor {ratio:.3g}, crack over no crack"
-    if max(fits, healthy) < least:
-        why = "neither a crack of this kind nor a plate without one explains the measurements"
-        other = "two cracks, one of another kind or elsewhere, or a wrong measurement might"
-        return undecided, f"{why}; {other} ({factor})"
-    if ratio > strong and healthy >= least:
-        why = "a plate without a crack explains the measurements within its priors"
-        return undecided, f"{why} ({factor}){_if_as_before(found)}"
-    if ratio < -strong:
-        unseen = f"{factor}; an undetected one would be at {_where(found)}"
-        return NO_CRACK, unseen + _if_as_before(found)
-    conditions = _if_alone(found) + _if_as_before(found)
-    if ratio > strong:
-        return "crack", factor + _if_warmer(found) + conditions
-    return undecided, f"{factor}; if there is one it is at {_where(found)}{conditions}"
 
 
 def _if_alone(found: Identification) -> str:

@@ -9,6 +9,7 @@ then the median arrival.
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -142,6 +143,35 @@ class ArrivalTimes(Tabular):
     def displacement(self) -> np.ndarray:
         """Tangential displacement u at the arrivals: (revolutions, probes) [m]."""
         return np.asarray(self.tip_radius * (self.nominal_angle - self.angle))
+
+    @cached_property
+    def rounding(self) -> float:
+        """Rounding of displacements [m]: of the angles, and 1e-9 of the motion."""
+        angle, motion = (float(np.nanmax(np.abs(x))) for x in (self.angle, self.displacement))
+        return 1e-9 * motion + 4.0 * float(np.spacing(angle)) * self.tip_radius
+
+    def check_places(self, angle_deviation: float) -> None:
+        """Raise InputError where a probe is passed, but for a shift of all of them, nearer to the
+        place of another one, or in another revolution: a fit would take that for a vibration; and
+        for a standard deviation of the probes' angles [rad] that is none."""
+        check_number("angle_deviation", angle_deviation, 0.0)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # a probe without arrivals
+            off = np.nanmedian(self.nominal_angle - self.angle, axis=0)
+        off -= np.nanmedian(off)
+        late = np.flatnonzero(np.abs(off) > 0.5 * TURN)
+        if len(late):
+            where = f"those at {np.degrees(self.probes[late[0]]):g} degrees"
+            found = f"{where} are of the revolutions {'before' if off[late[0]] > 0.0 else 'after'}"
+            raise InputError("time", found, "in the rows of their own revolutions, at all probes")
+        apart = np.abs(self.probes - off - self.probes[:, None])  # [said, passed]
+        nearest = np.argmin(np.minimum(apart % TURN, -apart % TURN), axis=0)
+        wrong = np.flatnonzero(np.isfinite(off) & (nearest != np.arange(len(off))))
+        if len(wrong):
+            said, passed = np.degrees(self.probes[[wrong[0], nearest[wrong[0]]]])
+            found = f"the one at {said:g} degrees is passed where that at {passed:g} degrees is"
+            allowed = "where their arrivals are; two are swapped, or times too coarse"
+            raise InputError("probes", found, allowed)
 
     def zeroed(self, begin: int, end: int) -> Self:
         """Return the same with probes at the mean blade tip of the revolutions begin to end - 1,
@@ -408,9 +438,7 @@ def read_record(
         for place, (_, name) in enumerate(sorted(headings.items())):
             if not np.any(np.isfinite(columns[name])):
                 raise InputError("path", f"{path}: {name}", "a column with finite numbers")
-            seen[turns - turns[0], place] = _angles_from_mark(
-                path, name, columns[name], turns, marks
-            )
+            seen[turns - turns[0], place] = _angles(path, name, columns[name], turns, marks)
         angles = probes.get(blade) if isinstance(probes, Mapping) else probes
         own = None if angles is None else np.asarray(angles, dtype=float)
         found_blades[blade] = _arrivals(seen, marks, tip_radius, own, int(turns[0]))
@@ -508,7 +536,7 @@ def _marks(path: str | Path, columns: dict[str, np.ndarray], turns: np.ndarray) 
     raise InputError("path", str(path), f"{allowed}; it has {', '.join(columns)}")
 
 
-def _angles_from_mark(
+def _angles(
     path: str | Path, name: str, column: np.ndarray, turns: np.ndarray, marks: np.ndarray
 ) -> np.ndarray:
     """Return angles from the mark to the arrivals: (rows,) [rad]."""

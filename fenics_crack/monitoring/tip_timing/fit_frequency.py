@@ -33,9 +33,7 @@ from fenics_crack.monitoring.tip_timing.harmonics import (
     ORDERS,
     Candidates,
     TipFit,
-    check_places,
     condition,
-    rounding,
     taken,
 )
 from fenics_crack.monitoring.tip_timing.robust import (
@@ -96,8 +94,7 @@ def fit_frequency(
     check_number("low", low, 0.0, above=True)
     check_number("high", high, low, above=True)
     check_count("harmonics", harmonics, 1)
-    check_number("angle_deviation", angle_deviation, 0.0)
-    check_places(arrivals)
+    arrivals.check_places(angle_deviation)
     seen = np.isfinite(arrivals.time)
     count, own = int(seen.sum()), int(seen.any(axis=0).sum()) if angle_deviation else 1
     if count <= (unknowns := 2 * harmonics + 1 + own):
@@ -184,7 +181,7 @@ class _Sought:
         self._span = float(arrivals.marks[turn.max() + 1] - arrivals.marks[turn.min()])
         self._own = (constants[seen][:, None] == np.unique(constants[seen])).astype(float)
         self._unknowns = 2 * harmonics + 1 + self._own.shape[1]
-        self._least, self._spread = rounding(arrivals), deviation * arrivals.tip_radius
+        self._least, self._spread = arrivals.rounding, deviation * arrivals.tip_radius
         self._stiffness = 0.0
         self._stiffen(float(np.std(self._without(self._values, np.ones(len(turn))))))
         self._none = reweighted(

@@ -27,7 +27,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import chdtri, fdtrc, ndtr
 
-from fenics_crack.basics.errors import InputError, check_count, check_number
+from fenics_crack.basics.errors import InputError, check_count
 from fenics_crack.basics.tables import TURN, UNITS, counted, hertz_of, with_frequency
 from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes, smoothed
 from fenics_crack.monitoring.tip_timing.fit_frequency import find_lines
@@ -36,10 +36,8 @@ from fenics_crack.monitoring.tip_timing.harmonics import (
     Candidates,
     Fitted,
     TipFit,
-    check_places,
     condition,
     refuse,
-    rounding,
     strengths,
     taken,
     wanted,
@@ -104,14 +102,11 @@ def fit_order(
     >>> fit = fc.fit_order(arrivals, range(1, 13))
     """
     tried, multiples = wanted(orders, harmonics, subharmonic)
-    check_number("angle_deviation", angle_deviation, 0.0)
-    check_places(arrivals)
+    arrivals.check_places(angle_deviation)
     period, highest = _period(tried, multiples), float(tried.max())
     means = Means(arrivals, period, highest, angle_deviation)
     fit = _compared(arrivals, means, tried, multiples)
-    if (
-        means.lines and not fit.does_not_fit
-    ):  # once more at the angles to which lines move the blade tip
+    if means.lines and not fit.does_not_fit:  # again at the angles to which lines move the tip
         moved = means.moved(arrivals, fit)
         means = Means(arrivals, period, highest, angle_deviation, moved)
         fit = _compared(arrivals, means, tried, multiples)
@@ -123,17 +118,17 @@ def _compared(
 ) -> TipFit:
     """Return the candidate that fits best, with the smallest vibration, and the others."""
     unknowns = 2 * len(multiples) + 1
-    fits = [means.fit(order, multiples) for order in tried]
-    hidden = np.array([fit is None for fit in fits])
-    if np.all(hidden):
+    every = {place: means.fit(order, multiples) for place, order in enumerate(tried)}
+    fits = {place: fit for place, fit in every.items() if fit is not None}
+    if not fits:
         refuse(arrivals, unknowns)
-    sums = np.array([np.inf if fit is None else fit.least for fit in fits])
+    hidden, (sums, sizes, costs) = np.full(len(tried), True), np.full((3, len(tried)), np.inf)
+    for place, fit in fits.items():
+        hidden[place], sums[place] = False, fit.least
+        sizes[place] = np.linalg.norm(fit.coefficients[1:])
     lowest, misfit, freedom = means.tested(float(sums.min()), unknowns)
-    found = [[np.inf] if fit is None else fit.coefficients[1:] for fit in fits]
-    sizes = np.array([np.linalg.norm(one) for one in found])
     equivalent, best = taken(sums, sizes, LEVELS.equal * lowest)
     chosen = fits[best]
-    assert chosen is not None
     # Arrivals that are not at the probes' angles distinguish aliases, but not reliably.
     wave = waves(tried[best] * means.nominal, multiples) @ chosen.coefficients
     left = np.array([means.unexplained(wave, one, multiples) for one in tried])
@@ -141,11 +136,10 @@ def _compared(
     known = lowest if np.isfinite(lowest) else np.nan
     if means.within > 0 and len(means.values) > unknowns + 1:
         # Nor do harmonics that are left out make another order less likely.
-        beside = [(np.inf, fit) if fit is None else means.beside_others(fit) for fit in fits]
-        costs = np.array([cost for cost, _ in beside])
+        for place, fit in fits.items():
+            costs[place], fits[place] = means.beside_others(fit)
         equivalent |= costs - costs.min() < LEVELS.equal
-        chosen = beside[best][1]
-        assert chosen is not None
+        chosen = fits[best]
         known, _, freedom = means.tested(chosen.least, unknowns)
         known = max(known, 1.0)
     chosen = replace(chosen, covariance=known * student(freedom) * chosen.covariance)
@@ -248,7 +242,7 @@ class _Seen:
         slope = np.ones(len(columns))
         # An arrival that is late by e leaves R W e (1 + u' / R): it is elsewhere, too.
         for _ in range(2):
-            passed, (whitened, values) = slope, self._whitened(slope, columns)
+            passed, (whitened, values) = slope, self._whitened(columns, self.values, slope)
             found = np.linalg.lstsq(whitened, values, rcond=None)[0]
             turned = columns[:, 1::2] * found[2::2] - columns[:, 2::2] * found[1::2]
             slope = 1.0 + order * turned @ multiples / self._radius
@@ -258,9 +252,11 @@ class _Seen:
         covariance = np.linalg.inv(whitened.T @ whitened)
         return _Fit(order, multiples, found, covariance, float(left @ left), passed)
 
-    def _whitened(self, slope: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return columns (g, m) and the means, over slopes and in standard deviations."""
-        both = np.column_stack([columns, self.values]) / slope[:, None]
+    def _whitened(
+        self, columns: np.ndarray, values: np.ndarray, slope: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return columns (g, m) and values (g,), over slopes and in standard deviations."""
+        both = np.column_stack([columns, values]) / slope[:, None]
         both = solve_triangular(self._root, both, lower=True)
         return both[:, :-1], both[:, -1]
 
@@ -318,7 +314,7 @@ class _Seen:
         others = multiples[-1] + multiples[0] * np.arange(1.0, N_FOLDED + 1.0)
         columns = waves(fit.order * self.angle, np.append(multiples, others))
         volume = np.linalg.slogdet(columns[:, :unknowns].T @ columns[:, :unknowns])[1]
-        columns, values = self._whitened(fit.slope, columns)
+        columns, values = self._whitened(columns, self.values, fit.slope)
         units = np.ones((len(sizes), columns.shape[1]))
         units[:, unknowns:] = np.repeat(sizes, 2, axis=1)
         square = units[:, :, None] * (columns.T @ columns) * units[:, None, :]
@@ -399,13 +395,13 @@ class Means(_Seen):
             self.values = np.bincount(where, weights * self._data) / np.bincount(where, weights)
             return self._data - self.values[where]
 
-        noise = reweighted(solve, np.ones(len(where)), len(groups), rounding(arrivals))
+        noise = reweighted(solve, np.ones(len(where)), len(groups), arrivals.rounding)
         own = np.eye(len(groups))[where]
         self.scatter, covariance = 1.0, np.diag(1.0 / np.bincount(where))
         if within > 0:
-            self.scatter = max(float(np.sqrt(noise.variance)), rounding(arrivals))
+            self.scatter = max(float(np.sqrt(noise.variance)), arrivals.rounding)
             covariance = noise.covariance(own, places)
-            covariance += np.eye(len(groups)) * rounding(arrivals) ** 2
+            covariance += np.eye(len(groups)) * arrivals.rounding**2
             place = groups % probes
             spread = (arrivals.tip_radius * angle_deviation) ** 2
             covariance += spread * (place[:, None] == place)
@@ -424,10 +420,8 @@ class Means(_Seen):
 
     def unexplained(self, wave: np.ndarray, order: float, multiples: np.ndarray) -> float:
         """Return the residual of a wave at the nominal angles, fitted by an order, in variances."""
-        columns, values = (
-            solve_triangular(self._root, part, lower=True)
-            for part in (waves(order * self.nominal, multiples), wave)
-        )
+        columns = waves(order * self.nominal, multiples)
+        columns, values = self._whitened(columns, wave, np.ones(len(wave)))
         left = values - columns @ np.linalg.lstsq(columns, values, rcond=1e-10)[0]
         return float(left @ left)
 
@@ -492,8 +486,7 @@ class TipTrack(Fitted):
 
     def to_dict(self) -> dict[str, Any]:
         """Return columns, a row for every group of revolutions."""
-        values = {"speed": self.speed.tolist(), "omega": self.omega.tolist()}
-        found = with_frequency(values)
+        found = with_frequency({"speed": self.speed.tolist(), "omega": self.omega.tolist()})
         for place, multiple in enumerate(self.multiples):
             found[f"amplitude_{multiple:g}"] = self.amplitudes[:, place].tolist()
             found[f"amplitude_error_{multiple:g}"] = self.amplitude_errors[:, place].tolist()
@@ -553,8 +546,7 @@ def track_order(
     """
     _, multiples = wanted([order], harmonics, subharmonic)
     check_count("revolutions", revolutions, 1)
-    check_number("angle_deviation", angle_deviation, 0.0)
-    check_places(arrivals)
+    arrivals.check_places(angle_deviation)
     groups, unknowns = len(arrivals) // revolutions, 2 * len(multiples) + 1
     probes = len(arrivals.probes)
     if not groups:
@@ -582,7 +574,7 @@ def track_order(
     own = probes * (subharmonic if revolutions > 1 else 1) - unknowns
     misfit = trend(left.reshape(-1, probes)[places], places) if own > 0 else np.nan
     variance, within = _variance(left, seen, np.where(enough, count - unknowns, 0))
-    variance = max(variance, rounding(arrivals) ** 2)
+    variance = max(variance, arrivals.rounding**2)
     place = np.tile(np.arange(probes), revolutions)
     spread = (arrivals.tip_radius * angle_deviation) ** 2 * (place[:, None] == place)
     covariance = variance * np.eye(len(place)) + spread

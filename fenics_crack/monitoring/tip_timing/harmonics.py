@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NoReturn
@@ -11,7 +10,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from fenics_crack.basics.errors import InputError, check_count, check_number
-from fenics_crack.basics.tables import TURN, Tabular, counted, hertz_of, quantity, with_frequency
+from fenics_crack.basics.tables import Tabular, counted, hertz_of, quantity, with_frequency
 from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes
 from fenics_crack.monitoring.tip_timing.robust import LEVELS
 from fenics_crack.numerics.fourier import waves
@@ -261,10 +260,8 @@ def strengths(coefficients: np.ndarray, covariance: np.ndarray) -> tuple[np.ndar
     """
     parts = np.stack([coefficients[..., 1::2], coefficients[..., 2::2]])
     sizes = np.hypot(*parts)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        cosine, sine = np.where(
-            sizes > 0.0, parts / sizes, np.reshape([1.0, 0.0], (2, *(1,) * sizes.ndim))
-        )
+    turned = np.stack([np.ones_like(sizes), np.zeros_like(sizes)])
+    cosine, sine = np.divide(parts, sizes, out=turned, where=sizes > 0.0)
     places = np.arange(1, coefficients.shape[-1], 2)
     own, other = covariance[..., places, places], covariance[..., places + 1, places + 1]
     both = covariance[..., places, places + 1]
@@ -315,30 +312,6 @@ def condition(columns: np.ndarray) -> float:
     return value if value < 1e8 else np.inf
 
 
-def check_places(arrivals: ArrivalTimes) -> None:
-    """Raise InputError where a probe is passed, but for a shift of all of them, nearer to the place
-    of another one, or in another revolution: a fit would take that for a vibration."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # a probe without arrivals
-        off = np.nanmedian(arrivals.nominal_angle - arrivals.angle, axis=0)
-    off -= np.nanmedian(off)
-    late = np.flatnonzero(np.abs(off) > 0.5 * TURN)
-    if len(late):
-        where = f"those at {np.degrees(arrivals.probes[late[0]]):g} degrees"
-        found = f"{where} are of the revolutions {'before' if off[late[0]] > 0.0 else 'after'}"
-        raise InputError("time", found, "in the rows of their own revolutions, at all probes")
-    apart = np.abs(arrivals.probes - off - arrivals.probes[:, None])  # [said, passed]
-    apart = np.minimum(apart % TURN, -apart % TURN)
-    nearest = np.argmin(apart, axis=0)
-    wrong = np.flatnonzero(np.isfinite(off) & (nearest != np.arange(len(off))))
-    if len(wrong):
-        said, passed = np.degrees(arrivals.probes[[wrong[0], nearest[wrong[0]]]])
-        found = f"the one at {said:g} degrees is passed where that at {passed:g} degrees is"
-        raise InputError(
-            "probes", found, "where their arrivals are; two are swapped, or times too coarse"
-        )
-
-
 def refuse(arrivals: ArrivalTimes, unknowns: int) -> NoReturn:
     """Raise InputError: these probes cannot determine so many unknowns."""
     angles = ", ".join(f"{angle:g}" for angle in np.degrees(arrivals.probes))
@@ -346,10 +319,3 @@ def refuse(arrivals: ArrivalTimes, unknowns: int) -> NoReturn:
     allowed = f"able to determine {unknowns} unknowns of a fit: more probes, unequally spaced, "
     allowed += "fewer harmonics, or arrivals that scatter less"
     raise InputError("probes", found, allowed)
-
-
-def rounding(arrivals: ArrivalTimes) -> float:
-    """Return the rounding of displacements [m]: of the angles, and 1e-9 of the motion."""
-    largest = float(np.nanmax(np.abs(arrivals.angle)))
-    motion = float(np.nanmax(np.abs(arrivals.displacement)))
-    return 1e-9 * motion + 4.0 * float(np.spacing(largest)) * arrivals.tip_radius

@@ -181,6 +181,12 @@ class PassageFit(Tabular):
         beside = self.damping * self.omega if self.in_doubt else 0.0
         return max(self.omega_error, apart, beside)
 
+    @property
+    def in_words(self) -> str:
+        """Frequency with its :attr:`deviation`, engine order and speed, in words."""
+        hertz = f"{self.omega / TURN:.6g} ± {self.deviation / TURN:.2g} Hz"
+        return f"{hertz}, engine order {self.order:g} at {self.speed / RPM:.6g} rpm"
+
     def compared(self, arrivals: ArrivalTimes) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Return for each passage the speeds (R,) [rad/s], and the displacements (R, P) [m],
         measured without drift (nan where none was) and of the fit; without blind probes."""
@@ -203,10 +209,9 @@ class PassageFit(Tabular):
         return found | rest
 
     def _title(self) -> str:
-        parts = [f"order {self.order:g}, {self.speed / RPM:.6g} rpm"]
-        error = self.omega_error / TURN
-        parts.append(f"{self.omega / TURN:.6g} ± {error:.2g} Hz")
-        parts.append(f"damping {self.damping:.3g} ± {self.damping_error:.2g}")
+        hertz = f"{self.omega / TURN:.6g} ± {self.omega_error / TURN:.2g} Hz"
+        damping = f"damping {self.damping:.3g} ± {self.damping_error:.2g}"
+        parts = [f"order {self.order:g}, {self.speed / RPM:.6g} rpm", hertz, damping]
         parts.append(quantity(self.amplitude, "m"))
         if self.untested:
             parts.append(f"order untested by {counted(self.probes, 'probe')}")
@@ -464,9 +469,8 @@ class _Search:
         it has one within the speeds that are fitted. Others within the width of either may be
         residuals of wrong orders, and are dropped."""
         found, size = self.found, one.best.amplitude
-        if len(self.orders) < 2 or any(
-            other.covers(one) and other.best.amplitude > size for other in found
-        ):
+        larger = [other for other in found if other.best.amplitude > size]
+        if len(self.orders) < 2 or any(other.covers(one) for other in larger):
             return False
         others = [other for other in found if one.near(other, WIDTH) and not one.covers(other)]
         if not others:
@@ -492,13 +496,11 @@ class _Search:
             for one in sorted(crowd, key=lambda one: -one.best.amplitude):
                 before = one.best.mode.root
                 self._refit(one)
-                if one not in self.found:
-                    crowd.remove(one)
-                    moved = True
-                    continue
-                moved |= abs(one.best.mode.root - before) > 0.1 * float(one.best.errors[0])
+                apart = abs(one.best.mode.root - before)
+                moved |= one not in self.found or apart > 0.1 * float(one.best.errors[0])
             if not moved:
                 break
+            crowd = [one for one in crowd if one in self.found]
 
 
 def _clearness(
@@ -662,9 +664,8 @@ class _Compared:
         for place, one in enumerate(both):
             most = dict(zip(orders.tolist(), gains.max(axis=1 - place).tolist(), strict=True))
             one.margins = _margins(most, fits.values(), best, place)
-            one.again(
-                record, values - best.motion(record, len(values), 1 - place), best.modes[place]
-            )
+            alone = values - best.motion(record, len(values), 1 - place)
+            one.again(record, alone, best.modes[place])
 
     def described(
         self,

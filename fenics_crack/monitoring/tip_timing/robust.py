@@ -197,10 +197,8 @@ class Noise:
         for lag, products in enumerate(_products(self.psi, itertools.count(), places)):
             seen = []
             for total, count in products:
-                deviation = variance * np.sqrt(count if lag else 2.0 * count)
-                seen.append(
-                    total / count if count and abs(total) > LEVELS.deviations * deviation else 0.0
-                )
+                limit = LEVELS.deviations * variance * np.sqrt(count if lag else 2.0 * count)
+                seen.append(total / count if count and abs(total) > limit else 0.0)
             if lag == 0:
                 seen[0] = 0.0
             elif not any(seen):

@@ -12,7 +12,7 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.progress import begin
 from fenics_crack.basics.ranks import MPI, gather_rows
-from fenics_crack.basics.tables import RPM, TURN, speed_in_words
+from fenics_crack.basics.tables import TURN, speed_in_words
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.fem.build import with_crack_length
 from fenics_crack.fem.cracks import SAME
@@ -116,11 +116,9 @@ def _run_of(scene: Scene, source: Path | None, comm: MPI.Comm) -> Run[Result]:
     """The result from which arrivals are computed."""
     run: Run[Result] = solve(scene, comm) if source is None else load_run(source, comm)
     result = run.result
-    if curve_of(run) is not None:
-        return run
-    if not isinstance(result, PeriodicSolution):
+    if not isinstance(result, (PeriodicSolution, ResponseCurve)):
         raise InputError("source", str(source), "a solution, a curve, or a CSV file of arrivals")
-    if not result.converged:
+    if isinstance(result, PeriodicSolution) and not result.converged:
         raise InputError("source", str(source or "the scene"), f"converged: {result.status}")
     return run
 
@@ -140,16 +138,10 @@ def _computed(
         points, lost = run_up_points(curve)
         # The part before it becomes unstable; all where that is at once.
         result = curve if lost is None or len(points) < 2 else curve.part(points)
+    given = {key: getattr(table, key) for key in ("tip_radius", "revolutions", "noise", "clock")}
+    given |= {"probes": np.radians(degrees), "seed": table.seed + max(blade - 1, 0)}
     return tip_timing(
-        result,
-        tip_direction(table, run, blade),
-        probes=np.radians(degrees),
-        tip_radius=table.tip_radius,
-        **_turning(table, run, source),
-        revolutions=table.revolutions,
-        noise=table.noise,
-        clock=table.clock,
-        seed=table.seed + max(blade - 1, 0),
+        result, tip_direction(table, run, blade), **given, **_turning(table, run, source)
     )
 
 
@@ -254,12 +246,11 @@ def modes_passed(scene: Scene, arrivals: ArrivalTimes) -> list[tuple[PassageFit,
 
 def passed_in_words(fit: PassageFit, mode: int, why: str) -> str:
     """Describe the resonance of a mode and doubts about it, or why it is not used."""
-    hertz = f"{fit.omega / TURN:.6g} ± {fit.deviation / TURN:.2g} Hz"
-    where = f"{hertz}, engine order {fit.order:g} at {fit.speed / RPM:.6g} rpm"
     doubts = ["another vibration is near it"] * fit.in_doubt
     doubts += [f"its {fit.disagreement}"] * fit.disagree
     doubt = "; ".join([why] * bool(why) + doubts)
-    return (f"mode {mode}: " if mode else "not used: ") + where + f" ({doubt})" * bool(doubt)
+    name = f"mode {mode}" if mode else "not used"
+    return f"{name}: {fit.in_words}" + f" ({doubt})" * bool(doubt)
 
 
 def mode_of(fit: PassageFit, diagram: Campbell) -> tuple[int, str]:
@@ -350,9 +341,8 @@ def probed_displacement(scene: Scene) -> tuple[str, bool]:
     if rotation is None:
         return [*scene.point_names, ""][0], (table.tangential or 1.0) < 0.0
     if not scene.points:
-        raise InputError(
-            "output.points", None, "given with arrivals of a solid blade: its tip first"
-        )
+        allowed = "given with arrivals of a solid blade: its tip first"
+        raise InputError("output.points", None, allowed)
     tip = scene.points[0]
     along = _circumferential(rotation, np.array(tip.values))
     largest = int(np.abs(along).argmax())

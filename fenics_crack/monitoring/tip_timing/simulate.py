@@ -174,13 +174,9 @@ def _motion(
         raise InputError("speed, order", (speed, order), "one of them")
     turning = float(speed or result.omega / (order or 1))
     waves = result.coefficients_at(list(shares)) @ np.array(list(shares.values()), dtype=float)
-    return _TipMotion(
-        (turning, turning),
-        revolutions,
-        np.array([turning, 2.0 * turning]),
-        to_complex(waves)[None].repeat(2, axis=0),
-        result.base_omega / turning,
-    )
+    speeds, harmonics = np.array([turning, 2.0 * turning]), np.tile(to_complex(waves), (2, 1))
+    periods = result.base_omega / turning
+    return _TipMotion((turning, turning), revolutions, speeds, harmonics, periods)
 
 
 def _run_up(

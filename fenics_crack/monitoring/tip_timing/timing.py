@@ -149,9 +149,9 @@ def _of_passages(found: Mapping[int, tuple[PassageFit, ...]]) -> tuple[Said, lis
     """The clearest resonance, notes and doubts about all."""
     every = [(blade, fit) for blade, fits in found.items() for fit in fits]
     warnings = ["no resonance stands out"] * (not every)
-    for blade, fits in found.items():
-        angles = [f"{np.degrees(angle):.5g}" for angle in (fits[0].blind if fits else ())]
-        warnings += [f"blade {blade}, probe at {angle} degrees: {BLIND}" for angle in angles]
+    first = [(blade, fits[0]) for blade, fits in found.items() if fits]
+    blind = [(blade, np.degrees(angle)) for blade, fit in first for angle in fit.blind]
+    warnings += [f"blade {blade}, probe at {angle:.5g} degrees: {BLIND}" for blade, angle in blind]
     for blade, fit in every:
         name = f"blade {blade}, {fit.speed / RPM:.5g} rpm"
         if fit.untested:
@@ -164,15 +164,12 @@ def _of_passages(found: Mapping[int, tuple[PassageFit, ...]]) -> tuple[Said, lis
         if fit.in_doubt:
             warnings.append(f"{name}: {NEARBY}")
     notes = [CONSTANT] * any(fit.stiffening == 0.0 for _, fit in every[:1])
-    for blade, fits in found.items():
-        lines = fits[0].asynchronous if fits else ()
-        notes += [f"blade {blade}: {_of_line(line)}" for line in lines]
+    lines = [(blade, line) for blade, fit in first for line in fit.asynchronous]
+    notes += [f"blade {blade}: {_of_line(line)}" for blade, line in lines]
     said = Said("no resonance found")
     if every:
         blade, clearest = every[0]
-        hertz = f"{clearest.omega / TURN:.6g} ± {clearest.deviation / TURN:.2g} Hz"
-        where = f"engine order {clearest.order:g} at {clearest.speed / RPM:.6g} rpm"
-        known = f"the clearest of blade {blade} at {hertz}, {where}"
+        known = f"the clearest of blade {blade} at {clearest.in_words}"
         said = Said(f"{counted(len(every), 'resonance')} found", known)
     return said, notes, warnings
 

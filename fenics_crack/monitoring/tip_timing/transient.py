@@ -41,7 +41,6 @@ from fenics_crack.monitoring.tip_timing.arrival_times import (
     ArrivalTimes,
     between,
 )
-from fenics_crack.monitoring.tip_timing.harmonics import rounding
 from fenics_crack.monitoring.tip_timing.robust import refined, reweighted
 from fenics_crack.numerics.equations import TINY
 
@@ -74,7 +73,7 @@ class Run:
         self.values = np.where(self.seen, values[rows], 0.0)
         self.path, self.time = arrivals.nominal_angle[rows], arrivals.expected[rows]
         self.angle = np.where(self.seen, arrivals.angle[rows], self.path)
-        self.speed, self.least = record.speed[rows], record.least
+        self.speed, self.least = record.speed[rows], arrivals.rounding
         self.along = (self.speed - self.speed.mean()) / (self.speed.max() - self.speed.min())
 
     @property
@@ -93,11 +92,8 @@ class Run:
         for part in self._parts(slower * roots.real.min()):
             passed = slower * (time[part] - time[part.start])
             grown = np.exp(1j * slower * (path[part] - path[part.start]) - roots[0] * passed)
-            growths = [grown]
-            if len(roots) > 1:
-                factor = np.exp((roots[0] - roots[1]) * passed)
-                growths += [grown := grown * factor for _ in roots[1:]]
-            growth = np.array(growths)
+            factor = np.exp((roots[0] - roots[-1]) / max(len(roots) - 1, 1) * passed)
+            growth = np.cumprod([grown, *[factor] * (len(roots) - 1)], axis=0)
             pushed = (growth[:, 1:] - growth[:, :-1]) * push[:, part.start : part.stop - 1]
             np.cumsum(pushed, axis=1, out=pushed)
             pushed += envelope[:, [part.start]]
@@ -109,9 +105,10 @@ class Run:
         """Return a(t) exp(i p alpha) of a mode at the arrivals, for F = 1: (R, P)."""
         return np.asarray(self.waves(mode.order, np.array([mode.root]))[0])
 
-    def sloped(self, order: float, root: complex) -> np.ndarray:
-        """Return a(t) exp(i p alpha) at the arrivals, for F = 1 and a root lambda, and zeta w_n
-        times the derivative of the rest of it by ln lambda: (2, R, P)."""
+    def sloped(self, mode: Mode) -> np.ndarray:
+        """Return a(t) exp(i p alpha) of a mode at the arrivals, for F = 1, and zeta w_n times the
+        derivative of the rest of it by ln lambda: (2, R, P)."""
+        order, root = mode.order, mode.root
         time, path, turning, turned = self._turned(order)
         slower = self._slower(order, np.array([root]))
         found, push = np.empty((2, len(time)), dtype=complex), 1.0 / (1j * turning - root)
@@ -209,11 +206,6 @@ class Record:
         """Mean speed of each revolution [rad/s]."""
         return self.arrivals.speed
 
-    @cached_property
-    def least(self) -> float:
-        """Rounding of displacements [m]."""
-        return rounding(self.arrivals)
-
     def runs(self, values: np.ndarray, speed: float) -> list[Run]:
         """Return the parts of a record in which the speed is near one, and on both sides of it."""
         apart = self.speed / speed - 1.0
@@ -295,9 +287,7 @@ class Fit:
         self._runs, self.modes = runs, tuple(modes)
         self._omegas = [mode.omega for mode in modes]
         self._waves = lru_cache(maxsize=1)(self._waves_of)
-        begin = np.concatenate(
-            [weight[run.seen] for run, weight in zip(runs, weights, strict=True)]
-        )
+        begin = np.concatenate([part[run.seen] for run, part in zip(runs, weights, strict=True)])
         unknowns = 2 * len(modes) + sum(2 * len(modes) + 2 * run.probes for run in runs)
         self.noise = reweighted(self._solve, begin, unknowns, runs[0].least)
 
@@ -321,14 +311,13 @@ class Fit:
 
     def _waves_of(self, modes: tuple[Mode, ...]) -> list[np.ndarray]:
         """Return the waves of modes in each run, and their slopes, by :meth:`Run.sloped`."""
-        return [
-            np.concatenate([run.sloped(one.order, one.root) for one in modes]) for run in self._runs
-        ]
+        return [np.concatenate([*map(run.sloped, modes)]) for run in self._runs]
 
     def _linear(self, weights: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Fit the forces with weights (R, P), and return residuals (n,) and their derivatives by
         ln w_n and ln zeta of each mode (n, m), all times the roots of the weights."""
         forces, parts = [], []
+        by_mode = np.array([(1.0, mode.root.real / mode.root) for mode in self.modes])
         for run, waves, weight in zip(self._runs, self._waves(self.modes), weights, strict=True):
             given = run.without_drifts(np.concatenate([run.values[None], waves]), weight)
             values, *waves = given[:, run.seen]
@@ -339,13 +328,9 @@ class Fit:
             found = np.linalg.lstsq(columns @ columns.T, columns @ both.T, rcond=None)[0]
             both -= found.T @ columns
             forces.append(found[0::2, 0] + 1j * found[1::2, 0])
-            slopes = []
-            for mode, force, slope in zip(
-                self.modes, forces[-1], both[1:].reshape(-1, 2, len(values)), strict=True
-            ):
-                for turned in (force, force * mode.root.real / mode.root):
-                    slopes.append(-(turned.real * slope[0] + turned.imag * slope[1]))
-            parts.append(np.stack([both[0], *slopes], axis=1))
+            turned = forces[-1][:, None] * by_mode  # by ln w_n, and by ln zeta
+            slopes = turned[..., None] * (both[1::2] - 1j * both[2::2])[:, None]
+            parts.append(np.vstack([both[:1], -slopes.real.reshape(-1, len(values))]).T)
         self.forces, both = np.array(forces).T, np.concatenate(parts)
         return both[:, 0], both[:, 1:]
 

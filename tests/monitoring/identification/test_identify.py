@@ -487,6 +487,8 @@ def test_edges_of_the_same_frequencies(scene: fc.Scene, folder: Path) -> None:
     natural = fc.Measurements(tuple(row for row in rows.rows if row.natural))
     found = fc.identify(scene, natural, folder=folder)
     assert "right edge" in found.remarks[0]
+    at_load = fc.Measurement("ratio_2_1", 0.01, 0.001, frequency=700.0)  # that of the scene
+    assert found.where_to_measure([at_load]).information[0] > 0.0
     few = {"crack.length": [0.01, 0.018, 0.026, 0.034], "crack.edge": ["left", "right"]}
     plain = scene.replace({"identify.finer": 1.0, "crack.height": 0.08})
     both = fc.identify(plain, natural, few, folder=folder)
