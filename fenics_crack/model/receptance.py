@@ -26,7 +26,7 @@ from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.progress import begin
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.model.factor import AT_A_TIME, Factor
-from fenics_crack.model.modes import lowest_known, modes_by, times
+from fenics_crack.model.modes import modes_by, solve_modes, times
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import EPSILON, ROUNDING
 
@@ -170,23 +170,13 @@ def rows_at(structure: Structure, count: int, dofs: np.ndarray) -> tuple[np.ndar
     wanted = [int(dof) for dof in dofs]
     missing = [dof for dof in dict.fromkeys(wanted) if dof not in known.rows]
     if missing:
-        check_matrices(structure, f"displacements of dofs {missing}")
-        shapes = lowest_modes(structure, known.n_modes)
+        shapes = solve_modes(structure, known.n_modes).shapes
         left = ResidualFlexibility(structure, shapes, known.squares, sources_of(structure))
         _add_rows(known, structure, np.array(missing), left)
     shapes, static = (
         np.array(rows) for rows in zip(*(known.rows[dof] for dof in wanted), strict=True)
     )
     return shapes[:, :count], known.beyond(count, static, shapes)
-
-
-def lowest_modes(structure: Structure, count: int) -> np.ndarray:
-    """Shapes of the lowest modes of a structure whose receptance has them: (n_local, count)."""
-    found = lowest_known(structure, count)
-    if found is None:
-        check_matrices(structure, "shapes of its modes")
-    assert found is not None
-    return found.shapes
 
 
 def expanded(

@@ -28,9 +28,9 @@ from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.tables import hertz_of
 from fenics_crack.model.body import Body
 from fenics_crack.model.factor import distributed
-from fenics_crack.model.modes import NEGLIGIBLE
+from fenics_crack.model.modes import NEGLIGIBLE, solve_modes
 from fenics_crack.model.nodes import of_body
-from fenics_crack.model.receptance import expanded, lowest_modes, rows_at
+from fenics_crack.model.receptance import expanded, rows_at
 from fenics_crack.model.structure import DampingRule, Structure
 
 INSTEAD = "reduce with method = 'free_interface', or march by integrate_exponential"
@@ -232,7 +232,7 @@ class MasslessStructure(MasslessInterface):
     @property
     def basis(self) -> np.ndarray:  # type: ignore[override]
         """Phi: (whole.n_local, n_modes)."""
-        return lowest_modes(self._whole, self.n_modes)
+        return solve_modes(self._whole, self.n_modes).shapes
 
     @property
     def shapes(self) -> np.ndarray:  # type: ignore[override]

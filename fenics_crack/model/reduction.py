@@ -40,14 +40,10 @@ from fenics_crack.model.modes import (
     damping_in,
     independent_part,
     modes_by,
+    solve_modes,
     times,
 )
-from fenics_crack.model.receptance import (
-    ResidualFlexibility,
-    loaded_parts,
-    lowest_modes,
-    receptance,
-)
+from fenics_crack.model.receptance import ResidualFlexibility, loaded_parts, receptance
 from fenics_crack.model.reduced import MasslessStructure, ReducedStructure, check_mass
 from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
 
@@ -178,7 +174,7 @@ def _massless(structure: Structure, modes: int, assessed: bool | int) -> Massles
         lost = _is_rounding(np.diag(left), seen[:count], squares)
         left[lost] = left[:, lost] = 0.0  # forces that the kept modes carry alone
         if not isinstance(own, DampingRule | None):
-            damping = _damping(whole, lowest_modes(whole, count), squares)
+            damping = _damping(whole, solve_modes(whole, count).shapes, squares)
         reference = MasslessStructure(
             whole,
             squares,
