@@ -82,6 +82,7 @@ def test_friction() -> None:
     check_single(solved(structure, law, drawn(0.9, 20)), 0.9)
 
 
+@pytest.mark.nightly
 def test_order_of_cases(light_lips: fc.Structure) -> None:
     """Shuffled cases have the same orbits."""
     omega = float(fc.bilinear_frequencies(light_lips).omega_bilinear[0])

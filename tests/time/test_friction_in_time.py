@@ -123,7 +123,9 @@ def test_files(tmp_path: Path) -> None:
     assert np.array_equal(again.tangential_gap, history.tangential_gap) and again.friction == 0.3
 
 
-@pytest.mark.parametrize("how", [{"tolerance": 0.05}, {"harmonics": 8}])
+@pytest.mark.parametrize(
+    "how", [pytest.param({"tolerance": 0.05}, marks=pytest.mark.nightly), {"harmonics": 8}]
+)
 def test_curves(tmp_path: Path, how: dict[str, float]) -> None:
     """Over the frequency and the coefficient: points are solutions, also when read again."""
     structure, _ = plate("inclined_crack", 0.005)
