@@ -208,13 +208,10 @@ def measured(arguments: common.Arguments, figures: dict[str, Figure]) -> list[st
 
 
 def write_scenes(folder: Path) -> None:
-    """The plate of ``new`` without its modes, and one to be identified, in a folder."""
+    """The plate of ``new``, and one to be identified, in a folder."""
     for words in (["plate.toml"], ["found.toml", "--identify"]):
         command = [sys.executable, "-m", "fenics_crack", "new", *words]
         subprocess.run(command, cwd=folder, env=environment(HERE), check=True, capture_output=True)
-    text = (folder / "plate.toml").read_text()
-    before, _, rest = text.partition("[reduction]")
-    (folder / "plate.toml").write_text(before + rest[rest.find("[curve]") :] if rest else text)
 
 
 def environment(source: str) -> dict[str, str]:
