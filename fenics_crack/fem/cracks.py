@@ -215,8 +215,8 @@ def connected(rows: np.ndarray) -> np.ndarray:
     """The part of each row of nodes, (n,) int: rows are of one where they share a node."""
     from scipy.sparse.csgraph import connected_components  # takes a while, for few meshes
 
-    ends = rows[:, :-1].ravel(), rows[:, 1:].ravel()
-    links = sparse.coo_matrix((np.ones(len(ends[0]), bool), ends), 2 * (int(rows.max()) + 1,))
+    ends, count = (rows[:, :-1].ravel(), rows[:, 1:].ravel()), int(rows.max()) + 1
+    links = sparse.coo_matrix((np.ones(len(ends[0]), bool), ends), (count, count))
     part = connected_components(links, directed=False)[1][rows[:, 0]]
     return np.unique(part, return_inverse=True)[1]
 

@@ -214,5 +214,10 @@ class Dofs:
         """Positions, numbers and cells for look-ups and pictures."""
         cells, vtk_type = compat.vtk_cells(self.space)
         numbers = self.space.dofmap.index_map.local_to_global(cells.ravel().astype(np.int32))
-        cells, dofs = np.reshape(numbers, cells.shape), self.numbers.reshape(-1, self.dimension)
-        return Nodes(self.points.copy(), dofs, cells, max(self.comm.allgather(vtk_type)), self)
+        return Nodes(
+            points=self.points.copy(),
+            dofs=self.numbers.reshape(-1, self.dimension),
+            cells=np.asarray(numbers).reshape(cells.shape),
+            vtk_type=max(self.comm.allgather(vtk_type)),
+            numbered=self,
+        )

@@ -257,10 +257,14 @@ def solution_from(parts: Parts, structure: Structure, contact: Law) -> PeriodicS
     compliance = dynamic_compliance(seen, omega / subharmonic, len(gap) // 2, subharmonic)
     displacement = compliance.displacement(rows)
     compliance.destroy()
-    known: Parts = {"structure": structure, "contact": contact}
-    known["displacement_coefficients"] = displacement
-    known["stability"] = unpacked(Stability, parts) if "multipliers" in parts else None
-    solution = unpacked(PeriodicSolution, parts, **known).reported(unpacked(ErrorReport, errors))
+    solution = unpacked(
+        PeriodicSolution,
+        parts,
+        structure=structure,
+        contact=contact,
+        displacement_coefficients=displacement,
+        stability=unpacked(Stability, parts) if "multipliers" in parts else None,
+    ).reported(unpacked(ErrorReport, errors))
     if solution.converged:
         _check_gap(structure, displacement, gap, max(1e-6, 10.0 * solution.report.residual))
     return solution

@@ -530,8 +530,13 @@ class Absent:
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
             raise AttributeError(name)
-        allowed = "one with its matrices, for this: solve the scene itself"
-        raise InputError("structure", "a file of a prepared structure", allowed)
+        raise self.refused("this")
+
+    @staticmethod
+    def refused(wanted: str) -> InputError:
+        """The error of what takes matrices or a mesh."""
+        allowed = f"one with its matrices, for {wanted}: solve the scene itself"
+        return InputError("structure", "a file of a prepared structure", allowed)
 
 
 def per_pair(name: str, given: Any, pairs: int) -> np.ndarray:

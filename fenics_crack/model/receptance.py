@@ -22,10 +22,10 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse as sparse
 
-from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.progress import begin
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.model.factor import AT_A_TIME, Factor
+from fenics_crack.model.matrices import Absent
 from fenics_crack.model.modes import modes_by, solve_modes, times
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import EPSILON, ROUNDING
@@ -121,8 +121,7 @@ def _of_load(structure: Structure, known: Receptance) -> Receptance | None:
 def check_matrices(structure: Structure, wanted: str) -> None:
     """Raise InputError for what a structure of arrays alone has not."""
     if not structure.has_matrices:
-        allowed = f"one with its matrices, for {wanted}: solve the scene itself"
-        raise InputError("structure", "a file of a prepared structure", allowed)
+        raise Absent.refused(wanted)
 
 
 def sources_of(structure: Structure) -> sparse.csr_matrix:

@@ -35,7 +35,7 @@ from fenics_crack.numerics.equations import ROUNDING
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.meshes import coarser, coarser_scene
 from fenics_crack.study.prepare import Study, prepare, reduced
-from fenics_crack.study.sharing import Made, kept, parts_shared
+from fenics_crack.study.sharing import Made, kept, loads_of, parts_shared
 from fenics_crack.study.solve import MOST_OF_MANY, modes_chosen, reduced_to
 
 KIND = "prepared structure"
@@ -263,8 +263,7 @@ def _without_amplitudes(loads: tuple[Any, ...]) -> tuple[Any, ...]:
 def _weights(known: Scene, scene: Scene) -> np.ndarray:
     """The matrix that maps rows of the load of one scene to those of another whose forces act in
     the same place and in the same directions."""
-    its, own = (parts_shared(one, MPI.COMM_SELF)[1] for one in (known, scene))
-    if its == own:  # a file with its wave may have gone
+    if loads_of(known) == loads_of(scene):  # a file with its wave may have gone
         return np.eye(1 + 2 * known.highest_order)
     before, after = (np.array(parts_of(one), dtype=float) for one in (known, scene))
     weights = after @ np.linalg.pinv(before)

@@ -82,8 +82,12 @@ def parts_shared(scene: Scene, comm: MPI.Comm) -> tuple[Any, Any, Any]:
         [_without(crack, "clearance") for crack in cracks], scene.rotation, scene.disk,
         scene.structure, on_root(comm, lambda: digests_of(scene)),
     )  # fmt: skip
-    loads = _without(scene.excitation, "omega", "frequency"), scene.loads, scene.base
-    return matrices, loads, ([crack.clearance for crack in cracks], scene.damping)
+    return matrices, loads_of(scene), ([crack.clearance for crack in cracks], scene.damping)
+
+
+def loads_of(scene: Scene) -> tuple[Any, ...]:
+    """Of the keys of a scene, what its loads depend on."""
+    return _without(scene.excitation, "omega", "frequency"), scene.loads, scene.base
 
 
 def _without(table: Any, *names: str) -> Any:

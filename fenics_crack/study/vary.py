@@ -84,6 +84,7 @@ from fenics_crack.model.modes import Modes, bilinear_frequencies, solve_modes, t
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.rotation import RunUpStructure
+from fenics_crack.motion.motions import rows_of
 from fenics_crack.motion.orbit import INSTANTS, PeriodicOrbit
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.meshes import coarser, finer_mesh, is_even, n_elements
@@ -569,11 +570,8 @@ class _Stated(_Case):
 
 def _motion_of(motion: PeriodicOrbit | PeriodicSolution, dofs: Sequence[int]) -> np.ndarray:
     """Displacements of dofs, and gaps, at equally spaced times of the period (collective)."""
-    if isinstance(motion, PeriodicOrbit):
-        moved = motion.structure.values_at(motion.sampled.displacement, dofs)
-        return np.hstack([moved, motion.gap])
-    time = np.arange(INSTANTS) * motion.period / INSTANTS
-    return np.hstack([motion.displacement(time, dofs), motion.gap(time)])
+    [record] = motion.records(rows_of(motion.structure, dofs), INSTANTS)
+    return np.hstack([record.motion, record.gap[:, : record.n_pairs]])
 
 
 def _solved(

@@ -421,15 +421,24 @@ def march(asked: March, scheme: Scheme) -> TimeHistory:
     for item in scheme.owned:
         item.destroy()
     pairs, coefficient = structure.n_pairs, coefficient_of(asked.contact)
-    of_friction: dict[str, Any] = {}
-    if coefficient is not None:
-        of_friction = {"tangential_gap": gap[:, pairs:], "tangential_force": force[:, pairs:]}
-    time = np.arange(done * steps - count, done * steps) * asked.step_size
+    known = coefficient is not None
     return TimeHistory(
-        time, gap[:, :pairs], settled, scheme.created_share, done, seconds, steps, structure,
-        motion, asked.recorded_dofs, final_state, force[:, :pairs], **of_friction,
+        time=np.arange(done * steps - count, done * steps) * asked.step_size,
+        gap=gap[:, :pairs],
+        settled=settled,
+        created_energy=scheme.created_share,
+        periods=done,
+        seconds=seconds,
+        steps_per_period=steps,
+        structure=structure,
+        recorded=motion,
+        recorded_dofs=asked.recorded_dofs,
+        final_state=final_state,
+        contact_force=force[:, :pairs],
+        tangential_gap=gap[:, pairs:] if known else None,
+        tangential_force=force[:, pairs:] if known else None,
         friction=coefficient,
-    )  # fmt: skip
+    )
 
 
 def _change(now: Sequence[np.ndarray], before: Sequence[np.ndarray]) -> float:
