@@ -59,6 +59,7 @@ def check_single(many: fc.ManyOrbits, share: float) -> None:
     assert same >= share * len(many.omega)
 
 
+@pytest.mark.nightly
 def test_plate(light_lips: fc.Structure) -> None:
     """Rigid contact of crack faces without mass: neighbours lead to nearly all."""
     omega = float(fc.bilinear_frequencies(light_lips).omega_bilinear[0])

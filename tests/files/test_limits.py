@@ -68,6 +68,7 @@ def test_too_many_points(tmp_path: Path) -> None:
         assert run("check", plate)[0] == code
 
 
+@pytest.mark.nightly
 def test_too_many_measurements(tmp_path: Path) -> None:
     """A million rows."""
     path = scene_of(tmp_path, "--identify")
