@@ -55,7 +55,7 @@ from fenics_crack.study.prepare import REFUSALS, Study, check_memory_of, prepare
 from fenics_crack.study.solve import MOST_OF_MANY, modes_chosen, solve_prepared, with_more_modes
 from fenics_crack.study.vary import error_by_modes, errors_of
 from fenics_crack.study.verification import Verification, verification_of
-from fenics_crack.time.march import Initial, TimeHistory, initial_places, initial_state
+from fenics_crack.time.march import Initial, TimeHistory, initial_state
 
 Found = TypeVar("Found", bound=Result, covariant=True)
 
@@ -502,23 +502,19 @@ def _state_of(
     """
     found, whole = earlier.result, structure.whole
     if isinstance(found, TimeHistory):
-        state, places = found.final_state[:2], found.final_state[2:]
+        state = found.final_state
     else:
-        state = initial_state(found.structure, found)
-        known = initial_places(found.structure, found.contact, found)
-        places = () if known is None else (known,)
-    moved = found.structure.expand(np.array(state))
-    marks = [
-        np.zeros((one.n_local, 1)) if one.nodes is None else one.nodes.points
-        for one in (whole, found.structure.whole)
-    ]
+        state = initial_state(found.structure, found.contact, found)
+    moved = found.structure.expand(np.array(state[:2]))
+    both = ((one.nodes, one.n_local) for one in (whole, found.structure.whole))
+    marks = [np.zeros((n, 1)) if nodes is None else nodes.points for nodes, n in both]
     same = moved.shape[1] == whole.n_local and np.array_equal(*marks)
     if not all(whole.comm.allgather(same)):
         table.require(False, "initial", "a result of the same mesh")
     if isinstance(structure, ReducedStructure):
         modal = whole.sum_over_ranks(times(whole.mass, moved.T).T @ structure.basis)
         moved = np.pad(modal, ((0, 0), (0, structure.n_dofs - modal.shape[1])))
-    return moved[0], moved[1], *places
+    return moved[0], moved[1], *state[2:]
 
 
 def _freed(study: Study) -> Study:

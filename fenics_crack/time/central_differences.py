@@ -237,10 +237,10 @@ class _ModalDifferences(Scheme):
             self._sets = FrictionSets(np.diag(1.0 / springs), mu)
             self._held, states = np.zeros(pairs // 2), np.zeros(pairs // 2, dtype=np.int8)
             own = {"friction": self._sets.handle, "held": self._held, "states": states}
-        self._shape, velocity = (modes.inverse @ part for part in asked.start)
+        self._shape, velocity = (modes.inverse @ part for part in asked.start[:2])
         gap = self._gap()
         if own:
-            self._held[:] = gap[pairs // 2 :] if asked.places is None else asked.places
+            self._held[:] = asked.start[2] if asked.start[2:] else gap[pairs // 2 :]
         if asked.rigid and np.any(gap > 0.0):  # by the least change in the norm of M
             self._shape -= modes.pairs @ solve_complementarity(modes.pairs.T @ modes.pairs, gap)
         self._increment = dt * velocity - 0.5 * dt**2 * self._acceleration(velocity)
@@ -353,11 +353,11 @@ class _CentralDifferences(Scheme):
             for column in self._push.T:
                 column[:] = self._answer(column, still)
             self._compliance = structure.apply_bt(self._push.T).T
-        displacement, velocity = asked.start
+        displacement, velocity = asked.start[:2]
         self.displacement = self._admissible(displacement)
         if friction_of(self.contact) is not None:
             still = self._measured(displacement)[structure.n_pairs :]
-            self._held = still if asked.places is None else asked.places
+            self._held = asked.start[2] if asked.start[2:] else still
         # The step before from u_{-1} = u - dt v + dt^2 a / 2.
         self.increment = dt * velocity - 0.5 * dt**2 * self._acceleration(velocity)
         self._energy = _ContactEnergy(asked, self._linear_energy(velocity))
