@@ -189,8 +189,7 @@ class PeriodicSolution(Wave, Observed, Described):
         motion, gap, force = seen(*self.over_period(count))
         yield Record(
             self.omega, self.subharmonic, self.period * parts, waves, motion, gap, force,
-            structure=lambda: self.structure,
-            cracks=self.structure.pairs.cracks,
+            structure=self.structure,
             friction=friction,
             at=at if friction is None else None,  # forces of friction follow from those before
             exact={} if instants or self.orbit is None else self.orbit.sliding,

@@ -246,8 +246,7 @@ class PeriodicOrbit(Observed, Described):
         yield Record(
             self.omega, self.subharmonic, self.period * parts, balanced(motion, HARMONICS),
             motion, gap, force,
-            structure=lambda: self.structure,
-            cracks=self.structure.pairs.cracks,
+            structure=self.structure,
             friction=getattr(self.flow.friction, "coefficient", None),
             at=at,
             exact=exact,

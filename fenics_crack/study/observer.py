@@ -84,7 +84,7 @@ class Held(NamedTuple):
 
 def held(record: Record) -> Held:
     """The clamp in a record of :func:`inertia_rows`."""
-    whole, omega = record.structure().whole, record.omega
+    whole, omega = record.structure.whole, record.omega
     clamp, drag = _clamp(whole)
     if record.steps:
         return Held(*clamp.of_record(record.time, record.motion, omega, drag))

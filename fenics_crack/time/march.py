@@ -332,8 +332,7 @@ class TimeHistory(Observed, Tabular):
         yield Record(
             2.0 * np.pi * (len(self.time) - 1) / steps / np.ptp(self.time), 1, self.time,
             balanced(motion[-steps:], min(10, (steps - 1) // 2)), motion, gap, force,
-            structure=lambda: structure,
-            cracks=structure.pairs.cracks,
+            structure=structure,
             friction=self.friction,
             steps=steps,
         )  # fmt: skip
