@@ -136,9 +136,22 @@ class AtTip(NamedTuple):
 
     @property
     def equivalent(self) -> float:
-        """Range of K_I from 0 that makes the crack grow as much [Pa m^1/2]."""
+        """The range from K_I = 0 that, once a period, makes a crack grow as much as K_I (n,) does,
+
+            (sum_i (delta K_i / (1 - R_i)^(1 - gamma))^m / periods)^(1 / m) [Pa m^1/2],
+
+        over the cycles i that are counted, delta K_i being the range while the tip is open; those
+        below the threshold are left out where another is above it."""
         assert self.law is not None
-        return _equivalent_range(self.one, self.law, self.periods)
+        high, low = counted_cycles(np.maximum(self.one, 0.0)).T
+        ranges = high - low
+        if not ranges.size:
+            return 0.0
+        ratio = np.minimum(low / high, 1.0 - 1e-9)
+        drive = ranges / (1.0 - ratio) ** (1.0 - self.law.ratio_exponent)
+        grows = ranges >= min(self.law.threshold, ranges.max())
+        parts = np.where(grows, drive / drive.max(), 0.0) ** self.law.exponent
+        return float(drive.max() * (parts.sum() / self.periods) ** (1.0 / self.law.exponent))
 
     def numbers(self) -> dict[str, float]:
         """Quantities of the tip by their names; the equivalent range where there is a law of

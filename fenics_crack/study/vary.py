@@ -130,12 +130,8 @@ RUNS = {
 # --- levels of a cause ----------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Level:
-    """Numbers of a run, and how many elements, modes, harmonics or samples it has."""
-
-    count: int
-    values: Mapping[str, float]
+Level = tuple[int, Mapping[str, float]]
+"""How many elements, modes, harmonics or samples a run has, and its numbers."""
 
 
 def part_of(
@@ -152,13 +148,13 @@ def part_of(
     It follows from two or three levels with the orders of :func:`grid_convergence`; or from two by
     a ratio of sizes, an error that is expected, without a factor of safety.
     """
-    counts = tuple(level.count for level in levels)
+    counts, runs = zip(*levels, strict=True)
     sizes = [_size_of(cause, count, scene) for count in counts]
     if ratio is not None:
         sizes[1] = ratio * sizes[0]
     parts = {}
-    for name in levels[0].values:
-        values = [level.values.get(name, 0.0) for level in levels]
+    for name in runs[0]:
+        values = [run.get(name, 0.0) for run in runs]
         found = grid_convergence(sizes, values, formal=formal, highest=highest)
         parts[name] = found if ratio is None else replace(found, factor=1.0)
     return counts, parts
@@ -352,7 +348,7 @@ def errors_of_natural(study: Study, natural: Mapping[str, np.ndarray]) -> Verifi
         both = {"open": solve_modes(twin.structure, count).omega}
         if "tied" in natural:
             both["tied"] = tied_modes(twin.structure, count).omega
-        levels = map(Level, counts, (values, named(both)))
+        levels = zip(counts, (values, named(both)), strict=True)
         return part_of("mesh", [*levels], scene, ratio=ratio)
 
     values = named(natural)
@@ -449,7 +445,7 @@ class _Stated(_Case):
             solution = _solved(more, near.omega, near.harmonics, start)
             other, least = self.values_of(solution, more), self._sizes_of_change(near, solution)
         counts, ratio = (len(structure.omega), len(reference.omega)), 1.0 - structure.share
-        levels = map(Level, counts, (self.own.values, other))
+        levels = zip(counts, (self.own.values, other), strict=True)
         _, parts = part_of("modes", [*levels], self.study.scene, ratio=max(ratio, UNCHANGED))
         for name, size in least.items():
             error = parts[name].uncertainty(-1) if name in parts else 0.0
@@ -477,7 +473,7 @@ class _Stated(_Case):
         made = []
         for factor in COUNTS[1:] if self.found.report.truncation > LARGE_ERROR else COUNTS[1:2]:
             start = _solved(self.study, self.near.omega, factor * count, start)
-            levels = Level(count, self.own.values), Level(factor * count, self.values_of(start))
+            levels = (count, self.own.values), (factor * count, self.values_of(start))
             made.append(part_of("harmonics", levels, scene, ratio=1.0 / factor))
         parts = {
             name: max((part[name] for _, part in made), key=methodcaller("uncertainty"))
@@ -504,7 +500,7 @@ class _Stated(_Case):
         with_few, mode = self.values_of(half), self._moving(half)
         moved = bilinear_of(twin.structure, mode) / bilinear_of(study.structure, mode)
         there = self.values_of(_solved(twin, near.omega * moved, few), twin)
-        levels = map(Level, counts, (with_few, there))
+        levels = zip(counts, (with_few, there), strict=True)
         _, parts = part_of("mesh", [*levels], study.scene, ratio=ratio)
         orders = 2.0 * study.scene.mesh.order, TIP
         left = np.linspace(*(1.0 / (ratio**order - 1.0) for order in orders), PLACES)
@@ -696,7 +692,7 @@ class _Verified(_Case):
         """The part of a cause, by what finer runs are called, their counts, None of a mesh, whose
         elements are counted when it is made, and scenes; ``shared`` is the study of all runs but
         those of a mesh (collective)."""
-        levels = [Level(count, self.own.values)]
+        levels: list[Level] = [(count, self.own.values)]
         for name, many, scene in reversed(finer):  # few modes are among many
             with within(name):
                 try:
@@ -704,11 +700,11 @@ class _Verified(_Case):
                 except REFUSALS as error:
                     self.failures.append(f"{name}: {error}")
                     continue
-            levels.insert(1, Level(many or n_elements(run.structure), self._values(run, cause)))
+            levels.insert(1, (many or n_elements(run.structure), self._values(run, cause)))
             self.made.verdicts.update(_doubtful(name, run))
         if len(levels) == 1:
             raise ConvergenceError(cause)
-        if len({level.count for level in levels}) < len(levels):
+        if len({many for many, _ in levels}) < len(levels):
             return "finer ones have as many elements, as mesh.size is that of the plate"
         return part_of(cause, levels, self.whole.scene, formal=formal, highest=highest)
 

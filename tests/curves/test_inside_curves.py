@@ -29,7 +29,7 @@ sys.path.insert(0, str(ROOT / "tests" / "motion"))
 import io
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import scipy.linalg
 import scipy.special
@@ -684,7 +684,7 @@ def test_begins_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
     search = continuation.initial_orbit
 
     def lost(problem: fc.Problem, initial: fc.PeriodicSolution | None = None) -> object:
-        return replace(search(problem, initial), orbit=None, reason="lost")
+        return search(problem, initial)._replace(orbit=None, reason="lost")
 
     def lost_at_start(problem: fc.Problem, initial: fc.PeriodicSolution | None = None) -> object:
         return (lost if problem.omega == 0.6 else search)(problem, initial)
