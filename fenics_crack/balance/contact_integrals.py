@@ -130,9 +130,9 @@ class ContactIntegrals(ABC):
         """The coefficients alone: (2H+1, n_pairs) [N]."""
         return self.linearise(gap).force
 
-    @abstractmethod
     def widened(self, harmonics: int) -> Self:
         """The same with more harmonics, and samples enough for them."""
+        return replace(self, harmonics=harmonics)
 
     def finer(self) -> ContactIntegrals | None:
         """The same exactly, or with more samples; None where nothing is sampled."""
@@ -231,9 +231,6 @@ class ExactIntegrals(ContactIntegrals):
             raise MemoryError("contact integrals")
         return PairForces(force, tangent, -self.unit * stiffness * force)
 
-    def widened(self, harmonics: int) -> Self:
-        return replace(self, harmonics=harmonics)
-
 
 PairIntegrals = ExactIntegrals | SampledIntegrals
 
@@ -251,7 +248,7 @@ class PairForces(ContactForces):
         self.force, self.tangent, self._by_softness = force, tangent, by_softness
 
     def apply(self, change: np.ndarray) -> np.ndarray:
-        return apply_to_pairs(self.tangent, change)
+        return np.matmul(self.tangent, change.T[:, :, None])[:, :, 0].T
 
     def identity_plus(self, matrices: np.ndarray, basis: np.ndarray | None = None) -> np.ndarray:
         assert basis is None
@@ -299,11 +296,6 @@ def grid_waves(harmonics: int) -> np.ndarray:
     waves = np.empty((harmonics, 2, kernel.switching_cells(harmonics) // 4 + 1))
     kernel.switching_waves(harmonics, pointer(waves))
     return waves
-
-
-def apply_to_pairs(tangent: np.ndarray, gap: np.ndarray) -> np.ndarray:
-    """Each pair's matrix (n_pairs, rows, columns) times its column of (columns, n_pairs)."""
-    return np.matmul(tangent, gap.T[:, :, None])[:, :, 0].T
 
 
 def tangent_by_means(means: np.ndarray) -> np.ndarray:

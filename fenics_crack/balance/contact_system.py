@@ -261,11 +261,7 @@ class ContactPoint(DenseLinearisation):
 
     def gap_of(self, change: np.ndarray) -> np.ndarray:
         """Change of the gap that belongs to a change of s."""
-        return self.system.gap(change, self.force_of(change))
-
-    def force_of(self, change: np.ndarray) -> np.ndarray:
-        """Change of the contact force that belongs to a change of s."""
-        return self.forces.apply(change)
+        return self.system.gap(change, self.forces.apply(change))
 
     def gap_by_force(self, change: np.ndarray) -> np.ndarray:
         """Change of the gap if the contact force were changed."""

@@ -29,7 +29,7 @@ from fenics_crack.basics.tables import (
     with_frequency,
 )
 from fenics_crack.curves.orbits import Orbits, system_along
-from fenics_crack.curves.peak import Peak, Top, damping_by_width, top_of
+from fenics_crack.curves.peak import Peak, Top, damping_by_width, top_and_damping
 from fenics_crack.curves.stability import floquet
 from fenics_crack.curves.waves import WAVES, ResonanceWaves, Waves
 from fenics_crack.model.contact import ContactLaw
@@ -460,7 +460,8 @@ class ResponseCurve(Observed, Tabular):
         :meth:`peak` examines it, too."""
         amplitude = self.amplitude(dof)
         index = int(np.argmax(amplitude))
-        return Top(index, *top_of(self.values, amplitude, index), index in (0, len(self) - 1))
+        value, height, _ = top_and_damping(self.values, amplitude, index)
+        return Top(index, value, height, index in (0, len(self) - 1))
 
     def peak(self, dof: int | None = None) -> Peak:
         """The largest response of a dof, or of the watched one: where, how large, how sure, whether

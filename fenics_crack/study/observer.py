@@ -213,24 +213,6 @@ class _OfScene:
         return tips, structure.whole.sum_over_ranks(products).T, of_forces
 
 
-def _equivalent_range(one: np.ndarray, law: Growth, periods: float) -> float:
-    """The range from K_I = 0 that, once a period, makes a crack grow as much as K_I (n,) does,
-
-        (sum_i (delta K_i / (1 - R_i)^(1 - gamma))^m / periods)^(1 / m),
-
-    over the cycles i that are counted, delta K_i being the range while the tip is open; those below
-    the threshold are left out where another is above it."""
-    high, low = counted_cycles(np.maximum(one, 0.0)).T
-    ranges = high - low
-    if not ranges.size:
-        return 0.0
-    ratio = np.minimum(low / high, 1.0 - 1e-9)
-    drive = ranges / (1.0 - ratio) ** (1.0 - law.ratio_exponent)
-    grows = ranges >= min(law.threshold, ranges.max())
-    parts = np.where(grows, drive / drive.max(), 0.0) ** law.exponent
-    return float(drive.max() * (parts.sum() / periods) ** (1.0 / law.exponent))
-
-
 def counted_cycles(values: np.ndarray) -> np.ndarray:
     """Highest and lowest values of the cycles in a record (n,) that repeats itself: (k, 2).
 

@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import chain
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -333,7 +333,8 @@ def curve(
         study, found = more, follow(more)
         if found.status == INTERRUPTED:
             break
-        error = max(map(partial(error_by_modes, study), _examined(study, found)))
+        places = sorted({found.top(study.watched[0].dof).index, 0, len(found) - 1})
+        error = max(error_by_modes(study, found.solution(place)) for place in places)
         vars(found)["status"] += f"; {_modes_in_words(study, error)}"  # what is observed is kept
         if error <= balance.given("tolerance"):
             break
@@ -383,12 +384,6 @@ def _enough_before(study: Study, studies: Iterator[Study], start: float, stop: f
         if error <= balance.given("tolerance") or error == math.inf:
             break
     return study
-
-
-def _examined(study: Study, found: ResponseCurve) -> list[PeriodicSolution]:
-    """The solutions at the largest response of a curve and at its ends (collective)."""
-    places = {found.top(study.watched[0].dof).index, 0, len(found) - 1}
-    return [found.solution(place) for place in sorted(places)]
 
 
 def _modes_in_words(study: Study, error: float) -> str:

@@ -379,19 +379,24 @@ class _CentralDifferences(Scheme):
     def advance(self, step: int) -> None:
         """Integrate from an instant, ``step`` of the period, to the next."""
         dt = self.step_size
-        self.gap = self._measured(self.displacement)
-        # f - K u - B lambda
-        pull = -self._applied(self.structure.stiffness.mult, self.displacement)
-        pull[self.load_rows] += self.load[step]
-        if not self.rigid:
-            self.force = self._forces(self.gap)
-            pull[self._gap_rows] -= self._gap_block @ self.force
-        self.increment = self.increment + self._answer(dt**2 * pull, dt * self.increment)
+        pull = dt**2 * self._pull(step)
+        self.increment = self.increment + self._answer(pull, dt * self.increment)
         if self.rigid:
             reached = self.gap + self._closing(self.increment)
             self.force = solve_complementarity(self._compliance, reached, self.force > 0.0)
             self.increment -= self._push @ self.force
         self.displacement = self.displacement + self.increment
+
+    def _pull(self, step: int) -> np.ndarray:
+        """f - K u - B lambda at an instant of the period; forces of a constraint, which belong to
+        the next step, are left out."""
+        self.gap = self._measured(self.displacement)
+        pull = -self._applied(self.structure.stiffness.mult, self.displacement)
+        pull[self.load_rows] += self.load[step]
+        if not self.rigid:
+            self.force = self._forces(self.gap)
+            pull[self._gap_rows] -= self._gap_block @ self.force
+        return pull
 
     def _forces(self, gap: np.ndarray) -> np.ndarray:
         """Forces of gaps (n_rows,), without a constraint; with friction pairs stick from here on
@@ -437,14 +442,8 @@ class _CentralDifferences(Scheme):
         return self._modes.mass_shapes @ (self._modes.rate * modal)
 
     def _acceleration(self, velocity: np.ndarray) -> np.ndarray:
-        """M^-1 (f - K u - B lambda - C v) at phase zero of the load; forces of a constraint, which
-        belong to the next step, are left out."""
-        right = -self._applied(self.structure.stiffness.mult, self.displacement)
-        right -= self._damped(velocity)
-        right[self.load_rows] += self.load[0]
-        if not self.rigid:
-            force = self._forces(self._measured(self.displacement))
-            right[self._gap_rows] -= self._gap_block @ force
+        """M^-1 (f - K u - B lambda - C v) at phase zero of the load."""
+        right = self._pull(0) - self._damped(velocity)
         with Factor(self.structure.mass, definite=True) as factor:
             return np.asarray(factor.solve(right[None])[0])
 
