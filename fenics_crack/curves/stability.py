@@ -296,11 +296,10 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
     known = replace(solution, structure=structure).assessment
     followed = known.flow is not None and known.flow.count <= FORMED
     verdict = stability_of(known).verdict if followed else "no exact flow"
-    if verdict != "unstable":
+    orbit = known.orbit if followed else None
+    if verdict != "unstable" or orbit is None:
         allowed = f"an unstable one by its exact orbit, of at most {FORMED} modes"
         raise InputError("solution", verdict, allowed)
-    orbit = known.orbit
-    assert orbit is not None
     orbits = FlowOrbits(orbit.flow, orbit.omega, orbit.state, orbit.subharmonic)
     values, vectors = np.linalg.eig(orbits.scale[:, None] * orbit.monodromy / orbits.scale)
     leading = int(np.abs(values).argmax())

@@ -133,11 +133,8 @@ class Campbell(Saved):
     @cached_property
     def _at(self) -> At:
         """Return the function :attr:`at`, from the scene if there is none."""
-        if self.at is not None:
-            return self.at
-        again = campbell(self.scene, self.speed, self.omega_open.shape[1], MPI.COMM_SELF)
-        assert again.at is not None
-        return again.at
+        count = self.omega_open.shape[1]
+        return self.at or campbell(self.scene, self.speed, count, MPI.COMM_SELF)._at
 
     @property
     def omega_bilinear(self) -> np.ndarray:

@@ -217,8 +217,7 @@ def reduced(study: Study, *, judged: bool = True) -> Study:
     if whole.has_matrices:
         check_memory_of(scene, whole)
     if isinstance(whole, Wheel):
-        assert scene.disk is not None
-        structure = reduce_wheel(whole, scene.disk.families, reference=judged)
+        structure = reduce_wheel(whole, scene.given("disk").families, reference=judged)
         return replace(study, structure=structure)
     kept = reduction_of(scene, whole)
     if kept is None:

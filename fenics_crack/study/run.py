@@ -370,8 +370,7 @@ def _studies_of_curve(given: Scene | Study, comm: MPI.Comm) -> Iterator[Study]:
 def _enough_before(study: Study, studies: Iterator[Study], start: float, stop: float) -> Study:
     """The first of some studies with enough modes, as far as a solution next to the first resonance
     of a curve over the frequency tells, or without one at its start (collective)."""
-    balance, law = study.scene.harmonic_balance, study.contact
-    assert law is not None
+    balance, law = study.scene.harmonic_balance, _needed_law(study)
     low, high = sorted((start, stop))
     for more in chain([study], studies):
         study = more
