@@ -196,9 +196,8 @@ class ModalCompliance:
 
     def _set(self, base_omega: float, load: float, damping: float, clearance: float) -> None:
         self._base, self._damping = base_omega, damping
-        self._receptance = self._modes.receptance(
-            base_omega * self._order, damping, self._unit_load != 0.0
-        )
+        loaded = self._unit_load != 0.0
+        self._receptance = self._modes.receptance(base_omega * self._order, damping, loaded)
         self._modal_load = load * self._unit_load
         self._load = load
         self.still_gap = load * self._static_gap
@@ -262,8 +261,7 @@ class ModalCompliance:
     def _at_once(self, force: np.ndarray) -> np.ndarray:
         """Displacement of what has no mass: (2H+1, n_local)."""
         assert self._modes.static_pairs is not None and self._unit_static is not None
-        found: np.ndarray = self._load * self._unit_static - force @ self._modes.static_pairs.T
-        return found
+        return self._load * self._unit_static - force @ self._modes.static_pairs.T
 
     def modal_part(
         self,

@@ -284,9 +284,8 @@ def respond_to_columns(matrices: np.ndarray, tangent: np.ndarray) -> np.ndarray:
     matrices = shaped(matrices, rows // 2 + 1, pairs, pairs, kind=complex)
     tangent = shaped(tangent, pairs, 2 * (rows // 2) + 1, columns)
     product = np.empty((rows * pairs, columns * pairs))
-    kernel.respond_to_columns(
-        rows // 2, pairs, columns, pointer(matrices), pointer(tangent), pointer(product)
-    )
+    arrays = map(pointer, (matrices, tangent, product))
+    kernel.respond_to_columns(rows // 2, pairs, columns, *arrays)
     return product
 
 
@@ -305,9 +304,8 @@ def tangent_by_means(means: np.ndarray) -> np.ndarray:
     means, rows = shaped(means, 4 * harmonics + 1, count, count), 2 * harmonics + 1
     found = np.empty((rows, count, rows * count))
     for k in range(harmonics + 1):
-        kernel.tangent_of_harmonic(
-            harmonics, count, k, pointer(means), pointer(found[max(0, 2 * k - 1) :])
-        )
+        first = max(0, 2 * k - 1)
+        kernel.tangent_of_harmonic(harmonics, count, k, pointer(means), pointer(found[first:]))
     return found
 
 
@@ -418,9 +416,8 @@ class _ExactForces(CoupledForces):
         known, contact = _known(self.harmonics, self._gap.shape[1]), self._integrals.contact
         if known.at is not self:
             known.at = None
-            outcome = kernel.find_forces(
-                known.handle, pointer(contact.compliance), pointer(self._gap), pointer(self.force)
-            )
+            arrays = map(pointer, (contact.compliance, self._gap, self.force))
+            outcome = kernel.find_forces(known.handle, *arrays)
             if outcome == kernel.NO_MEMORY:
                 raise MemoryError("contact forces")
             if outcome != kernel.FOUND:

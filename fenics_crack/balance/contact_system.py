@@ -140,8 +140,7 @@ class ContactSystem:
     def moving_seen(self) -> np.ndarray:
         """R'_k = U^T (R_k - R_inf) U."""
         assert self.basis is not None
-        found: np.ndarray = self.basis.T @ self.moving @ self.basis
-        return found
+        return self.basis.T @ self.moving @ self.basis
 
     def slow(self, gap: np.ndarray, force: np.ndarray, factor: int = 1) -> np.ndarray:
         """s of the coefficients of a gap and of its force, with any harmonics, of whose periods one

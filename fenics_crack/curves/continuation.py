@@ -130,10 +130,9 @@ class GrowingCurve:
     ) -> CurvePoint:
         """A point of the path as one of the curve."""
         value = self.system.value(parameter)
+        omega = self.system.omega(value, unknown)
         multipliers = None if seen is None else seen[:-3]  # (orbit_events)
-        return CurvePoint(
-            value, self.system.omega(value, unknown), unknown, iterations, multipliers
-        )
+        return CurvePoint(value, omega, unknown, iterations, multipliers)
 
     # --- what there is so far ---------------------------------------------------------------------
 
@@ -161,13 +160,11 @@ class GrowingCurve:
             multipliers=np.array(multipliers) if exact else None,
             branch=self._branch,
         )
-        special = tuple(
-            found.bifurcation(
-                kind, at.value, at.omega, system.state(at.unknown, at.value), at.multipliers
-            )
-            for kind, at in self._special
-        )
-        return replace(found, bifurcations=special)
+        special = []
+        for kind, at in self._special:
+            state = system.state(at.unknown, at.value)
+            special.append(found.bifurcation(kind, at.value, at.omega, state, at.multipliers))
+        return replace(found, bifurcations=tuple(special))
 
     @property
     def curve(self) -> ResponseCurve:
@@ -427,8 +424,7 @@ def _orbit_at(problem: Problem, initial: PeriodicSolution | None) -> PeriodicOrb
         check_initial(problem, initial)
     search = initial_orbit(problem, initial)
     if search.orbit is None:
-        raise ConvergenceError(
-            f"no exact orbit at {problem.omega:g} rad/s: {search.reason}; with harmonics in place "
-            "of a tolerance the curve of harmonic balance is followed"
-        )
+        missing = f"no exact orbit at {problem.omega:g} rad/s: {search.reason}"
+        way = "with harmonics in place of a tolerance the curve of harmonic balance is followed"
+        raise ConvergenceError(f"{missing}; {way}")
     return search.orbit

@@ -96,10 +96,9 @@ class Peak(Described, Top):
         if not math.isnan(self.omega_error):
             error += f", of the frequency {self.omega_error:.2g}"
         error += f" ({self.without})" if self.without else ""
-        return (
-            f"{quantity(self.amplitude, 'm')} at {self.frequency:.6g} Hz ({self.omega:.6g} rad/s), "
-            f"{error}, {self.verdict}, {width}"
-        )
+        place = f"{self.frequency:.6g} Hz ({self.omega:.6g} rad/s)"
+        size = quantity(self.amplitude, "m")
+        return f"{size} at {place}, {error}, {self.verdict}, {width}"
 
 
 def top_and_damping(

@@ -397,9 +397,8 @@ def _remarks(
             f"{np.max(two / one):.0%} of K_max"
         )
     law = scene.given("growth")
-    unsure, jumps = (
-        [at for at in places if at <= length[-1]] for places in (path.not_stable, jumps)
-    )
+    passed = (path.not_stable, jumps)
+    unsure, jumps = ([at for at in places if at <= length[-1]] for places in passed)
     if unsure:
         count = counted(len(unsure), "length")
         remarks.append(f"at {count} the vibration is unstable, or its stability undecided")
@@ -486,12 +485,6 @@ class LengthPath:
         rows = {name: of_lengths(name) for name in SWEEP_COLUMNS}
         rows["response"] = np.nan_to_num(rows["response"])  # nan where nothing moves
         new, leading = _driving(rows, law, cycles)
-        one, two = (
-            np.array(
-                [table[f"omega_{lips}_{n}"].reshape(len(swept), -1)[solved, 0] for n in NUMBERED]
-            )
-            for lips in ("open", "bilinear")
-        )
         mode = self.mode  # that of the first length, whichever is nearest later on
         if mode is None and solved.any():
             bilinear = [of_lengths(f"omega_bilinear_{number}")[0, 0] for number in NUMBERED]

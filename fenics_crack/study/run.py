@@ -109,10 +109,8 @@ class Run(Answer, Generic[Found]):
         found, stated = self.result.peak(dof), self.errors
         if stated is None or not stated.parts or dof not in (None, self.watched_dof):
             return found
-        of_amplitude, of_omega = (
-            stated.stated(name)[0]
-            for name in (self.watched[0].column("amplitude"), stated.resonance)
-        )
+        names = self.watched[0].column("amplitude"), stated.resonance
+        of_amplitude, of_omega = (stated.stated(name)[0] for name in names)
         of_omega = math.nan if found.at_end else of_omega
         return replace(found, error=of_amplitude, omega_error=of_omega, without=stated.without)
 
@@ -125,9 +123,7 @@ class Run(Answer, Generic[Found]):
             columns = list(found.displacement(dofs).T)
         elif isinstance(found, Observed):
             columns = [seen.waves for seen in found.observe(dofs)[0]]
-        return {
-            watched.words: column for watched, column in zip(self.watched, columns, strict=False)
-        }
+        return dict(zip((watched.words for watched in self.watched), columns, strict=False))
 
     def save(self, path: str | Path) -> None:
         """Write the result with its scene, its errors if they are stated, and what is watched of
@@ -296,9 +292,8 @@ def curve(
     parameter, start, stop = table.followed
     study = next(studies)
     if not study.structure.sum_over_ranks(np.abs(study.structure.force[1:]).sum()):
-        raise InputError(
-            "load", "steady", "one that changes in time, for a curve: nothing vibrates"
-        )
+        allowed = "one that changes in time, for a curve: nothing vibrates"
+        raise InputError("load", "steady", allowed)
     law = _needed_law(study)
     if is_rigid(law) and not study.structure.light_lips:
         allowed = "'penalty' or 'smoothed', or used with reduction.method = 'massless', for a curve"
@@ -355,11 +350,8 @@ def _studies_of_curve(given: Scene | Study, comm: MPI.Comm) -> Iterator[Study]:
         scene.reduction.require(scene.reduction.method in (None, "massless"), "method", allowed)
     check_memory_of(scene, whole.structure, run_up=True)
     if modes_chosen(whole):
-        times_speed, few = (
-            scene.excitation.omega / scene.speed,
-            with_more_modes(whole, MOST_OF_MANY),
-        )
-        chosen = _enough_before(next(few), few, times_speed * start, times_speed * stop)
+        few, order = with_more_modes(whole, MOST_OF_MANY), scene.excitation.omega / scene.speed
+        chosen = _enough_before(next(few), few, order * start, order * stop)
         whole = replace(whole, scene=chosen.scene)
     kept = reduction_of(whole.scene, whole.structure)
     modes = min(MODES, whole.structure.n_dofs) if kept is None else kept.modes

@@ -61,7 +61,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from operator import methodcaller
 from typing import Any
 
@@ -242,15 +242,14 @@ class _Case:
         law, structure, periods = study.contact, study.structure, found.subharmonic
         if law is None or coefficient_of(law) is not None:
             return ""
-        if not (coefficient := scene.given("contact").friction_error):
+        table = scene.given("contact")
+        if not (coefficient := table.friction_error):
             return "contact.friction_error = false"
         if scene.disk is not None or structure.whole.tangential is None:
             return "not estimated, only of single plates"
         keys: dict[str, Any] = {"contact.friction": coefficient}
         if not structure.light_lips:  # faces with mass, in contact as stiff along them as across
-            keys["contact.tangential_stiffness_per_area"] = scene.given(
-                "contact"
-            ).stiffness_per_area
+            keys["contact.tangential_stiffness_per_area"] = table.stiffness_per_area
         own = self.exact if structure.light_lips and structure.n_modes == FRICTION_MODES else None
         few = structure
         if own is None:
@@ -475,10 +474,8 @@ class _Stated(_Case):
             start = _solved(self.study, self.near.omega, factor * count, start)
             levels = (count, self.own.values), (factor * count, self.values_of(start))
             made.append(part_of("harmonics", levels, scene, ratio=1.0 / factor))
-        parts = {
-            name: max((part[name] for _, part in made), key=methodcaller("uncertainty"))
-            for name in self.own.values
-        }
+        worst = partial(max, key=methodcaller("uncertainty"))
+        parts = {name: worst(part[name] for _, part in made) for name in self.own.values}
         if "closed_share" in parts:
             part = parts["closed_share"]  # counted at instants, it is not known to one
             error = math.hypot(part.uncertainty(-1), 1.0 / len(self.near.instants()))
