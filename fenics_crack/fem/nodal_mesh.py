@@ -94,6 +94,30 @@ class NodalMesh:
         return self._coinciding(self.boundary_facets)
 
     @cached_property
+    def patches(self) -> tuple[np.ndarray, np.ndarray]:
+        """Of a solid's pairs: 1 at the two nodes in the middle of each patch; and the functions of
+        the pressures at all nodes of the crack faces, zero at the fronts and linear between corners
+        of facets, of which each has the nearest pair: (n_nodes, n_pairs) each."""
+        from scipy.spatial import cKDTree
+
+        points, near = self.points, 1e-6 * self.size
+        facets = self.boundary_facets[self.lip_facets]
+        corners = np.unique(facets)
+        here = points[corners]
+        distance, pair = cKDTree(self.structure.pair_points).query(here)
+        twice = cKDTree(here).query_ball_point(here, near, return_length=True) > 1
+        middles, shares = np.zeros((2, len(points), self.structure.n_pairs))
+        middles[corners[distance <= near], pair[distance <= near]] = 1.0
+        shares[corners[twice], pair[twice]] = 1.0
+        ends = np.stack([facets, np.roll(facets, -1, axis=1)], axis=2).reshape(-1, 2)
+        ends = np.concatenate([ends, facets[:, [0, 2]]]) if facets.shape[1] == 4 else ends
+        others = np.setdiff1d(np.arange(len(points)), corners)
+        distance, edge = cKDTree(points[ends].mean(axis=1)).query(points[others])
+        there = distance <= near
+        shares[others[there]] = shares[ends[edge[there]]].mean(axis=1)
+        return middles, shares
+
+    @cached_property
     def _edges_and_uses(self) -> tuple[np.ndarray, np.ndarray]:
         count = self.cells.shape[1]
         corners = 3 if count in (3, 6) else 4

@@ -565,8 +565,8 @@ class Contact(Table):
     """Stiffness of pairs that stick, per area of the crack face. Left out: infinite, of crack faces
     without mass."""
     pairs: str = choice("all", "mouth", default="all")
-    """Every pair of crack-face nodes, or of each crack only the one at the mouth, or in the middle
-    of a crack inside the plate."""
+    """Every pair of crack-face nodes, or as many as mesh.patches; or of each crack only the one at
+    the mouth, or in the middle of a crack inside the plate."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
