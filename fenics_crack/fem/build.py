@@ -82,37 +82,33 @@ def pair_lips(
         local = dofs.nodes_on(name, space)
         rows = np.column_stack([local + first, weights[local], points[local]])
         sides.append(gather_rows(dofs.comm, rows))
-    lower, upper, cracks, positions = _matched(plate.lips, *sides)
-    gap, areas = sum(columns[:, side[:, 0].astype(int)] for side in (lower, upper)), lower[:, 1]
-    chosen = np.arange(len(lower))
-    if mouth:
-        chosen = np.array([*_watched(plate.lips, cracks, positions).values()])
+    lower, upper, cracks, positions, count = _matched(plate.lips, *sides)
+    gap = sum(columns[:, side[:, 0].astype(int)] for side in (lower, upper))
+    points, areas, chosen = lower[:, 2:], lower[:, 1], np.arange(count)
+    if patches is not None:
+        chosen, shares = _shares(points, cracks, positions, count, patches)
+        forces = areas[:, None] * shares
+        areas[chosen] = forces.sum(axis=0)
+        gap = gap @ sparse.csc_matrix(forces / areas[chosen])
+    else:
+        if mouth:
+            chosen = [*_watched(plate.lips, cracks[:count], positions[:count]).values()]
         gap = gap[:, chosen]
-    elif patches is not None:
-        fronts = sides[0][np.isin(sides[0][:, 0], sides[1][:, 0])]
-        chosen, shares = _shares(plate.lips, lower, fronts, patches)
-        forces = sparse.hstack([gap, 2.0 * columns[:, fronts[:, 0].astype(int)]])
-        weights = np.append(areas, 0.5 * fronts[:, 1])  # of a front's nodes those of both faces
-        areas[chosen] = weights @ shares
-        gap = forces @ sparse.csc_matrix(weights[:, None] * shares / areas[chosen])
-    points, areas, cracks, positions = (x[chosen] for x in (lower[:, 2:], areas, cracks, positions))
+    points, areas, cracks, positions = (x[chosen] for x in (points, areas, cracks, positions))
     pairs = Pairs(points, areas, cracks, positions, _watched(plate.lips, cracks, positions))
     tangential = _free_rows(_turned(gap), dofs) if dimension == 2 else None
     return _free_rows(gap, dofs), tangential, pairs
 
 
 def _shares(
-    lips: Lips, inside: np.ndarray, fronts: np.ndarray, count: int
+    points: np.ndarray, cracks: np.ndarray, positions: np.ndarray, inside: int, most: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return of which nodes inside, in order along the cracks, patches are the middles, at most so
-    many of each crack; and the values of their functions at these nodes and at those of the fronts,
-    (n, m)."""
-    points = np.vstack([inside, fronts])[:, 2:]
-    cracks, positions = along(lips, points)
+    """Nodes that are the middles of patches, at most so many of each crack, and the values of the
+    patches' functions at all nodes, (n, m); the first ones, inside, are in order along cracks."""
     middles, values = np.zeros(0, dtype=int), np.zeros((len(points), 0))
-    for crack in range(len(lips)):
-        its = np.flatnonzero(cracks[: len(inside)] == crack)
-        few = min(count, len(its))
+    for crack in np.unique(cracks):
+        its = np.flatnonzero(cracks[:inside] == crack)
+        few = min(most, len(its))
         if points.shape[1] == 2:
             its = its[np.arange(few) * (len(its) - 1) // max(few - 1, 1)]
             functions = [np.interp(positions, positions[its], unit) for unit in np.eye(few)]
@@ -179,18 +175,20 @@ def _of_patches(dofs: Dofs, t: Any, lips: Any) -> tuple[Any, np.ndarray, sparse.
 
 def _matched(
     lips: Lips, lower: np.ndarray, upper: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Rows (number, weight, x, y, ...) of both faces without the tips, partner by partner in order
-    along the cracks; the crack of each pair, and its position."""
-    shared = np.intersect1d(lower[:, 0], upper[:, 0])
-    size = np.ptp(lower[:, 2:], axis=0).max()
-    lower, upper = (side[~np.isin(side[:, 0], shared)] for side in (lower, upper))
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]:
+    """Rows (number, weight, x, y, ...) of both faces, partner by partner in order along the cracks,
+    at last those of the fronts, with half their weights, which are of both faces; the crack of
+    each pair, and its position; and how many are not of the fronts."""
+    size, shared = np.ptp(lower[:, 2:], axis=0).max(), np.isin(lower[:, 0], upper[:, 0])
+    lower[shared, 1] *= 0.5
     cracks, positions = along(lips, lower[:, 2:])
     # Equal positions, along a front, in the order of their places.
     places = np.round(lower[:, 2:] / size, 7).T
-    order = np.lexsort((*places, np.round(positions / size, 7), cracks))
+    order = np.lexsort((*places, np.round(positions / size, 7), cracks, shared))
     lower, cracks, positions = lower[order], cracks[order], positions[order]
-    matching = len(lower) == len(upper) > 0
+    fronts = int(shared.sum())
+    count = len(lower) - fronts
+    matching = len(lower) == len(upper) and count > 0
     reason = "one has more nodes than the other"
     if matching:
         apart = [np.linalg.norm(upper[:, 2:] - place, axis=1) for place in lower[:, 2:]]
@@ -200,11 +198,11 @@ def _matched(
         reason = f"the upper node nearest to the lower one at ({place})"
         reason += f" is {distance.max():.2g} m away"
     if not matching:
-        found = f"{len(lower)} lower and {len(upper)} upper nodes"
+        found = f"{count} lower and {len(upper) - fronts} upper nodes"
         how = "in a mesh file one curve or surface named 'crack' is split into two that do"
         allowed = "meshed identically, so that nodes of the two faces pair one to one"
         raise InputError("lips", found, f"{allowed}, but {reason}; {how}")
-    return lower, upper[partner], cracks, positions
+    return lower, upper[partner], cracks, positions, count
 
 
 def _watched(lips: Lips, cracks: np.ndarray, positions: np.ndarray) -> dict[str, int]:
