@@ -107,7 +107,7 @@ def lines(points: np.ndarray, edges: np.ndarray) -> Any:
 
 def outline(mesh: NodalMesh) -> np.ndarray:
     """Edges at which the surface of a solid at rest bends: (n, 2) nodes."""
-    whole = surface(mesh.points, mesh.boundary_facets)
+    whole = surface(mesh.points, mesh.boundary)
     whole["node"] = np.arange(len(mesh.points))
     others = dict.fromkeys(("boundary_edges", "non_manifold_edges", "manifold_edges"), False)
     edges = whole.extract_feature_edges(feature_angle=25.0, **others)
@@ -341,15 +341,15 @@ class PeriodFields:
             self.pair_nodes, self.shares = self.mesh.patches
         else:
             self.pair_nodes = _nodes_of_pairs(structure)
-            areas = self.pair_nodes * self.areas
-            of_node = areas.sum(axis=1, keepdims=True)
-            on_faces = of_node > 1e-9 * of_node.max(initial=0.0)  # rounding at tips
-            self.shares = np.divide(areas, of_node, out=np.zeros_like(areas), where=on_faces)
+            self.shares = self.pair_nodes * self.areas
+            of_node = self.shares.sum(axis=1, keepdims=True)
+            of_node[of_node <= 1e-9 * of_node.max(initial=0.0)] = np.inf  # rounding at tips
+            self.shares /= of_node
 
     @property
     def cracked(self) -> bool:
         """True if there are crack faces."""
-        return len(self.mesh.lips if self.mesh.dimension == 2 else self.mesh.lip_facets) > 0
+        return len(self.mesh.lips) > 0
 
     @cached_property
     def moved(self) -> np.ndarray:
@@ -501,7 +501,8 @@ def _vtu(grid: Any) -> str:
 def _nodes_of_pairs(structure: Structure) -> np.ndarray:
     """Forces of nodes by unit forces on pairs: (n_nodes, n_pairs) on every rank (collective)."""
     assert structure.nodes is not None
-    dofs = structure.nodes.dofs
-    local = np.where(dofs >= 0, dofs - structure.first_dof, structure.n_local)
-    rows = np.vstack([structure.gap.toarray(), np.zeros((1, structure.n_pairs))])
-    return gather_rows(structure.comm, np.linalg.norm(rows[local], axis=1))
+    dofs, gap = structure.nodes.dofs, structure.gap
+    moving = np.nonzero(dofs >= 0)
+    entries = np.ones(len(moving[0])), (moving[0], dofs[moving] - structure.first_dof)
+    sums = csr_matrix(entries, (len(dofs), structure.n_local))
+    return gather_rows(structure.comm, np.sqrt((sums @ gap.multiply(gap)).toarray()))
