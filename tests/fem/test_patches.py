@@ -150,6 +150,20 @@ def test_few_patches_are_as_good_as_nodes(elements: int, order: int, patches: in
     assert few[1] != nodes[1]
 
 
+@pytest.mark.nightly
+def test_their_error_is_stated() -> None:
+    """What four patches take from the opening, a mean over the one at the mouth, is the mesh's."""
+    scene = column(lip_elements=16, order=2).replace(BENDING)
+    omega = 0.8 * float(fc.bilinear_frequencies(fc.build_structure(scene)).omega_bilinear[0])
+    scene = scene.replace({"excitation.omega": omega, "contact.friction_error": False})
+    nodes, few = (fc.solve(scene.replace({"mesh.patches": count})) for count in (None, 4))
+    exact = nodes.result.indicators().opening
+    change = 1.0 - few.result.indicators().opening / exact
+    stated, cause = few.errors.stated("opening")
+    assert cause == "mesh" and 0.05 < change < 1.3 * stated
+    assert stated > 1.3 * nodes.errors.stated("opening")[0]
+
+
 # --- their place in the program -------------------------------------------------------------------
 
 
