@@ -669,13 +669,13 @@ class Mesh(Table):
     """Elements of a graded mesh along each crack face."""
     grading: float = between("1", "1e+06", 4.0)
     """Size of elements of a graded mesh at the mouth over that at the crack tip."""
-    patches: int | None = at_least_one(None)
-    """Contact pairs of each crack, at most: means over several nodes, where the mesh is finer than
-    contact needs. Default: all nodes; of a solid all corners of elements."""
     file: str | None = path("the path of a .msh file")
     """Beside the scene's file, or with its whole path."""
     coarser: str | None = path("the path of a .msh file")
     """The same part with fewer elements, for the errors due to those of ``file``."""
+    patches: int | None = at_least_one(None)
+    """Contact pairs of each crack, at most: means over several nodes, where the mesh is finer than
+    contact needs. Default: all nodes; of a solid all corners of elements."""
     error: bool = holds("true or false", default=True)
     """true: a coarser mesh gives the error of each number due to this one."""
 
