@@ -784,7 +784,7 @@ def _checked_axes(scene: Scene, name: str, given: tuple[Axis, ...]) -> tuple[Axi
     for axis in given:
         table, number, key = _parts(axis.key)
         there = number is None or number <= len(getattr(scene, table))
-        known_key = table in _SWEPT and _TABLES[table].knows(key)
+        known_key = table in _SWEPT and key in _TABLES[table].keys()
         if not (known_key and there) or axis.key in seen:
             allowed = f"a table.key of the scene, given once, with a table of {', '.join(_SWEPT)}"
             if (question := meant(_meant(axis.key))) and axis.key not in seen:
@@ -846,7 +846,7 @@ def _changed_key(name: str, value: object) -> tuple[str, int | None, str]:
     elif (number is None) == (table in _LISTS):
         known = ", ".join(f"{table}.1.{own}" for own in kind.keys())
         raise InputError(name, value, f"left out; known keys: {known}")
-    elif not kind.knows(key):
+    elif key not in kind.keys():
         whole, _, own = key.partition(".")
         if whole in kind.keys() and own:
             raise InputError(name, value, f"changed as a whole: {table}.{whole}={{{own}=...}}")
