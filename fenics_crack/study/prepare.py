@@ -295,7 +295,8 @@ def check_memory_of(scene: Scene, structure: Structure, *, run_up: bool = False)
 
 def _memory_needed(scene: Scene, structure: Structure, run_up: bool) -> float:
     if isinstance(structure, Wheel):
-        return wheel_memory(structure, families_of_basis(scene.given("disk").families))
+        disk = scene.given("disk")
+        return wheel_memory(structure, families_of_basis(disk.families, disk.modes or 0))
     kept = reduction_of(scene, structure)
     if kept is None:
         return whole_memory(structure, scene.harmonic_balance.harmonics)
