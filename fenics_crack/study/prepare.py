@@ -221,8 +221,7 @@ def reduced(study: Study, *, judged: bool = True) -> Study:
         check_memory_of(scene, whole)
     if isinstance(whole, Wheel):
         disk = scene.given("disk")
-        more = disk.modes or 0
-        structure = reduce_wheel(whole, disk.families, more=more, reference=judged)
+        structure = reduce_wheel(whole, disk.families, more=disk.modes, reference=judged)
         return replace(study, structure=structure)
     kept = reduction_of(scene, whole)
     if kept is None:
@@ -252,7 +251,7 @@ def reduction_of(scene: Scene, structure: Structure) -> Kept | None:
     if scene.harmonic_balance.form == "block":
         return None
     if scene.disk is not None:
-        many = scene.disk.families * scene.disk.sectors + (scene.disk.modes or 0)
+        many = scene.disk.families * scene.disk.sectors + scene.disk.modes
         return Kept("massless" if structure.n_pairs else "free_interface", many)
     if table is None:
         few = structure.n_dofs <= FEW_DOFS
@@ -296,7 +295,7 @@ def check_memory_of(scene: Scene, structure: Structure, *, run_up: bool = False)
 def _memory_needed(scene: Scene, structure: Structure, run_up: bool) -> float:
     if isinstance(structure, Wheel):
         disk = scene.given("disk")
-        return wheel_memory(structure, families_of_basis(disk.families, disk.modes or 0))
+        return wheel_memory(structure, families_of_basis(disk.families, disk.modes))
     kept = reduction_of(scene, structure)
     if kept is None:
         return whole_memory(structure, scene.harmonic_balance.harmonics)
