@@ -22,8 +22,7 @@ in Engineering 14, 1979, 81).
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -81,6 +80,12 @@ class Sector:
     def diameters(self) -> range:
         """The nodal diameters 0 .. N/2."""
         return range(self.count // 2 + 1)
+
+    @property
+    def shares(self) -> np.ndarray:
+        """Of each nodal diameter, and its conjugate, in the motion of sector 0: (N/2 + 1,)."""
+        twice = [1.0 if self.is_single(n) else 2.0 for n in self.diameters]
+        return np.array(twice) / self.count
 
     def is_single(self, diameter: int) -> bool:
         """True of the nodal diameters without a second one that turns the other way."""
@@ -318,6 +323,15 @@ class NodalDiameter:
         coupling = sparse.csr_matrix(inside.coupling[0] + turn * inside.coupling[1])
         return inverse, coupling, sparse.csr_matrix(coupling.conj().T)
 
+    def work(self, forces: Any, within: np.ndarray) -> np.ndarray:
+        """Real part of f^H T_n K_n^-1 T_n^H f of real forces (n_dofs, m), with
+        :meth:`Inside.within` of them: (m, m), from the side alone."""
+        inverse, _, adjoint = self._left
+        seen = sparse.csr_matrix(self.ties.conj().T @ forces)
+        left = seen[self.inside.side].toarray() - adjoint @ within
+        found = seen[self.inside.inside].real.T @ within + (left.conj().T @ (inverse @ left)).real
+        return np.asarray(found)
+
     def solve(self, forces: np.ndarray, within: np.ndarray | None = None) -> np.ndarray:
         """K_n^-1 f of forces on the sector's own dofs (n_own, m), with K_ii^-1 f_i where that is
         known: the same shape."""
@@ -405,11 +419,11 @@ class CyclicBasis:
     answers : tuple of (int, (n_dofs,))
         Static answers to the load, without the part on these modes: nodal diameter, and a field of
         sector 0 whose real part turns with the sectors as a mode's.
-    opened : (N, n_dofs, n_upper)
-        Answers of all sectors to a unit displacement of the upper face of the crack in sector 0
-        beside the lower one's, without that displacement itself.
-    opening : (n_dofs, n_upper)
-        That displacement.
+    opened : (N, n_dofs, m)
+        Answers of all sectors to displacements of the upper face of the crack in sector 0 beside
+        the lower one's, without these themselves.
+    opening : (n_dofs, m)
+        These displacements.
     """
 
     modes: CyclicModes
@@ -481,6 +495,9 @@ def cyclic_basis(
     It has the static answers, too, to what mistuning and cracks leave at the sides: forces
     (K - w^2 M) v of a sector on its right side, of which a few patterns hold those of all modes.
     They are added to each nodal diameter, as if they were modes.
+
+    A crack opens as forces of its pairs, and what its bonds bear, would open it (:func:`_openings`):
+    by its stiffness S, that of all displacements of its face, which forces on the sides give.
     """
     families = min(families, len(sector.own))
     pulled = -sector.stiffness @ sector.opening
@@ -488,7 +505,6 @@ def cyclic_basis(
     first = list(dict.fromkeys((0, sector.count // 4, sector.count // 2)))
     mine = [*first, *(n for n in sector.diameters if n not in first)][comm.rank :: comm.size]
     found: dict[int, tuple[Any, ...]] = {}
-    static: dict[int, np.ndarray] = {}
     with sector.factored() as inside:
         ahead = {n: inside.at(n).modes(families) for n in mine if n in first}
         seen = _of_all_ranks(ahead, comm)
@@ -501,41 +517,85 @@ def cyclic_basis(
             beside = beside - shapes @ (shapes.conj().T @ (sector.mass @ beside))
             beside /= np.sqrt(np.sum(np.abs(beside) ** 2, axis=0))
             omega, shapes = sector.ritz(np.hstack([shapes, sector.ritz(beside)[1]]))
-            answers = [
-                _beside_modes(one.answers(force[:, None])[:, 0], force, omega, shapes, sector)
+            loaded = [
+                (force, one.answers(force[:, None])[:, 0])
                 for number, force in loads
                 if number == diameter
             ]
-            found[diameter] = omega, shapes, answers
-            static[diameter] = one.answers(pulled, at_lips)
-    found, static = _of_all_ranks(found, comm), _of_all_ranks(static, comm)
-    ordered = (found[diameter] for diameter in sector.diameters)
-    omegas, every, known = zip(*ordered, strict=True)
+            answers = [_beside_modes(x, force, omega, shapes, sector) for force, x in loaded]
+            pulls = _pulls(sector, omega, shapes, loaded)
+            found[diameter] = omega, shapes, answers, pulls, one.work(pulled, at_lips)
+        found = _of_all_ranks(found, comm)
+        ordered = (found[diameter] for diameter in sector.diameters)
+        omegas, every, known, pulls, works = zip(*ordered, strict=True)
+        opening = _openings(sector, np.hstack(pulls), np.tensordot(sector.shares, works, 1))
+        opened = _of_sectors(
+            ((n, inside.at(n).answers(pulled @ opening, at_lips @ opening)) for n in mine),
+            opening.shape[1], sector, comm,
+        )  # fmt: skip
     fields = [
         (diameter, field)
         for diameter, own in enumerate(known)
         for field in _independent(sector, diameter, own)
     ]
     modes = CyclicModes(omegas, every, sector)
-    return CyclicBasis(modes, tuple(fields), _of_sectors(static, sector), sector.opening)
+    moved = sparse.csc_matrix(sector.opening @ opening)
+    return CyclicBasis(modes, tuple(fields), opened, moved)
 
 
-def _of_sectors(fields: dict[int, np.ndarray], sector: Sector) -> np.ndarray:
-    """Return the real fields of all sectors of those of the nodal diameters 0 .. N/2.
+def _pulls(
+    sector: Sector, omega: np.ndarray, shapes: np.ndarray, loaded: Sequence[Any]
+) -> np.ndarray:
+    """Real forces (n_upper, m) on the upper face that bonds bear: of modes (K - w^2 M) v / w, of
+    loads K x - f of unit work. In the compliance S^-1 of an opening their squares are what opening
+    the crack changes of w^2, or of a load's work, relative to it."""
+    parts = [(sector.stiffness @ shapes - (sector.mass @ shapes) * omega**2) / omega]
+    for force, answer in loaded:
+        pull = sector.stiffness @ answer - force
+        parts.append(pull[:, None] / np.sqrt(np.vdot(force, answer).real))
+    found = np.hstack(parts)[sector.upper]
+    return np.hstack([found.real, found.imag])
+
+
+OPENED = 1e-5
+"""Least size of a pattern of forces of bonds that is kept: its square is what opening the crack by
+it changes of w^2, or of the work of a load, relative to these. Smaller ones change less than the
+mass of what moves with the faces, which static patterns leave out: up to 6e-9 of frequencies."""
+
+
+def _openings(sector: Sector, pulls: np.ndarray, work: np.ndarray) -> np.ndarray:
+    """Displacements of the upper face (n_upper, m) of unit energy, without coupling: what forces of
+    contact pairs, and those that bonds bear, open the crack by."""
+    structure = sector.structure
+    pairs = [structure.gap] + ([] if structure.tangential is None else [structure.tangential])
+    held = (sector.opening.T @ sector.stiffness @ sector.opening).toarray() - work
+    lower = scipy.linalg.cholesky(0.5 * (held + held.T), lower=True)
+    contact, pulls = (
+        scipy.linalg.solve_triangular(lower, forces, lower=True)
+        for forces in (sparse.hstack(pairs).tocsr()[sector.upper].toarray(), pulls)
+    )
+    basis = scipy.linalg.orth(contact)
+    patterns, sizes, _ = np.linalg.svd(pulls - basis @ (basis.T @ pulls), full_matrices=False)
+    kept = np.hstack([basis, patterns[:, sizes > OPENED]])
+    return scipy.linalg.solve_triangular(lower.T, kept)
+
+
+def _of_sectors(
+    fields: Iterable[tuple[int, np.ndarray]], columns: int, sector: Sector, comm: MPI.Comm
+) -> np.ndarray:
+    """Return the real fields (N, n_dofs, columns) of all sectors of those of the nodal diameters
+    0 .. N/2, of which each rank has some (collective).
 
     It is an inverse Fourier transform, by a product of matrices: a sum over all nodal diameters,
-    whose second half is the conjugate of the first. The largest of a basis: ``fields`` are taken
-    out as they are used.
+    whose second half is the conjugate of the first. The largest of a basis.
     """
     angles = np.outer(np.arange(sector.count), sector.diameters) * (2.0 * np.pi / sector.count)
-    twice = np.where([sector.is_single(n) for n in sector.diameters], 1.0, 2.0) / sector.count
-    shape = sector.opening.shape
-    parts = np.empty((2, len(twice), math.prod(shape)))
-    for diameter in sector.diameters:
-        own = fields.pop(diameter).ravel()
-        parts[:, diameter] = own.real, own.imag
-    waves = np.hstack([twice * np.cos(angles), -twice * np.sin(angles)])
-    return (waves @ parts.reshape(2 * len(twice), -1)).reshape(sector.count, *shape)
+    waves = sector.shares * np.array([np.cos(angles), -np.sin(angles)])  # (2, N, N/2 + 1)
+    parts = np.zeros((2, len(sector.shares), sector.structure.n_dofs, columns))
+    for diameter, field in fields:
+        parts[:, diameter] = field.real, field.imag
+    comm.Allreduce(MPI.IN_PLACE, parts)
+    return np.tensordot(waves, parts, ((0, 2), (0, 1)))
 
 
 def _of_all_ranks(found: dict[int, Any], comm: MPI.Comm) -> dict[int, Any]:

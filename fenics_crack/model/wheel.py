@@ -384,7 +384,7 @@ def _ritz(basis: CyclicBasis, cracked: tuple[int, ...]) -> tuple[np.ndarray, np.
     whole = [np.eye(len(mass)), np.zeros((len(mass), len(mass)))]
     whole[0][:, modes:] = mass
     whole[0][modes:] = mass.T
-    pulled = sector.opening.T @ sector.stiffness
+    pulled = basis.opening.T @ sector.stiffness
     held = [
         np.hstack([
             pulled @ (basis.opened[(one - other) % sector.count] + (one == other) * basis.opening)
