@@ -496,8 +496,8 @@ def cyclic_basis(
     (K - w^2 M) v of a sector on its right side, of which a few patterns hold those of all modes.
     They are added to each nodal diameter, as if they were modes.
 
-    A crack opens as forces of its pairs, and what its bonds bear, would open it (:func:`_openings`):
-    by its stiffness S, that of all displacements of its face, which forces on the sides give.
+    A crack opens as forces of its pairs, and those that its bonds bear, open it: with the stiffness
+    of all displacements of its face, which what is on the sides gives.
     """
     families = min(families, len(sector.own))
     pulled = -sector.stiffness @ sector.opening
