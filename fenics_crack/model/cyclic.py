@@ -5,8 +5,9 @@ j, and m_j the part that belongs to it alone,
 
     u_j = T_0 m_j + T_1 m_(j+1):
 
-T_1 gives the nodes of the right side what the next sector's left ones have, turned by 2 pi / N, and
-T_0 bonds the faces of the crack. Of nodal diameter n, m_(j+1) = e^(i 2 pi n / N) m_j, so
+T_1 gives the nodes of the right side, which are in the next sector's frame, what its left ones
+have, and T_0 bonds the faces of the crack: each row of T_0 + T_1 has a single 1. Of nodal diameter
+n, m_(j+1) = e^(i 2 pi n / N) m_j, so
 
     T_n = T_0 + e^(i 2 pi n / N) T_1,      K_n = T_n^H K T_n,      M_n = T_n^H M T_n,
     K_n v = w^2 M_n v,                     n = 0 .. N/2.
@@ -46,7 +47,8 @@ class Sector:
     Attributes
     ----------
     structure : Structure
-        Its matrices, gaps and load, on this rank alone.
+        Its matrices, gaps and load, on this rank alone; displacements of the right side in the
+        frame of the next sector.
     count : int
         N, the number of sectors.
     center : (d,) [m]
@@ -113,36 +115,44 @@ class Sector:
         return np.asarray((points - self.center) @ self.turned(times).T + self.center)
 
     @cached_property
-    def own(self) -> np.ndarray:
-        """Dofs that belong to a sector with a bonded crack: all but those of the right side and of
-        the upper face."""
-        others = self.dofs[np.concatenate([self.sides[1], self.lips[1]])]
-        return np.setdiff1d(np.arange(self.structure.n_dofs), others)
-
-    @cached_property
     def upper(self) -> np.ndarray:
         """Dofs of the upper face."""
         found = self.dofs[self.lips[1]].ravel()
         return found[found >= 0]
 
     @cached_property
-    def bonds(self) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
-        """T_0 and T_1: (n_dofs, n_own) each."""
-        place = np.full(self.structure.n_dofs, -1)
-        place[self.own] = np.arange(len(self.own))
-        shape = self.structure.n_dofs, len(self.own)
-        lower, upper = (self.dofs[nodes] for nodes in self.lips)
-        free = upper >= 0
-        rows = np.concatenate([self.own, upper[free]])
-        columns = np.concatenate([place[self.own], place[lower[free]]])
-        first = sparse.csr_matrix((np.ones(len(rows)), (rows, columns)), shape)
-        left, right = (self.dofs[nodes] for nodes in self.sides)
-        left, right = left[right[:, 0] >= 0], right[right[:, 0] >= 0]
-        rows = np.broadcast_to(right[:, :, None], (*right.shape, right.shape[1]))
-        columns = np.broadcast_to(place[left][:, None, :], rows.shape)
-        values = np.broadcast_to(self.turn, rows.shape)
-        entries = values.ravel(), (rows.ravel(), columns.ravel())
-        return first, sparse.csr_matrix(entries, shape)
+    def after(self) -> np.ndarray:
+        """True for the dofs of the right side, which are the next sector's: (n_dofs,)."""
+        return np.isin(np.arange(self.structure.n_dofs), self.dofs[self.sides[1]])
+
+    @cached_property
+    def _bonded(self) -> tuple[np.ndarray, np.ndarray]:
+        same = np.arange(self.structure.n_dofs)
+        for first, other in (self.sides, self.lips):
+            free = self.dofs[other] >= 0
+            same[self.dofs[other][free]] = self.dofs[first][free]
+        return np.unique(same, return_inverse=True)
+
+    @property
+    def own(self) -> np.ndarray:
+        """Dofs that belong to a sector with a bonded crack: all but those of the right side and of
+        the upper face."""
+        return self._bonded[0]
+
+    @property
+    def place(self) -> np.ndarray:
+        """Of each dof the place of that which moves as it does, in this sector or the next one,
+        among a sector's own: (n_dofs,)."""
+        return self._bonded[1]
+
+    def ties(self, turn: complex) -> sparse.csr_matrix:
+        """T_n of e^(i 2 pi n / N): (n_dofs, n_own)."""
+        return chosen(self.place, len(self.own), np.where(self.after, turn, 1.0))
+
+    def of_diameter(self, matrix: sparse.csr_matrix, turn: complex) -> sparse.csr_matrix:
+        """T_n^H A T_n of a matrix of the sector: (n_own, n_own)."""
+        ties = self.ties(turn)
+        return sparse.csr_matrix(ties.conj().T @ matrix @ ties)
 
     @cached_property
     def opening(self) -> sparse.csc_matrix:
@@ -190,55 +200,38 @@ class Sector:
     @contextmanager
     def factored(self, stiffness: Any = None) -> Iterator[Inside]:
         """The stiffness of all nodal diameters, factored; another one than its own, if given."""
-        matrix = self.stiffness if stiffness is None else local_rows(stiffness)
-        blocks = Blocks.of(self, matrix)
-        left = self.dofs[self.sides[0]].ravel()
-        on_side = np.isin(self.own, left)
-        side, inside = np.flatnonzero(on_side), np.flatnonzero(~on_side)
-        first = blocks.own[inside]
-        held = distributed(first[:, inside], MPI.COMM_SELF)
+        matrix, count = (
+            self.stiffness if stiffness is None else local_rows(stiffness),
+            len(self.own),
+        )
+        both = chosen(self.place + count * self.after, 2 * count)
+        whole = sparse.csr_matrix(both.T @ matrix @ both)
+        side = np.unique(self.place[self.after])
+        inside, right = np.setdiff1d(np.arange(count), side), count + side
+        to_left, to_right = (whole[inside][:, one] for one in (side, right))
+        held = distributed(whole[inside][:, inside], MPI.COMM_SELF)
         with Factor(held, definite=True) as factor:
-            to_left, to_right = first[:, side], blocks.across[inside][:, side]
             by_left, by_right = (factor.solve(to.T).T for to in (to_left, to_right))
-            own = (blocks.own + blocks.after)[side][:, side]
+            own = whole[side][:, side] + whole[right][:, right]
             yield Inside(
-                self, blocks, factor, inside, side, (to_left, to_right),
+                self, matrix, factor, inside, side, (to_left, to_right),
                 own - to_left.T @ by_left - to_right.T @ by_right,
-                blocks.across[side][:, side] - to_left.T @ by_right,
+                whole[side][:, right] - to_left.T @ by_right,
             )  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class Blocks:
-    """A matrix of the sector in the dofs of its own and of the next one's.
+def chosen(columns: np.ndarray, count: int, values: np.ndarray | None = None) -> sparse.csr_matrix:
+    """The matrix (n, count) whose rows have one entry each, 1 or another value."""
+    every = np.arange(len(columns) + 1)
+    values = np.ones(len(columns)) if values is None else values
+    return sparse.csr_matrix((values, columns, every), (len(columns), count))
 
-        T_n^H K T_n = K_00 + K_11 + e^(it) K_01 + e^(-it) K_01^T,      t = 2 pi n / N
 
-    Attributes
-    ----------
-    own, after, across : (n_own, n_own)
-        K_00 = T_0^T K T_0, K_11 = T_1^T K T_1 and K_01 = T_0^T K T_1.
-    """
-
-    own: sparse.csr_matrix
-    after: sparse.csr_matrix
-    across: sparse.csr_matrix
-
-    @classmethod
-    def of(cls, sector: Sector, matrix: sparse.csr_matrix) -> Blocks:
-        """Of a matrix of the sector."""
-        first, second = sector.bonds
-        pairs = ((first, first), (second, second), (first, second))
-        return cls(*(sparse.csr_matrix(one.T @ matrix @ other) for one, other in pairs))
-
-    def real(self, factor: complex) -> sparse.csr_matrix:
-        """The matrix of e^(it), in real form where that is not real."""
-        fixed, turn = self.own + self.after, self.across.T
-        real = fixed + factor.real * (self.across + turn)
-        if not factor.imag:
-            return real
-        imaginary = factor.imag * (self.across - turn)
-        return sparse.bmat([[real, -imaginary], [imaginary, real]], format="csr")
+def in_real_form(matrix: sparse.csr_matrix) -> sparse.csr_matrix:
+    """[[Re, -Im], [Im, Re]] of a complex matrix; a real one as it is."""
+    if not np.iscomplexobj(matrix):
+        return matrix
+    return sparse.bmat([[matrix.real, -matrix.imag], [matrix.imag, matrix.real]], format="csr")
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,8 +243,8 @@ class Inside:
 
     Attributes
     ----------
-    sector, blocks
-        The sector, and its stiffness in blocks.
+    sector, stiffness
+        The sector, and the stiffness that is factored.
     factor : Factor
         Of the stiffness of the inside K_ii.
     inside, side : (n_inside,), (n_side,) int
@@ -263,7 +256,7 @@ class Inside:
     """
 
     sector: Sector
-    blocks: Blocks
+    stiffness: sparse.csr_matrix
     factor: Factor
     inside: np.ndarray
     side: np.ndarray
@@ -271,15 +264,10 @@ class Inside:
     own: np.ndarray
     across: np.ndarray
 
-    @cached_property
-    def mass(self) -> Blocks:
-        """The mass of the sector in blocks."""
-        return Blocks.of(self.sector, self.sector.mass)
-
     def within(self, forces: Any) -> np.ndarray:
         """K_ii^-1 f_i of real forces (n_dofs, m) on a sector, the same for all nodal diameters:
         (n_inside, m)."""
-        seen = (self.sector.bonds[0].T @ forces)[self.inside]
+        seen = (self.sector.ties(1.0).T @ forces)[self.inside]
         seen = seen.toarray() if sparse.issparse(seen) else np.asarray(seen)
         return self.factor.solve(seen.T).T if seen.any() else seen
 
@@ -311,8 +299,7 @@ class NodalDiameter:
     @cached_property
     def ties(self) -> sparse.csr_matrix:
         """T_n: (n_dofs, n_own)."""
-        first, second = self.inside.sector.bonds
-        return sparse.csr_matrix(first + self.turn * second)
+        return self.inside.sector.ties(self.turn)
 
     @cached_property
     def _left(self) -> tuple[np.ndarray, sparse.csr_matrix, sparse.csr_matrix]:
@@ -356,8 +343,11 @@ class NodalDiameter:
 
     def modes(self, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Frequencies (count,) [rad/s], and shapes of a sector (n_dofs, count) with v^H M v = 1."""
-        blocks = self.inside.mass, self.inside.blocks
-        mass, stiffness = (distributed(one.real(self.turn), MPI.COMM_SELF) for one in blocks)
+        sector = self.inside.sector
+        mass, stiffness = (
+            distributed(in_real_form(sector.of_diameter(one, self.turn)), MPI.COMM_SELF)
+            for one in (sector.mass, self.inside.stiffness)
+        )
         size = mass.size[0]
         gap = sparse.csr_matrix((size, 0))
         structure = Structure(Body(mass, stiffness, gap, np.zeros((1, size)), np.zeros(0)))
@@ -367,7 +357,7 @@ class NodalDiameter:
         found = modes_by(self, structure, 2 * count)
         real, imaginary = np.split(found.shapes, 2)
         # Each pair of real modes is one complex one, twice over.
-        omega, shapes = self.inside.sector.ritz(self.ties @ (real + 1j * imaginary))
+        omega, shapes = sector.ritz(self.ties @ (real + 1j * imaginary))
         return omega[:count], shapes[:, :count]
 
     def answers(self, forces: Any, within: np.ndarray | None = None) -> np.ndarray:
