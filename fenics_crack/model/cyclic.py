@@ -36,7 +36,7 @@ from mpi4py import MPI
 
 from fenics_crack.model.body import Body
 from fenics_crack.model.factor import Factor, distributed, local_rows
-from fenics_crack.model.modes import NEGLIGIBLE, modes_by
+from fenics_crack.model.modes import MULTIPLE, NEGLIGIBLE, modes_by
 from fenics_crack.model.structure import Structure
 
 
@@ -218,6 +218,7 @@ class Sector:
                 own - to_left.T @ by_left - to_right.T @ by_right,
                 whole[side][:, right] - to_left.T @ by_right,
             )  # fmt: skip
+        held.destroy()
 
 
 def chosen(columns: np.ndarray, count: int, values: np.ndarray | None = None) -> sparse.csr_matrix:
@@ -351,10 +352,11 @@ class NodalDiameter:
         size = mass.size[0]
         gap = sparse.csr_matrix((size, 0))
         structure = Structure(Body(mass, stiffness, gap, np.zeros((1, size)), np.zeros(0)))
+        found = modes_by(self, structure, 2 * count if self.turn.imag else count)
+        for used in (mass, stiffness):  # PETSc would keep those of all nodal diameters
+            used.destroy()
         if not self.turn.imag:
-            found = modes_by(self, structure, count)
             return found.omega, self.ties @ found.shapes
-        found = modes_by(self, structure, 2 * count)
         real, imaginary = np.split(found.shapes, 2)
         # Each pair of real modes is one complex one, twice over.
         omega, shapes = sector.ritz(self.ties @ (real + 1j * imaginary))
@@ -405,10 +407,7 @@ class CyclicBasis:
     Attributes
     ----------
     modes : CyclicModes
-        The lowest of each nodal diameter.
-    answers : tuple of (int, (n_dofs,))
-        Static answers to the load, without the part on these modes: nodal diameter, and a field of
-        sector 0 whose real part turns with the sectors as a mode's.
+        The lowest of each nodal diameter, and with them static answers to the load and at sides.
     opened : (N, n_dofs, m)
         Answers of all sectors to displacements of the upper face of the crack in sector 0 beside
         the lower one's, without these themselves.
@@ -417,7 +416,6 @@ class CyclicBasis:
     """
 
     modes: CyclicModes
-    answers: tuple[tuple[int, np.ndarray], ...]
     opened: np.ndarray
     opening: sparse.csc_matrix
 
@@ -426,7 +424,6 @@ class CyclicBasis:
         shapes = tuple(matrix @ shapes for shapes in self.modes.shapes)
         return CyclicBasis(
             replace(self.modes, shapes=shapes),
-            tuple((diameter, matrix @ field) for diameter, field in self.answers),
             np.array([matrix @ one for one in self.opened]),
             sparse.csc_matrix(matrix @ self.opening),
         )
@@ -442,8 +439,7 @@ class CyclicBasis:
         self, place: int, cracked: tuple[int, ...], rows: slice | list[int] = slice(None)
     ) -> np.ndarray:
         """Displacements of a sector, by its place from 0, in all motions: those of the modes, the
-        static answers, the opening of the crack of each cracked sector; (n_dofs, n), or some rows
-        of it."""
+        opening of the crack of each cracked sector; (n_dofs, n), or some rows of it."""
         sector = self.modes.sector
         parts = []
         for diameter, shapes in enumerate(self.modes.shapes):
@@ -453,9 +449,6 @@ class CyclicBasis:
             else:
                 turned = np.exp(1j * angle) * np.sqrt(2.0 / sector.count) * shapes[rows]
                 parts += [turned.real, turned.imag]
-        for diameter, field in self.answers:
-            angle = 2.0 * np.pi * diameter * place / sector.count
-            parts.append((np.exp(1j * angle) * field[rows]).real[:, None])
         for one in cracked:
             own = self.opened[(place - one) % sector.count, rows]
             parts.append(own + self.opening[rows] if place == one else own)
@@ -482,9 +475,9 @@ def cyclic_basis(
     sector 0, which turn with the sectors by e^(i 2 pi n j / N); ranks share nodal diameters
     (collective).
 
-    It has the static answers, too, to what mistuning and cracks leave at the sides: forces
-    (K - w^2 M) v of a sector on its right side, of which a few patterns hold those of all modes.
-    They are added to each nodal diameter, as if they were modes.
+    It has the static answers, too, to the loads, and to what mistuning and cracks leave at the
+    sides: forces (K - w^2 M) v of a sector on its right side, of which a few patterns hold those of
+    all modes. They are added to each nodal diameter, as if they were modes.
 
     A crack opens as forces of its pairs, and those that its bonds bear, open it: with the stiffness
     of all displacements of its face, which what is on the sides gives.
@@ -504,45 +497,46 @@ def cyclic_basis(
             one = inside.at(diameter)
             _, shapes = ahead.get(diameter) or one.modes(families)
             beside = one.answers(forces, at_sides)
-            beside = beside - shapes @ (shapes.conj().T @ (sector.mass @ beside))
-            beside /= np.sqrt(np.sum(np.abs(beside) ** 2, axis=0))
-            omega, shapes = sector.ritz(np.hstack([shapes, sector.ritz(beside)[1]]))
-            loaded = [
-                (force, one.answers(force[:, None])[:, 0])
-                for number, force in loads
-                if number == diameter
-            ]
-            answers = [_beside_modes(x, force, omega, shapes, sector) for force, x in loaded]
-            pulls = _pulls(sector, omega, shapes, loaded)
-            found[diameter] = omega, shapes, answers, pulls, one.work(pulled, at_lips)
+            force = _loads_of(sector, diameter, loads)
+            answers = one.answers(force)
+            both = np.hstack([beside, answers])
+            left = both - shapes @ (shapes.conj().T @ (sector.mass @ both))
+            sizes, whole = (np.sqrt(np.sum(np.abs(x) ** 2, axis=0)) for x in (left, both))
+            left = left[:, kept := sizes > MULTIPLE * whole] / sizes[kept]
+            omega, shapes = sector.ritz(np.hstack([shapes, sector.ritz(left)[1]]))
+            pulls = _pulls(sector, omega, shapes, force, answers)
+            found[diameter] = omega, shapes, pulls, one.work(pulled, at_lips)
         found = _of_all_ranks(found, comm)
         ordered = (found[diameter] for diameter in sector.diameters)
-        omegas, every, known, pulls, works = zip(*ordered, strict=True)
+        omegas, every, pulls, works = zip(*ordered, strict=True)
         opening = _openings(sector, np.hstack(pulls), np.tensordot(sector.shares, works, 1))
         opened = _of_sectors(
             ((n, inside.at(n).answers(pulled @ opening, at_lips @ opening)) for n in mine),
             opening.shape[1], sector, comm,
         )  # fmt: skip
-    fields = [
-        (diameter, field)
-        for diameter, own in enumerate(known)
-        for field in _independent(sector, diameter, own)
-    ]
-    modes = CyclicModes(omegas, every, sector)
     moved = sparse.csc_matrix(sector.opening @ opening)
-    return CyclicBasis(modes, tuple(fields), opened, moved)
+    return CyclicBasis(CyclicModes(omegas, every, sector), opened, moved)
+
+
+def _loads_of(
+    sector: Sector, diameter: int, loads: tuple[tuple[int, np.ndarray], ...]
+) -> np.ndarray:
+    """Forces (n_dofs, m) of a nodal diameter, whose answers turn with the sectors as modes do."""
+    mine = [force for number, force in loads if number == diameter]
+    if sector.is_single(diameter):
+        mine = [part for force in mine for part in (force.real, force.imag) if np.any(part)]
+    return np.array(mine).reshape(-1, sector.structure.n_dofs).T
 
 
 def _pulls(
-    sector: Sector, omega: np.ndarray, shapes: np.ndarray, loaded: Sequence[Any]
+    sector: Sector, omega: np.ndarray, shapes: np.ndarray, force: np.ndarray, answers: np.ndarray
 ) -> np.ndarray:
     """Real forces (n_upper, m) on the upper face that bonds bear: of modes (K - w^2 M) v / w, of
     loads K x - f of unit work. In the compliance S^-1 of an opening their squares are what opening
     the crack changes of w^2, or of a load's work, relative to it."""
     parts = [(sector.stiffness @ shapes - (sector.mass @ shapes) * omega**2) / omega]
-    for force, answer in loaded:
-        pull = sector.stiffness @ answer - force
-        parts.append(pull[:, None] / np.sqrt(np.vdot(force, answer).real))
+    work = np.sum(force.conj() * answers, axis=0).real
+    parts.append((sector.stiffness @ answers - force) / np.sqrt(work))
     found = np.hstack(parts)[sector.upper]
     return np.hstack([found.real, found.imag])
 
@@ -614,31 +608,3 @@ def _side_forces(sector: Sector, modes: Sequence[tuple[np.ndarray, np.ndarray]])
     found = np.zeros((sector.structure.n_dofs, kept.shape[1]))
     found[right] = kept
     return found
-
-
-def _beside_modes(
-    answer: np.ndarray, force: np.ndarray, omega: np.ndarray, shapes: np.ndarray, sector: Sector
-) -> np.ndarray:
-    """A static answer without the part on modes; nothing where that leaves rounding, and else of
-    unit energy in a sector."""
-    size = np.vdot(answer, sector.stiffness @ answer).real
-    left = answer - shapes @ ((shapes.conj().T @ force) / omega**2)
-    energy = np.vdot(left, sector.stiffness @ left).real
-    return left / np.sqrt(energy) if energy > NEGLIGIBLE * size else 0.0 * left
-
-
-def _independent(
-    sector: Sector, diameter: int, answers: Sequence[np.ndarray]
-) -> Iterator[np.ndarray]:
-    """Fields of one nodal diameter whose real parts, as they turn, span those of complex answers,
-    both as they are and a quarter of a period later: with unit energies, and without coupling."""
-    both = [part for answer in answers for part in (answer, -1j * answer)]
-    if not both:
-        return
-    columns = np.column_stack(both)
-    if sector.is_single(diameter):
-        columns = columns.real
-    gram = (columns.conj().T @ (sector.stiffness @ columns)).real
-    weights, mixed = np.linalg.eigh(gram)
-    kept = weights > NEGLIGIBLE * max(weights[-1], 1e-300)
-    yield from (columns @ (mixed[:, kept] / np.sqrt(weights[kept]))).T

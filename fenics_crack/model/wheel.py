@@ -4,12 +4,12 @@ The whole wheel has the dofs of each sector that belong to it alone, in the fram
 and those of the upper face of each crack. Its matrices are those of the sector, copied; they are
 made where someone asks for them. It is solved in few coordinates of motions of the whole wheel:
 
-    u = U (q, a, d),      M = U^T M U,      K = sum_j (1 + delta_j) U_j^T K U_j,
+    u = U (q, d),      M = U^T M U,      K = sum_j (1 + delta_j) U_j^T K U_j,
 
-q those of the modes with bonded cracks, a those of static answers to the load, and d the
-displacements of the upper faces of cracks beside the lower ones, with the static answer of the rest
-(Craig and Bampton, AIAA Journal 6, 1968, 1313). delta_j is the mistuning of sector j: its
-stiffness at rest is multiplied by 1 + delta_j.
+q those of the modes with bonded cracks and of static answers, and d those of displacements of the
+upper faces of cracks beside the lower ones, with the static answer of the rest (Craig and Bampton,
+AIAA Journal 6, 1968, 1313). delta_j is the mistuning of sector j: its stiffness at rest is
+multiplied by 1 + delta_j.
 
 A load that stands still in space passes the blades one after the other. Sector j, from 0, is ahead
 by j / N of a revolution: with an engine order E, and its k-th harmonic of order k E,
@@ -355,18 +355,13 @@ def _complex_loads(wheel: Wheel) -> list[tuple[int, np.ndarray]]:
 
 
 def _ritz(basis: CyclicBasis, cracked: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """U^T M U and U^T K U without mistuning. The modes are those of both; K of static answers to
-    loads and to openings of cracks is that of either kind alone, and of openings what holds the
-    upper faces."""
+    """U^T M U and U^T K U without mistuning. The modes are those of both; K of openings of cracks
+    is what holds the upper faces."""
     sector, modes = basis.modes.sector, len(basis.squares)
-    answers = modes + len(basis.answers)
-    moved, seen = basis.times(sector.mass), slice(modes, answers)
-    mass = stiffness = np.zeros((0, 0))
+    moved, mass = basis.times(sector.mass), np.zeros(())
     for place in range(sector.count):
         columns, products = (one.columns(place, cracked) for one in (basis, moved))
-        part = columns.T @ products[:, modes:]
-        energy = columns[:, seen].T @ (sector.stiffness @ columns[:, seen])
-        mass, stiffness = (mass + part, stiffness + energy) if place else (part, energy)
+        mass = mass + columns.T @ products[:, modes:]
     whole = [np.eye(len(mass)), np.zeros((len(mass), len(mass)))]
     whole[0][:, modes:] = mass
     whole[0][modes:] = mass.T
@@ -379,9 +374,8 @@ def _ritz(basis: CyclicBasis, cracked: tuple[int, ...]) -> tuple[np.ndarray, np.
         for one in cracked
     ]  # fmt: skip
     whole[1][:modes, :modes] = np.diag(basis.squares)
-    whole[1][seen, seen] = stiffness
     if held:
-        whole[1][answers:, answers:] = np.vstack(held)
+        whole[1][modes:, modes:] = np.vstack(held)
     return tuple(0.5 * (matrix + matrix.T) for matrix in whole)  # type: ignore[return-value]
 
 
@@ -410,7 +404,7 @@ class WheelCoordinates(Body):
 
 
 class WheelStructure(Structure):
-    """A wheel in the coordinates (q, a, d) of a basis; the same on every rank.
+    """A wheel in the coordinates (q, d) of a basis; the same on every rank.
 
     ``find_dof`` and ``values_at`` refer to the dofs of the whole wheel.
 
