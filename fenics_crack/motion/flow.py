@@ -22,7 +22,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -58,10 +58,6 @@ class Budget:
 
     pieces: int = 100_000
     intervals: int = 20_000
-
-
-BUDGET = Budget()
-"""That of a motion of which nothing else is said."""
 
 
 def flow_of(structure: Structure, contact: ContactLaw) -> ContactFlow | None:
@@ -330,7 +326,7 @@ class ContactFlow(Flow):
         self, budget: Budget | None, **members: Any
     ) -> tuple[Struct, Callable[[int], dict[str, np.ndarray]]]:
         """Return the kernel's motion, and what copies the arrays of its track."""
-        budget = budget or BUDGET
+        budget = budget or Budget()
         if self._intervals < budget.intervals:
             self._intervals = most = budget.intervals
             sets = np.empty((most, self.structure.n_pairs), np.int8)
@@ -485,8 +481,7 @@ class Samples:
         return self.flow.displacement(self.states, self.forces, self.omega * self.time)
 
 
-@dataclass(frozen=True)
-class Motion:
+class Motion(NamedTuple):
     """A motion that has been followed.
 
     Attributes

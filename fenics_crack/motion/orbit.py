@@ -32,7 +32,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg.lapack import dgeev
@@ -72,8 +72,7 @@ Inverse = Callable[[np.ndarray, float], np.ndarray]
 """b to (I - M)^-1 b, to a relative residual where M is not formed."""
 
 
-@dataclass(frozen=True)
-class Prediction:
+class Prediction(NamedTuple):
     """Result of one step of Newton's method from a harmonic-balance solution.
 
     Attributes
@@ -246,8 +245,7 @@ class PeriodicOrbit(Observed, Described):
         yield Record(
             self.omega, self.subharmonic, self.period * parts, balanced(motion, HARMONICS),
             motion, gap, force,
-            structure=lambda: self.structure,
-            cracks=self.structure.pairs.cracks,
+            structure=self.structure,
             friction=getattr(self.flow.friction, "coefficient", None),
             at=at,
             exact=exact,
@@ -345,8 +343,7 @@ class PeriodicOrbit(Observed, Described):
         return f"{largest}, {counted(self.events, 'event')}, residual {self.residual:.2g}"
 
 
-@dataclass(frozen=True)
-class Work:
+class Work(NamedTuple):
     """Work in a period.
 
     Attributes
@@ -373,8 +370,7 @@ def gauss_nodes() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return nodes, weights, np.linalg.solve(values.T, turned.T).T
 
 
-@dataclass(frozen=True)
-class OrbitCoefficients:
+class OrbitCoefficients(NamedTuple):
     """Fourier coefficients of an orbit in the paper's order, rows a0, a1, b1, ....
 
     Attributes

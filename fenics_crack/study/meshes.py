@@ -90,10 +90,9 @@ def _other_cracks(structure: Structure, coarse: Structure) -> str:
         part = len(its) ** (-1.0 / (points.shape[1] - 1))  # elements at its front have no pairs
         size = np.linalg.norm(np.ptp(points, axis=0))
         if abs(there - area) > part * area or away > part * size:
-            return (
-                f"mesh.coarser has another crack {number}: crack faces of {there:.3g} m^2 instead "
-                f"of {area:.3g}, their middle {away:.2g} m away"
-            )
+            faces = f"crack faces of {there:.3g} m^2 instead of {area:.3g}"
+            found = f"mesh.coarser has another crack {number}"
+            return f"{found}: {faces}, their middle {away:.2g} m away"
     return ""
 
 

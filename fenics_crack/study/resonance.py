@@ -170,10 +170,8 @@ def _of_rotor(study: Study, estimate: float, slope: np.ndarray) -> AtLoad:
     problem = at(met(first.omega, first.harmonic), first.omega)
     found = resonance_at(problem, first.omega, tolerance=ENOUGH)
     rest, half = _at_rest(problem, found.omega), 0.5 * found.width
-    low, high, value, at_rest = (
-        met(omega, found.harmonic)
-        for omega in (found.omega - half, found.omega + half, found.omega, rest)
-    )
+    every = found.omega - half, found.omega + half, found.omega, rest
+    low, high, value, at_rest = (met(omega, found.harmonic) for omega in every)
     return AtLoad.of(replace(found, value=value, width=high - low), at_rest)
 
 

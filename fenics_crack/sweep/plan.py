@@ -6,9 +6,9 @@ import itertools
 import math
 import re
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from mpi4py import MPI
@@ -29,8 +29,7 @@ SAME_GEOMETRY = {
 """Keys that change neither mesh, matrices and modes nor the place of the load; clearances, too."""
 
 
-@dataclass(frozen=True)
-class Chunk:
+class Chunk(NamedTuple):
     """Neighbouring cases along one axis."""
 
     numbers: np.ndarray  # of the cases
