@@ -188,7 +188,10 @@ def _at_another_speed(scene: Scene, like: Study) -> Structure | None:
     the load's frequency; of a bladed disk in its mistuning; else None (collective)."""
     other, whole = like.scene, like.structure.whole
     if isinstance(whole, Wheel):
-        same = dict.fromkeys(LOOKED_AT) | {"disk.mistuning": None, "excitation.omega": 1.0}
+        same = dict.fromkeys(LOOKED_AT) | {
+            f"disk.{key}": None for key in ("mistuning", "deviation", "seed")
+        }
+        same["excitation.omega"] = 1.0
         if scene.disk is None or scene.replace(same) != other.replace(same):
             return None
         return whole.mistuned(scene.disk.deviations)
