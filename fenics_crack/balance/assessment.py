@@ -200,10 +200,9 @@ class Assessment:
         if self.too_slow:
             assert self.flow is not None
             turns = self.flow.fastest * self.wave.period / (2.0 * np.pi)
-            return (
-                f"the load is so slow that the highest modes have {turns / 1e3:.0f} thousand "
-                "cycles in a period, too many for exact time integration; keep fewer modes"
-            )
+            many = f"{turns / 1e3:.0f} thousand cycles in a period"
+            slow = f"the load is so slow that the highest modes have {many}"
+            return f"{slow}, too many for exact time integration; keep fewer modes"
         if self.flow is None:
             return "there is no exact flow for its law or structure"
         if self.prediction is None:
@@ -211,15 +210,12 @@ class Assessment:
         expected = self.predicted_error
         size = percent(expected) if expected < UNKNOWN else "100 % or more"
         if self.orbit is None:
-            return (
-                f"the truncated harmonics change it by {size}, and no exact orbit was found near "
-                "it; use more harmonics"
-            )
+            changed = f"the truncated harmonics change it by {size}"
+            return f"{changed}, and no exact orbit was found near it; use more harmonics"
         own = "stable" if self.orbit.is_stable else "unstable"
-        return (
-            f"the nearest exact orbit, which is {own}, is {percent(self.distance)} away where "
-            f"{size} was predicted: it may be another motion; use more harmonics, or a tolerance"
-        )
+        away = f"the nearest exact orbit, which is {own}, is {percent(self.distance)} away"
+        doubt = "it may be another motion; use more harmonics, or a tolerance"
+        return f"{away} where {size} was predicted: {doubt}"
 
 
 def _at_load(wave: Wave, change: np.ndarray, motion: np.ndarray) -> float:

@@ -162,9 +162,8 @@ class BlockSystem(Snes):
         target.array_w[: len(others)] += others
 
     def linearise(self, unknown: Any) -> None:
-        tangent = self.integrals.linearise(
-            self.structure.gap_of(self.displacement(unknown))
-        ).tangent
+        gap = self.structure.gap_of(self.displacement(unknown))
+        tangent = self.integrals.linearise(gap).tangent
         added = self._contact(self.length / self.force * tangent)
         added.resize(self.matrix.local_size[0], added.shape[1])
         self._linear.copy(self.matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)

@@ -30,8 +30,8 @@ With a given damping matrix, or that of Rayleigh damping, the real form of twice
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.linalg
@@ -40,6 +40,7 @@ from petsc4py import PETSc
 
 from fenics_crack.basics.errors import ConvergenceError, InputError, check_number
 from fenics_crack.basics.ranks import collect_garbage
+from fenics_crack.kernel import shaped
 from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import damped_modes, projected_damping, solve_modes
@@ -158,27 +159,6 @@ def load_coefficients(structure: Structure, harmonics: int, subharmonic: int) ->
     return resized(stretched(structure.force, subharmonic), harmonics)
 
 
-@dataclass(frozen=True)
-class ModalPart:
-    """Modes that answer along a path: R_k = P^T h_k P + at_once and what the load adds to g_lin,
-    P^T h_k l_k, with h_kj = 1 / (s_j - (k w)^2 + i k w d c_j)."""
-
-    squares: np.ndarray
-    """s: (n_modes,) [rad^2/s^2]."""
-    rates: np.ndarray
-    """c: (n_modes,) [1/s]."""
-    shapes: np.ndarray
-    """P: (n_modes, n_pairs)."""
-    load: np.ndarray
-    """l: (H+1, n_modes), complex."""
-    omega: tuple[float, float]
-    """w at p = 0, and dw/dp [rad/s]."""
-    damping: tuple[float, float]
-    """d at p = 0, and dd/dp."""
-    at_once: np.ndarray | None = None
-    """Quasi-static part, added to each R_k: (n_pairs, n_pairs)."""
-
-
 class ModalCompliance:
     """Closed form from all modes of a small structure, exact with any damping.
 
@@ -216,9 +196,8 @@ class ModalCompliance:
 
     def _set(self, base_omega: float, load: float, damping: float, clearance: float) -> None:
         self._base, self._damping = base_omega, damping
-        self._receptance = self._modes.receptance(
-            base_omega * self._order, damping, self._unit_load != 0.0
-        )
+        loaded = self._unit_load != 0.0
+        self._receptance = self._modes.receptance(base_omega * self._order, damping, loaded)
         self._modal_load = load * self._unit_load
         self._load = load
         self.still_gap = load * self._static_gap
@@ -282,25 +261,40 @@ class ModalCompliance:
     def _at_once(self, force: np.ndarray) -> np.ndarray:
         """Displacement of what has no mass: (2H+1, n_local)."""
         assert self._modes.static_pairs is not None and self._unit_static is not None
-        found: np.ndarray = self._load * self._unit_static - force @ self._modes.static_pairs.T
-        return found
+        return self._load * self._unit_static - force @ self._modes.static_pairs.T
 
     def modal_part(
         self,
         omega: tuple[float, float],
         damping: tuple[float, float],
         residual: np.ndarray | None = None,
-    ) -> ModalPart | None:
-        """Return R_k in the kernel's form, less a static compliance, for paths in the base
-        frequency and the damping, from their values at p = 0 and their rates; None where damping
-        couples modes."""
+    ) -> dict[str, Any] | None:
+        """Return R_k less a static compliance as the kernel takes it (``seen_structure``), for
+        paths in the base frequency w and the factor d of the damping, from their values at p = 0
+        and their rates; None where damping couples modes.
+
+        R_k = P^T h_k P + at_once, to which the load adds P^T h_k l_k in g_lin, with h_kj =
+        1 / (s_j - (k w)^2 + i k w d c_j); s (n_modes,) [rad^2/s^2] are ``squares``, c (n_modes,)
+        [1/s] ``rates``, P (n_modes, n_pairs) ``shapes`` and l (H+1, n_modes) ``load``.
+        """
         modes = self._modes
         if modes.damping.ndim == 2:
             return None
-        load, at_once = self._load * self._unit_load, modes.residual
+        (count, pairs), at_once = modes.pairs.shape, modes.residual
         if residual is not None:
             at_once = -residual if at_once is None else at_once - residual
-        return ModalPart(modes.squares, modes.damping, modes.pairs, load, omega, damping, at_once)
+        return {
+            "modes": count,
+            "omega": omega[0],
+            "omega_rate": omega[1],
+            "damping": damping[0],
+            "damping_rate": damping[1],
+            "squares": shaped(modes.squares, count),
+            "rates": shaped(modes.damping, count),
+            "shapes": shaped(modes.pairs, count, self.shape[1]),
+            "load": shaped(self._load * self._unit_load, len(self._order), count, kind=complex),
+            "at_once": None if at_once is None else shaped(at_once, pairs, pairs),
+        }
 
     def derivative(self, name: str, force: np.ndarray) -> np.ndarray:
         """Return the derivative of R lambda - g_lin for fixed forces, (2H+1, n_pairs), by one of

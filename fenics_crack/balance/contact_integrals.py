@@ -130,9 +130,9 @@ class ContactIntegrals(ABC):
         """The coefficients alone: (2H+1, n_pairs) [N]."""
         return self.linearise(gap).force
 
-    @abstractmethod
     def widened(self, harmonics: int) -> Self:
         """The same with more harmonics, and samples enough for them."""
+        return replace(self, harmonics=harmonics)
 
     def finer(self) -> ContactIntegrals | None:
         """The same exactly, or with more samples; None where nothing is sampled."""
@@ -231,9 +231,6 @@ class ExactIntegrals(ContactIntegrals):
             raise MemoryError("contact integrals")
         return PairForces(force, tangent, -self.unit * stiffness * force)
 
-    def widened(self, harmonics: int) -> Self:
-        return replace(self, harmonics=harmonics)
-
 
 PairIntegrals = ExactIntegrals | SampledIntegrals
 
@@ -251,7 +248,7 @@ class PairForces(ContactForces):
         self.force, self.tangent, self._by_softness = force, tangent, by_softness
 
     def apply(self, change: np.ndarray) -> np.ndarray:
-        return apply_to_pairs(self.tangent, change)
+        return np.matmul(self.tangent, change.T[:, :, None])[:, :, 0].T
 
     def identity_plus(self, matrices: np.ndarray, basis: np.ndarray | None = None) -> np.ndarray:
         assert basis is None
@@ -287,9 +284,8 @@ def respond_to_columns(matrices: np.ndarray, tangent: np.ndarray) -> np.ndarray:
     matrices = shaped(matrices, rows // 2 + 1, pairs, pairs, kind=complex)
     tangent = shaped(tangent, pairs, 2 * (rows // 2) + 1, columns)
     product = np.empty((rows * pairs, columns * pairs))
-    kernel.respond_to_columns(
-        rows // 2, pairs, columns, pointer(matrices), pointer(tangent), pointer(product)
-    )
+    arrays = map(pointer, (matrices, tangent, product))
+    kernel.respond_to_columns(rows // 2, pairs, columns, *arrays)
     return product
 
 
@@ -301,11 +297,6 @@ def grid_waves(harmonics: int) -> np.ndarray:
     return waves
 
 
-def apply_to_pairs(tangent: np.ndarray, gap: np.ndarray) -> np.ndarray:
-    """Each pair's matrix (n_pairs, rows, columns) times its column of (columns, n_pairs)."""
-    return np.matmul(tangent, gap.T[:, :, None])[:, :, 0].T
-
-
 def tangent_by_means(means: np.ndarray) -> np.ndarray:
     """T from the means c_0, c_1, s_1, ... of slopes of n pairs, (4H+1, n, n): row by row, each for
     unknowns ordered (row, pair), (2H+1, n, (2H+1) n)."""
@@ -313,9 +304,8 @@ def tangent_by_means(means: np.ndarray) -> np.ndarray:
     means, rows = shaped(means, 4 * harmonics + 1, count, count), 2 * harmonics + 1
     found = np.empty((rows, count, rows * count))
     for k in range(harmonics + 1):
-        kernel.tangent_of_harmonic(
-            harmonics, count, k, pointer(means), pointer(found[max(0, 2 * k - 1) :])
-        )
+        first = max(0, 2 * k - 1)
+        kernel.tangent_of_harmonic(harmonics, count, k, pointer(means), pointer(found[first:]))
     return found
 
 
@@ -378,33 +368,22 @@ class CoupledIntegrals(ContactIntegrals):
 class CoupledForces(ContactForces):
     """Forces that follow from the gaps of all pairs."""
 
-    def __init__(self, integrals: CoupledIntegrals) -> None:
-        self._integrals, self.harmonics = integrals, integrals.harmonics
-
     @abstractmethod
-    def means(self, basis: np.ndarray | None = None) -> np.ndarray:
-        """Return the means of S times exp(i m theta), m = 0 to 2H, rows c_0, c_1, s_1, ...: (4H+1,
-        n_pairs, n_pairs) [N/m]; with a basis U those of U^T S U."""
-
     def tangent(self, basis: np.ndarray | None = None) -> np.ndarray:
-        """T as a matrix, between the pairs or the gaps of a basis: (2H+1, n, (2H+1) n)."""
-        return tangent_by_means(self.means(basis))
+        """T as a matrix for unknowns ordered (row, pair), with a basis U (n_pairs, n) U^T T U:
+        (2H+1, n, (2H+1) n) [N/m]."""
 
     def identity_plus(self, matrices: np.ndarray, basis: np.ndarray | None = None) -> np.ndarray:
-        return plus_identity(matrices, self.tangent(basis))
-
-
-def plus_identity(matrices: np.ndarray, tangent: np.ndarray) -> np.ndarray:
-    """I + R T from R_k (H+1, n, n) and T (2H+1, n, (2H+1) n)."""
-    even, odd = tangent[1::2], tangent[2::2]
-    real, imaginary = matrices[1:].real, matrices[1:].imag
-    jacobian = np.empty_like(tangent)
-    jacobian[0] = matrices[0].real @ tangent[0]
-    jacobian[1::2] = np.matmul(real, even) + np.matmul(imaginary, odd)
-    jacobian[2::2] = np.matmul(real, odd) - np.matmul(imaginary, even)
-    whole = jacobian.reshape(tangent.shape[2], -1)
-    whole.flat[:: len(whole) + 1] += 1.0
-    return whole
+        tangent = self.tangent(basis)
+        even, odd = tangent[1::2], tangent[2::2]
+        real, imaginary = matrices[1:].real, matrices[1:].imag
+        jacobian = np.empty_like(tangent)
+        jacobian[0] = matrices[0].real @ tangent[0]
+        jacobian[1::2] = np.matmul(real, even) + np.matmul(imaginary, odd)
+        jacobian[2::2] = np.matmul(real, odd) - np.matmul(imaginary, even)
+        whole = jacobian.reshape(tangent.shape[2], -1)
+        whole.flat[:: len(whole) + 1] += 1.0
+        return whole
 
 
 class _Known:
@@ -423,7 +402,7 @@ class _ExactForces(CoupledForces):
     """By the kernel; found again where it has been elsewhere."""
 
     def __init__(self, integrals: CoupledIntegrals, gap: np.ndarray) -> None:
-        super().__init__(integrals)
+        self._integrals, self.harmonics = integrals, integrals.harmonics
         pairs = len(integrals.contact.compliance)
         self._gap = shaped(gap, 2 * self.harmonics + 1, pairs)
         self.force = np.empty_like(self._gap)
@@ -437,9 +416,8 @@ class _ExactForces(CoupledForces):
         known, contact = _known(self.harmonics, self._gap.shape[1]), self._integrals.contact
         if known.at is not self:
             known.at = None
-            outcome = kernel.find_forces(
-                known.handle, pointer(contact.compliance), pointer(self._gap), pointer(self.force)
-            )
+            arrays = map(pointer, (contact.compliance, self._gap, self.force))
+            outcome = kernel.find_forces(known.handle, *arrays)
             if outcome == kernel.NO_MEMORY:
                 raise MemoryError("contact forces")
             if outcome != kernel.FOUND:
@@ -452,14 +430,14 @@ class _ExactForces(CoupledForces):
         kernel.forces_by_gap(self._here(), pointer(change), pointer(found))
         return found
 
-    def means(self, basis: np.ndarray | None = None) -> np.ndarray:
+    def tangent(self, basis: np.ndarray | None = None) -> np.ndarray:
         pairs = self._gap.shape[1]
         count = pairs if basis is None else basis.shape[1]
-        found = np.empty((4 * self.harmonics + 1, count, count))
+        means = np.empty((4 * self.harmonics + 1, count, count))
         seen = NULL if basis is None else pointer(shaped(basis, pairs, count))
-        if kernel.means_of_stiffness(self._here(), seen, count, pointer(found)):
+        if kernel.means_of_stiffness(self._here(), seen, count, pointer(means)):
             raise MemoryError("contact forces")
-        return found
+        return tangent_by_means(means)
 
     def _by_compliance(self, rate: np.ndarray) -> np.ndarray:
         """Return the derivative of the forces where the diagonal of D grows by a rate."""
@@ -479,7 +457,7 @@ class _SampledForces(CoupledForces):
     + D h')^-1, or where it is piecewise linear the inverse of D on the closed pairs."""
 
     def __init__(self, integrals: CoupledIntegrals, gap: np.ndarray) -> None:
-        super().__init__(integrals)
+        self._integrals, self.harmonics = integrals, integrals.harmonics
         contact = integrals.contact
         values = sampled(gap, integrals.samples or default_samples(integrals.harmonics))
         if integrals.piecewise:
@@ -497,9 +475,9 @@ class _SampledForces(CoupledForces):
         kernel.multiply_each(*values.shape, *map(pointer, (self._cut_off, values, forces)))
         return balanced(forces, self.harmonics)
 
-    def means(self, basis: np.ndarray | None = None) -> np.ndarray:
-        found = np.concatenate([self._waves[:1], 0.5 * self._waves[1:]])
-        return found if basis is None else np.ascontiguousarray(basis.T @ found @ basis)
+    def tangent(self, basis: np.ndarray | None = None) -> np.ndarray:
+        means = np.concatenate([self._waves[:1], 0.5 * self._waves[1:]])
+        return tangent_by_means(means if basis is None else basis.T @ means @ basis)
 
     def _by_gap(self, change: np.ndarray) -> np.ndarray:
         """Return the change of the forces due to a change of the gaps, (samples, n_pairs)."""

@@ -33,14 +33,14 @@ Sources: Nacivet, Pierre, Thouverez, Jezequel, Journal of Sound and Vibration 26
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from fenics_crack.balance.compliance import Compliance, ModalPart, resized_compliance
+from fenics_crack.balance.compliance import Compliance, resized_compliance
 from fenics_crack.balance.contact_integrals import ContactIntegrals, respond
 from fenics_crack.balance.friction_integrals import (
     FrictionForces,
@@ -124,7 +124,7 @@ class ContactSystem:
         return self.compile(self.linear, self.moving, softness=softness)
 
     def compile(
-        self, linear: np.ndarray, compliance: np.ndarray | ModalPart, **along: Any
+        self, linear: np.ndarray, compliance: np.ndarray | Mapping[str, Any], **along: Any
     ) -> CompiledEquations:
         """The kernel's equations of these pairs."""
         return CompiledEquations(
@@ -140,8 +140,7 @@ class ContactSystem:
     def moving_seen(self) -> np.ndarray:
         """R'_k = U^T (R_k - R_inf) U."""
         assert self.basis is not None
-        found: np.ndarray = self.basis.T @ self.moving @ self.basis
-        return found
+        return self.basis.T @ self.moving @ self.basis
 
     def slow(self, gap: np.ndarray, force: np.ndarray, factor: int = 1) -> np.ndarray:
         """s of the coefficients of a gap and of its force, with any harmonics, of whose periods one
@@ -154,11 +153,6 @@ class ContactSystem:
     def gap(self, unknown: np.ndarray, force: np.ndarray) -> np.ndarray:
         """g = s - R_inf lambda, of waves or of values in time."""
         return unknown if self.residual is None else unknown - force @ self.residual
-
-    def in_time(self, slow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Gaps and forces at instants of s there: (n, n_pairs) each."""
-        force = self.integrals.forces(slow)
-        return self.gap(slow, force), force
 
     def linearise(self, unknown: np.ndarray, parameter: float = 1.0) -> ContactPoint:
         """The equations at s, of the law itself or at a parameter."""
@@ -266,11 +260,7 @@ class ContactPoint(DenseLinearisation):
 
     def gap_of(self, change: np.ndarray) -> np.ndarray:
         """Change of the gap that belongs to a change of s."""
-        return self.system.gap(change, self.force_of(change))
-
-    def force_of(self, change: np.ndarray) -> np.ndarray:
-        """Change of the contact force that belongs to a change of s."""
-        return self.forces.apply(change)
+        return self.system.gap(change, self.forces.apply(change))
 
     def gap_by_force(self, change: np.ndarray) -> np.ndarray:
         """Change of the gap if the contact force were changed."""
@@ -455,7 +445,7 @@ class CompiledEquations(Equations):
         residual: np.ndarray | None,
         springs: np.ndarray,
         linear: np.ndarray,
-        compliance: np.ndarray | ModalPart,
+        compliance: np.ndarray | Mapping[str, Any],
         *,
         coupled: bool = False,
         basis: np.ndarray | None = None,
@@ -465,13 +455,16 @@ class CompiledEquations(Equations):
         softness: float = 0.0,
     ) -> None:
         self.shape = linear.shape
-        pairs = self.shape[1]
+        harmonics, pairs = self.shape[0] // 2, self.shape[1]
+        if isinstance(compliance, np.ndarray):
+            matrices = shaped(compliance, harmonics + 1, pairs, pairs, kind=complex)
+            compliance = {"compliance": matrices}
         gaps = pairs if basis is None else basis.shape[1]
         at_once = np.zeros((pairs, pairs)) if residual is None else residual
         rate = np.zeros_like(linear) if linear_rate is None else linear_rate
         seen = Struct(
-            "seen_structure", linear=shaped(linear, *self.shape),
-            linear_rate=shaped(rate, *self.shape), **_given_compliance(self.shape, compliance),
+            "seen_structure", harmonics=harmonics, pairs=pairs, linear=shaped(linear, *self.shape),
+            linear_rate=shaped(rate, *self.shape), **compliance,
         )  # fmt: skip
         self._given = Struct(
             "contact_pairs", seen=seen, growth=growth, softness=softness, coupled=coupled,
@@ -548,22 +541,3 @@ def by_friction(at: ContactPoint) -> np.ndarray:
     """Derivative of F by the share of the coefficient of friction."""
     assert isinstance(at.forces, FrictionForces)
     return respond(at.system.moving, at.forces.by_share())
-
-
-def _given_compliance(shape: tuple[int, ...], compliance: np.ndarray | ModalPart) -> dict[str, Any]:
-    """R_k - R_inf as the kernel takes it, of the arguments of :class:`CompiledEquations`."""
-    rows, pairs = shape
-    known: dict[str, Any] = {"harmonics": rows // 2, "pairs": pairs}
-    of_each = rows // 2 + 1
-    if not isinstance(compliance, ModalPart):
-        return known | {"compliance": shaped(compliance, of_each, pairs, pairs, kind=complex)}
-    modes, at_once = len(compliance.squares), compliance.at_once
-    known["modes"] = modes
-    known["omega"], known["omega_rate"] = compliance.omega
-    known["damping"], known["damping_rate"] = compliance.damping
-    known["squares"] = shaped(compliance.squares, modes)
-    known["rates"] = shaped(compliance.rates, modes)
-    known["shapes"] = shaped(compliance.shapes, modes, pairs)
-    known["load"] = shaped(compliance.load, of_each, modes, kind=complex)
-    known["at_once"] = None if at_once is None else shaped(at_once, pairs, pairs)
-    return known

@@ -20,12 +20,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from fenics_crack.balance.contact_integrals import (
-    ContactForces,
-    ContactIntegrals,
-    CoupledIntegrals,
-    plus_identity,
-)
+from fenics_crack.balance.contact_integrals import ContactIntegrals, CoupledForces, CoupledIntegrals
 from fenics_crack.kernel import kernel, pointer
 from fenics_crack.model.contact import ContactLaw, FrictionSets, friction_of, springs_of
 from fenics_crack.numerics.fourier import balanced, evaluate, sampled, waves
@@ -115,7 +110,7 @@ class FrictionIntegrals(ContactIntegrals):
         return replace(self, harmonics=harmonics, samples=None)
 
 
-class FrictionForces(ContactForces):
+class FrictionForces(CoupledForces):
     """At a wave of gaps."""
 
     def __init__(self, integrals: FrictionIntegrals, gap: np.ndarray) -> None:
@@ -135,7 +130,6 @@ class FrictionForces(ContactForces):
         return balanced(found, self._integrals.harmonics)
 
     def tangent(self, basis: np.ndarray | None = None) -> np.ndarray:
-        """U^T T U for unknowns ordered (row, column of U): (2H+1, n, (2H+1) n)."""
         rows, pairs = self._rows
         seen = np.eye(pairs) if basis is None else np.ascontiguousarray(basis)
         count, n = self._integrals.instants, seen.shape[1]
@@ -150,9 +144,6 @@ class FrictionForces(ContactForces):
         ):  # fmt: skip
             raise MemoryError("friction")
         return found
-
-    def identity_plus(self, matrices: np.ndarray, basis: np.ndarray | None = None) -> np.ndarray:
-        return plus_identity(matrices, self.tangent(basis))
 
     def by_softness(self) -> np.ndarray:
         return self._of_values(-self._integrals.unit * self._forces)

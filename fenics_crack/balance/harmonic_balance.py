@@ -176,8 +176,7 @@ def _linear_amplitude(structure: Structure, omega: float, load: np.ndarray) -> n
     """Complex displacement under a load (n_local,)."""
     if not structure.light_lips:
         with DynamicStiffness(structure, omega) as block:
-            found: np.ndarray = block.solve(load[None] if omega > 0.0 else load.real[None])[0]
-            return found
+            return block.solve(load[None] if omega > 0.0 else load.real[None])[0]
     modes = all_modes(structure)
     receptance = modes.receptance(np.array([omega]))[0]
     moved = modes.respond(receptance, load @ modes.shapes)
@@ -376,12 +375,10 @@ def solve_beside(
         found = Solver(problem).solve(near)
         return found if error else found.reported(NOT_ESTIMATED)
     solution = _solved(Solver(problem), tolerance, near)
-    if not solution.report.truncation <= tolerance:
-        raise ConvergenceError(
-            f"harmonic balance at {problem.omega:g} rad/s: the estimated truncation error, "
-            f"{solution.report.truncation:.1e} with H = {solution.harmonics}, stays above "
-            f"{tolerance:g}; {solution.status}"
-        )
+    if not (left := solution.report.truncation) <= tolerance:
+        size = f"the estimated truncation error, {left:.1e} with H = {solution.harmonics},"
+        missed = f"{size} stays above {tolerance:g}; {solution.status}"
+        raise ConvergenceError(f"harmonic balance at {problem.omega:g} rad/s: {missed}")
     return solution
 
 
@@ -419,10 +416,8 @@ def _told(
     missed = f"solved; error {size}, {percent(tolerance)} was asked; what helps: "
     missed += f"{max(helps, key=helps.__getitem__)} (H = {found.harmonics}{kept})"
     if solver.throw:
-        raise ConvergenceError(
-            f"harmonic balance at {found.omega:g} rad/s: {missed}; {found.status}; "
-            "throw = False returns it"
-        )
+        missed += f"; {found.status}; throw = False returns it"
+        raise ConvergenceError(f"harmonic balance at {found.omega:g} rad/s: {missed}")
     return replace(found, status=f"{missed}; {found.status}")
 
 
@@ -442,9 +437,8 @@ def _solved(solver: Solver, tolerance: float, initial: PeriodicSolution | None) 
         problem = problem.with_harmonics(initial.harmonics)
     near = _by_harmonics(solver, tolerance, _begun(solver, problem).solve(initial))
     tried = ", ".join(str(count * problem.subharmonic) for count in SearchOptions.harmonics)
-    return replace(
-        near, status=f"no exact orbit found from H = {tried}; {found.reason}; {near.status}"
-    )
+    status = f"no exact orbit found from H = {tried}; {found.reason}; {near.status}"
+    return replace(near, status=status)
 
 
 # --- by an orbit ----------------------------------------------------------------------------------
@@ -537,7 +531,6 @@ def solution_of_orbit(
     report = ErrorReport(
         residual=orbit.residual,
         truncation=known_errors[0],
-        sampling=0.0,
         reduction=reduction,
         penetration=relative_to_motion(np.maximum(gap, 0.0), closing),
         displacement=min(known_errors[1] + at_load, UNKNOWN),

@@ -243,6 +243,7 @@ def _numbers(problem: Problem, orbit: PeriodicOrbit, watched: np.ndarray) -> dic
     motion = samples.displacement, samples.gaps, samples.forces
     wave = problem.wave_of(*(balanced(one, problem.harmonics) for one in motion))
     change, moved = motion[1] - wave.over_period(count)[1], motion[0] @ watched.T
+    off = 0.0 if is_still(samples) else relative_to_motion(change, motion[1] + wave.seen.clearance)
     multiplier = abs(orbit.multipliers[0])
     verdict = "stable" if multiplier < 1.0 else "unstable"
     return {
@@ -250,9 +251,7 @@ def _numbers(problem: Problem, orbit: PeriodicOrbit, watched: np.ndarray) -> dic
         "opening": max(0.0, _top(-samples.gap)),
         "closed_share": track.share(track.sets > 0),
         "multiplier": multiplier,
-        "truncation": 0.0
-        if is_still(samples)
-        else relative_to_motion(change, motion[1] + wave.seen.clearance),
+        "truncation": off,
         "states": orbit.state,
         "verdict": "undecided" if abs(multiplier - 1.0) <= KNOWN else verdict,
     }

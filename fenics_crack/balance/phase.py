@@ -142,7 +142,7 @@ class PhasePoint(Linearisation):
 
     def _power_by(self, change: np.ndarray) -> complex:
         """Change of P with s."""
-        return self.drive.power(self.at, self.at.force + self.at.force_of(change)) - self.power
+        return self.drive.power(self.at, self.at.force + self.at.forces.apply(change)) - self.power
 
     @cached_property
     def over_frequency(self) -> np.ndarray:

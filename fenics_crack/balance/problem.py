@@ -330,12 +330,9 @@ def check_memory(structure: Structure, harmonics: int) -> None:
     memory = machine_memory()
     if 8 * numbers > 0.8 * memory:
         fits = int(harmonics * (0.1 * memory / numbers) ** (1.0 / order))
-        raise InputError(
-            "harmonics",
-            harmonics,
-            f"at most {fits} with {pairs} pairs: {unknowns} unknowns need "
-            f"{numbers * 8 / 2**30:.0f} GiB of this machine's {memory / 2**30:.0f}",
-        )
+        needed, machine = (f"{size / 2**30:.0f}" for size in (8 * numbers, memory))
+        sizes = f"{unknowns} unknowns need {needed} GiB of this machine's {machine}"
+        raise InputError("harmonics", harmonics, f"at most {fits} with {pairs} pairs: {sizes}")
 
 
 # --- the search -----------------------------------------------------------------------------------
@@ -597,12 +594,9 @@ def rounding_left(compliance: Compliance, law: ContactLaw) -> float:
     stiffest, seen = float(np.max(law.stiffness)), np.abs(compliance.matrices).sum(axis=2)
     most = NEARLY_SOLVED / (EPSILON * float(seen[0].max(initial=1e-300)))
     if not stiffest < most:
-        raise InputError(
-            "contact stiffness",
-            stiffest,
-            f"at most {most:.2g} N/m on this structure, beyond which rounding leaves nothing; "
-            "UnilateralConstraint is the limit",
-        )
+        allowed = f"at most {most:.2g} N/m on this structure, beyond which rounding leaves nothing"
+        allowed += "; UnilateralConstraint is the limit"
+        raise InputError("contact stiffness", stiffest, allowed)
     return least_residual(stiffest * float(seen.max(initial=0.0)))
 
 

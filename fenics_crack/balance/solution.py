@@ -72,10 +72,8 @@ class Stability(Described):
 
     def _title(self) -> str:
         because = f" ({self.reason})" if self.reason else ""
-        return (
-            f"{self.verdict}{because}, largest multiplier {abs(self.multipliers[0]):.6g} "
-            f"of {len(self.multipliers)}, uncertainty {self.uncertainty:.2g}"
-        )
+        largest = f"largest multiplier {abs(self.multipliers[0]):.6g} of {len(self.multipliers)}"
+        return f"{self.verdict}{because}, {largest}, uncertainty {self.uncertainty:.2g}"
 
 
 @dataclass(frozen=True, repr=False)
@@ -189,8 +187,7 @@ class PeriodicSolution(Wave, Observed, Described):
         motion, gap, force = seen(*self.over_period(count))
         yield Record(
             self.omega, self.subharmonic, self.period * parts, waves, motion, gap, force,
-            structure=lambda: self.structure,
-            cracks=self.structure.pairs.cracks,
+            structure=self.structure,
             friction=friction,
             at=at if friction is None else None,  # forces of friction follow from those before
             exact={} if instants or self.orbit is None else self.orbit.sliding,
@@ -317,11 +314,8 @@ class Solver:
         if not search.converged:
             self._check_slope(solution.gap_coefficients)
         if self.throw and not search.converged:
-            raise ConvergenceError(
-                f"harmonic balance at {self.problem.omega:g} rad/s, "
-                f"H = {self.problem.harmonics}: {search.status}",
-                search.history,
-            )
+            case = f"at {self.problem.omega:g} rad/s, H = {self.problem.harmonics}"
+            raise ConvergenceError(f"harmonic balance {case}: {search.status}", search.history)
         return solution
 
     def _check_slope(self, last: np.ndarray) -> None:

@@ -105,10 +105,8 @@ def branch_start(
             if new and 0.0 <= found.parameter <= 1.0:
                 change, rise = found.unknown - unknown, found.parameter - parameter
                 return replace(found, tangent=replace(away, x=change, p=rise))
-    raise ConvergenceError(
-        f"branch from {kind} at {system.name} = {system.value(parameter):g}: "
-        "no point of another branch was found next to it"
-    )
+    branch = f"branch from {kind} at {system.name} = {system.value(parameter):g}"
+    raise ConvergenceError(f"{branch}: no point of another branch was found next to it")
 
 
 def _away(

@@ -43,9 +43,9 @@ from fenics_crack.curves.curve import (
     parameter_axis,
 )
 from fenics_crack.curves.curve_system import CurveSystem
-from fenics_crack.curves.orbits import Orbits, system_along
+from fenics_crack.curves.orbits import system_along
 from fenics_crack.curves.verdicts import judge_curve
-from fenics_crack.curves.waves import WAVES, Waves
+from fenics_crack.curves.waves import WAVES
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import reduce_structure
@@ -130,10 +130,9 @@ class GrowingCurve:
     ) -> CurvePoint:
         """A point of the path as one of the curve."""
         value = self.system.value(parameter)
+        omega = self.system.omega(value, unknown)
         multipliers = None if seen is None else seen[:-3]  # (orbit_events)
-        return CurvePoint(
-            value, self.system.omega(value, unknown), unknown, iterations, multipliers
-        )
+        return CurvePoint(value, omega, unknown, iterations, multipliers)
 
     # --- what there is so far ---------------------------------------------------------------------
 
@@ -161,13 +160,11 @@ class GrowingCurve:
             multipliers=np.array(multipliers) if exact else None,
             branch=self._branch,
         )
-        special = tuple(
-            found.bifurcation(
-                kind, at.value, at.omega, system.state(at.unknown, at.value), at.multipliers
-            )
-            for kind, at in self._special
-        )
-        return replace(found, bifurcations=special)
+        special = []
+        for kind, at in self._special:
+            state = system.state(at.unknown, at.value)
+            special.append(found.bifurcation(kind, at.value, at.omega, state, at.multipliers))
+        return replace(found, bifurcations=tuple(special))
 
     @property
     def curve(self) -> ResponseCurve:
@@ -354,28 +351,26 @@ class Continuation(GrowingCurve):
             exact_flow(problem.structure, problem.contact)
 
         at_start = WAVES[parameter].vary(problem, start)
-        system: Waves | Orbits
-        if isinstance(initial, Bifurcation):
-            system = system_along(exact, problem, parameter, start, end)
-            begun = branch_start(system, initial, how.longest_step, branch_of)
-            here = first_point(
-                system, begun.unknown, begun.parameter, begun.iterations, begun.tangent
-            )
-        elif exact:
-            system = system_along(exact, problem, parameter, start, end)
-            orbit = initial if isinstance(initial, PeriodicOrbit) else _orbit_at(at_start, initial)
-            here = first_point(system, system.unknown(orbit.state, start), 0.0, orbit.iterations)
-        else:
+        branch = isinstance(initial, Bifurcation)
+        if not (exact or branch):
             if initial is not None:
                 check_initial(at_start, initial)  # type: ignore[arg-type]
             if tolerance is not None:
                 initial = solve_beside(at_start, initial, tolerance)  # type: ignore[arg-type]
                 problem = problem.with_harmonics(initial.harmonics)
             check_memory(problem.structure, problem.harmonics)
-            system = system_along(exact, problem, parameter, start, end)
+        system = system_along(exact, problem, parameter, start, end)
+        if isinstance(initial, Bifurcation):
+            begun = branch_start(system, initial, how.longest_step, branch_of)
+            here = first_point(
+                system, begun.unknown, begun.parameter, begun.iterations, begun.tangent
+            )
+        elif exact:
+            orbit = initial if isinstance(initial, PeriodicOrbit) else _orbit_at(at_start, initial)
+            here = first_point(system, system.unknown(orbit.state, start), 0.0, orbit.iterations)
+        else:
             found = Solver(system.at(start)).solve(initial)  # type: ignore[arg-type]
             here = first_point(system, found.slow_gap_coefficients, 0.0, found.iterations)
-        branch = isinstance(initial, Bifurcation)
         super().__init__(system, here, how, tolerance if exact else None, branch)
 
     @property
@@ -429,8 +424,7 @@ def _orbit_at(problem: Problem, initial: PeriodicSolution | None) -> PeriodicOrb
         check_initial(problem, initial)
     search = initial_orbit(problem, initial)
     if search.orbit is None:
-        raise ConvergenceError(
-            f"no exact orbit at {problem.omega:g} rad/s: {search.reason}; with harmonics in place "
-            "of a tolerance the curve of harmonic balance is followed"
-        )
+        missing = f"no exact orbit at {problem.omega:g} rad/s: {search.reason}"
+        way = "with harmonics in place of a tolerance the curve of harmonic balance is followed"
+        raise ConvergenceError(f"{missing}; {way}")
     return search.orbit

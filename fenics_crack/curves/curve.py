@@ -29,7 +29,7 @@ from fenics_crack.basics.tables import (
     with_frequency,
 )
 from fenics_crack.curves.orbits import Orbits, system_along
-from fenics_crack.curves.peak import Peak, Top, damping_by_width, top_of
+from fenics_crack.curves.peak import Peak, Top, damping_by_width, top_and_damping
 from fenics_crack.curves.stability import floquet
 from fenics_crack.curves.waves import WAVES, ResonanceWaves, Waves
 from fenics_crack.model.contact import ContactLaw
@@ -355,10 +355,8 @@ class ResponseCurve(Observed, Tabular):
         if self.exact:
             motions = map(self.orbit, places)
         else:
-            motions = (
-                PeriodicSolution(**vars(known.wave), assessment=known)
-                for known in self.assessments(places)
-            )
+            every = self.assessments(places)
+            motions = (PeriodicSolution(**vars(one.wave), assessment=one) for one in every)
         for motion in motions:
             yield from motion.records(rows, CURVE_INSTANTS)
 
@@ -430,11 +428,8 @@ class ResponseCurve(Observed, Tabular):
         """The first point, the bifurcations and the last point, to be measured: a curve of their
         own, with multipliers if it has exact orbits."""
         whole = self if self.exact else replace(self, multipliers=None)
-        points: list[ResponseCurve] = [
-            whole.part([0]),
-            *(one.point for one in self.bifurcations),
-            whole.part([-1]),
-        ]
+        special = [one.point for one in self.bifurcations]
+        points: list[ResponseCurve] = [whole.part([0]), *special, whole.part([-1])]
         columns = [_arrays_of(one) for one in points]
         joined = {name: np.concatenate([one[name] for one in columns]) for name in columns[0]}
         return replace(whole, **joined, bifurcations=())
@@ -460,7 +455,8 @@ class ResponseCurve(Observed, Tabular):
         :meth:`peak` examines it, too."""
         amplitude = self.amplitude(dof)
         index = int(np.argmax(amplitude))
-        return Top(index, *top_of(self.values, amplitude, index), index in (0, len(self) - 1))
+        value, height, _ = top_and_damping(self.values, amplitude, index)
+        return Top(index, value, height, index in (0, len(self) - 1))
 
     def peak(self, dof: int | None = None) -> Peak:
         """The largest response of a dof, or of the watched one: where, how large, how sure, whether

@@ -316,11 +316,9 @@ def run_to_end(
         throw, growing.status = False, INTERRUPTED
         curve = growing.followed
     if throw and not curve.complete:
-        raise ConvergenceError(
-            f"curve in {curve.parameter} from {curve.values[0]:g}: {curve.status} at "
-            f"{curve.values[-1]:g} after {len(curve)} points; they are the error's .found",
-            found=curve,
-        )
+        begun = f"curve in {curve.parameter} from {curve.values[0]:g}"
+        end = f"{curve.status} at {curve.values[-1]:g} after {len(curve)} points"
+        raise ConvergenceError(f"{begun}: {end}; they are the error's .found", found=curve)
     return curve
 
 

@@ -50,11 +50,6 @@ MEETING_STEP = 0.02
 the default one."""
 
 
-def observe(monodromy: np.ndarray) -> np.ndarray:
-    """Leading multipliers of monodromy matrices (n, N, N), as :func:`leading_multipliers`."""
-    return leading_multipliers(np.linalg.eigvals(monodromy))
-
-
 def leading_multipliers(values: np.ndarray) -> np.ndarray:
     """The leading ones of multipliers (n, N), largest modulus first, and their r, d and c:
     (n, k + 3) complex, k = 8, or N where that is less. Those within 1e-6 of the circle are not

@@ -35,7 +35,7 @@ from fenics_crack.curves.orbit_events import (
     MultiplierControl,
     NeimarkSacker,
     PeriodDoubling,
-    observe,
+    leading_multipliers,
 )
 from fenics_crack.curves.waves import WAVES, Waves
 from fenics_crack.motion.flow import ContactFlow, Motion, doubles, exact_flow
@@ -146,13 +146,6 @@ class Orbits(CurveSystem):
         state = self._motion(unknown, parameter, part).state
         return self.unknown(state, self.value(parameter))
 
-    def _of_unknowns(self, tangent: np.ndarray, value: float) -> np.ndarray:
-        """dx(T)/dx of dz(T)/dz."""
-        if self.name == "speed":
-            modes = self._modes(value)
-            tangent = np.linalg.solve(modes, tangent @ modes)
-        return np.asarray(self.scale[:, None] * tangent / self.scale)
-
     def half_off(self, unknown: np.ndarray, parameter: float) -> float:
         """Change of an orbit over half its period, relative to its size."""
         change = self.moved(unknown, parameter, 0.5) - unknown
@@ -205,7 +198,11 @@ class Orbits(CurveSystem):
         residual = self.unknown(motion.state, value) - unknown
 
         def monodromy() -> np.ndarray:
-            return self._of_unknowns(motion.track.tangent, value)
+            tangent = motion.track.tangent
+            if self.name == "speed":
+                modes = self._modes(value)
+                tangent = np.linalg.solve(modes, tangent @ modes)
+            return np.asarray(self.scale[:, None] * tangent / self.scale)
 
         def by_parameter() -> np.ndarray:
             if self.name == "speed" or self._first.friction:
@@ -221,7 +218,7 @@ class Orbits(CurveSystem):
 
     def observe(self, records: np.ndarray) -> np.ndarray:
         """Leading multipliers of points from their M, and r, d and c (:mod:`orbit_events`)."""
-        return observe(records.reshape(-1, self.size, self.size))
+        return leading_multipliers(np.linalg.eigvals(records.reshape(-1, self.size, self.size)))
 
 
 def system_along(

@@ -96,22 +96,16 @@ class Peak(Described, Top):
         if not math.isnan(self.omega_error):
             error += f", of the frequency {self.omega_error:.2g}"
         error += f" ({self.without})" if self.without else ""
-        return (
-            f"{quantity(self.amplitude, 'm')} at {self.frequency:.6g} Hz ({self.omega:.6g} rad/s), "
-            f"{error}, {self.verdict}, {width}"
-        )
+        place = f"{self.frequency:.6g} Hz ({self.omega:.6g} rad/s)"
+        size = quantity(self.amplitude, "m")
+        return f"{size} at {place}, {error}, {self.verdict}, {width}"
 
 
-def top_of(value: np.ndarray, amplitude: np.ndarray, peak: int) -> tuple[float, float]:
-    """Return place and height of a curve's maximum, between its points in their order (n,)."""
-    return _top_and_damping(value, amplitude, peak)[:2]
-
-
-def _top_and_damping(
+def top_and_damping(
     value: np.ndarray, amplitude: np.ndarray, peak: int
 ) -> tuple[float, float, float]:
-    """The same, and the damping by the half-power bandwidth; nan where one side of it is
-    missing."""
+    """Return place and height of a curve's maximum, between its points in their order (n,), and the
+    damping by the half-power bandwidth; nan where one side of it is missing."""
     from scipy.interpolate import CubicSpline  # takes longer to load than a curve to be drawn
 
     point = float(value[peak]), float(amplitude[peak])
@@ -139,7 +133,7 @@ def damping_by_width(value: np.ndarray, waves: np.ndarray, subharmonic: int, pea
     """Damping by the half-power bandwidth of the load's own harmonic next to a curve's largest
     response, of coefficients (n, 2H+1); nan where that is missing."""
     cosine, sine = waves[:, 2 * subharmonic - 1], waves[:, 2 * subharmonic]
-    return _top_and_damping(value, np.hypot(cosine, sine), peak)[2]
+    return top_and_damping(value, np.hypot(cosine, sine), peak)[2]
 
 
 def _end_of_side(value: np.ndarray, amplitude: np.ndarray, peak: int, step: int) -> int:

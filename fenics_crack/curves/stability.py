@@ -82,9 +82,8 @@ def monodromy(
         count *= 2
         fine = _product(modes, contact, gap, base_omega, count)
         before, found, coarse = found, fine + (fine - coarse) / 3.0, fine
-        change, whole = (
-            float(np.linalg.norm(size[:, None] * one / size)) for one in (found - before, found)
-        )
+        parts = (size[:, None] * one / size for one in (found - before, found))
+        change, whole = (float(np.linalg.norm(part)) for part in parts)
     if not np.all(np.isfinite(found)):
         raise ConvergenceError("linear flow: its steps cannot resolve the disturbances")
     return found
@@ -199,8 +198,7 @@ def shoot(
         start = orbits.state(settled)
         found = find_orbit(flow, solution.omega, start, subharmonic=periods)
         if found is None and flow.count <= FORMED:
-            begun = FlowOrbits(flow, solution.omega, start, periods)
-            found = by_homotopy(begun, SearchOptions())
+            found = by_homotopy(FlowOrbits(flow, solution.omega, start, periods), SearchOptions())
     if found is not None and found.residual > tolerance:  # its last step was short, but M is large
         again = find_orbit(found.flow, found.omega, found.state, subharmonic=found.subharmonic)
         found = again or found
@@ -296,18 +294,16 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
     known = replace(solution, structure=structure).assessment
     followed = known.flow is not None and known.flow.count <= FORMED
     verdict = stability_of(known).verdict if followed else "no exact flow"
-    if verdict != "unstable":
+    orbit = known.orbit if followed else None
+    if verdict != "unstable" or orbit is None:
         allowed = f"an unstable one by its exact orbit, of at most {FORMED} modes"
         raise InputError("solution", verdict, allowed)
-    orbit = known.orbit
-    assert orbit is not None
     orbits = FlowOrbits(orbit.flow, orbit.omega, orbit.state, orbit.subharmonic)
     values, vectors = np.linalg.eig(orbits.scale[:, None] * orbit.monodromy / orbits.scale)
     leading = int(np.abs(values).argmax())
     mu, change = values[leading], vectors[:, leading].real
-    moved = moving_size(orbits.scale * orbit.sampled.whole_states) / np.sqrt(
-        len(orbit.sampled.states)
-    )
+    states = orbit.sampled.whole_states
+    moved = moving_size(orbits.scale * states) / np.sqrt(len(states))
     change *= 0.01 * moved / np.linalg.norm(change)
     found: list[Attractor] = []
     for start in (orbits.start + change, orbits.start - change)[: 2 if mu == abs(mu) else 1]:
@@ -326,9 +322,8 @@ def from_rest(solution: PeriodicSolution) -> Attractor | None:
     flow = solution.assessment.flow
     if flow is None or flow.count > FORMED:
         return None
-    rest = np.zeros(flow.size)
     orbits = FlowOrbits(flow, solution.omega, solution.assessment.states[0])
-    return in_the_long_run(orbits, rest, SearchOptions().periods(flow))
+    return in_the_long_run(orbits, np.zeros(flow.size), SearchOptions().periods(flow))
 
 
 def stability_of(known: Assessment) -> Stability:

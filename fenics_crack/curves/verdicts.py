@@ -102,16 +102,12 @@ def judged_by_waves(curve: ResponseCurve) -> ResponseCurve:
     crossed &= np.isfinite(values[1:] + values[:-1]).all(axis=1)[:, None]
     for place, which in np.argwhere(crossed).tolist():
         kind, pairs = ("period_doubling", "neimark_sacker")[which], rows[place : place + 2, -1]
-        test = (
-            partial(beyond_circle, number=int(pairs.real.max()) - 1) if which else about_minus_one
-        )
+        number = int(pairs.real.max()) - 1
+        test = partial(beyond_circle, number=number) if which else about_minus_one
         special.append(curve.bifurcation(kind, *_located(curve, place, test)))
     special.sort(key=curve.nearest)
-    return replace(
-        curve,
-        bifurcations=tuple(special),
-        multipliers=np.array([_deciding(one) for one in found], dtype=complex),
-    )
+    multipliers = np.array([_deciding(one) for one in found], dtype=complex)
+    return replace(curve, bifurcations=tuple(special), multipliers=multipliers)
 
 
 def _located(
@@ -121,10 +117,8 @@ def _located(
     multipliers is zero."""
     system = curve.system
     assert isinstance(system, Waves)
-    first, last = (
-        point_on_path(system, end.unknown, end.parameter, end.tangent)
-        for end in neighbours(system, curve, place, place + 1)
-    )
+    ends = neighbours(system, curve, place, place + 1)
+    first, last = (point_on_path(system, at.unknown, at.parameter, at.tangent) for at in ends)
 
     def value(at: PathPoint) -> float:
         problem = system.at(system.value(at.parameter))

@@ -397,9 +397,8 @@ def _remarks(
             f"{np.max(two / one):.0%} of K_max"
         )
     law = scene.given("growth")
-    unsure, jumps = (
-        [at for at in places if at <= length[-1]] for places in (path.not_stable, jumps)
-    )
+    passed = (path.not_stable, jumps)
+    unsure, jumps = ([at for at in places if at <= length[-1]] for places in passed)
     if unsure:
         count = counted(len(unsure), "length")
         remarks.append(f"at {count} the vibration is unstable, or its stability undecided")
@@ -439,7 +438,7 @@ class LengthPath:
     leading : (k,) [rad/s]
         Load frequencies at which most of the growth happens.
     mode : int or None
-        Whose natural frequencies the columns have, from 0: the nearest to the leading load of the
+        Whose natural frequencies the columns have, from 1: the nearest to the leading load of the
         first length; None before there is one.
     """
 
@@ -477,25 +476,23 @@ class LengthPath:
         which has so many cycles."""
         swept = np.array(table.axes[0].values)
         solved = table.converged.reshape(len(swept), -1).all(axis=1)
+
+        def of_lengths(name: str) -> np.ndarray:
+            return table[name].reshape(len(swept), -1)[solved]
+
         lengths = np.append(self.lengths, swept[solved])
         order = np.argsort(lengths)
-        rows = {name: table[name].reshape(len(swept), -1)[solved] for name in SWEEP_COLUMNS}
+        rows = {name: of_lengths(name) for name in SWEEP_COLUMNS}
         rows["response"] = np.nan_to_num(rows["response"])  # nan where nothing moves
         new, leading = _driving(rows, law, cycles)
-        one, two = (
-            np.array(
-                [table[f"omega_{lips}_{n}"].reshape(len(swept), -1)[solved, 0] for n in NUMBERED]
-            )
-            for lips in ("open", "bilinear")
-        )
         mode = self.mode  # that of the first length, whichever is nearest later on
         if mode is None and solved.any():
-            mode = int(np.nanargmin(np.abs(two[:, 0] - leading[0])))
+            bilinear = [of_lengths(f"omega_bilinear_{number}")[0, 0] for number in NUMBERED]
+            mode = NUMBERED[int(np.nanargmin(np.abs(bilinear - leading[0])))]
         if mode is not None:
-            new["omega_open"], new["omega_bilinear"] = one[mode], two[mode]
-        columns = {
-            name: np.append(values, new[name])[order] for name, values in self.columns.items()
-        }
+            for name in ("omega_open", "omega_bilinear"):
+                new[name] = of_lengths(f"{name}_{mode}")[:, 0]
+        columns = {name: np.append(old, new[name])[order] for name, old in self.columns.items()}
         return replace(
             self,
             lengths=lengths[order],

@@ -22,7 +22,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -58,10 +58,6 @@ class Budget:
 
     pieces: int = 100_000
     intervals: int = 20_000
-
-
-BUDGET = Budget()
-"""That of a motion of which nothing else is said."""
 
 
 def flow_of(structure: Structure, contact: ContactLaw) -> ContactFlow | None:
@@ -173,11 +169,21 @@ class Flow:
     ) -> np.ndarray:
         """Displacement of the structure's own dofs, or of some, in states and under contact forces
         at phases of the load: (n, n_dofs) [m]."""
+        return self.displaced(states[:, : self.count], force, waves_of(self.force, phase), dofs)
+
+    def displaced(
+        self,
+        modal: np.ndarray,
+        force: np.ndarray,
+        waves: np.ndarray,
+        dofs: np.ndarray | slice = slice(None),
+    ) -> np.ndarray:
+        """The same of modal displacements, contact forces and the load's waves (n, 2K+1), or of
+        the coefficients of all three."""
         modes = self.modes
-        found: np.ndarray = states[:, : self.count] @ modes.shapes[dofs].T
+        found: np.ndarray = modal @ modes.shapes[dofs].T
         if modes.static_loads is not None and modes.static_pairs is not None:
-            loads = self.structure.force @ modes.static_loads[:, dofs]
-            found += waves_of(self.force, phase) @ loads
+            found += waves @ (self.structure.force @ modes.static_loads[:, dofs])
             found -= force @ modes.static_pairs[dofs].T
         return found
 
@@ -330,7 +336,7 @@ class ContactFlow(Flow):
         self, budget: Budget | None, **members: Any
     ) -> tuple[Struct, Callable[[int], dict[str, np.ndarray]]]:
         """Return the kernel's motion, and what copies the arrays of its track."""
-        budget = budget or BUDGET
+        budget = budget or Budget()
         if self._intervals < budget.intervals:
             self._intervals = most = budget.intervals
             sets = np.empty((most, self.structure.n_pairs), np.int8)
@@ -485,8 +491,7 @@ class Samples:
         return self.flow.displacement(self.states, self.forces, self.omega * self.time)
 
 
-@dataclass(frozen=True)
-class Motion:
+class Motion(NamedTuple):
     """A motion that has been followed.
 
     Attributes

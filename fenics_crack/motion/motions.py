@@ -120,10 +120,8 @@ class Record:
         The products.
     gap, force : (n, n_rows) [m], [N]
         Of all pairs, with friction tangential ones behind the normal ones.
-    structure : callable
-        Returns the structure, as a curve's parameter varies it.
-    cracks : (n_pairs,) int or None
-        The crack of each pair; None: one has all.
+    structure : Structure
+        As a curve's parameter varies it.
     friction : float or (n_pairs,), optional
         Its coefficient.
     at : callable, optional
@@ -141,8 +139,7 @@ class Record:
     motion: np.ndarray
     gap: np.ndarray
     force: np.ndarray
-    structure: Callable[[], Structure]
-    cracks: np.ndarray | None = None
+    structure: Structure
     friction: float | np.ndarray | None = None
     at: InPeriod | None = None
     steps: int = 0
@@ -176,8 +173,8 @@ class Record:
     def tops(self) -> np.ndarray:
         """Largest values of all products and of their negatives (2 m,), and behind them at the
         crack faces of opening, penetration, contact force of a pair and of a crack (4,)."""
-        count, at = self.n_pairs, self.at
-        every = np.zeros(count, dtype=int) if self.cracks is None else self.cracks
+        count, at, cracks = self.n_pairs, self.at, self.structure.pairs.cracks
+        every = np.zeros(count, dtype=int) if cracks is None else cracks
         members = every[:, None] == np.unique(every)
 
         def columns(motion: np.ndarray, gap: np.ndarray, force: np.ndarray) -> np.ndarray:

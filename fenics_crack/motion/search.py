@@ -19,7 +19,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -71,8 +72,7 @@ class SearchOptions:
         return max(self.pieces(flow) // (4 * PACE), 60)
 
 
-@dataclass(frozen=True)
-class OrbitSearch:
+class OrbitSearch(NamedTuple):
     """Result of a search.
 
     Attributes
@@ -114,9 +114,10 @@ def search_orbit(
     """
     met: list[PeriodicOrbit] = []
     tried: list[np.ndarray] = []
+    search = partial(find_orbit, flow, omega, subharmonic=subharmonic)
     for states in guesses:
         tried.append(states)
-        orbit = find_orbit(flow, omega, states[0], subharmonic=subharmonic)
+        orbit = search(states[0])
         if orbit is not None and not any(equal(orbit, other) for other in met):
             met.append(orbit)
         if orbit is not None and (not any_other or flow.count > FORMED or orbit.is_stable):
@@ -127,11 +128,7 @@ def search_orbit(
         return OrbitSearch(met[0], tuple(met[1:]), "exact orbit by Newton's method")
     for states in tried:
         step = predicted(flow, omega, states, subharmonic)
-        if step is None:
-            continue
-        orbit = find_orbit(
-            flow, omega, step.states[0], subharmonic=subharmonic, inverse=step.inverse
-        )
+        orbit = None if step is None else search(step.states[0], inverse=step.inverse)
         if orbit is not None:
             return OrbitSearch(orbit, (), "exact orbit by a step of the whole motion")
     start = tried[-1][0] if tried else np.zeros(flow.size)

@@ -115,7 +115,10 @@ class DenseLinearisation(Linearisation):
 
     @property
     def sign(self) -> float:
-        return determinant_sign(self._factors)
+        matrix, pivots = self._factors
+        swaps = np.count_nonzero(pivots != np.arange(len(pivots)))
+        negative = np.count_nonzero(np.diag(matrix) < 0.0)
+        return -1.0 if (swaps + negative) % 2 else 1.0
 
 
 def factored(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -128,14 +131,6 @@ def factored(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def solve_factored(factors: tuple[np.ndarray, np.ndarray], right: np.ndarray) -> np.ndarray:
     """A^-1 r from the LU factors of A^T, for a right-hand side of any shape."""
     return np.reshape(dgetrs(*factors, right.ravel(), trans=1)[0], right.shape)
-
-
-def determinant_sign(factors: tuple[np.ndarray, np.ndarray]) -> float:
-    """Sign of the determinant of a matrix from its LU factors as LAPACK gives them."""
-    matrix, pivots = factors
-    swaps = np.count_nonzero(pivots != np.arange(len(pivots)))
-    negative = np.count_nonzero(np.diag(matrix) < 0.0)
-    return -1.0 if (swaps + negative) % 2 else 1.0
 
 
 # --- as the kernel takes them ---------------------------------------------------------------------

@@ -431,9 +431,8 @@ def step_along(
 ) -> PathPoint | None:
     """The same with the tangent there, which keeps its direction."""
     found = correct(system, start, step, tolerance)
-    if found is None:
+    if found is None or found.at is None:
         return None
-    assert found.at is not None
     return replace(found, tangent=tangent_of(system, found.unknown, found.at, start.tangent))
 
 

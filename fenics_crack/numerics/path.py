@@ -293,9 +293,8 @@ def zero_between(
             p = before.parameter + smooth * rise
             p += lean[0] * before.tangent.p + lean[1] * after.tangent.p
             crossing = solve_in_plane(system, x, p, chord, tolerance=rtol, reach=STRAY * length)
-            if crossing is None:
+            if crossing is None or crossing.at is None:
                 raise ConvergenceError("path: lost between two points")
-            assert crossing.at is not None
             tangent = tangent_of(system, crossing.unknown, crossing.at, chord)
             point = replace(crossing, tangent=tangent, observed=observed(system, crossing.at))
             met[share] = point, test(point)

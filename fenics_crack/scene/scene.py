@@ -601,6 +601,8 @@ def _check_dimension(scene: Scene) -> None:
         scene.rotation.leave_out(("axis", "center"), "a plate: its axis is parallel to x")
     _check_vectors(scene)
     mesh = scene.mesh
+    if scene.contact is not None and scene.contact.pairs == "mouth":
+        mesh.leave_out(("patches",), "contact.pairs = 'mouth', which keeps one")
     if dimension == 3:
         reason = "2 with geometry.kind = 'solid': tetrahedra of order 1 are much too stiff"
         mesh.require(mesh.order == 2, "order", reason)

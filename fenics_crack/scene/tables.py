@@ -565,8 +565,8 @@ class Contact(Table):
     """Stiffness of pairs that stick, per area of the crack face. Left out: infinite, of crack faces
     without mass."""
     pairs: str = choice("all", "mouth", default="all")
-    """Every pair of crack-face nodes, or of each crack only the one at the mouth, or in the middle
-    of a crack inside the plate."""
+    """Every pair of crack-face nodes, or as many as mesh.patches; or of each crack only the one at
+    the mouth, or in the middle of a crack inside the plate."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -673,6 +673,9 @@ class Mesh(Table):
     """Beside the scene's file, or with its whole path."""
     coarser: str | None = path("the path of a .msh file")
     """The same part with fewer elements, for the errors due to those of ``file``."""
+    patches: int | None = at_least_one(None)
+    """Contact pairs of each crack, at most: means over several nodes, where the mesh is finer than
+    contact needs. Default: all nodes; of a solid all corners of elements."""
     error: bool = holds("true or false", default=True)
     """true: a coarser mesh gives the error of each number due to this one."""
 

@@ -133,11 +133,8 @@ class Campbell(Saved):
     @cached_property
     def _at(self) -> At:
         """Return the function :attr:`at`, from the scene if there is none."""
-        if self.at is not None:
-            return self.at
-        again = campbell(self.scene, self.speed, self.omega_open.shape[1], MPI.COMM_SELF)
-        assert again.at is not None
-        return again.at
+        count = self.omega_open.shape[1]
+        return self.at or campbell(self.scene, self.speed, count, MPI.COMM_SELF)._at
 
     @property
     def omega_bilinear(self) -> np.ndarray:
@@ -147,10 +144,8 @@ class Campbell(Saved):
     @property
     def omega_real(self) -> np.ndarray:
         """Natural frequencies in the crack's state at each speed: (n, m) [rad/s]."""
-        return np.select(
-            [self.kind == kind for kind in STATES],
-            [getattr(self, f"omega_{kind}") for kind in STATES],
-        )
+        of_kinds = [getattr(self, f"omega_{kind}") for kind in STATES]
+        return np.select([self.kind == kind for kind in STATES], of_kinds)
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -408,10 +403,8 @@ def _met(found: Campbell, small: Ritz) -> tuple[tuple[int, AtLoad], ...]:
     if order is None or not found.cracked:
         return ()
     many = replace(small, modes=max(small.modes, SOUGHT_MODES))
-    return tuple(
-        (int(mode), over_speed(scene, many, speed))
-        for mode, speed in found.crossings(order, "real").tolist()
-    )
+    crossings = found.crossings(order, "real").tolist()
+    return tuple((int(mode), over_speed(scene, many, speed)) for mode, speed in crossings)
 
 
 def report_of_campbell(found: Campbell) -> Report:
@@ -490,10 +483,8 @@ def _frequencies(
     shut = pressed > 0.0
     opening = np.where(shut, 0.0, clearance - structure.apply_bt(moved[None])[0])
     rest = np.where(np.array([none, every, shut]), pressed, opening)
-    found = [
-        _held(is_open, peaks, own, tied, n_tied)
-        for own, tied in zip(rest, (none, every, shut), strict=True)
-    ]
+    states = zip(rest, (none, every, shut), strict=True)
+    found = [_held(is_open, peaks, own, tied, n_tied) for own, tied in states]
     omega, hold = (np.array(part) for part in zip(*found, strict=True))
     if shut.all() or not shut.any():
         hold[2] = -1.0  # not partly

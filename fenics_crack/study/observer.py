@@ -84,7 +84,7 @@ class Held(NamedTuple):
 
 def held(record: Record) -> Held:
     """The clamp in a record of :func:`inertia_rows`."""
-    whole, omega = record.structure().whole, record.omega
+    whole, omega = record.structure.whole, record.omega
     clamp, drag = _clamp(whole)
     if record.steps:
         return Held(*clamp.of_record(record.time, record.motion, omega, drag))
@@ -136,9 +136,22 @@ class AtTip(NamedTuple):
 
     @property
     def equivalent(self) -> float:
-        """Range of K_I from 0 that makes the crack grow as much [Pa m^1/2]."""
+        """The range from K_I = 0 that, once a period, makes a crack grow as much as K_I (n,) does,
+
+            (sum_i (delta K_i / (1 - R_i)^(1 - gamma))^m / periods)^(1 / m) [Pa m^1/2],
+
+        over the cycles i that are counted, delta K_i being the range while the tip is open; those
+        below the threshold are left out where another is above it."""
         assert self.law is not None
-        return _equivalent_range(self.one, self.law, self.periods)
+        high, low = counted_cycles(np.maximum(self.one, 0.0)).T
+        ranges = high - low
+        if not ranges.size:
+            return 0.0
+        ratio = np.minimum(low / high, 1.0 - 1e-9)
+        drive = ranges / (1.0 - ratio) ** (1.0 - self.law.ratio_exponent)
+        grows = ranges >= min(self.law.threshold, ranges.max())
+        parts = np.where(grows, drive / drive.max(), 0.0) ** self.law.exponent
+        return float(drive.max() * (parts.sum() / self.periods) ** (1.0 / self.law.exponent))
 
     def numbers(self) -> dict[str, float]:
         """Quantities of the tip by their names; the equivalent range where there is a law of
@@ -198,24 +211,6 @@ class _OfScene:
         blocks = [units[n : n + AT_A_TIME] for n in range(0, len(units), AT_A_TIME)]
         products = np.vstack([structure.expand(block) @ rows.T for block in blocks])
         return tips, structure.whole.sum_over_ranks(products).T, of_forces
-
-
-def _equivalent_range(one: np.ndarray, law: Growth, periods: float) -> float:
-    """The range from K_I = 0 that, once a period, makes a crack grow as much as K_I (n,) does,
-
-        (sum_i (delta K_i / (1 - R_i)^(1 - gamma))^m / periods)^(1 / m),
-
-    over the cycles i that are counted, delta K_i being the range while the tip is open; those below
-    the threshold are left out where another is above it."""
-    high, low = counted_cycles(np.maximum(one, 0.0)).T
-    ranges = high - low
-    if not ranges.size:
-        return 0.0
-    ratio = np.minimum(low / high, 1.0 - 1e-9)
-    drive = ranges / (1.0 - ratio) ** (1.0 - law.ratio_exponent)
-    grows = ranges >= min(law.threshold, ranges.max())
-    parts = np.where(grows, drive / drive.max(), 0.0) ** law.exponent
-    return float(drive.max() * (parts.sum() / periods) ** (1.0 / law.exponent))
 
 
 def counted_cycles(values: np.ndarray) -> np.ndarray:

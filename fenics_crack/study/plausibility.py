@@ -167,9 +167,8 @@ def find_key_figures(study: Study) -> KeyFigures:
                 of_gap = still_gap + load @ psi
                 compliance = lips + (psi.T * change) @ psi
                 force = np.zeros(whole.n_pairs, dtype=complex)
-                force[closed] = np.linalg.lstsq(
-                    compliance[np.ix_(closed, closed)], of_gap[closed], rcond=None
-                )[0]
+                shut = compliance[np.ix_(closed, closed)]
+                force[closed] = np.linalg.lstsq(shut, of_gap[closed], rcond=None)[0]
                 gap, push = gap + np.abs(of_gap), push + np.abs(force)
                 apart = apart + np.abs(of_gap - compliance @ force)
         largest = max(largest, float(seen.max(initial=0.0)))
@@ -252,12 +251,12 @@ def _slopes(factor: Factor, modes: Modes, count: int) -> np.ndarray:
 
 def _elements(scene: Scene, whole: Structure) -> int | None:
     """Elements along the crack that has the fewest: its pairs by the order of the displacement,
-    rounded up, for tips are no pairs."""
+    rounded up, for tips are no pairs; or its patches."""
     if not whole.n_pairs:
         return None
     cracks = whole.pairs.cracks
     fewest = whole.n_pairs if cracks is None else int(np.bincount(cracks).min())
-    return math.ceil(fewest / (1 if scene.mesh is None else scene.mesh.order))
+    return math.ceil(fewest / (1 if scene.mesh is None or scene.mesh.patches else scene.mesh.order))
 
 
 def extents(whole: Structure) -> tuple[float, ...]:
@@ -366,10 +365,8 @@ def proposed_curve(scene: Scene, figures: KeyFigures) -> Curve | None:
     if not (opened > 0.0 and breathing < 2.0 * opened and beyond > 1.0):
         return None
     bonded = 1.0 / (2.0 / breathing - 1.0 / opened)  # of the same mode
-    low, high, start, stop = (
-        _meeting(scene, parameter, omega, figures.slopes[mode])
-        for omega in (opened, bonded, opened / beyond, bonded * beyond)
-    )
+    meeting = partial(_meeting, scene, parameter, slope=figures.slopes[mode])
+    low, high, start, stop = map(meeting, (opened, bonded, opened / beyond, bonded * beyond))
     if not found.unknown and turns == (parameter in ("speed", "rpm")):
         low = high = found.value
         start, stop = min(low, found.rest), max(high, found.rest)
@@ -616,16 +613,14 @@ def _no_resonance(_: float, scene: Scene, figures: KeyFigures) -> tuple[float, s
     """The first natural frequency [rad/s] if a curve holds no resonance of the first modes, between
     open and bonded crack, with some harmonics of the load or half its frequency; and a range with
     the one at the load."""
-    curve = scene.curve
-    assert curve is not None
+    curve = scene.given("curve")
     if curve.parameter not in CURVE_UNITS:
         return None
     meeting = np.vectorize(partial(_meeting, scene, curve.parameter, slope=figures.slopes[0]))
     first, last = sorted(curve.followed[1:])
+    natural = figures.omega_open, figures.omega_tied
     for order in (0.5, 1.0, 2.0, 3.0):
-        opened, bonded = (
-            meeting(w, harmonic=order) for w in (figures.omega_open, figures.omega_tied)
-        )
+        opened, bonded = (meeting(omega, harmonic=order) for omega in natural)
         if np.any((first <= bonded) & (last >= opened)):
             return None
     if last >= meeting(figures.omega_tied[-1], harmonic=1.0):  # more modes are not computed
@@ -647,7 +642,8 @@ def _turned(_: object, scene: Scene, figures: KeyFigures) -> tuple[float, float]
 def _elements_along(_: object, scene: Scene, figures: KeyFigures) -> int | None:
     """Elements along each crack face; grids choose them, and a mouth has one."""
     at_mouth = scene.contact is not None and scene.contact.pairs == "mouth"
-    return None if at_mouth or scene.mesh.layout == "grid" else figures.elements
+    by_grid = scene.mesh.layout == "grid" and scene.mesh.patches is None
+    return None if at_mouth or by_grid else figures.elements
 
 
 def _never_meet(_: object, scene: Scene, figures: KeyFigures) -> tuple[float, str] | None:
@@ -713,8 +709,8 @@ OF_FIGURES = (
     Usual("curve.start", 1.0, 0.0, "no resonance from there to {1}", _no_resonance),
     Usual(LOADS, 0.0, SMALL_MOTION, "with an open crack it moves the {kind} by {1:.2g} m, {0:.2g} "
           "rad about the clamp: beyond small displacements; in N?", _turned),
-    Usual("mesh.lip_elements mesh.file", 4, math.inf, "elements longer than a quarter of the "
-          "crack; 4 to 20 along each face are usual", _elements_along),
+    Usual("mesh.patches mesh.lip_elements mesh.file", 4, math.inf, "elements or patches "
+          "longer than a quarter of the crack; 4 to 20 along each face are usual", _elements_along),
     Usual(STIFFNESSES, 1.0, math.inf, "at most {:.2g} of the {faces}' static stiffness: they "
           "penetrate each other; 100 to 10000 times is usual, or contact.law = 'unilateral'",
           lambda _, __, figures: np.max(figures.stiffness_ratio)),

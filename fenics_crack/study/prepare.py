@@ -217,8 +217,7 @@ def reduced(study: Study, *, judged: bool = True) -> Study:
     if whole.has_matrices:
         check_memory_of(scene, whole)
     if isinstance(whole, Wheel):
-        assert scene.disk is not None
-        structure = reduce_wheel(whole, scene.disk.families, reference=judged)
+        structure = reduce_wheel(whole, scene.given("disk").families, reference=judged)
         return replace(study, structure=structure)
     kept = reduction_of(scene, whole)
     if kept is None:
@@ -278,10 +277,8 @@ def check_memory_of(scene: Scene, structure: Structure, *, run_up: bool = False)
         give_back_freed()  # not before: what needs memory next would have to be given it again
         needed = _memory_needed(scene, structure, run_up)
     if needed > most:
-        sizes = (
-            f"{structure.n_dofs} degrees of freedom need {needed / 2**30:.3g} GiB of this "
-            f"machine's {machine / 2**30:.3g}"
-        )
+        memory = f"{needed / 2**30:.3g} GiB of this machine's {machine / 2**30:.3g}"
+        sizes = f"{structure.n_dofs} degrees of freedom need {memory}"
         if scene.structure is not None:
             mass = scene.structure.mass
             raise InputError("structure.mass", mass, f"that of a smaller structure: {sizes}")

@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import chain
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -55,7 +55,7 @@ from fenics_crack.study.prepare import REFUSALS, Study, check_memory_of, prepare
 from fenics_crack.study.solve import MOST_OF_MANY, modes_chosen, solve_prepared, with_more_modes
 from fenics_crack.study.vary import error_by_modes, errors_of
 from fenics_crack.study.verification import Verification, verification_of
-from fenics_crack.time.march import Initial, TimeHistory, initial_places, initial_state
+from fenics_crack.time.march import Initial, TimeHistory, initial_state
 
 Found = TypeVar("Found", bound=Result, covariant=True)
 
@@ -109,10 +109,8 @@ class Run(Answer, Generic[Found]):
         found, stated = self.result.peak(dof), self.errors
         if stated is None or not stated.parts or dof not in (None, self.watched_dof):
             return found
-        of_amplitude, of_omega = (
-            stated.stated(name)[0]
-            for name in (self.watched[0].column("amplitude"), stated.resonance)
-        )
+        names = self.watched[0].column("amplitude"), stated.resonance
+        of_amplitude, of_omega = (stated.stated(name)[0] for name in names)
         of_omega = math.nan if found.at_end else of_omega
         return replace(found, error=of_amplitude, omega_error=of_omega, without=stated.without)
 
@@ -125,9 +123,7 @@ class Run(Answer, Generic[Found]):
             columns = list(found.displacement(dofs).T)
         elif isinstance(found, Observed):
             columns = [seen.waves for seen in found.observe(dofs)[0]]
-        return {
-            watched.words: column for watched, column in zip(self.watched, columns, strict=False)
-        }
+        return dict(zip((watched.words for watched in self.watched), columns, strict=False))
 
     def save(self, path: str | Path) -> None:
         """Write the result with its scene, its errors if they are stated, and what is watched of
@@ -296,9 +292,8 @@ def curve(
     parameter, start, stop = table.followed
     study = next(studies)
     if not study.structure.sum_over_ranks(np.abs(study.structure.force[1:]).sum()):
-        raise InputError(
-            "load", "steady", "one that changes in time, for a curve: nothing vibrates"
-        )
+        allowed = "one that changes in time, for a curve: nothing vibrates"
+        raise InputError("load", "steady", allowed)
     law = _needed_law(study)
     if is_rigid(law) and not study.structure.light_lips:
         allowed = "'penalty' or 'smoothed', or used with reduction.method = 'massless', for a curve"
@@ -333,7 +328,8 @@ def curve(
         study, found = more, follow(more)
         if found.status == INTERRUPTED:
             break
-        error = max(map(partial(error_by_modes, study), _examined(study, found)))
+        places = sorted({found.top(study.watched[0].dof).index, 0, len(found) - 1})
+        error = max(error_by_modes(study, found.solution(place)) for place in places)
         vars(found)["status"] += f"; {_modes_in_words(study, error)}"  # what is observed is kept
         if error <= balance.given("tolerance"):
             break
@@ -354,11 +350,8 @@ def _studies_of_curve(given: Scene | Study, comm: MPI.Comm) -> Iterator[Study]:
         scene.reduction.require(scene.reduction.method in (None, "massless"), "method", allowed)
     check_memory_of(scene, whole.structure, run_up=True)
     if modes_chosen(whole):
-        times_speed, few = (
-            scene.excitation.omega / scene.speed,
-            with_more_modes(whole, MOST_OF_MANY),
-        )
-        chosen = _enough_before(next(few), few, times_speed * start, times_speed * stop)
+        few, order = with_more_modes(whole, MOST_OF_MANY), scene.excitation.omega / scene.speed
+        chosen = _enough_before(next(few), few, order * start, order * stop)
         whole = replace(whole, scene=chosen.scene)
     kept = reduction_of(whole.scene, whole.structure)
     modes = min(MODES, whole.structure.n_dofs) if kept is None else kept.modes
@@ -369,8 +362,7 @@ def _studies_of_curve(given: Scene | Study, comm: MPI.Comm) -> Iterator[Study]:
 def _enough_before(study: Study, studies: Iterator[Study], start: float, stop: float) -> Study:
     """The first of some studies with enough modes, as far as a solution next to the first resonance
     of a curve over the frequency tells, or without one at its start (collective)."""
-    balance, law = study.scene.harmonic_balance, study.contact
-    assert law is not None
+    balance, law = study.scene.harmonic_balance, _needed_law(study)
     low, high = sorted((start, stop))
     for more in chain([study], studies):
         study = more
@@ -383,12 +375,6 @@ def _enough_before(study: Study, studies: Iterator[Study], start: float, stop: f
         if error <= balance.given("tolerance") or error == math.inf:
             break
     return study
-
-
-def _examined(study: Study, found: ResponseCurve) -> list[PeriodicSolution]:
-    """The solutions at the largest response of a curve and at its ends (collective)."""
-    places = {found.top(study.watched[0].dof).index, 0, len(found) - 1}
-    return [found.solution(place) for place in sorted(places)]
 
 
 def _modes_in_words(study: Study, error: float) -> str:
@@ -502,23 +488,19 @@ def _state_of(
     """
     found, whole = earlier.result, structure.whole
     if isinstance(found, TimeHistory):
-        state, places = found.final_state[:2], found.final_state[2:]
+        state = found.final_state
     else:
-        state = initial_state(found.structure, found)
-        known = initial_places(found.structure, found.contact, found)
-        places = () if known is None else (known,)
-    moved = found.structure.expand(np.array(state))
-    marks = [
-        np.zeros((one.n_local, 1)) if one.nodes is None else one.nodes.points
-        for one in (whole, found.structure.whole)
-    ]
+        state = initial_state(found.structure, found.contact, found)
+    moved = found.structure.expand(np.array(state[:2]))
+    both = ((one.nodes, one.n_local) for one in (whole, found.structure.whole))
+    marks = [np.zeros((n, 1)) if nodes is None else nodes.points for nodes, n in both]
     same = moved.shape[1] == whole.n_local and np.array_equal(*marks)
     if not all(whole.comm.allgather(same)):
         table.require(False, "initial", "a result of the same mesh")
     if isinstance(structure, ReducedStructure):
         modal = whole.sum_over_ranks(times(whole.mass, moved.T).T @ structure.basis)
         moved = np.pad(modal, ((0, 0), (0, structure.n_dofs - modal.shape[1])))
-    return moved[0], moved[1], *places
+    return moved[0], moved[1], *state[2:]
 
 
 def _freed(study: Study) -> Study:

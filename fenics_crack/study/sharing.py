@@ -9,8 +9,8 @@ times are coarse.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import fields
+from typing import Any, NamedTuple
 
 from mpi4py import MPI
 
@@ -20,8 +20,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 
 
-@dataclass(frozen=True)
-class Made:
+class Made(NamedTuple):
     """A structure and what it was made of: parts that mesh and matrices depend on, loads, and the
     rest."""
 

@@ -61,7 +61,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from operator import methodcaller
 from typing import Any
 
@@ -130,12 +130,8 @@ RUNS = {
 # --- levels of a cause ----------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Level:
-    """Numbers of a run, and how many elements, modes, harmonics or samples it has."""
-
-    count: int
-    values: Mapping[str, float]
+Level = tuple[int, Mapping[str, float]]
+"""How many elements, modes, harmonics or samples a run has, and its numbers."""
 
 
 def part_of(
@@ -152,13 +148,13 @@ def part_of(
     It follows from two or three levels with the orders of :func:`grid_convergence`; or from two by
     a ratio of sizes, an error that is expected, without a factor of safety.
     """
-    counts = tuple(level.count for level in levels)
+    counts, runs = zip(*levels, strict=True)
     sizes = [_size_of(cause, count, scene) for count in counts]
     if ratio is not None:
         sizes[1] = ratio * sizes[0]
     parts = {}
-    for name in levels[0].values:
-        values = [level.values.get(name, 0.0) for level in levels]
+    for name in runs[0]:
+        values = [run.get(name, 0.0) for run in runs]
         found = grid_convergence(sizes, values, formal=formal, highest=highest)
         parts[name] = found if ratio is None else replace(found, factor=1.0)
     return counts, parts
@@ -246,15 +242,14 @@ class _Case:
         law, structure, periods = study.contact, study.structure, found.subharmonic
         if law is None or coefficient_of(law) is not None:
             return ""
-        if not (coefficient := scene.given("contact").friction_error):
+        table = scene.given("contact")
+        if not (coefficient := table.friction_error):
             return "contact.friction_error = false"
         if scene.disk is not None or structure.whole.tangential is None:
             return "not estimated, only of single plates"
         keys: dict[str, Any] = {"contact.friction": coefficient}
         if not structure.light_lips:  # faces with mass, in contact as stiff along them as across
-            keys["contact.tangential_stiffness_per_area"] = scene.given(
-                "contact"
-            ).stiffness_per_area
+            keys["contact.tangential_stiffness_per_area"] = table.stiffness_per_area
         own = self.exact if structure.light_lips and structure.n_modes == FRICTION_MODES else None
         few = structure
         if own is None:
@@ -352,7 +347,7 @@ def errors_of_natural(study: Study, natural: Mapping[str, np.ndarray]) -> Verifi
         both = {"open": solve_modes(twin.structure, count).omega}
         if "tied" in natural:
             both["tied"] = tied_modes(twin.structure, count).omega
-        levels = map(Level, counts, (values, named(both)))
+        levels = zip(counts, (values, named(both)), strict=True)
         return part_of("mesh", [*levels], scene, ratio=ratio)
 
     values = named(natural)
@@ -449,7 +444,7 @@ class _Stated(_Case):
             solution = _solved(more, near.omega, near.harmonics, start)
             other, least = self.values_of(solution, more), self._sizes_of_change(near, solution)
         counts, ratio = (len(structure.omega), len(reference.omega)), 1.0 - structure.share
-        levels = map(Level, counts, (self.own.values, other))
+        levels = zip(counts, (self.own.values, other), strict=True)
         _, parts = part_of("modes", [*levels], self.study.scene, ratio=max(ratio, UNCHANGED))
         for name, size in least.items():
             error = parts[name].uncertainty(-1) if name in parts else 0.0
@@ -477,12 +472,10 @@ class _Stated(_Case):
         made = []
         for factor in COUNTS[1:] if self.found.report.truncation > LARGE_ERROR else COUNTS[1:2]:
             start = _solved(self.study, self.near.omega, factor * count, start)
-            levels = Level(count, self.own.values), Level(factor * count, self.values_of(start))
+            levels = (count, self.own.values), (factor * count, self.values_of(start))
             made.append(part_of("harmonics", levels, scene, ratio=1.0 / factor))
-        parts = {
-            name: max((part[name] for _, part in made), key=methodcaller("uncertainty"))
-            for name in self.own.values
-        }
+        worst = partial(max, key=methodcaller("uncertainty"))
+        parts = {name: worst(part[name] for _, part in made) for name in self.own.values}
         if "closed_share" in parts:
             part = parts["closed_share"]  # counted at instants, it is not known to one
             error = math.hypot(part.uncertainty(-1), 1.0 / len(self.near.instants()))
@@ -504,7 +497,7 @@ class _Stated(_Case):
         with_few, mode = self.values_of(half), self._moving(half)
         moved = bilinear_of(twin.structure, mode) / bilinear_of(study.structure, mode)
         there = self.values_of(_solved(twin, near.omega * moved, few), twin)
-        levels = map(Level, counts, (with_few, there))
+        levels = zip(counts, (with_few, there), strict=True)
         _, parts = part_of("mesh", [*levels], study.scene, ratio=ratio)
         orders = 2.0 * study.scene.mesh.order, TIP
         left = np.linspace(*(1.0 / (ratio**order - 1.0) for order in orders), PLACES)
@@ -696,7 +689,7 @@ class _Verified(_Case):
         """The part of a cause, by what finer runs are called, their counts, None of a mesh, whose
         elements are counted when it is made, and scenes; ``shared`` is the study of all runs but
         those of a mesh (collective)."""
-        levels = [Level(count, self.own.values)]
+        levels: list[Level] = [(count, self.own.values)]
         for name, many, scene in reversed(finer):  # few modes are among many
             with within(name):
                 try:
@@ -704,11 +697,11 @@ class _Verified(_Case):
                 except REFUSALS as error:
                     self.failures.append(f"{name}: {error}")
                     continue
-            levels.insert(1, Level(many or n_elements(run.structure), self._values(run, cause)))
+            levels.insert(1, (many or n_elements(run.structure), self._values(run, cause)))
             self.made.verdicts.update(_doubtful(name, run))
         if len(levels) == 1:
             raise ConvergenceError(cause)
-        if len({level.count for level in levels}) < len(levels):
+        if len({many for many, _ in levels}) < len(levels):
             return "finer ones have as many elements, as mesh.size is that of the plate"
         return part_of(cause, levels, self.whole.scene, formal=formal, highest=highest)
 

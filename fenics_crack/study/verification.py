@@ -518,10 +518,8 @@ class Verification(Saved):
         cause = max(parts, key=lambda one: parts[one])
         most = self.parts[cause][name]
         how = f"observed order {most.order:.2g}" if math.isfinite(most.order) else most.behaviour
-        return (
-            f"{text} +- {share} (sum of all: {bound}), mostly due to {cause}, {how}; "
-            f"extrapolated {self.extrapolated(name):.5g}"
-        )
+        text += f" +- {share} (sum of all: {bound}), mostly due to {cause}, {how}"
+        return f"{text}; extrapolated {self.extrapolated(name):.5g}"
 
 
 def verification_of(stored: Stored) -> Verification | None:

@@ -23,7 +23,7 @@ from fenics_crack.curves.stability import floquet
 from fenics_crack.fem.setting import clearance_of, parts_of
 from fenics_crack.model.contact import is_rigid, is_unilateral
 from fenics_crack.model.modal import is_small
-from fenics_crack.model.modes import BilinearFrequencies, bilinear_frequencies
+from fenics_crack.model.modes import KINDS, BilinearFrequencies, bilinear_frequencies
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.motions import rows_of
 from fenics_crack.scene.scene import Scene
@@ -149,15 +149,13 @@ def build(scene: Scene, comm: MPI.Comm, asked: Asked, last: Geometry | None = No
 
 def with_any_modes(scene: Scene, asked: Asked) -> Iterator[Geometry]:
     """The geometry of a case with each number of modes with which it may have been solved."""
-    made = build(scene, MPI.COMM_SELF, asked)
-    yield made
-    if not made.modes:
-        return
-    finer = made.finer
-    while finer is not None:
-        yield finer
-        finer = finer.finer
-    yield build(scene, MPI.COMM_SELF, replace(asked, judged=False))
+    first = build(scene, MPI.COMM_SELF, asked)
+    made: Geometry | None = first
+    while made is not None:
+        yield made
+        made = made.finer
+    if first.modes:
+        yield build(scene, MPI.COMM_SELF, replace(asked, judged=False))
 
 
 def _watched(study: Study) -> dict[str, np.ndarray]:
@@ -341,16 +339,9 @@ def _at(omega: float, natural: BilinearFrequencies) -> Found:
 
 def _numbered(natural: BilinearFrequencies) -> Found:
     """Natural frequencies by the names of their columns; there may be fewer than these."""
-    rows = {
-        "open": natural.omega_open,
-        "tied": np.sort(natural.omega_tied),
-        "bilinear": natural.omega_bilinear,
-    }
-    return {
-        f"omega_{lips}_{mode}": omega
-        for lips, row in rows.items()
-        for mode, omega in enumerate(row, 1)
-    }
+    rows = natural.omega_open, np.sort(natural.omega_tied), natural.omega_bilinear
+    kinds = zip(KINDS, rows, strict=True)
+    return {f"omega_{kind}_{n}": omega for kind, row in kinds for n, omega in enumerate(row, 1)}
 
 
 def _observed(solution: PeriodicSolution, case: Scene, geometry: Geometry) -> Found:

@@ -442,10 +442,8 @@ def read_columns(stored: store.Stored, scene: Scene) -> dict[str, np.ndarray]:
     shape, found = scene.given("sweep").shape, {}
     if damaged.any():
         first = tuple(map(int, np.unravel_index(int(np.argmax(damaged)), shape)))
-        raise stored.refused(
-            f"a whole sweep: {damaged.sum()} of its cases are damaged, the first at {first}; the "
-            "command sweep computes them again"
-        )
+        cases = f"{damaged.sum()} of its cases are damaged, the first at {first}"
+        raise stored.refused(f"a whole sweep: {cases}; the command sweep computes them again")
     for name in ("state", *columns_of(scene)):
         values = columns[name]
         if name != "state":

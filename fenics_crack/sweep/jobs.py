@@ -12,9 +12,8 @@ from __future__ import annotations
 import gc
 import traceback
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from mpi4py import MPI
@@ -40,8 +39,7 @@ Outcome = list[Found] | Exception
 """Values of the cases of a chunk, or the error that ends the sweep."""
 
 
-@dataclass(frozen=True)
-class Job:
+class Job(NamedTuple):
     """Some chunks of a geometry, as numbers of their cases."""
 
     geometry: int

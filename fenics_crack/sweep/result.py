@@ -346,22 +346,14 @@ class SweepResult(Tabular):
         if law is None:
             return solve_linear(structure, omega, harmonics=case.harmonic_balance.harmonics)
         gap, force = read_waves(self.path, place)
-        count = structure.n_pairs
         problem = Problem(structure, omega, law, len(gap) // 2)
-        parts: dict[str, Any] = {
-            "omega": omega,
-            "subharmonic": 1,
-            "gap_coefficients": gap[:, :count],
-            "force_coefficients": force[:, :count],
-            "static_above": problem.static_cutoff,
+        wave = problem.wave_of(np.zeros((len(gap), 0)), gap, force)  # u follows from the forces
+        parts = vars(wave) | {
             "status": str(self["status"][place]),
             "iterations": int(self["iterations"][place]),
             "error_penetration": float(self["penetration_share"][place]),
             "error_displacement": 0.0,
         }
-        if problem.friction:
-            parts["tangential_gap_coefficients"] = gap[:, count:]
-            parts["tangential_force_coefficients"] = force[:, count:]
         parts |= {f"error_{name}": float(self[f"{name}_error"][place]) for name in ERROR_PARTS}
         if problem.projected:
             parts["weight"] = default_weight(problem.compliance())
@@ -402,9 +394,8 @@ class SweepResult(Tabular):
         values = zip(*itertools.product(*(axis.values for axis in self.axes)), strict=True)
         found = {axis.key: list(swept) for axis, swept in zip(self.axes, values, strict=True)}
         found["state"] = STATE_NAMES[self["state"]].ravel().tolist()
-        return found | {
-            name: self[name].ravel().tolist() for name in self.columns if name != "state"
-        }
+        columns = (name for name in self.columns if name != "state")
+        return found | {name: self[name].ravel().tolist() for name in columns}
 
     def to_xarray(self) -> Any:
         """The columns of :meth:`to_dict` over the swept keys, as an ``xarray.Dataset`` with units.

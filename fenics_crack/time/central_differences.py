@@ -237,10 +237,10 @@ class _ModalDifferences(Scheme):
             self._sets = FrictionSets(np.diag(1.0 / springs), mu)
             self._held, states = np.zeros(pairs // 2), np.zeros(pairs // 2, dtype=np.int8)
             own = {"friction": self._sets.handle, "held": self._held, "states": states}
-        self._shape, velocity = (modes.inverse @ part for part in asked.start)
+        self._shape, velocity = (modes.inverse @ part for part in asked.start[:2])
         gap = self._gap()
         if own:
-            self._held[:] = gap[pairs // 2 :] if asked.places is None else asked.places
+            self._held[:] = asked.start[2] if asked.start[2:] else gap[pairs // 2 :]
         if asked.rigid and np.any(gap > 0.0):  # by the least change in the norm of M
             self._shape -= modes.pairs @ solve_complementarity(modes.pairs.T @ modes.pairs, gap)
         self._increment = dt * velocity - 0.5 * dt**2 * self._acceleration(velocity)
@@ -353,11 +353,11 @@ class _CentralDifferences(Scheme):
             for column in self._push.T:
                 column[:] = self._answer(column, still)
             self._compliance = structure.apply_bt(self._push.T).T
-        displacement, velocity = asked.start
+        displacement, velocity = asked.start[:2]
         self.displacement = self._admissible(displacement)
         if friction_of(self.contact) is not None:
             still = self._measured(displacement)[structure.n_pairs :]
-            self._held = still if asked.places is None else asked.places
+            self._held = asked.start[2] if asked.start[2:] else still
         # The step before from u_{-1} = u - dt v + dt^2 a / 2.
         self.increment = dt * velocity - 0.5 * dt**2 * self._acceleration(velocity)
         self._energy = _ContactEnergy(asked, self._linear_energy(velocity))
@@ -379,19 +379,24 @@ class _CentralDifferences(Scheme):
     def advance(self, step: int) -> None:
         """Integrate from an instant, ``step`` of the period, to the next."""
         dt = self.step_size
-        self.gap = self._measured(self.displacement)
-        # f - K u - B lambda
-        pull = -self._applied(self.structure.stiffness.mult, self.displacement)
-        pull[self.load_rows] += self.load[step]
-        if not self.rigid:
-            self.force = self._forces(self.gap)
-            pull[self._gap_rows] -= self._gap_block @ self.force
-        self.increment = self.increment + self._answer(dt**2 * pull, dt * self.increment)
+        pull = dt**2 * self._pull(step)
+        self.increment = self.increment + self._answer(pull, dt * self.increment)
         if self.rigid:
             reached = self.gap + self._closing(self.increment)
             self.force = solve_complementarity(self._compliance, reached, self.force > 0.0)
             self.increment -= self._push @ self.force
         self.displacement = self.displacement + self.increment
+
+    def _pull(self, step: int) -> np.ndarray:
+        """f - K u - B lambda at an instant of the period; forces of a constraint, which belong to
+        the next step, are left out."""
+        self.gap = self._measured(self.displacement)
+        pull = -self._applied(self.structure.stiffness.mult, self.displacement)
+        pull[self.load_rows] += self.load[step]
+        if not self.rigid:
+            self.force = self._forces(self.gap)
+            pull[self._gap_rows] -= self._gap_block @ self.force
+        return pull
 
     def _forces(self, gap: np.ndarray) -> np.ndarray:
         """Forces of gaps (n_rows,), without a constraint; with friction pairs stick from here on
@@ -437,14 +442,8 @@ class _CentralDifferences(Scheme):
         return self._modes.mass_shapes @ (self._modes.rate * modal)
 
     def _acceleration(self, velocity: np.ndarray) -> np.ndarray:
-        """M^-1 (f - K u - B lambda - C v) at phase zero of the load; forces of a constraint, which
-        belong to the next step, are left out."""
-        right = -self._applied(self.structure.stiffness.mult, self.displacement)
-        right -= self._damped(velocity)
-        right[self.load_rows] += self.load[0]
-        if not self.rigid:
-            force = self._forces(self._measured(self.displacement))
-            right[self._gap_rows] -= self._gap_block @ force
+        """M^-1 (f - K u - B lambda - C v) at phase zero of the load."""
+        right = self._pull(0) - self._damped(velocity)
         with Factor(self.structure.mass, definite=True) as factor:
             return np.asarray(factor.solve(right[None])[0])
 

@@ -166,7 +166,7 @@ class _ByEvents(Scheme):
         self._period = 2.0 * np.pi / asked.omega
         parts = np.arange(asked.steps_per_period + 1) / asked.steps_per_period
         self._instants = parts * self._period
-        self._state = self._flow.state(*asked.start, asked.places)
+        self._state = self._flow.state(*asked.start)
 
     def fill(self, window: Window, number: int) -> None:
         asked = self._asked
@@ -313,7 +313,7 @@ class _ByExponentials(Scheme):
     def __init__(self, asked: March) -> None:
         self._asked, steps = asked, asked.steps_per_period
         self._flow = ExponentialFlow(asked.structure, asked.omega, asked.contact, steps)
-        self._state = self._flow.state(*asked.start, asked.places)
+        self._state = self._flow.state(*asked.start)
         # The load does the work of its mean over a step, the trapezoidal rule.
         self._means = 0.5 * (asked.load + np.roll(asked.load, -1, axis=0))
         self._put_in = self._missing = 0.0

@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import MISSING, dataclass, fields
 from functools import cached_property
 from inspect import signature
-from typing import Any, ClassVar, TypeAlias
+from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -105,7 +105,7 @@ class March:
             what, room = f"{instants} instants of {most} dofs", f"{MEMORY_LIMIT // 2**30} GiB"
             allowed = f"fewer, or fewer dofs: {what} do not fit in {room}"
             raise InputError("record_periods", self.record_periods, allowed)
-        _ = self.start, self.places
+        _ = self.start
 
     @classmethod
     def of(cls, function: Callable[..., Any], options: Mapping[str, Any], *given: Any) -> March:
@@ -127,14 +127,10 @@ class March:
         return 2.0 * np.pi / self.omega / self.steps_per_period
 
     @cached_property
-    def start(self) -> tuple[np.ndarray, np.ndarray]:
-        """Displacement and velocity (n_local,) at time 0."""
-        return initial_state(self.structure, self.initial)
-
-    @cached_property
-    def places(self) -> np.ndarray | None:
-        """Where pairs stick at time 0: (n_pairs,) [m]; None: not stated, or without friction."""
-        return initial_places(self.structure, self.contact, self.initial)
+    def start(self) -> tuple[np.ndarray, ...]:
+        """Displacement and velocity (n_local,) at time 0; behind them with friction, where it is
+        stated, where pairs stick (n_pairs,) [m]."""
+        return initial_state(self.structure, self.contact, self.initial)
 
     @cached_property
     def recorded_dofs(self) -> np.ndarray:
@@ -336,15 +332,13 @@ class TimeHistory(Observed, Tabular):
         yield Record(
             2.0 * np.pi * (len(self.time) - 1) / steps / np.ptp(self.time), 1, self.time,
             balanced(motion[-steps:], min(10, (steps - 1) // 2)), motion, gap, force,
-            structure=lambda: structure,
-            cracks=structure.pairs.cracks,
+            structure=structure,
             friction=self.friction,
             steps=steps,
         )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Window:
+class Window(NamedTuple):
     """Room for one period of a time integration, a row for each instant."""
 
     gap: np.ndarray
@@ -458,42 +452,34 @@ def _sizes(parts: Sequence[np.ndarray]) -> list[float]:
     return [size if size > NEGLIGIBLE * max(sizes) else math.inf for size in sizes]
 
 
-def initial_state(structure: Structure, initial: Initial) -> tuple[np.ndarray, np.ndarray]:
-    """Displacement and velocity (n_local,) at time 0: a solution's, two arrays, or rest."""
+def initial_state(
+    structure: Structure, contact: ContactLaw, initial: Initial
+) -> tuple[np.ndarray, ...]:
+    """Displacement and velocity (n_local,) at time 0, of a solution or of arrays, or rest; behind
+    them with friction, where it is stated, where pairs stick (n_pairs,) [m] (collective)."""
     if initial is None:
         return np.zeros(structure.n_local), np.zeros(structure.n_local)
-    shape = (structure.n_local,)
+    rubs = friction_of(contact) is not None
     state: tuple[np.ndarray, ...]
     if isinstance(initial, PeriodicSolution):
         coefficients, omega = initial.displacement_coefficients, initial.base_omega
         both = coefficients, derivative(coefficients, omega)
         state = tuple(evaluate(wave, omega, np.zeros(1))[0] for wave in both)
+        if rubs and friction_of(initial.contact) is not None:
+            state = *state, initial.sticking_places(np.zeros(1))[0]
     else:
         try:
             state = tuple(numbers(part) for part in initial)
         except TypeError:
             state = ()
-    fits = [part.shape == shape and np.all(np.isfinite(part)) for part in state[:2]]
-    right = len(state) in (2, 3) and all(fits)
-    allowed = f"a solution of this structure, or finite displacement and velocity of shape {shape}"
+    shapes = (structure.n_local,), (structure.n_local,), (structure.n_pairs,)
+    fits = [part.shape == shape for part, shape in zip(state, shapes, strict=False)]
+    right = all(fits) and len(state) in ((2, 3) if rubs else (2,))
+    allowed = (
+        f"a solution of this structure, or finite displacement and velocity of shape {shapes[0]} "
+        f"as two arrays, with friction a third of finite places, of shape {shapes[2]}"
+    )
     error = InputError("initial", [part.shape for part in state], allowed)
-    raise_together(structure.comm, None if right else error)
-    return state[0], state[1]
-
-
-def initial_places(
-    structure: Structure, contact: ContactLaw, initial: Initial
-) -> np.ndarray | None:
-    """Where pairs stick at time 0 (n_pairs,) [m], of a solution with friction or of three arrays;
-    else None (collective)."""
-    rubs = friction_of(contact) is not None
-    if isinstance(initial, PeriodicSolution):
-        known = rubs and friction_of(initial.contact) is not None
-        return initial.sticking_places(np.zeros(1))[0] if known else None
-    if initial is None or len(initial) == 2:
-        return None
-    places = numbers(initial[2])
-    right = rubs and places.shape == (structure.n_pairs,) and bool(np.all(np.isfinite(places)))
-    allowed = f"two arrays, with friction a third of finite places, of shape ({structure.n_pairs},)"
-    raise_together(structure.comm, None if right else InputError("initial", places.shape, allowed))
-    return places
+    finite = all(np.all(np.isfinite(part)) for part in state)
+    raise_together(structure.comm, None if right and finite else error)
+    return state

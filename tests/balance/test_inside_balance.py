@@ -43,6 +43,7 @@ from fenics_crack.balance.contact_integrals import (
 )
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.model.modes import damped_modes, times
+from fenics_crack.model.nodes import Pairs
 from fenics_crack.motion.motions import Indicators, Observed, Record
 from fenics_crack.numerics.fourier import (
     balanced,
@@ -1087,7 +1088,7 @@ class Given(Observed):
         nothing = np.zeros((2, 0))
         values = {"omega": 7.0, "subharmonic": 1, "time": np.zeros(2), "waves": waves[:, None]}
         values |= {"motion": np.array([[11.0], [-11.0]]), "gap": nothing, "force": nothing}
-        self._record = Record(**values | {"structure": lambda: self.structure} | given)
+        self._record = Record(**values | {"structure": self.structure} | given)
 
     def records(self, rows: np.ndarray) -> Any:
         yield self._record
@@ -1140,8 +1141,9 @@ def test_force_of_each_crack() -> None:
     """Pairs of one crack count together at each instant, those of another one by themselves."""
     force = np.array([[3.0, 0.0, 4.0], [2.0, 2.0, 0.0]])
     for cracks, expected in ((None, 7.0), ([0, 0, 1], 4.0), ([0, 1, 1], 4.0), ([0, 1, 2], 4.0)):
-        given = None if cracks is None else np.array(cracks)
-        found = indicators_of(np.ones(3), gap=-np.ones((2, 3)), force=force, cracks=given)
+        pairs = Pairs(cracks=None if cracks is None else np.array(cracks))
+        structure = oscillator().placed(None, pairs)
+        found = indicators_of(np.ones(3), gap=-np.ones((2, 3)), force=force, structure=structure)
         assert (found.contact_force, found.crack_force) == (4.0, expected)
 
 
