@@ -238,10 +238,10 @@ def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
 
         on_root(comm, lambda: check_there("mesh.coarser", coarser))
     if scene.disk is not None:  # every rank has the sector
-        from fenics_crack.fem.sector import wheel_of
+        from fenics_crack.fem.sector import assemble_wheel
 
         structure, dofs = on_each(comm, lambda: _assembled(scene, MPI.COMM_SELF))
-        return wheel_of(scene, dofs, structure, comm)
+        return assemble_wheel(scene, dofs, structure, comm)
     structure, dofs = _assembled(scene, comm)
     if scene.speed > 0.0:
         begin("rotation")
@@ -260,7 +260,7 @@ def in_another(scene: Scene, structure: Structure, *, loads: bool) -> Structure:
         _, mass = _forms(scene, dofs.space)
         matrix = compat.assembled_matrix(mass)
         force, changes["watched"] = assemble_loads(scene, dofs, matrix)
-        changes |= {"force": force[:, dofs.free], "clamp": clamp_of(dofs, matrix, force)}
+        changes |= {"force": dofs.free_part(force), "clamp": clamp_of(dofs, matrix, force)}
         matrix.destroy()
     return structure._in(UNVARIED, **changes)
 
@@ -277,6 +277,10 @@ def _assembled(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
         raise InputError("mesh.file", scene.mesh.file, allowed)
     space = compat.function_space(plate.mesh, scene.mesh.order)
     dofs = Dofs(plate, space, comm)
+    if scene.disk is not None:
+        from fenics_crack.fem.sector import turn_sides
+
+        turn_sides(scene, dofs)
     stiffness, mass = map(compat.assembled_matrix, _forms(scene, space))
     mouth = scene.contact is not None and scene.contact.pairs == "mouth"
     t, patches = thickness(scene, space), scene.mesh.patches
@@ -284,7 +288,7 @@ def _assembled(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
     force, watched = assemble_loads(scene, dofs, mass)
     clamp = clamp_of(dofs, mass, force)
     body = Body(
-        dofs.free_block(mass), dofs.free_block(stiffness), gap, force[:, dofs.free],
+        dofs.free_block(mass), dofs.free_block(stiffness), gap, dofs.free_part(force),
         clearance_of(scene, pairs), damping=damping_of(scene.damping), tangential=tangential,
         nodes=dofs.nodes(), pairs=pairs, watched=watched, clamp=clamp,
     )  # fmt: skip

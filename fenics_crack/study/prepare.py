@@ -323,8 +323,9 @@ def wheel_memory(wheel: Wheel, families: int) -> float:
     of_modes = 2.0 * factor_memory(size, solid=solid) + 16.0 * size * krylov_vectors(families)
     modes = 16.0 * len(sector.diameters) * dofs * families
     # Answers to the opening of the crack by sectors, their products with a matrix, and as much
-    # again while either is made.
-    opened = 32.0 * sector.count * dofs * len(sector.upper)
+    # again while either is made; bonds have up to 40 patterns of forces beyond those of the pairs.
+    columns = min(2 * sector.structure.n_pairs + 40, len(sector.upper))
+    opened = 32.0 * sector.count * dofs * columns
     return _memory_held(wheel) + wheel.comm.size * (of_modes + modes + opened)
 
 
