@@ -390,7 +390,8 @@ sectors = 6
 inner_radius = 0.05
 outer_radius = 0.1
 cracked = 1
-mistuning = { deviation = 0.01, seed = 3 }
+deviation = 0.01
+seed = 3
 families = 2
 # center = [0.0, 0.0]
 # axis = [1.0, 0.0, 0.0]
@@ -432,8 +433,8 @@ stop = 1260.0
 [integration]
 periods = 2
 [sweep.over]
-"disk.mistuning.seed" = [1, 2]
-# "disk.mistuning.deviation" = [0.0, 0.01]
+"disk.seed" = [1, 2]
+# "disk.deviation" = [0.0, 0.01]
 """
 FRICTION = """
 [[excitation.harmonics]]
@@ -475,9 +476,9 @@ OF_WHEELS = [
     "disk.cracked=[1,4]", "disk.cracked=[1,1]", "disk.cracked=7", "disk.cracked=0",
     "disk.cracked='x'", "disk.cracked=none", "disk.mistuning=none", "disk.mistuning=0.01",
     "disk.mistuning=[0.01]", "disk.mistuning=[0.01,0,0,0,0,-0.01]", "disk.mistuning=[-1,0,0,0,0,0]",
-    "disk.mistuning={}", "disk.mistuning.seed=-1", "disk.mistuning.seed=1e400",
-    "disk.mistuning.seed=99999999999999999999999", "disk.mistuning={deviation=1,seed=1}",
-    "disk.mistuning={deviation=0.05,seed=9}", "disk.families=0", "disk.families=1",
+    "disk.mistuning={}", "disk.seed=-1", "disk.seed=1e400",
+    "disk.seed=99999999999999999999999", "disk.deviation=1",
+    "disk.deviation=0.05", "disk.families=0", "disk.families=1",
     "disk.families=100000",
     "disk.families='all'", "disk.inner_radius=0", "disk.inner_radius=0.1", "disk.inner_radius=1e-9",
     "disk.outer_radius=0.05", "disk.outer_radius=0.01", "disk.outer_radius=1e9", "disk=none",
@@ -505,9 +506,9 @@ OF_WHEELS = [
     "excitation.harmonics=[{order=2,phase=1}]", "excitation.harmonics=[[1,2]]",
     "excitation.harmonics.1.order=3", "excitation.harmonics.0.order=3",
     "excitation.harmonics.9.order=3", "sweep.over={'contact.friction'=[0,0.1]}",
-    "sweep.over={'disk.mistuning.seed'=[1,'x']}", "sweep.over={'disk.sectors'=[3,4]}",
+    "sweep.over={'disk.seed'=[1,'x']}", "sweep.over={'disk.sectors'=[3,4]}",
     "sweep.over={'disk.cracked'=[1,2]}", "sweep.over={'excitation.order'=[1,2]}",
-    "sweep.over={'disk.mistuning.seed'={start=1,stop=2,count=2}}",
+    "sweep.over={'disk.seed'={start=1,stop=2,count=2}}",
     "sweep.over={'excitation.harmonics'=[1]}", "curve.parameter=friction",
     "curve.parameter=load", "curve.parameter=disk", "harmonic_balance.tolerance=0.1",
     "damping.ratio=0", "integration.method=events",

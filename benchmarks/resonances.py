@@ -124,7 +124,7 @@ STRUCTURES = {
     ),
     "wheel, mistuned": plate(
         (0.02, 0.12, 0.01), (0.008, 0.006), TITANIUM, 0.003, 880.0, load=force(2.0, 0.0, order=2),
-        disk=WHEEL["disk"] | {"mistuning": {"deviation": 0.02, "seed": 4}},
+        disk=WHEEL["disk"] | {"deviation": 0.02, "seed": 4},
     ),
 }  # fmt: skip
 

@@ -538,7 +538,8 @@ def random_wheel(rng: np.random.Generator) -> fc.Scene:
     order, scene = int(rng.integers(1, 4)), new("disk")
     scene = scene.replace({
         "mesh.error": False, "contact.friction_error": False, "curve": None, "sweep": None,
-        "disk.sectors": int(rng.integers(6, 13)), "disk.mistuning.seed": int(rng.integers(1, 99)),
+        "disk.sectors": int(rng.integers(6, 13)), "disk.deviation": 0.01,
+        "disk.seed": int(rng.integers(1, 99)),
         "excitation.order": order, "damping.ratio": 10.0 ** rng.uniform(-2.7, -2.0),
         "crack.length": rng.uniform(0.002, 0.006), "mesh.lip_elements": 4, "mesh.size": 0.006,
     })  # fmt: skip

@@ -67,8 +67,8 @@ class Drive:
         part, whole = slice(2 * harmonic - 1, 2 * harmonic + 1), structure.whole
         if not isinstance(whole, Wheel):
             return cls(harmonic, structure.force[part])
-        numbers = whole.own_numbers(whole.first)
-        dofs = numbers[(numbers >= 0) & np.any(whole.force[part, numbers], axis=0)]
+        numbers = np.unique(whole.numbers(whole.first)[~whole.sector.after])
+        dofs = numbers[np.any(whole.force[part, numbers], axis=0)]
         blade = structure.values_at(np.eye(structure.n_dofs), dofs.tolist())
         return cls(harmonic, whole.force[part, dofs] @ blade.T)
 

@@ -1,7 +1,7 @@
 """Work done by one rank for all, and errors passed from one rank to every rank.
 
-MPI is imported here before PETSc, which would start it for one thread only, and PETSc and SLEPc are
-started here. Every folder that uses them imports this module first.
+MPI is imported here before PETSc, which would start it for one thread only, and PETSc is started
+here, SLEPc when it is first used. Every folder that uses them imports this module first.
 """
 
 from __future__ import annotations
@@ -51,8 +51,13 @@ def _start_petsc() -> None:
 
 if "petsc4py.PETSc" not in sys.modules:  # unless who calls has started it
     _start_petsc()
-with away():
-    from slepc4py import SLEPc  # noqa: F401
+
+
+def slepc() -> Any:
+    """The module SLEPc, started (collective)."""
+    with away():
+        from slepc4py import SLEPc
+    return SLEPc
 
 
 def check_communicator(comm: object) -> None:

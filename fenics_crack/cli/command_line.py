@@ -49,7 +49,6 @@ KEYS = {
     **{name: f"{table}.{name}" for table, names in TABLES.items() for name in names},
     **{f"damping {name}": f"damping.{name}" for name in DAMPING_KEYS},
     **dict.fromkeys(("low", "high", "high - low"), "tip_timing.frequencies"),
-    ".deviation": "--deviation",
     "contact law": "contact.law",
     "contact stiffness": "contact.stiffness",
     "count": "--count",

@@ -31,7 +31,6 @@ from fenics_crack.basics.errors import MAX_CASES, InputError, check_count
 from fenics_crack.basics.progress import LOGGER, StageLines, begin
 from fenics_crack.basics.tables import RPM, Table
 from fenics_crack.basics.untrusted_files import content_of, text_of
-from fenics_crack.scene.fields import Mistuning
 from fenics_crack.scene.scene import Scene
 from fenics_crack.version import packaged
 
@@ -168,7 +167,8 @@ def _check_options(given: Namespace, scene: Scene) -> None:
     if given.command == "disk":
         scene.given("disk")
         check_count("--patterns", given.patterns, 0, MAX_CASES)
-        Mistuning(given.deviation)
+        if not 0.0 <= given.deviation <= 0.1:
+            raise InputError("--deviation", given.deviation, "a number from 0 to 0.1")
 
 
 def _speeds(given: Namespace, scene: Scene) -> np.ndarray | None:

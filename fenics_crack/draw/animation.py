@@ -110,7 +110,7 @@ class _Plate:
         solid = mesh.dimension == 3
         boundary = vtk.outline(mesh) if solid else mesh.boundary
         self._line(boundary, "rest", 2)
-        self.surface = vtk.surface(mesh.points, mesh.boundary_facets if solid else mesh.triangles)
+        self.surface = vtk.surface(mesh.points, mesh.boundary if solid else mesh.triangles)
         self.surface["shown"] = colours.factor * fields.colour_values[0]
         plotter.add_mesh(
             self.surface, scalars="shown", cmap=colours.map, clim=colours.levels[[0, -1]],

@@ -16,6 +16,7 @@ from matplotlib.patches import Patch
 
 from fenics_crack.basics.errors import InputError, check_count
 from fenics_crack.draw.figure import COLOURS, Picture, Where, label_axis, tenth
+from fenics_crack.fem.cracks import rows_in
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.modes import Modes
 from fenics_crack.model.structure import Structure
@@ -182,7 +183,7 @@ def draw_moved(
         from fenics_crack.draw import vtk
 
         plotter = vtk.off_screen_plotter()
-        surface = vtk.surface(moved, mesh.boundary_facets)
+        surface = vtk.surface(moved, mesh.boundary)
         surface["amplitude"] = values
         plotter.add_mesh(surface, scalars="amplitude", cmap="viridis", show_scalar_bar=False)
         outline = vtk.outline(mesh)
@@ -203,9 +204,9 @@ def _solid(picture: Picture, mesh: NodalMesh, load: np.ndarray) -> None:
     from fenics_crack.draw import vtk
 
     plotter = vtk.off_screen_plotter()
-    points, facets = mesh.points, mesh.boundary_facets
+    points, facets = mesh.points, mesh.boundary
     clamped = mesh.clamped[facets].all(axis=1)
-    is_lip = np.isin(np.arange(len(facets)), mesh.lip_facets)
+    is_lip = rows_in(facets, mesh.lips)
     shown = vtk.surface(points, facets[~clamped & ~is_lip])
     plotter.add_mesh(shown, color="#d8d8d8", opacity=0.35, show_edges=True, edge_color="#9a9a9a")
     plotter.add_mesh(vtk.lines(points, vtk.outline(mesh)), color="black", line_width=3)

@@ -107,7 +107,7 @@ def lines(points: np.ndarray, edges: np.ndarray) -> Any:
 
 def outline(mesh: NodalMesh) -> np.ndarray:
     """Edges at which the surface of a solid at rest bends: (n, 2) nodes."""
-    whole = surface(mesh.points, mesh.boundary_facets)
+    whole = surface(mesh.points, mesh.boundary)
     whole["node"] = np.arange(len(mesh.points))
     others = dict.fromkeys(("boundary_edges", "non_manifold_edges", "manifold_edges"), False)
     edges = whole.extract_feature_edges(feature_angle=25.0, **others)
@@ -299,9 +299,10 @@ class PeriodFields:
     force, areas : (n, n_pairs) [N], (n_pairs,) [m^2]
         Of the contact, and of one face.
     pair_nodes : (n_nodes, n_pairs)
-        1 where a node belongs to a pair, else 0; of a patch the two nodes in its middle.
+        What a pair's unit force is at a node, 1 at the two nodes of a pair; of a solid's patch 1 at
+        the two nodes in its middle.
     shares : (n_nodes, n_pairs)
-        Of the pairs' pressures that at a node: of patches the pressure is linear between them.
+        Of the pairs' pressures that at a node.
     magnification : float
         Of the displacement in pictures.
     material : Material or None
@@ -337,14 +338,18 @@ class PeriodFields:
         self.has_one_load = bool(np.any(self.load)) and one_frame
         self.colour = ("von Mises stress", "Pa") if material else ("displacement", "m")
         if self.mesh.dimension == 3 and structure.n_pairs:
-            self.pair_nodes, self.shares = _of_patches(self.mesh, structure.pair_points)
+            self.pair_nodes, self.shares = self.mesh.patches
         else:
-            self.pair_nodes = self.shares = _nodes_of_pairs(structure)
+            self.pair_nodes = _nodes_of_pairs(structure)
+            self.shares = self.pair_nodes * self.areas
+            of_node = self.shares.sum(axis=1, keepdims=True)
+            of_node[of_node <= 1e-9 * of_node.max(initial=0.0)] = np.inf  # rounding at tips
+            self.shares /= of_node
 
     @property
     def cracked(self) -> bool:
         """True if there are crack faces."""
-        return len(self.mesh.lips if self.mesh.dimension == 2 else self.mesh.lip_facets) > 0
+        return len(self.mesh.lips) > 0
 
     @cached_property
     def moved(self) -> np.ndarray:
@@ -378,11 +383,11 @@ class PeriodFields:
         """The magnified mesh of a frame with the point fields of :func:`write_period`."""
         force, displacement = self.force[frame], self.displacement[frame]
         grid = _grid_of(self.moved[frame], self.mesh.cells, self.mesh.vtk_type)
-        # Between two pairs a node is closed where both are.
+        # Half-way between two pairs a node is closed where both are.
         closed, seen = self.shares @ (force > 0.0), self.shares.sum(axis=1)
         fields = {
             "displacement": in_space(displacement),
-            "contact state": np.where(seen > 0.0, 1.0 * (closed >= seen - 1e-9), -1.0),
+            "contact state": np.where(seen > 0.0, 1.0 * (closed > 0.501 * seen), -1.0),
             "contact force": self.pair_nodes @ force,
             "contact pressure": self.shares @ (force / self.areas),
         }
@@ -440,11 +445,11 @@ def write_period(
     -----
     Point fields, in single precision: ``displacement`` [m], true to scale; ``contact state``: 1 on
     a closed pair of face nodes, 0 on an open one, -1 away from the crack faces; ``contact force``
-    [N] on each node of a pair, and ``contact pressure`` [Pa], that force over the pair's area (of a
-    solid, whose pairs are patches, the force at their middles, and the pressure linear between):
-    smooth along the crack faces if the contact stiffness is given per area. With a material:
-    ``stress`` (xx, yy, xy; of a solid xx, yy, zz, xy, yz, xz) and ``von Mises stress`` [Pa]. At the
-    tip and under the point load they grow without bound as the mesh is refined.
+    [N] on each node of a pair (of a solid's patch on the two in its middle), and ``contact
+    pressure`` [Pa], that force over the pair's area, and between the pairs that are patches: smooth
+    along the crack faces if the contact stiffness is given per area. With a material: ``stress``
+    (xx, yy, xy; of a solid xx, yy, zz, xy, yz, xz) and ``von Mises stress`` [Pa]. At the tip and
+    under the point load they grow without bound as the mesh is refined.
 
     Examples
     --------
@@ -494,30 +499,10 @@ def _vtu(grid: Any) -> str:
 
 
 def _nodes_of_pairs(structure: Structure) -> np.ndarray:
-    """1 where a node belongs to a pair, else 0: (n_nodes, n_pairs) on every rank (collective)."""
+    """Forces of nodes by unit forces on pairs: (n_nodes, n_pairs) on every rank (collective)."""
     assert structure.nodes is not None
-    dofs = structure.nodes.dofs
-    local = np.where(dofs >= 0, dofs - structure.first_dof, structure.n_local)
-    rows = np.vstack([structure.gap.toarray() != 0.0, np.zeros((1, structure.n_pairs))])
-    return gather_rows(structure.comm, rows[local].any(axis=1).astype(float))
-
-
-def _of_patches(mesh: NodalMesh, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """1 at the two nodes in the middle of each patch, and the functions psi of the pressures at all
-    nodes of the crack faces, which are linear between these and zero at the fronts: (n_nodes,
-    n_pairs) each."""
-    from scipy.spatial import cKDTree  # takes a while, for some pictures
-
-    facets, near = mesh.boundary_facets[mesh.lip_facets], 1e-6 * mesh.size
-    own = np.zeros((len(mesh.points), len(places)))
-    corners = np.unique(facets)
-    distance, pair = cKDTree(places).query(mesh.points[corners])
-    own[corners[distance <= near], pair[distance <= near]] = 1.0
-    shares = own.copy()
-    ends = np.stack([facets, np.roll(facets, -1, axis=1)], axis=2).reshape(-1, 2)
-    ends = np.concatenate([ends, facets[:, [0, 2]]]) if facets.shape[1] == 4 else ends
-    others = np.setdiff1d(np.arange(len(mesh.points)), corners)
-    distance, edge = cKDTree(mesh.points[ends].mean(axis=1)).query(mesh.points[others])
-    there = distance <= near
-    shares[others[there]] = own[ends[edge[there]]].mean(axis=1)
-    return own, shares
+    dofs, gap = structure.nodes.dofs, structure.gap
+    moving = np.nonzero(dofs >= 0)
+    entries = np.ones(len(moving[0])), (moving[0], dofs[moving] - structure.first_dof)
+    sums = csr_matrix(entries, (len(dofs), structure.n_local))
+    return gather_rows(structure.comm, np.sqrt((sums @ gap.multiply(gap)).toarray()))

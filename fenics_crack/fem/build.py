@@ -18,6 +18,11 @@ pressures are linear there, and b the mean over the patch of one,
     b_i . u = 1 / w_i int psi_i n . u ds.
 
 Nodes of tips and fronts have no pair.
+
+With ``mesh.patches`` there are fewer pressures, psi_j = sum_i S_ij psi_i of the linear ones of a
+solid or of a plate. Those of tips and fronts go with the nearest, so that sum_j S_ij = 1: the areas
+add up to the crack's, and a uniform pressure is exact. On a plate psi_j is linear from one to the
+next of some nodes, on a solid it has all that are nearest to one of some.
 """
 
 from __future__ import annotations
@@ -48,11 +53,11 @@ from fenics_crack.scene.scene import Scene
 
 
 def pair_lips(
-    dofs: Dofs, t: Any, *, mouth: bool = False
+    dofs: Dofs, t: Any, *, mouth: bool = False, patches: int | None = None
 ) -> tuple[sparse.csr_matrix, sparse.csr_matrix | None, Pairs]:
     """Pair what is in the same place of both faces, crack by crack: the rows of B and of B_t of
-    this rank's free dofs, and where the pairs are; with ``mouth`` those alone that are watched
-    (collective).
+    this rank's free dofs, and where the pairs are; with ``mouth`` those alone that are watched,
+    with ``patches`` at most so many of each crack (collective).
 
     B_t is B with each node's normal turned by a right angle; a solid has none.
 
@@ -68,7 +73,7 @@ def pair_lips(
     if not plate.cracked:
         none = np.zeros((0, dimension)), np.zeros(0), np.zeros(0, dtype=int), np.zeros(0)
         return sparse.csr_matrix((len(dofs.free), 0)), None, Pairs(*none)
-    make = _of_nodes if dimension == 2 else _of_patches
+    make = _of_nodes if dimension == 2 and patches is None else _of_patches
     space, weights, columns = make(dofs, t, plate.along(*LIP_TAGS))
     first = space.dofmap.index_map.local_range[0]
     points = space.tabulate_dof_coordinates()[:, :dimension]
@@ -77,16 +82,53 @@ def pair_lips(
         local = dofs.nodes_on(name, space)
         rows = np.column_stack([local + first, weights[local], points[local]])
         sides.append(gather_rows(dofs.comm, rows))
-    lower, upper, cracks, positions = _matched(plate.lips, *sides)
-    places = _watched(plate.lips, cracks, positions)
-    if mouth:
-        chosen = list(places.values())
-        lower, upper, cracks, positions = (x[chosen] for x in (lower, upper, cracks, positions))
-        places = {name: number for number, name in enumerate(places)}
-    gap = columns[:, lower[:, 0].astype(int)] + columns[:, upper[:, 0].astype(int)]
+    lower, upper, cracks, positions, count = _matched(plate.lips, *sides)
+    gap = sum(columns[:, side[:, 0].astype(int)] for side in (lower, upper))
+    points, areas, chosen = lower[:, 2:], lower[:, 1], np.arange(count)
+    if patches is not None:
+        chosen, shares = _shares(points, cracks, positions, count, patches)
+        forces = areas[:, None] * shares
+        areas[chosen] = forces.sum(axis=0)
+        gap = gap @ sparse.csc_matrix(forces / areas[chosen])
+    else:
+        if mouth:
+            chosen = [*_watched(plate.lips, cracks[:count], positions[:count]).values()]
+        gap = gap[:, chosen]
+    points, areas, cracks, positions = (x[chosen] for x in (points, areas, cracks, positions))
+    pairs = Pairs(points, areas, cracks, positions, _watched(plate.lips, cracks, positions))
     tangential = _free_rows(_turned(gap), dofs) if dimension == 2 else None
-    found = Pairs(lower[:, 2:], lower[:, 1], cracks, positions, places)
-    return _free_rows(gap, dofs), tangential, found
+    return _free_rows(gap, dofs), tangential, pairs
+
+
+def _shares(
+    points: np.ndarray, cracks: np.ndarray, positions: np.ndarray, inside: int, most: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes that are the middles of patches, at most so many of each crack, and the values of the
+    patches' functions at all nodes, (n, m); the first ones, inside, are in order along cracks."""
+    middles, values = np.zeros(0, dtype=int), np.zeros((len(points), 0))
+    for crack in np.unique(cracks):
+        its = np.flatnonzero(cracks[:inside] == crack)
+        few = min(most, len(its))
+        if points.shape[1] == 2:
+            its = its[np.arange(few) * (len(its) - 1) // max(few - 1, 1)]
+            functions = [np.interp(positions, positions[its], unit) for unit in np.eye(few)]
+        else:
+            its = its[_spread(points[its], few)]
+            away = np.linalg.norm(points[:, None] - points[its], axis=2)
+            functions = [away.argmin(axis=1) == number for number in range(few)]
+        middles = np.append(middles, its)
+        values = np.column_stack([values, *(row * (cracks == crack) for row in functions)])
+    return middles, values
+
+
+def _spread(points: np.ndarray, count: int) -> np.ndarray:
+    """Which of some points are far from each other: the last one, and always the one farthest from
+    those before; in their order."""
+    chosen, away = [len(points) - 1], np.full(len(points), np.inf)
+    while len(chosen) < count:
+        away = np.minimum(away, np.linalg.norm(points - points[chosen[-1]], axis=1))
+        chosen.append(int(away.argmax()))
+    return np.sort(chosen)
 
 
 def _turned(columns: Any) -> sparse.csr_matrix:
@@ -121,7 +163,7 @@ def _of_patches(dofs: Dofs, t: Any, lips: Any) -> tuple[Any, np.ndarray, sparse.
     """Likewise."""
     space = compat.function_space(dofs.space.mesh, 1, vectors=False)
     normal, pressure = ufl.FacetNormal(space.mesh), ufl.TrialFunction(space)
-    work = ufl.inner(pressure * normal, ufl.TestFunction(dofs.space)) * lips
+    work = ufl.inner(t * pressure * normal, ufl.TestFunction(dofs.space)) * lips
     matrix = compat.assembled_matrix(work)
     moved = local_rows(matrix).tocsc()
     matrix.destroy()
@@ -133,18 +175,20 @@ def _of_patches(dofs: Dofs, t: Any, lips: Any) -> tuple[Any, np.ndarray, sparse.
 
 def _matched(
     lips: Lips, lower: np.ndarray, upper: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Rows (number, weight, x, y, ...) of both faces without the tips, partner by partner in order
-    along the cracks; the crack of each pair, and its position."""
-    shared = np.intersect1d(lower[:, 0], upper[:, 0])
-    size = np.ptp(lower[:, 2:], axis=0).max()
-    lower, upper = (side[~np.isin(side[:, 0], shared)] for side in (lower, upper))
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]:
+    """Rows (number, weight, x, y, ...) of both faces, partner by partner in order along the cracks,
+    at last those of the fronts, with half their weights, which are of both faces; the crack of
+    each pair, and its position; and how many are not of the fronts."""
+    size, shared = np.ptp(lower[:, 2:], axis=0).max(), np.isin(lower[:, 0], upper[:, 0])
+    lower[shared, 1] *= 0.5
     cracks, positions = along(lips, lower[:, 2:])
     # Equal positions, along a front, in the order of their places.
     places = np.round(lower[:, 2:] / size, 7).T
-    order = np.lexsort((*places, np.round(positions / size, 7), cracks))
+    order = np.lexsort((*places, np.round(positions / size, 7), cracks, shared))
     lower, cracks, positions = lower[order], cracks[order], positions[order]
-    matching = len(lower) == len(upper) > 0
+    fronts = int(shared.sum())
+    count = len(lower) - fronts
+    matching = len(lower) == len(upper) and count > 0
     reason = "one has more nodes than the other"
     if matching:
         apart = [np.linalg.norm(upper[:, 2:] - place, axis=1) for place in lower[:, 2:]]
@@ -154,11 +198,11 @@ def _matched(
         reason = f"the upper node nearest to the lower one at ({place})"
         reason += f" is {distance.max():.2g} m away"
     if not matching:
-        found = f"{len(lower)} lower and {len(upper)} upper nodes"
+        found = f"{count} lower and {len(upper) - fronts} upper nodes"
         how = "in a mesh file one curve or surface named 'crack' is split into two that do"
         allowed = "meshed identically, so that nodes of the two faces pair one to one"
         raise InputError("lips", found, f"{allowed}, but {reason}; {how}")
-    return lower, upper[partner], cracks, positions
+    return lower, upper[partner], cracks, positions, count
 
 
 def _watched(lips: Lips, cracks: np.ndarray, positions: np.ndarray) -> dict[str, int]:
@@ -194,10 +238,10 @@ def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
 
         on_root(comm, lambda: check_there("mesh.coarser", coarser))
     if scene.disk is not None:  # every rank has the sector
-        from fenics_crack.fem.sector import wheel_of
+        from fenics_crack.fem.sector import assemble_wheel
 
         structure, dofs = on_each(comm, lambda: _assembled(scene, MPI.COMM_SELF))
-        return wheel_of(scene, dofs, structure, comm)
+        return assemble_wheel(scene, dofs, structure, comm)
     structure, dofs = _assembled(scene, comm)
     if scene.speed > 0.0:
         begin("rotation")
@@ -216,7 +260,7 @@ def in_another(scene: Scene, structure: Structure, *, loads: bool) -> Structure:
         _, mass = _forms(scene, dofs.space)
         matrix = compat.assembled_matrix(mass)
         force, changes["watched"] = assemble_loads(scene, dofs, matrix)
-        changes |= {"force": force[:, dofs.free], "clamp": clamp_of(dofs, matrix, force)}
+        changes |= {"force": dofs.free_part(force), "clamp": clamp_of(dofs, matrix, force)}
         matrix.destroy()
     return structure._in(UNVARIED, **changes)
 
@@ -233,13 +277,18 @@ def _assembled(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
         raise InputError("mesh.file", scene.mesh.file, allowed)
     space = compat.function_space(plate.mesh, scene.mesh.order)
     dofs = Dofs(plate, space, comm)
+    if scene.disk is not None:
+        from fenics_crack.fem.sector import turn_sides
+
+        turn_sides(scene, dofs)
     stiffness, mass = map(compat.assembled_matrix, _forms(scene, space))
     mouth = scene.contact is not None and scene.contact.pairs == "mouth"
-    gap, tangential, pairs = pair_lips(dofs, thickness(scene, space), mouth=mouth)
+    t, patches = thickness(scene, space), scene.mesh.patches
+    gap, tangential, pairs = pair_lips(dofs, t, mouth=mouth, patches=patches)
     force, watched = assemble_loads(scene, dofs, mass)
     clamp = clamp_of(dofs, mass, force)
     body = Body(
-        dofs.free_block(mass), dofs.free_block(stiffness), gap, force[:, dofs.free],
+        dofs.free_block(mass), dofs.free_block(stiffness), gap, dofs.free_part(force),
         clearance_of(scene, pairs), damping=damping_of(scene.damping), tangential=tangential,
         nodes=dofs.nodes(), pairs=pairs, watched=watched, clamp=clamp,
     )  # fmt: skip

@@ -92,7 +92,8 @@ def rotation_of(
     t = thickness(scene, space)
     u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
     radius = normal * (ufl.SpatialCoordinate(space.mesh) - center)
-    load = compat.assembled_vector(t * density * ufl.inner(radius, v) * ufl.dx)[dofs.free]
+    load = compat.assembled_vector(t * density * ufl.inner(radius, v) * ufl.dx)
+    load = dofs.free_part(load)
     if static is not None:
         moved = static(load)
     else:

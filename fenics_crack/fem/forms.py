@@ -60,7 +60,7 @@ def parts_of_forms(
             if key in bilinear:
                 parts[key] = dofs.free_block(compat.assembled_matrix(form))
             else:
-                part = compat.assembled_vector(form)[dofs.free]
+                part = dofs.free_part(compat.assembled_vector(form))
                 parts[key.replace("loads.", "force_")] = gather_rows(comm, part)
     return parts, dofs.nodes(), pairs
 

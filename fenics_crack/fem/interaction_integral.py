@@ -157,7 +157,7 @@ def tip_functionals(scene: Scene, structure: Structure) -> tuple[list[Tip], np.n
         for kind in range(2):
             field = _nodal(scene, tip, kind, points, sides)
             rows.append(row_of(tip, kind, field))
-            pressed.append(_of_forces(scene, structure, tip, kind, field.ravel()[dofs.free]))
+            pressed.append(_of_forces(scene, structure, tip, kind, dofs.free_part(field.ravel())))
     return tips, np.array(rows), np.array(pressed)
 
 
@@ -246,7 +246,7 @@ def _form(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndarray], np.ndarr
         moved.x.scatter_forward()
         for constant, value in zip(given, (*tip.point, *tip.ahead, tip.radius, kind), strict=False):
             constant.value = value
-        return compat.assembled_vector(compiled)[dofs.free]
+        return dofs.free_part(compat.assembled_vector(compiled))
 
     return row_of
 

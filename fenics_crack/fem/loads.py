@@ -134,7 +134,7 @@ def _at_point(
     direction there, of the free dofs (n_local,); None: no force."""
     share = _share_at(scene, dofs, f"{key}.point", point)
     force = np.array([_at_nodes(dofs, share, part) for part in parts])
-    along = _at_nodes(dofs, share, _unit(parts))[dofs.free] if any(map(any, parts)) else None
+    along = dofs.free_part(_at_nodes(dofs, share, _unit(parts))) if any(map(any, parts)) else None
     return _moving(dofs, f"{key}.point", tuple(point), force), along
 
 
@@ -194,7 +194,7 @@ def clamp_of(dofs: Dofs, mass: Any, force: np.ndarray) -> Clamp:
     held = gather_rows(dofs.comm, dofs.points[dofs.nodes_on("clamp")])
     center = np.round(0.5 * (held.min(axis=0) + held.max(axis=0)), 12) + 0.0
     rigid = rigid_motions(dofs.points - center)
-    rows = np.array([_inertia(mass, motion)[dofs.free] for motion in rigid])
+    rows = dofs.free_part(np.array([_inertia(mass, motion) for motion in rigid]))
     return Clamp(center, rows, dofs.comm.allreduce(force @ rigid.T))
 
 
@@ -230,4 +230,4 @@ def _one_of(
     here = nodes[np.all(dofs.points[nodes] == every[order[end]], axis=1)]
     found = np.zeros((dofs.n_nodes, dofs.dimension))
     found[here[:1]] = direction
-    return np.asarray(found.ravel()[dofs.free])
+    return dofs.free_part(found.ravel())

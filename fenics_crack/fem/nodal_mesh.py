@@ -73,57 +73,68 @@ class NodalMesh:
         return self.cells[:, _TRIANGLES[self.cells.shape[1]]].reshape(-1, 3)
 
     @cached_property
-    def boundary_facets(self) -> np.ndarray:
-        """Corners of the facets of a solid that belong to one cell only, in turn, anticlockwise as
-        they are seen from outside: (n, 3 or 4)."""
-        of_cell = FACETS[4 if self.cells.shape[1] in (4, 10) else 8]
-        facets = self.cells[:, of_cell].reshape(-1, of_cell.shape[1])
-        first, _, uses = each_once(facets)
-        own = np.sort(first[uses == 1])
-        facets, cells = facets[own], self.cells[own // len(of_cell)]
-        here = self.points[facets]
-        outwards = here.mean(axis=1) - self.points[cells[:, : of_cell.max() + 1]].mean(axis=1)
-        normals = np.cross(here[:, 1] - here[:, 0], here[:, 2] - here[:, 0])
-        inwards = (normals * outwards).sum(axis=1) < 0.0
-        facets[inwards] = facets[inwards, ::-1]
-        return np.asarray(facets)
+    def patches(self) -> tuple[np.ndarray, np.ndarray]:
+        """Of a solid's pairs: 1 at the two nodes in the middle of each patch; and the functions of
+        the pressures at all nodes of the crack faces, zero at the fronts and linear between corners
+        of facets, of which each has the nearest pair: (n_nodes, n_pairs) each."""
+        from scipy.spatial import cKDTree
+
+        points, near = self.points, 1e-6 * self.size
+        corners = np.unique(facets := self.lips)
+        here = points[corners]
+        distance, pair = cKDTree(self.structure.pair_points).query(here)
+        twice = cKDTree(here).query_ball_point(here, near, return_length=True) > 1
+        middles, shares = np.zeros((2, len(points), self.structure.n_pairs))
+        middles[corners[distance <= near], pair[distance <= near]] = 1.0
+        shares[corners[twice], pair[twice]] = 1.0
+        ends = np.stack([facets, np.roll(facets, -1, axis=1)], axis=2).reshape(-1, 2)
+        ends = np.concatenate([ends, facets[:, [0, 2]]]) if facets.shape[1] == 4 else ends
+        others = np.setdiff1d(np.arange(len(points)), corners)
+        distance, edge = cKDTree(points[ends].mean(axis=1)).query(points[others])
+        there = distance <= near
+        shares[others[there]] = shares[ends[edge[there]]].mean(axis=1)
+        return middles, shares
 
     @cached_property
-    def lip_facets(self) -> np.ndarray:
-        """Boundary facets that coincide with another one: the crack faces, by their places."""
-        return self._coinciding(self.boundary_facets)
-
-    @cached_property
-    def _edges_and_uses(self) -> tuple[np.ndarray, np.ndarray]:
+    def _sides(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Edges of the cells of a plate, or corners of the facets of a solid's, in turn; how many
+        cells have each of them, and one of these."""
         count = self.cells.shape[1]
         corners = 3 if count in (3, 6) else 4
         steps = np.arange(corners)
         turns = np.column_stack([steps, corners + steps, np.roll(steps, -1)])
         turns = turns if count > corners else turns[:, ::2]
-        edges = self.cells[:, turns].reshape(-1, turns.shape[1])
-        first, _, uses = each_once(edges[:, [0, -1]])
+        if self.dimension == 3:
+            turns = FACETS[4 if count in (4, 10) else 8]
+        sides = self.cells[:, turns].reshape(-1, turns.shape[1])
+        first, _, uses = each_once(sides if self.dimension == 3 else sides[:, [0, -1]])
         order = np.argsort(first)
-        return edges[first[order]], uses[order]
+        return sides[first[order]], uses[order], first[order] // len(turns)
 
     @property
     def edges(self) -> np.ndarray:
-        """Edges of the cells: (n_edges, 2 or 3) nodes, a middle one in between."""
-        return self._edges_and_uses[0]
+        """Edges of the cells of a plate: (n_edges, 2 or 3) nodes, a middle one in between."""
+        return self._sides[0]
 
     @cached_property
     def boundary(self) -> np.ndarray:
-        """Edges that belong to one cell only, likewise."""
-        edges, uses = self._edges_and_uses
-        return np.asarray(edges[uses == 1])
+        """Edges that belong to one cell only, likewise; of a solid corners of such facets, (n, 3 or
+        4), in turn, anticlockwise as they are seen from outside."""
+        sides, uses, cells = self._sides
+        sides, cells = sides[uses == 1], self.cells[cells[uses == 1]]
+        if self.dimension == 3:
+            here, corners = self.points[sides], 4 if sides.shape[1] == 3 else 8
+            outwards = here.mean(axis=1) - self.points[cells[:, :corners]].mean(axis=1)
+            normals = np.cross(here[:, 1] - here[:, 0], here[:, 2] - here[:, 0])
+            inwards = (normals * outwards).sum(axis=1) < 0.0
+            sides[inwards] = sides[inwards, ::-1]
+        return np.asarray(sides)
 
     @cached_property
     def lips(self) -> np.ndarray:
-        """Edges of the boundary that coincide with another one: the crack faces, likewise."""
-        return np.asarray(self.boundary[self._coinciding(self.boundary[:, [0, -1]])])
-
-    def _coinciding(self, sides: np.ndarray) -> np.ndarray:
-        """Places of the sides of cells, by their corners (n, k), that lie on another one."""
+        """Those of the boundary that coincide with another one: the crack faces."""
         from scipy.spatial import cKDTree  # takes a while, for some pictures
 
-        middle = self.points[sides].mean(axis=1)
-        return np.unique(cKDTree(middle).query_pairs(1e-6 * self.size, output_type="ndarray"))
+        middle = self.points[self.boundary].mean(axis=1)
+        pairs = cKDTree(middle).query_pairs(1e-6 * self.size, output_type="ndarray")
+        return np.asarray(self.boundary[np.unique(pairs)])

@@ -149,7 +149,17 @@ def _model(scene: Scene) -> tuple[Names, Lips]:
 
 
 class Dofs:
-    """Free dofs of a mesh's function space, and their numbers in the structure."""
+    """Free dofs of a mesh's function space, and their numbers in the structure.
+
+    Of a sector the nodes of the right side have their displacements in the frame of the next one,
+    whose left side has the same.
+    """
+
+    sides: np.ndarray | None = None
+    """Nodes of the left side of a sector, and those of the right one in the same order: (2, m)."""
+    frames: np.ndarray | None = None
+    """Of each node the matrix that turns its displacements into those in space: (n_nodes, d, d)."""
+    _turn: sparse.csr_matrix | None = None
 
     def __init__(
         self, plate: PlateMesh, space: Any, comm: MPI.Comm, held: np.ndarray | None = None
@@ -184,6 +194,20 @@ class Dofs:
         nodes = np.sort(dolfinx.fem.locate_dofs_topological(space, dimension, facets))
         return nodes[nodes < space.dofmap.index_map.size_local]
 
+    def take_sides(self, sides: np.ndarray, turn: np.ndarray) -> None:
+        """Turn what is assembled afterwards at the right side of a sector, on one rank."""
+        self.sides, self.frames = sides, np.tile(np.eye(self.dimension), (self.n_nodes, 1, 1))
+        self.frames[sides[1]] = turn
+        each = np.arange(self.n_nodes + 1)
+        whole = sparse.bsr_matrix((self.frames, each[:-1], each)).tocsr()
+        self._turn = whole[self.free][:, self.free]
+        self._turn.eliminate_zeros()
+
+    def free_part(self, rows: np.ndarray) -> np.ndarray:
+        """Forces (..., n_dofs) on the free dofs: (..., n_local)."""
+        free = rows[..., self.free]
+        return free if self._turn is None else np.asarray(free @ self._turn)
+
     def free_block(self, matrix: Any) -> Any:
         """Leave the clamped rows and columns out of a matrix, which is destroyed, and what is zero,
         as masses between directions are: products with M then take half the time, or a third.
@@ -195,6 +219,8 @@ class Dofs:
         rows = PETSc.IS().createGeneral(free, comm=matrix.comm)
         block = matrix.createSubMatrix(rows, rows)
         rows_here = sparse.csr_matrix(block.getValuesCSR()[::-1], block.sizes[0])
+        if self._turn is not None:
+            rows_here = sparse.csr_matrix(self._turn.T @ rows_here @ self._turn)
         rows_here.eliminate_zeros()
         csr = rows_here.indptr, rows_here.indices, rows_here.data
         found = PETSc.Mat().createAIJ(block.sizes, csr=csr, comm=self.comm)
@@ -206,7 +232,8 @@ class Dofs:
         """DOLFINx's Function of a displacement of the free dofs (n_local,), zero where clamped
         (collective)."""
         found = dolfinx.fem.Function(self.space)
-        found.x.array[self.free] = displacement
+        turned = displacement if self._turn is None else self._turn @ displacement
+        found.x.array[self.free] = turned
         found.x.scatter_forward()
         return found
 
@@ -220,4 +247,5 @@ class Dofs:
             cells=np.asarray(numbers).reshape(cells.shape),
             vtk_type=max(self.comm.allgather(vtk_type)),
             numbered=self,
+            frames=self.frames,
         )

@@ -1,7 +1,8 @@
 """The sector of a bladed disk: its sides, whose nodes match, and the faces of its crack.
 
 The left side turned about the axis by 2 pi / N, one way or the other, is the right side, node by
-node. What is bonded in sectors without a crack are the nodes of both faces in the same place.
+node; there displacements are those in the frame of the next sector. What is bonded in sectors
+without a crack are the nodes of both faces in the same place.
 """
 
 from __future__ import annotations
@@ -24,14 +25,13 @@ from fenics_crack.model.wheel import Wheel
 from fenics_crack.scene.scene import Scene
 
 
-def wheel_of(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Comm) -> Wheel:
+def assemble_wheel(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Comm) -> Wheel:
     """The bladed disk of a scene from its sector, which every rank has (collective).
 
     Raises
     ------
     InputError
-        The mesh has no sides, their nodes do not match, the crack reaches one of them, or the rotor
-        is so fast that the wheel is unstable.
+        The crack reaches a side, or the rotor is so fast that the wheel is unstable.
     """
     disk = scene.given("disk")
     sector, rotation = _sector(scene, dofs, structure), None
@@ -56,7 +56,14 @@ def _static(inside: Inside) -> Static:
     return lambda load: inside.at(0).answers(load[:, None])[:, 0]
 
 
-def _sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
+def turn_sides(scene: Scene, dofs: Dofs) -> None:
+    """Find the sides of a sector, and turn the right one into the frame of the next sector.
+
+    Raises
+    ------
+    InputError
+        The mesh has no sides, or their nodes do not match.
+    """
     from scipy.spatial.transform import Rotation  # with what only meshes of sectors need
 
     disk, (center, axis) = scene.given("disk"), scene.axis
@@ -80,17 +87,24 @@ def _sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
         allowed += " degrees, is the right one node by node;"
         allowed += f" that at {where} is {distance:.2g} m from the nearest"
         raise InputError("mesh.file" if names[0] == "left" else "disk", found, allowed)
-    sides = np.array([left, right[partner]])
     if len(shared := np.intersect1d(left, right)):
         where = place_in_words(points[shared[0]])
         allowed = f"a disk with a hole: both sides have the node at {where}"
         raise InputError("mesh.file", "a sector that reaches the axis", allowed)
-    lips = _lips(dofs, points, size)
+    d = points.shape[1]
+    dofs.take_sides(np.array([left, right[partner]]), turn[:d, :d])
+
+
+def _sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
+    points, sides, frames = dofs.points, dofs.sides, dofs.frames
+    assert sides is not None and frames is not None
+    lips = _lips(dofs, points, float(np.ptp(points, axis=0).max()))
     if len(shared := np.intersect1d(lips, sides)):
         allowed = f"away from the sides of its sector, not at {place_in_words(points[shared[0]])}"
         raise InputError("lips", "a crack", allowed)
-    d, count = points.shape[1], disk.sectors
-    return Sector(structure, count, center[:d], turn[:d, :d], sides, lips, structure.stiffness)
+    center, turn = scene.axis[0][: points.shape[1]], frames[sides[1, 0]]
+    count = scene.given("disk").sectors
+    return Sector(structure, count, center, turn, sides, lips, structure.stiffness)
 
 
 def _matched(moved: np.ndarray, places: np.ndarray) -> tuple[float, int, np.ndarray]:

@@ -24,7 +24,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
-from slepc4py import SLEPc
 
 from fenics_crack.basics.atomic_files import write_whole
 from fenics_crack.basics.errors import InputError
@@ -102,11 +101,9 @@ def write_header(file: h5py.File, kind: str, scene: Scene | None) -> None:
 
 
 def versions() -> str:
-    """Versions of what the program uses; of DOLFINx and gmsh where they are loaded."""
-    found = {
-        name: ".".join(map(str, library.Sys.getVersion()))
-        for name, library in (("PETSc", PETSc), ("SLEPc", SLEPc))
-    }
+    """Versions of what the program uses; of SLEPc, DOLFINx and gmsh where they are loaded."""
+    parts = {"PETSc": PETSc, "SLEPc": sys.modules.get("slepc4py.SLEPc")}
+    found = {name: ".".join(map(str, one.Sys.getVersion())) for name, one in parts.items() if one}
     for name, module in (("NumPy", "numpy"), ("DOLFINx", "dolfinx"), ("gmsh", "gmsh")):
         if module in sys.modules:
             found[name] = sys.modules[module].__version__

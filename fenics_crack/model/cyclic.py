@@ -5,8 +5,9 @@ j, and m_j the part that belongs to it alone,
 
     u_j = T_0 m_j + T_1 m_(j+1):
 
-T_1 gives the nodes of the right side what the next sector's left ones have, turned by 2 pi / N, and
-T_0 bonds the faces of the crack. Of nodal diameter n, m_(j+1) = e^(i 2 pi n / N) m_j, so
+T_1 gives the nodes of the right side, which are in the next sector's frame, what its left ones
+have, and T_0 bonds the faces of the crack: each row of T_0 + T_1 has a single 1. Of nodal diameter
+n, m_(j+1) = e^(i 2 pi n / N) m_j, so
 
     T_n = T_0 + e^(i 2 pi n / N) T_1,      K_n = T_n^H K T_n,      M_n = T_n^H M T_n,
     K_n v = w^2 M_n v,                     n = 0 .. N/2.
@@ -22,8 +23,7 @@ in Engineering 14, 1979, 81).
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -36,7 +36,7 @@ from mpi4py import MPI
 
 from fenics_crack.model.body import Body
 from fenics_crack.model.factor import Factor, distributed, local_rows
-from fenics_crack.model.modes import NEGLIGIBLE, modes_by
+from fenics_crack.model.modes import MULTIPLE, NEGLIGIBLE, modes_by
 from fenics_crack.model.structure import Structure
 
 
@@ -47,7 +47,8 @@ class Sector:
     Attributes
     ----------
     structure : Structure
-        Its matrices, gaps and load, on this rank alone.
+        Its matrices, gaps and load, on this rank alone; displacements of the right side in the
+        frame of the next sector.
     count : int
         N, the number of sectors.
     center : (d,) [m]
@@ -82,6 +83,12 @@ class Sector:
         """The nodal diameters 0 .. N/2."""
         return range(self.count // 2 + 1)
 
+    @property
+    def shares(self) -> np.ndarray:
+        """Of each nodal diameter, and its conjugate, in the motion of sector 0: (N/2 + 1,)."""
+        twice = [1.0 if self.is_single(n) else 2.0 for n in self.diameters]
+        return np.array(twice) / self.count
+
     def is_single(self, diameter: int) -> bool:
         """True of the nodal diameters without a second one that turns the other way."""
         return 2 * diameter % self.count == 0
@@ -108,36 +115,44 @@ class Sector:
         return np.asarray((points - self.center) @ self.turned(times).T + self.center)
 
     @cached_property
-    def own(self) -> np.ndarray:
-        """Dofs that belong to a sector with a bonded crack: all but those of the right side and of
-        the upper face."""
-        others = self.dofs[np.concatenate([self.sides[1], self.lips[1]])]
-        return np.setdiff1d(np.arange(self.structure.n_dofs), others)
-
-    @cached_property
     def upper(self) -> np.ndarray:
         """Dofs of the upper face."""
         found = self.dofs[self.lips[1]].ravel()
         return found[found >= 0]
 
     @cached_property
-    def bonds(self) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
-        """T_0 and T_1: (n_dofs, n_own) each."""
-        place = np.full(self.structure.n_dofs, -1)
-        place[self.own] = np.arange(len(self.own))
-        shape = self.structure.n_dofs, len(self.own)
-        lower, upper = (self.dofs[nodes] for nodes in self.lips)
-        free = upper >= 0
-        rows = np.concatenate([self.own, upper[free]])
-        columns = np.concatenate([place[self.own], place[lower[free]]])
-        first = sparse.csr_matrix((np.ones(len(rows)), (rows, columns)), shape)
-        left, right = (self.dofs[nodes] for nodes in self.sides)
-        left, right = left[right[:, 0] >= 0], right[right[:, 0] >= 0]
-        rows = np.broadcast_to(right[:, :, None], (*right.shape, right.shape[1]))
-        columns = np.broadcast_to(place[left][:, None, :], rows.shape)
-        values = np.broadcast_to(self.turn, rows.shape)
-        entries = values.ravel(), (rows.ravel(), columns.ravel())
-        return first, sparse.csr_matrix(entries, shape)
+    def after(self) -> np.ndarray:
+        """True for the dofs of the right side, which are the next sector's: (n_dofs,)."""
+        return np.isin(np.arange(self.structure.n_dofs), self.dofs[self.sides[1]])
+
+    @cached_property
+    def _bonded(self) -> tuple[np.ndarray, np.ndarray]:
+        same = np.arange(self.structure.n_dofs)
+        for first, other in (self.sides, self.lips):
+            free = self.dofs[other] >= 0
+            same[self.dofs[other][free]] = self.dofs[first][free]
+        return np.unique(same, return_inverse=True)
+
+    @property
+    def own(self) -> np.ndarray:
+        """Dofs that belong to a sector with a bonded crack: all but those of the right side and of
+        the upper face."""
+        return self._bonded[0]
+
+    @property
+    def place(self) -> np.ndarray:
+        """Of each dof the place of that which moves as it does, in this sector or the next one,
+        among a sector's own: (n_dofs,)."""
+        return self._bonded[1]
+
+    def ties(self, turn: complex) -> sparse.csr_matrix:
+        """T_n of e^(i 2 pi n / N): (n_dofs, n_own)."""
+        return chosen(self.place, len(self.own), np.where(self.after, turn, 1.0))
+
+    def of_diameter(self, matrix: sparse.csr_matrix, turn: complex) -> sparse.csr_matrix:
+        """T_n^H A T_n of a matrix of the sector: (n_own, n_own)."""
+        ties = self.ties(turn)
+        return sparse.csr_matrix(ties.conj().T @ matrix @ ties)
 
     @cached_property
     def opening(self) -> sparse.csc_matrix:
@@ -185,55 +200,39 @@ class Sector:
     @contextmanager
     def factored(self, stiffness: Any = None) -> Iterator[Inside]:
         """The stiffness of all nodal diameters, factored; another one than its own, if given."""
-        matrix = self.stiffness if stiffness is None else local_rows(stiffness)
-        blocks = Blocks.of(self, matrix)
-        left = self.dofs[self.sides[0]].ravel()
-        on_side = np.isin(self.own, left)
-        side, inside = np.flatnonzero(on_side), np.flatnonzero(~on_side)
-        first = blocks.own[inside]
-        held = distributed(first[:, inside], MPI.COMM_SELF)
+        matrix, count = (
+            self.stiffness if stiffness is None else local_rows(stiffness),
+            len(self.own),
+        )
+        both = chosen(self.place + count * self.after, 2 * count)
+        whole = sparse.csr_matrix(both.T @ matrix @ both)
+        side = np.unique(self.place[self.after])
+        inside, right = np.setdiff1d(np.arange(count), side), count + side
+        to_left, to_right = (whole[inside][:, one] for one in (side, right))
+        held = distributed(whole[inside][:, inside], MPI.COMM_SELF)
         with Factor(held, definite=True) as factor:
-            to_left, to_right = first[:, side], blocks.across[inside][:, side]
             by_left, by_right = (factor.solve(to.T).T for to in (to_left, to_right))
-            own = (blocks.own + blocks.after)[side][:, side]
+            own = whole[side][:, side] + whole[right][:, right]
             yield Inside(
-                self, blocks, factor, inside, side, (to_left, to_right),
+                self, matrix, factor, inside, side, (to_left, to_right),
                 own - to_left.T @ by_left - to_right.T @ by_right,
-                blocks.across[side][:, side] - to_left.T @ by_right,
+                whole[side][:, right] - to_left.T @ by_right,
             )  # fmt: skip
+        held.destroy()
 
 
-@dataclass(frozen=True, eq=False)
-class Blocks:
-    """A matrix of the sector in the dofs of its own and of the next one's.
+def chosen(columns: np.ndarray, count: int, values: np.ndarray | None = None) -> sparse.csr_matrix:
+    """The matrix (n, count) whose rows have one entry each, 1 or another value."""
+    every = np.arange(len(columns) + 1)
+    values = np.ones(len(columns)) if values is None else values
+    return sparse.csr_matrix((values, columns, every), (len(columns), count))
 
-        T_n^H K T_n = K_00 + K_11 + e^(it) K_01 + e^(-it) K_01^T,      t = 2 pi n / N
 
-    Attributes
-    ----------
-    own, after, across : (n_own, n_own)
-        K_00 = T_0^T K T_0, K_11 = T_1^T K T_1 and K_01 = T_0^T K T_1.
-    """
-
-    own: sparse.csr_matrix
-    after: sparse.csr_matrix
-    across: sparse.csr_matrix
-
-    @classmethod
-    def of(cls, sector: Sector, matrix: sparse.csr_matrix) -> Blocks:
-        """Of a matrix of the sector."""
-        first, second = sector.bonds
-        pairs = ((first, first), (second, second), (first, second))
-        return cls(*(sparse.csr_matrix(one.T @ matrix @ other) for one, other in pairs))
-
-    def real(self, factor: complex) -> sparse.csr_matrix:
-        """The matrix of e^(it), in real form where that is not real."""
-        fixed, turn = self.own + self.after, self.across.T
-        real = fixed + factor.real * (self.across + turn)
-        if not factor.imag:
-            return real
-        imaginary = factor.imag * (self.across - turn)
-        return sparse.bmat([[real, -imaginary], [imaginary, real]], format="csr")
+def in_real_form(matrix: sparse.csr_matrix) -> sparse.csr_matrix:
+    """[[Re, -Im], [Im, Re]] of a complex matrix; a real one as it is."""
+    if not np.iscomplexobj(matrix):
+        return matrix
+    return sparse.bmat([[matrix.real, -matrix.imag], [matrix.imag, matrix.real]], format="csr")
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,8 +244,8 @@ class Inside:
 
     Attributes
     ----------
-    sector, blocks
-        The sector, and its stiffness in blocks.
+    sector, stiffness
+        The sector, and the stiffness that is factored.
     factor : Factor
         Of the stiffness of the inside K_ii.
     inside, side : (n_inside,), (n_side,) int
@@ -258,7 +257,7 @@ class Inside:
     """
 
     sector: Sector
-    blocks: Blocks
+    stiffness: sparse.csr_matrix
     factor: Factor
     inside: np.ndarray
     side: np.ndarray
@@ -266,15 +265,10 @@ class Inside:
     own: np.ndarray
     across: np.ndarray
 
-    @cached_property
-    def mass(self) -> Blocks:
-        """The mass of the sector in blocks."""
-        return Blocks.of(self.sector, self.sector.mass)
-
     def within(self, forces: Any) -> np.ndarray:
         """K_ii^-1 f_i of real forces (n_dofs, m) on a sector, the same for all nodal diameters:
         (n_inside, m)."""
-        seen = (self.sector.bonds[0].T @ forces)[self.inside]
+        seen = (self.sector.ties(1.0).T @ forces)[self.inside]
         seen = seen.toarray() if sparse.issparse(seen) else np.asarray(seen)
         return self.factor.solve(seen.T).T if seen.any() else seen
 
@@ -306,8 +300,7 @@ class NodalDiameter:
     @cached_property
     def ties(self) -> sparse.csr_matrix:
         """T_n: (n_dofs, n_own)."""
-        first, second = self.inside.sector.bonds
-        return sparse.csr_matrix(first + self.turn * second)
+        return self.inside.sector.ties(self.turn)
 
     @cached_property
     def _left(self) -> tuple[np.ndarray, sparse.csr_matrix, sparse.csr_matrix]:
@@ -317,6 +310,15 @@ class NodalDiameter:
         inverse = np.linalg.inv(np.asarray(inside.own) + across + across.conj().T)
         coupling = sparse.csr_matrix(inside.coupling[0] + turn * inside.coupling[1])
         return inverse, coupling, sparse.csr_matrix(coupling.conj().T)
+
+    def work(self, forces: Any, within: np.ndarray) -> np.ndarray:
+        """Real part of f^H T_n K_n^-1 T_n^H f of real forces (n_dofs, m), with
+        :meth:`Inside.within` of them: (m, m), from the side alone."""
+        inverse, _, adjoint = self._left
+        seen = sparse.csr_matrix(self.ties.conj().T @ forces)
+        left = seen[self.inside.side].toarray() - adjoint @ within
+        found = seen[self.inside.inside].real.T @ within + (left.conj().T @ (inverse @ left)).real
+        return np.asarray(found)
 
     def solve(self, forces: np.ndarray, within: np.ndarray | None = None) -> np.ndarray:
         """K_n^-1 f of forces on the sector's own dofs (n_own, m), with K_ii^-1 f_i where that is
@@ -342,18 +344,22 @@ class NodalDiameter:
 
     def modes(self, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Frequencies (count,) [rad/s], and shapes of a sector (n_dofs, count) with v^H M v = 1."""
-        blocks = self.inside.mass, self.inside.blocks
-        mass, stiffness = (distributed(one.real(self.turn), MPI.COMM_SELF) for one in blocks)
+        sector = self.inside.sector
+        mass, stiffness = (
+            distributed(in_real_form(sector.of_diameter(one, self.turn)), MPI.COMM_SELF)
+            for one in (sector.mass, self.inside.stiffness)
+        )
         size = mass.size[0]
         gap = sparse.csr_matrix((size, 0))
         structure = Structure(Body(mass, stiffness, gap, np.zeros((1, size)), np.zeros(0)))
+        found = modes_by(self, structure, 2 * count if self.turn.imag else count)
+        for used in (mass, stiffness):  # PETSc would keep those of all nodal diameters
+            used.destroy()
         if not self.turn.imag:
-            found = modes_by(self, structure, count)
             return found.omega, self.ties @ found.shapes
-        found = modes_by(self, structure, 2 * count)
         real, imaginary = np.split(found.shapes, 2)
         # Each pair of real modes is one complex one, twice over.
-        omega, shapes = self.inside.sector.ritz(self.ties @ (real + 1j * imaginary))
+        omega, shapes = sector.ritz(self.ties @ (real + 1j * imaginary))
         return omega[:count], shapes[:, :count]
 
     def answers(self, forces: Any, within: np.ndarray | None = None) -> np.ndarray:
@@ -401,19 +407,15 @@ class CyclicBasis:
     Attributes
     ----------
     modes : CyclicModes
-        The lowest of each nodal diameter.
-    answers : tuple of (int, (n_dofs,))
-        Static answers to the load, without the part on these modes: nodal diameter, and a field of
-        sector 0 whose real part turns with the sectors as a mode's.
-    opened : (N, n_dofs, n_upper)
-        Answers of all sectors to a unit displacement of the upper face of the crack in sector 0
-        beside the lower one's, without that displacement itself.
-    opening : (n_dofs, n_upper)
-        That displacement.
+        The lowest of each nodal diameter, and with them static answers to the load and at sides.
+    opened : (N, n_dofs, m)
+        Answers of all sectors to displacements of the upper face of the crack in sector 0 beside
+        the lower one's, without these themselves.
+    opening : (n_dofs, m)
+        These displacements.
     """
 
     modes: CyclicModes
-    answers: tuple[tuple[int, np.ndarray], ...]
     opened: np.ndarray
     opening: sparse.csc_matrix
 
@@ -422,7 +424,6 @@ class CyclicBasis:
         shapes = tuple(matrix @ shapes for shapes in self.modes.shapes)
         return CyclicBasis(
             replace(self.modes, shapes=shapes),
-            tuple((diameter, matrix @ field) for diameter, field in self.answers),
             np.array([matrix @ one for one in self.opened]),
             sparse.csc_matrix(matrix @ self.opening),
         )
@@ -438,8 +439,7 @@ class CyclicBasis:
         self, place: int, cracked: tuple[int, ...], rows: slice | list[int] = slice(None)
     ) -> np.ndarray:
         """Displacements of a sector, by its place from 0, in all motions: those of the modes, the
-        static answers, the opening of the crack of each cracked sector; (n_dofs, n), or some rows
-        of it."""
+        opening of the crack of each cracked sector; (n_dofs, n), or some rows of it."""
         sector = self.modes.sector
         parts = []
         for diameter, shapes in enumerate(self.modes.shapes):
@@ -449,9 +449,6 @@ class CyclicBasis:
             else:
                 turned = np.exp(1j * angle) * np.sqrt(2.0 / sector.count) * shapes[rows]
                 parts += [turned.real, turned.imag]
-        for diameter, field in self.answers:
-            angle = 2.0 * np.pi * diameter * place / sector.count
-            parts.append((np.exp(1j * angle) * field[rows]).real[:, None])
         for one in cracked:
             own = self.opened[(place - one) % sector.count, rows]
             parts.append(own + self.opening[rows] if place == one else own)
@@ -478,9 +475,12 @@ def cyclic_basis(
     sector 0, which turn with the sectors by e^(i 2 pi n j / N); ranks share nodal diameters
     (collective).
 
-    It has the static answers, too, to what mistuning and cracks leave at the sides: forces
-    (K - w^2 M) v of a sector on its right side, of which a few patterns hold those of all modes.
-    They are added to each nodal diameter, as if they were modes.
+    It has the static answers, too, to the loads, and to what mistuning and cracks leave at the
+    sides: forces (K - w^2 M) v of a sector on its right side, of which a few patterns hold those of
+    all modes. They are added to each nodal diameter, as if they were modes.
+
+    A crack opens as forces of its pairs, and those that its bonds bear, open it: with the stiffness
+    of all displacements of its face, which what is on the sides gives.
     """
     families = min(families, len(sector.own))
     pulled = -sector.stiffness @ sector.opening
@@ -488,7 +488,6 @@ def cyclic_basis(
     first = list(dict.fromkeys((0, sector.count // 4, sector.count // 2)))
     mine = [*first, *(n for n in sector.diameters if n not in first)][comm.rank :: comm.size]
     found: dict[int, tuple[Any, ...]] = {}
-    static: dict[int, np.ndarray] = {}
     with sector.factored() as inside:
         ahead = {n: inside.at(n).modes(families) for n in mine if n in first}
         seen = _of_all_ranks(ahead, comm)
@@ -498,44 +497,89 @@ def cyclic_basis(
             one = inside.at(diameter)
             _, shapes = ahead.get(diameter) or one.modes(families)
             beside = one.answers(forces, at_sides)
-            beside = beside - shapes @ (shapes.conj().T @ (sector.mass @ beside))
-            beside /= np.sqrt(np.sum(np.abs(beside) ** 2, axis=0))
-            omega, shapes = sector.ritz(np.hstack([shapes, sector.ritz(beside)[1]]))
-            answers = [
-                _beside_modes(one.answers(force[:, None])[:, 0], force, omega, shapes, sector)
-                for number, force in loads
-                if number == diameter
-            ]
-            found[diameter] = omega, shapes, answers
-            static[diameter] = one.answers(pulled, at_lips)
-    found, static = _of_all_ranks(found, comm), _of_all_ranks(static, comm)
-    ordered = (found[diameter] for diameter in sector.diameters)
-    omegas, every, known = zip(*ordered, strict=True)
-    fields = [
-        (diameter, field)
-        for diameter, own in enumerate(known)
-        for field in _independent(sector, diameter, own)
-    ]
-    modes = CyclicModes(omegas, every, sector)
-    return CyclicBasis(modes, tuple(fields), _of_sectors(static, sector), sector.opening)
+            force = _loads_of(sector, diameter, loads)
+            answers = one.answers(force)
+            both = np.hstack([beside, answers])
+            left = both - shapes @ (shapes.conj().T @ (sector.mass @ both))
+            sizes, whole = (np.sqrt(np.sum(np.abs(x) ** 2, axis=0)) for x in (left, both))
+            left = left[:, kept := sizes > MULTIPLE * whole] / sizes[kept]
+            omega, shapes = sector.ritz(np.hstack([shapes, sector.ritz(left)[1]]))
+            pulls = _pulls(sector, omega, shapes, force, answers)
+            found[diameter] = omega, shapes, pulls, one.work(pulled, at_lips)
+        found = _of_all_ranks(found, comm)
+        ordered = (found[diameter] for diameter in sector.diameters)
+        omegas, every, pulls, works = zip(*ordered, strict=True)
+        opening = _openings(sector, np.hstack(pulls), np.tensordot(sector.shares, works, 1))
+        opened = _of_sectors(
+            ((n, inside.at(n).answers(pulled @ opening, at_lips @ opening)) for n in mine),
+            opening.shape[1], sector, comm,
+        )  # fmt: skip
+    moved = sparse.csc_matrix(sector.opening @ opening)
+    return CyclicBasis(CyclicModes(omegas, every, sector), opened, moved)
 
 
-def _of_sectors(fields: dict[int, np.ndarray], sector: Sector) -> np.ndarray:
-    """Return the real fields of all sectors of those of the nodal diameters 0 .. N/2.
+def _loads_of(
+    sector: Sector, diameter: int, loads: tuple[tuple[int, np.ndarray], ...]
+) -> np.ndarray:
+    """Forces (n_dofs, m) of a nodal diameter, whose answers turn with the sectors as modes do."""
+    mine = [force for number, force in loads if number == diameter]
+    if sector.is_single(diameter):
+        mine = [part for force in mine for part in (force.real, force.imag) if np.any(part)]
+    return np.array(mine).reshape(-1, sector.structure.n_dofs).T
+
+
+def _pulls(
+    sector: Sector, omega: np.ndarray, shapes: np.ndarray, force: np.ndarray, answers: np.ndarray
+) -> np.ndarray:
+    """Real forces (n_upper, m) on the upper face that bonds bear: of modes (K - w^2 M) v / w, of
+    loads K x - f of unit work. In the compliance S^-1 of an opening their squares are what opening
+    the crack changes of w^2, or of a load's work, relative to it."""
+    parts = [(sector.stiffness @ shapes - (sector.mass @ shapes) * omega**2) / omega]
+    work = np.sum(force.conj() * answers, axis=0).real
+    parts.append((sector.stiffness @ answers - force) / np.sqrt(work))
+    found = np.hstack(parts)[sector.upper]
+    return np.hstack([found.real, found.imag])
+
+
+OPENED = 1e-5
+"""Least size of a pattern of forces of bonds that is kept: its square is what opening the crack by
+it changes of w^2, or of the work of a load, relative to these. Smaller ones change less than the
+mass of what moves with the faces, which static patterns leave out: up to 6e-9 of frequencies."""
+
+
+def _openings(sector: Sector, pulls: np.ndarray, work: np.ndarray) -> np.ndarray:
+    """Displacements of the upper face (n_upper, m) of unit energy, without coupling: what forces of
+    contact pairs, and those that bonds bear, open the crack by."""
+    structure = sector.structure
+    pairs = [structure.gap] + ([] if structure.tangential is None else [structure.tangential])
+    held = (sector.opening.T @ sector.stiffness @ sector.opening).toarray() - work
+    lower = scipy.linalg.cholesky(0.5 * (held + held.T), lower=True)
+    contact, pulls = (
+        scipy.linalg.solve_triangular(lower, forces, lower=True)
+        for forces in (sparse.hstack(pairs).tocsr()[sector.upper].toarray(), pulls)
+    )
+    basis = scipy.linalg.orth(contact)
+    patterns, sizes, _ = np.linalg.svd(pulls - basis @ (basis.T @ pulls), full_matrices=False)
+    kept = np.hstack([basis, patterns[:, sizes > OPENED]])
+    return scipy.linalg.solve_triangular(lower.T, kept)
+
+
+def _of_sectors(
+    fields: Iterable[tuple[int, np.ndarray]], columns: int, sector: Sector, comm: MPI.Comm
+) -> np.ndarray:
+    """Return the real fields (N, n_dofs, columns) of all sectors of those of the nodal diameters
+    0 .. N/2, of which each rank has some (collective).
 
     It is an inverse Fourier transform, by a product of matrices: a sum over all nodal diameters,
-    whose second half is the conjugate of the first. The largest of a basis: ``fields`` are taken
-    out as they are used.
+    whose second half is the conjugate of the first. The largest of a basis.
     """
     angles = np.outer(np.arange(sector.count), sector.diameters) * (2.0 * np.pi / sector.count)
-    twice = np.where([sector.is_single(n) for n in sector.diameters], 1.0, 2.0) / sector.count
-    shape = sector.opening.shape
-    parts = np.empty((2, len(twice), math.prod(shape)))
-    for diameter in sector.diameters:
-        own = fields.pop(diameter).ravel()
-        parts[:, diameter] = own.real, own.imag
-    waves = np.hstack([twice * np.cos(angles), -twice * np.sin(angles)])
-    return (waves @ parts.reshape(2 * len(twice), -1)).reshape(sector.count, *shape)
+    waves = sector.shares * np.array([np.cos(angles), -np.sin(angles)])  # (2, N, N/2 + 1)
+    parts = np.zeros((2, len(sector.shares), sector.structure.n_dofs, columns))
+    for diameter, field in fields:
+        parts[:, diameter] = field.real, field.imag
+    comm.Allreduce(MPI.IN_PLACE, parts)
+    return np.tensordot(waves, parts, ((0, 2), (0, 1)))
 
 
 def _of_all_ranks(found: dict[int, Any], comm: MPI.Comm) -> dict[int, Any]:
@@ -564,31 +608,3 @@ def _side_forces(sector: Sector, modes: Sequence[tuple[np.ndarray, np.ndarray]])
     found = np.zeros((sector.structure.n_dofs, kept.shape[1]))
     found[right] = kept
     return found
-
-
-def _beside_modes(
-    answer: np.ndarray, force: np.ndarray, omega: np.ndarray, shapes: np.ndarray, sector: Sector
-) -> np.ndarray:
-    """A static answer without the part on modes; nothing where that leaves rounding, and else of
-    unit energy in a sector."""
-    size = np.vdot(answer, sector.stiffness @ answer).real
-    left = answer - shapes @ ((shapes.conj().T @ force) / omega**2)
-    energy = np.vdot(left, sector.stiffness @ left).real
-    return left / np.sqrt(energy) if energy > NEGLIGIBLE * size else 0.0 * left
-
-
-def _independent(
-    sector: Sector, diameter: int, answers: Sequence[np.ndarray]
-) -> Iterator[np.ndarray]:
-    """Fields of one nodal diameter whose real parts, as they turn, span those of complex answers,
-    both as they are and a quarter of a period later: with unit energies, and without coupling."""
-    both = [part for answer in answers for part in (answer, -1j * answer)]
-    if not both:
-        return
-    columns = np.column_stack(both)
-    if sector.is_single(diameter):
-        columns = columns.real
-    gram = (columns.conj().T @ (sector.stiffness @ columns)).real
-    weights, mixed = np.linalg.eigh(gram)
-    kept = weights > NEGLIGIBLE * max(weights[-1], 1e-300)
-    yield from (columns @ (mixed[:, kept] / np.sqrt(weights[kept]))).T

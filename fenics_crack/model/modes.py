@@ -20,11 +20,10 @@ import scipy.linalg
 import scipy.sparse as sparse
 from petsc4py import PETSc
 from scipy.sparse.csgraph import min_weight_full_bipartite_matching
-from slepc4py import SLEPc
 
 from fenics_crack.basics.errors import FEW_MODES, ConvergenceError, InputError, check_choice
 from fenics_crack.basics.progress import begin
-from fenics_crack.basics.ranks import gather_rows
+from fenics_crack.basics.ranks import gather_rows, slepc
 from fenics_crack.basics.tables import Tabular, counted, hertz_of, with_frequency
 from fenics_crack.kernel import kernel
 from fenics_crack.model.factor import AT_A_TIME, TOLERATED, Factor, factored_sum
@@ -257,10 +256,10 @@ def _lowest(structure: Structure) -> list[np.ndarray]:
 
 def _solver(structure: Structure, prefix: str, count: int, krylov: int) -> Any:
     """SLEPc's solver of K phi = omega^2 M phi."""
-    solver = SLEPc.EPS().create(structure.comm)
+    solver = slepc().EPS().create(structure.comm)
     solver.setOptionsPrefix(prefix)
     solver.setOperators(structure.stiffness, structure.mass)
-    solver.setProblemType(SLEPc.EPS.ProblemType.GHEP)
+    solver.setProblemType(solver.ProblemType.GHEP)
     solver.setDimensions(count, min(structure.n_dofs, krylov))
     solver.getST().getKSP().setType("preonly")
     return solver
@@ -306,12 +305,12 @@ def _krylov(
     """Eigenvalues, ascending, and mass-normalised shapes of the modes closest to a shift, by the
     factor of K - shift M."""
     solver = _solver(structure, "crack_modes_", count, krylov_vectors(count))
-    solver.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_MAGNITUDE)
+    solver.setWhichEigenpairs(solver.Which.TARGET_MAGNITUDE)
     solver.setTolerances(1e-12, 500)
     solver.setTarget(shift)
     transformation = solver.getST()
-    transformation.setType(SLEPc.ST.Type.SINVERT)
-    transformation.setMatMode(SLEPc.ST.MatMode.SHELL)  # K - shift M is not formed again
+    transformation.setType(transformation.Type.SINVERT)
+    transformation.setMatMode(transformation.MatMode.SHELL)  # K - shift M is not formed again
     solver.setPurify(False)  # only a singular mass needs it, and it costs orthogonality
     inner = transformation.getKSP().getPC()
     inner.setType("python")
@@ -340,7 +339,7 @@ def count_below(structure: Structure, square: float, ties: Any = None) -> int:
 def largest_frequency(structure: Structure) -> float:
     """Largest natural angular frequency [rad/s] (collective)."""
     solver = _solver(structure, "crack_largest_", 1, 30)
-    solver.setWhichEigenpairs(SLEPc.EPS.Which.LARGEST_REAL)
+    solver.setWhichEigenpairs(solver.Which.LARGEST_REAL)
     solver.setTolerances(1e-6, 1000)
     inner = solver.getST().getKSP().getPC()
     inner.setType("cholesky")

@@ -4,12 +4,12 @@ The whole wheel has the dofs of each sector that belong to it alone, in the fram
 and those of the upper face of each crack. Its matrices are those of the sector, copied; they are
 made where someone asks for them. It is solved in few coordinates of motions of the whole wheel:
 
-    u = U (q, a, d),      M = U^T M U,      K = sum_j (1 + delta_j) U_j^T K U_j,
+    u = U (q, d),      M = U^T M U,      K = sum_j (1 + delta_j) U_j^T K U_j,
 
-q those of the modes with bonded cracks, a those of static answers to the load, and d the
-displacements of the upper faces of cracks beside the lower ones, with the static answer of the rest
-(Craig and Bampton, AIAA Journal 6, 1968, 1313). delta_j is the mistuning of sector j: its
-stiffness at rest is multiplied by 1 + delta_j.
+q those of the modes with bonded cracks and of static answers, and d those of displacements of the
+upper faces of cracks beside the lower ones, with the static answer of the rest (Craig and Bampton,
+AIAA Journal 6, 1968, 1313). delta_j is the mistuning of sector j: its stiffness at rest is
+multiplied by 1 + delta_j.
 
 A load that stands still in space passes the blades one after the other. Sector j, from 0, is ahead
 by j / N of a revolution: with an engine order E, and its k-th harmonic of order k E,
@@ -39,6 +39,7 @@ from fenics_crack.model.cyclic import (
     CyclicBasis,
     CyclicModes,
     Sector,
+    chosen,
     cyclic_basis,
     solve_cyclic_modes,
 )
@@ -147,19 +148,7 @@ class Wheel(Structure):
 
     def of_sector(self, place: int) -> sparse.csr_matrix:
         """The dofs of a sector, by its place from 0, from those of the wheel: (n_sector, n)."""
-        sector = self.sector
-        first, second = (sparse.coo_matrix(part) for part in sector.bonds)
-        own, after = len(sector.own), (place + 1) % sector.count
-        rows, values = [first.row, second.row], [first.data, second.data]
-        columns = [first.col + place * own, second.col + after * own]
-        if place in self.cracked:
-            kept = ~np.isin(first.row, sector.upper)
-            rows[0], columns[0], values[0] = rows[0][kept], columns[0][kept], values[0][kept]
-            rows.append(sector.upper)
-            columns.append(self.own_numbers(place)[sector.upper])
-            values.append(np.ones(len(sector.upper)))
-        entries = np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))
-        return sparse.csr_matrix(entries, (sector.structure.n_dofs, self.n_dofs))
+        return chosen(self.numbers(place), self.n_dofs)
 
     def dof_of(self, blade: int, dof: int) -> int:
         """The dof of the wheel that a dof of a sector is in one of them, by its number from 1.
@@ -174,8 +163,7 @@ class Wheel(Structure):
             raise InputError("blade", blade, f"a whole number from 1 to {count}")
         if not 0 <= dof < size:
             raise InputError("dof", dof, f"a whole number from 0 to {size - 1}")
-        row = self.of_sector(blade - 1)[dof]
-        return int(row.indices[np.argmax(np.abs(row.data))])
+        return int(self.numbers(blade - 1)[dof])
 
     def blade_of(self, dof: int) -> tuple[int, int]:
         """The number of the sector, from 1, to which a dof belongs, and the dof of the sector."""
@@ -196,12 +184,10 @@ class Wheel(Structure):
         blade, own = self.blade_of(dof)
         return f"{self.sector.structure.dof_name(own)} of blade {blade}"
 
-    def own_numbers(self, place: int) -> np.ndarray:
-        """Numbers in the wheel of a sector's dofs that belong to it alone; -1 of others:
-        (n_sector,)."""
-        sector = self.sector
-        found, own = np.full(sector.structure.n_dofs, -1), len(sector.own)
-        found[sector.own] = place * own + np.arange(own)
+    def numbers(self, place: int) -> np.ndarray:
+        """Numbers in the wheel of a sector's dofs: (n_sector,)."""
+        sector, own = self.sector, len(self.sector.own)
+        found = sector.place + (place + sector.after) % sector.count * own
         if place in self.cracked:
             count = len(sector.upper)
             start = sector.count * own + self.cracked.index(place) * count
@@ -221,7 +207,7 @@ class Wheel(Structure):
         for place, kept in enumerate(here):
             turned, own = sector.turned(place), nodes.dofs[kept]
             points.append(sector.placed(nodes.points[kept], place))
-            dofs.append(np.where(own >= 0, self.own_numbers(place)[own], -1))
+            dofs.append(np.where(own >= 0, self.numbers(place)[own], -1))
             frames.append(np.broadcast_to(turned, (len(own), *turned.shape)))
             number = numbers[place].copy()
             if place not in self.cracked:
@@ -369,22 +355,17 @@ def _complex_loads(wheel: Wheel) -> list[tuple[int, np.ndarray]]:
 
 
 def _ritz(basis: CyclicBasis, cracked: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """U^T M U and U^T K U without mistuning. The modes are those of both; K of static answers to
-    loads and to openings of cracks is that of either kind alone, and of openings what holds the
-    upper faces."""
+    """U^T M U and U^T K U without mistuning. The modes are those of both; K of openings of cracks
+    is what holds the upper faces."""
     sector, modes = basis.modes.sector, len(basis.squares)
-    answers = modes + len(basis.answers)
-    moved, seen = basis.times(sector.mass), slice(modes, answers)
-    mass = stiffness = np.zeros((0, 0))
+    moved, mass = basis.times(sector.mass), np.zeros(())
     for place in range(sector.count):
         columns, products = (one.columns(place, cracked) for one in (basis, moved))
-        part = columns.T @ products[:, modes:]
-        energy = columns[:, seen].T @ (sector.stiffness @ columns[:, seen])
-        mass, stiffness = (mass + part, stiffness + energy) if place else (part, energy)
+        mass = mass + columns.T @ products[:, modes:]
     whole = [np.eye(len(mass)), np.zeros((len(mass), len(mass)))]
     whole[0][:, modes:] = mass
     whole[0][modes:] = mass.T
-    pulled = sector.opening.T @ sector.stiffness
+    pulled = basis.opening.T @ sector.stiffness
     held = [
         np.hstack([
             pulled @ (basis.opened[(one - other) % sector.count] + (one == other) * basis.opening)
@@ -393,9 +374,8 @@ def _ritz(basis: CyclicBasis, cracked: tuple[int, ...]) -> tuple[np.ndarray, np.
         for one in cracked
     ]  # fmt: skip
     whole[1][:modes, :modes] = np.diag(basis.squares)
-    whole[1][seen, seen] = stiffness
     if held:
-        whole[1][answers:, answers:] = np.vstack(held)
+        whole[1][modes:, modes:] = np.vstack(held)
     return tuple(0.5 * (matrix + matrix.T) for matrix in whole)  # type: ignore[return-value]
 
 
@@ -424,7 +404,7 @@ class WheelCoordinates(Body):
 
 
 class WheelStructure(Structure):
-    """A wheel in the coordinates (q, a, d) of a basis; the same on every rank.
+    """A wheel in the coordinates (q, d) of a basis; the same on every rank.
 
     ``find_dof`` and ``values_at`` refer to the dofs of the whole wheel.
 
@@ -533,8 +513,7 @@ class WheelStructure(Structure):
         if wheel.comm.rank == 0:
             for place in range(wheel.sector.count):
                 moved = displacement @ self.basis.columns(place, wheel.cracked).T
-                numbers = wheel.own_numbers(place)
-                found[:, numbers[numbers >= 0]] = moved[:, numbers >= 0]
+                found[:, wheel.numbers(place)] = moved
         return found[:, : wheel.n_local]
 
     def values_at(self, displacement: np.ndarray, dofs: Sequence[int | None]) -> np.ndarray:

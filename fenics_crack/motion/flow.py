@@ -169,11 +169,21 @@ class Flow:
     ) -> np.ndarray:
         """Displacement of the structure's own dofs, or of some, in states and under contact forces
         at phases of the load: (n, n_dofs) [m]."""
+        return self.displaced(states[:, : self.count], force, waves_of(self.force, phase), dofs)
+
+    def displaced(
+        self,
+        modal: np.ndarray,
+        force: np.ndarray,
+        waves: np.ndarray,
+        dofs: np.ndarray | slice = slice(None),
+    ) -> np.ndarray:
+        """The same of modal displacements, contact forces and the load's waves (n, 2K+1), or of
+        the coefficients of all three."""
         modes = self.modes
-        found: np.ndarray = states[:, : self.count] @ modes.shapes[dofs].T
+        found: np.ndarray = modal @ modes.shapes[dofs].T
         if modes.static_loads is not None and modes.static_pairs is not None:
-            loads = self.structure.force @ modes.static_loads[:, dofs]
-            found += waves_of(self.force, phase) @ loads
+            found += waves @ (self.structure.force @ modes.static_loads[:, dofs])
             found -= force @ modes.static_pairs[dofs].T
         return found
 

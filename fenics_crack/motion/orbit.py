@@ -220,8 +220,8 @@ class PeriodicOrbit(Observed, Described):
     def records(self, rows: np.ndarray, instants: int | None = None) -> Iterator[Record]:
         """The motion, on each part of the period by the polynomials through Gauss's nodes; at as
         many instants as are given all numbers are from these."""
-        time, length = self._nodes(len(self.flow.force) // 2 * self.omega)
-        samples, (nodes, weights, _) = self.samples(time), gauss_nodes()
+        samples, length = self._at_nodes(len(self.flow.force) // 2 * self.omega)
+        nodes, weights, _ = gauss_nodes()
         seen = samples.displacement @ rows.T, samples.gaps, samples.forces
         values = np.hstack(seen).reshape(len(length), len(nodes), -1)
         ends, signs = np.cumsum(length), (-1.0) ** np.arange(len(nodes))
@@ -255,45 +255,60 @@ class PeriodicOrbit(Observed, Described):
         """Fourier coefficients, by Gauss's rule on each part of the period in which no pair opens
         or closes."""
         base = self.omega / self.subharmonic
-        time, length = self._nodes(harmonics * base)
+        samples, length = self._at_nodes(harmonics * base)
         share = (0.5 * length[:, None] * gauss_nodes()[1]).ravel() / self.period
-        samples = self.samples(time)
-        values = samples.gaps, samples.forces, samples.displacement
-        found = [np.zeros((2 * harmonics + 1, part.shape[1])) for part in values]
-        for start in range(0, len(time), INSTANTS_AT_A_TIME):
+        gaps, forces, count = samples.gaps, samples.forces, self.flow.count
+        values = np.hstack([gaps, forces, samples.states[:, :count]])
+        found = np.zeros((2 * harmonics + 1, values.shape[1]))
+        kept = np.empty((len(found), INSTANTS_AT_A_TIME))
+        for start in range(0, len(values), INSTANTS_AT_A_TIME):
             some = slice(start, start + INSTANTS_AT_A_TIME)
-            first = np.exp(1j * base * time[some])
-            means, wave = np.tile(share[some], (2 * harmonics + 1, 1)), 2.0 * share[some] * first
+            first = np.exp(1j * base * samples.time[some])
+            means, wave = kept[:, : len(first)], 2.0 * share[some] * first
+            means[0] = share[some]
             for order in range(1, harmonics + 1):  # a tenth of the time of their sines and cosines
                 means[2 * order - 1], means[2 * order] = wave.real, wave.imag
                 wave *= first
-            for rows, part in zip(found, values, strict=True):
-                rows += means @ part[some]
-        return OrbitCoefficients(*found)
+            found += means @ values[some]
+        splits = np.cumsum([gaps.shape[1], forces.shape[1]])
+        gap, force, modal = np.split(found, splits, axis=1)
+        orders = np.arange(1, len(self.flow.force) + 1) // 2
+        rows = np.arange(len(self.flow.force)) + 2 * orders * (self.subharmonic - 1)
+        load = np.equal.outer(np.arange(len(found)), rows).astype(float)
+        return OrbitCoefficients(gap, force, self.flow.displaced(modal, force, load))
 
-    def _nodes(self, omega: float) -> tuple[np.ndarray, np.ndarray]:
-        """Gauss's nodes on each part of the period in which no pair opens, closes, sticks or slips,
-        and waves of up to a frequency [rad/s] turn little: times [s], and the parts' lengths."""
-        turn = self.motion.track.lengths * (self.flow.fastest + omega)
-        parts = np.maximum(np.ceil(turn / kernel.FLOW_REACH), 1).astype(int)
-        length = np.repeat(self.motion.track.lengths / parts, parts)
-        start = np.concatenate([[0.0], np.cumsum(length)[:-1]])
-        return (start[:, None] + 0.5 * length[:, None] * (1.0 + gauss_nodes()[0])).ravel(), length
+    def _at_nodes(self, omega: float) -> tuple[Samples, np.ndarray]:
+        """The motion at Gauss's nodes on each part of the period in which no pair opens, closes,
+        sticks or slips, and waves of up to a frequency [rad/s] turn little, and the parts' lengths
+        [s]; the finest that was asked for is kept."""
+        if not self._finest or self._finest[-1][0] < omega:
+            turn = self.motion.track.lengths * (self.flow.fastest + omega)
+            parts = np.maximum(np.ceil(turn / kernel.FLOW_REACH), 1).astype(int)
+            length = np.repeat(self.motion.track.lengths / parts, parts)
+            start = np.concatenate([[0.0], np.cumsum(length)[:-1]])
+            time = start[:, None] + 0.5 * length[:, None] * (1.0 + gauss_nodes()[0])
+            self._finest[:] = [(omega, self.samples(time.ravel()), length)]
+        return self._finest[-1][1:]
+
+    @cached_property
+    def _finest(self) -> list[tuple[float, Samples, np.ndarray]]:
+        """A highest frequency [rad/s], the motion at nodes for it, and the parts' lengths."""
+        return []
 
     @cached_property
     def work(self) -> Work:
         """Work of the load, the damping and friction in the period, exact: on each part of it by
         Gauss's rule, with the derivatives of the polynomials through his nodes."""
         flow = self.flow
-        time, length = self._nodes(len(flow.force) // 2 * self.omega)
-        samples, (_, weights, turn) = self.samples(time), gauss_nodes()
+        samples, length = self._at_nodes(len(flow.force) // 2 * self.omega)
+        _, weights, turn = gauss_nodes()
 
         def over(force: np.ndarray, moved: np.ndarray) -> np.ndarray:
             """int F x' dt of columns at the nodes."""
             force, moved = (one.reshape(len(length), len(weights), -1) for one in (force, moved))
             return np.asarray(np.einsum("k,pkc,pkc->c", weights, force, turn @ moved))
 
-        load = waves_of(flow.force, self.omega * time) @ flow.structure.force
+        load = waves_of(flow.force, self.omega * samples.time) @ flow.structure.force
         rates = samples.states[:, flow.count :]
         share = (0.5 * length[:, None] * weights).ravel()
         damping = float(share @ np.sum(rates * flow.modes.damped(rates), axis=1))

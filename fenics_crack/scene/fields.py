@@ -82,32 +82,6 @@ class Harmonic:
     sin: tuple[float, ...]
 
 
-@dataclass(frozen=True)
-class Mistuning:
-    """Random relative deviations of the sectors' stiffness.
-
-    Attributes
-    ----------
-    deviation : float
-        Standard deviation of independent normal numbers.
-    seed : int
-        Of NumPy's default generator.
-    """
-
-    deviation: float
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.deviation <= 0.1:
-            raise InputError(".deviation", self.deviation, "a number from 0 to 0.1")
-        if self.seed < 0:
-            raise InputError(".seed", self.seed, "a whole number >= 0")
-
-    def pattern(self, sectors: int) -> tuple[float, ...]:
-        """One deviation for each of so many sectors."""
-        return tuple(np.random.default_rng(self.seed).normal(0.0, self.deviation, sectors).tolist())
-
-
 # --- how a value is read --------------------------------------------------------------------------
 
 
@@ -217,17 +191,6 @@ def _ints(value: object) -> tuple[int, ...]:
     return tuple(map(_int, _different(value if isinstance(value, list | tuple) else [value])))
 
 
-def _mistuning(value: object) -> tuple[float, ...] | Mistuning:
-    """A deviation for each sector, or those of a random pattern."""
-    if isinstance(value, Mistuning):
-        return value
-    if not isinstance(value, Mapping):
-        return _floats(value)
-    if not {"deviation"} <= value.keys() <= {"deviation", "seed"}:
-        raise TypeError
-    return Mistuning(_float(value["deviation"]), _int(value.get("seed", 0)))
-
-
 def _different(values: Any) -> Any:
     """Refuse values of which two are the same."""
     if len(set(values)) != len(values):
@@ -276,14 +239,13 @@ _READERS: dict[str, Callable[[object], Any]] = {
     "tuple[Point, ...]": _axes(Point, lambda _, given: _vector(given)),
     "tuple[Harmonic, ...]": _harmonics,
     "tuple[float, ...]": _floats,
-    "tuple[float, ...] | Mistuning": _mistuning,
     "tuple[int, ...]": _ints,
     "tuple[str, ...]": lambda value: tuple(map(_str, _different(_of(list | tuple, value)))),
 }
 """Function that reads a value, by the type of a field that is not None."""
 
 
-_BY_NAME = ("tuple[Axis, ...]", "tuple[MeshFile, ...]", "tuple[Point, ...]", "Mistuning")
+_BY_NAME = ("tuple[Axis, ...]", "tuple[MeshFile, ...]", "tuple[Point, ...]")
 _JSON = {"bool": "boolean", "float": "number", "int": "integer", "str": "string"}
 _JSON |= dict.fromkeys(_BY_NAME, "object")
 """JSON's words for types; all others are arrays."""
@@ -405,7 +367,7 @@ def scaled(value: Any, factor: float) -> Any:
 
 def _as_toml(value: object) -> str:
     """A value as TOML: JSON but for DEL, and for inline tables."""
-    if isinstance(value, Harmonic | Mistuning):
+    if isinstance(value, Harmonic):
         pairs = ", ".join(f"{key} = {_as_toml(held)}" for key, held in vars(value).items())
         return f"{{ {pairs} }}"
     if isinstance(value, tuple):
@@ -503,11 +465,6 @@ class Table:
     def keys(cls) -> dict[str, Field[Any]]:
         """The keys of the table."""
         return {item.name: item for item in fields(cls)}  # type: ignore[arg-type]
-
-    @classmethod
-    def knows(cls, key: str) -> bool:
-        """True of a key of the table, or of one inside of it, "mistuning.seed"."""
-        return key in cls.keys()
 
     @classmethod
     def schema(cls) -> dict[str, Any]:

@@ -601,6 +601,8 @@ def _check_dimension(scene: Scene) -> None:
         scene.rotation.leave_out(("axis", "center"), "a plate: its axis is parallel to x")
     _check_vectors(scene)
     mesh = scene.mesh
+    if scene.contact is not None and scene.contact.pairs == "mouth":
+        mesh.leave_out(("patches",), "contact.pairs = 'mouth', which keeps one")
     if dimension == 3:
         reason = "2 with geometry.kind = 'solid': tetrahedra of order 1 are much too stiff"
         mesh.require(mesh.order == 2, "order", reason)
@@ -782,7 +784,7 @@ def _checked_axes(scene: Scene, name: str, given: tuple[Axis, ...]) -> tuple[Axi
     for axis in given:
         table, number, key = _parts(axis.key)
         there = number is None or number <= len(getattr(scene, table))
-        known_key = table in _SWEPT and _TABLES[table].knows(key)
+        known_key = table in _SWEPT and key in _TABLES[table].keys()
         if not (known_key and there) or axis.key in seen:
             allowed = f"a table.key of the scene, given once, with a table of {', '.join(_SWEPT)}"
             if (question := meant(_meant(axis.key))) and axis.key not in seen:
@@ -844,7 +846,7 @@ def _changed_key(name: str, value: object) -> tuple[str, int | None, str]:
     elif (number is None) == (table in _LISTS):
         known = ", ".join(f"{table}.1.{own}" for own in kind.keys())
         raise InputError(name, value, f"left out; known keys: {known}")
-    elif not kind.knows(key):
+    elif key not in kind.keys():
         whole, _, own = key.partition(".")
         if whole in kind.keys() and own:
             raise InputError(name, value, f"changed as a whole: {table}.{whole}={{{own}=...}}")

@@ -20,7 +20,6 @@ from fenics_crack.scene.fields import (
     Axis,
     Harmonic,
     MeshFile,
-    Mistuning,
     Pair,
     Point,
     Table,
@@ -469,14 +468,16 @@ class Disk(Table):
         (1,),
     )
     """Sectors whose crack is one; in the others its faces are bonded."""
-    mistuning: tuple[float, ...] | Mistuning | None = holds(
-        "a list of numbers above -0.5 and below 1, one for each sector, or a table of deviation, "
-        "from 0 to 0.1, and seed, a whole number >= 0",
-        lambda given: isinstance(given, Mistuning) or all(-0.5 < one < 1.0 for one in given),
+    mistuning: tuple[float, ...] | None = holds(
+        "a list of numbers above -0.5 and below 1, one for each sector",
+        lambda given: all(-0.5 < one < 1.0 for one in given),
         None,
     )
-    """Relative deviation of the stiffness of each sector at rest, or those of a random pattern: a
-    standard deviation and a seed."""
+    """Relative deviation of the stiffness of each sector at rest."""
+    deviation: float = between("0", "0.1", 0.0)
+    """Or its standard deviation in a random pattern of independent normal numbers."""
+    seed: int = holds("a whole number >= 0", lambda value: value >= 0, 0)
+    """Of that pattern, by NumPy's default generator."""
     families: int = at_least_one(3)
     """Modes of each nodal diameter that are kept; those of four more families, and static answers,
     assess what they leave out."""
@@ -489,56 +490,22 @@ class Disk(Table):
     axis: Vector | None = vector("a", of_solid=True)
     """Of a mesh file of a solid: direction of the axis; default: x."""
 
-    _INNER: ClassVar[tuple[str, ...]] = ("deviation", "seed")
-
     def __post_init__(self) -> None:
         super().__post_init__()
         self.require(max(self.cracked, default=1) <= self.sectors, "cracked",
                      f"numbers of sectors, from 1 to disk.sectors = {self.sectors}")  # fmt: skip
-        if isinstance(self.mistuning, tuple):
+        if self.mistuning is not None:
             allowed = f"one number for each of the {self.sectors} sectors"
             self.require(len(self.mistuning) == self.sectors, "mistuning", allowed)
+            self.leave_out(("deviation", "seed"), "disk.mistuning")
         self.require(self.axis is None or any(self.axis), "axis", "a vector that is not zero")
 
     @property
     def deviations(self) -> np.ndarray:
         """Relative deviation of each sector's stiffness: (sectors,)."""
-        if isinstance(self.mistuning, Mistuning):
-            return np.array(self.mistuning.pattern(self.sectors))
-        return np.array(self.mistuning or np.zeros(self.sectors))
-
-    @classmethod
-    def _inner(cls, key: str) -> str:
-        """The key of the random pattern that "mistuning.seed" names; else ""."""
-        whole, _, own = key.partition(".")
-        return own if whole == "mistuning" and own in cls._INNER else ""
-
-    @classmethod
-    def knows(cls, key: str) -> bool:
-        """Those of the random pattern, too."""
-        return super().knows(key) or bool(cls._inner(key))
-
-    @classmethod
-    def checked(cls, key: str, value: object) -> Any:
-        """As of every table; of "mistuning.seed" as that of a pattern."""
-        if not (own := cls._inner(key)):
-            return super().checked(key, value)
-        return getattr(super().checked("mistuning", {"deviation": 0.0, own: value}), own)
-
-    @classmethod
-    def without_twins(
-        cls, values: Mapping[str, object], held: Mapping[str, object]
-    ) -> dict[str, Any]:
-        """As of every table; what names a part of the random pattern changes that."""
-        inner = {own: value for key, value in values.items() if (own := cls._inner(key))}
-        others = {key: value for key, value in values.items() if not cls._inner(key)}
-        if inner:
-            pattern = others.get("mistuning", held.get("mistuning"))
-            if isinstance(pattern, Mistuning):
-                pattern = {own: getattr(pattern, own) for own in cls._INNER}
-            whole = dict(pattern) if isinstance(pattern, Mapping) else {"deviation": 0.01}
-            others["mistuning"] = whole | inner
-        return super().without_twins(others, held)
+        if self.mistuning is not None:
+            return np.array(self.mistuning)
+        return np.random.default_rng(self.seed).normal(0.0, self.deviation, self.sectors)
 
 
 @dataclass(frozen=True)
@@ -565,8 +532,8 @@ class Contact(Table):
     """Stiffness of pairs that stick, per area of the crack face. Left out: infinite, of crack faces
     without mass."""
     pairs: str = choice("all", "mouth", default="all")
-    """Every pair of crack-face nodes, or of each crack only the one at the mouth, or in the middle
-    of a crack inside the plate."""
+    """Every pair of crack-face nodes, or as many as mesh.patches; or of each crack only the one at
+    the mouth, or in the middle of a crack inside the plate."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -673,6 +640,9 @@ class Mesh(Table):
     """Beside the scene's file, or with its whole path."""
     coarser: str | None = path("the path of a .msh file")
     """The same part with fewer elements, for the errors due to those of ``file``."""
+    patches: int | None = at_least_one(None)
+    """Contact pairs of each crack, at most: means over several nodes, where the mesh is finer than
+    contact needs. Default: all nodes; of a solid all corners of elements."""
     error: bool = holds("true or false", default=True)
     """true: a coarser mesh gives the error of each number due to this one."""
 

@@ -366,7 +366,7 @@ def amplification(
     deviation : float
         Standard deviation of the relative deviations of the sectors' stiffness.
     seed : int
-        Of the first pattern, as of ``disk.mistuning.seed``.
+        Of the first pattern, as of ``disk.seed``.
     comm : MPI.Comm
         Ranks that share the work.
 
@@ -389,14 +389,14 @@ def amplification(
     check_count("seed", seed, 0)
     check_number("deviation", deviation, 0.0)
     scene.given("disk")
-    of_pattern = {"disk.mistuning": {"deviation": float(deviation), "seed": seed}}
+    of_pattern = {"disk.mistuning": None, "disk.deviation": float(deviation), "disk.seed": seed}
     bonded = scene.replace({"disk.cracked": [], **of_pattern})
     wheel = _assembled(bonded, comm)
     response = _Response.of(wheel, scene.excitation.omega)
     tuned, tuned_omega, _ = response.largest(np.zeros(wheel.sector.count))
     found = []
     for number in range(comm.rank, patterns, comm.size):
-        own = bonded.replace({"disk.mistuning.seed": seed + number})
+        own = bonded.replace({"disk.seed": seed + number})
         found.append((number, *response.largest(own.given("disk").deviations)))
     every = sorted(one for part in comm.allgather(found) for one in part)
     _, sizes, omegas, numbers = map(np.array, zip(*every, strict=True))

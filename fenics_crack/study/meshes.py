@@ -52,12 +52,13 @@ def coarser_scene(scene: Scene) -> Scene | str:
         return "matrices have no coarser mesh"
     if not scene.mesh.error:
         return "mesh.error = false"
-    if scene.mesh.lip_elements == 1:
-        return "one element along the crack is too few to estimate its error"
+    if 1 in (scene.mesh.lip_elements, scene.mesh.patches):
+        return "one element or patch along the crack is too few to estimate its error"
     if scene.mesh.layout == "file":
         if scene.mesh.coarser is None:
             return "mesh.coarser is not given"
-        return scene.replace({"mesh.file": scene.mesh.coarser, "mesh.coarser": None})
+        changes: dict[str, Any] = {"mesh.file": scene.mesh.coarser, "mesh.coarser": None}
+        return scene.replace(changes | _patches(scene, 0.5))
     with suppress(InputError):  # its lines miss the crack
         if (made := finer_mesh(scene, 0.5)) is not None:
             return made
@@ -109,12 +110,12 @@ def finer_mesh(scene: Scene, factor: float) -> Scene | None:
     """A scene whose elements are ``factor`` times as short; None where the scene makes no such
     mesh.
 
-    Elements along crack faces are counted up to the next whole number, and all others follow them,
-    so that the mesh stays of one kind; three or more of a solid, or of a disk's sector, to that
-    next to the factor (:func:`_similar`). Where these become finer, a size counts as the shortest
-    side if it is longer; where they become coarser, it is as it is, for elements of a thin solid
-    may be longer. A grid becomes finer by the next whole factor, so that cracks stay on its lines;
-    or coarser by 2, where that is possible.
+    Elements along crack faces are counted up to the next whole number, and all others and patches
+    follow them, so that the mesh stays of one kind; three or more of a solid, or of a disk's
+    sector, to that next to the factor (:func:`_similar`). Where these become finer, a size counts
+    as the shortest side if it is longer; where they become coarser, it is as it is, for elements of
+    a thin solid may be longer. A grid becomes finer by the next whole factor, so that cracks stay
+    on its lines; or coarser by 2, where that is possible.
     """
     mesh = scene.mesh
     if mesh is None or mesh.layout == "file":
@@ -137,7 +138,13 @@ def finer_mesh(scene: Scene, factor: float) -> Scene | None:
             changes[f"mesh.{key}"] = math.ceil(factor) * count if factor > 1.0 else count // 2
             if factor < 1.0 and count % 2:
                 return None
-    return scene.replace(changes)
+    return scene.replace(changes | _patches(scene, factor))
+
+
+def _patches(scene: Scene, factor: float) -> dict[str, int]:
+    """Patches ``factor`` times as short, so that their error is part of the mesh's."""
+    count = scene.mesh.patches
+    return {"mesh.patches": max(1, round(count * factor ** (scene.dimension - 1)))} if count else {}
 
 
 def _similar(count: int, grading: float, factor: float) -> tuple[int, float, float]:

@@ -3,18 +3,18 @@ and natural frequencies; of solutions and of the exact orbits next to them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 
-from fenics_crack.balance.harmonic_balance import wave_of
-from fenics_crack.balance.problem import Problem
+import numpy as np
+
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import MOST_HARMONICS
 from fenics_crack.basics.observables import QUANTITIES, STATED, Place, names_of
 from fenics_crack.basics.tables import frequency_axis
 from fenics_crack.model.modes import KINDS, NEGLIGIBLE, bilinear_frequencies
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.motions import Harmonics
+from fenics_crack.motion.motions import Harmonics, Observed, Record
 from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.observer import observe
@@ -52,7 +52,7 @@ class Numbers:
     mode: int
 
 
-def numbers_of(study: Study, found: PeriodicSolution, mode: int | None = None) -> Numbers:
+def numbers_of(study: Study, found: PeriodicSolution | _Exact, mode: int | None = None) -> Numbers:
     """Return the requested numbers of the watched points and the crack faces, and natural
     frequencies: the lowest ones, and those of a mode, by default of the one with the nearest
     resonance (collective)."""
@@ -118,17 +118,29 @@ def many_harmonics(found: PeriodicSolution) -> int:
     return max(4 * found.harmonics, MOST_HARMONICS)
 
 
+@dataclass(frozen=True)
+class _Exact(Observed):
+    """An orbit, seen with some of its own Fourier coefficients."""
+
+    orbit: PeriodicOrbit
+    harmonics: int
+
+    @property
+    def structure(self) -> Structure:  # type: ignore[override]
+        return self.orbit.structure
+
+    @property
+    def omega(self) -> float:
+        return self.orbit.omega
+
+    def records(self, rows: np.ndarray) -> Iterator[Record]:
+        waves = self.orbit.coefficients(self.harmonics).displacement @ rows.T
+        return (replace(record, waves=waves) for record in self.orbit.records(rows))
+
+
 def of_orbit(
     study: Study, found: PeriodicSolution, orbit: PeriodicOrbit, mode: int
 ) -> dict[str, float]:
-    """The numbers of an orbit next to a solution, of a study's structure: of crack faces by its
-    motion at the solution's instants, but for the duty cycle, which follows from its switching
-    instants.
-
-    Those of points have many harmonics (collective).
-    """
-    law, harmonics = study.contact, many_harmonics(found)
-    assert law is not None
-    problem = Problem(study.structure, found.omega, law, harmonics, subharmonic=found.subharmonic)
-    wave = wave_of(problem, orbit, orbit.coefficients(harmonics))
-    return numbers_of(study, wave, mode).values | orbit.faces
+    """The numbers of an orbit next to a solution, of a study's structure; those of points have many
+    harmonics (collective)."""
+    return numbers_of(study, _Exact(orbit, many_harmonics(found)), mode).values

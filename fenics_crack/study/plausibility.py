@@ -251,12 +251,12 @@ def _slopes(factor: Factor, modes: Modes, count: int) -> np.ndarray:
 
 def _elements(scene: Scene, whole: Structure) -> int | None:
     """Elements along the crack that has the fewest: its pairs by the order of the displacement,
-    rounded up, for tips are no pairs."""
+    rounded up, for tips are no pairs; or its patches."""
     if not whole.n_pairs:
         return None
     cracks = whole.pairs.cracks
     fewest = whole.n_pairs if cracks is None else int(np.bincount(cracks).min())
-    return math.ceil(fewest / (1 if scene.mesh is None else scene.mesh.order))
+    return math.ceil(fewest / (1 if scene.mesh is None or scene.mesh.patches else scene.mesh.order))
 
 
 def extents(whole: Structure) -> tuple[float, ...]:
@@ -642,7 +642,8 @@ def _turned(_: object, scene: Scene, figures: KeyFigures) -> tuple[float, float]
 def _elements_along(_: object, scene: Scene, figures: KeyFigures) -> int | None:
     """Elements along each crack face; grids choose them, and a mouth has one."""
     at_mouth = scene.contact is not None and scene.contact.pairs == "mouth"
-    return None if at_mouth or scene.mesh.layout == "grid" else figures.elements
+    by_grid = scene.mesh.layout == "grid" and scene.mesh.patches is None
+    return None if at_mouth or by_grid else figures.elements
 
 
 def _never_meet(_: object, scene: Scene, figures: KeyFigures) -> tuple[float, str] | None:
@@ -708,8 +709,8 @@ OF_FIGURES = (
     Usual("curve.start", 1.0, 0.0, "no resonance from there to {1}", _no_resonance),
     Usual(LOADS, 0.0, SMALL_MOTION, "with an open crack it moves the {kind} by {1:.2g} m, {0:.2g} "
           "rad about the clamp: beyond small displacements; in N?", _turned),
-    Usual("mesh.lip_elements mesh.file", 4, math.inf, "elements longer than a quarter of the "
-          "crack; 4 to 20 along each face are usual", _elements_along),
+    Usual("mesh.patches mesh.lip_elements mesh.file", 4, math.inf, "elements or patches "
+          "longer than a quarter of the crack; 4 to 20 along each face are usual", _elements_along),
     Usual(STIFFNESSES, 1.0, math.inf, "at most {:.2g} of the {faces}' static stiffness: they "
           "penetrate each other; 100 to 10000 times is usual, or contact.law = 'unilateral'",
           lambda _, __, figures: np.max(figures.stiffness_ratio)),

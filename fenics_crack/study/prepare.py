@@ -188,7 +188,10 @@ def _at_another_speed(scene: Scene, like: Study) -> Structure | None:
     the load's frequency; of a bladed disk in its mistuning; else None (collective)."""
     other, whole = like.scene, like.structure.whole
     if isinstance(whole, Wheel):
-        same = dict.fromkeys(LOOKED_AT) | {"disk.mistuning": None, "excitation.omega": 1.0}
+        same = dict.fromkeys(LOOKED_AT) | {
+            f"disk.{key}": None for key in ("mistuning", "deviation", "seed")
+        }
+        same["excitation.omega"] = 1.0
         if scene.disk is None or scene.replace(same) != other.replace(same):
             return None
         return whole.mistuned(scene.disk.deviations)
@@ -318,8 +321,9 @@ def wheel_memory(wheel: Wheel, families: int) -> float:
     of_modes = 2.0 * factor_memory(size, solid=solid) + 16.0 * size * krylov_vectors(families)
     modes = 16.0 * len(sector.diameters) * dofs * families
     # Answers to the opening of the crack by sectors, their products with a matrix, and as much
-    # again while either is made.
-    opened = 32.0 * sector.count * dofs * len(sector.upper)
+    # again while either is made; bonds have up to 40 patterns of forces beyond those of the pairs.
+    columns = min(2 * sector.structure.n_pairs + 40, len(sector.upper))
+    opened = 32.0 * sector.count * dofs * columns
     return _memory_held(wheel) + wheel.comm.size * (of_modes + modes + opened)
 
 

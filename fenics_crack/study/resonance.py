@@ -17,13 +17,14 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
+from fenics_crack.balance.phase import Resonance
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.basics.tables import percent, quantity
-from fenics_crack.curves.resonance import Resonance, frequency_at_rest, resonance_at
 from fenics_crack.curves.stability import floquet
 from fenics_crack.model.contact import ContactLaw, friction_of
 from fenics_crack.model.modal import is_small
@@ -128,7 +129,7 @@ def resonance_of(study: Study, estimates: np.ndarray, slopes: np.ndarray) -> AtL
     try:
         if load.order is None or not turns:
             problem = _problem(scene, law, _few(study, whole), load.omega)
-            found = resonance_at(problem, float(estimates[mode]), tolerance=ENOUGH)
+            found = _found_at(problem, float(estimates[mode]), tolerance=ENOUGH)
             return AtLoad.of(found, _at_rest(problem, found.omega))
         return _of_rotor(study, float(estimates[mode]), slopes[mode])
     except REFUSALS as error:
@@ -166,9 +167,9 @@ def _of_rotor(study: Study, estimate: float, slope: np.ndarray) -> AtLoad:
         weights[0, [0, count]] = 1.0, (turning / speed) ** 2 - 1.0
         return _problem(scene, law, small.varied(load=weights), order * speed)
 
-    first = resonance_at(at(there, estimate), estimate)
+    first = _found_at(at(there, estimate), estimate)
     problem = at(met(first.omega, first.harmonic), first.omega)
-    found = resonance_at(problem, first.omega, tolerance=ENOUGH)
+    found = _found_at(problem, first.omega, tolerance=ENOUGH)
     rest, half = _at_rest(problem, found.omega), 0.5 * found.width
     every = found.omega - half, found.omega + half, found.omega, rest
     low, high, value, at_rest = (met(omega, found.harmonic) for omega in every)
@@ -183,9 +184,16 @@ def over_speed(scene: Scene, small: Ritz, speed: float) -> AtLoad:
     try:
         rotor = RunUpStructure(small, speed)
         problem = _problem(scene, law, rotor, order * speed)
-        return AtLoad.of(resonance_at(problem, parameter="speed", tolerance=ENOUGH))
+        return AtLoad.of(_found_at(problem, parameter="speed", tolerance=ENOUGH))
     except REFUSALS as error:
         return AtLoad(unknown=str(error))
+
+
+def _found_at(problem: Problem, near: float | None = None, **options: Any) -> Resonance:
+    """The resonance of a problem; curves are loaded where one is sought alone."""
+    from fenics_crack.curves.resonance import resonance_at
+
+    return resonance_at(problem, near, **options)
 
 
 def _at_rest(problem: Problem, resonance: float) -> float:
@@ -193,6 +201,8 @@ def _at_rest(problem: Problem, resonance: float) -> float:
     structure = problem.structure
     if not np.any(structure.force[0]) and not np.any(structure.clearance):
         return resonance
+    from fenics_crack.curves.resonance import frequency_at_rest
+
     return frequency_at_rest(problem, resonance)
 
 

@@ -120,6 +120,7 @@ def _most_pairs(scene: Scene) -> int:
     if scene.structure is not None:
         return count_pairs(scene.structure)
     mesh, mouth = scene.mesh, scene.contact is not None and scene.contact.pairs == "mouth"
+    each = 1 if mouth else mesh.patches or math.inf
     if mesh.layout == "file" or scene.dimension == 3:
         try:
             plate = build_mesh(scene, MPI.COMM_SELF)
@@ -127,11 +128,12 @@ def _most_pairs(scene: Scene) -> int:
             return 0  # its cases will fail
         if not plate.cracked:
             return 0
-        facets = len(plate.facets("lower_lip"))
-        return len(plate.lips) if mouth else facets * mesh.order + len(plate.lips)
-    if not scene.all_cracks:
-        return 0
-    return len(scene.all_cracks) if mouth else lip_pairs(scene)
+        cracks = len(plate.lips)
+        nodes = len(plate.facets("lower_lip")) * mesh.order + cracks
+    else:
+        cracks = len(scene.all_cracks)
+        nodes = lip_pairs(scene) if cracks else 0
+    return int(min(each * cracks, nodes)) if cracks else 0
 
 
 def _free_keys(scene: Scene, swept: Collection[str]) -> set[str]:

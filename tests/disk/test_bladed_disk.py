@@ -13,16 +13,15 @@ from surroundings import main
 from wheels import SOLID, ring
 
 import fenics_crack as fc
-from fenics_crack.scene.fields import Mistuning
 
-PATTERN = {"deviation": 0.01, "seed": 3}
+PATTERN: dict[str, Any] = {"disk__deviation": 0.01, "disk__seed": 3}
 PROBES = [0.0, 17.0, 41.0, 58.0, 86.0, 113.0, 140.0, 178.0, 205.0, 251.0]
 
 
 @pytest.fixture(scope="module")
 def run() -> fc.Run[fc.PeriodicSolution]:
     """Next to the resonance of the cracked blade."""
-    return fc.solve(ring(disk__mistuning=PATTERN, excitation__frequency=1270.0))
+    return fc.solve(ring(**PATTERN, excitation__frequency=1270.0))
 
 
 def written(scene: fc.Scene, folder: Path) -> str:
@@ -37,7 +36,7 @@ def test_blades(run: fc.Run[fc.PeriodicSolution]) -> None:
     found = fc.blades(run)
     assert found.amplitude[0] == pytest.approx(run.result.amplitude(run.watched_dof), rel=1e-12)
     assert found.cracked == (1,)
-    assert found.mistuning == pytest.approx(Mistuning(0.01, 3).pattern(6))
+    assert found.mistuning == pytest.approx(np.random.default_rng(3).normal(0.0, 0.01, 6))
     assert found.second[0] > 5.0 * found.second[3]
     table = found.table()
     assert len(table.rows) == 6 and table.columns[1] == "amplitude [m]"
@@ -84,8 +83,8 @@ def test_amplification() -> None:
     assert 1.0 < found.factor.max() <= found.bound == pytest.approx(0.5 * (1.0 + np.sqrt(6.0)))
     assert fc.amplification(scene, 2, 0.0).factor == pytest.approx(1.0, abs=1e-3)
     place = int(np.argmax(found.factor))
-    pattern = {"deviation": 0.01, "seed": 5 + place}
-    same = {"disk.mistuning": pattern, "disk.cracked": [], "excitation.omega": found.omega[place]}
+    same = {"disk.deviation": 0.01, "disk.seed": 5 + place, "disk.cracked": []}
+    same["excitation.omega"] = found.omega[place]
     blades = fc.blades(fc.solve(scene.replace(same)))
     assert int(np.argmax(blades.amplitude)) + 1 == found.blade[place]
     assert blades.amplitude.max() == pytest.approx(found.factor[place] * found.tuned, rel=1e-4)
@@ -93,12 +92,10 @@ def test_amplification() -> None:
 
 def test_patterns_are_swept(tmp_path: Path) -> None:
     """Cases of a sweep over the seed are solutions of their own patterns."""
-    over = {"disk.mistuning.seed": [1, 2]}
-    scene = ring(disk__mistuning=PATTERN, excitation__frequency=1270.0, sweep__over=over)
+    over = {"disk.seed": [1, 2]}
+    scene = ring(**PATTERN, excitation__frequency=1270.0, sweep__over=over)
     found = fc.run_sweep(scene, tmp_path / "sweep.h5")
-    alone = [
-        fc.solve(scene.replace({"disk.mistuning.seed": seed, "sweep": None})) for seed in (1, 2)
-    ]
+    alone = [fc.solve(scene.replace({"disk.seed": seed, "sweep": None})) for seed in (1, 2)]
     sizes = [one.result.amplitude(one.watched_dof) for one in alone]
     assert found["response"] == pytest.approx(sizes, rel=1e-3)
     assert abs(sizes[0] - sizes[1]) > 0.01 * sizes[0]
@@ -109,7 +106,7 @@ def test_tips_are_timed() -> None:
     that is written."""
     timing = {"probes": PROBES, "tip_radius": 0.18, "noise": 1e-8, "revolutions": 60}
     changes = {f"tip_timing__{key}": value for key, value in timing.items()}
-    scene = ring(disk__mistuning=PATTERN, excitation__frequency=1380.0, **changes)
+    scene = ring(**PATTERN, excitation__frequency=1380.0, **changes)
     arrivals, run = fc.arrivals_of_blades(scene)
     assert run is not None
     wheel = run.structure.whole
@@ -130,7 +127,7 @@ def test_record_of_all_blades(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     """The command writes one record, and finds the same in it."""
     timing = {"probes": PROBES, "tip_radius": 0.18, "noise": 1e-8, "revolutions": 20}
     changes = {f"tip_timing__{key}": value for key, value in timing.items()}
-    scene = ring(disk__mistuning=PATTERN, excitation__frequency=1380.0, **changes)
+    scene = ring(**PATTERN, excitation__frequency=1380.0, **changes)
     file = written(scene, tmp_path)
     tables = []
     for more in ([], [str(tmp_path / "first" / "arrivals.csv")]):
@@ -181,7 +178,7 @@ def test_many_elements_along_the_crack(
     count: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A wheel's few coordinates have a mass that is small for its many crack faces."""
-    file = written(ring(mesh__lip_elements=count, disk__mistuning=PATTERN), tmp_path)
+    file = written(ring(mesh__lip_elements=count, **PATTERN), tmp_path)
     assert main(["check", file]) == 0
     assert "crack faces bonded" in capsys.readouterr().out
 
@@ -241,8 +238,8 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"disk.cracked": [7]}, "numbers of sectors, from 1 to disk.sectors = 6"),
     ({"disk.cracked": [0]}, "the number of a sector, from 1"),
     ({"disk.mistuning": [0.1, 0.0]}, "one number for each of the 6 sectors"),
-    ({"disk.mistuning": {"deviation": 0.5}}, "a number from 0 to 0.1"),
-    ({"disk.mistuning.seed": -1}, "a whole number >= 0"),
+    ({"disk.deviation": 0.5}, "a number from 0 to 0.1"),
+    ({"disk.seed": -1}, "a whole number >= 0"),
     ({"disk.inner_radius": 0.2}, "less than disk.outer_radius"),
     ({"disk.outer_radius": None}, "given"),
     ({"disk.center": [0.0, 0.0]}, "a blade on a rim"),
@@ -295,9 +292,10 @@ def test_at_rest() -> None:
 
 def test_scene_is_written_and_read() -> None:
     """With a random pattern, and with numbers."""
-    for pattern in (PATTERN, [0.01, 0.0, -0.01, 0.0, 0.02, 0.0]):
-        scene = ring(disk__mistuning=pattern)
+    for pattern in (PATTERN, {"disk__mistuning": [0.01, 0.0, -0.01, 0.0, 0.02, 0.0]}):
+        scene = ring(**pattern)
         assert fc.Scene.from_text(scene.as_toml()) == scene
-    assert ring(disk__mistuning=PATTERN).replace({"disk.mistuning.seed": 9}).given(
-        "disk"
-    ).mistuning == Mistuning(0.01, 9)
+    mistuned = ring(**PATTERN).replace({"disk.seed": 9}).given("disk")
+    assert (mistuned.deviation, mistuned.seed) == (0.01, 9)
+    with pytest.raises(fc.InputError, match=r"disk\.seed = 9: not allowed with disk.mistuning"):
+        ring(**pattern, disk__seed=9)

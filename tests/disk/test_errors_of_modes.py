@@ -37,7 +37,7 @@ def test_true_errors_over_stated_ones(families: int, factor: float) -> None:
     gap over the period, which the report has, a tenth to 1.3 times, with as many harmonics as make
     modes count."""
     scene = fc.Scene.from_mapping(RING).replace(
-        {"mesh.size": 0.006, "disk.mistuning": {"deviation": 0.01, "seed": 3},
+        {"mesh.size": 0.006, "disk.deviation": 0.01, "disk.seed": 3,
          "disk.families": families, "harmonic_balance.tolerance": 5e-3}
     )  # fmt: skip
     scene = scene.replace({"excitation.omega": factor * resonance(scene)})
@@ -61,7 +61,7 @@ def test_rayleigh_damping(monkeypatch: pytest.MonkeyPatch, length: float) -> Non
     rate = 2.0 * 0.002 / (2.0 * np.pi * 1290.0)
     scene = ring(
         damping__ratio=None, damping__stiffness=rate, crack__length=length,
-        disk__mistuning={"deviation": 0.01, "seed": 3},
+        disk__deviation=0.01, disk__seed=3,
     )  # fmt: skip
     undamped, omega = ModalCompliance._seen, resonance(scene)
 

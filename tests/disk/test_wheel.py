@@ -43,8 +43,8 @@ def differences(
 @pytest.fixture(scope="module")
 def mistuned() -> Wheel:
     """Eight blades, 1 %, engine order 3."""
-    pattern = {"deviation": 0.01, "seed": 3}
-    return wheel_of(ring(disk__sectors=8, disk__mistuning=pattern, excitation__order=3))
+    scene = ring(disk__sectors=8, disk__deviation=0.01, disk__seed=3, excitation__order=3)
+    return wheel_of(scene)
 
 
 def test_three_families_are_the_whole_wheel(mistuned: Wheel) -> None:
@@ -205,7 +205,7 @@ def test_two_ranks_share_nodal_diameters(on_ranks: Any, tmp_path: Path) -> None:
     """One and two ranks agree to 1e-8."""
     from mpi4py import MPI
 
-    scene = ring(disk__mistuning={"deviation": 0.01, "seed": 1}, excitation__frequency=1290.0)
+    scene = ring(disk__deviation=0.01, disk__seed=1, excitation__frequency=1290.0)
     (tmp_path / "ring.toml").write_text(scene.as_toml())
     path = str(tmp_path / "ring.toml")
     assert on_ranks(_ranks, path) == pytest.approx(_ranks(path, MPI.COMM_SELF), rel=1e-8)

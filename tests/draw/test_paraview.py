@@ -91,7 +91,7 @@ def test_patches_of_a_solid() -> None:
     solution = fc.solve_harmonic_balance(study.structure, 3500.0, study.contact, harmonics=5)
     fields = PeriodFields(solution, 8)
     mesh, force = fields.mesh, fields.force
-    facets = mesh.boundary_facets[mesh.lip_facets]
+    facets = mesh.lips
     assert len(np.setdiff1d(np.flatnonzero(fields.shares.any(axis=1)), facets))  # of edges
     one, two = (mesh.points[facets[:, k]] - mesh.points[facets[:, 0]] for k in (1, 2))
     areas = 0.5 * np.linalg.norm(np.cross(one, two), axis=1)

@@ -111,7 +111,7 @@ def test_lips_are_those_of_the_crack(cracked: tuple[fc.Structure, float, dict[st
     of all patches but those of the front."""
     structure, area, crack = cracked
     mesh = NodalMesh(structure)
-    lips = mesh.points[mesh.boundary_facets[mesh.lip_facets]]
+    lips = mesh.points[mesh.lips]
     normals = np.cross(lips[:, 1] - lips[:, 0], lips[:, 2] - lips[:, 0])
     assert lips[..., 1] == pytest.approx(crack["height"], abs=1e-12)
     both = 0.5 * np.linalg.norm(normals, axis=1).sum()
@@ -130,7 +130,7 @@ def test_areas_of_patches_are_those_of_their_facets(
     the front they are the crack's area."""
     structure, area, crack = cracked
     mesh = NodalMesh(structure)
-    facets = mesh.boundary_facets[mesh.lip_facets]
+    facets = mesh.lips
     corners = mesh.points[facets]
     sizes = np.linalg.norm(
         np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
@@ -170,7 +170,7 @@ def test_pairs_measure_the_gap(cracked: tuple[fc.Structure, float, dict[str, Any
     above[mesh.cells[middles[:, 1] > crack["height"]]] = True
     below = np.zeros(len(mesh.points), dtype=bool)
     below[mesh.cells[middles[:, 1] < crack["height"]]] = True
-    on_lips = np.unique(mesh.boundary_facets[mesh.lip_facets])
+    on_lips = np.unique(mesh.lips)
     upper = np.isin(np.arange(len(above)), on_lips) & above & ~below
     # Nodes in the middle of edges between two corners of a lip belong to it, too.
     upper |= above & ~below & np.isclose(mesh.points[:, 1], crack["height"], atol=1e-12)

@@ -211,12 +211,14 @@ def test_slow_loading_is_statics(law: dict[str, Any]) -> None:
     assert found.smallest[0] < 0.01 * largest[0] < 0.5 * found.largest[0]
 
 
-def test_closed_crack_has_none() -> None:
+@pytest.mark.parametrize("patches", [None, 3])
+def test_closed_crack_has_none(patches: int | None) -> None:
     """Under pressure K_I vanishes, where it would be negative if the lips passed each other."""
     pressed = {"loads": [{"edge": "top", "pressure_mean": 1e6, "pressure_sin": 1.0}]}
     passing = STRESS * math.sqrt(math.pi * 0.03) * edge_in_tension(0.3)
     for order in (1, 2):
-        found = of(strip(pressed, mesh__order=order, mesh__lip_elements=4))
+        elements = {"mesh__lip_elements": 4 if patches is None else 12, "mesh__patches": patches}
+        found = of(strip(pressed, mesh__order=order, **elements))
         assert np.abs(found.one).max() < 2e-3 * passing
         assert found.effective[0] < 2e-3 * passing
 

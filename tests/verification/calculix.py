@@ -623,6 +623,8 @@ def mass_at_four_points(structure: fc.Structure, density: float, shapes: np.ndar
     one, other = np.array([(0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)]).T
     values = np.hstack([places * (2.0 * places - 1.0), 4.0 * places[:, one] * places[:, other]])
     moved = np.vstack([shapes, np.zeros(shapes.shape[1])])[nodes.dofs[nodes.cells]]
+    assert nodes.frames is not None
+    moved = np.einsum("cnij,cnjm->cnim", nodes.frames[nodes.cells], moved)
     squares = np.abs(np.einsum("pn,cnam->cpam", values, moved)) ** 2
     return density / 4.0 * np.einsum("c,cpam->m", volumes, squares)
 

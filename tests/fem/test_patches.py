@@ -1,0 +1,196 @@
+"""Pairs of patches: closed forms of their areas, gaps and pressures, and answers beside nodes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import pyvista
+from mpi4py import MPI
+from test_cracks import THREE, plate, summary
+from test_mesh import field, nodes_of_side
+from test_solids import THICKNESS, solid
+
+import fenics_crack as fc
+from fenics_crack import InputError, Scene
+from fenics_crack.draw.vtk import PeriodFields
+from fenics_crack.model.rotation import static_state
+from fenics_crack.study.meshes import coarser_scene, finer_mesh
+
+STRESS = 1e6
+COLUMN = """
+geometry = { width = 0.1, height = 0.2, thickness = 0.01 }
+crack = { edge = "left", height = 0.08, length = 0.06 }
+material = { young = 2e11, poisson = 0.0, density = 7800.0 }
+damping = { ratio = 0.01 }
+excitation = { omega = 2000.0 }
+loads = [{ edge = "top", pressure_mean = 1e6, traction_sin = [0.0, 1.0] }]
+contact = { law = "unilateral" }
+mesh = { layout = "graded", size = 0.03, lip_elements = 12, grading = 4.0 }
+"""
+
+
+def column(**changes: Any) -> Scene:
+    """A column under pressure with a crack across it, some keys of its mesh changed."""
+    return Scene.from_text(COLUMN).replace({f"mesh.{key}": x for key, x in changes.items()})
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_gaps_are_means_by_hats(order: int) -> None:
+    """Of an opening that is linear from the tip those at the middles of hats; at both ends the hat
+    is a half one, and the last goes on to the tip. All areas are the crack's, and a slip alike."""
+    structure = fc.build_structure(column(order=order, patches=5))
+    positions, areas = structure.pairs.positions, structure.pair_areas
+    assert positions is not None and areas is not None
+    assert areas.sum() == pytest.approx(0.06 * 0.01, rel=1e-12)
+    x = np.append(positions, 0.06)
+    length = np.diff(x)
+    hats = 0.5 * (np.append(0.0, length[:-1]) + np.append(length[:-1], 2.0 * length[-1]))
+    assert areas == pytest.approx(0.01 * hats, rel=1e-10)
+    # Integrals of psi (0.06 - x): a half hat's centre is a third from its middle.
+    below = np.append(0.0, length[:-1] / 2.0 * (0.06 - x[1:-1] + length[:-1] / 3.0))
+    above = np.append(length[:-1] / 2.0 * (0.06 - x[:-2] - length[:-1] / 3.0), length[-1] ** 2 / 2)
+    assert structure.nodes is not None
+    upper = nodes_of_side(structure, (0.0, 0.08), (0.0, 1.0))[:, None]
+    opening = np.where(upper, np.maximum(0.06 - structure.nodes.points[:, :1], 0.0), 0.0)
+    opened = structure.apply_bt(field(structure, opening * [0.0, 1.0]))[0]
+    assert -opened == pytest.approx((below + above) / hats, rel=1e-9)
+    slid = structure.apply_tangential(field(structure, opening * [1.0, 0.0]))
+    assert slid is not None and np.abs(slid[0]) == pytest.approx(-opened, rel=1e-12)
+
+
+@pytest.mark.parametrize("patches", [1, 4, 99])
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_uniform_pressure_goes_through(order: int, patches: int) -> None:
+    """Patches pressed together are an uncracked column: u_y = - sigma y / E, lambda = sigma w."""
+    structure = fc.build_structure(column(order=order, patches=patches))
+    assert structure.n_pairs == min(patches, 12)
+    pressed(structure, 2e11, STRESS)
+
+
+def pressed(structure: fc.Structure, young: float, stress: float) -> None:
+    """Compare the static state with that without a crack."""
+    moved, forces = static_state(structure, structure.force[0], np.zeros(structure.n_pairs))
+    assert forces == pytest.approx(stress * structure.pair_areas, rel=1e-9)
+    assert structure.nodes is not None
+    along = np.eye(structure.nodes.points.shape[1])[1]
+    exact = field(structure, -stress / young * structure.nodes.points[:, 1:2] * along)[0]
+    np.testing.assert_allclose(moved, exact, atol=1e-9 * np.abs(exact).max())
+
+
+def solid_column(patches: int) -> Scene:
+    """A solid with a crack through its thickness under pressure."""
+    text = solid({"edge": "left", "height": 0.03, "length": 0.012}).as_toml()
+    text += f'\n[[loads]]\nedge = "top"\npressure_mean = {STRESS}\n'
+    changes = {"material.poisson": 0.0, "mesh.patches": patches}
+    return Scene.from_text(text).replace(changes | {"excitation.force_cos": (0.0, 0.0, 1e-6)})
+
+
+@pytest.mark.parametrize("patches", [2, 5])
+def test_patches_of_a_solid(patches: int) -> None:
+    """Alike, with the crack's whole area."""
+    structure = fc.build_structure(solid_column(patches))
+    assert structure.n_pairs == patches and structure.pair_areas is not None
+    assert structure.pair_areas.sum() == pytest.approx(0.012 * THICKNESS, rel=1e-12)
+    assert list(structure.watched_pairs) == ["the mouth"]
+    pressed(structure, 2.1e11, STRESS)
+
+
+@pytest.mark.parametrize("scene", [column(order=2, patches=4), solid_column(4)], ids=["2", "3"])
+def test_pressures_are_drawn_between_middles(scene: Scene) -> None:
+    """A uniform one at all nodes of closed faces, but for those that both share."""
+    study = fc.prepare(scene, MPI.COMM_SELF)
+    law = fc.UnilateralConstraint()
+    solution = fc.solve_harmonic_balance(study.structure, 3500.0, law, harmonics=1)
+    fields = PeriodFields(solution, 1)
+    grid = pyvista.wrap(fields.grid(0))
+    shown = np.flatnonzero(grid["contact state"] >= 0.0)
+    whole = shown[fields.shares[shown].sum(axis=1) > 0.9]  # next to the front half of it
+    assert grid["contact pressure"][whole] == pytest.approx(STRESS, rel=1e-4)
+    assert np.all(grid["contact state"][shown] == 1.0)
+    places = fields.mesh.points[shown]
+    assert places[:, 1] == pytest.approx(scene.crack.height)  # type: ignore[union-attr]
+    assert len(shown) == 2 * 24 if scene.dimension == 2 else len(whole) > 2 * 4
+    grid = fields.pair_nodes.sum(axis=0)
+    assert grid[:-1] == pytest.approx(2.0) and 1.0 < grid[-1] <= 2.0  # without the tip's part
+    values = [np.max(x.get_array()) for x in fc.draw_contact_map(solution).axes[0].collections]
+    assert max(values) == pytest.approx(1e-6 * STRESS, rel=1e-4)
+
+
+# --- answers beside those of nodes ----------------------------------------------------------------
+
+BENDING = {
+    "loads": None, "material.poisson": 0.3, "excitation.point": (0.1, 0.2),
+    "excitation.force_sin": (100.0, 0.0), "reduction.modes": 12,
+}  # fmt: skip
+
+
+def answers(scene: Scene, omega: float, patches: int | None) -> np.ndarray:
+    """Harmonics 0 to 2 of the displacement at the load."""
+    study = fc.prepare(scene.replace({"mesh.patches": patches}), MPI.COMM_SELF)
+    law = fc.UnilateralConstraint()
+    solution = fc.solve_harmonic_balance(study.structure, omega, law, harmonics=12, throw=True)
+    row = solution.coefficients_at([study.structure.whole.watched_dof])[:, 0]
+    return np.array([row[0], *np.hypot(row[1::2], row[2::2])[:2]])
+
+
+@pytest.mark.parametrize(
+    ("elements", "order", "patches"),
+    [(30, 2, 15), pytest.param(100, 2, 50, marks=pytest.mark.nightly)],
+)
+def test_few_patches_are_as_good_as_nodes(elements: int, order: int, patches: int) -> None:
+    """A quarter of the pairs moves the tip by less than 1e-4, the second harmonic by 1 %."""
+    scene = column(lip_elements=elements, order=order).replace(BENDING)
+    omega = 0.8 * float(fc.bilinear_frequencies(fc.build_structure(scene)).omega_bilinear[0])
+    nodes, few = (answers(scene, omega, count) for count in (None, patches))
+    assert few[1] == pytest.approx(nodes[1], rel=1e-4)
+    assert few[[0, 2]] == pytest.approx(nodes[[0, 2]], rel=1e-2)
+    assert few[1] != nodes[1]
+
+
+@pytest.mark.nightly
+def test_their_error_is_stated() -> None:
+    """What four patches take from the opening, a mean over the one at the mouth, is the mesh's."""
+    scene = column(lip_elements=16, order=2).replace(BENDING)
+    omega = 0.8 * float(fc.bilinear_frequencies(fc.build_structure(scene)).omega_bilinear[0])
+    scene = scene.replace({"excitation.omega": omega, "contact.friction_error": False})
+    nodes, few = (fc.solve(scene.replace({"mesh.patches": count})) for count in (None, 4))
+    exact = nodes.result.indicators().opening
+    change = 1.0 - few.result.indicators().opening / exact
+    stated, cause = few.errors.stated("opening")
+    assert cause == "mesh" and 0.05 < change < 1.3 * stated
+    assert stated > 1.3 * nodes.errors.stated("opening")[0]
+
+
+# --- their place in the program -------------------------------------------------------------------
+
+
+def test_patches_follow_the_mesh() -> None:
+    """Their error is the mesh's: half as many with elements twice as long, a quarter on a solid."""
+    for scene, factor in ((column(patches=8), 2), (solid_column(8), 4)):
+        coarse, fine = coarser_scene(scene), finer_mesh(scene, 2.0)
+        assert isinstance(coarse, Scene) or scene.dimension == 3
+        coarse = finer_mesh(scene, 0.5)
+        assert coarse is not None and fine is not None
+        assert (coarse.mesh.patches, fine.mesh.patches) == (8 // factor, 8 * factor)
+    assert "patch" in str(coarser_scene(column(patches=1)))
+
+
+def test_refused() -> None:
+    """With one pair at the mouth there are none."""
+    with pytest.raises(InputError, match=r"mesh.patches = 3: not allowed with"):
+        column(patches=3).replace({"contact.pairs": "mouth"})
+    with pytest.raises(InputError, match=r"mesh.patches = 0"):
+        column(patches=0)
+
+
+@pytest.mark.mpi
+def test_two_ranks_have_the_same_patches(on_ranks: Callable[..., Any]) -> None:
+    """Of each of several cracks."""
+    scene = plate(THREE, **{"mesh.order": 2, "mesh.patches": 3})
+    parallel, alone = on_ranks(summary, scene), summary(scene, MPI.COMM_SELF)
+    assert list(np.bincount(alone["cracks"])) == [3, 3, 3]
+    for name, value in alone.items():
+        np.testing.assert_allclose(parallel[name], value, rtol=1e-8, atol=1e-12, err_msg=name)
