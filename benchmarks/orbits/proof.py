@@ -178,7 +178,8 @@ def prove(case: dict[str, Any], orbit: dict[str, Any]) -> dict[str, Any]:
     if not distance < FAR:
         raise Unproved(f"the orbit proved is {distance:.0e} from the reference")
     return {
-        "crossings": [[float(t), j] for t, j in zip(m[2 * flow.n :], pairs, strict=True)], "first": list(first),
+        "crossings": [[float(t), j] for t, j in zip(m[2 * flow.n :], pairs, strict=True)],
+        "first": list(first),
         "state": [v.str(25, radius=False) for v in m[: 2 * flow.n]],
         "radius": float((radius / size).upper()),
         "distance": distance,
