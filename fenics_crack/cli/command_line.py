@@ -53,6 +53,7 @@ KEYS = {
     "contact stiffness": "contact.stiffness",
     "count": "--count",
     "end": "curve.stop",
+    "more": "disk.modes",
     "record_periods": "integration.periods",
     "start, end": "curve.start, curve.stop",
 }

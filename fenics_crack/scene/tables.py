@@ -479,8 +479,11 @@ class Disk(Table):
     seed: int = holds("a whole number >= 0", lambda value: value >= 0, 0)
     """Of that pattern, by NumPy's default generator."""
     families: int = at_least_one(3)
-    """Modes of each nodal diameter that are kept; those of four more families, and static answers,
-    assess what they leave out."""
+    """Modes of each nodal diameter that are kept: those of the band in which the load vibrates;
+    those of four more families, and static answers, assess what they leave out."""
+    modes: int | None = holds("a whole number >= 0", lambda count: count >= 0, None)
+    """How many more modes, those that move the cracks most; default: as the tolerance needs, else
+    none."""
     inner_radius: float | None = positive(None, unit="m")
     """Where the rim is clamped."""
     outer_radius: float | None = positive(None, unit="m")

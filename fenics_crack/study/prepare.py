@@ -220,7 +220,9 @@ def reduced(study: Study, *, judged: bool = True) -> Study:
     if whole.has_matrices:
         check_memory_of(scene, whole)
     if isinstance(whole, Wheel):
-        structure = reduce_wheel(whole, scene.given("disk").families, reference=judged)
+        disk = scene.given("disk")
+        more = disk.modes or 0
+        structure = reduce_wheel(whole, disk.families, more=more, reference=judged)
         return replace(study, structure=structure)
     kept = reduction_of(scene, whole)
     if kept is None:
@@ -250,7 +252,7 @@ def reduction_of(scene: Scene, structure: Structure) -> Kept | None:
     if scene.harmonic_balance.form == "block":
         return None
     if scene.disk is not None:
-        many = scene.disk.families * scene.disk.sectors
+        many = scene.disk.families * scene.disk.sectors + (scene.disk.modes or 0)
         return Kept("massless" if structure.n_pairs else "free_interface", many)
     if table is None:
         few = structure.n_dofs <= FEW_DOFS
@@ -293,7 +295,8 @@ def check_memory_of(scene: Scene, structure: Structure, *, run_up: bool = False)
 
 def _memory_needed(scene: Scene, structure: Structure, run_up: bool) -> float:
     if isinstance(structure, Wheel):
-        return wheel_memory(structure, families_of_basis(scene.given("disk").families))
+        disk = scene.given("disk")
+        return wheel_memory(structure, families_of_basis(disk.families, disk.modes or 0))
     kept = reduction_of(scene, structure)
     if kept is None:
         return whole_memory(structure, scene.harmonic_balance.harmonics)

@@ -379,12 +379,13 @@ def _enough_before(study: Study, studies: Iterator[Study], start: float, stop: f
 
 def _modes_in_words(study: Study, error: float) -> str:
     """That the modes of a curve meet its tolerance, or by how much they miss it."""
-    scene = study.scene
-    tolerance, modes = scene.harmonic_balance.given("tolerance"), scene.given("reduction").modes
+    scene, kept = study.scene, reduction_of(study.scene, study.structure)
+    tolerance, modes = scene.harmonic_balance.given("tolerance"), kept.modes if kept else 0
     if error <= tolerance:
         return f"chosen for an error of {tolerance:g}: {modes} modes"
+    more = 2 * modes if scene.disk is None else -(-2 * modes // scene.disk.sectors)
     size = f"error by {modes} modes {percent(error)}" if error < math.inf else "error unknown"
-    return f"{size}, {percent(tolerance)} was asked; what helps: {scene.modes_key} {2 * modes}"
+    return f"{size}, {percent(tolerance)} was asked; what helps: {scene.modes_key} {more}"
 
 
 def integrate(

@@ -98,6 +98,10 @@ MOST_OF_MANY = 40
 """Most modes that a tolerance chooses for a curve or a sweep: with twice as many a curve takes four
 times as long."""
 
+STEPS_OF_WHEEL = 0, 1, 2, 4
+"""Modes beyond its families, of each sector, that a tolerance chooses for a bladed disk; at most
+those of the further families in its basis."""
+
 
 def modes_chosen(study: Study, most: int = FORMED) -> list[int]:
     """Numbers of modes among which a study's tolerance chooses, from few on; none where the scene
@@ -106,9 +110,14 @@ def modes_chosen(study: Study, most: int = FORMED) -> list[int]:
     if whole.whole is not whole:
         return []
     kept, table = reduction_of(scene, whole), scene.reduction
-    given = scene.disk is not None or (table is not None and table.modes is not None)
+    disk = scene.disk
+    given = table is not None and table.modes is not None
+    given |= disk is not None and disk.modes is not None
     if kept is None or given or scene.harmonic_balance.tolerance is None or study.contact is None:
         return []
+    if disk is not None:
+        numbers = [kept.modes + steps * disk.sectors for steps in STEPS_OF_WHEEL]
+        return [number for number in numbers if number <= max(most, kept.modes)]
     of_file = not whole.has_matrices
     large = kept.method == "massless" and (of_file or not is_small(whole))
     if of_file:  # which holds so many and their reference
@@ -117,7 +126,11 @@ def modes_chosen(study: Study, most: int = FORMED) -> list[int]:
 
 
 def reduced_to(whole: Study, modes: int) -> Study:
-    """A study with so many modes (collective)."""
+    """A study with so many modes, of a bladed disk those of its families and others that move the
+    cracks most (collective)."""
+    if (disk := whole.scene.disk) is not None:
+        more = {"disk.modes": max(modes - disk.families * disk.sectors, 0)}
+        return reduced(replace(whole, scene=whole.scene.replace(more)))
     kept = reduction_of(whole.scene, whole.structure)
     keys = {"reduction.method": kept and kept.method, "reduction.modes": modes}
     return reduced(replace(whole, scene=whole.scene.replace(keys)))
@@ -132,7 +145,8 @@ def with_more_modes(whole: Study, most: int = FORMED) -> Iterator[Study]:
     of ten plates took the second number or more.
     """
     chosen, structure = modes_chosen(whole, most), whole.structure
-    if chosen[:1] == [FIRST_MODES] and structure.has_matrices:
+    plate = whole.scene.disk is None
+    if plate and chosen[:1] == [FIRST_MODES] and structure.has_matrices:
         receptance(structure, min(4 * FIRST_MODES, structure.n_dofs - structure.n_pairs))
     yield from (reduced_to(whole, modes) for modes in chosen)
     if not chosen:

@@ -1,0 +1,59 @@
+"""Modes of a bladed disk beyond those of its families: those that move the crack most."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from reference_flow import size_of_motion
+from wheels import RING, ring, wheel_of
+
+import fenics_crack as fc
+
+RIGID = fc.UnilateralConstraint()
+
+
+def test_one_family_and_twelve_modes_have_half_the_error_of_three_families() -> None:
+    """24 modes beside 36: of the tip and of the gap, against 96 modes; the gap's is stated."""
+    scene = fc.Scene.from_mapping(RING).replace(
+        {"mesh.size": 0.006, "disk.deviation": 0.01, "disk.seed": 3}
+    )
+    wheel = wheel_of(scene)
+    chosen = fc.reduce_wheel(wheel, 1, more=12)
+    structures = fc.reduce_wheel(wheel, 8), fc.reduce_wheel(wheel, 3), chosen
+    omega = float(fc.bilinear_frequencies(chosen).omega_bilinear[0])
+    exact, three, one = (
+        fc.solve_harmonic_balance(structure, omega, RIGID, harmonics=20) for structure in structures
+    )
+    assert one.structure.n_modes == 24  # type: ignore[attr-defined]
+    time = np.linspace(0.0, exact.period, 2000, endpoint=False)
+    gap, tip = exact.gap(time), exact.amplitude(wheel.watched_dof)
+    moved = size_of_motion(gap + chosen.clearance)
+    (off, tip_off), (own, tip_own) = (
+        (
+            np.linalg.norm(found.gap(time) - gap) / moved,
+            abs(found.amplitude(wheel.watched_dof) / tip - 1.0),
+        )
+        for found in (three, one)
+    )
+    assert own < 0.5 * off and tip_own < 0.5 * tip_off
+    assert own < 1.3 * one.report.reduction
+
+
+def test_a_tolerance_chooses_modes() -> None:
+    """One family of six blades does not meet a tolerance that a few more modes do; a number that
+    is given stays."""
+    scene = ring(disk__families=1, excitation__frequency=1265.0, harmonic_balance__tolerance=0.02)
+    run = fc.solve(scene, MPI.COMM_SELF)
+    assert run.scene.given("disk").modes in (6, 12, 24)
+    assert run.result.report.total <= 0.02
+    kept = fc.solve(scene.replace({"disk.modes": 0}), MPI.COMM_SELF)
+    assert kept.structure.n_modes == 6 and kept.result.report.reduction > 0.01  # type: ignore[attr-defined]
+
+
+def test_more_modes_than_the_basis_has() -> None:
+    """They are refused."""
+    with pytest.raises(
+        fc.InputError, match="more = 25: must be at most 24, those of four families"
+    ):
+        fc.reduce_wheel(wheel_of(ring()), 1, more=25)
