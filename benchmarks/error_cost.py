@@ -1,6 +1,6 @@
 """What a solution's error and verdict cost, over its cold search by harmonic balance.
 
-plates20, plates50: plates drawn as in orbits.py with 8 to 62 rigid pairs and 20 or 50 modes, H =
+plates20, plates50: plates as in plate_orbits.py with 8 to 62 rigid pairs and 20 or 50 modes, H =
 20. solid: the box that ``new --solid`` writes with about 300 patches on its crack, H = 10. million:
 the plate of growth.py with a million dofs and 280 pairs, penalty, H = 5: its first solution with
 its error [s] is the figure.
@@ -24,7 +24,7 @@ from importlib import resources
 import common
 import numpy as np
 from growth import MESHES, MILLION, MODES, PER_AREA
-from orbits import plate
+from plate_orbits import plate
 
 import fenics_crack as fc
 from fenics_crack.balance.solution import Solver
