@@ -406,7 +406,8 @@ class ReferenceFlow:
         if size == 0.0:
             return np.zeros(len(slow), dtype=bool)
         right = scipy.linalg.solve_triangular(self._factor, scaled / size, lower=True)
-        closed: np.ndarray = scipy.optimize.nnls(self._factor.T, right, maxiter=200)[0] > 0.0
+        most = 200 + 9 * len(slow)
+        closed: np.ndarray = scipy.optimize.nnls(self._factor.T, right, maxiter=most)[0] > 0.0
         return closed
 
     def advance(

@@ -58,7 +58,7 @@ def orbits(arguments: common.Arguments) -> None:
         compared = number % (PLATES // COMPARED) == 0
         found = one(structure, omega, arguments.harmonics, compared=compared)
         rows.append((number, structure.n_pairs, structure.n_modes, ratio, omega, *found))
-    common.save_table(arguments.folder / "orbits.csv", "orbits", COLUMNS, rows)
+    common.save_table(arguments.folder / "plate_orbits.csv", "orbits", COLUMNS, rows)
     table = np.array([row[5:] for row in rows], dtype=float)
     closed = table[:, 6] < 1e-10
     spent = np.nansum(table[:, 7:10], axis=1)
