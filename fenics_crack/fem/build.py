@@ -17,12 +17,19 @@ pressures are linear there, and b the mean over the patch of one,
 
     b_i . u = 1 / w_i int psi_i n . u ds.
 
-Nodes of tips and fronts have no pair.
+Nodes of tips and fronts have no pair. On a solid the basis function of a front's node goes to its
+neighbours on the face, as much to each as they overlap: psi_j = sum_i S_ij psi_i with sum_j S_ij =
+1. So the areas add up to the crack's, a uniform pressure is exact, and no strip along the front,
+where closed faces would interpenetrate, is without pressure.
 
-With ``mesh.patches`` there are fewer pressures, psi_j = sum_i S_ij psi_i of the linear ones of a
-solid or of a plate. Those of tips and fronts go with the nearest, so that sum_j S_ij = 1: the areas
-add up to the crack's, and a uniform pressure is exact. On a plate psi_j is linear from one to the
-next of some nodes, on a solid it has all that are nearest to one of some.
+With ``mesh.patches`` there are fewer pressures, likewise of the linear ones of a solid or of a
+plate. Those of tips and fronts go with the nearest. On a plate psi_j is linear from one to the next
+of some nodes, on a solid it has all that are nearest to one of some.
+
+Tangential gaps of a solid are those along two directions t at right angles to a pair's mean normal
+m = int psi n ds / |int psi n ds|,
+
+    b_i . u = 1 / w_i int psi_i (m . n) t . u ds.
 """
 
 from __future__ import annotations
@@ -59,7 +66,8 @@ def pair_lips(
     this rank's free dofs, and where the pairs are; with ``mouth`` those alone that are watched,
     with ``patches`` at most so many of each crack (collective).
 
-    B_t is B with each node's normal turned by a right angle; a solid has none.
+    B_t is B with each node's normal turned by a right angle; of a solid None, whose pairs have two
+    directions.
 
     The pairs of a crack are ordered from its mouth to its tip, or from the left to the right tip;
     of a solid from the front to the mouth.
@@ -74,7 +82,8 @@ def pair_lips(
         none = np.zeros((0, dimension)), np.zeros(0), np.zeros(0, dtype=int), np.zeros(0)
         return sparse.csr_matrix((len(dofs.free), 0)), None, Pairs(*none)
     make = _of_nodes if dimension == 2 and patches is None else _of_patches
-    space, weights, columns = make(dofs, t, plate.along(*LIP_TAGS))
+    lips = plate.along(*LIP_TAGS)
+    space, weights, columns = make(dofs, t, lips)
     first = space.dofmap.index_map.local_range[0]
     points = space.tabulate_dof_coordinates()[:, :dimension]
     sides = []
@@ -83,28 +92,79 @@ def pair_lips(
         rows = np.column_stack([local + first, weights[local], points[local]])
         sides.append(gather_rows(dofs.comm, rows))
     lower, upper, cracks, positions, count = _matched(plate.lips, *sides)
-    gap = sum(columns[:, side[:, 0].astype(int)] for side in (lower, upper))
+    numbers = lower[:, 0].astype(int)
+    below, above = columns[:, numbers], columns[:, upper[:, 0].astype(int)]
     points, areas, chosen = lower[:, 2:], lower[:, 1], np.arange(count)
-    if patches is not None:
-        chosen, shares = _shares(points, cracks, positions, count, patches)
-        forces = areas[:, None] * shares
-        areas[chosen] = forces.sum(axis=0)
-        gap = gap @ sparse.csc_matrix(forces / areas[chosen])
-    else:
+    solid: dict[str, Any] = {}
+    if patches is not None or dimension == 3:
+        if patches is None:
+            shares = _shares_at_fronts(dofs, space, lips, numbers, count)
+        else:
+            chosen, shares = _shares(points, cracks, positions, count, patches)
+        forces = sparse.csc_matrix(shares.multiply(areas[:, None]))
+        areas[chosen] = np.asarray(forces.sum(axis=0)).ravel()
+        forces.data /= np.repeat(areas[chosen], np.diff(forces.indptr))
+        below, above = below @ forces, above @ forces
+        node, pair = shares[count:].nonzero()
+        solid = {"front": points[count + node], "at_front": pair}
+    gap = below + above
+    if patches is None:
+        kept = np.arange(count)
         if mouth:
-            chosen = [*_watched(plate.lips, cracks[:count], positions[:count]).values()]
-        gap = gap[:, chosen]
+            kept = np.array([*_watched(plate.lips, cracks[:count], positions[:count]).values()])
+            solid = {}
+        chosen, gap, below = kept, gap[:, kept], below[:, kept]
     points, areas, cracks, positions = (x[chosen] for x in (points, areas, cracks, positions))
-    pairs = Pairs(points, areas, cracks, positions, _watched(plate.lips, cracks, positions))
+    if dimension == 3:
+        solid["tangents"] = _free_rows(_along_faces(gap, below, dofs.comm), dofs)
+    pairs = Pairs(
+        points, areas, cracks, positions, _watched(plate.lips, cracks, positions), **solid
+    )
     tangential = _free_rows(_turned(gap), dofs) if dimension == 2 else None
     return _free_rows(gap, dofs), tangential, pairs
 
 
+def _shares_at_fronts(
+    dofs: Dofs, space: Any, lips: Any, numbers: np.ndarray, inside: int
+) -> sparse.csr_matrix:
+    """S of pressures of a space, by the numbers of their nodes, of which those behind the first
+    ones, inside, are of fronts: (n, inside)."""
+    overlap = ufl.inner(ufl.TrialFunction(space), ufl.TestFunction(space)) * lips
+    matrix = compat.assembled_matrix(overlap)
+    own = local_rows(matrix).tocoo()
+    matrix.destroy()
+    first = space.dofmap.index_map.local_range[0]
+    rows = gather_rows(dofs.comm, np.column_stack([own.row + first, own.col, own.data]))
+    size = space.dofmap.index_map.size_global
+    every = sparse.csr_matrix((rows[:, 2], rows[:, :2].astype(int).T), (size, size))
+    neighbours = every[numbers[inside:]][:, numbers[:inside]]
+    total = sparse.diags(1.0 / np.asarray(neighbours.sum(axis=1)).ravel())
+    return sparse.vstack([sparse.eye(inside), total @ neighbours]).tocsr()
+
+
+def _along_faces(gap: Any, below: Any, comm: MPI.Comm) -> sparse.csr_matrix:
+    """Tangential gaps of a solid's pairs, (n_nodes * 3, 2 m), from the normal ones, (n_nodes * 3,
+    m), and their parts of the lower face (collective)."""
+    normal = comm.allreduce(np.array([below[k::3].sum(axis=0) for k in range(3)])[:, 0].T)
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    one = np.cross(normal, np.eye(3)[np.abs(normal).argmin(axis=1)])
+    one /= np.linalg.norm(one, axis=1)[:, None]
+    along = sum(gap[k::3] @ sparse.diags(normal[:, k]) for k in range(3))
+    return sparse.hstack([
+        sum(
+            sparse.kron(along @ sparse.diags(part), unit[:, None])
+            for part, unit in zip(tangent.T, np.eye(3), strict=True)
+        )
+        for tangent in np.round([one, np.cross(normal, one)], 12)
+    ]).tocsr()  # fmt: skip
+
+
 def _shares(
     points: np.ndarray, cracks: np.ndarray, positions: np.ndarray, inside: int, most: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes that are the middles of patches, at most so many of each crack, and the values of the
-    patches' functions at all nodes, (n, m); the first ones, inside, are in order along cracks."""
+) -> tuple[np.ndarray, sparse.csr_matrix]:
+    """Nodes that are the middles of patches, at most so many of each crack, and S, the values of
+    the patches' functions at all nodes, (n, m); the first ones, inside, are in order along cracks.
+    """
     middles, values = np.zeros(0, dtype=int), np.zeros((len(points), 0))
     for crack in np.unique(cracks):
         its = np.flatnonzero(cracks[:inside] == crack)
@@ -118,7 +178,7 @@ def _shares(
             functions = [away.argmin(axis=1) == number for number in range(few)]
         middles = np.append(middles, its)
         values = np.column_stack([values, *(row * (cracks == crack) for row in functions)])
-    return middles, values
+    return middles, sparse.csr_matrix(values)
 
 
 def _spread(points: np.ndarray, count: int) -> np.ndarray:

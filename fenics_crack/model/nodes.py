@@ -109,6 +109,13 @@ class Pairs(ReadOnly):
     places : dict of str to int
         A pair to watch on each crack, by its name: "the mouth"; of several cracks "the mouth of
         crack 1", "the middle of crack 2".
+    front : (k, d) [m] or None
+        Nodes of fronts, each as often as pairs have a share of its pressure, of a solid.
+    at_front : (k,) int or None
+        Those pairs.
+    tangents : (n_local, 2 n_pairs) or None
+        Rows of the whole structure of tangential gaps along two directions of all pairs, of a
+        solid: those along the first ones, then along the second ones.
     """
 
     points: np.ndarray | None = None
@@ -116,6 +123,9 @@ class Pairs(ReadOnly):
     cracks: np.ndarray | None = None
     positions: np.ndarray | None = None
     places: dict[str, int] = field(default_factory=dict)
+    front: np.ndarray | None = None
+    at_front: np.ndarray | None = None
+    tangents: sparse.csr_matrix | None = None
 
 
 def of_body(name: str) -> Any:
