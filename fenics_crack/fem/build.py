@@ -107,6 +107,7 @@ def pair_lips(
         below, above = below @ forces, above @ forces
         node, pair = shares[count:].nonzero()
         solid = {"front": points[count + node], "at_front": pair}
+        solid |= {"nodes": points, "shares": sparse.csr_matrix(shares)} if dimension == 3 else {}
     gap = below + above
     if patches is None:
         kept = np.arange(count)

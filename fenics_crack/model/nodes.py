@@ -113,6 +113,10 @@ class Pairs(ReadOnly):
         Nodes of fronts, each as often as pairs have a share of its pressure, of a solid.
     at_front : (k,) int or None
         Those pairs.
+    nodes : (n, d) [m] or None
+        Corners of the facets of the crack faces, of a solid, ...
+    shares : (n, n_pairs) scipy.sparse.csr_matrix or None
+        ... and the values there of each pair's pressure function.
     tangents : (n_local, 2 n_pairs) or None
         Rows of the whole structure of tangential gaps along two directions of all pairs, of a
         solid: those along the first ones, then along the second ones.
@@ -125,6 +129,8 @@ class Pairs(ReadOnly):
     places: dict[str, int] = field(default_factory=dict)
     front: np.ndarray | None = None
     at_front: np.ndarray | None = None
+    nodes: np.ndarray | None = None
+    shares: sparse.csr_matrix | None = None
     tangents: sparse.csr_matrix | None = None
 
 

@@ -1,0 +1,640 @@
+"""Stress intensity along the fronts of cracks in solids, as a linear functional of the displacement.
+
+The front is a curve c(t): an ellipse where its nodes lie on one, else a cubic spline over their
+distance along it. Seen from a point of it xi is ahead, y across the crack and s along the front, in
+a frame e_1, e_2, e_3, with kappa its curvature (positive where the crack is convex), g = 1 + kappa
+xi. With the plane fields a = a_i(xi, y) e_i of unit K_I, K_II (plane strain) or K_III, of gradient
+
+    a_i,1 = d_xi a_i,   a_i,2 = d_y a_i,   a_1,3 = -kappa a_3 / g,   a_3,3 = kappa a_1 / g,
+
+their stress S = C sym grad a, and the extension Q = q(r / R) h(s) e_1 of the front, the interaction
+integral (Nakamura, Parks, International Journal of Solids and Structures 25, 1989, 1411; on curved
+fronts Gosz, Moran, Engineering Fracture Mechanics 69, 2002, 299) is
+
+    I = int [sigma(u)_ij a_i,k Q_k,j + S_ij u_i,k Q_k,j - sigma(u) : grad a div Q + (div S)_i u_i,1 Q_1
+             + rho u''_i a_i,1 Q_1] dV - int [(S m)_i u_i,1 - S : grad u m_1] Q_1 dA
+        + (2 / pi)^1/2 2 (1 - nu^2) / E int p Q_1 r^-1/2 dA,
+
+with the outward normal m of the surface and of the crack faces, on which the contact presses with
+p; and K_I = E / (2 (1 - nu^2)) I / int h ds, so K_II, and K_III = mu I / int h ds.
+
+Inertia and all other forces inside act as forces at nodes: with w the values of Q_1 a_,1 there, what
+they do is -w . (K u + B lambda), so that I is linear in the displacement and the contact forces.
+
+K_I at a front that is closed is zero: triangles at the front are mapped to the curve for that, and
+the pressure is the one of the contact's patches.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property, partial
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.spatial import cKDTree
+from scipy.special import roots_jacobi
+
+from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.ranks import gather_rows
+from fenics_crack.fem.cracks import SAME, CrackSurface, upwards
+from fenics_crack.model.receptance import check_matrices
+from fenics_crack.model.structure import Structure
+from fenics_crack.scene.scene import Scene
+
+ELEMENTS = 2.0
+"""Radius of the domain, in elements of the front: less is noise, more has less of the place."""
+OVER_CURVATURE = 0.6
+"""Largest radius of the domain over the front's radius of curvature: at 1 normals meet."""
+ROOM = 0.8
+"""Largest radius over the distance to the clamp or another crack."""
+INNER = 0.2
+"""Fraction of the radius up to which q is 1."""
+GAUSS = 6
+"""Points along each direction of a cell: 4 are noise of 1 to 3 %."""
+WIDTH = 3
+"""Least edges of the front between two stations: a hat has four nodes or more."""
+STATIONS = 12
+"""Most intervals between stations of a front."""
+CORNER = np.pi / 4.0
+"""Angle between two edges of a front at which it is not smooth [rad]."""
+AT_ONCE = 100_000
+"""Points of a quadrature that are in memory at a time."""
+
+
+@dataclass(frozen=True)
+class Front:
+    """A smooth part of the front of a crack.
+
+    Attributes
+    ----------
+    name : str
+        "the crack front"; of several "the crack front of crack 2".
+    crack : int
+        Number of the crack, from 0.
+    nodes : (n, 3) [m]
+        Corners of elements on it, in turn; of a closed one the first is also the last.
+    across : (n, 3)
+        Normals of the crack there, from the lower to the upper face.
+    at : (n,)
+        Parameter t of the nodes: the angle of an ellipse [rad], or the distance along it [m].
+    curve : callable
+        c(t) and its derivatives of an order, (..., 3).
+    closed : bool
+        True if it has no ends.
+    at_surface : tuple of bool
+        True of an end at the surface of the solid: at others it has a corner.
+    limit : float [m]
+        Largest radius of the domain.
+    """
+
+    name: str
+    crack: int
+    nodes: np.ndarray
+    across: np.ndarray
+    at: np.ndarray
+    curve: Callable[[np.ndarray, int], np.ndarray]
+    closed: bool
+    at_surface: tuple[bool, bool]
+    limit: float
+
+    @cached_property
+    def peaks(self) -> np.ndarray:
+        """Parameters of the hats' peaks, that of a closed front's first one at the end, too."""
+        count = max(1, min(STATIONS, (len(self.nodes) - 1) // WIDTH))
+        return np.linspace(self.at[0], self.at[-1], max(count, 3 if self.closed else 1) + 1)
+
+    @property
+    def places(self) -> np.ndarray:
+        """Parameters of the stations."""
+        return self.peaks[:-1] if self.closed else self.peaks
+
+    def hats(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Hats and their derivatives by t: (..., n_stations) each."""
+        step = self.peaks[1] - self.peaks[0]
+        off = (t[..., None] - self.places) / step
+        if self.closed:
+            off -= len(self.places) * np.round(off / len(self.places))
+        hat = np.maximum(0.0, 1.0 - np.abs(off))
+        return hat, np.where(hat > 0.0, -np.sign(off) / step, 0.0)
+
+    def lengths(self) -> np.ndarray:
+        """int h ds of each hat: (n_stations,) [m]."""
+        x, w = np.polynomial.legendre.leggauss(8)
+        half = 0.5 * (self.peaks[1] - self.peaks[0])
+        t = (self.peaks[:-1, None] + half * (1.0 + x)).ravel()
+        speed = np.linalg.norm(self.curve(t, 1), axis=1) * np.tile(half * w, len(self.peaks) - 1)
+        return np.asarray(speed @ self.hats(t)[0])
+
+    def frame(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """The frame (..., 3, 3), its rows e_1, e_2, e_3; ds/dt, kappa and d kappa / ds."""
+        one, two, three = (self.curve(t, order) for order in (1, 2, 3))
+        speed = np.linalg.norm(one, axis=-1)
+        along = one / speed[..., None]
+        across = np.stack([np.interp(t, self.at, row) for row in self.across.T], axis=-1)
+        across -= (across * along).sum(-1, keepdims=True) * along
+        across /= np.linalg.norm(across, axis=-1, keepdims=True)
+        ahead = np.cross(across, along)
+        bend = -(two * ahead).sum(-1) / speed**2
+        slope = -(three * ahead).sum(-1) / speed**3
+        slope -= 3.0 * bend * (one * two).sum(-1) / speed**3
+        return np.stack([ahead, across, along], axis=-2), speed, bend, slope
+
+    def radius(self, bend: np.ndarray) -> np.ndarray:
+        """R [m] by the curvature."""
+        longest = np.linalg.norm(np.diff(self.nodes, axis=0), axis=1).max()
+        most = OVER_CURVATURE / np.maximum(np.abs(bend), 1e-9 / longest)
+        return np.asarray(np.minimum(min(ELEMENTS * longest, self.limit), most))
+
+    @cached_property
+    def _samples(self) -> tuple[np.ndarray, cKDTree]:
+        t = np.interp(np.linspace(0, len(self.at) - 1, 8 * len(self.at)), range(len(self.at)), self.at)
+        return t, cKDTree(self.curve(t, 0))
+
+    def nearest(self, points: np.ndarray) -> np.ndarray:
+        """Parameters of the nearest points of the curve to some (..., 3)."""
+        samples, tree = self._samples
+        t = samples[tree.query(points)[1]]
+        for _ in range(3):  # of Newton's steps
+            place, one, two = (self.curve(t, order) for order in range(3))
+            to = points - place
+            t = t + (to * one).sum(-1) / ((one * one).sum(-1) - (to * two).sum(-1))
+            if not self.closed:
+                t = np.clip(t, self.at[0], self.at[-1])
+        if self.closed:
+            t = self.at[0] + np.mod(t - self.at[0], self.at[-1] - self.at[0])
+        return np.asarray(t)
+
+
+# --- where they are -------------------------------------------------------------------------------
+
+
+def find_fronts(structure: Structure) -> list[Front]:
+    """The fronts of all cracks of a solid (collective).
+
+    Raises
+    ------
+    InputError
+        A front is too short for its elements.
+    """
+    nodes = structure.nodes
+    assert nodes is not None
+    lips: tuple[CrackSurface, ...] = nodes.numbered.plate.lips
+    held = gather_rows(structure.comm, nodes.points[np.all(nodes.dofs < 0, axis=1)])
+    found = []
+    for crack, lip in enumerate(lips):
+        others = [other.triangles.reshape(-1, 3) for other in lips if other is not lip]
+        away = cKDTree(np.concatenate([held, *others]))
+        for chain, normals, closed, ends in _chains(lip):
+            limit = ROOM * away.query(chain)[0].min()
+            found.append((crack, chain, normals, *_curve(chain, closed), closed, ends, limit))
+    return [
+        Front("the crack front" + (f" {number + 1}" if len(found) > 1 else ""), *one)
+        for number, one in enumerate(found)
+    ]
+
+
+def _chains(lip: CrackSurface) -> Iterator[tuple[np.ndarray, np.ndarray, bool, tuple[bool, bool]]]:
+    """Yield the smooth parts of a crack's front: nodes, normals, whether it is closed, and which
+    ends are at the surface."""
+    corners = lip.triangles.reshape(-1, 3)
+    unit = SAME * lip.size
+    tree = cKDTree(corners)
+    edges = np.sort(tree.query(lip.front.reshape(-1, 3))[1].reshape(-1, 2), axis=1)
+    links: dict[int, list[int]] = {}
+    first_of = np.array([min(tree.query_ball_point(x, unit)) for x in corners[edges.ravel()]])
+    for a, b in first_of.reshape(-1, 2):
+        links.setdefault(int(a), []).append(int(b))
+        links.setdefault(int(b), []).append(int(a))
+    spans = lip.triangles[:, 1:] - lip.triangles[:, :1]
+    normal = np.cross(spans[:, 0], spans[:, 1])
+    turned = np.array([upwards(row) for row in normal])
+    normal *= turned[:, None]
+    middles = lip.triangles.mean(axis=1)
+    while links:
+        start = min((k for k, ends in links.items() if len(ends) == 1), default=min(links))
+        chain, closed = [start], len(links[start]) == 2
+        while links.get(chain[-1]):
+            after = links[chain[-1]].pop()
+            links[after].remove(chain[-1])
+            chain.append(after)
+        for node in chain:
+            links.pop(node, None)
+        at = corners[chain]
+        across, inward = np.empty_like(at), np.empty_like(at)
+        for row, place in enumerate(at):
+            touching = np.unique(np.array(tree.query_ball_point(place, unit)) // 3)
+            across[row] = normal[touching].sum(axis=0)
+            inward[row] = middles[touching].mean(axis=0) - place
+        across /= np.linalg.norm(across, axis=1)[:, None]
+        steps = np.diff(at, axis=0)
+        ahead = np.cross(across[:-1] + across[1:], steps)
+        if (ahead * (inward[:-1] + inward[1:])).sum() > 0.0:
+            at, across, steps = at[::-1], across[::-1], -steps[::-1]
+        steps /= np.linalg.norm(steps, axis=1)[:, None]
+        sharp = 1 + np.flatnonzero((steps[:-1] * steps[1:]).sum(axis=1) < np.cos(CORNER))
+        if closed and (len(sharp) or steps[-1] @ steps[0] < np.cos(CORNER)):
+            turn = int(sharp[0]) if len(sharp) else 0
+            at, across = (np.concatenate([x[turn:-1], x[: turn + 1]]) for x in (at, across))
+            sharp, smooth = sharp[1:] - turn, False
+            closed_corner = True
+        else:
+            smooth, closed_corner = closed, False
+        bounds = [0, *sharp.tolist(), len(at) - 1]
+        for a, b in pairwise(bounds):
+            ends = (a == 0 and not closed_corner, b == len(at) - 1 and not closed_corner)
+            yield at[a : b + 1], across[a : b + 1], smooth, ends
+
+
+def _curve(
+    nodes: np.ndarray, closed: bool
+) -> tuple[np.ndarray, Callable[[np.ndarray, int], np.ndarray]]:
+    """Parameters of nodes (n, 3) in turn, and the curve through them: the ellipse on which they
+    lie, to SAME of its size, or else a spline."""
+    middle = nodes.mean(axis=0)
+    _, sizes, axes = np.linalg.svd(nodes - middle, full_matrices=False)
+    x, y = ((nodes - middle) @ axes[:2].T / sizes[0]).T
+    if len(nodes) > 5 and sizes[1] > SAME * sizes[0] and sizes[2] <= SAME * sizes[0]:
+        conic = np.column_stack([x * x, 2.0 * x * y, y * y, -2.0 * x, -2.0 * y])
+        a, b, c, d, e = np.linalg.lstsq(conic, np.ones(len(x)), rcond=None)[0]
+        form = np.array([[a, b], [b, c]])
+        if np.linalg.det(form) > 0.0:
+            center = np.linalg.solve(form, [d, e])
+            weights, turn = np.linalg.eigh(form / (1.0 + center @ form @ center))
+            at = (np.column_stack([x, y]) - center) @ turn * np.sqrt(np.abs(weights))
+            if np.all(weights > 0.0) and np.abs(np.linalg.norm(at, axis=1) - 1.0).max() < 1e-5:
+                t = np.unwrap(np.arctan2(at[:, 1], at[:, 0]))
+                sign = np.sign(t[-1] - t[0])
+                half = sizes[0] * (turn / np.sqrt(weights)) @ np.diag([1.0, sign])
+                return sign * t, partial(_ellipse, middle + sizes[0] * center @ axes[:2], half.T @ axes[:2])
+    steps = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
+    t = np.append(0.0, np.cumsum(steps))
+    if len(nodes) == 2:
+        nodes, t_of = np.array([nodes[0], nodes.mean(axis=0), nodes[1]]), np.array([0, 0.5, 1]) * t[-1]
+    else:
+        t_of = t
+    spline = CubicSpline(t_of, nodes, bc_type="periodic" if closed else "not-a-knot")
+    return t, lambda t, order: np.asarray(spline(t, order))
+
+
+def _ellipse(center: np.ndarray, halves: np.ndarray, t: np.ndarray, order: int) -> np.ndarray:
+    """Derivative of an order of center + halves[0] cos t + halves[1] sin t: (..., 3)."""
+    angle = np.asarray(t)[..., None] + 0.5 * np.pi * order
+    moved = np.cos(angle) * halves[0] + np.sin(angle) * halves[1]
+    return np.asarray(moved + center if order == 0 else moved)
+
+
+# --- rows -----------------------------------------------------------------------------------------
+
+
+def front_functionals(
+    scene: Scene, structure: Structure
+) -> tuple[list[Front], np.ndarray, np.ndarray]:
+    """The fronts, and what a displacement and the contact forces are multiplied by for K_I, K_II
+    and K_III of each station, front by front (collective).
+
+    Parameters
+    ----------
+    scene : Scene
+        A solid with a crack.
+    structure : Structure
+        Made from it, whole.
+
+    Returns
+    -------
+    fronts : list of Front
+    of_displacement : (3 n_stations, n_local) [Pa m^1/2 / m]
+    of_forces : (3 n_stations, n_pairs) [Pa m^1/2 / N]
+
+    Raises
+    ------
+    InputError
+        Cells are no tetrahedra of second order; or the elements at a front are longer than what is
+        integrated over.
+    """
+    check_matrices(structure, "stress intensities")
+    nodes, comm = structure.nodes, structure.comm
+    assert nodes is not None
+    if scene.mesh.order != 2 or comm.allreduce(nodes.cells.shape[1]) != 10 * comm.size:
+        raise InputError("mesh", "other cells", "tetrahedra of order 2, for stress intensities")
+    points, cells = gather_rows(comm, nodes.points), gather_rows(comm, nodes.cells)
+    fronts = find_fronts(structure)
+    rows, pressed = [], []
+    for front in fronts:
+        _check_resolved(front)
+        rule = _Domain(scene, front, points, cells)
+        row, fields = rule.rows(comm.rank, comm.size)
+        row = comm.allreduce(row)
+        own = slice(nodes.numbered.first_node, nodes.numbered.first_node + nodes.numbered.n_nodes)
+        free = nodes.numbered.free_part
+        rows.append(free(row[:, own].reshape(len(row), -1)))
+        field = free(fields[:, own].reshape(len(row), -1))
+        forces = np.zeros((len(row), structure.n_pairs))
+        if structure.pairs.nodes is not None:
+            forces -= rule.scale[:, None] * structure.apply_bt(field)
+            forces[: len(front.places)] += _of_pressures(structure, front)
+        rows[-1] = _ends(front, rows[-1])
+        pressed.append(_ends(front, forces))
+    return fronts, np.concatenate(rows), np.concatenate(pressed)
+
+
+def _check_resolved(front: Front) -> None:
+    """Raise InputError where the domain is smaller than an element."""
+    longest = np.linalg.norm(np.diff(front.nodes, axis=0), axis=1).max()
+    radius = front.radius(front.frame(front.at)[2]).min()
+    if radius < longest:
+        allowed = f"such that those along the crack front are shorter than {radius:.3g} m"
+        raise InputError("mesh", f"elements of {longest:.3g} m", allowed)
+
+
+def _ends(front: Front, rows: np.ndarray) -> np.ndarray:
+    """Rows (3 n_stations, m) in which those at the ends of a front are on the line through the last
+    two, whose places are those of the hats' middles."""
+    if not front.closed and len(front.places) > 1:
+        rows = rows.reshape(3, len(front.places), -1)
+        rows[:, 0] = 1.5 * rows[:, 0] - 0.5 * rows[:, 1]
+        rows[:, -1] = 1.5 * rows[:, -1] - 0.5 * rows[:, -2]
+        rows = rows.reshape(3 * len(front.places), -1)
+    return rows
+
+
+def _weight(share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """q and its derivative by r / R."""
+    x = np.clip((share - INNER) / (1.0 - INNER), 0.0, 1.0)
+    slope = -30.0 * x**2 * (1.0 - x) ** 2 / (1.0 - INNER)
+    return 1.0 - x**3 * (10.0 - 15.0 * x + 6.0 * x**2), slope
+
+
+def _collapsed(dimension: int) -> tuple[np.ndarray, np.ndarray]:
+    """Barycentric coordinates (n, d + 1) and weights, of sum 1, of Gauss's points in a simplex that
+    is collapsed at its first corner."""
+    left, weights, coordinates = np.ones(1), np.ones(1), []
+    for power in range(dimension - 1, -1, -1):
+        x, w = roots_jacobi(GAUSS, power, 0)
+        x, w = 0.5 * (1.0 + x), w / w.sum()
+        coordinates = [np.repeat(row, GAUSS) for row in coordinates]
+        coordinates.append((left[:, None] * x).ravel())
+        left, weights = (left[:, None] * (1.0 - x)).ravel(), (weights[:, None] * w).ravel()
+    return np.column_stack([*coordinates, left]), weights
+
+
+EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
+"""Edges of a tetrahedron on which its other nodes are, in VTK's order."""
+
+
+class _Domain:
+    """The integral around a front over the cells that are near."""
+
+    def __init__(self, scene: Scene, front: Front, points: np.ndarray, cells: np.ndarray) -> None:
+        self.front, self.points = front, points
+        young, self.nu = scene.material.young, scene.material.poisson
+        self.mu = 0.5 * young / (1.0 + self.nu)
+        self.lame = young * self.nu / (1.0 + self.nu) / (1.0 - 2.0 * self.nu)
+        plane = 0.5 * young / (1.0 - self.nu**2)
+        of_mode = np.repeat([plane, plane, self.mu], len(front.places))
+        self.scale = of_mode / np.tile(front.lengths(), 3)
+        corners = points[cells[:, :4]]
+        near = front._samples[1].query(corners)[0]
+        size = np.linalg.norm(corners - corners.mean(axis=1, keepdims=True), axis=2).max(axis=1)
+        bound = front.radius(np.zeros(1))[0]
+        kept = near.min(axis=1) < bound + 2.0 * size
+        key = np.sort(cells[kept][:, :4], axis=1)
+        facets = [np.delete(key, k, axis=1) for k in range(4)]
+        keys = np.ravel_multi_index(np.concatenate(facets).T, (len(points),) * 3)
+        _, first, uses = np.unique(keys, return_index=True, return_counts=True)
+        once = keys[first[uses == 1]]
+        # Corners from the nearest to the front on.
+        order = near[kept].argsort(axis=1, kind="stable")
+        self.order, self.cells = order, cells[kept]
+        self.corners = np.take_along_axis(corners[kept], order[..., None], axis=1)
+        number = np.take_along_axis(self.cells[:, :4], order, axis=1)
+        self.outside = np.column_stack([
+            np.isin(
+                np.ravel_multi_index(np.sort(np.delete(number, k, axis=1)).T, (len(points),) * 3), once
+            )
+            for k in range(4)
+        ])  # fmt: skip
+        spans = self.corners[:, 1:] - self.corners[:, :1]
+        self.volume = np.abs(np.linalg.det(spans)) / 6.0
+        inverse = np.linalg.inv(spans).swapaxes(1, 2)  # rows: gradients of the coordinates 1 to 3
+        self.gradients = np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
+        middles = self.corners.mean(axis=1)
+        t = front.nearest(middles)
+        self.side = np.sign(((middles - front.curve(t, 0)) * front.frame(t)[0][:, 1]).sum(-1))
+
+    def _basis(self, some: np.ndarray) -> np.ndarray:
+        """D of grad N_a = sum_b D_ab lambda_b of cells: (n, 10, 4, 3), in the nodes' own order."""
+        back = self.order[some].argsort(axis=1)
+        slopes = np.take_along_axis(self.gradients[some], back[..., None], axis=1)
+        found = np.zeros((len(some), 10, 4, 3))
+        for a in range(4):
+            found[:, a] = -slopes[:, a, None]
+            found[:, a, a] += 4.0 * slopes[:, a]
+        for number, (a, b) in enumerate(EDGES):
+            found[:, 4 + number, a] = 4.0 * slopes[:, b]
+            found[:, 4 + number, b] = 4.0 * slopes[:, a]
+        return np.take_along_axis(found, self.order[some][:, None, :, None], axis=2)
+
+    def rows(self, rank: int, size: int) -> tuple[np.ndarray, np.ndarray]:
+        """This rank's share of the rows (3 n_stations, n_nodes, 3), and w of all of them."""
+        count = 3 * len(self.front.places)
+        found = np.zeros((count, len(self.points), 3))
+        fields = np.zeros_like(found)
+        mine = np.arange(len(self.cells))
+        for some in np.array_split(mine, -(-len(mine) * GAUSS**3 // AT_ONCE)):
+            local = self._nodal(some)
+            fields[:, self.cells[some].ravel()] = local.reshape(count, -1, 3)
+        rule, weights = _collapsed(3)
+        flat, planar = _collapsed(2)
+        mine = mine[rank::size]
+        for some in np.array_split(mine, -(-len(mine) * GAUSS**3 // AT_ONCE)):
+            parts = self._moments(some, rule, self.volume[some, None] * weights, None)
+            for k in range(4):
+                out = self.outside[some, k]
+                if np.any(out):
+                    on = np.insert(flat, k, 0.0, axis=1)
+                    slope = self.gradients[some[out], k]
+                    area = 3.0 * self.volume[some[out]] * np.linalg.norm(slope, axis=1)
+                    normal = -slope / np.linalg.norm(slope, axis=1)[:, None]
+                    parts[:, out] += self._moments(some[out], on, area[:, None] * planar, normal)
+            basis = self._basis(some)
+            at = fields[:, self.cells[some].ravel()].reshape(count, len(some), 10, 3)
+            moved = np.einsum("kcai,cabj->kcbij", at, basis, optimize=True)
+            mass = self.volume[some, None, None] * (1.0 + np.eye(4)) / 20.0
+            parts -= np.einsum("cbd,kcdij->kcbij", mass, self._stress(moved), optimize=True)
+            each = np.einsum("kcbij,cabj->kcai", parts, basis, optimize=True)
+            for row, add in zip(found, each.reshape(count, -1, 3), strict=True):
+                np.add.at(row, self.cells[some].ravel(), add)
+        return self.scale[:, None, None] * found, fields
+
+    def _stress(self, gradient: np.ndarray) -> np.ndarray:
+        """C sym of gradients (..., 3, 3)."""
+        found = self.mu * (gradient + gradient.swapaxes(-1, -2))
+        spread = self.lame * np.trace(gradient, axis1=-2, axis2=-1)
+        for k in range(3):
+            found[..., k, k] += spread
+        return found
+
+    def _around(self, places: np.ndarray, some: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Frames, xi, y, r, hats and their derivatives by s, kappa, its derivative, R of places of
+        cells: (n, m, ...)."""
+        front = self.front
+        t = front.nearest(places)
+        frame, speed, bend, slope = front.frame(t)
+        to = places - front.curve(t, 0)
+        xi, y = ((to * frame[..., k, :]).sum(-1) for k in range(2))
+        radius = front.radius(bend)
+        r = np.hypot(xi, y)
+        y = np.where(np.abs(y) < 1e-6 * r, 1e-12 * r * self.side[some][:, None], y)
+        hat, by_t = front.hats(t)
+        return frame, xi, y, r, hat, by_t / speed[..., None], bend, slope, radius
+
+    def _nodal(self, some: np.ndarray) -> np.ndarray:
+        """w of cells: (3 n_stations, n, 10, 3)."""
+        places = self.points[self.cells[some]]
+        frame, xi, y, r, hat, _, _, _, radius = self._around(places, some)
+        at_front = r < 1e-6 * radius
+        r = np.where(at_front, radius, r)
+        q = np.where(at_front, 0.0, _weight(r / radius)[0])
+        fields = []
+        for mode in range(3):
+            _, ahead, _ = self._plane(mode, xi, y, r)
+            moved = np.einsum("icp,cpij->cpj", ahead, frame) * q[..., None]
+            fields.append(np.moveaxis(hat[..., None] * moved[..., None, :], 2, 0))
+        return np.concatenate(fields)
+
+    def _plane(self, mode: int, xi: np.ndarray, y: np.ndarray, r: np.ndarray) -> Any:
+        """The field of unit K of a mode and its derivatives by xi and y: (3, ...) each."""
+        half = 0.5 * np.arctan2(y, xi)
+        c, s, cosine, sine = np.cos(half), np.sin(half), xi / r, y / r
+        kappa, none = 3.0 - 4.0 * self.nu, np.zeros_like(r)
+        if mode == 0:
+            f = np.array([c * (kappa - cosine), s * (kappa - cosine), none])
+            by = np.array([
+                -0.5 * s * (kappa - cosine) + c * sine, 0.5 * c * (kappa - cosine) + s * sine, none
+            ])  # fmt: skip
+        elif mode == 1:
+            f = np.array([s * (kappa + 2.0 + cosine), -c * (kappa - 2.0 + cosine), none])
+            by = np.array([
+                0.5 * c * (kappa + 2.0 + cosine) - s * sine,
+                0.5 * s * (kappa - 2.0 + cosine) + c * sine, none,
+            ])  # fmt: skip
+        else:
+            f, by = np.array([none, none, 4.0 * s]), np.array([none, none, 2.0 * c])
+        scale = 0.5 / self.mu / np.sqrt(2.0 * np.pi)
+        root = np.sqrt(r)
+        return (
+            scale * root * f,
+            scale / root * (0.5 * cosine * f - sine * by),
+            scale / root * (0.5 * sine * f + cosine * by),
+        )
+
+    def _moments(
+        self, some: np.ndarray, rule: np.ndarray, weights: np.ndarray, normal: np.ndarray | None
+    ) -> np.ndarray:
+        """Integrals of lambda_b T, T being what grad u is multiplied by in the domain, or on its
+        surface with an outward normal: (3 n_stations, n, 4, 3, 3)."""
+        places = np.einsum("pb,cbi->cpi", rule, self.corners[some])
+        frame, xi, y, r, hat, by_s, bend, slope, radius = self._around(places, some)
+        q, fall = _weight(r / radius)
+        fall /= radius
+        g = 1.0 + bend * xi
+        k = bend / g
+        shrink = np.where(radius < radius.max(), -slope / np.where(bend == 0.0, 1.0, bend), 0.0)
+        ahead = np.stack([fall * xi / r, fall * y / r, -fall * r * shrink / g], axis=-1)
+        spread = np.einsum("cp,pb->cpb", weights, rule)
+        found = []
+        for mode in range(3):
+            a, one, two = self._plane(mode, xi, y, r)
+            gradient = np.zeros((*r.shape, 3, 3))
+            gradient[..., 0], gradient[..., 1] = np.moveaxis(one, 0, -1), np.moveaxis(two, 0, -1)
+            gradient[..., 0, 2], gradient[..., 2, 2] = -k * a[2], k * a[0]
+            stress = self._stress(gradient)
+            if normal is not None:
+                m = np.einsum("cpij,cj->cpi", frame, normal)
+                whole = q[..., None, None] * m[..., 0, None, None] * stress
+                whole[..., 0] -= q[..., None] * (stress @ m[..., None])[..., 0]
+                parts = [(hat, whole)]
+            else:
+                parts = self._inside(a, one, two, gradient, stress, (q, ahead, g, k, slope, hat, by_s))
+            total = 0.0
+            for shape, tensor in parts:
+                turned = frame.swapaxes(-1, -2) @ tensor @ frame
+                values = spread[..., None] * turned.reshape(*r.shape, 1, 9)
+                values = values.reshape(*r.shape, 36)
+                total = total + shape.swapaxes(-1, -2) @ values
+            found.append(np.moveaxis(total.reshape(len(some), -1, 4, 3, 3), 1, 0))
+        return np.concatenate(found)
+
+    def _inside(
+        self, a: np.ndarray, one: np.ndarray, two: np.ndarray, gradient: np.ndarray,
+        stress: np.ndarray, around: tuple[np.ndarray, ...],
+    ) -> list[tuple[np.ndarray, np.ndarray]]:  # fmt: skip
+        """T of the volume as hats times one tensor, and their derivatives times another."""
+        q, ahead, g, k, slope, hat, by_s = around
+        qk = (q * k)[..., None]
+        whole = gradient[..., :, :1] * ahead[..., None, :]
+        whole[..., 2] += gradient[..., 2] * qk
+        whole = self._stress(whole) - (ahead[..., :1] + qk)[..., None] * stress
+        whole[..., 0] += (stress @ ahead[..., None])[..., 0]
+        whole[..., 2] += stress[..., 2] * qk
+        bent = np.zeros_like(gradient)
+        bent[..., 0, 2], bent[..., 2, 2] = -a[2] / g**2, a[0] / g**2
+        force = (slope / g)[..., None] * self._stress(bent)[..., 2]
+        force[..., 0] += k * (stress[..., 0, 0] - stress[..., 2, 2])
+        force[..., 0] += self.lame * k * (one[0] - k * a[0])
+        force[..., 1] += k * stress[..., 1, 0] + self.lame * k * two[0]
+        force[..., 2] += 2.0 * k * stress[..., 2, 0] - self.mu * k * (one[2] - k * a[2])
+        whole[..., 0] += q[..., None] * force
+        along = np.zeros_like(gradient)
+        along[..., 2] = gradient[..., 0] * (q / g)[..., None]
+        along = self._stress(along)
+        along[..., 0] += stress[..., 2] * (q / g)[..., None]
+        return [(hat, whole), (by_s, along)]
+
+
+def _of_pressures(structure: Structure, front: Front) -> np.ndarray:
+    """Factors of the contact forces in K_I, (n_stations, n_pairs), by their pressures."""
+    pairs = structure.pairs
+    assert pairs.nodes is not None and pairs.shares is not None and pairs.areas is not None
+    lip: CrackSurface = structure.nodes.numbered.plate.lips[front.crack]  # type: ignore[union-attr]
+    tree, own = cKDTree(pairs.nodes), cKDTree(front.nodes)
+    far, at = own.query(lip.triangles)
+    reach = np.linalg.norm(lip.triangles - lip.triangles.mean(axis=1)[:, None], axis=2).max(axis=1)
+    near = far.min(axis=1) < front.radius(np.zeros(1))[0] + 2.0 * reach
+    found = np.zeros((len(front.places), len(pairs.nodes)))
+    rule, planar = _collapsed(2)
+    x, w = np.polynomial.legendre.leggauss(2 * GAUSS)
+    x, w = 0.5 * (1.0 + x), 0.5 * w
+    z, tau = (row.ravel() for row in np.meshgrid(x, x, indexing="ij"))
+    product, v = 2.0 * z * np.outer(w, w).ravel(), z**2
+    mapped = np.column_stack([v, (1.0 - v) * (1.0 - tau), (1.0 - v) * tau])
+    for corners, away, place in zip(lip.triangles[near], far[near], at[near], strict=True):
+        order = away.argsort()
+        on = away < SAME * lip.size
+        if on.sum() == 2:
+            order = np.append(np.flatnonzero(~on), np.flatnonzero(on))
+            low, high = front.at[place[order[1:]]]
+            if front.closed and abs(high - low) > 0.5 * (front.at[-1] - front.at[0]):
+                turn = front.at[-1] - front.at[0]
+                low, high = low + turn * (low < high), high + turn * (high < low)
+            t = low + tau * (high - low)
+            to = corners[order[0]] - front.curve(t, 0)
+            points = front.curve(t, 0) + v[:, None] * to
+            spin = np.cross(to, (1.0 - v)[:, None] * front.curve(t, 1) * (high - low))
+            area, shapes = product * np.linalg.norm(spin, axis=1), mapped
+        else:
+            points, shapes = rule @ corners[order], rule
+            spans = corners[1:] - corners[0]
+            area = 0.5 * np.linalg.norm(np.cross(*spans)) * planar
+        t = front.nearest(points)
+        r = np.linalg.norm(points - front.curve(t, 0), axis=1)
+        radius = front.radius(front.frame(t)[2])
+        kernel = _weight(r / radius)[0] / np.sqrt(r) * area
+        numbers = tree.query(corners[order])[1]
+        found[:, numbers] += front.hats(t)[0].T @ (kernel[:, None] * shapes)
+    found *= np.sqrt(2.0 / np.pi) / front.lengths()[:, None]
+    return np.asarray((pairs.shares.T @ found.T).T / pairs.areas)
