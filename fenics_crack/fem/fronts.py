@@ -397,10 +397,10 @@ class _Domain:
         of_mode = np.repeat([plane, plane, self.mu], len(front.places))
         self.scale = of_mode / np.tile(front.lengths(), 3)
         corners = points[cells[:, :4]]
-        near = front._samples[1].query(corners)[0]
-        size = np.linalg.norm(corners - corners.mean(axis=1, keepdims=True), axis=2).max(axis=1)
-        bound = front.radius(np.zeros(1))[0]
-        kept = near.min(axis=1) < bound + 2.0 * size
+        near = front._samples[1].query(points)[0][cells]
+        # Of others no more than rounded edges is inside, where q is 1e-5.
+        kept = near.min(axis=1) < front.radius(np.zeros(1))[0]
+        near = near[:, :4]
         key = np.sort(cells[kept][:, :4], axis=1)
         facets = [np.delete(key, k, axis=1) for k in range(4)]
         keys = np.ravel_multi_index(np.concatenate(facets).T, (len(points),) * 3)
