@@ -25,7 +25,7 @@ class Place(Enum):
     POINT = "each watched point and direction"
     FACES = "all crack faces"
     MODES = "the mode whose bilinear frequency is nearest to the load's"
-    TIPS = "the crack tip whose effective range is the largest"
+    TIPS = "the crack tip, or place of a crack front, whose effective range is the largest"
     CLAMP = "the clamp"
 
     @property
@@ -50,9 +50,11 @@ class Where(Flag):
     """Requires friction."""
     GROWING = auto()
     """Requires a law of growth."""
+    SOLID = auto()
+    """Requires a solid."""
 
 
-PRINTED, SPECIAL, DRAWN, STATED, FRICTION, GROWING = Where
+PRINTED, SPECIAL, DRAWN, STATED, FRICTION, GROWING, SOLID = Where
 FILES, SHOWN = Where.FILES, PRINTED | STATED
 EVERYWHERE = SHOWN | SPECIAL | DRAWN
 
@@ -149,6 +151,8 @@ QUANTITIES: dict[str, Observable] = {
         lambda at: np.ptp(at.one.clip(0.0))),
     "K_II_max": _tip("largest stress intensity K_II, of either sign", "Pa m^0.5",
         lambda at: np.abs(at.two).max()),
+    "K_III_max": _tip("largest stress intensity K_III, of either sign", "Pa m^0.5",
+        lambda at: np.abs(at.three).max(), SOLID),
     "delta_K_equivalent": _tip("range of K_I, R = 0, that makes the crack grow as much", "Pa m^0.5",
         lambda at: at.equivalent, GROWING),
     "reaction_force": _clamp("largest force of the clamp", "N", lambda at: _largest(at.force)),

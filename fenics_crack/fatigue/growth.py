@@ -295,7 +295,8 @@ def grow(
 
 def _checked(scene: Scene) -> Scene:
     """A scene whose crack can grow; InputError where it cannot."""
-    check_known(without_tips(scene), "growth", "asked for")
+    of_plates = "with geometry.kind = 'solid': growth is of plates" if scene.dimension == 3 else ""
+    check_known(without_tips(scene) or of_plates, "growth", "asked for")
     law, crack = scene.given("growth"), scene.given("crack")
     if scene.mesh.layout != "graded":
         allowed = "'graded' with [growth], which meshes many lengths"

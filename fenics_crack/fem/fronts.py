@@ -40,6 +40,7 @@ from scipy.special import roots_jacobi
 
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import gather_rows
+from fenics_crack.basics.tables import quantity
 from fenics_crack.fem.cracks import SAME, CrackSurface, upwards
 from fenics_crack.model.receptance import check_matrices
 from fenics_crack.model.structure import Structure
@@ -112,6 +113,13 @@ class Front:
         """Parameters of the stations."""
         return self.peaks[:-1] if self.closed else self.peaks
 
+    @property
+    def corners(self) -> list[int]:
+        """Stations at corners, where nothing is known."""
+        count = len(self.places)
+        ends = zip(self.at_surface, (0, count - 1), strict=True)
+        return [] if self.closed else [place for surface, place in ends if not surface]
+
     def hats(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Hats and their derivatives by t: (..., n_stations) each."""
         step = self.peaks[1] - self.peaks[0]
@@ -167,6 +175,33 @@ class Front:
         if self.closed:
             t = self.at[0] + np.mod(t - self.at[0], self.at[-1] - self.at[0])
         return np.asarray(t)
+
+
+@dataclass(frozen=True)
+class Station:
+    """A place on a crack front at which stress intensities are known.
+
+    Attributes
+    ----------
+    name : str
+        "the crack front at 3.2 mm".
+    crack : int
+        Number of the crack, from 0.
+    point, ahead : (3,) [m], (3,)
+        Where it is, and the direction in which the crack would grow straight on.
+    position : float [m]
+        Its distance along the front.
+    touching : (k,) int
+        Contact pairs whose patches touch the front within its hat: while all of them are closed, so
+        is the crack there.
+    """
+
+    name: str
+    crack: int
+    point: np.ndarray
+    ahead: np.ndarray
+    position: float
+    touching: np.ndarray
 
 
 # --- where they are -------------------------------------------------------------------------------
@@ -292,9 +327,9 @@ def _ellipse(center: np.ndarray, halves: np.ndarray, t: np.ndarray, order: int) 
 
 def front_functionals(
     scene: Scene, structure: Structure
-) -> tuple[list[Front], np.ndarray, np.ndarray]:
-    """The fronts, and what a displacement and the contact forces are multiplied by for K_I, K_II
-    and K_III of each station, front by front (collective).
+) -> tuple[list[Station], np.ndarray, np.ndarray]:
+    """The stations of all fronts, and what a displacement and the contact forces are multiplied by
+    for K_I, K_II and K_III of one station after the other (collective).
 
     Parameters
     ----------
@@ -305,7 +340,7 @@ def front_functionals(
 
     Returns
     -------
-    fronts : list of Front
+    stations : list of Station
     of_displacement : (3 n_stations, n_local) [Pa m^1/2 / m]
     of_forces : (3 n_stations, n_pairs) [Pa m^1/2 / N]
 
@@ -321,9 +356,9 @@ def front_functionals(
     if scene.mesh.order != 2 or comm.allreduce(nodes.cells.shape[1]) != 10 * comm.size:
         raise InputError("mesh", "other cells", "tetrahedra of order 2, for stress intensities")
     points, cells = gather_rows(comm, nodes.points), gather_rows(comm, nodes.cells)
-    fronts = find_fronts(structure)
+    stations: list[Station] = []
     rows, pressed = [], []
-    for front in fronts:
+    for front in find_fronts(structure):
         _check_resolved(front)
         rule = _Domain(scene, front, points, cells)
         row, fields = rule.rows(comm.rank, comm.size)
@@ -336,9 +371,28 @@ def front_functionals(
         if structure.pairs.nodes is not None:
             forces -= rule.scale[:, None] * structure.apply_bt(field)
             forces[: len(front.places)] += _of_pressures(structure, front)
-        rows[-1] = _ends(front, rows[-1])
-        pressed.append(_ends(front, forces))
-    return fronts, np.concatenate(rows), np.concatenate(pressed)
+        stated = ~np.array([k in front.corners for k in range(len(front.places))])
+        rows[-1], forces = (_by_station(front, values)[stated] for values in (rows[-1], forces))
+        pressed.append(forces.reshape(-1, structure.n_pairs))
+        rows[-1] = rows[-1].reshape(len(pressed[-1]), -1)
+        stations += [station for station, has in zip(_stations(structure, front), stated) if has]
+    return stations, np.concatenate(rows), np.concatenate(pressed)
+
+
+def _stations(structure: Structure, front: Front) -> list[Station]:
+    pairs, hats = structure.pairs, front.hats(front.at)[0] > 0.0
+    touching = [np.zeros(0, dtype=int)] * len(front.places)
+    if pairs.nodes is not None and pairs.shares is not None:
+        on = cKDTree(pairs.nodes).query(front.nodes)[1]
+        touching = [np.unique(pairs.shares[on[hat]].nonzero()[1]) for hat in hats.T]
+    fine = np.linspace(front.at[0], front.at[-1], 50 * len(front.peaks))
+    along = np.append(0.0, np.linalg.norm(np.diff(front.curve(fine, 0), axis=0), axis=1).cumsum())
+    positions = np.interp(front.places, fine, along)
+    points, ahead = front.curve(front.places, 0), front.frame(front.places)[0][:, 0]
+    return [
+        Station(f"{front.name} at {quantity(float(s), 'm')}", front.crack, x, e, float(s), own)
+        for x, e, s, own in zip(points, ahead, positions, touching, strict=True)
+    ]
 
 
 def _check_resolved(front: Front) -> None:
@@ -350,14 +404,13 @@ def _check_resolved(front: Front) -> None:
         raise InputError("mesh", f"elements of {longest:.3g} m", allowed)
 
 
-def _ends(front: Front, rows: np.ndarray) -> np.ndarray:
-    """Rows (3 n_stations, m) in which those at the ends of a front are on the line through the last
-    two, whose places are those of the hats' middles."""
-    if not front.closed and len(front.places) > 1:
-        rows = rows.reshape(3, len(front.places), -1)
-        rows[:, 0] = 1.5 * rows[:, 0] - 0.5 * rows[:, 1]
-        rows[:, -1] = 1.5 * rows[:, -1] - 0.5 * rows[:, -2]
-        rows = rows.reshape(3 * len(front.places), -1)
+def _by_station(front: Front, rows: np.ndarray) -> np.ndarray:
+    """Rows (3 n_stations, m) of hats by stations, (n_stations, 3, m): those at the ends of a front
+    are on the line through the last two, which are of the places of their hats' middles."""
+    rows = rows.reshape(3, len(front.places), -1).swapaxes(0, 1)
+    if not front.closed and len(front.places) > 2:
+        first, last = (1.5 * rows[end] - 0.5 * rows[beside] for end, beside in ((0, 1), (-1, -2)))
+        rows = np.concatenate([first[None], rows[1:-1], last[None]])
     return rows
 
 

@@ -389,11 +389,11 @@ def _not_needed(scene: Scene, name: str) -> bool:
 def without_tips(scene: Scene) -> str:
     """Why no stress intensities are known of a scene; "" of a plate with a crack."""
     if scene.structure is not None:
-        return "with [structure]: stress intensities take the mesh of a plate"
+        return "with [structure]: stress intensities take a mesh"
     if scene.disk is not None:
-        return "with [disk]: stress intensities are of one plate"
-    if scene.dimension == 3:
-        return "with geometry.kind = 'solid': stress intensities are of plates"
+        return "with [disk]: stress intensities are of one structure"
+    if scene.dimension == 3 and scene.speed > 0.0:
+        return "with [rotation]: stress intensities are of solids at rest"
     if not scene.all_cracks and (scene.contact is None or scene.mesh.layout != "file"):
         return "without a crack, which has a stress intensity"
     if scene.has_friction:
@@ -424,6 +424,8 @@ def _without(scene: Scene, one: Observable) -> str:
         return "without contact.friction"
     if Where.GROWING in one.where and scene.growth is None:
         return "without a table [growth], which has its exponent"
+    if Where.SOLID in one.where and (scene.structure is not None or scene.dimension == 2):
+        return "without geometry.kind = 'solid'"
     return _WITHOUT[one.of](scene) if one.of in _WITHOUT else ""
 
 

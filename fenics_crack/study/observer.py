@@ -6,14 +6,22 @@ What is at crack tips and at the clamp follows from rows that multiply the displ
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from fenics_crack.basics.errors import InputError
-from fenics_crack.basics.observables import FILES, GROWING, QUANTITIES, Place, names_of, read_at
+from fenics_crack.basics.observables import (
+    FILES,
+    GROWING,
+    QUANTITIES,
+    SOLID,
+    Place,
+    names_of,
+    read_at,
+)
 from fenics_crack.model.factor import AT_A_TIME
 from fenics_crack.model.nodes import Clamp
 from fenics_crack.model.receptance import check_matrices
@@ -24,6 +32,7 @@ from fenics_crack.scene.tables import Growth
 from fenics_crack.study.prepare import Study
 
 if TYPE_CHECKING:
+    from fenics_crack.fem.fronts import Station
     from fenics_crack.fem.interaction_integral import Tip
 
 
@@ -117,12 +126,15 @@ def inertia_rows(structure: Structure) -> np.ndarray:
 
 
 class AtTip(NamedTuple):
-    """Stress intensity at a crack tip over time.
+    """Stress intensity at a crack tip, or a place of a crack front, over time.
 
     Attributes
     ----------
-    one, two : (n,) [Pa m^1/2]
-        K_I, K_II.
+    one, two, three : (n,) [Pa m^1/2]
+        K_I, K_II, and of a solid K_III; of a plate None.
+    closed : float [Pa m^1/2]
+        Largest size of what is computed for K_I of a solid while the front is closed, where K_I is
+        zero: its error.
     periods : float
         Periods of the load that it lasts, or after which it repeats itself.
     law : Growth or None
@@ -133,6 +145,8 @@ class AtTip(NamedTuple):
     two: np.ndarray
     periods: float
     law: Growth | None
+    three: np.ndarray | None = None
+    closed: float = 0.0
 
     @property
     def equivalent(self) -> float:
@@ -156,13 +170,28 @@ class AtTip(NamedTuple):
     def numbers(self) -> dict[str, float]:
         """Quantities of the tip by their names; the equivalent range where there is a law of
         growth."""
-        return read_at(Place.TIPS, self, GROWING if self.law is None else FILES)
+        without = FILES if self.law is not None else GROWING
+        return read_at(Place.TIPS, self, without | (SOLID if self.three is None else FILES))
 
 
-def at_tips(record: Record, of_forces: np.ndarray, law: Growth | None) -> list[AtTip]:
-    """Stress intensity at each tip in a record of the rows of :func:`tip_rows`."""
+def at_tips(
+    record: Record, tips: Sequence[Tip | Station], of_forces: np.ndarray, law: Growth | None
+) -> list[AtTip]:
+    """Stress intensity at each tip in a record of the rows of :func:`tip_rows`. At the front of a
+    solid's crack K_I is zero while all pairs that touch it are closed, and never negative."""
     rows = (record.motion + record.force @ of_forces.T).T
-    return [AtTip(*both, record.periods, law) for both in zip(rows[::2], rows[1::2], strict=True)]
+    found = []
+    for tip, own in zip(tips, rows.reshape(len(tips), -1, rows.shape[1]), strict=True):
+        touching = getattr(tip, "touching", None)
+        if touching is None:
+            found.append(AtTip(*own, record.periods, law))
+            continue
+        one, two, three = own
+        shut = np.all(record.force[:, touching] > 0.0, axis=1) & (len(touching) > 0)
+        raw = float(np.abs(one[shut]).max(initial=0.0))
+        one = np.where(shut, 0.0, np.maximum(one, 0.0)) if len(touching) else one
+        found.append(AtTip(one, two, record.periods, law, three, raw))
+    return found
 
 
 def leading(tips: list[AtTip]) -> int:
@@ -170,10 +199,11 @@ def leading(tips: list[AtTip]) -> int:
     return int(np.argmax([QUANTITIES["delta_K_effective"].read(tip) for tip in tips]))
 
 
-def tip_rows(study: Study) -> tuple[list[Tip], np.ndarray, np.ndarray]:
+def tip_rows(study: Study) -> tuple[list[Tip] | list[Station], np.ndarray, np.ndarray]:
     """The tips, and rows that multiply the coordinates of a study's structure (2 n_tips, n_local)
-    and its contact forces (2 n_tips, n_pairs) to give K_I and K_II of one tip after the other; made
-    once for the structure and all that share its matrices (collective).
+    and its contact forces (2 n_tips, n_pairs) to give K_I and K_II of one tip after the other; of a
+    solid the stations of its fronts, with K_III as a third; made once for the structure and all
+    that share its matrices (collective).
 
     Of a reduced structure the rows are those of all that its coordinates expand to, static
     responses to load and contact among them: K converges as the load's and the pairs' statics do
@@ -182,7 +212,7 @@ def tip_rows(study: Study) -> tuple[list[Tip], np.ndarray, np.ndarray]:
     Raises
     ------
     InputError
-        The scene is no plate, or has no crack with tips.
+        Stress intensities of the scene are not known, or it has no crack with tips.
     """
     scene = study.scene
     check_known(without_tips(scene), "output.quantities")
@@ -198,13 +228,21 @@ class _OfScene:
     plate: tuple[object, ...]
     scene: Scene = field(compare=False)
 
-    def __call__(self, structure: Structure) -> tuple[list[Tip], np.ndarray, np.ndarray]:
+    def __call__(
+        self, structure: Structure
+    ) -> tuple[list[Tip] | list[Station], np.ndarray, np.ndarray]:
         if structure is structure.whole:
-            from fenics_crack.fem.interaction_integral import tip_functionals  # DOLFINx
+            found: tuple[list[Tip] | list[Station], np.ndarray, np.ndarray]
+            if self.scene.dimension == 2:
+                from fenics_crack.fem.interaction_integral import tip_functionals  # DOLFINx
 
-            found = tip_functionals(self.scene, structure)
+                found = tip_functionals(self.scene, structure)
+            else:
+                from fenics_crack.fem.fronts import front_functionals
+
+                found = front_functionals(self.scene, structure)
             if not found[0]:
-                raise InputError("crack", "a crack without a tip", "one that ends in the plate")
+                raise InputError("crack", "a crack without a tip", "one that ends in the structure")
             return found
         tips, rows, of_forces = structure.whole.once(self)
         units = np.eye(structure.n_dofs)
@@ -235,10 +273,10 @@ def counted_cycles(values: np.ndarray) -> np.ndarray:
 
 def _at_tips(study: Study) -> Rows:
     """The rows of the crack tips, and the numbers of the leading one."""
-    _, rows, of_forces = tip_rows(study)
+    places, rows, of_forces = tip_rows(study)
 
     def numbers(record: Record) -> dict[str, float]:
-        tips = at_tips(record, of_forces, study.scene.growth)
+        tips = at_tips(record, places, of_forces, study.scene.growth)
         return tips[leading(tips)].numbers()
 
     return Rows(rows, numbers)

@@ -618,19 +618,27 @@ def read_run(stored: Stored) -> Run[Result]:
 
 @dataclass(frozen=True, repr=False)
 class StressIntensity(Tabular):
-    """K_I and K_II at the tips of a plate's cracks over a motion.
+    """K_I and K_II at the tips of a plate's cracks over a motion; K_III, too, at stations along the
+    fronts of a solid's, in turn.
 
     Attributes
     ----------
     time : (n,) [s]
         Over one period of a solution, or the record of a motion in time.
     tips : tuple of str
-        Names: "the crack tip", "the left crack tip", "the crack tip of crack 2".
-    points, ahead : (n_tips, 2) [m], (n_tips, 2)
+        Names: "the crack tip", "the left crack tip", "the crack tip of crack 2", "the crack front
+        at 3.2 mm", from where that front begins.
+    points, ahead : (n_tips, d) [m], (n_tips, d)
         Where they are, and where the cracks run straight on.
     one, two : (n, n_tips) [Pa m^1/2]
         K_I, positive where the crack faces part, and K_II, positive where the face on the left of
-        who looks ahead moves ahead.
+        who looks ahead moves ahead. At a front K_I is exactly zero while all patches of the contact
+        that touch it near a station are closed.
+    three : (n, n_tips) [Pa m^1/2] or None
+        K_III, positive where the upper face moves along the front, in the direction e_3 = e_1 x e_2
+        with e_1 ahead and e_2 from the lower to the upper face; of a plate None.
+    closed : (n_tips,) [Pa m^1/2]
+        Largest size of K_I of a solid as it is computed while it is zero: its error.
     """
 
     time: np.ndarray
@@ -639,6 +647,8 @@ class StressIntensity(Tabular):
     ahead: np.ndarray
     one: np.ndarray
     two: np.ndarray
+    three: np.ndarray | None
+    closed: np.ndarray
     _run: Run[Any] = field(compare=False)
     _seen: list[AtTip] = field(compare=False)
 
@@ -698,8 +708,11 @@ class StressIntensity(Tabular):
     def to_dict(self) -> dict[str, Any]:
         """Columns, a row for every instant: K_I and K_II of each tip."""
         found = {"time": self.time.tolist()}
-        for tip, one, two in zip(self.tips, self.one.T, self.two.T, strict=True):
-            found |= {f"K_I, {tip}": one.tolist(), f"K_II, {tip}": two.tolist()}
+        kinds = {"K_I": self.one, "K_II": self.two} | (
+            {} if self.three is None else {"K_III": self.three}
+        )
+        for number, tip in enumerate(self.tips):
+            found |= {f"{name}, {tip}": rows[:, number].tolist() for name, rows in kinds.items()}
         return found
 
     def _units(self) -> Mapping[str, str]:
@@ -715,7 +728,10 @@ def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressInt
     r"""Find stress intensities at the tips of a plate's cracks over a motion (collective).
 
     K_I and K_II of the displacement at each instant, by the interaction integral over a domain
-    around the tip, with the inertia in it and the contact on the crack faces. Where a structure is
+    around the tip or front, with the inertia in it and the contact on the crack faces. Along a
+    front K_III comes to them; each station has the mean over its neighbourhood, and those at the
+    surface are on the line through the two next to it (docs/solids.md). The error of K_I of a mesh
+    is of first order in its size; that of a closed front is stated (``closed``). Where a structure is
     reduced the modes' statics are not summed up but solved for: with q_r the amplitudes of the
     modes,
 
@@ -724,8 +740,8 @@ def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressInt
     Parameters
     ----------
     run : Run
-        Result of :func:`fenics_crack.solve` or :func:`fenics_crack.integrate`, of a plate with a
-        crack.
+        Result of :func:`fenics_crack.solve` or :func:`fenics_crack.integrate`, of a plate or a
+        solid with a crack.
 
     Returns
     -------
@@ -735,7 +751,8 @@ def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressInt
     Raises
     ------
     InputError
-        It is neither of them, of a solid or of matrices, or without a crack.
+        It is neither of them, of matrices or of a solid that rotates, or without a crack; or the
+        elements at a crack tip or front are too long.
 
     Examples
     --------
@@ -746,7 +763,8 @@ def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressInt
     check_known(without_tips(run.scene), "run", repr(run))
     tips, rows, of_forces = tip_rows(run)
     [record] = run.result.records(rows)
-    seen = at_tips(record, of_forces, run.scene.growth)
+    seen = at_tips(record, tips, of_forces, run.scene.growth)
+    three = [one.three for one in seen if one.three is not None]
     return StressIntensity(
         record.time,
         tuple(tip.name for tip in tips),
@@ -754,6 +772,8 @@ def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressInt
         np.array([tip.ahead for tip in tips]),
         np.column_stack([one.one for one in seen]),
         np.column_stack([one.two for one in seen]),
+        np.column_stack(three) if three else None,
+        np.array([one.closed for one in seen]),
         run,
         seen,
     )
