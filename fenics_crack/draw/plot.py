@@ -651,6 +651,8 @@ def draw_friction_loops(solution: PeriodicSolution, **where: Unpack[Where]) -> F
 def draw_stress_intensity(found: StressIntensity, **where: Unpack[Where]) -> Figure:
     """Draw K_I at each tip over time, grey and thick where the tip is closed, and K_II dashed.
 
+    Along the fronts of a solid draw the largest K_I, K_II and K_III of the period, of either sign.
+
     Parameters
     ----------
     found : StressIntensity
@@ -673,6 +675,19 @@ def draw_stress_intensity(found: StressIntensity, **where: Unpack[Where]) -> Fig
     >>> figure = fc.draw_stress_intensity(fc.stress_intensity(fc.solve(scene)), path="tips.png")
     """
     [panel] = picture = Picture(**where)
+    panel.axhline(0.0, color="black", lw=0.6)
+    label_axis(panel.yaxis, "stress intensity", "Pa m^0.5")
+    if found.three is not None:
+        curves = zip("I II III".split(), (found.one, found.two, found.three), strict=True)
+        fronts = np.split(found.positions, np.flatnonzero(np.diff(found.positions) < 0.0) + 1)
+        for (kind, values), colour in zip(curves, distinct_colours(3), strict=True):
+            label, first = f"K_{kind}", 0
+            for place in fronts:
+                top = np.abs(values[:, first : first + len(place)]).max(axis=0)
+                panel.plot(place, top, color=colour, lw=1.8, marker="o", label=label)
+                label, first = f"_{label}", first + len(place)
+        label_axis(panel.xaxis, "distance along the front", "m")
+        return picture.finished()
     time, shut = found.time - found.time[0], "crack tip closed"
     styles = zip(found.tips, distinct_colours(len(found.tips)), strict=True)
     for number, (tip, colour) in enumerate(styles):
@@ -683,7 +698,5 @@ def draw_stress_intensity(found: StressIntensity, **where: Unpack[Where]) -> Fig
         if not np.all(np.isnan(closed)):
             panel.plot(time, closed, color=COLOURS["grey"], lw=4.0, label=shut)
             shut = "_" + shut.lstrip("_")  # once in the legend
-    panel.axhline(0.0, color="black", lw=0.6)
     label_axis(panel.xaxis, "time", "s")
-    label_axis(panel.yaxis, "stress intensity", "Pa m^0.5")
     return picture.finished()

@@ -1,4 +1,4 @@
-"""Stress intensity along the fronts of cracks in solids, as a linear functional of the displacement.
+"""Stress intensity along fronts of cracks in solids, as a linear functional of the displacement.
 
 The front is a curve c(t): an ellipse where its nodes lie on one, else a cubic spline over their
 distance along it. Seen from a point of it xi is ahead, y across the crack and s along the front, in
@@ -11,15 +11,17 @@ their stress S = C sym grad a, and the extension Q = q(r / R) h(s) e_1 of the fr
 integral (Nakamura, Parks, International Journal of Solids and Structures 25, 1989, 1411; on curved
 fronts Gosz, Moran, Engineering Fracture Mechanics 69, 2002, 299) is
 
-    I = int [sigma(u)_ij a_i,k Q_k,j + S_ij u_i,k Q_k,j - sigma(u) : grad a div Q + (div S)_i u_i,1 Q_1
-             + rho u''_i a_i,1 Q_1] dV - int [(S m)_i u_i,1 - S : grad u m_1] Q_1 dA
+    I = int [sigma(u)_ij a_i,k Q_k,j + S_ij u_i,k Q_k,j - sigma(u) : grad a div Q] dV
+        + int [(div S)_i u_i,1 + rho u''_i a_i,1] Q_1 dV
+        - int [(S m)_i u_i,1 - S : grad u m_1] Q_1 dA
         + (2 / pi)^1/2 2 (1 - nu^2) / E int p Q_1 r^-1/2 dA,
 
 with the outward normal m of the surface and of the crack faces, on which the contact presses with
 p; and K_I = E / (2 (1 - nu^2)) I / int h ds, so K_II, and K_III = mu I / int h ds.
 
-Inertia and all other forces inside act as forces at nodes: with w the values of Q_1 a_,1 there, what
-they do is -w . (K u + B lambda), so that I is linear in the displacement and the contact forces.
+Inertia and all other forces inside act as forces at nodes: with w the values of Q_1 a_,1 there,
+what they do is -w . (K u + B lambda), so that I is linear in the displacement and the contact
+forces.
 
 K_I at a front that is closed is zero: triangles at the front are mapped to the curve for that, and
 the pressure is the one of the contact's patches.
@@ -159,7 +161,9 @@ class Front:
 
     @cached_property
     def _samples(self) -> tuple[np.ndarray, cKDTree]:
-        t = np.interp(np.linspace(0, len(self.at) - 1, 8 * len(self.at)), range(len(self.at)), self.at)
+        t = np.interp(
+            np.linspace(0, len(self.at) - 1, 8 * len(self.at)), range(len(self.at)), self.at
+        )
         return t, cKDTree(self.curve(t, 0))
 
     def nearest(self, points: np.ndarray) -> np.ndarray:
@@ -270,18 +274,15 @@ def _chains(lip: CrackSurface) -> Iterator[tuple[np.ndarray, np.ndarray, bool, t
         if (ahead * (inward[:-1] + inward[1:])).sum() > 0.0:
             at, across, steps = at[::-1], across[::-1], -steps[::-1]
         steps /= np.linalg.norm(steps, axis=1)[:, None]
-        sharp = 1 + np.flatnonzero((steps[:-1] * steps[1:]).sum(axis=1) < np.cos(CORNER))
-        if closed and (len(sharp) or steps[-1] @ steps[0] < np.cos(CORNER)):
-            turn = int(sharp[0]) if len(sharp) else 0
+        before = np.roll(steps, 1, axis=0)
+        sharp = np.flatnonzero((before * steps).sum(axis=1) < np.cos(CORNER)).tolist()
+        if closed and sharp:
+            turn = sharp[0]
             at, across = (np.concatenate([x[turn:-1], x[: turn + 1]]) for x in (at, across))
-            sharp, smooth = sharp[1:] - turn, False
-            closed_corner = True
-        else:
-            smooth, closed_corner = closed, False
-        bounds = [0, *sharp.tolist(), len(at) - 1]
-        for a, b in pairwise(bounds):
-            ends = (a == 0 and not closed_corner, b == len(at) - 1 and not closed_corner)
-            yield at[a : b + 1], across[a : b + 1], smooth, ends
+            sharp = [place - turn for place in sharp]
+        for a, b in pairwise(sorted({0, *sharp, len(steps)})):
+            ends = (a == 0 and not closed, b == len(steps) and not closed)
+            yield at[a : b + 1], across[a : b + 1], closed and not sharp, ends
 
 
 def _curve(
@@ -304,14 +305,20 @@ def _curve(
                 t = np.unwrap(np.arctan2(at[:, 1], at[:, 0]))
                 sign = np.sign(t[-1] - t[0])
                 half = sizes[0] * (turn / np.sqrt(weights)) @ np.diag([1.0, sign])
-                return sign * t, partial(_ellipse, middle + sizes[0] * center @ axes[:2], half.T @ axes[:2])
+                return sign * t, partial(
+                    _ellipse, middle + sizes[0] * center @ axes[:2], half.T @ axes[:2]
+                )
     steps = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
     t = np.append(0.0, np.cumsum(steps))
     if len(nodes) == 2:
-        nodes, t_of = np.array([nodes[0], nodes.mean(axis=0), nodes[1]]), np.array([0, 0.5, 1]) * t[-1]
+        nodes, t_of = (
+            np.array([nodes[0], nodes.mean(axis=0), nodes[1]]),
+            np.array([0, 0.5, 1]) * t[-1],
+        )
     else:
         t_of = t
     spline = CubicSpline(t_of, nodes, bc_type="periodic" if closed else "not-a-knot")
+
     return t, lambda t, order: np.asarray(spline(t, order))
 
 
@@ -357,7 +364,8 @@ def front_functionals(
         raise InputError("mesh", "other cells", "tetrahedra of order 2, for stress intensities")
     points, cells = gather_rows(comm, nodes.points), gather_rows(comm, nodes.cells)
     stations: list[Station] = []
-    rows, pressed = [], []
+    rows: list[np.ndarray] = []
+    pressed: list[np.ndarray] = []
     for front in find_fronts(structure):
         _check_resolved(front)
         rule = _Domain(scene, front, points, cells)
@@ -371,11 +379,10 @@ def front_functionals(
         if structure.pairs.nodes is not None:
             forces -= rule.scale[:, None] * structure.apply_bt(field)
             forces[: len(front.places)] += _of_pressures(structure, front)
-        stated = ~np.array([k in front.corners for k in range(len(front.places))])
-        rows[-1], forces = (_by_station(front, values)[stated] for values in (rows[-1], forces))
-        pressed.append(forces.reshape(-1, structure.n_pairs))
-        rows[-1] = rows[-1].reshape(len(pressed[-1]), -1)
-        stations += [station for station, has in zip(_stations(structure, front), stated) if has]
+        stated = [place for place in range(len(front.places)) if place not in front.corners]
+        for parts, values in ((rows, rows.pop()), (pressed, forces)):
+            parts.append(_by_station(front, values)[stated].reshape(3 * len(stated), -1))
+        stations += [_stations(structure, front)[place] for place in stated]
     return stations, np.concatenate(rows), np.concatenate(pressed)
 
 
@@ -424,7 +431,8 @@ def _weight(share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _collapsed(dimension: int) -> tuple[np.ndarray, np.ndarray]:
     """Barycentric coordinates (n, d + 1) and weights, of sum 1, of Gauss's points in a simplex that
     is collapsed at its first corner."""
-    left, weights, coordinates = np.ones(1), np.ones(1), []
+    left, weights = np.ones(1), np.ones(1)
+    coordinates: list[np.ndarray] = []
     for power in range(dimension - 1, -1, -1):
         x, w = roots_jacobi(GAUSS, power, 0)
         x, w = 0.5 * (1.0 + x), w / w.sum()
@@ -454,22 +462,15 @@ class _Domain:
         # Of others no more than rounded edges is inside, where q is 1e-5.
         kept = near.min(axis=1) < front.radius(np.zeros(1))[0]
         near = near[:, :4]
-        key = np.sort(cells[kept][:, :4], axis=1)
-        facets = [np.delete(key, k, axis=1) for k in range(4)]
-        keys = np.ravel_multi_index(np.concatenate(facets).T, (len(points),) * 3)
-        _, first, uses = np.unique(keys, return_index=True, return_counts=True)
-        once = keys[first[uses == 1]]
         # Corners from the nearest to the front on.
         order = near[kept].argsort(axis=1, kind="stable")
         self.order, self.cells = order, cells[kept]
         self.corners = np.take_along_axis(corners[kept], order[..., None], axis=1)
         number = np.take_along_axis(self.cells[:, :4], order, axis=1)
-        self.outside = np.column_stack([
-            np.isin(
-                np.ravel_multi_index(np.sort(np.delete(number, k, axis=1)).T, (len(points),) * 3), once
-            )
-            for k in range(4)
-        ])  # fmt: skip
+        facets = [np.sort(np.delete(number, k, axis=1), axis=1) for k in range(4)]
+        keys = np.ravel_multi_index(np.concatenate(facets).T, (len(points),) * 3)
+        _, first, uses = np.unique(keys, return_index=True, return_counts=True)
+        self.outside = np.isin(keys, keys[first[uses == 1]]).reshape(4, -1).T
         spans = self.corners[:, 1:] - self.corners[:, :1]
         self.volume = np.abs(np.linalg.det(spans)) / 6.0
         inverse = np.linalg.inv(spans).swapaxes(1, 2)  # rows: gradients of the coordinates 1 to 3
@@ -612,8 +613,10 @@ class _Domain:
                 whole[..., 0] -= q[..., None] * (stress @ m[..., None])[..., 0]
                 parts = [(hat, whole)]
             else:
-                parts = self._inside(a, one, two, gradient, stress, (q, ahead, g, k, slope, hat, by_s))
-            total = 0.0
+                parts = self._inside(
+                    a, one, two, gradient, stress, (q, ahead, g, k, slope, hat, by_s)
+                )
+            total: Any = 0.0
             for shape, tensor in parts:
                 turned = frame.swapaxes(-1, -2) @ tensor @ frame
                 values = spread[..., None] * turned.reshape(*r.shape, 1, 9)

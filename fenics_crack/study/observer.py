@@ -184,7 +184,7 @@ def at_tips(
     for tip, own in zip(tips, rows.reshape(len(tips), -1, rows.shape[1]), strict=True):
         touching = getattr(tip, "touching", None)
         if touching is None:
-            found.append(AtTip(*own, record.periods, law))
+            found.append(AtTip(own[0], own[1], record.periods, law))
             continue
         one, two, three = own
         shut = np.all(record.force[:, touching] > 0.0, axis=1) & (len(touching) > 0)

@@ -628,6 +628,8 @@ class StressIntensity(Tabular):
     tips : tuple of str
         Names: "the crack tip", "the left crack tip", "the crack tip of crack 2", "the crack front
         at 3.2 mm", from where that front begins.
+    positions : (n_tips,) [m]
+        Distances along the crack; of a solid along the front, from where it begins.
     points, ahead : (n_tips, d) [m], (n_tips, d)
         Where they are, and where the cracks run straight on.
     one, two : (n, n_tips) [Pa m^1/2]
@@ -643,6 +645,7 @@ class StressIntensity(Tabular):
 
     time: np.ndarray
     tips: tuple[str, ...]
+    positions: np.ndarray
     points: np.ndarray
     ahead: np.ndarray
     one: np.ndarray
@@ -731,8 +734,8 @@ def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressInt
     around the tip or front, with the inertia in it and the contact on the crack faces. Along a
     front K_III comes to them; each station has the mean over its neighbourhood, and those at the
     surface are on the line through the two next to it (docs/solids.md). The error of K_I of a mesh
-    is of first order in its size; that of a closed front is stated (``closed``). Where a structure is
-    reduced the modes' statics are not summed up but solved for: with q_r the amplitudes of the
+    is of first order in its size; that of a closed front is stated (``closed``). Where a structure
+    is reduced the modes' statics are not summed up but solved for: with q_r the amplitudes of the
     modes,
 
     .. math:: K = K_{\mathrm{static}}(f, \lambda) + \sum_r K_r (q_r - q_{r,\mathrm{static}}).
@@ -768,6 +771,7 @@ def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressInt
     return StressIntensity(
         record.time,
         tuple(tip.name for tip in tips),
+        np.array([tip.position for tip in tips]),
         np.array([tip.point for tip in tips]),
         np.array([tip.ahead for tip in tips]),
         np.column_stack([one.one for one in seen]),
