@@ -15,7 +15,8 @@ from fenics_crack.curves.curve import ResponseCurve, parameter_axis
 from fenics_crack.draw.figure import COLOURS, Picture, Where, label_axis, tenth
 from fenics_crack.draw.plot_mesh import draw_moved
 from fenics_crack.fem.nodal_mesh import NodalMesh
-from fenics_crack.model.wheel import Wheel, excited_diameter
+from fenics_crack.model.cyclic import excited_diameter
+from fenics_crack.model.wheel import Wheel
 from fenics_crack.study.bladed_disk import Amplification, NodalDiameters, wheel_of
 
 FRAMES = 48

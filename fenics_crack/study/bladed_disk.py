@@ -33,8 +33,9 @@ from fenics_crack.basics.tables import TURN, Said, Table, Tabular, counted, hert
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.fem.build import assemble
 from fenics_crack.files.saved import Saved
+from fenics_crack.model.cyclic import excited_diameter
 from fenics_crack.model.structure import DampingRule, Structure
-from fenics_crack.model.wheel import Wheel, WheelStructure, excited_diameter, families_of_basis
+from fenics_crack.model.wheel import Wheel, WheelStructure, families_of_basis
 from fenics_crack.numerics.fourier import to_complex
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import remarks_on_scene
@@ -465,7 +466,7 @@ class _Response:
         )
         rows = few.values_at(np.eye(few.n_dofs), wheel.dofs_of_blades(wheel.watched_dof)).T
         first = max(below - count, 0)
-        return cls(*few.tuned, few.elastic, force, rows, wheel.damping, first)
+        return cls(*few.basis.tuned, few.basis.elastic, force, rows, wheel.damping, first)
 
     def largest(self, deviations: np.ndarray) -> tuple[float, float, int]:
         """Largest amplitude of a pattern [m], its frequency [rad/s], and the number of its
