@@ -149,11 +149,6 @@ class Sector:
         """Points (n, d) of the first sector where they are in another one [m]."""
         return np.asarray((points - self.center) @ self.turned(times).T + self.center)
 
-    def ties(self, turn: complex) -> sparse.csr_matrix:
-        """T_n of e^(i 2 pi n / N): (n_dofs, n_own)."""
-        dofs = self.dofs
-        return chosen(dofs.place, len(dofs.own), np.where(dofs.after, turn, 1.0))
-
     @cached_property
     def opening(self) -> sparse.csc_matrix:
         """E, which moves the upper face by displacements of the crack: (n_dofs, n_upper)."""
@@ -203,11 +198,10 @@ class Sector:
         held.destroy()
 
 
-def chosen(columns: np.ndarray, count: int, values: np.ndarray | None = None) -> sparse.csr_matrix:
-    """The matrix (n, count) whose rows have one entry each, 1 or another value."""
+def chosen(columns: np.ndarray, count: int) -> sparse.csr_matrix:
+    """The matrix (n, count) whose rows have one entry each, 1."""
     every = np.arange(len(columns) + 1)
-    values = np.ones(len(columns)) if values is None else values
-    return sparse.csr_matrix((values, columns, every), (len(columns), count))
+    return sparse.csr_matrix((np.ones(len(columns)), columns, every), (len(columns), count))
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,13 +253,19 @@ class NodalDiameter:
     @cached_property
     def ties(self) -> sparse.csr_matrix:
         """T_n: (n_dofs, n_own)."""
-        return self.sector.ties(self.turn)
+        count = self.both.shape[1] // 2
+        return sparse.csr_matrix(self.both[:, :count] + self.turn * self.both[:, count:])
 
     @cached_property
     def inverse(self) -> np.ndarray:
         """S_n^-1: (n_side, n_side)."""
         across = np.asarray(self.turn * self.across)
         return np.linalg.inv(np.asarray(self.own) + across + across.conj().T)
+
+    @cached_property
+    def coupled(self) -> sparse.csr_matrix:
+        """K_il of this nodal diameter: (n_inside, n_side)."""
+        return sparse.csr_matrix(self.coupling[0] + self.turn * self.coupling[1])
 
     def within(self, forces: np.ndarray) -> np.ndarray:
         """K_ii^-1 f_i of real or complex columns (n_inside, m): the same shape."""
@@ -277,30 +277,22 @@ class NodalDiameter:
         real, imaginary = np.split(parts, 2, axis=1)
         return real + 1j * imaginary
 
-    def between(self, left: np.ndarray, right: np.ndarray) -> np.ndarray:
-        """K_il u_l of both sides (n_side, m): (n_inside, m)."""
-        return np.asarray(self.coupling[0] @ left + self.coupling[1] @ right)
-
-    def parts(self, forces: sparse.spmatrix) -> Iterator[sparse.csr_matrix]:
-        """Forces (n_dofs, m) inside, on the left side, and on the right one."""
-        rows = sparse.csr_matrix(self.both.T @ forces)
-        return (rows[at] for at in (self.inside, self.side, rows.shape[0] // 2 + self.side))
-
     def field(self, left: np.ndarray, right: np.ndarray, within: Any = 0.0) -> np.ndarray:
         """Displacements (n_dofs, m) of a sector whose sides move, and whose inside would move
         by itself."""
         found = np.zeros((self.both.shape[1], left.shape[1]))
         found[self.side], found[len(found) // 2 + self.side] = left, right
-        found[self.inside] = within - self.within(self.between(left, right))
+        to_left, to_right = self.coupling
+        found[self.inside] = within - self.within(to_left @ left + to_right @ right)
         return np.asarray(self.both @ found)
 
     def solve(self, forces: np.ndarray) -> np.ndarray:
         """K_n^-1 f of forces on the sector's own dofs (n_own, m): the same shape."""
-        within, (left, right) = self.within(forces[self.inside]), self.coupling
-        on_side = forces[self.side] - left.T @ within - np.conj(self.turn) * (right.T @ within)
+        within, coupling = self.within(forces[self.inside]), self.coupled
+        on_side = forces[self.side] - coupling.conj().T @ within
         found = np.empty(forces.shape, dtype=np.result_type(forces, self.inverse))
         found[self.side] = moved = self.inverse @ on_side
-        found[self.inside] = within - self.within(self.between(moved, self.turn * moved))
+        found[self.inside] = within - self.within(coupling @ moved)
         return found
 
     def apply(self, right: Any, solution: Any) -> None:
@@ -379,7 +371,7 @@ class CyclicBasis:
 
     modes: CyclicModes
     opened: np.ndarray
-    opening: sparse.csc_matrix
+    opening: np.ndarray
     cracked: tuple[int, ...]
 
     @property
@@ -400,7 +392,7 @@ class CyclicBasis:
             turned = np.exp(1j * angle) * np.sqrt(sector.shares[diameter]) * shapes[rows]
             parts += [turned.real] if sector.is_single(diameter) else [turned.real, turned.imag]
         for one in self.cracked:
-            here = np.asarray(place == one)[..., None] * self.opening[rows].toarray()
+            here = np.asarray(place == one)[..., None] * self.opening[rows]
             parts.append(self.opened[(place - one) % sector.count, rows] + here)
         return np.hstack(parts)
 
@@ -408,12 +400,8 @@ class CyclicBasis:
         self, matrix: sparse.csr_matrix, columns: slice = slice(None)
     ) -> Iterator[np.ndarray]:
         """U_j^T A U_j of each sector, or some columns of it."""
-        shapes = tuple(matrix @ shapes for shapes in self.modes.shapes)
-        opened = np.array([matrix @ one for one in self.opened])
-        modes, opening = (
-            replace(self.modes, shapes=shapes),
-            sparse.csc_matrix(matrix @ self.opening),
-        )
+        modes = replace(self.modes, shapes=tuple(matrix @ v for v in self.modes.shapes))
+        opened, opening = np.array([matrix @ one for one in self.opened]), matrix @ self.opening
         moved = CyclicBasis(modes, opened, opening, self.cracked)
         for place in range(self.modes.sector.count):
             yield self.columns(place).T @ moved.columns(place)[:, columns]
@@ -422,18 +410,16 @@ class CyclicBasis:
     def tuned(self) -> tuple[np.ndarray, np.ndarray]:
         """U^T M U and U^T K U without mistuning: (n, n) each. The modes are those of both; K of
         openings of cracks is what holds the upper faces."""
-        sector, squares = self.modes.sector, self.squares
-        cracks = slice(len(squares), None)
-        of_cracks = sum(self._products(sector.mass, cracks))
-        mass = np.eye(len(of_cracks))
-        mass[:, cracks], mass[cracks] = of_cracks, of_cracks.T
-        pulled = self.opening.T @ sector.stiffness
-        held = [pulled @ self.columns(place)[:, cracks] for place in self.cracked]
-        whole = (
-            mass,
-            scipy.linalg.block_diag(np.diag(squares), *([np.vstack(held)] if held else [])),
-        )
-        return tuple(0.5 * (matrix + matrix.T) for matrix in whole)  # type: ignore[return-value]
+        sector, cracks = self.modes.sector, slice(len(self.squares), None)
+        coupled = sum(self._products(sector.mass, cracks))
+        mass, stiffness = np.eye(len(coupled)), np.zeros((len(coupled),) * 2)
+        mass[:, cracks], mass[cracks] = coupled, coupled.T
+        stiffness[: cracks.start, : cracks.start] = np.diag(self.squares)
+        pulled = (sector.stiffness @ self.opening).T
+        if self.cracked:
+            held = [pulled @ self.columns(place)[:, cracks] for place in self.cracked]
+            stiffness[cracks, cracks] = np.vstack(held)
+        return 0.5 * (mass + mass.T), 0.5 * (stiffness + stiffness.T)
 
     @cached_property
     def elastic(self) -> np.ndarray:
@@ -479,7 +465,9 @@ def cyclic_basis(
         ahead = {n: still.at(n).modes(families) for n in mine if n in first}
         known = _of_all_ranks(ahead, comm)
         forces = _side_forces(sector, [known[n] for n in first])
-        inner, *outer = (part.toarray() for part in still.parts(pulled))
+        force = sparse.csr_matrix(still.both.T @ pulled)
+        places = still.inside, still.side, len(sector.dofs.own) + still.side
+        inner, *outer = (force[places_of].toarray() for places_of in places)
         within = still.within(inner)
         left, right = (
             force - coupling.T @ within
@@ -509,8 +497,8 @@ def cyclic_basis(
             ends = sides[place], sides[(place + 1) % sector.count]
             opened[place] = still.field(*ends, within if place == 0 else 0.0)
         comm.Allreduce(MPI.IN_PLACE, opened)
-    moved = sparse.csc_matrix(sector.opening @ opening)
-    return CyclicBasis(CyclicModes(omegas, every, sector), opened, moved, cracked)
+    modes = CyclicModes(omegas, every, sector)
+    return CyclicBasis(modes, opened, sector.opening @ opening, cracked)
 
 
 def _loads(sector: Sector, order: int) -> list[np.ndarray]:

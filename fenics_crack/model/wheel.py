@@ -62,7 +62,7 @@ class WheelBody(Body):
     mistuning: np.ndarray
     order: int
     families: int
-    dofs: np.ndarray
+    numbers: np.ndarray
     places: np.ndarray
 
 
@@ -96,7 +96,7 @@ class Wheel(Structure):
     cracked: tuple[int, ...] = of_body("cracked")
     mistuning: np.ndarray = of_body("mistuning")
     order: int = of_body("order")
-    numbers: np.ndarray = of_body("dofs")
+    numbers: np.ndarray = of_body("numbers")
     places: np.ndarray = of_body("places")
 
     def __init__(
@@ -136,7 +136,7 @@ class Wheel(Structure):
             nodes=_nodes(sector, cracked, dofs, mine), pairs=_pairs(sector, cracked),
             watched=on_wheel(first[..., None] * watched)[0], rotation=rotation, comm=comm,
             sector=sector, cracked=cracked, mistuning=_deviations(mistuning, count), order=order,
-            families=families, dofs=dofs, places=places,
+            families=families, numbers=dofs, places=places,
         )  # fmt: skip
         super().__init__(body)
 
@@ -326,9 +326,9 @@ class WheelStructure(Structure):
         mass, stiffness = basis.tuned
         if np.any(wheel.mistuning):
             stiffness = stiffness + np.tensordot(wheel.mistuning, basis.elastic, 1)
-        force = np.zeros((len(sector.force), len(stiffness)))
+        loads, force = wheel.loads, np.zeros((len(sector.force), len(stiffness)))
         for place in range(wheel.sector.count):
-            force += wheel.loads[:, place] @ basis.columns(place)
+            force += loads[:, place] @ basis.columns(place)
 
         def of_cracks(gap: sparse.spmatrix) -> sparse.csr_matrix:
             """U^T B of all cracks, from B of one: (n, p)."""
@@ -477,9 +477,8 @@ def reduce_wheel(
     families = wheel.families if families is None else families
     check_count("families", families, 1)
     check_count("more", more, 0)
-    most = (
-        len(wheel.sector.dofs.own) // 2
-    )  # beyond it static answers are made of modes but for rounding
+    # Beyond it static answers are made of modes but for rounding.
+    most = len(wheel.sector.dofs.own) // 2
     if families > most:
         raise InputError("families", families, f"at most {most}, half of a sector's dofs")
     most = (families_of_basis(families) - families) * wheel.sector.count
@@ -489,9 +488,7 @@ def reduce_wheel(
     begin("reduction")
     count = min(families * wheel.sector.count, one.n_dofs - one.n_pairs)
     if not one.n_pairs:
-        return reduce_structure(
-            one, modes=count + more, method="free_interface", reference=reference
-        )
+        return reduce_structure(one, modes=count + more, reference=reference)
     one, share = one.ranked(count, more)
     count += more
     finer = reference and min(count + NEXT, one.n_dofs)

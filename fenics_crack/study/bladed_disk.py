@@ -19,7 +19,9 @@ looked for next to the natural frequencies of the family that is excited.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, ClassVar
 
 import numpy as np
@@ -144,21 +146,18 @@ def blades(found: Any, dof: int | None = None) -> Blades:
     >>> fc.blades(fc.solve(disk)).amplitude.max()
     """
     result = getattr(found, "result", found)
-    if not isinstance(result, PeriodicSolution | ResponseCurve):
+    on_one = isinstance(result, PeriodicSolution)
+    if not on_one and not isinstance(result, ResponseCurve):
         raise InputError("found", type(found).__name__, "a solution or a response curve")
     structure = result.structure
     wheel = wheel_of(structure)
     if dof is not None:
         check_count("dof", dof, 0)
     dofs = wheel.dofs_of_blades(int(wheel.check_dofs([dof])[0]))
-    places = [int(np.argmax(seen.amplitude)) for seen in result.measure(dofs)]
-    solutions = {
-        place: result if isinstance(result, PeriodicSolution) else result.solution(place)
-        for place in set(places)
-    }
+    solution_at = cache(lambda place: result if on_one else result.solution(place))
     values: list[tuple[float, complex, float, float]] = []
-    for place, one in zip(places, dofs, strict=True):
-        solution = solutions[place]
+    for seen, one in zip(result.measure(dofs), dofs, strict=True):
+        solution = solution_at(int(np.argmax(seen.amplitude)))
         rows = to_complex(structure.values_at(solution.displacement_coefficients, [one]))[:, 0]
         higher = abs(rows[2]) if len(rows) > 2 else 0.0
         second = higher / abs(rows[1]) if rows[1] else 0.0
@@ -254,7 +253,8 @@ def nodal_diameters(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> NodalDiame
     --------
     >>> fc.nodal_diameters(disk).omega[2, 0]
     """
-    wheel = _assembled(scene, comm)
+    scene.given("disk")
+    wheel = wheel_of(assemble(scene, comm))
     omega = np.array(wheel.cyclic_modes().omega)
     return NodalDiameters(scene, omega, wheel.sector.count, wheel.order, scene.speed)
 
@@ -262,11 +262,6 @@ def nodal_diameters(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> NodalDiame
 def report_of_diameters(found: NodalDiameters) -> Report:
     """The frequencies, and those that the load excites."""
     return Report(found.table(), found.said(), remarks=remarks_on_scene(found.scene))
-
-
-def _assembled(scene: Scene, comm: MPI.Comm) -> Wheel:
-    scene.given("disk")
-    return wheel_of(assemble(scene, comm))
 
 
 # --- patterns of mistuning ------------------------------------------------------------------------
@@ -392,13 +387,13 @@ def amplification(
     scene.given("disk")
     of_pattern = {"disk.mistuning": None, "disk.deviation": float(deviation), "disk.seed": seed}
     bonded = scene.replace({"disk.cracked": [], **of_pattern})
-    wheel = _assembled(bonded, comm)
-    response = _Response.of(wheel, scene.excitation.omega)
-    tuned, tuned_omega, _ = response.largest(np.zeros(wheel.sector.count))
+    wheel = wheel_of(assemble(bonded, comm))
+    largest = _largest_response(wheel, scene.excitation.omega)
+    tuned, tuned_omega, _ = largest(np.zeros(wheel.sector.count))
     found = []
     for number in range(comm.rank, patterns, comm.size):
         own = bonded.replace({"disk.seed": seed + number})
-        found.append((number, *response.largest(own.given("disk").deviations)))
+        found.append((number, *largest(own.given("disk").deviations)))
     every = sorted(one for part in comm.allgather(found) for one in part)
     _, sizes, omegas, numbers = map(np.array, zip(*every, strict=True))
     return Amplification(
@@ -420,64 +415,36 @@ def report_of_amplification(found: Amplification) -> Report:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Response:
-    """The response of all blades without contact, in the coordinates of a wheel.
+Largest = Callable[[np.ndarray], tuple[float, float, int]]
+"""Largest amplitude [m] of any blade without contact, its frequency [rad/s] and the number of the
+blade, of the relative deviations of all sectors' stiffness."""
 
-    Attributes
-    ----------
-    mass, stiffness, elastic : (n, n), (n, n), (N, n, n)
-        M, K without mistuning, and what each sector's deviation multiplies.
-    force : (n,) complex
-        First harmonic of the load, f - i g.
-    rows : (N, n)
-        The displacement that is watched on each blade.
-    damping : DampingRule
-        Of the modes.
-    first : int
-        Place of the first mode of the excited family, all of whose N are looked at.
-    """
 
-    mass: np.ndarray
-    stiffness: np.ndarray
-    elastic: np.ndarray
-    force: np.ndarray
-    rows: np.ndarray
-    damping: DampingRule
-    first: int
+def _largest_response(wheel: Wheel, near: float) -> Largest:
+    """Return the largest response of a wheel, in the family of modes that its engine order excites
+    next to a frequency."""
+    few, count = WheelStructure(wheel, families_of_basis(wheel.families)), wheel.sector.count
+    (mass, tuned), damping = few.basis.tuned, wheel.damping
+    force = few.force[1] - 1j * few.force[2]
+    if not np.any(force):
+        raise InputError("load", "steady", "one that changes in time: nothing vibrates")
+    if not isinstance(damping, DampingRule):
+        raise InputError("damping", None, "modal or Rayleigh damping, which bounds a peak")
+    families = np.array(wheel.cyclic_modes().omega)
+    excited = families[excited_diameter(wheel.order, count)]
+    slower = families < excited[np.argmin(np.abs(excited - near))] * (1.0 - 1e-9)
+    below = round(count * float(wheel.sector.shares @ slower.sum(axis=1)))
+    # Of the excited family all N modes are looked at, and as many around it.
+    around = slice(max(below - count, 0), max(below - count, 0) + 2 * count)
+    rows = few.values_at(np.eye(few.n_dofs), wheel.dofs_of_blades(wheel.watched_dof)).T
+    steps = np.arange(-WIDTHS, WIDTHS + 0.5 / PER_WIDTH, 1.0 / PER_WIDTH)
 
-    @classmethod
-    def of(cls, wheel: Wheel, omega: float) -> _Response:
-        """Of a wheel, next to a frequency."""
-        few = WheelStructure(wheel, families_of_basis(wheel.families))
-        force = few.force[1] - 1j * few.force[2]
-        if not np.any(force):
-            raise InputError("load", "steady", "one that changes in time: nothing vibrates")
-        if not isinstance(wheel.damping, DampingRule):
-            raise InputError("damping", None, "modal or Rayleigh damping, which bounds a peak")
-        modes = wheel.cyclic_modes().omega
-        count = wheel.sector.count
-        excited = excited_diameter(wheel.order, count)
-        family = int(np.argmin(np.abs(modes[excited] - omega)))
-        single = [1 if wheel.sector.is_single(n) else 2 for n in range(len(modes))]
-        below = sum(
-            times * int(np.sum(own < modes[excited][family] * (1.0 - 1e-9)))
-            for times, own in zip(single, modes, strict=True)
-        )
-        rows = few.values_at(np.eye(few.n_dofs), wheel.dofs_of_blades(wheel.watched_dof)).T
-        first = max(below - count, 0)
-        return cls(*few.basis.tuned, few.basis.elastic, force, rows, wheel.damping, first)
-
-    def largest(self, deviations: np.ndarray) -> tuple[float, float, int]:
-        """Largest amplitude of a pattern [m], its frequency [rad/s], and the number of its
-        blade."""
-        stiffness = self.stiffness + np.tensordot(deviations, self.elastic, 1)
-        squares, shapes = scipy.linalg.eigh(stiffness, self.mass)
-        natural, rate = np.sqrt(squares), self.damping.rate(squares)
-        pull, seen = shapes.T @ self.force, self.rows @ shapes
-        near = slice(self.first, self.first + 2 * len(self.rows))
-        steps = np.arange(-WIDTHS, WIDTHS + 0.5 / PER_WIDTH, 1.0 / PER_WIDTH)
-        omega = np.sort((natural[near, None] + rate[near, None] * steps).ravel())
+    def largest(deviations: np.ndarray) -> tuple[float, float, int]:
+        stiffness = tuned + np.tensordot(deviations, few.basis.elastic, 1)
+        squares, shapes = scipy.linalg.eigh(stiffness, mass)
+        natural, rate = np.sqrt(squares), damping.rate(squares)
+        pull, seen = shapes.T @ force, rows @ shapes
+        omega = np.sort((natural[around, None] + rate[around, None] * steps).ravel())
 
         def amplitudes(at: np.ndarray) -> np.ndarray:
             change = squares - at[:, None] ** 2 + 1j * rate * at[:, None]
@@ -485,8 +452,10 @@ class _Response:
 
         sizes = amplitudes(omega)
         place, blade = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
-        step = np.interp(omega[place], natural[near], rate[near]) / PER_WIDTH
+        step = np.interp(omega[place], natural[around], rate[around]) / PER_WIDTH
         finer = omega[place] + step * np.linspace(-1.0, 1.0, 41)
         best = amplitudes(finer)[:, blade]
         top = int(np.argmax(best))
         return float(best[top]), float(finer[top]), int(blade) + 1
+
+    return largest
