@@ -42,7 +42,8 @@ def assemble_wheel(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Com
         still, stiffness = rotation.stiffnesses(scene.speed)
         # K(W) u_s, with the stress and the displaced shape of bonded cracks, which the load opens.
         force, load = structure.force.copy(), scene.speed**2 * rotation.force
-        with sector.factored(still) as same:
+        stiffened = replace(sector, structure=structure._changed(stiffness=still))
+        with stiffened.factored() as same:
             moved = same.answers(load[:, None])
         force[0] += load + (times(stiffness, moved) - times(still, moved))[:, 0]
         turning = structure._changed(stiffness=stiffness, force=force)
@@ -95,7 +96,16 @@ def turn_sides(scene: Scene, dofs: Dofs) -> None:
 def _sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
     points, sides, frames = dofs.points, dofs.sides, dofs.frames
     assert sides is not None and frames is not None
-    lips = _lips(dofs, points, float(np.ptp(points, axis=0).max()))
+    lips = np.zeros((2, 0), dtype=int)
+    if dofs.plate.cracked:  # faces without tips, which are bonded
+        lower, upper = (dofs.nodes_on(name) for name in LIP_TAGS)
+        lower, upper = np.setdiff1d(lower, upper), np.setdiff1d(upper, lower)
+        distance, place, partner = _matched(points[lower], points[upper])
+        if distance > SAME * float(np.ptp(points, axis=0).max()):
+            where = place_in_words(points[lower[place]])
+            allowed = f"meshed identically, so that they can be bonded, but not at {where}"
+            raise InputError("lips", f"{len(lower)} lower and {len(upper)} upper nodes", allowed)
+        lips = np.array([lower, upper[partner]])
     if len(shared := np.intersect1d(lips, sides)):
         allowed = f"away from the sides of its sector, not at {place_in_words(points[shared[0]])}"
         raise InputError("lips", "a crack", allowed)
@@ -113,18 +123,3 @@ def _matched(moved: np.ndarray, places: np.ndarray) -> tuple[float, int, np.ndar
     worst = int(np.argmax(distance))
     twice = len(places) != len(moved) or len(np.unique(partner)) != len(partner)
     return (math.inf if twice else float(distance[worst])), worst, partner
-
-
-def _lips(dofs: Dofs, points: np.ndarray, size: float) -> np.ndarray:
-    """Nodes of the lower faces of cracks, and of the upper ones in the same places: (2, p)."""
-    if not dofs.plate.cracked:
-        return np.zeros((2, 0), dtype=int)
-    lower, upper = (dofs.nodes_on(name) for name in LIP_TAGS)
-    tips = np.intersect1d(lower, upper)
-    lower, upper = (np.setdiff1d(side, tips) for side in (lower, upper))
-    distance, place, partner = _matched(points[lower], points[upper])
-    if distance > SAME * size:
-        where = place_in_words(points[lower[place]])
-        allowed = f"meshed identically, so that they can be bonded, but not at {where}"
-        raise InputError("lips", f"{len(lower)} lower and {len(upper)} upper nodes", allowed)
-    return np.array([lower, upper[partner]])

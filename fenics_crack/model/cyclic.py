@@ -150,11 +150,6 @@ class Sector:
         return np.asarray((points - self.center) @ self.turned(times).T + self.center)
 
     @cached_property
-    def opening(self) -> sparse.csc_matrix:
-        """E, which moves the upper face by displacements of the crack: (n_dofs, n_upper)."""
-        return sparse.csc_matrix(chosen(self.dofs.upper, self.structure.n_dofs).T)
-
-    @cached_property
     def stiffness(self) -> sparse.csr_matrix:
         """K."""
         return local_rows(self.structure.stiffness)
@@ -176,13 +171,11 @@ class Sector:
         return np.sqrt(np.maximum(squares, 0.0)), shapes @ mixed
 
     @contextmanager
-    def factored(self, stiffness: Any = None) -> Iterator[NodalDiameter]:
-        """Nodal diameter 0, and by it all others, of the stiffness, factored once; of another one
-        than its own, if given."""
-        matrix = self.stiffness if stiffness is None else local_rows(stiffness)
+    def factored(self) -> Iterator[NodalDiameter]:
+        """Nodal diameter 0, and by it all others, of the stiffness, factored once."""
         dofs, count = self.dofs, len(self.dofs.own)
         both = chosen(dofs.place + count * dofs.after, 2 * count)
-        whole = sparse.csr_matrix(both.T @ matrix @ both)
+        whole = sparse.csr_matrix(both.T @ self.stiffness @ both)
         side = np.unique(dofs.place[dofs.after])
         inside, right = np.setdiff1d(np.arange(count), side), count + side
         to_left, to_right = (whole[inside][:, one] for one in (side, right))
@@ -191,7 +184,7 @@ class Sector:
             by_left, by_right = (factor.solve(to.T).T for to in (to_left, to_right))
             own = whole[side][:, side] + whole[right][:, right]
             yield NodalDiameter(
-                self, matrix, factor, both, inside, side, (to_left, to_right),
+                self, factor, both, inside, side, (to_left, to_right),
                 own - to_left.T @ by_left - to_right.T @ by_right,
                 whole[side][:, right] - to_left.T @ by_right, 1.0,
             )  # fmt: skip
@@ -215,8 +208,8 @@ class NodalDiameter:
 
     Attributes
     ----------
-    sector, stiffness
-        The sector, and the stiffness that is factored.
+    sector : Sector
+        The sector.
     factor : Factor
         Of the stiffness of the inside K_ii.
     both : (n_dofs, 2 n_own)
@@ -232,7 +225,6 @@ class NodalDiameter:
     """
 
     sector: Sector
-    stiffness: sparse.csr_matrix
     factor: Factor
     both: sparse.csr_matrix
     inside: np.ndarray
@@ -297,18 +289,15 @@ class NodalDiameter:
 
     def apply(self, right: Any, solution: Any) -> None:
         """K_n^-1 of a vector of PETSc's in real form, as :meth:`Factor.apply`."""
-        given = right.array_r
-        if not self.turn.imag:
-            solution.array_w[:] = self.solve(given[:, None])[:, 0]
-            return
-        real, imaginary = np.split(given, 2)
-        found = self.solve((real + 1j * imaginary)[:, None])[:, 0]
-        solution.array_w[:] = np.concatenate([found.real, found.imag])
+        rows = right.array_r.reshape(2 if self.turn.imag else 1, -1)
+        force = rows[0] + 1j * rows[1] if self.turn.imag else rows[0]
+        found = self.solve(force[:, None])[:, 0]
+        solution.array_w[:] = np.concatenate([found.real, found.imag][: len(rows)])
 
     def modes(self, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Frequencies (count,) [rad/s], and shapes of a sector (n_dofs, count) with v^H M v = 1."""
         sector, ties = self.sector, self.ties
-        matrices = [ties.conj().T @ matrix @ ties for matrix in (sector.mass, self.stiffness)]
+        matrices = [ties.conj().T @ matrix @ ties for matrix in (sector.mass, sector.stiffness)]
         if self.turn.imag:
             matrices = [sparse.bmat([[a.real, -a.imag], [a.imag, a.real]]) for a in matrices]
         mass, stiffness = (distributed(matrix, MPI.COMM_SELF) for matrix in matrices)
@@ -318,11 +307,10 @@ class NodalDiameter:
         found = modes_by(self, structure, 2 * count if self.turn.imag else count)
         for used in (mass, stiffness):  # PETSc would keep those of all nodal diameters
             used.destroy()
-        if not self.turn.imag:
-            return found.omega, ties @ found.shapes
-        real, imaginary = np.split(found.shapes, 2)
-        # Each pair of real modes is one complex one, twice over.
-        omega, shapes = sector.ritz(ties @ (real + 1j * imaginary))
+        shapes = found.shapes
+        if self.turn.imag:  # each pair of real modes is one complex one, twice over
+            shapes = shapes[: size // 2] + 1j * shapes[size // 2 :]
+        omega, shapes = sector.ritz(ties @ shapes)
         return omega[:count], shapes[:, :count]
 
     def answers(self, forces: np.ndarray) -> np.ndarray:
@@ -456,7 +444,7 @@ def cyclic_basis(
     sector, and what is inside follows from them.
     """
     families = min(families, len(sector.dofs.own))
-    loads, pulled = _loads(sector, order), -sector.stiffness @ sector.opening
+    loads, pulled = _loads(sector, order), -sector.stiffness[:, sector.dofs.upper]
     # The modes of a few nodal diameters have the patterns of all.
     first = list(dict.fromkeys((0, sector.count // 4, sector.count // 2)))
     mine = [*first, *(n for n in sector.diameters if n not in first)][comm.rank :: comm.size]
@@ -498,7 +486,8 @@ def cyclic_basis(
             opened[place] = still.field(*ends, within if place == 0 else 0.0)
         comm.Allreduce(MPI.IN_PLACE, opened)
     modes = CyclicModes(omegas, every, sector)
-    return CyclicBasis(modes, opened, sector.opening @ opening, cracked)
+    moved = chosen(sector.dofs.upper, sector.structure.n_dofs).T @ opening
+    return CyclicBasis(modes, opened, moved, cracked)
 
 
 def _loads(sector: Sector, order: int) -> list[np.ndarray]:
@@ -535,13 +524,13 @@ mass of what moves with the faces, which static patterns leave out: up to 6e-9 o
 def _openings(sector: Sector, pulls: np.ndarray, work: np.ndarray) -> np.ndarray:
     """Displacements of the upper face (n_upper, m) of unit energy, without coupling: what forces of
     contact pairs, and those that bonds bear, open the crack by."""
-    structure = sector.structure
+    structure, upper = sector.structure, sector.dofs.upper
     pairs = [structure.gap] + ([] if structure.tangential is None else [structure.tangential])
-    held = (sector.opening.T @ sector.stiffness @ sector.opening).toarray() - work
+    held = sector.stiffness[upper][:, upper].toarray() - work
     lower = scipy.linalg.cholesky(0.5 * (held + held.T), lower=True)
     contact, pulls = (
         scipy.linalg.solve_triangular(lower, forces, lower=True)
-        for forces in (sparse.hstack(pairs).tocsr()[sector.dofs.upper].toarray(), pulls)
+        for forces in (sparse.hstack(pairs).tocsr()[upper].toarray(), pulls)
     )
     basis = scipy.linalg.orth(contact)
     patterns, sizes, _ = np.linalg.svd(pulls - basis @ (basis.T @ pulls), full_matrices=False)

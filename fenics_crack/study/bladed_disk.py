@@ -151,8 +151,6 @@ def blades(found: Any, dof: int | None = None) -> Blades:
         raise InputError("found", type(found).__name__, "a solution or a response curve")
     structure = result.structure
     wheel = wheel_of(structure)
-    if dof is not None:
-        check_count("dof", dof, 0)
     dofs = wheel.dofs_of_blades(int(wheel.check_dofs([dof])[0]))
     solution_at = cache(lambda place: result if on_one else result.solution(place))
     values: list[tuple[float, complex, float, float]] = []
