@@ -369,9 +369,7 @@ class CyclicBasis:
         both = [np.tile(w, 1 if single(n) else 2) for n, w in enumerate(self.modes.omega)]
         return np.concatenate(both) ** 2
 
-    def columns(
-        self, place: int | np.ndarray, rows: slice | np.ndarray = slice(None)
-    ) -> np.ndarray:
+    def columns(self, place: Any, rows: Any = slice(None)) -> np.ndarray:
         """Displacements of a sector, by its place from 0, in all motions: those of the modes, the
         opening of the crack of each cracked sector; (n_dofs, n), or of a row of each of several."""
         sector, parts = self.modes.sector, []
@@ -384,9 +382,7 @@ class CyclicBasis:
             parts.append(self.opened[(place - one) % sector.count, rows] + here)
         return np.hstack(parts)
 
-    def _products(
-        self, matrix: sparse.csr_matrix, columns: slice = slice(None)
-    ) -> Iterator[np.ndarray]:
+    def _products(self, matrix: sparse.csr_matrix, columns: slice) -> Iterator[np.ndarray]:
         """U_j^T A U_j of each sector, or some columns of it."""
         modes = replace(self.modes, shapes=tuple(matrix @ v for v in self.modes.shapes))
         opened, opening = np.array([matrix @ one for one in self.opened]), matrix @ self.opening
@@ -413,12 +409,10 @@ class CyclicBasis:
     def elastic(self) -> np.ndarray:
         """U_j^T K U_j of each sector, K its stiffness at rest: (N, n, n)."""
         matrix = local_rows(self.modes.sector.elastic)
-        return np.array([0.5 * (part + part.T) for part in self._products(matrix)])
+        return np.array([0.5 * (part + part.T) for part in self._products(matrix, slice(None))])
 
 
-def solve_cyclic_modes(
-    sector: Sector, families: int, comm: MPI.Comm = MPI.COMM_SELF
-) -> CyclicModes:
+def solve_cyclic_modes(sector: Sector, families: int, comm: MPI.Comm) -> CyclicModes:
     """The lowest modes of each nodal diameter, which ranks share (collective)."""
     families, found = min(families, len(sector.dofs.own)), {}
     with sector.factored() as inside:
@@ -453,14 +447,11 @@ def cyclic_basis(
         ahead = {n: still.at(n).modes(families) for n in mine if n in first}
         known = _of_all_ranks(ahead, comm)
         forces = _side_forces(sector, [known[n] for n in first])
-        force = sparse.csr_matrix(still.both.T @ pulled)
+        whole = sparse.csr_matrix(still.both.T @ pulled)
         places = still.inside, still.side, len(sector.dofs.own) + still.side
-        inner, *outer = (force[places_of].toarray() for places_of in places)
+        inner, *outer = (whole[there].toarray() for there in places)
         within = still.within(inner)
-        left, right = (
-            force - coupling.T @ within
-            for force, coupling in zip(outer, still.coupling, strict=True)
-        )
+        left, right = (f - to.T @ within for f, to in zip(outer, still.coupling, strict=True))
         for diameter in mine:
             one, force = still.at(diameter), loads[diameter]
             _, shapes = ahead.get(diameter) or one.modes(families)

@@ -176,11 +176,6 @@ class Wheel(Structure):
         blade, own = self.blade_of(dof)
         return f"{self.sector.structure.dof_name(own)} of blade {blade}"
 
-    @property
-    def loads(self) -> np.ndarray:
-        """Rows of the load on the dofs of each sector: (2K+1, N, n_sector) [N]."""
-        return _loads(self.sector, self.order)
-
     # --- its matrices -----------------------------------------------------------------------------
 
     @of_original
@@ -247,6 +242,7 @@ def _deviations(given: Any, count: int) -> np.ndarray:
 
 
 def _loads(sector: Sector, order: int) -> np.ndarray:
+    """Rows of the load on the dofs of each sector: (2K+1, N, n_sector) [N]."""
     waves = to_complex(sector.structure.force)
     angles = np.multiply.outer(np.arange(len(waves)), np.arange(sector.count)) * order
     turns = np.exp(2j * np.pi * angles / sector.count)
@@ -326,9 +322,8 @@ class WheelStructure(Structure):
         mass, stiffness = basis.tuned
         if np.any(wheel.mistuning):
             stiffness = stiffness + np.tensordot(wheel.mistuning, basis.elastic, 1)
-        loads, force = wheel.loads, np.zeros((len(sector.force), len(stiffness)))
-        for place in range(wheel.sector.count):
-            force += loads[:, place] @ basis.columns(place)
+        loads = _loads(wheel.sector, wheel.order)
+        force = sum(loads[:, place] @ basis.columns(place) for place in range(wheel.sector.count))
 
         def of_cracks(gap: sparse.spmatrix) -> sparse.csr_matrix:
             """U^T B of all cracks, from B of one: (n, p)."""

@@ -178,19 +178,10 @@ class NodalDiameters(Saved):
         That of the disk.
     omega : (n_diameters, families) [rad/s]
         Of n = 0 .. N/2; those of n = 0, and of N/2, are of one mode each, others of two.
-    sectors : int
-        N.
-    order : int
-        Engine order of the load.
-    speed : float [rad/s]
-        Of the rotor; 0 at rest.
     """
 
     scene: Scene
     omega: np.ndarray
-    sectors: int
-    order: int
-    speed: float
 
     KIND: ClassVar[str] = "nodal diameters"
     frequency = hertz_of()
@@ -199,6 +190,16 @@ class NodalDiameters(Saved):
     def excited(self) -> int:
         """The nodal diameter that the engine order excites."""
         return excited_diameter(self.order, self.sectors)
+
+    @property
+    def order(self) -> int:
+        """Engine order of the load."""
+        return self.scene.excitation.order or 0
+
+    @property
+    def sectors(self) -> int:
+        """N."""
+        return self.scene.given("disk").sectors
 
     def to_dict(self) -> dict[str, Any]:
         """A row for every nodal diameter; frequencies of the families."""
@@ -219,7 +220,7 @@ class NodalDiameters(Saved):
         """What the last sentence on the frequencies says."""
         hertz = ", ".join(f"{omega / TURN:.6g}" for omega in self.omega[self.excited])
         excited = f"engine order {self.order} excites nodal diameter {self.excited}: {hertz} Hz"
-        others = ["without the Coriolis force"] if self.speed > 0.0 else []
+        others = ["without the Coriolis force"] if self.scene.speed > 0.0 else []
         return Said(f"{counted(len(self.omega), 'nodal diameter')} found", excited, others=others)
 
     def _title(self) -> str:
@@ -253,8 +254,7 @@ def nodal_diameters(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> NodalDiame
     """
     scene.given("disk")
     wheel = wheel_of(assemble(scene, comm))
-    omega = np.array(wheel.cyclic_modes().omega)
-    return NodalDiameters(scene, omega, wheel.sector.count, wheel.order, scene.speed)
+    return NodalDiameters(scene, np.array(wheel.cyclic_modes().omega))
 
 
 def report_of_diameters(found: NodalDiameters) -> Report:
@@ -284,8 +284,6 @@ class Amplification(Saved):
         Largest amplitude of the tuned wheel, and where.
     deviation, seed : float, int
         Of the patterns: each has a seed of its own, one after the other.
-    sectors : int
-        N.
     """
 
     scene: Scene
@@ -296,7 +294,6 @@ class Amplification(Saved):
     tuned_omega: float
     deviation: float
     seed: int
-    sectors: int
 
     KIND: ClassVar[str] = "amplification"
     frequency = hertz_of()
@@ -305,7 +302,7 @@ class Amplification(Saved):
     @property
     def bound(self) -> float:
         """Whitehead's: (1 + sqrt(N)) / 2."""
-        return 0.5 * (1.0 + math.sqrt(self.sectors))
+        return 0.5 * (1.0 + math.sqrt(self.scene.given("disk").sectors))
 
     def percentile(self, percent: float) -> float:
         """The factor that so many of the patterns do not exceed [%]."""
@@ -394,10 +391,8 @@ def amplification(
         found.append((number, *largest(own.given("disk").deviations)))
     every = sorted(one for part in comm.allgather(found) for one in part)
     _, sizes, omegas, numbers = map(np.array, zip(*every, strict=True))
-    return Amplification(
-        scene, sizes / tuned, omegas, numbers, tuned, tuned_omega, float(deviation), seed,
-        wheel.sector.count,
-    )  # fmt: skip
+    largest_ones = sizes / tuned, omegas, numbers, tuned, tuned_omega
+    return Amplification(scene, *largest_ones, float(deviation), seed)
 
 
 def report_of_amplification(found: Amplification) -> Report:
