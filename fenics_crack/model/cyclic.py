@@ -418,8 +418,7 @@ def solve_cyclic_modes(sector: Sector, families: int, comm: MPI.Comm) -> CyclicM
     with sector.factored() as inside:
         for diameter in sector.diameters[comm.rank :: comm.size]:
             found[diameter] = inside.at(diameter).modes(families)
-    found = _of_all_ranks(found, comm)
-    omegas, shapes = zip(*(found[diameter] for diameter in sector.diameters), strict=True)
+    omegas, shapes = zip(*_of_all_ranks(found, comm).values(), strict=True)
     return CyclicModes(omegas, shapes, sector)
 
 
@@ -464,12 +463,10 @@ def cyclic_basis(
             pulls = _pulls(sector, omega, shapes, force, answers)
             moved = one.inverse @ (left + np.conj(one.turn) * right)
             found[diameter] = omega, shapes, pulls, moved
-        found = _of_all_ranks(found, comm)
-        ordered = (found[diameter] for diameter in sector.diameters)
-        omegas, every, pulls, moved = zip(*ordered, strict=True)
+        omegas, every, pulls, moved = zip(*_of_all_ranks(found, comm).values(), strict=True)
         sides = scipy.fft.irfft(moved, sector.count, axis=0)
         work = inner.T @ within + left.T @ sides[0] + right.T @ sides[1]
-        opening = _openings(sector, np.hstack(pulls), work)
+        opening = _openings(sector, np.hstack(pulls), work) if cracked else work[:, :0]
         sides, within = sides @ opening, within @ opening
         opened = np.zeros((sector.count, sector.structure.n_dofs, opening.shape[1]))
         for place in range(comm.rank, sector.count, comm.size):
@@ -530,10 +527,9 @@ def _openings(sector: Sector, pulls: np.ndarray, work: np.ndarray) -> np.ndarray
 
 
 def _of_all_ranks(found: dict[int, Any], comm: MPI.Comm) -> dict[int, Any]:
-    """What all ranks have found of their nodal diameters (collective)."""
-    if comm.size == 1:
-        return found
-    return {n: values for part in comm.allgather(found) for n, values in part.items()}
+    """What all ranks have found of their nodal diameters, in their order (collective)."""
+    parts = comm.allgather(found) if comm.size > 1 else [found]
+    return dict(sorted(item for part in parts for item in part.items()))
 
 
 PATTERN = 0.5

@@ -21,7 +21,7 @@ in the frame of the sector: a wave that runs against the rotation, seen from the
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -33,7 +33,7 @@ from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError, check_count
 from fenics_crack.basics.progress import begin
-from fenics_crack.model.body import Body
+from fenics_crack.model.body import UNVARIED, Body
 from fenics_crack.model.cyclic import (
     CyclicBasis,
     CyclicModes,
@@ -175,6 +175,11 @@ class Wheel(Structure):
         """A dof in words: "x displacement at (0.1, 0.1) m of blade 3"."""
         blade, own = self.blade_of(dof)
         return f"{self.sector.structure.dof_name(own)} of blade {blade}"
+
+    def with_harmonics(self, harmonics: Mapping[int, tuple[Any, Any]]) -> Structure:
+        """InputError: sectors have the load's harmonics, one after the other."""
+        allowed = "of a scene whose [[excitation.harmonics]] has them, which turn with its order"
+        raise InputError("structure", repr(self), allowed)
 
     # --- its matrices -----------------------------------------------------------------------------
 
@@ -479,13 +484,14 @@ def reduce_wheel(
     most = (families_of_basis(families) - families) * wheel.sector.count
     if more > most:
         raise InputError("more", more, f"at most {most}, those of four families")
-    one = WheelStructure(wheel, families_of_basis(families, more))
+    one = WheelStructure(wheel._in(UNVARIED), families_of_basis(families, more))
     begin("reduction")
     count = min(families * wheel.sector.count, one.n_dofs - one.n_pairs)
     if not one.n_pairs:
-        return reduce_structure(one, modes=count + more, reference=reference)
+        reduced = reduce_structure(one, modes=count + more, reference=reference)
+        return reduced._in(wheel.setting)
     one, share = one.ranked(count, more)
     count += more
     finer = reference and min(count + NEXT, one.n_dofs)
     reduced = reduce_structure(one, modes=count, method="massless", reference=finer)
-    return reduced._in(reduced.setting, share=share)
+    return reduced._in(wheel.setting, share=share)

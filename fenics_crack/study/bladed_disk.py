@@ -115,10 +115,8 @@ class Blades(Tabular):
 
     def _title(self) -> str:
         largest = int(np.argmax(self.amplitude))
-        return (
-            f"{counted(len(self.amplitude), 'blade')}, the largest amplitude "
-            f"{self.amplitude[largest]:.4g} m of blade {largest + 1}"
-        )
+        size = f"{self.amplitude[largest]:.4g} m of blade {largest + 1}"
+        return f"{counted(len(self.amplitude), 'blade')}, the largest amplitude {size}"
 
 
 def blades(found: Any, dof: int | None = None) -> Blades:
@@ -329,10 +327,9 @@ class Amplification(Saved):
         return Said(f"{counted(len(self.factor), 'pattern')} solved", known)
 
     def _title(self) -> str:
-        return (
-            f"{counted(len(self.factor), 'pattern')} of {100.0 * self.deviation:.3g} %, "
-            f"amplification up to {self.factor.max():.4g} (bound {self.bound:.4g})"
-        )
+        size = f"up to {self.factor.max():.4g} (bound {self.bound:.4g})"
+        patterns = f"{counted(len(self.factor), 'pattern')} of {100.0 * self.deviation:.3g} %"
+        return f"{patterns}, amplification {size}"
 
 
 def amplification(
@@ -400,12 +397,9 @@ def report_of_amplification(found: Amplification) -> Report:
     shares = (5.0, 25.0, 50.0, 75.0, 95.0, 99.0, 100.0)
     rows = [[share, found.percentile(share)] for share in shares]
     tuned = f"{quantity(found.tuned, 'm')} at {found.tuned_omega / TURN:.6g} Hz"
-    return Report(
-        found.table(),
-        found.said(),
-        shown=Table(["share of patterns [%]", "amplification factor"], rows),
-        notes=[f"the tuned wheel without a crack: {tuned}"],
-    )
+    shown = Table(["share of patterns [%]", "amplification factor"], rows)
+    notes = [f"the tuned wheel without a crack: {tuned}"]
+    return Report(found.table(), found.said(), shown=shown, notes=notes)
 
 
 Largest = Callable[[np.ndarray], tuple[float, float, int]]
