@@ -297,10 +297,13 @@ class NodalDiameter:
     def modes(self, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Frequencies (count,) [rad/s], and shapes of a sector (n_dofs, count) with v^H M v = 1."""
         sector, ties = self.sector, self.ties
-        matrices = [ties.conj().T @ matrix @ ties for matrix in (sector.mass, sector.stiffness)]
-        if self.turn.imag:
-            matrices = [sparse.bmat([[a.real, -a.imag], [a.imag, a.real]]) for a in matrices]
-        mass, stiffness = (distributed(matrix, MPI.COMM_SELF) for matrix in matrices)
+
+        def in_real_form(matrix: sparse.csr_matrix) -> Any:
+            a = ties.conj().T @ matrix @ ties
+            real = sparse.bmat([[a.real, -a.imag], [a.imag, a.real]]) if self.turn.imag else a
+            return distributed(real, MPI.COMM_SELF)
+
+        mass, stiffness = map(in_real_form, (sector.mass, sector.stiffness))
         size = mass.size[0]
         gap = sparse.csr_matrix((size, 0))
         structure = Structure(Body(mass, stiffness, gap, np.zeros((1, size)), np.zeros(0)))
@@ -450,6 +453,8 @@ def cyclic_basis(
         places = still.inside, still.side, len(sector.dofs.own) + still.side
         inner, *outer = (whole[there].toarray() for there in places)
         within = still.within(inner)
+        work = inner.T @ within
+        del inner, whole
         left, right = (f - to.T @ within for f, to in zip(outer, still.coupling, strict=True))
         for diameter in mine:
             one, force = still.at(diameter), loads[diameter]
@@ -465,7 +470,7 @@ def cyclic_basis(
             found[diameter] = omega, shapes, pulls, moved
         omegas, every, pulls, moved = zip(*_of_all_ranks(found, comm).values(), strict=True)
         sides = scipy.fft.irfft(moved, sector.count, axis=0)
-        work = inner.T @ within + left.T @ sides[0] + right.T @ sides[1]
+        work += left.T @ sides[0] + right.T @ sides[1]
         opening = _openings(sector, np.hstack(pulls), work) if cracked else work[:, :0]
         sides, within = sides @ opening, within @ opening
         opened = np.zeros((sector.count, sector.structure.n_dofs, opening.shape[1]))
