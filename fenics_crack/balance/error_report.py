@@ -138,12 +138,14 @@ def estimate_errors(
         error, at_load = _beyond_truncation(at, wave)
     truncation = UNKNOWN if error >= UNKNOWN else max(error - sampling, 0.0)
     exactly = known.affordable and search and structure.light_lips
-    lost: Errors | None = None
     if exactly and truncation >= UNKNOWN and isinstance(structure, ReducedStructure):
         lost = UNKNOWN, UNKNOWN  # nor is it known what more modes make of a motion that is not
     elif exactly and (more := known.more_modes):
-        lost = more.errors
-    lost = lost or _lost_in_reduction(at, wave, problem)
+        lost = more.errors or (UNKNOWN, UNKNOWN)
+    else:
+        lost = _lost_in_reduction(at, wave, problem)
+        if exactly and any(lost):  # modes above all harmonics are static in both solutions
+            lost = max(lost[0], truncation), max(lost[1], at_load)
     return ErrorReport(
         residual=max(residual, relative(expanded - at.gap)),
         truncation=truncation,

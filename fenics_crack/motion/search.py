@@ -114,7 +114,8 @@ def search_orbit(
     """
     met: list[PeriodicOrbit] = []
     tried: list[np.ndarray] = []
-    search = partial(find_orbit, flow, omega, subharmonic=subharmonic)
+    ended: list[str] = []
+    search = partial(find_orbit, flow, omega, subharmonic=subharmonic, ended=ended)
     for states in guesses:
         tried.append(states)
         orbit = search(states[0])
@@ -136,7 +137,8 @@ def search_orbit(
     orbits = FlowOrbits(flow, omega, start, subharmonic)
     if tried and flow.count <= FORMED and (orbit := by_homotopy(orbits, options)) is not None:
         return OrbitSearch(orbit, (), "exact orbit along a path from the motion")
-    return _by_recurrence(orbits, options)
+    last = _by_recurrence(orbits, options)
+    return last if last.orbit else last._replace(reason="; ".join([*ended[-1:], last.reason]))
 
 
 def wave_states(flow: ContactFlow, displacement: np.ndarray, base_omega: float) -> np.ndarray:
