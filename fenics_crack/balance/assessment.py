@@ -212,9 +212,8 @@ class Assessment:
         size = percent(expected) if expected < UNKNOWN else "100 % or more"
         if self.orbit is None:
             changed = f"the truncated harmonics change it by {size}"
-            if self._ended:
-                return f"{changed}, and {self._ended[-1]}; use fewer pairs (mesh.patches) or modes"
-            return f"{changed}, and no exact orbit was found near it; use more harmonics"
+            ended = self._ended[-1:] or ["no exact orbit was found near it; use more harmonics"]
+            return f"{changed}, and {ended[0]}"
         own = "stable" if self.orbit.is_stable else "unstable"
         away = f"the nearest exact orbit, which is {own}, is {percent(self.distance)} away"
         doubt = "it may be another motion; use more harmonics, or a tolerance"

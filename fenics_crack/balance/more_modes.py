@@ -108,15 +108,10 @@ class MoreModes:
     @cached_property
     def orbit(self) -> PeriodicOrbit | None:
         """Next to the motion, as sharp as an estimated error takes; None where none is found."""
-        flow, omega, states, periods = (
-            self.flow,
-            self.wave.omega,
-            self._states,
-            self.wave.subharmonic,
-        )
+        flow, omega, periods = self.flow, self.wave.omega, self.wave.subharmonic
+        states, near = self._states, self.inverse
         search = partial(find_orbit, flow, omega, subharmonic=periods, located=CLOSE)
-        orbit = search(states[0], inverse=self.inverse)
-        orbit = orbit or (search(states[0]) if self.inverse else None)
+        orbit = search(states[0], inverse=near) or (search(states[0]) if near else None)
         if orbit is None and (step := predicted(flow, omega, states, periods)):
             orbit = search(step.states[0], inverse=step.inverse)
         return orbit

@@ -480,8 +480,8 @@ def find_orbit(
             return None
     except (ConvergenceError, np.linalg.LinAlgError, ValueError) as error:
         if ended is not None and isinstance(error, BudgetError):
-            spent = f"{search.budget:,} pieces, in {counted(search.flows, 'period')}"
-            ended.append(f"the search for an exact orbit ended at its budget of {spent}")
+            words = f"the search for an exact orbit ended at its budget of {search.budget:,} pieces"
+            ended.append(f"{words}; use fewer pairs (mesh.patches) or modes")
         return None
     found = PeriodicOrbit(flow, omega, subharmonic, search.motion, search.state, search.flows)
     # Where M is huge a step may be short and the motion does not close.

@@ -112,9 +112,7 @@ def search_orbit(
     -------
     OrbitSearch
     """
-    met: list[PeriodicOrbit] = []
-    tried: list[np.ndarray] = []
-    ended: list[str] = []
+    met, tried, ended = list[PeriodicOrbit](), list[np.ndarray](), list[str]()
     search = partial(find_orbit, flow, omega, subharmonic=subharmonic, ended=ended)
     for states in guesses:
         tried.append(states)
