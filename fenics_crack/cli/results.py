@@ -32,12 +32,13 @@ from fenics_crack.curves.peak import Top
 from fenics_crack.curves.stability import attractors
 from fenics_crack.model.modes import KINDS, BilinearFrequencies, Modes, bilinear_frequencies
 from fenics_crack.model.rotation import RunUpStructure
+from fenics_crack.scene.scene import asked_quantities
 from fenics_crack.scene.tables import Integration
 from fenics_crack.study.conclusion import said_of, unknown_error, unknown_of_solution
 from fenics_crack.study.numbers import largest_left_out, natural_name
 from fenics_crack.study.observer import observe
 from fenics_crack.study.plausibility import highest_omega
-from fenics_crack.study.run import Run
+from fenics_crack.study.run import Run, stress_intensity
 from fenics_crack.time.march import TimeHistory
 
 ERROR = "error [%]"
@@ -121,7 +122,7 @@ def report_of_solution(run: Run[PeriodicSolution]) -> Report:
         rows=_waves(run, waves_of(run)),
         notes=notes,
         warnings=warnings,
-        further=_of_blades(run, "Blades"),
+        further=_of_blades(run, "Blades") | _along_fronts(run),
         done=found.converged,
         missed=missed or bool(unknown_of_solution(run)),
     )
@@ -134,6 +135,18 @@ def _of_blades(run: Run[Any], heading: str) -> dict[str, Table]:
     from fenics_crack.study.bladed_disk import blades
 
     return {heading: blades(run).table()}
+
+
+def _along_fronts(run: Run[Any]) -> dict[str, Table]:
+    """Stress intensities along the fronts of a solid's cracks, if one is requested (collective)."""
+    places = [QUANTITIES[name].of for name in asked_quantities(run.scene)]
+    if run.scene.dimension == 2 or Place.TIPS not in places:
+        return {}
+    found = stress_intensity(run)
+    columns = {"position": found.positions, **found.numbers, "K_I while closed": found.closed}
+    units = {name: "m" if name == "position" else "Pa m^0.5" for name in columns}
+    lists = {name: [float(f"{x:.4g}") for x in values] for name, values in columns.items()}
+    return {"Stress intensity along the crack fronts": Table.of(lists, units)}
 
 
 def _in_doubt(run: Run[PeriodicSolution]) -> dict[str, object]:

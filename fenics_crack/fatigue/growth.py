@@ -590,7 +590,7 @@ def _swept(scene: Scene, lengths: np.ndarray, levels: np.ndarray) -> Scene:
         over["excitation.omega"] = [float(omega) for omega in levels]
     resonant = scene.given("growth").drive == "resonance"
     table = {"sweep.over": over, "sweep.at_resonance": resonant}
-    return scene.replace({**table, "output.quantities": names_of(Place.TIPS)})
+    return scene.replace({**table, "output.quantities": names_of(Place.TIPS, without=Where.SOLID)})
 
 
 def _missed(before: LengthPath, path: LengthPath, missed: np.ndarray) -> np.ndarray:
