@@ -30,10 +30,12 @@ class Answer:
     ----------
     gap : (256, p) or None
         g at 256 equal instants of the period from phase zero; None: nothing was found.
+    tangential : (256, p) or None
+        B_t^T q of contact with friction, likewise.
     converged : bool
         Whether the program calls it a solution.
     error : float or None
-        Its own statement of the error of the gaps, relative to their motion.
+        Its own statement of the error: root mean square over the one of the motion.
     verdict : str or None
         "stable" or "unstable".
     periods : int
@@ -43,6 +45,7 @@ class Answer:
     """
 
     gap: Any = None
+    tangential: Any = None
     converged: bool = False
     error: float | None = None
     verdict: str | None = None

@@ -7,8 +7,9 @@ at the first run; ours and SciPy's run where this is run.
 
 For each case the orbit nearest to the answer counts, shifted by periods of the load:
 
-- found: the gaps are within 5 % of their motion, all instants and pairs;
-- error, second: the difference of the gaps and of the largest second harmonic, over the motion;
+- error: root mean square of the difference of the gaps, with friction the tangential ones too, over
+  that of what moves of them; second: likewise of the load's second harmonic;
+- found: called a solution, with an error of at most 5 %;
 - verdict: that of this orbit;
 - honest: found; or not called a solution; or the stated error is at least two thirds of the error.
 
@@ -35,8 +36,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 import check
 
 HERE = Path(__file__).parent
-FOUND, UNDERSTATED = 0.05, 1.5
-"""Largest error of what is found; the error over its statement that is still honest."""
+FOUND, UNDERSTATED, ROUNDING = 0.05, 1.5, 1e-10
+"""Largest error of what is found; the error over its statement that is still honest; the error to
+which the references are stored."""
 
 
 # --- environments ---------------------------------------------------------------------------------
@@ -109,7 +111,18 @@ def shifted(gap: np.ndarray, share: float) -> np.ndarray:
 
 def second(gap: np.ndarray, periods: int) -> np.ndarray:
     """Amplitudes of the load's second harmonic."""
-    return np.asarray(2.0 * np.abs(np.fft.rfft(gap, axis=0)[2 * periods]) / len(gap))
+    return np.asarray(np.sqrt(2.0) * np.abs(np.fft.rfft(gap, axis=0)[2 * periods]))
+
+
+def whole(motion: dict[str, Any], *names: str, stuck: list[int]) -> np.ndarray | None:
+    """Gaps beside tangential ones, where there are such: (256, p or 2p); those that stick by what
+    moves of them."""
+    if any(motion.get(name) is None for name in names):
+        return None
+    parts = [np.array(motion[name]) for name in names]
+    if len(parts) > 1:
+        parts[1][:, stuck] -= parts[1][:, stuck].mean(axis=0)
+    return np.hstack(parts)
 
 
 def scored(case: dict[str, Any], answer: dict[str, Any]) -> dict[str, Any]:
@@ -119,22 +132,24 @@ def scored(case: dict[str, Any], answer: dict[str, Any]) -> dict[str, Any]:
     kept = {name: answer.get(name) for name in ("message", "seconds", "verdict", "version")}
     row = {"case": case["name"], "stated": answer.get("error"), "claimed": answer["converged"],
            "error": np.inf, "second": np.inf, "true verdict": None, **kept}  # fmt: skip
-    if answer.get("gap") is not None:
-        gap = np.array(answer["gap"])
-        for orbit in case["orbits"]:
-            true, periods = np.array(orbit["gap"]), orbit["subharmonic"]
-            if periods != answer["periods"] or true.shape != gap.shape:
-                continue
-            for turn in range(periods):
-                here, size = shifted(true, turn / periods), np.ptp(true, axis=0).max()
-                error = float(np.abs(gap - here).max() / size)
-                if error < row["error"]:
-                    change = np.abs(second(gap, periods) - second(here, periods)).max() / size
-                    row |= {"error": error, "second": float(change)}
-                    row["true verdict"] = orbit["verdict"]
+    friction = case["law"]["kind"] == "friction"
+    for orbit in case["orbits"]:
+        periods, stuck = orbit["subharmonic"], orbit.get("stuck", [])
+        mine = whole(answer, *("gap", "tangential")[: 1 + friction], stuck=stuck)
+        true = whole(orbit, *check.GAPS[: 1 + friction], stuck=stuck)
+        if mine is None or true is None or periods != answer["periods"]:
+            continue
+        size = np.linalg.norm(true - true.mean(axis=0))
+        for turn in range(periods):
+            here = shifted(true, turn / periods)
+            error = float(np.linalg.norm(mine - here) / size)
+            if error < row["error"]:
+                change = second(mine, periods) - second(here, periods)
+                row |= {"error": error, "second": float(np.linalg.norm(change) / size),
+                        "true verdict": orbit["verdict"]}  # fmt: skip
     row["found"] = bool(row["claimed"] and row["error"] <= FOUND)
     stated = row["stated"]
-    said = stated is not None and row["error"] <= UNDERSTATED * stated
+    said = stated is not None and row["error"] <= max(UNDERSTATED * stated, ROUNDING)
     row["honest"] = bool(not row["claimed"] or row["found"] or said)
     row["within"] = None if stated is None or not row["claimed"] else bool(said)
     row["right"] = row["verdict"] == row["true verdict"] if row["verdict"] and row["found"] else None

@@ -34,9 +34,10 @@ def answered(solve: Any, case: dict[str, Any]) -> dict[str, Any]:
     except Exception as error:
         answer = Answer(message=f"{type(error).__name__}: {error}")
     found = {**vars(answer), "seconds": time.process_time() - begin}
-    if answer.gap is not None:
-        gap = np.asarray(answer.gap, dtype=float)
-        found["gap"] = gap.tolist() if np.all(np.isfinite(gap)) else None
+    for name in ("gap", "tangential"):
+        if found[name] is not None:
+            values = np.asarray(found[name], dtype=float)
+            found[name] = values.tolist() if np.all(np.isfinite(values)) else None
     return {name: value.item() if hasattr(value, "item") else value for name, value in found.items()}
 
 

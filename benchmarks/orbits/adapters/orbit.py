@@ -38,11 +38,12 @@ def answered(problem: Problem, **how: Any) -> Answer:
         law = fc.CoulombFriction(law, problem.coefficient, problem.tangential)
     found = fc.solve_harmonic_balance(structure, problem.omega, law, throw=False, **how)
     times = problem.period * np.arange(INSTANTS) / INSTANTS
-    gap = at_instants(found.gap_coefficients)
-    if found.orbit is not None:
-        gap = found.orbit.gap_at(times)[:, : gap.shape[1]]
+    parts, orbit = (found.gap_coefficients, found.tangential_gap_coefficients), found.orbit
+    gap, slide = (None if part is None else at_instants(part) for part in parts)
+    if orbit is not None:
+        gap, slide = orbit.gap_at(times), orbit.tangential_gap_at(times) if friction else None
     error = found.report.total
     return Answer(
-        gap=gap, converged=found.converged, error=error if np.isfinite(error) else None,
-        verdict=fc.floquet(structure, found).verdict, message=found.status,
+        gap=gap, tangential=slide, converged=found.converged, message=found.status,
+        error=error if np.isfinite(error) else None, verdict=fc.floquet(structure, found).verdict,
     )  # fmt: skip
