@@ -186,6 +186,24 @@ class Problem:
         self.only("penalty")
         return self.normal * np.maximum(gap, 0.0), self.normal * (gap > 0.0)
 
+    def rate(self, time: Any, state: np.ndarray) -> np.ndarray:
+        """z' of z = (q, q') at one time (2n,), or at several at once (2n, times), of pairs with
+        mass and a penalty or a smoothed law."""
+        n, inverse = len(self.mass), np.linalg.inv(self.mass)
+        push = self.contact((self.pairs.T @ state[:n]).T - self.clearance)[0].T
+        force = self.force(time) - self.pairs @ push - self.damping @ state[n:]
+        return np.concatenate([state[n:], inverse @ (force - self.stiffness @ state[:n])])
+
+    def rate_slope(self, state: np.ndarray) -> np.ndarray:
+        """dz'/dz at several times at once: (2n, 2n, times)."""
+        n, inverse = len(self.mass), np.linalg.inv(self.mass)
+        slope = self.contact((self.pairs.T @ state[:n]).T - self.clearance)[1].T
+        found = np.zeros((2 * n, 2 * n, state.shape[1]))
+        found[:n, n:], found[n:, n:] = np.eye(n)[:, :, None], -(inverse @ self.damping)[:, :, None]
+        pushed = np.einsum("ip,pl,jp->ijl", inverse @ self.pairs, slope, self.pairs)
+        found[n:, :n] = -(inverse @ self.stiffness)[:, :, None] - pushed
+        return found
+
     def only(self, *kinds: str) -> None:
         """Refuse other laws.
 

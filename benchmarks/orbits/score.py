@@ -152,7 +152,9 @@ def scored(case: dict[str, Any], answer: dict[str, Any]) -> dict[str, Any]:
     said = stated is not None and row["error"] <= max(UNDERSTATED * stated, ROUNDING)
     row["honest"] = bool(not row["claimed"] or row["found"] or said)
     row["within"] = None if stated is None or not row["claimed"] else bool(said)
-    row["right"] = row["verdict"] == row["true verdict"] if row["verdict"] and row["found"] else None
+    row["right"] = (
+        row["verdict"] == row["true verdict"] if row["verdict"] and row["found"] else None
+    )
     return row
 
 

@@ -18,7 +18,8 @@ from typing import Any
 
 import numpy as np
 
-sys.path[:0] = [str(Path(__file__).parent), str(Path(sys.argv[1]).parent)]
+sys.path.insert(0, str(Path(__file__).parent))
+sys.path.append(str(Path(sys.argv[1]).parent))  # last: adapters have the names of packages
 from problem import Answer, Unsupported, problem_of
 
 WARM = Path(__file__).parent / "cases" / "bilinear-1.json"
@@ -38,7 +39,9 @@ def answered(solve: Any, case: dict[str, Any]) -> dict[str, Any]:
         if found[name] is not None:
             values = np.asarray(found[name], dtype=float)
             found[name] = values.tolist() if np.all(np.isfinite(values)) else None
-    return {name: value.item() if hasattr(value, "item") else value for name, value in found.items()}
+    return {
+        name: value.item() if hasattr(value, "item") else value for name, value in found.items()
+    }
 
 
 def main() -> None:

@@ -31,41 +31,22 @@ class Masses(AbstractODE):  # type: ignore[misc]
 
     def __init__(self, problem: Problem, omega: float) -> None:
         super().__init__(autonomous=False, n_dof=2 * len(problem.mass))
-        self.t, self.x, self.omega = 0.0, np.zeros(self.n_dof), omega
-        self.problem, inverse = problem, np.linalg.inv(problem.mass)
-        self.inverse, none = inverse, 0.0 * inverse
-        self.still = np.block(
-            [[none, none + np.eye(len(none))],
-             [-inverse @ problem.stiffness, -inverse @ problem.damping]]
-        )  # fmt: skip
+        self.t, self.x, self.omega, self.problem = 0.0, np.zeros(self.n_dof), omega, problem
 
     def dynamics(self, t: Any = None, x: Any = None) -> np.ndarray:
-        """z' for all samples (2n, L) at once."""
-        one, n = self.problem, len(self.problem.mass)
-        push = one.contact((one.pairs.T @ x[:n]).T - one.clearance)[0].T
-        rate = self.still @ x
-        rate[n:] += self.inverse @ (one.force(self.omega / one.omega * t) - one.pairs @ push)
-        return np.asarray(rate)
+        return self.problem.rate(self.omega / self.problem.omega * t, x)
 
     def closed_form_derivative(self, variable: str, t: Any = None, x: Any = None) -> np.ndarray:
-        """With respect to x: (2n, 2n, L)."""
         if variable != "x":
             raise NotImplementedError
-        one, n = self.problem, len(self.problem.mass)
-        slope = one.contact((one.pairs.T @ x[:n]).T - one.clearance)[1].T
-        tangent = np.repeat(self.still[:, :, None], x.shape[-1], axis=2)
-        tangent[n:, :n] -= np.einsum("ip,pl,jp->ijl", self.inverse @ one.pairs, slope, one.pairs)
-        return tangent
+        return self.problem.rate_slope(x)
 
 
 class Subharmonic(KoopmanHillSubharmonic):  # type: ignore[misc]
     """With whole numbers as floats: those of Python before 3.12 have no ``is_integer``."""
 
-    def C_time(self, t_over_period: float) -> Any:
-        return super().C_time(float(t_over_period))
-
-    def C_subh_time(self, t_over_period: float) -> Any:
-        return super().C_subh_time(float(t_over_period))
+    def fundamental_matrix(self, t_over_period: float, hbm: Any) -> Any:
+        return super().fundamental_matrix(float(t_over_period), hbm)
 
 
 def solve(problem: Problem) -> Answer:
@@ -99,8 +80,8 @@ def solve(problem: Problem) -> Answer:
     found = system(end, last)
     solver.solve(found)
     rows[order] = found.X.reshape(len(rows), 2 * n)[:, :n]
-    verdict = {True: "stable", False: "unstable"}.get(found.stable)
     words = f"swept to {reached / end:.3f} w, {solver.num_iter} iterations"
+    verdict = {True: "stable", False: "unstable"}.get(found.stable)
     return Answer(
         gap=problem.gap(rows), converged=bool(found.solved), verdict=verdict, message=words
     )
