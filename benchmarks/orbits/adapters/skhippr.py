@@ -12,7 +12,8 @@ import numpy as np
 import typing_extensions
 from problem import Answer, Problem, Unsupported
 
-typing.override = typing_extensions.override  # type: ignore[attr-defined]  # before Python 3.12
+if not hasattr(typing, "override"):  # before Python 3.12
+    typing.override = typing_extensions.override  # type: ignore[attr-defined]
 from skhippr.cycles.hbm import HBMEquation
 from skhippr.equations.EquationSystem import EquationSystem
 from skhippr.Fourier import Fourier

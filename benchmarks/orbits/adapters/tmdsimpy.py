@@ -37,7 +37,7 @@ def solve(problem: Problem) -> Answer:
         def only(u: np.ndarray) -> Any:
             return residual(np.append(u, omega))[:2]
 
-        u, left, tangent, state = solver.nsolve(only, start, verbose=False)
+        u, _, tangent, state = solver.nsolve(only, start, verbose=False)
         return u, np.linalg.norm(only(u)[0]) / np.linalg.norm(load), tangent, state
 
     u, _, tangent, _ = at(begin, whole.linear(HARMONICS).ravel())
@@ -45,8 +45,10 @@ def solve(problem: Problem) -> Answer:
     sizes = harmonic.harmonic_wise_conditioning(start, n, h, delta=1e-3 * np.abs(u).max())
     sizes[-1] = end
     inverse = 1.0 / np.abs(np.diag(tangent * sizes[:-1])).max()
-    config = {"DynamicCtoP": True, "TargetNfev": 200, "MaxSteps": 2000, "dsmin": 1e-3,
-              "dsmax": 0.015, "verbose": 0, "xtol": 1e-9 * len(start), "corrector": "Ortho"}  # fmt: skip
+    config = {
+        "DynamicCtoP": True, "TargetNfev": 200, "MaxSteps": 2000, "dsmin": 1e-3, "dsmax": 0.015,
+        "verbose": 0, "xtol": 1e-9 * len(start), "corrector": "Ortho",
+    }  # fmt: skip
     follow = Continuation(solver, ds0=0.01, CtoP=sizes, RPtoC=inverse, config=config)
     path = follow.continuation(residual, start, begin, end)
     u, left, _, state = at(end, path[-1, :-1])
