@@ -85,7 +85,7 @@ class Problem:
     flexibility : (p, p) or None
         R; None of pairs with mass.
     lift : (2m+1, p)
-        l: mean, and cosine and sine of each order.
+        l: mean, and cosine and sine of each order of the load; zero of pairs with mass.
     """
 
     name: str
@@ -227,7 +227,15 @@ class Problem:
         return rows
 
     def gap(self, coefficients: np.ndarray) -> np.ndarray:
-        """g at the 256 instants, from rows of the motion (2H+1, n)."""
+        """g at the 256 instants, from rows of the motion (2H+1, n).
+
+        Raises
+        ------
+        ValueError
+            Pairs have no mass: ``with_faces`` first.
+        """
+        if self.flexibility is not None:
+            raise ValueError("pairs have no mass: with_faces() or in_gaps() first")
         return at_instants(coefficients) @ self.pairs - self.clearance
 
 
