@@ -11,7 +11,7 @@ For each case the orbit nearest to the answer counts, shifted by periods of the 
   that of what moves of them; second: likewise of the load's second harmonic;
 - found: called a solution, with an error of at most 5 %;
 - verdict: that of this orbit;
-- wrong: called a solution, not found, and the error is more than 1.5 times what is stated, if it is.
+- wrong: called a solution, not found, and the error is above 1.5 times what is stated, if it is.
 
 Medians of error, second and processor time are those of what was found.
 
