@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
-sys.path.append(str(Path(sys.argv[1]).parent))  # last: adapters have the names of packages
 from problem import Answer, Unsupported, problem_of
 
 WARM = Path(__file__).parent / "cases" / "bilinear-1.json"
@@ -46,6 +45,7 @@ def answered(solve: Any, case: dict[str, Any]) -> dict[str, Any]:
 
 def main() -> None:
     """Answer one case."""
+    sys.path.append(str(Path(sys.argv[1]).parent))  # last: adapters have the names of packages
     spec = importlib.util.spec_from_file_location("adapter", sys.argv[1])
     assert spec is not None and spec.loader is not None
     adapter = importlib.util.module_from_spec(spec)
