@@ -107,13 +107,13 @@ def pair_lips(
         below, above = below @ forces, above @ forces
         node, pair = shares[count:].nonzero()
         solid = {"front": points[count + node], "at_front": pair}
-        solid |= {"nodes": points, "shares": sparse.csr_matrix(shares)} if dimension == 3 else {}
+        solid |= {"nodes": points, "shares": shares} if dimension == 3 else {}
     gap = below + above
     if patches is None:
         kept = np.arange(count)
         if mouth:
             kept = np.array([*_watched(plate.lips, cracks[:count], positions[:count]).values()])
-            solid = {}
+            solid = {"nodes": points, "shares": shares[:, kept]} if dimension == 3 else {}
         chosen, gap, below = kept, gap[:, kept], below[:, kept]
     points, areas, cracks, positions = (x[chosen] for x in (points, areas, cracks, positions))
     if dimension == 3:

@@ -61,7 +61,7 @@ GAUSS = 6
 WIDTH = 3
 """Least edges of the front between two stations: a hat has four nodes or more."""
 STATIONS = 12
-"""Most intervals between stations of a front."""
+"""Most intervals between stations of a front; twice as many of a closed one."""
 CORNER = np.pi / 4.0
 """Angle between two edges of a front at which it is not smooth [rad]."""
 AT_ONCE = 100_000
@@ -107,7 +107,7 @@ class Front:
     @cached_property
     def peaks(self) -> np.ndarray:
         """Parameters of the hats' peaks, that of a closed front's first one at the end, too."""
-        count = max(1, min(STATIONS, (len(self.nodes) - 1) // WIDTH))
+        count = max(1, min(STATIONS * (1 + self.closed), (len(self.nodes) - 1) // WIDTH))
         return np.linspace(self.at[0], self.at[-1], max(count, 3 if self.closed else 1) + 1)
 
     @property
@@ -404,11 +404,12 @@ def _stations(structure: Structure, front: Front) -> list[Station]:
 
 def _check_resolved(front: Front) -> None:
     """Raise InputError where the domain is smaller than an element."""
-    longest = np.linalg.norm(np.diff(front.nodes, axis=0), axis=1).max()
-    radius = front.radius(front.frame(front.at)[2]).min()
-    if radius < longest:
-        allowed = f"such that those along the crack front are shorter than {radius:.3g} m"
-        raise InputError("mesh", f"elements of {longest:.3g} m", allowed)
+    lengths = np.linalg.norm(np.diff(front.nodes, axis=0), axis=1)
+    radius = front.radius(front.frame(0.5 * (front.at[1:] + front.at[:-1]))[2])
+    worst = (lengths / radius).argmax()
+    if lengths[worst] > radius[worst]:
+        allowed = f"shorter than {radius[worst]:.3g} m along the front in {front.nodes[worst]} m"
+        raise InputError("mesh", f"elements of {lengths[worst]:.3g} m", allowed)
 
 
 def _by_station(front: Front, rows: np.ndarray) -> np.ndarray:

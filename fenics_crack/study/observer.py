@@ -22,7 +22,6 @@ from fenics_crack.basics.observables import (
     names_of,
     read_at,
 )
-from fenics_crack.model.factor import AT_A_TIME
 from fenics_crack.model.nodes import Clamp
 from fenics_crack.model.receptance import check_matrices
 from fenics_crack.model.structure import RayleighDamping, Structure
@@ -34,6 +33,10 @@ from fenics_crack.study.prepare import Study
 if TYPE_CHECKING:
     from fenics_crack.fem.fronts import Station
     from fenics_crack.fem.interaction_integral import Tip
+
+
+EXPANDED = 20_000_000
+"""Values of the whole structure that are expanded at once, 160 MB: each time it is factored."""
 
 
 def rows_requested(study: Study) -> list[Rows]:
@@ -133,8 +136,7 @@ class AtTip(NamedTuple):
     one, two, three : (n,) [Pa m^1/2]
         K_I, K_II, and of a solid K_III; of a plate None.
     closed : float [Pa m^1/2]
-        Largest size of what is computed for K_I of a solid while the front is closed, where K_I is
-        zero: its error.
+        Largest size of what is computed for K_I of a solid where it is zero by contact: its error.
     periods : float
         Periods of the load that it lasts, or after which it repeats itself.
     law : Growth or None
@@ -178,19 +180,20 @@ def at_tips(
     record: Record, tips: Sequence[Tip | Station], of_forces: np.ndarray, law: Growth | None
 ) -> list[AtTip]:
     """Stress intensity at each tip in a record of the rows of :func:`tip_rows`. At the front of a
-    solid's crack K_I is zero while all pairs that touch it are closed, and never negative."""
+    solid's crack without clearance K_I is zero while all pairs that touch it are closed, and never
+    negative."""
     rows = (record.motion + record.force @ of_forces.T).T
+    exact = not np.any(record.structure.clearance)
     found = []
-    for tip, own in zip(tips, rows.reshape(len(tips), -1, rows.shape[1]), strict=True):
-        touching = getattr(tip, "touching", None)
-        if touching is None:
-            found.append(AtTip(own[0], own[1], record.periods, law))
-            continue
-        one, two, three = own
-        shut = np.all(record.force[:, touching] > 0.0, axis=1) & (len(touching) > 0)
-        raw = float(np.abs(one[shut]).max(initial=0.0))
-        one = np.where(shut, 0.0, np.maximum(one, 0.0)) if len(touching) else one
-        found.append(AtTip(one, two, record.periods, law, three, raw))
+    for tip, (one, two, *three) in zip(
+        tips, rows.reshape(len(tips), -1, rows.shape[1]), strict=True
+    ):
+        stated, touching = one, getattr(tip, "touching", ())
+        if exact and len(touching):
+            shut = np.all(record.force[:, touching] > 0.0, axis=1)
+            stated = np.where(shut, 0.0, one.clip(0.0))
+        left_out = float(np.abs(one - stated).max())
+        found.append(AtTip(stated, two, record.periods, law, *(three or [None]), left_out))
     return found
 
 
@@ -245,8 +248,8 @@ class _OfScene:
                 raise InputError("crack", "a crack without a tip", "one that ends in the structure")
             return found
         tips, rows, of_forces = structure.whole.once(self)
-        units = np.eye(structure.n_dofs)
-        blocks = [units[n : n + AT_A_TIME] for n in range(0, len(units), AT_A_TIME)]
+        units, most = np.eye(structure.n_dofs), max(1, EXPANDED // structure.whole.n_dofs)
+        blocks = [units[n : n + most] for n in range(0, len(units), most)]
         products = np.vstack([structure.expand(block) @ rows.T for block in blocks])
         return tips, structure.whole.sum_over_ranks(products).T, of_forces
 

@@ -634,13 +634,14 @@ class StressIntensity(Tabular):
         Where they are, and where the cracks run straight on.
     one, two : (n, n_tips) [Pa m^1/2]
         K_I, positive where the crack faces part, and K_II, positive where the face on the left of
-        who looks ahead moves ahead. At a front K_I is exactly zero while all patches of the contact
-        that touch it near a station are closed.
+        who looks ahead moves ahead. At a front without clearance K_I is exactly zero while all
+        patches of the contact that touch it near a station are closed, and never negative.
     three : (n, n_tips) [Pa m^1/2] or None
         K_III, positive where the upper face moves along the front, in the direction e_3 = e_1 x e_2
         with e_1 ahead and e_2 from the lower to the upper face; of a plate None.
     closed : (n_tips,) [Pa m^1/2]
-        Largest size of K_I of a solid as it is computed while it is zero: its error.
+        Largest size of K_I of a solid as it is computed where it is zero by contact, while the front
+        is closed, or below zero while it is so in part: its error.
     """
 
     time: np.ndarray

@@ -114,9 +114,14 @@ def ellipse(path: Path, long: float, deep: float, side: float, element: float) -
         t = np.linspace(0.0, 2.0 * np.pi, 400)
         front = np.column_stack([long * np.cos(t), 0.0 * t, deep * np.sin(t)])
 
+        # No longer than what is integrated over where the front is sharply curved.
+        bent = ((long * np.sin(t)) ** 2 + (deep * np.cos(t)) ** 2) ** 1.5 / (long * deep)
+        there = np.minimum(element, 0.35 * bent)
+
         def size(_dimension: int, _tag: int, x: float, y: float, z: float, *_: float) -> float:
-            away = np.linalg.norm(front - (x, y, z), axis=1).min()
-            return min(element + 0.5 * max(away - 1.5 * element, 0.0), side / 6.0)
+            aways = np.linalg.norm(front - (x, y, z), axis=1)
+            own, away = there[aways.argmin()], aways.min()
+            return float(min(own + 0.6 * max(away - 1.5 * own, 0.0), side / 4.0))
 
         from gmsh import option, write
 
