@@ -193,7 +193,7 @@ def at_tips(
             shut = np.all(record.force[:, touching] > 0.0, axis=1)
             stated = np.where(shut, 0.0, one.clip(0.0))
         left_out = float(np.abs(one - stated).max())
-        found.append(AtTip(stated, two, record.periods, law, *(three or [None]), left_out))
+        found.append(AtTip(stated, two, record.periods, law, three[0] if three else None, left_out))
     return found
 
 

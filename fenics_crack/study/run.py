@@ -640,8 +640,8 @@ class StressIntensity(Tabular):
         K_III, positive where the upper face moves along the front, in the direction e_3 = e_1 x e_2
         with e_1 ahead and e_2 from the lower to the upper face; of a plate None.
     closed : (n_tips,) [Pa m^1/2]
-        Largest size of K_I of a solid as it is computed where it is zero by contact, while the front
-        is closed, or below zero while it is so in part: its error.
+        Largest size of K_I of a solid as it is computed where it is zero by contact, while the
+        front is closed, or below zero while it is closed in part: its error.
     """
 
     time: np.ndarray

@@ -97,31 +97,34 @@ def test_same_on_two_ranks(on_ranks: Callable[..., Any]) -> None:
     assert on_ranks(largest_on, scene) == pytest.approx(largest_on(scene, MPI.COMM_SELF), rel=1e-8)
 
 
-def ellipse(path: Path, long: float, deep: float, side: float, element: float) -> fc.Scene:
-    """A block, clamped below, with an elliptical crack in its middle, in a mesh file."""
+def ellipse(
+    path: Path, long: float, deep: float, side: float, element: float, corner: bool = False
+) -> fc.Scene:
+    """A block, clamped below, with an elliptical crack in its middle, in a mesh file; or a quarter
+    of both."""
     with gmsh_model() as model:
-        occ = model.occ
-        box = [(3, occ.addBox(-0.5 * side, -0.5 * side, -0.5 * side, side, side, side))]
+        occ, low = model.occ, 0.0 if corner else -0.5 * side
+        box = [(3, occ.addBox(low, -0.5 * side, low, 0.5 * side - low, side, 0.5 * side - low))]
         face = [(2, occ.addDisk(0.0, 0.0, 0.0, long, deep))]
         occ.rotate(face, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.5 * math.pi)
+        face = occ.intersect(face, box, removeTool=False)[0]
         occ.fragment(box, face)
         occ.synchronize()
-        middle = {tag: occ.getCenterOfMass(2, tag) for _, tag in model.getEntities(2)}
-        low = [tag for tag, at in middle.items() if at[1] < -0.49 * side]
-        crack = [tag for tag, at in middle.items() if np.linalg.norm(at) < 1e-6 * side]
-        for dimension, tags, name in ((3, [1], "solid"), (2, low, "clamp"), (2, crack, "crack")):
+        ends = {tag: np.array(model.getBoundingBox(2, tag)) for _, tag in model.getEntities(2)}
+        below = [tag for tag, at in ends.items() if at[4] < -0.49 * side]
+        crack = [tag for tag, at in ends.items() if np.abs(at).max() < 1.01 * long]
+        for dimension, tags, name in ((3, [1], "solid"), (2, below, "clamp"), (2, crack, "crack")):
             model.setPhysicalName(dimension, model.addPhysicalGroup(dimension, tags), name)
         t = np.linspace(0.0, 2.0 * np.pi, 400)
         front = np.column_stack([long * np.cos(t), 0.0 * t, deep * np.sin(t)])
-
         # No longer than what is integrated over where the front is sharply curved.
         bent = ((long * np.sin(t)) ** 2 + (deep * np.cos(t)) ** 2) ** 1.5 / (long * deep)
-        there = np.minimum(element, 0.35 * bent)
+        there = np.minimum(element, 0.25 * bent)
 
         def size(_dimension: int, _tag: int, x: float, y: float, z: float, *_: float) -> float:
             aways = np.linalg.norm(front - (x, y, z), axis=1)
             own, away = there[aways.argmin()], aways.min()
-            return float(min(own + 0.6 * max(away - 1.5 * own, 0.0), side / 4.0))
+            return float(min(own + 0.5 * max(away - 1.5 * own, 0.0), side / 6.0))
 
         from gmsh import option, write
 
@@ -130,32 +133,37 @@ def ellipse(path: Path, long: float, deep: float, side: float, element: float) -
         model.mesh.setSizeCallback(size)
         model.mesh.generate(3)
         write(str(path))
-    given = {"mesh.layout": "file", "mesh.file": str(path), "crack": None, "geometry.width": None}
-    given |= {
-        "mesh.size": None,
-        "mesh.lip_elements": None,
-        "excitation.point": (0.0, side / 2, 0.0),
-    }
-    given |= {"geometry.height": None}
-    given |= {"geometry.thickness": None, "sweep": None}
-    return solid().replace(given)
+    given = {"mesh.layout": "file", "mesh.file": str(path), "crack": None, "sweep": None}
+    given |= {"mesh.size": None, "mesh.lip_elements": None, "geometry.width": None}
+    given |= {"geometry.height": None, "geometry.thickness": None}
+    return solid().replace(given | {"excitation.point": (0.0, 0.5 * side, 0.0)})
 
 
-def pressed_open(scene: fc.Scene) -> tuple[list[Any], np.ndarray]:
-    """Stations and K_I, K_II, K_III (n, 3) of a crack under a uniform pressure of 1 MPa."""
+def pressed_open(scene: fc.Scene, corner: bool = False) -> tuple[list[Any], np.ndarray, int]:
+    """Stations, K_I, K_II, K_III (n, 3) of a crack under a uniform pressure of 1 MPa, and the
+    number of dofs; with planes of symmetry at x = 0 and z = 0."""
     study = prepare(scene, MPI.COMM_SELF, whole=True)
     structure = study.structure
     stations, rows, of_forces = tip_rows(study)
-    forces = STRESS * structure.pairs.areas
+    forces = STRESS * structure.pair_areas
     solver, (found, load) = PETSc.KSP().create(), structure.stiffness.createVecs()
-    solver.setOperators(structure.stiffness)
+    assert structure.nodes is not None
+    nodes, held = structure.nodes, np.zeros(structure.n_local)
+    for axis in (0, 2) if corner else ():
+        dofs = nodes.dofs[np.abs(nodes.points[:, axis]) < 1e-9, axis]
+        held[dofs[dofs >= 0]] = 1e3 * YOUNG
+    matrix = structure.stiffness.copy()
+    diagonal = matrix.getDiagonal()
+    diagonal.array[:] += held
+    matrix.setDiagonal(diagonal)
+    solver.setOperators(matrix)
     solver.setType("preonly")
     solver.getPC().setType("cholesky")
     solver.getPC().setFactorSolverType("mumps")
     load.array[:] = -(structure.gap @ forces)
     solver.solve(load, found)
     values = rows @ found.array_r + of_forces @ forces
-    return stations, values.reshape(-1, 3)
+    return stations, values.reshape(-1, 3), structure.n_dofs
 
 
 def penny(path: Path, element: float) -> np.ndarray:
