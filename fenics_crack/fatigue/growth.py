@@ -296,7 +296,7 @@ def grow(
 def _checked(scene: Scene) -> Scene:
     """A scene whose crack can grow; InputError where it cannot."""
     of_plates = "with geometry.kind = 'solid': growth is of plates" if scene.dimension == 3 else ""
-    check_known(without_tips(scene) or of_plates, "growth", "asked for")
+    check_known(of_plates or without_tips(scene), "growth", "asked for")
     law, crack = scene.given("growth"), scene.given("crack")
     if scene.mesh.layout != "graded":
         allowed = "'graded' with [growth], which meshes many lengths"

@@ -443,7 +443,7 @@ def test_solids_are_refused() -> None:
     keys = {"growth.until": 0.05, "growth.rate": 1e-11, "growth.exponent": 3.0}
     solid = fc.Scene.load(ROOT / "demos" / "solid_blade.toml")
     for scene in (solid, solid.replace(keys)):
-        with pytest.raises(fc.InputError, match="stress intensities are of plates"):
+        with pytest.raises(fc.InputError, match="growth is of plates"):
             fc.grow(scene, comm=MPI.COMM_SELF)
 
 

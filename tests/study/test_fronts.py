@@ -119,12 +119,12 @@ def ellipse(
         front = np.column_stack([long * np.cos(t), 0.0 * t, deep * np.sin(t)])
         # No longer than what is integrated over where the front is sharply curved.
         bent = ((long * np.sin(t)) ** 2 + (deep * np.cos(t)) ** 2) ** 1.5 / (long * deep)
-        there = np.minimum(element, 0.25 * bent)
+        there = np.minimum(element, 0.1 * bent)
 
         def size(_dimension: int, _tag: int, x: float, y: float, z: float, *_: float) -> float:
             aways = np.linalg.norm(front - (x, y, z), axis=1)
             own, away = there[aways.argmin()], aways.min()
-            return float(min(own + 0.5 * max(away - 1.5 * own, 0.0), side / 6.0))
+            return float(min(own + 0.4 * max(away - 1.5 * own, 0.0), side / 5.0))
 
         from gmsh import option, write
 
