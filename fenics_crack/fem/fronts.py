@@ -594,6 +594,8 @@ class _Domain:
         surface with an outward normal: (3 n_stations, n, 4, 3, 3)."""
         places = np.einsum("pb,cbi->cpi", rule, self.corners[some])
         frame, xi, y, r, hat, by_s, bend, slope, radius = self._around(places, some)
+        if normal is not None:  # A chord of a concave front has crack faces ahead of the curve.
+            xi = np.where(np.abs(y) < 1e-9 * r, -r, xi)
         q, fall = _weight(r / radius)
         fall /= radius
         g = 1.0 + bend * xi
