@@ -469,7 +469,7 @@ def reduce_wheel(
     ------
     InputError
         The wheel is none, families is no whole number from 1 to half of a sector's dofs, or more
-        none from 0 to those that the basis has left.
+        none from 0 to four for each sector.
 
     Examples
     --------
