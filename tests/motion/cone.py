@@ -51,7 +51,7 @@ def march_cone(
         free += at.T * before + slope.T * (outer - before)
         gap = modal @ free[0] + wave(step * dt, held)
         gap[:pairs] -= structure.clearance
-        for _ in range(400):
+        for _ in range(60):
             change = 0.0
             for i in range(pairs):
                 mine = [i, pairs + i, 2 * pairs + i]
@@ -65,14 +65,14 @@ def march_cone(
                 elif np.hypot(*new[1:]) > mu * new[0]:
                     new = old.copy()
                     size = np.linalg.norm(own[i][1:, 1:], 2)
-                    for _ in range(20):
+                    for _ in range(4):
                         new[0] = max((left[0] - own[i][0, 1:] @ new[1:]) / own[i][0, 0], 0.0)
                         push = new[1:] + (goal[1:] - own[i][1:] @ new) / size
                         long = np.hypot(*push)
                         new[1:] = push * min(1.0, mu * new[0] / long if long > 0.0 else 1.0)
                 force[mine] = new
                 change = max(change, float(np.abs(new - old).max()))
-            if change <= 1e-9 * max(np.abs(force).max(), 1e-12):
+            if change <= 1e-8 * max(np.abs(force).max(), 1e-12):
                 break
         now = gap - compliance @ force
         place = now[pairs:].reshape(2, pairs)
