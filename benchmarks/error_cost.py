@@ -3,7 +3,8 @@
 plates20, plates50: plates as in plate_orbits.py with 8 to 62 rigid pairs and 20 or 50 modes, H =
 20. solid: the box that ``new --solid`` writes with about 300 patches on its crack, H = 10. million:
 the plate of growth.py with a million dofs, 1 % of damping and 140 patches on the 280 nodes of its
-lips, penalty, with a tolerance of 5 %: its report, its verdict, time and memory are printed.
+lips, penalty, with a tolerance of 5 %. large: that box with 300 thousand dofs and 100 patches,
+rigid, to 1 %. Of these two report, verdict, time and memory are printed.
 
 Error and verdict are: one Newton step of the whole solution on the exact flow, the orbit that
 Newton's method leads to from its state, its multipliers where the monodromy matrix is formed, its
@@ -21,6 +22,7 @@ import time
 from dataclasses import dataclass
 from functools import partial
 from importlib import resources
+from typing import Any
 
 import common
 import numpy as np
@@ -39,6 +41,9 @@ PATCHES = {"mesh.lip_elements": 8, "mesh.error": False}
 """Of the box that ``new --solid`` writes: 293 on its crack."""
 DAMPING, TOLERANCE = 0.01, 0.05
 """Of the plate with a million dofs. With 0.1 % its orbit is unstable (1.08)."""
+LARGE = {"mesh.size": 0.00115, "mesh.lip_elements": 10, "mesh.patches": 100, "mesh.error": False}
+"""Of the box with 300 thousand dofs."""
+BOX_MODES = 20
 COLUMNS = (
     "case", "pairs", "modes", "search ms", "step ms", "orbit ms", "reference ms", "step", "orbit",
     "reference", "error", "predicted", "truncation", "distance", "more modes", "|mu|",
@@ -49,7 +54,7 @@ def main() -> None:
     """Run it."""
     parts: dict[str, common.Part] = {
         "plates20": partial(plates, 20), "plates50": partial(plates, 50), "solid": solid,
-        "million": million,
+        "million": million, "large": large,
     }  # fmt: skip
     common.run(__doc__, parts, seed={"type": int, "default": SEED})
 
@@ -117,11 +122,15 @@ def plates(modes: int, arguments: common.Arguments) -> None:
     report(arguments, f"plates with {modes} modes", f"plates{modes}", rows)
 
 
+def box(changes: dict[str, Any]) -> fc.Scene:
+    """The scene that ``new --solid`` writes, for one solution."""
+    text = resources.files("fenics_crack.cli").joinpath("new_solid.toml").read_text("utf-8")
+    return fc.Scene.from_text(text).replace({"sweep": None, "curve": None} | changes)
+
+
 def solid(arguments: common.Arguments) -> None:
     """The box with many patches."""
-    text = resources.files("fenics_crack.cli").joinpath("new_solid.toml").read_text("utf-8")
-    scene = fc.Scene.from_text(text).replace({"sweep": None, "curve": None} | PATCHES)
-    study = fc.prepare(scene)
+    study = fc.prepare(box(PATCHES))
     omega, law = study.scene.excitation.omega, study.contact
     rows = [measured("solid", study.structure, omega, law, 10)]
     report(arguments, "solid box", "solid", rows)
@@ -137,19 +146,43 @@ def million(arguments: common.Arguments) -> None:
             "mesh.grading": grading, "mesh.patches": lips,
         }
     )  # fmt: skip
+    with_patches(scene, MODES, 2000.0, PER_AREA, TOLERANCE)
+
+
+def large(arguments: common.Arguments) -> None:
+    """The box with 300 thousand dofs; with 60 thousand with ``--quick``."""
+    scene = box(LARGE | ({"mesh.size": 0.003, "mesh.lip_elements": 6} if arguments.quick else {}))
+    assert scene.harmonic_balance.tolerance is not None
+    tolerance = scene.harmonic_balance.tolerance
+    with_patches(scene, BOX_MODES, scene.excitation.omega, None, tolerance)
+
+
+def with_patches(
+    scene: fc.Scene, modes: int, omega: float, per_area: float | None, tolerance: float
+) -> None:
+    """Print report, verdict, time and memory of a scene solved from its mesh on; rigid contact, or
+    a stiffness per area [N/m^3]."""
     clock = time.process_time()
     whole = fc.build_structure(scene)
-    structure = fc.reduce_structure(whole, modes=MODES, method="massless")
-    prepared = time.process_time() - clock
-    assert whole.pair_areas is not None
-    law = fc.UnilateralPenalty(PER_AREA * whole.pair_areas)
-    found = fc.solve_harmonic_balance(structure, 2000.0, law, tolerance=TOLERANCE, throw=False)
-    taken, memory = time.process_time() - clock, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    print(f"{whole.n_dofs} dofs, {whole.n_pairs} pairs, {MODES} modes: H = {found.harmonics}")
-    print(f"prepared in {prepared:.1f} s, in all {taken:.1f} s, {memory / 2**20:.2f} GiB")
-    print(found.report, found.assessment.reason, sep="\n")
+    structure = fc.reduce_structure(whole, modes=modes, method="massless")
+    prepared, memory = time.process_time() - clock, _memory()
+    law: fc.ContactLaw = fc.UnilateralConstraint()
+    if per_area is not None:
+        assert whole.pair_areas is not None
+        law = fc.UnilateralPenalty(per_area * whole.pair_areas)
+    found = fc.solve_harmonic_balance(structure, omega, law, tolerance=tolerance, throw=False)
+    stated, reason = found.report, found.assessment.reason
+    taken = time.process_time() - clock
+    print(f"{whole.n_dofs} dofs, {whole.n_pairs} pairs, {modes} modes: H = {found.harmonics}")
+    print(f"prepared in {prepared:.1f} s, {memory:.2f} GiB; all {taken:.1f} s, {_memory():.2f} GiB")
+    print(stated, reason, sep="\n")
     if found.orbit is not None:
         print(f"largest multiplier {abs(found.orbit.multipliers).max():.4f}")
+
+
+def _memory() -> float:
+    """Most memory of this process until now [GiB]."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
 
 
 def report(arguments: common.Arguments, title: str, name: str, rows: list[common.Row]) -> None:

@@ -68,6 +68,7 @@ class Assessment:
     ) -> None:
         self.wave, self.own, self._source = wave, own, source
         self._more, self._flow = more, flow
+        self._ended: list[str] = []
 
     def is_of(self, other: Wave) -> bool:
         """Return True if ``other`` is the assessed solution, for which this assessment holds."""
@@ -123,17 +124,17 @@ class Assessment:
     @cached_property
     def orbit(self) -> PeriodicOrbit | None:
         """The nearest orbit: that from which the solution was found, or to which Newton's method
-        leads; None where it leads to none, or the step is longer than the motion."""
+        leads; None where it leads to none."""
         if (known := self.own or self._source) is not None:
             return known
-        if self.prediction is None or not self.predicted_error < UNKNOWN or self.too_slow:
+        if self.prediction is None or self.too_slow:
             return None
         assert self.flow is not None
         states = [self.states[0]]
         if self.predicted_error <= MAX_ERROR:
             states.insert(0, self.prediction.states[0])
         periods, inverse = self.wave.subharmonic, self.prediction.inverse
-        search = partial(find_orbit, self.flow, self.wave.omega)
+        search = partial(find_orbit, self.flow, self.wave.omega, ended=self._ended)
         found = (search(state, subharmonic=periods, inverse=inverse) for state in states)
         return next(filter(None, found), None)
 
@@ -178,8 +179,8 @@ class Assessment:
 
     @cached_property
     def more_modes(self) -> MoreModes | None:
-        """The motion with more modes; None where no flow with these is at hand, or would take long,
-        or no orbit is accepted for the solution."""
+        """The nearest orbit with more modes; None where no flow with these is at hand, or would
+        take long, or no orbit is found, accepted or not."""
         if self._more is not None:
             return self._more
         wave, reference = self.wave, reference_of(self.wave)
@@ -188,7 +189,7 @@ class Assessment:
         assert wave.contact is not None
         flow = flow_of(reference, wave.contact)
         known = flow is not None and affordable(flow, wave.omega, wave.subharmonic, FLOWS)
-        if flow is None or not known or not self.accepted or self.orbit is None:
+        if flow is None or not known or self.orbit is None:
             return None
         return MoreModes(flow, wave, self.orbit)
 
@@ -211,7 +212,8 @@ class Assessment:
         size = percent(expected) if expected < UNKNOWN else "100 % or more"
         if self.orbit is None:
             changed = f"the truncated harmonics change it by {size}"
-            return f"{changed}, and no exact orbit was found near it; use more harmonics"
+            ended = self._ended[-1:] or ["no exact orbit was found near it; use more harmonics"]
+            return f"{changed}, and {ended[0]}"
         own = "stable" if self.orbit.is_stable else "unstable"
         away = f"the nearest exact orbit, which is {own}, is {percent(self.distance)} away"
         doubt = "it may be another motion; use more harmonics, or a tolerance"

@@ -25,7 +25,8 @@ from fenics_crack.model.modes import NEGLIGIBLE, times
 from fenics_crack.model.reduced import ReducedStructure, massless
 from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.motion.flow import ContactFlow, Samples
-from fenics_crack.motion.orbit import KNOWN, Inverse, PeriodicOrbit, find_orbit
+from fenics_crack.motion.orbit import INSTANTS, KNOWN, Inverse, PeriodicOrbit, find_orbit, predicted
+from fenics_crack.motion.search import SEGMENTS
 from fenics_crack.numerics.equations import CLOSE
 from fenics_crack.numerics.fourier import waves_of
 from fenics_crack.numerics.newton import relative_to_motion
@@ -75,25 +76,25 @@ class MoreModes:
     wave: Wave
     """Harmonic-balance solution."""
     fewer: PeriodicOrbit
-    """Its own exact orbit, with the modes of its structure."""
+    """The nearest exact orbit, with the modes of its structure."""
     inverse: Inverse | None = None
     """(I - M)^-1 of a motion nearby, with which the search begins."""
 
     @property
-    def _state(self) -> np.ndarray:
-        """State at phase zero of the solution's own orbit, with what new modes have of its load and
-        contact forces."""
+    def _states(self) -> np.ndarray:
+        """States of the nearest orbit at equal parts of its period, with what new modes have of its
+        load and contact forces."""
         samples, flow = self.fewer.sampled, self.flow
         count = self.fewer.flow.count
-        shape, speed, places = np.split(samples.whole_states[:1], [count, 2 * count], axis=1)
+        shape, speed, places = np.split(samples.whole_states, [count, 2 * count], axis=1)
         if massless(self.wave.structure) is None:
-            return self._expanded(shape, speed, places)[0]
-        near, kept = np.arange(-1, 2), shape.shape[1]
-        loads = waves_of(flow.force, self.wave.omega * samples.time[near]) @ flow.force[:, kept:]
-        loads = loads - samples.forces[near] @ flow.modes.pairs[kept:].T
+            return self._expanded(shape, speed, places)[:: INSTANTS // SEGMENTS]
+        kept = shape.shape[1]
+        loads = waves_of(flow.force, self.wave.omega * samples.time) @ flow.force[:, kept:]
+        loads = loads - samples.forces @ flow.modes.pairs[kept:].T
         static = loads / flow.modes.squares[kept:]
-        rate = (static[2:] - static[:1]) / (2.0 * samples.time[1])
-        return np.hstack([shape, static[1:2], speed, rate, places])[0]
+        rate = (np.roll(static, -1, axis=0) - np.roll(static, 1, axis=0)) / (2.0 * samples.time[1])
+        return np.hstack([shape, static, speed, rate, places])[:: INSTANTS // SEGMENTS]
 
     def _expanded(self, shape: np.ndarray, speed: np.ndarray, places: np.ndarray) -> np.ndarray:
         """States of the reference of modal ones of a structure with mass."""
@@ -107,10 +108,13 @@ class MoreModes:
     @cached_property
     def orbit(self) -> PeriodicOrbit | None:
         """Next to the motion, as sharp as an estimated error takes; None where none is found."""
-        periods, state = self.wave.subharmonic, self._state
-        search = partial(find_orbit, self.flow, self.wave.omega, state, subharmonic=periods)
-        orbit = search(located=CLOSE, inverse=self.inverse)
-        return orbit or (search(located=CLOSE) if self.inverse else None)
+        flow, omega, periods = self.flow, self.wave.omega, self.wave.subharmonic
+        states, near = self._states, self.inverse
+        search = partial(find_orbit, flow, omega, subharmonic=periods, located=CLOSE)
+        orbit = search(states[0], inverse=near) or (search(states[0]) if near else None)
+        if orbit is None and (step := predicted(flow, omega, states, periods)):
+            orbit = search(step.states[0], inverse=step.inverse)
+        return orbit
 
     @property
     def hint(self) -> Inverse | None:

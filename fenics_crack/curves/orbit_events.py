@@ -84,24 +84,28 @@ def parting(monodromy: np.ndarray) -> np.ndarray:
     values, vectors = np.linalg.eig(monodromy[:-1])
     vectors += EPSILON * np.eye(values.shape[1])  # those of a double one may be the same
     after = np.linalg.solve(vectors, monodromy[1:] @ vectors)
-    size, ends = np.abs(values), np.einsum("ijj->ij", after)
+    size, found = np.abs(values), np.zeros(len(after))
+    lasting = size > KNOWN  # where faces stick, the state before a period leaves nothing
     with np.errstate(divide="ignore", invalid="ignore"):
-        unit = np.sqrt(size[:, :, None] * size[:, None])
-        gap, end = ((one[:, :, None] - one[:, None]) / unit for one in (values, ends))
-        coupled = 4.0 * after * np.swapaxes(after, 1, 2) / unit**2
-        parts = (coupled * end.conj() ** 2).real < 0.0
-        real = values.imag == 0.0  # two of these have parted already
-        parts &= ~(real[:, :, None] & real[:, None])
-        lasting = size > KNOWN  # where faces stick, the state before a period leaves nothing
-        parts &= lasting[:, :, None] & lasting[:, None]
-        coupled, gap, end = np.abs(coupled), np.abs(gap), np.abs(end)
-        way = gap + end
-        share = np.where(coupled < way * end, way * gap / (way**2 - coupled), 1.0)
-        square = coupled * share**2 - (share * way - gap) ** 2
         damping = np.maximum(-np.log(size), 0.0)
-        allowed = 4.0 * damping[:, :, None] * damping[:, None]
-        found = np.where(parts & (allowed > KNOWN**2), square / allowed, 0.0)
-    return np.sqrt(np.nan_to_num(found).max(axis=(1, 2), initial=0.0))
+        strength = np.abs(after * np.swapaxes(after, 1, 2)) / (size[:, :, None] * size[:, None])
+    allowed = damping[:, :, None] * damping[:, None]
+    # Few are coupled by more than an eighth of what lets one leave the circle.
+    parts = (strength > allowed / 64.0) & (allowed > 0.25 * KNOWN**2)
+    parts &= lasting[:, :, None] & lasting[:, None]
+    i, j, k = np.nonzero(np.triu(parts, 1))
+    unit = np.sqrt(size[i, j] * size[i, k])
+    gap, end = (values[i, j] - values[i, k]) / unit, (after[i, j, j] - after[i, k, k]) / unit
+    apart = (after[i, j, k] * after[i, k, j] * end.conj() ** 2).real < 0.0
+    # Two that are real have parted already.
+    apart &= (values.imag[i, j] != 0.0) | (values.imag[i, k] != 0.0)
+    coupled, gap, end = 4.0 * strength[i, j, k], np.abs(gap), np.abs(end)
+    way, share = gap + end, np.ones(len(i))
+    inside = coupled < way * end
+    share[inside] = (way * gap)[inside] / (way**2 - coupled)[inside]
+    square = (coupled * share**2 - (share * way - gap) ** 2) / (4.0 * allowed[i, j, k])
+    np.maximum.at(found, i, np.where(apart, square, 0.0))
+    return np.sqrt(np.nan_to_num(found))
 
 
 class MultiplierControl(StepControl):

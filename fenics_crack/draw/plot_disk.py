@@ -15,7 +15,8 @@ from fenics_crack.curves.curve import ResponseCurve, parameter_axis
 from fenics_crack.draw.figure import COLOURS, Picture, Where, label_axis, tenth
 from fenics_crack.draw.plot_mesh import draw_moved
 from fenics_crack.fem.nodal_mesh import NodalMesh
-from fenics_crack.model.wheel import Wheel, excited_diameter
+from fenics_crack.model.cyclic import excited_diameter
+from fenics_crack.model.wheel import Wheel
 from fenics_crack.study.bladed_disk import Amplification, NodalDiameters, wheel_of
 
 FRAMES = 48
@@ -169,11 +170,11 @@ def draw_nodal_diameters(
     excited = shown[found.excited]
     panel.plot(np.full(len(excited), found.excited), excited, "o", ms=10, **look)
     top = 1.08 * float(shown.max())
-    if found.speed > 0.0:
-        hertz = found.speed / TURN
+    if (speed := found.scene.speed) > 0.0:
+        hertz = speed / TURN
         orders = np.arange(0, int(np.ceil(top / hertz)) + 1)
         places = [excited_diameter(order, found.sectors) for order in orders]
-        label = f"engine orders at {found.speed / RPM:.4g} rpm"
+        label = f"engine orders at {speed / RPM:.4g} rpm"
         panel.plot(places, hertz * orders, "x--", color="#8f8f8f", ms=4, lw=0.6, label=label)
     panel.set(xlabel="nodal diameter", ylabel="natural frequency [Hz]", ylim=(0.0, top))
     panel.xaxis.set_major_locator(MaxNLocator(integer=True))

@@ -78,7 +78,7 @@ def stress(scene: Scene, space: Any, strain: Any) -> Any:
 
 
 Static = Callable[[np.ndarray], np.ndarray]
-"""Displacement (n_local,) under a constant load on each sector of a wheel."""
+"""Displacement (n_local, 1) under a constant load on each sector of a wheel."""
 
 
 def rotation_of(
@@ -95,7 +95,7 @@ def rotation_of(
     load = compat.assembled_vector(t * density * ufl.inner(radius, v) * ufl.dx)
     load = dofs.free_part(load)
     if static is not None:
-        moved = static(load)
+        moved = static(load[:, None])[:, 0]
     else:
         moved, _ = static_state(at_rest, load, np.zeros(at_rest.n_pairs))
     turned = ufl.grad(dofs.function(moved))

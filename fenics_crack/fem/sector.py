@@ -8,6 +8,7 @@ without a crack are the nodes of both faces in the same place.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from mpi4py import MPI
@@ -15,9 +16,9 @@ from mpi4py import MPI
 from fenics_crack.basics.errors import InputError
 from fenics_crack.fem.blocks import RIM_SIDES
 from fenics_crack.fem.cracks import LIP_TAGS, SAME
-from fenics_crack.fem.elasticity import Static, rotation_of
+from fenics_crack.fem.elasticity import rotation_of
 from fenics_crack.fem.plate import Dofs
-from fenics_crack.model.cyclic import Inside, Sector
+from fenics_crack.model.cyclic import Sector
 from fenics_crack.model.modes import times
 from fenics_crack.model.nodes import place_in_words
 from fenics_crack.model.structure import Structure
@@ -36,24 +37,21 @@ def assemble_wheel(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Com
     disk = scene.given("disk")
     sector, rotation = _sector(scene, dofs, structure), None
     if scene.speed > 0.0:
-        with sector.factored() as inside:
-            rotation = rotation_of(scene, dofs, structure, _static(inside))
+        with sector.factored() as same:  # a load that is the same on all sectors
+            rotation = rotation_of(scene, dofs, structure, same.answers)
         still, stiffness = rotation.stiffnesses(scene.speed)
         # K(W) u_s, with the stress and the displaced shape of bonded cracks, which the load opens.
         force, load = structure.force.copy(), scene.speed**2 * rotation.force
-        with sector.factored(still) as inside:
-            moved = _static(inside)(load)[:, None]
+        stiffened = replace(sector, structure=structure._changed(stiffness=still))
+        with stiffened.factored() as same:
+            moved = same.answers(load[:, None])
         force[0] += load + (times(stiffness, moved) - times(still, moved))[:, 0]
-        sector = sector.at_speed(stiffness, force)
+        turning = structure._changed(stiffness=stiffness, force=force)
+        sector = replace(sector, structure=turning)
     return Wheel(
         sector, cracked=[number - 1 for number in disk.cracked], mistuning=disk.deviations,
         order=scene.excitation.order or 0, families=disk.families, rotation=rotation, comm=comm,
     )  # fmt: skip
-
-
-def _static(inside: Inside) -> Static:
-    """The displacement of a sector under the same load on all."""
-    return lambda load: inside.at(0).answers(load[:, None])[:, 0]
 
 
 def turn_sides(scene: Scene, dofs: Dofs) -> None:
@@ -98,7 +96,16 @@ def turn_sides(scene: Scene, dofs: Dofs) -> None:
 def _sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
     points, sides, frames = dofs.points, dofs.sides, dofs.frames
     assert sides is not None and frames is not None
-    lips = _lips(dofs, points, float(np.ptp(points, axis=0).max()))
+    lips = np.zeros((2, 0), dtype=int)
+    if dofs.plate.cracked:  # faces without tips, which are bonded
+        lower, upper = (dofs.nodes_on(name) for name in LIP_TAGS)
+        lower, upper = np.setdiff1d(lower, upper), np.setdiff1d(upper, lower)
+        distance, place, partner = _matched(points[lower], points[upper])
+        if distance > SAME * float(np.ptp(points, axis=0).max()):
+            where = place_in_words(points[lower[place]])
+            allowed = f"meshed identically, so that they can be bonded, but not at {where}"
+            raise InputError("lips", f"{len(lower)} lower and {len(upper)} upper nodes", allowed)
+        lips = np.array([lower, upper[partner]])
     if len(shared := np.intersect1d(lips, sides)):
         allowed = f"away from the sides of its sector, not at {place_in_words(points[shared[0]])}"
         raise InputError("lips", "a crack", allowed)
@@ -116,18 +123,3 @@ def _matched(moved: np.ndarray, places: np.ndarray) -> tuple[float, int, np.ndar
     worst = int(np.argmax(distance))
     twice = len(places) != len(moved) or len(np.unique(partner)) != len(partner)
     return (math.inf if twice else float(distance[worst])), worst, partner
-
-
-def _lips(dofs: Dofs, points: np.ndarray, size: float) -> np.ndarray:
-    """Nodes of the lower faces of cracks, and of the upper ones in the same places: (2, p)."""
-    if not dofs.plate.cracked:
-        return np.zeros((2, 0), dtype=int)
-    lower, upper = (dofs.nodes_on(name) for name in LIP_TAGS)
-    tips = np.intersect1d(lower, upper)
-    lower, upper = (np.setdiff1d(side, tips) for side in (lower, upper))
-    distance, place, partner = _matched(points[lower], points[upper])
-    if distance > SAME * size:
-        where = place_in_words(points[lower[place]])
-        allowed = f"meshed identically, so that they can be bonded, but not at {where}"
-        raise InputError("lips", f"{len(lower)} lower and {len(upper)} upper nodes", allowed)
-    return np.array([lower, upper[partner]])

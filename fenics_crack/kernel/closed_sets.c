@@ -17,7 +17,7 @@ struct closed_sets {
     int modes, pairs, contacts; /* contacts: the rows r, with friction twice the pairs */
     const double *rows, *d, *friction;
     long most, kept;
-    double *room;  /* (r, 2 r + m), or (r, r) and three times (TERMS, r) */
+    double *room;  /* twice (r, r), and (2, r, m) or three times (TERMS, r) */
     double *given; /* (r) gaps whose states are sought */
     int *pivots;   /* (r) */
     int next;      /* bucket that is emptied */
@@ -29,7 +29,7 @@ static size_t bytes(long count) { return (size_t)count * sizeof(double); }
 closed_sets *new_closed_sets(int modes, int pairs, const double *rows, const double *d,
                              const double *friction, long most)
 {
-    const long rest = modes > 3 * TERMS ? modes : 3 * TERMS, contacts = friction ? 2L * pairs : pairs;
+    const long rest = 2 * modes > 3 * TERMS ? 2 * modes : 3 * TERMS, contacts = friction ? 2L * pairs : pairs;
     closed_sets *s = calloc(1, sizeof(closed_sets));
     if (!s) return NULL;
     s->modes = modes;
@@ -62,10 +62,21 @@ static int has_many(const closed_sets *s, int size)
     return s->friction ? size > 0 : 2 * size > s->modes;
 }
 
+/* Numbers of S, of which half are kept, or of L^T; and of P_A, which P_A S P_A^T replaces. */
+static long numbers_of_inverse(const closed_sets *s, long size)
+{
+    return s->friction ? size * s->contacts : size * (size + 1) / 2;
+}
+
+static long numbers_of_pairs(const closed_sets *s, long size)
+{
+    return s->friction || !has_many(s, (int)size) ? size * s->modes : 0;
+}
+
 static long numbers_of(const closed_sets *s, long size)
 {
-    const long m = s->modes, wide = s->friction ? s->contacts : size;
-    return size * wide + 2 * m * size + s->contacts + (has_many(s, (int)size) ? m * m : 0);
+    const long m = s->modes, own = numbers_of_inverse(s, size) + numbers_of_pairs(s, size);
+    return own + m * size + s->contacts + (has_many(s, (int)size) ? m * m : 0);
 }
 
 /* Forgets sets, bucket by bucket, until so many numbers are kept: of a motion that passes more sets
@@ -93,13 +104,15 @@ void free_closed_sets(closed_sets *s)
     free(s);
 }
 
-/* How a set presses on the modes, by its own rows (size, m) and what they push. */
-static void press(const closed_sets *s, closed_set *a, const double *own)
+/* How a set presses on the modes, by its own rows (size, m), behind which is room for as many
+ * numbers, and what they push. */
+static void press(const closed_sets *s, closed_set *a, double *own)
 {
     const int m = s->modes, size = a->size;
+    double *pairs = a->pairs ? a->pairs : own + (long)size * m;
     for (int i = 0; i < size; i++)
-        for (int j = 0; j < m; j++) a->pairs[(long)j * size + i] = own[(long)i * m + j];
-    if (a->stiffness) multiply_matrices(m, size, m, a->pairs, a->pushed, 0.0, a->stiffness);
+        for (int j = 0; j < m; j++) pairs[(long)j * size + i] = own[(long)i * m + j];
+    if (a->stiffness) multiply_matrices(m, size, m, pairs, a->pushed, 0.0, a->stiffness);
 }
 
 /* The tangential force of a slipping pair, relative to its normal one. */
@@ -170,19 +183,21 @@ static int fill(closed_sets *s, closed_set *a)
 {
     if (s->friction) return fill_with_friction(s, a);
     const int m = s->modes, p = s->pairs, size = a->size;
-    double *closed = s->room;
+    double *inverse = s->room, *closed = inverse + (long)p * p, *half = a->inverse;
     for (int i = 0, in = 0, out = size; i < p; i++) a->members[a->closed[i] ? in++ : out++] = i;
     for (int i = 0; i < size; i++) {
         const double *d = s->d + (long)a->members[i] * p;
-        for (int j = 0; j < size; j++) a->inverse[(long)i * size + j] = d[a->members[j]];
+        for (int j = 0; j < size; j++) inverse[(long)i * size + j] = d[a->members[j]];
     }
-    if (invert_positive(size, a->inverse)) return 1;
+    if (invert_positive(size, inverse)) return 1;
+    for (int i = 0; i < size; i++, half += i)
+        memcpy(half, inverse + (long)i * size, bytes(i + 1));
     for (int i = 0; i < p; i++) a->scale[i] = 1.0;
     for (int i = 0; i < size; i++) {
-        a->scale[a->members[i]] = a->inverse[(long)i * (size + 1)];
+        a->scale[a->members[i]] = inverse[(long)i * (size + 1)];
         memcpy(closed + (long)i * m, s->rows + (long)a->members[i] * m, bytes(m));
     }
-    multiply_matrices(size, size, m, a->inverse, closed, 0.0, a->pushed);
+    multiply_matrices(size, size, m, inverse, closed, 0.0, a->pushed);
     press(s, a, closed);
     return 0;
 }
@@ -191,10 +206,13 @@ void answer_gaps(closed_sets *s, const closed_set *a, int count, const double *g
 {
     const int p = s->pairs, size = a->size, others = p - size;
     const int *in = a->members, *out = in + size;
-    double *across = s->room, *closed = across + (long)p * p;
+    double *across = s->room, *inverse = across + (long)p * p, *closed = inverse + (long)p * p;
     double *forces = closed + (long)count * p, *openings = forces + (long)count * size;
+    const double *half = a->inverse;
     for (int i = 0; i < size; i++) {
         const double *d = s->d + (long)in[i] * p;
+        for (int j = 0; j <= i; j++)
+            inverse[(long)i * size + j] = inverse[(long)j * size + i] = *half++;
         for (int j = 0; j < others; j++) across[(long)i * others + j] = d[out[j]];
     }
     for (int t = 0; t < count; t++) {
@@ -202,7 +220,7 @@ void answer_gaps(closed_sets *s, const closed_set *a, int count, const double *g
         for (int i = 0; i < size; i++) closed[(long)t * size + i] = row[in[i]];
         for (int j = 0; j < others; j++) openings[(long)t * others + j] = row[out[j]];
     }
-    multiply_matrices(count, size, size, closed, a->inverse, 0.0, forces);
+    multiply_matrices(count, size, size, closed, inverse, 0.0, forces);
     multiply_matrices(count, size, others, forces, across, -1.0, openings);
     for (int t = 0; t < count; t++) {
         double *row = answers + (long)t * p;
@@ -214,7 +232,7 @@ void answer_gaps(closed_sets *s, const closed_set *a, int count, const double *g
 /* NULL without memory. */
 static closed_set *room_for(const closed_sets *s, int size, const signed char *closed)
 {
-    const long m = s->modes, p = s->pairs, r = s->contacts, wide = s->friction ? r : size;
+    const long m = s->modes, p = s->pairs, r = s->contacts, pairs = numbers_of_pairs(s, size);
     closed_set *made = calloc(1, sizeof(closed_set) + (size_t)r * sizeof(int) + (size_t)p);
     if (!made) return NULL;
     made->inverse = malloc(bytes(numbers_of(s, size) + 1));
@@ -223,9 +241,9 @@ static closed_set *room_for(const closed_sets *s, int size, const signed char *c
         return NULL;
     }
     made->size = size;
-    made->pairs = made->inverse + size * wide;
-    made->pushed = made->pairs + m * size;
-    made->scale = made->pushed + m * size;
+    made->pushed = made->inverse + numbers_of_inverse(s, size);
+    made->pairs = pairs ? made->pushed + m * size : NULL;
+    made->scale = made->pushed + m * size + pairs;
     made->stiffness = has_many(s, size) ? made->scale + r : NULL;
     made->members = (int *)(made + 1);
     made->closed = (signed char *)(made->members + r);

@@ -21,8 +21,8 @@ enum { OPEN, STICK, SLIP_UP, SLIP_DOWN };
 typedef struct closed_set {
     struct closed_set *next;
     int size, closing;   /* rows, and those of normals among them */
-    double *inverse;     /* (size, size) S, or with friction (size, rows) L^T */
-    double *pairs;       /* (m, size) P_A */
+    double *inverse;     /* the lower half of S row by row, or with friction (size, rows) L^T */
+    double *pairs;       /* (m, size) P_A; NULL with a stiffness and no friction */
     double *pushed;      /* (size, m) S P_A^T, or L^T P^T */
     double *stiffness;   /* (m, m) P_A S P_A^T where the pairs are many, else NULL */
     double *scale;       /* (rows) what turns gaps into answers: S_jj, or 1 */

@@ -16,5 +16,7 @@ void free_exponentials(exponentials *e);
  * returned: in that found. */
 int multiply_exponential(exponentials *e, const closed_set *a, double length, int apart,
                          double *product);
+/* To the product what has been left to be added at once. */
+void add_kicks(exponentials *e, double *product);
 
 #endif

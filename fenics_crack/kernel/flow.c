@@ -818,6 +818,7 @@ int flow_tangent(flow *f, const flow_track *track, double *tangent)
         }
         apart = multiply_exponential(f->exponential, a, length, apart, tangent);
     }
+    add_kicks(f->exponential, tangent);
     for (long i = 0; i < half; i++) tangent[i] /= unit;
     return finite_state((int)(2 * half), tangent) ? FLOW_DONE : FLOW_LOST;
 }

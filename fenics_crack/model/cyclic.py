@@ -23,13 +23,14 @@ in Engineering 14, 1979, 81).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy.fft
 import scipy.linalg
 import scipy.sparse as sparse
 from mpi4py import MPI
@@ -38,6 +39,50 @@ from fenics_crack.model.body import Body
 from fenics_crack.model.factor import Factor, distributed, local_rows
 from fenics_crack.model.modes import MULTIPLE, NEGLIGIBLE, modes_by
 from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.fourier import to_complex
+
+
+def excited_diameter(order: int, sectors: int) -> int:
+    """The nodal diameter that an engine order excites: min(E mod N, N - E mod N)."""
+    rest = order % sectors
+    return min(rest, sectors - rest)
+
+
+class Numbering:
+    """What belongs to a sector with a bonded crack, and to the whole wheel, of its dofs or nodes.
+
+    Attributes
+    ----------
+    own : (n_own,) int
+        Those that belong to a sector: all but those of the right side and of the upper face.
+    place : (n,) int
+        Of each the place, among its own ones, of that which moves as it does, in this sector or the
+        next one.
+    after : (n,) bool
+        True on the right side, which is the next sector's.
+    upper : (n_upper,) int
+        Those of the upper face.
+    """
+
+    def __init__(self, of_nodes: np.ndarray, sides: np.ndarray, lips: np.ndarray) -> None:
+        """Of what each node has, (n_nodes, k), -1 for nothing."""
+        same = np.arange(of_nodes.max() + 1)
+        for first, other in (sides, lips):
+            free = of_nodes[other] >= 0
+            same[of_nodes[other][free]] = of_nodes[first][free]
+        self.own, self.place = np.unique(same, return_inverse=True)
+        right, upper = of_nodes[sides[1]], of_nodes[lips[1]].ravel()
+        self.after, self.upper = np.isin(np.arange(len(same)), right), upper[upper >= 0]
+
+    def in_wheel(self, count: int, cracked: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+        """Numbers in a wheel of so many sectors, at some places with an open crack: (N, n); and of
+        each number the place, among all N n, of what belongs to its sector: (n_wheel,)."""
+        every = np.arange(count * len(self.place)).reshape(count, -1)
+        numbers = self.place + (np.arange(count)[:, None] + self.after) % count * len(self.own)
+        opened = np.ix_(cracked, self.upper)
+        own, others = every[:, self.own].ravel(), every[opened]
+        numbers[opened] = len(own) + np.arange(others.size).reshape(others.shape)
+        return numbers, np.concatenate([own, others.ravel()])
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +106,8 @@ class Sector:
         Nodes of the lower face of the crack, and those of the upper one, without the tip.
     elastic : PETSc.Mat
         The stiffness at rest, which mistuning multiplies.
+    bases : dict
+        Of wheels of it, which all patterns of mistuning share (``Wheel.basis``).
     """
 
     structure: Structure
@@ -70,13 +117,14 @@ class Sector:
     sides: np.ndarray
     lips: np.ndarray
     elastic: Any
+    bases: dict[tuple[Any, ...], CyclicBasis] = field(default_factory=dict, init=False)
 
-    @property
-    def dofs(self) -> np.ndarray:
-        """Of its nodes, (n_nodes, d); -1 where they are clamped."""
+    @cached_property
+    def dofs(self) -> Numbering:
+        """Its dofs."""
         nodes = self.structure.nodes
         assert nodes is not None
-        return nodes.dofs
+        return Numbering(nodes.dofs, self.sides, self.lips)
 
     @property
     def diameters(self) -> range:
@@ -93,19 +141,6 @@ class Sector:
         """True of the nodal diameters without a second one that turns the other way."""
         return 2 * diameter % self.count == 0
 
-    def circumferential(self, dof: int) -> dict[int, float]:
-        """The displacement of a dof's node in the direction in which sectors follow one another, as
-        factors of the node's dofs."""
-        nodes = self.structure.nodes
-        assert nodes is not None
-        node = int(np.argwhere(nodes.dofs == dof)[0, 0])
-        # Q - Q^T = 2 sin(2 pi / N) times the cross product with the axis.
-        along = (self.turn - self.turn.T) @ (nodes.points[node] - self.center)
-        shares = zip(
-            nodes.dofs[node].tolist(), (along / np.linalg.norm(along)).tolist(), strict=True
-        )
-        return {one: share for one, share in shares if one >= 0 and share != 0.0}
-
     def turned(self, times: int) -> np.ndarray:
         """Q^times: (d, d)."""
         return np.asarray(np.linalg.matrix_power(self.turn, times % self.count))
@@ -113,53 +148,6 @@ class Sector:
     def placed(self, points: np.ndarray, times: int) -> np.ndarray:
         """Points (n, d) of the first sector where they are in another one [m]."""
         return np.asarray((points - self.center) @ self.turned(times).T + self.center)
-
-    @cached_property
-    def upper(self) -> np.ndarray:
-        """Dofs of the upper face."""
-        found = self.dofs[self.lips[1]].ravel()
-        return found[found >= 0]
-
-    @cached_property
-    def after(self) -> np.ndarray:
-        """True for the dofs of the right side, which are the next sector's: (n_dofs,)."""
-        return np.isin(np.arange(self.structure.n_dofs), self.dofs[self.sides[1]])
-
-    @cached_property
-    def _bonded(self) -> tuple[np.ndarray, np.ndarray]:
-        same = np.arange(self.structure.n_dofs)
-        for first, other in (self.sides, self.lips):
-            free = self.dofs[other] >= 0
-            same[self.dofs[other][free]] = self.dofs[first][free]
-        return np.unique(same, return_inverse=True)
-
-    @property
-    def own(self) -> np.ndarray:
-        """Dofs that belong to a sector with a bonded crack: all but those of the right side and of
-        the upper face."""
-        return self._bonded[0]
-
-    @property
-    def place(self) -> np.ndarray:
-        """Of each dof the place of that which moves as it does, in this sector or the next one,
-        among a sector's own: (n_dofs,)."""
-        return self._bonded[1]
-
-    def ties(self, turn: complex) -> sparse.csr_matrix:
-        """T_n of e^(i 2 pi n / N): (n_dofs, n_own)."""
-        return chosen(self.place, len(self.own), np.where(self.after, turn, 1.0))
-
-    def of_diameter(self, matrix: sparse.csr_matrix, turn: complex) -> sparse.csr_matrix:
-        """T_n^H A T_n of a matrix of the sector: (n_own, n_own)."""
-        ties = self.ties(turn)
-        return sparse.csr_matrix(ties.conj().T @ matrix @ ties)
-
-    @cached_property
-    def opening(self) -> sparse.csc_matrix:
-        """E, which moves the upper face by displacements of the crack: (n_dofs, n_upper)."""
-        count = len(self.upper)
-        shape = self.structure.n_dofs, count
-        return sparse.csc_matrix((np.ones(count), (self.upper, np.arange(count))), shape)
 
     @cached_property
     def stiffness(self) -> sparse.csr_matrix:
@@ -170,16 +158,6 @@ class Sector:
     def mass(self) -> sparse.csr_matrix:
         """M."""
         return local_rows(self.structure.mass)
-
-    @cached_property
-    def _known(self) -> dict[tuple[Any, ...], Any]:
-        return {}
-
-    def once(self, key: tuple[Any, ...], compute: Callable[[], Any]) -> Any:
-        """What was computed of it once under a name and what it depends on."""
-        if key not in self._known:
-            self._known[key] = compute()
-        return self._known[key]
 
     def ritz(self, shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Frequencies, ascending, and shapes with v^H M v = 1 and v^H K v diagonal, in the space of
@@ -192,190 +170,155 @@ class Sector:
         )
         return np.sqrt(np.maximum(squares, 0.0)), shapes @ mixed
 
-    def at_speed(self, stiffness: Any, force: np.ndarray) -> Sector:
-        """The same with the stiffness and the load of a speed of the rotor."""
-        found = self.structure._changed(stiffness=stiffness, force=force)
-        return replace(self, structure=found)
-
     @contextmanager
-    def factored(self, stiffness: Any = None) -> Iterator[Inside]:
-        """The stiffness of all nodal diameters, factored; another one than its own, if given."""
-        matrix, count = (
-            self.stiffness if stiffness is None else local_rows(stiffness),
-            len(self.own),
-        )
-        both = chosen(self.place + count * self.after, 2 * count)
-        whole = sparse.csr_matrix(both.T @ matrix @ both)
-        side = np.unique(self.place[self.after])
+    def factored(self) -> Iterator[NodalDiameter]:
+        """Nodal diameter 0, and by it all others, of the stiffness, factored once."""
+        dofs, count = self.dofs, len(self.dofs.own)
+        both = chosen(dofs.place + count * dofs.after, 2 * count)
+        whole = sparse.csr_matrix(both.T @ self.stiffness @ both)
+        side = np.unique(dofs.place[dofs.after])
         inside, right = np.setdiff1d(np.arange(count), side), count + side
         to_left, to_right = (whole[inside][:, one] for one in (side, right))
         held = distributed(whole[inside][:, inside], MPI.COMM_SELF)
         with Factor(held, definite=True) as factor:
             by_left, by_right = (factor.solve(to.T).T for to in (to_left, to_right))
             own = whole[side][:, side] + whole[right][:, right]
-            yield Inside(
-                self, matrix, factor, inside, side, (to_left, to_right),
+            yield NodalDiameter(
+                self, factor, both, inside, side, (to_left, to_right),
                 own - to_left.T @ by_left - to_right.T @ by_right,
-                whole[side][:, right] - to_left.T @ by_right,
+                whole[side][:, right] - to_left.T @ by_right, 1.0,
             )  # fmt: skip
         held.destroy()
 
 
-def chosen(columns: np.ndarray, count: int, values: np.ndarray | None = None) -> sparse.csr_matrix:
-    """The matrix (n, count) whose rows have one entry each, 1 or another value."""
+def chosen(columns: np.ndarray, count: int) -> sparse.csr_matrix:
+    """The matrix (n, count) whose rows have one entry each, 1."""
     every = np.arange(len(columns) + 1)
-    values = np.ones(len(columns)) if values is None else values
-    return sparse.csr_matrix((values, columns, every), (len(columns), count))
-
-
-def in_real_form(matrix: sparse.csr_matrix) -> sparse.csr_matrix:
-    """[[Re, -Im], [Im, Re]] of a complex matrix; a real one as it is."""
-    if not np.iscomplexobj(matrix):
-        return matrix
-    return sparse.bmat([[matrix.real, -matrix.imag], [matrix.imag, matrix.real]], format="csr")
-
-
-@dataclass(frozen=True, eq=False)
-class Inside:
-    """The stiffness of a sector whose inside is eliminated, once for all nodal diameters: what is
-    left of each is a dense matrix of one side,
-
-        S_n = P + e^(it) R + e^(-it) R^T.
-
-    Attributes
-    ----------
-    sector, stiffness
-        The sector, and the stiffness that is factored.
-    factor : Factor
-        Of the stiffness of the inside K_ii.
-    inside, side : (n_inside,), (n_side,) int
-        Places of the dofs inside and on the left side in those of the sector's own.
-    coupling : pair of (n_inside, n_side)
-        K_il of the left and of the right side.
-    own, across : (n_side, n_side)
-        P and R.
-    """
-
-    sector: Sector
-    stiffness: sparse.csr_matrix
-    factor: Factor
-    inside: np.ndarray
-    side: np.ndarray
-    coupling: tuple[sparse.csr_matrix, sparse.csr_matrix]
-    own: np.ndarray
-    across: np.ndarray
-
-    def within(self, forces: Any) -> np.ndarray:
-        """K_ii^-1 f_i of real forces (n_dofs, m) on a sector, the same for all nodal diameters:
-        (n_inside, m)."""
-        seen = (self.sector.ties(1.0).T @ forces)[self.inside]
-        seen = seen.toarray() if sparse.issparse(seen) else np.asarray(seen)
-        return self.factor.solve(seen.T).T if seen.any() else seen
-
-    def at(self, diameter: int) -> NodalDiameter:
-        """One nodal diameter."""
-        angle = 2.0 * np.pi * diameter / self.sector.count
-        single = self.sector.is_single(diameter)
-        turn = float(round(np.cos(angle))) if single else complex(np.exp(1j * angle))
-        return NodalDiameter(self, turn)
+    return sparse.csr_matrix((np.ones(len(columns)), columns, every), (len(columns), count))
 
 
 @dataclass(frozen=True, eq=False)
 class NodalDiameter:
     """A nodal diameter of a wheel with bonded cracks.
 
+    The inside of the sector is eliminated, once for all of them: what is left is a dense matrix of
+    one side,
+
+        S_n = P + e^(it) R + e^(-it) R^T.
+
     Attributes
     ----------
-    inside : Inside
-        The sector's stiffness.
+    sector : Sector
+        The sector.
+    factor : Factor
+        Of the stiffness of the inside K_ii.
+    both : (n_dofs, 2 n_own)
+        The dofs from a sector's own and the next one's.
+    inside, side : (n_inside,), (n_side,) int
+        Places of the dofs inside and on the left side in those of the sector's own.
+    coupling : pair of (n_inside, n_side)
+        K_il of the left and of the right side.
+    own, across : (n_side, n_side)
+        P and R.
     turn : complex
-        e^(i 2 pi n / N).
+        e^(it) = e^(i 2 pi n / N).
     """
 
-    inside: Inside
+    sector: Sector
+    factor: Factor
+    both: sparse.csr_matrix
+    inside: np.ndarray
+    side: np.ndarray
+    coupling: tuple[sparse.csr_matrix, sparse.csr_matrix]
+    own: np.ndarray
+    across: np.ndarray
     turn: complex
 
     null_pivots = 0
 
+    def at(self, diameter: int) -> NodalDiameter:
+        """Another nodal diameter."""
+        turn = np.exp(2j * np.pi * diameter / self.sector.count)
+        single = self.sector.is_single(diameter)
+        return replace(self, turn=float(round(turn.real)) if single else complex(turn))
+
     @cached_property
     def ties(self) -> sparse.csr_matrix:
         """T_n: (n_dofs, n_own)."""
-        return self.inside.sector.ties(self.turn)
+        count = self.both.shape[1] // 2
+        return sparse.csr_matrix(self.both[:, :count] + self.turn * self.both[:, count:])
 
     @cached_property
-    def _left(self) -> tuple[np.ndarray, sparse.csr_matrix, sparse.csr_matrix]:
-        """S_n^-1, and K_il of this nodal diameter and its adjoint."""
-        inside, turn = self.inside, self.turn
-        across = np.asarray(turn * inside.across)
-        inverse = np.linalg.inv(np.asarray(inside.own) + across + across.conj().T)
-        coupling = sparse.csr_matrix(inside.coupling[0] + turn * inside.coupling[1])
-        return inverse, coupling, sparse.csr_matrix(coupling.conj().T)
+    def inverse(self) -> np.ndarray:
+        """S_n^-1: (n_side, n_side)."""
+        across = np.asarray(self.turn * self.across)
+        return np.linalg.inv(np.asarray(self.own) + across + across.conj().T)
 
-    def work(self, forces: Any, within: np.ndarray) -> np.ndarray:
-        """Real part of f^H T_n K_n^-1 T_n^H f of real forces (n_dofs, m), with
-        :meth:`Inside.within` of them: (m, m), from the side alone."""
-        inverse, _, adjoint = self._left
-        seen = sparse.csr_matrix(self.ties.conj().T @ forces)
-        left = seen[self.inside.side].toarray() - adjoint @ within
-        found = seen[self.inside.inside].real.T @ within + (left.conj().T @ (inverse @ left)).real
-        return np.asarray(found)
+    @cached_property
+    def coupled(self) -> sparse.csr_matrix:
+        """K_il of this nodal diameter: (n_inside, n_side)."""
+        return sparse.csr_matrix(self.coupling[0] + self.turn * self.coupling[1])
 
-    def solve(self, forces: np.ndarray, within: np.ndarray | None = None) -> np.ndarray:
-        """K_n^-1 f of forces on the sector's own dofs (n_own, m), with K_ii^-1 f_i where that is
-        known: the same shape."""
-        inside, side = self.inside.inside, self.inside.side
-        inverse, coupling, adjoint = self._left
-        if within is None:
-            within = _solved(self.inside.factor, forces[inside])
-        found = np.empty(forces.shape, dtype=np.result_type(forces, inverse))
-        found[side] = inverse @ (forces[side] - adjoint @ within)
-        found[inside] = within - _solved(self.inside.factor, coupling @ found[side])
+    def within(self, forces: np.ndarray) -> np.ndarray:
+        """K_ii^-1 f_i of real or complex columns (n_inside, m): the same shape."""
+        if not forces.any():
+            return forces
+        if not np.iscomplexobj(forces):
+            return self.factor.solve(np.ascontiguousarray(forces).T).T
+        parts = self.factor.solve(np.hstack([forces.real, forces.imag]).T).T
+        real, imaginary = np.split(parts, 2, axis=1)
+        return real + 1j * imaginary
+
+    def field(self, left: np.ndarray, right: np.ndarray, within: Any = 0.0) -> np.ndarray:
+        """Displacements (n_dofs, m) of a sector whose sides move, and whose inside would move
+        by itself."""
+        found = np.zeros((self.both.shape[1], left.shape[1]))
+        found[self.side], found[len(found) // 2 + self.side] = left, right
+        to_left, to_right = self.coupling
+        found[self.inside] = within - self.within(to_left @ left + to_right @ right)
+        return np.asarray(self.both @ found)
+
+    def solve(self, forces: np.ndarray) -> np.ndarray:
+        """K_n^-1 f of forces on the sector's own dofs (n_own, m): the same shape."""
+        within, coupling = self.within(forces[self.inside]), self.coupled
+        on_side = forces[self.side] - coupling.conj().T @ within
+        found = np.empty(forces.shape, dtype=np.result_type(forces, self.inverse))
+        found[self.side] = moved = self.inverse @ on_side
+        found[self.inside] = within - self.within(coupling @ moved)
         return found
 
     def apply(self, right: Any, solution: Any) -> None:
         """K_n^-1 of a vector of PETSc's in real form, as :meth:`Factor.apply`."""
-        given = right.array_r
-        if not self.turn.imag:
-            solution.array_w[:] = self.solve(given[:, None])[:, 0]
-            return
-        real, imaginary = np.split(given, 2)
-        found = self.solve((real + 1j * imaginary)[:, None])[:, 0]
-        solution.array_w[:] = np.concatenate([found.real, found.imag])
+        rows = right.array_r.reshape(2 if self.turn.imag else 1, -1)
+        force = rows[0] + 1j * rows[1] if self.turn.imag else rows[0]
+        found = self.solve(force[:, None])[:, 0]
+        solution.array_w[:] = np.concatenate([found.real, found.imag][: len(rows)])
 
     def modes(self, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Frequencies (count,) [rad/s], and shapes of a sector (n_dofs, count) with v^H M v = 1."""
-        sector = self.inside.sector
-        mass, stiffness = (
-            distributed(in_real_form(sector.of_diameter(one, self.turn)), MPI.COMM_SELF)
-            for one in (sector.mass, self.inside.stiffness)
-        )
+        sector, ties = self.sector, self.ties
+
+        def in_real_form(matrix: sparse.csr_matrix) -> Any:
+            a = ties.conj().T @ matrix @ ties
+            real = sparse.bmat([[a.real, -a.imag], [a.imag, a.real]]) if self.turn.imag else a
+            return distributed(real, MPI.COMM_SELF)
+
+        mass, stiffness = map(in_real_form, (sector.mass, sector.stiffness))
         size = mass.size[0]
         gap = sparse.csr_matrix((size, 0))
         structure = Structure(Body(mass, stiffness, gap, np.zeros((1, size)), np.zeros(0)))
         found = modes_by(self, structure, 2 * count if self.turn.imag else count)
         for used in (mass, stiffness):  # PETSc would keep those of all nodal diameters
             used.destroy()
-        if not self.turn.imag:
-            return found.omega, self.ties @ found.shapes
-        real, imaginary = np.split(found.shapes, 2)
-        # Each pair of real modes is one complex one, twice over.
-        omega, shapes = sector.ritz(self.ties @ (real + 1j * imaginary))
+        shapes = found.shapes
+        if self.turn.imag:  # each pair of real modes is one complex one, twice over
+            shapes = shapes[: size // 2] + 1j * shapes[size // 2 :]
+        omega, shapes = sector.ritz(ties @ shapes)
         return omega[:count], shapes[:, :count]
 
-    def answers(self, forces: Any, within: np.ndarray | None = None) -> np.ndarray:
-        """T_n K_n^-1 T_n^H f of forces (n_dofs, m) on a sector, with :meth:`Inside.within` of them
-        where that is known: the same shape."""
-        seen = self.ties.conj().T @ forces
-        seen = seen.toarray() if sparse.issparse(seen) else np.asarray(seen)
-        return np.asarray(self.ties @ self.solve(seen, within))
-
-
-def _solved(factor: Factor, forces: np.ndarray) -> np.ndarray:
-    """The solutions of real or complex columns."""
-    if not np.iscomplexobj(forces) or not forces.imag.any():
-        return factor.solve(np.ascontiguousarray(forces.real).T).T
-    real, imaginary = np.split(factor.solve(np.hstack([forces.real, forces.imag]).T).T, 2, axis=1)
-    return real + 1j * imaginary
+    def answers(self, forces: np.ndarray) -> np.ndarray:
+        """T_n K_n^-1 T_n^H f of forces (n_dofs, m) on a sector: the same shape."""
+        return np.asarray(self.ties @ self.solve(np.asarray(self.ties.conj().T @ forces)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -413,20 +356,14 @@ class CyclicBasis:
         the lower one's, without these themselves.
     opening : (n_dofs, m)
         These displacements.
+    cracked : tuple of int
+        Places of the sectors with a crack.
     """
 
     modes: CyclicModes
     opened: np.ndarray
-    opening: sparse.csc_matrix
-
-    def times(self, matrix: sparse.csr_matrix) -> CyclicBasis:
-        """The products of all fields with a matrix of the sector."""
-        shapes = tuple(matrix @ shapes for shapes in self.modes.shapes)
-        return CyclicBasis(
-            replace(self.modes, shapes=shapes),
-            np.array([matrix @ one for one in self.opened]),
-            sparse.csc_matrix(matrix @ self.opening),
-        )
+    opening: np.ndarray
+    cracked: tuple[int, ...]
 
     @property
     def squares(self) -> np.ndarray:
@@ -435,44 +372,63 @@ class CyclicBasis:
         both = [np.tile(w, 1 if single(n) else 2) for n, w in enumerate(self.modes.omega)]
         return np.concatenate(both) ** 2
 
-    def columns(
-        self, place: int, cracked: tuple[int, ...], rows: slice | list[int] = slice(None)
-    ) -> np.ndarray:
+    def columns(self, place: Any, rows: Any = slice(None)) -> np.ndarray:
         """Displacements of a sector, by its place from 0, in all motions: those of the modes, the
-        opening of the crack of each cracked sector; (n_dofs, n), or some rows of it."""
-        sector = self.modes.sector
-        parts = []
+        opening of the crack of each cracked sector; (n_dofs, n), or of a row of each of several."""
+        sector, parts = self.modes.sector, []
         for diameter, shapes in enumerate(self.modes.shapes):
-            angle = 2.0 * np.pi * diameter * place / sector.count
-            if sector.is_single(diameter):
-                parts.append(round(np.cos(angle)) * shapes[rows] / np.sqrt(sector.count))
-            else:
-                turned = np.exp(1j * angle) * np.sqrt(2.0 / sector.count) * shapes[rows]
-                parts += [turned.real, turned.imag]
-        for one in cracked:
-            own = self.opened[(place - one) % sector.count, rows]
-            parts.append(own + self.opening[rows] if place == one else own)
-        return np.hstack([np.asarray(part) for part in parts])
+            angle = np.asarray(2.0 * np.pi * diameter / sector.count * place)[..., None]
+            turned = np.exp(1j * angle) * np.sqrt(sector.shares[diameter]) * shapes[rows]
+            parts += [turned.real] if sector.is_single(diameter) else [turned.real, turned.imag]
+        for one in self.cracked:
+            here = np.asarray(place == one)[..., None] * self.opening[rows]
+            parts.append(self.opened[(place - one) % sector.count, rows] + here)
+        return np.hstack(parts)
+
+    def _products(self, matrix: sparse.csr_matrix, columns: slice) -> Iterator[np.ndarray]:
+        """U_j^T A U_j of each sector, or some columns of it."""
+        modes = replace(self.modes, shapes=tuple(matrix @ v for v in self.modes.shapes))
+        opened, opening = np.array([matrix @ one for one in self.opened]), matrix @ self.opening
+        moved = CyclicBasis(modes, opened, opening, self.cracked)
+        for place in range(self.modes.sector.count):
+            yield self.columns(place).T @ moved.columns(place)[:, columns]
+
+    @cached_property
+    def tuned(self) -> tuple[np.ndarray, np.ndarray]:
+        """U^T M U and U^T K U without mistuning: (n, n) each. The modes are those of both; K of
+        openings of cracks is what holds the upper faces."""
+        sector, cracks = self.modes.sector, slice(len(self.squares), None)
+        coupled = sum(self._products(sector.mass, cracks))
+        mass, stiffness = np.eye(len(coupled)), np.zeros((len(coupled),) * 2)
+        mass[:, cracks], mass[cracks] = coupled, coupled.T
+        stiffness[: cracks.start, : cracks.start] = np.diag(self.squares)
+        pulled = (sector.stiffness @ self.opening).T
+        if self.cracked:
+            held = [pulled @ self.columns(place)[:, cracks] for place in self.cracked]
+            stiffness[cracks, cracks] = np.vstack(held)
+        return 0.5 * (mass + mass.T), 0.5 * (stiffness + stiffness.T)
+
+    @cached_property
+    def elastic(self) -> np.ndarray:
+        """U_j^T K U_j of each sector, K its stiffness at rest: (N, n, n)."""
+        matrix = local_rows(self.modes.sector.elastic)
+        return np.array([0.5 * (part + part.T) for part in self._products(matrix, slice(None))])
 
 
-def solve_cyclic_modes(
-    sector: Sector, families: int, comm: MPI.Comm = MPI.COMM_SELF
-) -> CyclicModes:
+def solve_cyclic_modes(sector: Sector, families: int, comm: MPI.Comm) -> CyclicModes:
     """The lowest modes of each nodal diameter, which ranks share (collective)."""
-    families, found = min(families, len(sector.own)), {}
+    families, found = min(families, len(sector.dofs.own)), {}
     with sector.factored() as inside:
         for diameter in sector.diameters[comm.rank :: comm.size]:
             found[diameter] = inside.at(diameter).modes(families)
-    found = _of_all_ranks(found, comm)
-    omegas, shapes = zip(*(found[diameter] for diameter in sector.diameters), strict=True)
+    omegas, shapes = zip(*_of_all_ranks(found, comm).values(), strict=True)
     return CyclicModes(omegas, shapes, sector)
 
 
 def cyclic_basis(
-    sector: Sector, families: int, loads: tuple[tuple[int, np.ndarray], ...], comm: MPI.Comm
+    sector: Sector, families: int, order: int, cracked: tuple[int, ...], comm: MPI.Comm
 ) -> CyclicBasis:
-    """The basis of so many families for loads: nodal diameters, and complex forces (n_dofs,) of
-    sector 0, which turn with the sectors by e^(i 2 pi n j / N); ranks share nodal diameters
+    """The basis of so many families for the loads of an engine order; ranks share nodal diameters
     (collective).
 
     It has the static answers, too, to the loads, and to what mistuning and cracks leave at the
@@ -480,52 +436,63 @@ def cyclic_basis(
     all modes. They are added to each nodal diameter, as if they were modes.
 
     A crack opens as forces of its pairs, and those that its bonds bear, open it: with the stiffness
-    of all displacements of its face, which what is on the sides gives.
+    of all displacements of its face, which what is on the sides gives. These are real, sector by
+    sector, and what is inside follows from them.
     """
-    families = min(families, len(sector.own))
-    pulled = -sector.stiffness @ sector.opening
+    families = min(families, len(sector.dofs.own))
+    loads, pulled = _loads(sector, order), -sector.stiffness[:, sector.dofs.upper]
     # The modes of a few nodal diameters have the patterns of all.
     first = list(dict.fromkeys((0, sector.count // 4, sector.count // 2)))
     mine = [*first, *(n for n in sector.diameters if n not in first)][comm.rank :: comm.size]
     found: dict[int, tuple[Any, ...]] = {}
-    with sector.factored() as inside:
-        ahead = {n: inside.at(n).modes(families) for n in mine if n in first}
-        seen = _of_all_ranks(ahead, comm)
-        forces = _side_forces(sector, [seen[n] for n in first])
-        at_sides, at_lips = inside.within(forces), inside.within(pulled)
+    with sector.factored() as still:
+        ahead = {n: still.at(n).modes(families) for n in mine if n in first}
+        known = _of_all_ranks(ahead, comm)
+        forces = _side_forces(sector, [known[n] for n in first])
+        whole = sparse.csr_matrix(still.both.T @ pulled)
+        places = still.inside, still.side, len(sector.dofs.own) + still.side
+        inner, *outer = (whole[there].toarray() for there in places)
+        within = still.within(inner)
+        work = inner.T @ within
+        del inner, whole
+        left, right = (f - to.T @ within for f, to in zip(outer, still.coupling, strict=True))
         for diameter in mine:
-            one = inside.at(diameter)
+            one, force = still.at(diameter), loads[diameter]
             _, shapes = ahead.get(diameter) or one.modes(families)
-            beside = one.answers(forces, at_sides)
-            force = _loads_of(sector, diameter, loads)
             answers = one.answers(force)
-            both = np.hstack([beside, answers])
-            left = both - shapes @ (shapes.conj().T @ (sector.mass @ both))
-            sizes, whole = (np.sqrt(np.sum(np.abs(x) ** 2, axis=0)) for x in (left, both))
-            left = left[:, kept := sizes > MULTIPLE * whole] / sizes[kept]
-            omega, shapes = sector.ritz(np.hstack([shapes, sector.ritz(left)[1]]))
+            both = np.hstack([one.answers(forces), answers])
+            rest = both - shapes @ (shapes.conj().T @ (sector.mass @ both))
+            sizes, whole = (np.sqrt(np.sum(np.abs(x) ** 2, axis=0)) for x in (rest, both))
+            rest = rest[:, kept := sizes > MULTIPLE * whole] / sizes[kept]
+            omega, shapes = sector.ritz(np.hstack([shapes, sector.ritz(rest)[1]]))
             pulls = _pulls(sector, omega, shapes, force, answers)
-            found[diameter] = omega, shapes, pulls, one.work(pulled, at_lips)
-        found = _of_all_ranks(found, comm)
-        ordered = (found[diameter] for diameter in sector.diameters)
-        omegas, every, pulls, works = zip(*ordered, strict=True)
-        opening = _openings(sector, np.hstack(pulls), np.tensordot(sector.shares, works, 1))
-        opened = _of_sectors(
-            ((n, inside.at(n).answers(pulled @ opening, at_lips @ opening)) for n in mine),
-            opening.shape[1], sector, comm,
-        )  # fmt: skip
-    moved = sparse.csc_matrix(sector.opening @ opening)
-    return CyclicBasis(CyclicModes(omegas, every, sector), opened, moved)
+            moved = one.inverse @ (left + np.conj(one.turn) * right)
+            found[diameter] = omega, shapes, pulls, moved
+        omegas, every, pulls, moved = zip(*_of_all_ranks(found, comm).values(), strict=True)
+        sides = scipy.fft.irfft(moved, sector.count, axis=0)
+        work += left.T @ sides[0] + right.T @ sides[1]
+        opening = _openings(sector, np.hstack(pulls), work) if cracked else work[:, :0]
+        sides, within = sides @ opening, within @ opening
+        opened = np.zeros((sector.count, sector.structure.n_dofs, opening.shape[1]))
+        for place in range(comm.rank, sector.count, comm.size):
+            ends = sides[place], sides[(place + 1) % sector.count]
+            opened[place] = still.field(*ends, within if place == 0 else 0.0)
+        comm.Allreduce(MPI.IN_PLACE, opened)
+    modes = CyclicModes(omegas, every, sector)
+    moved = chosen(sector.dofs.upper, sector.structure.n_dofs).T @ opening
+    return CyclicBasis(modes, opened, moved, cracked)
 
 
-def _loads_of(
-    sector: Sector, diameter: int, loads: tuple[tuple[int, np.ndarray], ...]
-) -> np.ndarray:
-    """Forces (n_dofs, m) of a nodal diameter, whose answers turn with the sectors as modes do."""
-    mine = [force for number, force in loads if number == diameter]
-    if sector.is_single(diameter):
-        mine = [part for force in mine for part in (force.real, force.imag) if np.any(part)]
-    return np.array(mine).reshape(-1, sector.structure.n_dofs).T
+def _loads(sector: Sector, order: int) -> list[np.ndarray]:
+    """Complex forces (n_dofs, m) of each nodal diameter on sector 0, whose answers turn with the
+    sectors as modes do: those of the load's harmonics, f - i g."""
+    found: list[list[np.ndarray]] = [[] for _ in sector.diameters]
+    for harmonic, force in enumerate(to_complex(sector.structure.force)):
+        diameter = excited_diameter(harmonic * order, sector.count)
+        force = force if diameter == harmonic * order % sector.count else force.conj()
+        parts = [force.real, force.imag] if sector.is_single(diameter) else [force]
+        found[diameter] += [part for part in parts if np.any(part)]
+    return [np.array(forces).reshape(-1, sector.structure.n_dofs).T for forces in found]
 
 
 def _pulls(
@@ -537,7 +504,7 @@ def _pulls(
     parts = [(sector.stiffness @ shapes - (sector.mass @ shapes) * omega**2) / omega]
     work = np.sum(force.conj() * answers, axis=0).real
     parts.append((sector.stiffness @ answers - force) / np.sqrt(work))
-    found = np.hstack(parts)[sector.upper]
+    found = np.hstack(parts)[sector.dofs.upper]
     return np.hstack([found.real, found.imag])
 
 
@@ -550,13 +517,13 @@ mass of what moves with the faces, which static patterns leave out: up to 6e-9 o
 def _openings(sector: Sector, pulls: np.ndarray, work: np.ndarray) -> np.ndarray:
     """Displacements of the upper face (n_upper, m) of unit energy, without coupling: what forces of
     contact pairs, and those that bonds bear, open the crack by."""
-    structure = sector.structure
+    structure, upper = sector.structure, sector.dofs.upper
     pairs = [structure.gap] + ([] if structure.tangential is None else [structure.tangential])
-    held = (sector.opening.T @ sector.stiffness @ sector.opening).toarray() - work
+    held = sector.stiffness[upper][:, upper].toarray() - work
     lower = scipy.linalg.cholesky(0.5 * (held + held.T), lower=True)
     contact, pulls = (
         scipy.linalg.solve_triangular(lower, forces, lower=True)
-        for forces in (sparse.hstack(pairs).tocsr()[sector.upper].toarray(), pulls)
+        for forces in (sparse.hstack(pairs).tocsr()[upper].toarray(), pulls)
     )
     basis = scipy.linalg.orth(contact)
     patterns, sizes, _ = np.linalg.svd(pulls - basis @ (basis.T @ pulls), full_matrices=False)
@@ -564,29 +531,10 @@ def _openings(sector: Sector, pulls: np.ndarray, work: np.ndarray) -> np.ndarray
     return scipy.linalg.solve_triangular(lower.T, kept)
 
 
-def _of_sectors(
-    fields: Iterable[tuple[int, np.ndarray]], columns: int, sector: Sector, comm: MPI.Comm
-) -> np.ndarray:
-    """Return the real fields (N, n_dofs, columns) of all sectors of those of the nodal diameters
-    0 .. N/2, of which each rank has some (collective).
-
-    It is an inverse Fourier transform, by a product of matrices: a sum over all nodal diameters,
-    whose second half is the conjugate of the first. The largest of a basis.
-    """
-    angles = np.outer(np.arange(sector.count), sector.diameters) * (2.0 * np.pi / sector.count)
-    waves = sector.shares * np.array([np.cos(angles), -np.sin(angles)])  # (2, N, N/2 + 1)
-    parts = np.zeros((2, len(sector.shares), sector.structure.n_dofs, columns))
-    for diameter, field in fields:
-        parts[:, diameter] = field.real, field.imag
-    comm.Allreduce(MPI.IN_PLACE, parts)
-    return np.tensordot(waves, parts, ((0, 2), (0, 1)))
-
-
 def _of_all_ranks(found: dict[int, Any], comm: MPI.Comm) -> dict[int, Any]:
-    """What all ranks have found of their nodal diameters (collective)."""
-    if comm.size == 1:
-        return found
-    return {n: values for part in comm.allgather(found) for n, values in part.items()}
+    """What all ranks have found of their nodal diameters, in their order (collective)."""
+    parts = comm.allgather(found) if comm.size > 1 else [found]
+    return dict(sorted(item for part in parts for item in part.items()))
 
 
 PATTERN = 0.5
@@ -596,9 +544,7 @@ PATTERN = 0.5
 def _side_forces(sector: Sector, modes: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
     """Patterns of forces of modes, their frequencies and shapes, on the right side of a sector,
     orthonormal: (n_dofs, p)."""
-    right = sector.dofs[sector.sides[1]].ravel()
-    right = right[right >= 0]
-    parts = []
+    parts, right = [], sector.dofs.after
     for omega, shapes in modes:
         force = (sector.stiffness @ shapes - sector.mass @ shapes * omega**2)[right]
         scaled = force / np.maximum(omega, 1e-300) ** 2

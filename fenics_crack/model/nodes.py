@@ -190,17 +190,17 @@ class Coordinates:
     @property
     def n_dofs(self) -> int:
         """Number of degrees of freedom, without clamped ones."""
-        return int(self.mass.size[0])
+        return int(self.body.mass.size[0])
 
     @property
     def n_local(self) -> int:
         """Number of degrees of freedom that this rank owns."""
-        return int(self.mass.local_size[0])
+        return int(self.body.mass.local_size[0])
 
     @property
     def first_dof(self) -> int:
         """Number of the first degree of freedom that this rank owns."""
-        return int(self.mass.owner_range[0])
+        return int(self.body.mass.owner_range[0])
 
     @property
     def n_pairs(self) -> int:

@@ -21,10 +21,9 @@ in the frame of the sector: a wave that runs against the rotation, seen from the
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
-from itertools import repeat
 from typing import Any
 
 import numpy as np
@@ -34,22 +33,24 @@ from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError, check_count
 from fenics_crack.basics.progress import begin
-from fenics_crack.model.body import Body
+from fenics_crack.model.body import UNVARIED, Body
 from fenics_crack.model.cyclic import (
     CyclicBasis,
     CyclicModes,
+    Numbering,
     Sector,
     chosen,
     cyclic_basis,
     solve_cyclic_modes,
 )
 from fenics_crack.model.factor import distributed, local_rows
-from fenics_crack.model.matrices import numbers, read_only_rows
+from fenics_crack.model.matrices import Absent, numbers
 from fenics_crack.model.modes import solve_modes
 from fenics_crack.model.nodes import Nodes, Pairs, of_body
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure, of_original
+from fenics_crack.numerics.fourier import from_complex, to_complex
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -61,6 +62,8 @@ class WheelBody(Body):
     mistuning: np.ndarray
     order: int
     families: int
+    numbers: np.ndarray
+    places: np.ndarray
 
 
 class Wheel(Structure):
@@ -81,6 +84,10 @@ class Wheel(Structure):
         Engine order of the load.
     families : int
         Modes of each nodal diameter, and of each blade, that are kept.
+    numbers : (N, n_sector) int
+        The wheel's dof that each dof of each sector is.
+    places : (n,) int
+        Of each dof the place, among all of ``numbers``, in the sector to which it belongs.
     """
 
     body: WheelBody
@@ -89,6 +96,8 @@ class Wheel(Structure):
     cracked: tuple[int, ...] = of_body("cracked")
     mistuning: np.ndarray = of_body("mistuning")
     order: int = of_body("order")
+    numbers: np.ndarray = of_body("numbers")
+    places: np.ndarray = of_body("places")
 
     def __init__(
         self,
@@ -101,27 +110,35 @@ class Wheel(Structure):
         rotation: Any = None,
         comm: MPI.Comm = MPI.COMM_SELF,
     ) -> None:
-        structure, places = sector.structure, tuple(cracked)
         check_count("families", families, 1)
-        body = WheelBody(
-            None, None, None, np.zeros((1, 0)), np.zeros(0), damping=structure.damping,
-            rotation=rotation, comm=comm, sector=sector, order=order, families=families,
-            cracked=places if structure.n_pairs else (),
-            mistuning=_deviations(mistuning, sector.count),
-        )  # fmt: skip
-        super().__init__(body)  # its dofs, by which the rest is put together
-        watched, tangential = structure.watched, structure.tangential
+        structure, count, tangential = sector.structure, sector.count, sector.structure.tangential
+        cracked = tuple(cracked) if structure.n_pairs else ()
+        dofs, places = sector.dofs.in_wheel(count, cracked)
+        absent, mine = Absent(len(places), comm.rank), slice(None if comm.rank == 0 else 0)
+        copies, of_cracks = chosen(dofs.ravel(), len(places)), np.eye(count)[:, list(cracked)]
+
+        def on_wheel(rows: np.ndarray) -> np.ndarray:
+            """Forces on all sectors (m, N, n_sector) as those on the wheel: (m, n_local)."""
+            return np.asarray(rows.reshape(len(rows), -1) @ copies)[:, mine]
+
+        def of_all(gap: sparse.spmatrix) -> sparse.csr_matrix:
+            """B of all cracks, from that of one: (n_local, n_pairs)."""
+            return sparse.csr_matrix(copies.T @ sparse.kron(of_cracks, gap))[mine]
+
+        watched = structure.watched
         if watched is None:
             watched = np.eye(1, structure.n_dofs, structure.most_loaded())[0]
-        of_blade = np.zeros((sector.count, structure.n_dofs))
-        of_blade[self.first] = watched
-        whole = replace(
-            body, gap=self._all_gaps(structure.gap), force=self._gathered(self.loads),
-            tangential=None if tangential is None else self._all_gaps(tangential),
-            clearance=np.tile(structure.clearance, len(self.cracked)), nodes=self._all_nodes(),
-            pairs=self._all_pairs(), watched=self._gathered(of_blade[:, None])[0],
+        first = np.eye(1, count, cracked[0] if cracked else 0)
+        body = WheelBody(
+            absent, absent, of_all(structure.gap), on_wheel(_loads(sector, order)),
+            np.tile(structure.clearance, len(cracked)), damping=structure.damping,
+            tangential=None if tangential is None else of_all(tangential),
+            nodes=_nodes(sector, cracked, dofs, mine), pairs=_pairs(sector, cracked),
+            watched=on_wheel(first[..., None] * watched)[0], rotation=rotation, comm=comm,
+            sector=sector, cracked=cracked, mistuning=_deviations(mistuning, count), order=order,
+            families=families, numbers=dofs, places=places,
         )  # fmt: skip
-        super().__init__(whole)
+        super().__init__(body)
 
     # --- its dofs ---------------------------------------------------------------------------------
 
@@ -129,26 +146,6 @@ class Wheel(Structure):
     def first(self) -> int:
         """Place of the first cracked sector, whose blade is watched; else of the first one."""
         return self.cracked[0] if self.cracked else 0
-
-    @property
-    def n_dofs(self) -> int:
-        """Number of degrees of freedom, without clamped ones."""
-        sector = self.sector
-        return sector.count * len(sector.own) + len(self.cracked) * len(sector.upper)
-
-    @property
-    def n_local(self) -> int:
-        """All on the first rank."""
-        return self.n_dofs if self.comm.rank == 0 else 0
-
-    @property
-    def first_dof(self) -> int:
-        """Number of the first degree of freedom that this rank owns."""
-        return 0 if self.comm.rank == 0 else self.n_dofs
-
-    def of_sector(self, place: int) -> sparse.csr_matrix:
-        """The dofs of a sector, by its place from 0, from those of the wheel: (n_sector, n)."""
-        return chosen(self.numbers(place), self.n_dofs)
 
     def dof_of(self, blade: int, dof: int) -> int:
         """The dof of the wheel that a dof of a sector is in one of them, by its number from 1.
@@ -163,130 +160,46 @@ class Wheel(Structure):
             raise InputError("blade", blade, f"a whole number from 1 to {count}")
         if not 0 <= dof < size:
             raise InputError("dof", dof, f"a whole number from 0 to {size - 1}")
-        return int(self.numbers(blade - 1)[dof])
+        return int(self.numbers[blade - 1, dof])
 
     def blade_of(self, dof: int) -> tuple[int, int]:
         """The number of the sector, from 1, to which a dof belongs, and the dof of the sector."""
-        sector = self.sector
-        own, count = len(sector.own), len(sector.upper)
-        if dof < sector.count * own:
-            return dof // own + 1, int(sector.own[dof % own])
-        place, rest = divmod(dof - sector.count * own, count)
-        return self.cracked[place] + 1, int(sector.upper[rest])
+        place, own = divmod(int(self.places[dof]), self.sector.structure.n_dofs)
+        return place + 1, own
 
     def dofs_of_blades(self, dof: int) -> list[int]:
         """The dofs of all blades that are where one of the wheel is on its own."""
-        _, own = self.blade_of(dof)
-        return [self.dof_of(blade, own) for blade in range(1, self.sector.count + 1)]
+        return list(map(int, self.numbers[:, self.blade_of(dof)[1]]))
 
     def dof_name(self, dof: int) -> str:
         """A dof in words: "x displacement at (0.1, 0.1) m of blade 3"."""
         blade, own = self.blade_of(dof)
         return f"{self.sector.structure.dof_name(own)} of blade {blade}"
 
-    def numbers(self, place: int) -> np.ndarray:
-        """Numbers in the wheel of a sector's dofs: (n_sector,)."""
-        sector, own = self.sector, len(self.sector.own)
-        found = sector.place + (place + sector.after) % sector.count * own
-        if place in self.cracked:
-            count = len(sector.upper)
-            start = sector.count * own + self.cracked.index(place) * count
-            found[sector.upper] = start + np.arange(count)
-        return found
-
-    def _all_nodes(self) -> Nodes:
-        sector, nodes = self.sector, self.sector.structure.nodes
-        assert nodes is not None
-        (left, right), (lower, upper) = sector.sides, sector.lips
-        here = np.ones((sector.count, len(nodes.points)), dtype=bool)
-        here[:, right] = False
-        here[np.ix_(np.setdiff1d(range(sector.count), self.cracked), upper)] = False
-        numbers = np.full(here.shape, -1)
-        numbers[here] = np.arange(np.count_nonzero(here))
-        points, dofs, cells, frames = [], [], [], []
-        for place, kept in enumerate(here):
-            turned, own = sector.turned(place), nodes.dofs[kept]
-            points.append(sector.placed(nodes.points[kept], place))
-            dofs.append(np.where(own >= 0, self.numbers(place)[own], -1))
-            frames.append(np.broadcast_to(turned, (len(own), *turned.shape)))
-            number = numbers[place].copy()
-            if place not in self.cracked:
-                number[upper] = number[lower]
-            number[right] = numbers[(place + 1) % sector.count, left]
-            cells.append(number[nodes.cells])
-        mine = slice(None if self.comm.rank == 0 else 0)
-        place_of, dof_of, cell, frame = (
-            np.concatenate(part)[mine] for part in (points, dofs, cells, frames)
-        )
-        return Nodes(place_of, dof_of, cell, nodes.vtk_type, frames=frame)
-
-    def _all_pairs(self) -> Pairs:
-        sector, pairs = self.sector, self.sector.structure.pairs
-        if not self.cracked or pairs.points is None or pairs.cracks is None:
-            return Pairs()
-        assert pairs.areas is not None and pairs.positions is not None
-        points = [sector.placed(pairs.points, place) for place in self.cracked]
-        several, count = len(self.cracked), int(pairs.cracks.max(initial=-1)) + 1
-        places = {
-            name + f" of blade {place + 1}" * (several > 1): pair + number * len(pairs.points)
-            for number, place in enumerate(self.cracked)
-            for name, pair in pairs.places.items()
-        }
-        cracks = [pairs.cracks + number * count for number in range(several)]
-        return Pairs(
-            np.concatenate(points),
-            np.tile(pairs.areas, several),
-            np.concatenate(cracks),
-            np.tile(pairs.positions, several),
-            places,
-        )
-
-    def _all_gaps(self, gap: sparse.spmatrix) -> sparse.csr_matrix:
-        """B of all cracks, from that of one."""
-        parts = [self.of_sector(place).T @ gap for place in self.cracked]
-        whole = sparse.hstack(parts) if parts else sparse.csr_matrix((self.n_dofs, 0))
-        return read_only_rows(sparse.csr_matrix(whole)[: self.n_local])
-
-    @property
-    def loads(self) -> np.ndarray:
-        """Rows of the load on the dofs of each sector: (N, 2K+1, n_sector) [N]."""
-        sector, force = self.sector, self.sector.structure.force
-        found = np.tile(force, (sector.count, 1, 1))
-        angles = 2.0 * np.pi * self.order * np.arange(sector.count) / sector.count
-        for row in range(1, len(force), 2):
-            phase = (0.5 * (row + 1) * angles)[:, None]
-            cosine, sine = np.cos(phase), np.sin(phase)
-            found[:, row] = cosine * force[row] + sine * force[row + 1]
-            found[:, row + 1] = cosine * force[row + 1] - sine * force[row]
-        return found
-
-    def _gathered(self, rows: np.ndarray) -> np.ndarray:
-        """Forces on sectors (N, m, n_sector) as those on the wheel: (m, n_local)."""
-        found = np.zeros((rows.shape[1], self.n_dofs))
-        for place, own in enumerate(rows):
-            found += (self.of_sector(place).T @ own.T).T
-        return found[:, : self.n_local]
+    def with_harmonics(self, harmonics: Mapping[int, tuple[Any, Any]]) -> Structure:
+        """InputError: sectors have the load's harmonics, one after the other."""
+        allowed = "of a scene whose [[excitation.harmonics]] has them, which turn with its order"
+        raise InputError("structure", repr(self), allowed)
 
     # --- its matrices -----------------------------------------------------------------------------
 
     @of_original
     def mass(self) -> Any:
         """M: (n, n) [kg]; made when it is first requested (collective)."""
-        return self._sum_of_sectors(repeat(self.sector.mass, self.sector.count))
+        return self._of_sectors(sparse.kron(np.eye(self.sector.count), self.sector.mass))
 
     @of_original
     def stiffness(self) -> Any:
         """K: (n, n) [N/m], likewise."""
-        tuned, elastic = self.sector.stiffness, local_rows(self.sector.elastic)
-        return self._sum_of_sectors(tuned + d * elastic if d else tuned for d in self.mistuning)
+        tuned = sparse.kron(np.eye(self.sector.count), self.sector.stiffness)
+        elastic = local_rows(self.sector.elastic)
+        return self._of_sectors(tuned + sparse.kron(np.diag(self.mistuning), elastic))
 
-    def _sum_of_sectors(self, matrices: Iterable[sparse.spmatrix]) -> Any:
-        """sum_j A_j^T K_j A_j of a matrix of each sector (collective)."""
-        total = sparse.csr_matrix((self.n_dofs, self.n_dofs))
-        for place, own in enumerate(matrices):
-            to = self.of_sector(place)
-            total = total + to.T @ own @ to
-        return distributed(total[: self.n_local], self.comm)
+    def _of_sectors(self, matrix: sparse.spmatrix) -> Any:
+        """That of the wheel from one of all sectors, apart (collective)."""
+        copies = chosen(self.numbers.ravel(), self.n_dofs)
+        whole = sparse.csr_matrix(copies.T @ matrix @ copies)
+        return distributed(whole[: self.n_local], self.comm)
 
     @property
     def _size_words(self) -> str:
@@ -312,9 +225,10 @@ class Wheel(Structure):
     def basis(self, families: int) -> CyclicBasis:
         """The motions in which it is sought, with so many modes of each nodal diameter; found once
         for all patterns of mistuning (collective)."""
-        sector, loads = self.sector, tuple(_complex_loads(self))
-        key = "basis", families, self.order, *(force.tobytes() for _, force in loads)
-        return sector.once(key, lambda: cyclic_basis(sector, families, loads, self.comm))
+        bases, key = self.sector.bases, (families, self.order, self.cracked)
+        if key not in bases:
+            bases[key] = cyclic_basis(self.sector, *key, self.comm)
+        return bases[key]
 
     def cyclic_modes(self, families: int | None = None) -> CyclicModes:
         """The lowest modes of each nodal diameter, with bonded cracks and without mistuning
@@ -332,61 +246,49 @@ def _deviations(given: Any, count: int) -> np.ndarray:
     return np.broadcast_to(values, (count,)).copy()
 
 
-def excited_diameter(order: int, sectors: int) -> int:
-    """The nodal diameter that an engine order excites: min(E mod N, N - E mod N)."""
-    rest = order % sectors
-    return min(rest, sectors - rest)
+def _loads(sector: Sector, order: int) -> np.ndarray:
+    """Rows of the load on the dofs of each sector: (2K+1, N, n_sector) [N]."""
+    waves = to_complex(sector.structure.force)
+    angles = np.multiply.outer(np.arange(len(waves)), np.arange(sector.count)) * order
+    turns = np.exp(2j * np.pi * angles / sector.count)
+    return from_complex(turns[..., None] * waves[:, None])
 
 
-def _complex_loads(wheel: Wheel) -> list[tuple[int, np.ndarray]]:
-    """The loads of each harmonic, f - i g on sector 0, by the nodal diameter in which they lie."""
-    force, count = wheel.sector.structure.force, wheel.sector.count
-    found = [(0, force[0])] if np.any(force[0]) else []
-    for row in range(1, len(force), 2):
-        part = force[row] - 1j * force[row + 1]
-        order = (row + 1) // 2 * wheel.order
-        if np.any(part):
-            diameter = excited_diameter(order, count)
-            found.append((diameter, part if diameter == order % count else part.conj()))
-    return found
+def _nodes(sector: Sector, cracked: tuple[int, ...], dofs: np.ndarray, mine: slice) -> Nodes:
+    """Of the wheel, those of one rank, from its numbers of the dofs of all sectors."""
+    nodes = sector.structure.nodes
+    assert nodes is not None
+    count = len(nodes.points)
+    numbering = Numbering(np.arange(count)[:, None], sector.sides, sector.lips)
+    numbers, places = numbering.in_wheel(sector.count, cracked)
+    place, node = divmod(places[mine], count)
+    frames = np.array([sector.turned(one) for one in range(sector.count)])[place]
+    points = np.einsum("nij,nj->ni", frames, nodes.points[node] - sector.center) + sector.center
+    own = nodes.dofs[node]
+    own = np.where(own >= 0, dofs[place[:, None], own], -1)
+    cells = numbers[:, nodes.cells].reshape(-1, nodes.cells.shape[1])[mine]
+    return Nodes(points, own, cells, nodes.vtk_type, frames=frames)
+
+
+def _pairs(sector: Sector, cracked: tuple[int, ...]) -> Pairs:
+    """Of the wheel."""
+    pairs, several = sector.structure.pairs, len(cracked)
+    if not cracked or pairs.points is None or pairs.cracks is None:
+        return Pairs()
+    assert pairs.areas is not None and pairs.positions is not None
+    count, numbers = int(pairs.cracks.max(initial=-1)) + 1, np.arange(several)[:, None]
+    places = {
+        name + f" of blade {place + 1}" * (several > 1): pair + number * len(pairs.points)
+        for number, place in enumerate(cracked)
+        for name, pair in pairs.places.items()
+    }
+    points = np.concatenate([sector.placed(pairs.points, place) for place in cracked])
+    cracks = (pairs.cracks + count * numbers).ravel()
+    areas, positions = (np.tile(values, several) for values in (pairs.areas, pairs.positions))
+    return Pairs(points, areas, cracks, positions, places)
 
 
 # --- in few coordinates ---------------------------------------------------------------------------
-
-
-def _ritz(basis: CyclicBasis, cracked: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """U^T M U and U^T K U without mistuning. The modes are those of both; K of openings of cracks
-    is what holds the upper faces."""
-    sector, modes = basis.modes.sector, len(basis.squares)
-    moved, mass = basis.times(sector.mass), np.zeros(())
-    for place in range(sector.count):
-        columns, products = (one.columns(place, cracked) for one in (basis, moved))
-        mass = mass + columns.T @ products[:, modes:]
-    whole = [np.eye(len(mass)), np.zeros((len(mass), len(mass)))]
-    whole[0][:, modes:] = mass
-    whole[0][modes:] = mass.T
-    pulled = basis.opening.T @ sector.stiffness
-    held = [
-        np.hstack([
-            pulled @ (basis.opened[(one - other) % sector.count] + (one == other) * basis.opening)
-            for other in cracked
-        ])
-        for one in cracked
-    ]  # fmt: skip
-    whole[1][:modes, :modes] = np.diag(basis.squares)
-    if held:
-        whole[1][modes:, modes:] = np.vstack(held)
-    return tuple(0.5 * (matrix + matrix.T) for matrix in whole)  # type: ignore[return-value]
-
-
-def _elastic(basis: CyclicBasis, cracked: tuple[int, ...]) -> np.ndarray:
-    """U_j^T K U_j of each sector, K its stiffness at rest: (N, n, n)."""
-    sector = basis.modes.sector
-    moved, found = basis.times(local_rows(sector.elastic)), []
-    for place in range(sector.count):
-        part = basis.columns(place, cracked).T @ moved.columns(place, cracked)
-        found.append(0.5 * (part + part.T))
-    return np.array(found)
 
 
 NEXT = 8
@@ -410,10 +312,8 @@ class WheelStructure(Structure):
 
     Attributes
     ----------
-    wheel : Wheel
-        The whole one.
     basis : CyclicBasis
-        Its motions.
+        Motions of the whole one.
     """
 
     body: WheelCoordinates
@@ -422,48 +322,32 @@ class WheelStructure(Structure):
     def __init__(self, wheel: Wheel, families: int) -> None:
         """Take so many modes of each nodal diameter (collective)."""
         begin(f"modes of {len(wheel.sector.diameters)} nodal diameters")
-        basis, sector = wheel.basis(families), wheel.sector.structure
-        none, comm = (None, None, None, np.zeros((1, 0)), wheel.clearance), MPI.COMM_SELF
-        body = WheelCoordinates(*none, comm=comm, wheel=wheel, basis=basis)
-        super().__init__(body)  # what it is sought in
+        basis, sector, comm = wheel.basis(families), wheel.sector.structure, MPI.COMM_SELF
         begin("matrices of the wheel")
-        mass, stiffness = self.tuned
+        mass, stiffness = basis.tuned
         if np.any(wheel.mistuning):
-            stiffness = stiffness + np.tensordot(wheel.mistuning, self.elastic, 1)
-        force = np.zeros((len(sector.force), len(stiffness)))
-        for place, own in enumerate(wheel.loads):
-            force += own @ basis.columns(place, wheel.cracked)
+            stiffness = stiffness + np.tensordot(wheel.mistuning, basis.elastic, 1)
+        loads = _loads(wheel.sector, wheel.order)
+        force = sum(loads[:, place] @ basis.columns(place) for place in range(wheel.sector.count))
+
+        def of_cracks(gap: sparse.spmatrix) -> sparse.csr_matrix:
+            """U^T B of all cracks, from B of one: (n, p)."""
+            parts = [basis.columns(place).T @ gap for place in wheel.cracked]
+            return sparse.csr_matrix(np.hstack([np.zeros((len(mass), 0)), *parts]))
+
         tangents = sector.tangential if wheel.cracked else None
-        whole = replace(
-            body, mass=distributed(mass, comm), stiffness=distributed(stiffness, comm),
-            gap=self._of_cracks(sector.gap), force=force, damping=wheel.damping,
-            tangential=None if tangents is None else self._of_cracks(tangents),
-            nodes=wheel.nodes, pairs=wheel.pairs,
+        body = WheelCoordinates(
+            distributed(mass, comm), distributed(stiffness, comm), of_cracks(sector.gap), force,
+            wheel.clearance, damping=wheel.damping,
+            tangential=None if tangents is None else of_cracks(tangents),
+            nodes=wheel.nodes, pairs=wheel.pairs, comm=comm, wheel=wheel, basis=basis,
         )  # fmt: skip
-        super().__init__(whole)
+        super().__init__(body)
 
     @cached_property
-    def wheel(self) -> Wheel:
-        """The whole one, in the same setting."""
+    def whole(self) -> Wheel:
+        """The whole wheel, in the same setting."""
         return self._shared(self.body.wheel)
-
-    def _of_cracks(self, gap: sparse.spmatrix) -> sparse.csr_matrix:
-        """U^T B of all cracks, from B of one: (n, p)."""
-        basis, cracked = self.basis, self.wheel.cracked
-        parts = [basis.columns(place, cracked).T @ gap for place in cracked]
-        return sparse.csr_matrix(np.hstack([np.zeros((len(self.tuned[0]), 0)), *parts]))
-
-    @property
-    def tuned(self) -> tuple[np.ndarray, np.ndarray]:
-        """U^T M U and U^T K U without mistuning: (n, n) each."""
-        basis, cracked = self.basis, self.wheel.cracked
-        return self.wheel.sector.once(("tuned", basis, cracked), lambda: _ritz(basis, cracked))
-
-    @property
-    def elastic(self) -> np.ndarray:
-        """What the deviation of each sector's stiffness multiplies: (N, n, n)."""
-        basis, cracked = self.basis, self.wheel.cracked
-        return self.wheel.sector.once(("elastic", basis, cracked), lambda: _elastic(basis, cracked))
 
     def known_modes(self, *, tied: bool) -> tuple[np.ndarray, np.ndarray] | None:
         """All, of small dense matrices: those of equal sectors come in pairs, which Krylov's method
@@ -494,39 +378,29 @@ class WheelStructure(Structure):
         return self._in(self.setting, known=known, ranked=ranked), float(share)
 
     @property
-    def whole(self) -> Wheel:
-        """The whole wheel."""
-        return self.wheel
-
-    @property
     def _size_words(self) -> str:
-        return f"{self.n_dofs} coordinates of {self.wheel._size_words}"
+        return f"{self.n_dofs} coordinates of {self.whole._size_words}"
 
-    def of_sectors(self, displacement: np.ndarray) -> np.ndarray:
-        """Displacements of all sectors from coordinates (n_dofs,): (n_sector, N)."""
-        every = range(self.wheel.sector.count)
-        parts = [self.basis.columns(j, self.wheel.cracked) @ displacement for j in every]
-        return np.column_stack(parts)
+    def of_sectors(self, displacement: np.ndarray) -> Iterator[np.ndarray]:
+        """Displacements (m, n_sector) of all sectors, one by one, from coordinates (m, n_dofs)."""
+        every = range(self.whole.sector.count)
+        return (displacement @ self.basis.columns(place).T for place in every)
 
     def expand(self, displacement: np.ndarray) -> np.ndarray:
         """Displacements of the wheel from coordinates (m, n_dofs): (m, wheel.n_local)."""
-        wheel = self.wheel
+        wheel = self.whole
         found = np.zeros((len(displacement), wheel.n_dofs))
         if wheel.comm.rank == 0:
-            for place in range(wheel.sector.count):
-                moved = displacement @ self.basis.columns(place, wheel.cracked).T
-                found[:, wheel.numbers(place)] = moved
+            for numbers, moved in zip(wheel.numbers, self.of_sectors(displacement), strict=True):
+                found[:, numbers] = moved
         return found[:, : wheel.n_local]
 
     def values_at(self, displacement: np.ndarray, dofs: Sequence[int | None]) -> np.ndarray:
         """Displacement of dofs of the wheel from coordinates (m, n_dofs) (collective)."""
-        wanted = [self.wheel.blade_of(int(dof)) for dof in self.wheel.check_dofs(dofs)]
-        rows = np.zeros((len(wanted), self.n_dofs))
-        for blade in {blade for blade, _ in wanted}:
-            here = [row for row, (one, _) in enumerate(wanted) if one == blade]
-            own = [wanted[row][1] for row in here]
-            rows[here] = self.basis.columns(blade - 1, self.wheel.cracked, own)
-        return displacement @ rows.T
+        wheel = self.whole
+        places = wheel.places[wheel.check_dofs(dofs)]
+        rows = self.basis.columns(*divmod(places, wheel.sector.structure.n_dofs))
+        return np.asarray(displacement @ rows.T)
 
 
 def _all_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
@@ -603,21 +477,21 @@ def reduce_wheel(
     families = wheel.families if families is None else families
     check_count("families", families, 1)
     check_count("more", more, 0)
-    most = len(wheel.sector.own) // 2  # beyond it static answers are made of modes but for rounding
+    # Beyond it static answers are made of modes but for rounding.
+    most = len(wheel.sector.dofs.own) // 2
     if families > most:
         raise InputError("families", families, f"at most {most}, half of a sector's dofs")
     most = (families_of_basis(families) - families) * wheel.sector.count
     if more > most:
         raise InputError("more", more, f"at most {most}, those of four families")
-    one = WheelStructure(wheel, families_of_basis(families, more))
+    one = WheelStructure(wheel._in(UNVARIED), families_of_basis(families, more))
     begin("reduction")
     count = min(families * wheel.sector.count, one.n_dofs - one.n_pairs)
     if not one.n_pairs:
-        return reduce_structure(
-            one, modes=count + more, method="free_interface", reference=reference
-        )
+        reduced = reduce_structure(one, modes=count + more, reference=reference)
+        return reduced._in(wheel.setting)
     one, share = one.ranked(count, more)
     count += more
     finer = reference and min(count + NEXT, one.n_dofs)
     reduced = reduce_structure(one, modes=count, method="massless", reference=finer)
-    return reduced._in(reduced.setting, share=share)
+    return reduced._in(wheel.setting, share=share)

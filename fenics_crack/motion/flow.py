@@ -60,6 +60,10 @@ class Budget:
     intervals: int = 20_000
 
 
+class BudgetError(ConvergenceError):
+    """A motion has more pieces of the Taylor series than its budget."""
+
+
 def flow_of(structure: Structure, contact: ContactLaw) -> ContactFlow | None:
     """The exact flow of a structure and a law; None where there is none: for a smooth law, a large
     structure, and rigid contact where the residual flexibility is singular."""
@@ -530,7 +534,8 @@ def _check(outcome: int, events: int) -> None:
         kernel.FLOW_INTERVALS: "the pairs open and close without end",
         kernel.FLOW_LOST: "the motion is not finite, or its contact forces have not one solution",
     }
-    raise ConvergenceError(f"events: {words[outcome]} (after {events} events)")
+    error = BudgetError if outcome == kernel.FLOW_PIECES else ConvergenceError
+    raise error(f"events: {words[outcome]} (after {events} events)")
 
 
 def doubles(array: np.ndarray) -> np.ndarray:

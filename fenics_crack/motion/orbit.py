@@ -41,7 +41,7 @@ from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.basics.tables import Described, counted, hertz_of
 from fenics_crack.kernel import kernel
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.flow import Budget, ContactFlow, Motion, Samples, Track
+from fenics_crack.motion.flow import Budget, BudgetError, ContactFlow, Motion, Samples, Track
 from fenics_crack.motion.motions import Observed, Record
 from fenics_crack.numerics.equations import CLOSE, LOCATED, factored, solve_factored
 from fenics_crack.numerics.fourier import balanced, waves_of
@@ -465,18 +465,23 @@ def find_orbit(
     subharmonic: int = 1,
     inverse: Inverse | None = None,
     located: float = LOCATED,
+    ended: list[str] | None = None,
 ) -> PeriodicOrbit | None:
     """The orbit that Newton's method leads to from a state at phase zero, closed to 1e-6: behind a
     relative step of ``located``, of large states CLOSE.
 
     None where it leads to none, or takes more than the budget allows: pieces of all motions
-    together, and intervals of each. It may begin with the inverse of a motion nearby.
+    together, and intervals of each. It may begin with the inverse of a motion nearby. ``ended``
+    gets the reason, in words, of a search that its budget of pieces ends.
     """
     search = _Search(flow, omega, subharmonic, state)
     try:
         if not search.leads_to_orbit(inverse, located):
             return None
-    except (ConvergenceError, np.linalg.LinAlgError, ValueError):
+    except (ConvergenceError, np.linalg.LinAlgError, ValueError) as error:
+        if ended is not None and isinstance(error, BudgetError):
+            words = f"the search for an exact orbit ended at its budget of {search.budget:,} pieces"
+            ended.append(f"{words}; use fewer pairs (mesh.patches) or modes")
         return None
     found = PeriodicOrbit(flow, omega, subharmonic, search.motion, search.state, search.flows)
     # Where M is huge a step may be short and the motion does not close.
@@ -490,6 +495,8 @@ class _Search:
     ----------
     flows : int
         Periods followed.
+    budget : int
+        Taylor pieces that they may have.
     """
 
     def __init__(
@@ -500,7 +507,7 @@ class _Search:
         most = PIECES
         if flow.count <= FORMED and not too_slow(flow, omega, subharmonic):
             most = max(most, math.ceil(FLOWS * flow.pieces(self._period)))
-        self._left = most
+        self.budget = self._left = most
         self._weights = flow.weights(omega / subharmonic)
         self.state, self.flows = state, 0
 

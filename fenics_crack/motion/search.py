@@ -112,9 +112,8 @@ def search_orbit(
     -------
     OrbitSearch
     """
-    met: list[PeriodicOrbit] = []
-    tried: list[np.ndarray] = []
-    search = partial(find_orbit, flow, omega, subharmonic=subharmonic)
+    met, tried, ended = list[PeriodicOrbit](), list[np.ndarray](), list[str]()
+    search = partial(find_orbit, flow, omega, subharmonic=subharmonic, ended=ended)
     for states in guesses:
         tried.append(states)
         orbit = search(states[0])
@@ -136,7 +135,8 @@ def search_orbit(
     orbits = FlowOrbits(flow, omega, start, subharmonic)
     if tried and flow.count <= FORMED and (orbit := by_homotopy(orbits, options)) is not None:
         return OrbitSearch(orbit, (), "exact orbit along a path from the motion")
-    return _by_recurrence(orbits, options)
+    last = _by_recurrence(orbits, options)
+    return last if last.orbit else last._replace(reason="; ".join([*ended[-1:], last.reason]))
 
 
 def wave_states(flow: ContactFlow, displacement: np.ndarray, base_omega: float) -> np.ndarray:

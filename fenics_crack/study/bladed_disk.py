@@ -19,7 +19,9 @@ looked for next to the natural frequencies of the family that is excited.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, ClassVar
 
 import numpy as np
@@ -33,8 +35,9 @@ from fenics_crack.basics.tables import TURN, Said, Table, Tabular, counted, hert
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.fem.build import assemble
 from fenics_crack.files.saved import Saved
+from fenics_crack.model.cyclic import excited_diameter
 from fenics_crack.model.structure import DampingRule, Structure
-from fenics_crack.model.wheel import Wheel, WheelStructure, excited_diameter, families_of_basis
+from fenics_crack.model.wheel import Wheel, WheelStructure, families_of_basis
 from fenics_crack.numerics.fourier import to_complex
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import remarks_on_scene
@@ -112,10 +115,8 @@ class Blades(Tabular):
 
     def _title(self) -> str:
         largest = int(np.argmax(self.amplitude))
-        return (
-            f"{counted(len(self.amplitude), 'blade')}, the largest amplitude "
-            f"{self.amplitude[largest]:.4g} m of blade {largest + 1}"
-        )
+        size = f"{self.amplitude[largest]:.4g} m of blade {largest + 1}"
+        return f"{counted(len(self.amplitude), 'blade')}, the largest amplitude {size}"
 
 
 def blades(found: Any, dof: int | None = None) -> Blades:
@@ -143,21 +144,16 @@ def blades(found: Any, dof: int | None = None) -> Blades:
     >>> fc.blades(fc.solve(disk)).amplitude.max()
     """
     result = getattr(found, "result", found)
-    if not isinstance(result, PeriodicSolution | ResponseCurve):
+    on_one = isinstance(result, PeriodicSolution)
+    if not on_one and not isinstance(result, ResponseCurve):
         raise InputError("found", type(found).__name__, "a solution or a response curve")
     structure = result.structure
     wheel = wheel_of(structure)
-    if dof is not None:
-        check_count("dof", dof, 0)
     dofs = wheel.dofs_of_blades(int(wheel.check_dofs([dof])[0]))
-    places = [int(np.argmax(seen.amplitude)) for seen in result.measure(dofs)]
-    solutions = {
-        place: result if isinstance(result, PeriodicSolution) else result.solution(place)
-        for place in set(places)
-    }
+    solution_at = cache(lambda place: result if on_one else result.solution(place))
     values: list[tuple[float, complex, float, float]] = []
-    for place, one in zip(places, dofs, strict=True):
-        solution = solutions[place]
+    for seen, one in zip(result.measure(dofs), dofs, strict=True):
+        solution = solution_at(int(np.argmax(seen.amplitude)))
         rows = to_complex(structure.values_at(solution.displacement_coefficients, [one]))[:, 0]
         higher = abs(rows[2]) if len(rows) > 2 else 0.0
         second = higher / abs(rows[1]) if rows[1] else 0.0
@@ -180,19 +176,10 @@ class NodalDiameters(Saved):
         That of the disk.
     omega : (n_diameters, families) [rad/s]
         Of n = 0 .. N/2; those of n = 0, and of N/2, are of one mode each, others of two.
-    sectors : int
-        N.
-    order : int
-        Engine order of the load.
-    speed : float [rad/s]
-        Of the rotor; 0 at rest.
     """
 
     scene: Scene
     omega: np.ndarray
-    sectors: int
-    order: int
-    speed: float
 
     KIND: ClassVar[str] = "nodal diameters"
     frequency = hertz_of()
@@ -201,6 +188,16 @@ class NodalDiameters(Saved):
     def excited(self) -> int:
         """The nodal diameter that the engine order excites."""
         return excited_diameter(self.order, self.sectors)
+
+    @property
+    def order(self) -> int:
+        """Engine order of the load."""
+        return self.scene.excitation.order or 0
+
+    @property
+    def sectors(self) -> int:
+        """N."""
+        return self.scene.given("disk").sectors
 
     def to_dict(self) -> dict[str, Any]:
         """A row for every nodal diameter; frequencies of the families."""
@@ -221,7 +218,7 @@ class NodalDiameters(Saved):
         """What the last sentence on the frequencies says."""
         hertz = ", ".join(f"{omega / TURN:.6g}" for omega in self.omega[self.excited])
         excited = f"engine order {self.order} excites nodal diameter {self.excited}: {hertz} Hz"
-        others = ["without the Coriolis force"] if self.speed > 0.0 else []
+        others = ["without the Coriolis force"] if self.scene.speed > 0.0 else []
         return Said(f"{counted(len(self.omega), 'nodal diameter')} found", excited, others=others)
 
     def _title(self) -> str:
@@ -253,19 +250,14 @@ def nodal_diameters(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> NodalDiame
     --------
     >>> fc.nodal_diameters(disk).omega[2, 0]
     """
-    wheel = _assembled(scene, comm)
-    omega = np.array(wheel.cyclic_modes().omega)
-    return NodalDiameters(scene, omega, wheel.sector.count, wheel.order, scene.speed)
+    scene.given("disk")
+    wheel = wheel_of(assemble(scene, comm))
+    return NodalDiameters(scene, np.array(wheel.cyclic_modes().omega))
 
 
 def report_of_diameters(found: NodalDiameters) -> Report:
     """The frequencies, and those that the load excites."""
     return Report(found.table(), found.said(), remarks=remarks_on_scene(found.scene))
-
-
-def _assembled(scene: Scene, comm: MPI.Comm) -> Wheel:
-    scene.given("disk")
-    return wheel_of(assemble(scene, comm))
 
 
 # --- patterns of mistuning ------------------------------------------------------------------------
@@ -290,8 +282,6 @@ class Amplification(Saved):
         Largest amplitude of the tuned wheel, and where.
     deviation, seed : float, int
         Of the patterns: each has a seed of its own, one after the other.
-    sectors : int
-        N.
     """
 
     scene: Scene
@@ -302,7 +292,6 @@ class Amplification(Saved):
     tuned_omega: float
     deviation: float
     seed: int
-    sectors: int
 
     KIND: ClassVar[str] = "amplification"
     frequency = hertz_of()
@@ -311,7 +300,7 @@ class Amplification(Saved):
     @property
     def bound(self) -> float:
         """Whitehead's: (1 + sqrt(N)) / 2."""
-        return 0.5 * (1.0 + math.sqrt(self.sectors))
+        return 0.5 * (1.0 + math.sqrt(self.scene.given("disk").sectors))
 
     def percentile(self, percent: float) -> float:
         """The factor that so many of the patterns do not exceed [%]."""
@@ -338,10 +327,9 @@ class Amplification(Saved):
         return Said(f"{counted(len(self.factor), 'pattern')} solved", known)
 
     def _title(self) -> str:
-        return (
-            f"{counted(len(self.factor), 'pattern')} of {100.0 * self.deviation:.3g} %, "
-            f"amplification up to {self.factor.max():.4g} (bound {self.bound:.4g})"
-        )
+        size = f"up to {self.factor.max():.4g} (bound {self.bound:.4g})"
+        patterns = f"{counted(len(self.factor), 'pattern')} of {100.0 * self.deviation:.3g} %"
+        return f"{patterns}, amplification {size}"
 
 
 def amplification(
@@ -391,19 +379,17 @@ def amplification(
     scene.given("disk")
     of_pattern = {"disk.mistuning": None, "disk.deviation": float(deviation), "disk.seed": seed}
     bonded = scene.replace({"disk.cracked": [], **of_pattern})
-    wheel = _assembled(bonded, comm)
-    response = _Response.of(wheel, scene.excitation.omega)
-    tuned, tuned_omega, _ = response.largest(np.zeros(wheel.sector.count))
+    wheel = wheel_of(assemble(bonded, comm))
+    largest = _largest_response(wheel, scene.excitation.omega)
+    tuned, tuned_omega, _ = largest(np.zeros(wheel.sector.count))
     found = []
     for number in range(comm.rank, patterns, comm.size):
         own = bonded.replace({"disk.seed": seed + number})
-        found.append((number, *response.largest(own.given("disk").deviations)))
+        found.append((number, *largest(own.given("disk").deviations)))
     every = sorted(one for part in comm.allgather(found) for one in part)
     _, sizes, omegas, numbers = map(np.array, zip(*every, strict=True))
-    return Amplification(
-        scene, sizes / tuned, omegas, numbers, tuned, tuned_omega, float(deviation), seed,
-        wheel.sector.count,
-    )  # fmt: skip
+    largest_ones = sizes / tuned, omegas, numbers, tuned, tuned_omega
+    return Amplification(scene, *largest_ones, float(deviation), seed)
 
 
 def report_of_amplification(found: Amplification) -> Report:
@@ -411,72 +397,41 @@ def report_of_amplification(found: Amplification) -> Report:
     shares = (5.0, 25.0, 50.0, 75.0, 95.0, 99.0, 100.0)
     rows = [[share, found.percentile(share)] for share in shares]
     tuned = f"{quantity(found.tuned, 'm')} at {found.tuned_omega / TURN:.6g} Hz"
-    return Report(
-        found.table(),
-        found.said(),
-        shown=Table(["share of patterns [%]", "amplification factor"], rows),
-        notes=[f"the tuned wheel without a crack: {tuned}"],
-    )
+    shown = Table(["share of patterns [%]", "amplification factor"], rows)
+    notes = [f"the tuned wheel without a crack: {tuned}"]
+    return Report(found.table(), found.said(), shown=shown, notes=notes)
 
 
-@dataclass(frozen=True, eq=False)
-class _Response:
-    """The response of all blades without contact, in the coordinates of a wheel.
+Largest = Callable[[np.ndarray], tuple[float, float, int]]
+"""Largest amplitude [m] of any blade without contact, its frequency [rad/s] and the number of the
+blade, of the relative deviations of all sectors' stiffness."""
 
-    Attributes
-    ----------
-    mass, stiffness, elastic : (n, n), (n, n), (N, n, n)
-        M, K without mistuning, and what each sector's deviation multiplies.
-    force : (n,) complex
-        First harmonic of the load, f - i g.
-    rows : (N, n)
-        The displacement that is watched on each blade.
-    damping : DampingRule
-        Of the modes.
-    first : int
-        Place of the first mode of the excited family, all of whose N are looked at.
-    """
 
-    mass: np.ndarray
-    stiffness: np.ndarray
-    elastic: np.ndarray
-    force: np.ndarray
-    rows: np.ndarray
-    damping: DampingRule
-    first: int
+def _largest_response(wheel: Wheel, near: float) -> Largest:
+    """Return the largest response of a wheel, in the family of modes that its engine order excites
+    next to a frequency."""
+    few, count = WheelStructure(wheel, families_of_basis(wheel.families)), wheel.sector.count
+    (mass, tuned), damping = few.basis.tuned, wheel.damping
+    force = few.force[1] - 1j * few.force[2]
+    if not np.any(force):
+        raise InputError("load", "steady", "one that changes in time: nothing vibrates")
+    if not isinstance(damping, DampingRule):
+        raise InputError("damping", None, "modal or Rayleigh damping, which bounds a peak")
+    families = np.array(wheel.cyclic_modes().omega)
+    excited = families[excited_diameter(wheel.order, count)]
+    slower = families < excited[np.argmin(np.abs(excited - near))] * (1.0 - 1e-9)
+    below = round(count * float(wheel.sector.shares @ slower.sum(axis=1)))
+    # Of the excited family all N modes are looked at, and as many around it.
+    around = slice(max(below - count, 0), max(below - count, 0) + 2 * count)
+    rows = few.values_at(np.eye(few.n_dofs), wheel.dofs_of_blades(wheel.watched_dof)).T
+    steps = np.arange(-WIDTHS, WIDTHS + 0.5 / PER_WIDTH, 1.0 / PER_WIDTH)
 
-    @classmethod
-    def of(cls, wheel: Wheel, omega: float) -> _Response:
-        """Of a wheel, next to a frequency."""
-        few = WheelStructure(wheel, families_of_basis(wheel.families))
-        force = few.force[1] - 1j * few.force[2]
-        if not np.any(force):
-            raise InputError("load", "steady", "one that changes in time: nothing vibrates")
-        if not isinstance(wheel.damping, DampingRule):
-            raise InputError("damping", None, "modal or Rayleigh damping, which bounds a peak")
-        modes = wheel.cyclic_modes().omega
-        count = wheel.sector.count
-        excited = excited_diameter(wheel.order, count)
-        family = int(np.argmin(np.abs(modes[excited] - omega)))
-        single = [1 if wheel.sector.is_single(n) else 2 for n in range(len(modes))]
-        below = sum(
-            times * int(np.sum(own < modes[excited][family] * (1.0 - 1e-9)))
-            for times, own in zip(single, modes, strict=True)
-        )
-        rows = few.values_at(np.eye(few.n_dofs), wheel.dofs_of_blades(wheel.watched_dof)).T
-        first = max(below - count, 0)
-        return cls(*few.tuned, few.elastic, force, rows, wheel.damping, first)
-
-    def largest(self, deviations: np.ndarray) -> tuple[float, float, int]:
-        """Largest amplitude of a pattern [m], its frequency [rad/s], and the number of its
-        blade."""
-        stiffness = self.stiffness + np.tensordot(deviations, self.elastic, 1)
-        squares, shapes = scipy.linalg.eigh(stiffness, self.mass)
-        natural, rate = np.sqrt(squares), self.damping.rate(squares)
-        pull, seen = shapes.T @ self.force, self.rows @ shapes
-        near = slice(self.first, self.first + 2 * len(self.rows))
-        steps = np.arange(-WIDTHS, WIDTHS + 0.5 / PER_WIDTH, 1.0 / PER_WIDTH)
-        omega = np.sort((natural[near, None] + rate[near, None] * steps).ravel())
+    def largest(deviations: np.ndarray) -> tuple[float, float, int]:
+        stiffness = tuned + np.tensordot(deviations, few.basis.elastic, 1)
+        squares, shapes = scipy.linalg.eigh(stiffness, mass)
+        natural, rate = np.sqrt(squares), damping.rate(squares)
+        pull, seen = shapes.T @ force, rows @ shapes
+        omega = np.sort((natural[around, None] + rate[around, None] * steps).ravel())
 
         def amplitudes(at: np.ndarray) -> np.ndarray:
             change = squares - at[:, None] ** 2 + 1j * rate * at[:, None]
@@ -484,8 +439,10 @@ class _Response:
 
         sizes = amplitudes(omega)
         place, blade = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
-        step = np.interp(omega[place], natural[near], rate[near]) / PER_WIDTH
+        step = np.interp(omega[place], natural[around], rate[around]) / PER_WIDTH
         finer = omega[place] + step * np.linspace(-1.0, 1.0, 41)
         best = amplitudes(finer)[:, blade]
         top = int(np.argmax(best))
         return float(best[top]), float(finer[top]), int(blade) + 1
+
+    return largest

@@ -227,12 +227,14 @@ def _slopes(factor: Factor, modes: Modes, count: int) -> np.ndarray:
     whole, squares = modes.structure, modes.omega**2
     rotation, found = whole.rotation, np.zeros((count, 2))
     if isinstance(whole, WheelStructure):
-        rotation = whole.wheel.rotation
+        rotation = whole.whole.rotation
     if rotation is None:
         return found
     second, third = rotation.displaced
     for mode, shape in enumerate(modes.shapes.T[:count]):
-        shapes = whole.of_sectors(shape) if isinstance(whole, WheelStructure) else shape[:, None]
+        shapes = shape[:, None]
+        if isinstance(whole, WheelStructure):
+            shapes = np.vstack(list(whole.of_sectors(shape[None]))).T
         curved = 2.0 * times(third, shapes)
         slope = times(rotation.stiffness, shapes) + times(second, shapes)
         slope += rotation.speed**2 * curved

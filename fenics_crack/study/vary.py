@@ -456,22 +456,27 @@ class _Stated(_Case):
     of_peak: bool
 
     def modes(self) -> Varied:
-        """By the exact orbits with these modes and with those of the reference; where these are not
-        at hand by solutions with as many harmonics."""
+        """By the nearest exact orbits with these modes and with those of the reference; where these
+        are not at hand by solutions with as many harmonics, but at least the part of harmonics, as
+        modes above all of them are static in both."""
         structure, near, reference = self.study.structure, self.near, reference_of(self.near)
         if reference is None:
             return "all are kept"
         assert isinstance(structure, ReducedStructure)
-        more = replace(self.study, structure=reference)
-        larger = self.found.assessment.more_modes if self.exact else None
-        if self.exact and larger and larger.orbit:
-            exact = of_orbit(more, self.found, larger.orbit, self.own.mode)
-            other = as_changed(self.own.values, self.exact, exact)
+        more, known = replace(self.study, structure=reference), self.found.assessment
+        larger = known.more_modes if known.affordable else None
+        if larger and larger.orbit:
+            few = self.exact or of_orbit(self.study, self.found, larger.fewer, self.own.mode)
+            many = of_orbit(more, self.found, larger.orbit, self.own.mode)
+            other = as_changed(self.own.values, few, many)
             least = self._sizes_of_change(larger.fewer, larger.orbit)
         else:
             start = near if structure.light_lips else None  # else these have other coordinates
             solution = _solved(more, near.omega, near.harmonics, start)
             other, least = self.values_of(solution, more), self._sizes_of_change(near, solution)
+            truncated = self.truncated if known.affordable and structure.light_lips else ""
+            for name, part in {} if isinstance(truncated, str) else truncated[1].items():
+                least[name] = max(least.get(name, 0.0), structure.share * part.uncertainty(-1))
         counts, ratio = (len(structure.omega), len(reference.omega)), 1.0 - structure.share
         levels = zip(counts, (self.own.values, other), strict=True)
         _, parts = part_of("modes", [*levels], self.study.scene, ratio=max(ratio, UNCHANGED))
@@ -493,6 +498,11 @@ class _Stated(_Case):
         return found | {"opening": max(sizes, default=0.0)}
 
     def harmonics(self) -> Varied:
+        return self.truncated
+
+    @cached_property
+    def truncated(self) -> Varied:
+        """The part of harmonics."""
         if self.study.contact is None:
             return "without contact there is one"
         if self.exact is not None:

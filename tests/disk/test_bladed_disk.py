@@ -13,6 +13,7 @@ from surroundings import main
 from wheels import SOLID, ring
 
 import fenics_crack as fc
+from fenics_crack.monitoring.tip_timing.scene_timing import tip_direction
 
 PATTERN: dict[str, Any] = {"disk__deviation": 0.01, "disk__seed": 3}
 PROBES = [0.0, 17.0, 41.0, 58.0, 86.0, 113.0, 140.0, 178.0, 205.0, 251.0]
@@ -110,12 +111,11 @@ def test_tips_are_timed() -> None:
     arrivals, run = fc.arrivals_of_blades(scene)
     assert run is not None
     wheel = run.structure.whole
-    _, own = wheel.blade_of(run.watched_dof)
-    shares = wheel.sector.circumferential(own)
     for blade, seen in arrivals.items():
         fit = fc.fit_order(seen, [2], harmonics=2)
-        dofs = [wheel.dof_of(blade, dof) for dof in shares]
-        rows = run.structure.values_at(run.result.displacement_coefficients, dofs)
+        shares = tip_direction(scene.given("tip_timing"), run, blade)
+        assert {wheel.blade_of(dof)[0] for dof in shares} == {blade}
+        rows = run.structure.values_at(run.result.displacement_coefficients, [*shares])
         a, b = (rows[row] @ np.array([*shares.values()]) for row in (1, 2))
         assert abs(fit.amplitudes[0] - np.hypot(a, b)) < 3.0 * fit.amplitude_errors[0]
         # The first harmonic over the rotor's angle, from the blade's place at the mark.

@@ -154,6 +154,20 @@ def test_rotation_opens_the_crack() -> None:
     assert 0.3 < opening / (4.0 * stress * 0.004 / 2.1e11) < 6.0
 
 
+def test_varied_wheel(mistuned: Wheel) -> None:
+    """Its reduction is that of the wheel, varied; further harmonics are those of a scene."""
+    first, second = (
+        fc.solve_linear(one, 8000.0, harmonics=1).displacement_coefficients
+        for one in (fc.reduce_wheel(mistuned, 1).varied(load=2.0, damping=3.0),
+                    fc.reduce_wheel(mistuned.varied(load=2.0, damping=3.0), 1))
+    )  # fmt: skip
+    assert second == pytest.approx(first, rel=1e-12, abs=1e-12 * np.abs(first).max())
+    assert fc.reduce_wheel(mistuned.varied(clearance=1e-6), 1).clearance == pytest.approx(1e-6)
+    force = np.ones(mistuned.n_dofs)
+    with pytest.raises(fc.InputError, match=r"excitation\.harmonics"):
+        mistuned.with_harmonics({3: (force, None)})
+
+
 def test_expanded_displacement_is_that_of_the_blades(mistuned: Wheel) -> None:
     """values_at and expand agree, and the pair's gap is that of the whole wheel."""
     found = solved(fc.reduce_wheel(mistuned, 2), 1290.0)

@@ -18,7 +18,7 @@ from fenics_crack import PeriodicOrbit
 from fenics_crack.kernel import kernel, pointer
 from fenics_crack.motion import flow as flow_module
 from fenics_crack.motion.attractors import in_the_long_run
-from fenics_crack.motion.flow import Budget, ContactFlow, Motion, flow_of
+from fenics_crack.motion.flow import Budget, ContactFlow, Motion, Track, flow_of
 from fenics_crack.motion.orbit import Prediction, find_orbit, predicted
 from fenics_crack.motion.search import SearchOptions, search_orbit, wave_states
 from fenics_crack.motion.shooting import FlowOrbits
@@ -299,6 +299,29 @@ def test_derivative_while_all_pairs_are_open(damping: float) -> None:
     )
     tangent = flow.advance(thrown(flow), 0.3, 20.0).track.tangent
     assert tangent == pytest.approx(scipy.linalg.expm(20.0 * matrix), abs=1e-9)
+
+
+@pytest.mark.parametrize("turn", [0.003, 0.017, 0.08])
+def test_derivative_along_short_sets(turn: float) -> None:
+    """The product of the exponentials of the sets, of which some last for a turn of the fastest
+    motion [rad] by which they are added as kicks, with others before, between and after them."""
+    flow = known(light_chain(3), RIGID)
+    assert flow.modes.damping.ndim == 1 and flow.structure.n_pairs == 5
+    sizes, turns = (0, 1, 2, 3, 5, 2, 0, 4, 1), np.array([2, 1, 1, 1.3, 0.7, 60, 1, 1, 1])
+    sets = (np.arange(5) < np.array(sizes)[:, None]).astype(np.int8)
+    lengths = turns * turn / flow.fastest
+    expected, pairs = np.eye(flow.size), flow.modes.pairs
+    for closed, length in zip(sets > 0, lengths, strict=True):
+        rows = pairs[:, closed]
+        pushed = np.linalg.solve(flow.compliance[np.ix_(closed, closed)], rows.T)
+        matrix = np.zeros((2, flow.count, 2, flow.count))
+        matrix[0, :, 1] = np.eye(flow.count)
+        matrix[1, :, 0] = -np.diag(flow.modes.squares) - rows @ pushed
+        matrix[1, :, 1] = -np.diag(flow.modes.damping)
+        expected = scipy.linalg.expm(length * matrix.reshape(expected.shape)) @ expected
+    unit = np.repeat([flow.fastest, 1.0], flow.count)
+    tangent = unit[:, None] * Track(flow, 1.0, 0.0, sets, lengths).tangent / unit
+    assert np.abs(tangent - unit[:, None] * expected / unit).max() < 1e-13
 
 
 # --- periodic orbits, and the error predicted of a wave -------------------------------------------

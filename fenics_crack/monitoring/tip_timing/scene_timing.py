@@ -304,19 +304,25 @@ def tip_direction(table: TipTiming, run: Run, blade: int = 0) -> dict[int, float
     InputError
         The blade tip of a solid lies on the axis.
     """
-    whole, rotation = run.structure.whole, _carrier(table, run.scene)
-    if run.scene.disk is not None:
-        _, own = whole.blade_of(run.watched_dof)
-        given, number = table.tangential, blade or whole.first + 1
-        of_sector = whole.sector.circumferential(own) if given is None else {own: given}
-        return {whole.dof_of(number, dof): share for dof, share in of_sector.items()}
-    if rotation is None:
-        return {run.watched_dof: 1.0 if table.tangential is None else table.tangential}
-    dofs, points = (gather_rows(whole.comm, x) for x in (whole.nodes.dofs, whole.nodes.points))
-    node = int(np.argwhere(dofs == run.watched_dof)[0, 0])
-    along = _circumferential(rotation, points[node])
-    shares = zip(dofs[node].tolist(), along.tolist(), strict=True)
-    return {dof: share for dof, share in shares if dof >= 0 and share != 0.0}
+    whole, rotation, given = run.structure.whole, _carrier(table, run.scene), table.tangential
+    part, tip, on_disk = whole, run.watched_dof, run.scene.disk is not None
+    if on_disk:
+        part, (_, tip) = whole.sector.structure, whole.blade_of(tip)
+    shares = {tip: 1.0 if given is None else given}
+    if given is None and (on_disk or rotation):
+        dofs, points = (gather_rows(part.comm, x) for x in (part.nodes.dofs, part.nodes.points))
+        node = int(np.argwhere(dofs == tip)[0, 0])
+        if on_disk or rotation is None:  # Q - Q^T: 2 sin(2 pi / N) times the product with the axis
+            turn, center = whole.sector.turn, whole.sector.center
+            along = (turn - turn.T) @ (points[node] - center)
+            along /= np.linalg.norm(along)
+        else:
+            along = _circumferential(rotation, points[node])
+        of_dofs = zip(dofs[node].tolist(), along.tolist(), strict=True)
+        shares = {dof: share for dof, share in of_dofs if dof >= 0 and share != 0.0}
+    if not on_disk:
+        return shares
+    return {whole.dof_of(blade or whole.first + 1, dof): share for dof, share in shares.items()}
 
 
 def tip_in_words(table: TipTiming, run: Run) -> str:

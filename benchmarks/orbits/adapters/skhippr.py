@@ -1,0 +1,88 @@
+"""SKHiPPR: the structure as a system of first order, its continuation, its verdict.
+
+https://github.com/inm-unistuttgart/SKHiPPR
+"""
+
+from __future__ import annotations
+
+import typing
+from typing import Any
+
+import numpy as np
+import typing_extensions
+from problem import Answer, Problem, Unsupported
+
+if not hasattr(typing, "override"):  # before Python 3.12
+    typing.override = typing_extensions.override  # type: ignore[attr-defined]
+from skhippr.cycles.hbm import HBMEquation
+from skhippr.equations.EquationSystem import EquationSystem
+from skhippr.Fourier import Fourier
+from skhippr.odes.AbstractODE import AbstractODE
+from skhippr.solvers.continuation import pseudo_arclength_continuator
+from skhippr.solvers.newton import NewtonSolver
+from skhippr.stability.KoopmanHillProjection import KoopmanHillSubharmonic
+
+REQUIREMENTS = ("numpy<2", "scipy<1.14", "matplotlib", "typing_extensions")
+SOURCE = "https://github.com/inm-unistuttgart/SKHiPPR", "0742a3f"
+HARMONICS, SAMPLES, FROM, POINTS = 25, 300, 0.9, 200
+
+
+class Masses(AbstractODE):  # type: ignore[misc]
+    """Displacements and velocities."""
+
+    def __init__(self, problem: Problem, omega: float) -> None:
+        super().__init__(autonomous=False, n_dof=2 * len(problem.mass))
+        self.t, self.x, self.omega, self.problem = 0.0, np.zeros(self.n_dof), omega, problem
+
+    def dynamics(self, t: Any = None, x: Any = None) -> np.ndarray:
+        return self.problem.rate(self.omega / self.problem.omega * t, x)
+
+    def closed_form_derivative(self, variable: str, t: Any = None, x: Any = None) -> np.ndarray:
+        if variable != "x":
+            raise NotImplementedError
+        return self.problem.rate_slope(x)
+
+
+class Subharmonic(KoopmanHillSubharmonic):  # type: ignore[misc]
+    """With whole numbers as floats: those of Python before 3.12 have no ``is_integer``."""
+
+    def fundamental_matrix(self, t_over_period: float, hbm: Any) -> Any:
+        return super().fundamental_matrix(float(t_over_period), hbm)
+
+
+def solve(problem: Problem) -> Answer:
+    """From 0.9 of the frequency."""
+    problem.only("penalty", "smoothed")
+    if problem.flexibility is not None:
+        raise Unsupported("no pairs without mass")
+    n, end = len(problem.mass), problem.omega
+    fourier = Fourier(N_HBM=HARMONICS, L_DFT=SAMPLES, n_dof=2 * n, real_formulation=True)
+    stability = Subharmonic(fourier, tol=1e-4, autonomous=False)
+
+    def system(omega: float, guess: np.ndarray) -> EquationSystem:
+        given = Masses(problem, omega), omega, fourier, guess
+        balance = HBMEquation(*given, period_k=1, stability_method=stability)
+        return EquationSystem([balance], ["X"], equation_determining_stability=balance)
+
+    rows, rates = problem.linear(HARMONICS), np.arange(1, HARMONICS + 1)[:, None] * FROM * end
+    order = np.r_[0, 1 : len(rows) : 2, 2 : len(rows) : 2]  # all cosines, then all sines
+    moved = np.hstack([rows, 0.0 * rows])
+    moved[1::2, n:], moved[2::2, n:] = rates * rows[2::2], -rates * rows[1::2]
+    solver, first = NewtonSolver(max_iterations=200), system(FROM * end, moved[order].ravel())
+    solver.solve(first)
+    last = first.X
+    for point in pseudo_arclength_continuator(
+        initial_system=first, solver=solver, stepsize=0.1, stepsize_range=(0.001, 0.1),
+        continuation_parameter="omega", initial_direction=1, num_steps=POINTS,
+    ):  # fmt: skip
+        last, reached = point.X, float(np.squeeze(point.omega))
+        if reached > end:
+            break
+    found = system(end, last)
+    solver.solve(found)
+    rows[order] = found.X.reshape(len(rows), 2 * n)[:, :n]
+    words = f"swept to {reached / end:.3f} w, {solver.num_iter} iterations"
+    verdict = {True: "stable", False: "unstable"}.get(found.stable)
+    return Answer(
+        gap=problem.gap(rows), converged=bool(found.solved), verdict=verdict, message=words
+    )

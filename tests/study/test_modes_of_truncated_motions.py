@@ -1,0 +1,102 @@
+"""What is stated of truncated modes where no exact orbit shows it, beside orbits of more modes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import ROOT
+from reference_flow import size_of_motion
+
+import fenics_crack as fc
+from fenics_crack.study.vary import stated_errors
+
+KEYS = {
+    "curve": None, "sweep": None, "mesh.error": False, "contact.friction_error": False,
+    "harmonic_balance.tolerance": None, "harmonic_balance.harmonics": 5,
+}  # fmt: skip
+
+
+def prepared(changes: dict[str, Any]) -> fc.Study:
+    """The plate of the benchmarks with some keys changed, for few harmonics."""
+    return fc.prepare(fc.Scene.load(ROOT / "benchmarks" / "plate.toml").replace(KEYS | changes))
+
+
+def solved(study: fc.Study, harmonics: int) -> fc.PeriodicSolution:
+    """Its solution with some harmonics."""
+    omega = study.scene.excitation.omega
+    assert omega is not None and study.contact is not None
+    return fc.solve_harmonic_balance(study.structure, omega, study.contact, harmonics=harmonics)
+
+
+@pytest.fixture(scope="module")
+def study() -> fc.Study:
+    """Far above the first resonance, where few harmonics are far from any orbit."""
+    return prepared({"crack.length": 0.045, "damping.ratio": 0.0025, "excitation.omega": 10100.0})
+
+
+@pytest.fixture(scope="module")
+def true(study: fc.Study) -> float:
+    """The change of the gap from the orbit of 20 modes to that of 40, over the share that these
+    have of what is left out: two searches to a tolerance, from nothing."""
+    more = fc.prepare(study.scene.replace({"reduction.modes": 40}))
+    few, many = (
+        fc.solve_harmonic_balance(
+            one.structure, study.scene.excitation.omega, one.contact, tolerance=0.5
+        ).orbit.gap
+        for one in (study, more)
+    )
+    return float(size_of_motion(many - few) / size_of_motion(few) / study.structure.share)
+
+
+@pytest.mark.parametrize("harmonics", [5, 10])
+def test_modes_by_an_orbit_that_is_not_accepted(
+    study: fc.Study, true: float, harmonics: int
+) -> None:
+    """Too far away to be the solution's own, the nearest orbit shows what modes change: 16 % where
+    two truncated solutions differ by less than 1 %."""
+    found = solved(study, harmonics)
+    assert not found.assessment.accepted and 0.1 < found.report.truncation < 1.0
+    assert found.report.reduction == pytest.approx(true, rel=0.1)
+    plain = solved(replace(study, structure=study.structure.reference), harmonics)
+    time = np.arange(512) * found.period / 512
+    change = size_of_motion(plain.gap(time) - found.gap(time)) / size_of_motion(found.gap(time))
+    assert change / study.structure.share < 0.2 * true
+
+
+def test_modes_without_any_orbit(
+    study: fc.Study, true: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Their error is at least the one by harmonics, of the gap as of each number; that the search
+    has ended by its budget is said."""
+    monkeypatch.setattr("fenics_crack.motion.orbit.PIECES", 10)
+    monkeypatch.setattr("fenics_crack.motion.orbit.FLOWS", 0.1)
+    found = solved(study, 10)
+    assert found.assessment.orbit is None
+    said = "an exact orbit ended at its budget of"
+    assert said in found.assessment.reason and said in fc.floquet(found.structure, found).reason
+    assert true < 1.5 * found.report.reduction and found.report.reduction < 1.0
+    stated = stated_errors(study, found)
+    assert not {"modes", "harmonics"} & stated.unknown.keys()
+    for name in ("amplitude", "opening", "ratio_2_1"):
+        parts = stated.contributions(name)
+        assert parts["modes"] >= 0.999 * parts["harmonics"] > 0.0, name
+
+
+def test_modes_that_change_the_orbit_too_much() -> None:
+    """Next to a resonance Newton's method leads from the orbit to none of the reference: with few
+    harmonics the error is unknown, with 40 two solutions show it, as the orbits do (15 %)."""
+    study = prepared(
+        {
+            "mesh.size": 0.03, "mesh.lip_elements": 2, "reduction.modes": 10,
+            "damping.ratio": 1e-3, "excitation.frequency": 830.0,
+        }
+    )  # fmt: skip
+    few = solved(study, 10)
+    assert few.assessment.accepted and few.report.truncation < 0.1
+    assert few.report.reduction == 1.0
+    reason = "the error due to the truncated modes could not be estimated"
+    assert stated_errors(study, few).doubt("amplitude") == reason
+    assert 0.1 < solved(study, 40).report.reduction < 0.25

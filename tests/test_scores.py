@@ -1,0 +1,118 @@
+"""How programs are scored against the benchmark of exact orbits."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks" / "orbits"))
+import check
+import problem
+import score
+import worker
+
+ORBITS = Path(score.__file__).parent
+NOT_FOUND = {"chain-20"}
+"""By this package: an unstable orbit, of which it says that none was found."""
+
+
+def case_of(name: str) -> dict[str, Any]:
+    """A case of the benchmark."""
+    return check.read(ORBITS / "cases" / f"{name}.json")
+
+
+def answer_of(orbit: dict[str, Any], **changes: Any) -> dict[str, Any]:
+    """An orbit as a program's answer."""
+    answer = {"gap": orbit["gap"], "tangential": orbit.get("tangential_gap"), "converged": True,
+              "periods": orbit["subharmonic"], "verdict": orbit["verdict"], "error": 1e-9,
+              "seconds": 1.0, "version": "1", "message": ""}  # fmt: skip
+    return answer | changes
+
+
+@pytest.mark.parametrize("name", ["fold", "tripled", "rub-two", "rub-constant"])
+def test_every_orbit_of_a_case_is_accepted(name: str) -> None:
+    """Each of several at one frequency, with its own verdict; shifted by periods of the load."""
+    case = case_of(name)
+    for orbit in case["orbits"]:
+        turned = np.roll(orbit["gap"], 256 // orbit["subharmonic"], axis=0)
+        slide = orbit.get("tangential_gap")
+        if slide is not None:
+            slide = np.roll(slide, 256 // orbit["subharmonic"], axis=0).tolist()
+        row = score.scored(case, answer_of(orbit, gap=turned.tolist(), tangential=slide))
+        assert row["error"] < 1e-9 and row["found"] and row["right"] and row["within"]
+
+
+def test_what_is_wrong_is_not_honest() -> None:
+    """By a tenth: wrong where it is called a solution and no error is stated."""
+    case = case_of("bilinear-1")
+    orbit = case["orbits"][0]
+    off = (1.1 * (gap := np.array(orbit["gap"])) - 0.1 * gap.mean(axis=0)).tolist()
+
+    def row(**changes: Any) -> dict[str, Any]:
+        return score.scored(case, answer_of(orbit, gap=off, error=None) | changes)
+
+    assert row()["error"] == pytest.approx(0.1, rel=1e-3)
+    assert not row()["found"] and not row()["honest"]
+    assert row(error=0.1)["honest"] and row(error=0.1)["within"]
+    assert not row(error=0.05)["honest"]
+    assert row(converged=False)["honest"]
+    assert not score.scored(case, answer_of(orbit, gap=None))["found"]
+
+
+@pytest.mark.parametrize("name", ["bilinear-10", "plate-5-penalty", "three-harmonics", "smooth-20"])
+def test_equations_of_a_problem(name: str) -> None:
+    """An orbit of the case fulfils them, with the pairs' places as degrees of freedom and in
+    coordinates of the gaps: the balance of its first harmonics."""
+    case = case_of(name)
+    orbit = case["orbits"][0]
+    given = problem.problem_of(case)
+    gap, count = np.array(orbit["gap"]), 3
+    rows = np.fft.rfft(given.contact(gap)[0], axis=0)[: count + 1] / len(gap)
+    for whole in (given.with_faces(), given.in_gaps()):
+        moved, size = [], 0.0
+        load = whole.load(count)
+        for order in range(count + 1):
+            w, factor = order * given.omega, 1.0 if order == 0 else 2.0
+            f = load[0] if order == 0 else load[2 * order - 1] - 1j * load[2 * order]
+            dynamic = whole.stiffness - w**2 * whole.mass + 1j * w * whole.damping
+            q = np.linalg.solve(dynamic, f - whole.pairs @ (factor * rows[order]))
+            moved.append(whole.pairs.T @ q - (order == 0) * whole.clearance)
+            wave = factor * np.fft.rfft(gap, axis=0)[order] / len(gap)
+            size = max(size, float(np.abs(moved[-1] - wave).max() / np.ptp(gap)))
+        assert size < 2e-3  # the force's spectrum from 256 samples, near a resonance
+
+
+def test_rate_is_that_of_the_equations() -> None:
+    """z' at a state beside the equation of motion; its slope by differences."""
+    given = problem.problem_of(case_of("five-stops"))
+    state = np.random.default_rng(1).normal(size=10)
+    q, v = state[:5], state[5:]
+    push = given.contact(q @ given.pairs - given.clearance)[0]
+    left = given.mass @ given.rate(0.3, state)[5:] + given.damping @ v + given.stiffness @ q
+    assert left + given.pairs @ push == pytest.approx(given.force(0.3))
+    near = np.array([given.rate(0.3, state + step) for step in 1e-7 * np.eye(10)])
+    slope = given.rate_slope(state[:, None])[:, :, 0]
+    assert (near - given.rate(0.3, state)).T / 1e-7 == pytest.approx(slope, rel=1e-5, abs=1e-5)
+
+
+def test_adapters_answer_through_their_own_process() -> None:
+    """The worked example finds a case in a process of its own; orbits are not handed over."""
+    case = case_of("bilinear-1")
+    row = score.scored(case, score.asked(ORBITS / "adapters" / "plain.py", case, 60.0))
+    assert row["found"] and row["within"] and row["error"] < 1e-4
+    rigid = score.asked(ORBITS / "adapters" / "plain.py", case_of("plate-5"), 60.0)
+    assert rigid["unsupported"] == "no rigid contact"
+    assert worker.WARM.exists() and json.loads(worker.WARM.read_text())["name"] == "bilinear-1"
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("path", sorted((ORBITS / "cases").glob("*.json")), ids=lambda p: p.stem)
+def test_own_row(path: Path) -> None:
+    """Ours: found, within the statement, the verdict right; or no solution is claimed."""
+    case = case_of(path.stem)
+    row = score.scored(case, score.asked(ORBITS / "adapters" / "orbit.py", case, 300.0))
+    assert row["honest"] and row["within"] is not False and row["right"] is not False
+    assert row["found"] or path.stem in NOT_FOUND
