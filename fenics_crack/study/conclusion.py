@@ -162,8 +162,10 @@ def _crack_and_verdict(run: Answer, found: PeriodicSolution, faces: str) -> list
     said = []
     if run.structure.n_pairs and found.contact is not None:
         values, what = found.faces, "the crack opens" if faces != "pairs" else "contact opens"
+        share = run.stated.stated("opening")[0] if run.stated is not None else 0.0
+        within = f", estimated error {error_in_words(share)}," if 0.0 < share < np.inf else ""
         said.append(
-            f"{what} by {quantity(values['opening'], 'm')} and is closed for "
+            f"{what} by {quantity(values['opening'], 'm')}{within} and is closed for "
             f"{percent(values['closed_share'])} of the period"
             if found.breathes
             else LINEAR

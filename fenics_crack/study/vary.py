@@ -71,7 +71,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.balance.contact_integrals import default_samples
-from fenics_crack.balance.error_report import LARGE_ERROR, ErrorReport
+from fenics_crack.balance.error_report import ENOUGH, LARGE_ERROR, ErrorReport
 from fenics_crack.balance.harmonic_balance import (
     motion_without_friction,
     slide_along_lines,
@@ -457,8 +457,8 @@ class _Stated(_Case):
 
     def modes(self) -> Varied:
         """By the nearest exact orbits with these modes and with those of the reference; where these
-        are not at hand by solutions with as many harmonics, but at least the part of harmonics, as
-        modes above all of them are static in both."""
+        are not at hand by solutions, with :data:`ENOUGH` harmonics where orbits are affordable, but
+        at least the part of harmonics, as modes above all of them are static in both."""
         structure, near, reference = self.study.structure, self.near, reference_of(self.near)
         if reference is None:
             return "all are kept"
@@ -471,10 +471,15 @@ class _Stated(_Case):
             other = as_changed(self.own.values, few, many)
             least = self._sizes_of_change(larger.fewer, larger.orbit)
         else:
+            exactly = known.affordable and structure.light_lips
+            if exactly and near.harmonics < (count := ENOUGH * near.subharmonic):
+                near = _solved(self.study, near.omega, count, near)
             start = near if structure.light_lips else None  # else these have other coordinates
             solution = _solved(more, near.omega, near.harmonics, start)
-            other, least = self.values_of(solution, more), self._sizes_of_change(near, solution)
-            truncated = self.truncated if known.affordable and structure.light_lips else ""
+            both = self.values_of(near), self.values_of(solution, more)
+            other = as_changed(self.own.values, *both)
+            least = self._sizes_of_change(near, solution)
+            truncated = self.truncated if exactly else ""
             for name, part in {} if isinstance(truncated, str) else truncated[1].items():
                 least[name] = max(least.get(name, 0.0), structure.share * part.uncertainty(-1))
         counts, ratio = (len(structure.omega), len(reference.omega)), 1.0 - structure.share

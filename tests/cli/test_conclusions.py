@@ -13,6 +13,7 @@ from scipy import io, sparse
 from surroundings import main
 
 import fenics_crack as fc
+from fenics_crack.basics.tables import error_in_words
 
 STIFFNESS, DAMPING = np.array([[1.0, -1.0], [-1.0, 2.0]]), 0.03
 FEW = {"contact.stiffness": 1e3, "harmonic_balance.harmonics": 3, "excitation.omega": 0.8}
@@ -157,7 +158,10 @@ def test_one_sentence_holds_the_answer(
     run = fc.load_run(tmp_path / "solution.h5")
     size, opening = (fc_quantity(rows[name]["value"]) for name in ("amplitude", "opening"))
     assert f"at 2000 rad/s the {run.watched_name} is {size} half peak-to-peak" in closing
-    assert f"; the crack opens by {opening} and is closed for " in closing
+    assert run.stated is not None
+    error = error_in_words(run.stated.stated("opening")[0])
+    said = f"; the crack opens by {opening}, estimated error {error}, and is closed for "
+    assert said in closing
     assert f"; {rows['verdict']['value']}; " in f"{closing}; "
     assert closing.startswith(str(run).partition(": ")[2])
     assert main(["report", str(tmp_path), "--quiet"]) == 0

@@ -405,7 +405,7 @@ def test_meshes_of_a_solid_are_similar() -> None:
         fronts.append(sum(ratio**number for number in range(mesh.lip_elements)))
         rises.append(1.0 / (ratio - 1.0))
     factors = [front / fronts[0] for front in fronts]
-    assert factors == pytest.approx([1.0, 1.5, 2.0], rel=0.05)
+    assert factors == pytest.approx([1.0, 1.5, 2.0], rel=0.1)  # of whole elements
     assert factors == pytest.approx([rise / rises[0] for rise in rises], rel=1e-9)
     thick = solid.geometry.thickness  # elements are no longer than that, whatever is asked for
     assert [mesh.size for mesh in meshes[1:]] == pytest.approx([thick / f for f in factors[1:]])
