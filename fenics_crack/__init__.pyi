@@ -2,6 +2,7 @@
 
 from fenics_crack.balance.error_report import ErrorReport as ErrorReport
 from fenics_crack.balance.harmonic_balance import linear_response as linear_response
+from fenics_crack.balance.harmonic_balance import slide_along_lines as slide_along_lines
 from fenics_crack.balance.harmonic_balance import solve_harmonic_balance as solve_harmonic_balance
 from fenics_crack.balance.harmonic_balance import solve_linear as solve_linear
 from fenics_crack.balance.many import ManyOrbits as ManyOrbits

@@ -49,7 +49,7 @@ from fenics_crack.basics.errors import (
 from fenics_crack.basics.progress import begin
 from fenics_crack.basics.suggestions import check_kind
 from fenics_crack.basics.tables import percent, quantity
-from fenics_crack.model.contact import ContactLaw
+from fenics_crack.model.contact import ContactLaw, friction_of
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import LIP_STATES
@@ -58,6 +58,7 @@ from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.model.wheel import Wheel
 from fenics_crack.motion.flow import ContactFlow, exact_flow, flow_of
+from fenics_crack.motion.motions import Observed
 from fenics_crack.motion.orbit import FORMED, INSTANTS, OrbitCoefficients, PeriodicOrbit, affordable
 from fenics_crack.motion.search import SEGMENTS, OrbitSearch, SearchOptions, search_orbit
 from fenics_crack.numerics.fourier import from_complex, to_complex
@@ -584,3 +585,82 @@ def _enough(found: PeriodicSolution, tolerance: float) -> bool:
     unknown = left >= UNKNOWN and found.harmonics >= SearchOptions.harmonics[-1] * found.subharmonic
     enough = left <= _goal(tolerance, found.report.reduction)
     return enough or unknown or found.harmonics >= MAX_HARMONICS
+
+
+# --- friction on solids ---------------------------------------------------------------------------
+
+
+def slide_along_lines(structure: Structure, omega: float, contact: ContactLaw) -> ContactLaw:
+    """Return a law with the lines along which a solid's pairs slide without friction (collective).
+
+    Friction acts along one line for each pair, that along which it slides the most in the vibration
+    without friction: with the sum over a period of
+
+        A_i = sum lambda_n,i dg_i dg_i^T,      dg_i: change of its two tangential gaps,
+
+    its first eigenvector. Where sliding turns, ``turning``, the root of the ratio of the sums of
+    the pairs' second and first eigenvalues, is the share that friction across the lines would have.
+
+    Parameters
+    ----------
+    structure : Structure
+        Small, with two tangential gaps for each pair (:meth:`Structure.with_tangents`).
+    omega : float [rad/s]
+        Frequency of the load.
+    contact : ContactLaw
+        With friction; a law without, or with lines, or for a plate, is returned as it is.
+
+    Returns
+    -------
+    ContactLaw
+        With ``direction`` and ``turning``.
+
+    Raises
+    ------
+    ConvergenceError
+        The vibration without friction is not found.
+
+    Examples
+    --------
+    >>> rubbing = fc.slide_along_lines(structure, 2e4, fc.CoulombFriction(law, 0.3))
+    """
+    friction, tangents = friction_of(contact), structure.tangential
+    if friction is None or friction.direction is not None or tangents is None:
+        return contact
+    if tangents.shape[1] == structure.n_pairs:
+        return contact
+    free = motion_without_friction(structure, omega, friction.law)
+    direction, turning = sliding_of(free)
+    return replace(friction, direction=direction, turning=turning)
+
+
+def motion_without_friction(
+    structure: Structure, omega: float, law: ContactLaw, subharmonic: int = 1
+) -> PeriodicOrbit | PeriodicSolution:
+    """The exact orbit without friction, or else the solution next to which none is found
+    (collective)."""
+    problem = Problem(structure, omega, law, subharmonic=subharmonic)
+    few = problem.with_harmonics(problem.few_harmonics(problem.harmonics))
+    found = Solver(few).solve()
+    known = found.assessment
+    return known.orbit if known.accepted and known.orbit is not None else found
+
+
+def sliding_of(motion: Observed, direction: np.ndarray | None = None) -> tuple[np.ndarray, float]:
+    """Lines (n_pairs,) [rad] along which pairs slide in a motion of a structure with two tangential
+    gaps a pair, or given ones, and the turning of sliding about them (collective)."""
+    tangents = motion.structure.tangential
+    assert tangents is not None
+    [record] = motion.records(tangents.T.toarray())
+    pairs = motion.structure.n_pairs
+    slide, force = record.motion.reshape(len(record.motion), 2, pairs), record.force[:, :pairs]
+    moved = np.roll(slide, -1, axis=0) - slide
+    weight = np.maximum(0.5 * (np.roll(force, -1, axis=0) + force), 0.0)
+    work = np.einsum("tip,tjp,tp->pij", moved, moved, weight)
+    if direction is None:
+        first = np.linalg.eigh(work)[1][:, :, 1]
+        direction = np.arctan2(first[:, 1], first[:, 0])
+    line = np.array([np.cos(direction), np.sin(direction)])
+    along = float(np.einsum("ip,jp,pij->", line, line, work))
+    across = max(float(np.trace(work, axis1=1, axis2=2).sum()) - along, 0.0)
+    return direction, math.sqrt(across / along) if along > 0.0 else 0.0

@@ -13,11 +13,15 @@ from fenics_crack.basics.errors import MOST_HARMONICS
 from fenics_crack.basics.observables import QUANTITIES, Where, names_of
 from fenics_crack.basics.report import Report
 from fenics_crack.basics.tables import Table, percent, quantity
+from fenics_crack.model.contact import friction_of
 from fenics_crack.model.modes import damped_range
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import SMALL_MOTION, from_clamp
 from fenics_crack.study.run import Run
 
+MOST_TURNING = 0.3
+"""Sliding across the lines of friction over that along them from which on friction along lines is
+not trusted."""
 ALWAYS, BY_DEFAULT, NEVER = range(3)
 """Whether a quantity is printed: whatever the scene chooses, where it does not choose, or in files
 alone. These are parts of an error, and sentences, which are below the table."""
@@ -137,8 +141,16 @@ def of_stability(
     yield text + (f"; {' or '.join(hints)} may decide it" if hints else "")
 
 
+def turning_of(found: PeriodicSolution) -> float:
+    """Turning of sliding about the lines of friction; 0 on plates and without friction."""
+    return getattr(friction_of(found.contact), "turning", None) or 0.0
+
+
 def of_friction(found: PeriodicSolution) -> Iterator[str]:
-    """A warning where contact has nearly more than one solution at an instant."""
+    """Warnings where contact has nearly more than one solution at an instant, and where pairs of a
+    solid do not slide along lines."""
+    if (turning := turning_of(found)) > MOST_TURNING:
+        yield f"sliding turns ({turning:.2g}): what friction does is not to be trusted"
     flow = found.assessment.flow
     if flow is None or flow.friction is None:
         return

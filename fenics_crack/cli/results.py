@@ -98,6 +98,9 @@ def report_of_solution(run: Run[PeriodicSolution]) -> Report:
         share = f"{larger[1]:.2g} of harmonic 1 in the exact orbit; more harmonics show it"
         left = f"harmonic {larger[0]}, which the solution leaves out"
         notes.append(f"{left}, is the largest of the higher ones: {share}")
+    if turning := account.turning_of(found):
+        sliding = f"sliding across it is {turning:.2g} of that along it, without friction"
+        notes.append(f"friction acts along one line for each pair; {sliding}")
     tolerance = scene.harmonic_balance.tolerance
     missed = tolerance is not None and found.report.total > tolerance
     warnings = []

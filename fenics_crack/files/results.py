@@ -125,6 +125,9 @@ def unpack(stored: Stored, structure: Structure, contact: Law = None) -> Result:
     """The same of a file that is read (collective)."""
     kind = type_of(stored)
     with stored.taken() as parts:
+        if (friction := friction_of(contact)) is not None and "law_direction" in parts:
+            known = {name: parts[f"law_{name}"] for name in ("direction", "turning")}
+            contact = replace(friction, **known)
         return _FORMS[kind][1](parts, structure, contact)
 
 
@@ -440,7 +443,9 @@ LAW_GAPS = np.concatenate([sign * np.logspace(-12, 1, 27) for sign in (-1.0, 1.0
 def _law_parts(contact: Law, structure: Structure) -> Parts:
     """Name, stiffness and sharpness of a law, or forces of one's own, by which a file identifies
     it."""
-    names = ("stiffness", "sharpness", "coefficient", "tangential_stiffness")
+    names = (
+        "stiffness", "sharpness", "coefficient", "tangential_stiffness", "direction", "turning",
+    )  # fmt: skip
     values = {f"law_{name}": getattr(contact, name, None) for name in names}
     known = {name: value for name, value in values.items() if value is not None}
     if contact is not None and "law_sharpness" not in known and not is_unilateral(contact):

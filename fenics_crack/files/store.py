@@ -407,6 +407,8 @@ ABOUT: dict[str, tuple[str, str]] = {
     "law_stiffness": ("N/m", "of all pairs, or of each"),
     "law_sharpness": ("1/m", ""),
     "law_coefficient": ("1", "of friction, of all pairs, or of each"),
+    "law_direction": ("rad", "of the line along which each pair of a solid slides"),
+    "law_turning": ("1", "sliding across these lines over that along them"),
     "law_tangential_stiffness": ("N/m", "of all pairs, or of each"),
     "law_force": ("N", "of a law of one's own, of all pairs together, at gaps of 1e-12 to 10 m"),
     "unknowns": ("m", f"points; {GAPS}; gaps, or slow gaps where static_above is there"),

@@ -52,7 +52,7 @@ class Body(ReadOnly):
         super().__post_init__()
 
 
-BESIDE_MATRICES = {"force", "clearance", "damping", "clamp", "rotation", "watched"}
+BESIDE_MATRICES = {"force", "clearance", "damping", "clamp", "rotation", "watched", "tangential"}
 """Attributes of a body on which none of :attr:`Body.of_matrices` depends."""
 
 

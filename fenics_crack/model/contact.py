@@ -193,7 +193,7 @@ class UnilateralConstraint:
 
 @dataclass(frozen=True)
 class CoulombFriction:
-    """Coulomb friction beside a law of normal contact, in two dimensions.
+    """Coulomb friction beside a law of normal contact, along a line for each pair.
 
         -mu lambda_n <= lambda_t <= mu lambda_n,      h' = 0 where <,      lambda_t h' >= 0 where =,
 
@@ -209,6 +209,11 @@ class CoulombFriction:
         mu.
     tangential_stiffness : float or (n_pairs,) [N/m]
         k_t; infinite: without elastic slip.
+    direction : (n_pairs,) [rad] or None
+        Of a solid, whose tangential gaps have two directions: angles of the lines along which pairs
+        slide, from the first to the second direction (:func:`fenics_crack.slide_along_lines`).
+    turning : float or None
+        Sliding across these lines over that along them, of the motion that they were chosen for.
 
     Raises
     ------
@@ -219,6 +224,8 @@ class CoulombFriction:
     law: Any
     coefficient: float | np.ndarray
     tangential_stiffness: float | np.ndarray = np.inf
+    direction: np.ndarray | None = None
+    turning: float | None = None
 
     def __post_init__(self) -> None:
         if not is_unilateral(self.law):
@@ -272,7 +279,8 @@ def as_penalty(contact: ContactLaw, stiffness: float) -> ContactLaw:
 def seen_by(contact: object, structure: Structure) -> Structure:
     """The structure with all gaps on which a law acts as its pairs: with friction the normal ones,
     and behind them the tangential ones."""
-    return structure if friction_of(contact) is None else structure.with_tangential_pairs()
+    friction = friction_of(contact)
+    return structure if friction is None else structure.with_tangential_pairs(friction.direction)
 
 
 def springs_of(contact: ContactLaw, pairs: int) -> np.ndarray:

@@ -643,8 +643,9 @@ def checked(
     }
     if tangential is not None:
         tangential = whole_rows("tangential", tangential, n)
-        if tangential.shape != gap.shape:
-            raise InputError("tangential", tangential.shape, f"of shape {gap.shape}, as gap is")
+        if tangential.shape[1] not in (gap.shape[1], 2 * gap.shape[1]):
+            allowed = f"of shape {gap.shape}, as gap is, or with twice the columns"
+            raise InputError("tangential", tangential.shape, allowed)
         parts["tangential"] = tangential[own]
     return parts
 

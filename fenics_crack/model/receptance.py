@@ -106,8 +106,10 @@ def _of_load(structure: Structure, known: Receptance) -> Receptance | None:
     parts; else None (collective)."""
     own, other = structure.force[loaded_parts(structure)], known.force
     both = np.vstack([other[loaded_parts(structure, other)], own])
-    gram = structure.sum_over_ranks(both @ both.T)
     given = len(both) - len(own)
+    if len(known.modal) - given != sources_of(structure).shape[1] - len(own):
+        return None  # with tangents, or without
+    gram = structure.sum_over_ranks(both @ both.T)
     weights = np.linalg.pinv(gram[:given, :given], hermitian=True) @ gram[:given, given:]
     left = structure.sum_over_ranks(((own - weights.T @ both[:given]) ** 2).sum(axis=1))
     if np.any(left > (ROUNDING * ROUNDING) * np.diag(gram)[given:]):

@@ -404,20 +404,41 @@ class Structure(Coordinates):
         force = with_harmonics(self.force, harmonics, self.mass)
         return self._in(replace(self.setting, weights=1.0), force=force, clamp=None)
 
-    def with_tangential_pairs(self) -> Structure:
+    def with_tangents(self) -> Structure:
+        """This structure with the tangential gaps of a solid's pairs, B_t (n_local, 2 n_pairs):
+        along the first directions of all pairs, then along the second ones; itself if it has
+        tangents, or none are known.
+        """
+        if self.tangential is not None or self.pairs.tangents is None:
+            return self
+        return self.once(_with_tangents)._in(self.setting)
+
+    def with_tangential_pairs(self, direction: np.ndarray | None = None) -> Structure:
         """This structure with tangential gaps behind the normal ones as further pairs, B = [B_n,
         B_t] (n_local, 2 n_pairs), without a clearance: all gaps on which contact with friction
         acts.
 
+        Parameters
+        ----------
+        direction : (n_pairs,) [rad] or None
+            Of a solid's pairs: the angle phi of B_t = cos(phi) B_1 + sin(phi) B_2.
+
         Raises
         ------
         InputError
-            It has no tangents.
+            It has no tangents, or two directions a pair, and none is given.
         """
         if self.tangential is None:
-            allowed = "one with tangents, of faces in a plane; on solids friction is not there yet"
+            allowed = "one with tangents; with_tangents() of a solid has them"
             raise InputError("structure", repr(self), allowed)
-        return self.once(_with_tangential_pairs)._in(self.setting)
+        if (self.tangential.shape[1] > self.n_pairs) != (direction is not None):
+            allowed = "given on solids alone: fc.slide_along_lines(structure, omega, contact)"
+            raise InputError("direction of friction", direction, allowed)
+        held = self.once(_tangential_pairs)
+        if not held or not np.array_equal(held[0][0], direction):
+            original = self.original
+            held[:] = [(direction, _with_tangential_pairs(original, direction))]
+        return held[0][1]._in(self.setting)
 
     def placed(self, nodes: Nodes | None, pairs: Pairs) -> Structure:
         """Return this structure with the places of its nodes and pairs."""
@@ -518,7 +539,7 @@ class Structure(Coordinates):
         clearance : float or (n_pairs,) [m]
             g0; negative for preload.
         tangential : (n, n_pairs) or (n,)
-            B_t, for friction.
+            B_t, for friction; (n, 2 n_pairs) along two directions at right angles of all pairs.
         damping : ModalDamping, RayleighDamping, (n, n) matrix or None
             Modal or Rayleigh damping, or C [N s/m] in any of the forms above.
         comm : MPI.Comm
@@ -602,8 +623,21 @@ def _keeps_mean(weights: np.ndarray) -> bool:
     return bool(weights[0, 0] == 1.0 and not weights[0, 1:].any() and not weights[1:, 0].any())
 
 
-def _with_tangential_pairs(structure: Structure) -> Structure:
-    both = sparse.hstack([structure.gap, structure.tangential])
+def _with_tangents(structure: Structure) -> Structure:
+    return _turning(structure, lambda one: one._in(one.setting, tangential=one.pairs.tangents))
+
+
+def _tangential_pairs(structure: Structure) -> list[tuple[np.ndarray | None, Structure]]:
+    """The structure with tangential gaps as pairs, and their directions, requested last."""
+    return []
+
+
+def _with_tangential_pairs(structure: Structure, direction: np.ndarray | None) -> Structure:
+    tangents: Any = structure.tangential
+    if direction is not None:
+        turn = (sparse.diags(part) for part in (np.cos(direction), np.sin(direction)))
+        tangents = tangents @ sparse.vstack([*turn])
+    both = sparse.hstack([structure.gap, tangents])
     clearance = np.concatenate([structure.clearance, np.zeros(structure.n_pairs)])
     return structure._in(structure.setting, gap=both, tangential=None, clearance=clearance)
 

@@ -611,8 +611,8 @@ def _check_dimension(scene: Scene) -> None:
         allowed = "'graded' or 'file' with geometry.kind = 'solid'"
         mesh.require(mesh.layout != "grid", "layout", allowed)
         mesh.leave_out(("cells",), "geometry.kind = 'solid', which is meshed by tetrahedra")
-        if scene.contact is not None and scene.contact.friction:
-            allowed = "0, or left out, with geometry.kind = 'solid': friction is not there yet"
+        if scene.contact is not None and scene.contact.friction and scene.disk is not None:
+            allowed = "0, or left out, with [disk] and geometry.kind = 'solid': not there yet"
             scene.contact.require(False, "friction", allowed)
     if dimension == 2 or mesh.layout != "file":
         geometry.given("thickness", "given: a finite number > 0")

@@ -173,7 +173,7 @@ def _crack_and_verdict(run: Answer, found: PeriodicSolution, faces: str) -> list
     least = max(run.scene.harmonic_balance.tolerance or 0.0, FRICTION_MATTERS)
     friction = {} if run.stated is None else run.stated.parts.get("friction", {})
     part = friction.get(run.watched[0].column("amplitude"))
-    if part is not None and part.gci > least:
+    if part is not None and part.gci > least and not run.scene.has_friction:
         said.append(f"friction left out: about {percent(part.gci)}")
     return [*said, *in_place_of(found.stability, found.amplitude(run.watched_dof))]
 

@@ -144,6 +144,7 @@ def prepare(
         scene = with_crack_length(scene, comm)
     known = None if like is None else _at_another_speed(scene, like)
     structure = assembled(scene, comm, last) if known is None else known
+    structure = structure.with_tangents() if scene.has_friction else structure
     watched = _watched_dofs(scene, structure)
     if watched[0].name:
         structure = structure.watching(watched[0].dof)

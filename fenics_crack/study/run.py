@@ -52,7 +52,13 @@ from fenics_crack.study.observer import (
     tip_rows,
 )
 from fenics_crack.study.prepare import REFUSALS, Study, check_memory_of, prepare, reduction_of
-from fenics_crack.study.solve import MOST_OF_MANY, modes_chosen, solve_prepared, with_more_modes
+from fenics_crack.study.solve import (
+    MOST_OF_MANY,
+    modes_chosen,
+    solve_prepared,
+    with_lines,
+    with_more_modes,
+)
 from fenics_crack.study.vary import error_by_modes, errors_of
 from fenics_crack.study.verification import Verification, verification_of
 from fenics_crack.time.march import Initial, TimeHistory, initial_state
@@ -299,6 +305,10 @@ def curve(
         allowed = "'penalty' or 'smoothed', or used with reduction.method = 'massless', for a curve"
         raise InputError("contact.law", "unilateral", allowed)
     rows_requested(study)  # before the curve: it may be refused
+    if friction_of(law) is not None:
+        omega = _first_resonance(study, start, stop) if parameter == "omega" else None
+        study = with_lines(study, omega or scene.excitation.omega)
+        law = _needed_law(study)
     options: dict[str, Any] = {"stability": table.stability, "progress": progress, "throw": False}
     if balance.tolerance is None:
         options |= {"harmonics": balance.harmonics, "samples": balance.samples}
@@ -325,7 +335,8 @@ def curve(
     if parameter == "omega":
         study = _enough_before(study, studies, start, stop)
     for more in chain([study], studies):
-        study, found = more, follow(more)
+        study = replace(more, contact=law)
+        found = follow(study)
         if found.status == INTERRUPTED:
             break
         places = sorted({found.top(study.watched[0].dof).index, 0, len(found) - 1})
@@ -363,18 +374,23 @@ def _enough_before(study: Study, studies: Iterator[Study], start: float, stop: f
     """The first of some studies with enough modes, as far as a solution next to the first resonance
     of a curve over the frequency tells, or without one at its start (collective)."""
     balance, law = study.scene.harmonic_balance, _needed_law(study)
-    low, high = sorted((start, stop))
     for more in chain([study], studies):
-        study = more
-        natural = bilinear_frequencies(study.structure).omega_bilinear
-        omega = min(natural[(natural > low) & (natural < high)], default=start)
-        problem = Problem(study.structure, float(omega), law, balance.harmonics)
+        study = replace(more, contact=law)
+        omega = _first_resonance(study, start, stop)
+        problem = Problem(study.structure, omega, law, balance.harmonics)
         error = 0.0
         with suppress(*REFUSALS):  # the curve itself will tell
             error = error_by_modes(study, solve_beside(problem, None, balance.tolerance))
         if error <= balance.given("tolerance") or error == math.inf:
             break
     return study
+
+
+def _first_resonance(study: Study, start: float, stop: float) -> float:
+    """The lowest bilinear frequency of a range, or its start [rad/s] (collective)."""
+    low, high = sorted((start, stop))
+    natural = bilinear_frequencies(study.structure).omega_bilinear
+    return float(min(natural[(natural > low) & (natural < high)], default=start))
 
 
 def _modes_in_words(study: Study, error: float) -> str:
@@ -424,8 +440,9 @@ def integrate(
     if comm.size > 1 and scene.reduction is not None and scene.reduction.method == "off":
         raise InputError("reduction.method", "off", "a reduction, or one rank, for this command")
     earlier = None if table.initial is None else _read_initial(table.initial, comm)
-    study = prepare(scene, comm)
-    structure, omega, law = study.structure, scene.excitation.omega, _needed_law(study)
+    omega = scene.excitation.omega
+    study = with_lines(prepare(scene, comm), omega)
+    structure, law = study.structure, _needed_law(study)
     method = _method(study, table, law)
     rows_requested(study)  # before the integration: it may be refused
     start: Initial = None
@@ -604,6 +621,8 @@ def run_of(stored: Stored, comm: MPI.Comm = MPI.COMM_WORLD, *, judged: bool = Tr
         found = f"{error.key} {error.allowed}"
         allowed = f"a result of this version's structure ({found}); compute it again"
         raise InputError("path", str(stored.path), allowed) from None
+    if friction_of(known := getattr(result, "contact", None)) is not None:
+        study = replace(study, contact=known)  # along the lines of the file
     return Run(**vars(study), result=result, stated=verification_of(stored))
 
 

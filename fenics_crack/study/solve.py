@@ -10,6 +10,7 @@ from fenics_crack.balance.error_report import NOT_ESTIMATED
 from fenics_crack.balance.harmonic_balance import (
     FIRST_MODES,
     modes_tried,
+    slide_along_lines,
     solve_linear,
     solve_to_tolerance,
 )
@@ -17,7 +18,7 @@ from fenics_crack.balance.problem import Problem, check_memory
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.progress import begin
 from fenics_crack.curves.stability import floquet
-from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
+from fenics_crack.model.contact import is_piecewise_linear, is_rigid
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.receptance import held_receptance, receptance
 from fenics_crack.model.structure import Structure
@@ -54,14 +55,18 @@ def solve_prepared(
         linear = solve_linear(study.structure, omega, harmonics=table.harmonics)
         return _solved(study, linear)
     if table.tolerance is None:
-        study = reduced(whole)
+        study = with_lines(reduced(whole), omega)
+        law = study.contact
+        assert law is not None
         check_memory(study.structure, table.harmonics)
         problem = Problem(study.structure, omega, law, table.harmonics, table.samples)
         solver = FORMS[table.form](problem, throw=False)
         solution = solver.solve(initial)
         solution = solution if table.error else solution.reported(NOT_ESTIMATED)
     else:
-        study, solution = _solve_to_tolerance(whole, law)
+        first = next(with_more_modes(whole)).structure  # kept
+        whole = replace(whole, contact=slide_along_lines(first, omega, law))
+        study, solution = _solve_to_tolerance(whole)
     structure = study.structure
     quick = is_piecewise_linear(law) or structure.n_dofs <= FEW_DOFS  # else it takes minutes
     if is_rigid(law):
@@ -72,9 +77,22 @@ def solve_prepared(
     return _solved(study, solution)
 
 
-def _solve_to_tolerance(whole: Study, law: ContactLaw) -> tuple[Study, PeriodicSolution]:
+def with_lines(study: Study, omega: float) -> Study:
+    """A study with friction along lines, where it is that of a solid, as pairs slide without it at
+    a frequency [rad/s] (collective)."""
+    law = study.contact
+    return (
+        study
+        if law is None
+        else replace(study, contact=slide_along_lines(study.structure, omega, law))
+    )
+
+
+def _solve_to_tolerance(whole: Study) -> tuple[Study, PeriodicSolution]:
     """The solution to the tolerance, and its study with the modes that it takes."""
     scene, table, studies = whole.scene, whole.scene.harmonic_balance, list[Study]()
+    law = whole.contact
+    assert law is not None
 
     def structures() -> Iterator[Structure]:
         for study in with_more_modes(whole):

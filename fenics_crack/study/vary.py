@@ -35,6 +35,8 @@ expected, not bounds: scenes beside a mesh four times finer are in docs/notebook
   the clearance. The mesh changes low and high harmonics equally: half of them show it.
 - *friction*, without which crack faces slide freely: each number changes as between two exact
   orbits, without friction and with it, of a structure of few modes whose crack faces have no mass.
+  With friction on a solid, along one line for each pair, it is the share that sliding across these
+  lines has, without friction, of what friction changes.
 
 The contact duty cycle is counted at instants, the same in all these runs. Its error is the distance
 from that by the switching instants of the exact orbit; elsewhere one instant's part is added.
@@ -70,7 +72,12 @@ from mpi4py import MPI
 
 from fenics_crack.balance.contact_integrals import default_samples
 from fenics_crack.balance.error_report import ENOUGH, LARGE_ERROR, ErrorReport
-from fenics_crack.balance.harmonic_balance import solve_linear
+from fenics_crack.balance.harmonic_balance import (
+    motion_without_friction,
+    slide_along_lines,
+    sliding_of,
+    solve_linear,
+)
 from fenics_crack.balance.more_modes import reference_of
 from fenics_crack.balance.problem import Problem, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, Solver
@@ -78,7 +85,7 @@ from fenics_crack.basics.errors import MAX_SAMPLES, ConvergenceError, InputError
 from fenics_crack.basics.progress import within
 from fenics_crack.basics.tables import frequency_axis
 from fenics_crack.curves.curve import ResponseCurve
-from fenics_crack.model.contact import coefficient_of, is_unilateral
+from fenics_crack.model.contact import CoulombFriction, friction_of, is_unilateral
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import Modes, bilinear_frequencies, solve_modes, tied_modes
 from fenics_crack.model.reduced import ReducedStructure
@@ -240,25 +247,28 @@ class _Case:
         modes; nothing where the answer has friction, or no contact (collective)."""
         study, found, scene = self.study, self.found, self.study.scene
         law, structure, periods = study.contact, study.structure, found.subharmonic
-        if law is None or coefficient_of(law) is not None:
+        if law is None:
             return ""
+        if (own_friction := friction_of(law)) is not None:
+            return "" if own_friction.direction is None else self._turning(own_friction)
         table = scene.given("contact")
         if not (coefficient := table.friction_error):
             return "contact.friction_error = false"
-        if scene.disk is not None or structure.whole.tangential is None:
-            return "not estimated, only of single plates"
+        rubs = structure.whole.with_tangents()
+        if scene.disk is not None or rubs.tangential is None:
+            return "not estimated, only of single plates and solids"
         keys: dict[str, Any] = {"contact.friction": coefficient}
         if not structure.light_lips:  # faces with mass, in contact as stiff along them as across
             keys["contact.tangential_stiffness_per_area"] = table.stiffness_per_area
-        own = self.exact if structure.light_lips and structure.n_modes == FRICTION_MODES else None
+        kept = structure.light_lips and structure.n_modes == FRICTION_MODES
+        own = self.exact if kept and structure.tangential is not None else None
         few = structure
         if own is None:
-            few = reduce_structure(
-                structure.whole, modes=FRICTION_MODES, method="massless", reference=False
-            )
+            few = reduce_structure(rubs, modes=FRICTION_MODES, method="massless", reference=False)
         both = [] if own is None else [own]
-        for rubbing in (law, law_of(scene.replace(keys), few))[len(both) :]:
-            assert rubbing is not None
+        for one in (law, law_of(scene.replace(keys), few))[len(both) :]:
+            assert one is not None
+            rubbing = slide_along_lines(few, found.omega, one)
             near = Problem(few, found.omega, rubbing, SOUGHT * periods, subharmonic=periods)
             orbit = Solver(near).solve(found).assessment.orbit
             if orbit is None:
@@ -271,6 +281,25 @@ class _Case:
             values = value, value * (rubbed / without) if without else value
             parts[name] = GridConvergence(sizes, values, "two coefficients", factor=1.0)
         return (FRICTION_MODES, FRICTION_MODES), parts
+
+    def _turning(self, friction: CoulombFriction) -> Varied:
+        """Each number of a solid, changed by the share of what friction changes that sliding across
+        the lines has (collective)."""
+        study, found, mode = self.study, self.found, self.own.mode
+        structure, periods = study.structure, found.subharmonic
+        free = motion_without_friction(structure, found.omega, friction.law, periods)
+        twin = replace(study, contact=friction.law)
+        if isinstance(free, PeriodicOrbit):
+            without = of_orbit(twin, found, free, mode)
+        else:
+            without = numbers_of(twin, free, mode).values
+        turning, parts = sliding_of(free, friction.direction)[1], {}
+        for name, value in self.made.values.items():
+            turned = value + turning * (without.get(name, 0.0) - value)
+            parts[name] = GridConvergence(
+                (0.0, 1.0), (value, turned), "two coefficients", factor=1.0
+            )
+        return (structure.n_modes, structure.n_modes), parts
 
 
 # --- stated errors: one other run for each cause --------------------------------------------------
@@ -588,8 +617,8 @@ def _solved(
     """A solution without its stability; ConvergenceError without one."""
     if study.contact is None:
         return solve_linear(study.structure, omega, harmonics=harmonics)
-    problem = Problem(study.structure, omega, study.contact, harmonics)
-    return Solver(problem).solve(initial)
+    law = slide_along_lines(study.structure, omega, study.contact)
+    return Solver(Problem(study.structure, omega, law, harmonics)).solve(initial)
 
 
 # --- verification: two finer runs for each cause --------------------------------------------------

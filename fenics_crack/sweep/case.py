@@ -11,7 +11,12 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from fenics_crack.balance.harmonic_balance import lacks_modes, solve_beside, solve_linear
+from fenics_crack.balance.harmonic_balance import (
+    lacks_modes,
+    slide_along_lines,
+    solve_beside,
+    solve_linear,
+)
 from fenics_crack.balance.problem import Problem, check_memory
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import InputError
@@ -256,6 +261,8 @@ class Cases:
         omega, table = case.excitation.omega, case.harmonic_balance
         self._take(case)
         structure, law = self._structure, self._law
+        if law is not None:
+            law = slide_along_lines(structure, omega, law)
         if law is None:
             return solve_linear(structure, omega, harmonics=table.harmonics)
         check_memory(structure, table.harmonics)
@@ -281,8 +288,9 @@ class Cases:
         """
         table = case.harmonic_balance
         self._take(case)
-        law, omega = self._law, case.excitation.omega
-        assert law is not None
+        omega = case.excitation.omega
+        assert self._law is not None
+        law = slide_along_lines(self._structure, omega, self._law)
         problem = Problem(self._structure, omega, law, table.harmonics, table.samples)
         found = None
         if is_unilateral(law) and not problem.friction:

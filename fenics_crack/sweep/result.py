@@ -34,7 +34,7 @@ from mpi4py import MPI
 
 from fenics_crack.balance.contact_system import default_weight
 from fenics_crack.balance.error_report import ERROR_PARTS, LARGE_ERROR
-from fenics_crack.balance.harmonic_balance import solve_linear
+from fenics_crack.balance.harmonic_balance import slide_along_lines, solve_linear
 from fenics_crack.balance.more_modes import UNKNOWN
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
@@ -345,6 +345,7 @@ class SweepResult(Tabular):
         law = law_of(case, structure)
         if law is None:
             return solve_linear(structure, omega, harmonics=case.harmonic_balance.harmonics)
+        law = slide_along_lines(structure, omega, law)
         gap, force = read_waves(self.path, place)
         problem = Problem(structure, omega, law, len(gap) // 2)
         wave = problem.wave_of(np.zeros((len(gap), 0)), gap, force)  # u follows from the forces

@@ -107,8 +107,8 @@ def cracked(request: pytest.FixtureRequest) -> tuple[fc.Structure, float, dict[s
 
 
 def test_lips_are_those_of_the_crack(cracked: tuple[fc.Structure, float, dict[str, Any]]) -> None:
-    """They lie in its plane, have its area but for a polygon's in an ellipse, and the pairs that
-    of all patches but those of the front."""
+    """They lie in its plane, have its area but for a polygon's in an ellipse, and so have the
+    pairs."""
     structure, area, crack = cracked
     mesh = NodalMesh(structure)
     lips = mesh.points[mesh.lips]
@@ -119,15 +119,15 @@ def test_lips_are_those_of_the_crack(cracked: tuple[fc.Structure, float, dict[st
     assert normals[:, 1].sum() == pytest.approx(0.0, abs=1e-12 * both)  # they look at each other
     assert structure.pair_areas is not None
     assert 0.0 < structure.pair_areas.min()
-    assert structure.pair_areas.sum() < 0.5 * both
+    assert structure.pair_areas.sum() == pytest.approx(0.5 * both, rel=1e-12)
     assert list(structure.watched_pairs) == ["the mouth"]
 
 
 def test_areas_of_patches_are_those_of_their_facets(
     cracked: tuple[fc.Structure, float, dict[str, Any]],
 ) -> None:
-    """A third of each triangle around: those of the pairs are the structure's, and with those at
-    the front they are the crack's area."""
+    """A third of each triangle around, away from the front; next to it more, by shares of the
+    front's own, each of which goes to the pairs that are corners of the same triangles."""
     structure, area, crack = cracked
     mesh = NodalMesh(structure)
     facets = mesh.lips
@@ -140,9 +140,21 @@ def test_areas_of_patches_are_those_of_their_facets(
         for place in places:
             shares[tuple(place)] = shares.get(tuple(place), 0.0) + size / 6.0  # of both lips
     assert structure.pair_points is not None and structure.pair_areas is not None
-    own = [shares[tuple(point)] for point in structure.pair_points.round(9)]
-    assert structure.pair_areas == pytest.approx(own, rel=1e-12)
-    assert len(shares) > len(own)
+    pairs = structure.pairs
+    assert pairs.front is not None and pairs.at_front is not None
+    own = np.array([shares[tuple(point)] for point in structure.pair_points.round(9)])
+    inner = np.setdiff1d(np.arange(len(own)), pairs.at_front)
+    assert structure.pair_areas[inner] == pytest.approx(own[inner], rel=1e-12)
+    assert np.all(structure.pair_areas[pairs.at_front] > 1.001 * own[pairs.at_front])
+    fronts = np.unique(pairs.front.round(9), axis=0)
+    assert len(shares) == len(own) + len(fronts)
+    given = sum(shares[tuple(place)] for place in fronts)
+    assert structure.pair_areas.sum() - own.sum() == pytest.approx(given, rel=1e-12)
+    corner = {tuple(place) for place in structure.pair_points.round(9)}
+    for node, pair in zip(pairs.front.round(9), pairs.at_front, strict=True):
+        point = structure.pair_points[pair].round(9)
+        assert any({tuple(node), tuple(point)} <= set(map(tuple, c)) for c in corners.round(9))
+    assert corner.isdisjoint(map(tuple, fronts))
     if "front" not in crack:
         assert sum(shares.values()) == pytest.approx(area, rel=1e-12)
 

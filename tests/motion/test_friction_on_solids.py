@@ -1,0 +1,75 @@
+"""Friction on solids along one line for each pair, beside Coulomb's cone marched in time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fenics_crack as fc
+from fenics_crack.time.march import initial_state
+from tests.motion.cone import march_cone
+
+BLADE = fc.Scene.from_mapping(
+    {
+        "geometry": {"kind": "solid", "width": 0.03, "height": 0.09, "thickness": 0.006},
+        "crack": {
+            "center": 0.015, "height": 0.03, "length": 0.016, "depth": 0.003, "front": "elliptical",
+        },
+        "material": {"young": 2.1e11, "poisson": 0.3, "density": 7850.0},
+        "damping": {"ratio": 0.02},
+        "excitation": {
+            "point": [0.0, 0.09, 0.003], "force_sin": [0.0, 0.0, 0.1], "frequency": 3474.1,
+        },
+        "contact": {"law": "unilateral", "friction": 0.3},
+        "harmonic_balance": {"tolerance": 1e-3},
+        "mesh": {"layout": "graded", "order": 2, "size": 0.006, "lip_elements": 3, "patches": 4},
+        "reduction": {"method": "massless", "modes": 8},
+    }
+)  # fmt: skip
+"""The blade that `new` writes, near its torsion."""
+
+
+def solved(**keys: Any) -> fc.Run[fc.PeriodicSolution]:
+    run = fc.solve(BLADE.replace({key.replace("__", "."): value for key, value in keys.items()}))
+    assert run.result.converged
+    return run
+
+
+def test_no_friction_is_the_limit_of_little() -> None:
+    """To 1e-9; and lines are unit directions in the faces, along which rigid motions slide
+    nothing."""
+    free, little = solved(contact__friction=0.0), solved(contact__friction=1e-9)
+    dof = free.watched_dof
+    assert little.result.amplitude(dof) == pytest.approx(free.result.amplitude(dof), rel=1e-9)
+    structure = little.structure.whole
+    assert structure.tangential is not None and structure.nodes is not None
+    normal, first = structure.gap, structure.tangential[:, : structure.n_pairs]
+    other = structure.tangential[:, structure.n_pairs :]
+    assert abs(normal.multiply(first)).max() < 1e-12
+    assert abs(first.multiply(other)).max() < 1e-12
+    assert first.nnz == pytest.approx(other.nnz, rel=0.1)
+    moved = np.zeros((3, structure.n_dofs))
+    for axis in range(3):
+        rows = structure.nodes.dofs[:, axis]
+        moved[axis, rows[rows >= 0]] = 1.0
+    assert structure.apply_tangential(moved) == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(("frequency", "mu"), [(3474.1, 0.3), (2818.1, 0.3), (3700.0, 0.6)])
+def test_lines_are_the_cone_where_sliding_hardly_turns(frequency: float, mu: float) -> None:
+    """Within 5e-4 of the amplitude by steps with the cone."""
+    run = solved(excitation__frequency=frequency, contact__friction=mu)
+    found, structure = run.result, run.structure
+    assert isinstance(found.contact, fc.CoulombFriction)
+    assert found.contact.turning is not None and 0.0 < found.contact.turning < 0.1
+    state = initial_state(structure, found.contact, found)
+    start = np.array(state[:2])[:, : structure.n_modes]
+    amplitude = []
+    for steps in (96, 192):
+        moved = march_cone(structure, found.omega, mu, start, steps, 15)
+        amplitude.append(0.5 * np.ptp(structure.values_at(moved, [run.watched_dof])))
+    limit = amplitude[1] + (amplitude[1] - amplitude[0]) / 3.0
+    assert found.amplitude(run.watched_dof) == pytest.approx(limit, rel=5e-4)
