@@ -105,15 +105,13 @@ def pair_lips(
         areas[chosen] = np.asarray(forces.sum(axis=0)).ravel()
         forces.data /= np.repeat(areas[chosen], np.diff(forces.indptr))
         below, above = below @ forces, above @ forces
-        node, pair = shares[count:].nonzero()
-        solid = {"front": points[count + node], "at_front": pair}
-        solid |= {"nodes": points, "shares": shares} if dimension == 3 else {}
+        solid = {"nodes": points, "shares": shares} if dimension == 3 else {}
     gap = below + above
     if patches is None:
         kept = np.arange(count)
         if mouth:
             kept = np.array([*_watched(plate.lips, cracks[:count], positions[:count]).values()])
-            solid = {"nodes": points, "shares": shares[:, kept]} if dimension == 3 else {}
+            solid = {"nodes": points, "shares": shares[:, kept]} if solid else {}
         chosen, gap, below = kept, gap[:, kept], below[:, kept]
     points, areas, cracks, positions = (x[chosen] for x in (points, areas, cracks, positions))
     if dimension == 3:

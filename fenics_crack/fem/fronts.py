@@ -36,6 +36,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from mpi4py import MPI
 from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
 from scipy.special import roots_jacobi
@@ -44,6 +45,7 @@ from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.basics.tables import quantity
 from fenics_crack.fem.cracks import SAME, CrackSurface, upwards
+from fenics_crack.model.nodes import Nodes
 from fenics_crack.model.receptance import check_matrices
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
@@ -153,11 +155,15 @@ class Front:
         slope -= 3.0 * bend * (one * two).sum(-1) / speed**3
         return np.stack([ahead, across, along], axis=-2), speed, bend, slope
 
+    @cached_property
+    def widest(self) -> float:
+        """R [m] where the front is straight."""
+        longest = np.linalg.norm(np.diff(self.nodes, axis=0), axis=1).max()
+        return float(min(ELEMENTS * longest, self.limit))
+
     def radius(self, bend: np.ndarray) -> np.ndarray:
         """R [m] by the curvature."""
-        longest = np.linalg.norm(np.diff(self.nodes, axis=0), axis=1).max()
-        most = OVER_CURVATURE / np.maximum(np.abs(bend), 1e-9 / longest)
-        return np.asarray(np.minimum(min(ELEMENTS * longest, self.limit), most))
+        return np.asarray(OVER_CURVATURE / np.maximum(np.abs(bend), OVER_CURVATURE / self.widest))
 
     @cached_property
     def _samples(self) -> tuple[np.ndarray, cKDTree]:
@@ -369,21 +375,26 @@ def front_functionals(
     for front in find_fronts(structure):
         _check_resolved(front)
         rule = _Domain(scene, front, points, cells)
-        row, fields = rule.rows(comm.rank, comm.size)
-        row = comm.allreduce(row)
-        own = slice(nodes.numbered.first_node, nodes.numbered.first_node + nodes.numbered.n_nodes)
-        free = nodes.numbered.free_part
-        rows.append(free(row[:, own].reshape(len(row), -1)))
-        field = free(fields[:, own].reshape(len(row), -1))
+        row, field = (_own_part(nodes, rule.nodes, x) for x in rule.rows(comm))
         forces = np.zeros((len(row), structure.n_pairs))
         if structure.pairs.nodes is not None:
             forces -= rule.scale[:, None] * structure.apply_bt(field)
             forces[: len(front.places)] += _of_pressures(structure, front)
         stated = [place for place in range(len(front.places)) if place not in front.corners]
-        for parts, values in ((rows, rows.pop()), (pressed, forces)):
+        for parts, values in ((rows, row), (pressed, forces)):
             parts.append(_by_station(front, values)[stated].reshape(3 * len(stated), -1))
         stations += [_stations(structure, front)[place] for place in stated]
     return stations, np.concatenate(rows), np.concatenate(pressed)
+
+
+def _own_part(nodes: Nodes, numbers: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """This rank's free dofs (n, n_local) of values (n, m, 3) at nodes by their numbers, 0 at
+    others."""
+    places = numbers - nodes.numbered.first_node
+    own = (places >= 0) & (places < nodes.numbered.n_nodes)
+    found = np.zeros((len(values), nodes.numbered.n_nodes, 3))
+    found[:, places[own]] = values[:, own]
+    return np.asarray(nodes.numbered.free_part(found.reshape(len(values), -1)))
 
 
 def _stations(structure: Structure, front: Front) -> list[Station]:
@@ -451,25 +462,25 @@ class _Domain:
     """The integral around a front over the cells that are near."""
 
     def __init__(self, scene: Scene, front: Front, points: np.ndarray, cells: np.ndarray) -> None:
-        self.front, self.points = front, points
+        self.front = front
         young, self.nu = scene.material.young, scene.material.poisson
         self.mu = 0.5 * young / (1.0 + self.nu)
         self.lame = young * self.nu / (1.0 + self.nu) / (1.0 - 2.0 * self.nu)
         plane = 0.5 * young / (1.0 - self.nu**2)
         of_mode = np.repeat([plane, plane, self.mu], len(front.places))
         self.scale = of_mode / np.tile(front.lengths(), 3)
-        corners = points[cells[:, :4]]
-        near = front._samples[1].query(points)[0][cells]
+        away = front._samples[1].query(points)[0][cells]
         # Of others no more than rounded edges is inside, where q is 1e-5.
-        kept = near.min(axis=1) < front.radius(np.zeros(1))[0]
-        near = near[:, :4]
+        kept = away.min(axis=1) < front.widest
+        self.nodes, numbers = np.unique(cells[kept], return_inverse=True)
+        self.points, self.cells = points[self.nodes], numbers.reshape(-1, cells.shape[1])
         # Corners from the nearest to the front on.
-        order = near[kept].argsort(axis=1, kind="stable")
-        self.order, self.cells = order, cells[kept]
-        self.corners = np.take_along_axis(corners[kept], order[..., None], axis=1)
+        self.order = order = away[kept, :4].argsort(axis=1, kind="stable")
+        corners = self.points[self.cells[:, :4]]
+        self.corners = np.take_along_axis(corners, order[..., None], axis=1)
         number = np.take_along_axis(self.cells[:, :4], order, axis=1)
         facets = [np.sort(np.delete(number, k, axis=1), axis=1) for k in range(4)]
-        keys = np.ravel_multi_index(np.concatenate(facets).T, (len(points),) * 3)
+        keys = np.ravel_multi_index(np.concatenate(facets).T, (len(self.points),) * 3)
         _, first, uses = np.unique(keys, return_index=True, return_counts=True)
         self.outside = np.isin(keys, keys[first[uses == 1]]).reshape(4, -1).T
         spans = self.corners[:, 1:] - self.corners[:, :1]
@@ -493,19 +504,20 @@ class _Domain:
             found[:, 4 + number, b] = 4.0 * slopes[:, a]
         return np.take_along_axis(found, self.order[some][:, None, :, None], axis=2)
 
-    def rows(self, rank: int, size: int) -> tuple[np.ndarray, np.ndarray]:
-        """This rank's share of the rows (3 n_stations, n_nodes, 3), and w of all of them."""
+    def rows(self, comm: MPI.Comm) -> tuple[np.ndarray, np.ndarray]:
+        """The rows (3 n_stations, n_nodes, 3), of which each rank integrates a share, and w
+        (collective)."""
         count = 3 * len(self.front.places)
         found = np.zeros((count, len(self.points), 3))
         fields = np.zeros_like(found)
         mine = np.arange(len(self.cells))
-        for some in np.array_split(mine, -(-len(mine) * GAUSS**3 // AT_ONCE)):
+        for some in np.array_split(mine, 1 + len(mine) * GAUSS**3 // AT_ONCE):
             local = self._nodal(some)
             fields[:, self.cells[some].ravel()] = local.reshape(count, -1, 3)
         rule, weights = _collapsed(3)
         flat, planar = _collapsed(2)
-        mine = mine[rank::size]
-        for some in np.array_split(mine, -(-len(mine) * GAUSS**3 // AT_ONCE)):
+        mine = mine[comm.rank :: comm.size]
+        for some in np.array_split(mine, 1 + len(mine) * GAUSS**3 // AT_ONCE):
             parts = self._moments(some, rule, self.volume[some, None] * weights, None)
             for k in range(4):
                 out = self.outside[some, k]
@@ -523,7 +535,7 @@ class _Domain:
             each = np.einsum("kcbij,cabj->kcai", parts, basis, optimize=True)
             for row, add in zip(found, each.reshape(count, -1, 3), strict=True):
                 np.add.at(row, self.cells[some].ravel(), add)
-        return self.scale[:, None, None] * found, fields
+        return self.scale[:, None, None] * comm.allreduce(found), fields
 
     def _stress(self, gradient: np.ndarray) -> np.ndarray:
         """C sym of gradients (..., 3, 3)."""
@@ -600,7 +612,7 @@ class _Domain:
         fall /= radius
         g = 1.0 + bend * xi
         k = bend / g
-        shrink = np.where(radius < radius.max(), -slope / np.where(bend == 0.0, 1.0, bend), 0.0)
+        shrink = np.where(radius < self.front.widest, -slope / np.where(bend == 0.0, 1.0, bend), 0.0)
         ahead = np.stack([fall * xi / r, fall * y / r, -fall * r * shrink / g], axis=-1)
         spread = np.einsum("cp,pb->cpb", weights, rule)
         found = []
@@ -663,7 +675,7 @@ def _of_pressures(structure: Structure, front: Front) -> np.ndarray:
     tree, own = cKDTree(pairs.nodes), cKDTree(front.nodes)
     far, at = own.query(lip.triangles)
     reach = np.linalg.norm(lip.triangles - lip.triangles.mean(axis=1)[:, None], axis=2).max(axis=1)
-    near = far.min(axis=1) < front.radius(np.zeros(1))[0] + 2.0 * reach
+    near = far.min(axis=1) < front.widest + 2.0 * reach
     found = np.zeros((len(front.places), len(pairs.nodes)))
     rule, planar = _collapsed(2)
     x, w = np.polynomial.legendre.leggauss(2 * GAUSS)

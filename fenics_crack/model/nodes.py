@@ -109,12 +109,8 @@ class Pairs(ReadOnly):
     places : dict of str to int
         A pair to watch on each crack, by its name: "the mouth"; of several cracks "the mouth of
         crack 1", "the middle of crack 2".
-    front : (k, d) [m] or None
-        Nodes of fronts, each as often as pairs have a share of its pressure, of a solid.
-    at_front : (k,) int or None
-        Those pairs.
     nodes : (n, d) [m] or None
-        Corners of the facets of the crack faces, of a solid, ...
+        Corners of the facets of a solid's crack faces, those on fronts at the end, ...
     shares : (n, n_pairs) scipy.sparse.csr_matrix or None
         ... and the values there of each pair's pressure function.
     tangents : (n_local, 2 n_pairs) or None
@@ -127,8 +123,6 @@ class Pairs(ReadOnly):
     cracks: np.ndarray | None = None
     positions: np.ndarray | None = None
     places: dict[str, int] = field(default_factory=dict)
-    front: np.ndarray | None = None
-    at_front: np.ndarray | None = None
     nodes: np.ndarray | None = None
     shares: sparse.csr_matrix | None = None
     tangents: sparse.csr_matrix | None = None

@@ -141,17 +141,19 @@ def test_areas_of_patches_are_those_of_their_facets(
             shares[tuple(place)] = shares.get(tuple(place), 0.0) + size / 6.0  # of both lips
     assert structure.pair_points is not None and structure.pair_areas is not None
     pairs = structure.pairs
-    assert pairs.front is not None and pairs.at_front is not None
+    assert pairs.nodes is not None and pairs.shares is not None
+    node, at_front = pairs.shares[structure.n_pairs :].nonzero()
+    touching = pairs.nodes[structure.n_pairs :][node].round(9)
     own = np.array([shares[tuple(point)] for point in structure.pair_points.round(9)])
-    inner = np.setdiff1d(np.arange(len(own)), pairs.at_front)
+    inner = np.setdiff1d(np.arange(len(own)), at_front)
     assert structure.pair_areas[inner] == pytest.approx(own[inner], rel=1e-12)
-    assert np.all(structure.pair_areas[pairs.at_front] > 1.001 * own[pairs.at_front])
-    fronts = np.unique(pairs.front.round(9), axis=0)
+    assert np.all(structure.pair_areas[at_front] > 1.001 * own[at_front])
+    fronts = np.unique(touching, axis=0)
     assert len(shares) == len(own) + len(fronts)
     given = sum(shares[tuple(place)] for place in fronts)
     assert structure.pair_areas.sum() - own.sum() == pytest.approx(given, rel=1e-12)
     corner = {tuple(place) for place in structure.pair_points.round(9)}
-    for node, pair in zip(pairs.front.round(9), pairs.at_front, strict=True):
+    for node, pair in zip(touching, at_front, strict=True):
         point = structure.pair_points[pair].round(9)
         assert any({tuple(node), tuple(point)} <= set(map(tuple, c)) for c in corners.round(9))
     assert corner.isdisjoint(map(tuple, fronts))
