@@ -388,13 +388,13 @@ def front_functionals(
 
 
 def _own_part(nodes: Nodes, numbers: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """This rank's free dofs (n, n_local) of values (n, m, 3) at nodes by their numbers, 0 at
+    """This rank's free dofs (n, n_local) of values (m, n, 3) at nodes by their numbers, 0 at
     others."""
     places = numbers - nodes.numbered.first_node
     own = (places >= 0) & (places < nodes.numbered.n_nodes)
-    found = np.zeros((len(values), nodes.numbered.n_nodes, 3))
-    found[:, places[own]] = values[:, own]
-    return np.asarray(nodes.numbered.free_part(found.reshape(len(values), -1)))
+    found = np.zeros((values.shape[1], nodes.numbered.n_nodes, 3))
+    found[:, places[own]] = values[own].swapaxes(0, 1)
+    return np.asarray(nodes.numbered.free_part(found.reshape(len(found), -1)))
 
 
 def _stations(structure: Structure, front: Front) -> list[Station]:
@@ -505,15 +505,13 @@ class _Domain:
         return np.take_along_axis(found, self.order[some][:, None, :, None], axis=2)
 
     def rows(self, comm: MPI.Comm) -> tuple[np.ndarray, np.ndarray]:
-        """The rows (3 n_stations, n_nodes, 3), of which each rank integrates a share, and w
+        """The rows at nodes, of which each rank integrates a share, and w: (n, 3 n_stations, 3)
         (collective)."""
         count = 3 * len(self.front.places)
-        found = np.zeros((count, len(self.points), 3))
-        fields = np.zeros_like(found)
+        found, fields = np.zeros((2, len(self.points), count, 3))
         mine = np.arange(len(self.cells))
         for some in np.array_split(mine, 1 + len(mine) * GAUSS**3 // AT_ONCE):
-            local = self._nodal(some)
-            fields[:, self.cells[some].ravel()] = local.reshape(count, -1, 3)
+            fields[self.cells[some]] = self._nodal(some)
         rule, weights = _collapsed(3)
         flat, planar = _collapsed(2)
         mine = mine[comm.rank :: comm.size]
@@ -526,16 +524,16 @@ class _Domain:
                     slope = self.gradients[some[out], k]
                     area = 3.0 * self.volume[some[out]] * np.linalg.norm(slope, axis=1)
                     normal = -slope / np.linalg.norm(slope, axis=1)[:, None]
-                    parts[:, out] += self._moments(some[out], on, area[:, None] * planar, normal)
-            basis = self._basis(some)
-            at = fields[:, self.cells[some].ravel()].reshape(count, len(some), 10, 3)
-            moved = np.einsum("kcai,cabj->kcbij", at, basis, optimize=True)
-            mass = self.volume[some, None, None] * (1.0 + np.eye(4)) / 20.0
-            parts -= np.einsum("cbd,kcdij->kcbij", mass, self._stress(moved), optimize=True)
-            each = np.einsum("kcbij,cabj->kcai", parts, basis, optimize=True)
-            for row, add in zip(found, each.reshape(count, -1, 3), strict=True):
-                np.add.at(row, self.cells[some].ravel(), add)
-        return self.scale[:, None, None] * comm.allreduce(found), fields
+                    parts[out] += self._moments(some[out], on, area[:, None] * planar, normal)
+            basis = self._basis(some).reshape(len(some), 10, 12)
+            at = fields[self.cells[some]].reshape(len(some), 10, -1).swapaxes(1, 2)
+            moved = self._stress((at @ basis).reshape(len(some), -1, 3, 4, 3).swapaxes(2, 3))
+            mass = self.volume[some, None, None, None, None] / 20.0
+            parts -= mass * (moved + moved.sum(axis=2, keepdims=True))
+            parts = parts.swapaxes(2, 3).reshape(len(some), -1, 12)
+            each = basis @ parts.swapaxes(1, 2)
+            np.add.at(found, self.cells[some], each.reshape(len(some), 10, count, 3))
+        return self.scale[:, None] * comm.allreduce(found), fields
 
     def _stress(self, gradient: np.ndarray) -> np.ndarray:
         """C sym of gradients (..., 3, 3)."""
@@ -560,7 +558,7 @@ class _Domain:
         return frame, xi, y, r, hat, by_t / speed[..., None], bend, slope, radius
 
     def _nodal(self, some: np.ndarray) -> np.ndarray:
-        """w of cells: (3 n_stations, n, 10, 3)."""
+        """w of cells: (n, 10, 3 n_stations, 3)."""
         places = self.points[self.cells[some]]
         frame, xi, y, r, hat, _, _, _, radius = self._around(places, some)
         at_front = r < 1e-6 * radius
@@ -570,8 +568,8 @@ class _Domain:
         for mode in range(3):
             _, ahead, _ = self._plane(mode, xi, y, r)
             moved = np.einsum("icp,cpij->cpj", ahead, frame) * q[..., None]
-            fields.append(np.moveaxis(hat[..., None] * moved[..., None, :], 2, 0))
-        return np.concatenate(fields)
+            fields.append(hat[..., None] * moved[..., None, :])
+        return np.concatenate(fields, axis=2)
 
     def _plane(self, mode: int, xi: np.ndarray, y: np.ndarray, r: np.ndarray) -> Any:
         """The field of unit K of a mode and its derivatives by xi and y: (3, ...) each."""
@@ -603,8 +601,8 @@ class _Domain:
         self, some: np.ndarray, rule: np.ndarray, weights: np.ndarray, normal: np.ndarray | None
     ) -> np.ndarray:
         """Integrals of lambda_b T, T being what grad u is multiplied by in the domain, or on its
-        surface with an outward normal: (3 n_stations, n, 4, 3, 3)."""
-        places = np.einsum("pb,cbi->cpi", rule, self.corners[some])
+        surface with an outward normal: (n, 3 n_stations, 4, 3, 3)."""
+        places = rule @ self.corners[some]
         frame, xi, y, r, hat, by_s, bend, slope, radius = self._around(places, some)
         if normal is not None:  # A chord of a concave front has crack faces ahead of the curve.
             xi = np.where(np.abs(y) < 1e-9 * r, -r, xi)
@@ -614,7 +612,7 @@ class _Domain:
         k = bend / g
         shrink = np.where(radius < self.front.widest, -slope / np.where(bend == 0.0, 1.0, bend), 0.0)
         ahead = np.stack([fall * xi / r, fall * y / r, -fall * r * shrink / g], axis=-1)
-        spread = np.einsum("cp,pb->cpb", weights, rule)
+        spread = weights[..., None] * rule
         found = []
         for mode in range(3):
             a, one, two = self._plane(mode, xi, y, r)
@@ -637,8 +635,8 @@ class _Domain:
                 values = spread[..., None] * turned.reshape(*r.shape, 1, 9)
                 values = values.reshape(*r.shape, 36)
                 total = total + shape.swapaxes(-1, -2) @ values
-            found.append(np.moveaxis(total.reshape(len(some), -1, 4, 3, 3), 1, 0))
-        return np.concatenate(found)
+            found.append(total.reshape(len(some), -1, 4, 3, 3))
+        return np.concatenate(found, axis=1)
 
     def _inside(
         self, a: np.ndarray, one: np.ndarray, two: np.ndarray, gradient: np.ndarray,
