@@ -26,6 +26,7 @@ class Place(Enum):
     FACES = "all crack faces"
     MODES = "the mode whose bilinear frequency is nearest to the load's"
     TIPS = "the crack tip, or place of a crack front, whose effective range is the largest"
+    ELLIPSE = "the deepest place and the ends of a half-ellipse"
     CLAMP = "the clamp"
 
     @property
@@ -93,6 +94,7 @@ def _largest(vectors: np.ndarray) -> Any:
 
 _point, _face = partial(Observable, Place.POINT), partial(Observable, Place.FACES)
 _mode, _tip = partial(Observable, Place.MODES), partial(Observable, Place.TIPS)
+_ellipse = partial(Observable, Place.ELLIPSE, unit="Pa m^0.5", where=Where.GROWING)
 _clamp = partial(Observable, Place.CLAMP)
 
 
@@ -155,6 +157,14 @@ QUANTITIES: dict[str, Observable] = {
         lambda at: np.abs(at.three).max(), SOLID),
     "delta_K_equivalent": _tip("range of K_I, R = 0, that makes the crack grow as much", "Pa m^0.5",
         lambda at: at.equivalent, GROWING),
+    "delta_K_effective_deepest": _ellipse("range of K_I while open, at the deepest place",
+        read=lambda at: np.ptp(at.deepest.one.clip(0.0))),
+    "delta_K_effective_surface": _ellipse("range of K_I while open, mean of the ends",
+        read=lambda at: np.mean([np.ptp(end.one.clip(0.0)) for end in at.ends])),
+    "delta_K_equivalent_deepest": _ellipse("range that makes it grow as much in depth",
+        read=lambda at: at.deepest.equivalent),
+    "delta_K_equivalent_surface": _ellipse("range that makes it grow as much along the face",
+        read=lambda at: np.mean([end.equivalent for end in at.ends])),
     "reaction_force": _clamp("largest force of the clamp", "N", lambda at: _largest(at.force)),
     "reaction_moment": _clamp("largest moment of the clamp, about its centre", "N m",
         lambda at: _largest(at.moment)),

@@ -292,7 +292,7 @@ def _in_words(found: Verification, name: str) -> str:
 def draw_growth(found: Growth, *, in_hertz: bool = False, **where: Unpack[Where]) -> Figure:
     """Draw a crack's length, the frequencies and its stress intensity over the cycles.
 
-    Dots are the lengths that were solved.
+    Dots are the lengths that were solved; of a half-ellipse its depth and length are drawn.
 
     Parameters
     ----------
@@ -317,28 +317,33 @@ def draw_growth(found: Growth, *, in_hertz: bool = False, **where: Unpack[Where]
     --------
     >>> figure = fc.draw_growth(fc.grow(growing), path="growth.png")  # doctest: +SKIP
     """
-    size, solved = (7.0, 8.6), found.solved[found.solved <= found.length[-1]]
+    size, solved = (7.0, 8.6), np.zeros(0)
+    if found.depth is None:
+        solved = found.solved[found.solved <= found.length[-1]]
     picture = Picture(3, size=size, sharex=True, **where)
     length, frequency, strength = picture.panels
     at = np.interp(solved, found.length, found.cycles)
     factor, _, unit = frequency_axis(in_hertz)
     lines = {
-        "crack": (length, found.length, "blue", "-"),
+        "length": (length, found.length, "blue", "-"),
         "load": (frequency, factor * found.omega, "black", "-"),
         "natural, breathing crack": (frequency, factor * found.omega_bilinear, "orange", "-"),
         "natural, open crack": (frequency, factor * found.omega_open, "green", "--"),
         r"effective range of $K_\mathrm{I}$": (strength, found.effective, "blue", "-"),
         r"$K_\mathrm{max}$": (strength, found.largest, "pink", ":"),
     }
+    if found.depth is not None:
+        lines["depth"] = length, found.depth, "orange", "-"
     for label, (panel, values, colour, style) in lines.items():
         look = {"color": COLOURS.get(colour, colour), "ls": style}
         panel.plot(found.cycles, values, label=label, **look)
-    length.plot(at, solved, "o", color=COLOURS["blue"], ms=4.0, label="solved")
+    if len(solved):
+        length.plot(at, solved, "o", color=COLOURS["blue"], ms=4.0, label="solved")
     there = np.interp(solved, found.length, found.effective)
     strength.plot(at, there, "o", color=COLOURS["blue"], ms=4.0)
     if found.effective.max() > 0.0:
         strength.set_yscale("log")
-    label_axis(length.yaxis, "crack length", "m")
+    label_axis(length.yaxis, "crack", "m")
     label_axis(frequency.yaxis, "frequency", unit)
     label_axis(strength.yaxis, "stress intensity", "Pa m^0.5")
     label_count(strength.xaxis, "load cycles")

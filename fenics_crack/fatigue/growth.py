@@ -11,7 +11,8 @@ several times; C in m per cycle at 1 MPa m^1/2 (Paris, Erdogan, Journal of Basic
 
 Few lengths are solved, and between them are splines; lengths are halved where a spline misses what
 is then found. Each round is a sweep: its cases are shared among ranks, and it goes on where it was
-killed.
+killed. Of a solid whose crack is half of an ellipse they are depths and lengths
+(:mod:`fenics_crack.fatigue.ellipse`).
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import numpy as np
 from mpi4py import MPI
@@ -39,6 +40,7 @@ from fenics_crack.basics.tables import (
     quantity,
     with_frequency,
 )
+from fenics_crack.fatigue.ellipse import DRIVING, EllipsePath, EllipseTable, End, grown
 from fenics_crack.fem.build import with_crack_length
 from fenics_crack.files.saved import Saved
 from fenics_crack.numerics.equations import TINY
@@ -52,11 +54,11 @@ from fenics_crack.sweep.result import NO_PEAK_SOUGHT, SweepResult, resonates, ru
 
 # --- the result, and its file ---------------------------------------------------------------------
 
-End = Literal["reached", "arrested", "broken"]
 ENDS: dict[End, str] = {
-    "reached": "the requested length is reached",
+    "reached": "growth.until is reached",
     "arrested": "there it stops: the range falls below growth.threshold, or to nothing",
-    "broken": "there the plate breaks: K_max is growth.toughness",
+    "broken": "there it breaks: K_max is growth.toughness",
+    "side": "there its ends come near to the sides",
 }
 """Descriptions of the end of growth."""
 
@@ -82,17 +84,20 @@ class Growth(Saved):
         of the load that drives most.
     rate : (n,) [m]
         In a cycle; the mean of a spectrum; 0 where the crack is arrested.
-    end : "reached", "arrested" or "broken"
-        Reason: the requested length is reached, the range falls below the threshold, or
-        K_max reaches the toughness.
+    end : "reached", "arrested", "broken" or "side"
+        Reason: ``growth.until`` is reached, the range falls below the threshold, K_max reaches the
+        toughness, or the ends of a half-ellipse come near to the sides of the solid.
     solved : (k,) [m]
-        Lengths that were solved; between them are splines.
+        Lengths that were solved, of a half-ellipse (k, 2) depths and lengths; between them are
+        splines.
     errors : dict of str to float
         Relative standard deviations of the cycles by the "rate", the "exponent", the "vibration"
         (mesh, modes and harmonics, where half of the cycles are over; also by what part of a
         spectrum is above the threshold), and by "interpolation" between lengths.
     remarks : tuple of str
         Doubts about the growth.
+    depth : (n,) [m] or None
+        Of a crack in a solid that is half of an ellipse, or a quarter of one.
     """
 
     scene: Scene
@@ -112,6 +117,7 @@ class Growth(Saved):
     solved: np.ndarray
     errors: dict[str, float]
     remarks: tuple[str, ...]
+    depth: np.ndarray | None = None
 
     KIND: ClassVar[str] = "crack growth"
     frequency, frequency_open = hertz_of(), hertz_of("omega_open")
@@ -148,6 +154,7 @@ class Growth(Saved):
             "cycles": self.cycles,
             "time": self.time,
             "crack_length": self.length,
+            **({} if self.depth is None else {"crack_depth": self.depth}),
             "rate": self.rate,
             "omega": self.omega,
             "omega_open": self.omega_open,
@@ -165,7 +172,7 @@ class Growth(Saved):
 
     def said(self) -> Said:
         """What the last sentence on the growth says."""
-        first, last = (quantity(float(self.length[end]), "m") for end in (0, -1))
+        first, last = (self._size(end) for end in (0, -1))
         if len(self.length) == 1:
             return Said(f"the crack stays at {first}: {ENDS[self.end]}")
         way = f"from {first} to {last} in {self.life:.4g} cycles ({self.time[-1] / 3600.0:.4g} h)"
@@ -177,11 +184,17 @@ class Growth(Saved):
         drop = f"the breathing crack's natural frequency falls by {self.frequency_drop[-1]:.2%}"
         return Said(f"the crack grows {way}: {ENDS[self.end]}", known, others=[drop])
 
+    def _size(self, row: int) -> str:
+        length = quantity(float(self.length[row]), "m")
+        if self.depth is None:
+            return length
+        return f"{length} x {quantity(float(self.depth[row]), 'm')} deep"
+
     def _title(self) -> str:
-        ends = f"{self.length[0]:.4g} to {self.length[-1]:.4g} m"
+        ends = f"{self._size(0)} to {self._size(-1)}"
         drop = f"frequency falls by {self.frequency_drop[-1]:.2%}"
         known = f"{self.life:.4g} cycles within a factor of {self.factor:.3g}"
-        return f"{ends}, {known}, {self.end}, {drop}, {counted(len(self.solved), 'length')} solved"
+        return f"{ends}, {known}, {self.end}, {drop}, {counted(len(self.solved), 'size')} solved"
 
 
 def report_of_growth(found: Growth) -> Report:
@@ -200,6 +213,15 @@ def report_of_growth(found: Growth) -> Report:
 
 # --- the growth -----------------------------------------------------------------------------------
 
+NOT_STABLE = "the vibration is unstable, or its stability undecided"
+UNKNOWN_VIBRATION = "the error of the vibration is unknown"
+SHAPES, SHAPE_MODES = 5, 20
+"""Depths and lengths of half-ellipses: the cycles to .1 to .4 % where K is Newman's and Raju's; and
+modes, which are 1e-4 of every K (docs/solids.md)."""
+STEEPER = 1.4
+"""K at the ends over that at the deepest place in bending: how far lengths reach at first."""
+WIDEST = 0.9
+"""Largest length of a half-ellipse, of what the sides leave."""
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(3)
 """Quadrature of the integral over each of the table's steps."""
 ROUGH = 0.05
@@ -220,7 +242,7 @@ def grow(
     *,
     progress: bool = False,
 ) -> Growth:
-    r"""Let the edge crack of a plate grow under its vibration (collective).
+    r"""Let the crack of a plate, or of a solid, grow under its vibration (collective).
 
     By the table ``[growth]`` of the scene: from ``crack.length`` to ``growth.until``,
 
@@ -230,12 +252,17 @@ def grow(
     in one period of the load.
 
     Few lengths are solved; between them ln delta K is a spline, refined until the cycles are known
-    to ``growth.life_tolerance``. Ranks share the lengths.
+    to ``growth.life_tolerance``. Ranks share the lengths. Of a crack through a solid
+    :math:`\Delta K_i` is that of the place of its front where it is largest, and the front stays
+    straight. One that is half of an ellipse grows from ``crack.depth`` to ``growth.until`` by the
+    range at its deepest place, and along the face by the mean of those at its ends: 5 x 5 shapes
+    are solved, and more lengths where it grows beyond them.
 
     Parameters
     ----------
     scene : Scene
-        Of a plate with one crack from an edge, and a table ``[growth]``.
+        Of a plate with one crack from an edge, or of a solid with one that is through or half of an
+        ellipse, and a table ``[growth]``.
     folder : path, optional
         For the files of what is solved. Where they exist, of the same scene, they are taken: so a
         run that was killed goes on. Default: nothing is kept.
@@ -264,8 +291,10 @@ def grow(
     """
     scene = _checked(with_crack_length(scene, comm))
     law, alone = scene.given("growth"), scene.replace({"curve": None, "sweep": None})
-    _at_length(alone, law.until, alone.excitation.omega)  # is refused before anything is solved
     where = None if folder is None else Path(folder)
+    if alone.given("crack").front is not None:
+        return _grow_ellipse(alone, where, comm, progress=progress)
+    _at_size(alone, alone.excitation.omega, law.until)  # is refused before anything is solved
     path, missed, jumps = _solve_lengths(alone, where, comm, progress=progress)
     length, cycles, end = _integrated(path, law)
     half = float(np.interp(0.5 * cycles[-1], cycles, length))
@@ -295,25 +324,126 @@ def grow(
 
 def _checked(scene: Scene) -> Scene:
     """A scene whose crack can grow; InputError where it cannot."""
-    of_plates = "with geometry.kind = 'solid': growth is of plates" if scene.dimension == 3 else ""
-    check_known(of_plates or without_tips(scene), "growth", "asked for")
+    check_known(without_tips(scene), "growth", "asked for")
     law, crack = scene.given("growth"), scene.given("crack")
     if scene.mesh.layout != "graded":
         allowed = "'graded' with [growth], which meshes many lengths"
         raise InputError("mesh.layout", scene.mesh.layout, allowed)
-    if scene.cracks or crack.edge is None:
+    if crack.front == "straight":
+        allowed = "'elliptical' with [growth], or a crack through the solid: a rectangle changes"
+        raise InputError("crack.front", crack.front, allowed)
+    ellipse = crack.front is not None
+    if scene.cracks or (crack.edge is None and not ellipse):
         allowed = "one crack from an edge with [growth]: its tip is the one that grows"
         raise InputError("crack", "several tips", allowed)
     if law.drive == "spectrum" and scene.excitation.order is not None:
         allowed = "another one with excitation.order: the speed of the rotor sets the frequency"
         raise InputError("growth.drive", law.drive, allowed)
+    if law.drive == "spectrum" and ellipse:
+        allowed = "another one with crack.front = 'elliptical': each of its shapes has one load"
+        raise InputError("growth.drive", law.drive, allowed)
     if law.drive == "resonance" and not resonates(scene):
         raise InputError("growth.drive", law.drive, f"another one {NO_PEAK_SOUGHT}")
-    width = scene.geometry.sides[0]
-    if not crack.length < law.until < width:
-        allowed = f"between crack.length = {crack.length:g} and geometry.width = {width:g}"
+    key, side, most = "length", "width", scene.geometry.sides[0]
+    if ellipse:
+        key, side, most = "depth", "thickness", scene.geometry.given("thickness")
+    least = crack.given(key)
+    if not least < law.until < most:
+        allowed = f"between crack.{key} = {least:g} and geometry.{side} = {most:g}"
         raise InputError("growth.until", law.until, allowed)
     return scene
+
+
+def _grow_ellipse(
+    scene: Scene, folder: Path | None, comm: MPI.Comm, *, progress: bool = False
+) -> Growth:
+    """The growth of a half-ellipse (collective)."""
+    law, crack = scene.given("growth"), scene.given("crack")
+    if scene.reduction is None:
+        scene = scene.replace({"reduction.method": "massless", "reduction.modes": SHAPE_MODES})
+    room, ends = scene.geometry.sides[0], 1 if crack.edge else 2
+    if crack.edge is None:
+        room = 2.0 * min(crack.given("center"), room - crack.given("center"))
+    most, step = WIDEST * room, ends * STEEPER**law.exponent * (law.until - crack.given("depth"))
+    if crack.given("length") >= most:
+        raise InputError("crack.length", crack.length, f"below {most:g} with [growth]: the sides")
+    depths = np.linspace(crack.given("depth"), law.until, SHAPES)
+    lengths = np.linspace(crack.given("length"), min(crack.given("length") + step, most), SHAPES)
+    tables: list[SweepResult] = []
+    table, path = None, None
+    while path is None or (path.end == "side" and table.lengths[-1] < most):  # type: ignore[union-attr]
+        if table is not None:  # it grows beyond: more lengths
+            last = table.lengths[-1]
+            lengths = np.linspace(last, min(last + step, most), SHAPES)[1:]
+        over = {"crack.depth": depths, "crack.length": lengths}
+        file = None if folder is None else folder / f"growth_{len(tables) + 1}.h5"
+        tables.append(_swept(scene, over, file, comm, progress=progress))
+        table = _joined_shapes(table, tables)
+        path = grown(table, law, ends)
+    assert table is not None
+    coarse = grown(table.coarser(), law, ends).cycles[-1]
+    half = int(np.searchsorted(path.cycles, 0.5 * path.cycles[-1]))
+    vibration, without = on_root(comm, lambda: _error_of_shape(scene, table, path, half))
+    whole = path.rates.sum(axis=1)
+    strength = np.log(np.maximum(whole, TINY) / law.rate) / law.exponent
+    over_cycles = np.diff(path.cycles)
+    moved = path.cycles[-1] > 0.0
+    mean = 0.5 * (strength[1:] + strength[:-1]) @ over_cycles / path.cycles[-1] if moved else 0.0
+    apart = abs(math.log(coarse / path.cycles[-1])) / 4.0 if moved and coarse > 0.0 else 0.0
+    errors = {
+        "rate": law.rate_deviation,
+        "exponent": law.exponent_deviation * abs(float(mean)),
+        "vibration": law.exponent * vibration,
+        "interpolation": apart,
+    }
+    seen = {name: table.at(name, path.depth, path.length) for name in table.columns}
+    pace = TURN / seen["omega"]
+    time = np.append(0.0, np.cumsum(0.5 * (pace[1:] + pace[:-1]) * over_cycles))
+    unsure = sum(int((one.not_stable & one.converged).sum()) for one in tables)
+    said = [f"at {counted(unsure, 'shape')} {NOT_STABLE}"] if unsure else []
+    said += _turning(seen["K_max"], seen["K_II_max"], path.length)
+    said += [] if math.isfinite(vibration) else [UNKNOWN_VIBRATION]
+    solved = np.stack(np.meshgrid(table.depths, table.lengths, indexing="ij"), axis=-1)
+    return Growth(
+        scene, path.length, path.cycles, time, seen["omega"], seen["omega_open"],
+        seen["omega_bilinear"], seen["response"], seen["K_max"], seen["K_min"],
+        seen["delta_K_effective"], seen["K_II_max"], path.rates[:, 1], path.end,
+        solved.reshape(-1, 2), errors, (*said, *without), path.depth,
+    )  # fmt: skip
+
+
+def _joined_shapes(table: EllipseTable | None, tables: list[SweepResult]) -> EllipseTable:
+    """With the shapes of the last sweep."""
+    new, first = tables[-1], tables[0]
+    if new.failed:
+        at, why = new.failed[0]
+        sizes = " x ".join(
+            f"{axis.values[place]:.4g} m" for axis, place in zip(new.axes, at, strict=True)
+        )
+        raise ConvergenceError(f"growth, a crack of {sizes} (depth x length): {why}")
+    depths, lengths = (np.array(axis.values) for axis in new.axes[:2])
+    bilinear = [first[f"omega_bilinear_{number}"].flat[0] for number in NUMBERED]
+    mode = NUMBERED[int(np.nanargmin(np.abs(bilinear - first["omega"].flat[0])))]
+    numbered = {f"omega_{kind}": f"omega_{kind}_{mode}" for kind in ("open", "bilinear")}
+    shape, columns = (len(depths), len(lengths)), {}
+    for name in (*SWEEP_COLUMNS, *names_of(Place.ELLIPSE)):
+        columns[name] = new[numbered.get(name, name)].reshape(shape)
+    columns["response"] = np.nan_to_num(columns["response"])  # nan where nothing moves
+    if table is not None:
+        lengths = np.append(table.lengths, lengths)
+        columns = {name: np.hstack([table.columns[name], columns[name]]) for name in columns}
+    return EllipseTable(depths, lengths, columns)
+
+
+def _error_of_shape(
+    scene: Scene, table: EllipseTable, path: EllipsePath, row: int
+) -> tuple[float, list[str]]:
+    """Relative error of the range that grows the crack most at a row of its path, and a remark on
+    what it does not have."""
+    at = path.depth[row : row + 1], path.length[row : row + 1]
+    omega = float(table.at("omega", *at)[0])
+    one = _at_size(scene, omega, float(at[1][0]), float(at[0][0]))
+    return _error_of(one, DRIVING[int(path.rates[row].argmax())])
 
 
 def _rate(path: LengthPath, law: Law, lengths: np.ndarray) -> np.ndarray:
@@ -339,25 +469,33 @@ def _integrated(path: LengthPath, law: Law) -> tuple[np.ndarray, np.ndarray, End
     return length, np.append(0.0, np.cumsum(steps)), end
 
 
-def _at_length(scene: Scene, length: float, omega: float) -> Scene:
-    """A scene, without a curve or a sweep, with another crack length [m] at a load frequency
-    [rad/s], which replaces an engine order, with the ranges that drive growth as quantities."""
+def _at_size(scene: Scene, omega: float, length: float, depth: float | None = None) -> Scene:
+    """A scene, without a curve or a sweep, with another crack length [m], and depth, at a load
+    frequency [rad/s], which replaces an engine order, with the ranges that drive growth as
+    quantities."""
     place = {"crack.length": length, "excitation.omega": omega}
-    return scene.replace(place | {"output.quantities": names_of(where=Where.GROWING)})
+    asked = names_of(Place.TIPS if depth is None else Place.ELLIPSE, where=Where.GROWING)
+    deep = {} if depth is None else {"crack.depth": depth}
+    return scene.replace(place | deep | {"output.quantities": asked})
 
 
 def _error_at(scene: Scene, path: LengthPath, length: float) -> tuple[float, list[str]]:
     """Relative error of the effective range by mesh, modes and harmonics at a length; and a remark
     on what it does not have."""
-    drive = scene.given("growth").drive
     omega = float(path.at("omega", np.array([length]))[0])
-    if drive == "spectrum":
+    if scene.given("growth").drive == "spectrum":
         omega = float(path.leading[np.abs(path.lengths - length).argmin()])
-    run = solve(_at_length(scene, length, omega), MPI.COMM_SELF)
+    return _error_of(_at_size(scene, omega, length), "delta_K_equivalent")
+
+
+def _error_of(scene: Scene, name: str) -> tuple[float, list[str]]:
+    """The same of a number of a scene."""
+    run = solve(scene, MPI.COMM_SELF)
     causes = [cause for cause in EVERY if cause != "friction"]
-    stated = stated_errors(run, run.result, of_peak=drive == "resonance", causes=causes)
+    of_peak = scene.given("growth").drive == "resonance"
+    stated = stated_errors(run, run.result, of_peak=of_peak, causes=causes)
     without = [f"vibration: {stated.left_out}"] if stated.left_out else []
-    return stated.stated("delta_K_equivalent")[0], without
+    return stated.stated(name)[0], without
 
 
 def _lost(
@@ -387,22 +525,13 @@ def _remarks(
     end: str,
 ) -> list[str]:
     """Return the remarks that cast doubt on a crack's growth."""
-    remarks = []
-    one, two = np.maximum(seen["K_max"], TINY), seen["K_II_max"]
-    turn = 2.0 * np.arctan(2.0 * two / (one + np.sqrt(one**2 + 8.0 * two**2)))
-    if np.any(turning := turn > math.radians(10.0)):
-        at = length[np.argmax(turning)]
-        remarks.append(
-            f"from {at:.4g} m on a straight crack is no longer right: it would turn by up to "
-            f"{math.degrees(turn.max()):.0f} degrees, K_II_max being up to "
-            f"{np.max(two / one):.0%} of K_max"
-        )
+    remarks = _turning(seen["K_max"], seen["K_II_max"], length)
     law = scene.given("growth")
     passed = (path.not_stable, jumps)
     unsure, jumps = ([at for at in places if at <= length[-1]] for places in passed)
     if unsure:
         count = counted(len(unsure), "length")
-        remarks.append(f"at {count} the vibration is unstable, or its stability undecided")
+        remarks.append(f"at {count} {NOT_STABLE}")
     if jumps:
         remarks.append(
             f"near {jumps[0]:.4g} m the stress intensity jumps: several vibrations may be "
@@ -417,8 +546,21 @@ def _remarks(
             f"its error of {vibration:.1%}: whether the crack grows there is not known"
         )
     if not math.isfinite(vibration):
-        remarks.append("the error of the vibration is unknown")
+        remarks.append(UNKNOWN_VIBRATION)
     return remarks
+
+
+def _turning(largest: np.ndarray, two: np.ndarray, length: np.ndarray) -> list[str]:
+    """A remark where a crack would turn, by K_max and K_II_max at its lengths."""
+    one = np.maximum(largest, TINY)
+    turn = 2.0 * np.arctan(2.0 * two / (one + np.sqrt(one**2 + 8.0 * two**2)))
+    if not np.any(turning := turn > math.radians(10.0)):
+        return []
+    return [
+        f"from {length[np.argmax(turning)]:.4g} m on a straight crack is no longer right: it would "
+        f"turn by up to {math.degrees(turn.max()):.0f} degrees, K_II_max being up to "
+        f"{np.max(two / one):.0%} of K_max"
+    ]
 
 
 # --- numbers over the length ----------------------------------------------------------------------
@@ -549,11 +691,8 @@ def _solve_lengths(
     path = LengthPath(np.zeros(0), NO_COLUMNS, ())
     for number in range(1, 7):  # 129 lengths are as close as meshes are similar
         file = None if folder is None else folder / f"growth_{number}.h5"
-        swept = _swept(scene, wanted, levels)
-        with StopRequest() as stop:
-            table = run_sweep(swept, file, comm, progress=progress, judged=False)
-        if stop.asked(comm):
-            raise StoppedError("growth was stopped; the same command goes on with it")
+        over = {"crack.length": wanted} | ({"excitation.omega": levels} if len(levels) else {})
+        table = _swept(scene, over, file, comm, progress=progress)
         before, path = path, path.joined(table, law, cycles)
         if number == 1:
             if path.failed:
@@ -583,14 +722,28 @@ def _levels(law: Law) -> tuple[np.ndarray, np.ndarray]:
     return TURN * np.array(law.frequencies), np.array(law.cycles)
 
 
-def _swept(scene: Scene, lengths: np.ndarray, levels: np.ndarray) -> Scene:
-    """The scene with a sweep over some lengths, and over the levels of a spectrum."""
-    over = {"crack.length": [float(at) for at in lengths]}
-    if len(levels):
-        over["excitation.omega"] = [float(omega) for omega in levels]
+def _swept(
+    scene: Scene,
+    over: dict[str, np.ndarray],
+    file: Path | None,
+    comm: MPI.Comm,
+    *,
+    progress: bool = False,
+) -> SweepResult:
+    """A sweep of the scene over sizes of its crack, and the levels of a spectrum (collective)."""
     resonant = scene.given("growth").drive == "resonance"
-    table = {"sweep.over": over, "sweep.at_resonance": resonant}
-    return scene.replace({**table, "output.quantities": names_of(Place.TIPS, without=Where.SOLID)})
+    swept = {key: values.tolist() for key, values in over.items()}
+    table = {"sweep.over": swept, "sweep.at_resonance": resonant}
+    places = (Place.TIPS, Place.ELLIPSE) if "crack.depth" in over else (Place.TIPS,)
+    asked = names_of(*places, without=Where.SOLID)
+    with StopRequest() as stop:
+        found = run_sweep(
+            scene.replace({**table, "output.quantities": asked}),
+            file, comm, progress=progress, judged=False,
+        )  # fmt: skip
+    if stop.asked(comm):
+        raise StoppedError("growth was stopped; the same command goes on with it")
+    return found
 
 
 def _missed(before: LengthPath, path: LengthPath, missed: np.ndarray) -> np.ndarray:

@@ -401,6 +401,13 @@ def without_tips(scene: Scene) -> str:
     return ""
 
 
+def without_ellipse(scene: Scene) -> str:
+    """Why a scene's crack does not grow as half of an ellipse; "" where it does."""
+    if scene.crack is None or scene.crack.front != "elliptical" or scene.cracks:
+        return "without one crack with crack.front = 'elliptical'"
+    return without_tips(scene)
+
+
 def without_clamp(scene: Scene) -> str:
     """Why the forces of the clamp are not known; "" where they are."""
     if scene.structure is not None:
@@ -436,6 +443,7 @@ def asked_quantities(scene: Scene) -> tuple[str, ...]:
 
 _WITHOUT: dict[Place, Callable[[Scene], str]] = {
     Place.TIPS: without_tips,
+    Place.ELLIPSE: without_ellipse,
     Place.CLAMP: without_clamp,
 }
 """Why there is nothing at a place of a scene; "" where there is."""

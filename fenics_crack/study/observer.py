@@ -197,6 +197,13 @@ def at_tips(
     return found
 
 
+class AtEllipse(NamedTuple):
+    """Stress intensity at the deepest place of a half-ellipse, and at its ends on the face."""
+
+    deepest: AtTip
+    ends: list[AtTip]
+
+
 def leading(tips: list[AtTip]) -> int:
     """The crack tip whose effective range is the largest."""
     return int(np.argmax([QUANTITIES["delta_K_effective"].read(tip) for tip in tips]))
@@ -285,10 +292,26 @@ def _at_tips(study: Study) -> Rows:
     return Rows(rows, numbers)
 
 
+def _at_ellipse(study: Study) -> Rows:
+    """The rows of the crack's front, and the numbers at its deepest place and its ends."""
+    places, rows, of_forces = tip_rows(study)
+    heights = np.array([place.point[2] for place in places])
+    ends = np.flatnonzero(heights > heights.max() - 1e-6 * np.ptp(heights))
+
+    def numbers(record: Record) -> dict[str, float]:
+        tips = at_tips(record, places, of_forces, study.scene.growth)
+        one = AtEllipse(tips[int(heights.argmin())], [tips[end] for end in ends])
+        return read_at(Place.ELLIPSE, one)
+
+    return Rows(rows, numbers)
+
+
 def _at_clamp(study: Study) -> Rows:
     rows = study.structure.once(inertia_rows)
     return Rows(rows, lambda record: read_at(Place.CLAMP, held(record)))
 
 
-_ROWS: dict[Place, Callable[[Study], Rows]] = {Place.TIPS: _at_tips, Place.CLAMP: _at_clamp}
+_ROWS: dict[Place, Callable[[Study], Rows]] = {
+    Place.TIPS: _at_tips, Place.ELLIPSE: _at_ellipse, Place.CLAMP: _at_clamp
+}  # fmt: skip
 """Places of rows of their own."""
