@@ -623,7 +623,9 @@ class _Domain:
         fall /= radius
         g = 1.0 + bend * xi
         k = bend / g
-        shrink = np.where(radius < self.front.widest, -slope / np.where(bend == 0.0, 1.0, bend), 0.0)
+        shrink = np.where(
+            radius < self.front.widest, -slope / np.where(bend == 0.0, 1.0, bend), 0.0
+        )
         ahead = np.stack([fall * xi / r, fall * y / r, -fall * r * shrink / g], axis=-1)
         spread = weights[..., None] * rule
         found = []
