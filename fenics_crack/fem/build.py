@@ -93,7 +93,8 @@ def pair_lips(
         sides.append(gather_rows(dofs.comm, rows))
     lower, upper, cracks, positions, count = _matched(plate.lips, *sides)
     numbers = lower[:, 0].astype(int)
-    below, above = columns[:, numbers], columns[:, upper[:, 0].astype(int)]
+    below = columns[:, numbers]
+    gap = below + columns[:, upper[:, 0].astype(int)]
     points, areas, chosen = lower[:, 2:], lower[:, 1], np.arange(count)
     solid: dict[str, Any] = {}
     if patches is not None or dimension == 3:
@@ -104,10 +105,9 @@ def pair_lips(
         forces = sparse.csc_matrix(shares.multiply(areas[:, None]))
         areas[chosen] = np.asarray(forces.sum(axis=0)).ravel()
         forces.data /= np.repeat(areas[chosen], np.diff(forces.indptr))
-        below, above = below @ forces, above @ forces
+        gap, below = gap @ forces, below @ forces
         node, pair = shares[count:].nonzero()
         solid = {"front": points[count + node], "at_front": pair}
-    gap = below + above
     if patches is None:
         kept = np.arange(count)
         if mouth:
