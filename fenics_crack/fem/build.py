@@ -103,7 +103,7 @@ def pair_lips(
         else:
             chosen, shares = _shares(points, cracks, positions, count, patches)
         forces = sparse.csc_matrix(shares.multiply(areas[:, None]))
-        areas[chosen] = np.asarray(forces.sum(axis=0)).ravel()
+        areas[chosen] = shares.T @ areas
         forces.data /= np.repeat(areas[chosen], np.diff(forces.indptr))
         gap, below = gap @ forces, below @ forces
         node, pair = shares[count:].nonzero()
