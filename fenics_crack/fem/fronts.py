@@ -524,9 +524,9 @@ class _Domain:
         at_front = cKDTree(self.front.nodes).query(self.corners[:, 0])[0] < SAME * self.front.widest
         groups = (np.flatnonzero(at_front), GAUSS), (np.flatnonzero(~at_front), AWAY)
         for some, points in (
-            (some, points)
-            for its, points in groups
-            for some in _chunks(its[comm.rank :: comm.size], points**3)
+            (chunk, count)
+            for its, count in groups
+            for chunk in _chunks(its[comm.rank :: comm.size], count**3)
         ):
             (rule, weights), (flat, planar) = (_collapsed(n, points) for n in (3, 2))
             parts = self._moments(some, rule, self.volume[some, None] * weights, None)
