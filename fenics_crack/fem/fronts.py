@@ -57,8 +57,8 @@ OVER_CURVATURE = 0.6
 ROOM = 0.8
 """Largest radius over the distance to the clamp or another crack."""
 LONGEST = 1.25
-"""Largest length of an element over the radius: there K is off by up to 20 %, as much as the coarser
-mesh of a stated error may be."""
+"""Largest length of an element over the radius: K is off by up to 20 % there, as that of the
+coarser mesh of a stated error may be."""
 INNER = 0.2
 """Fraction of the radius up to which q is 1."""
 GAUSS, AWAY = 6, 5
@@ -81,7 +81,7 @@ class Front:
     Attributes
     ----------
     name : str
-        "the crack front"; of several "the crack front of crack 2".
+        "the crack front"; of several "the crack front 2".
     crack : int
         Number of the crack, from 0.
     nodes : (n, 3) [m]
@@ -524,9 +524,9 @@ class _Domain:
         at_front = cKDTree(self.front.nodes).query(self.corners[:, 0])[0] < SAME * self.front.widest
         groups = (np.flatnonzero(at_front), GAUSS), (np.flatnonzero(~at_front), AWAY)
         for some, points in (
-            (chunk, count)
-            for its, count in groups
-            for chunk in _chunks(its[comm.rank :: comm.size], count**3)
+            (chunk, number)
+            for its, number in groups
+            for chunk in _chunks(its[comm.rank :: comm.size], number**3)
         ):
             (rule, weights), (flat, planar) = (_collapsed(n, points) for n in (3, 2))
             parts = self._moments(some, rule, self.volume[some, None] * weights, None)
