@@ -368,13 +368,12 @@ def _grow_ellipse(
     if crack.given("length") >= most:
         raise InputError("crack.length", crack.length, f"below {most:g} with [growth]: the sides")
     depths = np.linspace(crack.given("depth"), law.until, SHAPES)
-    lengths = np.linspace(crack.given("length"), min(crack.given("length") + step, most), SHAPES)
+    lengths = _further(crack.given("length"), step, most)
     tables: list[SweepResult] = []
     table, path = None, None
     while path is None or (path.end == "side" and table.lengths[-1] < most):  # type: ignore[union-attr]
         if table is not None:  # it grows beyond: more lengths
-            last = table.lengths[-1]
-            lengths = np.linspace(last, min(last + step, most), SHAPES)[1:]
+            lengths = _further(table.lengths[-1], step, most)[1:]
         over = {"crack.depth": depths, "crack.length": lengths}
         file = None if folder is None else folder / f"growth_{len(tables) + 1}.h5"
         tables.append(_swept(scene, over, file, comm, progress=progress))
@@ -410,6 +409,12 @@ def _grow_ellipse(
         seen["delta_K_effective"], seen["K_II_max"], path.rates[:, 1], path.end,
         solved.reshape(-1, 2), errors, (*said, *without), path.depth,
     )  # fmt: skip
+
+
+def _further(length: float, step: float, most: float) -> np.ndarray:
+    """Lengths to one that is longer by a step, or to the most that is possible, if that is near."""
+    last = length + step
+    return np.linspace(length, last if last + 0.5 * step < most else most, SHAPES)
 
 
 def _joined_shapes(table: EllipseTable | None, tables: list[SweepResult]) -> EllipseTable:
