@@ -207,7 +207,7 @@ class AtEllipse(NamedTuple):
 def error_of_closed(study: Study, motion: Observed) -> dict[str, float]:
     """What is computed for K_I of a solid's front while it is closed, an error of all its requested
     numbers [Pa m^1/2] (collective)."""
-    names = set(names_of(Place.TIPS)).intersection(asked_quantities(study.scene))
+    names = set(names_of(Place.TIPS, Place.ELLIPSE)).intersection(asked_quantities(study.scene))
     if study.scene.dimension == 2 or not names:
         return {}
     places, rows, of_forces = tip_rows(study)
