@@ -162,7 +162,7 @@ def meshed(
     given = {"mesh.layout": "file", "mesh.file": str(path), "crack": None, "sweep": None}
     given |= {"mesh.size": None, "mesh.lip_elements": None, "geometry.width": None}
     given |= {"geometry.height": None, "geometry.thickness": None}
-    return solid().replace(given | {"excitation.point": (0.0, -low, 0.0)})
+    return solid().replace(given | {"excitation.point": (0.0, round(-low, 6), 0.0)})
 
 
 def ellipse(
