@@ -408,9 +408,17 @@ class Structure(Coordinates):
         """This structure with the tangential gaps of a solid's pairs, B_t (n_local, 2 n_pairs):
         along the first directions of all pairs, then along the second ones; itself if it has
         tangents, or none are known.
+
+        Raises
+        ------
+        InputError
+            It is reduced, and was not with them.
         """
         if self.tangential is not None or self.pairs.tangents is None:
             return self
+        if self is not self.whole:
+            allowed = "a whole one: reduce structure.whole.with_tangents()"
+            raise InputError("structure", repr(self), allowed)
         return self.once(_with_tangents)._in(self.setting)
 
     def with_tangential_pairs(self, direction: np.ndarray | None = None) -> Structure:
