@@ -216,10 +216,9 @@ def report_of_growth(found: Growth) -> Report:
 NOT_STABLE = "the vibration is unstable, or its stability undecided"
 UNKNOWN_VIBRATION = "the error of the vibration is unknown"
 SHAPES, SHAPE_MODES = 5, 20
-"""Depths and lengths of half-ellipses: the cycles to .1 to .4 % where K is Newman's and Raju's; and
-modes, which are 1e-4 of every K (docs/solids.md)."""
-STEEPER = 1.4
-"""K at the ends over that at the deepest place in bending: how far lengths reach at first."""
+"""Depths and lengths of half-ellipses, in equal ratios: the cycles to 0.8 % where K is Newman's and
+Raju's (tests/fatigue/test_ellipse.py), in equal steps to 6 %; and modes, which are 1e-4 of every K
+(docs/solids.md)."""
 WIDEST = 0.9
 """Largest length of a half-ellipse, of what the sides leave."""
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(3)
@@ -256,7 +255,7 @@ def grow(
     :math:`\Delta K_i` is that of the place of its front where it is largest, and the front stays
     straight. One that is half of an ellipse grows from ``crack.depth`` to ``growth.until`` by the
     range at its deepest place, and along the face by the mean of those at its ends: 5 x 5 shapes
-    are solved, and more lengths where it grows beyond them.
+    are solved.
 
     Parameters
     ----------
@@ -364,23 +363,17 @@ def _grow_ellipse(
     room, ends = scene.geometry.sides[0], 1 if crack.edge else 2
     if crack.edge is None:
         room = 2.0 * min(crack.given("center"), room - crack.given("center"))
-    most, step = WIDEST * room, ends * STEEPER**law.exponent * (law.until - crack.given("depth"))
+    most = WIDEST * room
     if crack.given("length") >= most:
         raise InputError("crack.length", crack.length, f"below {most:g} with [growth]: the sides")
-    depths = np.linspace(crack.given("depth"), law.until, SHAPES)
-    lengths = np.linspace(crack.given("length"), min(crack.given("length") + step, most), SHAPES)
-    tables: list[SweepResult] = []
-    table, path = None, None
-    while path is None or (path.end == "side" and table.lengths[-1] < most):  # type: ignore[union-attr]
-        if table is not None:  # it grows beyond: more lengths
-            last = table.lengths[-1]
-            lengths = np.linspace(last, min(last + step, most), SHAPES)[1:]
-        over = {"crack.depth": depths, "crack.length": lengths}
-        file = None if folder is None else folder / f"growth_{len(tables) + 1}.h5"
-        tables.append(_swept(scene, over, file, comm, progress=progress))
-        table = _joined_shapes(table, tables)
-        path = grown(table, law, ends)
-    assert table is not None
+    over = {
+        "crack.depth": np.geomspace(crack.given("depth"), law.until, SHAPES),
+        "crack.length": np.geomspace(crack.given("length"), most, SHAPES),
+    }
+    file = None if folder is None else folder / "growth_1.h5"
+    swept = _swept(scene, over, file, comm, progress=progress)
+    table = _of_shapes(swept)
+    path = grown(table, law, ends)
     coarse = grown(table.coarser(), law, ends).cycles[-1]
     half = int(np.searchsorted(path.cycles, 0.5 * path.cycles[-1]))
     vibration, without = on_root(comm, lambda: _error_of_shape(scene, table, path, half))
@@ -399,7 +392,7 @@ def _grow_ellipse(
     seen = {name: table.at(name, path.depth, path.length) for name in table.columns}
     pace = TURN / seen["omega"]
     time = np.append(0.0, np.cumsum(0.5 * (pace[1:] + pace[:-1]) * over_cycles))
-    unsure = sum(int((one.not_stable & one.converged).sum()) for one in tables)
+    unsure = int((swept.not_stable & swept.converged).sum())
     said = [f"at {counted(unsure, 'shape')} {NOT_STABLE}"] if unsure else []
     said += _turning(seen["K_max"], seen["K_II_max"], path.length)
     said += [] if math.isfinite(vibration) else [UNKNOWN_VIBRATION]
@@ -412,26 +405,19 @@ def _grow_ellipse(
     )  # fmt: skip
 
 
-def _joined_shapes(table: EllipseTable | None, tables: list[SweepResult]) -> EllipseTable:
-    """With the shapes of the last sweep."""
-    new, first = tables[-1], tables[0]
-    if new.failed:
-        at, why = new.failed[0]
-        sizes = " x ".join(
-            f"{axis.values[place]:.4g} m" for axis, place in zip(new.axes, at, strict=True)
-        )
-        raise ConvergenceError(f"growth, a crack of {sizes} (depth x length): {why}")
-    depths, lengths = (np.array(axis.values) for axis in new.axes[:2])
-    bilinear = [first[f"omega_bilinear_{number}"].flat[0] for number in NUMBERED]
-    mode = NUMBERED[int(np.nanargmin(np.abs(bilinear - first["omega"].flat[0])))]
+def _of_shapes(swept: SweepResult) -> EllipseTable:
+    """The table of a sweep over depths and lengths."""
+    if swept.failed:
+        at, why = swept.failed[0]
+        sizes = [f"{axis.values[place]:.4g} m" for axis, place in zip(swept.axes, at, strict=True)]
+        raise ConvergenceError(f"growth, a crack {sizes[0]} deep and {sizes[1]} long: {why}")
+    bilinear = [swept[f"omega_bilinear_{number}"][0, 0] for number in NUMBERED]
+    mode = NUMBERED[int(np.nanargmin(np.abs(bilinear - swept["omega"][0, 0])))]
     numbered = {f"omega_{kind}": f"omega_{kind}_{mode}" for kind in ("open", "bilinear")}
-    shape, columns = (len(depths), len(lengths)), {}
-    for name in (*SWEEP_COLUMNS, *names_of(Place.ELLIPSE)):
-        columns[name] = new[numbered.get(name, name)].reshape(shape)
+    names = (*SWEEP_COLUMNS, *names_of(Place.ELLIPSE))
+    columns = {name: swept[numbered.get(name, name)] for name in names}
     columns["response"] = np.nan_to_num(columns["response"])  # nan where nothing moves
-    if table is not None:
-        lengths = np.append(table.lengths, lengths)
-        columns = {name: np.hstack([table.columns[name], columns[name]]) for name in columns}
+    depths, lengths = (np.array(axis.values) for axis in swept.axes)
     return EllipseTable(depths, lengths, columns)
 
 
