@@ -56,6 +56,7 @@ from fenics_crack.draw.plot_study import draw_tip_fit as draw_tip_fit
 from fenics_crack.draw.plot_study import draw_tip_track as draw_tip_track
 from fenics_crack.draw.plot_study import draw_verification as draw_verification
 from fenics_crack.draw.vtk import stress_at as stress_at
+from fenics_crack.draw.vtk import write_fronts as write_fronts
 from fenics_crack.draw.vtk import write_modes as write_modes
 from fenics_crack.draw.vtk import write_period as write_period
 from fenics_crack.fatigue.growth import Growth as Growth

@@ -141,16 +141,19 @@ def of_stability(
     yield text + (f"; {' or '.join(hints)} may decide it" if hints else "")
 
 
-def turning_of(found: PeriodicSolution) -> float:
-    """Turning of sliding about the lines of friction; 0 on plates and without friction."""
-    return getattr(friction_of(found.contact), "turning", None) or 0.0
+def of_lines(run: Run[Any]) -> tuple[list[str], list[str]]:
+    """A note that pairs of a solid slide along lines, and a warning where they do not; nothing on
+    plates and without friction."""
+    if not (turning := getattr(friction_of(run.contact), "turning", None)):
+        return [], []
+    warning = f"sliding turns ({turning:.2g}): what friction does is not to be trusted"
+    note = "friction acts along one line for each pair; sliding across it is"
+    note += f" {turning:.2g} of that along it, without friction"
+    return [note], [warning] if turning > MOST_TURNING else []
 
 
 def of_friction(found: PeriodicSolution) -> Iterator[str]:
-    """Warnings where contact has nearly more than one solution at an instant, and where pairs of a
-    solid do not slide along lines."""
-    if (turning := turning_of(found)) > MOST_TURNING:
-        yield f"sliding turns ({turning:.2g}): what friction does is not to be trusted"
+    """A warning where contact has nearly more than one solution at an instant."""
     flow = found.assessment.flow
     if flow is None or flow.friction is None:
         return

@@ -229,6 +229,10 @@ def _tips(run: Run[Any], file: Drawn, name: str) -> None:
         title = f"Stress intensity, range while open {factor * found.effective.max():.4g} {unit}"
         words = "Stress intensity at the crack tips over the period."
         plot.draw_stress_intensity(found, path=file(name, words), title=title)
+        if found.three is not None and file.meshes:
+            from fenics_crack.draw.vtk import write_fronts
+
+            write_fronts(found, file(f"{name}_along_fronts", "", "vtu"))
 
 
 def _waves(run: Run, found: Waves, omega: float | None, **where: Any) -> None:

@@ -60,10 +60,12 @@ def report_of_modes(run: Run[Modes]) -> Report:
 
 
 def _report(run: Run[Any], table: Table, **how: Any) -> Report:
-    """The report of a run, with what all of them have: a note where watched nodes are away from
-    their points, remarks, and the last sentence, also as a quantity where the table has those
-    (collective)."""
-    how["notes"] = [*how.get("notes", ()), *_watched_away(run)]
+    """The report of a run, with what all of them have: notes where friction acts along lines and
+    where watched nodes are away from their points, remarks, and the last sentence, also as a
+    quantity where the table has those (collective)."""
+    lines, turning = account.of_lines(run)
+    how["notes"] = [*how.get("notes", ()), *lines, *_watched_away(run)]
+    how["warnings"] = [*how.get("warnings", ()), *turning]
     if table.columns[0] != "name":
         return Report(table, said_of(run), remarks=run.remarks, **how)
     how |= {"shown": account.in_short(table, run.scene, PRINTED), "tables": _in_numbers(run, table)}
@@ -98,9 +100,6 @@ def report_of_solution(run: Run[PeriodicSolution]) -> Report:
         share = f"{larger[1]:.2g} of harmonic 1 in the exact orbit; more harmonics show it"
         left = f"harmonic {larger[0]}, which the solution leaves out"
         notes.append(f"{left}, is the largest of the higher ones: {share}")
-    if turning := account.turning_of(found):
-        sliding = f"sliding across it is {turning:.2g} of that along it, without friction"
-        notes.append(f"friction acts along one line for each pair; {sliding}")
     tolerance = scene.harmonic_balance.tolerance
     missed = tolerance is not None and found.report.total > tolerance
     warnings = []

@@ -651,7 +651,8 @@ def draw_friction_loops(solution: PeriodicSolution, **where: Unpack[Where]) -> F
 def draw_stress_intensity(found: StressIntensity, **where: Unpack[Where]) -> Figure:
     """Draw K_I at each tip over time, grey and thick where the tip is closed, and K_II dashed.
 
-    Along the fronts of a solid draw the largest K_I, K_II and K_III of the period, of either sign.
+    Of a solid draw two panels: the largest K_I, K_II and K_III, of either sign, along its fronts,
+    and all three over time where the effective range is the largest.
 
     Parameters
     ----------
@@ -674,21 +675,20 @@ def draw_stress_intensity(found: StressIntensity, **where: Unpack[Where]) -> Fig
     --------
     >>> figure = fc.draw_stress_intensity(fc.stress_intensity(fc.solve(scene)), path="tips.png")
     """
-    [panel] = picture = Picture(**where)
-    panel.axhline(0.0, color="black", lw=0.6)
-    label_axis(panel.yaxis, "stress intensity", "Pa m^0.5")
+    picture = Picture(1 if found.three is None else 2, **where)
+    for panel in picture:
+        panel.axhline(0.0, color="black", lw=0.6)
+        label_axis(panel.yaxis, "stress intensity", "Pa m^0.5")
+    time, panel = found.time - found.time[0], picture.panels[-1]
+    label_axis(panel.xaxis, "time", "s")
     if found.three is not None:
-        curves = zip("I II III".split(), (found.one, found.two, found.three), strict=True)
-        fronts = np.split(found.positions, np.flatnonzero(np.diff(found.positions) < 0.0) + 1)
-        for (kind, values), colour in zip(curves, distinct_colours(3), strict=True):
-            label, first = f"K_{kind}", 0
-            for place in fronts:
-                top = np.abs(values[:, first : first + len(place)]).max(axis=0)
-                panel.plot(place, top, color=colour, lw=1.8, marker="o", label=label)
-                label, first = f"_{label}", first + len(place)
-        label_axis(panel.xaxis, "distance along the front", "m")
+        _along_fronts(found, picture.panels[0])
+        kinds = zip(("K_I", "K_II", "K_III"), (found.one, found.two, found.three), strict=True)
+        for (kind, values), colour in zip(kinds, distinct_colours(3), strict=True):
+            panel.plot(time, values[:, found.leading], color=colour, lw=1.8, label=f"_{kind}")
+        panel.set_title(f"at {found.tips[found.leading]}", fontsize="medium")
         return picture.finished()
-    time, shut = found.time - found.time[0], "crack tip closed"
+    shut = "crack tip closed"
     styles = zip(found.tips, distinct_colours(len(found.tips)), strict=True)
     for number, (tip, colour) in enumerate(styles):
         one, two = found.one[:, number], found.two[:, number]
@@ -698,5 +698,17 @@ def draw_stress_intensity(found: StressIntensity, **where: Unpack[Where]) -> Fig
         if not np.all(np.isnan(closed)):
             panel.plot(time, closed, color=COLOURS["grey"], lw=4.0, label=shut)
             shut = "_" + shut.lstrip("_")  # once in the legend
-    label_axis(panel.xaxis, "time", "s")
     return picture.finished()
+
+
+def _along_fronts(found: StressIntensity, panel: Axes) -> None:
+    """Draw largest sizes of K over the distance along each front."""
+    assert found.three is not None
+    ends = np.flatnonzero(np.diff(found.positions) < 0.0) + 1
+    kinds = zip(("K_I", "K_II", "K_III"), (found.one, found.two, found.three), strict=True)
+    for (kind, values), colour in zip(kinds, distinct_colours(3), strict=True):
+        largest = np.split(np.abs(values).max(axis=0), ends)
+        for place, sizes in zip(np.split(found.positions, ends), largest, strict=True):
+            panel.plot(place, sizes, color=colour, lw=1.8, marker="o", label=kind)
+            kind = "_" + kind.lstrip("_")  # once in the legend
+    label_axis(panel.xaxis, "distance along the front", "m")

@@ -19,6 +19,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from scipy.sparse import csr_matrix
+from vtkmodules.vtkCommonDataModel import VTK_LINE
 from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
 
 from fenics_crack.balance.solution import PeriodicSolution
@@ -37,7 +38,7 @@ from fenics_crack.time.march import TimeHistory
 from fenics_crack.version import packaged
 
 if TYPE_CHECKING:
-    from fenics_crack.study.run import Run
+    from fenics_crack.study.run import Run, StressIntensity
 
 
 def in_space(vectors: np.ndarray) -> np.ndarray:
@@ -281,6 +282,45 @@ def write_modes(modes: Modes, path: str | Path) -> None:
         write_whole(path, _vtu(grid))
 
     on_root(mesh.structure.comm, write)
+
+
+def write_fronts(found: StressIntensity, path: str | Path) -> None:
+    """Write stress intensities along the fronts of a solid's cracks as lines of one .vtu file
+    (collective).
+
+    Parameters
+    ----------
+    found : StressIntensity
+        Of a solid.
+    path : str or Path
+        The .vtu file.
+
+    Raises
+    ------
+    InputError
+        It is of a plate.
+
+    Notes
+    -----
+    Fields of the stations: :attr:`StressIntensity.numbers` and ``K_I while closed`` [Pa m^0.5], and
+    ``ahead``, the direction in which the crack would grow straight on.
+
+    Examples
+    --------
+    >>> fc.write_fronts(fc.stress_intensity(fc.solve(scene)), "fronts.vtu")
+    """
+    if found.three is None:
+        raise InputError("found", "of a plate", "of a solid, whose cracks have fronts")
+
+    def write() -> None:
+        first = np.flatnonzero(np.diff(found.positions) > 0.0)
+        grid = _grid_of(found.points, np.column_stack([first, first + 1]), VTK_LINE)
+        for name, values in {**found.numbers, "K_I while closed": found.closed}.items():
+            grid.point_data[name] = values
+        grid.point_data["ahead"] = found.ahead
+        write_whole(path, _vtu(grid))
+
+    on_root(found.comm, write)
 
 
 class PeriodFields:

@@ -93,7 +93,8 @@ def pair_lips(
         sides.append(gather_rows(dofs.comm, rows))
     lower, upper, cracks, positions, count = _matched(plate.lips, *sides)
     numbers = lower[:, 0].astype(int)
-    below, above = columns[:, numbers], columns[:, upper[:, 0].astype(int)]
+    below = columns[:, numbers]
+    gap = below + columns[:, upper[:, 0].astype(int)]
     points, areas, chosen = lower[:, 2:], lower[:, 1], np.arange(count)
     solid: dict[str, Any] = {}
     if patches is not None or dimension == 3:
@@ -102,11 +103,10 @@ def pair_lips(
         else:
             chosen, shares = _shares(points, cracks, positions, count, patches)
         forces = sparse.csc_matrix(shares.multiply(areas[:, None]))
-        areas[chosen] = np.asarray(forces.sum(axis=0)).ravel()
+        areas[chosen] = shares.T @ areas
         forces.data /= np.repeat(areas[chosen], np.diff(forces.indptr))
-        below, above = below @ forces, above @ forces
+        gap, below = gap @ forces, below @ forces
         solid = {"nodes": points, "shares": shares} if dimension == 3 else {}
-    gap = below + above
     if patches is None:
         kept = np.arange(count)
         if mouth:

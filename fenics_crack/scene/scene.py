@@ -392,8 +392,6 @@ def without_tips(scene: Scene) -> str:
         return "with [structure]: stress intensities take a mesh"
     if scene.disk is not None:
         return "with [disk]: stress intensities are of one structure"
-    if scene.dimension == 3 and scene.speed > 0.0:
-        return "with [rotation]: stress intensities are of solids at rest"
     if not scene.all_cracks and (scene.contact is None or scene.mesh.layout != "file"):
         return "without a crack, which has a stress intensity"
     if scene.has_friction:

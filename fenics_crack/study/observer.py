@@ -204,6 +204,18 @@ class AtEllipse(NamedTuple):
     ends: list[AtTip]
 
 
+def error_of_closed(study: Study, motion: Observed) -> dict[str, float]:
+    """What is computed for K_I of a solid's front while it is closed, an error of all its requested
+    numbers [Pa m^1/2] (collective)."""
+    names = set(names_of(Place.TIPS, Place.ELLIPSE)).intersection(asked_quantities(study.scene))
+    if study.scene.dimension == 2 or not names:
+        return {}
+    places, rows, of_forces = tip_rows(study)
+    [record] = motion.records(rows)
+    tips = at_tips(record, places, of_forces, study.scene.growth)
+    return dict.fromkeys(names, max(tip.closed for tip in tips))
+
+
 def leading(tips: list[AtTip]) -> int:
     """The crack tip whose effective range is the largest."""
     return int(np.argmax([QUANTITIES["delta_K_effective"].read(tip) for tip in tips]))

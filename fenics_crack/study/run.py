@@ -707,6 +707,11 @@ class StressIntensity(Tabular):
         return leading(self._seen)
 
     @property
+    def comm(self) -> MPI.Comm:
+        """Communicator."""
+        return self._run.structure.comm
+
+    @property
     def turn(self) -> np.ndarray:
         """Angle by which each crack would turn at its largest K_I, to the left, where the hoop
         stress is largest: (n_tips,) [rad].

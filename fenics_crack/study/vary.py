@@ -32,7 +32,8 @@ expected, not bounds: scenes beside a mesh four times finer are in docs/notebook
   and a tenth of what could cancel is not known. With a preload or a mean load a crack closes pair
   by pair, and where it is closed ends somewhere between two pairs: half a step of the gap from one
   to the next, times the part of the period for which some touch and others do not, is not known of
-  the clearance. The mesh changes low and high harmonics equally: half of them show it.
+  the clearance. The mesh changes low and high harmonics equally: half of them show it. What is
+  computed for K_I of a solid's front while it is closed is another part of those of K.
 - *friction*, without which crack faces slide freely: each number changes as between two exact
   orbits, without friction and with it, of a structure of few modes whose crack faces have no mass.
   With friction on a solid, along one line for each pair, it is the share that sliding across these
@@ -105,6 +106,7 @@ from fenics_crack.study.numbers import (
     numbers_of,
     of_orbit,
 )
+from fenics_crack.study.observer import error_of_closed
 from fenics_crack.study.prepare import REFUSALS, Study, law_of, prepare, reduced, reduction_of
 from fenics_crack.study.solve import Solved, solve_prepared
 from fenics_crack.study.verification import (
@@ -551,6 +553,7 @@ class _Stated(_Case):
             solutions = (_solved(study, float(omega), few) for omega in shifts)
             moved_to = [self.values_of(one) for one in solutions]
         between, found = self._with_shifted_clearance(half), {}
+        closed = error_of_closed(study, half)
         for name, part in parts.items():
             value, coarse_value = part.values
             terms = [
@@ -562,6 +565,7 @@ class _Stated(_Case):
                 # So that something is left where two parts of one order cancel.
                 0.1 * max(min(abs(shape), abs(shift)) for shape, shift in terms),
                 between.get(name, value) - value,
+                closed.get(name, 0.0),
             )
             at = self.own.values.get(name, 0.0)
             change = coarse_value - value
