@@ -1,4 +1,4 @@
-"""A blade in flap with a crack in its face: how it vibrates, what the crack bears, how long it lives.
+"""A blade in flap with a crack in its face: how it vibrates, what the crack bears, how it grows.
 
 A titanium blade, 30 x 100 x 4 mm, has a crack, half of an ellipse, 10 mm above its root. At its
 resonance, where the crack opens and closes in every period, the demo finds
