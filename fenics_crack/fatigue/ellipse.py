@@ -23,6 +23,9 @@ from fenics_crack.scene.tables import Growth as Law
 End = Literal["reached", "arrested", "broken", "side"]
 ROWS = 200
 """Of the path of the shape."""
+SOFT = 0.01
+"""Part of the threshold over which a rate begins, below the errors of K: with a jump a shape that
+goes along the threshold, as deep cracks in bending do, would need steps without end."""
 DEEPEST, SURFACE = "delta_K_{}_deepest", "delta_K_{}_surface"
 DRIVING = tuple(name.format("equivalent") for name in (DEEPEST, SURFACE))
 RANGES = tuple(name.format("effective") for name in (DEEPEST, SURFACE))
@@ -93,7 +96,10 @@ def growth_in_a_cycle(
     found = []
     for drive, reach in zip(DRIVING, RANGES, strict=True):
         rate = law.rate * (table.at(drive, depth, length) / 1e6) ** law.exponent
-        found.append(np.where(table.at(reach, depth, length) < law.threshold, 0.0, rate))
+        if law.threshold > 0.0:
+            above = table.at(reach, depth, length) / law.threshold - 1.0
+            rate = rate * np.clip(above / SOFT, 0.0, 1.0)
+        found.append(rate)
     return np.stack([found[0], ends * found[1]], axis=-1)
 
 
@@ -126,7 +132,7 @@ def grown(table: EllipseTable, law: Law, ends: int) -> EllipsePath:
     start = np.array([table.depths[0], table.lengths[0], 0.0])
     most = np.ptp(table.depths) + np.ptp(table.lengths)
     found = solve_ivp(
-        slope, (0.0, most), start, rtol=1e-8, atol=1e-12, max_step=most / ROWS,
+        slope, (0.0, most), start, "LSODA", rtol=1e-8, atol=1e-12, max_step=most / ROWS,
         events=list(events.values()), dense_output=True,
     )  # fmt: skip
     ends_of = [name for name, places in zip(events, found.t_events, strict=True) if len(places)]

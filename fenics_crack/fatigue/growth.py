@@ -374,7 +374,6 @@ def _grow_ellipse(
     swept = _swept(scene, over, file, comm, progress=progress)
     table = _of_shapes(swept)
     path = grown(table, law, ends)
-    coarse = grown(table.coarser(), law, ends).cycles[-1]
     half = int(np.searchsorted(path.cycles, 0.5 * path.cycles[-1]))
     vibration, without = on_root(comm, lambda: _error_of_shape(scene, table, path, half))
     whole = path.rates.sum(axis=1)
@@ -382,12 +381,11 @@ def _grow_ellipse(
     over_cycles = np.diff(path.cycles)
     moved = path.cycles[-1] > 0.0
     mean = 0.5 * (strength[1:] + strength[:-1]) @ over_cycles / path.cycles[-1] if moved else 0.0
-    apart = abs(math.log(coarse / path.cycles[-1])) / 4.0 if moved and coarse > 0.0 else 0.0
     errors = {
         "rate": law.rate_deviation,
         "exponent": law.exponent_deviation * abs(float(mean)),
         "vibration": law.exponent * vibration,
-        "interpolation": apart,
+        "interpolation": missed_by(table, path, law, ends),
     }
     seen = {name: table.at(name, path.depth, path.length) for name in table.columns}
     pace = TURN / seen["omega"]
@@ -403,6 +401,13 @@ def _grow_ellipse(
         seen["delta_K_effective"], seen["K_II_max"], path.rates[:, 1], path.end,
         solved.reshape(-1, 2), errors, (*said, *without), path.depth,
     )  # fmt: skip
+
+
+def missed_by(table: EllipseTable, path: EllipsePath, law: Law, ends: int) -> float:
+    """Error of the cycles by interpolation, relative to them: every other depth and length changes
+    them by several times as much."""
+    some = grown(table.coarser(), law, ends).cycles[-1]
+    return abs(math.log(some / path.cycles[-1])) / 4.0 if some * path.cycles[-1] > 0.0 else 0.0
 
 
 def _of_shapes(swept: SweepResult) -> EllipseTable:
