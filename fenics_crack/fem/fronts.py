@@ -167,9 +167,14 @@ class Front:
         longest = np.linalg.norm(np.diff(self.nodes, axis=0), axis=1).max()
         return float(min(ELEMENTS * longest, self.limit))
 
+    def limited(self, bend: np.ndarray) -> np.ndarray:
+        """True where R follows the curvature."""
+        return np.asarray(np.abs(bend) * self.widest > OVER_CURVATURE)
+
     def radius(self, bend: np.ndarray) -> np.ndarray:
         """R [m] by the curvature."""
-        return np.asarray(OVER_CURVATURE / np.maximum(np.abs(bend), OVER_CURVATURE / self.widest))
+        limited = self.limited(bend)
+        return np.where(limited, OVER_CURVATURE / np.where(limited, np.abs(bend), 1.0), self.widest)
 
     @cached_property
     def _samples(self) -> tuple[np.ndarray, cKDTree]:
@@ -625,9 +630,8 @@ class _Domain:
         fall /= radius
         g = 1.0 + bend * xi
         k = bend / g
-        shrink = np.where(
-            radius < self.front.widest, -slope / np.where(bend == 0.0, 1.0, bend), 0.0
-        )
+        limited = self.front.limited(bend)
+        shrink = np.where(limited, -slope / np.where(limited, bend, 1.0), 0.0)
         ahead = np.stack([fall * xi / r, fall * y / r, -fall * r * shrink / g], axis=-1)
         spread = weights[..., None] * rule
         found = []

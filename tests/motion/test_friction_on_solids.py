@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import fenics_crack as fc
+from fenics_crack.study.vary import errors_of
 from fenics_crack.time.march import initial_state
 from tests.motion.cone import march_cone
 
@@ -73,3 +74,15 @@ def test_lines_are_the_cone_where_sliding_hardly_turns(frequency: float, mu: flo
         amplitude.append(0.5 * np.ptp(structure.values_at(moved, [run.watched_dof])))
     limit = amplitude[1] + (amplitude[1] - amplitude[0]) / 3.0
     assert found.amplitude(run.watched_dof) == pytest.approx(limit, rel=5e-4)
+
+
+def test_turning_is_stated() -> None:
+    """As an error by friction: twice its share of what friction changes."""
+    keys = {"excitation.force_cos": [0.1, 0.0, 0.0], "excitation.frequency": 2700.0}
+    run, free = (fc.solve(BLADE.replace({**keys, "contact.friction": mu})) for mu in (0.4, 0.0))
+    contact = run.result.contact
+    assert isinstance(contact, fc.CoulombFriction) and contact.turning
+    name, dof = run.watched[0].column("amplitude"), run.watched_dof
+    with_it, without = (one.result.amplitude(dof) for one in (run, free))
+    stated = errors_of(run, run.result).parts["friction"][name].gci
+    assert stated == pytest.approx(2.0 * contact.turning * abs(without / with_it - 1.0), rel=0.02)
