@@ -394,6 +394,13 @@ def _grow_ellipse(
     said = [f"at {counted(unsure, 'shape')} {NOT_STABLE}"] if unsure else []
     said += _turning(seen["K_max"], seen["K_II_max"], path.length)
     said += [] if math.isfinite(vibration) else [UNKNOWN_VIBRATION]
+    above = seen["omega"] > seen["omega_bilinear"]
+    if law.drive == "frequency" and np.any(above != above[0]):
+        said.append(
+            f"at a length of {path.length[np.argmax(above != above[0])]:.4g} m the natural "
+            "frequency passes that of the load, a resonance between few shapes: the life is not "
+            "known, with growth.drive = 'resonance' it is"
+        )
     solved = np.stack(np.meshgrid(table.depths, table.lengths, indexing="ij"), axis=-1)
     return Growth(
         scene, path.length, path.cycles, time, seen["omega"], seen["omega_open"],
