@@ -391,7 +391,8 @@ def _grow_ellipse(
     pace = TURN / seen["omega"]
     time = np.append(0.0, np.cumsum(0.5 * (pace[1:] + pace[:-1]) * over_cycles))
     unsure = int((swept.not_stable & swept.converged).sum())
-    said = [f"at {counted(unsure, 'shape')} {NOT_STABLE}"] if unsure else []
+    said = _not_solved(swept, table, path)
+    said += [f"at {counted(unsure, 'shape')} {NOT_STABLE}"] if unsure else []
     said += _turning(seen["K_max"], seen["K_II_max"], path.length)
     said += [] if math.isfinite(vibration) else [UNKNOWN_VIBRATION]
     above = seen["omega"] > seen["omega_bilinear"]
@@ -406,7 +407,7 @@ def _grow_ellipse(
         scene, path.length, path.cycles, time, seen["omega"], seen["omega_open"],
         seen["omega_bilinear"], seen["response"], seen["K_max"], seen["K_min"],
         seen["delta_K_effective"], seen["K_II_max"], path.rates[:, 1], path.end,
-        solved.reshape(-1, 2), errors, (*said, *without), path.depth,
+        solved[swept.converged], errors, (*said, *without), path.depth,
     )  # fmt: skip
 
 
@@ -419,18 +420,47 @@ def missed_by(table: EllipseTable, path: EllipsePath, law: Law, ends: int) -> fl
 
 def _of_shapes(swept: SweepResult) -> EllipseTable:
     """The table of a sweep over depths and lengths."""
-    if swept.failed:
+    from scipy.interpolate import RBFInterpolator  # takes a while, and is needed here alone
+
+    depths, lengths = (np.array(axis.values) for axis in swept.axes)
+    solved = swept.converged
+    if not solved[0, 0] or solved.sum() < SHAPES:
         at, why = swept.failed[0]
-        sizes = [f"{axis.values[place]:.4g} m" for axis, place in zip(swept.axes, at, strict=True)]
-        raise ConvergenceError(f"growth, a crack {sizes[0]} deep and {sizes[1]} long: {why}")
+        raise ConvergenceError(f"growth, {_shape(swept, at)}: {why}")
     bilinear = [swept[f"omega_bilinear_{number}"][0, 0] for number in NUMBERED]
     mode = NUMBERED[int(np.nanargmin(np.abs(bilinear - swept["omega"][0, 0])))]
     numbered = {f"omega_{kind}": f"omega_{kind}_{mode}" for kind in ("open", "bilinear")}
     names = (*SWEEP_COLUMNS, *names_of(Place.ELLIPSE))
-    columns = {name: swept[numbered.get(name, name)] for name in names}
+    columns = {name: swept[numbered.get(name, name)].copy() for name in names}
     columns["response"] = np.nan_to_num(columns["response"])  # nan where nothing moves
-    depths, lengths = (np.array(axis.values) for axis in swept.axes)
+    places = np.stack(np.meshgrid(np.log(depths), np.log(lengths), indexing="ij"), axis=-1)
+    for values in columns.values() if swept.failed else ():
+        rest = RBFInterpolator(places[solved], values[solved])(places[~solved])
+        values[~solved] = np.maximum(rest, 0.0)
     return EllipseTable(depths, lengths, columns)
+
+
+def _shape(swept: SweepResult, at: tuple[int, ...]) -> str:
+    depth, length = (axis.values[place] for axis, place in zip(swept.axes, at, strict=True))
+    return f"a crack {depth:.4g} m deep and {length:.4g} m long"
+
+
+def _not_solved(swept: SweepResult, table: EllipseTable, path: EllipsePath) -> list[str]:
+    """A remark on the shapes that were not solved, away from the path; ConvergenceError where the
+    path is next to one."""
+    sides = (table.depths, path.depth), (table.lengths, path.length)
+    for at, why in swept.failed:
+        near = np.full(len(path.depth), fill_value=True)
+        for place, (values, along) in zip(at, sides, strict=True):
+            low, high = values[max(place - 1, 0)], values[min(place + 1, SHAPES - 1)]
+            near &= (low <= along) & (along <= high)
+        if np.any(near):
+            raise ConvergenceError(f"growth, {_shape(swept, at)}: {why}")
+    if not swept.failed:
+        return []
+    at, why = swept.failed[0]
+    count = counted(len(swept.failed), "shape")
+    return [f"{count} away from the growth not solved, as {_shape(swept, at)}: {why}"]
 
 
 def _error_of_shape(

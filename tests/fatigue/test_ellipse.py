@@ -169,35 +169,39 @@ def test_ends_of_the_path() -> None:
 
 
 @pytest.fixture
-def swept(monkeypatch: pytest.MonkeyPatch) -> list[fc.Scene]:
-    """Cases are not solved: K is of the equations, in bending. Their scenes."""
-    scenes = []
+def swept(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
+    """Cases are not solved: K is of the equations, in bending, unknown of shapes flatter than one.
+    The scenes of the sweeps."""
+    done = SimpleNamespace(scenes=[], flattest=0.0)
 
     def sweep(swept: fc.Scene, *_: Any, **__: Any) -> fc.SweepResult:
-        scenes.append(swept)
+        done.scenes.append(swept)
         axes = swept.given("sweep").over
         depth, length = np.meshgrid(*(axis.values for axis in axes), indexing="ij")
         deepest, ends = both(depth, length, (0.0, 1.0))
         columns = dict.fromkeys((*growth.SWEEP_COLUMNS, *NATURAL), 600.0 - 1e4 * length)
-        columns["omega"] = np.full(depth.shape, swept.excitation.omega)
         columns |= dict(zip((*DRIVING, *RANGES), 2 * (deepest, ends), strict=True))
         columns |= {"K_max": np.maximum(deepest, ends), "K_II_max": 0.0 * depth}
-        columns |= {"state": np.ones(depth.shape), "verdict": np.full(depth.shape, "stable")}
+        columns["omega"] = np.full(depth.shape, swept.excitation.omega)
+        solved = depth > done.flattest * length
+        columns = {name: np.where(solved, row, np.nan) for name, row in columns.items()}
+        columns |= {"state": np.where(solved, 1, 2), "verdict": np.full(depth.shape, "stable")}
+        columns["status"] = np.full(depth.shape, "too flat")
         return fc.SweepResult(Path("none.h5"), swept, columns)
 
     monkeypatch.setattr(growth, "run_sweep", sweep)
     monkeypatch.setattr(growth, "_error_of", lambda *_: (0.02, []))
-    return scenes
+    return done
 
 
 NATURAL = [f"omega_{kind}_{number}" for kind in ("open", "bilinear") for number in range(1, 7)]
 
 
-def test_growth_of_a_table(swept: list[fc.Scene]) -> None:
+def test_growth_of_a_table(swept: SimpleNamespace) -> None:
     """An integration in other variables of another interpolation of the same 25 shapes agrees to
     1 %, and time is that of the load's periods."""
     found = fc.grow(scene(), comm=MPI.COMM_SELF)
-    [cases] = swept
+    [cases] = swept.scenes
     depths, lengths = (np.array(axis.values) for axis in cases.given("sweep").over)
     assert len(depths) == len(lengths) == 5 and len(found.solved) == 25
     ranges = both(*np.meshgrid(depths, lengths, indexing="ij"), (0.0, 1.0))
@@ -218,10 +222,26 @@ def test_growth_of_a_table(swept: list[fc.Scene]) -> None:
     assert not found.remarks
 
 
-def test_a_resonance_on_the_way_is_said(swept: list[fc.Scene]) -> None:
+@pytest.mark.usefixtures("swept")
+def test_a_resonance_on_the_way_is_said() -> None:
     """At a fixed frequency, which is known to no shape but those that are solved."""
     found = fc.grow(scene(**{"excitation.omega": 480.0}), comm=MPI.COMM_SELF)
-    assert len(swept) == 1 and "the life is not known" in found.remarks[0]
+    assert "the life is not known" in found.remarks[0]
+
+
+def test_shapes_that_are_not_solved(swept: SimpleNamespace) -> None:
+    """Away from the path change the cycles by 1 % and are named; next to it there is no life."""
+    every = fc.grow(scene(), comm=MPI.COMM_SELF)
+    swept.flattest = 0.09
+    found = fc.grow(scene(), comm=MPI.COMM_SELF)
+    assert found.life == pytest.approx(every.life, rel=0.01)
+    assert found.remarks[0].startswith(
+        "4 shapes away from the growth not solved, as a crack 0.0015"
+    )
+    assert len(found.solved) == 21
+    swept.flattest = 0.15
+    with pytest.raises(fc.ConvergenceError, match=r"deep and .* long: too flat"):
+        fc.grow(scene(), comm=MPI.COMM_SELF)
 
 
 @pytest.mark.parametrize(
@@ -244,10 +264,10 @@ def test_other_fronts_are_refused(changes: dict[str, Any], told: str) -> None:
         fc.grow(scene(**changes), comm=MPI.COMM_SELF)
 
 
-def lives() -> float:
+def lives(comm: MPI.Comm = MPI.COMM_SELF) -> float:
     """Of a small half-ellipse that flaps, solved."""
-    found = fc.grow(scene(**{"growth.until": 0.002, "growth.threshold": 1.0}))
-    assert found.depth is not None
+    found = fc.grow(scene(**{"growth.until": 0.0017}), comm=comm)
+    assert found.depth is not None and found.end == "reached"
     return found.life
 
 
@@ -268,7 +288,7 @@ def test_a_crack_through_a_solid_grows() -> None:
     found = fc.grow(whole, comm=MPI.COMM_SELF)
     assert found.depth is None and found.end == "reached"
     places = np.linspace(0.006, 0.009, 4)
-    asked = {"growth": whole.growth, "output.quantities": ("delta_K_equivalent",)}
+    asked = {"output.quantities": ("delta_K_equivalent",)}
     ranges = []
     for at in places:
         run = fc.solve(whole.replace(asked | {"crack.length": float(at)}), MPI.COMM_SELF)
