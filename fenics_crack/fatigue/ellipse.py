@@ -6,7 +6,7 @@ With the ranges of K_I at the deepest place and at the ends, on the face of the 
 
 a being the depth and c the half axis along the face; the front stays an ellipse (Newman, Raju,
 NASA TM-83200, 1981). Ranges are known at a grid of shapes, and between them K / a^(1/2) is a
-spline: no logarithm, for in bending K at the deepest place comes to zero.
+spline over ln a and ln c: no logarithm of K, which in bending comes to zero at the deepest place.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -23,6 +23,9 @@ from fenics_crack.scene.tables import Growth as Law
 End = Literal["reached", "arrested", "broken", "side"]
 ROWS = 200
 """Of the path of the shape."""
+SOFT = 0.01
+"""Part of the threshold over which a rate begins, below the errors of K: with a jump a shape that
+goes along the threshold, as deep cracks in bending do, would need steps without end."""
 DEEPEST, SURFACE = "delta_K_{}_deepest", "delta_K_{}_surface"
 DRIVING = tuple(name.format("equivalent") for name in (DEEPEST, SURFACE))
 RANGES = tuple(name.format("effective") for name in (DEEPEST, SURFACE))
@@ -47,31 +50,32 @@ class EllipseTable:
     columns: Mapping[str, np.ndarray]
 
     @cached_property
-    def _splines(self) -> dict[str, tuple[object, bool]]:
+    def _splines(self) -> dict[str, Any]:
         from scipy.interpolate import RectBivariateSpline  # takes a while, and is needed here alone
 
-        root, found = np.sqrt(self.depths)[:, None], {}
-        for name, values in self.columns.items():
-            rooted = name.startswith(("K", "delta_K"))
-            degrees = (min(3, len(self.depths) - 1), min(3, len(self.lengths) - 1))
-            spline = RectBivariateSpline(
-                self.depths, self.lengths, values / root if rooted else values,
-                kx=degrees[0], ky=degrees[1], s=0,
-            )  # fmt: skip
-            found[name] = spline, rooted
-        return found
+        axes = np.log(self.depths), np.log(self.lengths)
+        kx, ky = (min(3, len(axis) - 1) for axis in axes)
+        scales = np.sqrt(self.depths)[:, None], 1.0
+        return {
+            name: RectBivariateSpline(*axes, values / scales[not _rooted(name)], kx=kx, ky=ky)
+            for name, values in self.columns.items()
+        }
 
     def at(self, name: str, depth: np.ndarray, length: np.ndarray) -> np.ndarray:
         """A column at any shapes within; ranges are at least zero."""
-        spline, rooted = self._splines[name]
-        found = spline.ev(depth, length)  # type: ignore[attr-defined]
-        found = np.maximum(found, 0.0) if name.startswith("delta_K") else found
-        return np.asarray(found * np.sqrt(depth) if rooted else found)
+        found = self._splines[name].ev(np.log(depth), np.log(length))
+        found = found.clip(0.0) if name.startswith("delta_K") else found
+        return np.asarray(found * np.sqrt(depth) if _rooted(name) else found)
 
     def coarser(self) -> EllipseTable:
         """Of every other depth and length."""
         some = {name: values[::2, ::2] for name, values in self.columns.items()}
         return EllipseTable(self.depths[::2], self.lengths[::2], some)
+
+
+def _rooted(name: str) -> bool:
+    """True of a stress intensity, which goes with the root of the depth."""
+    return name.startswith(("K", "delta_K"))
 
 
 class EllipsePath(NamedTuple):
@@ -92,7 +96,10 @@ def growth_in_a_cycle(
     found = []
     for drive, reach in zip(DRIVING, RANGES, strict=True):
         rate = law.rate * (table.at(drive, depth, length) / 1e6) ** law.exponent
-        found.append(np.where(table.at(reach, depth, length) < law.threshold, 0.0, rate))
+        if law.threshold > 0.0:
+            above = table.at(reach, depth, length) / law.threshold - 1.0
+            rate = rate * np.clip(above / SOFT, 0.0, 1.0)
+        found.append(rate)
     return np.stack([found[0], ends * found[1]], axis=-1)
 
 
@@ -125,7 +132,7 @@ def grown(table: EllipseTable, law: Law, ends: int) -> EllipsePath:
     start = np.array([table.depths[0], table.lengths[0], 0.0])
     most = np.ptp(table.depths) + np.ptp(table.lengths)
     found = solve_ivp(
-        slope, (0.0, most), start, rtol=1e-8, atol=1e-12, max_step=most / ROWS,
+        slope, (0.0, most), start, "LSODA", rtol=1e-8, atol=1e-12, max_step=most / ROWS,
         events=list(events.values()), dense_output=True,
     )  # fmt: skip
     ends_of = [name for name, places in zip(events, found.t_events, strict=True) if len(places)]

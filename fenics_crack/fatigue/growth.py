@@ -216,10 +216,9 @@ def report_of_growth(found: Growth) -> Report:
 NOT_STABLE = "the vibration is unstable, or its stability undecided"
 UNKNOWN_VIBRATION = "the error of the vibration is unknown"
 SHAPES, SHAPE_MODES = 5, 20
-"""Depths and lengths of half-ellipses: the cycles to .1 to .4 % where K is Newman's and Raju's; and
-modes, which are 1e-4 of every K (docs/solids.md)."""
-STEEPER = 1.4
-"""K at the ends over that at the deepest place in bending: how far lengths reach at first."""
+"""Depths and lengths of half-ellipses, in equal ratios: the cycles to 0.8 % where K is Newman's and
+Raju's (tests/fatigue/test_ellipse.py), in equal steps to 6 %; and modes, which are 1e-4 of every K
+(docs/solids.md)."""
 WIDEST = 0.9
 """Largest length of a half-ellipse, of what the sides leave."""
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(3)
@@ -256,7 +255,7 @@ def grow(
     :math:`\Delta K_i` is that of the place of its front where it is largest, and the front stays
     straight. One that is half of an ellipse grows from ``crack.depth`` to ``growth.until`` by the
     range at its deepest place, and along the face by the mean of those at its ends: 5 x 5 shapes
-    are solved, and more lengths where it grows beyond them.
+    are solved.
 
     Parameters
     ----------
@@ -364,23 +363,17 @@ def _grow_ellipse(
     room, ends = scene.geometry.sides[0], 1 if crack.edge else 2
     if crack.edge is None:
         room = 2.0 * min(crack.given("center"), room - crack.given("center"))
-    most, step = WIDEST * room, ends * STEEPER**law.exponent * (law.until - crack.given("depth"))
+    most = WIDEST * room
     if crack.given("length") >= most:
         raise InputError("crack.length", crack.length, f"below {most:g} with [growth]: the sides")
-    depths = np.linspace(crack.given("depth"), law.until, SHAPES)
-    lengths = _further(crack.given("length"), step, most)
-    tables: list[SweepResult] = []
-    table, path = None, None
-    while path is None or (path.end == "side" and table.lengths[-1] < most):  # type: ignore[union-attr]
-        if table is not None:  # it grows beyond: more lengths
-            lengths = _further(table.lengths[-1], step, most)[1:]
-        over = {"crack.depth": depths, "crack.length": lengths}
-        file = None if folder is None else folder / f"growth_{len(tables) + 1}.h5"
-        tables.append(_swept(scene, over, file, comm, progress=progress))
-        table = _joined_shapes(table, tables)
-        path = grown(table, law, ends)
-    assert table is not None
-    coarse = grown(table.coarser(), law, ends).cycles[-1]
+    over = {
+        "crack.depth": np.geomspace(crack.given("depth"), law.until, SHAPES),
+        "crack.length": np.geomspace(crack.given("length"), most, SHAPES),
+    }
+    file = None if folder is None else folder / "growth_1.h5"
+    swept = _swept(scene, over, file, comm, progress=progress)
+    table = _of_shapes(swept)
+    path = grown(table, law, ends)
     half = int(np.searchsorted(path.cycles, 0.5 * path.cycles[-1]))
     vibration, without = on_root(comm, lambda: _error_of_shape(scene, table, path, half))
     whole = path.rates.sum(axis=1)
@@ -388,56 +381,86 @@ def _grow_ellipse(
     over_cycles = np.diff(path.cycles)
     moved = path.cycles[-1] > 0.0
     mean = 0.5 * (strength[1:] + strength[:-1]) @ over_cycles / path.cycles[-1] if moved else 0.0
-    apart = abs(math.log(coarse / path.cycles[-1])) / 4.0 if moved and coarse > 0.0 else 0.0
     errors = {
         "rate": law.rate_deviation,
         "exponent": law.exponent_deviation * abs(float(mean)),
         "vibration": law.exponent * vibration,
-        "interpolation": apart,
+        "interpolation": missed_by(table, path, law, ends),
     }
     seen = {name: table.at(name, path.depth, path.length) for name in table.columns}
     pace = TURN / seen["omega"]
     time = np.append(0.0, np.cumsum(0.5 * (pace[1:] + pace[:-1]) * over_cycles))
-    unsure = sum(int((one.not_stable & one.converged).sum()) for one in tables)
-    said = [f"at {counted(unsure, 'shape')} {NOT_STABLE}"] if unsure else []
+    unsure = int((swept.not_stable & swept.converged).sum())
+    said = _not_solved(swept, table, path)
+    said += [f"at {counted(unsure, 'shape')} {NOT_STABLE}"] if unsure else []
     said += _turning(seen["K_max"], seen["K_II_max"], path.length)
     said += [] if math.isfinite(vibration) else [UNKNOWN_VIBRATION]
+    above = seen["omega"] > seen["omega_bilinear"]
+    if law.drive == "frequency" and np.any(above != above[0]):
+        said.append(
+            f"at a length of {path.length[np.argmax(above != above[0])]:.4g} m the natural "
+            "frequency passes that of the load, a resonance between few shapes: the life is not "
+            "known, with growth.drive = 'resonance' it is"
+        )
     solved = np.stack(np.meshgrid(table.depths, table.lengths, indexing="ij"), axis=-1)
     return Growth(
         scene, path.length, path.cycles, time, seen["omega"], seen["omega_open"],
         seen["omega_bilinear"], seen["response"], seen["K_max"], seen["K_min"],
         seen["delta_K_effective"], seen["K_II_max"], path.rates[:, 1], path.end,
-        solved.reshape(-1, 2), errors, (*said, *without), path.depth,
+        solved[swept.converged], errors, (*said, *without), path.depth,
     )  # fmt: skip
 
 
-def _further(length: float, step: float, most: float) -> np.ndarray:
-    """Lengths to one that is longer by a step, or to the most that is possible, if that is near."""
-    last = length + step
-    return np.linspace(length, last if last + 0.5 * step < most else most, SHAPES)
+def missed_by(table: EllipseTable, path: EllipsePath, law: Law, ends: int) -> float:
+    """Error of the cycles by interpolation, relative to them: every other depth and length changes
+    them by several times as much."""
+    some = grown(table.coarser(), law, ends).cycles[-1]
+    return abs(math.log(some / path.cycles[-1])) / 4.0 if some * path.cycles[-1] > 0.0 else 0.0
 
 
-def _joined_shapes(table: EllipseTable | None, tables: list[SweepResult]) -> EllipseTable:
-    """With the shapes of the last sweep."""
-    new, first = tables[-1], tables[0]
-    if new.failed:
-        at, why = new.failed[0]
-        sizes = " x ".join(
-            f"{axis.values[place]:.4g} m" for axis, place in zip(new.axes, at, strict=True)
-        )
-        raise ConvergenceError(f"growth, a crack of {sizes} (depth x length): {why}")
-    depths, lengths = (np.array(axis.values) for axis in new.axes[:2])
-    bilinear = [first[f"omega_bilinear_{number}"].flat[0] for number in NUMBERED]
-    mode = NUMBERED[int(np.nanargmin(np.abs(bilinear - first["omega"].flat[0])))]
+def _of_shapes(swept: SweepResult) -> EllipseTable:
+    """The table of a sweep over depths and lengths."""
+    from scipy.interpolate import RBFInterpolator  # takes a while, and is needed here alone
+
+    depths, lengths = (np.array(axis.values) for axis in swept.axes)
+    solved = swept.converged
+    if not solved[0, 0] or solved.sum() < SHAPES:
+        at, why = swept.failed[0]
+        raise ConvergenceError(f"growth, {_shape(swept, at)}: {why}")
+    bilinear = [swept[f"omega_bilinear_{number}"][0, 0] for number in NUMBERED]
+    mode = NUMBERED[int(np.nanargmin(np.abs(bilinear - swept["omega"][0, 0])))]
     numbered = {f"omega_{kind}": f"omega_{kind}_{mode}" for kind in ("open", "bilinear")}
-    shape, columns = (len(depths), len(lengths)), {}
-    for name in (*SWEEP_COLUMNS, *names_of(Place.ELLIPSE)):
-        columns[name] = new[numbered.get(name, name)].reshape(shape)
+    names = (*SWEEP_COLUMNS, *names_of(Place.ELLIPSE))
+    columns = {name: swept[numbered.get(name, name)].copy() for name in names}
     columns["response"] = np.nan_to_num(columns["response"])  # nan where nothing moves
-    if table is not None:
-        lengths = np.append(table.lengths, lengths)
-        columns = {name: np.hstack([table.columns[name], columns[name]]) for name in columns}
+    places = np.stack(np.meshgrid(np.log(depths), np.log(lengths), indexing="ij"), axis=-1)
+    for values in columns.values() if swept.failed else ():
+        rest = RBFInterpolator(places[solved], values[solved])(places[~solved])
+        values[~solved] = np.maximum(rest, 0.0)
     return EllipseTable(depths, lengths, columns)
+
+
+def _shape(swept: SweepResult, at: tuple[int, ...]) -> str:
+    depth, length = (axis.values[place] for axis, place in zip(swept.axes, at, strict=True))
+    return f"a crack {depth:.4g} m deep and {length:.4g} m long"
+
+
+def _not_solved(swept: SweepResult, table: EllipseTable, path: EllipsePath) -> list[str]:
+    """A remark on the shapes that were not solved, away from the path; ConvergenceError where the
+    path is next to one."""
+    sides = (table.depths, path.depth), (table.lengths, path.length)
+    for at, why in swept.failed:
+        near = np.full(len(path.depth), fill_value=True)
+        for place, (values, along) in zip(at, sides, strict=True):
+            low, high = values[max(place - 1, 0)], values[min(place + 1, SHAPES - 1)]
+            near &= (low <= along) & (along <= high)
+        if np.any(near):
+            raise ConvergenceError(f"growth, {_shape(swept, at)}: {why}")
+    if not swept.failed:
+        return []
+    at, why = swept.failed[0]
+    count = counted(len(swept.failed), "shape")
+    return [f"{count} away from the growth not solved, as {_shape(swept, at)}: {why}"]
 
 
 def _error_of_shape(

@@ -112,8 +112,10 @@ class Front:
 
     @cached_property
     def peaks(self) -> np.ndarray:
-        """Parameters of the hats' peaks, that of a closed front's first one at the end, too."""
+        """Parameters of the hats' peaks, that of a closed front's first one at the end, too. One is
+        in the middle, where a half-ellipse is deepest."""
         count = max(1, min(STATIONS * (1 + self.closed), (len(self.nodes) - 1) // WIDTH))
+        count -= count % 2 if count > 1 and not self.closed else 0
         return np.linspace(self.at[0], self.at[-1], max(count, 3 if self.closed else 1) + 1)
 
     @property

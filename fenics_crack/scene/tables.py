@@ -841,7 +841,7 @@ class Sweep(Table):
 
 @dataclass(frozen=True)
 class Growth(Table):
-    """Growth of a plate's crack by fatigue, for ``fenics-crack grow``: in a cycle by
+    """Growth of a crack by fatigue, for ``fenics-crack grow``: in a cycle by
 
         rate sum_i (delta_K_i / ((1 - R_i)^(1 - ratio_exponent) 1 MPa m^0.5))^exponent
 
@@ -849,7 +849,8 @@ class Growth(Table):
     R = max(K_min, 0) / K_max (Paris and Erdogan 1963; Walker 1970)."""
 
     until: float = positive(unit="m")
-    """Length at which the growth ends, from ``crack.length`` on."""
+    """Length at which the growth ends, from ``crack.length`` on; of a half-ellipse the depth, from
+    ``crack.depth`` on."""
     rate: float = positive(unit="m")
     """In a cycle, at an effective range of 1 MPa m^0.5 with R = 0."""
     exponent: float = between("0.1", "50", MISSING)

@@ -438,15 +438,6 @@ def test_refused_by_name(changes: dict[str, Any], told: str) -> None:
         fc.grow(plate().replace(changes), comm=MPI.COMM_SELF)
 
 
-def test_solids_are_refused() -> None:
-    """By name, whether they have the table or not: there is no use in giving it."""
-    keys = {"growth.until": 0.05, "growth.rate": 1e-11, "growth.exponent": 3.0}
-    solid = fc.Scene.load(ROOT / "demos" / "solid_blade.toml")
-    for scene in (solid, solid.replace(keys)):
-        with pytest.raises(fc.InputError, match="growth is of plates"):
-            fc.grow(scene, comm=MPI.COMM_SELF)
-
-
 SMOOTH = {
     "contact.law": "smoothed", "contact.stiffness_per_area": 1e13, "contact.sharpness": 1e7,
 }  # fmt: skip
