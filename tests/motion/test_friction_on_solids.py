@@ -9,8 +9,6 @@ import pytest
 
 import fenics_crack as fc
 from fenics_crack.study.vary import errors_of
-from fenics_crack.time.march import initial_state
-from tests.motion.cone import march_cone
 
 BLADE = fc.Scene.from_mapping(
     {
@@ -56,24 +54,6 @@ def test_no_friction_is_the_limit_of_little() -> None:
         rows = structure.nodes.dofs[:, axis]
         moved[axis, rows[rows >= 0]] = 1.0
     assert structure.apply_tangential(moved) == pytest.approx(0.0, abs=1e-12)
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize(("frequency", "mu"), [(3474.1, 0.3), (2818.1, 0.3), (3700.0, 0.6)])
-def test_lines_are_the_cone_where_sliding_hardly_turns(frequency: float, mu: float) -> None:
-    """Within 5e-4 of the amplitude by steps with the cone."""
-    run = solved(excitation__frequency=frequency, contact__friction=mu)
-    found, structure = run.result, run.structure
-    assert isinstance(found.contact, fc.CoulombFriction)
-    assert found.contact.turning is not None and 0.0 < found.contact.turning < 0.1
-    state = initial_state(structure, found.contact, found)
-    start = np.array(state[:2])[:, : structure.n_modes]
-    amplitude = []
-    for steps in (96, 192):
-        moved = march_cone(structure, found.omega, mu, start, steps, 15)
-        amplitude.append(0.5 * np.ptp(structure.values_at(moved, [run.watched_dof])))
-    limit = amplitude[1] + (amplitude[1] - amplitude[0]) / 3.0
-    assert found.amplitude(run.watched_dof) == pytest.approx(limit, rel=5e-4)
 
 
 def test_turning_is_stated() -> None:

@@ -7,9 +7,12 @@ from typing import Any
 import numpy as np
 from book import Row, case
 from elements import tada
+from fatigue.test_ellipse import newman_raju
 from petsc4py import PETSc
+from study.test_fronts import solid
 
 import fenics_crack as fc
+from fenics_crack.fem.fronts import front_functionals
 
 WIDTH, HEIGHT, THICKNESS, YOUNG = 0.03, 0.09, 0.006, 2.1e11
 STRESS, MOVED = 1e6, 4e-3
@@ -139,30 +142,22 @@ def pulled(shape: str, elements: int) -> Front:
     return Front(structure, poisson, nodes, ways, angles)
 
 
-def hat(angles: np.ndarray, centre: float | None) -> np.ndarray:
-    """1 at an angle, 0 from the next ones on; or 1 everywhere."""
+def hat(angles: np.ndarray, centre: float | None, reach: float = ANGLES[1]) -> np.ndarray:
+    """1 at an angle, 0 from a distance on; or 1 everywhere."""
     if centre is None:
         return np.ones(len(angles))
-    return np.maximum(0.0, 1.0 - np.abs(angles - centre) / ANGLES[1])
+    return np.maximum(0.0, 1.0 - np.abs(angles - centre) / reach)
 
 
 def newman(angles: np.ndarray) -> np.ndarray:
     """K of half an ellipse in a plate in tension, c = 8 mm, a = 3 mm (Newman and Raju)."""
-    a, c = 0.003, 0.008
-    slim, deep = a / c, a / THICKNESS
-    first, second = 1.13 - 0.09 * slim, 0.89 / (0.2 + slim) - 0.54
-    third = 0.5 - 1.0 / (0.65 + slim) + 14.0 * (1.0 - slim) ** 24
-    at_face = 1.0 + (0.1 + 0.35 * deep**2) * (1.0 - np.sin(angles)) ** 2
-    along = (slim**2 * np.cos(angles) ** 2 + np.sin(angles) ** 2) ** 0.25
-    narrow = np.cos(np.pi * c / WIDTH * np.sqrt(deep)) ** -0.5
-    shape = (first + second * deep**2 + third * deep**4) * at_face * along * narrow
-    return np.asarray(STRESS * np.sqrt(np.pi * a / (1.0 + 1.464 * slim**1.65)) * shape)
+    return newman_raju(np.array(0.003), np.array(0.008), np.sin(angles), STRESS, 0.0)
 
 
-def newman_mean(centre: float | None) -> float:
+def newman_mean(centre: float | None, reach: float = ANGLES[1]) -> float:
     """Its root mean square over the same part of the front."""
     angles = np.linspace(0.0, np.pi, 4001)
-    share = hat(angles, centre) * np.hypot(0.008 * np.sin(angles), 0.003 * np.cos(angles))
+    share = hat(angles, centre, reach) * np.hypot(0.008 * np.sin(angles), 0.003 * np.cos(angles))
     return float(np.sqrt((newman(angles) ** 2 * share).sum() / share.sum()))
 
 
@@ -172,6 +167,32 @@ def along_the_front(elements: int) -> list[float]:
     return [front.intensity(hat(front.angles, at)) / newman_mean(at) for at in ANGLES]
 
 
+@cache
+def at_stations(elements: int) -> tuple[np.ndarray, ...]:
+    """Of the stations of `stress_intensity`: angles, K_I there, K of the energy release by all
+    three, and both references: energy release and Newman's K over their hats. At the ends they are
+    on the line through the last two, as the program has it."""
+    front = pulled("ellipse", elements)
+    stations, rows, _ = front_functionals(solid(), front.structure)
+    assert front.structure.nodes is not None
+    free = front.structure.nodes.numbered.free_part(front.displacement().ravel())
+    one, two, three = (rows @ free).reshape(-1, 3).T
+    x, _, z = np.array([station.point for station in stations]).T
+    angles = np.arctan2(np.abs(THICKNESS - z) / 0.003, (x - 0.015) / 0.008)
+    reach = np.pi / (len(angles) - 1)
+    of_energy = np.array([front.intensity(hat(front.angles, at, reach)) for at in angles])
+    theirs = np.array([newman_mean(at, reach) for at in angles])
+    for means in (of_energy, theirs):
+        means[[0, -1]] = 1.5 * means[[0, -1]] - 0.5 * means[[1, -2]]
+    both = np.sqrt(one**2 + two**2 + three**2 / (1.0 - front.poisson))
+    return angles, one, both, of_energy, theirs
+
+
+def furthest(ratios: np.ndarray) -> float:
+    """The one that is furthest from 1."""
+    return float(ratios[np.abs(ratios - 1.0).argmax()])
+
+
 def draw_front(axes: Any) -> None:
     """K over the angle."""
     angles = np.linspace(0.0, np.pi, 200)
@@ -179,6 +200,8 @@ def draw_front(axes: Any) -> None:
     for elements, mark in ((4, "o"), (6, "s")):
         found = np.array(along_the_front(elements)) * [newman_mean(at) for at in ANGLES]
         axes.plot(np.degrees(ANGLES), found / 1e3, mark, label=f"{elements} elements")
+    at, one, *_ = at_stations(6)
+    axes.plot(np.degrees(at), one / 1e3, "k+", label="6 elements, interaction integral")
     axes.set(xlabel="angle from the face [degrees]", ylabel="K [kPa m$^{1/2}$]", ylim=(0.0, None))
     axes.legend()
 
@@ -204,6 +227,11 @@ def stress_intensity_along_a_front() -> list[Row]:
     for a plate that is pulled far away, averaged over the front likewise. Ours has 0.53 of its
     width cracked, where their fit ends at 0.5. On few elements K is too small, as ordinary elements
     are too stiff at a front, and rises with them.
+
+    `stress_intensity` has an interaction integral around the front instead, with K_I, K_II and
+    K_III at 13 stations, each the mean over a hat function that is 0 from 15 degrees on. The last
+    rows have K^2 = K_I^2 + K_II^2 + K_III^2 / (1 - nu) of the same displacements over that of the
+    energy release with the same hats, and K_I over Newman and Raju's.
     """
     rows = []
     edge = STRESS * np.sqrt(np.pi * 0.01) * tada("edge", 0.01 / WIDTH)
@@ -220,4 +248,13 @@ def stress_intensity_along_a_front() -> list[Row]:
         Row(f"ellipse, 6 elements: K at {np.degrees(at):.0f} degrees, over theirs", found, 1.0, 0.1)
         for at, found in zip(ANGLES, along_the_front(6), strict=True)
     ]
-    return rows
+    _, one, both, of_energy, theirs = at_stations(6)
+    ratios, name = both / of_energy, "stations: K of the integral over that of the energy release"
+    over = one / theirs
+    return [
+        *rows,
+        Row(f"{name}, furthest off inside", furthest(ratios[1:-1]), 1.0, 0.025),
+        Row(f"{name}, furthest off at the face", furthest(ratios[[0, -1]]), 1.0, 0.04),
+        Row("stations: smallest K_I over theirs", over.min(), 1.0, 0.07),
+        Row("stations: largest K_I over theirs", over.max(), 1.0, 0.03),
+    ]

@@ -5,6 +5,7 @@ import calculix
 import elements
 import fronts
 import impacts
+import intensities
 import oscillators
 import plates
 import programs
@@ -15,12 +16,14 @@ from book import CASES, PAGES, differences, index
 
 pytestmark = pytest.mark.verification
 FILES = (
-    oscillators, impacts, rubbing, plates, beams, elements, fronts, calculix, programs,
-    uncertainties,
+    oscillators, impacts, rubbing, plates, beams, elements, fronts, intensities, calculix,
+    programs, uncertainties,
 )  # fmt: skip
 DEAR = (
-    "energy_release_on_three_meshes", "rotor_with_a_crack", "stress_intensity_along_a_front",
-    "stress_intensity_factors", "true_errors_over_stated_ones",
+    "ellipse_in_a_block", "energy_release_on_three_meshes", "friction_on_a_solid",
+    "growth_of_half_ellipses", "penny_in_a_block",
+    "rotor_with_a_crack", "stress_intensity_along_a_front", "stress_intensity_factors",
+    "torsion_of_a_cracked_bar", "true_errors_over_stated_ones",
 )  # fmt: skip
 """Of a crack's tip on meshes that are refined, and of many references."""
 NAMES = [pytest.param(name, marks=[pytest.mark.nightly] * (name in DEAR)) for name in CASES]
