@@ -622,7 +622,7 @@ def slide_along_lines(structure: Structure, omega: float, contact: ContactLaw) -
 
     Examples
     --------
-    >>> rubbing = fc.slide_along_lines(structure, 2e4, fc.CoulombFriction(law, 0.3))
+    >>> rubbing = fc.slide_along_lines(structure, 2e3, fc.CoulombFriction(contact, 0.3))
     """
     friction, tangents = friction_of(contact), structure.tangential
     if friction is None or friction.direction is not None or tangents is None:
