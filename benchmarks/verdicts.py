@@ -1,4 +1,4 @@
-"""Verdicts on stability against exact integration, and what they cost on curves.
+"""Verdicts on stability against exact integration.
 
 verdicts: the paper's plate at five load frequencies, with four contact stiffnesses and three
 dampings: 60 orbits by harmonic balance. Each gets its verdict (`floquet`). Then the exact orbit
@@ -18,19 +18,11 @@ Some of the orbits are integrated by central differences too (`central`), with 8
 that stability of the integration needs, from 1.01 times the exact state, for 150 periods; the
 distance is that of the gap to the exact one, and has to change by a factor of 3.
 
-cost: along curves from 1000 to 9500 rad/s with 20 harmonics, the time of a point without and with
-verdicts.
-
-varied: the same of curves over the damping and over the contact stiffness, and of a smoothed law
-over the frequency, whose points are judged one by one.
-
 points: each point of the curves of 160 random chains with 0.1 to 1 % of damping, its verdict on the
 curve against that of its own orbit (`floquet`).
 """
 
 from __future__ import annotations
-
-from typing import Any
 
 import common
 import numpy as np
@@ -52,7 +44,7 @@ MARKS = {"stable": ("o", "tab:blue"), "unstable": ("s", "tab:red"), "undecided":
 
 def main() -> None:
     """Run it."""
-    common.run(__doc__, {"verdicts": verdicts, "cost": cost, "varied": varied, "points": points})
+    common.run(__doc__, {"verdicts": verdicts, "points": points})
 
 
 def verdicts(arguments: common.Arguments) -> None:
@@ -171,32 +163,6 @@ def by_central_differences(
     return "leaves" if last > 3.0 * apart[0] else "open"
 
 
-def cost(arguments: common.Arguments) -> None:
-    """Time of points and of their verdicts."""
-    rows = []
-    for ratio in (0.01,) if arguments.quick else (0.01, 0.001):
-        plate = common.plate("paper_plate", {"damping.ratio": ratio})
-        for stiffness in (1e9, 1e11):
-            law = fc.UnilateralPenalty(stiffness)
-            rows.append((ratio, stiffness, *along(plate, law, "omega", 1000.0, 9500.0, 20)))
-    columns = ("xi", "k [N/m]", "points", "point [ms]", "with verdicts [ms]")
-    common.save_table(arguments.folder / "verdict_cost.csv", "verdicts of curves", columns, rows)
-
-
-def varied(arguments: common.Arguments) -> None:
-    """Curves at a fixed frequency, and of a smoothed law."""
-    plate, rows = common.plate("paper_plate", {"damping.ratio": 0.01}), []
-    law, smooth = fc.UnilateralPenalty(1e9), fc.SmoothedPenalty(1e9, 1e7)
-    for structure in (plate, fc.reduce_structure(plate, modes=10)):
-        for parameter, end in (("damping", 0.2), ("stiffness", 10.0)):
-            found = along(structure, law, parameter, 1.0, end, 10)
-            rows.append((structure.n_dofs, parameter, *found))
-        found = along(structure, smooth, "omega", 1900.0, 2100.0, 10)
-        rows.append((structure.n_dofs, "omega, smoothed", *found))
-    columns = ("dofs", "parameter", "points", "point [ms]", "with verdicts [ms]")
-    common.save_table(arguments.folder / "varied.csv", "curves of varied flows", columns, rows)
-
-
 def points(arguments: common.Arguments) -> None:
     """Points of curves that have another verdict than by themselves."""
     rows, count = [], 0
@@ -234,23 +200,6 @@ def random_chain(seed: int) -> tuple[fc.Structure, fc.UnilateralPenalty]:
         clearance=float(rng.choice([0.0, 0.3, -0.3])),
     )  # fmt: skip
     return structure, fc.UnilateralPenalty(float(10.0 ** rng.uniform(0.0, 1.5)))
-
-
-def along(
-    structure: fc.Structure, law: Any, parameter: str, start: float, end: float, harmonics: int
-) -> tuple[int, float, float]:
-    """Points of a curve, and milliseconds for each without and with verdicts."""
-    problem, curves, spent = fc.Problem(structure, 2000.0, law, harmonics), [], []
-    for stability in (False, False, True):  # what is computed once comes with the first
-
-        def follow(stability: bool = stability) -> None:
-            growing = fc.Continuation(problem, parameter, start, end, stability=stability)
-            growing.run()
-            curves.append(growing.curve)
-
-        spent.append(common.seconds(follow))
-    count = len(curves[0])
-    return count, 1e3 * spent[1] / count, 1e3 * spent[2] / count
 
 
 def draw(rows: list[tuple], path: object) -> None:

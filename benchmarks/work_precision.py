@@ -9,10 +9,9 @@ Scenes
 
 Methods, always from a cold start: harmonic balance by exact integrals and by samples (AFT), the
 block system by PETSc's SNES, an exact orbit to a tolerance; from rest, until the motion has
-settled: the exact flow and central differences, or exponential steps where faces have no mass. Of
-other programs pyHarm and mousai, where they converge from the linear solution: their Python is
-found by --others or the variable OTHERS_PYTHON (pip install pyHarm-os mousai in an environment of
-its own).
+settled: the exact flow and central differences, or exponential steps where faces have no mass. With
+--others pyHarm and mousai by their adapters of the benchmark of exact orbits, in environments of
+their own: pyHarm by its sweep from 0.9 of the frequency, mousai from the linear solution.
 
 All but the block system solve the reduced structure of the scene (the paper's plate: all dofs); its
 set-up is left out, and the error of the block system holds what the reduction leaves out. The error
@@ -20,11 +19,11 @@ is the relative L2 difference of the gaps over a period from the exact orbit of 
 another flow (``reference_flow.py``); with friction, from where the exact flow settles. Runs below
 half a second are the fastest of three. Table and picture name the commit and the day.
 
-    OMP_NUM_THREADS=1 python benchmarks/work_precision.py [--quick] [--only SCENE] [--others PYTHON]
+    OMP_NUM_THREADS=1 python benchmarks/work_precision.py [--quick] [--only SCENE] [--others]
         [folder]
 
 ``--only demos`` prints README's table instead: error, time and memory of five demos, each by the
-command ``solve`` in a process of its own. ``--only steps``: a step of each scheme in time.
+command ``solve`` in a process of its own.
 """
 
 from __future__ import annotations
@@ -44,16 +43,16 @@ from typing import Any
 
 import common
 import numpy as np
-import scipy.linalg
-from reference_flow import INSTANTS, ReferenceFlow, dense
+from reference_flow import INSTANTS, ReferenceFlow
 
 import fenics_crack as fc
 from fenics_crack.draw.figure import COLOURS
-from fenics_crack.model.modal import all_modes
-from fenics_crack.model.modes import damped_modes
 
-ROOT = Path(__file__).parents[1]
-WORKER = Path(__file__).absolute().with_name("others_worker.py")
+sys.path.insert(0, str(Path(__file__).with_name("orbits")))
+import score
+import write
+
+ORBITS, ROOT = Path(__file__).with_name("orbits"), Path(__file__).parents[1]
 COLUMNS = ("scene", "method", "setting", "error", "CPU ms", "MiB", "note")
 METHODS = {
     "harmonic balance, exact integrals": ("fenics_crack.solve_harmonic_balance", "blue", "o-"),
@@ -63,8 +62,8 @@ METHODS = {
     "exact flow": ("fenics_crack.integrate_events", "orange", "P:"),
     "central differences": ("fenics_crack.integrate_central_difference", "orange", "^-"),
     "exponential steps": ("fenics_crack.integrate_exponential", "orange", "v-"),
-    "pyHarm": ("benchmarks/pyharm_worker.py", "pink", "x--"),
-    "mousai": ("benchmarks/others_worker.py", "pink", "1:"),
+    "pyHarm": ("benchmarks/orbits/adapters/pyharm.py", "pink", "x--"),
+    "mousai": ("benchmarks/orbits/adapters/mousai.py", "pink", "1:"),
 }
 """By name: where it is, its colour and its line. A test finds each of them."""
 OTHERS = ("pyHarm", "mousai")
@@ -98,11 +97,8 @@ def main() -> None:
     parts = {name: race(name, scene) for name, scene in scenes.items()}
     common.run(
         __doc__,
-        parts | {"demos": demos, "steps": steps},
-        others={
-            "default": os.environ.get("OTHERS_PYTHON"),
-            "help": "a Python that has pyHarm and mousai",
-        },
+        parts | {"demos": demos},
+        others={"action": "store_true", "help": "pyHarm and mousai, too"},
     )
 
 
@@ -216,7 +212,7 @@ def every_method(scene: Scene, arguments: common.Arguments) -> Iterator[tuple[An
         count = INSTANTS * int(np.ceil(share * least / INSTANTS))
         yield in_time(scene, name, march, count, 1e-5)
     for program in OTHERS if arguments.others and not rubs else ():
-        yield from by_others(scene, program, counts, arguments.others)
+        yield from by_others(scene, program, counts)
 
 
 def measured(work: Callable[[], Any]) -> tuple[Any, float, float]:
@@ -276,152 +272,31 @@ def in_time(
 # --- other programs -------------------------------------------------------------------------------
 
 
-def by_others(
-    scene: Scene, program: str, counts: Sequence[int], python: str
-) -> Iterator[tuple[Any, ...]]:
-    """Another program on the same matrices, whose coordinates are made so that the gaps are dofs
-    and the load acts on one."""
-    job = matrices(scene)
+def by_others(scene: Scene, program: str, counts: Sequence[int]) -> Iterator[tuple[Any, ...]]:
+    """Another program on the same structure, by its adapter of the benchmark of exact orbits."""
+    adapter, case = ORBITS / "adapters" / f"{program.lower()}.py", case_of(scene)
     for harmonics in counts:
-        given = job | {"program": program, "harmonics": harmonics, "samples": SAMPLES}
-        worker = WORKER.with_name("pyharm_worker.py") if program == "pyHarm" else WORKER
-        with tempfile.TemporaryDirectory() as folder:
-            try:
-                done = subprocess.run(
-                    [str(Path(python).absolute()), str(worker)], input=json.dumps(given),
-                    capture_output=True, text=True, check=False, cwd=folder, timeout=PATIENCE,
-                )  # fmt: skip
-            except subprocess.TimeoutExpired:
-                yield program, f"H = {harmonics}", np.nan, np.nan, np.nan, f"above {PATIENCE} s"
-                return
-        if done.returncode:
-            last = done.stderr.strip().splitlines()[-1:] or ["failed"]
-            yield program, f"H = {harmonics}", np.nan, np.nan, np.nan, last[0][:60]
+        answer = score.asked(adapter, case, PATIENCE, harmonics)
+        note = answer.get("unsupported") or answer["message"]
+        if answer.get("gap") is None or not answer["converged"]:
+            yield program, f"H = {harmonics}", np.nan, np.nan, np.nan, note[:60]
             continue
-        answer = json.loads(done.stdout)
-        rows = np.array(answer["coefficients"])[:, : scene.structure.n_pairs]
-        angles = 2.0 * np.pi * (phases()[:, None] - job["turned"]) * np.arange(1, harmonics + 1)
-        gap = rows[0] + np.cos(angles) @ rows[1::2] + np.sin(angles) @ rows[2::2]
-        note = "" if answer["converged"] else "not converged"
-        yield (program, f"H = {harmonics}", scene.error(gap), 1e3 * answer["cold"],
-               answer["mib"], note)  # fmt: skip
+        gap = np.array(answer["gap"])
+        error = float(np.linalg.norm(gap - scene.reference[::2]))
+        error /= float(np.linalg.norm(scene.reference[::2]))
+        yield program, f"H = {harmonics}", error, 1e3 * answer["seconds"], np.nan, note
 
 
-def matrices(scene: Scene) -> dict[str, Any]:
-    """The structure as the other programs take it.
-
-    u = S z with B^T S = [1 0] and S^T f = |f| on one dof: the columns of S beside those of the gaps
-    span what B^T does not see, the first of them along the load.
-    """
-    structure = scene.structure
-    gap = structure.gap.toarray()
-    if isinstance(structure, fc.MasslessStructure):
-        still = structure.n_dofs - structure.n_modes
-        squares = structure.omega**2
-        mass = np.diag(np.r_[np.ones(structure.n_modes), np.zeros(still)])
-        stiffness = scipy.linalg.block_diag(np.diag(squares), np.linalg.inv(structure.flexibility))
-        damping = np.diag(np.r_[structure.damping_factor * structure.rate, np.zeros(still)])
-    else:
-        mass, stiffness = dense(structure.mass), dense(structure.stiffness)
-        if structure.damping_matrix is None:
-            squares, shapes = scipy.linalg.eigh(stiffness, mass)
-            rate = 2.0 * np.asarray(structure.damping.ratio) * np.sqrt(squares)
-            damping = mass @ shapes @ np.diag(rate * np.ones(len(squares))) @ shapes.T @ mass
-        else:
-            damping = dense(structure.damping_matrix)
-    load = structure.force[1] + structure.force[2]
-    other = scipy.linalg.null_space(gap.T)
-    along = other.T @ load
-    turn = scipy.linalg.qr(along[:, None])[0]
-    other = other @ turn
-    own = gap @ np.linalg.inv(gap.T @ gap)
-    own = own - np.outer(other[:, 0], own.T @ load / (other[:, 0] @ load))
-    S = np.hstack([own, other])
-    sine = bool(np.any(structure.force[2]))
-    names = {"mass": mass, "stiffness": stiffness, "damping": damping}
-    count = structure.n_pairs
-    force = np.zeros(len(mass))
-    force[count] = other[:, 0] @ load
-    return {name: (S.T @ matrix @ S).tolist() for name, matrix in names.items()} | {
-        "loaded": count, "force": float(force[count]), "load": force.tolist(),
-        "stopped": list(range(count)), "stop": float(np.max(scene.law.stiffness)),
-        "at": scene.omega, "turned": 0.25 * sine,
-    }  # fmt: skip
-
-
-def steps(arguments: common.Arguments) -> None:
-    """What a step costs, and how much of it is the product with K where that is large."""
-    plate = common.plate("paper_plate")
-    bare = plate.damped(None)
-    rows = []
-    for name, structure in (("50 damped modes", plate), ("no damping", bare),
-                            ("no damping, lumped mass", bare.lumped())):  # fmt: skip
-        rows += [(name, scheme, *some) for scheme, some in steps_of(structure).items()]
-    path = arguments.folder / "work_precision_steps.csv"
-    columns = ("paper's plate, 50 dofs", "scheme", "steps a period", "step [us]", "period [us]")
-    common.save_table(path, "A step of each scheme", columns, rows)
-    plate = common.plate("breathing_plate")
-    bare = plate.damped(None)
-    rows = [
-        (damping, *step_and_product(structure))
-        for damping, structure in (
-            ("lumped mass, no damping", bare.lumped()),
-            ("no damping", bare),
-            (f"{len(damped_modes(plate).omega)} damped modes", plate),
-        )
-    ]
-    columns = (f"breathing plate, {plate.n_dofs} dofs", "step [us]", "product with K [us]", "ratio")
-    path = arguments.folder / "work_precision_kernel.csv"
-    common.save_table(path, "A step of central differences", columns, rows)
-
-
-def steps_of(structure: fc.Structure) -> dict[str, tuple[int, float, float]]:
-    """Steps in a period, microseconds of a step and of a period, all that a march does included.
-    A step of the exact flow is one of its search for events, a twelfth of the fastest period."""
-    law, omega = fc.UnilateralPenalty(1e9), 2000.0
-    count = int(1.3 * fc.stable_steps_per_period(structure, omega, law))
-    fastest = float(np.sqrt(all_modes(structure).squares[-1]))
-    schemes: dict[str, tuple[Any, int, int]] = {
-        "central differences": (fc.integrate_central_difference, count, count),
-        "exponential steps": (fc.integrate_exponential, count, count),
-        "exact flow": (fc.integrate_events, 256, int(12.0 * fastest / omega)),
-    }
-    found = {}
-    for name, (integrate, instants, steps) in schemes.items():
-
-        def run(periods: int, integrate: Any = integrate, instants: int = instants) -> None:
-            integrate(
-                structure, omega, law, periods=periods, steps_per_period=instants, dofs=(),
-                record_periods=1,
-            )  # fmt: skip
-
-        times = common.alternate({"few": lambda: run(20), "many": lambda: run(420)}, 5)
-        period = 1e6 * float(np.median(times["many"] - times["few"])) / 400
-        found[name] = (steps, period / steps, period)
-    return found
-
-
-def step_and_product(structure: fc.Structure) -> tuple[float, float, float]:
-    """Microseconds of a step and of one product with K, and their ratio, by turns."""
-    law = fc.UnilateralPenalty(1e9)
-    steps = int(1.3 * fc.stable_steps_per_period(structure, 2000.0, law))
-    source, target = structure.stiffness.createVecs()
-    source.set(1.0)
-
-    def march(periods: int) -> None:
-        fc.integrate_central_difference(
-            structure, 2000.0, law, periods=periods, steps_per_period=steps, dofs=()
-        )
-
-    def multiply() -> None:
-        for _ in range(1000):
-            structure.stiffness.mult(source, target)
-
-    times = common.alternate(
-        {"one": lambda: march(1), "four": lambda: march(4), "product": multiply}, 5
-    )
-    step, product = (times["four"] - times["one"]) / (3 * steps), times["product"] / 1000
-    return 1e6 * np.median(step), 1e6 * np.median(product), float(np.median(step / product))
+def case_of(scene: Scene) -> dict[str, Any]:
+    """The structure in its modes, as the benchmark of exact orbits stores one."""
+    case = write.reduced(scene.name, "", scene.structure, scene.law, scene.omega)
+    if not isinstance(scene.structure, fc.MasslessStructure):
+        parts = case["structure"]
+        stiffness, damping = (np.diag(parts[name]).tolist() for name in ("squares", "damping"))
+        mass = np.eye(len(stiffness)).tolist()
+        case["structure"] = {"form": "matrices", "mass": mass, "damping": damping,
+                             "stiffness": stiffness, "pairs": parts["pairs"]}  # fmt: skip
+    return case
 
 
 # --- results --------------------------------------------------------------------------------------

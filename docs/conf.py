@@ -6,6 +6,7 @@ python -m sphinx -W docs build/docs
 import gc
 import html
 import io
+import re
 
 import matplotlib
 from docutils import nodes
@@ -75,8 +76,10 @@ def lead_outside(app: Sphinx, *place_and_text: object) -> None:
     those of the first page to the files beside the README."""
     text = place_and_text[-1]
     assert isinstance(text, list)
-    text[0] = text[0].replace("(../../benchmarks/README.md", "(benchmarks.md")
-    text[0] = text[0].replace("(benchmarks/README.md", "(notebook/benchmarks.md")
+    pages = {"benchmarks/README": "notebook/benchmarks", "orbits/README": "notebook/orbits",
+             "ADAPTERS": "notebook/adapters", r"\.\./README": "index"}  # fmt: skip
+    for file, page in pages.items():
+        text[0] = re.sub(rf"\((\.\./)*(benchmarks/)?(orbits/)?{file}\.md", f"(/{page}.md", text[0])
     for link in ("demos/first_notebook.ipynb", "CITATION.cff"):
         text[0] = text[0].replace(f"({link}", f"(../{link}")
 

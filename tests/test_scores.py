@@ -1,5 +1,6 @@
 """How programs are scored against the benchmark of exact orbits."""
 
+import ast
 import json
 import sys
 from pathlib import Path
@@ -106,6 +107,28 @@ def test_adapters_answer_through_their_own_process() -> None:
     rigid = score.asked(ORBITS / "adapters" / "plain.py", case_of("plate-5"), 60.0)
     assert rigid["unsupported"] == "no rigid contact"
     assert worker.WARM.exists() and json.loads(worker.WARM.read_text())["name"] == "bilinear-1"
+
+
+@pytest.mark.parametrize("path", sorted((ORBITS / "adapters").glob("*.py")), ids=lambda p: p.stem)
+def test_adapters_are_short(path: Path) -> None:
+    """40 lines without blank ones, comments, imports and docstrings; the example, a program of its
+    own, 100."""
+    text, left = path.read_text(), set()
+    for node in ast.walk(ast.parse(text)):
+        words = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+        if words or isinstance(node, ast.Import | ast.ImportFrom):
+            left |= set(range(node.lineno, (node.end_lineno or node.lineno) + 1))
+    lines = [line.strip() for line in text.splitlines()]
+    counted = [line for number, line in enumerate(lines, 1) if number not in left]
+    counted = [line for line in counted if line and not line.startswith("#")]
+    assert len(counted) <= (100 if path.stem == "plain" else 40)
+
+
+def test_harmonics_of_an_adapter() -> None:
+    """Those that are asked for, in place of its own: the error of a kink falls with them."""
+    case, plain = case_of("bilinear-10"), ORBITS / "adapters" / "plain.py"
+    few, many = (score.scored(case, score.asked(plain, case, 60.0, h))["error"] for h in (5, 40))
+    assert many < 0.05 * few
 
 
 @pytest.mark.nightly

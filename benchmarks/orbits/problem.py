@@ -188,7 +188,15 @@ class Problem:
 
     def rate(self, time: Any, state: np.ndarray) -> np.ndarray:
         """z' of z = (q, q') at one time (2n,), or at several at once (2n, times), of pairs with
-        mass and a penalty or a smoothed law."""
+        mass and a penalty or a smoothed law.
+
+        Raises
+        ------
+        Unsupported
+            Pairs have no mass.
+        """
+        if self.flexibility is not None:
+            raise Unsupported("no pairs without mass")
         n, inverse = len(self.mass), np.linalg.inv(self.mass)
         push = self.contact((self.pairs.T @ state[:n]).T - self.clearance)[0].T
         force = self.force(time) - self.pairs @ push - self.damping @ state[n:]

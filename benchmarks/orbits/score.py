@@ -84,10 +84,13 @@ def python_of(adapter: Path) -> Path:
     return python
 
 
-def asked(adapter: Path, case: dict[str, Any], seconds: float) -> dict[str, Any]:
-    """What a program answers to a case."""
+def asked(
+    adapter: Path, case: dict[str, Any], seconds: float, harmonics: int | None = None
+) -> dict[str, Any]:
+    """What a program answers to a case, with its own number of harmonics or another one."""
     given = {name: case[name] for name in ("name", "structure", "load", "law", "clearance")}
     command = [str(python_of(adapter)), str(HERE / "worker.py"), str(adapter.absolute())]
+    command += [] if harmonics is None else [str(harmonics)]
     with tempfile.TemporaryDirectory() as folder:  # some programs write where they run
         try:
             ended = subprocess.run(

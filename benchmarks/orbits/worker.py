@@ -1,6 +1,6 @@
 """Run by a program's own Python for ``score.py``: a case on standard input, its answer as JSON.
 
-    PYTHON benchmarks/orbits/worker.py ADAPTER
+    PYTHON benchmarks/orbits/worker.py ADAPTER [HARMONICS]
 
 It solves a small case first, so that what is imported and compiled at first use is not timed.
 """
@@ -51,6 +51,8 @@ def main() -> None:
     adapter = importlib.util.module_from_spec(spec)
     with contextlib.redirect_stdout(sys.stderr):
         spec.loader.exec_module(adapter)
+        if sys.argv[2:]:
+            adapter.HARMONICS = int(sys.argv[2])  # type: ignore[attr-defined]
         answered(adapter.solve, json.loads(WARM.read_text()))
         found = answered(adapter.solve, json.load(sys.stdin))
     source = getattr(adapter, "SOURCE", ("", ""))[1]

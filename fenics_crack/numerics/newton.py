@@ -24,7 +24,7 @@ branches of exact orbits. It is the kernel's
 solutions go through it where the kernel has their equations, and through PETSc's SNES
 where it has not, or where PETSc's options request that. Curves never do: SNES knows
 no border, and at given parameters, where none is needed, an iteration by SNES takes ten times as
-long as one by the compiled loop (``benchmarks/curves.py --only newton``, 21 unknowns).
+long as one by the compiled loop (21 unknowns; docs/notebook/earlier_measurements.md).
 
 Sources: those of :mod:`path`.
 """

@@ -970,7 +970,7 @@ class Identify(Table):
     """Part of that change that each mode has by itself. Of plates clamped deeper, let go at an end
     of the clamp or on an elastic block, turning, moving and a common change leave up to 0.05 of the
     largest change if 15 times as tall as wide, 0.07 if five times, 0.12 if three, 0.18 if two and
-    0.29 if square (benchmarks/identification_limits.py)."""
+    0.29 if square (docs/identification.md)."""
     temperature_deviation: float | None = holds(
         "a number from 0 to 1000", lambda value: 0.0 <= value <= 1000.0, None, unit="K"
     )
@@ -999,7 +999,7 @@ class Identify(Table):
     2 % off (docs/notebook/measured_beams.md)."""
     first_resonance_deviation: float = between("0", "1", 0.04)
     """Resonance of mode 1 with a breathing crack less the bilinear frequency, over the difference
-    between the frequencies with the crack bonded and open (benchmarks/identification_limits.py)."""
+    between the frequencies with the crack bonded and open (docs/identification.md)."""
     resonance_deviation: float = between("0", "1", 0.3)
     """The same of other modes, whose neighbours open and close the crack, too, and of a crack that
     is open for any part of the period; 12^-1/2 is that of a uniform distribution."""

@@ -3,16 +3,102 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import Any
 
-import exact_orbits
 import numpy as np
 import pytest
 import scipy.linalg
-from reference_flow import ReferenceFlow
+from reference_flow import NoOrbit, ReferenceFlow
+from verdicts import random_chain
 
 import fenics_crack as fc
+from fenics_crack.cli.given import new_scene
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.orbit_events import parting
+
+STEP, FINER = 0.05, 50
+"""Default step over the range; its parts, each of which is examined."""
+
+
+def lightly_damped(seed: int) -> tuple[fc.Structure, tuple[float, float], Any]:
+    """A plate, from seed 1000 on a chain: structure, range [rad/s], law."""
+    rng = np.random.default_rng(seed)
+    ratio = float(np.exp(rng.uniform(np.log(5e-4), np.log(1e-2))))
+    if seed < 1000:
+        keys = {
+            "crack.length": 0.1 * float(rng.uniform(0.15, 0.45)),
+            "mesh.lip_elements": int(rng.integers(4, 9)),
+            "reduction.modes": int(rng.integers(10, 25)), "damping.ratio": ratio,
+        }  # fmt: skip
+        study = fc.prepare(fc.Scene.from_text(new_scene("new.toml", "", ())).replace(keys))
+        structure, law = study.structure, study.contact
+        near = float(fc.bilinear_frequencies(structure).omega_bilinear[0])
+    else:
+        structure, law = random_chain(seed)
+        structure = structure.varied(damping=0.5)
+        near = float(fc.solve_modes(structure, 1).omega[0])
+    near *= float(rng.choice([1.0, 1.0 / 2.0, 1.0 / 3.0, rng.uniform(0.3, 3.0)]))
+    return structure, (0.85 * near, 1.15 * near), law
+
+
+def off_reference(flow: ReferenceFlow, one: Any) -> float:
+    """Distance from the unit circle, or from -1, of the multiplier that a bifurcation has there, on
+    the reference's orbit; inf where it has none."""
+    # The exact state: Newton's method may lead elsewhere from a solution to 1e-2.
+    parts = np.split(one.orbit.state, 2)
+    state = flow.state(*(one.orbit.flow.modes.shapes @ part for part in parts))
+    try:
+        orbit = flow.orbit(state, one.value, 2.0 * np.pi / one.value)
+    except (NoOrbit, np.linalg.LinAlgError):
+        return float("inf")
+    values = orbit.multipliers
+    if one.kind == "period_doubling":
+        return float(np.abs(values + 1.0).min())
+    return float(np.abs(np.abs(values[np.abs(values.imag) > 1e-9]) - 1.0).min(initial=np.inf))
+
+
+def false_verdicts(curve: fc.ResponseCurve, span: tuple[float, float]) -> dict[str, float]:
+    """Share of a curve's way through its range with another verdict than the reference's, and the
+    widest stretch of it, over the resolution and over the longest step taken."""
+    flow, omega = ReferenceFlow(curve.structure, curve.contact), curve.values
+    spacing, shapes = STEP * (span[1] - span[0]) / FINER, curve.orbit(0).flow.modes.shapes
+    way = np.append(0.0, np.cumsum(np.abs(np.diff(omega))))
+    met = np.arange(spacing, way[-1], spacing)
+    folded = {curve.nearest(one) for one in curve.bifurcations if one.kind == "fold"}
+    wrong, judged = np.zeros(len(met), dtype=bool), 0
+    for number, at in enumerate(met):
+        place = int(np.searchsorted(way, at)) - 1
+        if {place, place + 1} & folded:  # two orbits, of which Newton's method may find the other
+            continue
+        share = (at - way[place]) / (way[place + 1] - way[place])
+        value = float(omega[place] + share * (omega[place + 1] - omega[place]))
+        state = (1.0 - share) * curve.points[place] + share * curve.points[place + 1]
+        start = flow.state(*(shapes @ part for part in np.split(state, 2)))
+        try:
+            orbit = flow.orbit(start, value, curve.subharmonic * 2.0 * np.pi / value)
+        except (NoOrbit, np.linalg.LinAlgError):
+            continue
+        judged += 1
+        wrong[number] = (abs(orbit.multipliers[0]) < 1.0) != stated_stable(curve, place, value)
+    stretches = "".join("x" if one else " " for one in wrong).split()
+    widest = spacing * max(map(len, stretches), default=0)
+    longest = float(np.abs(np.diff(omega)).max())
+    return {
+        "judged": judged, "of": len(met), "false": float(wrong.mean()),
+        "widest/resolution": widest / curve.resolution,
+        "resolution/longest": curve.resolution / longest,
+    }  # fmt: skip
+
+
+def stated_stable(curve: fc.ResponseCurve, place: int, value: float) -> bool:
+    """What a curve states of a value between two points: its verdict changes at the events."""
+    ends = curve.values[place], curve.values[place + 1]
+    events = [one.value for one in curve.bifurcations if one.kind != "fold"]
+    inside = sorted(one for one in events if min(ends) < one < max(ends))
+    if not inside:
+        return bool(curve.stable[place])
+    nearer = abs(value - ends[0]) < abs(inside[0] - ends[0])
+    return bool(curve.stable[place if nearer else place + 1])
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +121,7 @@ def test_a_window_between_two_stable_points(doubled: ResponseCurve) -> None:
     assert [one.kind for one in found] == ["period_doubling"] * 2
     assert [one.value for one in found] == pytest.approx([1.99153, 2.00859], abs=1e-5)
     flow = ReferenceFlow(doubled.structure, doubled.contact)
-    assert max(exact_orbits.off_reference(flow, one) for one in found) < 1e-6
+    assert max(off_reference(flow, one) for one in found) < 1e-6
     between = (found[0].value < doubled.values) & (doubled.values < found[1].value)
     assert (doubled.verdicts[between] == "unstable").all() and between.sum() >= 3
     assert (doubled.verdicts[~between] == "stable").all()
@@ -83,9 +169,9 @@ def test_multipliers_that_are_double_or_zero() -> None:
 def test_verdicts_between_points(seed: int) -> None:
     """Every 50th of the default step by another flow: at most .1 % of the range is false, and no
     false window is wider than the resolution, at most a fifth of the longest step."""
-    [(_, structure, span, law)] = exact_orbits.lightly_damped(seed, 1)
+    structure, span, law = lightly_damped(seed)
     curve = fc.continue_frequency(structure, *span, law, tolerance=1e-2)
-    found = exact_orbits.false_verdicts(curve, span)
+    found = false_verdicts(curve, span)
     assert found["judged"] >= 0.99 * found["of"] > 900
     assert found["false"] <= 1e-3
     assert found["widest/resolution"] <= 1.0 and found["resolution/longest"] <= 0.2

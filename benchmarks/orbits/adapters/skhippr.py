@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import typing_extensions
-from problem import Answer, Problem, Unsupported
+from problem import Answer, Problem
 
 if not hasattr(typing, "override"):  # before Python 3.12
     typing.override = typing_extensions.override  # type: ignore[attr-defined]
@@ -18,7 +18,7 @@ from skhippr.cycles.hbm import HBMEquation
 from skhippr.equations.EquationSystem import EquationSystem
 from skhippr.Fourier import Fourier
 from skhippr.odes.AbstractODE import AbstractODE
-from skhippr.solvers.continuation import pseudo_arclength_continuator
+from skhippr.solvers.continuation import pseudo_arclength_continuator as follow
 from skhippr.solvers.newton import NewtonSolver
 from skhippr.stability.KoopmanHillProjection import KoopmanHillSubharmonic
 
@@ -38,9 +38,7 @@ class Masses(AbstractODE):  # type: ignore[misc]
         return self.problem.rate(self.omega / self.problem.omega * t, x)
 
     def closed_form_derivative(self, variable: str, t: Any = None, x: Any = None) -> np.ndarray:
-        if variable != "x":
-            raise NotImplementedError
-        return self.problem.rate_slope(x)
+        return {"x": self.problem.rate_slope(x)}[variable]
 
 
 class Subharmonic(KoopmanHillSubharmonic):  # type: ignore[misc]
@@ -53,15 +51,12 @@ class Subharmonic(KoopmanHillSubharmonic):  # type: ignore[misc]
 def solve(problem: Problem) -> Answer:
     """From 0.9 of the frequency."""
     problem.only("penalty", "smoothed")
-    if problem.flexibility is not None:
-        raise Unsupported("no pairs without mass")
     n, end = len(problem.mass), problem.omega
     fourier = Fourier(N_HBM=HARMONICS, L_DFT=SAMPLES, n_dof=2 * n, real_formulation=True)
     stability = Subharmonic(fourier, tol=1e-4, autonomous=False)
 
     def system(omega: float, guess: np.ndarray) -> EquationSystem:
-        given = Masses(problem, omega), omega, fourier, guess
-        balance = HBMEquation(*given, period_k=1, stability_method=stability)
+        balance = HBMEquation(Masses(problem, omega), omega, fourier, guess, 1, stability)
         return EquationSystem([balance], ["X"], equation_determining_stability=balance)
 
     rows, rates = problem.linear(HARMONICS), np.arange(1, HARMONICS + 1)[:, None] * FROM * end
@@ -70,19 +65,13 @@ def solve(problem: Problem) -> Answer:
     moved[1::2, n:], moved[2::2, n:] = rates * rows[2::2], -rates * rows[1::2]
     solver, first = NewtonSolver(max_iterations=200), system(FROM * end, moved[order].ravel())
     solver.solve(first)
-    last = first.X
-    for point in pseudo_arclength_continuator(
-        initial_system=first, solver=solver, stepsize=0.1, stepsize_range=(0.001, 0.1),
-        continuation_parameter="omega", initial_direction=1, num_steps=POINTS,
-    ):  # fmt: skip
+    for point in follow(first, solver, 0.1, (0.001, 0.1), 1, "omega", False, POINTS):
         last, reached = point.X, float(np.squeeze(point.omega))
         if reached > end:
             break
     found = system(end, last)
     solver.solve(found)
     rows[order] = found.X.reshape(len(rows), 2 * n)[:, :n]
-    words = f"swept to {reached / end:.3f} w, {solver.num_iter} iterations"
-    verdict = {True: "stable", False: "unstable"}.get(found.stable)
-    return Answer(
-        gap=problem.gap(rows), converged=bool(found.solved), verdict=verdict, message=words
-    )
+    said = f"swept to {reached / end:.3f} w, {solver.num_iter} iterations"
+    word = {True: "stable", False: "unstable"}.get(found.stable)
+    return Answer(gap=problem.gap(rows), converged=bool(found.solved), verdict=word, message=said)

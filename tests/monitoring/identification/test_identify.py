@@ -15,7 +15,6 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-import identification_limits
 import numpy as np
 import pytest
 from helpers import MPI_ENVIRONMENT, ROOT
@@ -254,15 +253,28 @@ def test_crack_from_arrivals(scene: fc.Scene, folder: Path) -> None:
     assert lone.information.max() < 0.02
 
 
-SPINNING = (
-    identification_limits.BLADE.replace("finer = 1.5", "finer = 1.0")
-    + """
+SPINNING = """
+geometry = { width = 0.02, height = 0.25, thickness = 0.004 }
+crack = { edge = "left", height = 0.03, length = 0.008 }
+material = { young = 2.1e11, poisson = 0.3, density = 7850.0 }
+damping = { ratio = 0.005 }
+rotation = { rpm = 3000.0, hub_radius = 0.25 }
+excitation = { point = [0.02, 0.25], force_mean = [-40, 0], force_sin = [40, 0], order = 5 }
+contact = { law = "unilateral" }
+harmonic_balance = { harmonics = 6 }
+mesh = { layout = "graded", order = 2, size = 0.01, lip_elements = 4 }
+reduction = { modes = 8 }
+[output.points]
+tip = [0.02, 0.25]
+[identify]
+finer = 1.0
+[identify.unknown]
+"crack.length" = { start = 0.004, stop = 0.012, count = 5 }
 [tip_timing]
 probes = [12.0, 47.0, 93.0, 131.0, 178.0, 224.0, 262.0, 307.0]
 tip_radius = 0.5
 noise = 2e-8
 """
-)
 
 
 @pytest.mark.nightly
