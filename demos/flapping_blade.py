@@ -37,6 +37,10 @@ def main(
     fc.draw_stress_intensity(intensity, path=output / "intensity.png")
     fc.draw_contact_map(peak.result, path=output / "contact.png")
 
+    growth = fc.grow(scene.replace({"mesh.lip_elements": 3}), output / "growth")
+    print(growth)
+    fc.draw_growth(growth, path=output / "growth.png", in_hertz=True)
+
     worst, deepest = int(intensity.largest.argmax()), len(intensity.tips) // 2
     friction = errors.contributions("amplitude").get("friction", np.nan)
     found = {
@@ -49,6 +53,10 @@ def main(
         "largest K_I [Pa m^0.5]": intensity.largest[worst],
         "it is along the front at [m]": intensity.positions[worst],
         "largest K_I where the crack is deepest [Pa m^0.5]": intensity.largest[deepest],
+        "cycles of growth": growth.life,
+        "known within a factor of": growth.factor,
+        "last depth [m]": growth.depth[-1],
+        "last length [m]": growth.length[-1],
     }
     for name, value in found.items():
         print(f"{name}: {value:.4g}")

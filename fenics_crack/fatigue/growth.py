@@ -298,27 +298,39 @@ def grow(
     length, cycles, end = _integrated(path, law)
     half = float(np.interp(0.5 * cycles[-1], cycles, length))
     vibration, without = on_root(comm, lambda: _error_at(alone, path, half))
-    over = np.diff(cycles)
-    strength = np.log(np.maximum(_rate(path, law, length), TINY) / law.rate) / law.exponent
-    mean = 0.5 * (strength[1:] + strength[:-1]) @ over / cycles[-1] if cycles[-1] > 0.0 else 0.0
-    errors = {
-        "rate": law.rate_deviation,
-        "exponent": law.exponent_deviation * abs(float(mean)),
-        "vibration": law.exponent * vibration + _lost(path, law, length, cycles, vibration),
-        "interpolation": missed,
-    }
+    rate = _rate(path, law, length)
+    errors = _errors(law, rate, cycles, vibration, missed)
+    errors["vibration"] += _lost(path, law, length, cycles, vibration)
     seen = {name: path.at(name, length) for name in path.columns}
     for name in LOGARITHMIC_COLUMNS:
         seen[name][seen[name] <= TINY] = 0.0
-    pace, rate = TURN / seen["omega"], _rate(path, law, length)
     rate[-1] *= end != "arrested"
-    time = np.append(0.0, np.cumsum(0.5 * (pace[1:] + pace[:-1]) * over))
+    time = _summed(TURN / seen["omega"], cycles)
     return Growth(
         scene, length, cycles, time, seen["omega"], seen["omega_open"], seen["omega_bilinear"],
         seen["response"], seen["K_max"], seen["K_min"], seen["delta_K_effective"],
         seen["K_II_max"], rate, end, path.lengths, errors,
         (*_remarks(scene, path, jumps, seen, length, vibration, end), *without),
     )  # fmt: skip
+
+
+def _summed(values: np.ndarray, cycles: np.ndarray) -> np.ndarray:
+    """Integral of values (n,) over the cycles until each of them (n,)."""
+    return np.append(0.0, np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(cycles)))
+
+
+def _errors(
+    law: Law, rate: np.ndarray, cycles: np.ndarray, vibration: float, missed: float
+) -> dict[str, float]:
+    """The errors of the cycles by those of the law, of the range and of the interpolation."""
+    strength = np.log(np.maximum(rate, TINY) / law.rate) / law.exponent
+    mean = float(_summed(strength, cycles)[-1]) / max(float(cycles[-1]), TINY)
+    return {
+        "rate": law.rate_deviation,
+        "exponent": law.exponent_deviation * abs(mean),
+        "vibration": law.exponent * vibration,
+        "interpolation": missed,
+    }
 
 
 def _checked(scene: Scene) -> Scene:
@@ -376,20 +388,10 @@ def _grow_ellipse(
     path = grown(table, law, ends)
     half = int(np.searchsorted(path.cycles, 0.5 * path.cycles[-1]))
     vibration, without = on_root(comm, lambda: _error_of_shape(scene, table, path, half))
-    whole = path.rates.sum(axis=1)
-    strength = np.log(np.maximum(whole, TINY) / law.rate) / law.exponent
-    over_cycles = np.diff(path.cycles)
-    moved = path.cycles[-1] > 0.0
-    mean = 0.5 * (strength[1:] + strength[:-1]) @ over_cycles / path.cycles[-1] if moved else 0.0
-    errors = {
-        "rate": law.rate_deviation,
-        "exponent": law.exponent_deviation * abs(float(mean)),
-        "vibration": law.exponent * vibration,
-        "interpolation": missed_by(table, path, law, ends),
-    }
+    missed = missed_by(table, path, law, ends)
+    errors = _errors(law, path.rates.sum(axis=1), path.cycles, vibration, missed)
     seen = {name: table.at(name, path.depth, path.length) for name in table.columns}
-    pace = TURN / seen["omega"]
-    time = np.append(0.0, np.cumsum(0.5 * (pace[1:] + pace[:-1]) * over_cycles))
+    time = _summed(TURN / seen["omega"], path.cycles)
     unsure = int((swept.not_stable & swept.converged).sum())
     said = _not_solved(swept, table, path)
     said += [f"at {counted(unsure, 'shape')} {NOT_STABLE}"] if unsure else []

@@ -3,10 +3,12 @@
 from collections.abc import Callable
 from functools import cache
 from itertools import combinations_with_replacement
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import pyvista
 from helpers import ROOT
 from mpi4py import MPI
 
@@ -85,7 +87,7 @@ def flapping(comm: MPI.Comm = MPI.COMM_SELF) -> fc.Run:
     return fc.solve(solid(), comm)
 
 
-def test_a_front_that_breathes() -> None:
+def test_a_front_that_breathes(tmp_path: Path) -> None:
     """Closed for half of a period: what is computed then is small, and reported as zero; the crack
     opens alike on both sides of its middle, by less where it is deep."""
     found = fc.stress_intensity(flapping())
@@ -99,6 +101,11 @@ def test_a_front_that_breathes() -> None:
     assert found.positions[-1] == pytest.approx(18.176e-3, rel=1e-3)  # half of an ellipse
     assert found.tips[6] == f"the crack front at {found.positions[6] * 1e3:.4g} mm"
     assert set(found.numbers) >= {"K_max", "K_II_max", "K_III_max"}
+    fc.write_fronts(found, tmp_path / "fronts.vtu")
+    written = pyvista.read(tmp_path / "fronts.vtu")
+    assert written.n_cells == 12 and np.array_equal(written["K_max"], found.largest)
+    panels = fc.draw_stress_intensity(found).axes
+    assert [len(panel.lines) for panel in panels] == [4, 4]  # zero, K_I, K_II, K_III
 
 
 @pytest.mark.nightly
