@@ -204,16 +204,41 @@ class AtEllipse(NamedTuple):
     ends: list[AtTip]
 
 
-def error_of_closed(study: Study, motion: Observed) -> dict[str, float]:
-    """What is computed for K_I of a solid's front while it is closed, an error of all its requested
-    numbers [Pa m^1/2] (collective)."""
-    names = set(names_of(Place.TIPS, Place.ELLIPSE)).intersection(asked_quantities(study.scene))
+def errors_along_fronts(
+    study: Study, motion: Observed, coarse: Study, other: Observed
+) -> tuple[dict[str, float], dict[str, float]]:
+    """What is computed for K_I of a solid's fronts while they are closed, an error of all requested
+    numbers of them; and how far K_max of a coarser mesh is away, where on the fronts it is the
+    most, for the numbers of K_I: at one place it may be none by chance [Pa m^1/2] (collective)."""
+    asked = set(asked_quantities(study.scene))
+    names = sorted(asked.intersection(names_of(Place.TIPS, Place.ELLIPSE)))
     if study.scene.dimension == 2 or not names:
-        return {}
+        return {}, {}
+    fine, rough = _along_fronts(study, motion), _along_fronts(coarse, other)
+    apart = max(
+        float(np.abs(np.interp(at, *rough[name][:2]) - values).max())
+        for name, (at, values, _) in fine.items()
+    )
+    of_one = [name for name in names if name.startswith(("K_max", "delta_K"))]
+    closed = max(size for _, _, size in fine.values())
+    return dict.fromkeys(names, closed), dict.fromkeys(of_one, apart)
+
+
+def _along_fronts(
+    study: Study, motion: Observed
+) -> dict[str, tuple[np.ndarray, np.ndarray, float]]:
+    """Of each front by its name the places, of its length, K_max there, and the error while closed
+    (collective)."""
     places, rows, of_forces = tip_rows(study)
     [record] = motion.records(rows)
-    tips = at_tips(record, places, of_forces, study.scene.growth)
-    return dict.fromkeys(names, max(tip.closed for tip in tips))
+    tips, found = at_tips(record, places, of_forces, study.scene.growth), {}
+    names = [place.name.rpartition(" at ")[0] for place in places]
+    for name in dict.fromkeys(names):
+        its = [number for number, other in enumerate(names) if other == name]
+        at = np.array([places[number].position for number in its])
+        values = np.array([tips[number].one.max() for number in its])
+        found[name] = at / (at[-1] or 1.0), values, max(tips[number].closed for number in its)
+    return found
 
 
 def leading(tips: list[AtTip]) -> int:

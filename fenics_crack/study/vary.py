@@ -106,7 +106,7 @@ from fenics_crack.study.numbers import (
     numbers_of,
     of_orbit,
 )
-from fenics_crack.study.observer import error_of_closed
+from fenics_crack.study.observer import errors_along_fronts
 from fenics_crack.study.prepare import REFUSALS, Study, law_of, prepare, reduced, reduction_of
 from fenics_crack.study.solve import Solved, solve_prepared
 from fenics_crack.study.verification import (
@@ -545,7 +545,8 @@ class _Stated(_Case):
         half = _solved(study, near.omega, few, near)
         with_few, mode = self.values_of(half), self._moving(half)
         moved = bilinear_of(twin.structure, mode) / bilinear_of(study.structure, mode)
-        there = self.values_of(_solved(twin, near.omega * moved, few), twin)
+        other = _solved(twin, near.omega * moved, few)
+        there = self.values_of(other, twin)
         levels = zip(counts, (with_few, there), strict=True)
         _, parts = part_of("mesh", [*levels], study.scene, ratio=ratio)
         orders = 2.0 * study.scene.mesh.order, TIP
@@ -556,7 +557,7 @@ class _Stated(_Case):
             solutions = (_solved(study, float(omega), few) for omega in shifts)
             moved_to = [self.values_of(one) for one in solutions]
         between, found = self._with_shifted_clearance(half), {}
-        closed = error_of_closed(study, half)
+        closed, apart = errors_along_fronts(study, half, twin, other)
         for name, part in parts.items():
             value, coarse_value = part.values
             terms = [
@@ -570,6 +571,7 @@ class _Stated(_Case):
                 between.get(name, value) - value,
                 closed.get(name, 0.0),
             )
+            error = max(error, apart.get(name, 0.0) * left.max())
             at = self.own.values.get(name, 0.0)
             change = coarse_value - value
             found[name] = replace(part, values=(at, at + change), extrapolated=at + error)
