@@ -675,19 +675,26 @@ def draw_stress_intensity(found: StressIntensity, **where: Unpack[Where]) -> Fig
     --------
     >>> figure = fc.draw_stress_intensity(fc.stress_intensity(fc.solve(scene)), path="tips.png")
     """
-    picture = Picture(1 if found.three is None else 2, **where)
+    count = 1 if found.three is None else 2
+    picture = Picture(count, size=(7.0, 1.0 + 3.3 * count), **where)
+    time, panel = found.time - found.time[0], picture.panels[-1]
+    _over_time(found, picture, time, panel)
+    label_axis(panel.xaxis, "time", "s")
     for panel in picture:
         panel.axhline(0.0, color="black", lw=0.6)
         label_axis(panel.yaxis, "stress intensity", "Pa m^0.5")
-    time, panel = found.time - found.time[0], picture.panels[-1]
-    label_axis(panel.xaxis, "time", "s")
+    return picture.finished()
+
+
+def _over_time(found: StressIntensity, picture: Picture, time: np.ndarray, panel: Axes) -> None:
+    """Draw K of each tip, or along the fronts and of the leading place, over the time."""
     if found.three is not None:
         _along_fronts(found, picture.panels[0])
         kinds = zip(("K_I", "K_II", "K_III"), (found.one, found.two, found.three), strict=True)
         for (kind, values), colour in zip(kinds, distinct_colours(3), strict=True):
             panel.plot(time, values[:, found.leading], color=colour, lw=1.8, label=f"_{kind}")
         panel.set_title(f"at {found.tips[found.leading]}", fontsize="medium")
-        return picture.finished()
+        return
     shut = "crack tip closed"
     styles = zip(found.tips, distinct_colours(len(found.tips)), strict=True)
     for number, (tip, colour) in enumerate(styles):
@@ -698,7 +705,6 @@ def draw_stress_intensity(found: StressIntensity, **where: Unpack[Where]) -> Fig
         if not np.all(np.isnan(closed)):
             panel.plot(time, closed, color=COLOURS["grey"], lw=4.0, label=shut)
             shut = "_" + shut.lstrip("_")  # once in the legend
-    return picture.finished()
 
 
 def _along_fronts(found: StressIntensity, panel: Axes) -> None:

@@ -75,18 +75,22 @@ class NodalMesh:
     @cached_property
     def patches(self) -> tuple[np.ndarray, np.ndarray]:
         """Of a solid's pairs: 1 at the two nodes in the middle of each patch; and the functions of
-        the pressures at all nodes of the crack faces, zero at the fronts and linear between corners
-        of facets, of which each has the nearest pair: (n_nodes, n_pairs) each."""
+        the pressures at all nodes of the crack faces, linear between corners of facets, which have
+        the shares of the pairs, or where these are not known each the nearest pair, and fronts
+        none: (n_nodes, n_pairs) each."""
         from scipy.spatial import cKDTree
 
-        points, near = self.points, 1e-6 * self.size
+        points, near, pairs = self.points, 1e-6 * self.size, self.structure.pairs
         corners = np.unique(facets := self.lips)
         here = points[corners]
         distance, pair = cKDTree(self.structure.pair_points).query(here)
         twice = cKDTree(here).query_ball_point(here, near, return_length=True) > 1
         middles, shares = np.zeros((2, len(points), self.structure.n_pairs))
         middles[corners[distance <= near], pair[distance <= near]] = 1.0
-        shares[corners[twice], pair[twice]] = 1.0
+        if pairs.nodes is not None and pairs.shares is not None:
+            shares[corners] = pairs.shares[cKDTree(pairs.nodes).query(here)[1]].toarray()
+        else:
+            shares[corners[twice], pair[twice]] = 1.0
         ends = np.stack([facets, np.roll(facets, -1, axis=1)], axis=2).reshape(-1, 2)
         ends = np.concatenate([ends, facets[:, [0, 2]]]) if facets.shape[1] == 4 else ends
         others = np.setdiff1d(np.arange(len(points)), corners)
