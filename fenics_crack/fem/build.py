@@ -46,7 +46,7 @@ from fenics_crack.basics.progress import begin
 from fenics_crack.basics.ranks import collect_garbage, gather_rows, on_each, on_root
 from fenics_crack.fem import compat
 from fenics_crack.fem.compat import ufl
-from fenics_crack.fem.cracks import LIP_TAGS, SAME, Lips, along
+from fenics_crack.fem.cracks import LIP_TAGS, SAME, Lips, along, shares_of_neighbours
 from fenics_crack.fem.elasticity import constants, rotation_of, stress, thickness
 from fenics_crack.fem.loads import assemble_loads, clamp_of
 from fenics_crack.fem.plate import Dofs, build_mesh
@@ -136,9 +136,7 @@ def _shares_at_fronts(
     rows = gather_rows(dofs.comm, np.column_stack([own.row + first, own.col, own.data]))
     size = space.dofmap.index_map.size_global
     every = sparse.csr_matrix((rows[:, 2], rows[:, :2].astype(int).T), (size, size))
-    neighbours = every[numbers[inside:]][:, numbers[:inside]]
-    total = sparse.diags(1.0 / np.asarray(neighbours.sum(axis=1)).ravel())
-    return sparse.vstack([sparse.eye(inside), total @ neighbours]).tocsr()
+    return shares_of_neighbours(every[numbers[inside:]][:, numbers[:inside]])
 
 
 def _along_faces(gap: Any, below: Any, comm: MPI.Comm) -> sparse.csr_matrix:

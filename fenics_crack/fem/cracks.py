@@ -196,6 +196,13 @@ def both_sides(
     return np.round(point - across, 9).tolist(), np.round(point + across, 9).tolist()
 
 
+def shares_of_neighbours(neighbours: sparse.csr_matrix) -> sparse.csr_matrix:
+    """S (inside + fronts, inside) of the pressures of a solid: those of a front's nodes go to their
+    neighbours on the face, by how much their functions overlap, (fronts, inside)."""
+    total = sparse.diags(1.0 / np.asarray(neighbours.sum(axis=1)).ravel())
+    return sparse.vstack([sparse.eye(neighbours.shape[1]), total @ neighbours]).tocsr()
+
+
 def upwards(normal: np.ndarray) -> float:
     """1 where a normal points up: along y, or else along x, or else along z; otherwise -1."""
     for axis in (1, 0, 2)[: len(normal)]:

@@ -31,7 +31,7 @@ from scipy.linalg import eigh
 from fenics_crack.basics.atomic_files import replace_files
 from fenics_crack.basics.errors import InputError, reading
 from fenics_crack.basics.ranks import on_each, on_root
-from fenics_crack.fem.cracks import FACETS, SAME, each_once
+from fenics_crack.fem.cracks import FACETS, SAME, each_once, shares_of_neighbours
 from fenics_crack.fem.model_files import Model, read_model
 from fenics_crack.model.factor import distributed, local_rows
 from fenics_crack.model.matrices import (
@@ -509,9 +509,13 @@ def _of_patches(
     lips: _Lips, facets: list[Facets]
 ) -> tuple[sparse.csr_matrix, np.ndarray, np.ndarray, np.ndarray]:
     """B, the areas, the pairs of nodes at which patches are, and the nodes of the fronts."""
-    n_pairs = len(lips.first)
+    n_pairs, corners = len(lips.first), [nodes[:, : nodes.shape[1] // 2] for nodes, _ in facets]
+    there = np.unique(np.concatenate([nodes.ravel() for nodes in corners]))
+    fronts, split = there[lips.split[there] < 0], lips.split.copy()
+    split[fronts] = n_pairs + np.arange(len(fronts))  # whose patches go to their neighbours
     entries: list[tuple[np.ndarray, ...]] = []
-    areas, fronts = np.zeros(n_pairs), []
+    overlaps: list[tuple[np.ndarray, ...]] = []
+    areas = np.zeros(n_pairs + len(fronts))
     for nodes, middles in facets:
         k = nodes.shape[1] // 2
         (linear, between), psi, slopes = _facet_basis(k)
@@ -521,9 +525,11 @@ def _of_patches(
         inwards = np.einsum("fqx,fx->f", normal, here.mean(axis=1) - middles) < 0.0
         normal[inwards] *= -1.0
         size = np.linalg.norm(normal, axis=2)
-        pair = lips.split[nodes[:, :k]]
-        np.add.at(areas, pair[pair >= 0], 0.5 * np.einsum("kq,fq->fk", linear, size)[pair >= 0])
-        fronts.append(nodes[:, :k][pair < 0])
+        pair = split[nodes[:, :k]]
+        np.add.at(areas, pair, 0.5 * np.einsum("kq,fq->fk", linear, size))
+        values = np.einsum("iq,jq,fq->fij", psi, linear, size)
+        both = np.broadcast_arrays(pair[:, :, None], pair[:, None])
+        overlaps.append((values.ravel(), both[0].ravel(), both[1].ravel()))
         # Quadratic: the linear function less half of those in the middle of its two edges.
         halves = 0.5 * (between + np.roll(between, 1, axis=0))
         quadratic = np.all(nodes[:, k:] >= 0, axis=1)[:, None, None]
@@ -533,12 +539,17 @@ def _of_patches(
         values = np.concatenate([moved, edges], axis=2)  # (facet, pressure, node, axis)
         rows = np.broadcast_to(lips.dofs[nodes][:, None], values.shape)
         columns = np.broadcast_to(pair[:, :, None, None], values.shape)
-        kept = (rows >= 0) & (columns >= 0) & (values != 0.0)
+        kept = (rows >= 0) & (values != 0.0)
         entries.append((values[kept], rows[kept], columns[kept]))
-    chosen = np.flatnonzero(areas)
     values, rows, columns = (np.concatenate(part) for part in zip(*entries, strict=True))
-    made = sparse.csr_matrix((values / areas[columns], (rows, columns)), (lips.rows, n_pairs))
-    return made[:, chosen], areas[chosen], chosen, np.unique(np.concatenate(fronts))
+    made = sparse.csr_matrix((values, (rows, columns)), (lips.rows, len(areas)))
+    values, rows, columns = (np.concatenate(part) for part in zip(*overlaps, strict=True))
+    every = sparse.csr_matrix((values, (rows, columns)), (len(areas), len(areas)))
+    shares = shares_of_neighbours(every[n_pairs:, :n_pairs])
+    areas = shares.T @ areas
+    chosen = np.flatnonzero(areas)
+    made = (made @ shares)[:, chosen] @ sparse.diags(1.0 / areas[chosen])
+    return made.tocsr(), areas[chosen], chosen, fronts
 
 
 # --- of nodes -------------------------------------------------------------------------------------
