@@ -677,19 +677,20 @@ def draw_stress_intensity(found: StressIntensity, **where: Unpack[Where]) -> Fig
     """
     count = 1 if found.three is None else 2
     picture = Picture(count, size=(7.0, 1.0 + 3.3 * count), **where)
-    time, panel = found.time - found.time[0], picture.panels[-1]
-    _over_time(found, picture, time, panel)
-    label_axis(panel.xaxis, "time", "s")
+    if found.three is not None:
+        _along_fronts(found, picture.panels[0])
+    _over_time(found, picture.panels[-1])
+    label_axis(picture.panels[-1].xaxis, "time", "s")
     for panel in picture:
         panel.axhline(0.0, color="black", lw=0.6)
         label_axis(panel.yaxis, "stress intensity", "Pa m^0.5")
     return picture.finished()
 
 
-def _over_time(found: StressIntensity, picture: Picture, time: np.ndarray, panel: Axes) -> None:
-    """Draw K of each tip, or along the fronts and of the leading place, over the time."""
+def _over_time(found: StressIntensity, panel: Axes) -> None:
+    """Draw K of each tip, or of the leading place on the fronts, over the time."""
+    time = found.time - found.time[0]
     if found.three is not None:
-        _along_fronts(found, picture.panels[0])
         kinds = zip(("K_I", "K_II", "K_III"), (found.one, found.two, found.three), strict=True)
         for (kind, values), colour in zip(kinds, distinct_colours(3), strict=True):
             panel.plot(time, values[:, found.leading], color=colour, lw=1.8, label=f"_{kind}")
@@ -710,11 +711,11 @@ def _over_time(found: StressIntensity, picture: Picture, time: np.ndarray, panel
 def _along_fronts(found: StressIntensity, panel: Axes) -> None:
     """Draw largest sizes of K over the distance along each front."""
     assert found.three is not None
-    ends = np.flatnonzero(np.diff(found.positions) < 0.0) + 1
     kinds = zip(("K_I", "K_II", "K_III"), (found.one, found.two, found.three), strict=True)
     for (kind, values), colour in zip(kinds, distinct_colours(3), strict=True):
-        largest = np.split(np.abs(values).max(axis=0), ends)
-        for place, sizes in zip(np.split(found.positions, ends), largest, strict=True):
-            panel.plot(place, sizes, color=colour, lw=1.8, marker="o", label=kind)
+        sizes = np.abs(values).max(axis=0)
+        for its in found.fronts.values():
+            look = {"color": colour, "lw": 1.8, "marker": "o", "label": kind}
+            panel.plot(found.positions[its], sizes[its], **look)
             kind = "_" + kind.lstrip("_")  # once in the legend
     label_axis(panel.xaxis, "distance along the front", "m")

@@ -314,8 +314,8 @@ def write_fronts(found: StressIntensity, path: str | Path) -> None:
         raise InputError("found", "of a plate", "of a solid, whose cracks have fronts")
 
     def write() -> None:
-        first = np.flatnonzero(np.diff(found.positions) > 0.0)
-        grid = _grid_of(found.points, np.column_stack([first, first + 1]), VTK_LINE)
+        lines = [pair for its in found.fronts.values() for pair in itertools.pairwise(its)]
+        grid = _grid_of(found.points, np.array(lines, dtype=int).reshape(-1, 2), VTK_LINE)
         for name, values in {**found.numbers, "K_I while closed": found.closed}.items():
             grid.point_data[name] = values
         grid.point_data["ahead"] = found.ahead

@@ -232,12 +232,18 @@ def _along_fronts(
     places, rows, of_forces = tip_rows(study)
     [record] = motion.records(rows)
     tips, found = at_tips(record, places, of_forces, study.scene.growth), {}
-    names = [place.name.rpartition(" at ")[0] for place in places]
-    for name in dict.fromkeys(names):
-        its = [number for number, other in enumerate(names) if other == name]
+    for name, its in stations_of_fronts([place.name for place in places]).items():
         at = np.array([places[number].position for number in its])
         values = np.array([tips[number].one.max() for number in its])
         found[name] = at / (at[-1] or 1.0), values, max(tips[number].closed for number in its)
+    return found
+
+
+def stations_of_fronts(names: Sequence[str]) -> dict[str, list[int]]:
+    """Which stations, by their names, are of each front."""
+    found: dict[str, list[int]] = {}
+    for number, name in enumerate(names):
+        found.setdefault(name.rpartition(" at ")[0], []).append(number)
     return found
 
 

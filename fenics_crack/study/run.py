@@ -49,6 +49,7 @@ from fenics_crack.study.observer import (
     inertia_rows,
     leading,
     rows_requested,
+    stations_of_fronts,
     tip_rows,
 )
 from fenics_crack.study.prepare import REFUSALS, Study, check_memory_of, prepare, reduction_of
@@ -710,6 +711,11 @@ class StressIntensity(Tabular):
     def comm(self) -> MPI.Comm:
         """Communicator."""
         return self._run.structure.comm
+
+    @property
+    def fronts(self) -> dict[str, list[int]]:
+        """The tips, of a solid the stations, of each front by its name."""
+        return stations_of_fronts(self.tips)
 
     @property
     def turn(self) -> np.ndarray:

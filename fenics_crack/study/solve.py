@@ -80,12 +80,9 @@ def solve_prepared(
 def with_lines(study: Study, omega: float) -> Study:
     """A study with friction along lines, where it is that of a solid, as pairs slide without it at
     a frequency [rad/s] (collective)."""
-    law = study.contact
-    return (
-        study
-        if law is None
-        else replace(study, contact=slide_along_lines(study.structure, omega, law))
-    )
+    if study.contact is None:
+        return study
+    return replace(study, contact=slide_along_lines(study.structure, omega, study.contact))
 
 
 def _solve_to_tolerance(whole: Study) -> tuple[Study, PeriodicSolution]:

@@ -33,7 +33,8 @@ expected, not bounds: scenes beside a mesh four times finer are in docs/notebook
   by pair, and where it is closed ends somewhere between two pairs: half a step of the gap from one
   to the next, times the part of the period for which some touch and others do not, is not known of
   the clearance. The mesh changes low and high harmonics equally: half of them show it. What is
-  computed for K_I of a solid's front while it is closed is another part of those of K.
+  computed for K_I of a solid's front while it is closed is another part of those of K, whose
+  difference between the meshes is taken where it is the largest on the front.
 - *friction*, without which crack faces slide freely: each number changes as between two exact
   orbits, without friction and with it, of a structure of few modes whose crack faces have no mass.
   With friction on a solid, along one line for each pair, it is twice the share that sliding across
