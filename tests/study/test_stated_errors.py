@@ -332,9 +332,10 @@ def test_without_the_mesh(scene: fc.Scene) -> None:
 
 
 @pytest.mark.nightly
-def test_far_too_few_harmonics(tmp_path: Path) -> None:
-    """What 5 and 10 of them say of bricks that chatter is the same by chance, to 0.5 %; 80 say a
-    third more."""
+@pytest.mark.parametrize("frequency", [2.98e4, 3e4, 3.01e4])
+def test_far_too_few_harmonics(frequency: float, tmp_path: Path) -> None:
+    """What 5 and 10 of them say of bricks that chatter may be the same by chance, to 0.5 % at 30
+    kHz, where 80 say a third more: the error is not known, or about that."""
     for path in (ROOT / "tests" / "exchange" / "plate").iterdir():
         shutil.copy(path, tmp_path)
     few = fc.Scene.from_mapping(
@@ -345,7 +346,7 @@ def test_far_too_few_harmonics(tmp_path: Path) -> None:
             },
             "damping": {"ratio": 0.002},
             "excitation": {
-                "point": [0.0, 0.02, 0.005], "force_cos": [1.0, 0.0, 0.0], "frequency": 3e4
+                "point": [0.0, 0.02, 0.005], "force_cos": [1.0, 0.0, 0.0], "frequency": frequency
             },
             "contact": {"law": "unilateral"},
             "reduction": {"modes": 20},
@@ -358,7 +359,12 @@ def test_far_too_few_harmonics(tmp_path: Path) -> None:
     assert found.errors is not None
     exact, value = (run.errors.values["amplitude"] for run in (fine, found))
     error, cause = found.errors.stated("amplitude")
-    assert cause == "harmonics" and 0.5 < error / abs(exact / value - 1.0) < 2.0
+    true = abs(exact / value - 1.0)
+    assert true > 0.08
+    if np.isnan(error):
+        assert found.errors.unknown.keys() & {"modes", "harmonics"}
+    else:
+        assert cause == "harmonics" and 0.5 < error / true < 2.0
 
 
 def test_two_files_of_one_part(scene: fc.Scene, run: fc.Run, tmp_path: Path) -> None:
