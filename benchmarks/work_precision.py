@@ -252,7 +252,7 @@ def finish(folder: Path, name: str, rows: list[tuple[Any, ...]]) -> None:
             color=COLOURS[colour], label=method if points else None,
         )  # fmt: skip
     axes.set_xlabel("processor time [ms]")
-    axes.set_ylabel("error of the gaps, root mean square over that of the motion [-]")
+    axes.set_ylabel("error of the gaps over their motion [-]")
     axes.set_title(f"Case {name}: error against time ({made})", fontsize=9)
     axes.legend(fontsize=7, bbox_to_anchor=(1.01, 1.0), loc="upper left")  # beside, not over points
     figure.savefig(stem.with_suffix(".png"))
