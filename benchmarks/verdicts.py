@@ -82,7 +82,7 @@ def judged(plate: fc.Structure, stiffness: float, omega: float, most: int) -> tu
         )  # fmt: skip
     found = fc.floquet(plate, solution)
     flow, orbit = exact_flow(plate, law), None
-    start, kind, exact = flow.state(*initial_state(plate, solution)), "none", float("nan")
+    start, kind, exact = flow.state(*initial_state(plate, law, solution)), "none", float("nan")
     try:
         orbit = fc.shoot(plate, solution)
     except fc.ConvergenceError:

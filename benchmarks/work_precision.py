@@ -1,25 +1,20 @@
-"""Error against processor time for every way of solving the same scene.
+"""Error against processor time for every way of solving the same case.
 
-Scenes
-    paper      ``demos/paper_plate.toml`` with 1e9 N/m and damping 0.01, 2000 rad/s: 50 dofs, a pair
-    breathing  ``demos/breathing_plate.toml`` with 1e9 N/m and damping 0.01 of 150 modes, 2000
-               rad/s: 4000 dofs, 18 pairs; reduced to 50 modes, crack faces without mass
-    solid      a short beam with a crack through it, 1e8 N/m
-    friction   ``demos/friction.toml``: an inclined crack that slides
+Cases of the benchmark of exact orbits (``orbits/cases``), from a published mass with a stop to a
+cracked plate with 100 pairs, and the paper's plate: ``demos/paper_plate.toml`` with 1e9 N/m and
+damping 0.01 at 2000 rad/s, 50 dofs and a pair.
 
 Methods, always from a cold start: harmonic balance by exact integrals and by samples (AFT), the
 block system by PETSc's SNES, an exact orbit to a tolerance; from rest, until the motion has
 settled: the exact flow and central differences, or exponential steps where faces have no mass. With
---others pyHarm and mousai by their adapters of the benchmark of exact orbits, in environments of
-their own: pyHarm by its sweep from 0.9 of the frequency, mousai from the linear solution.
+--others pyHarm and mousai by their adapters, in environments of their own.
 
-All but the block system solve the reduced structure of the scene (the paper's plate: all dofs); its
-set-up is left out, and the error of the block system holds what the reduction leaves out. The error
-is the relative L2 difference of the gaps over a period from the exact orbit of that structure by
-another flow (``reference_flow.py``); with friction, from where the exact flow settles. Runs below
-half a second are the fastest of three. Table and picture name the commit and the day.
+The error is that of ``orbits/score.py``: of the gaps from the nearest known orbit, root mean square
+over that of the motion; the orbit of the paper's plate is that of ``reference_flow.py``. Structures
+are as they are stored; making them is left out. Runs below half a second are the fastest of three.
+Table and picture name the commit and the day.
 
-    OMP_NUM_THREADS=1 python benchmarks/work_precision.py [--quick] [--only SCENE] [--others]
+    OMP_NUM_THREADS=1 python benchmarks/work_precision.py [--quick] [--only CASE] [--others]
         [folder]
 
 ``--only demos`` prints README's table instead: error, time and memory of five demos, each by the
@@ -43,17 +38,24 @@ from typing import Any
 
 import common
 import numpy as np
-from reference_flow import INSTANTS, ReferenceFlow
+from reference_flow import ReferenceFlow
 
 import fenics_crack as fc
 from fenics_crack.draw.figure import COLOURS
 
 sys.path.insert(0, str(Path(__file__).with_name("orbits")))
+sys.path.append(str(Path(__file__).parent / "orbits" / "adapters"))
+import check
+import orbit
 import score
 import write
+from problem import INSTANTS, Problem, problem_of
 
 ORBITS, ROOT = Path(__file__).with_name("orbits"), Path(__file__).parents[1]
-COLUMNS = ("scene", "method", "setting", "error", "CPU ms", "MiB", "note")
+CASES = "nlvib-07-stop", "five-stops", "plate-8-soft", "plate-50", "rub-lift"
+COUNTS = 3, 5, 10, 20, 40
+"""Harmonics."""
+COLUMNS = ("case", "method", "setting", "error", "CPU ms", "MiB", "note")
 METHODS = {
     "harmonic balance, exact integrals": ("fenics_crack.solve_harmonic_balance", "blue", "o-"),
     "harmonic balance, samples": ("fenics_crack.solve_harmonic_balance", "blue", "s--"),
@@ -69,32 +71,30 @@ METHODS = {
 OTHERS = ("pyHarm", "mousai")
 SAMPLES = 1024
 """Of a period, where the contact force is sampled."""
-PATIENCE = 60
+PATIENCE = 90
 """Seconds on the clock for another program."""
 
 
 @dataclass(frozen=True)
-class Scene:
-    """What is solved, and the gaps that are right."""
+class Case:
+    """What is solved."""
 
-    name: str
-    whole: fc.Structure
+    stored: dict[str, Any]
+    """As in its file."""
+    problem: Problem
     structure: fc.Structure
-    omega: float
     law: Any
-    harmonics: tuple[int, ...]
-    reference: np.ndarray
-    """Gaps (INSTANTS, n_pairs) of the exact orbit."""
 
-    def error(self, gap: np.ndarray) -> float:
-        """Of gaps (INSTANTS, n_pairs)."""
-        return float(np.linalg.norm(gap - self.reference) / np.linalg.norm(self.reference))
+    def error(self, gap: Any, slide: Any = None) -> float:
+        """Of gaps (256, n_pairs) and tangential ones; nan if there are none."""
+        answer = {"gap": gap, "tangential": slide, "periods": 1, "converged": True}
+        error = float(score.scored(self.stored, answer)["error"])
+        return error if np.isfinite(error) else np.nan
 
 
 def main() -> None:
-    """Run the scenes asked for."""
-    scenes = {"paper": paper, "breathing": breathing, "solid": solid, "friction": friction}
-    parts = {name: race(name, scene) for name, scene in scenes.items()}
+    """Run the cases asked for."""
+    parts = {name: race(name) for name in ("paper-plate", *CASES)}
     common.run(
         __doc__,
         parts | {"demos": demos},
@@ -102,117 +102,71 @@ def main() -> None:
     )
 
 
-# --- the scenes -----------------------------------------------------------------------------------
+def case_of(name: str) -> Case:
+    """A case of the benchmark, or the paper's plate."""
+    own = name == "paper-plate"
+    stored = paper_plate(name) if own else check.read(ORBITS / "cases" / f"{name}.json")
+    problem = problem_of(stored)
+    return Case(stored, problem, *orbit.modelled(problem))
 
 
-def made(
-    name: str, whole: fc.Structure, structure: fc.Structure, omega: float, law: Any,
-    harmonics: tuple[int, ...],
-) -> Scene:  # fmt: skip
-    """A scene with its reference: the orbit of the campaign's judge, which shares no code with the
-    package; with friction, which that one does not know, where the exact flow settles."""
-    if name == "friction":
-        history = fc.integrate_events(
-            structure, omega, law, periods=2000, steps_per_period=INSTANTS, settle=1e-12,
-            record_periods=1, dofs=(),
-        )  # fmt: skip
-        gap = history.gap[-INSTANTS:]
-    else:
-        near = fc.solve_harmonic_balance(structure, omega, law, tolerance=1e-3, throw=False)
-        flow = ReferenceFlow(structure, law)
-        gap = flow.orbit(flow.states_of(near, np.zeros(1))[0], omega, near.period).gap
-    return Scene(name, whole, structure, omega, law, harmonics, gap)
-
-
-def phases() -> np.ndarray:
-    """Instants as parts of the period."""
-    return np.arange(INSTANTS) / INSTANTS
-
-
-def paper() -> Scene:
-    """50 dofs, one pair."""
+def paper_plate(name: str) -> dict[str, Any]:
+    """The paper's plate as a case, in all of its modes; its orbit by another flow."""
     plate = common.plate("paper_plate", {"damping.ratio": 0.01})
-    law = fc.UnilateralPenalty(1e9)
-    return made("paper", plate, plate, 2000.0, law, (3, 5, 10, 20, 40, 80))
-
-
-def breathing() -> Scene:
-    """4000 dofs, 18 pairs."""
-    plate = common.plate("breathing_plate", {"damping.ratio": 0.01, "damping.modes": 150})
-    law = fc.UnilateralPenalty(1e9)
-    reduced = fc.reduce_structure(plate, modes=50, method="massless")
-    return made("breathing", plate, reduced, 2000.0, law, (3, 5, 10, 20, 40))
-
-
-SOLID = """
-geometry = { kind = "solid", width = 0.02, height = 0.1, thickness = 0.01 }
-material = { young = 2.06e11, poisson = 0.3, density = 7850.0 }
-damping = { ratio = 0.005, modes = 20 }
-excitation = { point = [0.0, 0.1, 0.0], force_cos = [1.0, 0.0, 0.0], frequency = 1300.0 }
-contact = { law = "penalty", stiffness = 1e8 }
-crack = { edge = "left", height = 0.03, length = 0.008 }
-mesh = { layout = "graded", order = 2, size = 0.01, lip_elements = 2, error = false }
-"""
-
-
-def solid() -> Scene:
-    """A short beam with a crack through it."""
-    scene = fc.Scene.from_text(SOLID)
-    whole = fc.build_structure(scene)
-    near = 0.98 * fc.bilinear_frequencies(whole).omega_bilinear[0]
-    law = fc.UnilateralPenalty(1e8)
-    return made("solid", whole, fc.reduce_structure(whole, modes=10), near, law, (3, 5, 10, 20, 40))
-
-
-def friction() -> Scene:
-    """An inclined crack that slides."""
-    study = fc.prepare(fc.Scene.load(common.DEMOS / "friction.toml"))
-    scene = study.scene
-    return made("friction", study.structure, study.structure, scene.excitation.omega, study.contact,
-                (5, 10, 20, 40))  # fmt: skip
+    law, omega = fc.UnilateralPenalty(1e9), 2000.0
+    near, flow = fc.solve_harmonic_balance(plate, omega, law), ReferenceFlow(plate, law)
+    gap = flow.orbit(flow.states_of(near, np.zeros(1))[0], omega, near.period).gap
+    stored = write.reduced(name, "", plate, law, omega)
+    parts = stored["structure"]
+    stiffness, damping = (np.diag(parts[key]).tolist() for key in ("squares", "damping"))
+    mass = np.eye(len(stiffness)).tolist()
+    stored["structure"] = {"form": "matrices", "mass": mass, "damping": damping,
+                           "stiffness": stiffness, "pairs": parts["pairs"]}  # fmt: skip
+    known = {"subharmonic": 1, "gap": gap[:: len(gap) // INSTANTS].tolist(), "verdict": "stable"}
+    return stored | {"orbits": [known]}
 
 
 # --- the methods ----------------------------------------------------------------------------------
 
 
-def race(name: str, scene_of: Callable[[], Scene]) -> common.Part:
-    """A part of the benchmark: every method on a scene."""
+def race(name: str) -> common.Part:
+    """A part of the benchmark: every method on a case."""
 
     def run(arguments: common.Arguments) -> None:
-        scene = scene_of()
         rows = []
-        for row in every_method(scene, arguments):
+        for row in every_method(case_of(name), arguments):
             rows.append((name, *row))
             print(*map(common.show, row), flush=True)
-        finish(arguments.folder, scene, rows)
+        finish(arguments.folder, name, rows)
 
     return run
 
 
-def every_method(scene: Scene, arguments: common.Arguments) -> Iterator[tuple[Any, ...]]:
+def every_method(case: Case, arguments: common.Arguments) -> Iterator[tuple[Any, ...]]:
     """Rows of method, setting, error, time, memory, note."""
-    rubs = scene.name == "friction"
-    counts = scene.harmonics[: 3 if arguments.quick else None]
+    rubs, massless = case.problem.kind == "friction", case.problem.flexibility is not None
+    counts = COUNTS[: 3 if arguments.quick else None]
     if not rubs:  # friction is sampled anyhow
-        yield from balance(scene, "harmonic balance, exact integrals", counts)
-    samples = None if rubs else SAMPLES
-    yield from balance(scene, "harmonic balance, samples", counts, samples=samples)
-    if not rubs:
-        few = counts[: 4 if scene.whole.n_dofs < 2000 else 3]
-        yield from balance(scene, "block system", few, samples=SAMPLES, form="block")
+        yield from balance(case, "harmonic balance, exact integrals", counts)
+    if case.problem.kind != "rigid":
+        samples = None if rubs else SAMPLES
+        yield from balance(case, "harmonic balance, samples", counts, samples=samples)
+    if not rubs and not massless:
+        yield from balance(case, "block system", counts[:4], samples=SAMPLES, form="block")
     for tolerance in (1e-1, 1e-3) if arguments.quick else (1e-1, 1e-2, 1e-3, 1e-4):
-        yield from balance(scene, "orbit to a tolerance", (None,), tolerance=tolerance)
-    yield in_time(scene, "exact flow", fc.integrate_events, INSTANTS, 1e-9)
-    if isinstance(scene.structure, fc.MasslessStructure):  # faces without mass have no stable step
-        march, name, least = fc.integrate_exponential, "exponential steps", INSTANTS
+        yield from balance(case, "orbit to a tolerance", (None,), tolerance=tolerance)
+    yield in_time(case, "exact flow", fc.integrate_events, INSTANTS, 1e-9)
+    if massless:  # has no stable step
+        march, name, least = fc.integrate_exponential, "exponential steps", 2.0 * INSTANTS
     else:
         march, name = fc.integrate_central_difference, "central differences"
-        least = 1.3 * fc.stable_steps_per_period(scene.structure, scene.omega, scene.law)
+        stable = fc.stable_steps_per_period(case.structure, case.problem.omega, case.law)
+        least = max(1.3 * stable, INSTANTS)
     for share in (1, 4) if arguments.quick else (1, 2, 4, 8, 16):
         count = INSTANTS * int(np.ceil(share * least / INSTANTS))
-        yield in_time(scene, name, march, count, 1e-5)
-    for program in OTHERS if arguments.others and not rubs else ():
-        yield from by_others(scene, program, counts)
+        yield in_time(case, name, march, count, 1e-5)
+    for program in OTHERS if arguments.others and case.problem.kind == "penalty" else ():
+        yield from by_others(case, program, counts[::2])
 
 
 def measured(work: Callable[[], Any]) -> tuple[Any, float, float]:
@@ -227,35 +181,31 @@ def measured(work: Callable[[], Any]) -> tuple[Any, float, float]:
 
 
 def balance(
-    scene: Scene, method: str, counts: Sequence[int | None], **options: Any
+    case: Case, method: str, counts: Sequence[int | None], **options: Any
 ) -> Iterator[tuple[Any, ...]]:
     """Harmonic balance with its error report, from a cold start."""
-    structure = scene.whole if "form" in options else scene.structure
     for harmonics in counts:
         given = options if harmonics is None else options | {"harmonics": harmonics}
 
         def solve(given: dict[str, Any] = given) -> fc.PeriodicSolution:
-            return fc.solve_harmonic_balance(
-                structure, scene.omega, scene.law, throw=False, **given
-            )
+            omega = case.problem.omega
+            return fc.solve_harmonic_balance(case.structure, omega, case.law, throw=False, **given)
 
         solution, cpu, peak = measured(solve)
         setting = f"H = {harmonics}" if harmonics else f"{options['tolerance']:g}"
-        gap = solution.gap(phases() * solution.period)
-        if harmonics is None and solution.orbit is not None:  # what the solution stands for
-            gap = solution.orbit.gap_at(phases() * solution.period)
+        error = case.error(*orbit.motions(case.problem, solution))
         note = f"stated {solution.report.total:.1e}" if solution.converged else "not converged"
-        yield method, setting, scene.error(gap), cpu, peak, note
+        yield method, setting, error if solution.converged else np.nan, cpu, peak, note
 
 
 def in_time(
-    scene: Scene, method: str, integrate: Callable[..., fc.TimeHistory], steps: int, settle: float
+    case: Case, method: str, integrate: Callable[..., fc.TimeHistory], steps: int, settle: float
 ) -> tuple[Any, ...]:
-    """A scheme from rest until it has settled, at most 400 periods."""
+    """A scheme from rest until it has settled, at most 2000 periods."""
 
     def march() -> fc.TimeHistory:
         return integrate(
-            scene.structure, scene.omega, scene.law, periods=400, steps_per_period=steps,
+            case.structure, case.problem.omega, case.law, periods=2000, steps_per_period=steps,
             settle=settle, record_periods=1, dofs=(),
         )  # fmt: skip
 
@@ -264,49 +214,36 @@ def in_time(
         history, cpu, peak = measured(march)
     except (fc.ConvergenceError, fc.InputError) as failed:
         return method, setting, np.nan, np.nan, np.nan, str(failed)[:60]
-    gap = history.gap[-steps :: steps // INSTANTS]
+    gap, slide = (
+        None if part is None else part[-steps :: steps // INSTANTS]
+        for part in (history.gap, history.tangential_gap)
+    )
     note = f"{history.periods} periods" + ", not settled" * (history.settled > 1e-4)
-    return method, setting, scene.error(gap), cpu, peak, note
+    return method, setting, case.error(gap, slide), cpu, peak, note
 
 
-# --- other programs -------------------------------------------------------------------------------
-
-
-def by_others(scene: Scene, program: str, counts: Sequence[int]) -> Iterator[tuple[Any, ...]]:
-    """Another program on the same structure, by its adapter of the benchmark of exact orbits."""
-    adapter, case = ORBITS / "adapters" / f"{program.lower()}.py", case_of(scene)
+def by_others(case: Case, program: str, counts: Sequence[int]) -> Iterator[tuple[Any, ...]]:
+    """Another program by its adapter, with more harmonics until there is no answer in time."""
+    adapter = ORBITS / "adapters" / f"{program.lower()}.py"
     for harmonics in counts:
-        answer = score.asked(adapter, case, PATIENCE, harmonics)
+        answer = score.asked(adapter, case.stored, PATIENCE, harmonics)
         note = answer.get("unsupported") or answer["message"]
-        if answer.get("gap") is None or not answer["converged"]:
-            yield program, f"H = {harmonics}", np.nan, np.nan, np.nan, note[:60]
-            continue
-        gap = np.array(answer["gap"])
-        error = float(np.linalg.norm(gap - scene.reference[::2]))
-        error /= float(np.linalg.norm(scene.reference[::2]))
-        yield program, f"H = {harmonics}", error, 1e3 * answer["seconds"], np.nan, note
-
-
-def case_of(scene: Scene) -> dict[str, Any]:
-    """The structure in its modes, as the benchmark of exact orbits stores one."""
-    case = write.reduced(scene.name, "", scene.structure, scene.law, scene.omega)
-    if not isinstance(scene.structure, fc.MasslessStructure):
-        parts = case["structure"]
-        stiffness, damping = (np.diag(parts[name]).tolist() for name in ("squares", "damping"))
-        mass = np.eye(len(stiffness)).tolist()
-        case["structure"] = {"form": "matrices", "mass": mass, "damping": damping,
-                             "stiffness": stiffness, "pairs": parts["pairs"]}  # fmt: skip
-    return case
+        solved = answer.get("converged", False)
+        error = case.error(answer["gap"]) if solved else np.nan
+        cpu = 1e3 * answer.get("seconds", np.nan) if solved else np.nan
+        yield program, f"H = {harmonics}", error, cpu, np.nan, note[:60]
+        if "seconds" not in answer:
+            return
 
 
 # --- results --------------------------------------------------------------------------------------
 
 
-def finish(folder: Path, scene: Scene, rows: list[tuple[Any, ...]]) -> None:
+def finish(folder: Path, name: str, rows: list[tuple[Any, ...]]) -> None:
     """Table, picture, and how much faster ours is than the best public one at the same error."""
     made = f"commit {commit()}, {datetime.date.today()}"
-    stem = folder / f"work_precision_{scene.name}"
-    common.save_table(stem.with_suffix(".csv"), f"Scene {scene.name}, {made}", COLUMNS, rows)
+    stem = folder / f"work_precision_{name}"
+    common.save_table(stem.with_suffix(".csv"), f"Case {name}, {made}", COLUMNS, rows)
     figure, (axes,) = common.figure(1)
     for method, (_, colour, look) in METHODS.items():
         points = [row for row in rows if row[1] == method and np.isfinite(row[3])]
@@ -315,8 +252,8 @@ def finish(folder: Path, scene: Scene, rows: list[tuple[Any, ...]]) -> None:
             color=COLOURS[colour], label=method if points else None,
         )  # fmt: skip
     axes.set_xlabel("processor time [ms]")
-    axes.set_ylabel("relative L2 error of the gap over the period [-]")
-    axes.set_title(f"Scene {scene.name}: error against time ({made})", fontsize=9)
+    axes.set_ylabel("error of the gaps over their motion [-]")
+    axes.set_title(f"Case {name}: error against time ({made})", fontsize=9)
     axes.legend(fontsize=7, bbox_to_anchor=(1.01, 1.0), loc="upper left")  # beside, not over points
     figure.savefig(stem.with_suffix(".png"))
     record = {"commit": commit(), "date": str(datetime.date.today()),
@@ -327,10 +264,10 @@ def finish(folder: Path, scene: Scene, rows: list[tuple[Any, ...]]) -> None:
         ours = [row for row in good if row[1] not in OTHERS]
         public = [row for row in good if row[1] in OTHERS]
         if not ours:
-            print(f"{scene.name}, error {goal:g}: none")
+            print(f"{name}, error {goal:g}: none")
             continue
         best = min(ours, key=lambda row: row[4])
-        said = f"{scene.name}, error {goal:g}: {best[1]} {best[4]:.3g} ms"
+        said = f"{name}, error {goal:g}: {best[1]} {best[4]:.3g} ms"
         if public:
             other = min(public, key=lambda row: row[4])
             said += f"; {other[1]} takes {other[4] / best[4]:.3g} times as long"

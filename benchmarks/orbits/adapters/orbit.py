@@ -17,8 +17,8 @@ def solve(problem: Problem) -> Answer:
     return answered(problem, tolerance=0.01)
 
 
-def answered(problem: Problem, **how: Any) -> Answer:
-    """Solution, its stated error, the verdict."""
+def modelled(problem: Problem) -> tuple[fc.Structure, Any]:
+    """The package's structure and law."""
     rigid, friction = problem.kind == "rigid", problem.kind == "friction"
     structure = fc.Structure.from_matrices(
         problem.mass, problem.stiffness, gap=problem.pairs, clearance=problem.clearance,
@@ -36,14 +36,25 @@ def answered(problem: Problem, **how: Any) -> Answer:
         law = fc.SmoothedPenalty(problem.normal, problem.sharpness)
     if friction:
         law = fc.CoulombFriction(law, problem.coefficient, problem.tangential)
+    return structure, law
+
+
+def answered(problem: Problem, **how: Any) -> Answer:
+    """Solution, its stated error, the verdict."""
+    structure, law = modelled(problem)
     found = fc.solve_harmonic_balance(structure, problem.omega, law, throw=False, **how)
-    times = problem.period * np.arange(INSTANTS) / INSTANTS
-    parts, orbit = (found.gap_coefficients, found.tangential_gap_coefficients), found.orbit
-    gap, slide = (None if part is None else at_instants(part) for part in parts)
-    if orbit is not None:
-        gap, slide = orbit.gap_at(times), orbit.tangential_gap_at(times) if friction else None
+    gap, slide = motions(problem, found)
     error = found.report.total
     return Answer(
         gap=gap, tangential=slide, converged=found.converged, message=found.status,
         error=error if np.isfinite(error) else None, verdict=fc.floquet(structure, found).verdict,
     )  # fmt: skip
+
+
+def motions(problem: Problem, found: fc.PeriodicSolution) -> tuple[Any, Any]:
+    """Gaps and tangential gaps at the instants: of the exact orbit, where there is one."""
+    if found.orbit is None:
+        parts = found.gap_coefficients, found.tangential_gap_coefficients
+        return at_instants(parts[0]), None if parts[1] is None else at_instants(parts[1])
+    times, rubs = problem.period * np.arange(INSTANTS) / INSTANTS, problem.kind == "friction"
+    return found.orbit.gap_at(times), found.orbit.tangential_gap_at(times) if rubs else None
