@@ -431,7 +431,8 @@ def _check_resolved(front: Front) -> None:
     worst = (lengths / radius).argmax()
     if lengths[worst] > LONGEST * radius[worst]:
         most = LONGEST * radius[worst]
-        allowed = f"no longer than {most:.3g} m along the front in {front.nodes[worst]} m"
+        place = ", ".join(f"{x:.4g}" for x in front.nodes[worst])
+        allowed = f"no longer than {most:.3g} m along the front in ({place}) m"
         raise InputError("mesh", f"elements of {lengths[worst]:.3g} m", allowed)
 
 

@@ -396,6 +396,8 @@ def without_tips(scene: Scene) -> str:
         return "without a crack, which has a stress intensity"
     if scene.has_friction:
         return "with contact.friction: stress intensities leave out what friction does at the faces"
+    if any(crack.clearance < 0.0 for crack in scene.all_cracks.values()):
+        return "with crack.clearance < 0: a wedge up to the tip, where K grows without limit"
     return ""
 
 

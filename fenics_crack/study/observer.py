@@ -6,6 +6,7 @@ What is at crack tips and at the clamp follows from rows that multiply the displ
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -182,7 +183,7 @@ def at_tips(
     """Stress intensity at each tip in a record of the rows of :func:`tip_rows`. At the front of a
     solid's crack without clearance K_I is zero while all pairs that touch it are closed, and never
     negative."""
-    rows = (record.motion + record.force @ of_forces.T).T
+    rows = (record.motion + record.force[:, : record.n_pairs] @ of_forces.T).T
     exact = not np.any(record.structure.clearance)
     found = []
     for tip, (one, two, *three) in zip(
@@ -208,33 +209,42 @@ def errors_along_fronts(
     study: Study, motion: Observed, coarse: Study, other: Observed
 ) -> tuple[dict[str, float], dict[str, float]]:
     """What is computed for K_I of a solid's fronts while they are closed, an error of all requested
-    numbers of them; and how far K_max of a coarser mesh is away, where on the fronts it is the
-    most, for the numbers of K_I: at one place it may be none by chance [Pa m^1/2] (collective)."""
+    numbers of them; and how far each of K_I is away on a coarser mesh, where on the fronts it is
+    the most: at one place it may be none by chance [Pa m^1/2]. Infinite for all numbers where the
+    coarser mesh has none (collective)."""
     asked = set(asked_quantities(study.scene))
     names = sorted(asked.intersection(names_of(Place.TIPS, Place.ELLIPSE)))
     if study.scene.dimension == 2 or not names:
         return {}, {}
+    if not asked.intersection(asked_quantities(coarse.scene)):
+        return {}, dict.fromkeys(names, math.inf)
     fine, rough = _along_fronts(study, motion), _along_fronts(coarse, other)
-    apart = max(
-        float(np.abs(np.interp(at, *rough[name][:2]) - values).max())
-        for name, (at, values, _) in fine.items()
-    )
-    of_one = [name for name in names if name.startswith(("K_max", "delta_K"))]
+    apart = {}
+    for name in names:
+        if name.startswith(("K_max", "delta_K")):
+            kind = name.removesuffix("_deepest").removesuffix("_surface")
+            apart[name] = max(
+                float(
+                    np.abs(np.interp(at, rough[front][0], rough[front][1][kind]) - own[kind]).max()
+                )
+                for front, (at, own, _) in fine.items()
+            )
     closed = max(size for _, _, size in fine.values())
-    return dict.fromkeys(names, closed), dict.fromkeys(of_one, apart)
+    return dict.fromkeys(names, closed), apart
 
 
 def _along_fronts(
     study: Study, motion: Observed
-) -> dict[str, tuple[np.ndarray, np.ndarray, float]]:
-    """Of each front by its name the places, of its length, K_max there, and the error while closed
-    (collective)."""
+) -> dict[str, tuple[np.ndarray, dict[str, np.ndarray], float]]:
+    """Of each front by its name the places, of its length, the numbers there, and the error while
+    closed (collective)."""
     places, rows, of_forces = tip_rows(study)
     [record] = motion.records(rows)
     tips, found = at_tips(record, places, of_forces, study.scene.growth), {}
     for name, its in stations_of_fronts([place.name for place in places]).items():
         at = np.array([places[number].position for number in its])
-        values = np.array([tips[number].one.max() for number in its])
+        numbers = [tips[number].numbers() for number in its]
+        values = {kind: np.array([one[kind] for one in numbers]) for kind in numbers[0]}
         found[name] = at / (at[-1] or 1.0), values, max(tips[number].closed for number in its)
     return found
 
@@ -325,12 +335,16 @@ def counted_cycles(values: np.ndarray) -> np.ndarray:
 
 
 def _at_tips(study: Study) -> Rows:
-    """The rows of the crack tips, and the numbers of the leading one."""
+    """The rows of the crack tips, and the numbers of the leading one; the largest K_I of all
+    stations of a solid, by which it breaks."""
     places, rows, of_forces = tip_rows(study)
 
     def numbers(record: Record) -> dict[str, float]:
         tips = at_tips(record, places, of_forces, study.scene.growth)
-        return tips[leading(tips)].numbers()
+        found = tips[leading(tips)].numbers()
+        if study.scene.dimension == 3:  # under a mean load it may be largest at another station
+            found["K_max"] = max(float(tip.one.max()) for tip in tips)
+        return found
 
     return Rows(rows, numbers)
 

@@ -678,7 +678,8 @@ class StressIntensity(Tabular):
 
     @cached_property
     def numbers(self) -> Mapping[str, np.ndarray]:
-        """Each tip's K_max, K_min, delta_K, delta_K_effective and K_II_max: (n_tips,) [Pa m^1/2].
+        """Each tip's K_max, K_min, delta_K, delta_K_effective, K_II_max, and of a solid K_III_max:
+        (n_tips,) [Pa m^1/2].
 
         The effective range is that while the tip is open, max(K_I, 0) - max(min K_I, 0). With a
         table ``[growth]`` delta_K_equivalent, too: the range from 0 that, once a period of the
@@ -785,8 +786,8 @@ def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressInt
     Raises
     ------
     InputError
-        It is neither of them, of matrices or of a solid that rotates, or without a crack; or the
-        elements at a crack tip or front are too long.
+        It is neither of them, of matrices, a disk, with friction or a preload by its clearance, or
+        without a crack; or the elements at a crack tip or front are too long.
 
     Examples
     --------

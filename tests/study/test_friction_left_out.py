@@ -44,6 +44,22 @@ def test_effect_is_that_of_the_scene_with_friction() -> None:
         assert stated[1][name] == pytest.approx(stated[0][name], rel=0.1)
 
 
+def test_with_stress_intensities() -> None:
+    """Where they are requested the others keep it; K_I changes by as little as openings, and of
+    K_II, whose own friction is not known, no error is stated."""
+    few = INCLINED.replace({"reduction.method": "massless", "reduction.modes": 10})
+    asked = ["K_max", "K_II_max", *NAMES]
+    both = [
+        fc.solve(few.replace({"output.quantities": one}), MPI.COMM_SELF) for one in (NAMES, asked)
+    ]
+    without, found = (changes(run.errors) for run in both)
+    assert found == pytest.approx(without, rel=1e-9)
+    errors = both[1].errors
+    assert errors is not None and np.isnan(errors.stated("K_II_max")[0])
+    zero, rubbed = errors.parts["friction"]["K_max"].values
+    assert 1e-3 < abs(rubbed / zero - 1.0) < 0.03  # at the tip; from pair to pair 2e-4 to 0.03
+
+
 def test_where_it_is_silent() -> None:
     """With friction, and by a key; solids and matrices say that it is not estimated."""
     few = {"reduction.method": "massless", "reduction.modes": 10}

@@ -108,6 +108,36 @@ def test_a_front_that_breathes(tmp_path: Path) -> None:
     assert [len(panel.lines) for panel in panels] == [4, 4]  # zero, K_I, K_II, K_III
 
 
+def test_a_coarser_mesh_without_stress_intensity() -> None:
+    """Its elements are too long for them: their errors alone are unknown."""
+    asked = ("amplitude", "delta_K_effective")
+    few = solid(mesh__lip_elements=2, mesh__error=True, output__quantities=asked)
+    errors = fc.solve(few, MPI.COMM_SELF).errors
+    assert errors is not None and not errors.unknown
+    assert 0.01 < errors.stated("amplitude")[0] < 1.0
+    assert errors.stated("delta_K_effective") == (np.inf, "mesh")
+    assert "too coarse" in errors.doubt("delta_K_effective")
+
+
+def test_a_front_that_is_held_open() -> None:
+    """By a pull, and bent so that it is most so at the deepest place, where the load changes it the
+    least: K_max is that of the front, and the error of the range is not that of the mean."""
+    asked = ("K_max", "delta_K_effective")
+    pulled = solid(
+        mesh__lip_elements=3, mesh__error=True, output__quantities=asked, crack__length=0.008,
+        contact__friction_error=False, excitation__frequency=400.0,
+        excitation__force_mean=(0.0, 1e3, 5.0), excitation__point=(0.015, 0.09, 0.003),
+    )  # fmt: skip
+    run = fc.solve(pulled, MPI.COMM_SELF)
+    found, errors = fc.stress_intensity(run), run.errors
+    assert errors is not None and found.smallest.min() > 0.0
+    assert errors.values["K_max"] == found.largest.max() > 1.02 * found.largest[found.leading]
+    assert errors.values["delta_K_effective"] == found.effective.max()
+    both = [errors.contributions(name)["mesh"] for name in asked]
+    assert 0.0 < both[1] < 0.1 * both[0]
+    assert errors.stated("delta_K_effective")[0] < 0.5
+
+
 @pytest.mark.nightly
 def test_modes() -> None:
     """Modes enough: forty as twenty."""

@@ -360,7 +360,7 @@ def test_along_a_run_up(tmp_path: Path) -> None:
 
 def test_refused_by_name() -> None:
     """Solids, matrices, curves and plates without a crack, whether they have a contact law or
-    not."""
+    not; a preload by faces that overlap."""
     scene = fc.Scene.load(ROOT / "benchmarks" / "plate.toml")
     for bare in (scene.replace({"crack": None, "contact": None}), scene.replace({"crack": None})):
         with pytest.raises(fc.InputError, match="not allowed without a crack"):
@@ -371,6 +371,8 @@ def test_refused_by_name() -> None:
         fc.stress_intensity(3.0)  # type: ignore[arg-type]
     with pytest.raises(fc.InputError, match=r"not allowed without geometry\.kind = 'solid'"):
         scene.replace({"output.quantities": ["K_III_max"]})
+    with pytest.raises(fc.InputError, match=r"not allowed with crack.clearance < 0: a wedge"):
+        scene.replace({"output.quantities": ["K_max"], "crack.clearance": -1e-9})
 
 
 def numbers_on(scene: fc.Scene, comm: MPI.Comm) -> np.ndarray:
