@@ -504,15 +504,15 @@ static void changed(const flow *f, const closed_set *a, const changes *c, int ro
 {
     const int m = f->of.modes, p = f->of.pairs, r = f->rows;
     memset(found, 0, bytes(c->count));
+    multiply(a->size, r, a->inverse, c->weights, f->seen);
     for (int j = 0; j < m; j++) {
-        double weight = row < 0 ? 0.0 : sign * f->of.rows[(long)row * m + j];
-        for (int i = 0; i < a->size; i++)
-            weight += a->pairs[(long)j * a->size + i] * dot(r, a->inverse + (long)i * r, c->weights);
+        double weight = dot(a->size, a->pairs + (long)j * a->size, f->seen);
+        if (row >= 0) weight += sign * f->of.rows[(long)row * m + j];
         add_rows(1, c->count, x + (long)j * c->count, &weight, found);
     }
     if (x != c->moved) return;
     for (int i = a->closing; i < a->size; i++) {
-        const double weight = -dot(r, a->inverse + (long)i * r, c->weights);
+        const double weight = -f->seen[i];
         add_rows(1, c->count, c->held + (long)(a->members[i] - p) * c->count, &weight, found);
     }
 }
