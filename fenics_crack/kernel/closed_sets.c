@@ -57,10 +57,7 @@ const double *row_of_compliance(const closed_sets *s, int row)
 }
 
 /* Whether products with P_A S P_A^T are shorter than with its factors. */
-static int has_many(const closed_sets *s, int size)
-{
-    return s->friction ? size > 0 : 2 * size > s->modes;
-}
+static int has_many(const closed_sets *s, int size) { return 2 * size > s->modes; }
 
 /* Numbers of S, of which half are kept, or of L^T; and of P_A, which P_A S P_A^T replaces. */
 static long numbers_of_inverse(const closed_sets *s, long size)
