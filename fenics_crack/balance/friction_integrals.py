@@ -1,13 +1,13 @@
 """Fourier coefficients of contact forces with friction, by alternating between frequency and time.
 
-The gaps s (2 n_pairs: normals, then tangents) of N instants are marched through two periods: at
+The gaps s (2 n_pairs: normals, then tangents) of N instants are marched period after period: at
 each instant the forces follow from s and from the places h where pairs stuck until then,
 
     lambda = L (s - [0; h]),        h = g_t of pairs that do not stick,
 
-(:mod:`fenics_crack.model.contact`, ``kernel/friction_waves.c``). The first period forgets where the
-march began, but for pairs that stick all the time: these are tied where the gaps were at first. The
-derivative goes through the same march, h with it.
+(:mod:`fenics_crack.model.contact`, ``kernel/friction_waves.c``). The march ends where h repeats,
+when it has forgotten where it began, but for pairs that stick all the time: these are tied where
+the gaps were at first. The derivative goes through its last two periods, h with it.
 
 Source: Cameron and Griffin, Journal of Applied Mechanics 56 (1989) 149-154.
 """
@@ -36,6 +36,9 @@ def coupled_integrals(
 
 SAMPLES_PER_HARMONIC, MIN_SAMPLES = 32, 128
 """Instants for each harmonic, and at least."""
+TURNS = 20
+"""Maximum periods of a march. Pairs that never all slip or open at once keep a ninth of where it
+began from period to period (an edge crack in flap): rounding is left of it after twelve."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +87,7 @@ class FrictionIntegrals(ContactIntegrals):
 
         Raises as :meth:`FrictionSets.solve`.
         """
-        return self.sets.solve(gap, gap[0, gap.shape[1] // 2 :], turns=2)
+        return self.sets.solve(gap, gap[0, gap.shape[1] // 2 :], turns=TURNS)
 
     def forces(self, gap: np.ndarray) -> np.ndarray:
         return self.march(gap)[0]

@@ -57,10 +57,7 @@ const double *row_of_compliance(const closed_sets *s, int row)
 }
 
 /* Whether products with P_A S P_A^T are shorter than with its factors. */
-static int has_many(const closed_sets *s, int size)
-{
-    return s->friction ? size > 0 : 2 * size > s->modes;
-}
+static int has_many(const closed_sets *s, int size) { return 2 * size > s->modes; }
 
 /* Numbers of S, of which half are kept, or of L^T; and of P_A, which P_A S P_A^T replaces. */
 static long numbers_of_inverse(const closed_sets *s, long size)
@@ -126,7 +123,7 @@ static double slope_of(const closed_sets *s, const closed_set *a, int pair)
 static int fill_with_friction(closed_sets *s, closed_set *a)
 {
     const int m = s->modes, p = s->pairs, r = s->contacts, size = a->size;
-    double *matrix = s->room, *column = matrix + (long)size * size, *own = s->room;
+    double *matrix = s->room, *columns = matrix + (long)size * size, *own = s->room;
     for (int i = 0, normal = 0, tangent = a->closing; i < p; i++) {
         if (a->closed[i]) a->members[normal++] = i;
         if (a->closed[i] == STICK) a->members[tangent++] = p + i;
@@ -144,10 +141,12 @@ static int fill_with_friction(closed_sets *s, closed_set *a)
         return 1;
     memset(a->inverse, 0, bytes((long)size * r));
     for (int k = 0; k < r; k++) a->scale[k] = 1.0;
+    memset(columns, 0, bytes((long)size * size));
+    for (int j = 0; j < size; j++) columns[(long)j * (size + 1)] = 1.0;
+    solve_factored(size, size, matrix, s->pivots, columns);
     for (int j = 0; j < size; j++) {
+        const double *column = columns + (long)j * size;
         double *forces = a->inverse + (long)j * r;
-        for (int i = 0; i < size; i++) column[i] = i == j;
-        solve_factored(size, matrix, s->pivots, column);
         for (int i = 0; i < size; i++) {
             const int row = a->members[i];
             forces[row] += column[i];
@@ -171,11 +170,8 @@ void force_gaps(closed_sets *s, const closed_set *a, int count, const double *he
         for (int i = 0; i < size; i++) own[(long)t * size + i] = gaps[(long)t * r + a->members[i]];
     for (int i = a->closing; i < size; i++) own[i] -= held[a->members[i] - s->pairs];
     multiply_matrices(count, size, r, own, a->inverse, 0.0, forces);
-    for (int t = 0; t < count; t++)
-        for (int i = 0; i < r; i++) {
-            const double *d = s->d + (long)i * r, *force = forces + (long)t * r;
-            gaps[(long)t * r + i] -= dot(r, d, force);
-        }
+    multiply_matrices(count, r, r, forces, s->d, -1.0, gaps); /* D = D^T */
+    for (long i = 0; i < (long)count * r; i++) gaps[i] = -gaps[i];
 }
 
 /* What a set is known by, whatever has been asked for before: 0, or 1 where D_AA is singular. */

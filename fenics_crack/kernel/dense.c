@@ -31,7 +31,7 @@ void solve_dense(equations *own, double *x)
 {
     dense *at = (dense *)own;
     factor_dense(at);
-    solve_factored(at->size, at->matrix, at->pivots, x);
+    solve_factored(at->size, 1, at->matrix, at->pivots, x);
 }
 
 double sign_of_dense(equations *own)

@@ -491,8 +491,9 @@ typedef struct {
     int count;
     double *moved, *rate, *held;
     double *terms;         /* (3, m, c) of a series */
-    double *pushed, *push; /* (m, r), (m, c) by the places */
-    double *matrix;        /* (m, m) stiffness of a set */
+    double *push;          /* (m, c) by the places */
+    double *matrix, *read; /* (m, m) stiffness of a set, or of one with few rows (m, size), (size, m) */
+    double *seen;          /* (size, c) by these */
     double *fell, *own;    /* (c) of the answer that fell first; (c) */
     double *weights;       /* (r) */
 } changes;
@@ -504,15 +505,15 @@ static void changed(const flow *f, const closed_set *a, const changes *c, int ro
 {
     const int m = f->of.modes, p = f->of.pairs, r = f->rows;
     memset(found, 0, bytes(c->count));
+    multiply(a->size, r, a->inverse, c->weights, f->seen);
     for (int j = 0; j < m; j++) {
-        double weight = row < 0 ? 0.0 : sign * f->of.rows[(long)row * m + j];
-        for (int i = 0; i < a->size; i++)
-            weight += a->pairs[(long)j * a->size + i] * dot(r, a->inverse + (long)i * r, c->weights);
+        double weight = dot(a->size, a->pairs + (long)j * a->size, f->seen);
+        if (row >= 0) weight += sign * f->of.rows[(long)row * m + j];
         add_rows(1, c->count, x + (long)j * c->count, &weight, found);
     }
     if (x != c->moved) return;
     for (int i = a->closing; i < a->size; i++) {
-        const double weight = -dot(r, a->inverse + (long)i * r, c->weights);
+        const double weight = -f->seen[i];
         add_rows(1, c->count, c->held + (long)(a->members[i] - p) * c->count, &weight, found);
     }
 }
@@ -553,6 +554,13 @@ static void change_state(flow *f, const flow_track *track, int interval, const c
     } else memset(held, 0, bytes(c->count));
 }
 
+/* found = A^T of (rows, columns). */
+static void transpose(int rows, int columns, const double *a, double *found)
+{
+    for (long i = 0; i < rows; i++)
+        for (long j = 0; j < columns; j++) found[j * rows + i] = a[i * columns + j];
+}
+
 /* Changes over a length. */
 static void change_along(flow *f, const closed_set *a, double length, double longest, changes *c)
 {
@@ -560,10 +568,12 @@ static void change_along(flow *f, const closed_set *a, double length, double lon
     const long all = (long)m * n;
     const int pieces = (int)ceil(length / longest);
     double *before = c->terms, *now = before + all, *next = now + all;
-    for (long i = 0; i < m; i++)
-        for (long j = 0; j < m; j++)
-            c->matrix[i * m + j] = (a->stiffness ? a->stiffness[j * m + i] : 0.0)
-                                   + (i == j ? f->of.squares[j] : 0.0);
+    if (a->stiffness) transpose(m, m, a->stiffness, c->matrix);
+    else {
+        c->read = c->matrix + (long)m * a->size;
+        transpose(a->size, m, a->pushed, c->matrix);
+        transpose(m, a->size, a->pairs, c->read);
+    }
     memset(c->push, 0, bytes(all));
     for (int i = 0; i < stuck; i++)
         for (int j = 0; j < m; j++)
@@ -578,7 +588,14 @@ static void change_along(flow *f, const closed_set *a, double length, double lon
         for (int k = 0; k + 2 <= f->order; k++) {
             const double gain = -length * length / ((k + 1) * (k + 2)), loss = -length / (k + 2);
             double *spent = before;
-            multiply_matrices(m, m, n, c->matrix, before, 0.0, next);
+            if (a->stiffness) multiply_matrices(m, m, n, c->matrix, before, 0.0, next);
+            else {
+                multiply_matrices(a->size, m, n, c->read, before, 0.0, c->seen);
+                multiply_matrices(m, a->size, n, c->matrix, c->seen, 0.0, next);
+            }
+            for (int j = 0; j < m; j++)
+                for (long i = (long)j * n; i < (long)(j + 1) * n; i++)
+                    next[i] += f->of.squares[j] * before[i];
             if (k == 0)
                 for (long i = 0; i < all; i++) next[i] -= c->push[i];
             if (f->of.coupled) {
@@ -605,7 +622,7 @@ static int tangent_with_friction(flow *f, const flow_track *track, double *tange
     const closed_set *a = NULL;
     const long m = f->of.modes, p = f->of.pairs, r = f->rows, n = 2 * m + p;
     const double longest = FLOW_REACH / fastest(f, 0.0);
-    double *room = malloc(bytes(4 * m * n + m * m + 2 * n + r));
+    double *room = malloc(bytes(4 * m * n + m * m + 2 * n + r + m / 2 * n));
     if (!room) return FLOW_MEMORY;
     changes c = {.count = (int)n, .moved = tangent, .rate = tangent + m * n,
                  .held = tangent + 2 * m * n, .terms = room, .push = room + 3 * m * n};
@@ -613,6 +630,7 @@ static int tangent_with_friction(flow *f, const flow_track *track, double *tange
     c.fell = c.matrix + m * m;
     c.own = c.fell + n;
     c.weights = c.own + n;
+    c.seen = c.weights + r;
     memset(tangent, 0, bytes(n * n));
     for (long i = 0; i < n; i++) tangent[i * (n + 1)] = 1.0;
     for (int k = 0; k < track->intervals; k++) {

@@ -1,24 +1,38 @@
 #include "friction_waves.h"
 
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "lapack.h"
+#include "rounding.h"
 #include "series.h"
 
 static size_t bytes(long count) { return (size_t)count * sizeof(double); }
+
+/* Whether the pairs are in the states and places in which they were at this instant a period ago, to a
+ * rounding: all that follows is as it was. */
+static int repeats(int p, const signed char *now, const signed char *states, const double *held,
+                   const double *places, double rounding)
+{
+    for (int i = 0; i < p; i++)
+        if (now[i] != states[i] || fabs(held[i] - places[i]) > rounding) return 0;
+    return 1;
+}
 
 int march_friction(closed_sets *s, int count, int turns, const double *gaps, double *held,
                    double *forces, signed char *states, double *places)
 {
     const int p = pairs_of(s), r = 2 * p;
-    double *gap = malloc(bytes(r + 1));
+    double *gap = malloc(bytes(r + 1)), largest = 0.0;
     signed char *now = calloc((size_t)p + 1, 1);
     int failed = !gap || !now;
+    for (long i = 0; i < (long)count * r; i++) largest = fmax(largest, fabs(gaps[i]));
     for (long t = 0; t < (long)turns * count && !failed; t++) {
         const long at = t % count;
         memcpy(gap, gaps + at * r, bytes(r));
         failed = rub(s, held, now, gap, forces + at * r);
+        if (t >= count && repeats(p, now, states + at * p, held, places + at * p, ROUNDING * largest)) break;
         memcpy(states + at * p, now, (size_t)p);
         memcpy(places + at * p, held, bytes(p));
     }

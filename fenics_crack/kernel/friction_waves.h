@@ -4,8 +4,8 @@
 
 #include "closed_sets.h"
 
-/* Of gaps s at `count` instants of a period (count, r), r = 2 p, marched through `turns` periods from
- * places h (p), which are those of its end in the end: forces lambda (count, r), states (count, p) of
+/* Of gaps s at `count` instants of a period (count, r), r = 2 p, marched from places h (p), which
+ * are others behind, until the places repeat, through `turns` periods at most: forces lambda (count, r), states (count, p) of
  * the pairs, and places (count, p), of the last period. 0, or 1 where an instant has no forces. */
 int march_friction(closed_sets *s, int count, int turns, const double *gaps, double *held,
                    double *forces, signed char *states, double *places);

@@ -154,11 +154,10 @@ int invert_positive(int n, double *a)
     return info != 0;
 }
 
-void solve_factored(int n, const double *a, const int *pivots, double *x)
+void solve_factored(int n, int count, const double *a, const int *pivots, double *x)
 {
     int info;
-    const int one = 1;
-    if (n) ((getrs_t *)bound[DGETRS])("T", &n, &one, a, &n, pivots, x, &n, &info);
+    if (n) ((getrs_t *)bound[DGETRS])("T", &n, &count, a, &n, pivots, x, &n, &info);
 }
 
 double sign_of_factored(int n, const double *a, const int *pivots)

@@ -24,8 +24,8 @@ int factor(int n, double *a, int *pivots);
 /* A^-1 of a symmetric matrix (n, n), in place: 0, or 1, with nothing of use, where it is not positive
  * definite. */
 int invert_positive(int n, double *a);
-/* x = A^-1 x from LU factors, for one right-hand side. */
-void solve_factored(int n, const double *a, const int *pivots, double *x);
+/* x = A^-1 x from LU factors, for each of so many right-hand sides (count, n). */
+void solve_factored(int n, int count, const double *a, const int *pivots, double *x);
 /* Sign of det A from these. */
 double sign_of_factored(int n, const double *a, const int *pivots);
 

@@ -103,7 +103,7 @@ static int answer_anew(sets *s, const signed char *closed, double *answer)
     for (int i = 0; i < n * n; i++) answer[i] = 0.0;
     for (int j = 0; j < size; j++) {
         for (int i = 0; i < size; i++) s->column[i] = i == j;
-        solve_factored(size, s->matrix, s->pivots, s->column);
+        solve_factored(size, 1, s->matrix, s->pivots, s->column);
         for (int i = 0; i < size; i++) answer[s->members[i] * n + s->members[j]] = s->column[i];
     }
     for (int i = 0; i < n; i++) {

@@ -416,7 +416,8 @@ class FrictionSets:
         self, gap: np.ndarray, places: np.ndarray, turns: int = 1
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Forces [N], states and places [m] at instants that follow each other, of gaps (n, 2
-        n_pairs) [m], from the places (n_pairs,) before; of the last of so many turns.
+        n_pairs) [m], from the places (n_pairs,) before; of the last turn, in which the places
+        repeat or which is the last of so many.
 
         Raises ConvergenceError where an instant has no forces, or more than one solution.
         """

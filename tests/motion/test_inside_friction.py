@@ -166,3 +166,20 @@ def test_marches_of_one_step_or_many() -> None:
         held = places[0]
         for part, one in zip(whole, (forces, states, places), strict=True):
             assert part[instant] == pytest.approx(one[0], abs=1e-12)
+
+
+def test_a_wave_is_marched_until_its_places_repeat() -> None:
+    """Of three pairs that close one after the other one sticks at any time, and the places keep a
+    part of those a period ago: the forces are those of another period, and two are too few."""
+    phase = 2.0 * np.pi / 3.0 * np.arange(3)
+    compliance = np.eye(6)
+    compliance[3:, 3:] += 0.25 * (1.0 - np.eye(3))
+    own = FrictionIntegrals(CoulombFriction(RIGID, 5.0), 4, residual=compliance)
+    time = 2.0 * np.pi / 128 * np.arange(128)[:, None] - phase
+    gap = np.hstack([0.7 + np.cos(time), 0.6 * np.sin(time + 0.4)])
+    forces, states, places = own.march(gap)
+    assert np.all(states.any(axis=1)) and not np.any(states.all(axis=0))
+    again = own.sets.solve(gap, places[-1])[0]
+    assert again == pytest.approx(forces, abs=1e-10)
+    short = own.sets.solve(gap, gap[0, 3:], turns=2)[0]
+    assert np.abs(short - forces).max() > 0.01
