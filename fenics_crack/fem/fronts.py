@@ -492,9 +492,11 @@ class _Domain:
         kept = away.min(axis=1) < front.widest
         self.nodes, numbers = np.unique(cells[kept], return_inverse=True)
         self.points, self.cells = points[self.nodes], numbers.reshape(-1, cells.shape[1])
-        # Corners from the nearest to the front on.
-        self.order = order = away[kept, :4].argsort(axis=1, kind="stable")
         corners = self.points[self.cells[:, :4]]
+        # From the nearest to the front on; those as near by place: rounding and numbers differ on
+        # other ranks, and the rule of an edge on the front takes its ends in turn.
+        steps = np.round(away[kept, :4] / (SAME * front.widest))
+        self.order = order = np.lexsort((*corners.transpose(2, 0, 1), steps), axis=-1)
         self.corners = np.take_along_axis(corners, order[..., None], axis=1)
         number = np.take_along_axis(self.cells[:, :4], order, axis=1)
         facets = [np.sort(np.delete(number, k, axis=1), axis=1) for k in range(4)]
