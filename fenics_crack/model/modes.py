@@ -285,7 +285,7 @@ def _nearest_zero(
     where K is singular by that of K + s M."""
     if not factor.null_pivots:
         squares, shapes = _krylov(factor, structure, count, 0.0)
-        if np.abs(squares).min() > TOLERATED * scale:
+        if squares[0] > TOLERATED * scale:  # what the factor of a singular K finds may be below 0
             return squares, shapes
     shift = -1e-6 * scale
     shifted = factored_sum(structure.stiffness, -shift, structure.mass, definite=True, border=ties)
