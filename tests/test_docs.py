@@ -106,7 +106,6 @@ def test_gallery_draws_its_pictures() -> None:
     assert all((ROOT / "docs" / "pictures" / name).stat().st_size < 100_000 for name in shown)
 
 
-@pytest.mark.nightly
 @pytest.mark.mpi
 def test_job_script_runs(tmp_path: Path) -> None:
     """That of a cluster: a sweep, and again, where it finds nothing left."""

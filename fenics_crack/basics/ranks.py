@@ -1,7 +1,8 @@
 """Work done by one rank for all, and errors passed from one rank to every rank.
 
 MPI is imported here before PETSc, which would start it for one thread only, and PETSc is started
-here, SLEPc when it is first used. Every folder that uses them imports this module first.
+here; SLEPc when it is first used, but here where there are several ranks. Every folder that uses
+them imports this module first.
 """
 
 from __future__ import annotations
@@ -58,6 +59,10 @@ def slepc() -> Any:
     with away():
         from slepc4py import SLEPc
     return SLEPc
+
+
+if MPI.COMM_WORLD.size > 1:  # it ends together, too; a rank of a sweep may come to it alone
+    slepc()
 
 
 def check_communicator(comm: object) -> None:
