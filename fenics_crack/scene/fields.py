@@ -546,8 +546,10 @@ class Table:
         """
         tables = [cls, *(table for table in Table.__subclasses__() if table is not cls)]
         own = [cls.proposed(name) for name in near(key, cls.keys())]
-        every = {name: table.proposed(name) for table in tables[::-1] for name in table.keys()}
-        return own or with_key(key, tables) or [every[name] for name in near(key, every, 0.8)]
+        if found := own or with_key(key, tables):
+            return found
+        every = {name: table for table in tables[::-1] for name in table.keys()}
+        return [every[name].proposed(name) for name in near(key, every, 0.8)]
 
     @classmethod
     def instead_of(cls, key: str) -> str:
