@@ -46,7 +46,8 @@ def differences(scene: fc.Scene, comm: MPI.Comm, samples: int = 1024) -> tuple[f
         for form in ("condensed", "block")
     )  # fmt: skip
     assert condensed.breathes and block.converged
-    assert block.report.residual < 1e-9  # rounding, of up to 43,956 unknowns
+    rounding = 1.01 * condensed.report.residual  # of 43,956 unknowns both are left with 1.4e-10
+    assert block.report.residual < max(1e-10, rounding)
     assert block.report.total == pytest.approx(condensed.report.total, rel=1e-4)
     moved = condensed.displacement_coefficients, block.displacement_coefficients
     squares = np.array([np.sum((moved[1] - moved[0]) ** 2), np.sum(moved[0] ** 2)])
