@@ -58,6 +58,8 @@ KEYS = {
     "start, end": "curve.start, curve.stop",
 }
 """Keys of a scene for the arguments of the library that errors name."""
+HIGHEST_ORDER = 1000
+"""Maximum engine order of ``--orders``."""
 EPILOG = """\
 Start with:
 
@@ -262,6 +264,18 @@ def _command(given: argparse.Namespace, inputs: Inputs | None, console: Console)
 # --- arguments ------------------------------------------------------------------------------------
 
 
+class OrderRange(argparse.Action):
+    """Changes ``tip_timing.orders`` to the whole numbers of a range."""
+
+    def __call__(self, _: Any, given: argparse.Namespace, ends: Any, option: Any = None) -> None:
+        """Called by argparse with the first order and the last one."""
+        first, last = ends
+        if not 1 <= first <= last <= HIGHEST_ORDER:
+            allowed = f"whole numbers, 1 <= FIRST <= LAST <= {HIGHEST_ORDER}"
+            raise InputError("--orders", ends, allowed)
+        given.set = [*given.set, f"tip_timing.orders={list(range(first, last + 1))}"]
+
+
 def path(text: str) -> Path:
     """A path that can be opened, and written in the files of results; argparse refuses others."""
     if b"\0" in text.encode("utf-8"):
@@ -312,7 +326,7 @@ COMMANDS = {
     ),
     "timing": (
         "arrivals of the blade tip at the probes of [tip_timing], and the vibration in them",
-        "cli.timing:timing scene arrivals --blade=N --set --output --pictures",
+        "cli.timing:timing scene arrivals --blade=N --orders --set --output --pictures",
     ),
     "identify": (
         "a crack from measured frequencies, harmonics and arrivals, by the table [identify]",
@@ -375,6 +389,11 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     "--blade=N": (
         "number of the blade whose arrivals are taken from a file of several",
         {"type": int, "metavar": "N"},
+    ),
+    "--orders": (
+        "engine orders that may be in the arrivals, from FIRST to LAST; those of "
+        "tip_timing.orders (default: the load's, or 1 to 24 where it is not known)",
+        {"type": int, "nargs": 2, "metavar": ("FIRST", "LAST"), "action": OrderRange},
     ),
     "arrivals": (
         "source of the arrivals: the .h5 file of a solution or a curve; or a CSV file of them, "

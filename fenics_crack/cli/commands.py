@@ -148,6 +148,7 @@ def _measured_by(
     from fenics_crack.monitoring.tip_timing.arrival_times import STEADY
 
     times, run = timing.arrivals_of(scene, source, console.comm)
+    console.remark(*([] if run else timing.remarks_on_arrivals(times)))
     key = "--before" if before else "arrivals"
     if timing.is_run_up(times, run):
         with console.stage("resonances"):

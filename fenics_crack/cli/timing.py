@@ -19,17 +19,27 @@ from fenics_crack.cli.given import Console, Inputs, changes, keep_before, make_w
 from fenics_crack.cli.kinds import report_of
 from fenics_crack.draw.plot_study import draw_arrivals
 from fenics_crack.monitoring.tip_timing import scene_timing
-from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes, read_record, write_record
-from fenics_crack.monitoring.tip_timing.harmonics import ORDERS, TipFit
-from fenics_crack.monitoring.tip_timing.passages import find_passages
+from fenics_crack.monitoring.tip_timing.arrival_times import (
+    ArrivalTimes,
+    has_probe_angles,
+    read_record,
+    write_record,
+)
+from fenics_crack.monitoring.tip_timing.harmonics import TipFit
 from fenics_crack.monitoring.tip_timing.timing import Timing
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import TipTiming
 from fenics_crack.study.run import Run
 
-RECORD_KEYS = ("tip_radius", "orders", "probes", "stiffening")
+RECORD_KEYS = (
+    "tip_radius", "probes", "orders", "stiffening", "frequencies", "fitted_harmonics",
+    "subharmonic", "angle_deviation",
+)  # fmt: skip
 """Keys of [tip_timing] for a record in place of a scene."""
-UNSWEPT = "the speed varies by less than 1 %: with a scene a vibration at that speed is found"
+MEDIANS = (
+    "given for a record at constant speed: without them a probe stands at its median arrival, "
+    "where an engine order of constant amplitude is not seen"
+)
 
 
 def timing(given: Namespace, inputs: Inputs | None, console: Console) -> Exit:
@@ -57,7 +67,7 @@ def timing(given: Namespace, inputs: Inputs | None, console: Console) -> Exit:
     if run is not None:
         console.note(scene_timing.tip_in_words(scene.given("tip_timing"), run))
     with console.stage("vibration"):
-        fit = scene_timing.vibration_in(scene, arrivals, run)
+        fit = scene_timing.vibration_in(scene.given("tip_timing"), arrivals, scene, run)
     doubts = tuple(_warnings_of(arrivals, scene, run))
     return _told(Timing(scene, {1: arrivals}, {1: fit}, doubts), folder, console)
 
@@ -81,7 +91,7 @@ def _of_blades(inputs: Inputs, console: Console) -> Exit:
         fits: dict[int, TipFit] = {}
         for blade, arrivals in blades.items():
             with within(f"blade {blade}"):
-                fit = scene_timing.vibration_in(scene, arrivals, run)
+                fit = scene_timing.vibration_in(table, arrivals, scene, run)
             if not isinstance(fit, TipFit):
                 allowed = "arrivals at one speed of a bladed disk"
                 raise InputError("arrivals", str(source or "a curve"), allowed)
@@ -113,7 +123,7 @@ def _warnings_of(arrivals: ArrivalTimes, scene: Scene, run: Run[Any] | None) -> 
 
 
 def _record(given: Namespace, console: Console) -> Exit:
-    """Find the resonances that the blades of a measured record pass, without a scene."""
+    """Find the vibration of the blades of a measured record, without a scene."""
     words = {}
     for key, value in changes(given.set).items():
         table, _, name = key.partition(".")
@@ -128,14 +138,16 @@ def _record(given: Namespace, console: Console) -> Exit:
         blades = one_of(blades, given.blade, given.scene)
     folder = given.output or Path("output") / given.scene.stem
     make_writable(folder, console.comm)
-    orders, stiffening = words.get("orders") or ORDERS, words.get("stiffening", 0.0)
-    with console.stage("resonances"):
-        found = {}
-        for blade, one in blades.items():
-            with within(f"blade {blade}"):
-                found[blade] = find_passages(one, orders, stiffening=stiffening)
-
     first = next(iter(blades.values()))
     console.note(f"{counted(len(blades), 'blade')}, {_size(first)}")
-    doubts = [*scene_timing.remarks_on_arrivals(first), *([UNSWEPT] * first.steady)]
-    return _told(Timing(None, blades, found, tuple(doubts)), folder, console)
+    needs_probes = first.steady and not {"probes", "frequencies"} & words.keys()
+    if needs_probes and not has_probe_angles(given.scene):
+        raise InputError("tip_timing.probes", None, MEDIANS)
+    of_record = {"probes": np.degrees(first.probes).tolist(), "tip_radius": first.tip_radius}
+    request, fits = TipTiming(**of_record | words), {}
+    with console.stage("vibration"):
+        for blade, arrivals in blades.items():
+            with within(f"blade {blade}"):
+                fits[blade] = scene_timing.vibration_in(request, arrivals)
+    doubts = tuple(scene_timing.remarks_on_arrivals(first))
+    return _told(Timing(None, blades, fits, doubts), folder, console)

@@ -445,6 +445,11 @@ def read_record(
     return found_blades
 
 
+def has_probe_angles(path: str | Path) -> bool:
+    """Return True if a file of arrivals has the angles of its probes."""
+    return ARRIVAL_COLUMNS[1] in _table(path)[0]
+
+
 def probes_of_blades(probes: Sequence[float] | np.ndarray, count: int) -> dict[int, np.ndarray]:
     """Angles of probes from the tip of each of so many blades at the mark, by their numbers from 1,
     in the order of the probes: blade j + 1 is 2 pi / count ahead of blade j [rad]."""

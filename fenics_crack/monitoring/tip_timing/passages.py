@@ -19,7 +19,7 @@ from scipy.special import ndtri
 
 from fenics_crack.basics.errors import InputError, check_count, check_number
 from fenics_crack.basics.progress import begin as begin_stage
-from fenics_crack.basics.tables import RPM, TURN, Tabular, counted, hertz_of, quantity
+from fenics_crack.basics.tables import RPM, Tabular, counted, hertz_of, quantity
 from fenics_crack.monitoring.tip_timing.arrival_times import FEWEST_REVOLUTIONS, ArrivalTimes
 from fenics_crack.monitoring.tip_timing.fit_frequency import LOWEST, find_lines
 from fenics_crack.monitoring.tip_timing.harmonics import ORDERS, TipFit, wanted
@@ -56,7 +56,8 @@ class PassageFit(Tabular):
     order : float
         Periods of the load in a revolution, of the candidate that fits best.
     omega, omega_error : float [rad/s]
-        Natural frequency and its standard error.
+        Natural frequency, and its standard error by the scatter of the arrivals alone. The stated
+        error is :attr:`deviation`, in Hz ``frequency_error``.
     damping, damping_error : float
         Ratio of critical damping, and its standard error. With a constant natural frequency it is
         1 / (1 - s) times as large as with one that follows the speed.
@@ -114,7 +115,7 @@ class PassageFit(Tabular):
     stiffening: float
 
     frequency, frequencies = hertz_of(), hertz_of("omegas")
-    frequency_error, frequency_errors = hertz_of("omega_error"), hertz_of("omega_errors")
+    frequency_error, frequency_errors = hertz_of("deviation"), hertz_of("omega_errors")
 
     @property
     def speed(self) -> float:
@@ -172,9 +173,9 @@ class PassageFit(Tabular):
 
     @property
     def deviation(self) -> float:
-        """Standard deviation of the frequency for an identification [rad/s].
+        """Stated error of the frequency: its standard deviation [rad/s].
 
-        It is its error, at least half of the range of passages that disagree, as those of a
+        It is ``omega_error``, at least half of the range of passages that disagree, as those of a
         breathing crack may, and half of the resonance's width, zeta w, where it is in doubt.
         """
         apart = 0.5 * float(np.ptp(self.omegas)) if self.disagree else 0.0
@@ -184,7 +185,7 @@ class PassageFit(Tabular):
     @property
     def in_words(self) -> str:
         """Frequency with its :attr:`deviation`, engine order and speed, in words."""
-        hertz = f"{self.omega / TURN:.6g} ± {self.deviation / TURN:.2g} Hz"
+        hertz = f"{self.frequency:.6g} ± {self.frequency_error:.2g} Hz"
         return f"{hertz}, engine order {self.order:g} at {self.speed / RPM:.6g} rpm"
 
     def compared(self, arrivals: ArrivalTimes) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
@@ -209,7 +210,7 @@ class PassageFit(Tabular):
         return found | rest
 
     def _title(self) -> str:
-        hertz = f"{self.omega / TURN:.6g} ± {self.omega_error / TURN:.2g} Hz"
+        hertz = f"{self.frequency:.6g} ± {self.frequency_error:.2g} Hz"
         damping = f"damping {self.damping:.3g} ± {self.damping_error:.2g}"
         parts = [f"order {self.order:g}, {self.speed / RPM:.6g} rpm", hertz, damping]
         parts.append(quantity(self.amplitude, "m"))

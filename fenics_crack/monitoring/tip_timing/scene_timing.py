@@ -35,6 +35,9 @@ from fenics_crack.study.run import Run, load_run, solve
 DECIDED = (*LOOKED_AT, "reduction")
 """Tables of a scene that may differ from those of a result: those that choose results, and those
 that a run decides itself."""
+SLOWEST = 1.0
+"""Minimum plausible speed of a blade tip past probes [m/s]; times in ms for s make 200 to 0.2."""
+TOO_SLOW = "the blade tip moves at {:.3g} m/s, where rotors with probes have 1 to 700"
 FARTHEST = 0.1
 """Maximum distance of a resonance from a mode, relative to its frequency."""
 
@@ -171,9 +174,10 @@ def of_another_scene(scene: Scene, run: Run[Any]) -> str:
 def remarks_on_arrivals(arrivals: ArrivalTimes) -> list[str]:
     """Return remarks on measured arrivals with unusual values: numbers in another unit."""
     found, speed = [], arrivals.mean_speed * arrivals.tip_radius
-    if speed > FASTEST:
+    if not SLOWEST < speed < FASTEST:
+        text = TOO_FAST if speed > SLOWEST else TOO_SLOW
         units = "are speed, or times, and tip_radius in the units of their headings?"
-        found.append(f"{TOO_FAST.format(speed)}: {units}")
+        found.append(f"{text.format(speed)}: {units}")
     if len(arrivals.probes) > 1 and np.degrees(arrivals.probes[-1]) < TURN:
         within = float(np.degrees(np.ptp(arrivals.probes)))
         found.append(f"all probes are within {within:.3g} degrees: are angles in rad?")
@@ -187,7 +191,10 @@ def is_run_up(arrivals: ArrivalTimes, run: Run[Any] | None) -> bool:
 
 
 def vibration_in(
-    scene: Scene, arrivals: ArrivalTimes, run: Run[Any] | None = None
+    table: TipTiming,
+    arrivals: ArrivalTimes,
+    scene: Scene | None = None,
+    run: Run[Any] | None = None,
 ) -> TipFit | TipTrack | tuple[PassageFit, ...]:
     """Find the vibration that ``[tip_timing]`` requests in arrival times, measured or computed.
 
@@ -202,8 +209,7 @@ def vibration_in(
         or a frequency is requested in a run-up, orders in one that is computed, or more than first
         harmonics, or revolutions together, where its resonances are sought.
     """
-    table = scene.given("tip_timing")
-    order = table.order or scene.excitation.order
+    order = table.order or (scene and scene.excitation.order)
     how: dict[str, Any] = {"harmonics": table.fitted_harmonics}
     how["angle_deviation"] = np.radians(table.angle_deviation)
     of_passages = ("stiffening",), "all but a measured run-up in which resonances are sought"
@@ -213,7 +219,7 @@ def vibration_in(
         if order is None or (run is None and table.orders):
             of_fits = "fitted_harmonics", "subharmonic", "fitted_revolutions"
             table.leave_out(of_fits, "a run-up in which resonances are sought")
-            diagram = None if scene.rotation is None else _diagram(scene, arrivals)
+            diagram = _diagram(scene, arrivals) if scene and scene.rotation else None
             return _passages(table, arrivals, diagram)
         table.leave_out(*of_passages)
         table.leave_out(("orders",), f"a computed run-up: order {order} is tracked")

@@ -261,6 +261,10 @@ def test_what_is_left_is_told() -> None:
     for far, one in zip(off, found, strict=True):
         assert one.in_doubt or far < 4.0 * one.omega_error
         assert one.in_doubt == ("residuals are correlated" in repr(one))
+        stated = one.to_dict()["frequency_error"]  # one number in table, sentence and title
+        assert far / HERTZ < 1.5 * stated < 2.0
+        for words in (repr(one), one.in_words):
+            assert f"{one.frequency:.6g} ± {stated:.2g} Hz" in words
 
 
 def test_what_is_left_of_every_second_revolution_is_told() -> None:
@@ -562,8 +566,34 @@ def test_units_of_a_record_without_a_resonance(
     assert main(["timing", str(path), *radius]) == 0
     told = capsys.readouterr().err
     assert f"{fast} 2.07e+04 m/s, where the fastest have 700" in told
-    assert (steady := "the speed varies by less than 1 %") not in told
-    rows = [[100.0, *row[1:]] for row in rows]
-    path = written(tmp_path / "record.csv", "speed [Hz]," + names.format("rad"), rows)
-    assert main(["timing", str(path), *radius]) == 0
-    assert steady in capsys.readouterr().err
+
+
+def test_a_record_at_constant_speed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The fit of the engine order that is in it, as of ``fit_order``; times in ns are questioned,
+    and so are a range that is none and probes at their median arrivals."""
+    probes, speed, size = np.array([0.2, 0.9, 1.7, 2.4, 3.3, 4.1, 5.2]), 300.0, 8e-4
+    angles = 2.0 * np.pi * np.arange(30)[:, None] + probes
+    arrivals = angles
+    for _ in range(20):
+        arrivals = angles - size / 0.2 * np.cos(4.0 * arrivals)
+    jitter = 1e-9 * np.random.default_rng(1).standard_normal(angles.shape)
+    marks = 2.0 * np.pi * np.arange(31) / speed
+    path, out = tmp_path / "seen.csv", ["--output", str(tmp_path), "--format", "json"]
+    question = "the blade tip moves at 6e-08 m/s, where rotors with probes have 1 to 700: are"
+    for unit, is_questioned in ((1.0, False), (1e9, True)):
+        record = fc.ArrivalTimes(unit * (arrivals / speed + jitter), unit * marks, probes, 0.2)
+        record.to_csv(path)
+        assert main(["timing", str(path), *out, "--orders", "1", "30"]) == 0
+        told = capsys.readouterr()
+        rows, fit = json.loads(told.out), fc.fit_order(record, range(1, 31), harmonics=2)
+        assert [row["order"] for row in rows] == [0.0, 4.0, 8.0] and fit.order == 4
+        assert rows[1]["amplitude [m]"] == pytest.approx(fit.amplitudes[0], rel=1e-12)
+        assert rows[1]["amplitude [m]"] == pytest.approx(size, rel=1e-3)
+        assert (question in told.err) == is_questioned
+    assert main(["timing", str(path), *out, "--orders", "5", "4"]) == 2
+    assert "--orders = [5, 4]: must be whole numbers, 1 <= FIRST <= LAST" in capsys.readouterr().err
+    path = written(path, "speed [Hz],probe 1 [rad],probe 2 [rad]", [[50.0, 0.3, 1.1]] * 30)
+    words = ["timing", str(path), *out, "--set", "tip_timing.tip_radius=0.2"]
+    assert main(words) == 2
+    refused = "tip_timing.probes is missing: must be given for a record at constant speed"
+    assert refused in capsys.readouterr().err
