@@ -47,7 +47,7 @@ from fenics_crack.basics.errors import (
     check_omega,
 )
 from fenics_crack.basics.progress import begin
-from fenics_crack.basics.suggestions import check_kind
+from fenics_crack.basics.suggestions import fitting_argument
 from fenics_crack.basics.tables import percent, quantity
 from fenics_crack.model.contact import ContactLaw, friction_of
 from fenics_crack.model.matrices import numbers
@@ -287,7 +287,7 @@ def solve_harmonic_balance(
 def check_initial(problem: Problem, initial: PeriodicSolution) -> None:
     """Raise InputError unless a solution can be where a problem's solution is sought from."""
     structure, subharmonic = problem.structure, problem.subharmonic
-    check_kind("initial", initial, "PeriodicSolution", {"PeriodicSolution"})
+    fitting_argument("initial", initial, "PeriodicSolution", {"PeriodicSolution"})
     has = initial.structure.n_dofs, initial.structure.n_pairs
     gaps_only = structure.light_lips and has[1] == structure.n_pairs
     if not gaps_only and has != (structure.n_dofs, structure.n_pairs):

@@ -133,20 +133,30 @@ def check_options(whose: str, options: Mapping[str, object], known: Collection[s
             raise InputError(key, value, allowed)
 
 
-def check_kind(key: str, value: object, annotation: str, kinds: Collection[str]) -> None:
-    """Raise InputError where all alternatives of an annotation are among some kinds, and the value
-    is of none of them; which words are allowed each function says.
-
-    Classes are compared by their names: no module is imported for that.
-    """
-    wanted = list(dict.fromkeys(part.partition("[")[0] for part in annotation.split(" | ")))
+def _kinds_of(value: object) -> set[str]:
+    """Return the names of the classes that a value is of."""
     names = {base.__name__ for base in type(value).__mro__}
     for kind, name in ((Mapping, "Mapping"), (os.PathLike, "Path"), (type(None), "None")):
         names |= {name} if isinstance(value, kind) else set()
+    return names
+
+
+def fitting_argument(key: str, value: Any, annotation: str, kinds: Collection[str]) -> Any:
+    """Return an argument that fits an annotation: the value, or the result of a Run.
+
+    Raise InputError where all alternatives of the annotation are among some kinds, and the value is
+    of none of them; which words are allowed each function says. Classes are compared by their
+    names: no module is imported for that.
+    """
+    wanted = list(dict.fromkeys(part.partition("[")[0] for part in annotation.split(" | ")))
+    names = _kinds_of(value)
     if {"str"} != {*wanted} <= {*kinds, *CLASS_WORDS} and names.isdisjoint(wanted):
+        if "Run" in names and not _kinds_of(value.result).isdisjoint(wanted):
+            return value.result
         shown = value if isinstance(value, str | int | float | None) else type(value).__name__
         words = (CLASS_WORDS.get(one) or f"a{'n' * (one[0] in 'AEIO')} {one}" for one in wanted)
         raise InputError(key, shown, " or ".join(words))
+    return value
 
 
 def checked_call(
@@ -158,7 +168,7 @@ def checked_call(
 
     That is another argument, a key of the scene that ``keys`` finds for it, or another function. A
     ``comm`` that is no communicator is refused, too, and what is of none of the ``kinds`` of its
-    annotation.
+    annotation; of a Run its result is taken where that is of these.
     """
     from inspect import signature as signature_of  # takes a while: not for the program
 
@@ -172,7 +182,7 @@ def checked_call(
     @functools.wraps(function)
     def call(*args: Any, **options: Any) -> Any:
         try:
-            given = signature.bind(*args, **options).arguments
+            bound = signature.bind(*args, **options)
         except TypeError as error:
             name, reason = function.__name__, str(error)
             wrong = next((one for one in options if one not in signature.parameters), None)
@@ -187,13 +197,15 @@ def checked_call(
                     names = [f'scene.replace({{"{key}": ...}})' for key in keys(wrong)]
             question = f"{meant(names)}its arguments are {', '.join(shown)}"
             raise TypeError(f"{name}() {reason}; {question}") from None
+        given = bound.arguments
         if "comm" in given:
             from fenics_crack.basics.ranks import check_communicator
 
             check_communicator(given["comm"])
         for name, value in given.items():
-            check_kind(name, value, str(signature.parameters[name].annotation), kinds)
-        return function(*args, **options)
+            annotation = str(signature.parameters[name].annotation)
+            given[name] = fitting_argument(name, value, annotation, kinds)
+        return function(*bound.args, **bound.kwargs)
 
     return cast(Called, call)
 

@@ -51,6 +51,8 @@ OTHERS = {
 }
 """Words and unit of quantities beside the indicators of a motion, and whether they are printed."""
 ON_MODES = "depends on truncated modes"
+CHOSEN = ": --set harmonic_balance.tolerance=1e-2 chooses them"
+"""End of the advice to take more harmonics, where a tolerance may choose them."""
 IN_A_TEST = {
     "fold": "the curve turns back: in a test the vibration jumps to another size here",
     "period_doubling": "beyond it the vibration repeats after two periods of the load: in a test "
@@ -96,9 +98,8 @@ def of_error(
         return
     finer, table = "more damping: H is at its limit", scene.harmonic_balance
     if table.tolerance is None:
-        finer = "more harmonics (harmonic_balance.harmonics"
-        choose = table.samples is None and table.form != "block"
-        finer += f"{', or a tolerance that chooses them' if choose else ''})"
+        can_choose = table.samples is None and table.form != "block"
+        finer = f"more harmonics{CHOSEN if can_choose else ' (harmonic_balance.harmonics)'}"
     elif harmonics < MOST_HARMONICS:
         finer = "a smaller harmonic_balance.tolerance"
     rigid = scene.contact is not None and scene.contact.law == "unilateral"

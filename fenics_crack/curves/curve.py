@@ -372,7 +372,10 @@ class ResponseCurve(Observed, Tabular):
             The curve was followed without ``stability=True``.
         """
         if self.multipliers is None:
-            raise AttributeError("stability: unknown of a curve followed with stability = False")
+            raise AttributeError(
+                "stability: unknown of a curve followed with stability = False; "
+                "fc.judge_curve(curve) returns the curve with it"
+            )
         return np.asarray(np.abs(self.multipliers) < 1.0 - KNOWN)
 
     @property

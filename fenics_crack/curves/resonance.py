@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any, Unpack
+from typing import Any, Unpack, overload
 
 import numpy as np
 
 from fenics_crack.balance.contact_system import ContactPoint
 from fenics_crack.balance.phase import SEVERAL, Drive, PhasePoint, Resonance
-from fenics_crack.balance.problem import Problem
+from fenics_crack.balance.problem import Problem, least_harmonics
 from fenics_crack.balance.solution import Solver
 from fenics_crack.basics.errors import (
     MOST_HARMONICS,
@@ -38,9 +38,10 @@ from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.curve_system import CurveSystem
 from fenics_crack.curves.follow import run_to_end
 from fenics_crack.curves.waves import WAVES, FrequencyWaves, spinning
-from fenics_crack.model.contact import is_unilateral
+from fenics_crack.model.contact import ContactLaw, is_unilateral
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.reduction import reduce_structure
+from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import LOCATED
 from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_near
 from fenics_crack.numerics.path import ARRIVED, Crossing, Ended, Path, PathOptions
@@ -196,10 +197,26 @@ def _begun(problem: Problem, near: float | None, tolerance: float | None) -> tup
     return problem, problem.omega if near is None else near
 
 
+@overload
 def resonance_at(
     problem: Problem,
     near: float | None = None,
     parameter: str = "omega",
+    *,
+    tolerance: float | None = None,
+) -> Resonance: ...
+
+
+@overload
+def resonance_at(
+    structure: Structure, contact: ContactLaw, omega: float, /, *, tolerance: float | None = None
+) -> Resonance: ...
+
+
+def resonance_at(
+    problem: Problem | Structure,
+    near: Any = None,
+    parameter: Any = "omega",
     *,
     tolerance: float | None = None,
 ) -> Resonance:
@@ -208,6 +225,9 @@ def resonance_at(
     There the displacement at the load has no part in phase with the load, as in a modal test: next
     to the largest response, unless several modes answer together, which is said. The response is
     followed upwards from a frequency at which it is in phase with the load, else downwards.
+
+    ``resonance_at(structure, law, omega)`` is short for a problem with 5 harmonics, or as many as
+    the load has.
 
     Parameters
     ----------
@@ -240,6 +260,10 @@ def resonance_at(
     >>> found = fc.resonance_at(fc.Problem(structure, 2000.0, contact), tolerance=0.01)
     >>> found.omega, found.solution.amplitude(), found.several
     """
+    if isinstance(problem, Structure):
+        harmonics = max(Problem.harmonics, least_harmonics(problem, 1))
+        problem = Problem(problem, parameter, near, harmonics)
+        near, parameter = None, "omega"
     check_choice("parameter", parameter, ("omega", "speed"))
     order, error = None, math.nan
     if parameter == "speed":

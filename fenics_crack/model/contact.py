@@ -328,9 +328,10 @@ def check_law(structure: Structure, contact: Any, *, rigid: bool = False) -> Non
     :class:`UnilateralConstraint` is one only with ``rigid``.
     """
     members = ("stiffness", "force", "tangent", "scaled")
-    known = not isinstance(contact, type) and all(hasattr(contact, name) for name in members)
-    if not known or (is_rigid(contact) and not rigid):
-        raise InputError("contact", contact, "a contact law such as UnilateralPenalty(1e9)")
+    missing = [name for name in members if isinstance(contact, type) or not hasattr(contact, name)]
+    if missing or (is_rigid(contact) and not rigid):
+        lacks = f", with {', '.join(missing)}, which it lacks" if missing else ""
+        raise InputError("contact", contact, f"a contact law such as UnilateralPenalty(1e9){lacks}")
     stiffness = np.asarray(contact.stiffness, dtype=np.float64)
     if stiffness.shape not in ((), (structure.n_pairs,)):
         allowed = f"one number or {structure.n_pairs}, one per pair"

@@ -459,6 +459,7 @@ def initial_state(
     them with friction, where it is stated, where pairs stick (n_pairs,) [m] (collective)."""
     if initial is None:
         return np.zeros(structure.n_local), np.zeros(structure.n_local)
+    initial = getattr(initial, "result", initial)  # of a Run
     rubs = friction_of(contact) is not None
     state: tuple[np.ndarray, ...]
     if isinstance(initial, PeriodicSolution):

@@ -45,6 +45,15 @@ def test_row_names_what_checks_it(name: str) -> None:
     assert f"def {function or 'main'}(" in text
 
 
+def test_bonded_by_a_spring_and_rigidly() -> None:
+    """The spring of the contact gives a little; `check` prints the rigid bond."""
+    omegas = [
+        fc.solve_modes(plate().tied(STIFFNESS), 1).omega[0],
+        fc.solve_modes(plate(), 1, lips="tied").omega[0],
+    ]
+    assert_found("Figure 1", *(f"{omega:.1f} rad/s" for omega in omegas))
+
+
 def test_figure_2() -> None:
     """The numbers are those of the verification book's page."""
     book = (ROOT / "docs" / "verification" / "calculix_paper_plate.md").read_text()

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from mpi4py import MPI
+from test_any_input import TINY
 
 import fenics_crack as fc
 
@@ -68,6 +69,30 @@ def test_an_object_of_another_class(call: Callable[[], object], message: str) ->
     """Is refused by the annotation of its argument, before anything asks it for an attribute."""
     with pytest.raises(fc.InputError, match=re.escape(message)):
         call()
+
+
+def test_a_run_stands_for_its_result() -> None:
+    """Of a solution, a curve and modes; not where its result is of another class."""
+    scene = fc.Scene.from_mapping(TINY)
+    run, modes = fc.solve(scene), fc.modes(scene, 2)
+    call: Any = fc  # a Run is no result to mypy
+    same = fc.floquet(run.structure, run.result).multipliers
+    assert np.array_equal(call.floquet(run.structure, run).multipliers, same)
+    problem = {"structure": run.structure, "omega": 2000.0, "contact": run.contact}
+    near = call.solve_harmonic_balance(**problem, harmonics=3, initial=run)
+    assert near.converged and near.iterations <= 1
+    history = call.integrate_events(**problem, periods=1, initial=run)
+    first = history.displacement([run.watched_dof])[0, 0]
+    start = run.result.displacement(np.zeros(1), [run.watched_dof])[0, 0]
+    assert first == pytest.approx(start, rel=1e-9)
+    assert call.draw_spectrum(run).axes and call.draw_modes(modes).axes
+    with pytest.raises(fc.InputError, match=r"^curve = 'Run': must be a ResponseCurve$"):
+        call.draw_curve(run)
+    curve = fc.curve(scene.replace({"curve.start": 1900.0, "curve.stop": 2000.0}))
+    (line, *_), (other, *_) = (
+        figure.axes[0].lines for figure in (call.draw_curve(curve), fc.draw_curve(curve.result))
+    )
+    assert np.array_equal(line.get_xydata(), other.get_xydata(), equal_nan=True)
 
 
 def test_what_annotations_allow() -> None:

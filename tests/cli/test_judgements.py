@@ -49,7 +49,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> fc.Scene:
 @pytest.mark.parametrize(
     ("part", "changes", "harmonics", "advice"),
     [
-        ("truncation", FIXED, 15, "more harmonics (harmonic_balance.harmonics, or a tolerance"),
+        ("truncation", FIXED, 15, "more harmonics: --set harmonic_balance.tolerance=1e-2 chooses"),
         ("truncation", {}, 15, "a smaller harmonic_balance.tolerance"),
         ("truncation", {}, 100, "H is at its limit"),
         ("reduction", {}, 15, "more modes (reduction.modes)"),

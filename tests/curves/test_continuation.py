@@ -220,8 +220,9 @@ def test_bad_arguments_and_unfinished_curves() -> None:
     assert isinstance(found, fc.ResponseCurve) and not found.complete and len(found) == 11
     curve = continue_frequency(structure, 2.0, 0.3, law, most_points=10, throw=False)
     assert not curve.complete and len(curve.omega) == 11
-    with pytest.raises(AttributeError, match="stability"):
+    with pytest.raises(AttributeError, match=r"stability.* fc\.judge_curve\(curve\) returns"):
         _ = curve.stable
+    assert len(fc.judge_curve(curve).stable) == len(curve)
 
 
 # --- other parameters -----------------------------------------------------------------------------

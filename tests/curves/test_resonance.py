@@ -232,6 +232,18 @@ def test_large_structures_are_reduced() -> None:
     assert found.structure.whole is whole and found.converged
 
 
+def test_the_short_form() -> None:
+    """Structure, law and frequency in place of a problem, with 5 harmonics or those of the load;
+    the frequency is that of a mass on each of two springs for half of its own periods."""
+    law, structure = fc.UnilateralPenalty(1.0), mass(0.01)
+    found = fc.resonance_at(structure, law, 1.2)
+    bilinear = 2.0 / (1.0 + math.sqrt(0.5))
+    assert found.omega == pytest.approx(bilinear, rel=2e-3) and found.solution.harmonics == 5
+    assert found.omega == fc.resonance_at(Problem(structure, 1.2, law)).omega
+    many = structure.with_harmonics({7: (None, np.array([1e-6]))})
+    assert fc.resonance_at(many, law, 1.2).solution.harmonics == 7
+
+
 # --- refused --------------------------------------------------------------------------------------
 
 

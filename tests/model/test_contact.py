@@ -79,6 +79,25 @@ def test_bad_stiffness_is_named(stiffness: object) -> None:
         SmoothedPenalty(stiffness, 1.0)  # type: ignore[arg-type]
 
 
+def test_a_law_without_all_methods_is_told_which() -> None:
+    """Those that are missing are named, and no others; a class is no law."""
+
+    class Law:
+        stiffness = 1.0
+
+        def force(self, gap: np.ndarray) -> np.ndarray:
+            """lambda(g) [N]."""
+            return np.maximum(gap, 0.0)
+
+    mass = Structure.from_matrices(np.eye(1), np.eye(1), gap=np.ones((1, 1)), force_sin=[1.0])
+    solve: Any = solve_harmonic_balance
+    missing = r"UnilateralPenalty\(1e9\), with tangent, scaled, which it lacks$"
+    with pytest.raises(InputError, match=missing):
+        solve(mass, 0.5, Law())
+    with pytest.raises(InputError, match="with stiffness, force, tangent, scaled, which it lacks"):
+        solve(mass, 0.5, UnilateralPenalty)
+
+
 def test_scene_names_its_law() -> None:
     """The contact table becomes the law it names."""
     assert contact_law(contact(stiffness=1e9)) == UnilateralPenalty(1e9)

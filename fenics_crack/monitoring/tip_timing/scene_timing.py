@@ -209,7 +209,7 @@ def vibration_in(
         or a frequency is requested in a run-up, orders in one that is computed, or more than first
         harmonics, or revolutions together, where its resonances are sought.
     """
-    order = table.order or (scene and scene.excitation.order)
+    order = table.order or (None if scene is None else scene.excitation.order)
     how: dict[str, Any] = {"harmonics": table.fitted_harmonics}
     how["angle_deviation"] = np.radians(table.angle_deviation)
     of_passages = ("stiffening",), "all but a measured run-up in which resonances are sought"
