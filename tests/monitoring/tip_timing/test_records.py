@@ -569,8 +569,8 @@ def test_units_of_a_record_without_a_resonance(
 
 
 def test_a_record_at_constant_speed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The fit of the engine order that is in it, as of ``fit_order``; times in ns are questioned,
-    and so are a range that is none and probes at their median arrivals."""
+    """The fit finds the engine order that is in it; times in ns are questioned. Refused are orders
+    that end before they begin, and probes at their median arrivals."""
     probes, speed, size = np.array([0.2, 0.9, 1.7, 2.4, 3.3, 4.1, 5.2]), 300.0, 8e-4
     angles = 2.0 * np.pi * np.arange(30)[:, None] + probes
     arrivals = angles
@@ -581,13 +581,12 @@ def test_a_record_at_constant_speed(tmp_path: Path, capsys: pytest.CaptureFixtur
     path, out = tmp_path / "seen.csv", ["--output", str(tmp_path), "--format", "json"]
     question = "the blade tip moves at 6e-08 m/s, where rotors with probes have 1 to 700: are"
     for unit, is_questioned in ((1.0, False), (1e9, True)):
-        record = fc.ArrivalTimes(unit * (arrivals / speed + jitter), unit * marks, probes, 0.2)
-        record.to_csv(path)
+        seen = unit * (arrivals / speed + jitter)
+        fc.ArrivalTimes(seen, unit * marks, probes, 0.2).to_csv(path)
         assert main(["timing", str(path), *out, "--orders", "1", "30"]) == 0
         told = capsys.readouterr()
-        rows, fit = json.loads(told.out), fc.fit_order(record, range(1, 31), harmonics=2)
-        assert [row["order"] for row in rows] == [0.0, 4.0, 8.0] and fit.order == 4
-        assert rows[1]["amplitude [m]"] == pytest.approx(fit.amplitudes[0], rel=1e-12)
+        rows = json.loads(told.out)
+        assert [row["order"] for row in rows] == [0.0, 4.0, 8.0]
         assert rows[1]["amplitude [m]"] == pytest.approx(size, rel=1e-3)
         assert (question in told.err) == is_questioned
     assert main(["timing", str(path), *out, "--orders", "5", "4"]) == 2
