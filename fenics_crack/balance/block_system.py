@@ -2,26 +2,32 @@
 
 The coefficients u (2H+1, n) of the displacement in the paper's order solve (eqs 5 to 15)
 
-    r(u) = A u + B b(B^T u - g0) - c = 0,        J = A + B T B^T,
+    r(u) = A u + B b(s) - c = 0,        s = B^T u - g0,        J = A + B T B^T,
 
-A = I x K - diag(k^2 w^2) x M + S x C from the matrices of DOLFINx, where S couples the cosine and
-the sine of each harmonic k by +-k w; b are the coefficients of the contact force, T = db/dg those
-of its tangent, by alternating between frequency and time, c those of the load. J is a sparse
-matrix (AIJ) on the structure's ranks: each has all harmonics of its dofs. Modal damping C = M Phi
-diag(d) Phi^T M is dense: its m modes are unknowns of each harmonic, q = Phi^T M u, on the last
-rank.
+A = I x K - diag(k^2 w^2) x M + S x C from the matrices of the structure, where S couples the cosine
+and the sine of each harmonic k by +-k w; b are the coefficients of the contact force, T = db/ds,
+both by the integrals of the condensed form (:mod:`contact_system`), c those of the load. J is a
+sparse matrix (AIJ) on the structure's ranks: each has all harmonics of its dofs. Modal damping C =
+M Phi diag(d) Phi^T M is dense: its m modes are unknowns of each harmonic, q = Phi^T M u, on the
+last rank.
+
+Where contact is seen through a static compliance R_inf = W^T B, as of crack faces without mass, s
+is the slow gap of the condensed form, s = B^T u - g0 + R_inf b. With B b = c - A u it is linear in
+the displacement,
+
+    s = B^T u - g0 + W^T (c - A u),        J = A + B T (B - A^T W)^T.
 
 Unknowns are measured by the linear solution, residuals by the load. Newton's method takes full
 steps, first from the linear solution at a contact so soft that its solution is next to that, then
 at stiffer and stiffer ones up to the law; steps in stiffness that fail are shortened. Every
-iteration factors J, with 2H+1 times the unknowns of a mesh: the condensed form
-(:mod:`contact_system`) has the same solutions in a fraction of the time.
+iteration factors J, with 2H+1 times the unknowns of the structure: the condensed form has the same
+solutions in a fraction of the time.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -29,15 +35,14 @@ import scipy.sparse as sparse
 from petsc4py import PETSc
 
 from fenics_crack.balance.compliance import Compliance
-from fenics_crack.balance.contact_integrals import default_samples
 from fenics_crack.balance.contact_system import SOFT, ContactPoint, Wave
 from fenics_crack.balance.problem import Problem, Search
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.progress import begin
 from fenics_crack.basics.threads import machine_memory
-from fenics_crack.model.contact import friction_of, is_rigid
 from fenics_crack.model.factor import distributed, factor_memory, local_rows
+from fenics_crack.model.modal import all_modes
 from fenics_crack.model.modes import check_damped_modes, damped_modes
 from fenics_crack.model.structure import ModalDamping
 from fenics_crack.model.wheel import Wheel
@@ -54,12 +59,12 @@ REMEDY = "form = 'condensed', other harmonics, a softer contact, or more damping
 
 
 class BlockSystem(Snes):
-    """The block system of a problem with samples; a context manager (collective).
+    """The block system of a problem; a context manager (collective).
 
     Parameters
     ----------
     problem : Problem
-        Of a whole structure.
+        Of a structure with matrices.
     linear : (2H+1, n_local) [m]
         The solution without contact.
     history : list, optional
@@ -89,13 +94,23 @@ class BlockSystem(Snes):
         whole = sparse.vstack(structure.comm.allgather(structure.gap))
         self._into = sparse.kron(sparse.identity(rows), structure.gap, "csr")
         self._seen = self._spread(sparse.kron(sparse.identity(rows), whole.T), part.shape[1])
+        self._still_gap = structure.gap_of(np.zeros(linear.shape))
+        if problem.residual is not None:
+            at_once = all_modes(structure).moved_at_once(problem.cutoff)
+            pulled = part.tocsr()[: linear.size] * (self.force / self.length)
+            self._seen -= sparse.kron(sparse.identity(rows), at_once.T) @ pulled
+            self._still_gap += self._load @ at_once
         place = np.arange(rows * pairs).reshape(rows, pairs).T
         self._ends = np.repeat(place, rows, axis=1).ravel(), np.tile(place, rows).ravel()
-        touched = self._contact(np.ones(rows * rows * pairs)).tocoo()
+        if self.integrals.coupled:  # every force depends on every gap
+            self._ends = tuple(np.indices((rows * pairs,) * 2).reshape(2, -1))
+        ones = sparse.csr_matrix((np.ones(len(self._ends[0])), self._ends), (rows * pairs,) * 2)
+        touched = (abs(self._into) @ ones @ abs(self._seen)).tocoo()  # where nothing cancels
         entries = np.append(part.data, 0.0 * touched.data)
         at = np.append(part.row, touched.row), np.append(part.col, touched.col)
         matrix = distributed(sparse.coo_matrix((entries, at), part.shape), structure.comm)
         self._linear = matrix.duplicate(copy=True)
+        self._seen_here = self._seen[:, slice(*matrix.getOwnershipRange())]
         self.rounding = least_residual(10.0 * matrix.norm() / math.sqrt(part.shape[1]))
         """Smallest |F| / |x| that is asked for: rounding leaves about a tenth of it."""
         super().__init__(matrix, history)
@@ -149,6 +164,11 @@ class BlockSystem(Snes):
         count = int(np.prod(self._shape))
         return self.length * unknown.array_r[:count].reshape(self._shape)
 
+    def slow_gap(self, unknown: np.ndarray) -> np.ndarray:
+        """Return s of a vector, from this rank's rows: (2H+1, n_pairs) [m] (collective)."""
+        moved = self.structure.sum_over_ranks(self._seen_here @ unknown)
+        return self._still_gap + self.length * moved.reshape(self._still_gap.shape)
+
     def start(self, displacement: np.ndarray) -> np.ndarray:
         """This rank's rows of the vector of a displacement (collective)."""
         start, comm = displacement / self.length, self.structure.comm
@@ -156,14 +176,14 @@ class BlockSystem(Snes):
         return np.append(start, modal if comm.rank == comm.size - 1 else [])
 
     def evaluate(self, unknown: Any, target: Any) -> None:
-        force = self.integrals.force(self.structure.gap_of(self.displacement(unknown)))
+        force = self.integrals.force(self.slow_gap(unknown.array_r))
         self._linear.mult(unknown, target)
         others = (self.structure.apply_b(force) - self._load).ravel() / self.force
         target.array_w[: len(others)] += others
 
     def linearise(self, unknown: Any) -> None:
-        gap = self.structure.gap_of(self.displacement(unknown))
-        tangent = self.integrals.linearise(gap).tangent
+        forces = self.integrals.linearise(self.slow_gap(unknown.array_r))
+        tangent = forces.tangent() if self.integrals.coupled else forces.tangent
         added = self._contact(self.length / self.force * tangent)
         added.resize(self.matrix.local_size[0], added.shape[1])
         self._linear.copy(self.matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
@@ -199,17 +219,16 @@ class BlockSolver(Solver):
     Raises
     ------
     InputError
-        The law is rigid or has friction, or the structure is a wheel or reduced; or its block
-        system does not fit into this machine.
+        The law has friction, or is rigid and crack faces have mass, or the structure is a wheel
+        that is not reduced; or its block system does not fit into this machine.
     """
 
     def __post_init__(self) -> None:
-        problem, structure, contact = self.problem, self.problem.structure, self.problem.contact
+        problem, structure = self.problem, self.problem.structure
         refused = {
-            "with UnilateralConstraint, which has no stiffness": is_rigid(contact),
-            "with friction": friction_of(contact) is not None,
-            "of a bladed disk": isinstance(structure.whole, Wheel),
-            "of a reduced structure": structure.whole is not structure,
+            "with UnilateralConstraint of crack faces with mass": problem.projected,
+            "with friction": problem.friction,
+            "of a bladed disk that is not reduced": isinstance(structure, Wheel),
         }
         for words in (words for words, wrong in refused.items() if wrong):
             raise InputError("form", "block", f"'condensed' {words}")
@@ -221,9 +240,6 @@ class BlockSolver(Solver):
         if needed > 0.8 * machine_memory():
             allowed = f"fewer, or form = 'condensed': the block takes {needed / 2**30:.3g} GiB"
             raise InputError("harmonics", problem.harmonics, allowed)
-        samples = problem.samples or problem.subharmonic * default_samples(problem.harmonics)
-        problem = replace(problem, samples=samples, static_above=np.inf)
-        object.__setattr__(self, "problem", problem)
 
     def find(
         self, compliance: Compliance, initial: PeriodicSolution | None, share: float = 1.0
@@ -232,7 +248,7 @@ class BlockSolver(Solver):
         search = Search(system, problem, self.residual_tolerance, share, remedy=REMEDY)
         linear = compliance.displacement(np.zeros(system.shape))
         # The softest contact moves the gaps by this share of what the load does at most.
-        softest = SOFT * system.integrals.unit / np.abs(compliance.matrices).sum(axis=2).max()
+        softest = SOFT * system.integrals.unit / np.abs(system.moving).sum(axis=2).max()
         starts = [(linear, min(softest, 1.0))]
         if initial is not None:
             times = problem.subharmonic // initial.subharmonic
@@ -247,9 +263,8 @@ class BlockSolver(Solver):
                 search.converged = reached == 1.0
                 end = f" up to {reached:.2g} of the contact stiffness, then {block.reason}"
                 search.tell(f"block system{'' if search.converged else end}", before)
-            gap = problem.structure.gap_of(displacement)
-        at = system.linearise(gap)
-        return search, at, problem.wave_of(displacement, gap, at.force)
+            at = system.linearise(block.slow_gap(block.start(displacement)))
+        return search, at, problem.wave_of(displacement, at.gap, at.force)
 
 
 def _stiffened(

@@ -223,9 +223,9 @@ def solve_harmonic_balance(
         left out.
     form : "condensed" or "block"
         Unknowns on the gaps; or all displacements, by PETSc's SNES on the sparse block system
-        (``fenics_crack.balance.block_system``), from samples of the contact force: the same
-        solutions, and a check of them, in 20 times the time or more. Not with a tolerance, a rigid
-        law, friction, a bladed disk, or a reduced structure.
+        (``fenics_crack.balance.block_system``), with the same integrals of the contact force: the
+        same solutions, and a check of them, in 20 times the time or more. Not with a tolerance,
+        friction, or a rigid law of crack faces with mass.
     residual_tolerance : float
         ``|F(x)| / |x|`` of the algebraic equations; with very stiff contact (k R > 1e5) rounding
         alone leaves more, eps k R, which is then accepted and reported.

@@ -109,8 +109,9 @@ class Scene:
             object.__setattr__(self, "excitation", self.excitation.at_speed(self.speed))
         balance = self.harmonic_balance.of_load(self.highest_order)
         object.__setattr__(self, "harmonic_balance", balance)
-        if balance.form == "block":
-            _check_block(self)
+        rubs = self.contact is not None and self.contact.friction > 0.0
+        allowed = "'condensed' with contact.friction"
+        balance.require(balance.form == "condensed" or not rubs, "form", allowed)
         if self.curve is not None and self.curve.followed[0] == "speed":
             allowed = "another one without an excitation.order, which needs a rotation"
             self.curve.require(self.excitation.order is not None, "parameter", allowed)
@@ -532,19 +533,6 @@ def unit_of(name: str) -> str:
 
 
 # --- what tables must not contradict --------------------------------------------------------------
-
-
-def _check_block(scene: Scene) -> None:
-    """Raise InputError where the block system of harmonic balance does not solve a scene."""
-    contact, reduction = scene.contact, scene.reduction
-    refused = {
-        "with a table [disk]": scene.disk,
-        "with contact.law = 'unilateral'": contact and contact.law == "unilateral",
-        "with contact.friction": contact and contact.friction,
-        "with another reduction than 'off'": reduction and reduction.method != "off",
-    }
-    for words, wrong in refused.items():
-        scene.harmonic_balance.require(not wrong, "form", f"'condensed' {words}")
 
 
 def _check_matrices(scene: Scene, structure: kinds.Structure) -> None:

@@ -575,7 +575,7 @@ class HarmonicBalance(Table):
     are given, or no error is requested."""
     form: str = choice("condensed", "block", default="condensed")
     """Unknowns of ``solve``: the gaps of the crack faces, or with "block" all displacements, by
-    PETSc's SNES, which takes longer; then without a tolerance, and the structure is not reduced."""
+    PETSc's SNES, which takes longer and needs a given number of harmonics. Nothing else changes."""
     error: bool = holds("true or false", default=True)
     """false: neither the error nor the stability of solutions is found, which takes longer than the
     solution itself where there are many pairs or modes."""

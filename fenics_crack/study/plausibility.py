@@ -615,8 +615,8 @@ def _no_resonance(_: float, scene: Scene, figures: KeyFigures) -> tuple[float, s
     """The first natural frequency [rad/s] if a curve holds no resonance of the first modes, between
     open and bonded crack, with some harmonics of the load or half its frequency; and a range with
     the one at the load."""
-    curve = scene.given("curve")
-    if curve.parameter not in CURVE_UNITS:
+    curve = scene.curve
+    if curve is None or curve.parameter not in CURVE_UNITS:
         return None
     meeting = np.vectorize(partial(_meeting, scene, curve.parameter, slope=figures.slopes[0]))
     first, last = sorted(curve.followed[1:])

@@ -242,15 +242,12 @@ class Kept(NamedTuple):
 def reduction_of(scene: Scene, structure: Structure) -> Kept | None:
     """Return the reduction of a scene's structure; None if it is not reduced.
 
-    The block form of harmonic balance takes it as it is.
     Without the table ``[reduction]`` a structure of up to 100 dofs on one rank is not reduced. If
     all modes are damped and no number of modes is given, 50 are kept. Crack faces lose their mass
     unless the scene names another method, there are none, all modes are kept, or the structure
     would not be reduced on one rank.
     """
     table = scene.reduction
-    if scene.harmonic_balance.form == "block":
-        return None
     if scene.disk is not None:
         many = scene.disk.families * scene.disk.sectors + scene.disk.modes
         return Kept("massless" if structure.n_pairs else "free_interface", many)

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from helpers import DEMOS, SOLID, chain, oscillator
 from mpi4py import MPI
-from surroundings import ROOT
+from surroundings import ROOT, main
 
 import fenics_crack as fc
 from fenics_crack.balance import block_system
@@ -171,10 +171,13 @@ def test_no_convergence_is_one_line(tmp_path: Path) -> None:
 def test_refusals(monkeypatch: pytest.MonkeyPatch) -> None:
     """By name."""
     whole, law = chain(n=10), fc.UnilateralPenalty(1.0)
-    light = fc.reduce_structure(whole, modes=5, method="massless")
+    rubs = fc.Structure.from_matrices(
+        np.eye(2), 2.0 * np.eye(2), gap=[1.0, 0.0], tangential=[0.0, 1.0], force_cos=[1.0, 1.0]
+    )
+    light = fc.reduce_structure(rubs, modes=1, method="massless")
     cases: list[tuple[fc.Structure, Any, dict[str, Any], str]] = [
-        (whole, fc.UnilateralConstraint(), {}, "form = 'block': .* with UnilateralConstraint"),
-        (light, law, {}, "form = 'block': .* of a reduced structure"),
+        (whole, fc.UnilateralConstraint(1.0), {}, "form = 'block': .* of crack faces with mass"),
+        (light, fc.CoulombFriction(law, 0.3), {}, "form = 'block': .* with friction"),
         (whole, law, {"tolerance": 0.1}, "tolerance = 0.1: not allowed with form = 'block'"),
         (whole, law, {"form": "full"}, "form = 'full': must be one of 'condensed', 'block'"),
     ]
@@ -186,10 +189,62 @@ def test_refusals(monkeypatch: pytest.MonkeyPatch) -> None:
         fc.solve_harmonic_balance(oscillator(), 0.7, law, form="block")
 
 
+@pytest.mark.parametrize("method", ["massless", "free_interface"])
+def test_reduced_structures(method: str) -> None:
+    """The equations of the condensed form, with its exact integrals: the same numbers to 1e-10 of a
+    penalty so stiff that contact is seen through what harmonics leave out, and of rigid contact."""
+    laws: list[Any] = [fc.UnilateralPenalty(1e9)]
+    laws += [fc.UnilateralConstraint()] * (method == "massless")
+    plate = fc.build_structure(fc.Scene.load(PAPER, AGREEING))
+    for structure in (plate, fc.reduce_structure(plate, modes=5, method=method)):
+        for law in laws[: 1 if structure is plate else None]:
+            condensed, block = (
+                fc.solve_harmonic_balance(structure, 2000.0, law, harmonics=8, form=form)
+                for form in ("condensed", "block")
+            )
+            assert condensed.breathes and block.static_above == condensed.static_above
+            for name in ("displacement", "gap", "force"):
+                first, second = (getattr(one, f"{name}_coefficients") for one in (condensed, block))
+                assert np.linalg.norm(second - first) < 1e-10 * np.linalg.norm(first), name
+            assert block.report.total == pytest.approx(condensed.report.total, rel=1e-6)
+
+
+def test_form_changes_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the scene that ``new`` writes, with its table [curve]: the structure, the numbers, their
+    errors and the verdict."""
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", "plate.toml", "--quiet"]) == 0
+    keys = {
+        "harmonic_balance.tolerance": "none", "harmonic_balance.harmonics": 4, "mesh.size": 0.05,
+        "mesh.lip_elements": 2, "reduction.modes": 6,
+    }  # fmt: skip
+    runs = {}
+    for form in ("condensed", "block"):
+        changes = keys | {"harmonic_balance.form": form}
+        words = [f"--set={key}={value}" for key, value in changes.items()]
+        assert main(["solve", "plate.toml", *words, "--output", form, "--quiet"]) == 0
+        rows = json.loads((tmp_path / form / "solution.json").read_text())
+        names = [row["name"] for row in rows]
+        runs[form] = {key: [row[key] for row in rows] for key in ("value", "error [%]", "most by")}
+        runs[form] |= {"names": names}
+    structures = [fc.load_run(tmp_path / form / "solution.h5").structure for form in runs]
+    assert repr(structures[0]) == repr(structures[1]) and structures[0].light_lips
+    condensed, block = runs["condensed"], runs["block"]
+    assert block["names"] == condensed["names"] and block["most by"] == condensed["most by"]
+    for key in ("value", "error [%]"):
+        for name, first, second in zip(condensed["names"], condensed[key], block[key], strict=True):
+            if name not in ("iterations", "residual_error", "status", "conclusion"):
+                rough = {"rel": 1e-6, "abs": 1e-12}
+                same = pytest.approx(first, **rough) if isinstance(first, float) else first
+                assert second == same, (name, key)
+    assert condensed["value"][condensed["names"].index("verdict")] in ("stable", "unstable")
+
+
 def test_saved_and_read(tmp_path: Path) -> None:
-    """A plate of many dofs is not reduced, and its file is read as it was solved."""
+    """A plate of many dofs, not reduced, whose file is read as it was solved."""
     changes = AGREEING | {"mesh.columns": 8, "mesh.rows": 8, "damping.modes": 5}
     keys = {"harmonic_balance.form": "block", "harmonic_balance.error": False}
+    keys |= {"reduction.method": "off"}
     run = fc.solve(fc.Scene.load(PAPER, changes | keys))
     assert run.structure.n_dofs > 100 and run.result.converged
     run.save(tmp_path / "solution.h5")

@@ -111,7 +111,7 @@ def test_refusals() -> None:
         ("balance", Problem(structure, 1.0, law), {"balance": "classical"}),
         ("balance", Problem(structure, 1.0, rigid), {"balance": "collocation"}),
         ("samples", Problem(structure, 1.0, law, samples=11), {"balance": "collocation"}),
-        ("form", Problem(structure, 1.0, rigid), {"form": "block"}),
+        ("form", Problem(structure, 1.0, fc.UnilateralConstraint(1.0)), {"form": "block"}),
         *(
             ("form", Problem(structure, 1.0, law), {"form": given})
             for given in ("incremental", "full", None)
