@@ -34,7 +34,7 @@ BILINEAR_ORBITS = {
     1.0: (-0.564083304, (2.55314357, 0.19177737, 0.02283921), 2.19791942, -2.94941155),
 }
 """oscillator(), kc = 1: for each W the mean, |X1| to |X3|, and the extremes, event-driven."""
-SOLID = fc.Scene.from_text("""
+SOLID_TEXT = """
 geometry = { kind = "solid", width = 0.03, height = 0.05, thickness = 0.01 }
 crack = { edge = "left", height = 0.02, length = 0.01 }
 material = { young = 2.1e11, poisson = 0.3, density = 7850.0 }
@@ -42,7 +42,8 @@ damping = { ratio = 0.01, modes = 10 }
 excitation = { point = [0.0, 0.05, 0.005], force_cos = [100.0, 0.0, 10.0], frequency = 2000.0 }
 contact = { law = "penalty", stiffness = 1e8 }
 mesh = { layout = "graded", order = 2, size = 0.012, lip_elements = 2, error = false }
-""")
+"""
+SOLID = fc.Scene.from_text(SOLID_TEXT)
 """A cracked solid with contact of crack faces with mass."""
 TITANIUM = fc.Scene.from_text("""
 geometry = { kind = "solid", width = 0.04, height = 0.1, thickness = 0.004 }

@@ -209,7 +209,7 @@ def errors_along_fronts(
     study: Study, motion: Observed, coarse: Study, other: Observed
 ) -> tuple[dict[str, float], dict[str, float]]:
     """What is computed for K_I of a solid's fronts while they are closed, an error of all requested
-    numbers of them; and how far each of K_I is away on a coarser mesh, where on the fronts it is
+    numbers of them; and how far each number is away on a coarser mesh, where on the fronts it is
     the most: at one place it may be none by chance [Pa m^1/2]. Infinite for all numbers where the
     coarser mesh has none (collective)."""
     asked = set(asked_quantities(study.scene))
@@ -221,14 +221,11 @@ def errors_along_fronts(
     fine, rough = _along_fronts(study, motion), _along_fronts(coarse, other)
     apart = {}
     for name in names:
-        if name.startswith(("K_max", "delta_K")):
-            kind = name.removesuffix("_deepest").removesuffix("_surface")
-            apart[name] = max(
-                float(
-                    np.abs(np.interp(at, rough[front][0], rough[front][1][kind]) - own[kind]).max()
-                )
-                for front, (at, own, _) in fine.items()
-            )
+        kind = name.removesuffix("_deepest").removesuffix("_surface")
+        apart[name] = max(
+            float(np.abs(np.interp(at, rough[front][0], rough[front][1][kind]) - own[kind]).max())
+            for front, (at, own, _) in fine.items()
+        )
     closed = max(size for _, _, size in fine.values())
     return dict.fromkeys(names, closed), apart
 

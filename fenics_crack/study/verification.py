@@ -224,6 +224,8 @@ ESTIMATED = ("harmonics", "modes")
 CAUSES = (*MESH_CAUSES, "modes", "harmonics", "friction", "samples")
 BY_CHOICE = ("mesh", "friction")
 """Causes that contribute an unknown part where they are not varied."""
+LACKING = {"friction": "that at the crack tip itself is not known"}
+"""Reason why a number has no part of a cause that was varied."""
 DOUBTS = {
     "outside": "the observed order is not that of theory, the factor of safety is 3",
     "two sizes": "two runs show no order: that of theory is used, with a factor of safety of 3",
@@ -306,7 +308,7 @@ class Verification(Saved):
         return tuple(self.parts)
 
     def contributions(self, quantity: str) -> dict[str, float]:
-        """Uncertainty of a quantity by each cause that was varied, in its unit.
+        """Uncertainty of a quantity by each cause that has a part for it, in its unit.
 
         Raises
         ------
@@ -318,7 +320,16 @@ class Verification(Saved):
             # Sizes are in the order of the smallest; the scene's own choice is the first count.
             cause: found[quantity].uncertainty(sorted(counts, reverse=True).index(counts[0]))
             for cause, found in self.parts.items()
+            if quantity in found
             for counts in [self.counts[cause]]
+        }
+
+    def lacking(self, quantity: str) -> dict[str, str]:
+        """Return the causes that were varied without a part for a quantity, and why."""
+        return {
+            cause: LACKING.get(cause, "the other run has no such number")
+            for cause, parts in self.parts.items()
+            if quantity not in parts
         }
 
     def total(self, quantity: str, *, independent: bool = True) -> float:
@@ -336,7 +347,8 @@ class Verification(Saved):
     def extrapolated(self, quantity: str) -> float:
         """The value with the corrections by all causes from which one is extrapolated."""
         own = self.values[quantity]
-        found = (parts[quantity].extrapolated for parts in self.parts.values())
+        having = (parts for parts in self.parts.values() if quantity in parts)
+        found = (parts[quantity].extrapolated for parts in having)
         return own + sum(value - own for value in found if math.isfinite(value))
 
     def relative(self, quantity: str, error: float) -> float:
@@ -353,11 +365,11 @@ class Verification(Saved):
         is as large as the quantity, as of a mesh that is too coarse.
         """
         unknown = any(cause in self.unknown for cause in ESTIMATED)
-        if quantity not in self.values or not self.parts or unknown:
+        parts = self._parts(quantity) if quantity in self.values else {}
+        if not parts or unknown:
             return math.nan, ""
-        parts = self._parts(quantity)
         total = self.relative(quantity, self.total(quantity))
-        if total == 0.0 and self.unknown:
+        if total == 0.0 and (self.unknown or self.lacking(quantity)):
             return math.nan, ""
         cause = max(parts, key=lambda one: parts[one])
         return math.inf if total >= 1.0 else total, cause
@@ -400,10 +412,12 @@ class Verification(Saved):
         three digits, the observed order of the mesh, and the extrapolated value."""
         rows = []
         for name, value in self.values.items():
-            errors = [*self.contributions(name).values()]
+            contributions = self.contributions(name)
+            errors = [contributions.get(cause, math.nan) for cause in self.causes]
             errors += [self.total(name), self.total(name, independent=False)]
             shares = [float(f"{100.0 * self.relative(name, error):.3g}") for error in errors]
-            order = self.parts["mesh"][name].order if "mesh" in self.parts else math.nan
+            mesh = self.parts.get("mesh", {})
+            order = mesh[name].order if name in mesh else math.nan
             quantity = with_unit(name, self.units[name])
             rows.append([quantity, value, *shares, round(order, 2), self.extrapolated(name)])
         columns = [f"{what} [%]" for what in (*self.causes, "total", "sum")]
@@ -418,8 +432,8 @@ class Verification(Saved):
 
     def _rows(self, name: str) -> Iterator[dict[str, Any]]:
         shared = {"quantity": name, "unit": self.units[name]}
-        for cause, found in self.parts.items():
-            part, counts = found[name], self.counts[cause]
+        for cause in self.contributions(name):
+            part, counts = self.parts[cause][name], self.counts[cause]
             row: dict[str, Any] = shared | {"cause": cause, "behaviour": part.behaviour}
             row |= {f"{key}_{n}": math.nan for key in ("count", "value") for n in (1, 2, 3)}
             row |= {f"count_{n}": count for n, count in enumerate(counts, 1)}
@@ -471,6 +485,7 @@ class Verification(Saved):
             f"{cause} not varied, so it is missing in the totals: {why}"
             for cause, why in self.unknown.items()
         ]
+        found += self.incomplete
         found += [f"failed, {text}" for text in self.failures]
         found += [f"the orbit with {run} is {verdict}" for run, verdict in self.verdicts.items()]
         for cause, parts in self.parts.items():
@@ -486,6 +501,16 @@ class Verification(Saved):
                 "changes the law, too; contact.stiffness_per_area stays the same law"
             )
         return tuple(found)
+
+    @property
+    def incomplete(self) -> tuple[str, ...]:
+        """Sentences on numbers whose error lacks a cause that was varied."""
+        return tuple(
+            f"{', '.join(names)}: error due to the {cause} not included: "
+            f"{self.lacking(names[0])[cause]}"
+            for cause, parts in self.parts.items()
+            if (names := [name for name in self.values if name not in parts])
+        )
 
     @property
     def dents(self) -> tuple[str, ...]:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from friction_left_out import NAMES, effects, is_right, random_scene
+from friction_left_out import NAMES, effects, is_right, random_scene, with_and_without
+from helpers import SOLID_TEXT
 from mpi4py import MPI
+from surroundings import main
 
 import fenics_crack as fc
 from fenics_crack.basics.errors import ConvergenceError
@@ -37,16 +40,64 @@ def test_effect_is_that_of_the_scene_with_friction() -> None:
         stated.append(changes(run.errors))
         part = run.errors.contributions("ratio_2_1")["friction"]
         assert run.errors.total("ratio_2_1") >= part
-        assert part == pytest.approx(abs(stated[-1]["ratio_2_1"]) * run.errors.values["ratio_2_1"])
+        assert part >= 0.999 * abs(stated[-1]["ratio_2_1"]) * run.errors.values["ratio_2_1"]
     for name in NAMES:
         effect = getattr(true[0.3], name) / getattr(true[0.0], name) - 1.0
         assert all(0.5 < one[name] / effect < 2.0 for one in stated), name
         assert stated[1][name] == pytest.approx(stated[0][name], rel=0.1)
 
 
+def true_over_stated(scene: fc.Scene) -> dict[str, float]:
+    """Of each number, what friction changes with 60 modes over its part of the error."""
+    run = fc.solve(scene, MPI.COMM_SELF)
+    assert run.errors is not None
+    true = with_and_without(run.scene, 60)
+    parts = {name: run.errors.contributions(name)["friction"] for name in NAMES}
+    return {n: abs(true[n] * run.errors.values[n]) / part for n, part in parts.items()}
+
+
+def test_effect_on_an_extreme_that_is_small_by_chance() -> None:
+    """The opening of a plate that 20 modes change by 0.01 % and many by 0.03 to 0.05 %: at most 1.6
+    times what is stated, as of the other numbers."""
+    ratios = true_over_stated(random_scene("plate", 2009231322))
+    assert max(ratios.values()) < 1.6, ratios
+
+
+@pytest.mark.nightly
+def test_ten_drawn_plates() -> None:
+    """Seeds from the hash of the commit whose parts were too small: at most 1.6, half of them
+    between 0.4 and 1.6, and at most a tenth below 0.2."""
+    seeds = np.random.default_rng(int("b0b6efe4", 16)).integers(1, 2**31, 10).tolist()
+    found = [true_over_stated(random_scene("plate", seed)) for seed in seeds]
+    ratios = np.array([[*each.values()] for each in found])
+    assert ratios.max() < 1.6 and 0.4 < np.median(ratios) < 1.2
+    assert np.mean(ratios < 0.2) <= 0.1
+
+
+def test_page_names_what_is_missing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """K_II of a solid under two opposite forces, from its page and its file: an error by the other
+    causes, the cause that is missing, and why."""
+    keys = {
+        "contact.law": "unilateral", "contact.stiffness": "none", "reduction.modes": 4,
+        "loads.1.point": [0.03, 0.05, 0.005], "loads.1.force_cos": [0.0, 0.0, -10.0],
+        "excitation.force_cos": [0.0, 0.0, 10.0], "harmonic_balance.harmonics": 3,
+        "output.quantities": '["amplitude", "K_II_max", "K_III_max"]',
+    }  # fmt: skip
+    (tmp_path / "twisted.toml").write_text(SOLID_TEXT)
+    changes = [f"--set={key}={value}" for key, value in keys.items()]
+    assert main(["solve", str(tmp_path / "twisted.toml"), *changes, "--output", str(tmp_path)]) == 0
+    page = "".join(capsys.readouterr())
+    assert "K_II_max, K_III_max: error due to the friction not included: that at the" in page
+    rows = {row["name"]: row for row in json.loads((tmp_path / "solution.json").read_text())}
+    for name in ("K_II_max", "K_III_max"):
+        assert rows[name]["error [%]"] > 0.0
+        assert rows[name]["most by"].endswith("; not included: friction")
+    assert "not included" not in rows["amplitude"]["most by"]
+
+
 def test_with_stress_intensities() -> None:
-    """Where they are requested the others keep it; K_I changes by as little as openings, and of
-    K_II, whose own friction is not known, no error is stated."""
+    """Where they are requested the others keep it; K_I changes by as little as openings. The error
+    of K_II is that of the other causes, and friction is named as missing."""
     few = INCLINED.replace({"reduction.method": "massless", "reduction.modes": 10})
     asked = ["K_max", "K_II_max", *NAMES]
     both = [
@@ -55,7 +106,12 @@ def test_with_stress_intensities() -> None:
     without, found = (changes(run.errors) for run in both)
     assert found == pytest.approx(without, rel=1e-9)
     errors = both[1].errors
-    assert errors is not None and np.isnan(errors.stated("K_II_max")[0])
+    assert errors is not None and set(errors.lacking("K_II_max")) == {"friction"}
+    others = errors.contributions("K_II_max")
+    assert set(others) == {"modes", "harmonics"}  # the mesh file has no coarser one
+    known = errors.relative("K_II_max", np.hypot.reduce([*others.values()]))
+    assert errors.stated("K_II_max")[0] == pytest.approx(known, rel=1e-9) and known > 0.0
+    assert not errors.lacking("K_max") and errors.table().rows
     zero, rubbed = errors.parts["friction"]["K_max"].values
     assert 1e-3 < abs(rubbed / zero - 1.0) < 0.03  # at the tip; from pair to pair 2e-4 to 0.03
 
