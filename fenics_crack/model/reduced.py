@@ -226,7 +226,8 @@ class MasslessStructure(MasslessInterface):
         normal, tangents = np.split(seen, [whole.n_pairs], axis=1)
         known = None if whole.tangential is None else tangents
         parts = _coordinates(whole, squares, damping, normal, known, force, compliance)
-        parts |= {"flexibility": _pseudoinverse(compliance), "share": share}
+        root = _inverse_root(compliance)
+        parts |= {"flexibility": root @ root.T, "share": share}
         Structure.__init__(self, MasslessBody(**parts, reference=reference))
 
     @property
@@ -250,20 +251,18 @@ class MasslessStructure(MasslessInterface):
             (Lambda + b R_inf^-1 b^T) q = w^2 q,      b = Phi^T B,      lambda = R_inf^-1 b^T q:
 
         ties are springs of the compliance that the modes leave out, and hold b^T q where it has
-        none."""
+        none. Pairs that depend on each other, by their static compliance, are one tie."""
         if not tied:
             return super().known_modes(tied=False)
-        pairs = self.gap[: self.n_modes].toarray()
-        compliance, turned = np.linalg.eigh(self.residual)
-        elastic = self.omega > 0.0
-        sizes = (pairs[elastic] ** 2 / self.omega[elastic, None] ** 2).sum()
-        soft = compliance > NEGLIGIBLE * (sizes + compliance.sum())
-        held = pairs @ turned[:, ~soft]
+        pairs, residual = self.gap[: self.n_modes].toarray(), self.residual
+        static = pairs / np.where(self.omega > 0.0, self.omega, self.omega.max() or 1.0)[:, None]
+        ties = _inverse_root(static.T @ static + residual)
+        shares, turned = np.linalg.eigh(ties.T @ residual @ ties)
+        ties, soft = ties @ turned, shares > NEGLIGIBLE
+        held = pairs @ ties[:, ~soft]
         free = scipy.linalg.null_space(held.T) if held.size else np.eye(self.n_modes)
-        forces = (turned[:, soft] / compliance[soft]) @ (pairs @ turned[:, soft]).T
-        squares, shapes = scipy.linalg.eigh(
-            free.T @ (np.diag(self.omega**2) + pairs @ forces) @ free
-        )
+        forces = (ties[:, soft] / shares[soft]) @ (pairs @ ties[:, soft]).T
+        squares, shapes = np.linalg.eigh(free.T @ (np.diag(self.omega**2) + pairs @ forces) @ free)
         modal = free @ shapes
         static = np.zeros((self.n_dofs - self.n_modes, modal.shape[1]))
         static[: self.n_pairs] = -forces @ modal
@@ -314,9 +313,13 @@ def massless(structure: Structure | None) -> MasslessStructure | None:
     return structure if isinstance(structure, MasslessStructure) else None
 
 
-def _pseudoinverse(compliance: np.ndarray) -> np.ndarray:
-    """Invert S, whose units differ from load to pair: scaled to a unit diagonal first."""
+def _inverse_root(compliance: np.ndarray) -> np.ndarray:
+    """Return a root W of the pseudoinverse W W^T of a compliance C, with W^T C W = I.
+
+    Units differ from load to pair, so C is scaled to a unit diagonal first.
+    """
     size = np.sqrt(np.maximum(np.diag(compliance), 0.0))
     scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0)
-    scaled = scale[:, None] * compliance * scale
-    return np.asarray(scale[:, None] * np.linalg.pinv(scaled, NEGLIGIBLE, hermitian=True) * scale)
+    values, vectors = np.linalg.eigh(scale[:, None] * compliance * scale)
+    kept = values > NEGLIGIBLE * values.max(initial=0.0)
+    return np.asarray(scale[:, None] * vectors[:, kept] / np.sqrt(values[kept]))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.linalg
-from helpers import chain, chain_stiffness, dense
+from helpers import chain, chain_stiffness, dense, oscillator
 from mpi4py import MPI
 
 import fenics_crack as fc
@@ -132,6 +132,30 @@ def test_massless_with_all_modes() -> None:
     reduced = fc.reduce_structure(whole, modes=13, method="massless")
     found = fc.solve_modes(reduced, 12, lips="tied").omega
     np.testing.assert_allclose(found, np.repeat(half_chain(), 2), rtol=1e-10)
+
+
+@pytest.mark.parametrize("modes", [4, 10, 13])
+def test_massless_with_ties_that_repeat_each_other(modes: int) -> None:
+    """A pair given twice, its half, and the sum of two pairs tie no more than the two pairs do."""
+    stiffness, middle = held_chain()
+    relative = np.eye(13)[:, 3] - np.eye(13)[:, 4]
+    independent = np.column_stack([middle, relative])
+    dependent = np.column_stack([middle, relative, middle, 0.5 * middle, middle + relative])
+    omega = []
+    for gap in (independent, dependent):
+        whole = fc.Structure.from_matrices(np.eye(13), stiffness, gap=gap)
+        reduced = fc.reduce_structure(whole, modes=modes, method="massless", reference=False)
+        omega.append(fc.solve_modes(reduced, 2, lips="tied").omega)
+    exact = fc.solve_modes(whole, 2, lips="tied").omega
+    np.testing.assert_allclose(omega[1], omega[0], rtol=1e-9)
+    np.testing.assert_allclose(omega[1], exact, rtol=1e-9 if modes == 13 else 0.05)
+
+
+def test_massless_oscillator_held_by_its_pair() -> None:
+    """Its only motion is held: no frequency is left."""
+    reduced = fc.reduce_structure(oscillator(), modes=1, method="massless", reference=False)
+    with pytest.raises(fc.InputError, match="a whole number from 1 to the number of bonded modes"):
+        fc.solve_modes(reduced, 1, lips="tied")
 
 
 # --- two ranks, bad input -------------------------------------------------------------------------
