@@ -495,8 +495,8 @@ class _Domain:
         corners = self.points[self.cells[:, :4]]
         # From the nearest to the front on; those as near by place: rounding and numbers differ on
         # other ranks, and the rule of an edge on the front takes its ends in turn.
-        steps = np.round(away[kept, :4] / (SAME * front.widest))
-        self.order = order = np.lexsort((*corners.transpose(2, 0, 1), steps), axis=-1)
+        places = np.dstack([corners, away[kept, :4]]).transpose(2, 0, 1)
+        self.order = order = np.lexsort(np.round(places / (SAME * front.widest)), axis=-1)
         self.corners = np.take_along_axis(corners, order[..., None], axis=1)
         number = np.take_along_axis(self.cells[:, :4], order, axis=1)
         facets = [np.sort(np.delete(number, k, axis=1), axis=1) for k in range(4)]
@@ -581,10 +581,12 @@ class _Domain:
         return frame, xi, y, r, hat, by_t / speed[..., None], bend, slope, radius
 
     def _nodal(self, some: np.ndarray) -> np.ndarray:
-        """w of cells: (n, 10, 3 n_stations, 3)."""
+        """Return w of cells, 0 on the front and on its edges, which lie behind the curve and have
+        no side: (n, 10, 3 n_stations, 3)."""
         places = self.points[self.cells[some]]
         frame, xi, y, r, hat, _, _, _, radius = self._around(places, some)
         at_front = r < 1e-6 * radius
+        at_front[:, 4:] = at_front[:, np.array(EDGES)].all(axis=2)
         r = np.where(at_front, radius, r)
         q = np.where(at_front, 0.0, _weight(r / radius)[0])
         fields = []
