@@ -27,13 +27,18 @@ h_0 such that ``lip_elements`` elements in a row, each r times as long as the on
 the front to the mouth. **The graded sector of a plane disk** has triangles of such lengths around
 the tips and, with h_0 = ``mesh.size`` / 32 and a slope of ``mesh.size`` over the blade's width,
 around the corners between blade and rim: all of it scales with ``mesh.size``.
+
+gmsh's tolerances are lengths. So all is drawn in a unit by which a scene in mm has the mesh of one
+in m (:func:`_in_unit`), and then its nodes are scaled.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from copy import copy
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -172,6 +177,34 @@ def _nearest(places: np.ndarray, place: float) -> int:
     return int(np.argmin(np.abs(places - place)))
 
 
+# --- the unit of length ---------------------------------------------------------------------------
+
+
+def _in_unit(scene: Scene) -> tuple[Scene, float]:
+    """Return a scene of the same mesh in the unit of length in which gmsh meshes, and that [m]: the
+    power of ten by which the longest side is from 0.0316 to 0.316."""
+    unit = 10.0 ** (round(math.log10(max(scene.geometry.sides))) + 1)
+
+    def scaled(table: Any) -> Any:
+        keys = [key.name for key in fields(table) if key.metadata.get("unit") == "m"]
+        lengths = {key: getattr(table, key) for key in keys if getattr(table, key) is not None}
+        return replace(table, **{key: np.divide(x, unit).tolist() for key, x in lengths.items()})
+
+    drawn = copy(scene)  # a similar one: what has been checked holds
+    for name in ("geometry", "mesh", "crack", "disk", "excitation"):
+        vars(drawn)[name] = getattr(scene, name) and scaled(getattr(scene, name))
+    vars(drawn)["cracks"] = tuple(map(scaled, scene.cracks))
+    return drawn, unit
+
+
+def _scale_nodes(unit: float) -> None:
+    """Give the nodes of the current gmsh model in metres."""
+    if unit != 1.0:
+        numbers, positions, _ = gmsh.model.mesh.getNodes()
+        for number, place in zip(numbers, unit * positions.reshape(-1, 3), strict=True):
+            gmsh.model.mesh.setNode(number, place, [])
+
+
 # --- graded sides ---------------------------------------------------------------------------------
 
 
@@ -264,16 +297,19 @@ def _graded(length: float, first: float, last: float) -> tuple[int, float]:
 def draw_plate(scene: Scene) -> tuple[Names, Lips]:
     """Fill the current gmsh model with the mesh of a scene's plate; its named sides, and the faces
     of its cracks."""
-    groups = _draw_blocks(scene)
+    _check_blocks(scene)
+    drawn, unit = _in_unit(scene)
+    groups = _draw_blocks(drawn)
     if scene.has_element_lengths:
-        rim = Rim(scene)
+        rim = Rim(drawn)
         of_group = gmsh.model.getEntitiesForPhysicalGroup
         left, right = (of_group(1, *groups[name]).tolist() for name in RIM_SIDES)
         rim.match(0, left, right)
-        _mesh_graded(scene, [*_gradings(scene), *rim.gradings()])
+        _mesh_graded(scene, drawn, [*_gradings(drawn), *rim.gradings()])
         gmsh.model.mesh.setPeriodic(1, right, right, np.eye(4).ravel().tolist())  # no more
     else:
         gmsh.model.mesh.generate(2)
+    _scale_nodes(unit)
     return (groups, {}), _lips(scene)
 
 
@@ -287,16 +323,20 @@ def _lips(scene: Scene) -> tuple[Lip, ...]:
     return tuple(found)
 
 
-def _draw_blocks(scene: Scene) -> dict[str, tuple[int, ...]]:
-    """Draw the plate, set how curves and surfaces are divided; return the tags of its sides."""
-    columns, rows, slits = _plate_blocks(scene)
+def _check_blocks(scene: Scene) -> None:
+    """Raise InputError where a plate would have too many cells, or too small ones."""
+    columns, rows, _ = _plate_blocks(scene)
     cells: float = math.prod(sum(interval.count for interval in side) for side in (columns, rows))
-    rim = None if scene.disk is None else Rim(scene)
-    if rim is not None:
-        cells += rim.area / _length(scene) ** 2
+    if scene.disk is not None:
+        cells += Rim(scene).area / _length(scene) ** 2
     key = "columns" if scene.mesh.layout == "grid" else "size"
     _check_cells(scene, key, cells, 2 * scene.mesh.order**2)
 
+
+def _draw_blocks(scene: Scene) -> dict[str, tuple[int, ...]]:
+    """Draw the plate, set how curves and surfaces are divided; return the tags of its sides."""
+    columns, rows, slits = _plate_blocks(scene)
+    rim = None if scene.disk is None else Rim(scene)
     xs, ys = ([0.0, *(interval.stop for interval in side)] for side in (columns, rows))
     add_point = gmsh.model.geo.addPoint
     feet = [0.0 if rim is None else rim.foot(x) for x in xs]
@@ -516,7 +556,10 @@ def draw_box(scene: Scene) -> tuple[Names, Lips]:
     InputError
         gmsh cannot mesh it, or a crack's surface cannot be split.
     """
-    _draw_solid(scene)
+    _check_size(scene, _gradings(scene))
+    drawn, unit = _in_unit(scene)
+    _draw_solid(scene, drawn)
+    _scale_nodes(unit)
     from fenics_crack.fem.msh_file import named_groups, put  # with what takes surfaces apart
     from fenics_crack.fem.msh_reader import groups
 
@@ -530,16 +573,15 @@ def draw_box(scene: Scene) -> tuple[Names, Lips]:
         raise _not_meshed(scene, f"{error.value}") from None
 
 
-def _draw_solid(scene: Scene) -> None:
-    """Mesh the box of a scene, with its cracks as surfaces inside, and name its faces."""
-    gradings = _gradings(scene)
-    _check_size(scene, gradings)
-    width, height, thickness = size = scene.geometry.sides
+def _draw_solid(scene: Scene, drawn: Scene) -> None:
+    """Mesh the box of a scene, which is drawn in a unit of its size, with its cracks as surfaces
+    inside, and name its faces."""
+    width, height, thickness = size = drawn.geometry.sides
     occ = gmsh.model.occ
-    rim = None if scene.disk is None else Rim(scene)
+    rim = None if drawn.disk is None else Rim(drawn)
     box = [(3, occ.addBox(0.0, 0.0, 0.0, *size))] if rim is None else rim.with_box(*size)
     faces = []
-    for crack in scene.all_cracks.values():
+    for crack in drawn.all_cracks.values():
         face = _face(crack, width, thickness)
         faces += occ.intersect(face, box, removeObject=True, removeTool=False)[0]
     if faces:
@@ -563,10 +605,10 @@ def _draw_solid(scene: Scene) -> None:
     _name(groups)
     if rim is not None:
         rim.match(2, *(groups[name][1] for name in RIM_SIDES))
-    _mesh_graded(scene, gradings)
+    _mesh_graded(scene, drawn, _gradings(drawn))
 
 
-def _mesh_graded(scene: Scene, gradings: list[_Grading]) -> None:
+def _mesh_graded(scene: Scene, drawn: Scene, gradings: list[_Grading]) -> None:
     """Fill what is drawn with elements ``mesh.size`` long, and shorter by some gradings.
 
     Raises
@@ -574,7 +616,7 @@ def _mesh_graded(scene: Scene, gradings: list[_Grading]) -> None:
     InputError
         gmsh cannot.
     """
-    size, around = scene.mesh.given("size"), [one.compiled() for one in gradings]
+    size, around = drawn.mesh.given("size"), [one.compiled() for one in gradings]
 
     def length(dimension: int, tag: int, x: float, y: float, z: float, *_: float) -> float:
         """Asked for a hundred thousand times a mesh."""

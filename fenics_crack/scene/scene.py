@@ -334,7 +334,8 @@ class Scene:
         """A point of the rotor's axis in space [m], and its direction, of length 1."""
         if self.disk is None:
             assert self.rotation is not None
-            return self.rotation.place
+            sides = self.geometry.sides
+            return self.rotation.place(0.5 * np.array(sides if len(sides) == 3 else np.zeros(3)))
         plane, axis = self.dimension == 2, np.array(self.disk.axis or (1.0, 0.0, 0.0))
         if self.mesh.layout == "file":
             point = [*(self.disk.center or (0.0,)), 0.0, 0.0][:3]

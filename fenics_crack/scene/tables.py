@@ -398,8 +398,9 @@ class Rotation(Table):
 
     The radius is hub_radius + y. Vibration in the plane is then along x, parallel to the axis, and
     along the radius: Coriolis forces stand normal to the plane. Those of a solid are left out, and
-    remarked where they matter; its axis may have any direction, through (0, -hub_radius, 0) or
-    another point.
+    remarked where they matter; its axis may have any direction. It goes through the point at
+    y = -hub_radius below the middle of a box's clamped face, of a mesh file through (0,
+    -hub_radius, 0), or through another point.
     """
 
     hub_radius: float | None = not_negative(None, unit="m")
@@ -438,12 +439,15 @@ class Rotation(Table):
         elif self.center is None:
             self.given("hub_radius", "given: a finite number >= 0")
 
-    @property
-    def place(self) -> tuple[np.ndarray, np.ndarray]:
-        """A point of the axis in space [m], and its direction, of length 1."""
+    def place(self, middle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return a point of the axis in space [m] and its direction, of length 1: (3,) each.
+
+        With ``hub_radius`` the axis is below the middle of a box (3,) [m], which has zeros of other
+        shapes.
+        """
         axis = np.array(self.axis or (1.0, 0.0, 0.0))
-        point = self.center or (0.0, -(self.hub_radius or 0.0), 0.0)
-        return np.array(point), axis / np.linalg.norm(axis)
+        below = middle[0], -(self.hub_radius or 0.0), middle[2]
+        return np.array(self.center or below), axis / np.linalg.norm(axis)
 
 
 @dataclass(frozen=True)

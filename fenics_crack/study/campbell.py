@@ -357,7 +357,8 @@ def campbell(
     if scene.disk is not None:
         allowed = "left out of a Campbell diagram; nodal_diameters has its frequencies"
         raise InputError("disk", "a table", allowed)
-    _, axis = scene.given("rotation").place
+    scene.given("rotation")
+    _, axis = scene.axis
     check_count("count", few if count is None else count, 1)
     wanted = np.atleast_1d(numbers(speeds))
     rising = wanted.ndim == 1 and len(wanted) > 1 and bool(np.all(np.diff(wanted) > 0.0))

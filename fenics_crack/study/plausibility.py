@@ -570,11 +570,30 @@ def _clamp(_: float, scene: Scene, structure: Structure) -> tuple[float, float] 
     return abs(off) / float(np.ptp(points, axis=0).max()), off
 
 
+def _bent(_: object, scene: Scene, structure: Structure) -> tuple[float, float] | None:
+    """Return the bending stress in a solid's clamp, as of a rectangle, of an axis that is not below
+    its middle: over the direct stress of the centrifugal force, and in MPa."""
+    nodes, rotation, clamp = structure.nodes, structure.rotation, structure.clamp
+    if nodes is None or rotation is None or clamp is None or scene.dimension == 2 or scene.disk:
+        return None
+    clamped, (point, axis) = np.all(nodes.dofs < 0, axis=1), scene.axis
+    sides = np.ptp(gather_rows(structure.comm, nodes.points[clamped]), axis=0)
+    normal, rows = int(sides.argmin()), nodes.dofs[~clamped] - structure.first_dof
+    offset = clamp.center - point
+    offset -= (offset @ axis) * axis
+    offset[normal] = 0.0
+    parts = [rotation.force[rows].sum(axis=0), (clamp.inertia[3:, rows] @ offset).sum(axis=1)]
+    force, moment = rotation.speed**2 * structure.sum_over_ranks(np.stack(parts))
+    first, second = np.delete(sides, normal)
+    bending = 6.0 * (np.abs(np.delete(moment, normal)) @ [1.0 / second, 1.0 / first])
+    return bending / float(np.linalg.norm(force)), 1e-6 * bending / (first * second)
+
+
 def _coriolis(_: float, scene: Scene, structure: Structure) -> float | None:
     """Largest relative change of the lowest frequencies of a solid by the Coriolis force."""
     if scene.rotation is None or structure.rotation is None or scene.dimension == 2 or scene.disk:
         return None
-    turning = structure.rotation.speed * scene.rotation.place[1]
+    turning = structure.rotation.speed * scene.axis[1]
     modes = solve_modes(structure, min(N_MODES, structure.n_modes))
     return float(np.abs(coriolis_shifts(modes, turning)).max())
 
@@ -702,6 +721,9 @@ OF_STRUCTURE = (
     Usual("rotation.rpm", 0.0, FASTEST, TOO_FAST, _tip_speed),
     Usual("rotation.hub_radius", 0.0, 0.01, "counted from a clamp at y = 0; that of the mesh is at "
           "y = {1:.4g} m", _clamp),
+    Usual("rotation.hub_radius rotation.center", 0.0, 0.2, "the axis is not below the middle of "
+          "the clamp: so the centrifugal force bends the blade, by about {1:.3g} MPa at the clamp, "
+          "{0:.2g} of its direct stress", _bent),
 )  # fmt: skip
 OF_FIGURES = (
     Usual("excitation.omega", 1.0, 0.0, OF_FIRST + "Hz? then use excitation.frequency",

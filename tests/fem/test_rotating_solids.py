@@ -13,6 +13,7 @@ from mpi4py import MPI
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
+from fenics_crack.study.plausibility import remarks_on_scene
 
 SIDE, LENGTH, YOUNG, DENSITY = 0.01, 0.2, 2.1e11, 7850.0
 BAR: dict[str, Any] = {
@@ -37,7 +38,7 @@ AXES = {
     "z": {"center": [0.005, -0.1, 0.005], "axis": [0.0, 0.0, -3.0]},
     "slanting": {"hub_radius": 0.1, "axis": [1.0, 0.0, 1.0]},
 }
-"""All through (0, -0.1, 0), but for what the bar is thick."""
+"""All below the middle of the clamp."""
 ALONG = {"x": (1.0, 0.0, 0.0), "z": (0.0, 0.0, 1.0), "slanting": (0.5**0.5, 0.0, 0.5**0.5)}
 
 
@@ -60,6 +61,28 @@ def test_southwell_coefficients_and_stretch(name: str) -> None:
     top = moved[structure.find_dof((SIDE / 2.0, LENGTH, SIDE / 2.0), "y")]
     stretch = DENSITY * 100.0**2 * (hub * LENGTH**2 / 2.0 + LENGTH**3 / 3.0) / YOUNG
     assert top == pytest.approx(stretch, rel=2e-3)
+
+
+@pytest.mark.parametrize("axis", [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+def test_an_axis_below_the_middle_bends_no_blade(axis: list[float]) -> None:
+    """At a distance e beside it the uniform load rho A W^2 e bends the bar by q L^4 / (8 E I), and
+    its stress in the clamp is q L^2 / 2 / (b^3 / 6)."""
+    beside = {"center": [0.0, -0.1, 0.0], "axis": axis, "speed": 100.0}
+    stress = DENSITY * 100.0**2 * 0.5 * SIDE * LENGTH**2 * 3.0 / SIDE
+    bent = DENSITY * 100.0**2 * 0.5 * SIDE * LENGTH**4 * 1.5 / (YOUNG * SIDE**2)
+    moved = []
+    for rotation in ({"hub_radius": 0.1, "axis": axis, "speed": 100.0}, beside):
+        scene = Scene.from_mapping(BAR | PUSHED | {"rotation": rotation})
+        structure = fc.build_structure(scene)
+        mean = fc.solve_linear(structure, 1.0, harmonics=1).displacement_coefficients[0]
+        top = (0.5 * SIDE, LENGTH, 0.5 * SIDE)
+        moved.append([mean[structure.find_dof(top, letter)] for letter in "xz"])
+        remarks = [r for r in remarks_on_scene(scene, structure) if r.key.startswith("rotation")]
+        assert len(remarks) == len(moved) - 1
+    side = int(axis[0] == 1.0)  # the direction in which it is bent
+    assert np.abs(moved[0]).max() < 2e-3 * bent
+    assert np.abs(moved[1][side]) == pytest.approx(bent, rel=0.02)
+    assert f"about {1e-6 * stress:.3g} MPa" in str(remarks[0])
 
 
 CALCULIX = {

@@ -848,6 +848,32 @@ def test_a_mesh_in_mm_is_told(tmp_path: Path) -> None:
         fc.build_structure(scene.replace(rotor))
 
 
+IN_MM = (
+    "geometry.width", "geometry.height", "geometry.thickness", "crack.center", "crack.height",
+    "crack.length", "crack.depth", "mesh.size",
+)  # fmt: skip
+"""Lengths of a solid with a half ellipse."""
+
+
+@pytest.mark.parametrize("kind", ["solid", "plate"])
+def test_metres_and_millimetres_have_one_mesh(kind: str) -> None:
+    """In mm, N and t they have the same frequencies, too."""
+    scene = solid(ELLIPSE)
+    if kind == "plate":
+        point = {"excitation.point": [0.0, HEIGHT], "excitation.force_cos": [1.0, 0.0]}
+        mesh = {"mesh.cells": "triangle", "crack.depth": None, "crack.front": None}
+        scene = scene.replace({"geometry.kind": "plate"} | point | mesh)
+    lengths = {key: getattr(getattr(scene, (of := key.split("."))[0]), of[1]) for key in IN_MM}
+    scaled: dict[str, Any] = {key: 1e3 * x for key, x in lengths.items() if x is not None}
+    scaled |= {"excitation.point": [1e3 * x for x in scene.excitation.point or ()]}
+    steel = {"material.young": 2.1e5, "material.density": 7.85e-9}
+    metres, millimetres = (fc.build_structure(of) for of in (scene, scene.replace(scaled | steel)))
+    assert metres.nodes is not None and millimetres.nodes is not None
+    np.testing.assert_allclose(millimetres.nodes.points, 1e3 * metres.nodes.points, atol=1e-9)
+    found, expected = (fc.bilinear_frequencies(of) for of in (millimetres, metres))
+    np.testing.assert_allclose(found.omega_bilinear, expected.omega_bilinear, rtol=1e-6)
+
+
 TWO_CELLS = """$MeshFormat
 2.2 0 8
 $EndMeshFormat

@@ -152,7 +152,7 @@ def rotating_blade() -> dict[float, tuple[np.ndarray, np.ndarray]]:
     structure = fc.build_structure(scene)
     assert structure.rotation is not None and scene.rotation is not None
     lines, found = mesh_lines(structure, scene, "C3D10"), {}
-    place = ", ".join(f"{x:.13e}" for x in np.concatenate(scene.rotation.place))
+    place = ", ".join(f"{x:.13e}" for x in np.concatenate(scene.axis))
     for rpm in SPEEDS:
         loads = ["*DLOAD", f"PLATE, CENTRIF, {(RPM * rpm) ** 2:.13e}, {place}"] if rpm else None
         ours = fc.solve_modes(structure.rotation.at(RPM * rpm), 6).omega

@@ -323,7 +323,7 @@ def tip_direction(table: TipTiming, run: Run, blade: int = 0) -> dict[int, float
             along = (turn - turn.T) @ (points[node] - center)
             along /= np.linalg.norm(along)
         else:
-            along = _circumferential(rotation, points[node])
+            along = _circumferential(run.scene, points[node])
         of_dofs = zip(dofs[node].tolist(), along.tolist(), strict=True)
         shares = {dof: share for dof, share in of_dofs if dof >= 0 and share != 0.0}
     if not on_disk:
@@ -356,7 +356,7 @@ def probed_displacement(scene: Scene) -> tuple[str, bool]:
         allowed = "given with arrivals of a solid blade: its tip first"
         raise InputError("output.points", None, allowed)
     tip = scene.points[0]
-    along = _circumferential(rotation, np.array(tip.values))
+    along = _circumferential(scene, np.array(tip.values))
     largest = int(np.abs(along).argmax())
     if abs(along[largest]) < 0.999:  # 2.6 degrees, an error of a thousandth
         shares = ", ".join(f"{share:.3g}" for share in along)
@@ -371,7 +371,7 @@ def _carrier(table: TipTiming, scene: Scene) -> Rotation | None:
     return scene.rotation if table.tangential is None and scene.dimension == 3 else None
 
 
-def _circumferential(rotation: Rotation, point: np.ndarray) -> np.ndarray:
+def _circumferential(scene: Scene, point: np.ndarray) -> np.ndarray:
     """Return the direction in which a rotor carries a point: a x (x - x_0), of length 1: (3,).
 
     Raises
@@ -379,7 +379,7 @@ def _circumferential(rotation: Rotation, point: np.ndarray) -> np.ndarray:
     InputError
         The point lies on the axis.
     """
-    place, axis = rotation.place
+    place, axis = scene.axis
     along = np.cross(axis, point - place)
     size = float(np.linalg.norm(along))
     if size <= SAME * float(np.abs([point, place]).max()):
