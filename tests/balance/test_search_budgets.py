@@ -62,3 +62,22 @@ def test_coefficients_in_blocks(plate: fc.Structure, monkeypatch: pytest.MonkeyP
     moved = orbit.displacement_at(time)
     away = np.abs(evaluate(rows, orbit.omega, time) - moved).max()
     assert away <= 1e-3 * np.abs(moved).max()
+
+
+@pytest.mark.nightly
+def test_orbits_that_lie_dense(paper_scene: fc.Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The paper's plate bounces chaotically: at frequencies that differ by 7e-8 Newton's method
+    reaches different orbits, both unstable and as near to the solution, or none in its budget."""
+    scene = paper_scene.replace({"harmonic_balance.harmonics": 20})
+    usual = []
+    for flows in (20, 80):
+        monkeypatch.setattr("fenics_crack.motion.orbit.FLOWS", flows)
+        for omega in (2142.857, 2142.857143):
+            solution = fc.solve(scene.replace({"excitation.omega": omega})).result
+            if flows == 20:
+                usual.append(solution.stability.verdict)
+                continue
+            orbit = solution.assessment.orbit
+            assert orbit is not None and solution.assessment.distance < 0.01
+            assert np.abs(orbit.multipliers).max() > 2.0
+    assert set(usual) <= {"unstable", "undecided"}
