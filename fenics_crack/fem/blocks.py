@@ -186,9 +186,12 @@ def _in_unit(scene: Scene) -> tuple[Scene, float]:
     unit = 10.0 ** (round(math.log10(max(scene.geometry.sides))) + 1)
 
     def scaled(table: Any) -> Any:
-        keys = [key.name for key in fields(table) if key.metadata.get("unit") == "m"]
-        lengths = {key: getattr(table, key) for key in keys if getattr(table, key) is not None}
-        return replace(table, **{key: np.divide(x, unit).tolist() for key, x in lengths.items()})
+        lengths = {
+            key.name: np.divide(value, unit).tolist()
+            for key in fields(table)
+            if key.metadata.get("unit") == "m" and (value := getattr(table, key.name)) is not None
+        }
+        return replace(table, **lengths)
 
     drawn = copy(scene)  # a similar one: what has been checked holds
     for name in ("geometry", "mesh", "crack", "disk", "excitation"):
@@ -297,9 +300,8 @@ def _graded(length: float, first: float, last: float) -> tuple[int, float]:
 def draw_plate(scene: Scene) -> tuple[Names, Lips]:
     """Fill the current gmsh model with the mesh of a scene's plate; its named sides, and the faces
     of its cracks."""
-    _check_blocks(scene)
     drawn, unit = _in_unit(scene)
-    groups = _draw_blocks(drawn)
+    groups = _draw_blocks(scene, drawn)
     if scene.has_element_lengths:
         rim = Rim(drawn)
         of_group = gmsh.model.getEntitiesForPhysicalGroup
@@ -323,8 +325,9 @@ def _lips(scene: Scene) -> tuple[Lip, ...]:
     return tuple(found)
 
 
-def _check_blocks(scene: Scene) -> None:
-    """Raise InputError where a plate would have too many cells, or too small ones."""
+def _draw_blocks(scene: Scene, drawn: Scene) -> dict[str, tuple[int, ...]]:
+    """Draw the plate of a scene, which is in a unit of its size, set how curves and surfaces are
+    divided; return the tags of its sides."""
     columns, rows, _ = _plate_blocks(scene)
     cells: float = math.prod(sum(interval.count for interval in side) for side in (columns, rows))
     if scene.disk is not None:
@@ -332,11 +335,8 @@ def _check_blocks(scene: Scene) -> None:
     key = "columns" if scene.mesh.layout == "grid" else "size"
     _check_cells(scene, key, cells, 2 * scene.mesh.order**2)
 
-
-def _draw_blocks(scene: Scene) -> dict[str, tuple[int, ...]]:
-    """Draw the plate, set how curves and surfaces are divided; return the tags of its sides."""
-    columns, rows, slits = _plate_blocks(scene)
-    rim = None if scene.disk is None else Rim(scene)
+    columns, rows, slits = _plate_blocks(drawn)
+    rim = None if drawn.disk is None else Rim(drawn)
     xs, ys = ([0.0, *(interval.stop for interval in side)] for side in (columns, rows))
     add_point = gmsh.model.geo.addPoint
     feet = [0.0 if rim is None else rim.foot(x) for x in xs]
@@ -378,7 +378,7 @@ def _draw_blocks(scene: Scene) -> dict[str, tuple[int, ...]]:
     _divide(scene, surfaces)
 
     left, right = ([vertical[i, j] for j in range(len(rows))] for i in (0, len(columns)))
-    single, point = [at for at in points if at not in doubled], scene.excitation.point
+    single, point = [at for at in points if at not in doubled], drawn.excitation.point
     loaded = [points[i, j] for i, j in single if (xs[i], ys[j]) == point]
     groups: dict[str, tuple[int, list[int]]] = {
         "plate": (2, surfaces),

@@ -579,9 +579,8 @@ def _bent(_: object, scene: Scene, structure: Structure) -> tuple[float, float] 
     clamped, (point, axis) = np.all(nodes.dofs < 0, axis=1), scene.axis
     sides = np.ptp(gather_rows(structure.comm, nodes.points[clamped]), axis=0)
     normal, rows = int(sides.argmin()), nodes.dofs[~clamped] - structure.first_dof
-    offset = clamp.center - point
-    offset -= (offset @ axis) * axis
-    offset[normal] = 0.0
+    across = (np.eye(3) - np.outer(axis, axis)) @ (clamp.center - point)
+    offset = np.where(np.arange(3) == normal, 0.0, across)
     parts = [rotation.force[rows].sum(axis=0), (clamp.inertia[3:, rows] @ offset).sum(axis=1)]
     force, moment = rotation.speed**2 * structure.sum_over_ranks(np.stack(parts))
     first, second = np.delete(sides, normal)
