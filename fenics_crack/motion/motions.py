@@ -170,12 +170,17 @@ class Record:
         return replace(self, waves=self.waves[:, rows], motion=self.motion[:, rows], at=at)
 
     @cached_property
+    def pairs_of_cracks(self) -> np.ndarray:
+        """True for the pairs of each crack: (n_pairs, n_cracks)."""
+        cracks = self.structure.pairs.cracks
+        every = np.zeros(self.n_pairs, dtype=int) if cracks is None else cracks
+        return every[:, None] == np.unique(every)
+
+    @cached_property
     def tops(self) -> np.ndarray:
         """Largest values of all products and of their negatives (2 m,), and behind them at the
         crack faces of opening, penetration, contact force of a pair and of a crack (4,)."""
-        count, at, cracks = self.n_pairs, self.at, self.structure.pairs.cracks
-        every = np.zeros(count, dtype=int) if cracks is None else cracks
-        members = every[:, None] == np.unique(every)
+        count, at, members = self.n_pairs, self.at, self.pairs_of_cracks
 
         def columns(motion: np.ndarray, gap: np.ndarray, force: np.ndarray) -> np.ndarray:
             parts = [motion, -motion]

@@ -7,11 +7,10 @@ expected, not bounds: scenes beside a mesh four times finer are in docs/notebook
 - *modes*: the reference of a reduced structure, which has more of them, is solved from the answer
   itself, and e = |f - f_ref| / share, with the share that it has of what is left out. To few
   harmonics the modes above all of them seem static, whether they are kept or not: where an exact
-  orbit is the answer's own, f and f_ref are those of orbits. Amplitude and opening are extremes,
-  which change by what the motion changes at an instant. This may be small there by chance, where
-  what the reference leaves out, too, has another phase. So e is at least the root mean square over
-  the period of what vibrates of the change, of the pair that changes most, over the share. A shift
-  in time, which changes no extreme, is taken off: at a resonance most of the change is one.
+  orbit is the answer's own, f and f_ref are those of orbits. A number may change by little by
+  chance, where what the reference leaves out, too, has another phase. So e is at least the size of
+  the change of the motion, as the number would show it at another phase (:mod:`changes`), over the
+  share.
 - *harmonics*: e = |f - f_orbit|. Without an orbit twice as many are solved; where the report says
   that harmonics are too few the difference may vanish by chance, and four times as many say it,
   too.
@@ -97,9 +96,9 @@ from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.motions import rows_of
-from fenics_crack.motion.orbit import INSTANTS, PeriodicOrbit
+from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.scene.scene import Scene
+from fenics_crack.study.changes import sizes_of_change
 from fenics_crack.study.meshes import coarser, finer_mesh, is_even, n_elements
 from fenics_crack.study.numbers import (
     Numbers,
@@ -285,7 +284,11 @@ class _Case:
         if len(orbits) < 2:
             return f"not estimated, no exact orbit next to {SOUGHT} harmonics"
         few = few if len(others) == 2 else many
-        sizes, coefficients, parts = self._sizes_of_change(*orbits), (0.0, float(coefficient)), {}
+        sizes, coefficients, parts = (
+            sizes_of_change(self.study, *orbits),
+            (0.0, float(coefficient)),
+            {},
+        )
         for name, value in self.made.values.items():
             if name in SLIDING:
                 continue
@@ -316,17 +319,6 @@ class _Case:
                 orbits.append(orbit)
                 numbers.append(of_orbit(twin, found, orbit, self.own.mode))
         return orbits, numbers
-
-    def _sizes_of_change(self, *both: PeriodicOrbit | PeriodicSolution) -> dict[str, float]:
-        """Root mean square of what vibrates of the change, but for a shift in time, of the motions
-        that amplitudes and the opening are extremes of (collective)."""
-        watched = self.study.watched
-        few, many = (_motion_of(one, [point.dof for point in watched]) for one in both)
-        change, rate = many - few, np.roll(few, -1, axis=0) - np.roll(few, 1, axis=0)
-        squares = np.maximum(np.sum(rate**2, axis=0), np.finfo(float).tiny)
-        sizes = (change - np.sum(change * rate, axis=0) / squares * rate).std(axis=0).tolist()
-        found = {point.column("amplitude"): sizes.pop(0) for point in watched}
-        return found | {"opening": max(sizes, default=0.0)}
 
     def _turning(self, friction: CoulombFriction) -> Varied:
         """Each number of a solid, changed by the share of what friction changes that sliding across
@@ -511,7 +503,7 @@ class _Stated(_Case):
             few = self.exact or of_orbit(self.study, self.found, larger.fewer, self.own.mode)
             many = of_orbit(more, self.found, larger.orbit, self.own.mode)
             other = as_changed(self.own.values, few, many)
-            least = self._sizes_of_change(larger.fewer, larger.orbit)
+            least = sizes_of_change(self.study, larger.fewer, larger.orbit)
         else:
             exactly = known.affordable and structure.light_lips
             if exactly and near.harmonics < (count := ENOUGH * near.subharmonic):
@@ -520,7 +512,7 @@ class _Stated(_Case):
             solution = _solved(more, near.omega, near.harmonics, start)
             both = self.values_of(near), self.values_of(solution, more)
             other = as_changed(self.own.values, *both)
-            least = self._sizes_of_change(near, solution)
+            least = sizes_of_change(self.study, near, solution)
             truncated = self.truncated if exactly else ""
             for name, part in {} if isinstance(truncated, str) else truncated[1].items():
                 least[name] = max(least.get(name, 0.0), structure.share * part.uncertainty(-1))
@@ -644,12 +636,6 @@ class _Stated(_Case):
             steps[its] = 0.5 * np.ptp(apart) / along * np.ptp(shares)
         moved = replace(study, structure=study.structure.varied(clearance=steps))
         return self.values_of(_solved(moved, near.omega, near.harmonics, near), moved)
-
-
-def _motion_of(motion: PeriodicOrbit | PeriodicSolution, dofs: Sequence[int]) -> np.ndarray:
-    """Displacements of dofs, and gaps, at equally spaced times of the period (collective)."""
-    [record] = motion.records(rows_of(motion.structure, dofs), INSTANTS)
-    return np.hstack([record.motion, record.gap[:, : record.n_pairs]])
 
 
 def _solved(
