@@ -26,8 +26,6 @@ from fenics_crack.motion.motions import Faces, Record, rows_of
 from fenics_crack.motion.orbit import INSTANTS, PeriodicOrbit
 from fenics_crack.study.prepare import Study
 
-TINY = np.finfo(float).tiny
-
 
 def sizes_of_change(study: Study, *motions: PeriodicOrbit | PeriodicSolution) -> dict[str, float]:
     """Return the size of the change between two motions for each number (collective).
@@ -48,41 +46,36 @@ def sizes_of_change(study: Study, *motions: PeriodicOrbit | PeriodicSolution) ->
     few, many = (
         next(motion.records(rows_of(motion.structure, dofs), INSTANTS)) for motion in motions
     )
-    amplitudes = _rms_of_change(few, few.motion, many.motion)
-    ratios, mean_shifts = _sizes_of_harmonic_changes(few, many)
-    sizes = _sizes_of_face_changes(few, many)
-    for index, point in enumerate(study.watched):
-        sizes[point.column("amplitude")] = float(amplitudes[index])
-        sizes[point.column("mean_shift")] = float(mean_shifts[index])
-        for name, ratio in ratios.items():
-            sizes[point.column(name)] = float(ratio[index])
-    return sizes
+    sizes = _sizes_of_harmonic_changes(few, many)
+    sizes["amplitude"] = _rms_of_change(few, few.motion, many.motion)
+    return _sizes_of_face_changes(few, many) | {
+        point.column(name): float(size[index])
+        for name, size in sizes.items()
+        for index, point in enumerate(study.watched)
+    }
 
 
 def _rms_of_change(record: Record, few: np.ndarray, many: np.ndarray) -> np.ndarray:
     """Return the rms of what vibrates of the change of signals (n, m): (m,)."""
     change, rate = many - few, np.roll(few, -1, axis=0) - np.roll(few, 1, axis=0)
     if record.friction is None:
-        squares = np.maximum(np.sum(rate**2, axis=0), TINY)
+        squares = np.maximum(np.sum(rate**2, axis=0), np.finfo(float).tiny)
         change = change - np.sum(change * rate, axis=0) / squares * rate
     return np.asarray(change.std(axis=0))
 
 
-def _sizes_of_harmonic_changes(
-    few: Record, many: Record
-) -> tuple[dict[str, np.ndarray], np.ndarray]:
+def _sizes_of_harmonic_changes(few: Record, many: Record) -> dict[str, np.ndarray]:
     """Return the sizes of the changes of harmonic ratios and mean shifts, (m,) of m signals."""
     (waves, first), (other_waves, other_first) = map(_turned_harmonics, (few, many))
     changes = np.abs(other_waves / other_first - waves / first)
     largest = 2 + np.argmax(np.abs(waves[2:]), axis=0)
-    ratios = {
+    means = np.abs([waves[0], other_waves[0] - waves[0]]) / first
+    return {
         "ratio_2_1": changes[2],
         "ratio_3_1": changes[3],
         "ratio_largest": np.take_along_axis(changes, largest[None], axis=0)[0],
+        "mean_shift": means[1] + means[0] * np.abs(other_first / first - 1.0),
     }
-    mean_change = np.abs(other_waves[0] - waves[0])
-    first_change = np.abs(waves[0]) / first * np.abs(other_first - first)
-    return ratios, 0.5 * (mean_change + first_change) / first
 
 
 def _turned_harmonics(record: Record) -> tuple[np.ndarray, np.ndarray]:
@@ -91,13 +84,13 @@ def _turned_harmonics(record: Record) -> tuple[np.ndarray, np.ndarray]:
     Returns
     -------
     waves : (n_harmonics, m) complex [m]
-        Twice the mean, and U_k exp(i (phase_k - k phase_1)).
+        The mean, and U_k exp(i (phase_k - k phase_1)).
     first : (m,) [m]
         U_1; never zero.
     """
-    spectrum = np.fft.rfft(record.motion, axis=0)[:: record.subharmonic]
-    spectrum *= 2.0 / len(record.motion)
-    first = np.maximum(np.abs(spectrum[1]), TINY)
+    spectrum = np.fft.rfft(record.motion, axis=0, norm="forward")[:: record.subharmonic]
+    spectrum[1:] *= 2.0
+    first = np.maximum(np.abs(spectrum[1]), np.finfo(float).tiny)
     orders = np.arange(len(spectrum))[:, None]
     return spectrum * (spectrum[1].conj() / first) ** orders, first
 
@@ -106,23 +99,20 @@ def _sizes_of_face_changes(few: Record, many: Record) -> dict[str, float]:
     """Return the sizes of the changes of opening, crack force, shares and friction loss."""
     if not few.n_pairs:
         return {}
-    faces, other_faces = Faces(few), Faces(many)
-    openings = _rms_of_change(few, faces.gap, other_faces.gap)
-    forces = _rms_of_change(
-        few, faces.force @ few.pairs_of_cracks, other_faces.force @ few.pairs_of_cracks
-    )
-    sizes = {"opening": float(openings.max()), "crack_force": float(forces.max())}
-    parts, other_parts = _parts_of_pairs(few, faces), _parts_of_pairs(few, other_faces)
-    return sizes | {
-        name: float(np.abs(other_parts[name] - part).sum()) for name, part in parts.items()
+    faces = Faces(few), Faces(many)
+    forces = (its.force @ few.pairs_of_cracks for its in faces)
+    parts, other_parts = (_parts_of_pairs(few, its) for its in faces)
+    return {
+        "opening": float(_rms_of_change(few, faces[0].gap, faces[1].gap).max()),
+        "crack_force": float(_rms_of_change(few, *forces).max()),
+        **{name: float(np.abs(other_parts[name] - part).sum()) for name, part in parts.items()},
     }
 
 
 def _parts_of_pairs(record: Record, faces: Faces) -> dict[str, np.ndarray]:
     """Return the part of each pair in the numbers that are sums over pairs, (n_pairs,) by name."""
-    shares = {"closed_share": faces.force > 0.0}
-    losses = {}
-    if record.friction is not None:
-        shares["slip_share"] = faces.slips
-        losses["friction_loss"] = faces.losses
-    return losses | {name: part.mean(axis=0) / record.n_pairs for name, part in shares.items()}
+    parts = {"closed_share": (faces.force > 0.0).mean(axis=0) / record.n_pairs}
+    if record.friction is None:
+        return parts
+    slip_shares = faces.slips.mean(axis=0) / record.n_pairs
+    return parts | {"slip_share": slip_shares, "friction_loss": faces.losses}
