@@ -8,7 +8,8 @@ The size of a change is
     amplitude, opening,     root mean square over the period of what vibrates of the change of the
     crack force             displacement, gap, force; the largest of all pairs, and of all cracks
     harmonic ratio k/1      |c_k' - c_k|, where c_k = U_k exp(i (phase_k - k phase_1)) / U_1
-    mean shift a0 / U_1     |a0' - a0| / U_1 + |a0| |U_1' - U_1| / U_1^2
+    mean shift a0 / U_1     that of the ratio 2/1: a mean has no phase, and is made as U_2 is, by
+                            the difference between opening and closing
     shares, friction loss   sum over the pairs of |change of the pair|
 
 Without friction the shift in time by which a signal changes is removed first. It changes no
@@ -44,10 +45,19 @@ def sizes_of_change(study: Study, *motions: PeriodicOrbit | PeriodicSolution) ->
     """
     dofs = [point.dof for point in study.watched]
     few, many = (
-        next(motion.records(rows_of(motion.structure, dofs), INSTANTS)) for motion in motions
+        next(motion.records(rows_of(motion.structure, dofs), INSTANTS * motion.subharmonic))
+        for motion in motions
     )
-    sizes = _sizes_of_harmonic_changes(few, many)
-    sizes["amplitude"] = _rms_of_change(few, few.motion, many.motion)
+    ratios = _ratios(few)
+    changes = np.abs(_ratios(many) - ratios)
+    largest = 2 + np.argmax(np.abs(ratios[2:]), axis=0)
+    sizes = {
+        "amplitude": _rms_of_change(few, few.motion, many.motion),
+        "ratio_2_1": changes[2],
+        "ratio_3_1": changes[3],
+        "ratio_largest": np.take_along_axis(changes, largest[None], axis=0)[0],
+        "mean_shift": changes[2],
+    }
     return _sizes_of_face_changes(few, many) | {
         point.column(name): float(size[index])
         for name, size in sizes.items()
@@ -64,35 +74,12 @@ def _rms_of_change(record: Record, few: np.ndarray, many: np.ndarray) -> np.ndar
     return np.asarray(change.std(axis=0))
 
 
-def _sizes_of_harmonic_changes(few: Record, many: Record) -> dict[str, np.ndarray]:
-    """Return the sizes of the changes of harmonic ratios and mean shifts, (m,) of m signals."""
-    (waves, first), (other_waves, other_first) = map(_turned_harmonics, (few, many))
-    changes = np.abs(other_waves / other_first - waves / first)
-    largest = 2 + np.argmax(np.abs(waves[2:]), axis=0)
-    means = np.abs([waves[0], other_waves[0] - waves[0]]) / first
-    return {
-        "ratio_2_1": changes[2],
-        "ratio_3_1": changes[3],
-        "ratio_largest": np.take_along_axis(changes, largest[None], axis=0)[0],
-        "mean_shift": means[1] + means[0] * np.abs(other_first / first - 1.0),
-    }
-
-
-def _turned_harmonics(record: Record) -> tuple[np.ndarray, np.ndarray]:
-    """Return harmonics of signals, with the time counted from the crest of the first.
-
-    Returns
-    -------
-    waves : (n_harmonics, m) complex [m]
-        The mean, and U_k exp(i (phase_k - k phase_1)).
-    first : (m,) [m]
-        U_1; never zero.
-    """
-    spectrum = np.fft.rfft(record.motion, axis=0, norm="forward")[:: record.subharmonic]
-    spectrum[1:] *= 2.0
-    first = np.maximum(np.abs(spectrum[1]), np.finfo(float).tiny)
+def _ratios(record: Record) -> np.ndarray:
+    """Return c_k of the module's equation for m signals: (n_harmonics, m) complex."""
+    spectrum = np.fft.rfft(record.motion, axis=0)[:: record.subharmonic]
+    size = np.maximum(np.abs(spectrum[1]), np.finfo(float).tiny)
     orders = np.arange(len(spectrum))[:, None]
-    return spectrum * (spectrum[1].conj() / first) ** orders, first
+    return np.asarray(spectrum / size * (spectrum[1].conj() / size) ** orders)
 
 
 def _sizes_of_face_changes(few: Record, many: Record) -> dict[str, float]:
