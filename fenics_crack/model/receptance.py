@@ -47,6 +47,9 @@ class Receptance:
         Of dofs of the structure: their displacements by the modes, and by G X. More are added.
     force : (2K+1, n_local) [N]
         The structure's load f, of which X has the rows that are not zero.
+    inertia : (n_pairs,) [m s^2/N]
+        Diagonal of B^T G M G B beyond the modes: by w^2 times this forces of angular frequency w do
+        more than S says.
     """
 
     squares: np.ndarray
@@ -54,6 +57,7 @@ class Receptance:
     compliance: np.ndarray
     rows: dict[int, tuple[np.ndarray, np.ndarray]]
     force: np.ndarray
+    inertia: np.ndarray
 
     @property
     def n_modes(self) -> int:
@@ -70,6 +74,11 @@ class Receptance:
     def compliance_beyond(self, count: int) -> np.ndarray:
         """S beyond so many modes: (n_sources, n_sources)."""
         return self.beyond(count, self.compliance, self.modal)
+
+    def inertia_beyond(self, count: int) -> np.ndarray:
+        """Diagonal of B^T G M G B beyond so many modes: (n_pairs,)."""
+        weighted = self.modal[: len(self.inertia), count:] / self.squares[count:]
+        return np.asarray(self.inertia + np.sum(weighted**2, axis=1))
 
 
 def receptance(structure: Structure, count: int) -> Receptance:
@@ -117,7 +126,9 @@ def _of_load(structure: Structure, known: Receptance) -> Receptance | None:
     change = scipy.linalg.block_diag(np.eye(len(known.modal) - given), weights)
     rows = {dof: (shape, static @ change) for dof, (shape, static) in known.rows.items()}
     compliance = change.T @ known.compliance @ change
-    return Receptance(known.squares, change.T @ known.modal, compliance, rows, structure.force)
+    return Receptance(
+        known.squares, change.T @ known.modal, compliance, rows, structure.force, known.inertia
+    )
 
 
 def check_matrices(structure: Structure, wanted: str) -> None:
@@ -149,19 +160,23 @@ def _extended(structure: Structure, known: Receptance | None, count: int) -> Rec
         begin("static responses")
         if known is None or known.squares[-1] == 0.0:  # there may be more motions as a rigid body
             size = left.modal.shape[:1]
-            compliance = np.zeros(size * 2) if every else left.compliance(factor)
-            made = Receptance(squares, left.modal, compliance, {}, structure.force)
+            compliance, inertia = np.zeros(size * 2), np.zeros(size)
+            if not every:
+                compliance, inertia = left.compliance(factor)
+            inertia = inertia[: structure.n_pairs]
+            made = Receptance(squares, left.modal, compliance, {}, structure.force, inertia)
             _add_rows(made, structure, _loaded_dofs(structure), left, factor)
             return made
     between = slice(known.n_modes, None)
     weighted = left.modal[:, between] / squares[between]
     compliance = known.compliance - weighted @ left.modal[:, between].T
+    inertia = known.inertia - np.sum(weighted[: structure.n_pairs] ** 2, axis=1)
     dofs = [*known.rows]
     shapes = structure.values_at(found.shapes.T, dofs).T
     static = np.array([row for _, row in known.rows.values()]) - shapes[:, between] @ weighted.T
     keep = 0.0 if every else 1.0
     rows = dict(zip(dofs, zip(shapes, keep * static, strict=True), strict=True))
-    return Receptance(squares, left.modal, keep * compliance, rows, structure.force)
+    return Receptance(squares, left.modal, keep * compliance, rows, structure.force, keep * inertia)
 
 
 def rows_at(structure: Structure, count: int, dofs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -209,7 +224,7 @@ def _add_rows(
     if known.n_modes < structure.n_dofs:
         made = factor or Factor(structure.stiffness, definite=True)
         with nullcontext(made) if factor else made as used:
-            static = left.seen(used, units)
+            static = left.seen(used, units)[0]
     shapes = structure.values_at(left.shapes.T, dofs).T
     known.rows.update(zip(map(int, dofs), zip(shapes, static, strict=True), strict=True))
 
@@ -260,21 +275,25 @@ class ResidualFlexibility:
         moved = times(structure.mass, found.T).T
         return found - structure.sum_over_ranks(moved @ shapes) @ shapes.T
 
-    def seen(self, factor: Factor, columns: sparse.spmatrix) -> np.ndarray:
-        """Y^T G X of sparse forces Y (n_local, m): (m, n_sources) (collective)."""
-        rows = [np.zeros((0, self.sources.shape[1]))]
+    def seen(self, factor: Factor, columns: sparse.spmatrix) -> tuple[np.ndarray, np.ndarray]:
+        """Y^T G X, (m, n_sources), and the diagonal of Y^T G M G Y, (m,), of sparse forces Y
+        (n_local, m) (collective)."""
+        rows, inertia = [np.zeros((0, self.sources.shape[1]))], [np.zeros(0)]
         for start in range(0, columns.shape[1], AT_A_TIME):
             block = columns[:, start : start + AT_A_TIME].T.toarray()
             # Where K^-1 is small enough its modal part is subtracted once, below.
             moved = factor.solve(block) if self._held else self.solve(factor, block)
             rows.append((self.sources.T @ moved.T).T)
+            inertia.append(np.sum(moved.T * times(self.structure.mass, moved.T), axis=0))
         found: np.ndarray = self.structure.sum_over_ranks(np.concatenate(rows))
+        inertias: np.ndarray = self.structure.sum_over_ranks(np.concatenate(inertia))
         if self._held:
-            seen = self.structure.sum_over_ranks(columns.T @ self.shapes)
-            found -= (seen / self.squares) @ self.modal.T
-        return found
+            weighted = self.structure.sum_over_ranks(columns.T @ self.shapes) / self.squares
+            found -= weighted @ self.modal.T
+            inertias -= np.sum(weighted**2, axis=1)
+        return found, inertias
 
-    def compliance(self, factor: Factor) -> np.ndarray:
-        """S = X^T G X: (n_sources, n_sources) (collective)."""
-        found = self.seen(factor, self.sources)
-        return 0.5 * (found + found.T)
+    def compliance(self, factor: Factor) -> tuple[np.ndarray, np.ndarray]:
+        """S = X^T G X, (n_sources, n_sources), and the diagonal of X^T G M G X (collective)."""
+        found, inertia = self.seen(factor, self.sources)
+        return 0.5 * (found + found.T), inertia

@@ -48,6 +48,8 @@ from fenics_crack.model.reduced import MasslessStructure, ReducedStructure, chec
 from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
 
 METHODS = ("massless", "free_interface")
+LEAST_SHARE = 0.1
+"""Smallest share of a reference that is used: with less it shows nothing of what is left out."""
 MODES = 50
 """Modes kept of a large structure whose modes are all damped."""
 
@@ -166,6 +168,10 @@ def _massless(structure: Structure, modes: int, assessed: bool | int) -> Massles
     parts, rows = len(loaded), len(known.modal) - np.count_nonzero(loaded)
     # The amplitudes of the load's parts are unknowns whose force is S times themselves.
     patterns = np.hstack([np.zeros((parts, rows)), np.eye(parts)[:, loaded]])
+    inertias = [float(known.inertia_beyond(count).sum()) for count in counts]
+    share = 1.0 if counts[0] == whole.n_dofs else 0.5
+    if inertias[-1] > 0.0:
+        share = min(share, max(1.0 - inertias[0] / inertias[-1], LEAST_SHARE))
     own, reference = whole.damping, None
     damping: Any = own
     for count in counts:
@@ -183,7 +189,7 @@ def _massless(structure: Structure, modes: int, assessed: bool | int) -> Massles
             patterns @ np.hstack([known.modal[:, :count], left]),
             left,
             reference=reference,
-            share=1.0 if counts[0] == whole.n_dofs and count == counts[-1] else 0.5,
+            share=share if count == counts[-1] else 0.5,
         )
     assert reference is not None
     return reference._in(structure.setting)

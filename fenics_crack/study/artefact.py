@@ -61,6 +61,7 @@ class _Prepared:
     squares: np.ndarray
     modal: np.ndarray
     compliance: np.ndarray
+    inertia: np.ndarray
     dofs: np.ndarray
     shapes: np.ndarray
     static: np.ndarray
@@ -84,7 +85,7 @@ class _Prepared:
         return cls(
             whole.n_dofs, _entries(whole, whole.gap), _entries(whole, whole.force.T),
             whole.clearance, whole.pairs, known.squares, known.modal, known.compliance,
-            np.array([*known.rows]), shapes, static, whole.watched_dof,
+            known.inertia, np.array([*known.rows]), shapes, static, whole.watched_dof,
             None if tangents is None else _entries(whole, tangents),
             *(gather_rows(comm, rows) for rows in places),
         )  # fmt: skip
@@ -95,8 +96,8 @@ class _Prepared:
         (sources, modes), watched = self.modal.shape, len(self.dofs)
         check_shapes(vars(self), {
             "squares": (modes,), "compliance": (sources, sources), "dofs": (watched,),
-            "shapes": (watched, modes), "static": (watched, sources), "gap": (3, -1),
-            "force": (3, -1), "tangential": (3, -1),
+            "inertia": (count,), "shapes": (watched, modes), "static": (watched, sources),
+            "gap": (3, -1), "force": (3, -1), "tangential": (3, -1),
         })  # fmt: skip
         n_local = self.n_dofs if first else 0
 
@@ -126,7 +127,8 @@ class _Prepared:
         held = dict(zip(map(int, self.dofs), zip(self.shapes, self.static @ change, strict=True),
                         strict=True))  # fmt: skip
         made.once(held_receptance).append(Receptance(
-            self.squares, change.T @ self.modal, change.T @ self.compliance @ change, held, force
+            self.squares, change.T @ self.modal, change.T @ self.compliance @ change, held, force,
+            self.inertia,
         ))  # fmt: skip
         return made
 

@@ -12,10 +12,9 @@ The size of a change is
                             the difference between opening and closing
     shares, friction loss   sum over the pairs of |change of the pair|
 
-Without friction the shift in time by which a signal changes is removed first. It changes no
-extreme, and next to a resonance that has moved most of the change is a shift. Friction dissipates
-another part of the work where the motion is another: the height of a resonance then changes as
-much as its place.
+A shift in time is a change as others are, though it moves no extreme: next to a resonance that more
+modes move, they also change the work that friction and impacts dissipate, and with it the height of
+the peak by as much as its phase.
 """
 
 from __future__ import annotations
@@ -52,7 +51,7 @@ def sizes_of_change(study: Study, *motions: PeriodicOrbit | PeriodicSolution) ->
     changes = np.abs(_ratios(many) - ratios)
     largest = 2 + np.argmax(np.abs(ratios[2:]), axis=0)
     sizes = {
-        "amplitude": _rms_of_change(few, few.motion, many.motion),
+        "amplitude": (many.motion - few.motion).std(axis=0),
         "ratio_2_1": changes[2],
         "ratio_3_1": changes[3],
         "ratio_largest": np.take_along_axis(changes, largest[None], axis=0)[0],
@@ -63,15 +62,6 @@ def sizes_of_change(study: Study, *motions: PeriodicOrbit | PeriodicSolution) ->
         for name, size in sizes.items()
         for index, point in enumerate(study.watched)
     }
-
-
-def _rms_of_change(record: Record, few: np.ndarray, many: np.ndarray) -> np.ndarray:
-    """Return the rms of what vibrates of the change of signals (n, m): (m,)."""
-    change, rate = many - few, np.roll(few, -1, axis=0) - np.roll(few, 1, axis=0)
-    if record.friction is None:
-        squares = np.maximum(np.sum(rate**2, axis=0), np.finfo(float).tiny)
-        change = change - np.sum(change * rate, axis=0) / squares * rate
-    return np.asarray(change.std(axis=0))
 
 
 def _ratios(record: Record) -> np.ndarray:
@@ -86,12 +76,12 @@ def _sizes_of_face_changes(few: Record, many: Record) -> dict[str, float]:
     """Return the sizes of the changes of opening, crack force, shares and friction loss."""
     if not few.n_pairs:
         return {}
-    faces = Faces(few), Faces(many)
-    forces = (its.force @ few.pairs_of_cracks for its in faces)
-    parts, other_parts = (_parts_of_pairs(few, its) for its in faces)
+    faces, other_faces = Faces(few), Faces(many)
+    force_change = (other_faces.force - faces.force) @ few.pairs_of_cracks
+    parts, other_parts = _parts_of_pairs(few, faces), _parts_of_pairs(few, other_faces)
     return {
-        "opening": float(_rms_of_change(few, faces[0].gap, faces[1].gap).max()),
-        "crack_force": float(_rms_of_change(few, *forces).max()),
+        "opening": float((other_faces.gap - faces.gap).std(axis=0).max()),
+        "crack_force": float(force_change.std(axis=0).max()),
         **{name: float(np.abs(other_parts[name] - part).sum()) for name, part in parts.items()},
     }
 

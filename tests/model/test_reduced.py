@@ -360,7 +360,9 @@ def test_from_arrays_alone() -> None:
     """A receptance gives a reduced structure without matrices; what it has not is refused."""
     whole = chain("modal", 30)
     expected, known = reduced(whole, 6), receptance(whole, 16)
-    parts = {name: getattr(known, name) for name in ("squares", "modal", "compliance", "rows")}
+    parts = {
+        name: getattr(known, name) for name in ("squares", "modal", "compliance", "rows", "inertia")
+    }
     made = chain("modal", 30)
     held = made.once(last_receptance, of_matrices=True)
     held[:] = [Receptance(**parts, force=made.force)]

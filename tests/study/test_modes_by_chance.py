@@ -1,0 +1,88 @@
+"""Errors by modes of numbers that the next modes hardly change, beside four times the modes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from helpers import DEMOS, ROOT
+
+import fenics_crack as fc
+from fenics_crack.balance.more_modes import MoreModes
+from fenics_crack.motion.flow import flow_of
+from fenics_crack.motion.orbit import PeriodicOrbit
+from fenics_crack.study.numbers import of_orbit
+
+ALONE = {
+    "curve": None, "sweep": None, "mesh.error": False, "contact.friction_error": False,
+    "harmonic_balance.tolerance": 0.05,
+}  # fmt: skip
+PLATE: dict[str, Any] = {
+    "geometry.width": 0.0317, "geometry.height": 0.1046, "geometry.thickness": 0.003,
+    "material.young": 1.14e11, "material.poisson": 0.33, "material.density": 4430.0,
+    "crack.height": 0.0492, "crack.length": 0.00447, "mesh.size": 0.006, "mesh.lip_elements": 8,
+    "damping.ratio": 0.0107, "reduction.modes": 10, "excitation.omega": 62200.0,
+    "excitation.point": [0.0317, 0.1046], "excitation.force_sin": [18.0, 0.0],
+    "output.points": {"far": [0.0, 0.1046]},
+}  # fmt: skip
+RUBBING: dict[str, Any] = {
+    "contact.friction": 0.383, "damping.ratio": 0.0052, "reduction.modes": 15,
+    "excitation.frequency": None, "excitation.omega": 56225.0,
+    "excitation.force_sin": [60.6, -79.5],
+}  # fmt: skip
+
+
+def true_changes(run: fc.Run[fc.PeriodicSolution]) -> dict[str, float]:
+    """Change of each number from the exact orbit to that of four times the modes."""
+    result, orbit = run.result, run.result.assessment.orbit
+    assert orbit is not None and run.contact is not None
+
+    def numbers(orbit: PeriodicOrbit) -> dict[str, float]:
+        return of_orbit(replace(run, structure=orbit.structure), result, orbit, 1)
+
+    larger = orbit
+    for factor in (2, 4):
+        structure = fc.reduce_structure(
+            run.structure.whole, modes=factor * orbit.structure.n_modes, method="massless",
+            reference=False,
+        )  # fmt: skip
+        flow = flow_of(structure, run.contact)
+        assert flow is not None
+        found = MoreModes(flow, result.assessment.wave, larger).orbit
+        assert found is not None
+        larger = found
+    few, many = numbers(orbit), numbers(larger)
+    return {name: abs(many[name] - value) for name, value in few.items() if name in many}
+
+
+@pytest.mark.parametrize(
+    ("scene", "changes", "names"),
+    [
+        (
+            ROOT / "benchmarks" / "plate.toml",
+            PLATE,
+            ("crack_force", "far.ux.ratio_3_1", "far.ux.mean_shift", "far.uy.mean_shift"),
+        ),
+        (DEMOS / "friction.toml", RUBBING, ("friction_loss",)),
+        pytest.param(
+            DEMOS / "friction.toml", {}, ("amplitude",),
+            marks=pytest.mark.nightly,  # its orbit is sought along a path
+        ),
+    ],
+    ids=["plate", "friction", "demo"],
+)  # fmt: skip
+def test_modes_that_change_a_number_little_by_chance(
+    scene: Path, changes: dict[str, Any], names: tuple[str, ...]
+) -> None:
+    """Twice the modes change these numbers by a fortieth to a third of what four times do; the size
+    of the change of the motion states them."""
+    run = fc.solve(fc.Scene.load(scene).replace(ALONE | changes))
+    true = true_changes(run)
+    assert run.errors is not None
+    for name in names:
+        part = run.errors.parts["modes"][name]
+        next_change = abs(part.values[0] - part.values[1])
+        assert next_change < true[name] / 3.0 < part.uncertainty(-1), name
+        assert true[name] < 1.6 * part.uncertainty(-1) < 10.0 * true[name], name
