@@ -160,11 +160,11 @@ def _extended(structure: Structure, known: Receptance | None, count: int) -> Rec
         begin("static responses")
         if known is None or known.squares[-1] == 0.0:  # there may be more motions as a rigid body
             size = left.modal.shape[:1]
-            compliance, inertia = np.zeros(size * 2), np.zeros(size)
-            if not every:
-                compliance, inertia = left.compliance(factor)
-            inertia = inertia[: structure.n_pairs]
-            made = Receptance(squares, left.modal, compliance, {}, structure.force, inertia)
+            nothing = np.zeros(size * 2), np.zeros(size)
+            compliance, inertia = nothing if every else left.compliance(factor)
+            made = Receptance(
+                squares, left.modal, compliance, {}, structure.force, inertia[: structure.n_pairs]
+            )
             _add_rows(made, structure, _loaded_dofs(structure), left, factor)
             return made
     between = slice(known.n_modes, None)

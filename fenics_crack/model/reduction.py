@@ -18,7 +18,10 @@ The displacement is sought in the span of a basis T, u = T q:
 With mass, T is made M-orthonormal and K-diagonal: the reduced structure is diagonal. Its
 *reference* has in addition the static response to the inertia of Psi, K^-1 M Psi, the next term of
 the expansion in w^2; that of a massless one has twice the modes. The difference between both, over
-the share of what is left out that the reference has, is the estimate of the reduction error.
+the share of what is left out that the reference has, is the estimate of the reduction error. To the
+order of w^2 modes that are left out change the compliance of pairs by w^2 B^T G M G B, G being the
+flexibility that they have. Of its trace the reference of a massless one has a known share; a half
+of it at most is used, as contact excites modes at their own frequencies, too.
 """
 
 from __future__ import annotations
@@ -146,7 +149,8 @@ def _massless(structure: Structure, modes: int, assessed: bool | int) -> Massles
 
     Its reference, by which it is assessed, has twice the modes, or ten more, where these leave
     something for every pair, without which it has mass, and no more than half of what the kept ones
-    leave. Else it has all modes, or the number that is given.
+    leave. Else it has all modes, or the number that is given. Its share is that of the inertia left
+    out.
     """
     whole = structure.original
     twice, most = modes + max(modes, 10), whole.n_dofs - whole.n_pairs
@@ -169,9 +173,8 @@ def _massless(structure: Structure, modes: int, assessed: bool | int) -> Massles
     # The amplitudes of the load's parts are unknowns whose force is S times themselves.
     patterns = np.hstack([np.zeros((parts, rows)), np.eye(parts)[:, loaded]])
     inertias = [float(known.inertia_beyond(count).sum()) for count in counts]
-    share = 1.0 if counts[0] == whole.n_dofs else 0.5
-    if inertias[-1] > 0.0:
-        share = min(share, max(1.0 - inertias[0] / inertias[-1], LEAST_SHARE))
+    share = max(1.0 - inertias[0] / max(inertias[-1], 1e-300), LEAST_SHARE)
+    share = min(share, 1.0 if counts[0] == whole.n_dofs else 0.5)
     own, reference = whole.damping, None
     damping: Any = own
     for count in counts:
