@@ -91,5 +91,7 @@ def _parts_of_pairs(record: Record, faces: Faces) -> dict[str, np.ndarray]:
     parts = {"closed_share": (faces.force > 0.0).mean(axis=0) / record.n_pairs}
     if record.friction is None:
         return parts
-    slip_share = faces.slips.mean(axis=0) / record.n_pairs
-    return {**parts, "slip_share": slip_share, "friction_loss": faces.losses}
+    return parts | {
+        "slip_share": faces.slips.mean(axis=0) / record.n_pairs,
+        "friction_loss": faces.losses,
+    }
