@@ -284,11 +284,8 @@ class _Case:
         if len(orbits) < 2:
             return f"not estimated, no exact orbit next to {SOUGHT} harmonics"
         few = few if len(others) == 2 else many
-        sizes, coefficients, parts = (
-            sizes_of_change(self.study, *orbits),
-            (0.0, float(coefficient)),
-            {},
-        )
+        sizes = sizes_of_change(study, *orbits)
+        coefficients, parts = (0.0, float(coefficient)), {}
         for name, value in self.made.values.items():
             if name in SLIDING:
                 continue
