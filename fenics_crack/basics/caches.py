@@ -7,6 +7,7 @@ not exist or takes no files, as in containers and on clusters.
 from __future__ import annotations
 
 import os
+import resource
 import tempfile
 from functools import lru_cache
 from pathlib import Path
@@ -74,6 +75,7 @@ def private_folder(path: Path, closed: int = 0o22, *, make: bool = True) -> Path
         if status.st_mode & refused or status.st_uid not in (0, os.geteuid()):
             raise OSError(0, f"others can write {part}")
     with tempfile.TemporaryFile(dir=there[0][0]) as file:
-        if not make:  # it takes milliseconds; the forms of a scene take 1 to 2 MiB
-            os.posix_fallocate(file.fileno(), 0, 2**22)
+        if not make:  # it takes milliseconds; the forms of a scene take 1 to 2 MiB in many files
+            largest = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
+            os.posix_fallocate(file.fileno(), 0, min(2**22, largest % 2**64))
     return folder

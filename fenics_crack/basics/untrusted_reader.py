@@ -41,15 +41,20 @@ def serve(reader: str, line: socket.socket) -> None:
         line.send(str(os.waitstatus_to_exitcode(os.waitpid(copy, 0)[1])).encode())
 
 
+def limit(kind: int, most: int, beyond: int = 0) -> None:
+    """Set a limit of this process, and one ``beyond`` at which it is killed, up to its own."""
+    own = resource.getrlimit(kind)[1]
+    hard = most + beyond if own == resource.RLIM_INFINITY else min(own, most + beyond)
+    resource.setrlimit(kind, (min(most, max(hard - beyond, 1)), hard))
+
+
 def attempt(reader: str, handed: int, asked: dict) -> None:
     """Read a file, and hand over what it holds."""
     os.chdir(asked["folder"])
     signal.alarm(asked["wait"])
-    seconds = asked["seconds"]
-    resource.setrlimit(resource.RLIMIT_AS, (asked["memory"], asked["memory"]))
-    room = resource.getrlimit(resource.RLIMIT_FSIZE)[1]  # what is handed over lies in memory
-    resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
-    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
+    limit(resource.RLIMIT_AS, asked["memory"])
+    limit(resource.RLIMIT_FSIZE, sys.maxsize)  # what is handed over lies in memory
+    limit(resource.RLIMIT_CPU, asked["seconds"], 1)
     read = runpy.run_path(reader)["read"]
     try:
         found = read(asked["path"], asked["most"])

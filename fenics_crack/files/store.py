@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import hashlib
+import io
 import json
 import math
 import os
@@ -76,8 +77,9 @@ def write(
     def work() -> None:
         import h5py  # what only reads has its reader
 
-        # In memory: HDF5 itself cannot be trusted with a disk that may be full.
-        with h5py.File(path, "w", driver="core", backing_store=False, block_size=2**20) as file:
+        # In memory: HDF5 cannot be trusted with a disk that may be full, and would load an old file.
+        image = io.BytesIO()
+        with h5py.File(image, "w") as file:
             write_header(file, kind, scene)
             for name, value in parts.items():
                 if value is not None:
@@ -85,9 +87,7 @@ def write(
                     dataset = file.create_dataset(name, data=value, **packed)
                     dataset.attrs.update(about(name, parts))
             file.attrs["digest"] = digest(texts(file), parts)
-            file.flush()
-            image = file.id.get_file_image()
-        write_whole(path, image)
+        write_whole(path, image.getvalue())
 
     on_root(comm, work)
 

@@ -47,6 +47,8 @@ VARIED = (
     "else the scene itself is solved"
 )
 """What a file can vary, in words."""
+MIN_LOAD_BYTES, LOAD_RATIO = 2**26, 16
+"""Size of the load on all dofs that any file may ask for [byte], and that relative to all arrays."""
 
 
 @dataclass(frozen=True)
@@ -90,15 +92,50 @@ class _Prepared:
             *(gather_rows(comm, rows) for rows in places),
         )  # fmt: skip
 
+    def _check(self, n_parts: int) -> None:
+        """Raise ValueError unless all sizes, indices and numbers fit a load of ``n_parts`` rows."""
+        n_dofs, n_pairs, n_watched = self.n_dofs, self.clearance.size, self.dofs.size
+        n_sources, n_modes = self.modal.shape
+        n_nodes, dimension = (0, 2) if self.points is None else self.points.shape
+        given = vars(self) | {f"pairs.{name}": value for name, value in vars(self.pairs).items()}
+        arrays = {name: value for name, value in given.items() if isinstance(value, np.ndarray)}
+        shapes = {
+            "squares": (n_modes,), "compliance": (n_sources, n_sources), "dofs": (n_watched,),
+            "shapes": (n_watched, n_modes), "static": (n_watched, n_sources), "cells": (-1, -1),
+            "clearance": (n_pairs,), "inertia": (n_pairs,), "node_dofs": (n_nodes, dimension),
+            "pairs.points": (n_pairs, dimension),
+        }  # fmt: skip
+        shapes |= dict.fromkeys(("gap", "force", "tangential"), (3, -1))
+        shapes |= dict.fromkeys(("pairs.areas", "pairs.cracks", "pairs.positions"), (n_pairs,))
+        check_shapes(arrays, shapes)
+        ranges = {
+            "dofs": (0, n_dofs), "watched_dof": (0, n_dofs), "node_dofs": (-1, n_dofs),
+            "cells": (0, n_nodes), "pairs.cracks": (0, n_pairs), "pairs.places": (0, n_pairs),
+        }  # fmt: skip
+        indices = given | {"pairs.places": [*self.pairs.places.values()]}
+        ends = {"gap": n_pairs, "tangential": n_pairs, "force": n_parts}
+        for name in ends.keys() & arrays.keys():
+            indices |= {f"{name} rows": arrays[name][0], f"{name} columns": arrays[name][1]}
+            ranges |= {f"{name} rows": (0, n_dofs), f"{name} columns": (0, ends[name])}
+        wrong = [name for name, value in arrays.items() if not np.all(np.isfinite(value))]
+        wrong += [name for name, (first, end) in ranges.items() if indices[name] is not None
+                  and not _are_indices(indices[name], first, end)]  # fmt: skip
+        n_free = n_dofs if self.node_dofs is None else np.count_nonzero(self.node_dofs >= 0)
+        held = sum(value.nbytes for value in arrays.values())
+        if n_free != n_dofs or 8 * n_parts * n_dofs > max(MIN_LOAD_BYTES, LOAD_RATIO * held):
+            wrong.append("n_dofs")
+        contacts = 1 if self.tangential is None else 2
+        if contacts * n_pairs + len(np.unique(self.force[1])) != n_sources:
+            wrong.append("modal")
+        if np.any(self.squares < 0.0):
+            wrong.append("squares")
+        if wrong:
+            raise ValueError(f"its {wrong[0]} does not fit")
+
     def structure(self, scene: Scene, weights: np.ndarray, comm: MPI.Comm) -> Structure:
         """The structure in the setting of a scene, its load's rows weighted (collective)."""
+        self._check(weights.shape[1])
         first, count = comm.rank == 0, len(self.clearance)
-        (sources, modes), watched = self.modal.shape, len(self.dofs)
-        check_shapes(vars(self), {
-            "squares": (modes,), "compliance": (sources, sources), "dofs": (watched,),
-            "inertia": (count,), "shapes": (watched, modes), "static": (watched, sources),
-            "gap": (3, -1), "force": (3, -1), "tangential": (3, -1),
-        })  # fmt: skip
         n_local = self.n_dofs if first else 0
 
         def rows(entries: np.ndarray, columns: int) -> sparse.csr_matrix:
@@ -107,7 +144,7 @@ class _Prepared:
             made = sparse.csr_matrix((entries[2], (places[0], places[1])), shape)
             return made[:n_local]
 
-        force = weights @ rows(self.force, weights.shape[1]).T.toarray()
+        force = (rows(self.force, weights.shape[1]) @ weights.T).T
         nodes = None
         if self.points is not None and self.node_dofs is not None and self.cells is not None:
             own = slice(None) if first else slice(0)
@@ -131,6 +168,12 @@ class _Prepared:
             self.inertia,
         ))  # fmt: skip
         return made
+
+
+def _are_indices(values: Any, first: int, end: int) -> bool:
+    """Return True if all values are whole numbers from ``first`` to below ``end``."""
+    values = np.asarray(values, dtype=float)
+    return bool(np.all((values == np.round(values)) & (values >= first) & (values < end)))
 
 
 def _entries(whole: Structure, rows: Any) -> np.ndarray:
@@ -172,6 +215,8 @@ def save_prepared(prepared: Study, path: str | Path) -> None:
     if scene.speed > 0.0 or scene.disk is not None:
         key = "disk" if scene.disk is not None else "rotation"
         raise InputError(key, "given", "left out, for a file: it holds structures at rest")
+    if structure.pairs.shares is not None:
+        raise InputError("geometry.kind", "solid", "'plate', or matrices, for a file")
     if not structure.light_lips or not isinstance(structure.whole.damping, DampingRule):
         allowed = "reduced to crack faces without mass, and damped by [damping], for a file"
         raise InputError("structure", repr(structure), allowed)
