@@ -61,9 +61,32 @@ def write_together(files: Iterable[tuple[Path, str]]) -> None:
     InputError
         As of :func:`reported`.
     """
-    with contextlib.ExitStack() as ready:
+    with together():
         for path, content in files:
-            ready.enter_context(whole_file(path)).write_text(content, encoding="utf-8")
+            write_whole(path, content)
+
+
+@contextlib.contextmanager
+def together() -> Iterator[contextlib.ExitStack]:
+    """Write all files of the block or none: each gets its name at the end.
+
+    The stack's ``close`` gives them their names earlier.
+
+    Raises
+    ------
+    InputError
+        As of :func:`reported`.
+    """
+    with contextlib.ExitStack() as files:
+        _TOGETHER.append(files)
+        try:
+            yield files
+        finally:
+            _TOGETHER.remove(files)
+
+
+_TOGETHER: list[contextlib.ExitStack] = []
+"""Files of each block of :func:`together`, the innermost last, that wait for their names."""
 
 
 @contextlib.contextmanager
@@ -82,13 +105,19 @@ def whole_file(path: str | Path, key: str = "path", *, new: bool = False) -> Ite
     InputError
         As of :func:`reported`.
     """
-    with reported(path, key), _hidden(Path(path), new=new) as partial:
-        yield partial
+    with contextlib.ExitStack() as alone:
+        files = _TOGETHER[-1] if _TOGETHER and not new else alone
+        files.enter_context(reported(path, key))
+        partial = files.enter_context(_hidden(Path(path), new=new))
+        with reported(path, key):
+            yield partial
 
 
 @contextlib.contextmanager
 def _hidden(target: Path, *, new: bool = False) -> Iterator[Path]:
     partial = target.parent / f".{os.urandom(4).hex()}.{target.name}"  # which nobody can foresee
+    if target.is_dir() and not target.is_symlink():  # of several files none gets its name
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         yield partial

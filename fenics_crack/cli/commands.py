@@ -9,6 +9,7 @@ from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fenics_crack.basics.atomic_files import together
 from fenics_crack.basics.errors import FEW_MODES, INTERRUPTED, Exit, InputError, StoppedError
 from fenics_crack.basics.ranks import on_root, uninterrupted
 from fenics_crack.basics.report import Report
@@ -76,15 +77,18 @@ def tell(
     replaced = ""
     if result is not None:
         replaced = keep_before(Path(f"{path}.json"), report.table.formatted("json"), console.comm)
-        _save(result, Path(f"{path}.h5"), console)
+    with together() as files:
+        if result is not None:
+            _save(result, Path(f"{path}.h5"), console)
 
-    def write() -> None:
-        report.table.save(f"{path}.json")
-        (report.rows or report.table).save(f"{path}.csv")
-        if pictures:
-            draw(result, Drawn(path.parent, pictures))
+        def write() -> None:
+            report.table.save(f"{path}.json")
+            (report.rows or report.table).save(f"{path}.csv")
+            files.close()
 
-    on_root(console.comm, write)
+        on_root(console.comm, write)
+    if pictures:
+        on_root(console.comm, lambda: draw(result, Drawn(path.parent, pictures)))
     console.table(printed(report) if console.form == "text" else report.table)
     for heading, further in report.further.items():
         console.note(f"{heading}:\n{further.formatted('text')}".rstrip())
@@ -192,11 +196,12 @@ def identify(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     worth = found.where_to_measure()
 
     def write() -> None:
-        found.save(folder)
-        worth.to_csv(folder / "where_to_measure.csv")
-        found.fit_table().save(folder / "fit.csv")
-        for kind in {"png", console.pictures}:  # a report takes the first
-            draw_posterior(found, path=folder / f"posterior.{kind}")
+        with together():
+            found.save(folder)
+            worth.to_csv(folder / "where_to_measure.csv")
+            found.fit_table().save(folder / "fit.csv")
+            for kind in {"png", console.pictures}:  # a report takes the first
+                draw_posterior(found, path=folder / f"posterior.{kind}")
 
     fit, others = found.fit_table().formatted("csv"), ("identify", "posterior", "where_to_measure")
     replaced = keep_before(folder / "fit.csv", fit, console.comm, *others)

@@ -489,6 +489,21 @@ def test_all_or_none(tmp_path: Path) -> None:
     assert len(list((tmp_path / "new").iterdir())) == 3
 
 
+@pytest.mark.parametrize("name", ["solution.csv", "solution.json"])
+def test_a_result_is_whole(
+    name: str, chain_result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A command whose table cannot be written leaves the earlier result, all of it."""
+    shutil.copytree(chain_result.parent, tmp_path, dirs_exist_ok=True)
+    (tmp_path / name).unlink()
+    (tmp_path / name).mkdir()
+    before = {path: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()}
+    words = ["solve", str(DEMOS / "chain.toml"), *SMALL, "--set", "excitation.frequency=7.9"]
+    assert main([*words, "--output", str(tmp_path)]) == 2
+    assert name in capsys.readouterr().err
+    assert before == {path: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()}
+
+
 def test_mesh_file_is_whole(paper_scene: fc.Scene, tmp_path: Path) -> None:
     """gmsh itself does not notice that a file is cut."""
     path = tmp_path / "plate.msh"
