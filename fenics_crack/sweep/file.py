@@ -105,6 +105,8 @@ WAVES = {"gap": "m", "force": "N"}
 """Coefficients kept of a case that converged, and their units."""
 WAVES_CHECKSUM, CHECKSUM = "waves_checksum", "checksum"
 """Columns: CRC-32 of the waves of a case; and of all its columns and its state, never 0."""
+NEEDED = {"state", WAVES_CHECKSUM, CHECKSUM, "harmonics"}
+"""Columns without which no file is read; others may be missing in those of earlier versions."""
 BLANKS: dict[str, Any] = {"f": np.nan, "i": 0, "S": b""}
 """Value of a case without one, by the kind of the type."""
 
@@ -349,6 +351,8 @@ def _of_scene(path: Path, scene: Scene) -> store.Stored:
     if (version := stored.attributes["version"]) != VERSION:
         raise stored.refused(f"a new name: it was begun by version {version}, this is {VERSION}")
     stored.check_files(begun)
+    if not _kept(scene).keys() <= stored.columns.keys():
+        raise stored.refused("a whole sweep")
     return opened(path)
 
 
@@ -379,13 +383,13 @@ def opened(path: Path) -> store.Stored:
     scene = stored.scene()
     if scene is None or scene.sweep is None:
         raise stored.refused("a sweep with its scene")
-    total = 0
-    for name, (_, kind) in _kept(scene).items():
+    total, kept = 0, _kept(scene)
+    for name in sorted(kept.keys() & (stored.columns.keys() | NEEDED)):
         column = stored.columns.get(name)
         if column is None:
             allowed = f"a sweep with a column {name!r}: this one is of an older version"
             raise stored.refused(f"{allowed}; solve it anew in another folder")
-        if column.shape != scene.given("sweep").shape or column.dtype != np.dtype(kind):
+        if column.shape != scene.given("sweep").shape or column.dtype != np.dtype(kept[name][1]):
             raise stored.refused("a whole sweep")
         total += column.size
     if total > MOST_BYTES:
@@ -408,7 +412,8 @@ def _cases(stored: store.Stored, scene: Scene) -> tuple[dict[str, np.ndarray], n
 def _numbers(stored: store.Stored, scene: Scene) -> dict[str, np.ndarray]:
     """All that is kept of each case (n,), beside its waves."""
     try:  # the state first: what is written later counts as pending
-        return {name: stored.columns[name].of(stored.path).ravel() for name in _kept(scene)}
+        names = [name for name in _kept(scene) if name in stored.columns]
+        return {name: stored.columns[name].of(stored.path).ravel() for name in names}
     except (OSError, ValueError):
         raise stored.refused("a whole sweep") from None
 
@@ -436,7 +441,8 @@ def _whole_cases(stored: store.Stored, scene: Scene) -> np.ndarray:
 def read_columns(stored: store.Stored, scene: Scene) -> dict[str, np.ndarray]:
     """``state`` and the columns in the shape of the axes.
 
-    Pending cases have nan, 0 in columns of whole numbers, and empty words.
+    Pending cases, and columns that an earlier version did not write, have nan, 0 in columns of
+    whole numbers, and empty words.
     """
     columns, damaged = _cases(stored, scene)
     shape, found = scene.given("sweep").shape, {}
@@ -444,8 +450,8 @@ def read_columns(stored: store.Stored, scene: Scene) -> dict[str, np.ndarray]:
         first = tuple(map(int, np.unravel_index(int(np.argmax(damaged)), shape)))
         cases = f"{damaged.sum()} of its cases are damaged, the first at {first}"
         raise stored.refused(f"a whole sweep: {cases}; the command sweep computes them again")
-    for name in ("state", *columns_of(scene)):
-        values = columns[name]
+    for name, (_, kind) in ({"state": ("", "u1")} | columns_of(scene)).items():
+        values = columns.get(name, np.full(math.prod(shape), BLANKS.get(kind[0], 0), kind))
         if name != "state":
             values[columns["state"] == State.PENDING] = BLANKS[values.dtype.kind]
         words = values.dtype.kind == "S"

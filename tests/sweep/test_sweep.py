@@ -30,6 +30,7 @@ from fenics_crack import Scene, SweepResult, prepare, run_sweep
 from fenics_crack.basics.errors import WriteError
 from fenics_crack.fem.build import assemble
 from fenics_crack.sweep import case as sweep_case
+from fenics_crack.sweep import file as sweep_file
 from fenics_crack.sweep import jobs as sweep_jobs
 from fenics_crack.sweep import result as sweep
 from fenics_crack.sweep.file import COLUMNS, SweepFile
@@ -449,6 +450,33 @@ def test_what_is_told_of_a_verdict_is_kept(paper_scene: fc.Scene, tmp_path: Path
     file.close()
     found = SweepResult.load(path)
     assert found.undecided == [((0,), reason)] and found.contradicted == [((1,), "it leaves")]
+
+
+def test_a_file_from_before_an_observable(
+    paper_scene: fc.Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is there is read, of a number at points and one of faces; the others are nan."""
+    points = {"output.points": {"tip": [0.1, 0.1]}}
+    scene = swept(paper_scene, {"excitation.omega": [1900.0, 2000.0]}, SOFT | points)
+    number, path = {"harmonics": 5, "response": 1e-3, "tip.ux.mean": 2e-3}, tmp_path / "old.h5"
+    later = {"response", "opening", "tip.ux.harmonic_1", "omega_open"}
+    now = sweep_file.columns_of
+
+    def before(scene: fc.Scene) -> dict[str, tuple[str, str]]:
+        return {name: what for name, what in now(scene).items() if name not in later}
+
+    monkeypatch.setattr(sweep_file, "columns_of", before)
+    file = SweepFile(path, scene, 5, 1)
+    waves = {name: np.ones((11, 1)) for name in ("gap", "force")}
+    file.record(np.arange(1), [number | waves])
+    file.close()
+    monkeypatch.undo()
+    found = SweepResult.load(path)
+    assert found.converged.tolist() == [True, False] and found["tip.ux.mean"][0] == 2e-3
+    assert all(np.isnan(found[name]).all() for name in later)
+    assert found.gap(0).shape == (11, 1) and len(found.table().rows) == 2
+    with pytest.raises(fc.InputError, match="a whole sweep"):
+        run_sweep(scene, path)
 
 
 EACH = len(COLUMNS) + 3
