@@ -12,6 +12,7 @@ that any of them can be repeated by itself (``--first N --cases 1``).
     wheels       the same of bladed disks, loads with harmonics, tables of a periodic load, and
                  friction, and the options of the command ``disk``
     calls        functions of Python with another object for one or two of their arguments
+    names        any public function, and what makes its arguments, likewise
     structures   matrices of 1 to 10 dofs with 0 to as many pairs, every form of damping, fixed and
                  free, both laws, through every command; nothing is damaged
 
@@ -32,10 +33,13 @@ stopped. The damaged files of what is wrong are kept beside it.
 
 from __future__ import annotations
 
+import atexit
 import bz2
 import contextlib
 import csv
+import functools
 import gzip
+import inspect
 import io
 import itertools
 import multiprocessing
@@ -67,7 +71,7 @@ from fenics_crack.cli.command_line import main
 from fenics_crack.files import store
 
 SECONDS, BYTES = 60.0, 2 * 2**30
-QUICK = {"wheels": 20.0, "calls": 20.0}
+QUICK = {"wheels": 20.0, "calls": 20.0, "names": 20.0}
 """Processor time of a case, of these parts less [s]; memory [bytes]."""
 WRONG = ("RAW", "DEATH", "TOO LONG", "TOO LARGE")
 CODES = {0: "done", 2: "refused", 3: "not converged", 4: "above the tolerance"}
@@ -918,6 +922,83 @@ def changed_call(rng: random.Random, folder: Path) -> tuple[str, Callable[[], ob
     )
 
 
+METHODS = (
+    "Scene.load", "Scene.from_text", "Scene.from_mapping", "Structure.from_matrices",
+    "RayleighDamping.from_ratios", "Measurements.read", "Measurements.from_arrays",
+    "Measurements.from_csv", "Measurements.from_responses", "ArrivalTimes.from_csv",
+    *(f"{name}.load" for name in ("Amplification", "Campbell", "Growth", "NodalDiameters",
+                                  "SweepResult", "Timing", "Verification")),
+)  # fmt: skip
+"""Functions of classes that are meant to be called."""
+CONSTRUCTORS = (
+    "Problem", "Continuation", "UnilateralPenalty", "UnilateralConstraint", "SmoothedPenalty",
+    "CoulombFriction", "ModalDamping", "RayleighDamping", "ArrivalTimes", "Measurement",
+    "Measurements", "Wheel", "Wave",
+)  # fmt: skip
+"""Classes of which users make instances; of all others functions do."""
+
+
+@functools.cache
+def right_values() -> dict[str, Any]:
+    """Values that fit arguments by their names, of a small structure."""
+    stiffness = np.array([[2.0, -1.0], [-1.0, 1.0]])
+    structure = fc.Structure.from_matrices(
+        np.eye(2), stiffness, gap=[1.0, 0.0], force_cos=[0.0, 0.1], damping=0.1 * stiffness,
+        clearance=0.01,
+    )  # fmt: skip
+    law = fc.UnilateralPenalty(5.0)
+    solution = fc.solve_harmonic_balance(structure, 0.7, law)
+    curve = fc.continue_frequency(structure, 0.5, 0.52, law, harmonics=3)
+    scene = fc.Scene.from_text(PLATE)
+    time, marks = np.linspace(0.01, 1.99, 4).reshape(2, 2), np.array([0.0, 1.0, 2.0])
+    arrivals = fc.ArrivalTimes(time, marks, np.array([0.1, 3.0]), 0.5)
+    folder = tempfile.mkdtemp(prefix="fenics_crack-calls-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return {
+        "structure": structure, "contact": law, "law": law, "omega": 0.7, "solution": solution,
+        "curve": curve, "problem": fc.Problem(structure, 0.7, law, 5), "scene": scene,
+        "modes": 2, "count": 2, "dof": 0, "omega_start": 0.5, "omega_end": 0.52, "start": 0.5,
+        "end": 0.52, "parameter": "omega", "periods": 2, "steps_per_period": 32, "orders": (1, 2),
+        "path": Path(folder) / "file", "folder": Path(folder), "arrivals": arrivals, "time": time,
+        "marks": marks, "probes": [0.1, 3.0], "tip_radius": 0.5, "harmonics": 3, "laws": {"a": law},
+        "closing": np.linspace(-1.0, 1.0, 5), "x": np.arange(3.0), "y": np.arange(2.0),
+        "result": solution, "tables": {}, "text": PLATE, "mass": np.eye(2), "stiffness": stiffness,
+        "gap": [1.0, 0.0], "ratio": 0.1, "ratios": [0.1, 0.2], "omegas": [1.0, 2.0], "low": 0.1,
+        "high": 0.5, "speeds": [0.0, 10.0], "speed": 3.0, "order": 1, "tip": 0, "stop": 0.9,
+        "blades": {1: arrivals}, "sizes": [4.0, 2.0, 1.0], "quantity": "frequency_open",
+        "value": 1.0, "deviation": 0.1, "rows": (), "sharpness": 100.0, "coefficient": 0.3,
+        "label": "a", "points": [[0.0, 0.0]], "passages": (), "x_label": "x",
+        "y_label": "y", "value_label": "z", "settle": 0, "near": None, "deviations": [0.1],
+        "values": [1.0, 1.1, 1.12], "curves": {"a": np.arange(3.0)}, "waves": [], "changes": {},
+    }  # fmt: skip
+
+
+def public_call(rng: random.Random, folder: Path) -> tuple[str, Callable[[], object]]:
+    """A call of any public name with another object for one or two arguments."""
+    functions = [name for name in fc.__all__ if not isinstance(getattr(fc, name), type)]
+    name = rng.choice([*functions, *METHODS, *CONSTRUCTORS])
+    function = functools.reduce(getattr, name.split("."), fc)
+    known, given, required = right_values(), {}, []
+    for parameter in inspect.signature(function).parameters.values():
+        if parameter.kind in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL):
+            continue
+        required.append(parameter.name)
+        if parameter.name in known and parameter.default is parameter.empty:
+            given[parameter.name] = known[parameter.name]
+        elif parameter.default is parameter.empty:
+            given[parameter.name] = rng.choice(ODD)
+    if "draw_" in name:
+        required.append("path")
+    odd = rng.sample(required, min(len(required), rng.choice([1, 1, 2])))
+    given |= {one: rng.choice(ODD) for one in odd if one != "comm" or rng.random() < 0.3}
+
+    def attempt() -> object:
+        return function(**given)
+
+    words = ", ".join(f"{key}={value!r}"[:40] for key, value in given.items() if key in odd)
+    return f"{name}({words})", attempt
+
+
 def called(attempt: Callable[[], object]) -> tuple[int, str]:
     """How a call ends, as an exit code and the last line of the program would say it: a result, an
     InputError or a TypeError of the arguments themselves, or what did not converge."""
@@ -989,6 +1070,10 @@ def outcome_of(code: int, errors: str, noise: str) -> tuple[str, str]:
     return CODES[code], last if code else ""
 
 
+CALLERS = {"calls": changed_call, "names": public_call}
+"""Parts that call Python."""
+
+
 def draw(
     part: str, case: int, seed: int, folder: Path
 ) -> tuple[str, list[str] | Callable[[], object]]:
@@ -996,8 +1081,8 @@ def draw(
     if part == "structures":
         return small_structure(FORMS[case % len(FORMS)], folder)
     rng = random.Random(f"{seed} {case}")
-    if part == "calls":
-        return changed_call(rng, folder)
+    if part in CALLERS:
+        return CALLERS[part](rng, folder)
     return damaged_input(rng, folder, _wheel if part == "wheels" else None)
 
 
@@ -1175,7 +1260,7 @@ def _rows(path: Path, part: str, cases: range) -> list[list[str]]:
 if __name__ == "__main__":
     common.run(
         __doc__,
-        {part: partial(try_part, part) for part in ("inputs", "wheels", "calls", "structures")},
+        {part: partial(try_part, part) for part in ("inputs", "wheels", "calls", "names", "structures")},
         cases={"type": int, "help": "how many of each part (default: 10000, all structures)"},
         seed={"type": int, "default": 1},
         first={"type": int, "default": 0, "help": "number of the first case"},

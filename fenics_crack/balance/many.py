@@ -226,7 +226,7 @@ def _sought(
         guesses.insert(0, np.linalg.lstsq(rows, weights * states, rcond=None)[0][0])
     found = (find_orbit(flow, problem.omega, state, located=SHORT) for state in guesses)
     orbit, many.status[case] = next(filter(None, found), None), "neighbour"
-    if orbit is not None and orbit.is_stable:
+    if orbit is not None and abs(orbit.multipliers[0]) <= 1.0 + KNOWN:  # 1 without damping
         return orbit
     search = initial_orbit(problem)
     if orbit is None or (search.orbit is not None and search.orbit.is_stable):

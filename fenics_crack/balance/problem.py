@@ -113,6 +113,9 @@ pairs at all instants."""
 COMPILED = 5000
 """Search budget: iterations of all initial guesses together, with 300 unknowns in the kernel: 5 to
 8 s."""
+PART = 2500
+"""Maximum iterations of a search that is a part of another: 0.5 to 3 s, also where a system of few
+unknowns, whose integrals take most of its time, would have five times as many."""
 RUBBING = 8e6
 """The same with friction, times the instants and the unknowns of a step, at most those of which J
 is formed: 1 to 3 s."""
@@ -391,7 +394,7 @@ class Search:
             self._rounding = rounding_left(system.compliance, system.integrals.law)
             if self._rounding > ROUNDING:
                 self.tolerance = max(self.tolerance, self._rounding)
-        self._most = self.share * _iterations(system)
+        self._most = min(self.share * _iterations(system), math.inf if self.share == 1.0 else PART)
         at: Linearisation | None = None
         with ExitStack() as held:
             snes = None

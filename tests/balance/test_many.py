@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import chain, oscillator
+from helpers import chain, chain_stiffness, oscillator
 
 import fenics_crack as fc
-from fenics_crack.balance.harmonic_balance import wave_of
+from fenics_crack.balance.harmonic_balance import initial_orbit, wave_of
 
 RIGID = fc.UnilateralConstraint()
 
@@ -136,3 +136,21 @@ def test_bad_arguments(change: dict[str, Any], key: str) -> None:
     given |= {"contact": fc.UnilateralPenalty(3.0)} | change
     with pytest.raises(fc.InputError, match=key):
         fc.solve_many(**given)
+
+
+def test_undamped_cases_take_their_neighbours_orbits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No orbit is stable without damping: one whose multipliers are 1 is not sought again."""
+    stiffness = chain_stiffness(np.array([0.0, 1.0, 1.0]))
+    masses = fc.Structure.from_matrices(
+        np.eye(2), stiffness, gap=[1.0, 0.0], force_cos=[0.0, 0.1], clearance=1.0
+    )
+    searches: list[float] = []
+
+    def search(problem: Any) -> Any:
+        searches.append(problem.omega)
+        return initial_orbit(problem)
+
+    monkeypatch.setattr("fenics_crack.balance.many.initial_orbit", search)
+    found = fc.solve_many(masses, np.linspace(0.3, 2.0, 40), fc.UnilateralPenalty(10.0))
+    assert np.all(found.verdict != "") and len(searches) <= 10
+    assert np.sum(found.status == "neighbour") >= 30
