@@ -12,6 +12,7 @@ import math
 import os
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from numbers import Integral, Real
 from typing import Any, TypeVar, cast
 
 from fenics_crack.basics.errors import InputError
@@ -58,6 +59,8 @@ VERBS = {"plot": "draw", "show": "draw", "read": "load", "export": "write"}
 CLASS_WORDS = {
     "Scene": "a Scene, as fc.Scene.load(path) returns", "Path": "a path", "str": "a text",
     "Mapping": "a dict", "None": "None", "Run": "a Run, as fc.solve(scene) returns",
+    "bool": "True or False", "Iterable": "a list of values", "int": "a whole number",
+    "float": "a number",
 }  # fmt: skip
 """Words for classes of arguments; those of Python's own are always compared."""
 UNIT_PREFIXES = {"G": 1e9, "M": 1e6, "k": 1e3, "": 1.0, "c": 1e-2, "m": 1e-3, "u": 1e-6, "n": 1e-9}
@@ -135,10 +138,10 @@ def check_options(whose: str, options: Mapping[str, object], known: Collection[s
 
 def _kinds_of(value: object) -> set[str]:
     """Return the names of the classes that a value is of."""
-    names = {base.__name__ for base in type(value).__mro__}
-    for kind, name in ((Mapping, "Mapping"), (os.PathLike, "Path"), (type(None), "None")):
-        names |= {name} if isinstance(value, kind) else set()
-    return names
+    names = {base.__name__.removesuffix("_") for base in type(value).__mro__}  # also NumPy's bool_
+    kinds_by_name = {"Mapping": Mapping, "Path": os.PathLike, "None": type(None)}
+    kinds_by_name |= {"Iterable": Iterable, "int": Integral, "float": Real}
+    return names | {name for name, kind in kinds_by_name.items() if isinstance(value, kind)}
 
 
 def fitting_argument(key: str, value: Any, annotation: str, kinds: Collection[str]) -> Any:

@@ -105,6 +105,8 @@ def draw_waves(
     >>> wave = fc.Wave("tip", time, solution.displacement(time, [tip])[:, 0])
     >>> figure = fc.draw_waves([wave], quantity="displacement", path="waves.png")
     """
+    if not isinstance(quantity, str):
+        raise InputError("quantity", quantity, "a text")
     [panel] = picture = Picture(**where)
     for wave in waves:
         time = wave.time / period if period else wave.time

@@ -32,6 +32,7 @@ class Saved(Tabular):
         write(self._packed(), path, self.KIND, self.scene, comm)
 
     @classmethod
+    @checked_call
     def load(cls, path: str | Path) -> Self:
         """Read a file of ``save``; nothing is computed.
 

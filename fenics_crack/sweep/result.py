@@ -43,6 +43,7 @@ from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.observables import DRAWN, QUANTITIES, Place, names_of
 from fenics_crack.basics.progress import reaching
 from fenics_crack.basics.ranks import StopRequest, on_root
+from fenics_crack.basics.suggestions import checked_call
 from fenics_crack.basics.tables import Said, Tabular, counted, error_in_words, optional, quantity
 from fenics_crack.files.results import solution_from
 from fenics_crack.files.store import Stored, header
@@ -208,6 +209,7 @@ class SweepResult(Tabular):
     KIND: ClassVar[str] = KIND
 
     @classmethod
+    @checked_call
     def load(cls, path: str | Path) -> SweepResult:
         """Read the table of a sweep, also while it runs; nothing is computed.
 

@@ -78,7 +78,11 @@ class ArrivalTimes(Tabular):
 
     def __post_init__(self) -> None:
         for name in ("time", "marks", "probes"):
-            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=float))
+            try:
+                values = np.asarray(getattr(self, name), dtype=float)
+            except (TypeError, ValueError):
+                raise InputError(name, getattr(self, name), "numbers") from None
+            object.__setattr__(self, name, values)
         check_number("tip_radius", self.tip_radius, 0.0, above=True)
         check_probes(self.probes)
         if self.marks.ndim != 1 or len(self.marks) < 2:
