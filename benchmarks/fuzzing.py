@@ -13,6 +13,8 @@ that any of them can be repeated by itself (``--first N --cases 1``).
                  friction, and the options of the command ``disk``
     calls        functions of Python with another object for one or two of their arguments
     names        any public function, and what makes its arguments, likewise
+    files        files of ``reduce``, sweeps and results, forged: sizes, types, indices, numbers;
+                 read in Python, within 10 s and 500 MB
     structures   matrices of 1 to 10 dofs with 0 to as many pairs, every form of damping, fixed and
                  free, both laws, through every command; nothing is damaged
 
@@ -71,8 +73,9 @@ from fenics_crack.cli.command_line import main
 from fenics_crack.files import store
 
 SECONDS, BYTES = 60.0, 2 * 2**30
-QUICK = {"wheels": 20.0, "calls": 20.0, "names": 20.0}
-"""Processor time of a case, of these parts less [s]; memory [bytes]."""
+QUICK = {"wheels": 20.0, "calls": 20.0, "names": 20.0, "files": 10.0}
+SMALL = {"files": 500 * 10**6}
+"""Processor time of a case, of these parts less [s]; memory, of these less [bytes]."""
 WRONG = ("RAW", "DEATH", "TOO LONG", "TOO LARGE")
 CODES = {0: "done", 2: "refused", 3: "not converged", 4: "above the tolerance"}
 COLUMNS = ("part", "case", "what", "outcome", "seconds", "MiB", "message")
@@ -226,26 +229,27 @@ def forged(path: Path) -> Iterator[h5py.File]:
         if digest is None or "digest" not in file.attrs:
             return
         with contextlib.suppress(Exception):  # what cannot be read has no digest
-            texts, places = (getattr(store, name) for name in ("texts", "places"))
+            texts, places, column_of = store.texts, store.places, store.column_of
             words = {name: h5py.check_string_dtype(item.dtype) for name, item in file.items()}
             parts = {n: item.asstr()[()] if words[n] else item[()] for n, item in file.items()}
             of_sweep = file.attrs.get("kind") == "sweep"
-            file.attrs["digest"] = digest(texts(file), places(file) if of_sweep else parts)
+            columns = places({n: column_of(item) for n, item in file.items()}) if of_sweep else {}
+            file.attrs["digest"] = digest(texts(file), columns or parts)
 
 
-def change_result(path: Path, rng: random.Random) -> None:
-    """Change datasets and attributes of a result."""
+def change_result(path: Path, rng: random.Random, but: str = "") -> None:
+    """Change datasets and attributes of a result, ``but`` for one attribute."""
     with forged(path) as file:
         for _ in range(rng.choice([1, 1, 2, 4])):
             names = [name for name, item in file.items() if item.size <= MOST]
             if rng.random() < 0.25 or not names:
-                _change_attribute(file, rng)
+                _change_attribute(file, rng, but)
             else:
                 _change_dataset(file, rng.choice(sorted(names)), rng)
 
 
-def _change_attribute(file: h5py.File, rng: random.Random) -> None:
-    name = rng.choice([*sorted(file.attrs), "digest"])
+def _change_attribute(file: h5py.File, rng: random.Random, but: str) -> None:
+    name = rng.choice([*sorted({*file.attrs} - {but}), "digest"])
     text = str(file.attrs.get(name, ""))
     kind = rng.randrange(4)
     if kind == 0:
@@ -598,6 +602,9 @@ def make_base(folder: Path) -> None:
     assert (
         call(["timing", str(folder / "plate.toml"), str(solution), "--output", str(folder)])[0] == 0
     )
+    massless = {"reduction.method": "massless", "reduction.modes": 4, "mesh.order": 2}
+    prepared = fc.prepare(fc.Scene.load(folder / "plate.toml").replace(massless))
+    fc.save_prepared(prepared, folder / "prepared.h5")
     (folder / COMPLETE).touch()
 
 
@@ -1070,7 +1077,36 @@ def outcome_of(code: int, errors: str, noise: str) -> tuple[str, str]:
     return CODES[code], last if code else ""
 
 
-CALLERS = {"calls": changed_call, "names": public_call}
+def read_prepared(path: Path) -> object:
+    """Solve a prepared structure."""
+    return fc.solve(fc.load_prepared(path))
+
+
+def read_sweep(path: Path) -> object:
+    """Read a sweep, its table and the waves of its cases."""
+    found = fc.SweepResult.load(path)
+    return found.table(), [found.gap(tuple(at)) for at in np.argwhere(found.converged).tolist()]
+
+
+STORED: dict[str, Callable[[Path], object]] = {
+    "prepared.h5": read_prepared, "plate/sweep.h5": read_sweep, "timing.h5": fc.Timing.load,
+}  # fmt: skip
+"""Files that results are read from, and what reads them."""
+
+
+def forged_file(rng: random.Random, folder: Path) -> tuple[str, Callable[[], object]]:
+    """A file of ``reduce``, a sweep or a result by itself, forged or damaged; its scene stays, which
+    may ask for a computation of any length."""
+    name = rng.choice([*STORED, "prepared.h5"])
+    path = folder / name
+    if rng.random() < 0.75:
+        change_result(path, rng, but="scene")
+    else:
+        path.write_bytes(changed_bytes(path.read_bytes(), rng))
+    return name, partial(STORED[name], path)
+
+
+CALLERS = {"calls": changed_call, "names": public_call, "files": forged_file}
 """Parts that call Python."""
 
 
@@ -1116,7 +1152,7 @@ def work(connection: Connection, base: Path, folder: Path) -> None:
             key = expected(FORMS[case % len(FORMS)])
             if not (key and message.startswith(f"fenics-crack: {key}")):
                 outcome = "RAW"
-        if outcome not in WRONG and peak > BYTES:
+        if outcome not in WRONG and peak > SMALL.get(part, BYTES):
             outcome = "TOO LARGE"
         if outcome not in WRONG and seconds > QUICK.get(part, SECONDS):
             outcome = "TOO LONG"
@@ -1260,7 +1296,7 @@ def _rows(path: Path, part: str, cases: range) -> list[list[str]]:
 if __name__ == "__main__":
     common.run(
         __doc__,
-        {part: partial(try_part, part) for part in ("inputs", "wheels", "calls", "names", "structures")},
+        {part: partial(try_part, part) for part in ("inputs", "wheels", "calls", "names", "files", "structures")},
         cases={"type": int, "help": "how many of each part (default: 10000, all structures)"},
         seed={"type": int, "default": 1},
         first={"type": int, "default": 0, "help": "number of the first case"},

@@ -6,10 +6,11 @@ imports this module before them.
 
 from __future__ import annotations
 
+import ctypes
 import signal
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 
@@ -36,3 +37,6 @@ def kept_interrupts() -> Iterator[None]:
 
 with kept_interrupts():
     import gmsh as gmsh
+
+with suppress(AttributeError, ValueError):  # FLTK would write its settings, of root into /etc
+    ctypes.c_ubyte.in_dll(gmsh.lib, "_ZN2Fl13options_read_E").value = 1

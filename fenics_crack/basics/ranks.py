@@ -7,6 +7,7 @@ them imports this module first.
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import sys
@@ -52,6 +53,15 @@ def _start_petsc() -> None:
 
 if "petsc4py.PETSc" not in sys.modules:  # unless who calls has started it
     _start_petsc()
+
+
+def unread_options() -> list[str]:
+    """Return the options ``-crack_...`` of this program's arguments that PETSc has not read."""
+    from petsc4py import PETSc
+
+    used, read = ctypes.c_int(), ctypes.CDLL(PETSc.__file__).PetscOptionsUsed
+    names = [word for word in sys.argv[1:] if word.startswith("-crack_")]
+    return [name for name in names if read(None, name[1:].encode(), ctypes.byref(used)) or not used]
 
 
 def slepc() -> Any:

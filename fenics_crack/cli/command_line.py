@@ -13,7 +13,7 @@ import sys
 import traceback
 from collections.abc import Callable, Sequence
 from functools import partial
-from itertools import takewhile
+from itertools import dropwhile
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
@@ -28,9 +28,11 @@ from fenics_crack.version import VERSION
 if TYPE_CHECKING:
     from fenics_crack.cli.given import Console, Inputs
 
-ONE_PROCESS_SETTINGS = {"OMPI_MCA_pml": "ob1", "OMPI_MCA_ess_singleton_isolated": "1"}
-"""Settings of Open MPI for one process: it looks for no network and starts no daemon, which would
-take as long as all else before the first command."""
+ONE_PROCESS_SETTINGS = {
+    "OMPI_MCA_pml": "ob1", "OMPI_MCA_btl": "self", "OMPI_MCA_ess_singleton_isolated": "1",
+}  # fmt: skip
+"""Settings of Open MPI for one process: it looks for no network, opens no port, and starts no daemon,
+which would take as long as all else before the first command."""
 PREFIXES = tuple(f"-crack_{name}_" for name in ("hb", "krylov", "modes", "largest", "factor"))
 """Beginnings of PETSc's options that reach a solver: SNES, GMRES, SLEPc, factorisations."""
 OUT_OF_MEMORY = ("PetscMalloc", "failed to map segment")
@@ -110,6 +112,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _discard_output()
         return Exit.READER_GONE
     except Exception as error:
+        if "FromOptions()" in (said := str(error).rstrip()):  # of a value that PETSc does not know
+            reason = f"with values that PETSc knows ({said.rpartition('[0] ')[2]})"
+            _explain([InputError("PETSc options", " ".join(_petsc_options()), reason)])
+            return Exit.BAD_INPUT
         if shortage := _shortage(error):
             _say(shortage, sys.__stderr__)
             _discard_output()
@@ -147,12 +153,15 @@ def _read(arguments: Sequence[str] | None) -> argparse.Namespace:
 def _without_petsc() -> list[str]:
     """The program's arguments up to the first ``-crack_``, from which on PETSc takes them as in
     scripts (``basics/ranks.py``); InputError for a prefix that no solver has."""
-    words = sys.argv[1:]
-    own = [*takewhile(lambda word: not word.startswith("-crack_"), words)]
-    for word in words[len(own) :]:
+    for word in (options := _petsc_options()):
         if word.startswith("-crack_") and not word.startswith(PREFIXES):
             raise InputError("PETSc option", word, f"one that begins with {' or '.join(PREFIXES)}")
-    return own
+    return sys.argv[1 : len(sys.argv) - len(options)]
+
+
+def _petsc_options() -> list[str]:
+    """Return the words of the command line from the first of PETSc's options on."""
+    return [*dropwhile(lambda word: not word.startswith("-crack_"), sys.argv[1:])]
 
 
 def _be_silent() -> None:
@@ -220,7 +229,7 @@ def _run(given: argparse.Namespace) -> Exit:
     wanted = {} if launched else ONE_PROCESS_SETTINGS
     added = {name: value for name, value in wanted.items() if name not in os.environ}
     os.environ |= added
-    from fenics_crack.basics.ranks import MPI, STOPS, on_root  # starts MPI
+    from fenics_crack.basics.ranks import MPI, STOPS, on_root, unread_options  # starts MPI
 
     for name in added:  # the user's own stay
         del os.environ[name]
@@ -237,7 +246,9 @@ def _run(given: argparse.Namespace) -> Exit:
             inputs = on_root(comm, lambda: read_inputs(given))
         pictures = vars(given).get("pictures", "png")
         console = Console(comm, given.format, given.quiet, given.verbose, pictures)
-        return _command(given, inputs, console) or Exit.DONE
+        ended = _command(given, inputs, console) or Exit.DONE
+        console.warn(*map("PETSc option {}: no solver has read it".format, unread_options()))
+        return ended
 
 
 def _command(given: argparse.Namespace, inputs: Inputs | None, console: Console) -> Exit | None:

@@ -1,6 +1,9 @@
 """Reader of mesh files by gmsh, in a program of its own
 (:mod:`fenics_crack.basics.untrusted_files`)."""
 
+import ctypes
+from contextlib import suppress
+
 import gmsh
 import numpy as np
 
@@ -8,6 +11,8 @@ import numpy as np
 def read(path: str, most: int) -> dict[str, np.ndarray]:
     """Numbers and positions of the nodes, and the physical groups; their bytes are those of the
     memory, which is limited."""
+    with suppress(AttributeError, ValueError):  # as in basics/gmsh_process.py, for FLTK
+        ctypes.c_ubyte.in_dll(gmsh.lib, "_ZN2Fl13options_read_E").value = 1
     gmsh.initialize(readConfigFiles=False)
     gmsh.option.setNumber("General.Terminal", 0)
     gmsh.option.setNumber("General.ExpertMode", 1)  # it must not ask

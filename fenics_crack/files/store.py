@@ -77,7 +77,7 @@ def write(
     def work() -> None:
         import h5py  # what only reads has its reader
 
-        # In memory: HDF5 cannot be trusted with a disk that may be full, and would load an old file.
+        # In memory: HDF5 cannot be trusted with a full disk, and would load an old file.
         image = io.BytesIO()
         with h5py.File(image, "w") as file:
             write_header(file, kind, scene)

@@ -48,7 +48,7 @@ VARIED = (
 )
 """What a file can vary, in words."""
 MIN_LOAD_BYTES, LOAD_RATIO = 2**26, 16
-"""Size of the load on all dofs that any file may ask for [byte], and that relative to all arrays."""
+"""Size of the load on all dofs that any file may have [byte], and that relative to all arrays."""
 
 
 @dataclass(frozen=True)
