@@ -4,6 +4,7 @@ Imports nothing that computes.
 """
 
 import atexit
+import os
 import shutil
 import tempfile
 from importlib.metadata import entry_points
@@ -29,3 +30,8 @@ MPI_ENVIRONMENT = {
     "OMPI_MCA_hwloc_base_binding_policy": "none",  # Open MPI 4
     "PRTE_MCA_hwloc_default_binding_policy": "none",  # Open MPI 5
 }
+
+
+def no_rank() -> dict[str, str]:
+    """The environment of a program that mpirun has not started; that of tests has MPI's words."""
+    return {name: text for name, text in os.environ.items() if not name.startswith(("OMPI_", "PMIX_", "PMI_"))}

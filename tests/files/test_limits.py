@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from helpers import DEMOS, ROOT
 from ranks import LIMIT
-from surroundings import main
+from surroundings import main, no_rank
 
 from fenics_crack.basics import untrusted_files
 from fenics_crack.fem.model_files import read_model
@@ -165,6 +165,36 @@ def test_contact_that_nothing_makes(
         words = [*command, str(path), *(word for one in few for word in ("--set", one))]
         assert main(words) == 0
         assert capsys.readouterr().err.count(f"remark: {key} = ") == 1
+
+
+@pytest.mark.parametrize("kind", ["-t 60", pytest.param("-f 200", marks=pytest.mark.nightly)])
+def test_limits_of_the_shell(kind: str, tmp_path: Path) -> None:
+    """Of processor time and of the size of files [512 B]: a mesh file is read, a result written."""
+    shell = f'ulimit {kind}; exec "$@"'
+    words = ["modes", str(DEMOS / "inclined_crack.toml"), "--output", str(tmp_path), "--quiet"]
+    program = ["sh", "-c", shell, "sh", sys.executable, "-m", "fenics_crack", *words]
+    done = subprocess.run(
+        program, capture_output=True, text=True, check=False, cwd=ROOT, env=no_rank()
+    )
+    if kind == "-t 60":
+        assert done.returncode == 0 and (tmp_path / "modes.h5").exists(), done.stderr
+    else:  # the file that is too large, not the cache
+        [line] = done.stderr.splitlines()
+        assert done.returncode == 1 and "modes.h5" in line and "File too large" in line
+
+
+@pytest.mark.parametrize(
+    ("option", "code", "said"),
+    [
+        pytest.param("-crack_modes_eps_type=nosuch", 2, "nosuch", marks=pytest.mark.nightly),
+        ("-crack_hb_snes_moniter", 0, "-crack_hb_snes_moniter: no solver has read it"),
+    ],
+)
+def test_options_of_petsc(option: str, code: int, said: str, tmp_path: Path) -> None:
+    """A value that PETSc does not know, and a name that no solver reads."""
+    words = [scene_of(tmp_path), *COARSE, "--output", tmp_path, "--quiet", *option.split("=")]
+    found, lines = run("modes", *words)
+    assert found == code and said in lines[-1], lines
 
 
 # --- caches ---------------------------------------------------------------------------------------

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from surroundings import DEMOS, main
+from surroundings import DEMOS, ROOT, main, no_rank
 
 COARSE = ("mesh.size=0.05", "mesh.lip_elements=2", "mesh.error=false")
 HARMONICS = "harmonic_balance.harmonics=5"
@@ -95,6 +98,46 @@ def test_no_link_is_followed(kind: str, tmp_path: Path) -> None:
         assert refused[0] == 2 and {*refused} <= {0, 2}
     there = {path.relative_to(outside) for path in outside.rglob("*") if path.is_file()}
     assert there == {*names} and all((outside / name).read_text() == TEXT for name in names)
+
+
+TRACE = "trace=open,openat,creat,truncate,rename,renameat2,link,linkat,bind"
+"""System calls by which files are opened, and ports."""
+
+
+@pytest.mark.skipif(shutil.which("strace") is None, reason="no strace")
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["solve"], pytest.param(["modes"], marks=pytest.mark.nightly),
+        pytest.param(["reduce"], marks=pytest.mark.nightly),
+    ],
+)  # fmt: skip
+def test_no_old_file_is_opened(words: list[str], tmp_path: Path) -> None:
+    """Below the output folder, for reading or writing, neither through a link nor itself, but the
+    table whose text is compared; no port is bound, and no settings are written elsewhere."""
+    scene, output, log = tmp_path / "scene.toml", tmp_path / "out", tmp_path / "log"
+    assert main(["new", str(scene), "--quiet"]) == 0
+    output.mkdir()
+    (tmp_path / "outside").write_bytes(b"outside")
+    names = {"solve": "solution", "modes": "modes", "reduce": "scene"}
+    for ending in (".h5", ".csv", ".json"):
+        (output / f"{names[words[0]]}{ending}").symlink_to(tmp_path / "outside")
+    changes = [word for change in COARSE for word in ("--set", change)]
+    place = output / "scene.h5" if words == ["reduce"] else output
+    program = [sys.executable, "-m", "fenics_crack", *words, str(scene), *changes, "--quiet"]
+    done = subprocess.run(
+        ["strace", "-f", "-qq", "-e", TRACE, "-o", str(log), *program, "--output", str(place)],
+        capture_output=True, text=True, check=False, cwd=ROOT, env=no_rank(),
+    )  # fmt: skip
+    assert done.returncode in (0, 4), done.stderr
+    lines = log.read_text().splitlines()
+    opened = [line for line in lines if re.search(r"\b(open|openat|creat|truncate)\(", line)]
+    below = [line for line in opened if f'"{output}/' in line and "ENOENT" not in line]
+    # Hidden new files alone; a folder is opened for a file without a name.
+    assert below and all(re.search(r'/\.[0-9a-f]{8}\.[^"]*"', line) for line in below), below
+    assert (tmp_path / "outside").read_bytes() == b"outside"
+    assert not [line for line in opened if "fltk.prefs" in line]
+    assert not [line for line in lines if "bind(" in line and "AF_INET" in line]
 
 
 def test_a_new_scene_replaces_a_link(tmp_path: Path) -> None:

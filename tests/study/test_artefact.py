@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import changed
+from helpers import SOLID, changed
 from mpi4py import MPI
 
 import fenics_crack as fc
@@ -201,6 +201,20 @@ FORGERIES: dict[str, Callable[[Any], None]] = {
     "pairs of another structure": lambda file: replaced(file, "clearance", [0.0]),
     "dofs that are not there": lambda file: replaced(file, "n_dofs", 2),
     "words": lambda file: replaced(file, "modal", "words"),
+    "more dofs than nodes": lambda file: replaced(file, "n_dofs", 10**9),
+    "dofs without nodes": lambda file: (
+        [file.pop(name) for name in ("points", "node_dofs", "cells")],
+        replaced(file, "n_dofs", 10**9),
+    ),
+    "rows that are nan": lambda file: put_number(file, "gap", (0, 0), np.nan),
+    "rows between two": lambda file: put_number(file, "gap", (0, 0), 0.5),
+    "a node that is not there": lambda file: put_number(file, "cells", (0, 0), 10**6),
+    "a crack of another place": lambda file: put_number(file, "pairs.cracks", 0, 10**12),
+    "a place that is not there": lambda file: replaced(
+        file, "pairs", file["pairs"].asstr()[()].replace('mouth": 0', 'mouth": 99')
+    ),
+    "fewer loads": lambda file: replaced(file, "force", file["force"][:, :0]),
+    "negative squares": lambda file: put_number(file, "squares", 0, -1.0),
     "infinite": lambda file: replaced(file, "modal", np.inf * file["modal"][()]),
     "another kind": lambda file: file.attrs.modify("kind", "solution"),
     "no scene": lambda file: file.attrs.pop("scene"),
@@ -213,6 +227,20 @@ def replaced(file: Any, name: str, value: object) -> None:
     """Put another dataset in the place of one."""
     del file[name]
     file[name] = value
+
+
+def put_number(file: Any, name: str, place: Any, number: float) -> None:
+    """Put a number into a dataset."""
+    values = file[name][()]
+    values[place] = number
+    replaced(file, name, values)
+
+
+def test_solids_are_refused_by_name() -> None:
+    """Their faces are not in a file."""
+    keys = {"contact.law": "unilateral", "contact.stiffness": None, "reduction.modes": 4}
+    with pytest.raises(fc.InputError, match=r"geometry\.kind = 'solid'"):
+        fc.save_prepared(fc.prepare(SOLID.replace(keys)), "solid.h5")
 
 
 @pytest.mark.parametrize("name", FORGERIES)
@@ -288,6 +316,25 @@ def amplitude_of(path: str, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     """That at another frequency."""
     run = fc.solve(fc.load_prepared(path, {"excitation.frequency": 800.0}, comm), comm)
     return run.amplitude(None)
+
+
+def refused_by_all(path: str, comm: MPI.Comm = MPI.COMM_WORLD) -> str:
+    """The error of a forged file, the same on all ranks (collective)."""
+    with pytest.raises(fc.InputError) as error:
+        fc.load_prepared(path, comm=comm)
+    assert len({*comm.allgather(str(error.value))}) == 1
+    return str(error.value)
+
+
+@pytest.mark.mpi
+def test_forged_sizes_are_refused_on_both_ranks(
+    file: Path, tmp_path: Path, on_ranks: Callable[..., Any]
+) -> None:
+    """By one error."""
+    forged = Path(shutil.copy(file, tmp_path / "forged.h5"))
+    with changed(forged) as parts:
+        FORGERIES["more dofs than nodes"](parts)
+    assert "n_dofs" in on_ranks(refused_by_all, str(forged))
 
 
 @pytest.mark.mpi
