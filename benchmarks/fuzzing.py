@@ -1296,7 +1296,10 @@ def _rows(path: Path, part: str, cases: range) -> list[list[str]]:
 if __name__ == "__main__":
     common.run(
         __doc__,
-        {part: partial(try_part, part) for part in ("inputs", "wheels", "calls", "names", "files", "structures")},
+        {
+            part: partial(try_part, part)
+            for part in ("inputs", "wheels", "calls", "names", "files", "structures")
+        },
         cases={"type": int, "help": "how many of each part (default: 10000, all structures)"},
         seed={"type": int, "default": 1},
         first={"type": int, "default": 0, "help": "number of the first case"},

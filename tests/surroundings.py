@@ -34,4 +34,8 @@ MPI_ENVIRONMENT = {
 
 def no_rank() -> dict[str, str]:
     """The environment of a program that mpirun has not started; that of tests has MPI's words."""
-    return {name: text for name, text in os.environ.items() if not name.startswith(("OMPI_", "PMIX_", "PMI_"))}
+    return {
+        name: text
+        for name, text in os.environ.items()
+        if not name.startswith(("OMPI_", "PMIX_", "PMI_"))
+    }

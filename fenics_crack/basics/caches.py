@@ -76,6 +76,7 @@ def private_folder(path: Path, closed: int = 0o22, *, make: bool = True) -> Path
             raise OSError(0, f"others can write {part}")
     with tempfile.TemporaryFile(dir=there[0][0]) as file:
         if not make:  # it takes milliseconds; the forms of a scene take 1 to 2 MiB in many files
-            largest = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
-            os.posix_fallocate(file.fileno(), 0, min(2**22, largest % 2**64))
+            os.posix_fallocate(
+                file.fileno(), 0, min(2**22, resource.getrlimit(resource.RLIMIT_FSIZE)[0] % 2**64)
+            )
     return folder

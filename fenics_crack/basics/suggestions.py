@@ -139,7 +139,7 @@ def check_options(whose: str, options: Mapping[str, object], known: Collection[s
 def _kinds_of(value: object) -> set[str]:
     """Return the names of the classes that a value is of."""
     names = {base.__name__.removesuffix("_") for base in type(value).__mro__}  # also NumPy's bool_
-    kinds_by_name = {"Mapping": Mapping, "Path": os.PathLike, "None": type(None)}
+    kinds_by_name: dict[str, Any] = {"Mapping": Mapping, "Path": os.PathLike, "None": type(None)}
     kinds_by_name |= {"Iterable": Iterable, "int": Integral, "float": Real}
     return names | {name for name, kind in kinds_by_name.items() if isinstance(value, kind)}
 

@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 ONE_PROCESS_SETTINGS = {
     "OMPI_MCA_pml": "ob1", "OMPI_MCA_btl": "self", "OMPI_MCA_ess_singleton_isolated": "1",
 }  # fmt: skip
-"""Settings of Open MPI for one process: it looks for no network, opens no port, and starts no daemon,
-which would take as long as all else before the first command."""
+"""Settings of Open MPI for one process: it looks for no network, opens no port, and starts no
+daemon, which would take as long as all else before the first command."""
 PREFIXES = tuple(f"-crack_{name}_" for name in ("hb", "krylov", "modes", "largest", "factor"))
 """Beginnings of PETSc's options that reach a solver: SNES, GMRES, SLEPc, factorisations."""
 OUT_OF_MEMORY = ("PetscMalloc", "failed to map segment")

@@ -118,14 +118,19 @@ class _Prepared:
             indices |= {f"{name} rows": arrays[name][0], f"{name} columns": arrays[name][1]}
             ranges |= {f"{name} rows": (0, n_dofs), f"{name} columns": (0, ends[name])}
         wrong = [name for name, value in arrays.items() if not np.all(np.isfinite(value))]
-        wrong += [name for name, (first, end) in ranges.items() if indices[name] is not None
-                  and not _are_indices(indices[name], first, end)]  # fmt: skip
+        wrong += [
+            name
+            for name, (first, end) in ranges.items()
+            if (values := indices[name]) is not None
+            and not np.all((np.round(values) == values) & np.less_equal(first, values)
+                           & np.less(values, end))
+        ]  # fmt: skip
         n_free = n_dofs if self.node_dofs is None else np.count_nonzero(self.node_dofs >= 0)
-        held = sum(value.nbytes for value in arrays.values())
-        if n_free != n_dofs or 8 * n_parts * n_dofs > max(MIN_LOAD_BYTES, LOAD_RATIO * held):
+        most = max(MIN_LOAD_BYTES, LOAD_RATIO * sum(value.nbytes for value in arrays.values()))
+        if n_free != n_dofs or 8 * n_parts * n_dofs > most:
             wrong.append("n_dofs")
-        contacts = 1 if self.tangential is None else 2
-        if contacts * n_pairs + len(np.unique(self.force[1])) != n_sources:
+        n_contacts = n_pairs * (1 if self.tangential is None else 2)
+        if n_contacts + len(np.unique(self.force[1])) != n_sources:
             wrong.append("modal")
         if np.any(self.squares < 0.0):
             wrong.append("squares")
@@ -168,12 +173,6 @@ class _Prepared:
             self.inertia,
         ))  # fmt: skip
         return made
-
-
-def _are_indices(values: Any, first: int, end: int) -> bool:
-    """Return True if all values are whole numbers from ``first`` to below ``end``."""
-    values = np.asarray(values, dtype=float)
-    return bool(np.all((values == np.round(values)) & (values >= first) & (values < end)))
 
 
 def _entries(whole: Structure, rows: Any) -> np.ndarray:

@@ -5,6 +5,7 @@ import gc
 import weakref
 from collections.abc import Callable
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,7 @@ from fenics_crack.model.contact import (
     solve_forces,
 )
 from fenics_crack.model.factor import distributed
+from fenics_crack.model.matrices import read_labels
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.modes import damped_modes, damped_range, largest_frequency
 
@@ -658,3 +660,10 @@ def made_seen(structure: fc.Structure) -> tuple[np.ndarray, np.ndarray]:
     shape = modes.respond(receptance[0], load + 0j)
     linear = shape @ modes.pairs + structure.force[1] @ modes.static_pairs
     return np.array([0.0 * matrix, matrix]), np.array([linear, linear])
+
+
+def test_labels_of_rotations(tmp_path: Path) -> None:
+    """Ansys' words for all six directions are numbers 1 to 6."""
+    words = "UX", "UY", "UZ", "ROTX", "ROTY", "ROTZ"
+    (tmp_path / "rows").write_text("".join(f"{n} 7 {word}\n" for n, word in enumerate(words, 1)))
+    assert read_labels(tmp_path / "rows").tolist() == [[7, number] for number in range(1, 7)]

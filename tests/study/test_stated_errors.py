@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import DEMOS, ROOT, changed
+import scipy.linalg
+from helpers import DEMOS, ROOT, changed, dense
 from mpi4py import MPI
 from reference_flow import size_of_motion
 from surroundings import main
@@ -497,3 +498,13 @@ def test_strange_files(run: fc.Run, tmp_path: Path, change: Callable[[Any], obje
         file["verification"] = json.dumps(kept)
     with pytest.raises(fc.InputError, match="written by save"):
         fc.load_run(path, MPI.COMM_SELF)
+
+
+def test_three_natural_frequencies_are_stated() -> None:
+    """Those of the three lowest modes of the open chain, by its matrices."""
+    run = fc.solve(fc.Scene.load(DEMOS / "chain.toml"))
+    whole = run.structure.whole
+    squares = scipy.linalg.eigvalsh(dense(whole.stiffness), dense(whole.mass))
+    assert run.errors is not None
+    stated = [run.errors.values[f"frequency_open_{mode}"] for mode in (1, 2, 3)]
+    assert stated == pytest.approx(np.sqrt(squares[:3]) / (2.0 * np.pi), rel=1e-6)
