@@ -1095,8 +1095,10 @@ STORED: dict[str, Callable[[Path], object]] = {
 
 
 def forged_file(rng: random.Random, folder: Path) -> tuple[str, Callable[[], object]]:
-    """A file of ``reduce``, a sweep or a result by itself, forged or damaged; its scene stays, which
-    may ask for a computation of any length."""
+    """A file of ``reduce``, a sweep or a result by itself, forged or damaged.
+
+    Its scene stays, which may ask for a computation of any length.
+    """
     name = rng.choice([*STORED, "prepared.h5"])
     path = folder / name
     if rng.random() < 0.75:

@@ -40,6 +40,21 @@ def test_every_input_ends_well(part: str, count: int, base: Path, tmp_path: Path
     assert len(found) == count and min(counts["done"], counts["refused"]) > 2
 
 
+@pytest.mark.parametrize(
+    ("part", "count", "most"),
+    [
+        ("names", 40, 3), ("files", 20, 0),
+        pytest.param("names", 800, 20, marks=pytest.mark.nightly),
+        pytest.param("files", 2000, 0, marks=pytest.mark.nightly),
+    ],
+)  # fmt: skip
+def test_calls_end_well(part: str, count: int, most: int, base: Path, tmp_path: Path) -> None:
+    """Of all public names in an InputError, but for a few; of forged files in one, or a result."""
+    found = [*fuzzing.attempts(part, range(count), 1, base, tmp_path)]
+    assert len([one for one in found if one.wrong]) <= most, [one for one in found if one.wrong]
+    assert len(found) == count and sum(one.outcome == "refused" for one in found) > count / 2
+
+
 @pytest.mark.slow
 def test_inputs_for_an_hour(base: Path, tmp_path: Path) -> None:
     """The same with as many inputs as there is time for, on each day others."""
