@@ -113,7 +113,7 @@ pairs at all instants."""
 COMPILED = 5000
 """Search budget: iterations of all initial guesses together, with 300 unknowns in the kernel: 5 to
 8 s."""
-PART = 2500
+PART = 4000
 """Maximum iterations of a search that is a part of another: 0.5 to 3 s, also where a system of few
 unknowns, whose integrals take most of its time, would have five times as many."""
 RUBBING = 8e6

@@ -32,7 +32,7 @@ from fenics_crack.basics.errors import (
     check_count,
     check_number,
 )
-from fenics_crack.basics.suggestions import check_kind
+from fenics_crack.basics.suggestions import fitting_argument
 from fenics_crack.basics.tables import counted, in_unit
 from fenics_crack.curves.branch import Joined, branch_start
 from fenics_crack.curves.curve import (
@@ -326,8 +326,8 @@ class Continuation(GrowingCurve):
         if parameter == "resonance":
             raise InputError("parameter", parameter, "another one: follow_resonance follows it")
         how = Steps(**steps)
-        check_kind("problem", problem, "Problem", ("Problem",))
-        check_kind("stability", stability, "bool", ())
+        fitting_argument("problem", problem, "Problem", ("Problem",))
+        fitting_argument("stability", stability, "bool", ())
         if exact and tolerance is None:
             tolerance = TOLERANCE if branch_of is None else branch_of.tolerance
         if tolerance is not None:

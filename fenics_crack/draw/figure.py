@@ -29,7 +29,7 @@ from fenics_crack.basics.atomic_files import write_whole
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.progress import begin
 from fenics_crack.basics.ranks import on_root
-from fenics_crack.basics.suggestions import check_kind, check_options
+from fenics_crack.basics.suggestions import check_options, fitting_argument
 from fenics_crack.basics.tables import readable, with_unit
 
 COLOURS = {"blue": "#0072B2", "orange": "#D55E00", "green": "#009E73", "pink": "#CC79A7"}
@@ -103,7 +103,7 @@ class Picture:
     ) -> None:
         check_options("pictures (labels and limits: of their axes)", where, Where.__annotations__)
         path, axes = where.get("path"), given_axes(where)
-        check_kind("path", path, "str | Path | None", ())
+        fitting_argument("path", path, "str | Path | None", ())
         self._path, self._title, self._comm = path, where.get("title"), comm
         self.legend = where.get("legend", True)
         if axes is None:

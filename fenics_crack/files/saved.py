@@ -46,7 +46,7 @@ class Saved(Tabular):
     @classmethod
     def of(cls, stored: Stored) -> Self:
         """The same of a file that has been read."""
-        stored.check_kind(cls.KIND)
+        stored.fitting_argument(cls.KIND)
         with stored.taken() as parts:
             found = cls._unpacked(parts, stored.scene())
             repr(found), found.table()  # whose columns are of one length

@@ -251,7 +251,7 @@ class Stored:
         """The error of a file that is not as allowed."""
         return InputError("path", str(self.path), allowed)
 
-    def check_kind(self, kind: str) -> None:
+    def fitting_argument(self, kind: str) -> None:
         """Raise InputError if something else is in the file."""
         if self.kind != kind:
             raise self.refused(f"a file with a {kind}; in this one is a {self.kind}")

@@ -33,7 +33,7 @@ from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError, check_count
 from fenics_crack.basics.progress import begin
-from fenics_crack.basics.suggestions import check_kind
+from fenics_crack.basics.suggestions import fitting_argument
 from fenics_crack.model.body import UNVARIED, Body
 from fenics_crack.model.cyclic import (
     CyclicBasis,
@@ -111,7 +111,7 @@ class Wheel(Structure):
         rotation: Any = None,
         comm: MPI.Comm = MPI.COMM_SELF,
     ) -> None:
-        check_kind("sector", sector, "Sector", ("Sector",))
+        fitting_argument("sector", sector, "Sector", ("Sector",))
         check_count("families", families, 1)
         structure, count, tangential = sector.structure, sector.count, sector.structure.tangential
         cracked = tuple(cracked) if structure.n_pairs else ()

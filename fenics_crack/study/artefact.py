@@ -272,7 +272,7 @@ def _scene_of(stored: Stored, changes: Mapping[str, object]) -> Scene:
     InputError
         It is of another kind, or a changed key needs a mesh.
     """
-    stored.check_kind(KIND)
+    stored.fitting_argument(KIND)
     known = stored.scene()
     if known is None:
         raise stored.refused("one with its scene")

@@ -340,7 +340,7 @@ def _of_scene(path: Path, scene: Scene) -> store.Stored:
     """The header of a file; InputError unless it is the sweep of a scene by this version of the
     program."""
     stored = store.header(path)
-    stored.check_kind(KIND)
+    stored.fitting_argument(KIND)
     begun = stored.scene()
     asked = Scene.from_text(store.scene_text(scene), str(path))  # both with full paths
     if begun is None or begun.replace(UNUSED) != asked.replace(UNUSED):
@@ -379,7 +379,7 @@ def _kept(scene: Scene) -> dict[str, tuple[str, str]]:
 def opened(path: Path) -> store.Stored:
     """The header of a sweep's file, all of whose columns are as they should be."""
     stored = store.header(path)
-    stored.check_kind(KIND)
+    stored.fitting_argument(KIND)
     scene = stored.scene()
     if scene is None or scene.sweep is None:
         raise stored.refused("a sweep with its scene")
@@ -464,7 +464,7 @@ def read_waves(path: Path, index: tuple[int, ...]) -> tuple[np.ndarray, np.ndarr
     """Gap [m] and force [N] coefficients of a case that converged, with friction tangential ones
     behind the normal ones: (2H+1, n_rows) each."""
     stored = store.header(path)
-    stored.check_kind(KIND)
+    stored.fitting_argument(KIND)
     found = _waves(stored, index)
     if found is None:
         allowed = f"a whole sweep: its case {index} is damaged; the command sweep computes it again"

@@ -21,7 +21,7 @@ from fenics_crack.basics.errors import (
     check_number,
     reading,
 )
-from fenics_crack.basics.suggestions import check_kind, checked_call
+from fenics_crack.basics.suggestions import checked_call, fitting_argument
 from fenics_crack.basics.tables import RPM, TURN, Tabular, counted
 from fenics_crack.basics.untrusted_files import heading_in_si, table_rows
 from fenics_crack.monitoring.identification.options import OPTIONS
@@ -207,7 +207,7 @@ class Measurements(Tabular):
     rows: tuple[Measurement, ...]
 
     def __post_init__(self) -> None:
-        check_kind("measurements", self.rows, "Iterable", ())
+        fitting_argument("measurements", self.rows, "Iterable", ())
         object.__setattr__(self, "rows", tuple(self.rows))
         if not self.rows or not all(isinstance(row, Measurement) for row in self.rows):
             raise InputError("measurements", list(self.rows), "one Measurement or more")
@@ -233,7 +233,7 @@ class Measurements(Tabular):
         InputError
             A value cannot be used, or the lengths differ.
         """
-        check_kind("values", values, "Iterable", ())
+        fitting_argument("values", values, "Iterable", ())
         count = len(values)
         columns = {"value": values, **where}
         several = isinstance(deviations, Iterable)
