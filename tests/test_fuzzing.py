@@ -45,7 +45,6 @@ def test_every_input_ends_well(part: str, count: int, base: Path, tmp_path: Path
 @pytest.mark.parametrize(
     ("part", "count", "most"),
     [
-        ("files", 12, 0),
         pytest.param("names", 800, 20, marks=pytest.mark.nightly),
         pytest.param("files", 2000, 0, marks=pytest.mark.nightly),
     ],

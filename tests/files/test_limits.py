@@ -167,7 +167,8 @@ def test_contact_that_nothing_makes(
         assert capsys.readouterr().err.count(f"remark: {key} = ") == 1
 
 
-@pytest.mark.parametrize("kind", ["-t 60", pytest.param("-f 200", marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("kind", ["-t 60", "-f 200"])
 def test_limits_of_the_shell(kind: str, tmp_path: Path) -> None:
     """Of processor time and of the size of files [512 B]: a mesh file is read, a result written."""
     shell = f'ulimit {kind}; exec "$@"'
