@@ -15,6 +15,10 @@ fine.
 resonance at which their crack breathes, against meshes twice and three times as fine; and by how
 much the last refinement moves a number, over its true error.
 
+``half``: twenty random plates like that of ``fenics-crack new``, with elements of 20 mm, at half the
+resonance: the mesh's part alone, against a mesh three times as fine with as many modes. At most 1.6
+is meant.
+
 ``chosen``: random plates, solids and rotors whose modes the tolerance has chosen, on one mesh: the
 truth is the orbit with four times the modes, sought from the answer. At most 1.3 is meant for
 amplitude and opening, and tolerances met, or said not to be.
@@ -212,6 +216,7 @@ NEW_SOLIDS: dict[str, tuple[Vector, dict[str, Any], int, Vector]] = {
 """Sides [m], crack, metal and damping, the mode in which the crack breathes, and the force [N]."""
 SHARES, TWICE_AND_THRICE = (0.5, 0.9), (2.0, 3.0)
 HEADLINES = ("amplitude", "opening", "ratio_2_1")
+OF_HALF = (*HEADLINES, "crack_force")
 ANSWERED = (
     "scene", "quantity", "value", "true", "stated", "true / stated", "most by", "within 2 %",
 )  # fmt: skip
@@ -233,6 +238,8 @@ KNOWN_BY, AGAIN_BY, AGAIN = 6, 9, (0, 5)
 """Families of the reference of a wheel, of a second one, and the wheels that have it, too."""
 RANDOM, RANDOM_SEED = 40, 4
 """Random plates, twice as many as solids, and where the random numbers begin."""
+HALF, HALF_MEANT = 20, 1.6
+"""Plates at half the resonance, where their random numbers begin, and the largest ratio meant."""
 METALS = ((2.1e11, 0.3, 7850.0), (1.14e11, 0.33, 4430.0), (7e10, 0.33, 2700.0))
 """Steel, titanium and aluminium: Young's modulus [Pa], Poisson's ratio, density [kg/m^3]."""
 SIDES = ("width", "height", "thickness")
@@ -243,9 +250,10 @@ def main() -> None:
     answers = {"answers": run_answers, "plates": run_plates, "solids": run_solids}
     answers |= {"new_solids": run_new_solids, "chosen": run_chosen}
     answers |= {"wheels": run_wheels, "friction_modes": run_friction_modes}
-    answers |= {"plate_modes": run_plate_modes}
+    answers |= {"plate_modes": run_plate_modes, "half": run_half}
     parts = {"mesh": run_mesh, "boxes": run_boxes, "harmonics": run_harmonics, "modes": run_modes}
-    seed = {"type": int, "default": RANDOM_SEED, "help": "of wheels, friction_modes, plate_modes"}
+    seeded = "of wheels, friction_modes, plate_modes, half"
+    seed = {"type": int, "default": RANDOM_SEED, "help": seeded}
     common.run(__doc__, answers | parts, seed=seed)
 
 
@@ -387,21 +395,26 @@ def tell(rows: list[common.Row]) -> None:
 
 
 def answered(
-    name: str, scene: fc.Scene, run: fc.Run[fc.PeriodicSolution], times: float = 4.0
+    name: str,
+    scene: fc.Scene,
+    run: fc.Run[fc.PeriodicSolution],
+    times: float = 4.0,
+    *,
+    by_mesh: bool = False,
 ) -> Iterator[common.Row]:
-    """A row for each headline number; with the ratio of the root mean squares within 2 % of the
-    frequency where that at the frequency is below a fifth."""
+    """A row for each headline number, or the part by the mesh alone; with the ratio of the root
+    mean squares within 2 % of the frequency where that at the frequency is below a fifth."""
     finer = finer_mesh(scene, times)
     assert finer is not None and run.scene.reduction is not None
     exact = {"harmonic_balance.tolerance": None, "harmonic_balance.harmonics": 40}
-    more = {"reduction.modes": 2 * int(run.scene.reduction.modes or 0)}
+    more = {"reduction.modes": (1 if by_mesh else 2) * int(run.scene.reduction.modes or 0)}
     reference = fc.prepare(finer.replace(exact | more))
-    found = stated_and_true(run, reference)
+    found = stated_and_true(run, reference, by_mesh=by_mesh)
     low = [quantity for quantity, (_, true, stated, _) in found.items() if true < LOW * stated]
     key, nearby = "frequency" if scene.in_hertz else "omega", []
     for factor in BAND if low else ():
         at = {f"excitation.{key}": float(factor) * getattr(scene.excitation, key)}
-        nearby.append(stated_and_true(fc.solve(scene.replace(at)), reference))
+        nearby.append(stated_and_true(fc.solve(scene.replace(at)), reference, by_mesh=by_mesh))
     for quantity, (value, true, stated, cause) in found.items():
         both = np.array(
             [one[quantity][1:3] for one in nearby if quantity in one and quantity in low]
@@ -411,7 +424,7 @@ def answered(
 
 
 def stated_and_true(
-    run: fc.Run[fc.PeriodicSolution], reference: Study
+    run: fc.Run[fc.PeriodicSolution], reference: Study, *, by_mesh: bool = False
 ) -> dict[str, tuple[float, float, float, str]]:
     """Of each headline number its value, true and stated error, and what most of that is by; the
     reference leaves friction out, too."""
@@ -424,8 +437,11 @@ def stated_and_true(
     rows = {}
     for quantity, value in found.values.items():
         natural = quantity.startswith(("frequency", "omega"))
-        if quantity.endswith(HEADLINES) or (natural and quantity.endswith(f"_{own.mode}")):
+        headline = quantity.endswith(OF_HALF if by_mesh else HEADLINES)
+        if headline or (natural and quantity.endswith(f"_{own.mode}")):
             stated, cause = found.stated(quantity)
+            if by_mesh:
+                stated, cause = found.contributions(quantity)["mesh"] / abs(value), "mesh"
             rows[quantity] = value, abs(true[quantity] / value - 1.0), stated, cause
     return rows
 
@@ -540,6 +556,35 @@ def run_plates(arguments: common.Arguments) -> None:
 def run_solids(arguments: common.Arguments) -> None:
     """Random solids."""
     run_random(arguments, "solids", new("solid"), 2.0)
+
+
+def plate_at_half(rng: np.random.Generator) -> fc.Scene:
+    """The plate of ``fenics-crack new`` with long elements and another crack, at half the lowest
+    resonance."""
+    scene = new("scene").replace({
+        "mesh.size": 0.02, "mesh.lip_elements": int(rng.choice([4, 6])), "reduction.modes": 20,
+        "contact.friction_error": False, "crack.length": rng.uniform(0.015, 0.055),
+        "crack.height": rng.uniform(0.05, 0.25), "damping.ratio": 10.0 ** rng.uniform(-2.7, -1.7),
+    })  # fmt: skip
+    natural = fc.bilinear_frequencies(fc.prepare(scene).structure).frequency_bilinear
+    return scene.replace({"excitation.frequency": 0.5 * float(natural[0])})
+
+
+def run_half(arguments: common.Arguments) -> None:
+    """Against a mesh three times finer."""
+    rows: list[common.Row] = []
+    for number in range(2 if arguments.quick else HALF):
+        scene = plate_at_half(np.random.default_rng([arguments.seed, number]))
+        rows += answered(f"half {number}", scene, fc.solve(scene), 3.0, by_mesh=True)
+        common.save_table(arguments.folder / "stated_errors_half.csv", "half", ANSWERED, rows)
+    for kind in (*OF_HALF, "frequency"):
+        shares = np.array([row[5] for row in rows if kind in row[1]])
+        low = [row for row in rows if kind in row[1] and max(row[5], np.nan_to_num(row[7])) < LOW]
+        print(
+            f"{kind}: above {HALF_MEANT}: {np.sum(shares > HALF_MEANT)} of {len(shares)}; median "
+            f"{np.median(shares):.2f}, largest {shares.max():.2f}; below {LOW}, within 2 %, too: "
+            f"{len(low)}"
+        )
 
 
 def chosen() -> Iterator[tuple[str, fc.Scene]]:

@@ -11,7 +11,7 @@ import html
 import io
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -298,6 +298,12 @@ def percent(share: float) -> str:
 def error_in_words(error: float) -> str:
     """A relative error in per cent: "2.4 %", "less than 0.001 %"."""
     return f"less than {percent(LEAST_ERROR)}" if 0.0 < error < LEAST_ERROR else percent(error)
+
+
+def without_causes(causes: Iterable[str]) -> str:
+    """Name the causes that an error leaves out: "error due to the mesh not included"."""
+    names = " and the ".join(causes)
+    return f"error due to the {names} not included" if names else ""
 
 
 def counted(count: int, thing: str) -> str:

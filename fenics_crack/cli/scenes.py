@@ -58,11 +58,14 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
     memory = check_memory_of(scene, whole, run_up=run_up)
     with console.stage("natural frequencies"):
         figures = find_key_figures(study)
-        tied = {"tied": figures.omega_tied} if whole.n_pairs else {}
-        by_mesh = errors_of_natural(study, {"open": figures.omega_open} | tied)
     with console.stage("resonance at the load"):
         at_load = resonance_of(study, figures.omega_bilinear, figures.slopes)
-        figures = replace(figures, at_load=at_load)
+    with console.stage("errors due to the mesh"):
+        tied = {"tied": figures.omega_tied} if whole.n_pairs else {}
+        natural = {"open": figures.omega_open} | tied
+        by_mesh = errors_of_natural(study, natural, at_load, figures.slopes)
+        mesh_error = by_mesh.stated("vibration")[0]
+        figures = replace(figures, at_load=replace(at_load, mesh_error=mesh_error))
     rows: dict[str, object] = {
         **({} if whole.nodes is None else _extents(figures)),
         "degrees of freedom": whole.n_dofs,
@@ -136,14 +139,18 @@ def _frequencies(scene: Scene, figures: KeyFigures) -> dict[str, object]:
     return rows
 
 
-def _known_by_mesh(found: Verification) -> dict[str, object]:
+def _known_by_mesh(found: Verification) -> dict[str, str]:
     """The errors of these frequencies due to the mesh as a row; of matrices none."""
     if found.scene.structure is not None:
         return {}
     if found.unknown:
         return {"error of natural frequencies due to the mesh": f"unknown: {found.unknown['mesh']}"}
     ends = [percent(found.stated(name)[0]) for name in found.values if name.endswith("_1")]
-    return {"error of first natural frequencies due to the mesh": " and ".join(ends)}
+    rows = {"error of first natural frequencies due to the mesh": " and ".join(ends)}
+    if "resonance" in found.values:
+        error = percent(found.stated("resonance")[0])
+        rows["error of the resonance at the load due to the mesh"] = error
+    return rows
 
 
 def _resonance(scene: Scene, figures: KeyFigures) -> dict[str, object]:

@@ -53,7 +53,7 @@ from fenics_crack.model.rotation import Ritz, coriolis_shifts, static_state
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import coriolis_in_words, damping_ratios, remarks_on_scene
-from fenics_crack.study.resonance import SOUGHT_MODES, AtLoad, over_speed
+from fenics_crack.study.resonance import NOT_SOUGHT, SOUGHT_MODES, AtLoad, over_speed
 from fenics_crack.study.sharing import assembled
 
 HELD = (*KINDS[:2], "partly")
@@ -230,7 +230,7 @@ class Campbell(Saved):
         elsewhere it is not known."""
         own, every = order == self.scene.excitation.order, self.crossings(order, "real").tolist()
         found = [one for _, one in self.met] if own else []
-        found += [AtLoad(unknown="not sought")] * len(every)
+        found += [NOT_SOUGHT] * len(every)
         return [(int(mode), speed, one) for (mode, speed), one in zip(every, found, strict=False)]
 
     def meetings(self, order: int) -> Iterator[str]:

@@ -53,16 +53,13 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Curve
 from fenics_crack.scene.words import faces_in_words
 from fenics_crack.study.prepare import Study, reduction_of
-from fenics_crack.study.resonance import SOUGHT_MODES, AtLoad, meeting_speed
+from fenics_crack.study.resonance import NOT_SOUGHT, SOUGHT_MODES, AtLoad, meeting_speed
 
 N_MODES = 4
 """Modes that are computed."""
 SMALL_MOTION = 0.1
 """Displacement over length, a rotation [rad], up to which displacements are small: the terms that
 linear theory neglects are about its square, 1 %."""
-
-
-NOT_SOUGHT = AtLoad(unknown="not sought")
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ import numpy as np
 from fenics_crack.balance.phase import Resonance
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.errors import ConvergenceError
-from fenics_crack.basics.tables import percent, quantity
+from fenics_crack.basics.tables import error_in_words, quantity, without_causes
 from fenics_crack.curves.stability import floquet
 from fenics_crack.model.contact import ContactLaw, friction_of
 from fenics_crack.model.modal import is_small
@@ -33,6 +33,7 @@ from fenics_crack.model.rotation import Ritz, RunUpStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import REFUSALS, Study, law_of, reduced, reduction_of
+from fenics_crack.study.verification import BY_CHOICE, ESTIMATED
 
 SOUGHT_MODES = 10
 """Modes of the whole structure in which it is sought."""
@@ -58,6 +59,8 @@ class AtLoad:
         Half of the peak-to-peak displacement that is watched.
     error : float
         Its relative error due to truncated harmonics.
+    mesh_error : float
+        Its relative error due to the mesh; nan if it is not estimated.
     verdict : str
         Stability.
     unknown : str
@@ -71,12 +74,23 @@ class AtLoad:
     error: float = math.nan
     verdict: str = ""
     unknown: str = ""
+    mesh_error: float = math.nan
 
     @property
     def in_words(self) -> str:
-        """Amplitude, error and verdict, or why there are none."""
-        size = f"{quantity(self.amplitude, 'm')} half peak-to-peak"
-        return self.unknown or f"{size}, error {percent(self.error)}, {self.verdict}"
+        """Amplitude, errors, causes that they leave out, and verdict; or why there are none."""
+        errors = dict.fromkeys((*ESTIMATED, *BY_CHOICE), math.nan)
+        errors |= {"harmonics": self.error, "mesh": self.mesh_error}
+        missing = [cause for cause, error in errors.items() if not math.isfinite(error)]
+        known = [f"the {c} {error_in_words(e)}" for c, e in errors.items() if c not in missing]
+        size = f"{quantity(self.amplitude, 'm')} half peak-to-peak, {self.verdict}"
+        errors_text = f"error due to {', '.join(known)}; {without_causes(missing)}"
+        return self.unknown or f"{size}, {errors_text}"
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """Value and amplitude by their names; none if they are unknown."""
+        return {} if self.unknown else {"resonance": self.value, "vibration": self.amplitude}
 
     @classmethod
     def of(cls, found: Resonance, rest: float = math.nan) -> AtLoad:
@@ -88,6 +102,9 @@ class AtLoad:
             verdict = floquet(solution.structure, solution).verdict
         amplitude = solution.amplitude()
         return cls(found.value, found.width, rest, amplitude, found.error, verdict)
+
+
+NOT_SOUGHT = AtLoad(unknown="not sought")
 
 
 def meeting_speed(order: float, speed: float, omega: float, slope: np.ndarray) -> float:

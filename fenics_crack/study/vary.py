@@ -82,7 +82,7 @@ from fenics_crack.balance.harmonic_balance import (
     solve_linear,
 )
 from fenics_crack.balance.more_modes import reference_of
-from fenics_crack.balance.problem import Problem, least_harmonics
+from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import MAX_SAMPLES, ConvergenceError, InputError
 from fenics_crack.basics.observables import Place, names_of
@@ -91,7 +91,13 @@ from fenics_crack.basics.tables import frequency_axis
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.model.contact import CoulombFriction, friction_of, is_unilateral
 from fenics_crack.model.modal import is_small
-from fenics_crack.model.modes import Modes, bilinear_frequencies, solve_modes, tied_modes
+from fenics_crack.model.modes import (
+    BilinearFrequencies,
+    Modes,
+    bilinear_frequencies,
+    solve_modes,
+    tied_modes,
+)
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.rotation import RunUpStructure
@@ -112,6 +118,7 @@ from fenics_crack.study.numbers import (
 )
 from fenics_crack.study.observer import errors_along_fronts, rows_requested
 from fenics_crack.study.prepare import REFUSALS, Study, law_of, prepare, reduced, reduction_of
+from fenics_crack.study.resonance import NOT_SOUGHT, AtLoad, resonance_of
 from fenics_crack.study.solve import Solved, solve_prepared
 from fenics_crack.study.verification import (
     UNCHANGED,
@@ -119,6 +126,7 @@ from fenics_crack.study.verification import (
     Part,
     Varied,
     Verification,
+    dent_by_force,
     grid_convergence,
 )
 
@@ -388,9 +396,25 @@ def _errors_at_speed(
     return stated
 
 
-def errors_of_natural(study: Study, natural: Mapping[str, np.ndarray]) -> Verification:
-    """The errors by the mesh of natural frequencies [rad/s] of a whole structure, with crack faces
-    "open" and "tied" (collective)."""
+def errors_of_natural(
+    study: Study,
+    natural: Mapping[str, np.ndarray],
+    at_load: AtLoad = NOT_SOUGHT,
+    slopes: np.ndarray | None = None,
+) -> Verification:
+    """Return mesh errors of natural frequencies and of the resonance at the load (collective).
+
+    Parameters
+    ----------
+    study : Study
+        Of the whole structure.
+    natural : dict of str to (m,) [rad/s]
+        With crack faces "open" and "tied".
+    at_load : AtLoad
+        Of the same structure; its ``numbers`` are among those of the result.
+    slopes : (m, 2), optional
+        S and C of each mode (:func:`resonance_of`).
+    """
     scene = study.scene
     factor, _, unit = frequency_axis(scene.in_hertz)
 
@@ -411,10 +435,14 @@ def errors_of_natural(study: Study, natural: Mapping[str, np.ndarray]) -> Verifi
         both = {"open": solve_modes(twin.structure, count).omega}
         if "tied" in natural:
             both["tied"] = tied_modes(twin.structure, count).omega
-        levels = zip(counts, (values, named(both)), strict=True)
+        coarse_values = named(both)
+        if at_load.numbers and slopes is not None:
+            estimates = BilinearFrequencies(both["open"], both["tied"]).omega_bilinear
+            coarse_values |= resonance_of(twin, estimates, slopes).numbers
+        levels = zip(counts, (values, coarse_values), strict=True)
         return part_of("mesh", [*levels], scene, ratio=ratio)
 
-    values = named(natural)
+    values = named(natural) | at_load.numbers
     return vary(Verification(scene, values, dict.fromkeys(values, unit)), {"mesh": by_mesh})
 
 
@@ -561,24 +589,21 @@ class _Stated(_Case):
             tips = names_of(Place.TIPS, Place.ELLIPSE)
             others = [name for name in twin.scene.quantities or () if name not in tips]
             twin = replace(twin, scene=twin.scene.replace({"output.quantities": others or None}))
-        few = max(near.harmonics // 2, min(near.harmonics, self._highest))
-        few = max(few, least_harmonics(near.structure, near.subharmonic))
-        half = _solved(study, near.omega, few, near)
-        with_few, mode = self.values_of(half), self._moving(half)
+        values, mode = self.own.values, self._moving(near)
         moved = bilinear_of(twin.structure, mode) / bilinear_of(study.structure, mode)
-        other = _solved(twin, near.omega * moved, few)
-        there = self.values_of(other, twin)
-        levels = zip(counts, (with_few, there), strict=True)
+        other = _solved(twin, near.omega * moved, near.harmonics)
+        levels = zip(counts, (values, self.values_of(other, twin)), strict=True)
         _, parts = part_of("mesh", [*levels], study.scene, ratio=ratio)
         orders = 2.0 * study.scene.mesh.order, TIP
         left = np.linspace(*(1.0 / (ratio**order - 1.0) for order in orders), PLACES)
-        moved_to = PLACES * [with_few]
+        moved_to = PLACES * [values]
         if not self.of_peak:  # each from rest, as on a finer mesh, which may reach another motion
             shifts = near.omega / (1.0 + left * (1.0 - moved))
-            solutions = (_solved(study, float(omega), few) for omega in shifts)
+            solutions = (_solved(study, float(omega), near.harmonics) for omega in shifts)
             moved_to = [self.values_of(one) for one in solutions]
-        between, found = self._with_shifted_clearance(half), {}
-        closed, apart = errors_along_fronts(study, half, twin, other)
+        between, found = self._with_shifted_clearance(near), {}
+        dents = dict.fromkeys(names_of(Place.POINT), self._relative_dent)
+        closed, apart = errors_along_fronts(study, near, twin, other)
         for name, part in parts.items():
             value, coarse_value = part.values
             terms = [
@@ -591,11 +616,10 @@ class _Stated(_Case):
                 0.1 * max(min(abs(shape), abs(shift)) for shape, shift in terms),
                 between.get(name, value) - value,
                 closed.get(name, 0.0),
+                dents.get(name, 0.0) * value,
             )
             error = max(error, apart.get(name, 0.0) * left.max())
-            at = self.own.values.get(name, 0.0)
-            change = coarse_value - value
-            found[name] = replace(part, values=(at, at + change), extrapolated=at + error)
+            found[name] = replace(part, extrapolated=value + error)
         return counts, found
 
     def _moving(self, near: PeriodicSolution) -> int:
@@ -610,10 +634,10 @@ class _Stated(_Case):
         return int(np.argmax((sizes / np.maximum(away, UNCHANGED)).max(axis=1))) + 1
 
     @property
-    def _highest(self) -> int:
-        """The highest harmonic that numbers are of: the third, or the largest of the solution."""
-        seen = self.near.measure([watched.dof for watched in self.study.watched])
-        return int(np.nanmax([3.0, *(one.largest_order for one in seen)]))
+    def _relative_dent(self) -> float:
+        """Relative amplitude that half as long elements add where a force at a point is watched."""
+        scene, [watched, *_] = self.study.scene, self.study.watched
+        return 0.0 if scene.points else dent_by_force(scene) / self.near.amplitude(watched.dof)
 
     def _with_shifted_clearance(self, near: PeriodicSolution) -> dict[str, float]:
         """The numbers with the clearance moved by half a step of the gap from pair to pair, times

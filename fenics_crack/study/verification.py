@@ -44,6 +44,7 @@ from fenics_crack.basics.tables import (
     percent,
     quantity,
     with_unit,
+    without_causes,
 )
 from fenics_crack.files.codec import Parts, from_text, text_of
 from fenics_crack.files.saved import Saved
@@ -396,8 +397,7 @@ class Verification(Saved):
     @property
     def without(self) -> str:
         """The causes that are missing: "error due to the mesh not included"; empty without any."""
-        causes = " and the ".join(self.unknown)
-        return f"error due to the {causes} not included" if causes else ""
+        return without_causes(self.unknown)
 
     @property
     def left_out(self) -> str:
@@ -517,7 +517,7 @@ class Verification(Saved):
         """Warning that the displacement under a point force has no limit, if elements half as long
         add much to it."""
         scene, amplitude = self.scene, abs(self.values.get("amplitude", 0.0))
-        added = _dent(scene)
+        added = dent_by_force(scene)
         if scene.points or not added > TOLERANCE * amplitude > 0.0:
             return ()
         growth, side = ("log(1/h)", "an edge") if scene.dimension == 2 else ("1/h", "a face")
@@ -563,7 +563,7 @@ def verification_of(stored: Stored) -> Verification | None:
         return found
 
 
-def _dent(scene: Scene) -> float:
+def dent_by_force(scene: Scene) -> float:
     """Return the displacement that elements half as long add under a force F at a point [m].
 
     Of a plate F / (E t) ln 2 (1 / (a + sin a) + 1 / (a - sin a)) in a corner of the angle a, along
