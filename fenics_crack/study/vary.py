@@ -31,9 +31,11 @@ expected, not bounds: scenes beside a mesh four times finer are in docs/notebook
   and a tenth of what could cancel is not known. With a preload or a mean load a crack closes pair
   by pair, and where it is closed ends somewhere between two pairs: half a step of the gap from one
   to the next, times the part of the period for which some touch and others do not, is not known of
-  the clearance. The mesh changes low and high harmonics equally: half of them show it. What is
-  computed for K_I of a solid's front while it is closed is another part of those of K, whose
-  difference between the meshes is taken where it is the largest on the front.
+  the clearance. Where a point is watched under a force, what elements half as long would add has no
+  limit, and is part of its numbers. All harmonics of the answer are kept: with half of them it may
+  move near half a resonance by as much as the mesh moves it. What is computed for K_I of a solid's
+  front while it is closed is another part of those of K, whose difference between the meshes is
+  taken where it is the largest on the front.
 - *friction*, without which crack faces slide freely: each number changes as between two exact
   orbits, without friction and with it, of a structure of few modes whose crack faces have no mass.
   Extremes may agree by chance: as by modes, the part is at least the root mean square of the
@@ -82,7 +84,7 @@ from fenics_crack.balance.harmonic_balance import (
     solve_linear,
 )
 from fenics_crack.balance.more_modes import reference_of
-from fenics_crack.balance.problem import Problem
+from fenics_crack.balance.problem import Problem, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import MAX_SAMPLES, ConvergenceError, InputError
 from fenics_crack.basics.observables import Place, names_of
@@ -575,9 +577,8 @@ class _Stated(_Case):
         return (count, 2 * count), parts
 
     def mesh(self) -> Varied:
-        """The most by any order of the mesh, but of a peak with what the shift of the resonance
-        changes, and what the place where crack faces part does; by differences with half the
-        harmonics."""
+        """Return the largest part by any order of the mesh, but of a peak with the shift of the
+        resonance, with the place where crack faces part, and with the dent under a force."""
         study, near = self.study, self.near
         coarse = coarser(study)
         if isinstance(coarse, str):
@@ -591,7 +592,7 @@ class _Stated(_Case):
             twin = replace(twin, scene=twin.scene.replace({"output.quantities": others or None}))
         values, mode = self.own.values, self._moving(near)
         moved = bilinear_of(twin.structure, mode) / bilinear_of(study.structure, mode)
-        other = _solved(twin, near.omega * moved, near.harmonics)
+        other = _solved_in_steps(twin, near.omega * moved, near.harmonics)
         levels = zip(counts, (values, self.values_of(other, twin)), strict=True)
         _, parts = part_of("mesh", [*levels], study.scene, ratio=ratio)
         orders = 2.0 * study.scene.mesh.order, TIP
@@ -599,7 +600,7 @@ class _Stated(_Case):
         moved_to = PLACES * [values]
         if not self.of_peak:  # each from rest, as on a finer mesh, which may reach another motion
             shifts = near.omega / (1.0 + left * (1.0 - moved))
-            solutions = (_solved(study, float(omega), near.harmonics) for omega in shifts)
+            solutions = (_solved_in_steps(study, float(w), near.harmonics) for w in shifts)
             moved_to = [self.values_of(one) for one in solutions]
         between, found = self._with_shifted_clearance(near), {}
         dents = dict.fromkeys(names_of(Place.POINT), self._relative_dent)
@@ -656,7 +657,7 @@ class _Stated(_Case):
             along = its.sum() ** (1.0 / (study.scene.dimension - 1))
             steps[its] = 0.5 * np.ptp(apart) / along * np.ptp(shares)
         moved = replace(study, structure=study.structure.varied(clearance=steps))
-        return self.values_of(_solved(moved, near.omega, near.harmonics, near), moved)
+        return self.values_of(_solved_in_steps(moved, near.omega, near.harmonics, near), moved)
 
 
 def _solved(
@@ -667,6 +668,24 @@ def _solved(
         return solve_linear(study.structure, omega, harmonics=harmonics)
     law = slide_along_lines(study.structure, omega, study.contact)
     return Solver(Problem(study.structure, omega, law, harmonics)).solve(initial)
+
+
+def _solved_in_steps(
+    study: Study, omega: float, harmonics: int, initial: PeriodicSolution | None = None
+) -> PeriodicSolution:
+    """Solve with half of the harmonics, and from there with all of them.
+
+    Half of them find a motion from rest in less time. Where all have none next to it, the first
+    solution is returned.
+    """
+    n_first = max(harmonics // 2, least_harmonics(study.structure, 1))
+    solution = _solved(study, omega, n_first, initial)
+    if study.contact is None:
+        return solution
+    law = slide_along_lines(study.structure, omega, study.contact)
+    solver = Solver(Problem(study.structure, omega, law, harmonics))
+    search, finer_solution = solver.attempt(solution, wholly=False)
+    return finer_solution if search.converged else solution
 
 
 # --- verification: two finer runs for each cause --------------------------------------------------
