@@ -36,6 +36,8 @@ def test_plate() -> None:
     assert found.amplitude == pytest.approx(whole.solution.amplitude(), rel=0.02)
     assert found.width == pytest.approx(whole.width, rel=0.05) and found.verdict == "stable"
     assert found.rest == pytest.approx(found.value, rel=1e-3)
+    left_out = "error due to the modes and the mesh and the friction not included"
+    assert found.in_words.endswith(f" %; {left_out}")
     twice = tuple(2.0 * force for force in scene.excitation.force_sin)
     more = at_load(scene.replace({"excitation.force_sin": twice}))
     assert more.value == pytest.approx(found.value, rel=1e-9)

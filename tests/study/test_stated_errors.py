@@ -153,6 +153,19 @@ def test_a_solid_at_half_of_a_resonance_and_below_it(
         assert cause == "mesh" and 0.2 < true / stated < 1.5, name
 
 
+def test_a_plate_next_to_its_force(scene: fc.Scene) -> None:
+    """Where the force is, two meshes show less than the next ones add, like log(1/h): at most 1.6
+    times the mesh's part of the amplitude is true, and at least a fifth (4.3 times it was). What is
+    right is that of a mesh three times finer, with as many modes and harmonics."""
+    coarse = {"mesh.size": 0.02, "mesh.lip_elements": 6, "reduction.modes": 20}
+    crack = {"crack.length": 0.045, "crack.height": 0.243, "damping.ratio": 0.006}
+    load = {"excitation.frequency": 428.8, "contact.friction_error": False}
+    run = fc.solve(scene.replace(coarse | crack | load), MPI.COMM_SELF)
+    assert run.errors is not None
+    true = abs(4.945e-6 - run.errors.values["amplitude"])
+    assert 0.2 < true / run.errors.contributions("amplitude")["mesh"] < 1.6
+
+
 def test_a_mesh_too_coarse_to_know_its_error(scene: fc.Scene, tmp_path: Path) -> None:
     """The error of a number that the mesh changes by as much as it is is unknown, here next to a
     resonance of 0.02 % damping, and that of the resonance is not; with one element along the crack
@@ -190,8 +203,8 @@ def test_the_share_closed_is_counted_at_instants(run: fc.Run) -> None:
 
 def test_a_crack_that_closes_pair_by_pair(scene: fc.Scene) -> None:
     """With a preload some of eight pairs never part, and a coarse mesh of few pairs says next to
-    nothing by chance: opening and 2/1 are known to within four times what is stated (in ten such
-    answers a third of it to 1.4 times, and here, the worst, 3.6)."""
+    nothing by chance: the opening is known to within 1.6 times what is stated, 2/1 to within three
+    times (3.2 times the opening was, with half of the harmonics)."""
     pressed = {"crack.clearance": -2e-7, "crack.height": 0.2, "damping.ratio": 0.02}
     pressed |= {"mesh.size": 0.02, "mesh.lip_elements": 4, "excitation.frequency": 1024.0}
     run = fc.solve(scene.replace(pressed), MPI.COMM_SELF)
@@ -201,8 +214,8 @@ def test_a_crack_that_closes_pair_by_pair(scene: fc.Scene) -> None:
     assert 0 < touching.all(axis=0).sum() < 4
     exact = {"harmonic_balance.tolerance": None, "harmonic_balance.harmonics": 40}
     true = changes(finer.replace(exact), run)
-    for name in ("opening", "ratio_2_1"):
-        assert 0.2 < true[name] / run.errors.stated(name)[0] < 4.0, name
+    for name, most in (("opening", 1.6), ("ratio_2_1", 3.0)):
+        assert 0.2 < true[name] / run.errors.stated(name)[0] < most, name
 
 
 def test_parts_are_what_their_runs_say(scene: fc.Scene, run: fc.Run) -> None:
