@@ -239,7 +239,7 @@ KNOWN_BY, AGAIN_BY, AGAIN = 6, 9, (0, 5)
 RANDOM, RANDOM_SEED = 40, 4
 """Random plates, twice as many as solids, and where the random numbers begin."""
 HALF, HALF_MEANT = 20, 1.6
-"""Plates at half the resonance, where their random numbers begin, and the largest ratio meant."""
+"""Plates at half the resonance, and the largest ratio that is meant for them."""
 METALS = ((2.1e11, 0.3, 7850.0), (1.14e11, 0.33, 4430.0), (7e10, 0.33, 2700.0))
 """Steel, titanium and aluminium: Young's modulus [Pa], Poisson's ratio, density [kg/m^3]."""
 SIDES = ("width", "height", "thickness")
