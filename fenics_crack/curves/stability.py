@@ -29,10 +29,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from fenics_crack.balance.assessment import Assessment
+from fenics_crack.balance.assessment import Assessment, with_twice_the_harmonics
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.more_modes import UNKNOWN
-from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.basics.errors import ConvergenceError, InputError, check_count
 from fenics_crack.basics.tables import percent
@@ -50,9 +49,8 @@ from fenics_crack.motion.flow import exact_flow
 from fenics_crack.motion.orbit import FORMED, KNOWN, PeriodicOrbit, eigenvalues, equal, find_orbit
 from fenics_crack.motion.search import SearchOptions, by_homotopy
 from fenics_crack.motion.shooting import FlowOrbits
-from fenics_crack.numerics.equations import NEARLY_SOLVED
-from fenics_crack.numerics.fourier import resized, sampled
-from fenics_crack.numerics.newton import moving_size, solve_at
+from fenics_crack.numerics.fourier import sampled
+from fenics_crack.numerics.newton import moving_size
 
 
 def monodromy(
@@ -258,9 +256,9 @@ def floquet(
 
 
 def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attractor, ...]:
-    """Find the motions that are seen in place of an unstable solution, in the long run.
+    """Find the motions that are seen in place of an unstable or irregular solution, in the long run.
 
-    They begin next to the orbit, away from it by 1 % of what moves in the direction v in which
+    Of an irregular one it is the exact motion that begins with the solution. Others begin next to the orbit, away from it by 1 % of what moves in the direction v in which
     small disturbances grow, M v = mu v, and are followed by the exact flow. Where mu > 1 they part,
     along v and -v, and may go to two orbits, such as those above and below the unstable one of a
     resonance that leans over.
@@ -270,7 +268,7 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
     structure : Structure
         The solution's.
     solution : PeriodicSolution
-        Whose verdict by :func:`floquet` is "unstable".
+        Whose verdict by :func:`floquet` is "unstable" or "irregular".
 
     Returns
     -------
@@ -292,6 +290,8 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
     ...     seen = [one.amplitudes().max() for one in fc.attractors(structure, solution)]
     """
     known = replace(solution, structure=structure).assessment
+    if known.irregular_motion is not None:
+        return (known.irregular_motion,)
     followed = known.flow is not None and known.flow.count <= FORMED
     verdict = stability_of(known).verdict if followed else "no exact flow"
     orbit = known.orbit if followed else None
@@ -328,10 +328,14 @@ def from_rest(solution: PeriodicSolution) -> Attractor | None:
 
 def stability_of(known: Assessment) -> Stability:
     """Stability of a solution by its orbit."""
-    orbit = known.orbit
-    if orbit is None:  # the multipliers of the flow along the solution say nothing
+    orbit, motion = known.orbit, known.irregular_motion
+    if orbit is None:
         assert known.flow is not None
         values = np.full(known.flow.size, np.nan + 0j)
+        if motion is not None:
+            values[0] = motion.growth
+            reason = f"no orbit was found, and the exact motion {motion.description}"
+            return Stability(values, "irregular", np.nan, reason=reason)
         if known.prediction is not None and known.flow.count <= FORMED:
             values = eigenvalues(known.prediction.monodromy)
         return Stability(values, "undecided", np.nan, reason=known.reason)
@@ -348,9 +352,10 @@ def _by_waves(structure: Structure, solution: PeriodicSolution, contact: Contact
     gap, above, off = solution.slow_gap_coefficients, solution.static_above, np.inf
     try:
         values = eigenvalues(monodromy(structure, contact, gap, solution.base_omega, above))
-        finer = _with_twice_the_harmonics(structure, solution, contact)
+        finer = with_twice_the_harmonics(replace(solution, structure=structure, contact=contact))
         if finer is not None:
-            along = monodromy(structure, contact, finer, solution.base_omega, above)
+            slow = finer.slow_gap_coefficients
+            along = monodromy(structure, contact, slow, solution.base_omega, above)
             off = float(abs(abs(eigenvalues(along)[0]) - abs(values[0])))
     except ConvergenceError as error:
         unknown = np.full(2 * len(all_modes(structure).squares), np.nan + 0j)
@@ -364,19 +369,3 @@ def _by_waves(structure: Structure, solution: PeriodicSolution, contact: Contact
         reason = "its largest multiplier is 1 within its uncertainty"
     verdict = "undecided" if reason else "stable" if largest < 1.0 else "unstable"
     return Stability(values, verdict, off, reason=reason)
-
-
-def _with_twice_the_harmonics(
-    structure: Structure, solution: PeriodicSolution, contact: ContactLaw
-) -> np.ndarray | None:
-    """Slow gap to which Newton's method leads from a solution; None where it leads nowhere."""
-    harmonics, gap = 2 * solution.harmonics, solution.slow_gap_coefficients
-    if not gap.size:
-        return gap
-    problem = Problem(
-        structure, solution.omega, contact, harmonics,
-        subharmonic=solution.subharmonic, static_above=solution.static_above,
-    )  # fmt: skip
-    system, start = problem.system(problem.compliance()), resized(gap, harmonics)
-    found = solve_at(system, start, 1.0, tolerance=NEARLY_SOLVED)
-    return found and found.unknown

@@ -22,7 +22,7 @@ from functools import partial
 
 import numpy as np
 
-from fenics_crack.balance.assessment import MAX_ERROR
+from fenics_crack.balance.assessment import MAX_DISTANCE
 from fenics_crack.balance.solution import Stability
 from fenics_crack.basics.progress import begin
 from fenics_crack.curves.branch import neighbours
@@ -77,7 +77,7 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     first = {0, len(curve) // 2, len(curve) - 1}
     for places in map(sorted, (first, {*range(len(curve))} - first)):
         for place, known in zip(places, curve.assessments(places), strict=True):
-            if known.predicted_error <= MAX_ERROR:  # else no orbit would be its own
+            if known.predicted_error <= MAX_DISTANCE:  # else no orbit would be its own
                 multipliers[place] = _deciding(stability_of(known))
         if np.isnan(multipliers).all():
             break

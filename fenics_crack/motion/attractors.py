@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+import math
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
 
+from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.basics.progress import begin
-from fenics_crack.motion.orbit import INSTANTS, PeriodicOrbit, find_orbit
+from fenics_crack.motion.flow import Budget, ContactFlow
+from fenics_crack.motion.orbit import INSTANTS, PIECES, PeriodicOrbit, find_orbit
 from fenics_crack.motion.search import LATER, SearchOptions, comes_back, followed
 from fenics_crack.motion.shooting import FlowOrbits
 from fenics_crack.numerics.equations import LOCATED
 
 SETTLED = 1e-3
 """Maximum relative change of a motion that has settled."""
+PERIODS = 35
+"""Maximum periods over which the growth of a disturbance is measured."""
+IRREGULAR_GROWTH = 1e3
+"""Growth of a disturbance over the last two thirds of them from which on a motion is irregular.
+Next to a stable orbit it is at most the condition number of the multipliers' eigenvectors."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -33,6 +42,8 @@ class Attractor:
         Of its flow and period.
     last : (2 n_modes,)
         The state x to which it was followed.
+    growth : float
+        Factor by which a small disturbance of an irregular motion grows in a period; else nan.
     """
 
     orbit: PeriodicOrbit | None
@@ -40,6 +51,7 @@ class Attractor:
     periods: int
     orbits: FlowOrbits
     last: np.ndarray
+    growth: float = math.nan
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.description})"
@@ -92,3 +104,45 @@ def in_the_long_run(orbits: FlowOrbits, start: np.ndarray, most: int | None = No
                 return Attractor(orbit, does, (len(passed) - 1) * orbits.subharmonic, orbits, last)
     does = f"does not settle: {comes_back(passed, orbits.subharmonic, 'it')}"
     return Attractor(None, does, (len(passed) - 1) * orbits.subharmonic, orbits, passed[-1])
+
+
+def irregular_motion(
+    flow: ContactFlow, omega: float, state: np.ndarray, subharmonic: int = 1
+) -> Attractor | None:
+    """Follow a motion and a small disturbance of it, which grows if the motion is irregular.
+
+    With the derivatives M_i of the flow over the periods, v_{i+1} = M_i v_i is followed from a
+    random v_0. Its mean growth in a period is exp(lambda T), lambda the first Lyapunov exponent.
+
+    Parameters
+    ----------
+    state : (2 n_modes,)
+        Of the motion at phase zero.
+
+    Returns
+    -------
+    Attractor or None
+        With its growth; None where the disturbance does not grow a thousandfold, or the motion
+        cannot be followed.
+
+    Notes
+    -----
+    Source: Benettin et al., Meccanica 15 (1980) 9-20.
+    """
+    begin("growth of a disturbance of the exact motion")
+    period, weights = 2.0 * np.pi * subharmonic / omega, flow.weights(omega / subharmonic)
+    change, left, logs = np.random.default_rng(1).normal(size=flow.size) / weights, PIECES, [0.0]
+    with suppress(ConvergenceError):  # also at the end of its budget
+        for _ in range(PERIODS):
+            motion = flow.advance(state, omega, period, budget=Budget(pieces=left))
+            change = motion.track @ (change / np.linalg.norm(weights * change))
+            state, left = motion.state, left - motion.pieces
+            logs.append(logs[-1] + math.log(np.linalg.norm(weights * change)))
+    first = len(logs) // 3
+    grown = logs[-1] - logs[first]
+    if not grown > math.log(IRREGULAR_GROWTH):  # nan neither
+        return None
+    growth = math.exp(grown / (len(logs) - 1 - first))
+    orbits = FlowOrbits(flow, omega, state, subharmonic)
+    does = f"is irregular: a small disturbance grows {growth:.3g}-fold in a period"
+    return Attractor(None, does, (len(logs) - 1) * subharmonic, orbits, orbits.start, growth)
