@@ -18,17 +18,35 @@ Some of the orbits are integrated by central differences too (`central`), with 8
 that stability of the integration needs, from 1.01 times the exact state, for 150 periods; the
 distance is that of the gap to the exact one, and has to change by a factor of 3.
 
+given: solutions with 5, 10, 20 and 40 harmonics of the paper's plate (k = 1e11, 0.1 %) at 15
+frequencies from 1000 to 9000 rad/s: the error that is stated and whether an orbit confirms it, and
+the verdict with its factor in a period.
+
+massless: 33 plates and blades of the campaign whose crack faces have no mass, with 5, 10 and 20
+harmonics: the same.
+
+unconfirmed: the error that would be stated without an orbit, over the distance to the nearest exact
+orbit, of 100 solutions with 5 and 10 harmonics. Orbits are sought from eight states along the
+solution, and next to those with 4 and 16 times the harmonics. With this search switched off, is the
+motion from a solution whose orbit is stable called irregular?
+
 points: each point of the curves of 160 random chains with 0.1 to 1 % of damping, its verdict on the
 curve against that of its own orbit (`floquet`).
 """
 
 from __future__ import annotations
 
+import time
+
+import campaign_cases
 import common
 import numpy as np
 
 import fenics_crack as fc
+from fenics_crack.balance.assessment import Assessment, distance, stated_error
+from fenics_crack.motion.attractors import irregular_motion
 from fenics_crack.motion.flow import ContactFlow, exact_flow
+from fenics_crack.motion.orbit import PeriodicOrbit, find_orbit
 from fenics_crack.time.march import initial_state
 
 OMEGAS = (1300.0, 2000.0, 3300.0, 5200.0, 8700.0)
@@ -44,7 +62,8 @@ MARKS = {"stable": ("o", "tab:blue"), "unstable": ("s", "tab:red"), "undecided":
 
 def main() -> None:
     """Run it."""
-    common.run(__doc__, {"verdicts": verdicts, "points": points})
+    parts = {"verdicts": verdicts, "points": points, "given": given, "massless": massless}
+    common.run(__doc__, parts | {"unconfirmed": unconfirmed})
 
 
 def verdicts(arguments: common.Arguments) -> None:
@@ -184,6 +203,126 @@ def points(arguments: common.Arguments) -> None:
         ("seed", "point", "omega [rad/s]", "verdict", "|mu| by itself"), rows,
     )  # fmt: skip
     print(f"{len(rows)} of {count} points with a verdict")
+
+
+# --- a given number of harmonics ------------------------------------------------------------------
+
+
+GIVEN_COLUMNS = (
+    "case", "omega [rad/s]", "H", "predicted", "stated error", "by an orbit", "verdict",
+    "factor in a period", "s",
+)  # fmt: skip
+FAMILIES = "plate", "cracks", "inner", "rotation"
+SEED = 980
+
+
+def given(arguments: common.Arguments) -> None:
+    """The paper's plate, which bounces."""
+    plate, law = common.plate("paper_plate", {}), fc.UnilateralPenalty(1e11)
+    omegas = np.linspace(1000.0, 9000.0, 15)[:: 5 if arguments.quick else 1]
+    asked = [(plate, omega, law, count) for count in (5, 10, 20, 40) for omega in omegas.tolist()]
+    answers(arguments, "verdicts_given", [("paper_plate", *one) for one in asked])
+
+
+def massless(arguments: common.Arguments) -> None:
+    """Plates and blades whose crack faces have no mass."""
+    cases = [plate_of(number) for number in range(3 if arguments.quick else 33)]
+    asked = [
+        (f"{case.family} {case.number}", case.structure, case.omega, case.law, count)
+        for case in cases
+        for count in (5, 10, 20)
+    ]
+    answers(arguments, "verdicts_massless", asked)
+
+
+def plate_of(number: int) -> campaign_cases.Case:
+    """A plate or blade of the campaign; half of them with one crack at an edge."""
+    family = FAMILIES[number % 4] if number % 2 else "plate"
+    return campaign_cases.draw(SEED, number, "solution", family)
+
+
+def answers(arguments: common.Arguments, name: str, asked: list[tuple]) -> None:
+    """Solve with a given number of harmonics, and count what is said of error and stability."""
+    rows = []
+    for case, structure, omega, law, harmonics in asked:
+        started = time.process_time()
+        solution = fc.solve_harmonic_balance(
+            structure, omega, law, harmonics=harmonics, throw=False
+        )
+        report, stability = solution.report, fc.floquet(structure, solution)
+        rows.append((
+            case, omega, harmonics, solution.assessment.predicted_error, report.truncation,
+            report.confirmed, stability.verdict, float(abs(stability.multipliers[0])),
+            time.process_time() - started,
+        ))  # fmt: skip
+    common.save_table(arguments.folder / f"{name}.csv", name, GIVEN_COLUMNS, rows)
+    for count in sorted({row[2] for row in rows}):
+        some = [row for row in rows if row[2] == count]
+        verdicts = [row[6] for row in some]
+        said = ", ".join(f"{verdicts.count(one)} {one}" for one in sorted(set(verdicts)))
+        stated = sum(row[4] < 1.0 for row in some)
+        print(f"H = {count}: error stated in {stated} of {len(some)}; {said}")
+
+
+def unconfirmed(arguments: common.Arguments) -> None:
+    """Errors stated without an orbit against true ones, and stable motions called irregular."""
+    rows, columns = [], ("case", "H", "predicted", "stated", "true", "true/stated", "|mu|", "grows")
+    most = 6 if arguments.quick else 100
+    for number in range(10 * most):
+        if len(rows) >= most:
+            break
+        case = plate_of(number // 2)
+        if number % 2:
+            case = campaign_cases.draw(SEED, number // 2, "solution", "few")
+        for harmonics in (5, 10):
+            solution = fc.solve_harmonic_balance(
+                case.structure, case.omega, case.law, harmonics=harmonics, throw=False
+            )
+            known = Assessment(solution.assessment.wave, refinements=0)
+            orbit = nearest_orbit(solution, known) if solution.converged else None
+            if orbit is None or (true := distance(known.wave, orbit)) < 1e-6:
+                continue
+            assert known.flow is not None
+            motion = irregular_motion(known.flow, case.omega, known.states[0])
+            predicted = known.predicted_error
+            rows.append((
+                f"{case.family} {case.number}", harmonics, predicted, stated_error(predicted), true,
+                true / stated_error(predicted), float(abs(orbit.multipliers[0])),
+                motion.growth if motion else float("nan"),
+            ))  # fmt: skip
+    name = "verdicts_unconfirmed"
+    common.save_table(arguments.folder / f"{name}.csv", name, columns, rows)
+    ratios, stable = np.array([row[5] for row in rows]), [row for row in rows if row[6] < 1.0]
+    systems, irregular = {row[0] for row in stable}, {row[0] for row in stable if row[7] > 1.0}
+    print(
+        f"\n{len(rows)} solutions: true over stated median {np.median(ratios):.2f}, largest "
+        f"{ratios.max():.2f}, {np.sum(ratios > 1.1)} above 1.1. Of {len(systems)} systems with "
+        f"stable orbits {len(irregular)} are called irregular."
+    )
+
+
+def nearest_orbit(solution: fc.PeriodicSolution, known: Assessment) -> PeriodicOrbit | None:
+    """The nearest exact orbit of many starts."""
+    flow, wave, orbits, near = known.flow, known.wave, [], solution
+    if flow is None or known.prediction is None:
+        return None
+    for place in range(0, len(known.states), 4):
+        part = place / len(known.states) * wave.period
+        try:
+            start = flow.advance(known.states[place], wave.omega, wave.period - part, start=part)
+        except fc.ConvergenceError:
+            continue
+        orbits.append(find_orbit(flow, wave.omega, start.state))
+    for times in (4, 16):
+        near = fc.solve_harmonic_balance(
+            wave.structure, wave.omega, wave.contact, harmonics=times * wave.harmonics,
+            initial=near, throw=False,
+        )  # fmt: skip
+        if not near.converged:
+            break
+        orbits.append(Assessment(near.assessment.wave, refinements=0).orbit)
+    found = [orbit for orbit in orbits if orbit is not None]
+    return min(found, key=lambda orbit: distance(wave, orbit), default=None)
 
 
 def random_chain(seed: int) -> tuple[fc.Structure, fc.UnilateralPenalty]:

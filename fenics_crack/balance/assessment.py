@@ -185,7 +185,7 @@ class Assessment:
         if flow is None or left < 0 or not (flow.structure.light_lips and self.affordable):
             return None
         wave = with_twice_the_harmonics(self.wave)
-        return wave and Assessment(wave, flow=flow, refinements=left)
+        return None if wave is None else Assessment(wave, flow=flow, refinements=left)
 
     @cached_property
     def irregular_motion(self) -> Attractor | None:

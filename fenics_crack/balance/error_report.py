@@ -47,6 +47,8 @@ LARGE_ERROR = 0.05
 ENOUGH = SearchOptions.harmonics[-1]
 """Harmonics of the load's frequency from which on two solutions show the change due to modes: on 14
 plates next to a resonance 0.3 to 3 times that of orbits; with 20 harmonics from a hundredth on."""
+NOT_CONFIRMED = "not confirmed by an orbit"
+"""Mark of an error whose part by truncation is stated without an orbit."""
 ERROR_PARTS = ("truncation", "reduction", "sampling", "residual")
 """Parts of a total error; of equal ones the first is reported."""
 
@@ -74,6 +76,8 @@ class ErrorReport(Described):
     displacement : float
         Of the displacement at the load, in the direction of what vibrates of it, likewise relative
         to its own: truncation and reduction. Usually much smaller than those of the gap.
+    confirmed : bool
+        False where the truncation is three times a predicted one, as no exact orbit was found.
     """
 
     residual: float = 0.0
@@ -82,6 +86,7 @@ class ErrorReport(Described):
     reduction: float = 0.0
     penetration: float = 0.0
     displacement: float = 0.0
+    confirmed: bool = True
 
     @property
     def total(self) -> float:
@@ -105,7 +110,9 @@ class ErrorReport(Described):
 
     def to_dict(self) -> dict[str, Any]:
         """All of them by their names, and the total."""
-        return {**asdict(self), "total": self.total}
+        found = {**asdict(self), "total": self.total}
+        del found["confirmed"]
+        return found
 
     def _units(self) -> dict[str, str]:
         return {}  # relative
@@ -115,7 +122,7 @@ class ErrorReport(Described):
             f"{name} {value:.2g}"
             + (" (unknown)" if value >= UNKNOWN and name != "penetration" else "")
             for name, value in self.to_dict().items()
-        )
+        ) + ("" if self.confirmed else f" ({NOT_CONFIRMED})")
 
 
 def estimate_errors(
@@ -158,10 +165,11 @@ def estimate_errors(
         reduction=lost[0],
         penetration=penetration,
         displacement=min(at_load + lost[1], UNKNOWN),
+        confirmed=not (known.affordable and search) or known.orbit is not None,
     )
 
 
-NOT_ESTIMATED = ErrorReport(*[math.nan] * 6)
+NOT_ESTIMATED = ErrorReport(*[math.nan] * 6, confirmed=True)
 """Report of a solution whose errors were not requested."""
 
 

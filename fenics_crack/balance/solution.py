@@ -33,9 +33,12 @@ class Stability(Described):
     Attributes
     ----------
     multipliers : (2n,) complex
-        Largest modulus first.
-    verdict : "stable", "unstable" or "undecided"
-        Verdict on the nearest exact orbit; of a smooth law, of the linear flow along it.
+        Largest modulus first; of an irregular motion the growth of a small disturbance in a period,
+        and nan.
+    verdict : "stable", "unstable", "irregular" or "undecided"
+        Verdict on the nearest exact orbit; of a smooth law, of the linear flow along it. Irregular:
+        no orbit was found, and a small disturbance of the exact motion that begins with the
+        solution grows.
     uncertainty : float
         Of the largest modulus; nan where the multipliers are those of the solution: they decide
         nothing.
@@ -45,7 +48,7 @@ class Stability(Described):
         From the solution to this orbit, in the gaps over the period, relative to what moves of
         B^T u as the estimated errors are: what the error was found to be. nan: no orbit.
     reason : str
-        Why nothing is decided; "" where it is.
+        Why no orbit decides; "" where one does.
     from_rest : str
         Outcome of the motion from rest, where that was integrated and it does not settle to the
         solution; else "".

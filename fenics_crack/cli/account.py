@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.balance.error_report import LARGE_ERROR, ErrorReport
+from fenics_crack.balance.error_report import LARGE_ERROR, NOT_CONFIRMED, ErrorReport
 from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.basics.errors import MOST_HARMONICS
 from fenics_crack.basics.observables import QUANTITIES, Where, names_of
@@ -50,9 +50,9 @@ OTHERS = {
     "conclusion": ("conclusion", "-", NEVER),
 }
 """Words and unit of quantities beside the indicators of a motion, and whether they are printed."""
+DECIDES = "--set harmonic_balance.tolerance=1e-2"
+"""Option with which an exact orbit, its error and its stability are sought."""
 ON_MODES = "depends on truncated modes"
-CHOSEN = ": --set harmonic_balance.tolerance=1e-2 chooses them"
-"""End of the advice to take more harmonics, where a tolerance may choose them."""
 IN_A_TEST = {
     "fold": "the curve turns back: in a test the vibration jumps to another size here",
     "period_doubling": "beyond it the vibration repeats after two periods of the load: in a test "
@@ -93,13 +93,14 @@ def of_error(
     scene: Scene, report: ErrorReport, harmonics: int, where: str = "", limit: float = LARGE_ERROR
 ) -> Iterator[str]:
     """A warning of an estimated error above a limit, with what makes it smaller: by its largest
-    part, and never what the scene does already."""
+    part, and never what the scene does already. Without an orbit :func:`of_stability` says it."""
     if not report.total > limit:  # or not requested
         return
     finer, table = "more damping: H is at its limit", scene.harmonic_balance
     if table.tolerance is None:
         can_choose = table.samples is None and table.form != "block"
-        finer = f"more harmonics{CHOSEN if can_choose else ' (harmonic_balance.harmonics)'}"
+        which = f": {DECIDES} chooses them" if can_choose else " (harmonic_balance.harmonics)"
+        finer = f"more harmonics{which}"
     elif harmonics < MOST_HARMONICS:
         finer = "a smaller harmonic_balance.tolerance"
     rigid = scene.contact is not None and scene.contact.law == "unilateral"
@@ -112,16 +113,17 @@ def of_error(
         "residual": ("the residual", f"{softer}: it is rounding"),
     }[report.largest_part]
     said = f"the estimated relative error of the gap is {percent(report.total)}{where}"
-    said += f", mostly due to {part}"
+    said += f", mostly due to {part}{'' if report.confirmed else f' ({NOT_CONFIRMED})'}"
     if report.unknown:
         said = f"the error is unknown{where}, its estimate for {part} did not converge"
-    yield f"{said}; use {wanted}"
+    yield f"{said}; use {wanted}" if report.confirmed or where else said
 
 
 def of_stability(
     scene: Scene, run: Run, stability: Stability | None, seen: str = ""
 ) -> Iterator[str]:
-    """A warning of an orbit that is unstable or undecided, with the motion seen in place of it."""
+    """A warning of a solution that is unstable, irregular or undecided, with the motion seen in
+    place of it."""
     if stability is None or stability.verdict == "stable":
         return
     because = f" ({stability.reason})" if stability.reason else ""
@@ -131,11 +133,12 @@ def of_stability(
     elif largest.real <= 0.0:
         other = "that repeats after two periods of the load"
     text = f"the orbit is unstable{because}: a disturbed motion leaves it, for one {other}{seen}"
-    hints = []
+    hints, search = [], "" if scene.harmonic_balance.tolerance else DECIDES
+    if stability.verdict == "irregular":
+        text = f"{stability.reason}{seen}" + (f"; {search} may find an orbit" if search else "")
     if stability.verdict == "undecided":
         text = f"the stability of the orbit is undecided{because}{seen}"
-        if scene.harmonic_balance.tolerance is None:
-            hints.append("more harmonics")
+        hints += [search] if search else []
         table = scene.damping  # None: a matrix, which damps all modes or not
         if table and not (table.of_all_modes or damped_range(run.structure) is None):
             hints.append("damping of all modes (damping.modes = 'all')")

@@ -251,7 +251,8 @@ def draw_curve_of(run: Run[ResponseCurve], file: Drawn) -> None:
     """Draw a curve, its harmonics and its multipliers."""
     found, dof, in_hertz = run.result, run.watched_dof, run.scene.in_hertz
     title, without = f"{run.watched_name}, {found.method}", _without_contact(run)
-    words = "Response. Dashed: unstable; dotted: undecided; faint: large estimated error."
+    words = "Response. Dashed: unstable; dash-dotted: irregular; dotted: undecided; "
+    words += "faint: large estimated error."
     if found.multipliers is None:
         words = "Response; its stability was not examined. Faint: large estimated error."
     path = file("curve", words)

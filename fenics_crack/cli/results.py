@@ -113,7 +113,8 @@ def report_of_solution(run: Run[PeriodicSolution]) -> Report:
     if found.converged:
         judged, seen = found.stability, ""
         if judged is not None:
-            seen = _seen_instead(found, run.watched_dof) if judged.verdict == "unstable" else ""
+            if judged.verdict in ("unstable", "irregular"):
+                seen = _seen_instead(found, run.watched_dof)
             warnings += account.of_more_modes(run.scene, found, judged.verdict)
         warnings += account.of_stability(scene, run, judged, seen)
         warnings += account.of_size(run, account.largest_seen(run))
@@ -173,8 +174,8 @@ def _in_numbers(run: Run[Any], table: Table) -> dict[str, Table]:
 
 
 def _seen_instead(found: PeriodicSolution, dof: int) -> str:
-    """Describe the size of the motions that leave an unstable solution; empty where that is not
-    known (collective)."""
+    """Describe the size of the motions that leave an unstable or irregular solution; empty where
+    that is not known (collective)."""
     settled, said = [], []
     with suppress(ConvergenceError, InputError):
         for one in attractors(found.structure, found):
@@ -355,15 +356,16 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
 
 
 def _seen_at_largest(run: Run[ResponseCurve]) -> str:
-    """State that the largest response is unstable, and which motion is seen in its place; empty
-    where it is not, or where the curve ended early there (collective)."""
+    """State that the largest response is unstable or irregular, and which motion is seen in its
+    place; empty where it is not, or where the curve ended early there (collective)."""
     found = run.result
     place = int(np.argmax(found.amplitude(run.watched_dof)))
     judged = found.multipliers is not None and _passed(found, place)
-    if not judged or found.verdicts[place] != "unstable":
+    verdict = str(found.verdicts[place]) if judged else ""
+    if verdict not in ("unstable", "irregular"):
         return ""
     seen = _seen_instead(found.solution(place), run.watched_dof)
-    return f"the largest response is unstable{seen}"
+    return f"the largest response is {verdict}{seen}"
 
 
 def _passed(found: ResponseCurve, place: int) -> bool:
@@ -455,7 +457,7 @@ def special_points(run: Run[ResponseCurve], along: Columns | None = None) -> Tab
     if found.multipliers is not None:
         for index in np.flatnonzero(found.verdicts[1:] != found.verdicts[:-1]):
             after = found.verdicts[index + 1]
-            what = {"stable": "gained", "unstable": "lost", "undecided": "undecided"}[after]
+            what = {"stable": "gained", "unstable": "lost"}.get(after, after)
             rows.append((f"stability {what} after", int(index), along))
     values = [(name, *(float(column[at]) for column in of.values())) for name, at, of in rows]
     return Table(("point", *along), values)

@@ -15,7 +15,7 @@ from fenics_crack.scene.scene import unit_of
 from fenics_crack.study.plausibility import remarks_on_scene
 from fenics_crack.study.verification import Verification
 from fenics_crack.sweep.plan import FREQUENCIES
-from fenics_crack.sweep.result import SweepResult, by_reason, in_words
+from fenics_crack.sweep.result import NOT_STABLE, SweepResult, by_reason, in_words
 
 SPEEDS = ("rotation.speed", "rotation.rpm")
 
@@ -64,12 +64,10 @@ def warnings_of(found: SweepResult) -> Iterator[str]:
     yield from by_reason(found, found.failed, "failed")
     yield from _large_errors(found)
     verdicts = found["verdict"][found.converged]
-    unstable, undecided = (int(np.sum(verdicts == name)) for name in ("unstable", "undecided"))
-    if undecided and undecided == verdicts.size:
+    counts = {name: int(np.sum(verdicts == name)) for name in NOT_STABLE}
+    if counts["undecided"] == verdicts.size > 0:
         yield "the stability is undecided in all cases"
-    elif unstable or undecided:
-        numbers = [f"{n} {word}" for n, word in ((unstable, "unstable"), (undecided, "undecided"))]
-        shares = " and ".join(text for text in numbers if not text.startswith("0 "))
+    elif shares := " and ".join(f"{count} {name}" for name, count in counts.items() if count):
         yield f"{shares} of {counted(verdicts.size, 'case')}"
     yield from by_reason(found, found.undecided, "undecided")
     for said in by_reason(found, found.contradicted, f"or more whose verdict {ON_MODES}"):

@@ -205,8 +205,10 @@ class ResponseCurve(Observed, Tabular):
         frequency [rad/s] above which modes are quasi-static (:class:`fenics_crack.Problem`).
     multipliers : (n,) complex or None
         Floquet multiplier of largest modulus at each point, of a pair the one with positive
-        imaginary part; nan where it does not decide the stability (:func:`judge_curve`); None: not
-        assessed.
+        imaginary part, of an irregular motion the growth of a small disturbance; nan where it does
+        not decide the stability (:func:`judge_curve`); None: not assessed.
+    irregular : (n,) bool or None
+        True where no orbit was found and the exact motion is irregular; None: nowhere.
     branch : bool
         True if :func:`follow_branch` has followed it.
     """
@@ -226,6 +228,7 @@ class ResponseCurve(Observed, Tabular):
     samples: int | None = None
     static_above: float | None = None
     multipliers: np.ndarray | None = None
+    irregular: np.ndarray | None = None
     branch: bool = False
 
     KIND: ClassVar[str] = "response curve"
@@ -387,8 +390,11 @@ class ResponseCurve(Observed, Tabular):
 
     @property
     def verdicts(self) -> np.ndarray:
-        """Stable, unstable or undecided, at each point: (n,) str; raises as :attr:`stable`."""
+        """Stable, unstable, irregular or undecided, at each point: (n,) str; raises as
+        :attr:`stable`."""
         decided = np.where(self.stable, "stable", "unstable")
+        if self.irregular is not None:
+            decided = np.where(self.irregular, "irregular", decided)
         return np.where(self.undecided, "undecided", decided)
 
     def reason(self, index: int) -> str:
@@ -423,14 +429,14 @@ class ResponseCurve(Observed, Tabular):
         columns = {"values": value, "omega": omega, "iterations": 0, "points": point}
         rows = {name: np.array([entry]) for name, entry in columns.items()}
         first = None if multipliers is None else np.array([leading(multipliers)])
-        alone = replace(self, **rows, multipliers=first, bifurcations=())
+        alone = replace(self, **rows, multipliers=first, irregular=None, bifurcations=())
         return Bifurcation(kind, alone, multipliers)
 
     @cached_property
     def at_bifurcations(self) -> Self:
         """The first point, the bifurcations and the last point, to be measured: a curve of their
         own, with multipliers if it has exact orbits."""
-        whole = self if self.exact else replace(self, multipliers=None)
+        whole = self if self.exact else replace(self, multipliers=None, irregular=None)
         special = [one.point for one in self.bifurcations]
         points: list[ResponseCurve] = [whole.part([0]), *special, whole.part([-1])]
         columns = [_arrays_of(one) for one in points]

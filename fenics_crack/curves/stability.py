@@ -4,6 +4,9 @@ The multipliers mu are those of the exact orbit next to a solution, which is sta
 within the unit circle (:mod:`fenics_crack.motion.orbit`); :func:`shoot` finds that orbit alone.
 :mod:`fenics_crack.balance.assessment` decides whether it is accepted for the solution.
 
+Where no orbit is found, the exact motion that begins with the solution is followed: "irregular"
+if a small disturbance of it grows (:func:`fenics_crack.motion.attractors.irregular_motion`).
+
 Laws that are not linear in contact have no exact flow. Their multipliers are those of the linear
 flow along the solution, which decide if its error is small; they are as uncertain as they differ
 along the solution with twice the harmonics.
@@ -227,8 +230,8 @@ def floquet(
     Returns
     -------
     Stability
-        The multipliers, largest first, the verdict, and the reason where it is open: with the
-        distance of the nearest orbit and its own stability, where one was found.
+        The multipliers, largest first, the verdict, and the reason where no orbit decides it: with
+        the distance of the nearest orbit and its own stability, where one was found.
 
     Raises
     ------
@@ -256,12 +259,12 @@ def floquet(
 
 
 def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attractor, ...]:
-    """Find the motions that are seen in place of an unstable or irregular solution, in the long run.
+    """Find the motions that are seen in place of an unstable solution, in the long run.
 
-    Of an irregular one it is the exact motion that begins with the solution. Others begin next to the orbit, away from it by 1 % of what moves in the direction v in which
+    They begin next to the orbit, away from it by 1 % of what moves in the direction v in which
     small disturbances grow, M v = mu v, and are followed by the exact flow. Where mu > 1 they part,
     along v and -v, and may go to two orbits, such as those above and below the unstable one of a
-    resonance that leans over.
+    resonance that leans over. Of an irregular solution it is the exact motion that begins with it.
 
     Parameters
     ----------

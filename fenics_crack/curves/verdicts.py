@@ -4,6 +4,8 @@ the flow linearised along them.
 Each point is assessed as a single solution is (:mod:`fenics_crack.balance.assessment`); its folds
 and branch points are those of its own equations. Where none of its first, middle and last point has
 an orbit of its own, none is sought at the others: the curve costs what its harmonic balance costs.
+Of the points that are left open eight are followed, spread evenly. Where two neighbours of these
+are irregular, so are the points between them, if all of these are open.
 
 With laws without an exact flow it is the linearised flow. Between two points lies
 a period doubling or a Neimark-Sacker point where the numbers of multipliers outside the unit circle
@@ -19,6 +21,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 
@@ -40,6 +43,9 @@ from fenics_crack.motion.orbit import eigenvalues
 from fenics_crack.numerics.newton import PathPoint, point_on_path
 from fenics_crack.numerics.path import Crossing
 
+FOLLOWED = 8
+"""Points of a curve whose exact motion is followed. Each takes 0.05 to 0.5 s."""
+
 
 def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     """Assess the points of a curve over any parameter by their nearest exact orbits.
@@ -56,9 +62,9 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     Returns
     -------
     ResponseCurve
-        The same points, with the multipliers of their orbits; "undecided" (and nan) where the
-        predicted error is above 0.1, or no orbit is nearer than that and three times what is
-        predicted.
+        The same points, with the multipliers of their orbits; "irregular", with the growth of a
+        small disturbance, where exact motions are; else "undecided" (and nan) where the predicted
+        error is above 0.5, or no orbit is nearer than that and three times what is predicted.
 
     Raises
     ------
@@ -81,7 +87,30 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
                 multipliers[place] = _deciding(stability_of(known))
         if np.isnan(multipliers).all():
             break
-    return replace(curve, multipliers=multipliers)
+    growth = _growth_along(curve, np.isnan(multipliers))
+    irregular = growth > 1.0
+    multipliers = np.where(irregular, growth, multipliers)
+    return replace(curve, multipliers=multipliers, irregular=irregular)
+
+
+def _growth_along(curve: ResponseCurve, is_open: np.ndarray) -> np.ndarray:
+    """Measure the growth of disturbances at some of the open points (n,) bool of a curve.
+
+    Returns
+    -------
+    (n,)
+        In a period; between two irregular points geometric means, elsewhere nan.
+    """
+    growth, places = np.full(len(curve), np.nan), np.flatnonzero(is_open)
+    chosen = places[np.linspace(0, len(places) - 1, min(FOLLOWED, len(places))).astype(int)]
+    for place, known in zip(chosen.tolist(), curve.assessments(chosen.tolist()), strict=True):
+        if motion := known.irregular_motion:
+            growth[place] = motion.growth
+    for first, last in pairwise(chosen.tolist()):
+        if is_open[first : last + 1].all() and growth[first] * growth[last] > 0.0:
+            count = last + 1 - first
+            growth[first : last + 1] = np.geomspace(growth[first], growth[last], count)
+    return growth
 
 
 def _deciding(stability: Stability) -> complex:

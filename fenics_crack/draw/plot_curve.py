@@ -21,7 +21,7 @@ from fenics_crack.numerics.fourier import to_complex
 BEHIND = ("#8f8f8f", "#cc8fb1", "#6fb59a")
 """Other curves, drawn behind the one in question."""
 MARKERS = {"fold": "v", "branch_point": "s", "period_doubling": "D", "neimark_sacker": "^"}
-VERDICT_STYLES = {"stable": "-", "unstable": "--", "undecided": ":"}
+VERDICT_STYLES = {"stable": "-", "unstable": "--", "irregular": "-.", "undecided": ":"}
 UNASSESSED = "stability not examined"
 INEXACT = f"faint: estimated error above {100 * LARGE_ERROR:g} %"
 
@@ -39,9 +39,9 @@ def draw_curve(
 ) -> Figure:
     """Draw half the peak-to-peak displacement of a dof along a response curve.
 
-    Stable parts are solid, unstable ones dashed and undecided ones dotted; the legend says so where
-    the curve has no multipliers. Parts whose displacement has a large estimated error are faint. A
-    ring marks the largest response, whose place and size the legend has. Bifurcations are marked,
+    Stable parts are solid, unstable ones dashed, irregular ones dash-dotted and undecided ones
+    dotted; the legend says so where the curve has no multipliers. Parts whose displacement has a
+    large estimated error are faint. A ring marks the largest response, whose place and size the legend has. Bifurcations are marked,
     of many in one place only some, and the legend has their number. The order of the largest
     harmonic stands at superharmonic peaks.
 
@@ -263,7 +263,8 @@ def draw_multipliers(
 
     An orbit is stable where it is below 1. Colours show where the multiplier is: a real one leaves
     the unit circle at +1 (folds, branch points) or -1 (period doublings), a pair anywhere else
-    (Neimark-Sacker). Undecided points are crosses, at 1 where their multipliers are unknown.
+    (Neimark-Sacker). Irregular points have the growth of a small disturbance. Undecided points are
+    crosses, at 1 where their multipliers are unknown.
 
     Parameters
     ----------
@@ -292,15 +293,18 @@ def draw_multipliers(
         raise InputError("stability", False, "True when the curve is followed")
     [panel] = picture = Picture(**where)
     x, found = parameter_axis(curve.parameter, in_hertz)[0] * curve.values, curve.multipliers
-    sizes, open_ = np.abs(found), curve.verdicts == "undecided"
+    sizes, verdicts = np.abs(found), curve.verdicts
+    open_, irregular = verdicts == "undecided", verdicts == "irregular"
     pair = np.abs(found.imag) > 1e-9 * sizes
-    where = np.select([pair, found.real > 0.0], ["pair", "+1"], "-1")
+    kinds = ["irregular", "pair", "+1"]
+    where = np.select([irregular, pair, found.real > 0.0], kinds, "-1")
     panel.axhline(1.0, color=COLOURS["grey"], lw=0.9, label="limit of stability")
     panel.plot(x, sizes, color=COLOURS["grey"], lw=0.4, alpha=0.6)
     for kind, label, colour in (
         ("+1", "real, positive", "blue"),
         ("-1", "real, negative", "orange"),
         ("pair", "a complex pair", "green"),
+        ("irregular", "growth of an irregular motion", "pink"),
     ):
         at = (where == kind) & ~open_
         if at.any():

@@ -213,7 +213,7 @@ def report_of_growth(found: Growth) -> Report:
 
 # --- the growth -----------------------------------------------------------------------------------
 
-NOT_STABLE = "the vibration is unstable, or its stability undecided"
+NOT_STABLE = "the vibration is unstable or irregular, or its stability undecided"
 UNKNOWN_VIBRATION = "the error of the vibration is unknown"
 SHAPES, SHAPE_MODES = 5, 20
 """Depths and lengths of half-ellipses, in equal ratios: the cycles to 0.8 % where K is Newman's and
@@ -629,7 +629,7 @@ class LengthPath:
 
     @property
     def not_stable(self) -> list[float]:
-        """Lengths [m] at which the vibration is unstable or its stability undecided."""
+        """Lengths [m] at which the vibration is unstable, irregular or undecided."""
         cases = ((t, at) for t in self.tables for at in np.argwhere(t.not_stable & t.converged))
         return list(dict.fromkeys(t.axes[0].values[at[0]] for t, at in cases))
 

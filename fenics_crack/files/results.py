@@ -250,6 +250,7 @@ def solution_from(parts: Parts, structure: Structure, contact: Law) -> PeriodicS
     _check_pairs(structure, gap)
     if is_rigid(contact) and friction_of(contact) is None:
         contact = UnilateralConstraint(parts.get("weight"))
+    parts.setdefault("error_confirmed", True)  # of earlier versions
     errors = {f.name: parts[f"error_{f.name}"] for f in fields(ErrorReport)}
     omega, subharmonic = parts["omega"], parts["subharmonic"]
     if not omega >= 0.0 or subharmonic < 1:
@@ -338,7 +339,7 @@ def _unpack_curve(parts: Parts, structure: Structure, contact: Law) -> ResponseC
     missing = exact and not {"multipliers", "tolerance", "bifurcation_multipliers"} <= parts.keys()
     if missing or parts["parameter"] not in WAVES or parts["subharmonic"] < 1:
         raise ValueError("its parts do not fit")
-    numbers = "values", "omega", "iterations", "multipliers", "undecided"
+    numbers = "values", "omega", "iterations", "multipliers", "undecided", "irregular"
     shapes: Shapes = {f"{at}{name}": (n,) for at, n in counts.items() for name in numbers}
     given: Parts = {"structure": structure, "contact": contact, "bifurcations": ()}
     special: Sequence[np.ndarray]

@@ -241,7 +241,8 @@ def in_place_of(judged: Stability | None, amplitude: float) -> list[str]:
     amplitude [m]."""
     if judged is None:
         return ["stability not examined"]
-    said = ["stability undecided" if judged.verdict == "undecided" else judged.verdict]
+    words = {"undecided": "stability undecided", "irregular": judged.reason}
+    said = [words.get(judged.verdict, judged.verdict)]
     if judged.from_rest:
         size = ""
         if np.isfinite(judged.rest_amplitude) and amplitude > 0.0:

@@ -322,8 +322,8 @@ class Cases:
         return top.value, curve.solution(top.index)
 
     def verdict(self, solution: PeriodicSolution) -> Found:
-        """Verdict on a solution, modulus of its leading multiplier, and a remark: why it is
-        undecided, or how more modes contradict it; empty without a law, and for a constraint of
+        """Verdict on a solution, modulus of its leading multiplier, and a remark: why no orbit
+        decides it, or how more modes contradict it; empty without a law, and for a constraint of
         crack faces with mass."""
         structure, law, remark = solution.structure, solution.contact, ""
         if law is None or (is_rigid(law) and not structure.light_lips):
@@ -333,7 +333,7 @@ class Cases:
         except REFUSALS:
             return {"verdict": "undecided", "remark": f"; {UNSURE}no multipliers were found"}
         if found.reason:
-            remark = f"; {UNSURE}{found.reason}"
+            remark = f"; {found.verdict}: {found.reason}"
         elif structure.light_lips and (more := solution.assessment.more_modes):
             said = more.contradicts(found.verdict)
             remark = YET + said if said else ""

@@ -173,6 +173,9 @@ def resonates(scene: Scene) -> bool:
 
 # --- the result -----------------------------------------------------------------------------------
 
+NOT_STABLE = "unstable", "irregular", "undecided"
+"""Verdicts of cases whose solution may not be what is seen."""
+
 
 @dataclass(frozen=True, repr=False)
 class SweepResult(Tabular):
@@ -194,7 +197,8 @@ class SweepResult(Tabular):
         :meth:`BilinearFrequencies.nearest`; ``omega_open_1`` to ``omega_tied_6``, the lowest
         natural frequencies with the crack open and bonded, and ``omega_bilinear_1`` to
         ``omega_bilinear_6`` of the open modes and the bonded ones of their shapes [rad/s];
-        ``multiplier``, largest modulus, and the ``verdict`` from it, empty without a contact law;
+        ``multiplier``, largest modulus, and the ``verdict``, empty without a contact law, as in
+        :class:`Stability`;
         ``residual_error`` to ``reduction_error`` and ``penetration_share`` as in
         :class:`ErrorReport`; ``harmonics``; Newton ``iterations``; ``crack_length`` of the first
         crack, given or found [m]; ``seconds`` of wall-clock time; ``status``, how the case was
@@ -269,8 +273,8 @@ class SweepResult(Tabular):
 
     @property
     def not_stable(self) -> np.ndarray:
-        """Cases that are unstable or undecided, likewise."""
-        return np.isin(self["verdict"], ("unstable", "undecided"))
+        """Cases that are unstable, irregular or undecided, likewise."""
+        return np.isin(self["verdict"], NOT_STABLE)
 
     @property
     def failed(self) -> list[tuple[tuple[int, ...], str]]:

@@ -199,8 +199,8 @@ def _run_up(
 
 
 def run_up_points(curve: ResponseCurve) -> tuple[np.ndarray, int | None]:
-    """Return points of a curve that its run-up passes, (k,), up to the first one that is unstable;
-    and that one, None if there is none or the curve was followed without its stability."""
+    """Return points of a curve that its run-up passes, (k,), up to the first one that is unstable
+    or irregular; and that one, None if there is none or the stability is not known."""
     rising = np.sign(curve.omega[-1] - curve.omega[0]) * curve.omega
     before = np.concatenate([[-np.inf], np.maximum.accumulate(rising)[:-1]])
     kept = rising > before
@@ -208,7 +208,7 @@ def run_up_points(curve: ResponseCurve) -> tuple[np.ndarray, int | None]:
         return np.flatnonzero(kept), None
     kept &= ~_next_to_folds(rising, kept, curve.verdicts != "stable")
     points = np.flatnonzero(kept)
-    lost = points[curve.verdicts[points] == "unstable"]
+    lost = points[np.isin(curve.verdicts[points], ("unstable", "irregular"))]
     return (points[points < lost[0]], int(lost[0])) if len(lost) else (points, None)
 
 
