@@ -332,7 +332,7 @@ def _judgement(
         return missed(found)
     if row.verdict == "undecided":
         return UNDECIDED, row.remark
-    if row.verdict in ("-", NO_VERDICT):
+    if row.verdict in ("-", NO_VERDICT) or (row.verdict == "irregular" and row.exact > 1.0):
         return RIGHT, ""
     if abs(row.exact - 1.0) <= SURE:
         return OPEN, "at a bifurcation"

@@ -43,7 +43,7 @@ import common
 import numpy as np
 
 import fenics_crack as fc
-from fenics_crack.balance.assessment import Assessment, distance, stated_error
+from fenics_crack.balance.assessment import MAX_DISTANCE, Assessment, distance, stated_error
 from fenics_crack.motion.attractors import irregular_motion
 from fenics_crack.motion.flow import ContactFlow, exact_flow
 from fenics_crack.motion.orbit import PeriodicOrbit, find_orbit
@@ -267,6 +267,7 @@ def answers(arguments: common.Arguments, name: str, asked: list[tuple]) -> None:
 def unconfirmed(arguments: common.Arguments) -> None:
     """Errors stated without an orbit against true ones, and stable motions called irregular."""
     rows, columns = [], ("case", "H", "predicted", "stated", "true", "true/stated", "|mu|", "grows")
+    far = []
     most = 6 if arguments.quick else 100
     for number in range(10 * most):
         if len(rows) >= most:
@@ -285,7 +286,7 @@ def unconfirmed(arguments: common.Arguments) -> None:
             assert known.flow is not None
             motion = irregular_motion(known.flow, case.omega, known.states[0])
             predicted = known.predicted_error
-            rows.append((
+            (rows if true <= MAX_DISTANCE else far).append((
                 f"{case.family} {case.number}", harmonics, predicted, stated_error(predicted), true,
                 true / stated_error(predicted), float(abs(orbit.multipliers[0])),
                 motion.growth if motion else float("nan"),
@@ -297,8 +298,10 @@ def unconfirmed(arguments: common.Arguments) -> None:
     print(
         f"\n{len(rows)} solutions: true over stated median {np.median(ratios):.2f}, largest "
         f"{ratios.max():.2f}, {np.sum(ratios > 1.1)} above 1.1. Of {len(systems)} systems with "
-        f"stable orbits {len(irregular)} are called irregular."
+        f"stable orbits {len(irregular)} are called irregular. Of {len(far)} more solutions no orbit "
+        f"is nearer than {MAX_DISTANCE:g}."
     )
+    common.print_table("No orbit near", columns, far)
 
 
 def nearest_orbit(solution: fc.PeriodicSolution, known: Assessment) -> PeriodicOrbit | None:

@@ -67,13 +67,13 @@ def test_tolerance_is_met_by_an_exact_orbit(number: int) -> None:
 
 @pytest.mark.parametrize("number", OF_NO_ORBIT)
 def test_is_not_called_stable(number: int) -> None:
-    """No verdict."""
+    """Nor unstable: no orbit is found."""
     case = campaign.draw(1, number)
     found = fc.solve_harmonic_balance(
         case.structure, case.omega, case.law, harmonics=case.harmonics
     )
     verdict = fc.floquet(case.structure, found).verdict
-    assert verdict == "undecided"
+    assert verdict in ("irregular", "undecided")
     assert campaign.judge(case, found, "solution", verdict).judgement != campaign.WRONG
 
 
@@ -385,7 +385,7 @@ def test_next_to_grazing_the_orbit_is_farther_away_than_predicted() -> None:
     row = campaign.judge(case, found, "solution", stability.verdict)
     assert row.judgement == campaign.UNDECIDED, row
     assert "nearest exact orbit, which is stable" in stability.reason
-    assert stability.reason.endswith("use more harmonics, or a tolerance")
+    assert stability.reason.endswith("it may be another motion")
     assert row.true == pytest.approx(row.estimate, rel=1e-3) and row.true > 5.0 * row.pred
 
 

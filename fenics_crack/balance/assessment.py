@@ -154,17 +154,12 @@ class Assessment:
         """The nearest orbit, and True if it is accepted."""
         if self.own is not None:
             return self.own, True
-        orbit = self._source or self._nearest_orbit()
-        finer = self._refined() if orbit is None else None
-        if finer is not None and finer.accepted:
+        orbit, most = self._source or self._nearest_orbit(), MAX_DISTANCE
+        if orbit is None and (finer := self._refined()) is not None and finer.accepted:
             orbit = finer.orbit
-        if orbit is None:
-            return None, False
-        # Predictions are within a factor of 3 of the distance.
-        most = max(3.0 * self.predicted_error, NEARLY_SOLVED)
-        if self._source is not None or finer is not None:
-            most = MAX_DISTANCE
-        return orbit, distance(self.wave, orbit) <= min(most, MAX_DISTANCE)
+        elif self._source is None:  # predictions are within a factor of 3 of the distance
+            most = min(most, max(3.0 * self.predicted_error, NEARLY_SOLVED))
+        return orbit, orbit is not None and distance(self.wave, orbit) <= most
 
     def _nearest_orbit(self) -> PeriodicOrbit | None:
         """Search for an orbit by Newton's method."""
@@ -194,8 +189,7 @@ class Assessment:
         if self.orbit is not None or self.prediction is None or not self.affordable:
             return None
         assert self.flow is not None
-        wave = self.wave
-        return irregular_motion(self.flow, wave.omega, self.states[0], wave.subharmonic)
+        return irregular_motion(self.flow, self.wave.omega, self.states[0], self.wave.subharmonic)
 
     @cached_property
     def distance(self) -> float:
@@ -280,9 +274,7 @@ def with_twice_the_harmonics(wave: Wave) -> Wave | None:
         wave.structure, wave.omega, wave.contact, 2 * wave.harmonics,
         subharmonic=wave.subharmonic, static_above=wave.static_above,
     )  # fmt: skip
-    compliance = problem.compliance()
-    problem = problem.weighted(compliance)
-    system = problem.system(compliance)
+    system = problem.system(problem.compliance())
     search = Search(system, problem, NEARLY_SOLVED, 1.0)
     point = search.solve(resized(wave.slow_gap_coefficients, problem.harmonics))
     return problem.wave(system.linearise(point.unknown)) if search.converged else None

@@ -110,9 +110,11 @@ class ErrorReport(Described):
 
     def to_dict(self) -> dict[str, Any]:
         """All of them by their names, and the total."""
-        found = {**asdict(self), "total": self.total}
-        del found["confirmed"]
-        return found
+        return {
+            name: value
+            for name, value in (asdict(self) | {"total": self.total}).items()
+            if name != "confirmed"
+        }
 
     def _units(self) -> dict[str, str]:
         return {}  # relative
@@ -169,7 +171,7 @@ def estimate_errors(
     )
 
 
-NOT_ESTIMATED = ErrorReport(*[math.nan] * 6, confirmed=True)
+NOT_ESTIMATED = ErrorReport(math.nan, math.nan, math.nan, math.nan, math.nan, math.nan)
 """Report of a solution whose errors were not requested."""
 
 

@@ -133,12 +133,14 @@ def of_stability(
     elif largest.real <= 0.0:
         other = "that repeats after two periods of the load"
     text = f"the orbit is unstable{because}: a disturbed motion leaves it, for one {other}{seen}"
-    hints, search = [], "" if scene.harmonic_balance.tolerance else DECIDES
+    hints, search = [], [] if scene.harmonic_balance.tolerance else [DECIDES]
     if stability.verdict == "irregular":
-        text = f"{stability.reason}{seen}" + (f"; {search} may find an orbit" if search else "")
+        text = "; ".join(
+            [stability.reason + seen, *(f"{option} may find one" for option in search)]
+        )
     if stability.verdict == "undecided":
         text = f"the stability of the orbit is undecided{because}{seen}"
-        hints += [search] if search else []
+        hints += search
         table = scene.damping  # None: a matrix, which damps all modes or not
         if table and not (table.of_all_modes or damped_range(run.structure) is None):
             hints.append("damping of all modes (damping.modes = 'all')")

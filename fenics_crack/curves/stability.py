@@ -337,8 +337,12 @@ def stability_of(known: Assessment) -> Stability:
         values = np.full(known.flow.size, np.nan + 0j)
         if motion is not None:
             values[0] = motion.growth
-            reason = f"no orbit was found, and the exact motion {motion.description}"
-            return Stability(values, "irregular", np.nan, reason=reason)
+            return Stability(
+                values,
+                "irregular",
+                np.nan,
+                reason=f"no orbit was found, and the exact motion {motion.description}",
+            )
         if known.prediction is not None and known.flow.count <= FORMED:
             values = eigenvalues(known.prediction.monodromy)
         return Stability(values, "undecided", np.nan, reason=known.reason)

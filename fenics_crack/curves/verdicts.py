@@ -88,9 +88,8 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
         if np.isnan(multipliers).all():
             break
     growth = _growth_along(curve, np.isnan(multipliers))
-    irregular = growth > 1.0
-    multipliers = np.where(irregular, growth, multipliers)
-    return replace(curve, multipliers=multipliers, irregular=irregular)
+    multipliers = np.where(growth > 1.0, growth, multipliers)
+    return replace(curve, multipliers=multipliers, irregular=growth > 1.0)
 
 
 def _growth_along(curve: ResponseCurve, is_open: np.ndarray) -> np.ndarray:
@@ -108,8 +107,7 @@ def _growth_along(curve: ResponseCurve, is_open: np.ndarray) -> np.ndarray:
             growth[place] = motion.growth
     for first, last in pairwise(chosen.tolist()):
         if is_open[first : last + 1].all() and growth[first] * growth[last] > 0.0:
-            count = last + 1 - first
-            growth[first : last + 1] = np.geomspace(growth[first], growth[last], count)
+            growth[first : last + 1] = np.geomspace(growth[first], growth[last], last + 1 - first)
     return growth
 
 

@@ -41,9 +41,9 @@ def draw_curve(
 
     Stable parts are solid, unstable ones dashed, irregular ones dash-dotted and undecided ones
     dotted; the legend says so where the curve has no multipliers. Parts whose displacement has a
-    large estimated error are faint. A ring marks the largest response, whose place and size the legend has. Bifurcations are marked,
-    of many in one place only some, and the legend has their number. The order of the largest
-    harmonic stands at superharmonic peaks.
+    large estimated error are faint. A ring marks the largest response, whose place and size the
+    legend has. Bifurcations are marked, of many in one place only some, and the legend has their
+    number. The order of the largest harmonic stands at superharmonic peaks.
 
     Parameters
     ----------
@@ -294,10 +294,10 @@ def draw_multipliers(
     [panel] = picture = Picture(**where)
     x, found = parameter_axis(curve.parameter, in_hertz)[0] * curve.values, curve.multipliers
     sizes, verdicts = np.abs(found), curve.verdicts
-    open_, irregular = verdicts == "undecided", verdicts == "irregular"
+    open_ = verdicts == "undecided"
     pair = np.abs(found.imag) > 1e-9 * sizes
-    kinds = ["irregular", "pair", "+1"]
-    where = np.select([irregular, pair, found.real > 0.0], kinds, "-1")
+    kinds = {"irregular": verdicts == "irregular", "pair": pair, "+1": found.real > 0.0}
+    where = np.select([*kinds.values()], [*kinds], "-1")
     panel.axhline(1.0, color=COLOURS["grey"], lw=0.9, label="limit of stability")
     panel.plot(x, sizes, color=COLOURS["grey"], lw=0.4, alpha=0.6)
     for kind, label, colour in (

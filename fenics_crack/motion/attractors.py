@@ -144,5 +144,11 @@ def irregular_motion(
         return None
     growth = math.exp(grown / (len(logs) - 1 - first))
     orbits = FlowOrbits(flow, omega, state, subharmonic)
-    does = f"is irregular: a small disturbance grows {float(f'{growth:.2g}'):,g}-fold in a period"
-    return Attractor(None, does, (len(logs) - 1) * subharmonic, orbits, orbits.start, growth)
+    return Attractor(
+        None,
+        f"is irregular: a small disturbance grows {float(f'{growth:.2g}'):,g}-fold in a period",
+        (len(logs) - 1) * subharmonic,
+        orbits,
+        orbits.start,
+        growth,
+    )

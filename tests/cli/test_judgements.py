@@ -22,7 +22,7 @@ from fenics_crack import ErrorReport, ResponseCurve, SweepResult
 from fenics_crack.basics.progress import StageLines
 from fenics_crack.basics.tables import Table
 from fenics_crack.cli import pictures
-from fenics_crack.cli.account import of_error, of_more_modes, of_stability
+from fenics_crack.cli.account import DECIDES, of_error, of_more_modes, of_stability
 from fenics_crack.cli.results import _undecided_stretches, few_special_points
 from fenics_crack.cli.studies import few_cases, stepped_over, warnings_of
 from fenics_crack.draw import plot
@@ -83,7 +83,7 @@ def test_undecided_stretches_of_a_curve() -> None:
 
 
 def test_undecided_orbit(scene: fc.Scene) -> None:
-    """No advice to take more harmonics where a tolerance does, nor to damp what is damped."""
+    """No advice to choose a tolerance where there is one, nor to damp what is damped."""
     undecided = fc.Stability(np.array([1.0 + 0j]), "undecided", np.nan)
     run: Any = SimpleNamespace(structure=None)
     [text] = of_stability(scene, run, undecided)
@@ -98,7 +98,7 @@ def test_undecided_orbit(scene: fc.Scene) -> None:
     [text] = of_stability(scene, run, undecided)
     assert text.endswith("orbit is undecided (no exact orbit was found next to it)")
     [text] = of_stability(scene.replace(FIXED), run, undecided)
-    assert text.endswith("; more harmonics may decide it")
+    assert text.endswith("; --set harmonic_balance.tolerance=1e-2 may decide it")
 
 
 def test_verdict_that_hangs_on_modes_left_out() -> None:
@@ -523,7 +523,7 @@ def test_hint_to_damp_more_modes(
     words += [word for change in changes.split() for word in ("--set", change)]
     assert main(words) == 0
     answer = capsys.readouterr().err
-    assert "the stability of the orbit is undecided" in answer and "; more harmonics " in answer
+    assert "the stability of the orbit is undecided" in answer and f"; {DECIDES} " in answer
     assert ("or damping of all modes" in answer) == expected
 
 
