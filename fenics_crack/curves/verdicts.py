@@ -25,7 +25,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from fenics_crack.balance.assessment import MAX_DISTANCE
+from fenics_crack.balance.assessment import MAX_ERROR
 from fenics_crack.balance.solution import Stability
 from fenics_crack.basics.progress import begin
 from fenics_crack.curves.branch import neighbours
@@ -64,7 +64,7 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     ResponseCurve
         The same points, with the multipliers of their orbits; "irregular", with the growth of a
         small disturbance, where exact motions are; else "undecided" (and nan) where the predicted
-        error is above 0.5, or no orbit is nearer than that and three times what is predicted.
+        error is above 0.1, or no orbit is nearer than 0.5 and three times what is predicted.
 
     Raises
     ------
@@ -83,7 +83,8 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     first = {0, len(curve) // 2, len(curve) - 1}
     for places in map(sorted, (first, {*range(len(curve))} - first)):
         for place, known in zip(places, curve.assessments(places), strict=True):
-            if known.predicted_error <= MAX_DISTANCE:  # else no orbit would be its own
+            # With a larger error an orbit is seldom its own.
+            if known.predicted_error <= MAX_ERROR and known.accepted:
                 multipliers[place] = _deciding(stability_of(known))
         if np.isnan(multipliers).all():
             break

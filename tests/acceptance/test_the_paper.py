@@ -69,14 +69,14 @@ def test_figure_2() -> None:
 
 
 def test_five_harmonics() -> None:
-    """H = 5 knows nothing of its error at the paper's data; an exact orbit is near."""
+    """At the paper's data no orbit is found from H = 5, its error is stated; an exact one is near."""
     law = fc.UnilateralPenalty(STIFFNESS)
     five = fc.solve_harmonic_balance(plate(), OMEGA, law, harmonics=5)
-    assert five.report.total > 0.99
+    assert not five.report.confirmed and 0.05 < five.report.total < 0.3
     exact = fc.solve_harmonic_balance(plate(), OMEGA, law, tolerance=1e-2)
     assert exact.report.total < 1e-2
-    sizes = [f"{1e6 * found.amplitude(corner()):.3f} um" for found in (exact, five)]
-    assert_found("few harmonics", *sizes)
+    sizes = [f"{1e6 * found.amplitude(corner()):.3f} um" for found in (five, exact)]
+    assert_found("few harmonics", sizes[0], f"{100.0 * five.report.total:.0f} %", sizes[1])
 
 
 def test_penetration() -> None:
