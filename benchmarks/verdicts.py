@@ -298,8 +298,8 @@ def unconfirmed(arguments: common.Arguments) -> None:
     print(
         f"\n{len(rows)} solutions: true over stated median {np.median(ratios):.2f}, largest "
         f"{ratios.max():.2f}, {np.sum(ratios > 1.1)} above 1.1. Of {len(systems)} systems with "
-        f"stable orbits {len(irregular)} are called irregular. Of {len(far)} more solutions no orbit "
-        f"is nearer than {MAX_DISTANCE:g}."
+        f"stable orbits {len(irregular)} are called irregular. Of {len(far)} more solutions no "
+        f"orbit is nearer than {MAX_DISTANCE:g}."
     )
     common.print_table("No orbit near", columns, far)
 

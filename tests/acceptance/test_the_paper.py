@@ -69,7 +69,7 @@ def test_figure_2() -> None:
 
 
 def test_five_harmonics() -> None:
-    """At the paper's data no orbit is found from H = 5, its error is stated; an exact one is near."""
+    """No orbit is found from H = 5 at the paper's data; its error is stated. One is near."""
     law = fc.UnilateralPenalty(STIFFNESS)
     five = fc.solve_harmonic_balance(plate(), OMEGA, law, harmonics=5)
     assert not five.report.confirmed and 0.05 < five.report.total < 0.3
