@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import fenics_crack as fc
+from fenics_crack.balance.assessment import stated_error
 
 WERE_WRONG = [
     # An estimate of 0.8 % where the exact orbit is 12 % away: Newton's second step in the wider
@@ -110,7 +111,7 @@ def test_wave_to_which_no_orbit_leads_has_no_verdict(number: int) -> None:
     case = campaign.draw(600, number, "solution", campaign.family_of(600, number))
     solution = fc.solve_harmonic_balance(case.structure, case.omega, case.law, harmonics=5)
     stability = fc.floquet(case.structure, solution)
-    assert stability.verdict == "undecided" and "use more" in stability.reason
+    assert stability.verdict == "undecided" and "another motion" in stability.reason
 
 
 def test_smooth_law_with_few_harmonics_has_no_verdict() -> None:
@@ -185,7 +186,7 @@ def test_a_pair_that_leaves_and_returns_before_the_second_node() -> None:
 
 def test_two_short_steps_next_to_grazing_are_not_enough() -> None:
     """Two steps, the second 0.007 and 0.03 of the first, estimated 1.2 and 1.6 %; Newton's method
-    goes in circles there, and the nearest exact orbits are 18 and 2.5 % away."""
+    goes in circles there, and the nearest exact orbits are 24 and 2.5 % away: none confirms it."""
     case = campaign.draw(1, 375)
     span = 0.9 * case.omega, 1.1 * case.omega
     curve = fc.continue_frequency(
@@ -195,7 +196,8 @@ def test_two_short_steps_next_to_grazing_are_not_enough() -> None:
         found = curve.solution(int(np.argmin(np.abs(curve.omega - omega))))
         assert found.omega == pytest.approx(omega, rel=1e-4)
         orbit, off = campaign.exact_orbit(case, found)
-        assert orbit is not None and 0.02 < off < 3.0 * found.report.total
+        assert orbit is not None and 0.02 < off < 6.0 * found.report.total
+        assert not found.report.confirmed
 
 
 @pytest.mark.nightly
@@ -343,17 +345,18 @@ def test_orbit_that_newton_s_method_does_not_find(number: int) -> None:
     assert np.linalg.norm(after - state) < 1e-6 * np.linalg.norm(state)
 
 
-def test_large_error_is_stated_as_predicted() -> None:
-    """Where no orbit is sought, with a reason that says what to do. Two steps estimated 7 %, the
+def test_large_error_is_stated_from_the_prediction() -> None:
+    """Where no orbit is found, with a reason that says so. Two steps estimated 7 %, the
     second a quarter of the first; the exact orbit is 40 % away."""
     case = campaign.draw(1, 553)
     found = fc.solve_harmonic_balance(
         case.structure, case.omega, case.law, harmonics=case.harmonics
     )
-    assert found.report.truncation == pytest.approx(found.assessment.predicted_error)
+    assert not found.report.confirmed
+    assert found.report.truncation == stated_error(found.assessment.predicted_error)
     assert 0.4 < found.report.truncation < campaign.UNKNOWN
     reason = fc.floquet(case.structure, found).reason
-    assert reason.startswith("the truncated harmonics change it by") and "use more" in reason
+    assert "no orbit was found" in reason or "no exact orbit was found" in reason
 
 
 @pytest.mark.parametrize(

@@ -4,9 +4,9 @@ One step of Newton's method for the whole solution on the exact flow predicts wh
 left out change (:func:`fenics_crack.motion.orbit.predicted`); Newton's method finds the nearest
 orbit from where that leads, or from the solution's state. A solution that was found from an orbit
 has that one. The distance to the orbit is the error. It is the solution's
-own where it is at most 0.5 away, and three times the prediction: then its multipliers are those of
-the motion. Where none is found, the own orbit of the solution with twice or four times the
-harmonics is, of crack faces without mass, up to the same distance.
+own where it is at most 0.1 away, of crack faces without mass 0.5, and three times the prediction:
+then its multipliers are those of the motion. Where none is found next to such crack faces, it is
+the own orbit of the solution with twice or four times the harmonics, up to the same distance.
 
 Without an orbit the error is stated from the prediction p as 3 p / (1 + 2 p): three times a small
 one, and never below p. Then the exact motion that begins with the solution is followed, and a small
@@ -43,13 +43,12 @@ from fenics_crack.numerics.fourier import resized
 from fenics_crack.numerics.newton import relative_to_motion
 
 MAX_ERROR = 0.1
-"""Predicted error up to which an orbit is sought from where the step leads first. On 680 solutions
-of 170 systems 99 % of chains, 83 % of plates and 79 % of stiff chains have a prediction within half
-to twice the distance."""
+"""Relative distance up to which the nearest orbit is accepted, and predicted error up to which it
+is sought from where the step leads first. On 680 solutions of 170 systems 99 % of chains, 83 % of
+plates and 79 % of stiff chains have a prediction within half to twice the distance."""
 MAX_DISTANCE = 0.5
-"""Relative distance up to which the nearest orbit is accepted. Of 27 nearest orbits between 0.1 and
-0.5 away, and not beyond three predictions, 24 were those of many harmonics; all had the same
-verdict."""
+"""The same distance of crack faces without mass. Of ten such orbits between 0.1 and 0.5 away, and
+not beyond three predictions, nine were those of many harmonics; all had the same verdict."""
 REFINEMENTS = 2
 """Times that the harmonics are doubled to find an orbit."""
 
@@ -154,7 +153,8 @@ class Assessment:
         """The nearest orbit, and True if it is accepted."""
         if self.own is not None:
             return self.own, True
-        orbit, most = self._source or self._nearest_orbit(), MAX_DISTANCE
+        orbit = self._source or self._nearest_orbit()
+        most = MAX_DISTANCE if self.wave.structure.light_lips else MAX_ERROR
         if orbit is None and (finer := self._refined()) is not None and finer.accepted:
             orbit = finer.orbit
         elif self._source is None:  # predictions are within a factor of 3 of the distance

@@ -241,8 +241,11 @@ def in_place_of(judged: Stability | None, amplitude: float) -> list[str]:
     amplitude [m]."""
     if judged is None:
         return ["stability not examined"]
-    open_words = {"undecided": "stability undecided", "irregular": judged.reason}
-    said = [open_words.get(judged.verdict, judged.verdict)]
+    said = [
+        {"undecided": "stability undecided", "irregular": judged.reason}.get(
+            judged.verdict, judged.verdict
+        )
+    ]
     if judged.from_rest:
         size = ""
         if np.isfinite(judged.rest_amplitude) and amplitude > 0.0:
