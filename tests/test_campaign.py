@@ -106,12 +106,14 @@ def test_orbit_with_near_gaps_and_another_state_does_not_judge() -> None:
 
 
 @pytest.mark.parametrize("number", [18, pytest.param(90, marks=pytest.mark.nightly), 92])
-def test_wave_to_which_no_orbit_leads_has_no_verdict(number: int) -> None:
-    """Stiff pairs with mass, H = 5: the orbit next to each, 11 to 16 % away, leads elsewhere."""
+def test_wave_to_which_no_orbit_leads_has_none_of_its_verdicts(number: int) -> None:
+    """Stiff pairs with mass, H = 5: the orbit next to each, 11 to 16 % away, leads elsewhere. The
+    motion is irregular, or the nearest orbit may be another one."""
     case = campaign.draw(600, number, "solution", campaign.family_of(600, number))
     solution = fc.solve_harmonic_balance(case.structure, case.omega, case.law, harmonics=5)
     stability = fc.floquet(case.structure, solution)
-    assert stability.verdict == "undecided" and "another motion" in stability.reason
+    assert stability.verdict in ("irregular", "undecided")
+    assert "no orbit was found" in stability.reason or "another motion" in stability.reason
 
 
 def test_smooth_law_with_few_harmonics_has_no_verdict() -> None:
