@@ -73,7 +73,7 @@ def test_paper_plate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
         "1.4492",
         "1.4515",
         "0.13%",
-        "undecided",
+        "irregular",
         "stable",
         "1.155672, 1.155672",
         "irregular motion",

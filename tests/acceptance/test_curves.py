@@ -414,12 +414,13 @@ def test_stiff_stop_with_few_harmonics() -> None:
         best = min(near, key=lambda one: near[one])
         if 3.0 * near[best] < max(near.values()):
             compared += 1
-            assert curve.verdicts[place] == best, curve.omega[place]
+            is_irregular = best == "unstable" and curve.verdicts[place] == "irregular"
+            assert is_irregular or curve.verdicts[place] == best, curve.omega[place]
     assert compared > 50 and set(kinds(curve)) == {"fold"}
 
 
 def test_undecided_points_have_their_reason() -> None:
-    """In words that say what to do; the others have none, nor do curves that are not judged."""
+    """In words; the others have none, nor do curves that are not judged."""
     plain = fc.continue_frequency(
         judged.two_masses(), 0.6, 0.9, fc.UnilateralPenalty(1000.0), harmonics=13
     )
@@ -427,7 +428,7 @@ def test_undecided_points_have_their_reason() -> None:
     reasons = [curve.reason(index) for index in range(len(curve))]
     left = curve.verdicts == "undecided"
     assert left.any() and np.array_equal([bool(one) for one in reasons], left)
-    assert all("use more" in one for one in reasons if one) and plain.reason(0) == ""
+    assert all("orbit" in one for one in reasons if one) and plain.reason(0) == ""
     assert curve.bifurcations == plain.bifurcations
 
 
