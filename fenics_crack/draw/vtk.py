@@ -421,9 +421,9 @@ class PeriodFields:
         return nodal_stress(self.mesh, self.displacement, self.material)
 
     def grid(self, frame: int) -> Any:
-        """The magnified mesh of a frame with the point fields of :func:`write_period`."""
+        """Return the mesh at rest with the point fields of :func:`write_period` in a frame."""
         force, displacement = self.force[frame], self.displacement[frame]
-        grid = _grid_of(self.moved[frame], self.mesh.cells, self.mesh.vtk_type)
+        grid = grid_at_rest(self.mesh)
         # Half-way between two pairs a node is closed where both are.
         closed, seen = self.shares @ (force > 0.0), self.shares.sum(axis=1)
         fields = {
@@ -454,9 +454,10 @@ def write_period(
 ) -> float:
     """Write one period of a vibration as a time series for ParaView (collective).
 
-    A script beside it, ``paraview --script=NAME_paraview.py``, shows the plate from the front,
-    coloured by stress or displacement, says the magnification and plays the period once. Each frame
-    has the ``magnification`` in its field data.
+    The points of all frames are those at rest: ParaView's Warp By Vector moves them by
+    ``displacement``. A script beside it, ``paraview --script=NAME_paraview.py``, does so with the
+    magnification, shows the plate from the front, coloured by stress or displacement, and plays the
+    period once. Each frame has the ``magnification`` in its field data.
 
     Parameters
     ----------
@@ -467,7 +468,7 @@ def write_period(
     frames : int
         Instants in the period.
     magnification : float, optional
-        Factor of the displacement that moves the nodes; default: the largest displacement becomes a
+        Scale factor of Warp By Vector in the script; default: the largest displacement becomes a
         tenth of the structure's size.
     material : Material, optional
         Of the scene, for stresses.
@@ -514,6 +515,7 @@ def write_period(
         colours["mode"] = f"{fields.mesh.dimension}D"
         colours["camera"] = CAMERAS[fields.mesh.dimension]
         colours["caption"] = f"displacement x {fields.magnification:.3g}"
+        colours["factor"] = fields.magnification
         state = packaged("draw/paraview_state.txt")
         about = [(target, series), (script, state.format(**words, **colours))]
         frames = ((target.parent / name, _vtu(fields.grid(n))) for n, name in enumerate(names))

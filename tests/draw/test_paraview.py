@@ -39,7 +39,8 @@ def assert_drawn(path: Path) -> None:
 
 
 def test_period_for_paraview(breathing: fc.PeriodicSolution, tmp_path: Path) -> None:
-    """All nodes, the displacement true to scale, lips apart in the magnified mesh, their state."""
+    """All nodes at rest, the displacement true to scale, lips apart once it is warped, their
+    state."""
     path = tmp_path / "files" / "period.pvd"
     magnification = fc.write_period(breathing, path, frames=12)
     entries = ElementTree.parse(path).getroot().findall("./Collection/DataSet")
@@ -59,9 +60,9 @@ def test_period_for_paraview(breathing: fc.PeriodicSolution, tmp_path: Path) -> 
         free = structure.nodes.dofs >= 0
         assert np.allclose(shown[:, :2][free], field[frame][structure.nodes.dofs[free]])
         assert not np.any(shown[:, :2][~free])
-        assert np.allclose(
-            grid.points[:, :2] - structure.nodes.points, magnification * shown[:, :2]
-        )
+        assert np.allclose(grid.points[:, :2], structure.nodes.points)
+        warped = grid.warp_by_vector("displacement", factor=magnification).points
+        assert np.allclose(warped - grid.points, magnification * shown, atol=1e-6)
         state = grid["contact state"]
         states.append(state)
         assert np.count_nonzero(state >= 0.0) == 2 * structure.n_pairs
@@ -258,8 +259,8 @@ def test_von_mises() -> None:
 def test_stresses_for_paraview(
     paper_scene: fc.Scene, breathing: fc.PeriodicSolution, tmp_path: Path
 ) -> None:
-    """Stresses are those of the unmoved plate, whatever the magnification, rounded to single
-    precision; pressures add up."""
+    """Stresses and points are those of the unmoved plate, whatever the magnification, rounded to
+    single precision; pressures add up."""
     single = np.finfo(np.float32).eps
     frames = {}
     for magnification in (1.0, 9000.0):
@@ -279,6 +280,7 @@ def test_stresses_for_paraview(
     assert pressure.max() > 0.0
     for frame, (still, moved) in enumerate(zip(*frames.values(), strict=True)):
         stress = nodal_stress(mesh, displacement[frame], paper_scene.material)
+        assert np.array_equal(still.points, moved.points)
         for grid in (still, moved):
             assert relative(grid["stress"], stress) < single
             assert relative(grid["von Mises stress"], von_mises(stress)) < single
@@ -312,6 +314,7 @@ def test_script_for_paraview(
     assert f"{given['field']} [{'Pa' if with_stress else 'm'}]" in words
     factor = float(frame.field_data["magnification"][0])
     assert f"displacement x {factor:.3g}" in words
+    assert {"displacement", factor} <= words  # of WarpByVector
 
 
 @pytest.mark.parametrize(
