@@ -11,8 +11,9 @@ the paper of V. Kharyton and others, "Harmonic balance method implementation for
 breathing process simulation" (about 2007): natural frequencies, linear solution, contact laws,
 harmonic balance, direct integration, and the comparison of the two. At the paper's own data
 (k = 1e11 N/m, xi = 0.001) the motion never settles; with k = 1e9 N/m and xi = 0.01 it does, and
-both methods agree. The harmonic balance is solved twice: condensed onto the gap of the crack faces,
-and by PETSc's SNES on the block system of all displacements.
+both methods agree. Beside both stands the exact periodic orbit, which says how far off the
+harmonics are. At the paper's data the harmonic balance is solved twice: condensed onto the gap of
+the crack faces, and by PETSc's SNES on the block system of all displacements.
 
     python demos/paper_plate.py [folder for the results]
 """
@@ -20,54 +21,69 @@ and by PETSc's SNES on the block system of all displacements.
 import json
 import sys
 import time
-from collections.abc import Callable
-from dataclasses import asdict
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 import fenics_crack as fc
 
 SCENE = Path(__file__).with_suffix(".toml")
+OMEGA = 2000.0  # rad/s, of the load
+STIFFNESS = 1e11  # N/m, of the paper
 CORNER = (0.1, 0.1)  # m, where the force acts
 SHARPNESS = 1e11  # 1/m, of the smoothed law: an open crack is pulled by k/(pi s) = 0.3 N
 STEPS = 512  # least of central differences in a load period
 MARGIN = 2.2  # times the stable number of steps: contact then creates little energy
 SAMPLES = 1024  # of a period, for the block system and the condensed form beside it
-KEPT = 200  # load periods at the end of an integration over which waves are averaged
+NEAR = 40  # harmonics of the solution from which the exact orbit is sought
+KEPT = 150  # load periods at the end of an integration over which waves are averaged
 START = 5  # load periods from rest that are drawn
+MODES = 3  # mode shapes that are drawn; the paper names the first three
+PLACES = "crack", "force point, horizontal"
+QUANTITIES: dict[str, dict[str, Any]] = {
+    "gap": {"quantity": "closing of the crack faces", "zero": "crack faces touch"},
+    "corner": {"quantity": "displacement"},
+}
+LIGHT_BLUE = "#8fbbe8"  # of wide lines below thin ones
 
 
-def main(output: Path = Path("output/paper_plate"), *, periods: int = 500) -> dict[str, Any]:
+def main(output: Path = Path("output/paper_plate"), *, periods: int = 250) -> dict[str, Any]:
     """Run the whole comparison; pictures, ParaView files and summary.json go to ``output``."""
     scene = fc.Scene.load(SCENE)
     plate = fc.build_structure(scene)
     uncracked = fc.build_structure(scene.replace({"crack": None, "contact": None}))
     agreeing = fc.build_structure(scene.replace({"damping.ratio": 0.01}))
-    assert scene.contact is not None
-
-    summary = {
+    draw_plate(plate, output / "fig1_plate.png")
+    summary: dict[str, Any] = {
+        "dofs": plate.n_dofs,
+        "duplicated_node_pairs": plate.n_pairs,
         "natural_frequencies_rad_per_s": frequencies(plate, uncracked, output),
-        "paper": vibration(
-            plate,
-            uncracked,
-            scene.contact.stiffness or 0.0,
-            scene.harmonic_balance.harmonics,
-            output / "paper",
-            periods,
-            from_orbit=True,
-        ),
-        "agreeing": vibration(
-            agreeing, uncracked, 1e9, 20, output / "agreeing", periods, from_orbit=False
+    }
+    for name, case, stiffness, harmonics in (
+        ("paper", plate, STIFFNESS, scene.harmonic_balance.harmonics),
+        ("agreeing", agreeing, 1e9, 20),
+    ):
+        summary[name] = vibration(case, uncracked, stiffness, harmonics, output / name, periods)
+    balanced = fc.solve_harmonic_balance(plate, OMEGA, fc.UnilateralPenalty(STIFFNESS))
+    summary["paper"] |= {
+        "block_system": block_system(plate),
+        "mesh": finer_mesh(scene, balanced),
+        "paraview_magnification": fc.write_period(
+            balanced, output / "paper/breathing_crack.pvd", material=scene.material
         ),
     }
-    laws: dict[str, Any] = {"penalty, k = 1e11 N/m": fc.UnilateralPenalty(1e11)}
+    fc.animate_period(balanced, output / "paper/breathing_crack.png", material=scene.material)
+    laws: dict[str, Any] = {"penalty, k = 1e11 N/m": fc.UnilateralPenalty(STIFFNESS)}
     for sharpness in (1e8, 1e9, SHARPNESS):
-        laws[f"smoothed, s = {sharpness:.0e} 1/m"] = fc.SmoothedPenalty(1e11, sharpness)
-    closing = np.linspace(-2e-8, 2e-8, 401)
-    fc.draw_laws(laws, closing, path=output / "fig4_contact_laws.png", title="Contact laws")
+        laws[f"smoothed, s = {sharpness:.0e} 1/m"] = fc.SmoothedPenalty(STIFFNESS, sharpness)
+    figure, [axes] = panels("Contact laws")
+    fc.draw_laws(laws, np.linspace(-2e-8, 2e-8, 401), axes=axes)
+    save(figure, output / "fig4_contact_laws.png")
     (output / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
     answer(summary, output)
     return summary
@@ -76,18 +92,18 @@ def main(output: Path = Path("output/paper_plate"), *, periods: int = 500) -> di
 def frequencies(
     plate: fc.Structure, uncracked: fc.Structure, output: Path
 ) -> dict[str, list[float]]:
-    """Natural frequencies with the crack open, tied by k = 1e11 N/m, and absent; mode shapes."""
+    """Natural frequencies with the crack open, bonded by k = 1e11 N/m, and absent; mode shapes."""
     modes = fc.solve_modes(plate, 6)
     fc.write_modes(modes, output / "modes.vtu")
-    fc.draw_modes(modes, path=output / "modes.png")
-    found = {
+    fc.draw_modes(modes, numbers=range(1, MODES + 1), path=output / "modes.png")
+    omegas = {
         "open": modes.omega,
-        "tied": fc.solve_modes(plate.tied(1e11), 6).omega,
+        "bonded": fc.solve_modes(plate.tied(STIFFNESS), 6).omega,
         "uncracked": fc.solve_modes(uncracked, 6).omega,
     }
-    for name, omega in found.items():
+    for name, omega in omegas.items():
         say(f"{name:>10}: " + "  ".join(f"{value:9.1f}" for value in omega) + "  rad/s")
-    return {name: [round(float(value), 4) for value in omega] for name, omega in found.items()}
+    return {name: [round(float(value), 4) for value in omega] for name, omega in omegas.items()}
 
 
 def vibration(
@@ -97,42 +113,32 @@ def vibration(
     harmonics: int,
     output: Path,
     periods: int,
-    from_orbit: bool,
 ) -> dict[str, Any]:
     """Solve one case by every method, draw it, and compare the methods.
 
-    Direct integration starts on the orbit of the harmonic balance, to see whether it stays there,
-    or from rest.
+    Where the orbit is unstable, direct integration starts on the harmonic balance, to see where the
+    motion goes, else from rest.
     """
-    omega = 2000.0  # rad/s
     corner = plate.find_dof(CORNER, "x")
     penalty = fc.UnilateralPenalty(stiffness)
-    smoothed = fc.SmoothedPenalty(stiffness, SHARPNESS)
-
-    linear, linear_time = timed(lambda: fc.solve_linear(plate, omega))
-    whole = fc.solve_linear(uncracked, omega)
-    balanced, balance_time = timed(
-        lambda: fc.solve_harmonic_balance(plate, omega, penalty, harmonics=harmonics)
+    linear = fc.solve_linear(plate, OMEGA)
+    balanced, seconds = timed(
+        lambda: fc.solve_harmonic_balance(plate, OMEGA, penalty, harmonics=harmonics)
     )
-    stability = fc.floquet(plate, balanced)
-    sampled, block = (  # the block system takes samples of the contact force
-        fc.solve_harmonic_balance(
-            plate, omega, penalty, harmonics=harmonics, samples=SAMPLES, form=form
-        )
-        for form in ("condensed", "block")
+    smooth = fc.solve_harmonic_balance(
+        plate, OMEGA, fc.SmoothedPenalty(stiffness, SHARPNESS), harmonics=harmonics
     )
-    smooth, smooth_time = timed(
-        lambda: fc.solve_harmonic_balance(plate, omega, smoothed, harmonics=harmonics)
-    )
-    stable = fc.stable_steps_per_period(plate, omega, penalty)
-    steps = max(STEPS, 64 * round(MARGIN * stable / 64))
+    near = fc.solve_harmonic_balance(plate, OMEGA, penalty, harmonics=NEAR)
+    orbit = fc.shoot(plate, near)
+    growth = float(abs(orbit.multipliers[0]))
+    steps = max(STEPS, 64 * round(MARGIN * fc.stable_steps_per_period(plate, OMEGA, penalty) / 64))
     history = fc.integrate_central_difference(
         plate,
-        omega,
+        OMEGA,
         penalty,
         periods=periods,
         steps_per_period=steps,
-        initial=balanced if from_orbit else None,
+        initial=balanced if growth > 1.0 else None,
         settle=1e-6,
         record_periods=KEPT,
         dofs=[corner],
@@ -146,53 +152,50 @@ def vibration(
         "corner": history.by_period(history.displacement([corner])[:, 0])[used],
     }
     waves = {
-        "gap": (linear.gap(t)[:, 0], balanced.gap(t)[:, 0], smooth.gap(t)[:, 0], None),
-        "corner": (
-            *(each.displacement(t, [corner])[:, 0] for each in (linear, balanced, smooth)),
-            whole.displacement(t, [uncracked.find_dof(CORNER, "x")])[:, 0],
-        ),
+        "gap": [motion.gap(t)[:, 0] for motion in (linear, balanced, smooth)],
+        "corner": [motion.displacement(t, [corner])[:, 0] for motion in (linear, balanced, smooth)],
     }
-    draw_case(output, t, waves, folded, history, stiffness, harmonics)
-    magnification = fc.write_period(balanced, output / "breathing_crack.pvd")
-
-    draw_spectrum(output, history, folded["corner"], stiffness)
-    spectrum = np.fft.rfft(folded["gap"].mean(axis=0)) / steps
-    difference = folded["gap"].mean(axis=0) - balanced.gap(t[:-1])[:, 0]
-    spread = float(folded["gap"].std(axis=0).max())
-    gap = balanced.gap_coefficients[:, 0]
-    say(f"k = {stiffness:.0e} N/m, H = {harmonics}: {balanced.status}, {balance_time:.2f} s")
-    outcome = "settled" if settled else f"does not settle: {history.settled:.0%} change a period"
+    whole = fc.solve_linear(uncracked, OMEGA)
+    waves["corner"].append(whole.displacement(t, [uncracked.find_dof(CORNER, "x")])[:, 0])
+    case = f"k = {stiffness:.0e} N/m, H = {harmonics}"
+    if stiffness == STIFFNESS:
+        draw_solution(output, case, t, waves)
+    draw_comparison(output, case, t, waves, folded)
+    if not settled:
+        draw_spectrum(output, folded["corner"], case)
+    say(f"{case}: {balanced.status}")
+    outcome = "settles" if settled else f"does not settle: {history.settled:.0%} change a period"
     say(f"  direct integration: {history.periods} periods, {history.seconds:.1f} s, {outcome}")
+
+    wave, mean = waves["gap"][1], folded["gap"].mean(axis=0)
+    exact, size = orbit.gap_at(t)[:, 0], float(np.linalg.norm(waves["gap"][1][:-1]))
+    coefficients = balanced.gap_coefficients[:, 0]
+    ranges = 0.5 * np.ptp(folded["corner"], axis=1)
     return {
         "stiffness_N_per_m": stiffness,
         "harmonics": harmonics,
         "harmonic_balance": {
             "status": balanced.status,
-            "errors": asdict(balanced.report),
-            "error": balanced.report.total,
-            "verdict": stability.verdict,
+            "iterations": balanced.iterations,
             "amplitude_m": balanced.amplitude(corner),
-            "seconds": balance_time,
-            "gap_mean_m": float(gap[0]),
-            "gap_harmonic_1_m": float(np.hypot(gap[1], gap[2])),
-            "largest_opening_m": float(-balanced.gap(t).min()),
-            "largest_penetration_m": float(balanced.gap(t).max()),
+            "seconds": seconds,
+            "gap_mean_m": float(coefficients[0]),
+            "gap_harmonic_1_m": float(np.hypot(*coefficients[1:3])),
+            "largest_opening_m": float(-wave.min()),
+            "largest_penetration_m": float(wave.max()),
+            "error_of_amplitude": balanced.amplitude(corner) / orbit.amplitude(corner) - 1.0,
+            "error_of_opening": float(wave.min() / exact.min()) - 1.0,
+            "error_of_gap": float(np.linalg.norm(wave - exact) / np.linalg.norm(exact)),
         },
-        "block_system": {
-            "status": block.status,
-            "amplitude_m": block.amplitude(corner),
-            "condensed_amplitude_m": sampled.amplitude(corner),
-            "difference": float(
-                np.linalg.norm(block.displacement_coefficients - sampled.displacement_coefficients)
-                / np.linalg.norm(sampled.displacement_coefficients)
-            ),
+        "exact_orbit": {
+            "amplitude_m": orbit.amplitude(corner),
+            "largest_opening_m": float(-exact.min()),
+            "residual": orbit.residual,
+            "contacts_in_a_period": orbit.events // 2,
+            "growth_in_a_period": growth,
+            "verdict": "stable" if growth < 1.0 else "unstable",
         },
-        "smoothed": {
-            "status": smooth.status,
-            "seconds": smooth_time,
-            "largest_opening_m": float(-smooth.gap(t).min()),
-        },
-        "linear_seconds": linear_time,
+        "smoothed": {"status": smooth.status, "largest_opening_m": float(-waves["gap"][2].min())},
         "linear": {
             "gap_m": float(abs(waves["gap"][0]).max()),
             "corner_m": float(abs(waves["corner"][0]).max()),
@@ -200,7 +203,7 @@ def vibration(
         },
         "uncracked_corner_m": float(abs(waves["corner"][3]).max()),
         "corner_m": [float(waves["corner"][1].min()), float(waves["corner"][1].max())],
-        "start_up": start_up(plate, omega, penalty, steps, output),
+        "start_up": start_up(plate, penalty, steps, output),
         "direct_integration": {
             "settled": settled,
             "relative_change_last_period": history.settled,
@@ -209,39 +212,82 @@ def vibration(
             "energy_created_by_contact": history.created_energy,
             "seconds": history.seconds,
             "averaged_over_periods": len(folded["gap"]),
-            "gap_mean_m": float(spectrum[0].real),
-            "gap_harmonic_1_m": float(2.0 * abs(spectrum[1])),
+            "gap_mean_m": float(mean.mean()),
+            "amplitudes_m": [float(ranges.min()), float(ranges.max())],
             "largest_opening_m": float(-folded["gap"].min()),
-            "largest_standard_deviation_m": spread,
+            "largest_standard_deviation_m": float(folded["gap"].std(axis=0).max()),
             "corner_lines": [] if settled else lines_of(folded["corner"]),
             "corner_crossings_per_period": crossings(folded["corner"]),
         },
-        "difference_of_methods": float(
-            np.linalg.norm(difference) / np.linalg.norm(balanced.gap(t[:-1])[:, 0])
-        ),
-        "paraview_magnification": magnification,
+        "difference_of_methods": float(np.linalg.norm(mean - wave[:-1])) / size,
+    }
+
+
+def block_system(plate: fc.Structure) -> dict[str, Any]:
+    """Solve the paper's data by PETSc's SNES on the block system, and condensed by the same samples
+    of the contact force."""
+    (block, seconds), (condensed, _) = (
+        timed(
+            lambda form=form: fc.solve_harmonic_balance(
+                plate, OMEGA, fc.UnilateralPenalty(STIFFNESS), samples=SAMPLES, form=form
+            )
+        )
+        for form in ("block", "condensed")
+    )
+    one, other = block.displacement_coefficients, condensed.displacement_coefficients
+    modes = 2 * block.harmonics * plate.n_dofs  # of all modes, which are damped, but no mean
+    return {
+        "status": block.status,
+        "iterations": block.iterations,
+        "unknowns": one.size + modes,
+        "seconds": seconds,
+        "amplitude_m": block.amplitude(plate.find_dof(CORNER, "x")),
+        "difference": float(np.linalg.norm(one - other) / np.linalg.norm(other)),
+    }
+
+
+def finer_mesh(scene: fc.Scene, coarse: fc.PeriodicSolution) -> dict[str, float]:
+    """Return by how much elements half as long enlarge the motion at the force, in all, and by what
+    the force alone adds in the corner with each halving.
+
+    A force F in a corner of the angle a moves it by F/(E t) (1/(a + sin a) + 1/(a - sin a)) ln(1/h):
+    Timoshenko, Goodier, Theory of Elasticity, sections 36 to 38.
+    """
+    finer = fc.build_structure(scene.replace({"mesh.columns": 4, "mesh.rows": 16}))
+    solution = fc.solve_harmonic_balance(finer, OMEGA, fc.UnilateralPenalty(STIFFNESS))
+    amplitude = coarse.amplitude(coarse.structure.find_dof(CORNER, "x"))
+    angle = np.pi / 2.0
+    wedge = 1.0 / (angle + np.sin(angle)) + 1.0 / (angle - np.sin(angle))
+    added = 100.0 * wedge * np.log(2.0) / scene.material.young  # 1 m thick
+    return {
+        "amplitude_with_elements_half_as_long_m": solution.amplitude(finer.find_dof(CORNER, "x")),
+        "growth_with_elements_half_as_long": solution.amplitude(finer.find_dof(CORNER, "x"))
+        / amplitude
+        - 1.0,
+        "growth_by_the_point_force": float(added / amplitude),
     }
 
 
 def start_up(
-    plate: fc.Structure, omega: float, law: fc.UnilateralPenalty, steps: int, output: Path
+    plate: fc.Structure, law: fc.UnilateralPenalty, steps: int, output: Path
 ) -> dict[str, float]:
     """Draw the first periods from rest, figure 2 of the paper, by both kinds of integration."""
     history, exact = (
-        integrate(plate, omega, law, periods=START, steps_per_period=steps)
+        integrate(plate, OMEGA, law, periods=START, steps_per_period=steps)
         for integrate in (fc.integrate_central_difference, fc.integrate_events)
     )
+    figure, [axes] = panels(f"Figure 2: crack from rest ({law.stiffness:.0e} N/m)")
     fc.draw_waves(
         [
-            fc.Wave("exact flow", exact.time, exact.gap[:, 0], "grey"),
+            fc.Wave("exact flow", exact.time, exact.gap[:, 0], "#b0b0b0", width=4.0),
             fc.Wave("central differences", history.time, history.gap[:, 0], "green", "--"),
         ],
-        path=output / "fig2_start_up.png",
-        title=f"Crack from rest ({law.stiffness:.0e} N/m)",
+        axes=axes,
         quantity="closing of the crack faces",
         zero="crack faces touch",
-        period=2.0 * np.pi / omega,
+        period=2.0 * np.pi / OMEGA,
     )
+    save(figure, output / "fig2_from_rest.png")
     size = float(abs(exact.gap).max())
     return {
         "largest_opening_m": float(-exact.gap.min()),
@@ -276,129 +322,148 @@ def crossings(by_period: np.ndarray) -> float:
     return np.count_nonzero((motion[:-1] < 0.0) & (motion[1:] >= 0.0)) / len(by_period)
 
 
-def draw_spectrum(
-    output: Path, history: fc.TimeHistory, by_period: np.ndarray, stiffness: float
-) -> None:
-    """Draw the amplitudes of the corner over orders of the load's frequency."""
-    if len(by_period) < KEPT // 2:
-        return  # a motion that settled: its lines are the orders
-    orders, lines = amplitudes(by_period)
-    shown = orders < 4.0
-    figure = Figure(figsize=(6.4, 3.2), layout="constrained")
-    axes = figure.subplots()
-    axes.semilogy(orders[shown], 1e6 * lines[shown], lw=0.8)
-    axes.set(
-        xlabel="order of the load's frequency [-]",
-        ylabel="corner [µm]",
-        title=f"Spectrum over {len(by_period)} of {history.periods} periods ({stiffness:.0e} N/m)",
+# --- pictures -------------------------------------------------------------------------------------
+
+
+def panels(title: str, *names: str) -> tuple[Figure, Sequence[Axes]]:
+    """Return a figure with a panel for each name, one above the other; one without names."""
+    count = max(len(names), 1)
+    height = 0.6 + 3.2 * count  # in
+    margins = {"left": 0.13, "right": 0.97, "bottom": 0.5 / height, "top": 1.0 - 0.6 / height}
+    figure = Figure(figsize=(7.0, height), dpi=110)
+    axes = figure.subplots(count, squeeze=False, gridspec_kw=margins | {"hspace": 0.25})[:, 0]
+    figure.suptitle(title, fontsize=11)
+    for panel, name in zip(axes, names, strict=False):
+        panel.set_title(name, fontsize=9, loc="left", y=1.0)  # placed without a search
+    return figure, axes
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    FigureCanvasAgg(figure).print_png(path, pil_kwargs={"compress_level": 1})
+
+
+def draw_plate(plate: fc.Structure, path: Path) -> None:
+    """Draw figure 1 of the paper: mesh, clamp, crack, duplicated node pair and load."""
+    figure, [axes] = panels("Figure 1: the paper's plate")
+    figure.set_size_inches(6.0, 6.0)
+    fc.draw_mesh(plate, axes=axes)
+    assert plate.pair_points is not None
+    [mouth] = plate.pair_points
+    axes.annotate(
+        "duplicated node pair:\none node of each face",
+        mouth,
+        (0.012, 0.068),
+        arrowprops={"arrowstyle": "->"},
+        fontsize=9,
     )
-    figure.savefig(output / "spectrum.png")
+    axes.annotate("100 N sin(2000 t)", CORNER, (0.064, 0.094), fontsize=9)
+    save(figure, path)
+
+
+def draw_solution(
+    output: Path, case: str, t: np.ndarray, waves: dict[str, list[np.ndarray]]
+) -> None:
+    """Draw figures 3, 5 and 6 of the paper."""
+    period = float(t[-1])
+    figure, [axes] = panels("Figure 3: linear solution, the crack faces pass through each other")
+    curves = [
+        fc.Wave("closing of the crack faces", t, waves["gap"][0], "orange"),
+        fc.Wave("force point, horizontal", t, waves["corner"][0], "blue", "--"),
+    ]
+    fc.draw_waves(curves, axes=axes, quantity="displacement", period=period)
+    save(figure, output / "fig3_linear.png")
+    figure, axes = panels(f"Figures 5 and 6: nonlinear solution ({case})", *PLACES)
+    for (name, words), panel in zip(QUANTITIES.items(), axes, strict=True):
+        linear, balanced, smooth, *whole = waves[name]
+        curves = [
+            fc.Wave("harmonic balance, penalty", t, balanced, LIGHT_BLUE, width=5.0),
+            fc.Wave("harmonic balance, smoothed", t, smooth, "black", ":"),
+            fc.Wave("linear, crack always open", t, linear, "orange", "--"),
+            *(fc.Wave("uncracked", t, wave, "pink", "-.") for wave in whole),
+        ]
+        fc.draw_waves(curves, axes=panel, period=period, **words)
+    save(figure, output / "fig5_fig6_nonlinear.png")
+
+
+def draw_comparison(
+    output: Path,
+    case: str,
+    t: np.ndarray,
+    waves: dict[str, list[np.ndarray]],
+    folded: dict[str, np.ndarray],
+) -> None:
+    """Draw figures 7 and 8 of the paper: both methods."""
+    figure, axes = panels(f"Figures 7 and 8: both methods ({case})", *PLACES)
+    for (name, words), panel in zip(QUANTITIES.items(), axes, strict=True):
+        mean, deviation = (
+            np.append(row, row[0]) for row in (folded[name].mean(axis=0), folded[name].std(axis=0))
+        )
+        label, count = "central differences", len(folded[name])
+        if count > 1:
+            label += f": mean of {count} periods, band: ± standard deviation"
+        curves = [
+            fc.Wave("harmonic balance", t, waves[name][1], LIGHT_BLUE, width=5.0),
+            fc.Wave(label, t, mean, "green", "--", deviation),
+        ]
+        fc.draw_waves(curves, axes=panel, period=float(t[-1]), **words)
+    save(figure, output / "fig7_fig8_both_methods.png")
+
+
+def draw_spectrum(output: Path, by_period: np.ndarray, case: str) -> None:
+    """Draw the amplitudes of the corner over orders of the load's frequency."""
+    figure, [axes] = panels(f"Force point: spectrum of {len(by_period)} periods ({case})")
+    orders, lines = amplitudes(by_period)
+    shown = (orders > 0.0) & (orders < 4.0)
+    axes.plot(orders[shown], np.log10(1e6 * lines[shown]), lw=0.8)
+    powers = range(-6, 1)
+    axes.set_yticks(powers, [f"{10.0**power:g}" for power in powers])
+    axes.set(xlabel="order of the load's frequency [-]", ylabel="amplitude [µm]")
+    save(figure, output / "spectrum.png")
+
+
+# --- the answer -----------------------------------------------------------------------------------
 
 
 def answer(summary: dict[str, Any], output: Path) -> None:
-    """Print the answer: what was found for both settings, by which method, in which files."""
-    cases = [summary[name] for name in ("paper", "agreeing")]
-    balances, blocks, marches = (
-        [case[name] for case in cases]
-        for name in ("harmonic_balance", "block_system", "direct_integration")
-    )
-    unknown = [one["error"] >= 1.0 for one in balances]
-    moved = [
-        f"settled, gap within {case['difference_of_methods']:.1%}"
-        if march["settled"]
-        else f"irregular motion: {march['relative_change_last_period']:.0%} change a period"
-        for case, march in zip(cases, marches, strict=True)
-    ]
-    open_crack = summary["natural_frequencies_rad_per_s"]["open"][0]
+    """Print the answer: what was found, how far off it is, by which method, in which files."""
+    paper, agreeing = summary["paper"], summary["agreeing"]
+    five, block, mesh = (paper[name] for name in ("harmonic_balance", "block_system", "mesh"))
+    many, march = agreeing["harmonic_balance"], agreeing["direct_integration"]
+    exact, orbit = paper["exact_orbit"], agreeing["exact_orbit"]
+    low, high = (1e6 * size for size in paper["direct_integration"]["amplitudes_m"])
+    omega = summary["natural_frequencies_rad_per_s"]
     rows = {
-        "": ["the paper's: 1e11 N/m, 0.1 %", "agreeing: 1e9 N/m, 1 %"],
-        "displacement at the force [um]": [f"{1e6 * one['amplitude_m']:.4f}" for one in balances],
-        "largest opening [um]": [f"{1e6 * one['largest_opening_m']:.4f}" for one in balances],
-        "estimated error of the gap": [
-            "unknown" if lost else f"{one['error']:.2%}"
-            for lost, one in zip(unknown, balances, strict=True)
-        ],
-        "verdict": [one["verdict"] for one in balances],
-        "block system, condensed [um]": [
-            f"{1e6 * one['amplitude_m']:.6f}, {1e6 * one['condensed_amplitude_m']:.6f}"
-            for one in blocks
-        ],
-        "their relative difference": [f"{one['difference']:.1e}" for one in blocks],
-        "direct integration": moved,
+        "plate": f"{summary['dofs']} dofs, crack of one element with "
+        f"{summary['duplicated_node_pairs']} duplicated node pair, modal damping by SLEPc's modes",
+        "first natural frequency": f"{omega['open'][0]:.1f} rad/s with the crack open, "
+        f"{omega['bonded'][0]:.1f} bonded; the paper has 2300",
+        "five harmonics, condensed": f"{1e6 * five['amplitude_m']:.4f} um at the force, opening "
+        f"{1e6 * five['largest_opening_m']:.4f} um    {five['seconds']:.2f} s",
+        "the same, block system by PETSc SNES": f"equal to {block['difference']:.0e}    "
+        f"{block['iterations']} iterations, {block['unknowns']:,} unknowns, "
+        f"{block['seconds']:.1f} s",
+        "exact orbit": f"{1e6 * exact['amplitude_m']:.4f} um: five harmonics are "
+        f"{abs(five['error_of_amplitude']):.1%} off (opening {abs(five['error_of_opening']):.1%}, "
+        f"gap over the period {five['error_of_gap']:.1%})",
+        "stability": f"{exact['verdict']}: a disturbance grows "
+        f"{exact['growth_in_a_period']:.0f}-fold in a period; the motion wanders between "
+        f"{low:.2f} and {high:.2f} um",
+        "mesh": f"+ {mesh['growth_with_elements_half_as_long']:.0%} with elements half as long; a "
+        f"point force has no limit: + {mesh['growth_by_the_point_force']:.0%} by it with each "
+        "halving",
+        "softer: 1e9 N/m, 1 % damping": f"{1e6 * many['amplitude_m']:.4f} um with "
+        f"{agreeing['harmonics']} harmonics, {abs(many['error_of_amplitude']):.2%} off the exact "
+        f"orbit (gap {many['error_of_gap']:.2%}), {orbit['verdict']}; direct integration "
+        + ("settles on it" if march["settled"] else "does not settle")
+        + f", gaps {agreeing['difference_of_methods']:.1%} apart",
     }
-    say(f"first natural frequency, crack open: {open_crack:.1f} rad/s; the paper has 2300 rad/s")
-    for name, (first, second) in rows.items():
-        say(f"{name:<31} {first:<37} {second}")
-    names = sorted({path.name for path in output.glob("*/fig*.png")})
-    say(f"{output}/: modes.png, fig4_contact_laws.png; paper/, agreeing/: {', '.join(names)}")
-
-
-def draw_case(
-    output: Path,
-    t: np.ndarray,
-    waves: dict[str, Any],
-    folded: dict[str, np.ndarray],
-    history: fc.TimeHistory,
-    stiffness: float,
-    harmonics: int,
-) -> None:
-    """Figures 2, 3 and 5 to 8 of the paper for one case."""
-    case = f"k = {stiffness:.0e} N/m, H = {harmonics}"
-    period = float(t[-1])
-    quantity = {"gap": "closing of the crack faces", "corner": "horizontal displacement"}
-    zero = {"gap": "crack faces touch", "corner": None}
-    shown = slice(-min(20, len(folded["gap"])) * history.steps_per_period, None)
-    fc.draw_waves(
-        [fc.Wave("central differences", history.time[shown], history.gap[shown, 0], "green")],
-        path=output / "fig2_direct_integration.png",
-        title=f"Crack, the last periods of the direct integration ({case})",
-        quantity=quantity["gap"],
-        zero=zero["gap"],
-    )
-    fc.draw_waves(
-        [
-            fc.Wave("closing of the crack faces", t, waves["gap"][0], "orange"),
-            fc.Wave("force point: horizontal displacement", t, waves["corner"][0], "blue", "--"),
-        ],
-        path=output / "fig3_linear.png",
-        title="Linear solution: the crack faces pass through each other",
-        quantity="displacement",
-        period=period,
-    )
-    for name, number, place in (("gap", 5, "Crack"), ("corner", 6, "Force point")):
-        linear, balanced, smooth, whole = waves[name]
-        curves = [
-            fc.Wave("harmonic balance, penalty", t, balanced, "blue"),
-            fc.Wave("harmonic balance, smoothed", t, smooth, "orange", ":"),
-            fc.Wave("linear, crack always open", t, linear, "grey", "--"),
-        ]
-        if whole is not None:
-            curves.append(fc.Wave("uncracked", t, whole, "pink", "-."))
-        fc.draw_waves(
-            curves,
-            path=output / f"fig{number}_nonlinear_{name}.png",
-            title=f"{place}: nonlinear solution ({case})",
-            quantity=quantity[name],
-            period=period,
-            zero=zero[name],
-        )
-        mean = np.append(folded[name].mean(axis=0), folded[name][:, 0].mean())
-        deviation = np.append(folded[name].std(axis=0), folded[name][:, 0].std())
-        count = len(folded[name])
-        label = "central differences"
-        if count > 1:
-            label += f": mean of {count} periods, band: ± standard deviation"
-        fc.draw_waves(
-            [
-                fc.Wave("harmonic balance", t, balanced, "blue"),
-                fc.Wave(label, t, mean, "green", "--", deviation),
-            ],
-            path=output / f"fig{number + 2}_comparison_{name}.png",
-            title=f"{place}: both methods ({case})",
-            quantity=quantity[name],
-            period=period,
-            zero=zero[name],
-        )
+    say("\nThe paper's plate, 1e11 N/m, 0.1 % damping, 100 N at 2000 rad/s:")
+    for name, words in rows.items():
+        say(f"{name:<37} {words}")
+    names = sorted({path.name for path in output.rglob("*.png")})
+    say(f"{output}/, paper/ and agreeing/ in it: {', '.join(names)}")
 
 
 def timed(task: Callable[[], Any]) -> tuple[Any, float]:

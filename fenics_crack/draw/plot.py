@@ -60,6 +60,8 @@ class Wave:
         [s], [m].
     spread : (n,) [m] or None
         Half-width of a band around the curve, for example the standard deviation of a mean wave.
+    width : float [points]
+        Line width; wide lines show below thin ones.
     """
 
     label: str
@@ -68,6 +70,7 @@ class Wave:
     colour: str = "blue"
     style: str = "-"
     spread: np.ndarray | None = None
+    width: float = 1.6
 
 
 def draw_waves(
@@ -111,7 +114,7 @@ def draw_waves(
     for wave in waves:
         time = wave.time / period if period else wave.time
         colour = COLOURS.get(wave.colour, wave.colour)
-        panel.plot(time, wave.values, wave.style, color=colour, label=wave.label, lw=1.6)
+        panel.plot(time, wave.values, wave.style, color=colour, label=wave.label, lw=wave.width)
         if wave.spread is not None:
             low, high = wave.values - wave.spread, wave.values + wave.spread
             panel.fill_between(time, low, high, color=colour, alpha=0.2, lw=0)
