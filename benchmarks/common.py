@@ -18,6 +18,7 @@ import ctypes
 import gc
 import os
 import platform
+import subprocess
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -136,6 +137,12 @@ def _status(key: str) -> float:
 
 
 # --- results --------------------------------------------------------------------------------------
+
+
+def commit() -> str:
+    """Return the checkout's commit, eight digits."""
+    command = ["git", "-C", str(DEMOS), "rev-parse", "--short=8", "HEAD"]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
 
 
 def show(value: object) -> str:

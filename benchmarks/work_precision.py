@@ -17,19 +17,14 @@ Table and picture name the commit and the day.
     OMP_NUM_THREADS=1 python benchmarks/work_precision.py [--quick] [--only CASE] [--others]
         [folder]
 
-``--only demos`` prints README's table instead: error, time and memory of five demos, each by the
-command ``solve`` in a process of its own.
+Of five demos, error, time and memory of the command ``solve``: ``speed_against_error.py``.
 """
 
 from __future__ import annotations
 
 import datetime
 import json
-import os
-import resource
-import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -95,11 +90,7 @@ class Case:
 def main() -> None:
     """Run the cases asked for."""
     parts = {name: race(name) for name in ("paper-plate", *CASES)}
-    common.run(
-        __doc__,
-        parts | {"demos": demos},
-        others={"action": "store_true", "help": "pyHarm and mousai, too"},
-    )
+    common.run(__doc__, parts, others={"action": "store_true", "help": "pyHarm and mousai, too"})
 
 
 def case_of(name: str) -> Case:
@@ -241,7 +232,7 @@ def by_others(case: Case, program: str, counts: Sequence[int]) -> Iterator[tuple
 
 def finish(folder: Path, name: str, rows: list[tuple[Any, ...]]) -> None:
     """Table, picture, and how much faster ours is than the best public one at the same error."""
-    made = f"commit {commit()}, {datetime.date.today()}"
+    made = f"commit {common.commit()}, {datetime.date.today()}"
     stem = folder / f"work_precision_{name}"
     common.save_table(stem.with_suffix(".csv"), f"Case {name}, {made}", COLUMNS, rows)
     figure, (axes,) = common.figure(1)
@@ -256,7 +247,7 @@ def finish(folder: Path, name: str, rows: list[tuple[Any, ...]]) -> None:
     axes.set_title(f"Case {name}: error against time ({made})", fontsize=9)
     axes.legend(fontsize=7, bbox_to_anchor=(1.01, 1.0), loc="upper left")  # beside, not over points
     figure.savefig(stem.with_suffix(".png"))
-    record = {"commit": commit(), "date": str(datetime.date.today()),
+    record = {"commit": common.commit(), "date": str(datetime.date.today()),
               "methods": sorted({row[1] for row in rows})}  # fmt: skip
     stem.with_suffix(".json").write_text(json.dumps(record, indent=1) + "\n")
     for goal in (1e-1, 1e-2, 1e-4):
@@ -272,51 +263,6 @@ def finish(folder: Path, name: str, rows: list[tuple[Any, ...]]) -> None:
             other = min(public, key=lambda row: row[4])
             said += f"; {other[1]} takes {other[4] / best[4]:.3g} times as long"
         print(said if public else f"{said}; no public program reaches it")
-
-
-def commit() -> str:
-    """The checkout's."""
-    command = ["git", "-C", str(ROOT), "rev-parse", "--short=8", "HEAD"]
-    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
-
-
-DEMOS = ("paper_plate", "breathing_plate", "blade", "friction", "solid_blade")
-MARKS = "<!-- speed against error -->\n", "<!-- end -->\n"
-"""In README, around the table."""
-
-
-def row_of(name: str, found: list[dict[str, Any]], used: resource.struct_rusage) -> str:
-    """A line of README's table."""
-    amplitude = next(row for row in found if row["name"].endswith("amplitude"))
-    error = amplitude["error [%]"]
-    stated = f"{error:.2g} %, mostly {amplitude['most by']}" if error is not None else "not known"
-    seconds, memory = used.ru_utime + used.ru_stime, used.ru_maxrss / 1024.0
-    size = f"{1e6 * amplitude['value']:.4g} um"
-    return f"| `{name}.toml` | {size} | {stated} | {seconds:.1f} s | {memory:.0f} MiB |"
-
-
-def demos(arguments: common.Arguments) -> None:
-    """README's table: the command, in a process of its own."""
-    lines = [
-        f"| `solve demos/...` (commit {commit()}, {datetime.date.today()}) | amplitude "
-        "| stated error | processor time | memory |",
-        "|---|---|---|---|---|",
-    ]
-    for name in DEMOS:
-        with tempfile.TemporaryDirectory() as output:
-            folder = Path(output) / name
-            command = [sys.executable, "-m", "fenics_crack", "solve", f"demos/{name}.toml",
-                       "--output", str(folder)]  # fmt: skip
-            child = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL)
-            _, _, used = os.wait4(child.pid, 0)
-            found = json.loads(next(folder.rglob("solution.json")).read_text())
-        lines += [row_of(name, found, used)]
-    text = "\n".join(lines) + "\n"
-    print(text)
-    readme = (ROOT / "README.md").read_text()
-    head, _, tail = readme.partition(MARKS[0])
-    (ROOT / "README.md").write_text(head + MARKS[0] + "\n" + text + "\n" + MARKS[1]
-                                    + tail.partition(MARKS[1])[2])  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -250,7 +250,8 @@ def finer_mesh(scene: fc.Scene, coarse: fc.PeriodicSolution) -> dict[str, float]
     """Return by how much elements half as long enlarge the motion at the force, in all, and by what
     the force alone adds in the corner with each halving.
 
-    A force F in a corner of the angle a moves it by F/(E t) (1/(a + sin a) + 1/(a - sin a)) ln(1/h):
+    A force F in a corner of the angle a moves it by F/(E t) (1/(a + sin a) + 1/(a - sin a))
+    ln(1/h):
     Timoshenko, Goodier, Theory of Elasticity, sections 36 to 38.
     """
     finer = fc.build_structure(scene.replace({"mesh.columns": 4, "mesh.rows": 16}))

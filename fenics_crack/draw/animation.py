@@ -49,8 +49,9 @@ def animate_period(
 ) -> float:
     """Draw one period of a vibration as an animated picture (collective).
 
-    A .png file has one frame of it: that of the largest opening. Below the plate is the opening of the crack's mouth over time, of several cracks of the one that
-    moves most, tinted while that one's crack faces touch; without a crack the largest displacement.
+    A .png file has one frame of it: that of the largest opening. Below the plate is the opening of
+    the crack's mouth over time, of several cracks of the one that moves most, tinted while that
+    one's crack faces touch; without a crack the largest displacement.
     The caption and the comment of the file state the magnification.
 
     Parameters

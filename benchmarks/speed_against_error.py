@@ -1,0 +1,301 @@
+"""Speed against error: what the command ``solve`` answers, how far off it is, and what it costs.
+
+Five demos, each as its scene says, and to 10 %, 1 % and .1 % (``harmonic_balance.tolerance``; then
+the tolerance chooses the modes, and mesh and friction are left as they are). Each row is one run of
+the command in a process of its own, from the mesh to errors and verdict: the amplitude, its stated
+error and the largest cause of it, the true error, processor time, and memory.
+
+The true error is the distance from a reference: an exact periodic orbit, which has no error by
+harmonics, with at least four times the modes of the scene (:data:`REFERENCE_MODES`), or with all of
+them where it has few dofs. Where a row states an error of the mesh, elements of the reference are
+three times shorter, with a stiffness of each pair three times smaller; where it states one of
+friction that the scene leaves out, the reference has that friction. An answer that misses its
+tolerance is "not reached", with what the program says would help.
+
+Rows are kept in ``docs/pictures/speed_against_error.json``, each with its commit and day; the
+tables of ``README.md`` and ``benchmarks/README.md`` and the picture are made from it.
+
+    OMP_NUM_THREADS=1 python benchmarks/speed_against_error.py [--quick] [--only DEMO]
+        [--rows RUNG,RUNG] [folder]
+
+``--quick`` leaves out .1 %; ``--rows scene,1%`` runs these rungs alone.
+"""
+
+from __future__ import annotations
+
+import datetime
+import json
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import common
+
+import fenics_crack as fc
+from fenics_crack.draw.figure import COLOURS
+from fenics_crack.study.meshes import finer_mesh
+
+ROOT = Path(__file__).parents[1]
+RECORD = ROOT / "docs" / "pictures" / "speed_against_error.json"
+DEMOS = ("paper_plate", "breathing_plate", "blade", "friction", "solid_blade")
+RUNGS = {"scene": None, "10%": 0.1, "1%": 0.01, "0.1%": 0.001}
+"""By name: the tolerance, None for the settings of the scene."""
+REFERENCE_MODES = {"breathing_plate": 160, "blade": 80, "friction": 40, "solid_blade": 80}
+"""At least four times those of the scene; the paper's plate has all of its 50."""
+FINER = 3.0
+"""Elements of the scene over those of the reference."""
+MARKS = "<!-- speed against error -->\n", "<!-- end -->\n"
+"""Around the tables of the pages."""
+Row = dict[str, Any]
+
+
+def main() -> None:
+    """Run the rows asked for, and make tables and picture of all that are kept."""
+    common.run(
+        __doc__,
+        {name: ladder(name) for name in DEMOS},
+        rows={"help": f"rungs, with commas between: {', '.join(RUNGS)}"},
+    )
+
+
+def ladder(demo: str) -> common.Part:
+    """A part of the benchmark: the rungs of a demo."""
+
+    def run(arguments: common.Arguments) -> None:
+        rungs = arguments.rows.split(",") if arguments.rows else list(RUNGS)
+        if arguments.quick and not arguments.rows:
+            rungs.remove("0.1%")
+        references: dict[Any, float] = {}
+        for rung in rungs:
+            row = climbed(demo, rung, references)
+            keep(row)
+            print(" | ".join(cells(row)), flush=True)
+        rows = kept_rows()
+        write_tables(rows)
+        draw(rows).savefig(RECORD.with_suffix(".png"))
+
+    return run
+
+
+# --- rows -----------------------------------------------------------------------------------------
+
+
+def changes_of(rung: str) -> dict[str, Any]:
+    """Return the keys of the scene that a rung changes."""
+    if RUNGS[rung] is None:
+        return {}
+    return {
+        "harmonic_balance.tolerance": RUNGS[rung],
+        "reduction": None,
+        "mesh.error": False,
+        "contact.friction_error": False,
+    }
+
+
+def climbed(demo: str, rung: str, references: dict[Any, float]) -> Row:
+    """Run the command for a rung of a demo, and compare its answer with the reference."""
+    row = answer(demo, rung)
+    key = row["mesh"], row["friction"]
+    if key not in references:
+        references[key] = reference(demo, *key)
+    row["reference [m]"] = references[key]
+    row["true"] = abs(row["amplitude [m]"] / references[key] - 1.0)
+    return row
+
+
+def answer(demo: str, rung: str) -> Row:
+    """Run ``solve`` in a process of its own; what it states, its time [s], its memory [MiB]."""
+    words = [
+        f"--set={key}={str(value).lower()}" for key, value in changes_of(rung).items()
+    ]  # None is "none"
+    with tempfile.TemporaryDirectory() as output:
+        folder = Path(output) / demo
+        command = [sys.executable, "-m", "fenics_crack", "solve", f"demos/{demo}.toml",
+                   "--output", str(folder), *words]  # fmt: skip
+        log = Path(output) / "log"
+        with log.open("w") as errors:
+            child = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=errors)
+        _, code, used = os.wait4(child.pid, 0)
+        results = sorted(folder.rglob("solution.json"))
+        said = log.read_text()
+        if not results:
+            raise RuntimeError(f"{' '.join(command)} ended with {code}: {said}")
+        quantities = json.loads(results[0].read_text())
+    amplitude = next(one for one in quantities if one["name"].endswith("amplitude"))
+    helps = re.search(r"(\S+ %), \S+ % was asked; what helps: ([^;(]*[^;( ])", said)
+    conclusion = next(one["value"] for one in quantities if one["name"] == "conclusion")
+    verdict = next((one["value"] for one in quantities if one["name"] == "verdict"), "")
+    error = amplitude["error [%]"]
+    return {
+        "demo": demo,
+        "rung": rung,
+        "amplitude [m]": amplitude["value"],
+        "stated": None if error is None else error / 100.0,
+        "most by": amplitude["most by"],
+        "verdict": verdict,
+        "missed": f"error of the gap {helps[1]}; helps: {helps[2]}" if helps else "",
+        "mesh": rung == "scene" and error is not None and "mesh" not in left_out(conclusion),
+        "friction": rung == "scene" and "friction left out: about" in conclusion,
+        "seconds": used.ru_utime + used.ru_stime,
+        "mebibytes": used.ru_maxrss / 1024.0,
+        "commit": common.commit(),
+        "date": str(datetime.date.today()),
+    }
+
+
+def left_out(conclusion: str) -> str:
+    """Return what a conclusion says of the causes that its error does not include."""
+    return "".join(re.findall(r"error (due to [^;:]*) not included", conclusion))
+
+
+def reference(demo: str, mesh: bool, friction: bool) -> float:
+    """Return the amplitude [m] of the exact orbit of a demo, by the watched displacement."""
+    scene = fc.Scene.load(common.DEMOS / f"{demo}.toml")
+    scene = scene.replace({"sweep": None, "curve": None})
+    if scene.crack is not None and scene.crack.first_omega is not None:
+        length = fc.find_crack_length(scene)
+        scene = scene.replace({"crack.length": length, "crack.first_omega": None})
+    assert scene.contact is not None
+    if mesh and (finer := finer_mesh(scene, FINER)) is not None:
+        scene = finer
+        if scene.contact.stiffness is not None:
+            scene = scene.replace({"contact.stiffness": scene.contact.stiffness / FINER})
+    if friction:
+        scene = scene.replace({"contact.friction": scene.contact.friction_error})
+    scene = scene.replace(changes_of("1%") | {"harmonic_balance.tolerance": 1e-3})
+    if demo in REFERENCE_MODES:
+        scene = scene.replace({"reduction.modes": REFERENCE_MODES[demo]})
+    run = fc.solve(scene)
+    orbit = run.result.orbit
+    if orbit is None:
+        raise RuntimeError(f"{demo}: no exact orbit for a reference: {run.result.status}")
+    return float(orbit.amplitude(run.watched[0].dof))
+
+
+# --- what is kept of them -------------------------------------------------------------------------
+
+
+def kept_rows() -> list[Row]:
+    """Return all rows that are kept, in the order of demos and rungs."""
+    rows = json.loads(RECORD.read_text()) if RECORD.exists() else []
+    order = {pair: n for n, pair in enumerate((d, r) for d in DEMOS for r in RUNGS)}
+    return sorted(rows, key=lambda row: order[row["demo"], row["rung"]])
+
+
+def keep(row: Row) -> None:
+    """Keep a row in place of the one before."""
+    others = [one for one in kept_rows() if (one["demo"], one["rung"]) != key_of(row)]
+    RECORD.write_text(json.dumps([*others, row], indent=1) + "\n")
+
+
+def key_of(row: Row) -> tuple[str, str]:
+    """A demo and a rung."""
+    return row["demo"], row["rung"]
+
+
+def made(rows: list[Row]) -> str:
+    """By which commits and when rows were made."""
+    return "; ".join(sorted({f"commit {row['commit']}, {row['date']}" for row in rows}))
+
+
+def percentage(share: float | None) -> str:
+    """An error in a table; "none" where an orbit proves that it is rounding."""
+    if share is None:
+        return "not stated"
+    return f"{100.0 * share:.2g} %" if share > 5e-7 else "< 0.0001 %"
+
+
+def cells(row: Row) -> list[str]:
+    """Cells of a row: demo, rung, amplitude, stated and true error, ratio, time, memory, remark."""
+    stated, true = row["stated"], row["true"]
+    cause = f", mostly {row['most by']}" if stated else ""
+    reached = "not reached: " if row["missed"] else ""
+    ratio = f"{true / stated:.2f}" if stated and stated > 5e-7 else "-"
+    return [
+        f"`{row['demo']}.toml`", row["rung"].replace("%", " %").replace("scene", "as it says"),
+        f"{reached}{1e6 * row['amplitude [m]']:.4g} um", percentage(stated) + cause,
+        percentage(true), ratio, f"{row['seconds']:.1f} s", f"{row['mebibytes']:.0f} MiB",
+        "; ".join(part for part in (row["verdict"], row["missed"]) if part),
+    ]  # fmt: skip
+
+
+HEADINGS = ["stated error", "true error", "true / stated", "processor time", "memory", "remark"]
+
+
+def whole_table(rows: list[Row]) -> str:
+    """The ladder of ``benchmarks/README.md``."""
+    head = ["`solve demos/...`", f"settings ({made(rows)})", "amplitude", *HEADINGS]
+    return lines_of([head, ["---"] * len(head), *map(cells, rows)])
+
+
+def short_table(rows: list[Row]) -> str:
+    """README's five rows: as the scene says, and to 1 %."""
+    head = [f"`solve demos/...` ({made([row for row in rows if row['rung'] in ('scene', '1%')])})"]
+    for words in ("as the scene says", "to 1 %"):
+        head += [f"{words}: amplitude", "stated error", "true error", "time, memory"]
+    lines = [head, ["---"] * len(head)]
+    by_key = {key_of(row): row for row in rows}
+    for demo in DEMOS:
+        line = [f"`{demo}.toml`"]
+        for rung in ("scene", "1%"):
+            if (demo, rung) not in by_key:
+                line += ["-"] * 4
+                continue
+            cell = cells(by_key[demo, rung])
+            line += [*cell[2:5], ", ".join(cell[6:8])]
+        lines.append(line)
+    return lines_of(lines)
+
+
+def lines_of(table: list[list[str]]) -> str:
+    """A table in Markdown."""
+    return "\n".join("| " + " | ".join(line) + " |" for line in table) + "\n"
+
+
+def tables(rows: list[Row]) -> dict[Path, str]:
+    """The table of each page."""
+    return {
+        ROOT / "README.md": short_table(rows),
+        ROOT / "benchmarks" / "README.md": whole_table(rows),
+    }
+
+
+def written(page: Path, table: str) -> str:
+    """The text of a page with a table between the marks."""
+    head, _, rest = page.read_text().partition(MARKS[0])
+    return f"{head}{MARKS[0]}\n{table}\n{MARKS[1]}{rest.partition(MARKS[1])[2]}"
+
+
+def write_tables(rows: list[Row]) -> None:
+    """Write the tables into their pages."""
+    for page, table in tables(rows).items():
+        page.write_text(written(page, table))
+
+
+def draw(rows: list[Row]) -> Any:
+    """Draw stated and true errors over processor time, a panel for each demo."""
+    figure, axes = common.figure(3, 2)
+    for panel, demo in zip(axes, DEMOS, strict=False):
+        steps = [row for row in rows if row["demo"] == demo]
+        for name, colour, look in (("stated", "blue", "o-"), ("true", "orange", "x--")):
+            points = [row for row in steps if row[name] is not None]
+            panel.semilogy(
+                [row["seconds"] for row in points],
+                [max(row[name], 1e-6) for row in points],
+                look, color=COLOURS[colour], label=f"{name} error",
+            )  # fmt: skip
+        for row in steps:
+            panel.annotate(row["rung"], (row["seconds"], max(row["true"], 1e-6)), fontsize=8)
+        panel.set(title=demo, xlabel="processor time [s]", ylabel="error of the amplitude [-]")
+        panel.legend(fontsize=8)
+    axes[-1].remove()
+    figure.suptitle(f"Speed against error ({made(rows)})", fontsize=9)
+    return figure
+
+
+if __name__ == "__main__":
+    main()
