@@ -337,3 +337,40 @@ def test_pictures_of_speed_name_what_exists() -> None:
         assert made
         for commit, _ in made:
             assert_is_a_commit(commit)
+
+
+def test_tables_of_speed_against_error_are_the_record() -> None:
+    """README's five rows and the ladder of the benchmarks' page are made from the rows kept, each
+    of a commit in the history; true errors are .3 to 1.6 times the stated ones."""
+    import speed_against_error as ladder
+
+    rows = ladder.kept_rows()
+    asked = {(demo, rung) for demo in ladder.DEMOS for rung in ("scene", "10%", "1%")}
+    assert asked <= {ladder.key_of(row) for row in rows}
+    assert ladder.RECORD.with_suffix(".png").stat().st_size > 10_000
+    for page, table in ladder.tables(rows).items():
+        assert page.read_text() == ladder.written(page, table), page.name
+    for row in rows:
+        assert_is_a_commit(row["commit"])
+        if row["stated"] and row["stated"] > 1e-6 and not row["missed"]:
+            assert 0.3 <= row["true"] / row["stated"] <= 1.6, row
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(
+    "demo", ["paper_plate", "breathing_plate", "blade", "friction", "solid_blade"]
+)
+def test_readme_states_what_a_fresh_run_does(demo: str) -> None:
+    """Amplitudes, stated and true errors of README's row; times are another machine's."""
+    import speed_against_error as ladder
+
+    kept = {ladder.key_of(row): row for row in ladder.kept_rows()}
+    references: dict[Any, float] = {}
+    for rung in ("scene", "1%"):
+        row, fresh = kept[demo, rung], ladder.climbed(demo, rung, references)
+        assert fresh["amplitude [m]"] == pytest.approx(row["amplitude [m]"], rel=1e-3)
+        assert (fresh["stated"] is None) == (row["stated"] is None)
+        assert bool(fresh["missed"]) == bool(row["missed"])
+        for error in ("stated", "true"):
+            if row[error] is not None:
+                assert fresh[error] == pytest.approx(row[error], rel=0.1, abs=2e-4)
