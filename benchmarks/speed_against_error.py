@@ -28,6 +28,7 @@ import datetime
 import json
 import os
 import re
+import resource
 import subprocess
 import sys
 import tempfile
@@ -49,6 +50,8 @@ REFERENCE_MODES = {"breathing_plate": 80, "blade": 80, "friction": 40, "solid_bl
 """At least four times those of the scene; the paper's plate has all of its 50."""
 REFERENCE_ERROR = 1e-3
 """By harmonics, where no orbit can be found."""
+PATIENCE = 300
+"""Processor time of a row [s], after which it ends without an answer."""
 FINER = 3.0
 """Elements of the scene over those of the reference."""
 MARKS = "<!-- speed against error -->\n", "<!-- end -->\n"
@@ -101,6 +104,8 @@ def changes_of(rung: str) -> dict[str, Any]:
 def climbed(demo: str, rung: str, references: dict[Any, float]) -> Row:
     """Run the command for a rung of a demo, and compare its answer with the reference."""
     row = answer(demo, rung)
+    if row["amplitude [m]"] is None:
+        return row | {"true": None}
     key = row["mesh"], row["friction"]
     if key not in references:
         references[key] = reference(demo, *key)
@@ -120,12 +125,25 @@ def answer(demo: str, rung: str) -> Row:
                    "--output", str(folder), *words]  # fmt: skip
         log = Path(output) / "log"
         with log.open("w") as errors:
-            child = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=errors)
+            child = subprocess.Popen(
+                command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=errors,
+                preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_CPU, 2 * (PATIENCE,)),
+            )  # fmt: skip
         _, code, used = os.wait4(child.pid, 0)
         results = sorted(folder.rglob("solution.json"))
         said = log.read_text()
-        if not results:
+        cost = {
+            "seconds": used.ru_utime + used.ru_stime,
+            "mebibytes": used.ru_maxrss / 1024.0,
+            "commit": common.commit(),
+            "date": str(datetime.date.today()),
+        }
+        if not results and cost["seconds"] < PATIENCE - 1.0:
             raise RuntimeError(f"{' '.join(command)} ended with {code}: {said}")
+        if not results:
+            late = {"missed": f"no answer within {PATIENCE} s", "mesh": False, "friction": False}
+            empty = {"amplitude [m]": None, "stated": None, "most by": "", "verdict": ""}
+            return {"demo": demo, "rung": rung, **empty, **late, **cost}
         quantities = json.loads(results[0].read_text())
     amplitude = next(one for one in quantities if one["name"].endswith("amplitude"))
     helps = re.search(r"(\S+ %), \S+ % was asked; what helps: ([^;(]*[^;( ])", said)
@@ -142,10 +160,7 @@ def answer(demo: str, rung: str) -> Row:
         "missed": f"error of the gap {helps[1]}; helps: {helps[2]}" if helps else "",
         "mesh": rung == "scene" and error is not None and "mesh" not in left_out(conclusion),
         "friction": rung == "scene" and "friction left out: about" in conclusion,
-        "seconds": used.ru_utime + used.ru_stime,
-        "mebibytes": used.ru_maxrss / 1024.0,
-        "commit": common.commit(),
-        "date": str(datetime.date.today()),
+        **cost,
     }
 
 
@@ -213,9 +228,9 @@ def made(rows: list[Row]) -> str:
 
 
 def percentage(share: float | None) -> str:
-    """An error in a table; "none" where an orbit proves that it is rounding."""
+    """An error in a table."""
     if share is None:
-        return "not stated"
+        return "-"
     return f"{100.0 * share:.2g} %" if share > 5e-7 else "< 0.0001 %"
 
 
@@ -223,11 +238,13 @@ def cells(row: Row) -> list[str]:
     """Cells of a row: demo, rung, amplitude, stated and true error, ratio, time, memory, remark."""
     stated, true = row["stated"], row["true"]
     cause = f", mostly {row['most by']}" if stated else ""
-    reached = "not reached: " if row["missed"] else ""
+    size = "" if row["amplitude [m]"] is None else f"{1e6 * row['amplitude [m]']:.4g} um"
+    reached = "not reached: " if row["missed"] and size else "not reached" if row["missed"] else ""
     ratio = f"{true / stated:.2f}" if stated and stated > 5e-7 else "-"
     return [
         f"`{row['demo']}.toml`", row["rung"].replace("%", " %").replace("scene", "as it says"),
-        f"{reached}{1e6 * row['amplitude [m]']:.4g} um", percentage(stated) + cause,
+        f"{reached}{size}",
+        "not stated" if size and stated is None else percentage(stated) + cause,
         percentage(true), ratio, f"{row['seconds']:.1f} s", f"{row['mebibytes']:.0f} MiB",
         "; ".join(part for part in (row["verdict"], row["missed"]) if part),
     ]  # fmt: skip
@@ -299,7 +316,8 @@ def draw(rows: list[Row]) -> Any:
                 look, color=COLOURS[colour], label=f"{name} error",
             )  # fmt: skip
         for row in steps:
-            panel.annotate(row["rung"], (row["seconds"], max(row["true"], 1e-6)), fontsize=8)
+            place = row["seconds"], max(row["true"] or 0.0, 1e-6)
+            panel.annotate(row["rung"], place, fontsize=8)
         panel.set(title=demo, xlabel="processor time [s]", ylabel="error of the amplitude [-]")
         panel.legend(fontsize=8)
     axes[-1].remove()

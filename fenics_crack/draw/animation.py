@@ -1,4 +1,4 @@
-"""The breathing crack in motion: a GIF, or a picture of its largest opening.
+"""The breathing crack in motion: a GIF.
 
 The plate is drawn magnified and coloured by von Mises stress or displacement, with the crack faces
 as thick lines, a dot on every pair that is in contact, and an arrow for the load. Everything is
@@ -49,9 +49,8 @@ def animate_period(
 ) -> float:
     """Draw one period of a vibration as an animated picture (collective).
 
-    A .png file has one frame of it: that of the largest opening. Below the plate is the opening of
-    the crack's mouth over time, of several cracks of the one that moves most, tinted while that
-    one's crack faces touch; without a crack the largest displacement.
+    Below the plate is the opening of the crack's mouth over time, of several cracks of the one that
+    moves most, tinted while that one's crack faces touch; without a crack the largest displacement.
     The caption and the comment of the file state the magnification.
 
     Parameters
@@ -59,7 +58,7 @@ def animate_period(
     solution : PeriodicSolution
         Result to show.
     path : str or Path
-        A .gif or a .png file.
+        A .gif file.
     frames, magnification, material
         As of :func:`fenics_crack.write_period`; without a material the colours show displacement.
 
@@ -71,14 +70,14 @@ def animate_period(
     Raises
     ------
     InputError
-        The file is neither, the structure has no mesh, or an argument cannot be used.
+        The file is no .gif, the structure has no mesh, or an argument cannot be used.
 
     Examples
     --------
     >>> magnification = fc.animate_period(solution, "crack.gif", frames=4)
     """
-    if Path(path).suffix.lower() not in (".gif", ".png"):
-        raise InputError("path", str(path), "a .gif or a .png file")
+    if Path(path).suffix.lower() != ".gif":
+        raise InputError("path", str(path), "a .gif file")
     begin(Path(path).name)
     fields = PeriodFields(solution, frames, magnification, material)
     on_root(fields.mesh.structure.comm, lambda: _write(solution, fields, Path(path)))
@@ -184,7 +183,7 @@ def _load_arrows(fields: PeriodFields) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _write(solution: PeriodicSolution, fields: PeriodFields, path: Path) -> None:
-    """Draw all frames and write the GIF, or one frame as a PNG."""
+    """Draw all frames and write the GIF."""
     colours = _Colours(fields)
     page = _Page(solution, fields, colours)
     width, height = page.size
@@ -193,20 +192,13 @@ def _write(solution: PeriodicSolution, fields: PeriodFields, path: Path) -> None
     plate = _Plate(plotter, fields, colours)
     share = _look_at_all(plotter, fields) * height / width
     plotter.window_size = min(2 * width, int(2 * (share * width + 20))), 2 * height
-    is_still = path.suffix.lower() == ".png"
-    frames = [int(np.argmax(page.values))] if is_still else range(len(fields.time))
-    pictures = [page.draw(frame, plate.image(frame)) for frame in frames]
+    pictures = [page.draw(frame, plate.image(frame)) for frame in range(len(fields.time))]
     plotter.close()
-    animation = BytesIO()
-    if is_still:
-        pictures[0].save(animation, "PNG", compress_level=3)
-        write_whole(path, animation.getvalue())
-        return
     palette = _palette(colours)
     shown = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     duration = max(20, 10 * round(300.0 / len(shown)))  # [ms], in steps of 10: 3 s in all
     timing = {"duration": duration, "loop": 0, "comment": page.caption.encode("latin-1")}
-    every = {"save_all": True, "append_images": shown[1:]}
+    animation, every = BytesIO(), {"save_all": True, "append_images": shown[1:]}
     shown[0].save(animation, "GIF", optimize=False, **every, **timing)
     write_whole(path, animation.getvalue())
 

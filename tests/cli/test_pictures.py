@@ -94,21 +94,6 @@ def test_animation(
     assert colours(shown[0]) > 20
 
 
-def test_picture_of_the_largest_opening(
-    small_scene: fc.Scene, breathing: fc.PeriodicSolution, tmp_path: Path
-) -> None:
-    """A PNG is the frame of the animation in which the crack is widest, without contact."""
-    for name in ("crack.gif", "crack.png"):
-        fc.animate_period(breathing, tmp_path / name, frames=10, material=small_scene.material)
-    assert_drawn(tmp_path / "crack.png", (640, 740))
-    still = pixels(tmp_path / "crack.png")[PLATE]
-    widest = int(breathing.gap(np.arange(10) * breathing.period / 10)[:, 0].argmin())
-    apart = [np.abs(still.astype(float) - pixels(tmp_path / "crack.gif", n)[PLATE]).mean()
-             for n in range(10)]  # fmt: skip
-    assert int(np.argmin(apart)) == widest
-    assert share(still, ORANGE) == 0.0
-
-
 def test_animation_of_twice_the_period_without_a_crack(
     small_scene: fc.Scene, tmp_path: Path
 ) -> None:
