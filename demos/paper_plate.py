@@ -28,6 +28,8 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 import fenics_crack as fc
@@ -439,20 +441,23 @@ def draw_crack(solution: fc.PeriodicSolution, folder: Path, magnification: float
     frames = sorted((folder / "breathing_crack").glob("*.vtu"))
     time = np.arange(len(frames)) * solution.period / len(frames)
     grid = pyvista().read(frames[int(solution.gap(time)[:, 0].argmin())])
-    plotter = off_screen_plotter((700, 800))
+    stress = grid["von Mises stress"] / 1e3  # kPa
+    plotter = off_screen_plotter((700, 700))
     plotter.add_mesh(grid, style="wireframe", color="#b0b0b0")
-    title = f"von Mises stress [Pa], displacement x {magnification:.0f}"
-    sizes = {"title_font_size": 18, "label_font_size": 16}
-    plotter.add_mesh(
-        grid.warp_by_vector("displacement", factor=magnification),
-        scalars="von Mises stress",
-        scalar_bar_args={"title": title, "fmt": "%.0f", "position_x": 0.2, **sizes},
-        show_edges=True,
-        lighting=False,
-    )
+    moved = grid.warp_by_vector("displacement", factor=magnification)
+    look = {"cmap": "viridis", "show_edges": True, "lighting": False, "show_scalar_bar": False}
+    plotter.add_mesh(moved, scalars="von Mises stress", **look)
     plotter.view_xy()
-    plotter.screenshot(folder / "breathing_crack.png")
+    plotter.camera.zoom(1.3)
+    picture = plotter.screenshot(None, return_img=True)
     plotter.close()
+    figure, [axes] = panels(f"The crack at its widest, displacement x {magnification:.0f}")
+    axes.imshow(picture)
+    axes.axis("off")
+    colours = ScalarMappable(Normalize(stress.min(), stress.max()), "viridis")
+    figure.colorbar(colours, ax=axes, label="von Mises stress [kPa]")
+    figure.set_size_inches(6.0, 5.0)
+    save(figure, folder / "breathing_crack.png")
 
 
 # --- the answer -----------------------------------------------------------------------------------
