@@ -150,7 +150,7 @@ def answer(demo: str, rung: str) -> Row:
             return {"demo": demo, "rung": rung, **empty, **late, **cost}
         quantities = json.loads(results[0].read_text())
     amplitude = next(one for one in quantities if one["name"].endswith("amplitude"))
-    helps = re.search(r"(\S+ %), \S+ % was asked; what helps: ([^;(]*[^;( ])", said)
+    helps = re.search(r"error ([^,;]+), [^,;]+ was asked; what helps: ([^;(]*[^;( ])", said)
     conclusion = next(one["value"] for one in quantities if one["name"] == "conclusion")
     verdict = next((one["value"] for one in quantities if one["name"] == "verdict"), "")
     error = amplitude["error [%]"]
@@ -161,7 +161,7 @@ def answer(demo: str, rung: str) -> Row:
         "stated": None if error is None else error / 100.0,
         "most by": amplitude["most by"],
         "verdict": verdict,
-        "missed": f"error of the gap {helps[1]}; helps: {helps[2]}" if helps else "",
+        "missed": f"error of the gap {helps[1]}, helps: {helps[2]}" if helps else "",
         "mesh": rung == "scene" and error is not None and "mesh" not in left_out(conclusion),
         "friction": rung == "scene" and "friction left out: about" in conclusion,
         **cost,

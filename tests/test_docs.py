@@ -341,7 +341,7 @@ def test_pictures_of_speed_name_what_exists() -> None:
 
 def test_tables_of_speed_against_error_are_the_record() -> None:
     """README's five rows and the ladder of the benchmarks' page are made from the rows kept, each
-    of a commit in the history; true errors are .3 to 1.6 times the stated ones."""
+    of a commit in the history; README's true errors are .3 to 1.6 times the stated ones."""
     import speed_against_error as ladder
 
     rows = ladder.kept_rows()
@@ -352,7 +352,7 @@ def test_tables_of_speed_against_error_are_the_record() -> None:
         assert page.read_text() == ladder.written(page, table), page.name
     for row in rows:
         assert_is_a_commit(row["commit"])
-        if row["stated"] and row["stated"] > 1e-6 and not row["missed"]:
+        if row["rung"] in ("scene", "1%") and row["stated"] and not row["missed"]:
             assert 0.3 <= row["true"] / row["stated"] <= 1.6, row
 
 
