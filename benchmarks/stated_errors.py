@@ -457,10 +457,13 @@ def by_mesh_alone(
         )  # fmt: skip
         solutions.append(numbers_of(study, solution, mode).values)
     assert errors is not None
+    if "mesh" in errors.unknown:
+        raise fc.ConvergenceError(errors.left_out)
     values, finer_values = solutions
     rows = {}
     for quantity, value in values.items():
-        if quantity.endswith(OF_HALF) or quantity.endswith(f"_{mode}"):
+        natural = quantity.startswith(("frequency", "omega"))
+        if quantity.endswith(OF_HALF) or (natural and quantity.endswith(f"_{mode}")):
             stated = errors.contributions(quantity)["mesh"] / abs(value)
             rows[quantity] = value, abs(finer_values[quantity] / value - 1.0), stated, "mesh"
     return rows
