@@ -190,6 +190,10 @@ def reference(demo: str, mesh: bool, friction: bool) -> float:
     finer = finer_mesh(scene, FINER) if mesh else None
     if finer is not None and finer.contact is not None and finer.contact.stiffness is not None:
         more["contact.stiffness"] = finer.contact.stiffness / FINER
+    if friction and scene.contact.stiffness is not None:  # as stiff along the faces as across
+        areas = fc.prepare(scene).structure.pairs.areas
+        stiffness = scene.contact.stiffness / float(areas.mean())
+        more["contact.tangential_stiffness_per_area"] = stiffness
     if finer is not None or friction:
         accurate = {"harmonic_balance.tolerance": REFERENCE_ERROR}
         run = fc.solve((finer or scene).replace(more | accurate))

@@ -64,7 +64,7 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
         tied = {"tied": figures.omega_tied} if whole.n_pairs else {}
         natural = {"open": figures.omega_open} | tied
         by_mesh = errors_of_natural(study, natural, at_load, figures.slopes)
-        mesh_error = by_mesh.stated("vibration")[0]
+        mesh_error = 0.0 if scene.structure is not None else by_mesh.stated("vibration")[0]
         figures = replace(figures, at_load=replace(at_load, mesh_error=mesh_error))
     rows: dict[str, object] = {
         **({} if whole.nodes is None else _extents(figures)),

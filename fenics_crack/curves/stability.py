@@ -359,7 +359,8 @@ def _by_waves(structure: Structure, solution: PeriodicSolution, contact: Contact
     gap, above, off = solution.slow_gap_coefficients, solution.static_above, np.inf
     try:
         values = eigenvalues(monodromy(structure, contact, gap, solution.base_omega, above))
-        finer = with_twice_the_harmonics(replace(solution, structure=structure, contact=contact))
+        wave = replace(solution, structure=structure, contact=contact)
+        finer = with_twice_the_harmonics(wave) if gap.size else solution
         if finer is not None:
             slow = finer.slow_gap_coefficients
             along = monodromy(structure, contact, slow, solution.base_omega, above)

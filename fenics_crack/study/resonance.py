@@ -82,9 +82,9 @@ class AtLoad:
         errors = dict.fromkeys((*ESTIMATED, *BY_CHOICE), math.nan)
         errors |= {"harmonics": self.error, "mesh": self.mesh_error}
         missing = [cause for cause, error in errors.items() if not math.isfinite(error)]
-        known = [f"the {c} {error_in_words(e)}" for c, e in errors.items() if c not in missing]
+        known = [f"the {c} {error_in_words(e)}" for c, e in errors.items() if e > 0.0]
         size = f"{quantity(self.amplitude, 'm')} half peak-to-peak, {self.verdict}"
-        errors_text = f"error due to {', '.join(known)}; {without_causes(missing)}"
+        errors_text = f"error due to {', '.join(known) or 'none'}; {without_causes(missing)}"
         return self.unknown or f"{size}, {errors_text}"
 
     @property

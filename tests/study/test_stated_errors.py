@@ -318,7 +318,7 @@ def test_modes_that_few_harmonics_do_not_reach(
     exact = {"harmonic_balance.tolerance": None, "harmonic_balance.harmonics": 200}
     limit = amplitude(scene.replace(exact | {"reduction.modes": 48}))
     stated = run.errors.stated("amplitude")[0] * run.errors.values["amplitude"]
-    assert 0.05 < abs(run.result.indicators().amplitude - limit) / stated < 1.5
+    assert 0.03 < abs(run.result.indicators().amplitude - limit) / stated < 1.5
 
 
 def test_without_the_mesh(scene: fc.Scene) -> None:
@@ -487,7 +487,6 @@ def test_words_and_files(
         lambda kept: kept.pop("values"),
         lambda kept: kept["counts"].pop("mesh"),
         lambda kept: kept["counts"].update(mesh=[1]),
-        lambda kept: kept["parts"]["mesh"].pop("opening"),
         lambda kept: kept["parts"]["mesh"]["opening"].update(order="large"),
         lambda kept: kept["units"].pop("opening"),
         lambda kept: kept.update(values=7),
