@@ -15,8 +15,6 @@ from surroundings import main
 import fenics_crack as fc
 from fenics_crack import SweepResult, run_sweep
 
-"""Exit code of a result whose error is unknown or above the tolerance."""
-
 REDUCED = {
     "mesh.columns": 4, "reduction.method": "massless", "reduction.modes": 12,
     "contact.law": "unilateral", "contact.stiffness": None,
