@@ -366,7 +366,7 @@ def test_readme_states_what_a_fresh_run_does(demo: str) -> None:
 
     kept = {ladder.key_of(row): row for row in ladder.kept_rows()}
     references: dict[Any, float] = {}
-    for rung in ("scene", "1%"):
+    for rung in (name for name in ("scene", "1%") if (demo, name) in kept):
         row, fresh = kept[demo, rung], ladder.climbed(demo, rung, references)
         assert fresh["amplitude [m]"] == pytest.approx(row["amplitude [m]"], rel=1e-3)
         assert (fresh["stated"] is None) == (row["stated"] is None)
