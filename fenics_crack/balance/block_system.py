@@ -96,16 +96,16 @@ class BlockSystem(Snes):
         self._seen = self._spread(sparse.kron(sparse.identity(rows), whole.T), part.shape[1])
         self._still_gap = structure.gap_of(np.zeros(linear.shape))
         if problem.residual is not None:
-            at_once = all_modes(structure).moved_at_once(problem.cutoff)
-            pulled = part.tocsr()[: linear.size] * (self.force / self.length)
-            self._seen -= sparse.kron(sparse.identity(rows), at_once.T) @ pulled
-            self._still_gap += self._load @ at_once
+            static_response = all_modes(structure).moved_at_once(problem.cutoff)
+            load_rows = part.tocsr()[: linear.size] * (self.force / self.length)
+            self._seen -= sparse.kron(sparse.identity(rows), static_response.T) @ load_rows
+            self._still_gap += self._load @ static_response
         place = np.arange(rows * pairs).reshape(rows, pairs).T
         self._ends = np.repeat(place, rows, axis=1).ravel(), np.tile(place, rows).ravel()
         if self.integrals.coupled:  # every force depends on every gap
             self._ends = tuple(np.indices((rows * pairs,) * 2).reshape(2, -1))
-        ones = sparse.csr_matrix((np.ones(len(self._ends[0])), self._ends), (rows * pairs,) * 2)
-        touched = (abs(self._into) @ ones @ abs(self._seen)).tocoo()  # where nothing cancels
+        pattern = sparse.csr_matrix((np.ones(len(self._ends[0])), self._ends), (rows * pairs,) * 2)
+        touched = (abs(self._into) @ pattern @ abs(self._seen)).tocoo()  # where nothing cancels
         entries = np.append(part.data, 0.0 * touched.data)
         at = np.append(part.row, touched.row), np.append(part.col, touched.col)
         matrix = distributed(sparse.coo_matrix((entries, at), part.shape), structure.comm)
@@ -166,8 +166,8 @@ class BlockSystem(Snes):
 
     def slow_gap(self, unknown: np.ndarray) -> np.ndarray:
         """Return s of a vector, from this rank's rows: (2H+1, n_pairs) [m] (collective)."""
-        moved = self.structure.sum_over_ranks(self._seen_here @ unknown)
-        return self._still_gap + self.length * moved.reshape(self._still_gap.shape)
+        relative_gap = self.structure.sum_over_ranks(self._seen_here @ unknown)
+        return self._still_gap + self.length * relative_gap.reshape(self._still_gap.shape)
 
     def start(self, displacement: np.ndarray) -> np.ndarray:
         """This rank's rows of the vector of a displacement (collective)."""

@@ -105,8 +105,8 @@ def whole_file(path: str | Path, key: str = "path", *, new: bool = False) -> Ite
     InputError
         As of :func:`reported`.
     """
-    with contextlib.ExitStack() as alone:
-        files = _TOGETHER[-1] if _TOGETHER and not new else alone
+    with contextlib.ExitStack() as single_file:
+        files = _TOGETHER[-1] if _TOGETHER and not new else single_file
         files.enter_context(reported(path, key))
         partial = files.enter_context(_hidden(Path(path), new=new))
         with reported(path, key):

@@ -59,9 +59,10 @@ def unread_options() -> list[str]:
     """Return the options ``-crack_...`` of this program's arguments that PETSc has not read."""
     from petsc4py import PETSc
 
-    used, read = ctypes.c_int(), ctypes.CDLL(PETSc.__file__).PetscOptionsUsed
+    query, is_used = ctypes.CDLL(PETSc.__file__).PetscOptionsUsed, ctypes.c_int()
     names = [word for word in sys.argv[1:] if word.startswith("-crack_")]
-    return [name for name in names if read(None, name[1:].encode(), ctypes.byref(used)) or not used]
+    queries = (query(None, name[1:].encode(), ctypes.byref(is_used)) for name in names)
+    return [name for name, failed in zip(names, queries, strict=True) if failed or not is_used]
 
 
 def slepc() -> Any:

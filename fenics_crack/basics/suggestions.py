@@ -151,14 +151,14 @@ def fitting_argument(key: str, value: Any, annotation: str, kinds: Collection[st
     of none of them; which words are allowed each function says. Classes are compared by their
     names: no module is imported for that.
     """
-    wanted = list(dict.fromkeys(part.partition("[")[0] for part in annotation.split(" | ")))
+    class_names = list(dict.fromkeys(part.partition("[")[0] for part in annotation.split(" | ")))
     names = _kinds_of(value)
-    if {"str"} != {*wanted} <= {*kinds, *CLASS_WORDS} and names.isdisjoint(wanted):
-        if "Run" in names and not _kinds_of(value.result).isdisjoint(wanted):
+    if {"str"} != {*class_names} <= {*kinds, *CLASS_WORDS} and names.isdisjoint(class_names):
+        if "Run" in names and not _kinds_of(value.result).isdisjoint(class_names):
             return value.result
-        shown = value if isinstance(value, str | int | float | None) else type(value).__name__
-        words = (CLASS_WORDS.get(one) or f"a{'n' * (one[0] in 'AEIO')} {one}" for one in wanted)
-        raise InputError(key, shown, " or ".join(words))
+        is_plain = isinstance(value, str | int | float | None)
+        words = (CLASS_WORDS.get(n) or f"a{'n' * (n[0] in 'AEIO')} {n}" for n in class_names)
+        raise InputError(key, value if is_plain else type(value).__name__, " or ".join(words))
     return value
 
 

@@ -41,11 +41,12 @@ def serve(reader: str, line: socket.socket) -> None:
         line.send(str(os.waitstatus_to_exitcode(os.waitpid(copy, 0)[1])).encode())
 
 
-def limit(kind: int, most: int, beyond: int = 0) -> None:
-    """Set a limit of this process, and one ``beyond`` at which it is killed, up to its own."""
-    own = resource.getrlimit(kind)[1]
-    hard = most + beyond if own == resource.RLIM_INFINITY else min(own, most + beyond)
-    resource.setrlimit(kind, (min(most, max(hard - beyond, 1)), hard))
+def limit(kind: int, soft_limit: int, margin: int = 0) -> None:
+    """Set a soft limit of this process, and the hard one at which it is killed, up to its own."""
+    hard_limit, present_limit = soft_limit + margin, resource.getrlimit(kind)[1]
+    if present_limit != resource.RLIM_INFINITY:
+        hard_limit = min(hard_limit, present_limit)
+    resource.setrlimit(kind, (min(soft_limit, max(hard_limit - margin, 1)), hard_limit))
 
 
 def attempt(reader: str, handed: int, asked: dict) -> None:

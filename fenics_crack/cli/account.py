@@ -99,8 +99,8 @@ def of_error(
     finer, table = "more damping: H is at its limit", scene.harmonic_balance
     if table.tolerance is None:
         can_choose = table.samples is None and table.form != "block"
-        which = f": {DECIDES} chooses them" if can_choose else " (harmonic_balance.harmonics)"
-        finer = f"more harmonics{which}"
+        key_words = f": {DECIDES} chooses them" if can_choose else " (harmonic_balance.harmonics)"
+        finer = f"more harmonics{key_words}"
     elif harmonics < MOST_HARMONICS:
         finer = "a smaller harmonic_balance.tolerance"
     rigid = scene.contact is not None and scene.contact.law == "unilateral"

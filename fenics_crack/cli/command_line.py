@@ -112,8 +112,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _discard_output()
         return Exit.READER_GONE
     except Exception as error:
-        if "FromOptions()" in (said := str(error).rstrip()):  # of a value that PETSc does not know
-            reason = f"with values that PETSc knows ({said.rpartition('[0] ')[2]})"
+        if "FromOptions()" in (message := str(error).rstrip()):  # a value unknown to PETSc
+            reason = f"with values that PETSc knows ({message.rpartition('[0] ')[2]})"
             _explain([InputError("PETSc options", " ".join(_petsc_options()), reason)])
             return Exit.BAD_INPUT
         if shortage := _shortage(error):
@@ -246,9 +246,9 @@ def _run(given: argparse.Namespace) -> Exit:
             inputs = on_root(comm, lambda: read_inputs(given))
         pictures = vars(given).get("pictures", "png")
         console = Console(comm, given.format, given.quiet, given.verbose, pictures)
-        ended = _command(given, inputs, console) or Exit.DONE
+        exit_code = _command(given, inputs, console) or Exit.DONE
         console.warn(*map("PETSc option {}: no solver has read it".format, unread_options()))
-        return ended
+        return exit_code
 
 
 def _command(given: argparse.Namespace, inputs: Inputs | None, console: Console) -> Exit | None:
@@ -278,13 +278,14 @@ def _command(given: argparse.Namespace, inputs: Inputs | None, console: Console)
 class OrderRange(argparse.Action):
     """Changes ``tip_timing.orders`` to the whole numbers of a range."""
 
-    def __call__(self, _: Any, given: argparse.Namespace, ends: Any, option: Any = None) -> None:
+    def __call__(self, _: Any, words: argparse.Namespace, ends: Any, option: Any = None) -> None:
         """Called by argparse with the first order and the last one."""
-        first, last = ends
-        if not 1 <= first <= last <= HIGHEST_ORDER:
-            allowed = f"whole numbers, 1 <= FIRST <= LAST <= {HIGHEST_ORDER}"
-            raise InputError("--orders", ends, allowed)
-        given.set = [*given.set, f"tip_timing.orders={list(range(first, last + 1))}"]
+        first_order, last_order = ends
+        if not 1 <= first_order <= last_order <= HIGHEST_ORDER:
+            allowed_range = f"whole numbers, 1 <= FIRST <= LAST <= {HIGHEST_ORDER}"
+            raise InputError("--orders", ends, allowed_range)
+        orders = [*range(first_order, last_order + 1)]
+        words.set = [*words.set, f"tip_timing.orders={orders}"]
 
 
 def path(text: str) -> Path:

@@ -64,8 +64,8 @@ def _report(run: Run[Any], table: Table, **how: Any) -> Report:
     where watched nodes are away from their points, remarks, and the last sentence, also as a
     quantity where the table has those (collective)."""
     lines, turning = account.of_lines(run)
-    lacking = () if run.stated is None else run.stated.incomplete
-    how["notes"] = [*how.get("notes", ()), *lines, *_watched_away(run), *lacking]
+    incomplete_numbers = () if run.stated is None else run.stated.incomplete
+    how["notes"] = [*how.get("notes", ()), *lines, *_watched_away(run), *incomplete_numbers]
     how["warnings"] = [*how.get("warnings", ()), *turning]
     if table.columns[0] != "name":
         return Report(table, said_of(run), remarks=run.remarks, **how)
@@ -252,8 +252,10 @@ def _errors(run: Run[Any], name: str) -> tuple[float, str]:
         name = natural_name(run.scene, kind, int(mode))
     error, cause = run.stated.stated(name)
     percents = 100.0 * max(error, LEAST_ERROR) if error < np.inf else np.nan
-    lacking = ", ".join(run.stated.lacking(name)) if name in run.stated.values else ""
-    return float(f"{percents:.3g}"), f"{cause}; not included: {lacking}" if lacking else cause
+    missing_causes = run.stated.lacking(name) if name in run.stated.values else {}
+    if missing_causes:
+        cause += f"; not included: {', '.join(missing_causes)}"
+    return float(f"{percents:.3g}"), cause
 
 
 def _with_hertz(near: Mapping[str, np.ndarray]) -> Iterator[tuple[str, str, str, np.ndarray]]:

@@ -62,8 +62,8 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
         at_load = resonance_of(study, figures.omega_bilinear, figures.slopes)
     with console.stage("errors due to the mesh"):
         tied = {"tied": figures.omega_tied} if whole.n_pairs else {}
-        natural = {"open": figures.omega_open} | tied
-        by_mesh = errors_of_natural(study, natural, at_load, figures.slopes)
+        frequencies = {"open": figures.omega_open} | tied
+        by_mesh = errors_of_natural(study, frequencies, at_load, figures.slopes)
         mesh_error = 0.0 if scene.structure is not None else by_mesh.stated("vibration")[0]
         figures = replace(figures, at_load=replace(at_load, mesh_error=mesh_error))
     rows: dict[str, object] = {

@@ -43,7 +43,7 @@ from fenics_crack.motion.orbit import eigenvalues
 from fenics_crack.numerics.newton import PathPoint, point_on_path
 from fenics_crack.numerics.path import Crossing
 
-FOLLOWED = 8
+MAX_FOLLOWED_POINTS = 8
 """Points of a curve whose exact motion is followed. Each takes 0.05 to 0.5 s."""
 
 
@@ -102,13 +102,14 @@ def _growth_along(curve: ResponseCurve, is_open: np.ndarray) -> np.ndarray:
         In a period; between two irregular points geometric means, elsewhere nan.
     """
     growth, places = np.full(len(curve), np.nan), np.flatnonzero(is_open)
-    chosen = places[np.linspace(0, len(places) - 1, min(FOLLOWED, len(places))).astype(int)]
-    for place, known in zip(chosen.tolist(), curve.assessments(chosen.tolist()), strict=True):
-        if motion := known.irregular_motion:
+    n_followed = min(MAX_FOLLOWED_POINTS, len(places))
+    indices = places[np.linspace(0, len(places) - 1, n_followed).astype(int)].tolist()
+    for place, assessment in zip(indices, curve.assessments(indices), strict=True):
+        if motion := assessment.irregular_motion:
             growth[place] = motion.growth
-    for first, last in pairwise(chosen.tolist()):
-        if is_open[first : last + 1].all() and growth[first] * growth[last] > 0.0:
-            growth[first : last + 1] = np.geomspace(growth[first], growth[last], last + 1 - first)
+    for start, end in pairwise(indices):
+        if is_open[start : end + 1].all() and growth[start] * growth[end] > 0.0:
+            growth[start : end + 1] = np.geomspace(growth[start], growth[end], end + 1 - start)
     return growth
 
 

@@ -328,9 +328,11 @@ def check_law(structure: Structure, contact: Any, *, rigid: bool = False) -> Non
     :class:`UnilateralConstraint` is one only with ``rigid``.
     """
     members = ("stiffness", "force", "tangent", "scaled")
-    missing = [name for name in members if isinstance(contact, type) or not hasattr(contact, name)]
-    if missing or (is_rigid(contact) and not rigid):
-        lacks = f", with {', '.join(missing)}, which it lacks" if missing else ""
+    lacks_all = isinstance(contact, type)
+    absent_members = [name for name in members if lacks_all or not hasattr(contact, name)]
+    if absent_members or (is_rigid(contact) and not rigid):
+        names = ", ".join(absent_members)
+        lacks = f", with {names}, which it lacks" if names else ""
         raise InputError("contact", contact, f"a contact law such as UnilateralPenalty(1e9){lacks}")
     stiffness = np.asarray(contact.stiffness, dtype=np.float64)
     if stiffness.shape not in ((), (structure.n_pairs,)):

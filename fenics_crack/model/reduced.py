@@ -321,5 +321,5 @@ def _inverse_root(compliance: np.ndarray) -> np.ndarray:
     size = np.sqrt(np.maximum(np.diag(compliance), 0.0))
     scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0)
     values, vectors = np.linalg.eigh(scale[:, None] * compliance * scale)
-    kept = values > NEGLIGIBLE * values.max(initial=0.0)
-    return np.asarray(scale[:, None] * vectors[:, kept] / np.sqrt(values[kept]))
+    is_kept = values > NEGLIGIBLE * values.max(initial=0.0)
+    return np.asarray(scale[:, None] * vectors[:, is_kept] / np.sqrt(values[is_kept]))

@@ -131,18 +131,19 @@ def irregular_motion(
     """
     begin("growth of a disturbance of the exact motion")
     period, weights = 2.0 * np.pi * subharmonic / omega, flow.weights(omega / subharmonic)
-    change, left, logs = np.random.default_rng(1).normal(size=flow.size) / weights, PIECES, [0.0]
+    change = np.random.default_rng(1).normal(size=flow.size) / weights
+    piece_budget, logs = PIECES, [0.0]
     with suppress(ConvergenceError):  # also at the end of its budget
         for _ in range(PERIODS):
-            motion = flow.advance(state, omega, period, budget=Budget(pieces=left))
+            motion = flow.advance(state, omega, period, budget=Budget(pieces=piece_budget))
             change = motion.track @ (change / np.linalg.norm(weights * change))
-            state, left = motion.state, left - motion.pieces
+            state, piece_budget = motion.state, piece_budget - motion.pieces
             logs.append(logs[-1] + math.log(np.linalg.norm(weights * change)))
-    first = len(logs) // 3
-    grown = logs[-1] - logs[first]
-    if not grown > math.log(IRREGULAR_GROWTH):  # nan neither
+    start_index = len(logs) // 3
+    log_growth = logs[-1] - logs[start_index]
+    if not log_growth > math.log(IRREGULAR_GROWTH):  # nan neither
         return None
-    growth = math.exp(grown / (len(logs) - 1 - first))
+    growth = math.exp(log_growth / (len(logs) - 1 - start_index))
     orbits = FlowOrbits(flow, omega, state, subharmonic)
     return Attractor(
         None,

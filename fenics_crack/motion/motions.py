@@ -173,8 +173,8 @@ class Record:
     def pairs_of_cracks(self) -> np.ndarray:
         """True for the pairs of each crack: (n_pairs, n_cracks)."""
         cracks = self.structure.pairs.cracks
-        every = np.zeros(self.n_pairs, dtype=int) if cracks is None else cracks
-        return every[:, None] == np.unique(every)
+        crack_numbers = np.zeros(self.n_pairs, dtype=int) if cracks is None else cracks
+        return crack_numbers[:, None] == np.unique(crack_numbers)
 
     @cached_property
     def tops(self) -> np.ndarray:

@@ -446,8 +446,8 @@ class Rotation(Table):
         shapes.
         """
         axis = np.array(self.axis or (1.0, 0.0, 0.0))
-        below = middle[0], -(self.hub_radius or 0.0), middle[2]
-        return np.array(self.center or below), axis / np.linalg.norm(axis)
+        axis_point = middle[0], -(self.hub_radius or 0.0), middle[2]
+        return np.array(self.center or axis_point), axis / np.linalg.norm(axis)
 
 
 @dataclass(frozen=True)

@@ -97,8 +97,8 @@ class _Prepared:
         n_dofs, n_pairs, n_watched = self.n_dofs, self.clearance.size, self.dofs.size
         n_sources, n_modes = self.modal.shape
         n_nodes, dimension = (0, 2) if self.points is None else self.points.shape
-        given = vars(self) | {f"pairs.{name}": value for name, value in vars(self.pairs).items()}
-        arrays = {name: value for name, value in given.items() if isinstance(value, np.ndarray)}
+        fields = vars(self) | {f"pairs.{name}": value for name, value in vars(self.pairs).items()}
+        arrays = {name: value for name, value in fields.items() if isinstance(value, np.ndarray)}
         shapes = {
             "squares": (n_modes,), "compliance": (n_sources, n_sources), "dofs": (n_watched,),
             "shapes": (n_watched, n_modes), "static": (n_watched, n_sources), "cells": (-1, -1),
@@ -112,30 +112,30 @@ class _Prepared:
             "dofs": (0, n_dofs), "watched_dof": (0, n_dofs), "node_dofs": (-1, n_dofs),
             "cells": (0, n_nodes), "pairs.cracks": (0, n_pairs), "pairs.places": (0, n_pairs),
         }  # fmt: skip
-        indices = given | {"pairs.places": [*self.pairs.places.values()]}
+        indices = fields | {"pairs.places": [*self.pairs.places.values()]}
         ends = {"gap": n_pairs, "tangential": n_pairs, "force": n_parts}
         for name in ends.keys() & arrays.keys():
             indices |= {f"{name} rows": arrays[name][0], f"{name} columns": arrays[name][1]}
             ranges |= {f"{name} rows": (0, n_dofs), f"{name} columns": (0, ends[name])}
-        wrong = [name for name, value in arrays.items() if not np.all(np.isfinite(value))]
-        wrong += [
+        bad_names = [name for name, value in arrays.items() if not np.all(np.isfinite(value))]
+        bad_names += [
             name
-            for name, (first, end) in ranges.items()
+            for name, (start, end) in ranges.items()
             if (values := indices[name]) is not None
-            and not np.all((np.round(values) == values) & np.less_equal(first, values)
+            and not np.all((np.round(values) == values) & np.less_equal(start, values)
                            & np.less(values, end))
         ]  # fmt: skip
         n_free = n_dofs if self.node_dofs is None else np.count_nonzero(self.node_dofs >= 0)
-        most = max(MIN_LOAD_BYTES, LOAD_RATIO * sum(value.nbytes for value in arrays.values()))
-        if n_free != n_dofs or 8 * n_parts * n_dofs > most:
-            wrong.append("n_dofs")
+        n_bytes = sum(value.nbytes for value in arrays.values())
+        if n_free != n_dofs or 8 * n_parts * n_dofs > max(MIN_LOAD_BYTES, LOAD_RATIO * n_bytes):
+            bad_names.append("n_dofs")
         n_contacts = n_pairs * (1 if self.tangential is None else 2)
         if n_contacts + len(np.unique(self.force[1])) != n_sources:
-            wrong.append("modal")
+            bad_names.append("modal")
         if np.any(self.squares < 0.0):
-            wrong.append("squares")
-        if wrong:
-            raise ValueError(f"its {wrong[0]} does not fit")
+            bad_names.append("squares")
+        if bad_names:
+            raise ValueError(f"its {bad_names[0]} does not fit")
 
     def structure(self, scene: Scene, weights: np.ndarray, comm: MPI.Comm) -> Structure:
         """The structure in the setting of a scene, its load's rows weighted (collective)."""

@@ -567,22 +567,22 @@ def _clamp(_: float, scene: Scene, structure: Structure) -> tuple[float, float] 
     return abs(off) / float(np.ptp(points, axis=0).max()), off
 
 
-def _bent(_: object, scene: Scene, structure: Structure) -> tuple[float, float] | None:
+def _clamp_bending(_: object, scene: Scene, structure: Structure) -> tuple[float, float] | None:
     """Return the bending stress in a solid's clamp, as of a rectangle, of an axis that is not below
     its middle: over the direct stress of the centrifugal force, and in MPa."""
     nodes, rotation, clamp = structure.nodes, structure.rotation, structure.clamp
     if nodes is None or rotation is None or clamp is None or scene.dimension == 2 or scene.disk:
         return None
-    clamped, (point, axis) = np.all(nodes.dofs < 0, axis=1), scene.axis
-    sides = np.ptp(gather_rows(structure.comm, nodes.points[clamped]), axis=0)
-    normal, rows = int(sides.argmin()), nodes.dofs[~clamped] - structure.first_dof
-    across = (np.eye(3) - np.outer(axis, axis)) @ (clamp.center - point)
-    offset = np.where(np.arange(3) == normal, 0.0, across)
+    is_clamped, (point, axis) = np.all(nodes.dofs < 0, axis=1), scene.axis
+    sides = np.ptp(gather_rows(structure.comm, nodes.points[is_clamped]), axis=0)
+    normal, rows = int(sides.argmin()), nodes.dofs[~is_clamped] - structure.first_dof
+    axis_offset = (np.eye(3) - np.outer(axis, axis)) @ (clamp.center - point)
+    offset = np.where(np.arange(3) == normal, 0.0, axis_offset)
     parts = [rotation.force[rows].sum(axis=0), (clamp.inertia[3:, rows] @ offset).sum(axis=1)]
     force, moment = rotation.speed**2 * structure.sum_over_ranks(np.stack(parts))
-    first, second = np.delete(sides, normal)
-    bending = 6.0 * (np.abs(np.delete(moment, normal)) @ [1.0 / second, 1.0 / first])
-    return bending / float(np.linalg.norm(force)), 1e-6 * bending / (first * second)
+    first_side, second_side = np.delete(sides, normal)
+    bending = 6.0 * (np.abs(np.delete(moment, normal)) @ [1.0 / second_side, 1.0 / first_side])
+    return bending / float(np.linalg.norm(force)), 1e-6 * bending / (first_side * second_side)
 
 
 def _coriolis(_: float, scene: Scene, structure: Structure) -> float | None:
@@ -719,7 +719,7 @@ OF_STRUCTURE = (
           "y = {1:.4g} m", _clamp),
     Usual("rotation.hub_radius rotation.center", 0.0, 0.2, "the axis is not below the middle of "
           "the clamp: so the centrifugal force bends the blade, by about {1:.3g} MPa at the clamp, "
-          "{0:.2g} of its direct stress", _bent),
+          "{0:.2g} of its direct stress", _clamp_bending),
 )  # fmt: skip
 OF_FIGURES = (
     Usual("excitation.omega", 1.0, 0.0, OF_FIRST + "Hz? then use excitation.frequency",

@@ -225,7 +225,7 @@ ESTIMATED = ("harmonics", "modes")
 CAUSES = (*MESH_CAUSES, "modes", "harmonics", "friction", "samples")
 BY_CHOICE = ("mesh", "friction")
 """Causes that contribute an unknown part where they are not varied."""
-LACKING = {"friction": "that at the crack tip itself is not known"}
+MISSING_PART_REASONS = {"friction": "that at the crack tip itself is not known"}
 """Reason why a number has no part of a cause that was varied."""
 DOUBTS = {
     "outside": "the observed order is not that of theory, the factor of safety is 3",
@@ -328,7 +328,7 @@ class Verification(Saved):
     def lacking(self, quantity: str) -> dict[str, str]:
         """Return the causes that were varied without a part for a quantity, and why."""
         return {
-            cause: LACKING.get(cause, "the other run has no such number")
+            cause: MISSING_PART_REASONS.get(cause, "the other run has no such number")
             for cause, parts in self.parts.items()
             if quantity not in parts
         }
@@ -348,8 +348,8 @@ class Verification(Saved):
     def extrapolated(self, quantity: str) -> float:
         """The value with the corrections by all causes from which one is extrapolated."""
         own = self.values[quantity]
-        having = (parts for parts in self.parts.values() if quantity in parts)
-        found = (parts[quantity].extrapolated for parts in having)
+        parts_with_quantity = (parts for parts in self.parts.values() if quantity in parts)
+        found = (parts[quantity].extrapolated for parts in parts_with_quantity)
         return own + sum(value - own for value in found if math.isfinite(value))
 
     def relative(self, quantity: str, error: float) -> float:

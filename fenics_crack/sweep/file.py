@@ -105,7 +105,7 @@ WAVES = {"gap": "m", "force": "N"}
 """Coefficients kept of a case that converged, and their units."""
 WAVES_CHECKSUM, CHECKSUM = "waves_checksum", "checksum"
 """Columns: CRC-32 of the waves of a case; and of all its columns and its state, never 0."""
-NEEDED = {"state", WAVES_CHECKSUM, CHECKSUM, "harmonics"}
+REQUIRED_COLUMNS = {"state", WAVES_CHECKSUM, CHECKSUM, "harmonics"}
 """Columns without which no file is read; others may be missing in those of earlier versions."""
 BLANKS: dict[str, Any] = {"f": np.nan, "i": 0, "S": b""}
 """Value of a case without one, by the kind of the type."""
@@ -383,13 +383,14 @@ def opened(path: Path) -> store.Stored:
     scene = stored.scene()
     if scene is None or scene.sweep is None:
         raise stored.refused("a sweep with its scene")
-    total, kept = 0, _kept(scene)
-    for name in sorted(kept.keys() & (stored.columns.keys() | NEEDED)):
+    total, column_formats = 0, _kept(scene)
+    for name in sorted(column_formats.keys() & (stored.columns.keys() | REQUIRED_COLUMNS)):
         column = stored.columns.get(name)
         if column is None:
             allowed = f"a sweep with a column {name!r}: this one is of an older version"
             raise stored.refused(f"{allowed}; solve it anew in another folder")
-        if column.shape != scene.given("sweep").shape or column.dtype != np.dtype(kept[name][1]):
+        column_type = np.dtype(column_formats[name][1])
+        if column.shape != scene.given("sweep").shape or column.dtype != column_type:
             raise stored.refused("a whole sweep")
         total += column.size
     if total > MOST_BYTES:

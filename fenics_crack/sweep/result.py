@@ -266,12 +266,6 @@ class SweepResult(Tabular):
         return self.converged & (self.errors.sum(axis=0) > LARGE_ERROR)
 
     @property
-    def missed(self) -> np.ndarray:
-        """Cases whose error is unknown, or above the tolerance that the scene requests."""
-        limit = min(UNKNOWN, self.scene.harmonic_balance.tolerance or UNKNOWN)
-        return self.converged & (self.errors.sum(axis=0) >= limit)
-
-    @property
     def not_stable(self) -> np.ndarray:
         """Cases that are unstable, irregular or undecided, likewise."""
         return np.isin(self["verdict"], NOT_STABLE)

@@ -71,7 +71,7 @@ def test_stable_motion_is_not_irregular() -> None:
 
 def test_curve(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its points between two that are followed, its file, and its pictures."""
-    monkeypatch.setattr("fenics_crack.curves.verdicts.FOLLOWED", 2)
+    monkeypatch.setattr("fenics_crack.curves.verdicts.MAX_FOLLOWED_POINTS", 2)
     whole = fc.continue_frequency(plate(), 5000.0, 5010.0, LAW, harmonics=5)
     curve = fc.judge_curve(whole.part(slice(5)))
     assert set(curve.verdicts) == {"irregular"} and not curve.stable.any()
