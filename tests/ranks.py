@@ -5,6 +5,8 @@ Between two functions a rank waits at a socket: waiting in MPI would keep a proc
 
 from __future__ import annotations
 
+import contextlib
+import io
 import os
 import pickle
 import shutil
@@ -20,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from surroundings import MPI_ENVIRONMENT, ROOT
+from surroundings import MPI_ENVIRONMENT, ROOT, main
 
 LIMIT = 900.0
 """Wall-clock seconds after which a process that tests start counts as hanging: each takes seconds
@@ -81,6 +83,14 @@ def is_running(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
         return False
+
+
+def run_program(words: list[str], comm: Any) -> tuple[list[int], list[str]]:
+    """Exit codes of the program, by rank, and the lines of errors of all ranks (collective)."""
+    errors = io.StringIO()
+    with contextlib.redirect_stderr(errors):
+        codes = comm.allgather(int(main(words)))
+    return codes, "".join(comm.allgather(errors.getvalue())).splitlines()
 
 
 class Ranks:

@@ -14,7 +14,7 @@ import shutil
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import DEMOS, ROOT, two_masses
-from ranks import LIMIT
+from ranks import LIMIT, run_program
 from surroundings import main
 
 import fenics_crack as fc
@@ -386,6 +386,32 @@ def test_full_disk(
     assert {file.name for file in tmp_path.iterdir()} - {"before"} == {*COMMANDS[command]}
     assert all((tmp_path / name).read_text() == "before" for name in COMMANDS[command])
     assert main(words) == 0
+    assert all((tmp_path / name).stat().st_size > 100 for name in COMMANDS[command])
+
+
+def run_without_room(words: list[str], comm: Any) -> tuple[list[int], list[str]]:
+    """Exit codes and lines of the program where files have room for 100 bytes (collective)."""
+    with room_for(100):
+        return run_program(words, comm)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("command", ["solve", "sweep"])
+def test_full_disk_on_two_ranks(
+    command: str, tmp_path: Path, on_ranks: Callable[..., Any]
+) -> None:
+    """One line of both; no file of a result without the others."""
+    words = [command, str(DEMOS / "chain.toml"), *SMALL, "--output", str(tmp_path)]
+    for name in COMMANDS[command]:
+        (tmp_path / name).write_text("before")
+    codes, lines = on_ranks(run_without_room, words)
+    assert codes == [1, 1] and len(lines) == 1, lines
+    assert re.search(r"= '/.*\.(h5|json)': must be a file that can be written \(.", lines[0])
+    left = {file.name for file in tmp_path.iterdir()} - {"before"}
+    assert left == {*COMMANDS[command]}
+    assert all((tmp_path / name).read_text() == "before" for name in COMMANDS[command])
+    codes, lines = on_ranks(run_program, words)
+    assert codes == [0, 0], lines
     assert all((tmp_path / name).stat().st_size > 100 for name in COMMANDS[command])
 
 
