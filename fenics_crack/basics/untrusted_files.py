@@ -237,12 +237,22 @@ def _lines_of(file: TextIO, most: int) -> Iterator[str]:
         yield line
 
 
-def run_reader(reader: Path, path: Path, seconds: int) -> dict[str, np.ndarray] | str:
-    """Let a program of its own (:mod:`fenics_crack.basics.untrusted_reader`) read a file in so much
-    processor time; return its arrays, or why there are none: its array ``error``."""
+def run_reader(
+    reader: Path, path: Path, seconds: int, memory: int = 2**30
+) -> dict[str, np.ndarray] | str:
+    """Let a program of its own read a file (:mod:`fenics_crack.basics.untrusted_reader`).
+
+    Its processor time [s] and its address space [bytes] are limited: ``memory``, and four times
+    what its arrays may take.
+
+    Returns
+    -------
+    dict or str
+        The arrays; or why there are none, their array ``error``.
+    """
     most = allowance(bytes_of(path, None))
     asked = {"folder": os.getcwd(), "path": str(path), "seconds": seconds, "wait": 4 * seconds}
-    asked |= {"most": most, "memory": 2**30 + 4 * most}  # gmsh and h5py need a quarter of 1 GiB
+    asked |= {"most": most, "memory": memory + 4 * most}  # gmsh needs 0.2 GiB, h5py half of it
     with os.fdopen(os.memfd_create("numbers"), "w+b") as handed:  # a disk may be full
         ended = _asked(reader, json.dumps(asked).encode(), handed.fileno())
         if ended in (-signal.SIGXCPU, -signal.SIGALRM):

@@ -307,7 +307,7 @@ def _read(path: Path) -> Stored:
         if beginning_of(path, len(SIGNATURE)) != SIGNATURE:  # where it may also begin later
             raise refusal("it does not begin as HDF5 files do")
         seconds = 5 + size // 10**7  # of processor time: any file is read at 10 MB/s and more
-        found = run_reader(Path(__file__).with_name("h5_reader.py"), path, seconds)
+        found = run_reader(Path(__file__).with_name("h5_reader.py"), path, seconds, 2**28 + 2**27)
     except FileNotFoundError:
         raise InputError("path", str(path), "a file that exists") from None
     except OSError as error:

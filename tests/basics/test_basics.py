@@ -397,9 +397,7 @@ def run_without_room(words: list[str], comm: Any) -> tuple[list[int], list[str]]
 
 @pytest.mark.mpi
 @pytest.mark.parametrize("command", ["solve", "sweep"])
-def test_full_disk_on_two_ranks(
-    command: str, tmp_path: Path, on_ranks: Callable[..., Any]
-) -> None:
+def test_full_disk_on_two_ranks(command: str, tmp_path: Path, on_ranks: Callable[..., Any]) -> None:
     """One line of both; no file of a result without the others."""
     words = [command, str(DEMOS / "chain.toml"), *SMALL, "--output", str(tmp_path)]
     for name in COMMANDS[command]:

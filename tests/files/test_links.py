@@ -132,8 +132,9 @@ def test_no_old_file_is_opened(kind: str, tmp_path: Path) -> None:
         f"print(test_links.commands({kind!r}, Path({str(traced)!r}))(Path({str(output)!r})))"
     )
     folders = os.pathsep.join([str(Path(__file__).parent), str(ROOT / "tests"), str(ROOT)])
+    tracer = ["strace", "-f", "--seccomp-bpf", "-qq", "-e", TRACE, "-o", str(log)]
     done = subprocess.run(
-        ["strace", "-f", "--seccomp-bpf", "-qq", "-e", TRACE, "-o", str(log), sys.executable, "-c", source],
+        [*tracer, sys.executable, "-c", source],
         capture_output=True, text=True, check=False, env=no_rank() | {"PYTHONPATH": folders},
     )  # fmt: skip
     assert done.returncode == 0 and done.stdout.splitlines()[-1] == str(codes), done.stderr

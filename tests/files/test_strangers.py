@@ -186,6 +186,10 @@ def bomb(file: h5py.File) -> None:
         new.id.write_direct_chunk((start,), piece)
 
 
+def long_words(file: h5py.File) -> None:
+    file.create_dataset("new", (10_000,), h5py.string_dtype(), fillvalue="x" * 60_000, chunks=(10,))
+
+
 def large_pieces(file: h5py.File) -> None:
     file.create_dataset("new", (1,), "f8", chunks=(10**8,), maxshape=(None,))
 
@@ -217,7 +221,7 @@ def many(file: h5py.File) -> None:
         (soft_link, "is a link"), (external_link, "is a link"),
         (external_storage, "another file"), (virtual, "another file"),
         (long, "would take more"), (rather_long, "would take more"), (bomb, "would take more"),
-        (large_pieces, "pieces"), (unknown_filter, "packed"), (group, "no dataset"),
+        (long_words, "[Mm]emory"), (large_pieces, "pieces"), (unknown_filter, "packed"), (group, "no dataset"),
         (pairs, "neither numbers nor words"), (number, "no text"), (many, "parts"),
     ],
 )  # fmt: skip
@@ -328,6 +332,8 @@ def test_readers_know_no_rank_and_end(home: Path, monkeypatch: pytest.MonkeyPatc
     assert run_reader(program, program, 1) == "it is not read in 1 s"
     program.write_text(f"{start}return {{'zeros': np.ones(2**33)}}")
     assert "allocate" in str(run_reader(program, program, int(LIMIT)))
+    program.write_text(f"{start}np.ones(2**25)")
+    assert "allocate" in str(run_reader(program, program, int(LIMIT), 2**28))
     program.write_text(f"{start}os._exit(0)")
     assert run_reader(program, program, int(LIMIT)) == "its reader has handed over nothing"
     program.write_text(f"{start}os.abort()")
