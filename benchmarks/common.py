@@ -201,6 +201,15 @@ def oscillator(force: float = 0.1, damping: float = 0.02) -> fc.Structure:
     )
 
 
+def two_masses() -> fc.Structure:
+    """Two masses of 1 kg, a load on one, and for the other a stop at a distance of 1 m."""
+    stiffness = np.array([[1.0, -1.0], [-1.0, 2.0]])
+    return fc.Structure.from_matrices(
+        np.eye(2), stiffness, gap=[1.0, 0.0], force_cos=[0.0, 0.1], damping=0.03 * stiffness,
+        clearance=1.0,
+    )  # fmt: skip
+
+
 def chain(count: int) -> np.ndarray:
     """Stiffness of masses in a chain between two walls, on springs of 1 N/m."""
     return 2.0 * np.eye(count) - np.eye(count, k=1) - np.eye(count, k=-1)

@@ -74,7 +74,7 @@ from fenics_crack.files import store
 
 SECONDS, BYTES = 60.0, 2 * 2**30
 QUICK = {"wheels": 20.0, "calls": 20.0, "names": 20.0, "files": 10.0}
-SMALL = {"files": 500 * 10**6}
+PART_MEMORY = {"files": 500 * 10**6}
 """Processor time of a case, of these parts less [s]; memory, of these less [bytes]."""
 WRONG = ("RAW", "DEATH", "TOO LONG", "TOO LARGE")
 CODES = {0: "done", 2: "refused", 3: "not converged", 4: "above the tolerance"}
@@ -603,8 +603,8 @@ def make_base(folder: Path) -> None:
         call(["timing", str(folder / "plate.toml"), str(solution), "--output", str(folder)])[0] == 0
     )
     massless = {"reduction.method": "massless", "reduction.modes": 4, "mesh.order": 2}
-    prepared = fc.prepare(fc.Scene.load(folder / "plate.toml").replace(massless))
-    fc.save_prepared(prepared, folder / "prepared.h5")
+    prepared_plate = fc.prepare(fc.Scene.load(folder / "plate.toml").replace(massless))
+    fc.save_prepared(prepared_plate, folder / "prepared.h5")
     (folder / COMPLETE).touch()
 
 
@@ -946,14 +946,9 @@ CONSTRUCTORS = (
 
 
 @functools.cache
-def right_values() -> dict[str, Any]:
+def argument_values() -> dict[str, Any]:
     """Values that fit arguments by their names, of a small structure."""
-    stiffness = np.array([[2.0, -1.0], [-1.0, 1.0]])
-    structure = fc.Structure.from_matrices(
-        np.eye(2), stiffness, gap=[1.0, 0.0], force_cos=[0.0, 0.1], damping=0.1 * stiffness,
-        clearance=0.01,
-    )  # fmt: skip
-    law = fc.UnilateralPenalty(5.0)
+    structure, law = common.two_masses(), fc.UnilateralPenalty(5.0)
     solution = fc.solve_harmonic_balance(structure, 0.7, law)
     curve = fc.continue_frequency(structure, 0.5, 0.52, law, harmonics=3)
     scene = fc.Scene.from_text(PLATE)
@@ -969,7 +964,7 @@ def right_values() -> dict[str, Any]:
         "path": Path(folder) / "file", "folder": Path(folder), "arrivals": arrivals, "time": time,
         "marks": marks, "probes": [0.1, 3.0], "tip_radius": 0.5, "harmonics": 3, "laws": {"a": law},
         "closing": np.linspace(-1.0, 1.0, 5), "x": np.arange(3.0), "y": np.arange(2.0),
-        "result": solution, "tables": {}, "text": PLATE, "mass": np.eye(2), "stiffness": stiffness,
+        "result": solution, "tables": {}, "text": PLATE, "mass": np.eye(2), "stiffness": np.eye(2),
         "gap": [1.0, 0.0], "ratio": 0.1, "ratios": [0.1, 0.2], "omegas": [1.0, 2.0], "low": 0.1,
         "high": 0.5, "speeds": [0.0, 10.0], "speed": 3.0, "order": 1, "tip": 0, "stop": 0.9,
         "blades": {1: arrivals}, "sizes": [4.0, 2.0, 1.0], "quantity": "frequency_open",
@@ -985,24 +980,30 @@ def public_call(rng: random.Random, folder: Path) -> tuple[str, Callable[[], obj
     functions = [name for name in fc.__all__ if not isinstance(getattr(fc, name), type)]
     name = rng.choice([*functions, *METHODS, *CONSTRUCTORS])
     function = functools.reduce(getattr, name.split("."), fc)
-    known, given, required = right_values(), {}, []
+    fitting_values, arguments, parameter_names = argument_values(), {}, []
     for parameter in inspect.signature(function).parameters.values():
         if parameter.kind in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL):
             continue
-        required.append(parameter.name)
-        if parameter.name in known and parameter.default is parameter.empty:
-            given[parameter.name] = known[parameter.name]
+        parameter_names.append(parameter.name)
+        if parameter.name in fitting_values and parameter.default is parameter.empty:
+            arguments[parameter.name] = fitting_values[parameter.name]
         elif parameter.default is parameter.empty:
-            given[parameter.name] = rng.choice(ODD)
+            arguments[parameter.name] = rng.choice(ODD)
     if "draw_" in name:
-        required.append("path")
-    odd = rng.sample(required, min(len(required), rng.choice([1, 1, 2])))
-    given |= {one: rng.choice(ODD) for one in odd if one != "comm" or rng.random() < 0.3}
+        parameter_names.append("path")
+    damaged_names = rng.sample(parameter_names, min(len(parameter_names), rng.choice([1, 1, 2])))
+    arguments |= {
+        parameter_name: rng.choice(ODD)
+        for parameter_name in damaged_names
+        if parameter_name != "comm" or rng.random() < 0.3
+    }
 
     def attempt() -> object:
-        return function(**given)
+        return function(**arguments)
 
-    words = ", ".join(f"{key}={value!r}"[:40] for key, value in given.items() if key in odd)
+    words = ", ".join(
+        f"{key}={value!r}"[:40] for key, value in arguments.items() if key in damaged_names
+    )
     return f"{name}({words})", attempt
 
 
@@ -1077,19 +1078,20 @@ def outcome_of(code: int, errors: str, noise: str) -> tuple[str, str]:
     return CODES[code], last if code else ""
 
 
-def read_prepared(path: Path) -> object:
+def solve_prepared(path: Path) -> object:
     """Solve a prepared structure."""
     return fc.solve(fc.load_prepared(path))
 
 
 def read_sweep(path: Path) -> object:
     """Read a sweep, its table and the waves of its cases."""
-    found = fc.SweepResult.load(path)
-    return found.table(), [found.gap(tuple(at)) for at in np.argwhere(found.converged).tolist()]
+    sweep = fc.SweepResult.load(path)
+    case_indices = np.argwhere(sweep.converged).tolist()
+    return sweep.table(), [sweep.gap(tuple(case_index)) for case_index in case_indices]
 
 
 STORED: dict[str, Callable[[Path], object]] = {
-    "prepared.h5": read_prepared, "plate/sweep.h5": read_sweep, "timing.h5": fc.Timing.load,
+    "prepared.h5": solve_prepared, "plate/sweep.h5": read_sweep, "timing.h5": fc.Timing.load,
 }  # fmt: skip
 """Files that results are read from, and what reads them."""
 
@@ -1154,7 +1156,7 @@ def work(connection: Connection, base: Path, folder: Path) -> None:
             key = expected(FORMS[case % len(FORMS)])
             if not (key and message.startswith(f"fenics-crack: {key}")):
                 outcome = "RAW"
-        if outcome not in WRONG and peak > SMALL.get(part, BYTES):
+        if outcome not in WRONG and peak > PART_MEMORY.get(part, BYTES):
             outcome = "TOO LARGE"
         if outcome not in WRONG and seconds > QUICK.get(part, SECONDS):
             outcome = "TOO LONG"

@@ -342,12 +342,7 @@ def next_to_resonance(quick: bool) -> Iterator[Case]:
 
 def two_orbits(quick: bool) -> Iterator[Case]:
     """Two masses and a stop: an orbit that touches it, and one that does not."""
-    stiffness_ = np.array([[1.0, -1.0], [-1.0, 2.0]])
-    structure = fc.Structure.from_matrices(
-        np.eye(2), stiffness_, gap=[1.0, 0.0], force_cos=[0.0, 0.1], damping=0.03 * stiffness_,
-        clearance=1.0,
-    )  # fmt: skip
-    law = fc.UnilateralPenalty(100.0)
+    structure, law = common.two_masses(), fc.UnilateralPenalty(100.0)
     curve = fc.continue_frequency(structure, 0.6, 0.9, law, harmonics=41)
     passes = np.flatnonzero((curve.omega[:-1] - 0.7) * (curve.omega[1:] - 0.7) < 0.0)
     for number, index in enumerate(passes):

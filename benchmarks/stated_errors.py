@@ -252,8 +252,8 @@ def main() -> None:
     answers |= {"wheels": run_wheels, "friction_modes": run_friction_modes}
     answers |= {"plate_modes": run_plate_modes, "half": run_half}
     parts = {"mesh": run_mesh, "boxes": run_boxes, "harmonics": run_harmonics, "modes": run_modes}
-    seeded = "of wheels, friction_modes, plate_modes, half"
-    seed = {"type": int, "default": RANDOM_SEED, "help": seeded}
+    seed_help = "of wheels, friction_modes, plate_modes, half"
+    seed = {"type": int, "default": RANDOM_SEED, "help": seed_help}
     common.run(__doc__, answers | parts, seed=seed)
 
 
@@ -461,13 +461,14 @@ def by_mesh_alone(
     assert errors is not None
     if "mesh" in errors.unknown:
         raise fc.ConvergenceError(errors.left_out)
-    values, finer_values = solutions
+    values, reference_values = solutions
     rows = {}
     for quantity, value in values.items():
-        natural = quantity.startswith(("frequency", "omega"))
-        if quantity.endswith(OF_HALF) or (natural and quantity.endswith(f"_{mode}")):
-            stated = errors.contributions(quantity)["mesh"] / abs(value)
-            rows[quantity] = value, abs(finer_values[quantity] / value - 1.0), stated, "mesh"
+        is_natural = quantity.startswith(("frequency", "omega"))
+        if quantity.endswith(OF_HALF) or (is_natural and quantity.endswith(f"_{mode}")):
+            stated_error = errors.contributions(quantity)["mesh"] / abs(value)
+            true_error = abs(reference_values[quantity] / value - 1.0)
+            rows[quantity] = value, true_error, stated_error, "mesh"
     return rows
 
 
@@ -591,8 +592,8 @@ def plate_at_half(rng: np.random.Generator) -> fc.Scene:
         "contact.friction_error": False, "crack.length": rng.uniform(0.015, 0.055),
         "crack.height": rng.uniform(0.05, 0.25), "damping.ratio": 10.0 ** rng.uniform(-2.7, -1.7),
     })  # fmt: skip
-    natural = fc.bilinear_frequencies(fc.prepare(scene).structure).frequency_bilinear
-    return scene.replace({"excitation.frequency": 0.5 * float(natural[0])})
+    natural_frequencies = fc.bilinear_frequencies(fc.prepare(scene).structure).frequency_bilinear
+    return scene.replace({"excitation.frequency": 0.5 * float(natural_frequencies[0])})
 
 
 def run_half(arguments: common.Arguments) -> None:
@@ -608,11 +609,13 @@ def run_half(arguments: common.Arguments) -> None:
         common.save_table(arguments.folder / "stated_errors_half.csv", "half", ANSWERED, rows)
     for kind in (*OF_HALF, "frequency"):
         shares = np.array([row[5] for row in rows if kind in row[1]])
-        low = [row for row in rows if kind in row[1] and max(row[5], np.nan_to_num(row[7])) < LOW]
+        overstated_rows = [
+            row for row in rows if kind in row[1] and max(row[5], np.nan_to_num(row[7])) < LOW
+        ]
         print(
             f"{kind}: above {HALF_MEANT}: {np.sum(shares > HALF_MEANT)} of {len(shares)}; median "
             f"{np.median(shares):.2f}, largest {shares.max():.2f}; below {LOW}, within 2 %, too: "
-            f"{len(low)}"
+            f"{len(overstated_rows)}"
         )
 
 
@@ -727,8 +730,8 @@ def tell_modes(rows: list[common.Row]) -> None:
     of_kinds: dict[str, list[common.Row]] = {"all": rows}
     for row in rows:
         of_kinds.setdefault(row[1].rpartition(".")[2].rstrip("_123456789"), []).append(row)
-    for kind, its in of_kinds.items():
-        shares = np.array([row[5] for row in its])
+    for kind, kind_rows in of_kinds.items():
+        shares = np.array([row[5] for row in kind_rows])
         print(
             f"{kind}: true / stated above {MOST}: {np.sum(shares > MOST)} of {len(shares)}, below "
             f"{LOW}: {np.sum(shares < LOW)}; median {np.median(shares):.2f}, largest "
@@ -752,8 +755,8 @@ def by_modes(
     assert few.converged and many.converged
     more = replace(run, structure=reference)
     mode = numbers_of(run, run.result).mode
-    both = numbers_of(run, few, mode).values, numbers_of(more, many, mode).values
-    yield from beside_true(errors, *both)
+    number_pairs = numbers_of(run, few, mode).values, numbers_of(more, many, mode).values
+    yield from compare_with_true(errors, *number_pairs)
     true_of, stated_of = beside(few, many), run.result.report
     share = run.structure.share if isinstance(run.structure, ReducedStructure) else 1.0
     for quantity, part in (("gap", "reduction"), ("at the load", "displacement")):
@@ -761,19 +764,19 @@ def by_modes(
         yield quantity, 1.0, true, stated, true / stated
 
 
-def beside_true(
-    errors: fc.Verification, few: Numbers, many: Numbers
+def compare_with_true(
+    errors: fc.Verification, few_modes: Numbers, many_modes: Numbers
 ) -> Iterator[tuple[str, float, float, float, float]]:
     """Each number with an error due to modes: its value, the true error by numbers with few and
     many modes, the stated one, both over the value, and their ratio; infinite where none is stated
     of a number that modes change."""
     for quantity, value in errors.values.items():
         part = errors.parts["modes"].get(quantity)
-        stated = 0.0 if part is None else part.uncertainty(-1)
-        true = abs(many.get(quantity, np.nan) - few.get(quantity, np.nan))
-        if max(stated, true) > SIX_DIGITS * abs(value):
-            ratio = true / stated if stated else np.inf
-            yield quantity, value, true / abs(value), stated / abs(value), ratio
+        stated_error = 0.0 if part is None else part.uncertainty(-1)
+        true_error = abs(many_modes.get(quantity, np.nan) - few_modes.get(quantity, np.nan))
+        if max(stated_error, true_error) > SIX_DIGITS * abs(value):
+            ratio = true_error / stated_error if stated_error else np.inf
+            yield quantity, value, true_error / abs(value), stated_error / abs(value), ratio
 
 
 def random_friction(rng: np.random.Generator, number: int) -> fc.Scene:
@@ -794,11 +797,11 @@ def random_friction(rng: np.random.Generator, number: int) -> fc.Scene:
     if not base or rng.random() < 0.5:
         changes["excitation.force_sin"] = [force * np.cos(angle), force * np.sin(angle)]
     scene = scene.replace(MODES_ALONE | {"harmonic_balance.tolerance": 0.05} | changes)
-    near, mode = rng.random() < 0.6, int(rng.integers(2))
-    off = 3.0 * scene.damping.given("ratio") * rng.uniform(-1.0, 1.0)
-    factor = 1.0 + off if near else rng.uniform(0.4, 1.3)
-    natural = fc.bilinear_frequencies(fc.prepare(scene).structure).omega_bilinear
-    return scene.replace({"excitation.omega": float(factor * natural[mode])})
+    is_near_resonance, mode = rng.random() < 0.6, int(rng.integers(2))
+    detuning = 3.0 * scene.damping.given("ratio") * rng.uniform(-1.0, 1.0)
+    factor = 1.0 + detuning if is_near_resonance else rng.uniform(0.4, 1.3)
+    natural_frequencies = fc.bilinear_frequencies(fc.prepare(scene).structure).omega_bilinear
+    return scene.replace({"excitation.omega": float(factor * natural_frequencies[mode])})
 
 
 def random_modes(rng: np.random.Generator, number: int) -> fc.Scene:
@@ -826,17 +829,17 @@ def run_modes_alone(
     """Random scenes against the exact orbits with four times the modes, until there are ten; those
     without an error or a stable orbit are told."""
     rows: list[common.Row] = []
-    left, number = 2 if arguments.quick else DECADE, 0
-    while left:
+    n_missing, number = 2 if arguments.quick else DECADE, 0
+    while n_missing:
         name = f"{part} {number}"
         try:
             run = fc.solve(draw(np.random.default_rng([arguments.seed, stream, number]), number))
-            found = with_four_times(run)
-            if isinstance(found, str):
-                print(f"{name}: {found}")
+            error_rows = with_four_times(run)
+            if isinstance(error_rows, str):
+                print(f"{name}: {error_rows}")
             else:
-                rows += [(name, *row, f"{run.structure.n_modes} modes") for row in found]
-                left -= 1
+                rows += [(name, *row, f"{run.structure.n_modes} modes") for row in error_rows]
+                n_missing -= 1
         except (fc.InputError, fc.ConvergenceError) as error:
             print(f"{name}: {error}")
         number += 1
@@ -848,34 +851,36 @@ def run_modes_alone(
 def with_four_times(
     run: fc.Run[fc.PeriodicSolution],
 ) -> list[tuple[str, float, float, float, float]] | str:
-    """The rows of :func:`beside_true` by the exact orbits with the answer's modes and four times as
-    many; or why there are none."""
-    found, errors, structure = run.result, run.errors, run.structure
-    if not found.converged or errors is None or found.stability is None:
-        return f"no error is stated, {found.status}"
-    if found.stability.verdict != "stable":
-        return f"{found.stability.verdict}, others may be found"
+    """Return rows of :func:`compare_with_true` by exact orbits, or why there are none.
+
+    The orbits have the answer's modes and four times as many.
+    """
+    solution, errors, structure = run.result, run.errors, run.structure
+    if not solution.converged or errors is None or solution.stability is None:
+        return f"no error is stated, {solution.status}"
+    if solution.stability.verdict != "stable":
+        return f"{solution.stability.verdict}, others may be found"
     if "modes" not in errors.parts:
-        return f"no part by modes, {'; '.join(errors.unknown.values()) or found.status}"
+        return f"no part by modes, {'; '.join(errors.unknown.values()) or solution.status}"
     assert isinstance(structure, ReducedStructure) and run.contact is not None
-    orbit, mode = found.assessment.orbit, numbers_of(run, found).mode
+    orbit, mode = solution.assessment.orbit, numbers_of(run, solution).mode
     assert orbit is not None
     orbits = [orbit]
     for times in (2, 4):
-        more = fc.reduce_structure(
+        larger_structure = fc.reduce_structure(
             structure.whole, modes=times * structure.n_modes, method="massless", reference=False
         )
-        flow = flow_of(more, run.contact)
+        flow = flow_of(larger_structure, run.contact)
         assert flow is not None
-        larger = MoreModes(flow, found.assessment.wave, orbits[-1]).orbit
-        orbits += [] if larger is None else [larger]
+        larger_orbit = MoreModes(flow, solution.assessment.wave, orbits[-1]).orbit
+        orbits += [] if larger_orbit is None else [larger_orbit]
     if orbits[-1].structure.n_modes < 4 * structure.n_modes:
         return "no orbit with four times the modes"
-    few, many = (
-        numbers_of_orbit(replace(run, structure=one.structure), found, one, mode)
-        for one in (orbit, orbits[-1])
+    few_numbers, many_numbers = (
+        numbers_of_orbit(replace(run, structure=exact_orbit.structure), solution, exact_orbit, mode)
+        for exact_orbit in (orbit, orbits[-1])
     )
-    return list(beside_true(errors, few, many))
+    return list(compare_with_true(errors, few_numbers, many_numbers))
 
 
 def new_solids() -> Iterator[tuple[str, fc.Scene]]:

@@ -241,11 +241,11 @@ def plate_of(number: int) -> campaign_cases.Case:
     return campaign_cases.draw(SEED, number, "solution", family)
 
 
-def answers(arguments: common.Arguments, name: str, asked: list[tuple]) -> None:
+def answers(arguments: common.Arguments, name: str, cases: list[tuple]) -> None:
     """Solve with a given number of harmonics, and count what is said of error and stability."""
     rows = []
-    for case, structure, omega, law, harmonics in asked:
-        started = time.process_time()
+    for case, structure, omega, law, harmonics in cases:
+        start_time = time.process_time()
         solution = fc.solve_harmonic_balance(
             structure, omega, law, harmonics=harmonics, throw=False
         )
@@ -253,15 +253,17 @@ def answers(arguments: common.Arguments, name: str, asked: list[tuple]) -> None:
         rows.append((
             case, omega, harmonics, solution.assessment.predicted_error, report.truncation,
             report.confirmed, stability.verdict, float(abs(stability.multipliers[0])),
-            time.process_time() - started,
+            time.process_time() - start_time,
         ))  # fmt: skip
     common.save_table(arguments.folder / f"{name}.csv", name, GIVEN_COLUMNS, rows)
     for count in sorted({row[2] for row in rows}):
-        some = [row for row in rows if row[2] == count]
-        verdicts = [row[6] for row in some]
-        said = ", ".join(f"{verdicts.count(one)} {one}" for one in sorted(set(verdicts)))
-        stated = sum(row[4] < 1.0 for row in some)
-        print(f"H = {count}: error stated in {stated} of {len(some)}; {said}")
+        rows_with_count = [row for row in rows if row[2] == count]
+        verdicts = [row[6] for row in rows_with_count]
+        verdict_counts = ", ".join(
+            f"{verdicts.count(verdict)} {verdict}" for verdict in sorted(set(verdicts))
+        )
+        stated = sum(row[4] < 1.0 for row in rows_with_count)
+        print(f"H = {count}: error stated in {stated} of {len(rows_with_count)}; {verdict_counts}")
 
 
 def unconfirmed(arguments: common.Arguments) -> None:

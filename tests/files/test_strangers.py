@@ -221,8 +221,9 @@ def many(file: h5py.File) -> None:
         (soft_link, "is a link"), (external_link, "is a link"),
         (external_storage, "another file"), (virtual, "another file"),
         (long, "would take more"), (rather_long, "would take more"), (bomb, "would take more"),
-        (long_words, "[Mm]emory"), (large_pieces, "pieces"), (unknown_filter, "packed"), (group, "no dataset"),
-        (pairs, "neither numbers nor words"), (number, "no text"), (many, "parts"),
+        (long_words, "[Mm]emory"), (large_pieces, "pieces"), (unknown_filter, "packed"),
+        (group, "no dataset"), (pairs, "neither numbers nor words"), (number, "no text"),
+        (many, "parts"),
     ],
 )  # fmt: skip
 def test_made_results(
