@@ -110,12 +110,12 @@ WITHOUT_GIVE = (
 MATRICES_AT_A_TIME = 4
 """Dense matrices of the size of the Jacobian that are held at a time, or stiffnesses of coupled
 pairs at all instants."""
-COMPILED = 5000
-"""Search budget: iterations of all initial guesses together, with 300 unknowns in the kernel: 5 to
-8 s."""
-PART = 4000
-"""Maximum iterations of a search that is a part of another: 0.5 to 3 s, also where a system of few
-unknowns, whose integrals take most of its time, would have five times as many."""
+COMPILED = 7500
+"""Search budget: iterations of all initial guesses together, those of steps along a path that were
+too long, too; with 300 unknowns in the kernel: 5 to 8 s."""
+MIN_COSTLY_UNKNOWNS = 200
+"""Unknowns below which an iteration takes no less time: integrals of the contact force are most of
+it."""
 RUBBING = 8e6
 """The same with friction, times the instants and the unknowns of a step, at most those of which J
 is formed: 1 to 3 s."""
@@ -394,7 +394,7 @@ class Search:
             self._rounding = rounding_left(system.compliance, system.integrals.law)
             if self._rounding > ROUNDING:
                 self.tolerance = max(self.tolerance, self._rounding)
-        self._most = min(self.share * _iterations(system), math.inf if self.share == 1.0 else PART)
+        self._most = self.share * _iterations(system)
         at: Linearisation | None = None
         with ExitStack() as held:
             snes = None
@@ -604,12 +604,12 @@ def rounding_left(compliance: Compliance, law: ContactLaw) -> float:
 
 
 def _iterations(system: ContactSystem) -> float:
-    """Return the iterations that a search may take: they cost like the square of the unknowns where
-    the kernel has them."""
+    """Return the iterations that a search may take: they cost like the square of many unknowns
+    where the kernel has them."""
     integrals = system.integrals
     if isinstance(integrals, FrictionIntegrals):
         return RUBBING / (integrals.instants * system.work)
-    dense = COMPILED * (300.0 / max(kernel.MANY, system.size)) ** 2
+    dense = COMPILED * (300.0 / max(MIN_COSTLY_UNKNOWNS, system.size)) ** 2
     if getattr(system, "compiled", None) is not None:
         return dense
     interpreted = COMPILED / 5  # in Python, in the same time

@@ -54,6 +54,7 @@ typedef struct {
     int sure;    /* the last point with its sign, */
     double step; /* and the step behind it */
     int own;     /* points before this one need their own */
+    int spent;   /* iterations since the last point, those of steps that were too long, too */
 } trust;
 
 /* Of two directions y and z, the second with its norm, as turns are judged. */
@@ -136,7 +137,8 @@ static void append(equations *at, path *points, double p, double slope, norm own
  * contact begins to graze and J changes by orders of magnitude over the smallest distance. The path
  * goes on as the tangent just behind the point says; where the sign of det J is not known, that or
  * its opposite, unless this leads straight back. FOUND, or NOT_FOUND where it ends. */
-static int round_corner(equations *at, int n, const stepping *how, path *points, double *room)
+static int round_corner(equations *at, int n, const stepping *how, path *points, trust *in,
+                        double *room)
 {
     const int last = points->known - 1;
     const double *here = points->unknowns + (size_t)last * n;
@@ -149,6 +151,7 @@ static int round_corner(equations *at, int n, const stepping *how, path *points,
         norm of_way, own;
         memcpy(x, here, n * sizeof(double)), add_to(n, x, step, old);
         const int outcome = at->evaluate(at, x, p);
+        in->spent++;
         if (outcome != FOUND) return outcome;
         double slope_of_way =
             tangent_onwards(at, n, points->orientation, x, old, old_slope, way, &of_way);
@@ -159,14 +162,16 @@ static int round_corner(equations *at, int n, const stepping *how, path *points,
             int taken;
             memcpy(x, here, n * sizeof(double)), add_to(n, x, step, way);
             p = points->parameters[last] + step * slope_of_way;
-            const plane in = {way, slope_of_way, of_way};
+            const plane across = {way, slope_of_way, of_way};
             const correction newton = correction_of(how, step);
-            if (correct_in_plane(at, &in, &newton, x, &p, &taken, room) != FOUND) continue;
+            const int corrected = correct_in_plane(at, &across, &newton, x, &p, &taken, room);
+            in->spent += taken;
+            if (corrected != FOUND) continue;
             const double slope =
                 tangent_onwards(at, n, points->orientation, x, way, slope_of_way, tangent, &own);
             if (!(cosine_of(at, of_way, tangent, slope, way, slope_of_way) > 0.5)) continue;
-            append(at, points, p, slope, own, taken, 0, room);
-            points->step = step;
+            append(at, points, p, slope, own, in->spent, 0, room);
+            points->step = step, in->spent = 0;
             return FOUND;
         }
     }
@@ -191,6 +196,7 @@ static int advance(equations *at, int n, const stepping *how, path *points, trus
     norm own;
     predict(at, points, x, &p, room);
     const int outcome = correct_in_plane(at, &across, &newton, x, &p, &taken, room);
+    in->spent += taken;
     if (outcome != FOUND) return outcome;
     const int ends = points->known + 1 == points->room || p < how->lowest || p > how->highest;
     const int sure = !at->products || ends || points->known <= in->own ||
@@ -212,7 +218,8 @@ static int advance(equations *at, int n, const stepping *how, path *points, trus
         !(cosine_of(at, of_last, room, rise, old, old_slope) > how->least_cosine &&
           cosine_of(at, own, room, rise, tangent, slope) > how->least_cosine))
         return NOT_FOUND;
-    append(at, points, p, slope, own, taken, crossing, room);
+    append(at, points, p, slope, own, in->spent, crossing, room);
+    in->spent = 0;
     if (taken <= 3) points->step = fmin(how->longest, 1.7 * step);
     else if (taken > 5) points->step *= 0.7;
     if (sure) in->sure = points->known - 1, in->step = points->step;
@@ -224,7 +231,7 @@ int follow(equations *at, const stepping *how, path *points)
     const int n = at->unknowns;
     double *room = malloc(4 * ((size_t)n + 1) * sizeof(double));
     int outcome = room ? FOUND : NO_MEMORY, inside = 1;
-    trust in = {points->known - 1, points->step, 0};
+    trust in = {points->known - 1, points->step, 0, 0};
     if (outcome == FOUND && points->orientation == 0.0) {
         const double *x = points->unknowns + (size_t)(points->known - 1) * n;
         outcome = at->evaluate(at, x, points->parameters[points->known - 1]);
@@ -235,7 +242,7 @@ int follow(equations *at, const stepping *how, path *points)
         do outcome = advance(at, n, how, points, &in, room);
         while (outcome == NOT_FOUND && (points->step *= 0.5) >= how->shortest);
         if (outcome != FOUND && go_back(&in, points)) outcome = FOUND;
-        if (outcome == NOT_FOUND && (outcome = round_corner(at, n, how, points, room)) == FOUND)
+        if (outcome == NOT_FOUND && (outcome = round_corner(at, n, how, points, &in, room)) == FOUND)
             in.sure = points->known - 1, in.step = points->step;
         const double p = points->parameters[points->known - 1];
         inside = p >= how->lowest && p <= how->highest;

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
+from helpers import chain
 
 import fenics_crack as fc
 from fenics_crack.balance.assessment import distance
@@ -50,6 +53,17 @@ def test_friction_ends_by_work(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "no solution in" in found.status and "try other harmonics" in found.status
     monkeypatch.undo()
     assert fc.solve_harmonic_balance(structure, 0.9, law, harmonics=10).converged
+
+
+def test_steps_that_are_too_long_are_work() -> None:
+    """Along a path without damping most steps are halved: of 12 masses at a stiff stop a search to
+    a tolerance took 11 s, where iterations of steps along which the path went on were counted."""
+    structure = chain("none", 12)
+    start = time.process_time()
+    solution = fc.solve_harmonic_balance(
+        structure, 0.8, fc.UnilateralPenalty(405.0), tolerance=0.01
+    )
+    assert solution.orbit is not None and time.process_time() - start < 6.0
 
 
 def test_coefficients_in_blocks(plate: fc.Structure, monkeypatch: pytest.MonkeyPatch) -> None:
