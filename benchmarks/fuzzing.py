@@ -980,13 +980,13 @@ def public_call(rng: random.Random, folder: Path) -> tuple[str, Callable[[], obj
     functions = [name for name in fc.__all__ if not isinstance(getattr(fc, name), type)]
     name = rng.choice([*functions, *METHODS, *CONSTRUCTORS])
     function = functools.reduce(getattr, name.split("."), fc)
-    fitting_values, arguments, parameter_names = argument_values(), {}, []
+    value_by_name, arguments, parameter_names = argument_values(), {}, []
     for parameter in inspect.signature(function).parameters.values():
         if parameter.kind in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL):
             continue
         parameter_names.append(parameter.name)
-        if parameter.name in fitting_values and parameter.default is parameter.empty:
-            arguments[parameter.name] = fitting_values[parameter.name]
+        if parameter.name in value_by_name and parameter.default is parameter.empty:
+            arguments[parameter.name] = value_by_name[parameter.name]
         elif parameter.default is parameter.empty:
             arguments[parameter.name] = rng.choice(ODD)
     if "draw_" in name:

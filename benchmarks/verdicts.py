@@ -220,19 +220,19 @@ def given(arguments: common.Arguments) -> None:
     """The paper's plate, which bounces."""
     plate, law = common.plate("paper_plate", {}), fc.UnilateralPenalty(1e11)
     omegas = np.linspace(1000.0, 9000.0, 15)[:: 5 if arguments.quick else 1]
-    asked = [(plate, omega, law, count) for count in (5, 10, 20, 40) for omega in omegas.tolist()]
-    answers(arguments, "verdicts_given", [("paper_plate", *one) for one in asked])
+    cases = [(plate, omega, law, count) for count in (5, 10, 20, 40) for omega in omegas.tolist()]
+    answers(arguments, "verdicts_given", [("paper_plate", *case) for case in cases])
 
 
 def massless(arguments: common.Arguments) -> None:
     """Plates and blades whose crack faces have no mass."""
-    cases = [plate_of(number) for number in range(3 if arguments.quick else 33)]
-    asked = [
+    drawn_plates = [plate_of(number) for number in range(3 if arguments.quick else 33)]
+    cases = [
         (f"{case.family} {case.number}", case.structure, case.omega, case.law, count)
-        for case in cases
+        for case in drawn_plates
         for count in (5, 10, 20)
     ]
-    answers(arguments, "verdicts_massless", asked)
+    answers(arguments, "verdicts_massless", cases)
 
 
 def plate_of(number: int) -> campaign_cases.Case:
@@ -262,17 +262,19 @@ def answers(arguments: common.Arguments, name: str, cases: list[tuple]) -> None:
         verdict_counts = ", ".join(
             f"{verdicts.count(verdict)} {verdict}" for verdict in sorted(set(verdicts))
         )
-        stated = sum(row[4] < 1.0 for row in rows_with_count)
-        print(f"H = {count}: error stated in {stated} of {len(rows_with_count)}; {verdict_counts}")
+        n_stated = sum(row[4] < 1.0 for row in rows_with_count)
+        print(
+            f"H = {count}: error stated in {n_stated} of {len(rows_with_count)}; {verdict_counts}"
+        )
 
 
 def unconfirmed(arguments: common.Arguments) -> None:
     """Errors stated without an orbit against true ones, and stable motions called irregular."""
     rows, columns = [], ("case", "H", "predicted", "stated", "true", "true/stated", "|mu|", "grows")
-    far = []
-    most = 6 if arguments.quick else 100
-    for number in range(10 * most):
-        if len(rows) >= most:
+    distant_rows = []
+    max_rows = 6 if arguments.quick else 100
+    for number in range(10 * max_rows):
+        if len(rows) >= max_rows:
             break
         case = plate_of(number // 2)
         if number % 2:
@@ -281,16 +283,17 @@ def unconfirmed(arguments: common.Arguments) -> None:
             solution = fc.solve_harmonic_balance(
                 case.structure, case.omega, case.law, harmonics=harmonics, throw=False
             )
-            known = Assessment(solution.assessment.wave, refinements=0)
-            orbit = nearest_orbit(solution, known) if solution.converged else None
-            if orbit is None or (true := distance(known.wave, orbit)) < 1e-6:
+            assessment = Assessment(solution.assessment.wave, refinements=0)
+            orbit = nearest_orbit(solution, assessment) if solution.converged else None
+            if orbit is None or (true_error := distance(assessment.wave, orbit)) < 1e-6:
                 continue
-            assert known.flow is not None
-            motion = irregular_motion(known.flow, case.omega, known.states[0])
-            predicted = known.predicted_error
-            (rows if true <= MAX_DISTANCE else far).append((
-                f"{case.family} {case.number}", harmonics, predicted, stated_error(predicted), true,
-                true / stated_error(predicted), float(abs(orbit.multipliers[0])),
+            assert assessment.flow is not None
+            motion = irregular_motion(assessment.flow, case.omega, assessment.states[0])
+            predicted_error = assessment.predicted_error
+            (rows if true_error <= MAX_DISTANCE else distant_rows).append((
+                f"{case.family} {case.number}", harmonics, predicted_error,
+                stated_error(predicted_error), true_error,
+                true_error / stated_error(predicted_error), float(abs(orbit.multipliers[0])),
                 motion.growth if motion else float("nan"),
             ))  # fmt: skip
     name = "verdicts_unconfirmed"
@@ -300,34 +303,36 @@ def unconfirmed(arguments: common.Arguments) -> None:
     print(
         f"\n{len(rows)} solutions: true over stated median {np.median(ratios):.2f}, largest "
         f"{ratios.max():.2f}, {np.sum(ratios > 1.1)} above 1.1. Of {len(systems)} systems with "
-        f"stable orbits {len(irregular)} are called irregular. Of {len(far)} more solutions no "
-        f"orbit is nearer than {MAX_DISTANCE:g}."
+        f"stable orbits {len(irregular)} are called irregular. Of {len(distant_rows)} more "
+        f"solutions no orbit is nearer than {MAX_DISTANCE:g}."
     )
-    common.print_table("No orbit near", columns, far)
+    common.print_table("No orbit near", columns, distant_rows)
 
 
-def nearest_orbit(solution: fc.PeriodicSolution, known: Assessment) -> PeriodicOrbit | None:
+def nearest_orbit(solution: fc.PeriodicSolution, assessment: Assessment) -> PeriodicOrbit | None:
     """The nearest exact orbit of many starts."""
-    flow, wave, orbits, near = known.flow, known.wave, [], solution
-    if flow is None or known.prediction is None:
+    flow, wave, orbits, finer_solution = assessment.flow, assessment.wave, [], solution
+    if flow is None or assessment.prediction is None:
         return None
-    for place in range(0, len(known.states), 4):
-        part = place / len(known.states) * wave.period
+    for place in range(0, len(assessment.states), 4):
+        part = place / len(assessment.states) * wave.period
         try:
-            start = flow.advance(known.states[place], wave.omega, wave.period - part, start=part)
+            start = flow.advance(
+                assessment.states[place], wave.omega, wave.period - part, start=part
+            )
         except fc.ConvergenceError:
             continue
         orbits.append(find_orbit(flow, wave.omega, start.state))
     for times in (4, 16):
-        near = fc.solve_harmonic_balance(
+        finer_solution = fc.solve_harmonic_balance(
             wave.structure, wave.omega, wave.contact, harmonics=times * wave.harmonics,
-            initial=near, throw=False,
+            initial=finer_solution, throw=False,
         )  # fmt: skip
-        if not near.converged:
+        if not finer_solution.converged:
             break
-        orbits.append(Assessment(near.assessment.wave, refinements=0).orbit)
-    found = [orbit for orbit in orbits if orbit is not None]
-    return min(found, key=lambda orbit: distance(wave, orbit), default=None)
+        orbits.append(Assessment(finer_solution.assessment.wave, refinements=0).orbit)
+    exact_orbits = [orbit for orbit in orbits if orbit is not None]
+    return min(exact_orbits, key=lambda orbit: distance(wave, orbit), default=None)
 
 
 def random_chain(seed: int) -> tuple[fc.Structure, fc.UnilateralPenalty]:
