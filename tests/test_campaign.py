@@ -347,6 +347,7 @@ def test_orbit_that_newton_s_method_does_not_find(number: int) -> None:
     assert np.linalg.norm(after - state) < 1e-6 * np.linalg.norm(state)
 
 
+@pytest.mark.nightly
 def test_large_error_is_stated_from_the_prediction() -> None:
     """Where no orbit is found, with a reason that says so. Two steps estimated 7 %, the
     second a quarter of the first; the exact orbit is 40 % away."""

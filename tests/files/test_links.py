@@ -109,7 +109,7 @@ TRACE = "trace=open,openat,creat,truncate,rename,renameat2,link,linkat,bind"
 """System calls by which files are opened, and ports."""
 
 
-IN_PLACE = r"(sweep|forward_\w+|growth_\d+)\.h5"
+IN_PLACE = r"(sweep|(forward|uncracked|growth)_\w+)\.h5"
 """Sweeps, which go on where they stopped: links in their place are refused, not replaced."""
 NEW_OR_OWN = re.compile(rf'/\.[0-9a-f]{{8}}\.[^"]*"|/{IN_PLACE}"|\.json", O_RDONLY')
 """Files below the output folder that are opened: hidden new ones, by which also the folder is
