@@ -43,11 +43,11 @@ SHARPNESS = 1e11  # 1/m, of the smoothed law: an open crack is pulled by k/(pi s
 STEPS = 512  # least of central differences in a load period
 MARGIN = 2.2  # times the stable number of steps: contact then creates little energy
 SAMPLES = 1024  # of a period, for the block system and the condensed form beside it
-NEAR = 40  # harmonics of the solution from which the exact orbit is sought
-KEPT = 100  # load periods at the end of an integration over which waves are averaged
-START = 5  # load periods from rest that are drawn
+START_HARMONICS = 40  # harmonics of the solution from which the exact orbit is sought
+AVERAGED_PERIODS = 100  # load periods at the end of an integration over which waves are averaged
+DRAWN_PERIODS = 5  # load periods from rest that are drawn
 MODES = 3  # mode shapes that are drawn; the paper names the first three
-PLACES = "crack", "force point, horizontal"
+PANEL_NAMES = "crack", "force point, horizontal"
 QUANTITIES: dict[str, dict[str, Any]] = {
     "gap": {"quantity": "closing of the crack faces", "zero": "crack faces touch"},
     "corner": {"quantity": "displacement"},
@@ -60,7 +60,7 @@ def main(output: Path = Path("output/paper_plate"), *, periods: int = 200) -> di
     scene = fc.Scene.load(SCENE)
     plate = fc.build_structure(scene)
     uncracked = fc.build_structure(scene.replace({"crack": None, "contact": None}))
-    agreeing = fc.build_structure(scene.replace({"damping.ratio": 0.01}))
+    damped_plate = fc.build_structure(scene.replace({"damping.ratio": 0.01}))
     draw_plate(plate, output / "fig1_plate.png")
     summary: dict[str, Any] = {
         "dofs": plate.n_dofs,
@@ -69,18 +69,18 @@ def main(output: Path = Path("output/paper_plate"), *, periods: int = 200) -> di
     }
     for name, case, stiffness, harmonics in (
         ("paper", plate, STIFFNESS, scene.harmonic_balance.harmonics),
-        ("agreeing", agreeing, 1e9, 20),
+        ("agreeing", damped_plate, 1e9, 20),
     ):
         summary[name] = vibration(case, uncracked, stiffness, harmonics, output / name, periods)
-    balanced = fc.solve_harmonic_balance(plate, OMEGA, fc.UnilateralPenalty(STIFFNESS))
+    solution = fc.solve_harmonic_balance(plate, OMEGA, fc.UnilateralPenalty(STIFFNESS))
     summary["paper"] |= {
         "block_system": block_system(plate),
-        "mesh": finer_mesh(scene, balanced),
+        "mesh": finer_mesh(scene, solution),
         "paraview_magnification": fc.write_period(
-            balanced, output / "paper/breathing_crack.pvd", material=scene.material
+            solution, output / "paper/breathing_crack.pvd", material=scene.material
         ),
     }
-    draw_crack(balanced, output / "paper", summary["paper"]["paraview_magnification"])
+    draw_crack(solution, output / "paper", summary["paper"]["paraview_magnification"])
     laws: dict[str, Any] = {"penalty, k = 1e11 N/m": fc.UnilateralPenalty(STIFFNESS)}
     for sharpness in (1e8, 1e9, SHARPNESS):
         laws[f"smoothed, s = {sharpness:.0e} 1/m"] = fc.SmoothedPenalty(STIFFNESS, sharpness)
@@ -128,14 +128,14 @@ def vibration(
     corner = plate.find_dof(CORNER, "x")
     penalty = fc.UnilateralPenalty(stiffness)
     linear = fc.solve_linear(plate, OMEGA)
-    balanced, seconds = timed(
+    solution, seconds = timed(
         lambda: fc.solve_harmonic_balance(plate, OMEGA, penalty, harmonics=harmonics)
     )
-    smooth = fc.solve_harmonic_balance(
+    smoothed_solution = fc.solve_harmonic_balance(
         plate, OMEGA, fc.SmoothedPenalty(stiffness, SHARPNESS), harmonics=harmonics
     )
-    near = fc.solve_harmonic_balance(plate, OMEGA, penalty, harmonics=NEAR)
-    orbit = fc.shoot(plate, near)
+    start_solution = fc.solve_harmonic_balance(plate, OMEGA, penalty, harmonics=START_HARMONICS)
+    orbit = fc.shoot(plate, start_solution)
     growth = float(abs(orbit.multipliers[0]))
     steps = max(STEPS, 64 * round(MARGIN * fc.stable_steps_per_period(plate, OMEGA, penalty) / 64))
     history = fc.integrate_central_difference(
@@ -144,52 +144,54 @@ def vibration(
         penalty,
         periods=periods,
         steps_per_period=steps,
-        initial=balanced if growth > 1.0 else None,
+        initial=solution if growth > 1.0 else None,
         settle=1e-6,
-        record_periods=KEPT,
+        record_periods=AVERAGED_PERIODS,
         dofs=[corner],
         progress=sys.stderr.isatty(),
     )
-    t = np.linspace(0.0, balanced.period, steps + 1)
+    t = np.linspace(0.0, solution.period, steps + 1)
     settled = history.settled < 1e-5
-    used = slice(-1 if settled else -KEPT, None)
-    folded = {
-        "gap": history.by_period(history.gap[:, 0])[used],
-        "corner": history.by_period(history.displacement([corner])[:, 0])[used],
+    averaged_periods = slice(-1 if settled else -AVERAGED_PERIODS, None)
+    periods_of = {
+        "gap": history.by_period(history.gap[:, 0])[averaged_periods],
+        "corner": history.by_period(history.displacement([corner])[:, 0])[averaged_periods],
     }
+    motions = linear, solution, smoothed_solution
     waves = {
-        "gap": [motion.gap(t)[:, 0] for motion in (linear, balanced, smooth)],
-        "corner": [motion.displacement(t, [corner])[:, 0] for motion in (linear, balanced, smooth)],
+        "gap": [motion.gap(t)[:, 0] for motion in motions],
+        "corner": [motion.displacement(t, [corner])[:, 0] for motion in motions],
     }
-    whole = fc.solve_linear(uncracked, OMEGA)
-    waves["corner"].append(whole.displacement(t, [uncracked.find_dof(CORNER, "x")])[:, 0])
+    uncracked_solution = fc.solve_linear(uncracked, OMEGA)
+    uncracked_corner = uncracked.find_dof(CORNER, "x")
+    waves["corner"].append(uncracked_solution.displacement(t, [uncracked_corner])[:, 0])
     case = f"k = {stiffness:.0e} N/m, H = {harmonics}"
     if stiffness == STIFFNESS:
         draw_solution(output, case, t, waves)
-    draw_comparison(output, case, t, waves, folded)
+    draw_comparison(output, case, t, waves, periods_of)
     if not settled:
-        draw_spectrum(output, folded["corner"], case)
-    say(f"{case}: {balanced.status}")
+        draw_spectrum(output, periods_of["corner"], case)
+    say(f"{case}: {solution.status}")
     outcome = "settles" if settled else f"does not settle: {history.settled:.0%} change a period"
     say(f"  direct integration: {history.periods} periods, {history.seconds:.1f} s, {outcome}")
 
-    wave, mean = waves["gap"][1], folded["gap"].mean(axis=0)
+    wave, mean = waves["gap"][1], periods_of["gap"].mean(axis=0)
     exact, size = orbit.gap_at(t)[:, 0], float(np.linalg.norm(waves["gap"][1][:-1]))
-    coefficients = balanced.gap_coefficients[:, 0]
-    ranges = 0.5 * np.ptp(folded["corner"], axis=1)
+    coefficients = solution.gap_coefficients[:, 0]
+    ranges = 0.5 * np.ptp(periods_of["corner"], axis=1)
     return {
         "stiffness_N_per_m": stiffness,
         "harmonics": harmonics,
         "harmonic_balance": {
-            "status": balanced.status,
-            "iterations": balanced.iterations,
-            "amplitude_m": balanced.amplitude(corner),
+            "status": solution.status,
+            "iterations": solution.iterations,
+            "amplitude_m": solution.amplitude(corner),
             "seconds": seconds,
             "gap_mean_m": float(coefficients[0]),
             "gap_harmonic_1_m": float(np.hypot(*coefficients[1:3])),
             "largest_opening_m": float(-wave.min()),
             "largest_penetration_m": float(wave.max()),
-            "error_of_amplitude": balanced.amplitude(corner) / orbit.amplitude(corner) - 1.0,
+            "error_of_amplitude": solution.amplitude(corner) / orbit.amplitude(corner) - 1.0,
             "error_of_opening": float(wave.min() / exact.min()) - 1.0,
             "error_of_gap": float(np.linalg.norm(wave - exact) / np.linalg.norm(exact)),
         },
@@ -201,7 +203,10 @@ def vibration(
             "growth_in_a_period": growth,
             "verdict": "stable" if growth < 1.0 else "unstable",
         },
-        "smoothed": {"status": smooth.status, "largest_opening_m": float(-waves["gap"][2].min())},
+        "smoothed": {
+            "status": smoothed_solution.status,
+            "largest_opening_m": float(-waves["gap"][2].min()),
+        },
         "linear": {
             "gap_m": float(abs(waves["gap"][0]).max()),
             "corner_m": float(abs(waves["corner"][0]).max()),
@@ -217,13 +222,13 @@ def vibration(
             "steps_per_period": steps,
             "energy_created_by_contact": history.created_energy,
             "seconds": history.seconds,
-            "averaged_over_periods": len(folded["gap"]),
+            "averaged_over_periods": len(periods_of["gap"]),
             "gap_mean_m": float(mean.mean()),
             "amplitudes_m": [float(ranges.min()), float(ranges.max())],
-            "largest_opening_m": float(-folded["gap"].min()),
-            "largest_standard_deviation_m": float(folded["gap"].std(axis=0).max()),
-            "corner_lines": [] if settled else lines_of(folded["corner"]),
-            "corner_crossings_per_period": crossings(folded["corner"]),
+            "largest_opening_m": float(-periods_of["gap"].min()),
+            "largest_standard_deviation_m": float(periods_of["gap"].std(axis=0).max()),
+            "corner_lines": [] if settled else lines_of(periods_of["corner"]),
+            "corner_crossings_per_period": crossings(periods_of["corner"]),
         },
         "difference_of_methods": float(np.linalg.norm(mean - wave[:-1])) / size,
     }
@@ -233,7 +238,7 @@ def block_system(plate: fc.Structure) -> dict[str, Any]:
     """Solve the paper's data by PETSc's SNES on the block system, and condensed by the same samples
     of the contact force, both from the solution with a contact a hundred times softer."""
     softer = fc.solve_harmonic_balance(plate, OMEGA, fc.UnilateralPenalty(STIFFNESS / 100.0))
-    (block, seconds), (condensed, _) = (
+    (block_solution, seconds), (condensed_solution, _) = (
         timed(
             lambda form=form: fc.solve_harmonic_balance(
                 plate,
@@ -246,19 +251,20 @@ def block_system(plate: fc.Structure) -> dict[str, Any]:
         )
         for form in ("block", "condensed")
     )
-    one, other = block.displacement_coefficients, condensed.displacement_coefficients
-    modes = 2 * block.harmonics * plate.n_dofs  # of all modes, which are damped, but no mean
+    reference = condensed_solution.displacement_coefficients
+    change = block_solution.displacement_coefficients - reference
+    n_modal = 2 * block_solution.harmonics * plate.n_dofs  # all modes are damped; no mean
     return {
-        "status": block.status,
-        "iterations": block.iterations,
-        "unknowns": one.size + modes,
+        "status": block_solution.status,
+        "iterations": block_solution.iterations,
+        "unknowns": reference.size + n_modal,
         "seconds": seconds,
-        "amplitude_m": block.amplitude(plate.find_dof(CORNER, "x")),
-        "difference": float(np.linalg.norm(one - other) / np.linalg.norm(other)),
+        "amplitude_m": block_solution.amplitude(plate.find_dof(CORNER, "x")),
+        "difference": float(np.linalg.norm(change) / np.linalg.norm(reference)),
     }
 
 
-def finer_mesh(scene: fc.Scene, coarse: fc.PeriodicSolution) -> dict[str, float]:
+def finer_mesh(scene: fc.Scene, coarse_solution: fc.PeriodicSolution) -> dict[str, float]:
     """Return by how much elements half as long enlarge the motion at the force, in all, and by what
     the force alone adds in the corner with each halving.
 
@@ -266,18 +272,17 @@ def finer_mesh(scene: fc.Scene, coarse: fc.PeriodicSolution) -> dict[str, float]
     ln(1/h):
     Timoshenko, Goodier, Theory of Elasticity, sections 36 to 38.
     """
-    finer = fc.build_structure(scene.replace({"mesh.columns": 4, "mesh.rows": 16}))
-    solution = fc.solve_harmonic_balance(finer, OMEGA, fc.UnilateralPenalty(STIFFNESS))
-    amplitude = coarse.amplitude(coarse.structure.find_dof(CORNER, "x"))
+    fine_plate = fc.build_structure(scene.replace({"mesh.columns": 4, "mesh.rows": 16}))
+    solution = fc.solve_harmonic_balance(fine_plate, OMEGA, fc.UnilateralPenalty(STIFFNESS))
+    amplitude = coarse_solution.amplitude(coarse_solution.structure.find_dof(CORNER, "x"))
     angle = np.pi / 2.0
     wedge = 1.0 / (angle + np.sin(angle)) + 1.0 / (angle - np.sin(angle))
-    added = 100.0 * wedge * np.log(2.0) / scene.material.young  # 1 m thick
+    added_by_force = 100.0 * wedge * np.log(2.0) / scene.material.young  # 1 m thick
+    fine_amplitude = solution.amplitude(fine_plate.find_dof(CORNER, "x"))
     return {
-        "amplitude_with_elements_half_as_long_m": solution.amplitude(finer.find_dof(CORNER, "x")),
-        "growth_with_elements_half_as_long": solution.amplitude(finer.find_dof(CORNER, "x"))
-        / amplitude
-        - 1.0,
-        "growth_by_the_point_force": float(added / amplitude),
+        "amplitude_with_elements_half_as_long_m": fine_amplitude,
+        "growth_with_elements_half_as_long": fine_amplitude / amplitude - 1.0,
+        "growth_by_the_point_force": float(added_by_force / amplitude),
     }
 
 
@@ -286,7 +291,7 @@ def start_up(
 ) -> dict[str, float]:
     """Draw the first periods from rest, figure 2 of the paper, by both kinds of integration."""
     history, exact = (
-        integrate(plate, OMEGA, law, periods=START, steps_per_period=steps)
+        integrate(plate, OMEGA, law, periods=DRAWN_PERIODS, steps_per_period=steps)
         for integrate in (fc.integrate_central_difference, fc.integrate_events)
     )
     figure, [axes] = panels(f"Figure 2: crack from rest ({law.stiffness:.0e} N/m)")
@@ -387,14 +392,14 @@ def draw_solution(
     ]
     fc.draw_waves(curves, axes=axes, quantity="displacement", period=period)
     save(figure, output / "fig3_linear.png")
-    figure, axes = panels(f"Figures 5 and 6: nonlinear solution ({case})", *PLACES)
+    figure, axes = panels(f"Figures 5 and 6: nonlinear solution ({case})", *PANEL_NAMES)
     for (name, words), panel in zip(QUANTITIES.items(), axes, strict=True):
-        linear, balanced, smooth, *whole = waves[name]
+        linear_wave, penalty_wave, smoothed_wave, *uncracked_waves = waves[name]
         curves = [
-            fc.Wave("harmonic balance, penalty", t, balanced, LIGHT_BLUE, width=5.0),
-            fc.Wave("harmonic balance, smoothed", t, smooth, "black", ":"),
-            fc.Wave("linear, crack always open", t, linear, "orange", "--"),
-            *(fc.Wave("uncracked", t, wave, "pink", "-.") for wave in whole),
+            fc.Wave("harmonic balance, penalty", t, penalty_wave, LIGHT_BLUE, width=5.0),
+            fc.Wave("harmonic balance, smoothed", t, smoothed_wave, "black", ":"),
+            fc.Wave("linear, crack always open", t, linear_wave, "orange", "--"),
+            *(fc.Wave("uncracked", t, wave, "pink", "-.") for wave in uncracked_waves),
         ]
         fc.draw_waves(curves, axes=panel, period=period, **words)
     save(figure, output / "fig5_fig6_nonlinear.png")
@@ -405,15 +410,16 @@ def draw_comparison(
     case: str,
     t: np.ndarray,
     waves: dict[str, list[np.ndarray]],
-    folded: dict[str, np.ndarray],
+    periods_of: dict[str, np.ndarray],
 ) -> None:
     """Draw figures 7 and 8 of the paper: both methods."""
-    figure, axes = panels(f"Figures 7 and 8: both methods ({case})", *PLACES)
+    figure, axes = panels(f"Figures 7 and 8: both methods ({case})", *PANEL_NAMES)
     for (name, words), panel in zip(QUANTITIES.items(), axes, strict=True):
         mean, deviation = (
-            np.append(row, row[0]) for row in (folded[name].mean(axis=0), folded[name].std(axis=0))
+            np.append(row, row[0])
+            for row in (periods_of[name].mean(axis=0), periods_of[name].std(axis=0))
         )
-        label, count = "central differences", len(folded[name])
+        label, count = "central differences", len(periods_of[name])
         if count > 1:
             label += f": mean of {count} periods, band: ± standard deviation"
         curves = [
