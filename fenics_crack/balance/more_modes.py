@@ -2,8 +2,9 @@
 
 The reference of a reduced structure has more modes (:mod:`fenics_crack.model.reduction`). Those
 that crack faces without mass leave out begin as their statics have them, Lambda q = f - P lambda.
-The orbit that Newton's method finds from there gives the change exactly. The reference has a share
-of what is left out, so that
+The orbit that Newton's method finds from there gives the change exactly; without one, the motion to
+which one step of Newton's method for all its parts leads gives it linearly. The reference has a
+share of what is left out, so that
 
     e = |f - f_ref| / share.
 
@@ -25,7 +26,16 @@ from fenics_crack.model.modes import NEGLIGIBLE, times
 from fenics_crack.model.reduced import ReducedStructure, massless
 from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.motion.flow import ContactFlow, Samples
-from fenics_crack.motion.orbit import INSTANTS, KNOWN, Inverse, PeriodicOrbit, find_orbit, predicted
+from fenics_crack.motion.orbit import (
+    INSTANTS,
+    KNOWN,
+    Inverse,
+    PeriodicOrbit,
+    Prediction,
+    find_orbit,
+    predicted,
+    predicted_motion,
+)
 from fenics_crack.motion.search import SEGMENTS
 from fenics_crack.numerics.equations import CLOSE
 from fenics_crack.numerics.fourier import waves_of
@@ -108,13 +118,25 @@ class MoreModes:
     @cached_property
     def orbit(self) -> PeriodicOrbit | None:
         """Next to the motion, as sharp as an estimated error takes; None where none is found."""
-        flow, omega, periods = self.flow, self.wave.omega, self.wave.subharmonic
-        states, near = self._states, self.inverse
-        search = partial(find_orbit, flow, omega, subharmonic=periods, located=CLOSE)
-        orbit = search(states[0], inverse=near) or (search(states[0]) if near else None)
-        if orbit is None and (step := predicted(flow, omega, states, periods)):
+        wave, near, state = self.wave, self.inverse, self._states[0]
+        periods = wave.subharmonic
+        search = partial(find_orbit, self.flow, wave.omega, subharmonic=periods, located=CLOSE)
+        orbit = search(state, inverse=near) or (search(state) if near else None)
+        if orbit is None and (step := self._prediction):
             orbit = search(step.states[0], inverse=step.inverse)
         return orbit
+
+    @cached_property
+    def _prediction(self) -> Prediction | None:
+        """One step of Newton's method from the nearest orbit; None where it cannot be followed."""
+        return predicted(self.flow, self.wave.omega, self._states, self.wave.subharmonic)
+
+    @cached_property
+    def motion(self) -> PeriodicOrbit | None:
+        """The orbit, else the motion that the prediction leads to; None where neither is known."""
+        if self.orbit or not (step := self._prediction):
+            return self.orbit
+        return predicted_motion(self.flow, self.wave.omega, step, self.wave.subharmonic)
 
     @property
     def hint(self) -> Inverse | None:
@@ -125,11 +147,11 @@ class MoreModes:
 
     @property
     def errors(self) -> Errors | None:
-        """Errors by the orbits with these modes and without them; None where it is not found. That
+        """Errors by the motions with these modes and without them; None where it is not known. That
         of the gaps is 0 where they move by rounding."""
-        if self.orbit is None:
+        if self.motion is None:
             return None
-        few, many = self.fewer.sampled, self.orbit.sampled
+        few, many = self.fewer.sampled, self.motion.sampled
         of_gap = relative_to_motion(many.gaps - few.gaps, few.gaps + self.wave.seen.clearance)
         moved, more = (loaded(one.flow.structure, one.displacement) for one in (few, many))
         at_load = relative_to_motion(more - moved, moved)
