@@ -562,7 +562,7 @@ def _lost(
     balance = Solver(problem.with_harmonics(many))
     near = balance.attempt(wave_with(many), wholly=False)[1]
     if not near.converged:
-        return UNKNOWN, UNKNOWN
+        return (more and more.errors) or (UNKNOWN, UNKNOWN)
     return near.report.reduction, near.report.displacement
 
 
