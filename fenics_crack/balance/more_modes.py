@@ -30,8 +30,8 @@ from fenics_crack.motion.orbit import (
     INSTANTS,
     KNOWN,
     Inverse,
+    MotionInArcs,
     PeriodicOrbit,
-    Prediction,
     find_orbit,
     predicted,
     predicted_motion,
@@ -115,28 +115,25 @@ class MoreModes:
         map_to = whole.sum_over_ranks(reference.basis.T @ moved) @ self.fewer.flow.modes.shapes
         return self.flow.state(shape @ map_to.T, speed @ map_to.T, places)
 
-    @cached_property
+    @property
     def orbit(self) -> PeriodicOrbit | None:
         """Next to the motion, as sharp as an estimated error takes; None where none is found."""
-        wave, near, state = self.wave, self.inverse, self._states[0]
-        periods = wave.subharmonic
-        search = partial(find_orbit, self.flow, wave.omega, subharmonic=periods, located=CLOSE)
-        orbit = search(state, inverse=near) or (search(state) if near else None)
-        if orbit is None and (step := self._prediction):
-            orbit = search(step.states[0], inverse=step.inverse)
-        return orbit
-
-    @cached_property
-    def _prediction(self) -> Prediction | None:
-        """One step of Newton's method from the nearest orbit; None where it cannot be followed."""
-        return predicted(self.flow, self.wave.omega, self._states, self.wave.subharmonic)
+        return None if isinstance(self.motion, MotionInArcs) else self.motion
 
     @cached_property
     def motion(self) -> PeriodicOrbit | None:
-        """The orbit, else the motion that the prediction leads to; None where neither is known."""
-        if self.orbit or not (step := self._prediction):
-            return self.orbit
-        return predicted_motion(self.flow, self.wave.omega, step, self.wave.subharmonic)
+        """The orbit, else the motion that one step of Newton's method leads to; None without both.
+
+        The step is that for all parts of the nearest orbit's period together.
+        """
+        flow, omega, periods = self.flow, self.wave.omega, self.wave.subharmonic
+        states, near = self._states, self.inverse
+        search = partial(find_orbit, flow, omega, subharmonic=periods, located=CLOSE)
+        orbit = search(states[0], inverse=near) or (search(states[0]) if near else None)
+        if orbit is None and (step := predicted(flow, omega, states, periods)):
+            orbit = search(step.states[0], inverse=step.inverse)
+            return orbit or predicted_motion(flow, omega, step, periods)
+        return orbit
 
     @property
     def hint(self) -> Inverse | None:

@@ -422,11 +422,8 @@ class MotionInArcs(PeriodicOrbit):
             self.flow.advance(state, self.omega, places[1], start=start, instants=some).samples
             for state, start, some in zip(self.starts, places.tolist(), instants, strict=False)
         ]
-        arrays = (
-            np.concatenate([getattr(part, name) for part in parts])
-            for name in ("states", "answers", "contact")
-        )
-        return Samples(self.flow, self.omega, time, *arrays)
+        arrays = ((part.states, part.answers, part.contact) for part in parts)
+        return Samples(self.flow, self.omega, time, *map(np.concatenate, zip(*arrays, strict=True)))
 
 
 def affordable(
@@ -476,8 +473,10 @@ def predicted_motion(
     """Return the motion that a prediction leads to; None where it cannot be followed."""
     with suppress(ConvergenceError):
         ends, track, _ = flow.steps(step.states, omega, 2.0 * np.pi * subharmonic / omega)
-        motion = flow.advance(ends[-1], omega, 0.0)._replace(track=track)
-        return MotionInArcs(flow, omega, subharmonic, motion, step.states[0], 1, step.states)
+        return MotionInArcs(
+            flow, omega, subharmonic, flow.advance(ends[-1], omega, 0.0)._replace(track=track),
+            step.states[0], 1, step.states,
+        )  # fmt: skip
     return None
 
 

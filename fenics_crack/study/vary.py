@@ -230,7 +230,8 @@ class _Case:
     found : PeriodicSolution
         The answer.
     near : PeriodicSolution
-        By harmonic balance with as many harmonics, to which other solutions are compared.
+        By harmonic balance with as many harmonics, to which other solutions are compared; the
+        answer where that has none and the answer is an exact orbit.
     own : Numbers
         Of that.
     made : Verification
@@ -485,8 +486,10 @@ def stated_errors(
     try:
         near = _solved(study, found.omega, found.harmonics, found)
     except REFUSALS as error:
-        stated.unknown["harmonics"] = _why_failed("harmonic balance from it", error)
-        return stated
+        if found.orbit is None:
+            stated.unknown["harmonics"] = _why_failed("harmonic balance from it", error)
+            return stated
+        near = found  # has the coefficients of an exact orbit
     own = numbers_of(study, near, numbers.mode)
     case = _Stated(study, found, near, own, stated, of_peak)
     return vary(stated, {cause: getattr(case, cause) for cause in causes})
