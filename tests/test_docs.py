@@ -341,12 +341,14 @@ def test_pictures_of_speed_name_what_exists() -> None:
 
 def test_tables_of_speed_against_error_are_the_record() -> None:
     """README's five rows and the ladder of the benchmarks' page are made from the rows kept, each
-    of a commit in the history; README's true errors are .3 to 1.6 times the stated ones. Rungs that
-    take more than ten minutes may be missing."""
+    of a commit in the history; README's true errors are .3 to 1.6 times the stated ones. Only what
+    misses 1 % need not be tried to .1 %."""
     import speed_against_error as ladder
 
     rows = ladder.kept_rows()
-    assert {(demo, "scene") for demo in ladder.DEMOS} <= {ladder.key_of(row) for row in rows}
+    kept = {ladder.key_of(row): row for row in rows}
+    missing = {(demo, rung) for demo in ladder.DEMOS for rung in ladder.RUNGS} - kept.keys()
+    assert all(rung == "0.1%" and kept[demo, "1%"]["missed"] for demo, rung in missing)
     assert ladder.RECORD.with_suffix(".png").stat().st_size > 10_000
     for page, table in ladder.tables(rows).items():
         assert page.read_text() == ladder.written(page, table), page.name
@@ -366,9 +368,11 @@ def test_readme_states_what_a_fresh_run_does(demo: str) -> None:
 
     kept = {ladder.key_of(row): row for row in ladder.kept_rows()}
     references: dict[Any, float] = {}
-    for rung in (name for name in ("scene", "1%") if (demo, name) in kept):
+    for rung in ("scene", "1%"):
         row, fresh = kept[demo, rung], ladder.climbed(demo, rung, references)
-        assert fresh["amplitude [m]"] == pytest.approx(row["amplitude [m]"], rel=1e-3)
+        assert (fresh["amplitude [m]"] is None) == (row["amplitude [m]"] is None)
+        if fresh["amplitude [m]"] is not None:
+            assert fresh["amplitude [m]"] == pytest.approx(row["amplitude [m]"], rel=1e-3)
         assert (fresh["stated"] is None) == (row["stated"] is None)
         assert bool(fresh["missed"]) == bool(row["missed"])
         for error in ("stated", "true"):
