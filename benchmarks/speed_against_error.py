@@ -86,7 +86,7 @@ def ladder(demo: str) -> common.Part:
             rungs.remove("0.1%")
         references: dict[Any, float] = {}
         for rung in rungs:
-            row = climbed(demo, rung, references)
+            row = run_rung(demo, rung, references)
             keep(row)
             print(" | ".join(cells(row)), flush=True)
         rows = kept_rows()
@@ -110,7 +110,7 @@ def changes_of(rung: str) -> dict[str, Any]:
     return {"harmonic_balance.tolerance": RUNGS[rung], "reduction": None} | UNCHANGED
 
 
-def climbed(demo: str, rung: str, references: dict[Any, float]) -> Row:
+def run_rung(demo: str, rung: str, references: dict[Any, float]) -> Row:
     """Run the command for a rung of a demo, and compare its answer with the reference."""
     row = answer(demo, rung)
     if row["amplitude [m]"] is None:
@@ -170,7 +170,7 @@ NO_ANSWER = {
 def statements_of(demo: str, rung: str, quantities: list[Row], messages: str) -> Row:
     """Return what a run states, by its quantities and its messages."""
     values = {quantity["name"]: quantity["value"] for quantity in quantities}
-    amplitude = next(one for one in quantities if one["name"].endswith("amplitude"))
+    amplitude = next(entry for entry in quantities if entry["name"].endswith("amplitude"))
     helps = re.search(r"error ([^,;]+), [^,;]+ was asked; what helps: ([^;(]*[^;( ])", messages)
     conclusion, error = values["conclusion"], amplitude["error [%]"]
     is_varied = rung == "scene" and demo not in AS_MESHED
@@ -263,7 +263,7 @@ def key_of(row: Row) -> tuple[str, str]:
     return row["demo"], row["rung"]
 
 
-def made(rows: list[Row]) -> str:
+def commits_of(rows: list[Row]) -> str:
     """By which commits and when rows were made."""
     return "; ".join(sorted({f"commit {row['commit']}, {row['date']}" for row in rows}))
 
@@ -304,13 +304,15 @@ HEADINGS = ["stated error", "true error", "true / stated", "processor time", "me
 
 def whole_table(rows: list[Row]) -> str:
     """The ladder of ``benchmarks/README.md``."""
-    head = ["`solve demos/...`", f"settings ({made(rows)})", "amplitude", *HEADINGS]
+    head = ["`solve demos/...`", f"settings ({commits_of(rows)})", "amplitude", *HEADINGS]
     return lines_of([head, ["---"] * len(head), *map(cells, rows)])
 
 
 def short_table(rows: list[Row]) -> str:
     """README's five rows: as the scene says, and to 1 %."""
-    head = [f"`solve demos/...` ({made([row for row in rows if row['rung'] in ('scene', '1%')])})"]
+    head = [
+        f"`solve demos/...` ({commits_of([row for row in rows if row['rung'] in ('scene', '1%')])})"
+    ]
     for words in ("as the scene says", "to 1 %"):
         head += [f"{words}: amplitude", "stated error", "true error", "time, memory"]
     lines = [head, ["---"] * len(head)]
@@ -337,7 +339,7 @@ def tables(rows: list[Row]) -> dict[Path, str]:
     }
 
 
-def written(page: Path, table: str) -> str:
+def page_with_table(page: Path, table: str) -> str:
     """The text of a page with a table between the marks."""
     head, _, rest = page.read_text().partition(MARKS[0])
     return f"{head}{MARKS[0]}\n{table}\n{MARKS[1]}{rest.partition(MARKS[1])[2]}"
@@ -346,7 +348,7 @@ def written(page: Path, table: str) -> str:
 def write_tables(rows: list[Row]) -> None:
     """Write the tables into their pages."""
     for page, table in tables(rows).items():
-        page.write_text(written(page, table))
+        page.write_text(page_with_table(page, table))
 
 
 def draw(rows: list[Row]) -> Any:
@@ -367,7 +369,7 @@ def draw(rows: list[Row]) -> Any:
         panel.set(title=demo, xlabel="processor time [s]", ylabel="error of the amplitude [-]")
         panel.legend(fontsize=8)
     axes[-1].remove()
-    figure.suptitle(f"Speed against error ({made(rows)})", fontsize=9)
+    figure.suptitle(f"Speed against error ({commits_of(rows)})", fontsize=9)
     return figure
 
 

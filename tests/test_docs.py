@@ -351,7 +351,7 @@ def test_tables_of_speed_against_error_are_the_record() -> None:
     assert all(rung == "0.1%" and kept[demo, "1%"]["missed"] for demo, rung in missing)
     assert ladder.RECORD.with_suffix(".png").stat().st_size > 10_000
     for page, table in ladder.tables(rows).items():
-        assert page.read_text() == ladder.written(page, table), page.name
+        assert page.read_text() == ladder.page_with_table(page, table), page.name
     for row in rows:
         assert_is_a_commit(row["commit"])
         if row["rung"] in ("scene", "1%") and row["stated"] and not ladder.why_missed(row):
@@ -370,7 +370,7 @@ def test_readme_states_what_a_fresh_run_does(demo: str) -> None:
     kept = {ladder.key_of(row): row for row in ladder.kept_rows()}
     references: dict[Any, float] = {}
     for rung in (name for name in ("scene", "1%") if kept[demo, name]["amplitude [m]"]):
-        row, fresh = kept[demo, rung], ladder.climbed(demo, rung, references)
+        row, fresh = kept[demo, rung], ladder.run_rung(demo, rung, references)
         assert fresh["amplitude [m]"] == pytest.approx(row["amplitude [m]"], rel=1e-3)
         assert (fresh["stated"] is None) == (row["stated"] is None)
         assert bool(fresh["missed"]) == bool(row["missed"])
