@@ -12,6 +12,7 @@ from reference_flow import size_of_motion
 
 import fenics_crack as fc
 from fenics_crack.balance.more_modes import MoreModes
+from fenics_crack.balance.solution import Solver
 from fenics_crack.study.vary import stated_errors
 
 KEYS = {
@@ -103,6 +104,31 @@ def test_modes_whose_reference_has_no_orbit(
     true = part()
     monkeypatch.setattr(MoreModes, "orbit", None)
     assert part() == pytest.approx(true, rel=0.15)
+
+
+def test_modes_where_no_solution_converges(
+    study: fc.Study, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without an orbit and a solution of more modes the predicted motion has the error, not 0."""
+    omega, contact = study.scene.excitation.omega, study.contact
+
+    def reduction() -> float:
+        found = fc.solve_harmonic_balance(
+            study.structure, omega, contact, tolerance=0.1, throw=False
+        )
+        return found.report.reduction
+
+    true, attempt = reduction(), Solver.attempt
+
+    def fail(self: Solver, *starts: Any, **options: Any) -> Any:
+        search, found = attempt(self, *starts, **options)
+        if self.problem.harmonics < 40:
+            return search, found
+        return search, replace(found, converged=False).reported(fc.ErrorReport(truncation=1.0))
+
+    monkeypatch.setattr(Solver, "attempt", fail)
+    monkeypatch.setattr("fenics_crack.balance.more_modes.find_orbit", lambda *_, **__: None)
+    assert 0.3 * true < reduction() < 3.0 * true
 
 
 def test_modes_that_change_the_orbit_too_much() -> None:
