@@ -341,15 +341,17 @@ def test_pictures_of_speed_name_what_exists() -> None:
 
 def test_tables_of_speed_against_error_are_the_record() -> None:
     """README's five rows and the ladder of the benchmarks' page are made from the rows kept, each
-    of a commit in the history; README's true errors are .3 to 1.6 times the stated ones. Rungs that
-    take more than ten minutes may be missing."""
+    of a commit in the history; README's true errors are .3 to 1.6 times the stated ones. Only what
+    misses 1 % need not be tried to .1 %."""
     import speed_against_error as ladder
 
     rows = ladder.kept_rows()
-    assert {(demo, "scene") for demo in ladder.DEMOS} <= {ladder.key_of(row) for row in rows}
+    kept = {ladder.key_of(row): row for row in rows}
+    missing = {(demo, rung) for demo in ladder.DEMOS for rung in ladder.RUNGS} - kept.keys()
+    assert all(rung == "0.1%" and kept[demo, "1%"]["missed"] for demo, rung in missing)
     assert ladder.RECORD.with_suffix(".png").stat().st_size > 10_000
     for page, table in ladder.tables(rows).items():
-        assert page.read_text() == ladder.written(page, table), page.name
+        assert page.read_text() == ladder.page_with_table(page, table), page.name
     for row in rows:
         assert_is_a_commit(row["commit"])
         if row["rung"] in ("scene", "1%") and row["stated"] and not ladder.why_missed(row):
@@ -361,13 +363,14 @@ def test_tables_of_speed_against_error_are_the_record() -> None:
     "demo", ["paper_plate", "breathing_plate", "blade", "friction", "solid_blade"]
 )
 def test_readme_states_what_a_fresh_run_does(demo: str) -> None:
-    """Amplitudes, stated and true errors of README's row; times are another machine's."""
+    """Amplitudes, stated and true errors of README's row, but where it has no answer; times are
+    another machine's."""
     import speed_against_error as ladder
 
     kept = {ladder.key_of(row): row for row in ladder.kept_rows()}
     references: dict[Any, float] = {}
-    for rung in (name for name in ("scene", "1%") if (demo, name) in kept):
-        row, fresh = kept[demo, rung], ladder.climbed(demo, rung, references)
+    for rung in (name for name in ("scene", "1%") if kept[demo, name]["amplitude [m]"]):
+        row, fresh = kept[demo, rung], ladder.run_rung(demo, rung, references)
         assert fresh["amplitude [m]"] == pytest.approx(row["amplitude [m]"], rel=1e-3)
         assert (fresh["stated"] is None) == (row["stated"] is None)
         assert bool(fresh["missed"]) == bool(row["missed"])

@@ -154,7 +154,7 @@ def estimate_errors(
     more, few = known.more_modes if exactly else None, problem.few_harmonics(ENOUGH)
     if exactly and truncation >= UNKNOWN and isinstance(structure, ReducedStructure):
         lost = UNKNOWN, UNKNOWN  # nor is it known what more modes make of a motion that is not
-    elif more and (more.errors or problem.harmonics < few):
+    elif more and (more.orbit or problem.harmonics < few):
         lost = more.errors or (UNKNOWN, UNKNOWN)
     else:
         lost = _lost_in_reduction(at, wave, problem)

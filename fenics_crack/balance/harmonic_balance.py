@@ -556,12 +556,13 @@ def _lost(
     structure = problem.structure
     if not isinstance(structure, ReducedStructure) or structure.reference is None:
         return 0.0, 0.0
-    if more is not None and (errors := more.errors) is not None:
-        return errors
-    many = problem.few_harmonics(SearchOptions.harmonics[-1])
-    balance = Solver(problem.with_harmonics(many))
-    report = balance.attempt(wave_with(many), wholly=False)[1].report
-    return report.reduction, report.displacement
+    if more is None or more.orbit is None:
+        many = problem.few_harmonics(SearchOptions.harmonics[-1])
+        balance = Solver(problem.with_harmonics(many))
+        near = balance.attempt(wave_with(many), wholly=False)[1]
+        if near.converged:
+            return near.report.reduction, near.report.displacement
+    return (more and more.errors) or (UNKNOWN, UNKNOWN)
 
 
 # --- by harmonics ---------------------------------------------------------------------------------

@@ -2,8 +2,9 @@
 
 The reference of a reduced structure has more modes (:mod:`fenics_crack.model.reduction`). Those
 that crack faces without mass leave out begin as their statics have them, Lambda q = f - P lambda.
-The orbit that Newton's method finds from there gives the change exactly. The reference has a share
-of what is left out, so that
+The orbit that Newton's method finds from there gives the change exactly; without one, the motion to
+which one step of Newton's method for all its parts leads gives it linearly. The reference has a
+share of what is left out, so that
 
     e = |f - f_ref| / share.
 
@@ -25,7 +26,16 @@ from fenics_crack.model.modes import NEGLIGIBLE, times
 from fenics_crack.model.reduced import ReducedStructure, massless
 from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.motion.flow import ContactFlow, Samples
-from fenics_crack.motion.orbit import INSTANTS, KNOWN, Inverse, PeriodicOrbit, find_orbit, predicted
+from fenics_crack.motion.orbit import (
+    INSTANTS,
+    KNOWN,
+    Inverse,
+    MotionInArcs,
+    PeriodicOrbit,
+    find_orbit,
+    predicted,
+    predicted_motion,
+)
 from fenics_crack.motion.search import SEGMENTS
 from fenics_crack.numerics.equations import CLOSE
 from fenics_crack.numerics.fourier import waves_of
@@ -105,15 +115,24 @@ class MoreModes:
         map_to = whole.sum_over_ranks(reference.basis.T @ moved) @ self.fewer.flow.modes.shapes
         return self.flow.state(shape @ map_to.T, speed @ map_to.T, places)
 
-    @cached_property
+    @property
     def orbit(self) -> PeriodicOrbit | None:
         """Next to the motion, as sharp as an estimated error takes; None where none is found."""
+        return None if isinstance(self.motion, MotionInArcs) else self.motion
+
+    @cached_property
+    def motion(self) -> PeriodicOrbit | None:
+        """The orbit, else the motion that one step of Newton's method leads to; None without both.
+
+        The step is that for all parts of the nearest orbit's period together.
+        """
         flow, omega, periods = self.flow, self.wave.omega, self.wave.subharmonic
         states, near = self._states, self.inverse
         search = partial(find_orbit, flow, omega, subharmonic=periods, located=CLOSE)
         orbit = search(states[0], inverse=near) or (search(states[0]) if near else None)
         if orbit is None and (step := predicted(flow, omega, states, periods)):
             orbit = search(step.states[0], inverse=step.inverse)
+            return orbit or predicted_motion(flow, omega, step, periods)
         return orbit
 
     @property
@@ -125,11 +144,11 @@ class MoreModes:
 
     @property
     def errors(self) -> Errors | None:
-        """Errors by the orbits with these modes and without them; None where it is not found. That
+        """Errors by the motions with these modes and without them; None where it is not known. That
         of the gaps is 0 where they move by rounding."""
-        if self.orbit is None:
+        if self.motion is None:
             return None
-        few, many = self.fewer.sampled, self.orbit.sampled
+        few, many = self.fewer.sampled, self.motion.sampled
         of_gap = relative_to_motion(many.gaps - few.gaps, few.gaps + self.wave.seen.clearance)
         moved, more = (loaded(one.flow.structure, one.displacement) for one in (few, many))
         at_load = relative_to_motion(more - moved, moved)

@@ -176,20 +176,25 @@ def _in_numbers(run: Run[Any], table: Table) -> dict[str, Table]:
 def _seen_instead(found: PeriodicSolution, dof: int) -> str:
     """Describe the size of the motions that leave an unstable or irregular solution; empty where
     that is not known (collective)."""
-    settled, said = [], []
+    motions: list[tuple[bool, int, np.ndarray]] = []
     with suppress(ConvergenceError, InputError):
-        for one in attractors(found.structure, found):
-            sizes = one.amplitudes(dof)
-            least, most = (quantity(size, "m") for size in (sizes.min(), sizes.max()))
-            size = most if least == most else f"between {least} and {most}"
-            if one.orbit:
-                settled.append(size)
-            else:
-                said.append(f"still varies after {counted(one.periods, 'period')}, {size}")
-    if settled:
-        said.insert(0, f"settles to {' or '.join(dict.fromkeys(settled))}")
-    seen = " or ".join(dict.fromkeys(said))
-    return f"; after a disturbance the motion {seen} half peak-to-peak" if seen else ""
+        motions = [
+            (motion.orbit is not None, motion.periods, motion.amplitudes(dof))
+            for motion in attractors(found.structure, found)
+        ]
+    settled = dict.fromkeys(_range_of(sizes) for is_orbit, _, sizes in motions if is_orbit)
+    parts = [f"settles to {' or '.join(settled)}"] if settled else []
+    if varying := [(periods, sizes) for is_orbit, periods, sizes in motions if not is_orbit]:
+        periods, sizes = zip(*varying, strict=True)
+        ends = _range_of(np.concatenate(sizes))
+        parts.append(f"still varies after {counted(min(periods), 'period')}, {ends}")
+    return f"; the motion {' or '.join(parts)} half peak-to-peak" if parts else ""
+
+
+def _range_of(sizes: np.ndarray) -> str:
+    """Describe the range of some sizes [m]: "1.2 mm", or "between 1.2 mm and 1.5 mm"."""
+    ends = dict.fromkeys(quantity(size, "m") for size in (sizes.min(), sizes.max()))
+    return f"{'between ' if len(ends) > 1 else ''}{' and '.join(ends)}"
 
 
 # --- a motion in time -----------------------------------------------------------------------------

@@ -29,6 +29,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import pairwise
@@ -401,6 +402,30 @@ class OrbitCoefficients(NamedTuple):
     displacement: np.ndarray
 
 
+@dataclass(frozen=True, repr=False)
+class MotionInArcs(PeriodicOrbit):
+    """A motion in equal parts of its period that need not meet, observed like an orbit.
+
+    Attributes
+    ----------
+    starts : (n, 2 n_modes)
+        States at the starts of the parts.
+    """
+
+    starts: np.ndarray
+
+    def samples(self, time: np.ndarray) -> Samples:
+        """Return the motion at ascending times of the period [s]."""
+        places = self.period / len(self.starts) * np.arange(len(self.starts) + 1)
+        instants = np.split(time, np.searchsorted(time, places[1:-1]))
+        parts = [
+            self.flow.advance(state, self.omega, places[1], start=start, instants=some).samples
+            for state, start, some in zip(self.starts, places.tolist(), instants, strict=False)
+        ]
+        arrays = ((part.states, part.answers, part.contact) for part in parts)
+        return Samples(self.flow, self.omega, time, *map(np.concatenate, zip(*arrays, strict=True)))
+
+
 def affordable(
     flow: ContactFlow, omega: float, subharmonic: int = 1, periods: int = FLOWS + PRODUCTS
 ) -> bool:
@@ -440,6 +465,19 @@ def predicted(
     count = flow.count
     gap, moved = states[:, :count] @ flow.modes.pairs, changes[:, :count] @ flow.modes.pairs
     return Prediction(relative_to_motion(moved, gap), states + changes, track, inverse)
+
+
+def predicted_motion(
+    flow: ContactFlow, omega: float, step: Prediction, subharmonic: int
+) -> MotionInArcs | None:
+    """Return the motion that a prediction leads to; None where it cannot be followed."""
+    with suppress(ConvergenceError):
+        ends, track, _ = flow.steps(step.states, omega, 2.0 * np.pi * subharmonic / omega)
+        return MotionInArcs(
+            flow, omega, subharmonic, flow.advance(ends[-1], omega, 0.0)._replace(track=track),
+            step.states[0], 1, step.states,
+        )  # fmt: skip
+    return None
 
 
 def _inverse(flow: ContactFlow, track: Track, weights: np.ndarray) -> Inverse:

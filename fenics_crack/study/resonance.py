@@ -79,13 +79,13 @@ class AtLoad:
     @property
     def in_words(self) -> str:
         """Amplitude, errors, causes that they leave out, and verdict; or why there are none."""
-        errors = dict.fromkeys((*ESTIMATED, *BY_CHOICE), math.nan)
-        errors |= {"harmonics": self.error, "mesh": self.mesh_error}
+        by_cause = {"harmonics": self.error, "mesh": self.mesh_error}
+        errors = dict.fromkeys((*ESTIMATED, *BY_CHOICE), math.nan) | by_cause
         missing = [cause for cause, error in errors.items() if not math.isfinite(error)]
         known = [f"the {c} {error_in_words(e)}" for c, e in errors.items() if e > 0.0]
         size = f"{quantity(self.amplitude, 'm')} half peak-to-peak, {self.verdict}"
-        errors_text = f"error due to {', '.join(known) or 'none'}; {without_causes(missing)}"
-        return self.unknown or f"{size}, {errors_text}"
+        parts = f"{size}, error due to {', '.join(known) or 'none'}", without_causes(missing)
+        return self.unknown or "; ".join(filter(None, parts))
 
     @property
     def numbers(self) -> dict[str, float]:

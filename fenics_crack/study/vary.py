@@ -230,7 +230,8 @@ class _Case:
     found : PeriodicSolution
         The answer.
     near : PeriodicSolution
-        By harmonic balance with as many harmonics, to which other solutions are compared.
+        By harmonic balance with as many harmonics, to which other solutions are compared; the
+        answer where that has none and the answer is an exact orbit.
     own : Numbers
         Of that.
     made : Verification
@@ -485,8 +486,10 @@ def stated_errors(
     try:
         near = _solved(study, found.omega, found.harmonics, found)
     except REFUSALS as error:
-        stated.unknown["harmonics"] = _why_failed("harmonic balance from it", error)
-        return stated
+        if found.orbit is None:
+            stated.unknown["harmonics"] = _why_failed("harmonic balance from it", error)
+            return stated
+        near = found  # has the coefficients of an exact orbit
     own = numbers_of(study, near, numbers.mode)
     case = _Stated(study, found, near, own, stated, of_peak)
     return vary(stated, {cause: getattr(case, cause) for cause in causes})
@@ -517,20 +520,24 @@ class _Stated(_Case):
     of_peak: bool
 
     def modes(self) -> Varied:
-        """By the nearest exact orbits with these modes and with those of the reference; where these
-        are not at hand by solutions, with :data:`ENOUGH` harmonics where orbits are affordable, but
-        at least the part of harmonics, as modes above all of them are static in both."""
+        """By the nearest exact orbits with these modes and with those of the reference; of few
+        harmonics without the latter by its predicted motion.
+
+        Where these are not at hand by solutions, with :data:`ENOUGH` harmonics where orbits are
+        affordable, but at least the part of harmonics, as modes above all of them are static in
+        both."""
         structure, near, reference = self.study.structure, self.near, reference_of(self.near)
         if reference is None:
             return "all are kept"
         assert isinstance(structure, ReducedStructure)
         more, known = replace(self.study, structure=reference), self.found.assessment
         larger = known.more_modes if known.affordable else None
-        if larger and larger.orbit:
+        is_short = self.found.orbit is None and near.harmonics < ENOUGH * near.subharmonic
+        if larger and (motion := larger.motion if is_short else larger.orbit):
             few = self.exact or of_orbit(self.study, self.found, larger.fewer, self.own.mode)
-            many = of_orbit(more, self.found, larger.orbit, self.own.mode)
+            many = of_orbit(more, self.found, motion, self.own.mode)
             other = as_changed(self.own.values, few, many)
-            least = sizes_of_change(self.study, larger.fewer, larger.orbit)
+            least = sizes_of_change(self.study, larger.fewer, motion)
         else:
             exactly = known.affordable and structure.light_lips
             if exactly and near.harmonics < (count := ENOUGH * near.subharmonic):

@@ -94,4 +94,4 @@ def test_orbits_that_lie_dense(paper_scene: fc.Scene, monkeypatch: pytest.Monkey
             orbit = solution.assessment.orbit
             assert orbit is not None and solution.assessment.distance < 0.01
             assert np.abs(orbit.multipliers).max() > 2.0
-    assert set(usual) <= {"unstable", "undecided"}
+    assert set(usual) <= {"unstable", "irregular"}

@@ -243,7 +243,7 @@ def test_what_is_seen_in_place_of_an_unstable_orbit(
     run = fc.load_run(tmp_path / "solution.h5")
     [found] = fc.attractors(run.structure, run.result)
     sizes = [f"{1e3 * size:.4g} mm" for size in np.sort(found.amplitudes(run.watched_dof))[[0, -1]]]
-    still = "; after a disturbance the motion still varies after 1000 periods, between"
+    still = "; the motion still varies after 1000 periods, between"
     told = f"{still} {' and '.join(sizes)} half peak-to-peak"
     assert told in capsys.readouterr().err
     page = tmp_path / "report.html"
@@ -254,8 +254,6 @@ def test_what_is_seen_in_place_of_an_unstable_orbit(
     last = curve.result.solution(len(curve.result) - 1)
     [doubled] = fc.attractors(curve.structure, last)
     sizes = [f"{size:.4g} m" for size in np.sort(doubled.amplitudes(curve.watched_dof))]
-    told = (
-        f"response is unstable; after a disturbance the motion settles to between {sizes[0]} and "
-    )
+    told = f"response is unstable; the motion settles to between {sizes[0]} and "
     told += f"{sizes[1]} half"
     assert told in capsys.readouterr().err

@@ -19,7 +19,7 @@ from fenics_crack.kernel import kernel, pointer
 from fenics_crack.motion import flow as flow_module
 from fenics_crack.motion.attractors import in_the_long_run
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, Track, flow_of
-from fenics_crack.motion.orbit import Prediction, find_orbit, predicted
+from fenics_crack.motion.orbit import Prediction, find_orbit, predicted, predicted_motion
 from fenics_crack.motion.search import SearchOptions, search_orbit, wave_states
 from fenics_crack.motion.shooting import FlowOrbits
 from fenics_crack.numerics.fourier import balanced, evaluate, waves
@@ -370,6 +370,24 @@ def test_orbit_against_the_reference(seed: int, light: bool) -> None:
     assert abs(orbit.multipliers[0]) == pytest.approx(largest, rel=1e-9)
     assert orbit.events == events > 0
     assert 0.2 < distance(solution, orbit) / found.error < 2.0
+
+
+@pytest.mark.parametrize("light", [False, True])
+def test_motion_in_arcs(light: bool) -> None:
+    """Its parts begin where a prediction leads; from an orbit's own states it is the orbit."""
+    structure: fc.Structure = light_chain(1) if light else chain(pairs=3, seed=1)
+    contact: object = RIGID if light else fc.UnilateralPenalty(20.0)
+    solution = fc.solve_harmonic_balance(structure, 0.5, contact, harmonics=10)
+    step, orbit = next_to(solution)
+    flow, time = orbit.flow, np.linspace(0.0, 0.999 * orbit.period, 300)
+    motion = predicted_motion(flow, 0.5, step, 1)
+    assert motion is not None
+    assert relative(motion.sampled.states[::16], step.states[:, : 2 * flow.count]) < 1e-9
+    closed = predicted(flow, 0.5, orbit.sampled.whole_states[::16])
+    assert closed is not None and closed.error < 1e-8
+    same = predicted_motion(flow, 0.5, closed, 1)
+    assert same is not None and relative(same.gap_at(time), orbit.gap_at(time)) < 1e-7
+    assert same.faces["opening"] == pytest.approx(orbit.faces["opening"], rel=1e-7)
 
 
 def test_twice_the_period() -> None:

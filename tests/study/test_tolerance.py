@@ -15,6 +15,7 @@ from scipy.optimize import nnls
 from surroundings import main
 
 import fenics_crack as fc
+from fenics_crack.study.vary import stated_errors
 
 LAW = {"contact.stiffness": 1e9, "damping.ratio": 0.03}
 SMALL = {"mesh.columns": 6, "mesh.rows": 12, "mesh.order": 1}
@@ -206,3 +207,23 @@ def test_the_fewest_harmonics() -> None:
         run.structure, run.result.omega, run.contact, tolerance=0.5, subharmonic=2
     )
     assert solution.harmonics == 10
+
+
+def test_orbit_beside_which_harmonic_balance_has_no_solution(
+    paper_scene: fc.Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The errors of a solution to a tolerance are those by its own exact orbit."""
+    chosen = {"harmonic_balance.tolerance": 1e-3, "mesh.error": False}
+    run = fc.solve(paper_scene.replace(LAW | chosen), MPI.COMM_SELF)
+
+    def fail(*_: object) -> None:
+        raise fc.ConvergenceError("no solution")
+
+    monkeypatch.setattr("fenics_crack.study.vary._solved", fail)
+    stated = stated_errors(run, run.result)
+    assert "harmonics" not in stated.unknown and "modes" not in stated.unknown
+    error = abs(run.result.orbit.amplitude() / run.result.amplitude() - 1.0)
+    assert 0.0 < error < 1e-3
+    assert stated.contributions("amplitude")["harmonics"] == pytest.approx(
+        error * stated.values["amplitude"], rel=1e-3
+    )

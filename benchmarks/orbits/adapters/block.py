@@ -8,7 +8,7 @@ __all__ = ["PACKAGE", "solve"]
 
 def solve(problem: Problem) -> Answer:
     """From the motion with open contacts."""
-    problem.only("penalty", "smoothed")
-    if problem.flexibility is not None:
-        raise Unsupported("no pairs without mass")
+    problem.only("penalty", "smoothed", "rigid")
+    if problem.kind == "rigid" and problem.flexibility is None:
+        raise Unsupported("no rigid contact of pairs with mass")
     return answered(problem, harmonics=20, form="block")
