@@ -154,12 +154,12 @@ class Assessment:
         if self.own is not None:
             return self.own, True
         orbit = self._source or self._nearest_orbit()
-        most = MAX_DISTANCE if self.wave.structure.light_lips else MAX_ERROR
-        if orbit is None and (finer := self._refined()) is not None and finer.accepted:
-            orbit = finer.orbit
+        max_distance = MAX_DISTANCE if self.wave.structure.light_lips else MAX_ERROR
+        if orbit is None and (finer_wave := self._refined_assessment()) and finer_wave.accepted:
+            orbit = finer_wave.orbit
         elif self._source is None:  # predictions are within a factor of 3 of the distance
-            most = min(most, max(3.0 * self.predicted_error, NEARLY_SOLVED))
-        return orbit, orbit is not None and distance(self.wave, orbit) <= most
+            max_distance = min(max_distance, max(3.0 * self.predicted_error, NEARLY_SOLVED))
+        return orbit, orbit is not None and distance(self.wave, orbit) <= max_distance
 
     def _nearest_orbit(self) -> PeriodicOrbit | None:
         """Search for an orbit by Newton's method."""
@@ -174,13 +174,13 @@ class Assessment:
         found = (search(state, subharmonic=periods, inverse=inverse) for state in states)
         return next(filter(None, found), None)
 
-    def _refined(self) -> Assessment | None:
+    def _refined_assessment(self) -> Assessment | None:
         """Assess the solution with twice the harmonics; None where it is not sought or found."""
-        flow, left = self.flow, self._refinements - 1
-        if flow is None or left < 0 or not (flow.structure.light_lips and self.affordable):
+        flow, n_left = self.flow, self._refinements - 1
+        if flow is None or n_left < 0 or not (flow.structure.light_lips and self.affordable):
             return None
         wave = with_twice_the_harmonics(self.wave)
-        return None if wave is None else Assessment(wave, flow=flow, refinements=left)
+        return None if wave is None else Assessment(wave, flow=flow, refinements=n_left)
 
     @cached_property
     def irregular_motion(self) -> Attractor | None:

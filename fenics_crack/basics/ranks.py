@@ -15,6 +15,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import partial
 from itertools import dropwhile
 from typing import Any, TypeVar, cast
 
@@ -59,10 +60,9 @@ def unread_options() -> list[str]:
     """Return the options ``-crack_...`` of this program's arguments that PETSc has not read."""
     from petsc4py import PETSc
 
-    query, is_used = ctypes.CDLL(PETSc.__file__).PetscOptionsUsed, ctypes.c_int()
+    query, is_used = partial(ctypes.CDLL(PETSc.__file__).PetscOptionsUsed, None), ctypes.c_int()
     names = [word for word in sys.argv[1:] if word.startswith("-crack_")]
-    queries = (query(None, name[1:].encode(), ctypes.byref(is_used)) for name in names)
-    return [name for name, failed in zip(names, queries, strict=True) if failed or not is_used]
+    return [n for n in names if query(n[1:].encode(), ctypes.byref(is_used)) or not is_used]
 
 
 def slepc() -> Any:

@@ -43,9 +43,9 @@ def serve(reader: str, line: socket.socket) -> None:
 
 def limit(kind: int, soft_limit: int, margin: int = 0) -> None:
     """Set a soft limit of this process, and the hard one at which it is killed, up to its own."""
-    hard_limit, present_limit = soft_limit + margin, resource.getrlimit(kind)[1]
-    if present_limit != resource.RLIM_INFINITY:
-        hard_limit = min(hard_limit, present_limit)
+    hard_limit = resource.getrlimit(kind)[1]
+    if not 0 <= hard_limit <= soft_limit + margin:  # infinity may be negative
+        hard_limit = soft_limit + margin
     resource.setrlimit(kind, (min(soft_limit, max(hard_limit - margin, 1)), hard_limit))
 
 

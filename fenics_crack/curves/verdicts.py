@@ -102,8 +102,8 @@ def _growth_along(curve: ResponseCurve, is_open: np.ndarray) -> np.ndarray:
         In a period; between two irregular points geometric means, elsewhere nan.
     """
     growth, places = np.full(len(curve), np.nan), np.flatnonzero(is_open)
-    n_followed = min(MAX_FOLLOWED_POINTS, len(places))
-    indices = places[np.linspace(0, len(places) - 1, n_followed).astype(int)].tolist()
+    steps = np.linspace(0, len(places) - 1, min(MAX_FOLLOWED_POINTS, len(places)))
+    indices = places[steps.astype(int)].tolist()
     for place, assessment in zip(indices, curve.assessments(indices), strict=True):
         if motion := assessment.irregular_motion:
             growth[place] = motion.growth

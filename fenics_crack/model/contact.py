@@ -328,11 +328,10 @@ def check_law(structure: Structure, contact: Any, *, rigid: bool = False) -> Non
     :class:`UnilateralConstraint` is one only with ``rigid``.
     """
     members = ("stiffness", "force", "tangent", "scaled")
-    lacks_all = isinstance(contact, type)
-    absent_members = [name for name in members if lacks_all or not hasattr(contact, name)]
+    is_class = isinstance(contact, type)
+    absent_members = [name for name in members if is_class or not hasattr(contact, name)]
     if absent_members or (is_rigid(contact) and not rigid):
-        names = ", ".join(absent_members)
-        lacks = f", with {names}, which it lacks" if names else ""
+        lacks = f", with {', '.join(absent_members)}, which it lacks" if absent_members else ""
         raise InputError("contact", contact, f"a contact law such as UnilateralPenalty(1e9){lacks}")
     stiffness = np.asarray(contact.stiffness, dtype=np.float64)
     if stiffness.shape not in ((), (structure.n_pairs,)):

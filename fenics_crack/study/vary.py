@@ -289,21 +289,22 @@ class _Case:
         keys["harmonic_balance.form"] = "condensed"
         if not structure.light_lips:  # faces with mass, in contact as stiff along them as across
             keys["contact.tangential_stiffness_per_area"] = table.stiffness_per_area
-        (orbits, many), (others, few) = (
+        (orbits, numbers), (coarse_orbits, coarse_numbers) = (
             self._with_and_without(count, rubs, keys) for count in FRICTION_MODES
         )
         if len(orbits) < 2:
             return f"not estimated, no exact orbit next to {SOUGHT} harmonics"
-        few = few if len(others) == 2 else many
+        if len(coarse_orbits) < 2:
+            coarse_numbers = numbers
         sizes = sizes_of_change(study, *orbits)
         coefficients, parts = (0.0, float(coefficient)), {}
         for name, value in self.made.values.items():
             if name in SLIDING:
                 continue
-            change, other = (_relative_change(name, *numbers) for numbers in (many, few))
-            error = abs(change) + abs(change - other)
-            if without := abs(many[0].get(name, 0.0)):
-                error = max(error, sizes.get(name, 0.0) / without)
+            change = _relative_change(name, *numbers)
+            error = abs(change) + abs(change - _relative_change(name, *coarse_numbers))
+            if size := abs(numbers[0].get(name, 0.0)):
+                error = max(error, sizes.get(name, 0.0) / size)
             values = value, value * (1.0 + change)
             factor = error / abs(change) if change else 1.0
             parts[name] = GridConvergence(coefficients, values, "two coefficients", factor=factor)
