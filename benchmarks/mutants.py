@@ -51,6 +51,7 @@ FOLDERS = (
 READERS = ("msh_file", "msh_reader", "matrix_files", "model_files", "matrices")
 """Modules there that read files."""
 TEST_FOLDERS = {
+    "fem": ("fem", "study", "disk"),
     "kernel": ("balance", "motion", "numerics", "time", "curves"),
     "model": ("model", "disk"),
     "numerics": ("numerics", "curves"),
@@ -308,8 +309,6 @@ class Copy:
         for name in [*filter(None, names.split("\0")), *libraries]:
             (self.root / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(ROOT / name, self.root / name)
-        self._sound: set[str] = set()
-        self._unsound: set[str] = set()
 
     def killer(self, mutation: Mutation) -> str:
         """Return the test that kills a mutant, or nothing."""
@@ -317,25 +316,19 @@ class Copy:
         source = mutation.apply(self.root)
         try:
             is_built = mutation.path.suffix == ".py" or self._build(mutation.path)
-            killer = self._first_failure(tests) if is_built else "the compiler"
+            failures = self.failures(["-x", *tests]) if is_built else ["the compiler"]
         finally:
             (self.root / mutation.path).write_bytes(source)
         if mutation.path.suffix == ".c":
             self._build(mutation.path)
-        if killer.startswith("tests/") and killer not in self._sound:
-            if self._first_failure([killer]):  # without the mistake: the test says nothing
-                self._unsound.add(killer)
-                return self.killer(mutation)
-            self._sound.add(killer)
-        return killer
+        return failures[0] if failures else ""
 
-    def _first_failure(self, tests: list[str]) -> str:
-        """Run tests until one fails, and return its name."""
-        plain = ("-x", "-q", "-n", "0", "-p", "no:cacheprovider", "-p", "mutants", "--tb=no")
-        skipped = [f"--deselect={test}" for test in self._unsound]
+    def failures(self, arguments: list[str]) -> list[str]:
+        """Run pytest and return the tests that failed, or the signal that ended it."""
+        plain = ("-q", "-n", "0", "-p", "no:cacheprovider", "-p", "mutants", "--tb=no")
         paths = os.pathsep.join(map(str, (self.root, self.root / "benchmarks")))
         process = subprocess.Popen(
-            [sys.executable, "-m", "pytest", *plain, *skipped, *tests],
+            [sys.executable, "-m", "pytest", *plain, *arguments],
             cwd=self.root, env={**os.environ, "PYTHONPATH": paths}, start_new_session=True,
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace",
             preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (MEMORY_LIMIT,) * 2),
@@ -345,15 +338,12 @@ class Copy:
         except subprocess.TimeoutExpired:
             os.killpg(process.pid, signal.SIGKILL)
             process.communicate()
-            return ""
+            return []
         if process.returncode < 0:
-            return signal.Signals(-process.returncode).name
-        failure = re.search(r"(?m)^(?:FAILED|ERROR) (tests/.*?)(?: - .*)?$", output)
+            return [signal.Signals(-process.returncode).name]
         if process.returncode in (3, 4):
             raise RuntimeError(output)
-        if failure is None and process.returncode in (1, 2):
-            return "the collection"
-        return failure[1] if failure else ""
+        return re.findall(r"(?m)^(?:FAILED|ERROR) (tests/.*?)(?: - .*)?$", output)
 
     def _build(self, path: Path) -> bool:
         """Compile a file of the kernel and link it with the others; False if it is refused."""
@@ -393,8 +383,11 @@ def mutants(arguments: object) -> None:
             common.write_csv(file, COLUMNS, rows)
             print(f"{number:3} {place} ({mutation.kind}, {taken} s): {killer or 'SURVIVES'}")
             print(f"      {before}\n   -> {after}", flush=True)
+        killers = sorted({row[6] for row in rows if "::" in row[6]})
+        failures = copy.failures(killers) if killers else []
     survivors = [row for row in rows if not row[6]]
     print(f"\n{len(rows) - len(survivors)} of {len(rows)} are killed; these survive:")
+    print("\n".join(["Without a mistake, too, these fail:", *failures] if failures else []))
     for row in survivors:
         print(f"{row[1]} ({row[3]})\n      {row[4]}\n   -> {row[5]}")
 

@@ -222,6 +222,29 @@ def test_paths_keep_what_the_kernel_records(stop: Continuation) -> None:
     assert path.event is not None and len(seen) > 2
 
 
+def test_a_halved_step_keeps_the_points_before_it(stop: Continuation) -> None:
+    """A path consists of the points up to each step that is too long, and of no others."""
+    family = Orbits(fc.Problem(two_masses(), 0.6, LAW), "omega", 0.6, 0.9)
+    start = point_on_path(family, stop.points[0].unknown, 0.0)
+    kept_points: list[np.ndarray] = []
+    kept_at_once: list[int] = []
+
+    class ShortBehind(MultiplierControl):
+        def too_long(self, points: Any) -> np.ndarray:
+            ends = points.parameters
+            is_long = (np.diff(ends) > 0.006) & (ends[1:] > 0.05)
+            kept = [*np.flatnonzero(is_long), len(is_long)][0] + 1
+            kept_points.append(ends[:kept])
+            kept_at_once.append(int(kept) if is_long.any() else 0)
+            return is_long
+
+    options = PathOptions(0.02, 0.02, max_steps=12)
+    path = Path(family, start, options, [], ShortBehind(0.02))
+    parameters = [0.0, *(point.parameter for point in path.points())]
+    assert len(parameters) == 13 and max(kept_at_once) > 2  # halved behind points of the same call
+    assert parameters == np.unique(np.concatenate(kept_points)).tolist()
+
+
 # --- bifurcations ---------------------------------------------------------------------------------
 
 
