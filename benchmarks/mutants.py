@@ -38,6 +38,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -58,8 +59,6 @@ TEST_FOLDERS = {
     "study": ("study", "disk"),
 }
 """Folders of tests, where they are more than the one of the same name."""
-KERNEL_TESTS = ("test_kernel", "test_inside_", "test_paths", "test_any_load", "test_compiled")
-"""Test files that call the kernel, by the beginning of their names."""
 TEST_LIMIT = 60.0
 """Processor time of a test [s]. The longest takes a third of it."""
 MUTANT_LIMIT = 300.0
@@ -91,6 +90,12 @@ C_PATTERNS = {
     "constant": rf"(?<=[-+*/] ){C_NUMBER}|{C_NUMBER}(?= [-+*/] )",
 }
 """What is changed in C, by kind."""
+
+C_FUNCTION = re.compile(r"(?ms)^\w[^;{}=]*?(\w+)\([^;{}]*\)\s*\{.*?^\}")
+LEVELS = 5
+"""Functions on the way from a test to what is changed."""
+OTHER_FILES = 6
+"""Most relevant test files, of any folder."""
 
 
 @dataclass(frozen=True)
@@ -256,7 +261,7 @@ class CMutations:
         blank = lambda match: re.sub(rb"[^\n]", b" ", match[0])  # noqa: E731
         aside = rb'(?s)/\*.*?\*/|//[^\n]*|"(?:\\.|[^"\\])*"|(?m:^#[^\n]*)'
         code = re.sub(aside, blank, self._source).decode("latin-1")
-        for body in re.finditer(r"(?ms)^\w[^;{}=]*?(\w+)\([^;{}]*\)\s*\{.*?^\}", code):
+        for body in C_FUNCTION.finditer(code):
             inside = body[0].index("{") + body.start()
             for kind, pattern in C_PATTERNS.items():
                 for match in re.compile(pattern).finditer(code, inside, body.end()):
@@ -278,24 +283,61 @@ def c_replacement(kind: str, text: str) -> str:
     return "" if kind == "term" else (SIGNS | COMPARISONS)[text]
 
 
-def tests_of(mutation: Mutation, root: Path) -> list[str]:
-    """Return the test files of a mutation's folder, those first that mention what is changed."""
-    folder, module = mutation.path.parent.name, mutation.path.stem
-    own = [root / "tests" / name for name in TEST_FOLDERS.get(folder, (folder,))]
-    files = [file for path in own for file in sorted(path.rglob("test_*.py"))]
-    imported = f"fenics_crack.{folder}.{module} "
-    for file in sorted((root / "tests").rglob("test_*.py")):
-        if file not in files and imported in file.read_text():
-            files.append(file)
+class Relevance:
+    """Order of test files by the names that lead to what is changed.
 
-    def relevance(file: Path) -> tuple[bool, int]:
-        text = file.read_text()
-        words = len(re.findall(rf"\b{mutation.function}\b", text))
-        words += 5 * (imported in text) + 20 * (module in file.stem)
-        is_for_kernel = folder == "kernel" and file.stem.startswith(KERNEL_TESTS)
-        return not is_for_kernel, -words
+    A test that mentions the function counts 1, one that mentions a function that uses it a third,
+    and so on; over the number of test files that mention the same name. The largest number counts,
+    and five times that of files in the folders of the module.
+    """
 
-    return [str(file.relative_to(root)) for file in sorted(files, key=relevance)]
+    def __init__(self, root: Path) -> None:
+        self._root, self._users = root, defaultdict[str, set[str]](set)
+        self._words = {
+            file: set(re.findall(r"\w+", file.read_text()))
+            for file in sorted((root / "tests").rglob("test_*.py"))
+        }
+        self._files_of_word = Counter(word for words in self._words.values() for word in words)
+        for file in sorted((root / PACKAGE).rglob("*.[cp]*")):
+            if file.suffix in (".py", ".c"):
+                for name, body in bodies(file):
+                    for word in re.findall(r"\w+", body):
+                        self._users[word].add(name)
+
+    def tests_of(self, mutation: Mutation) -> list[str]:
+        """Return the test files of a mutation's folder and the most relevant other ones."""
+        names, seen, scores = {mutation.function}, set[str](), Counter[Path]()
+        for level in range(LEVELS):
+            for file, words in self._words.items():
+                for name in names & words:
+                    relevance = 3.0**-level / self._files_of_word[name]
+                    scores[file] = max(scores[file], relevance)
+            seen |= names
+            names = {user for name in names for user in self._users[name]} - seen
+        folder, module = mutation.path.parent.name, mutation.path.stem
+        paths = [self._root / "tests" / name for name in TEST_FOLDERS.get(folder, (folder,))]
+        inside = [file for file in self._words if any(file.is_relative_to(path) for path in paths)]
+        for file in inside:
+            scores[file] *= 5.0
+            scores[file] += 1.0 * (module in file.stem)
+        first = [file for file, _ in scores.most_common(OTHER_FILES)]
+        files = sorted({*first, *inside}, key=lambda file: (-scores[file], file))
+        return [str(file.relative_to(self._root)) for file in files]
+
+
+def bodies(file: Path) -> Iterator[tuple[str, str]]:
+    """Yield the name, of methods as ``__init__`` the class's, and the text of each function."""
+    text = file.read_text()
+    lines = text.splitlines()
+    if file.suffix == ".c":
+        yield from ((match[1], match[0]) for match in C_FUNCTION.finditer(text))
+        return
+    for node in ast.walk(ast.parse(text)):
+        for child in node.body if isinstance(node, ast.Module | ast.ClassDef) else ():
+            if isinstance(child, ast.FunctionDef):
+                is_special = isinstance(node, ast.ClassDef) and child.name.startswith("__")
+                body = lines[child.lineno - 1 : child.end_lineno]
+                yield node.name if is_special else child.name, "\n".join(body)
 
 
 class Copy:
@@ -309,10 +351,11 @@ class Copy:
         for name in [*filter(None, names.split("\0")), *libraries]:
             (self.root / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(ROOT / name, self.root / name)
+        self._relevance = Relevance(self.root)
 
     def killer(self, mutation: Mutation) -> str:
         """Return the test that kills a mutant, or nothing."""
-        tests = tests_of(mutation, self.root)
+        tests = self._relevance.tests_of(mutation)
         source = mutation.apply(self.root)
         try:
             is_built = mutation.path.suffix == ".py" or self._build(mutation.path)
