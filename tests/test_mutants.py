@@ -80,16 +80,31 @@ def test_mutants_of_c() -> None:
 
 
 def test_draw() -> None:
-    """As many of each kind, the same for a seed; the tests that name what is changed come first."""
+    """As many of each kind, the same for a seed."""
     path = "fenics_crack/model/cyclic.py"
     choices = mutants.all_mutations(mutants.ROOT, path)
     drawn = mutants.draw(choices, 1, 12)
     assert drawn == mutants.draw(choices, 1, 12) != mutants.draw(choices, 2, 12)
     assert set(Counter(one.kind for one in drawn).values()) == {2}
-    assert mutants.Relevance(mutants.ROOT).tests_of(drawn[0])[0] == "tests/disk/test_cyclic.py"
     place, before, after = drawn[0].lines(mutants.ROOT)
     number = int(place.removeprefix(f"{path}:"))
     assert before == (mutants.ROOT / path).read_text().splitlines()[number - 1].strip() != after
+
+
+def test_relevant_tests_come_first(tmp_path: Path) -> None:
+    """Those that use what uses the function, before the folder's others; not those of others."""
+    files = {
+        "fenics_crack/model/a.py": "def inner(x):\n    return -x\ndef outer(x):\n    inner(x)\n",
+        "tests/model/test_c.py": "outer(1)",
+        "tests/model/test_b.py": "another(1)",
+        "tests/curves/test_d.py": "another(1)",
+    }
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    [mutation] = mutants.all_mutations(tmp_path)
+    tests = mutants.Relevance(tmp_path).tests_of(mutation)
+    assert tests == ["tests/model/test_c.py", "tests/model/test_b.py"]
 
 
 def test_mutant_is_undone(tmp_path: Path) -> None:
