@@ -14,17 +14,18 @@ of 1 % is no mistake. A mutant is made in a copy of the checkout in a temporary 
 its folder run there until one fails: first the files that mention the module or the function. A
 mutant is killed if a test fails that passes without the mistake, if it is not compiled, or if a
 test crashes or takes more than ``TEST_LIMIT``. It survives if all tests pass, or all that were run
-within ``MUTANT_LIMIT``.
+within ``--limit`` seconds by the clock.
 
     OMP_NUM_THREADS=1 python benchmarks/mutants.py [--seed N] [--number N] [--only PATTERN]
-        [folder]
+        [--limit SECONDS] [folder]
 
 The rows are added to mutants-SEED.csv in the folder as they are found; a run goes on where it was
-stopped.
+stopped, and repeats what is taken out of the file.
 """
 
 from __future__ import annotations
 
+import argparse
 import ast
 import csv
 import importlib
@@ -61,8 +62,6 @@ TEST_FOLDERS = {
 """Folders of tests, where they are more than the one of the same name."""
 TEST_LIMIT = 60.0
 """Processor time of a test [s]. The longest takes a third of it."""
-MUTANT_LIMIT = 300.0
-"""Time by the clock for the tests of a mutant [s]."""
 MEMORY_LIMIT = 8 * 2**30
 """Address space of the tests [bytes]."""
 KINDS = ("sign", "term", "arguments", "comparison", "off by one", "constant")
@@ -343,8 +342,8 @@ def bodies(file: Path) -> Iterator[tuple[str, str]]:
 class Copy:
     """A copy of the checkout in which mutants are made and tested."""
 
-    def __init__(self, folder: Path) -> None:
-        self.root, self._objects = folder / "checkout", folder / "kernel"
+    def __init__(self, folder: Path, limit: float) -> None:
+        self.root, self._objects, self._limit = folder / "checkout", folder / "kernel", limit
         command = ["git", "-C", str(ROOT), "ls-files", "-z"]
         names = subprocess.run(command, capture_output=True, check=True, text=True).stdout
         libraries = [str(file.relative_to(ROOT)) for file in ROOT.glob("fenics_crack/kernel/*.so")]
@@ -377,7 +376,7 @@ class Copy:
             preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (MEMORY_LIMIT,) * 2),
         )  # fmt: skip
         try:
-            output, _ = process.communicate(timeout=MUTANT_LIMIT)
+            output, _ = process.communicate(timeout=self._limit)
         except subprocess.TimeoutExpired:
             os.killpg(process.pid, signal.SIGKILL)
             process.communicate()
@@ -409,14 +408,17 @@ def pytest_runtest_setup() -> None:
     signal.setitimer(signal.ITIMER_PROF, TEST_LIMIT)
 
 
-def mutants(arguments: object) -> None:
+def mutants(arguments: argparse.Namespace) -> None:
     """Draw, test and report mutants."""
     drawn = draw(all_mutations(ROOT, arguments.pattern), arguments.seed, arguments.number)
     file = arguments.folder / f"mutants-{arguments.seed}.csv"
     rows = list(csv.reader(file.read_text().splitlines()))[1:] if file.exists() else []
     with tempfile.TemporaryDirectory() as scratch:
-        copy = Copy(Path(scratch))
-        for number, mutation in enumerate(drawn[len(rows) :], len(rows)):
+        copy = Copy(Path(scratch), arguments.limit)
+        known_numbers = {int(row[0]) for row in rows}
+        for number, mutation in enumerate(drawn):
+            if number in known_numbers:
+                continue
             started = time.monotonic()
             killer = copy.killer(mutation)
             place, before, after = mutation.lines(copy.root)
@@ -443,5 +445,6 @@ if __name__ == "__main__":
         {"mutants": mutants},
         seed={"type": int, "default": 1, "help": "of the draw"},
         number={"type": int, "default": 40, "help": "mutants"},
+        limit={"type": float, "default": 300.0, "help": "seconds for the tests of a mutant"},
         only={"dest": "pattern", "default": "", "help": "files whose path fits this expression"},
     )
