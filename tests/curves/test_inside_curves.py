@@ -223,26 +223,37 @@ def test_paths_keep_what_the_kernel_records(stop: Continuation) -> None:
 
 
 def test_a_halved_step_keeps_the_points_before_it(stop: Continuation) -> None:
-    """A path consists of the points up to each step that is too long, and of no others."""
+    """A path consists of the points up to each step that is too long, and of no others; the next
+    steps are at most half as long, and twice that where none was too long."""
     family = Orbits(fc.Problem(two_masses(), 0.6, LAW), "omega", 0.6, 0.9)
     start = point_on_path(family, stop.points[0].unknown, 0.0)
-    kept_points: list[np.ndarray] = []
+    longest_step = 0.02
+    kept_points = [np.zeros(1)]
     kept_at_once: list[int] = []
+    step_ratios: list[float] = []
 
     class ShortBehind(MultiplierControl):
+        bound = longest_step
+
         def too_long(self, points: Any) -> np.ndarray:
             ends = points.parameters
-            is_long = (np.diff(ends) > 0.006) & (ends[1:] > 0.05)
+            is_long = (np.diff(ends) > 0.003) & (ends[1:] > 0.05)
             kept = [*np.flatnonzero(is_long), len(is_long)][0] + 1
+            new_lengths = points.lengths[ends > kept_points[-1][-1]]
+            step_ratios.append(new_lengths.max() / self.bound)
+            self.bound = min(2.0 * self.bound, longest_step)
+            if is_long.any():
+                self.bound = 0.5 * points.lengths[kept]
             kept_points.append(ends[:kept])
             kept_at_once.append(int(kept) if is_long.any() else 0)
             return is_long
 
-    options = PathOptions(0.02, 0.02, max_steps=12)
-    path = Path(family, start, options, [], ShortBehind(0.02))
+    options = PathOptions(longest_step, longest_step, max_steps=12)
+    path = Path(family, start, options, [], ShortBehind(longest_step))
     parameters = [0.0, *(point.parameter for point in path.points())]
     assert len(parameters) == 13 and max(kept_at_once) > 2  # halved behind points of the same call
     assert parameters == np.unique(np.concatenate(kept_points)).tolist()
+    assert max(step_ratios) == pytest.approx(1.0, abs=0.05)
 
 
 # --- bifurcations ---------------------------------------------------------------------------------
