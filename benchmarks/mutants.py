@@ -320,7 +320,7 @@ class Relevance:
         inside = [file for file in self._words if any(file.is_relative_to(path) for path in paths)]
         for file in inside:
             scores[file] *= 5.0
-            scores[file] += 1.0 * (module in file.stem)
+            scores[file] += 1.0 * (module in file.stem or folder in file.stem)
         first = [file for file, _ in scores.most_common(OTHER_FILES)]
         files = sorted({*first, *inside}, key=lambda file: (-scores[file], file))
         return [str(file.relative_to(self._root)) for file in files]
