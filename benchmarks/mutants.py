@@ -61,7 +61,7 @@ TEST_FOLDERS = {
 }
 """Folders of tests, where they are more than the one of the same name."""
 TEST_LIMIT = 60.0
-"""Processor time of a test [s]. The longest takes a third of it."""
+"""Processor time of a test [s]; nearly all take less than a few seconds."""
 MEMORY_LIMIT = 8 * 2**30
 """Address space of the tests [bytes]."""
 KINDS = ("sign", "term", "arguments", "comparison", "off by one", "constant")
