@@ -222,6 +222,75 @@ def test_paths_keep_what_the_kernel_records(stop: Continuation) -> None:
     assert path.event is not None and len(seen) > 2
 
 
+def test_a_halved_step_keeps_the_points_before_it(stop: Continuation) -> None:
+    """A path consists of the points up to each step that is too long, and of no others; the next
+    steps are at most half as long, and twice that where none was too long."""
+    family = Orbits(fc.Problem(two_masses(), 0.6, LAW), "omega", 0.6, 0.9)
+    start = point_on_path(family, stop.points[0].unknown, 0.0)
+    longest_step = 0.02
+    kept_points = [np.zeros(1)]
+    kept_at_once: list[int] = []
+    step_ratios: list[float] = []
+
+    class ShortBehind(MultiplierControl):
+        bound = longest_step
+
+        def too_long(self, points: Any) -> np.ndarray:
+            ends = points.parameters
+            is_long = (np.diff(ends) > 0.003) & (ends[1:] > 0.05)
+            kept = [*np.flatnonzero(is_long), len(is_long)][0] + 1
+            new_lengths = points.lengths[ends > kept_points[-1][-1]]
+            step_ratios.append(new_lengths.max() / self.bound)
+            self.bound = min(2.0 * self.bound, longest_step)
+            if is_long.any():
+                self.bound = 0.5 * points.lengths[kept]
+            kept_points.append(ends[:kept])
+            kept_at_once.append(int(kept) if is_long.any() else 0)
+            return is_long
+
+    options = PathOptions(longest_step, longest_step, max_steps=12)
+    path = Path(family, start, options, [], ShortBehind(longest_step))
+    parameters = [0.0, *(point.parameter for point in path.points())]
+    assert len(parameters) == 13 and max(kept_at_once) > 2  # halved behind points of the same call
+    assert parameters == np.unique(np.concatenate(kept_points)).tolist()
+    assert max(step_ratios) == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize("points_before", [0, 1])
+def test_a_halved_step_beside_a_crossing(points_before: int) -> None:
+    """Two like oscillators, weakly coupled: other branches cross their path twice, also if a step
+    is halved behind the first crossing, or before it, so that it is passed again."""
+    twins = fc.Structure.from_matrices(
+        np.eye(2), [[1.005, -0.005], [-0.005, 1.005]], gap=np.eye(2), force_cos=[0.1, 0.1],
+        damping=0.05 * np.eye(2), clearance=1.0,
+    )  # fmt: skip
+    problem = fc.Problem(twins, 0.8, fc.UnilateralPenalty(1.0))
+    begin = followed(problem, "omega", 0.8, 0.81).points[0].unknown
+    family = Orbits(problem, "omega", 0.8, 1.5)
+    crossings: list[list[float]] = []
+
+    class OnceBesideCrossing(MultiplierControl):
+        is_done = False
+
+        def too_long(self, points: Any) -> np.ndarray:
+            is_long = np.zeros(len(points) - 1, dtype=bool)
+            places = np.flatnonzero(points.crossings[:-1])
+            if len(places) and not self.is_done:
+                is_long[places[0] - points_before] = self.is_done = True
+            return is_long
+
+    for is_undisturbed in (True, False):
+        control = OnceBesideCrossing(0.05)
+        control.is_done = is_undisturbed
+        path = Path(
+            family, point_on_path(family, begin, 0.0), PathOptions(0.02, 0.05, max_steps=120), [],
+            control,
+        )  # fmt: skip
+        crossings.append([point.parameter for point in path.points() if point.crosses_branch])
+    assert len(crossings[0]) == len(crossings[1]) == 2
+    assert crossings[1] == pytest.approx(crossings[0], abs=1e-4)  # where points lie
+
+
 # --- bifurcations ---------------------------------------------------------------------------------
 
 

@@ -75,6 +75,13 @@ def test_stated_errors_of_a_run_up(run_up: Run[fc.ResponseCurve]) -> None:
     finer = {"mesh.lip_elements": 2 * mesh.given("lip_elements"), "mesh.size": mesh.size / 2.0}
     true = fc.curve(run_up.scene.replace(finer), MPI.COMM_SELF).peak().value / peak.value - 1.0
     assert 0.2 < abs(true) / found.stated("speed")[0] < 1.5
+    # A resonance that is higher is met at a higher speed; the coarse mesh's, where a finer one's is
+    # met at a lower speed.
+    for parts in found.parts.values():
+        shifts = (np.array(parts[one].values) / found.values[one] - 1.0 for one in (name, "speed"))
+        resonance_shift, speed_shift = shifts
+        assert speed_shift * rate == pytest.approx(resonance_shift, abs=1e-12)
+    assert true * (found.parts["mesh"]["speed"].values[1] - found.values["speed"]) < 0.0
 
 
 def test_factor_of_the_damping() -> None:

@@ -278,6 +278,13 @@ def test_ranks_share_the_shapes(on_ranks: Callable[..., Any]) -> None:
     assert on_ranks(lives) == pytest.approx(lives(MPI.COMM_SELF) * 2, rel=1e-8)
 
 
+def test_the_nearer_side_limits_the_length() -> None:
+    """A centre 4 mm from a side leaves 8 mm, of which nine tenths may be cracked."""
+    near_side = scene(**{"crack.center": 0.004, "crack.length": 0.00725})
+    with pytest.raises(fc.InputError, match=r"crack\.length = 0\.00725: .*below 0\.0072 "):
+        fc.grow(near_side, comm=MPI.COMM_SELF)
+
+
 @pytest.mark.nightly
 def test_a_crack_through_a_solid_grows() -> None:
     """By one length, as that of a plate: the integral of what single lengths have."""

@@ -127,6 +127,20 @@ def test_signs(n: int) -> None:
     np.testing.assert_allclose(modes.shapes, exact / np.linalg.norm(exact, axis=0), atol=1e-10)
 
 
+def test_frequencies_of_twenty_equal_chains() -> None:
+    """Of n masses between walls omega_j = 2 sin(j pi / (2 n + 2)), each 20 times: more than a first
+    Krylov space finds."""
+    chains, n, count = 20, 10, 25
+    chain = 2.0 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    structure = Structure.from_matrices(
+        np.eye(chains * n), np.kron(np.eye(chains), chain), gap=None
+    )
+    omega = 2.0 * np.sin(np.arange(1, n + 1) * np.pi / (2 * n + 2))
+    np.testing.assert_allclose(
+        solve_modes(structure, count).omega, np.repeat(omega, chains)[:count], rtol=1e-12
+    )
+
+
 @pytest.mark.parametrize("n", [1, 2, 3, 10])
 @pytest.mark.parametrize("free", [False, True])
 def test_equal_frequencies_of_a_few_masses(n: int, free: bool) -> None:

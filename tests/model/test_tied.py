@@ -12,6 +12,7 @@ from helpers import chain, chain_stiffness, dense, oscillator
 from mpi4py import MPI
 
 import fenics_crack as fc
+from fenics_crack.model.modes import partners
 
 HALF = 6
 """Masses on each side of the middle of a chain."""
@@ -233,6 +234,15 @@ def test_open_and_tied_modes_are_of_one_shape() -> None:
         twins = fc.bilinear_frequencies(fc.Structure.from_matrices(np.eye(4), stiffness, gap=gap))
         np.testing.assert_allclose(twins.omega_open, [1.0, 1.0, 2.0, 3.0], rtol=1e-9)
         np.testing.assert_allclose(twins.omega_tied[:2], np.sqrt([2.5, 5.0]), rtol=1e-9)
+
+
+def test_shapes_without_a_match_keep_their_order() -> None:
+    """A bond that mixes three modes evenly, I - 2/3 everywhere, leaves no shape of theirs."""
+    structure = fc.Structure.from_matrices(np.eye(3), np.diag([1.0, 4.0, 9.0]), gap=None)
+    is_open = fc.solve_modes(structure, 3)
+    mixed = is_open.shapes @ (np.eye(3) - 2.0 / 3.0)
+    tied = fc.Modes(1.5 * is_open.omega, mixed, structure)
+    assert partners(is_open, tied).tolist() == [0, 1, 2]
 
 
 def test_no_tie_makes_a_mode_slower() -> None:

@@ -35,6 +35,21 @@ def test_frequencies_are_those_of_each_speed() -> None:
     assert np.all(np.diff(found.omega_open, axis=0) > 0.0)
 
 
+def test_between_speeds() -> None:
+    """Squares w^2 = a + b W^2 are met everywhere; d ln w / d ln W is b W^2 / w^2."""
+    speeds = np.array([0.0, 60.0, 100.0, 180.0])
+    is_open, tied = (np.sqrt(4e4 * a + 2.0 * speeds[:, None] ** 2) for a in (1.0, 2.0))
+    kinds = np.full(is_open.shape, "open")
+    diagram = fc.Campbell(
+        cracked(100.0), speeds, is_open, tied, is_open, True, kinds, (), np.zeros(1)
+    )
+    for speed in (30.0, 90.0, 175.0):
+        squares = np.array([4e4, 8e4]) + 2.0 * speed**2
+        assert np.ravel(diagram.between(speed)) ** 2 == pytest.approx(squares, rel=1e-12)
+        stiffening = diagram.stiffening(speed, float(np.sqrt(squares[0])))
+        assert stiffening == pytest.approx(2.0 * speed**2 / squares[0], rel=1e-12)
+
+
 def test_orders_meet_the_modes_where_a_scene_resonates() -> None:
     """At a crossing the natural frequency of a structure built there is order times the speed; a
     beam whose w^2 is linear in W^2 meets order n at w_0 / sqrt(n^2 - S)."""

@@ -14,7 +14,7 @@ from helpers import ROOT
 from mpi4py import MPI
 
 import fenics_crack as fc
-from fenics_crack.fem.fronts import front_functionals
+from fenics_crack.fem.fronts import Front, front_functionals
 from fenics_crack.study.observer import tip_rows
 from fenics_crack.study.prepare import prepare
 
@@ -53,6 +53,21 @@ def test_patches(elements: int) -> None:
         kinds = found.reshape(len(stations), 3).T[: 1 if one != other else 3]
         assert np.abs(kinds).max() < 0.01 * STRESS * np.sqrt(np.pi * radius)
     assert structure.pairs.areas.sum() == pytest.approx(0.5 * np.pi * LONG * DEEP, rel=2e-3)
+
+
+def test_lengths_of_a_circle() -> None:
+    """Stations share a closed front's 2 pi r evenly."""
+    angles = np.linspace(0.0, 2.0 * np.pi, 65)
+
+    def curve(t: np.ndarray, order: int = 0) -> np.ndarray:
+        turned = t + 0.5 * np.pi * order
+        return DEEP * np.stack([np.cos(turned), 0.0 * t, np.sin(turned)], axis=-1)
+
+    normals = np.tile([0.0, 1.0, 0.0], (65, 1))
+    no_ends = False, False
+    front = Front("front", 0, curve(angles), normals, angles, curve, True, no_ends, DEEP)
+    count = len(front.places)
+    assert front.lengths() == pytest.approx(2.0 * np.pi * DEEP / count * np.ones(count), rel=1e-12)
 
 
 def test_patches_of_a_straight_front() -> None:

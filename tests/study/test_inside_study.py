@@ -23,6 +23,7 @@ from fenics_crack.fem import blocks
 from fenics_crack.model.factor import Factor, distributed
 from fenics_crack.study import prepare
 from fenics_crack.study.meshes import finer_mesh
+from fenics_crack.study.numbers import numbers_of
 from fenics_crack.study.plausibility import (
     KeyFigures,
     find_key_figures,
@@ -102,6 +103,22 @@ def test_all_motions_are_tied() -> None:
     np.testing.assert_allclose(figures.omega_open, [1.0, 2.0], rtol=1e-12)
     assert list(figures.omega_tied) == [np.inf, np.inf]
     assert figures.omega_bilinear[0] == pytest.approx(2.0, rel=1e-12)
+
+
+@pytest.mark.parametrize(("mode", "expected_modes"), [(2, (1, 2, 3)), (4, (1, 2, 3, 4))])
+def test_natural_frequencies_beside_other_numbers(mode: int, expected_modes: tuple) -> None:
+    """The lowest three, and that of the mode; of a chain mode k has 2 sin(k pi / (2 n + 2))."""
+    structure = fc.Structure.from_matrices(
+        np.eye(5), chain_stiffness(np.ones(6)), gap=np.eye(5)[2], force_sin=np.eye(5)[0],
+        damping=fc.ModalDamping(0.1),
+    )  # fmt: skip
+    study = replace(study_of(structure), watched=(prepare.Watched("", "last mass", 4),))
+    solution = fc.solve_harmonic_balance(structure, 1.1, study.contact, harmonics=3)
+    numbers = numbers_of(study, solution, mode)
+    is_open = {name: value for name, value in numbers.values.items() if "omega_open" in name}
+    assert is_open == pytest.approx(
+        {f"omega_open_{k}": 2.0 * np.sin(k * np.pi / 12.0) for k in expected_modes}, rel=1e-9
+    )
 
 
 def test_against_dense_algebra() -> None:

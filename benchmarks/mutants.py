@@ -1,0 +1,456 @@
+"""Do the tests notice a wrong line in the mechanics? Mutants of the Python and C code.
+
+Each mutant has one small mistake, drawn with a seed, as many of each kind:
+
+    sign          + for - and - for +, or a minus left out
+    term          the last term or factor left out
+    arguments     two neighbouring arguments of a call swapped
+    comparison    < for >, <= for >=, == for !=, and the reverse
+    off by one    an integer in a sum, an index, a range or a comparison, plus 1
+    constant      a factor or term such as 0.5 plus 1 %
+
+Messages, type hints, defaults, limits of iterations and tolerances are left alone: there a change
+of 1 % is no mistake. A mutant is made in a copy of the checkout in a temporary folder, where the
+tests of its folder run until one fails: those first whose names lead to what is changed. A mutant
+is killed by a test that fails, crashes or takes more than ``TEST_LIMIT``, or by the compiler. It
+survives if all tests pass, or all that were run within ``--limit`` seconds by the clock. At the end
+the tests that failed run once more, without a mistake.
+
+    OMP_NUM_THREADS=1 python benchmarks/mutants.py [--seed N] [--number N] [--only PATTERN]
+        [--limit SECONDS] [folder]
+
+The rows are added to mutants-SEED.csv in the folder as they are found; a run goes on where it was
+stopped, and repeats what is taken out of the file.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import csv
+import importlib
+import os
+import random
+import re
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = Path("fenics_crack")
+FOLDERS = (
+    "model", "balance", "curves", "motion", "time", "fem", "numerics", "fatigue", "study", "kernel",
+)  # fmt: skip
+"""Folders of the package that compute."""
+READERS = ("msh_file", "msh_reader", "matrix_files", "model_files", "matrices")
+"""Modules there that read files."""
+TEST_FOLDERS = {
+    "fem": ("fem", "study", "disk"),
+    "kernel": ("balance", "motion", "numerics", "time", "curves"),
+    "model": ("model", "disk"),
+    "numerics": ("numerics", "curves"),
+    "study": ("study", "disk"),
+}
+"""Folders of tests, where they are more than the one of the same name."""
+TEST_LIMIT = 60.0
+"""Processor time of a test [s]; nearly all take less than a few seconds."""
+MEMORY_LIMIT = 8 * 2**30
+"""Address space of the tests [bytes]."""
+KINDS = ("sign", "term", "arguments", "comparison", "off by one", "constant")
+SIGNS = {"+": "-", "-": "+"}
+COMPARISONS = {"<": ">", ">": "<", "<=": ">=", ">=": "<=", "==": "!=", "!=": "=="}
+SYMBOLS: dict[type[ast.AST], str] = {
+    ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Lt: "<", ast.Gt: ">",
+    ast.LtE: "<=", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!=",
+}  # fmt: skip
+EQUIVALENT_CALLS = re.compile(
+    "(.*Error|isinstance|getattr|hasattr|zip|warn.*|info|debug|check.*|refuse.*|require.*)$"
+)
+"""Calls whose arguments are messages, or have no order that matters."""
+SYMMETRIC_CALLS = {"min", "max", "maximum", "minimum", "hypot", "fmin", "fmax", "allclose", "vdot"}
+TEXTS = (ast.JoinedStr, ast.List, ast.Tuple, ast.ListComp)
+COLUMNS = ("number", "place", "function", "kind", "before", "after", "killed by", "seconds")
+C_VALUE = r"[A-Za-z_]\w*(?:(?:->|\.)\w+|\[[^][]*\])*"
+C_NUMBER = r"(?<![\w.])\d+\.\d*(?:e-?\d+)?"
+C_PATTERNS = {
+    "sign": r"(?<=[\w\])] )[+-](?==? )",
+    "term": rf"(?<=[\w\])]) [+-] {C_VALUE}(?: [*/] {C_VALUE})*(?=[;,)\]]| [-+<>])",
+    "arguments": rf"(?<=\w\(){C_VALUE}, {C_VALUE}(?=[,)])",
+    "comparison": r"(?<= )(?:[<>]=?|[=!]=)(?= )",
+    "off by one": r"(?<=[-+<>=] )\d+(?=[;,)\]]| [<>+-])|(?<=\[)\d+(?=\])",
+    "constant": rf"(?<=[-+*/] ){C_NUMBER}|{C_NUMBER}(?= [-+*/] )",
+}
+"""What is changed in C, by kind."""
+
+C_FUNCTION = re.compile(r"(?ms)^\w[^;{}=]*?(\w+)\([^;{}]*\)\s*\{.*?^\}")
+LEVELS = 5
+"""Functions on the way from a test to what is changed."""
+OTHER_FILES = 6
+"""Most relevant test files, of any folder."""
+FIRST_FILES = 4
+"""Test files that are collected first, before the others."""
+
+
+@dataclass(frozen=True)
+class Mutation:
+    """A change of bytes ``start`` to ``end`` of a file in the package."""
+
+    path: Path
+    function: str
+    kind: str
+    start: int
+    end: int
+    replacement: str
+
+    def lines(self, root: Path) -> tuple[str, str, str]:
+        """Return the place, and the lines that are changed before and after."""
+        source = (root / self.path).read_bytes()
+        first = source.rfind(b"\n", 0, self.start) + 1
+        last = source.find(b"\n", self.end)
+        mutant = source[first : self.start] + self.replacement.encode() + source[self.end : last]
+        line = source.count(b"\n", 0, self.start) + 1
+        before, after = (" ".join(text.decode().split()) for text in (source[first:last], mutant))
+        return f"{self.path}:{line}", before, after
+
+    def apply(self, root: Path) -> bytes:
+        """Change the file and return what it held."""
+        file = root / self.path
+        source = file.read_bytes()
+        file.write_bytes(source[: self.start] + self.replacement.encode() + source[self.end :])
+        return source
+
+
+def all_mutations(root: Path, pattern: str = "") -> list[Mutation]:
+    """Return all mutations of files whose path fits a regular expression."""
+    mutations: list[Mutation] = []
+    for folder in FOLDERS:
+        for file in sorted((root / PACKAGE / folder).glob("*.[cp]*")):
+            path = file.relative_to(root)
+            is_mechanics = file.suffix in (".py", ".c") and file.stem not in (*READERS, "build")
+            if is_mechanics and re.search(pattern, str(path)):
+                edit = PythonMutations if file.suffix == ".py" else CMutations
+                mutations += edit(path, file.read_bytes())
+    return mutations
+
+
+def draw(mutations: list[Mutation], seed: int, number: int) -> list[Mutation]:
+    """Draw mutations, as many of each kind."""
+    generator = random.Random(seed)
+    pools = [[one for one in mutations if one.kind == kind] for kind in KINDS]
+    for pool in pools:
+        generator.shuffle(pool)
+    drawn = [
+        pool[turn] for turn in range(max(map(len, pools))) for pool in pools if turn < len(pool)
+    ]
+    return drawn[:number]
+
+
+class PythonMutations:
+    """The mutations of a module, by the positions of its syntax tree's nodes."""
+
+    def __init__(self, path: Path, source: bytes) -> None:
+        self._path, self._source = path, source
+        self._line_starts = [0]
+        for line in source.splitlines(keepends=True):
+            self._line_starts.append(self._line_starts[-1] + len(line))
+
+    def __iter__(self) -> Iterator[Mutation]:
+        for node in ast.walk(ast.parse(self._source)):
+            if isinstance(node, ast.FunctionDef):
+                for statement in node.body:
+                    yield from self._in_node(statement, node, node.name)
+
+    def _span(self, node: ast.AST) -> tuple[int, int]:
+        """Return the bytes at which a node begins and ends."""
+        start = self._line_starts[node.lineno - 1] + node.col_offset
+        return start, self._line_starts[node.end_lineno - 1] + node.end_col_offset
+
+    def _in_node(self, node: ast.AST, parent: ast.AST, function: str) -> Iterator[Mutation]:
+        """Yield the mutations of a node, and of what it holds unless this is a message or type."""
+        if isinstance(node, ast.Raise | ast.Assert | ast.JoinedStr | ast.FunctionDef):
+            return
+        if isinstance(node, ast.Call) and EQUIVALENT_CALLS.match(called(node)):
+            return
+        for kind, (start, end), replacement in self._edits(node, parent):
+            yield Mutation(self._path, function, kind, start, end, replacement)
+        for name, field in ast.iter_fields(node):
+            for child in field if isinstance(field, list) else [field]:
+                if isinstance(child, ast.AST) and name != "annotation":
+                    yield from self._in_node(child, node, function)
+
+    def _edits(self, node: ast.AST, parent: ast.AST) -> Iterator[tuple[str, tuple[int, int], str]]:
+        """Yield kind, bytes and replacement of each mutation of a node."""
+        if isinstance(node, ast.BinOp) and type(node.op) in SYMBOLS:
+            if not any(
+                isinstance(side, TEXTS) or is_text(side) for side in (node.left, node.right)
+            ):
+                symbol = self._operator(node.left, node.right, node.op)
+                if (text := SYMBOLS[type(node.op)]) in SIGNS:
+                    yield "sign", symbol, SIGNS[text]
+                yield "term", (symbol[0], self._span(node)[1]), ""
+        elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
+            start = self._span(node)[0]
+            yield "sign", (start, start + 1), ""
+        elif isinstance(node, ast.Compare) and type(node.ops[0]) in SYMBOLS:
+            symbol = self._operator(node.left, node.comparators[0], node.ops[0])
+            yield "comparison", symbol, COMPARISONS[SYMBOLS[type(node.ops[0])]]
+        elif isinstance(node, ast.Call) and called(node) not in SYMMETRIC_CALLS:
+            for first, second in zip(node.args, node.args[1:], strict=False):
+                yield from self._swapped(first, second)
+        elif isinstance(node, ast.Constant):
+            kind = constant_kind(node, parent)
+            if kind == "off by one":
+                yield kind, self._span(node), str(node.value + 1)
+            elif kind == "constant":
+                yield kind, self._span(node), f"{1.01 * node.value:.12g}"
+
+    def _operator(self, left: ast.AST, right: ast.AST, operator: ast.AST) -> tuple[int, int]:
+        """Return the bytes of an operator between two nodes."""
+        text = SYMBOLS[type(operator)].encode()
+        start = self._source.index(text, self._span(left)[1], self._span(right)[0])
+        return start, start + len(text)
+
+    def _swapped(
+        self, first: ast.AST, second: ast.AST
+    ) -> Iterator[tuple[str, tuple[int, int], str]]:
+        """Yield two neighbouring arguments swapped, if they differ and none is starred."""
+        (start, middle), (after, end) = self._span(first), self._span(second)
+        one, other = self._source[start:middle], self._source[after:end]
+        is_starred = isinstance(first, ast.Starred) or isinstance(second, ast.Starred)
+        if one != other and not is_starred:
+            swapped = other + self._source[middle:after] + one
+            yield "arguments", (start, end), swapped.decode()
+
+
+def called(node: ast.Call) -> str:
+    """Return the last name of what is called."""
+    return ast.unparse(node.func).rpartition(".")[2]
+
+
+def is_text(node: ast.AST) -> bool:
+    """Whether a node is a string."""
+    return isinstance(node, ast.Constant) and isinstance(node.value, str)
+
+
+def constant_kind(node: ast.Constant, parent: ast.AST) -> str:
+    """Return the kind of mutation that a constant takes, or nothing."""
+    is_range = isinstance(parent, ast.Call) and called(parent) == "range"
+    if type(node.value) is int:
+        counts = isinstance(parent, ast.BinOp | ast.Compare | ast.Slice | ast.Subscript)
+        return "off by one" if counts or is_range else ""
+    is_factor = type(node.value) is float and isinstance(parent, ast.BinOp)
+    if not is_factor or not 1e-3 <= node.value <= 1e4:
+        return ""
+    return "" if re.search(r"\b[A-Z][A-Z_]+\b", ast.unparse(parent)) else "constant"
+
+
+class CMutations:
+    """The mutations of a file in C, by regular expressions on its code."""
+
+    def __init__(self, path: Path, source: bytes) -> None:
+        self._path, self._source = path, source
+
+    def __iter__(self) -> Iterator[Mutation]:
+        blank = lambda match: re.sub(rb"[^\n]", b" ", match[0])  # noqa: E731
+        aside = rb'(?s)/\*.*?\*/|//[^\n]*|"(?:\\.|[^"\\])*"|(?m:^#[^\n]*)'
+        code = re.sub(aside, blank, self._source).decode("latin-1")
+        for body in C_FUNCTION.finditer(code):
+            inside = body[0].index("{") + body.start()
+            for kind, pattern in C_PATTERNS.items():
+                for match in re.compile(pattern).finditer(code, inside, body.end()):
+                    replacement = c_replacement(kind, match[0])
+                    if replacement != match[0]:
+                        span = (match.start(), match.end())
+                        yield Mutation(self._path, body[1], kind, *span, replacement)
+
+
+def c_replacement(kind: str, text: str) -> str:
+    """Return the mutant of a piece of C."""
+    if kind == "constant":
+        is_factor = 1e-3 <= float(text) <= 1e4
+        return f"{1.01 * float(text):#.12g}" if is_factor else text
+    if kind == "arguments":
+        return ", ".join(reversed(text.split(", ", 1)))
+    if kind == "off by one":
+        return str(int(text) + 1)
+    return "" if kind == "term" else (SIGNS | COMPARISONS)[text]
+
+
+class Relevance:
+    """Order of test files by the names that lead to what is changed.
+
+    A test that mentions the function counts 1, one that mentions a function that uses it a third,
+    and so on; over the number of test files that mention the same name. The largest number counts,
+    and five times that of files in the folders of the module.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self._root, self._users = root, defaultdict[str, set[str]](set)
+        self._words = {
+            file: set(re.findall(r"\w+", file.read_text()))
+            for file in sorted((root / "tests").rglob("test_*.py"))
+        }
+        self._files_of_word = Counter(word for words in self._words.values() for word in words)
+        for file in sorted((root / PACKAGE).rglob("*.[cp]*")):
+            if file.suffix in (".py", ".c"):
+                for name, body in bodies(file):
+                    for word in re.findall(r"\w+", body):
+                        self._users[word].add(name)
+
+    def tests_of(self, mutation: Mutation) -> list[str]:
+        """Return the test files of a mutation's folder and the most relevant other ones."""
+        names, seen, scores = {mutation.function}, set[str](), Counter[Path]()
+        for level in range(LEVELS):
+            for file, words in self._words.items():
+                for name in names & words:
+                    relevance = 3.0**-level / self._files_of_word[name]
+                    scores[file] = max(scores[file], relevance)
+            seen |= names
+            names = {user for name in names for user in self._users[name]} - seen
+        folder, module = mutation.path.parent.name, mutation.path.stem
+        paths = [self._root / "tests" / name for name in TEST_FOLDERS.get(folder, (folder,))]
+        inside = [file for file in self._words if any(file.is_relative_to(path) for path in paths)]
+        for file in inside:
+            scores[file] *= 5.0
+            scores[file] += 1.0 * (module in file.stem or folder in file.stem)
+        first = [file for file, _ in scores.most_common(OTHER_FILES)]
+        files = sorted({*first, *inside}, key=lambda file: (-scores[file], file))
+        return [str(file.relative_to(self._root)) for file in files]
+
+
+def bodies(file: Path) -> Iterator[tuple[str, str]]:
+    """Yield the name, of methods as ``__init__`` the class's, and the text of each function."""
+    text = file.read_text()
+    lines = text.splitlines()
+    if file.suffix == ".c":
+        yield from ((match[1], match[0]) for match in C_FUNCTION.finditer(text))
+        return
+    for node in ast.walk(ast.parse(text)):
+        for child in node.body if isinstance(node, ast.Module | ast.ClassDef) else ():
+            if isinstance(child, ast.FunctionDef):
+                is_special = isinstance(node, ast.ClassDef) and child.name.startswith("__")
+                body = lines[child.lineno - 1 : child.end_lineno]
+                yield node.name if is_special else child.name, "\n".join(body)
+
+
+class Copy:
+    """A copy of the checkout in which mutants are made and tested."""
+
+    def __init__(self, folder: Path) -> None:
+        self.root, self._objects = folder / "checkout", folder / "kernel"
+        command = ["git", "-C", str(ROOT), "ls-files", "-z"]
+        names = subprocess.run(command, capture_output=True, check=True, text=True).stdout
+        libraries = [str(file.relative_to(ROOT)) for file in ROOT.glob("fenics_crack/kernel/*.so")]
+        for name in [*filter(None, names.split("\0")), *libraries]:
+            (self.root / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(ROOT / name, self.root / name)
+        self._relevance = Relevance(self.root)
+
+    def killer(self, mutation: Mutation, limit: float) -> str:
+        """Return the test that kills a mutant within a time [s], or nothing."""
+        tests = self._relevance.tests_of(mutation)
+        source = mutation.apply(self.root)
+        try:
+            is_built = mutation.path.suffix == ".py" or self._build(mutation.path)
+            failures = [] if is_built else ["the compiler"]
+            end = time.monotonic() + limit
+            for files in (tests[:FIRST_FILES], tests[FIRST_FILES:]):
+                if files and not failures and time.monotonic() < end:
+                    failures = self.failures(["-x", *files], end - time.monotonic())
+        finally:
+            (self.root / mutation.path).write_bytes(source)
+        if mutation.path.suffix == ".c":
+            self._build(mutation.path)
+        return failures[0] if failures else ""
+
+    def failures(self, arguments: list[str], limit: float | None = None) -> list[str]:
+        """Run pytest and return the tests that failed, or the signal that ended it."""
+        plain = ("-q", "-n", "0", "-p", "no:cacheprovider", "-p", "mutants", "--tb=no")
+        paths = os.pathsep.join(map(str, (self.root, self.root / "benchmarks")))
+        process = subprocess.Popen(
+            [sys.executable, "-m", "pytest", *plain, *arguments],
+            cwd=self.root, env={**os.environ, "PYTHONPATH": paths}, start_new_session=True,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace",
+            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (MEMORY_LIMIT,) * 2),
+        )  # fmt: skip
+        try:
+            output, _ = process.communicate(timeout=limit)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.communicate()
+            return []
+        if process.returncode < 0:
+            return [signal.Signals(-process.returncode).name]
+        if process.returncode in (3, 4):
+            raise RuntimeError(output)
+        return re.findall(r"(?m)^(?:FAILED|ERROR) (tests/.*?)(?: - .*)?$", output)
+
+    def _build(self, path: Path) -> bool:
+        """Compile a file of the kernel and link it with the others; False if it is refused."""
+        build = importlib.import_module("fenics_crack.kernel.build")
+        if not self._objects.exists():
+            build.builder_in(self._objects).compile(tmpdir=str(self._objects))
+        (target,) = self._objects.rglob(f"{path.stem}.o")
+        command = ["cc", *build.FLAGS, "-fPIC", "-c", str(self.root / path), "-o", str(target)]
+        if subprocess.run(command, capture_output=True, check=False).returncode:
+            return False
+        objects = map(str, self._objects.rglob("*.o"))
+        (library,) = self.root.glob("fenics_crack/kernel/*.so")
+        library.unlink()
+        subprocess.run(["cc", "-shared", *objects, "-o", str(library), "-lm"], check=True)
+        return True
+
+
+def pytest_runtest_setup() -> None:
+    """End the process if a test takes more than its processor time."""
+    signal.setitimer(signal.ITIMER_PROF, TEST_LIMIT)
+
+
+def mutants(arguments: argparse.Namespace) -> None:
+    """Draw, test and report mutants."""
+    drawn = draw(all_mutations(ROOT, arguments.pattern), arguments.seed, arguments.number)
+    file = arguments.folder / f"mutants-{arguments.seed}.csv"
+    rows = list(csv.reader(file.read_text().splitlines()))[1:] if file.exists() else []
+    with tempfile.TemporaryDirectory() as scratch:
+        copy = Copy(Path(scratch))
+        known_numbers = {int(row[0]) for row in rows}
+        for number, mutation in enumerate(drawn):
+            if number in known_numbers:
+                continue
+            started = time.monotonic()
+            killer = copy.killer(mutation, arguments.limit)
+            place, before, after = mutation.lines(copy.root)
+            taken = f"{time.monotonic() - started:.0f}"
+            what = (place, mutation.function, mutation.kind, before, after)
+            rows.append([str(number), *what, killer, taken])
+            common.write_csv(file, COLUMNS, rows)
+            print(f"{number:3} {place} ({mutation.kind}, {taken} s): {killer or 'SURVIVES'}")
+            print(f"      {before}\n   -> {after}", flush=True)
+        killers = sorted({row[6] for row in rows if "::" in row[6]})
+        failures = copy.failures(killers) if killers else []
+    survivors = [row for row in rows if not row[6]]
+    print(f"\n{len(rows) - len(survivors)} of {len(rows)} are killed; these survive:")
+    print("\n".join(["Without a mistake, too, these fail:", *failures] if failures else []))
+    for row in survivors:
+        print(f"{row[1]} ({row[3]})\n      {row[4]}\n   -> {row[5]}")
+
+
+if __name__ == "__main__":
+    import common
+
+    common.run(
+        __doc__,
+        {"mutants": mutants},
+        seed={"type": int, "default": 1, "help": "of the draw"},
+        number={"type": int, "default": 40, "help": "mutants"},
+        limit={"type": float, "default": 300.0, "help": "seconds for the tests of a mutant"},
+        only={"dest": "pattern", "default": "", "help": "files whose path fits this expression"},
+    )

@@ -1,0 +1,120 @@
+"""The mutants of benchmarks/mutants.py: which are drawn, and what they change."""
+
+from __future__ import annotations
+
+import ast
+from collections import Counter
+from pathlib import Path
+
+import mutants
+import pytest
+
+PYTHON = '''
+def energy(mass: int, speeds: list, most: float = 1.5) -> float:
+    """Say "1 + 1"."""
+    if len(speeds) <= 2:
+        raise ValueError(f"{mass + 1} - 2", 1 - 2)
+    total = 0.5 * mass * (  # by halves
+        -speeds[0]
+    )
+    return total + scale(mass, most) + max(mass, most) + 2.0 * TOLERANCE
+'''
+C = """
+#define HALF 0.5
+/* Says "a + b". */
+static double energy(const double *v, int n, double m) {
+    double sum = 0.5 * m - work(v, n);  // 1 + 1
+    for (int i = 0; i < n; i++) sum += v[i] * m;
+    return sum + m * v[1];
+}
+"""
+
+
+def changed_lines(path: str, source: str) -> set[tuple[str, str]]:
+    """Return kind and changed line of each mutant."""
+    edit = mutants.PythonMutations if path.endswith(".py") else mutants.CMutations
+    lines = set()
+    for one in edit(Path(path), source.encode()):
+        mutant = source[: one.start] + one.replacement + source[one.end :]
+        if path.endswith(".py"):
+            ast.parse(mutant)
+        pairs = zip(source.splitlines(), mutant.splitlines(), strict=False)
+        lines.add((one.kind, next(after.strip() for before, after in pairs if before != after)))
+    return lines
+
+
+def test_mutants_of_python() -> None:
+    """Messages, types, defaults, calls without an order and tolerances stay as they are."""
+    assert changed_lines("a.py", PYTHON) == {
+        ("comparison", "if len(speeds) >= 2:"),
+        ("off by one", "if len(speeds) <= 3:"),
+        ("constant", "total = 0.505 * mass * (  # by halves"),
+        ("term", "total = 0.5  * (  # by halves"),
+        ("term", "total = 0.5 * mass"),
+        ("sign", "speeds[0]"),
+        ("off by one", "-speeds[1]"),
+        ("sign", "return total - scale(mass, most) + max(mass, most) + 2.0 * TOLERANCE"),
+        ("sign", "return total + scale(mass, most) - max(mass, most) + 2.0 * TOLERANCE"),
+        ("sign", "return total + scale(mass, most) + max(mass, most) - 2.0 * TOLERANCE"),
+        ("term", "return total  + max(mass, most) + 2.0 * TOLERANCE"),
+        ("term", "return total + scale(mass, most)  + 2.0 * TOLERANCE"),
+        ("term", "return total + scale(mass, most) + max(mass, most)"),
+        ("term", "return total + scale(mass, most) + max(mass, most) + 2.0"),
+        ("arguments", "return total + scale(most, mass) + max(mass, most) + 2.0 * TOLERANCE"),
+    }
+
+
+def test_mutants_of_c() -> None:
+    """Code in the bodies of functions is changed, and neither comments nor definitions."""
+    assert changed_lines("a.c", C) == {
+        ("sign", "double sum = 0.5 * m + work(v, n);  // 1 + 1"),
+        ("constant", "double sum = 0.505000000000 * m - work(v, n);  // 1 + 1"),
+        ("arguments", "double sum = 0.5 * m - work(n, v);  // 1 + 1"),
+        ("off by one", "for (int i = 1; i < n; i++) sum += v[i] * m;"),
+        ("comparison", "for (int i = 0; i > n; i++) sum += v[i] * m;"),
+        ("sign", "for (int i = 0; i < n; i++) sum -= v[i] * m;"),
+        ("sign", "return sum - m * v[1];"),
+        ("term", "return sum;"),
+        ("off by one", "return sum + m * v[2];"),
+    }
+
+
+def test_draw() -> None:
+    """As many of each kind, the same for a seed."""
+    path = "fenics_crack/model/cyclic.py"
+    choices = mutants.all_mutations(mutants.ROOT, path)
+    drawn = mutants.draw(choices, 1, 12)
+    assert drawn == mutants.draw(choices, 1, 12) != mutants.draw(choices, 2, 12)
+    assert set(Counter(one.kind for one in drawn).values()) == {2}
+    place, before, after = drawn[0].lines(mutants.ROOT)
+    number = int(place.removeprefix(f"{path}:"))
+    assert before == (mutants.ROOT / path).read_text().splitlines()[number - 1].strip() != after
+
+
+def test_relevant_tests_come_first(tmp_path: Path) -> None:
+    """Those that use what uses the function, before the folder's others; not those of others."""
+    files = {
+        "fenics_crack/model/a.py": "def inner(x):\n    return -x\ndef outer(x):\n    inner(x)\n",
+        "tests/model/test_c.py": "outer(1)",
+        "tests/model/test_b.py": "another(1)",
+        "tests/curves/test_d.py": "another(1)",
+    }
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    [mutation] = mutants.all_mutations(tmp_path)
+    tests = mutants.Relevance(tmp_path).tests_of(mutation)
+    assert tests == ["tests/model/test_c.py", "tests/model/test_b.py"]
+
+
+def test_mutant_is_undone(tmp_path: Path) -> None:
+    """What a file held is returned."""
+    (tmp_path / "a.py").write_text(PYTHON)
+    mutation = next(iter(mutants.PythonMutations(Path("a.py"), PYTHON.encode())))
+    assert mutation.apply(tmp_path) == PYTHON.encode() != (tmp_path / "a.py").read_bytes()
+
+
+@pytest.mark.parametrize("number", ["0.0", "1e-12", "20000.0"])
+def test_limits_are_no_factors(number: str) -> None:
+    """Tiny and large numbers are tolerances and limits."""
+    assert mutants.c_replacement("constant", number) == number
