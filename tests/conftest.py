@@ -7,8 +7,13 @@ start MPI, as the others would then be taken for its ranks: what starts it is im
 from __future__ import annotations
 
 import os
+import sys
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy: results to the bit need one number
+# Compiled files are kept, as by default: else each run rewrites the asserts of all test files anew,
+# two thirds of the collection, and each program that a test starts compiles the package.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 import gc
 import importlib
