@@ -10,10 +10,6 @@ import os
 import sys
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy: results to the bit need one number
-# Compiled files are kept, as by default: else each run rewrites the asserts of all test files anew,
-# two thirds of the collection, and each program that a test starts compiles the package.
-os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
-sys.dont_write_bytecode = False
 
 import gc
 import importlib
@@ -37,10 +33,24 @@ if TYPE_CHECKING:
 # 700 by default: with what all tests have imported, to look through it takes 6 % of the time.
 gc.set_threshold(10_000)
 gc.disable()  # until all is collected
+# Compiled files are kept, as by default: else each run rewrites the asserts of all test files anew,
+# two thirds of the collection, and each program that a test starts compiles the package.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 
 PARTS = 8
 """Of the nightly tests, each at most 8 minutes on two idle processors."""
+QUICK = {
+    "balance/test_inside_balance.py", "balance/test_kernel.py", "curves/test_windows.py",
+    "model/test_contact.py", "model/test_damping.py", "model/test_inside_model.py",
+    "motion/test_contact_flow.py", "motion/test_inside_any_load.py",
+    "motion/test_inside_friction.py", "numerics/test_paths.py", "scene/test_conversions.py",
+    "scene/test_rotation_tables.py", "scene/test_scene.py", "scene/test_schema.py",
+    "test_house.py",
+}  # fmt: skip
+"""Files whose tests are marked quick, but for nightly ones and those on several ranks: they fail first
+and say where."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -73,11 +83,26 @@ def pytest_configure(config: pytest.Config) -> None:
     providers._get_local_constants = lambda: providers._local_constants
 
 
+def is_quick(path: Path) -> bool:
+    """Return True if the tests of a file are quick ones."""
+    return path.relative_to(Path(__file__).parent).as_posix() in QUICK
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leave other files unread where the quick tests alone are run: it would take a third."""
+    alone = config.getoption("markexpr") == "quick" and collection_path.suffix == ".py"
+    return True if alone and not is_quick(collection_path) else None
+
+
 @pytest.hookimpl(tryfirst=True)  # before the selection by marks
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark the cases that are not drawn, deselect other parts, and put files whose tests share two
-    ranks first, so that one of two processes starts these: the first half of all tests is one's."""
+    """Mark the cases that are not drawn and the quick tests, deselect other parts, and put files
+    whose tests share two ranks first, so that one of two processes starts these: the first half of
+    all tests is one's."""
     mark_cases_not_drawn(items)
+    for item in items:
+        if is_quick(item.path) and not {"nightly", "mpi"} & {m.name for m in item.iter_markers()}:
+            item.add_marker("quick")
     if (part := config.getoption("part")) is not None:
         others = [item for item in items if part_of(item) != part]
         config.hook.pytest_deselected(items=others)

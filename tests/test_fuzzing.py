@@ -68,10 +68,10 @@ def test_drawn_calls_end_well(tmp_path: Path) -> None:
     assert len(wrong) <= 3, wrong
 
 
-@pytest.mark.slow
-def test_inputs_for_an_hour(base: Path, tmp_path: Path) -> None:
-    """The same with as many inputs as there is time for, on each day others."""
-    until, seed = time.monotonic() + 3600.0, int(time.time()) // 86_400
+@pytest.mark.nightly
+def test_inputs_of_the_day(base: Path, tmp_path: Path) -> None:
+    """The same with as many inputs as two minutes allow, on each day others."""
+    until, seed = time.monotonic() + 120.0, int(time.time()) // 86_400
     for one in fuzzing.attempts("inputs", itertools.count(), seed, base, tmp_path):
         assert not one.wrong, one
         if time.monotonic() > until:

@@ -72,11 +72,23 @@ def module_name(path: Path) -> str:
     return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
 
 
-MODULES = {module_name(path): ast.parse(path.read_text()) for path in sorted(PACKAGE.rglob("*.py"))}
+MODULES = {module_name(path): path for path in sorted(PACKAGE.rglob("*.py"))}
 FACE = {"fenics_crack", "fenics_crack.__main__"}
 """They lead to every floor."""
 WINGS = {"monitoring", "fatigue"}
 ABOVE_WINGS = {"cli", "draw"}
+
+
+@cache
+def tree(module: str) -> ast.Module:
+    """Return the syntax tree of a module."""
+    return ast.parse(MODULES[module].read_text())
+
+
+@cache
+def nodes(module: str) -> list[ast.AST]:
+    """Return all nodes of a module's tree."""
+    return list(ast.walk(tree(module)))
 
 
 def floors() -> list[str]:
@@ -96,7 +108,7 @@ def folder_of(module: str) -> str | None:
 def imports(module: str) -> list[tuple[str, list[str]]]:
     """Modules of the package that a module imports anywhere in its text, and the names it takes."""
     found: list[tuple[str, list[str]]] = []
-    for node in ast.walk(MODULES[module]):
+    for node in nodes(module):
         if isinstance(node, ast.Import):
             found += [(a.name, []) for a in node.names if a.name.startswith("fenics_crack")]
         elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("fenics_crack"):
@@ -106,10 +118,11 @@ def imports(module: str) -> list[tuple[str, list[str]]]:
     return found
 
 
-def packages(tree: ast.Module) -> list[str]:
+@cache
+def packages(module: str) -> list[str]:
     """Other packages that a module imports, in the order of its text."""
     found = []
-    for node in ast.walk(tree):
+    for node in nodes(module):
         if isinstance(node, ast.Import):
             found += [(node.lineno, alias.name.split(".")[0]) for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module:
@@ -119,8 +132,8 @@ def packages(tree: ast.Module) -> list[str]:
 
 def functions() -> Iterator[tuple[str, ast.FunctionDef | ast.AsyncFunctionDef]]:
     """Every function and method, with the place where it begins."""
-    for module, tree in MODULES.items():
-        for node in ast.walk(tree):
+    for module in MODULES:
+        for node in nodes(module):
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
                 yield f"{module}:{node.lineno} {node.name}", node
 
@@ -203,9 +216,9 @@ def test_functions_take_few_parameters() -> None:
     assert not many
 
 
-def opened_in(tree: ast.AST, inside: str = "") -> Iterator[tuple[str, str]]:
+def opened_in(code: ast.AST, inside: str = "") -> Iterator[tuple[str, str]]:
     """What opens a file in some code: function or method, and the words that do it."""
-    for node in ast.iter_child_nodes(tree):
+    for node in ast.iter_child_nodes(code):
         words = ast.unparse(node) if isinstance(node, ast.Attribute | ast.Name) else ""
         name, _, method = words.rpartition(".")
         of_object = name and method in OPENING_METHODS | OPENERS.get(name, set())
@@ -227,7 +240,7 @@ def test_files_have_doors() -> None:
         f"{module} {function}".strip()
         for module in MODULES
         if folder_of(module) not in DOORS
-        for function, _ in opened_in(MODULES[module])
+        for function, _ in opened_in(tree(module))
     }
     assert opened == EXCEPTIONS.keys()
 
@@ -251,11 +264,11 @@ def test_doors_are_recognised(text: str) -> None:
 def test_laws_answer_for_themselves() -> None:
     """No module but that of the laws asks for a law's class."""
     home = module_name(PACKAGE / "model" / "contact.py")
-    laws = {node.name for node in MODULES[home].body if isinstance(node, ast.ClassDef)}
+    laws = {node.name for node in tree(home).body if isinstance(node, ast.ClassDef)}
     asked = {
         f"{module}:{node.lineno}"
         for module in MODULES.keys() - {home}
-        for node in ast.walk(MODULES[module])
+        for node in nodes(module)
         if isinstance(node, ast.Call)
         and names_in(node.func) & {"isinstance", "issubclass"}
         and names_in(node.args[-1]) & laws
@@ -266,8 +279,8 @@ def test_laws_answer_for_themselves() -> None:
 def test_no_module_keeps_objects() -> None:
     """What is computed of an object is kept with it: no module has a dictionary to be filled."""
     kept = set()
-    for module, tree in MODULES.items():
-        for node in tree.body:
+    for module in MODULES:
+        for node in tree(module).body:
             if isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None:
                 empty = isinstance(node.value, ast.Dict) and not node.value.keys
                 if empty or names_in(node.value) & {"WeakKeyDictionary", "WeakValueDictionary"}:
@@ -294,17 +307,17 @@ def test_mpi_is_imported_before_petsc() -> None:
     """PETSc would start MPI for one thread, and MPI read settings of the working folder: a folder
     that uses them imports ``basics.ranks`` first, as the program does."""
     ranks = module_name(PACKAGE / "basics" / "ranks.py")
-    order = packages(MODULES[ranks])
+    order = packages(ranks)
     assert order.index("mpi4py") < order.index("petsc4py")
     for module in MODULES.keys() - {ranks}:
-        if folder_of(module) != "cli" and NEED_MPI_FIRST & set(packages(MODULES[module])):
+        if folder_of(module) != "cli" and NEED_MPI_FIRST & set(packages(module)):
             first = imports(f"fenics_crack.{folder_of(module)}")[:1]
             assert first == [(ranks, [])], module
 
 
 def test_types_of_others_are_not_followed() -> None:
     """mypy takes every other package as untyped: what it finds is the same on every machine."""
-    used = {name for tree in MODULES.values() for name in packages(tree)}
+    used = {name for module in MODULES for name in packages(module)}
     others = used - sys.stdlib_module_names - {"fenics_crack"}
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["mypy"]
     (skipped,) = (own for own in settings["overrides"] if own.get("follow_imports") == "skip")

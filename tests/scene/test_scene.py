@@ -193,67 +193,37 @@ def test_changes_are_made_before_the_check(
 
 # --- refused --------------------------------------------------------------------------------------
 BAD: list[tuple[str, dict[str, Any]]] = [
-    # (the key that is named, what is changed)
+    # (the key that is named, what is changed): what tests/test_bad_input.py has no line for
     ("rubbish", {"rubbish": {"a": 1}}),
-    ("geometry.lenght", {"geometry.lenght": 0.1}),
-    ("material.young", {"material.young": GONE}),
-    ("contact.stiffness", {"contact.stiffness": GONE}),
-    ("damping.ratio", {"damping.ratio": GONE}),
-    ("excitation.omega", {"excitation.omega": GONE}),
+    ("excitation", {"excitation": GONE}),
     ("mesh.layout", {"mesh.layout": GONE}),
-    ("geometry.thickness", {"geometry.thickness": GONE}),
-    *((table, {table: GONE}) for table in GOOD if table not in ("crack", "harmonic_balance")),
     ("material", {"material": 3.0}),
     ("crack", {"crack": [1, 2]}),
-    # wrong types and numbers that are none
-    ("material.young", {"material.young": "2e9"}),
-    ("material.young", {"material.young": True}),
-    ("material.young", {"material.young": math.nan}),
-    ("material.young", {"material.young": math.inf}),
-    ("material.young", {"material.young": 10**400}),
-    ("material.young", {"material.young": [2e9]}),
+    # wrong types and numbers that are none, of each kind of key
+    *(
+        ("material.young", {"material.young": value})
+        for value in ("2e9", True, math.nan, math.inf, 10**400, [2e9])
+    ),
     ("geometry.width", {"geometry.width": -math.inf}),
-    ("mesh.columns", {"mesh.columns": 2.0}),
-    ("mesh.columns", {"mesh.columns": True}),
-    ("mesh.columns", {"mesh.columns": 0}),
-    ("mesh.columns", {"mesh.columns": 10**400}),
+    *(("mesh.columns", {"mesh.columns": value}) for value in (2.0, True, 10**400)),
+    *(("mesh.order", {"mesh.order": value}) for value in (1.0, True)),
     ("mesh.layout", {"mesh.layout": 1}),
     ("mesh.layout", {"mesh.layout": "fine"}),
-    ("mesh.cells", {"mesh.cells": "hexahedron"}),
-    ("mesh.order", {"mesh.order": 3}),
-    ("mesh.order", {"mesh.order": 1.0}),
-    ("mesh.order", {"mesh.order": True}),
-    ("crack.clearance", {"crack.clearance": math.nan}),
-    ("contact.law", {"contact.law": "glue"}),
-    ("contact.pairs", {"contact.pairs": 1}),
-    ("excitation.point", {"excitation.point": 0.1}),
     ("excitation.point", {"excitation.point": (0.1, 0.1, 0.0)}),
     ("excitation.point", {"excitation.point": [0.1, math.nan]}),
     ("excitation.force_sin", {"excitation.force_sin": [100.0, "0"]}),
     ("excitation.force_cos", {"excitation.force_cos": [True, 0.0]}),
-    ("excitation.force_mean", {"excitation.force_mean": []}),
+    *(("damping.modes", {"damping.modes": value}) for value in ("some", 1.5)),
+    ("damping.ratio", {"damping.ratio": (0.1, -0.1)}),
+    ("damping.ratio", {"damping.ratio": ()}),
     # out of bounds
-    ("geometry.thickness", {"geometry.thickness": -1.0}),
-    ("geometry.thickness", {"geometry.thickness": 0.0}),
-    ("geometry.width", {"geometry.width": GONE}),
-    ("geometry.height", {"geometry.height": GONE}),
-    ("material.young", {"material.young": 0.0}),
-    ("material.density", {"material.density": -7800.0}),
-    *(("material.poisson", {"material.poisson": nu}) for nu in (-1.0, 0.5, -1.5, 0.7)),
-    ("excitation.omega", {"excitation.omega": 0.0}),
-    ("excitation.omega", {"excitation.omega": -2000.0}),
-    ("excitation.point", {"excitation.point": (0.11, 0.1)}),
+    ("material.poisson", {"material.poisson": -1.0}),
     ("excitation.point", {"excitation.point": (0.1, -0.01)}),
-    ("excitation.point", {"excitation.point": GONE}),
-    ("harmonic_balance.harmonics", {"harmonic_balance.harmonics": 0}),
-    ("harmonic_balance.harmonics", {"harmonic_balance.harmonics": 5.0}),
     ("harmonic_balance.samples", {"harmonic_balance.samples": 20}),
-    ("contact.stiffness", {"contact.stiffness": 0.0}),
-    ("contact.sharpness", {"contact.law": "smoothed"}),
-    ("contact.sharpness", {"contact.sharpness": 1e6}),
+    ("crack.height", {"crack.height": 0.0}),
+    ("crack.height", {"crack.height": 0.06}),
     # exactly one stiffness, or none without penetration
-    ("contact.stiffness", {"contact.stiffness_per_area": 1e12}),
-    ("contact.stiffness", {"contact": {"law": "penalty"}}),
+    ("contact.sharpness", {"contact.sharpness": 1e6}),
     ("contact.stiffness", {"contact": {"law": "smoothed", "sharpness": 1e9}}),
     (
         "contact.stiffness",
@@ -262,67 +232,34 @@ BAD: list[tuple[str, dict[str, Any]]] = [
     ("contact.stiffness", {"contact.law": "unilateral"}),
     ("contact.stiffness_per_area", {"contact": {"law": "unilateral", "stiffness_per_area": 1e12}}),
     ("contact.sharpness", {"contact": {"law": "unilateral", "sharpness": 1e9}}),
-    *(
-        ("contact.stiffness_per_area", {"contact": {"stiffness_per_area": value}})
-        for value in (0.0, -1e12, math.nan, math.inf, "1e12", True, [1e12])
-    ),
-    ("damping.ratio", {"damping.ratio": -0.1}),
-    ("damping.ratio", {"damping.ratio": (0.1, -0.1)}),
-    ("damping.ratio", {"damping.ratio": ()}),
-    ("damping.ratio", {"damping.ratio": (0.1, 0.1), "damping.modes": 3}),
-    ("damping.modes", {"damping.modes": 0}),
-    ("damping.modes", {"damping.modes": "some"}),
-    ("damping.modes", {"damping.modes": 1.5}),
     # exactly one way to give the damping
     ("damping.mass", {"damping.mass": 10.0}),
     ("damping.stiffness", {"damping.stiffness": 1e-6}),
+    ("damping.stiffness", {"damping": {"stiffness": -1e-9}}),
     ("damping.ratios", {"damping.ratios": (0.01, 0.02)}),
     ("damping.omegas", {"damping.omegas": (1.0, 2.0)}),
     ("damping.ratios", {"damping": {"mass": 10.0, "ratios": (0.01, 0.02), "omegas": (1.0, 2.0)}}),
-    ("damping.ratios", {"damping": {"omegas": (1.0, 2.0)}}),
     ("damping.omegas", {"damping": {"ratios": (0.01, 0.02)}}),
     ("damping.modes", {"damping": {"mass": 10.0, "modes": 20}}),
     ("damping.modes", {"damping": {"ratios": (0.1, 0.1), "omegas": (1.0, 2.0), "modes": 1}}),
-    ("damping.ratio", {"damping": {"modes": 20}}),
-    *(("damping.mass", {"damping": {"mass": value}}) for value in (-1.0, math.nan, "1", True)),
-    *(("damping.stiffness", {"damping": {"stiffness": v}}) for v in (-1e-9, math.inf, [1.0])),
     *(
         ("damping.ratios", {"damping": {"ratios": value, "omegas": (1.0, 2.0)}})
-        for value in (0.01, (0.01,), (-0.01, 0.01), (0.01, 1.01), (0.01, 0.021), (0.021, 0.01))
+        for value in ((0.01,), (-0.01, 0.01), (0.01, 1.01), (0.021, 0.01))
     ),
     *(
         ("damping.omegas", {"damping": {"ratios": (0.01, 0.01), "omegas": value}})
-        for value in (1.0, (1.0, 2.0, 3.0), (1.0, 1.0), (0.0, 1.0), (-1.0, 1.0), "ab")
+        for value in ((1.0, 2.0, 3.0), (0.0, 1.0), "ab")
     ),
-    # the crack
+    # the crack and the layouts of the mesh
     ("crack.edge", {"crack.edge": "top"}),
-    ("crack.edge", {"crack.edge": GONE}),
-    ("crack.length", {"crack.length": 0.1}),
-    ("crack.length", {"crack.length": 0.2}),
-    ("crack.length", {"crack.length": -0.05}),
-    ("crack.length", {"crack.length": GONE}),
-    ("crack.length", {"crack.first_omega": 2300.0}),
     ("crack.length", GRADED | {"crack.first_omega": 2300.0}),
     ("crack.length", GRADED | {"crack.length": GONE}),
-    ("crack.length", {"crack.length": GONE, "crack.first_omega": 2300.0}),
-    ("crack.length", {"crack.length": 0.03}),
-    ("crack.height", {"crack.height": 0.1}),
-    ("crack.height", {"crack.height": 0.2}),
-    ("crack.height", {"crack.height": GONE}),
-    ("crack.height", {"crack.height": 0.06}),
-    ("crack.height", {"crack.height": 0.0}),
-    ("crack.first_omega", GRADED | {"crack.length": GONE, "crack.first_omega": 0.0}),
-    # the layouts of the mesh
-    ("mesh.columns", {"mesh.columns": GONE}),
     ("mesh.rows", {"mesh.rows": GONE}),
     ("mesh.size", {"mesh.size": 0.01}),
     ("mesh.lip_elements", {"mesh.lip_elements": 3}),
     ("mesh.file", {"mesh.file": "plate.msh"}),
     ("mesh.columns", GRADED | {"mesh.columns": 2}),
     ("mesh.rows", GRADED | {"mesh.rows": 2}),
-    ("mesh.size", GRADED | {"mesh.size": GONE}),
-    ("mesh.lip_elements", GRADED | {"mesh.lip_elements": GONE}),
-    ("mesh.grading", GRADED | {"mesh.grading": 0.5}),
     ("mesh.file", FILE | {"mesh.file": GONE}),
     ("mesh.size", FILE | {"mesh.size": 0.01}),
     ("geometry.width", FILE | {"geometry.width": 0.1}),
@@ -610,7 +547,7 @@ VALUES = st.recursive(
 )
 
 
-@settings(max_examples=250)
+@settings(max_examples=100)
 @given(
     leaves=st.dictionaries(st.sampled_from(KEYS), VALUES, min_size=1, max_size=3),
     tables=st.dictionaries(st.sampled_from(sorted(GOOD)) | st.text(), VALUES, max_size=1),
