@@ -49,8 +49,7 @@ QUICK = {
     "scene/test_rotation_tables.py", "scene/test_scene.py", "scene/test_schema.py",
     "test_house.py",
 }  # fmt: skip
-"""Files whose tests are marked quick, but for nightly ones and those on several ranks: they fail first
-and say where."""
+"""Files whose tests are marked quick, but for nightly ones and those on several ranks."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
