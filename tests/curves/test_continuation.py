@@ -85,31 +85,6 @@ def test_a_curve_past_a_loop() -> None:
     assert loop.complete and loop.status == "closed loop"
 
 
-def test_points_are_solutions() -> None:
-    """Each point, solved again by SNES from itself, does not move."""
-    structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(10.0)
-    curve = continue_frequency(structure, 2.0, 0.3, law, harmonics=8)
-    for index in range(0, len(curve.omega), 25):
-        solution = curve.solution(index)
-        again = fc.solve_harmonic_balance(
-            structure, float(curve.omega[index]), law, harmonics=8, initial=solution
-        )
-        difference = np.abs(again.gap_coefficients - solution.gap_coefficients).max()
-        assert difference < 1e-6 * np.abs(solution.gap_coefficients).max()
-
-
-def test_folds_are_where_the_curve_turns() -> None:
-    """The Jacobian is singular at a fold, and folds lie beyond their neighbours in frequency."""
-    structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(1.0)
-    curve = continue_frequency(structure, 2.0, 0.3, law, harmonics=10)
-    turning = np.flatnonzero(np.diff(np.sign(np.diff(curve.omega))) != 0) + 1
-    assert len(turning) == len(folds(curve)) == 2
-    for index, fold in zip(turning, folds(curve), strict=True):
-        assert abs(fold - curve.omega[index]) < 0.01
-        extreme = min if curve.omega[index] < curve.omega[index - 1] else max
-        assert extreme(fold, curve.omega[index]) == fold
-
-
 def test_fold_of_a_duffing_oscillator() -> None:
     """One harmonic: a1 = amplitude obeys a cubic whose folds are roots of its discriminant."""
     damping, force, cubic = 0.1, 0.2, 1.0
@@ -129,13 +104,6 @@ def test_fold_of_a_duffing_oscillator() -> None:
     exact = grid[np.flatnonzero(np.diff(signs))]
     assert len(exact) == 2
     assert np.allclose(sorted(folds(curve)), exact, atol=1e-3)
-
-
-def test_period_doubling_of_two_masses_and_a_stop() -> None:
-    """Published at W = 0.7387830."""
-    curve = continue_frequency(two_masses(), 0.6, 0.75, fc.UnilateralPenalty(100.0), tolerance=1e-2)
-    [doubling] = [b for b in curve.bifurcations if b.kind == "period_doubling"]
-    assert doubling.value == pytest.approx(0.7387830, abs=1e-7)
 
 
 def test_saved_curve_comes_back(tmp_path: Path) -> None:
@@ -293,34 +261,6 @@ def test_load_only_scales_without_clearance() -> None:
 
 
 # --- branches, loops, resuming --------------------------------------------------------------------
-
-
-@pytest.mark.verification
-def test_doubled_branch() -> None:
-    """From the oscillator's period doubling to the stable orbit of period 2 at W = 2 w0.
-
-    The branch is stable, and joins the old one again at the other period doubling.
-    """
-    structure, law = oscillator(0.1, 1.0), fc.UnilateralPenalty(1.0)
-    curve = continue_frequency(structure, 1.5, 3.0, law, tolerance=1e-3)
-    doublings = [b for b in curve.bifurcations if b.kind == "period_doubling"]
-    assert len(doublings) == 2
-    between = (curve.omega > doublings[0].omega) & (curve.omega < doublings[1].omega)
-    assert np.array_equal(curve.stable, ~between)
-    branch = fc.follow_branch(curve, doublings[0])
-    assert branch.complete and branch.status == "joined the branch that it left"
-    assert branch.multipliers is not None and branch.subharmonic == 2
-    assert set(branch.verdicts) <= {"stable", "undecided"} and np.mean(branch.stable) > 0.9
-    ends = doublings[0].omega, doublings[1].omega
-    assert (branch.omega.min(), branch.omega.max()) == pytest.approx(ends, abs=1e-4)
-    omega = 4.0 * np.sqrt(2.0) / (1.0 + np.sqrt(2.0))
-    near = branch.solution(int(np.argmin(np.abs(branch.omega - omega))))
-    orbit = fc.solve_harmonic_balance(
-        structure, omega, law, harmonics=40, subharmonic=2, initial=near
-    )
-    rows = orbit.coefficients_at([0])[:, 0]
-    assert amplitudes(rows)[0] == pytest.approx(0.7790634, abs=1e-6)
-    assert rows[0] == pytest.approx(-0.1735445, abs=1e-6)
 
 
 def test_closed_loop() -> None:

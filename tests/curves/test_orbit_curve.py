@@ -152,17 +152,6 @@ def test_followed_with_its_bifurcations(followed: fc.ResponseCurve) -> None:
     assert alone.verdict == followed.verdicts[20]
 
 
-def test_branch_of_twice_the_period(followed: fc.ResponseCurve) -> None:
-    """From one doubling to the other one."""
-    first, second = (one for one in followed.bifurcations if one.kind == "period_doubling")
-    branch = fc.follow_branch(followed, first)
-    assert branch.subharmonic == 2 and branch.branch and branch.complete
-    assert branch.values[-1] == pytest.approx(second.value, rel=1e-6)
-    assert np.all(branch.indicators().ratio_half_1[1:-1] > 0.0)
-    with pytest.raises(fc.InputError, match=r"^bifurcation"):
-        fc.follow_branch(followed, next(b for b in followed.bifurcations if b.kind == "fold"))
-
-
 def test_branches_of_equal_masses() -> None:
     """Two with stops, loaded alike, move alike on the curve; at four branch points they part, and
     the branches come back."""

@@ -11,7 +11,6 @@ from helpers import (
     chain_stiffness,
     mean_square,
     oscillator,
-    period_two_orbit,
     random_stiffness,
     relative,
 )
@@ -33,13 +32,6 @@ def test_multiplier_of_the_unstable_orbit() -> None:
     assert found.multipliers[0] == pytest.approx(-1.23694, abs=1e-4)
     assert found.verdict == "unstable"
     assert found.uncertainty < 1e-5
-
-
-@pytest.mark.verification
-def test_stable_orbit_of_twice_the_period() -> None:
-    """Stable at W = 2 w0, where the orbit of period 1 is not."""
-    orbit = period_two_orbit(40)
-    assert floquet(orbit.structure, orbit).verdict == "stable"
 
 
 @pytest.mark.parametrize("damping", [0.01, 0.1, 0.5])
