@@ -541,7 +541,7 @@ def test_a_stiffer_plate(scene: fc.Scene, folder: Path) -> None:
     assert "before there was a crack" not in found.advice[0]
 
 
-@pytest.mark.drawn(1)
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "changes", [{"material.young": 2.1e11 * 0.99}, {"geometry.height": 0.2014}]
 )
