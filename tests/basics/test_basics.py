@@ -655,7 +655,9 @@ print(counted()[:2])
     assert run(program).splitlines() == ["(1, {True})", "(1, {1})", "(1, {True})"]
 
 
-@pytest.mark.parametrize("chosen", [{}, {"OMP_NUM_THREADS": "1"}])
+@pytest.mark.parametrize(
+    "chosen", [{}, pytest.param({"OMP_NUM_THREADS": "1"}, marks=pytest.mark.nightly)]
+)
 def test_no_thread_of_openmp(chosen: dict[str, str]) -> None:
     """CHOLMOD begins none, which asks for four whatever is set; the limit is restored."""
     program = """

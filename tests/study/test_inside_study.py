@@ -186,7 +186,7 @@ def test_mean_load_keeps_lips_apart_or_together() -> None:
         assert all(any(text in word for word in words) for text in texts)
 
 
-@pytest.mark.drawn(5)
+@pytest.mark.drawn(3)
 @pytest.mark.parametrize("demo", sorted(DEMOS.glob("*.toml")), ids=lambda path: path.stem)
 def test_no_remark_on_demos(demo: object) -> None:
     """Every scene of demos is usual."""

@@ -216,7 +216,7 @@ def test_a_longer_period_is_told_by_what_moves() -> None:
         [[1.0]], [[1.0]], gap=[1.0], force_sin=[1.0], damping=[[0.2]]
     )
     found = fc.integrate_events(
-        structure, 3.4, fc.UnilateralPenalty(100.0), periods=400, record_periods=4
+        structure, 3.4, fc.UnilateralPenalty(100.0), periods=150, record_periods=4
     )
     assert found.change(2) < 1e-9 < 0.1 < found.change() == pytest.approx(found.settled)
     with pytest.raises(fc.InputError, match="periods"):
