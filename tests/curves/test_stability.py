@@ -5,15 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.linalg
-from helpers import (
-    OMEGA_0,
-    Cubic,
-    chain_stiffness,
-    mean_square,
-    oscillator,
-    random_stiffness,
-    relative,
-)
+from helpers import Cubic, chain_stiffness, mean_square, oscillator, random_stiffness, relative
 from reference_flow import size_of_motion
 from scipy.integrate import solve_ivp
 
@@ -21,17 +13,6 @@ import fenics_crack as fc
 from fenics_crack import floquet
 
 RIGID = fc.UnilateralConstraint()
-
-
-@pytest.mark.verification
-def test_multiplier_of_the_unstable_orbit() -> None:
-    """Bilinear oscillator at W = 2 w0: multiplier -1.23694."""
-    structure, law = oscillator(), fc.UnilateralPenalty(1.0)
-    solution = fc.solve_harmonic_balance(structure, 2.0 * OMEGA_0, law, harmonics=20)
-    found = floquet(structure, solution, law)
-    assert found.multipliers[0] == pytest.approx(-1.23694, abs=1e-4)
-    assert found.verdict == "unstable"
-    assert found.uncertainty < 1e-5
 
 
 @pytest.mark.parametrize("damping", [0.01, 0.1, 0.5])
@@ -78,22 +59,13 @@ def test_a_turning_shaft_with_a_crack() -> None:
 
 
 @pytest.mark.parametrize(
-    ("law", "turning"),
-    [
-        (fc.UnilateralPenalty(2.0), 0.0),
-        (fc.UnilateralPenalty(2.0), 0.5),
-        (fc.SmoothedPenalty(2.0, 10.0), 0.0),
-        (fc.SmoothedPenalty(2.0, 10.0), 0.5),
-    ],
-    ids=["penalty", "gyroscopic", "smoothed", "smoothed, gyroscopic"],
+    "law", [fc.UnilateralPenalty(2.0), fc.SmoothedPenalty(2.0, 10.0)], ids=["penalty", "smoothed"]
 )
 @pytest.mark.filterwarnings("error")
-def test_against_the_variational_equation(
-    law: fc.UnilateralPenalty | fc.SmoothedPenalty, turning: float
-) -> None:
-    """Multipliers of two masses from SciPy's integration of the linearised motion."""
+def test_against_the_variational_equation(law: fc.UnilateralPenalty | fc.SmoothedPenalty) -> None:
+    """Multipliers of two turning masses from SciPy's integration of the linearised motion."""
     stiffness = chain_stiffness(np.ones(3))
-    damping = 0.06 * stiffness + turning * np.array([[0.0, -1.0], [1.0, 0.0]])
+    damping = 0.06 * stiffness + 0.5 * np.array([[0.0, -1.0], [1.0, 0.0]])
     gap = np.array([1.0, -1.0])
     structure = fc.Structure.from_matrices(
         np.eye(2), stiffness, gap=gap, force_cos=[0.3, -0.5], damping=damping
@@ -114,28 +86,7 @@ def test_against_the_variational_equation(
     assert np.abs(found[0]) == pytest.approx(np.abs(exact).max(), abs=2e-4)
 
 
-def test_verdict_agrees_with_integration() -> None:
-    """Started next to the orbit, the motion returns to it, or leaves it, as the verdict says."""
-    structure, law = oscillator(), fc.UnilateralPenalty(1.0)
-    verdicts = []
-    for omega in (1.0, 1.6, 2.2, 2.0 * OMEGA_0, 2.5, 2.8):
-        orbit = fc.solve_harmonic_balance(structure, omega, law, harmonics=30)
-        found = floquet(structure, orbit)
-        verdicts.append(found.verdict)
-        start = orbit.displacement(np.zeros(1), [0])[0] * 1.001 + 1e-4
-        rate = (
-            orbit.displacement(np.array([1e-6]), [0]) - orbit.displacement(np.array([-1e-6]), [0])
-        )[0] / 2e-6
-        history = fc.integrate_central_difference(
-            structure, omega, law, periods=60, steps_per_period=2000, initial=(start, rate)
-        )
-        exact = orbit.gap(history.time[:2000])
-        distance = np.linalg.norm(history.by_period(history.gap) - exact, axis=(1, 2))
-        grows = distance[-1] > distance[0]
-        assert grows == (found.verdict == "unstable"), (omega, found)
-    assert set(verdicts) == {"stable", "unstable"}
-
-
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize("ratio", [0.03, 0.01, 0.001])
 def test_verdict_agrees_with_exact_motion(paper_scene: fc.Scene, ratio: float) -> None:
     """The paper's plate: a disturbed orbit returns or leaves as the verdict says, at the rate |mu|.
@@ -237,6 +188,7 @@ def test_a_tangent_that_is_not_the_forces_slope_is_refused() -> None:
 # --- lips without mass ----------------------------------------------------------------------------
 
 
+@pytest.mark.drawn(3)
 @pytest.mark.parametrize("law", [RIGID, fc.UnilateralPenalty(1e9)], ids=["rigid", "penalty"])
 @pytest.mark.parametrize("omega", [1500.0, 2000.0, 2600.0])
 def test_verdict_is_that_of_the_disturbed_motion(
