@@ -15,7 +15,6 @@ from helpers import (
     amplitudes,
     chain,
     dense_matrices,
-    log_slope,
     oscillator,
     relative,
     to_complex,
@@ -256,21 +255,6 @@ def test_bilinear_oscillator(omega: float, form: str) -> None:
     wave = solution.gap(np.linspace(0.0, solution.period, 100001))
     assert wave.max() == pytest.approx(largest, rel=1e-5)
     assert wave.min() == pytest.approx(smallest, rel=1e-5)
-
-
-@pytest.mark.verification
-@pytest.mark.parametrize("samples", [None, 8192])
-def test_bilinear_oscillator_error_falls_with_the_harmonics(samples: int | None) -> None:
-    """Relative L2 errors 3.1e-4, 3.7e-5, 4.0e-6, 3.9e-7 at H = 5, 10, 20, 40: order 3.2."""
-    law, t = fc.UnilateralPenalty(1.0), np.linspace(0.0, 2.0 * np.pi, 4001)
-    counts = (5, 10, 20, 40)
-    *waves, reference = (
-        fc.solve_harmonic_balance(oscillator(), 1.0, law, harmonics=h, samples=samples).gap(t)
-        for h in (*counts, 300)
-    )
-    errors = [relative(wave, reference) for wave in waves]
-    assert errors == pytest.approx([3.1e-4, 3.7e-5, 4.0e-6, 3.9e-7], rel=0.1)
-    assert log_slope(counts, errors) == pytest.approx(-3.2, abs=0.2)
 
 
 @pytest.mark.verification

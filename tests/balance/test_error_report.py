@@ -54,17 +54,6 @@ def test_errors_are_estimated_when_they_are_requested(monkeypatch: pytest.Monkey
 # --- truncation -----------------------------------------------------------------------------------
 
 
-@pytest.mark.verification
-@pytest.mark.parametrize("omega", [0.5 * OMEGA_0, 1.0, 2.0 * OMEGA_0], ids=["w0/2", "1", "2 w0"])
-def test_truncation_on_the_bilinear_oscillator(omega: float) -> None:
-    """H = 5, 10, 20, 40 against H = 300: within a factor 3 (it is 1 %)."""
-    law = fc.UnilateralPenalty(1.0)
-    exact = fc.solve_harmonic_balance(oscillator(), omega, law, harmonics=300)
-    for harmonics in (5, 10, 20, 40):
-        found = fc.solve_harmonic_balance(oscillator(), omega, law, harmonics=harmonics)
-        assert_estimated(found, exact, least=1e-9)
-
-
 def test_truncation_on_the_paper_plate(
     soft_plate: fc.Structure, never_penetrating: fc.PeriodicSolution
 ) -> None:
