@@ -123,12 +123,6 @@ def test_saved_and_read(parameter: str, values: np.ndarray, tmp_path: Path) -> N
 # --- followed -------------------------------------------------------------------------------------
 
 STOP = fc.UnilateralPenalty(100.0)
-EXACT = {
-    "neimark_sacker": [0.6186068743],
-    "period_doubling": [0.7387830254, 0.7555861594],
-    "fold": [0.7556273526, 0.6534401345],
-}
-"""Two masses and a stop, as in acceptance/test_curves.py."""
 
 
 @pytest.fixture(scope="module")
@@ -137,19 +131,6 @@ def followed() -> fc.ResponseCurve:
     curve = fc.continue_frequency(two_masses(), 0.6, 0.9, STOP, tolerance=1e-2)
     assert curve.exact
     return curve
-
-
-def test_followed_with_its_bifurcations(followed: fc.ResponseCurve) -> None:
-    """Each where orbits of single solutions have it, and nothing is undecided."""
-    assert followed.complete and followed.omega[[0, -1]] == pytest.approx([0.6, 0.9], rel=1e-12)
-    assert not followed.undecided.any()
-    for kind, expected in EXACT.items():
-        values = [one.value for one in followed.bifurcations if one.kind == kind]
-        assert values == pytest.approx(expected, rel=1e-6)
-    doubling = followed.bifurcations[1]
-    assert np.abs(doubling.orbit.multipliers + 1.0).min() < 1e-6
-    alone = fc.floquet(followed.structure, followed.solution(20))
-    assert alone.verdict == followed.verdicts[20]
 
 
 def test_branches_of_equal_masses() -> None:

@@ -43,19 +43,6 @@ def jenkins() -> tuple[fc.Structure, fc.CoulombFriction]:
     return structure, fc.CoulombFriction(fc.UnilateralPenalty(1.0), 1.0, 0.5)
 
 
-def test_jenkins_oscillator() -> None:
-    """Figures of an independent event-driven integration; harmonic balance with one harmonic."""
-    structure, law = jenkins()
-    found = fc.solve_harmonic_balance(structure, 0.9, law, tolerance=1e-3)
-    assert found.orbit is not None
-    assert found.amplitude(0) == pytest.approx(3.69236, abs=5e-4)
-    assert found.orbit.work.friction[0] == pytest.approx(3.71084, abs=5e-6)
-    assert found.indicators(0).friction_loss == pytest.approx(3.71084, abs=5e-6)
-    one = fc.solve_harmonic_balance(structure, 0.9, law, harmonics=1, samples=8192)
-    first = np.hypot(*one.displacement_coefficients[1:3, 0])
-    assert first == pytest.approx(3.6668244, abs=5e-7)
-
-
 def test_loss_of_a_slide() -> None:
     """4 F (A - F / k_t) of a slide between -A and A."""
     structure, law = jenkins()
@@ -201,18 +188,6 @@ def nlstep_beam() -> tuple[fc.Structure, fc.CoulombFriction, int]:
     )  # fmt: skip
     reduced = fc.reduce_structure(structure, modes=6, method="massless")
     return reduced, fc.CoulombFriction(fc.UnilateralPenalty(1e4), 1.0), tip
-
-
-def test_nlstep_example_02() -> None:
-    """A cantilever with friction at a node: |U_1| of the tip [mm] at three frequencies."""
-    stiffness, mass = beam()
-    free = np.sqrt(np.abs(np.linalg.eigvals(np.linalg.solve(mass, stiffness))))
-    assert np.sort(free)[:2] == pytest.approx([123.3406, 773.0225], rel=1e-6)
-    reduced, law, tip = nlstep_beam()
-    for omega, size in ((302.574, 0.067693), (254.682, 0.073542), (225.0, 0.080962)):
-        found = fc.solve_harmonic_balance(reduced, omega, law, tolerance=2e-2, throw=False)
-        assert found.orbit is not None
-        assert found.indicators(tip).harmonic_1 == pytest.approx(size, rel=5e-3)
 
 
 # --- what cannot be used --------------------------------------------------------------------------

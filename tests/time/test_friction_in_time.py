@@ -2,30 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers import chain_stiffness
-from motion.test_friction import HERTZ, RIGID, jenkins, plate, solved
+from motion.test_friction import HERTZ, RIGID, plate, solved
 
 import fenics_crack as fc
-
-
-@pytest.mark.parametrize("method", [fc.integrate_central_difference, fc.integrate_exponential])
-def test_jenkins_oscillator(method: Callable[..., fc.TimeHistory]) -> None:
-    """Half peak-to-peak and loss of the settled motion, to the order of the steps."""
-    structure, law = jenkins()
-    history = method(
-        structure, 0.9, law, periods=400, steps_per_period=1024, settle=1e-9, record_periods=4
-    )
-    seen = history.indicators(0)
-    assert seen.amplitude == pytest.approx(3.69236, rel=3e-5)
-    assert seen.friction_loss == pytest.approx(3.71084, rel=5e-5)
-    assert seen.stick_share + seen.slip_share == pytest.approx(1.0)
-    assert abs(history.created_energy) < 2e-5
 
 
 def test_exponential_steps_are_of_second_order() -> None:
