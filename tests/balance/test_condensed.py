@@ -72,7 +72,7 @@ def test_condensed_is_the_full_block_on_chains(law: str, damping: str, subharmon
     assert np.all(pressed)
 
 
-@pytest.mark.drawn(2)
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize("law", LAWS)
 def test_condensed_is_the_full_block_on_the_plate(wide_plate: fc.Structure, law: str) -> None:
     """Four pairs, all modes damped: agreement to 1e-9; the full one begins with the solution."""

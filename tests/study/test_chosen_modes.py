@@ -34,7 +34,12 @@ def test_a_curve_has_the_modes_that_its_tolerance_takes() -> None:
     for name in ("amplitude", "opening"):
         seen = [getattr(one.indicators(), name).max() for one in (few, many)]
         assert seen[0] == pytest.approx(seen[1], rel=RATIO * 0.01)
-    stricter = fc.curve(scene.replace({"harmonic_balance.tolerance": 1e-4}))
+
+
+@pytest.mark.nightly
+def test_a_curve_has_no_more_modes_than_are_chosen() -> None:
+    """A tolerance that takes more is not met, and it says what helps."""
+    stricter = fc.curve(new_scene().replace(COARSE | {"harmonic_balance.tolerance": 1e-4}))
     assert stricter.scene.given("reduction").modes == MOST_OF_MANY
     assert "was asked; what helps: reduction.modes 80" in stricter.status
 
