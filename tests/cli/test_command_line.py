@@ -29,6 +29,8 @@ pytestmark = pytest.mark.usefixtures("not_drawn")
 
 ENVIRONMENT = os.environ | MPI_ENVIRONMENT | {"PYTHONPATH": str(ROOT)}
 PAPER = ROOT / "demos" / "paper_plate.toml"
+COARSE = ["--set", "mesh.size=0.03", "--set", "mesh.lip_elements=6"]
+"""The scene of ``new`` with few elements."""
 PROGRAM = [sys.executable, "-m", "fenics_crack"]
 
 
@@ -80,7 +82,8 @@ def test_numbers_are_those_of_the_library(tmp_path: Path, capsys: pytest.Capture
 def test_other_laws_read_back(tmp_path: Path, law: str) -> None:
     """Also no penetration, and the smoothed law."""
     words = ["solve", str(ROOT / "demos" / "paper_plate.toml"), "--quiet",
-             "--output", str(tmp_path), "--set", f"contact.law={law}"]  # fmt: skip
+             "--output", str(tmp_path), "--set", f"contact.law={law}",
+             "--set", "harmonic_balance.error=false"]  # fmt: skip
     if law == "unilateral":
         words += ["--set", "contact.stiffness=none"]
     else:
@@ -162,7 +165,7 @@ def test_harmonics_that_nothing_damps(
         ("mesh.columns=8", "massless, 50 modes, crack faces without mass"),
         ("reduction.method=free_interface", "free_interface, 50 modes"),
         ("mesh.columns=8 crack=none contact=none", "free_interface, 50 modes"),
-        ("mesh.columns=8 reduction.method=off", "none"),
+        ("mesh.columns=4 reduction.method=off", "none"),
     ],
 )
 def test_check_says_how_it_is_solved(
@@ -185,7 +188,7 @@ def test_new_scene(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     run = fc.integrate(scene.replace({"mesh.size": 0.03, "mesh.lip_elements": 6}))
     assert isinstance(run.structure, fc.MasslessStructure) and run.structure.n_modes == 50
     assert run.result.settled <= 1e-3 and run.result.gap.max() < 1e-18
-    assert main(["check", str(path)]) == 0
+    assert main(["check", str(path), *COARSE]) == 0
     assert "crack faces without mass" in capsys.readouterr().out
 
 
@@ -244,7 +247,7 @@ def test_new_scene_of_a_name_too_long(capsys: pytest.CaptureFixture) -> None:
 def test_nothing_else_is_printed(tmp_path: Path) -> None:
     """Neither gmsh nor PETSc nor FFCx says a word; a file as standard error gets no progress."""
     assert main(["new", str(tmp_path / "plate.toml"), "--quiet"]) == 0
-    done = run(tmp_path, "solve", "plate.toml")
+    done = run(tmp_path, "solve", "plate.toml", *COARSE)
     told = [line for line in done.stderr.splitlines() if not line.startswith("  ")]  # signs of life
     assert told[0].startswith("output/plate/solution.h5")
     assert len(told) == 2 and told[1].startswith("solved; at ") and "estimated error" in told[1]
@@ -286,8 +289,7 @@ def test_new_scene_resonates_as_it_breathes(tmp_path: Path, capsys: pytest.Captu
     path = tmp_path / "plate.toml"
     assert main(["new", str(path), "--quiet"]) == 0
     capsys.readouterr()
-    coarse = ["--set", "mesh.size=0.03", "--set", "mesh.lip_elements=6"]
-    assert main(["check", str(path), *coarse, "--format", "json"]) == 0
+    assert main(["check", str(path), *COARSE, "--format", "json"]) == 0
     rows = {row["what"]: row["value"] for row in json.loads(capsys.readouterr().out)}
     first = "first natural frequency, crack faces {} [Hz]"
     opened, tied = (rows[first.format(state)] for state in ("open", "bonded"))
@@ -302,7 +304,7 @@ def test_new_scene_resonates_as_it_breathes(tmp_path: Path, capsys: pytest.Captu
     words = ["harmonic_balance.tolerance=none", "harmonic_balance.harmonics=9",
              "curve.stability=false"]  # fmt: skip
     changes = (word for change in words for word in ("--set", change))
-    assert main(["curve", str(path), *coarse, "--output", str(tmp_path), *changes]) == 0
+    assert main(["curve", str(path), *COARSE, "--output", str(tmp_path), *changes]) == 0
     points = table(tmp_path / "curve.csv")
     name = next(key for key in points[0] if key.endswith("amplitude [m]"))
     highest = max(points, key=lambda row: float(row[name]))
