@@ -52,16 +52,19 @@ def test_new_writes_a_scene(kinds: list[str], here: Path) -> None:
     assert scene.curve is not None and (scene.curve.parameter == "rpm") == turns
 
 
-def test_every_command_runs_on_what_new_wrote(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A blade with probes and measurements takes all of them; what is found is in the sample."""
+def test_every_command_runs_on_what_new_wrote(here: Path) -> None:
+    """A blade with probes and measurements takes all of them."""
     assert main(["new", "own.toml", *(f"--{kind}" for kind in KINDS), "--quiet"]) == 0
     few = ["sweep.over={'crack.length' = [0.02, 0.03]}", "curve.stop=2905.0"]
     words = sets(*COARSE, *few, "integration.periods=3", "integration.settle=10.0")
     for command in ("check", "modes", "campbell", "solve", "curve", "integrate", "sweep", "timing"):
         more = ["--speeds", "0", "3000", "2", "--count", "1"] if command == "campbell" else []
         assert main([command, "own.toml", *words, *more, "--quiet"]) == 0, command
+
+
+@pytest.mark.nightly
+def test_the_crack_of_the_sample_is_found(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """From the measurements that new wrote."""
     assert main(["new", "plain.toml", "--identify", "--quiet"]) == 0
     coarse = sets("mesh.size=0.04", "mesh.lip_elements=3", "identify.finer=1.0")
     capsys.readouterr()
