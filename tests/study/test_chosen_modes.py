@@ -25,7 +25,7 @@ def new_scene() -> fc.Scene:
 
 def test_a_curve_has_the_modes_that_its_tolerance_takes() -> None:
     """Its largest response and opening are those with four times as many, within the tolerance."""
-    scene = new_scene().replace(COARSE)
+    scene = new_scene().replace(COARSE | {"curve.start": 825.0, "curve.stop": 840.0})
     few = fc.curve(scene)
     kept = few.scene.given("reduction").modes
     assert kept in (10, 20, 40) and f"; chosen for an error of 0.01: {kept} modes" in few.status
@@ -46,7 +46,7 @@ def test_a_curve_has_no_more_modes_than_are_chosen() -> None:
 
 def test_each_case_of_a_sweep_meets_the_tolerance(tmp_path: Path) -> None:
     """Modes are doubled where a case needs more; its solution has those with which it was found."""
-    over = {"excitation.frequency": [600.0, 828.0, 832.0]}
+    over = {"excitation.frequency": [600.0, 832.0]}
     scene = new_scene().replace(COARSE | {"curve": None, "sweep.over": over})
     found = fc.run_sweep(scene, tmp_path / "sweep.h5")
     for name in ("residual", "truncation", "sampling"):
