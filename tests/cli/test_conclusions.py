@@ -17,6 +17,8 @@ from surroundings import main
 import fenics_crack as fc
 from fenics_crack.basics.tables import error_in_words
 
+pytestmark = pytest.mark.usefixtures("not_drawn")
+
 STIFFNESS, DAMPING = np.array([[1.0, -1.0], [-1.0, 2.0]]), 0.03
 FEW = {"contact.stiffness": 1e3, "harmonic_balance.harmonics": 3, "excitation.omega": 0.8}
 """Too few harmonics for so stiff a stop."""

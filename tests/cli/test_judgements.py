@@ -31,6 +31,8 @@ from fenics_crack.scene.words import differences, key_in_words, value_in_words
 from fenics_crack.sweep import result
 from fenics_crack.sweep.file import COLUMNS, State
 
+pytestmark = pytest.mark.usefixtures("not_drawn")
+
 PAPER = DEMOS / "paper_plate.toml"
 ZERO = {"residual": 0.0, "truncation": 0.0, "sampling": 0.0, "reduction": 0.0, "penetration": 0.0}
 FIXED = {"harmonic_balance.tolerance": None, "harmonic_balance.harmonics": 15}

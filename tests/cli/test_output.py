@@ -16,6 +16,8 @@ from surroundings import DEMOS, main
 import fenics_crack as fc
 from fenics_crack import prepare
 
+pytestmark = pytest.mark.usefixtures("not_drawn")
+
 POINTS = {"tip": [0.1, 0.1], "side": [0.098, 0.0625]}
 
 

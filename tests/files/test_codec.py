@@ -18,6 +18,8 @@ from surroundings import DEMOS, main
 import fenics_crack as fc
 from fenics_crack.files.saved import Saved
 
+pytestmark = pytest.mark.usefixtures("not_drawn")
+
 DISK = fc.Scene.load(DEMOS / "bladed_disk.toml").replace(
     {"mesh.size": 0.012, "mesh.lip_elements": 3, "disk.sectors": 6, "disk.cracked": []}
 )

@@ -18,6 +18,8 @@ from mpi4py import MPI
 import fenics_crack as fc
 from fenics_crack.cli.command_line import main
 
+pytestmark = pytest.mark.usefixtures("not_drawn")
+
 PLATE = """
 [geometry]
 width = 0.1

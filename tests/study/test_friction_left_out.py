@@ -15,6 +15,8 @@ from surroundings import main
 import fenics_crack as fc
 from fenics_crack.basics.errors import ConvergenceError
 
+pytestmark = pytest.mark.usefixtures("not_drawn")
+
 ROOT = Path(__file__).parents[2]
 INCLINED = fc.Scene.load(ROOT / "demos" / "inclined_crack.toml").replace({"curve": None})
 

@@ -29,7 +29,7 @@ from fenics_crack import SweepResult
 from fenics_crack.monitoring.identification.report import Identified, report_of_identification
 from fenics_crack.scene.words import value_in_words
 
-pytestmark = pytest.mark.usefixtures("not_laid_out")
+pytestmark = pytest.mark.usefixtures("not_drawn")
 
 PLATE = """
 geometry = { width = 0.1, height = 0.2, thickness = 0.01 }

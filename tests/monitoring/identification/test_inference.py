@@ -35,6 +35,8 @@ from fenics_crack.monitoring.identification.posterior import Branch, Likelihood,
 from fenics_crack.monitoring.identification.result import Worth, advice, worth_of
 from fenics_crack.monitoring.tip_timing.scene_timing import mode_of, passed_in_words
 
+pytestmark = pytest.mark.usefixtures("not_drawn")
+
 SQUARE = Cube((np.linspace(0.0, 2.0, 6), np.linspace(1.0, 3.0, 7)))
 
 

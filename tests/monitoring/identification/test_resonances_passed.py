@@ -15,7 +15,7 @@ from test_identify import SPINNING, TURN
 
 import fenics_crack as fc
 
-pytestmark = pytest.mark.usefixtures("not_laid_out")
+pytestmark = pytest.mark.usefixtures("not_drawn")
 
 PROBES = np.radians([12.0, 47.0, 93.0, 131.0])
 SURE = {"crack": 0.01, "young": 1e-3, "model": 5e-4, "clamp": 0.0, "density": 0.0}

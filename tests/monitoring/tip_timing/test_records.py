@@ -19,7 +19,7 @@ from surroundings import main
 
 import fenics_crack as fc
 
-pytestmark = pytest.mark.usefixtures("not_laid_out")
+pytestmark = pytest.mark.usefixtures("not_drawn")
 
 RECORD = DEMOS / "blisk_blade.csv"
 HERTZ = 2.0 * np.pi
