@@ -44,7 +44,7 @@ PARTS = 8
 QUICK = {
     "balance/test_inside_balance.py", "balance/test_kernel.py", "curves/test_windows.py",
     "model/test_contact.py", "model/test_damping.py", "model/test_inside_model.py",
-    "motion/test_contact_flow.py", "motion/test_inside_any_load.py",
+    "motion/test_inside_any_load.py",
     "motion/test_inside_friction.py", "numerics/test_paths.py", "scene/test_conversions.py",
     "scene/test_rotation_tables.py", "scene/test_scene.py", "scene/test_schema.py",
     "test_house.py",
