@@ -10,6 +10,7 @@ from rotating import CRACKED, cracked
 
 import fenics_crack as fc
 from fenics_crack import InputError, Problem, follow_resonance, resonance_at
+from fenics_crack.curves.resonance import ResonanceSystem, first_resonance
 
 
 def mass(
@@ -49,6 +50,20 @@ def test_bilinear_mass(stiffness: float, ratio: float) -> None:
     assert large.solution.amplitude() == pytest.approx(100.0 * small.solution.amplitude())
     assert small.width == pytest.approx(2.0 * ratio, rel=1e-4)
     assert not small.several and small.solution.converged
+
+
+def test_newton_step_against_differences() -> None:
+    """A step by the linearised equations changes the residual by their right-hand side."""
+    problem = Problem(mass(0.05, clearance=0.3), 1.0, fc.UnilateralPenalty(1.0), 6)
+    point = first_resonance(problem, 1.0)
+    system = ResonanceSystem(point.problem, point.drive, point.at)
+    rng, width = np.random.default_rng(4), 1e-6
+    unknown = point.unknown * (1.0 + 0.05 * rng.normal(size=system.shape))  # not a solution
+    right = rng.normal(size=system.shape)
+    step = width * system.linearise(unknown, 0.0).solve(right)
+    ends = (system.linearise(unknown + side * step, 0.0).residual for side in (1.0, -1.0))
+    change = np.subtract(*ends) / (2.0 * width)
+    assert change == pytest.approx(right, abs=1e-5 * np.abs(right).max())
 
 
 @pytest.mark.parametrize("clearance", [1.0, -1.0], ids=["clearance", "preload"])
