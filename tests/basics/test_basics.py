@@ -349,13 +349,16 @@ COMMANDS = {
 
 @contextmanager
 def room_for(size: int) -> Iterator[None]:
-    """No file of this process can grow beyond a size, as on a full disk."""
+    """No file of this process can grow beyond a size, as on a full disk; modules are not written,
+    as Python does not see that it wrote them in part."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    writes_no_modules, sys.dont_write_bytecode = sys.dont_write_bytecode, True
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
     try:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        sys.dont_write_bytecode = writes_no_modules
 
 
 @pytest.fixture(scope="module")

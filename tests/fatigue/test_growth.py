@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from scipy.signal import find_peaks
 from surroundings import main
 
 import fenics_crack as fc
+from fenics_crack.fatigue.growth import LengthPath
 
 STRESS = 1e7
 SLOW = 30.0
@@ -550,3 +552,13 @@ def test_next_to_a_fold_it_is_a_largest_response() -> None:
     size = curve.result.amplitude()
     tops = size[1:-1][(size[1:-1] > size[:-2]) & (size[1:-1] > size[2:])]
     assert np.abs(found["response"][0] / tops - 1.0).min() < 0.01
+
+
+def test_lengths_without_a_stable_vibration() -> None:
+    """Each length of a table over lengths and levels once, of what was solved."""
+    is_unstable = np.array([[False, True], [True, True], [True, False], [False, False]])
+    axes = [SimpleNamespace(values=[0.01, 0.02, 0.03, 0.04]), SimpleNamespace(values=[1.0, 2.0])]
+    converged = np.array([[True, True], [True, True], [False, True], [True, True]])
+    table: Any = SimpleNamespace(axes=axes, not_stable=is_unstable, converged=converged)
+    path = LengthPath(np.array(axes[0].values), {}, (table, table))
+    assert path.not_stable == [0.01, 0.02]
