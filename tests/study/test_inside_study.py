@@ -3,6 +3,7 @@ what is unusual, memory, failed runs of a study, schemes of an integration."""
 
 import functools
 import gc
+import math
 import resource
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +27,7 @@ from fenics_crack.study.meshes import finer_mesh
 from fenics_crack.study.numbers import numbers_of
 from fenics_crack.study.plausibility import (
     KeyFigures,
+    _rounded,
     find_key_figures,
     highest_omega,
     remarks_on_scene,
@@ -464,3 +466,12 @@ def test_method_of_integration(
     assert len(asked) == 1
     if scheme == "integrate_exponential":
         assert asked[0]["steps_per_period"] == 512
+
+
+@pytest.mark.parametrize(("value", "below", "above"), [
+    (1234.5, 1230.0, 1240.0), (0.0987654, 0.0987, 0.0988), (7.0, 7.0, 7.0),
+])  # fmt: skip
+def test_ends_of_a_proposed_range(value: float, below: float, above: float) -> None:
+    """Three digits, outwards."""
+    assert _rounded(value, math.floor) == pytest.approx(below, rel=1e-14)
+    assert _rounded(value, math.ceil) == pytest.approx(above, rel=1e-14)
