@@ -113,12 +113,18 @@ class Mutation:
     def lines(self, root: Path) -> tuple[str, str, str]:
         """Return the place, and the lines that are changed before and after."""
         source = (root / self.path).read_bytes()
-        first = source.rfind(b"\n", 0, self.start) + 1
-        last = source.find(b"\n", self.end)
-        mutant = source[first : self.start] + self.replacement.encode() + source[self.end : last]
+        line_start = source.rfind(b"\n", 0, self.start) + 1
+        line_end = source.find(b"\n", self.end)
+        mutant = (
+            source[line_start : self.start]
+            + self.replacement.encode()
+            + source[self.end : line_end]
+        )
         line = source.count(b"\n", 0, self.start) + 1
-        before, after = (" ".join(text.decode().split()) for text in (source[first:last], mutant))
-        return f"{self.path}:{line}", before, after
+        line_before, line_after = (
+            " ".join(text.decode().split()) for text in (source[line_start:line_end], mutant)
+        )
+        return f"{self.path}:{line}", line_before, line_after
 
     def apply(self, root: Path) -> bytes:
         """Change the file and return what it held."""
@@ -144,13 +150,13 @@ def all_mutations(root: Path, pattern: str = "") -> list[Mutation]:
 def draw(mutations: list[Mutation], seed: int, number: int) -> list[Mutation]:
     """Draw mutations, as many of each kind."""
     generator = random.Random(seed)
-    pools = [[one for one in mutations if one.kind == kind] for kind in KINDS]
+    pools = [[mutation for mutation in mutations if mutation.kind == kind] for kind in KINDS]
     for pool in pools:
         generator.shuffle(pool)
-    drawn = [
+    mutations_in_turn = [
         pool[turn] for turn in range(max(map(len, pools))) for pool in pools if turn < len(pool)
     ]
-    return drawn[:number]
+    return mutations_in_turn[:number]
 
 
 class PythonMutations:
@@ -177,7 +183,7 @@ class PythonMutations:
         """Yield the mutations of a node, and of what it holds unless this is a message or type."""
         if isinstance(node, ast.Raise | ast.Assert | ast.JoinedStr | ast.FunctionDef):
             return
-        if isinstance(node, ast.Call) and EQUIVALENT_CALLS.match(called(node)):
+        if isinstance(node, ast.Call) and EQUIVALENT_CALLS.match(name_of_call(node)):
             return
         for kind, (start, end), replacement in self._edits(node, parent):
             yield Mutation(self._path, function, kind, start, end, replacement)
@@ -202,9 +208,9 @@ class PythonMutations:
         elif isinstance(node, ast.Compare) and type(node.ops[0]) in SYMBOLS:
             symbol = self._operator(node.left, node.comparators[0], node.ops[0])
             yield "comparison", symbol, COMPARISONS[SYMBOLS[type(node.ops[0])]]
-        elif isinstance(node, ast.Call) and called(node) not in SYMMETRIC_CALLS:
+        elif isinstance(node, ast.Call) and name_of_call(node) not in SYMMETRIC_CALLS:
             for first, second in zip(node.args, node.args[1:], strict=False):
-                yield from self._swapped(first, second)
+                yield from self._swap_arguments(first, second)
         elif isinstance(node, ast.Constant):
             kind = constant_kind(node, parent)
             if kind == "off by one":
@@ -218,19 +224,21 @@ class PythonMutations:
         start = self._source.index(text, self._span(left)[1], self._span(right)[0])
         return start, start + len(text)
 
-    def _swapped(
-        self, first: ast.AST, second: ast.AST
+    def _swap_arguments(
+        self, left_argument: ast.AST, right_argument: ast.AST
     ) -> Iterator[tuple[str, tuple[int, int], str]]:
         """Yield two neighbouring arguments swapped, if they differ and none is starred."""
-        (start, middle), (after, end) = self._span(first), self._span(second)
-        one, other = self._source[start:middle], self._source[after:end]
-        is_starred = isinstance(first, ast.Starred) or isinstance(second, ast.Starred)
-        if one != other and not is_starred:
-            swapped = other + self._source[middle:after] + one
-            yield "arguments", (start, end), swapped.decode()
+        (start, middle), (right_start, end) = self._span(left_argument), self._span(right_argument)
+        left_text, right_text = self._source[start:middle], self._source[right_start:end]
+        is_starred = isinstance(left_argument, ast.Starred) or isinstance(
+            right_argument, ast.Starred
+        )
+        if left_text != right_text and not is_starred:
+            swapped_text = right_text + self._source[middle:right_start] + left_text
+            yield "arguments", (start, end), swapped_text.decode()
 
 
-def called(node: ast.Call) -> str:
+def name_of_call(node: ast.Call) -> str:
     """Return the last name of what is called."""
     return ast.unparse(node.func).rpartition(".")[2]
 
@@ -242,7 +250,7 @@ def is_text(node: ast.AST) -> bool:
 
 def constant_kind(node: ast.Constant, parent: ast.AST) -> str:
     """Return the kind of mutation that a constant takes, or nothing."""
-    is_range = isinstance(parent, ast.Call) and called(parent) == "range"
+    is_range = isinstance(parent, ast.Call) and name_of_call(parent) == "range"
     if type(node.value) is int:
         counts = isinstance(parent, ast.BinOp | ast.Compare | ast.Slice | ast.Subscript)
         return "off by one" if counts or is_range else ""
@@ -263,9 +271,9 @@ class CMutations:
         aside = rb'(?s)/\*.*?\*/|//[^\n]*|"(?:\\.|[^"\\])*"|(?m:^#[^\n]*)'
         code = re.sub(aside, blank, self._source).decode("latin-1")
         for body in C_FUNCTION.finditer(code):
-            inside = body[0].index("{") + body.start()
+            body_start = body[0].index("{") + body.start()
             for kind, pattern in C_PATTERNS.items():
-                for match in re.compile(pattern).finditer(code, inside, body.end()):
+                for match in re.compile(pattern).finditer(code, body_start, body.end()):
                     replacement = c_replacement(kind, match[0])
                     if replacement != match[0]:
                         span = (match.start(), match.end())
@@ -307,22 +315,24 @@ class Relevance:
 
     def tests_of(self, mutation: Mutation) -> list[str]:
         """Return the test files of a mutation's folder and the most relevant other ones."""
-        names, seen, scores = {mutation.function}, set[str](), Counter[Path]()
+        names, known_names, scores = {mutation.function}, set[str](), Counter[Path]()
         for level in range(LEVELS):
             for file, words in self._words.items():
                 for name in names & words:
                     relevance = 3.0**-level / self._files_of_word[name]
                     scores[file] = max(scores[file], relevance)
-            seen |= names
-            names = {user for name in names for user in self._users[name]} - seen
+            known_names |= names
+            names = {user for name in names for user in self._users[name]} - known_names
         folder, module = mutation.path.parent.name, mutation.path.stem
         paths = [self._root / "tests" / name for name in TEST_FOLDERS.get(folder, (folder,))]
-        inside = [file for file in self._words if any(file.is_relative_to(path) for path in paths)]
-        for file in inside:
+        folder_files = [
+            file for file in self._words if any(file.is_relative_to(path) for path in paths)
+        ]
+        for file in folder_files:
             scores[file] *= 5.0
             scores[file] += 1.0 * (module in file.stem or folder in file.stem)
-        first = [file for file, _ in scores.most_common(OTHER_FILES)]
-        files = sorted({*first, *inside}, key=lambda file: (-scores[file], file))
+        most_relevant = [file for file, _ in scores.most_common(OTHER_FILES)]
+        files = sorted({*most_relevant, *folder_files}, key=lambda file: (-scores[file], file))
         return [str(file.relative_to(self._root)) for file in files]
 
 
@@ -373,10 +383,10 @@ class Copy:
 
     def failures(self, arguments: list[str], limit: float | None = None) -> list[str]:
         """Run pytest and return the tests that failed, or the signal that ended it."""
-        plain = ("-q", "-n", "0", "-p", "no:cacheprovider", "-p", "mutants", "--tb=no")
+        options = ("-q", "-n", "0", "-p", "no:cacheprovider", "-p", "mutants", "--tb=no")
         paths = os.pathsep.join(map(str, (self.root, self.root / "benchmarks")))
         process = subprocess.Popen(
-            [sys.executable, "-m", "pytest", *plain, *arguments],
+            [sys.executable, "-m", "pytest", *options, *arguments],
             cwd=self.root, env={**os.environ, "PYTHONPATH": paths}, start_new_session=True,
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace",
             preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (MEMORY_LIMIT,) * 2),
@@ -416,24 +426,24 @@ def pytest_runtest_setup() -> None:
 
 def mutants(arguments: argparse.Namespace) -> None:
     """Draw, test and report mutants."""
-    drawn = draw(all_mutations(ROOT, arguments.pattern), arguments.seed, arguments.number)
+    mutations = draw(all_mutations(ROOT, arguments.pattern), arguments.seed, arguments.number)
     file = arguments.folder / f"mutants-{arguments.seed}.csv"
     rows = list(csv.reader(file.read_text().splitlines()))[1:] if file.exists() else []
     with tempfile.TemporaryDirectory() as scratch:
         copy = Copy(Path(scratch))
         known_numbers = {int(row[0]) for row in rows}
-        for number, mutation in enumerate(drawn):
+        for number, mutation in enumerate(mutations):
             if number in known_numbers:
                 continue
-            started = time.monotonic()
+            start_time = time.monotonic()
             killer = copy.killer(mutation, arguments.limit)
-            place, before, after = mutation.lines(copy.root)
-            taken = f"{time.monotonic() - started:.0f}"
-            what = (place, mutation.function, mutation.kind, before, after)
-            rows.append([str(number), *what, killer, taken])
+            place, line_before, line_after = mutation.lines(copy.root)
+            seconds = f"{time.monotonic() - start_time:.0f}"
+            description = (place, mutation.function, mutation.kind, line_before, line_after)
+            rows.append([str(number), *description, killer, seconds])
             common.write_csv(file, COLUMNS, rows)
-            print(f"{number:3} {place} ({mutation.kind}, {taken} s): {killer or 'SURVIVES'}")
-            print(f"      {before}\n   -> {after}", flush=True)
+            print(f"{number:3} {place} ({mutation.kind}, {seconds} s): {killer or 'SURVIVES'}")
+            print(f"      {line_before}\n   -> {line_after}", flush=True)
         killers = sorted({row[6] for row in rows if "::" in row[6]})
         failures = copy.failures(killers) if killers else []
     survivors = [row for row in rows if not row[6]]

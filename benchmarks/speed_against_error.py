@@ -207,16 +207,20 @@ def reference(demo: str, mesh: bool, friction: bool, modes: tuple[int, ...]) -> 
         scene = scene.replace({"crack.length": length, "crack.first_omega": None})
     if modes:
         changes["reduction.modes"] = modes[0]
-    finer = finer_mesh(scene, FINER) if mesh else None
-    if finer is not None and finer.contact is not None and finer.contact.stiffness is not None:
-        changes["contact.stiffness"] = finer.contact.stiffness / FINER
+    fine_scene = finer_mesh(scene, FINER) if mesh else None
+    if (
+        fine_scene is not None
+        and fine_scene.contact is not None
+        and fine_scene.contact.stiffness is not None
+    ):
+        changes["contact.stiffness"] = fine_scene.contact.stiffness / FINER
     if friction and scene.contact.stiffness is not None:  # as stiff along the faces as across
         areas = fc.prepare(scene).structure.pairs.areas
         stiffness = scene.contact.stiffness / float(areas.mean())
         changes["contact.tangential_stiffness_per_area"] = stiffness
-    if finer is not None or friction:
+    if fine_scene is not None or friction:
         accurate = {"harmonic_balance.tolerance": REFERENCE_ERROR}
-        run = fc.solve((finer or scene).replace(changes | accurate))
+        run = fc.solve((fine_scene or scene).replace(changes | accurate))
         solution, dof = run.result, run.watched[0].dof
     else:
         study, initial = fc.prepare(scene.replace(changes)), fc.solve(scene).result
@@ -285,17 +289,17 @@ def why_missed(row: Row) -> str:
 
 def cells(row: Row) -> list[str]:
     """Cells of a row: demo, rung, amplitude, stated and true error, ratio, time, memory, remark."""
-    stated, true, missed = row["stated"], row["true"], why_missed(row)
-    cause = f", mostly {row['most by']}" if stated else ""
+    stated_error, true_error, reason = row["stated"], row["true"], why_missed(row)
+    cause = f", mostly {row['most by']}" if stated_error else ""
     size = "" if row["amplitude [m]"] is None else f"{1e6 * row['amplitude [m]']:.4g} um"
-    reached = "not reached: " if missed and size else "not reached" if missed else ""
-    ratio = f"{true / stated:.2f}" if stated and stated > 5e-7 else "-"
+    prefix = "not reached: " if reason and size else "not reached" if reason else ""
+    ratio = f"{true_error / stated_error:.2f}" if stated_error and stated_error > 5e-7 else "-"
     return [
         f"`{row['demo']}.toml`", row["rung"].replace("%", " %").replace("scene", "as it says"),
-        f"{reached}{size}",
-        "not stated" if size and stated is None else percentage(stated) + cause,
-        percentage(true), ratio, f"{row['seconds']:.1f} s", f"{row['mebibytes']:.0f} MiB",
-        "; ".join(part for part in (row["verdict"], missed) if part),
+        f"{prefix}{size}",
+        "not stated" if size and stated_error is None else percentage(stated_error) + cause,
+        percentage(true_error), ratio, f"{row['seconds']:.1f} s", f"{row['mebibytes']:.0f} MiB",
+        "; ".join(part for part in (row["verdict"], reason) if part),
     ]  # fmt: skip
 
 

@@ -34,12 +34,21 @@ def changed_lines(path: str, source: str) -> set[tuple[str, str]]:
     """Return kind and changed line of each mutant."""
     edit = mutants.PythonMutations if path.endswith(".py") else mutants.CMutations
     lines = set()
-    for one in edit(Path(path), source.encode()):
-        mutant = source[: one.start] + one.replacement + source[one.end :]
+    for mutation in edit(Path(path), source.encode()):
+        mutant = source[: mutation.start] + mutation.replacement + source[mutation.end :]
         if path.endswith(".py"):
             ast.parse(mutant)
         pairs = zip(source.splitlines(), mutant.splitlines(), strict=False)
-        lines.add((one.kind, next(after.strip() for before, after in pairs if before != after)))
+        lines.add(
+            (
+                mutation.kind,
+                next(
+                    line_after.strip()
+                    for line_before, line_after in pairs
+                    if line_before != line_after
+                ),
+            )
+        )
     return lines
 
 
@@ -83,12 +92,16 @@ def test_draw() -> None:
     """As many of each kind, the same for a seed."""
     path = "fenics_crack/model/cyclic.py"
     choices = mutants.all_mutations(mutants.ROOT, path)
-    drawn = mutants.draw(choices, 1, 12)
-    assert drawn == mutants.draw(choices, 1, 12) != mutants.draw(choices, 2, 12)
-    assert set(Counter(one.kind for one in drawn).values()) == {2}
-    place, before, after = drawn[0].lines(mutants.ROOT)
+    mutations = mutants.draw(choices, 1, 12)
+    assert mutations == mutants.draw(choices, 1, 12) != mutants.draw(choices, 2, 12)
+    assert set(Counter(mutation.kind for mutation in mutations).values()) == {2}
+    place, line_before, line_after = mutations[0].lines(mutants.ROOT)
     number = int(place.removeprefix(f"{path}:"))
-    assert before == (mutants.ROOT / path).read_text().splitlines()[number - 1].strip() != after
+    assert (
+        line_before
+        == (mutants.ROOT / path).read_text().splitlines()[number - 1].strip()
+        != line_after
+    )
 
 
 def test_relevant_tests_come_first(tmp_path: Path) -> None:

@@ -171,8 +171,8 @@ class Assessment:
             states.insert(0, self.prediction.states[0])
         periods, inverse = self.wave.subharmonic, self.prediction.inverse
         search = partial(find_orbit, self.flow, self.wave.omega, ended=self._ended)
-        found = (search(state, subharmonic=periods, inverse=inverse) for state in states)
-        return next(filter(None, found), None)
+        orbits = (search(state, subharmonic=periods, inverse=inverse) for state in states)
+        return next(filter(None, orbits), None)
 
     def _refined_assessment(self) -> Assessment | None:
         """Assess the solution with twice the harmonics; None where it is not sought or found."""

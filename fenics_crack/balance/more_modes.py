@@ -127,9 +127,11 @@ class MoreModes:
         The step is that for all parts of the nearest orbit's period together.
         """
         flow, omega, periods = self.flow, self.wave.omega, self.wave.subharmonic
-        states, near = self._states, self.inverse
+        states, start_inverse = self._states, self.inverse
         search = partial(find_orbit, flow, omega, subharmonic=periods, located=CLOSE)
-        orbit = search(states[0], inverse=near) or (search(states[0]) if near else None)
+        orbit = search(states[0], inverse=start_inverse) or (
+            search(states[0]) if start_inverse else None
+        )
         if orbit is None and (step := predicted(flow, omega, states, periods)):
             orbit = search(step.states[0], inverse=step.inverse)
             return orbit or predicted_motion(flow, omega, step, periods)

@@ -184,8 +184,10 @@ def _seen_instead(found: PeriodicSolution, dof: int) -> str:
         ]
     settled = dict.fromkeys(_range_of(sizes) for is_orbit, _, sizes in motions if is_orbit)
     parts = [f"settles to {' or '.join(settled)}"] if settled else []
-    if varying := [(periods, sizes) for is_orbit, periods, sizes in motions if not is_orbit]:
-        periods, sizes = zip(*varying, strict=True)
+    if varying_motions := [
+        (periods, sizes) for is_orbit, periods, sizes in motions if not is_orbit
+    ]:
+        periods, sizes = zip(*varying_motions, strict=True)
         ends = _range_of(np.concatenate(sizes))
         parts.append(f"still varies after {counted(min(periods), 'period')}, {ends}")
     return f"; the motion {' or '.join(parts)} half peak-to-peak" if parts else ""

@@ -193,11 +193,11 @@ def _in_unit(scene: Scene) -> tuple[Scene, float]:
         }
         return replace(table, **lengths)
 
-    drawn = copy(scene)  # a similar one: what has been checked holds
+    unit_scene = copy(scene)  # a similar one: what has been checked holds
     for name in ("geometry", "mesh", "crack", "disk", "excitation"):
-        vars(drawn)[name] = getattr(scene, name) and scaled(getattr(scene, name))
-    vars(drawn)["cracks"] = tuple(map(scaled, scene.cracks))
-    return drawn, unit
+        vars(unit_scene)[name] = getattr(scene, name) and scaled(getattr(scene, name))
+    vars(unit_scene)["cracks"] = tuple(map(scaled, scene.cracks))
+    return unit_scene, unit
 
 
 def _scale_nodes(unit: float) -> None:
@@ -300,14 +300,14 @@ def _graded(length: float, first: float, last: float) -> tuple[int, float]:
 def draw_plate(scene: Scene) -> tuple[Names, Lips]:
     """Fill the current gmsh model with the mesh of a scene's plate; its named sides, and the faces
     of its cracks."""
-    drawn, unit = _in_unit(scene)
-    groups = _draw_blocks(scene, drawn)
+    unit_scene, unit = _in_unit(scene)
+    groups = _draw_blocks(scene, unit_scene)
     if scene.has_element_lengths:
-        rim = Rim(drawn)
+        rim = Rim(unit_scene)
         of_group = gmsh.model.getEntitiesForPhysicalGroup
         left, right = (of_group(1, *groups[name]).tolist() for name in RIM_SIDES)
         rim.match(0, left, right)
-        _mesh_graded(scene, drawn, [*_gradings(drawn), *rim.gradings()])
+        _mesh_graded(scene, unit_scene, [*_gradings(unit_scene), *rim.gradings()])
         gmsh.model.mesh.setPeriodic(1, right, right, np.eye(4).ravel().tolist())  # no more
     else:
         gmsh.model.mesh.generate(2)
@@ -325,7 +325,7 @@ def _lips(scene: Scene) -> tuple[Lip, ...]:
     return tuple(found)
 
 
-def _draw_blocks(scene: Scene, drawn: Scene) -> dict[str, tuple[int, ...]]:
+def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
     """Draw the plate of a scene, which is in a unit of its size, set how curves and surfaces are
     divided; return the tags of its sides."""
     columns, rows, _ = _plate_blocks(scene)
@@ -335,8 +335,8 @@ def _draw_blocks(scene: Scene, drawn: Scene) -> dict[str, tuple[int, ...]]:
     key = "columns" if scene.mesh.layout == "grid" else "size"
     _check_cells(scene, key, cells, 2 * scene.mesh.order**2)
 
-    columns, rows, slits = _plate_blocks(drawn)
-    rim = None if drawn.disk is None else Rim(drawn)
+    columns, rows, slits = _plate_blocks(unit_scene)
+    rim = None if unit_scene.disk is None else Rim(unit_scene)
     xs, ys = ([0.0, *(interval.stop for interval in side)] for side in (columns, rows))
     add_point = gmsh.model.geo.addPoint
     feet = [0.0 if rim is None else rim.foot(x) for x in xs]
@@ -378,7 +378,7 @@ def _draw_blocks(scene: Scene, drawn: Scene) -> dict[str, tuple[int, ...]]:
     _divide(scene, surfaces)
 
     left, right = ([vertical[i, j] for j in range(len(rows))] for i in (0, len(columns)))
-    single, point = [at for at in points if at not in doubled], drawn.excitation.point
+    single, point = [at for at in points if at not in doubled], unit_scene.excitation.point
     loaded = [points[i, j] for i, j in single if (xs[i], ys[j]) == point]
     groups: dict[str, tuple[int, list[int]]] = {
         "plate": (2, surfaces),
@@ -557,8 +557,8 @@ def draw_box(scene: Scene) -> tuple[Names, Lips]:
         gmsh cannot mesh it, or a crack's surface cannot be split.
     """
     _check_size(scene, _gradings(scene))
-    drawn, unit = _in_unit(scene)
-    _draw_solid(scene, drawn)
+    unit_scene, unit = _in_unit(scene)
+    _draw_solid(scene, unit_scene)
     _scale_nodes(unit)
     from fenics_crack.fem.msh_file import named_groups, put  # with what takes surfaces apart
     from fenics_crack.fem.msh_reader import groups
@@ -573,15 +573,15 @@ def draw_box(scene: Scene) -> tuple[Names, Lips]:
         raise _not_meshed(scene, f"{error.value}") from None
 
 
-def _draw_solid(scene: Scene, drawn: Scene) -> None:
+def _draw_solid(scene: Scene, unit_scene: Scene) -> None:
     """Mesh the box of a scene, which is drawn in a unit of its size, with its cracks as surfaces
     inside, and name its faces."""
-    width, height, thickness = size = drawn.geometry.sides
+    width, height, thickness = size = unit_scene.geometry.sides
     occ = gmsh.model.occ
-    rim = None if drawn.disk is None else Rim(drawn)
+    rim = None if unit_scene.disk is None else Rim(unit_scene)
     box = [(3, occ.addBox(0.0, 0.0, 0.0, *size))] if rim is None else rim.with_box(*size)
     faces = []
-    for crack in drawn.all_cracks.values():
+    for crack in unit_scene.all_cracks.values():
         face = _face(crack, width, thickness)
         faces += occ.intersect(face, box, removeObject=True, removeTool=False)[0]
     if faces:
@@ -605,10 +605,10 @@ def _draw_solid(scene: Scene, drawn: Scene) -> None:
     _name(groups)
     if rim is not None:
         rim.match(2, *(groups[name][1] for name in RIM_SIDES))
-    _mesh_graded(scene, drawn, _gradings(drawn))
+    _mesh_graded(scene, unit_scene, _gradings(unit_scene))
 
 
-def _mesh_graded(scene: Scene, drawn: Scene, gradings: list[_Grading]) -> None:
+def _mesh_graded(scene: Scene, unit_scene: Scene, gradings: list[_Grading]) -> None:
     """Fill what is drawn with elements ``mesh.size`` long, and shorter by some gradings.
 
     Raises
@@ -616,7 +616,7 @@ def _mesh_graded(scene: Scene, drawn: Scene, gradings: list[_Grading]) -> None:
     InputError
         gmsh cannot.
     """
-    size, around = drawn.mesh.given("size"), [one.compiled() for one in gradings]
+    size, around = unit_scene.mesh.given("size"), [one.compiled() for one in gradings]
 
     def length(dimension: int, tag: int, x: float, y: float, z: float, *_: float) -> float:
         """Asked for a hundred thousand times a mesh."""

@@ -77,8 +77,8 @@ class Receptance:
 
     def inertia_beyond(self, count: int) -> np.ndarray:
         """Diagonal of B^T G M G B beyond so many modes: (n_pairs,)."""
-        weighted = self.modal[: len(self.inertia), count:] / self.squares[count:]
-        return np.asarray(self.inertia + np.sum(weighted**2, axis=1))
+        weighted_modes = self.modal[: len(self.inertia), count:] / self.squares[count:]
+        return np.asarray(self.inertia + np.sum(weighted_modes**2, axis=1))
 
 
 def receptance(structure: Structure, count: int) -> Receptance:

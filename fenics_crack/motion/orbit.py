@@ -419,8 +419,12 @@ class MotionInArcs(PeriodicOrbit):
         places = self.period / len(self.starts) * np.arange(len(self.starts) + 1)
         instants = np.split(time, np.searchsorted(time, places[1:-1]))
         parts = [
-            self.flow.advance(state, self.omega, places[1], start=start, instants=some).samples
-            for state, start, some in zip(self.starts, places.tolist(), instants, strict=False)
+            self.flow.advance(
+                state, self.omega, places[1], start=start, instants=part_times
+            ).samples
+            for state, start, part_times in zip(
+                self.starts, places.tolist(), instants, strict=False
+            )
         ]
         arrays = ((part.states, part.answers, part.contact) for part in parts)
         return Samples(self.flow, self.omega, time, *map(np.concatenate, zip(*arrays, strict=True)))

@@ -43,21 +43,21 @@ def sizes_of_change(study: Study, *motions: PeriodicOrbit | PeriodicSolution) ->
         Sizes by column, in the unit of each number.
     """
     dofs = [point.dof for point in study.watched]
-    few, many = (
+    record, other_record = (
         next(motion.records(rows_of(motion.structure, dofs), INSTANTS * motion.subharmonic))
         for motion in motions
     )
-    ratios = _ratios(few)
-    changes = np.abs(_ratios(many) - ratios)
-    largest = 2 + np.argmax(np.abs(ratios[2:]), axis=0)
+    ratios = _ratios(record)
+    changes = np.abs(_ratios(other_record) - ratios)
+    order_index = 2 + np.argmax(np.abs(ratios[2:]), axis=0)
     sizes = {
-        "amplitude": (many.motion - few.motion).std(axis=0),
+        "amplitude": (other_record.motion - record.motion).std(axis=0),
         "ratio_2_1": changes[2],
         "ratio_3_1": changes[3],
-        "ratio_largest": np.take_along_axis(changes, largest[None], axis=0)[0],
+        "ratio_largest": np.take_along_axis(changes, order_index[None], axis=0)[0],
         "mean_shift": changes[2],
     }
-    return _sizes_of_face_changes(few, many) | {
+    return _sizes_of_face_changes(record, other_record) | {
         point.column(name): float(size[index])
         for name, size in sizes.items()
         for index, point in enumerate(study.watched)
@@ -72,13 +72,13 @@ def _ratios(record: Record) -> np.ndarray:
     return np.asarray(spectrum / size * (spectrum[1].conj() / size) ** orders)
 
 
-def _sizes_of_face_changes(few: Record, many: Record) -> dict[str, float]:
+def _sizes_of_face_changes(record: Record, other_record: Record) -> dict[str, float]:
     """Return the sizes of the changes of opening, crack force, shares and friction loss."""
-    if not few.n_pairs:
+    if not record.n_pairs:
         return {}
-    faces, other_faces = Faces(few), Faces(many)
-    force_change = (other_faces.force - faces.force) @ few.pairs_of_cracks
-    parts, other_parts = _parts_of_pairs(few, faces), _parts_of_pairs(few, other_faces)
+    faces, other_faces = Faces(record), Faces(other_record)
+    force_change = (other_faces.force - faces.force) @ record.pairs_of_cracks
+    parts, other_parts = _parts_of_pairs(record, faces), _parts_of_pairs(record, other_faces)
     return {
         "opening": float((other_faces.gap - faces.gap).std(axis=0).max()),
         "crack_force": float(force_change.std(axis=0).max()),

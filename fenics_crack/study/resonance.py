@@ -81,10 +81,13 @@ class AtLoad:
         """Amplitude, errors, causes that they leave out, and verdict; or why there are none."""
         by_cause = {"harmonics": self.error, "mesh": self.mesh_error}
         errors = dict.fromkeys((*ESTIMATED, *BY_CHOICE), math.nan) | by_cause
-        missing = [cause for cause, error in errors.items() if not math.isfinite(error)]
-        known = [f"the {c} {error_in_words(e)}" for c, e in errors.items() if e > 0.0]
+        missing_causes = [cause for cause, error in errors.items() if not math.isfinite(error)]
+        known_parts = [f"the {c} {error_in_words(e)}" for c, e in errors.items() if e > 0.0]
         size = f"{quantity(self.amplitude, 'm')} half peak-to-peak, {self.verdict}"
-        parts = f"{size}, error due to {', '.join(known) or 'none'}", without_causes(missing)
+        parts = (
+            f"{size}, error due to {', '.join(known_parts) or 'none'}",
+            without_causes(missing_causes),
+        )
         return self.unknown or "; ".join(filter(None, parts))
 
     @property

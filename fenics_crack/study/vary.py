@@ -144,7 +144,7 @@ an orbit takes three times as long, where it is hard to find ten times."""
 TURNED = 2.0
 """Stated error by sliding across the lines of friction, over its share of what friction changes:
 true ones, beside time steps with Coulomb's cone, were 0.03 to 1.2 of that in seven cases."""
-SLIDING = ("K_II_max", "K_III_max")
+SLIDING_QUANTITIES = ("K_II_max", "K_III_max")
 """Stress intensities that friction at the tip itself changes."""
 SOUGHT = 10
 """Harmonics of the solutions next to which its two orbits are sought."""
@@ -213,10 +213,12 @@ def _why_failed(run: str, error: Exception) -> str:
     return f"{run} has no solution"
 
 
-def _relative_change(name: str, one: Mapping[str, float], other: Mapping[str, float]) -> float:
+def _relative_change(
+    name: str, numbers: Mapping[str, float], other_numbers: Mapping[str, float]
+) -> float:
     """Return the relative change of a number from one motion to another; 0 where it is none."""
-    value = one.get(name, 0.0)
-    return other.get(name, 0.0) / value - 1.0 if value else 0.0
+    value = numbers.get(name, 0.0)
+    return other_numbers.get(name, 0.0) / value - 1.0 if value else 0.0
 
 
 @dataclass(frozen=True)
@@ -299,7 +301,7 @@ class _Case:
         sizes = sizes_of_change(study, *orbits)
         coefficients, parts = (0.0, float(coefficient)), {}
         for name, value in self.made.values.items():
-            if name in SLIDING:
+            if name in SLIDING_QUANTITIES:
                 continue
             change = _relative_change(name, *numbers)
             error = abs(change) + abs(change - _relative_change(name, *coarse_numbers))
@@ -317,14 +319,16 @@ class _Case:
         which keys of the scene describe; where none is found it is left out (collective)."""
         study, found, periods = self.study, self.found, self.found.subharmonic
         count = min(count, whole.n_dofs // 2)
-        few = reduce_structure(whole, modes=count, method="massless", reference=False)
+        reduced_structure = reduce_structure(whole, modes=count, method="massless", reference=False)
         orbits, numbers = list[PeriodicOrbit](), list[dict[str, float]]()
-        for law in (study.contact, law_of(study.scene.replace(keys), few)):
+        for law in (study.contact, law_of(study.scene.replace(keys), reduced_structure)):
             assert law is not None
-            rubbing = slide_along_lines(few, found.omega, law)
-            near = Problem(few, found.omega, rubbing, SOUGHT * periods, subharmonic=periods)
-            if (orbit := Solver(near).solve(found).assessment.orbit) is not None:
-                twin = replace(study, structure=few, contact=rubbing)
+            contact_law = slide_along_lines(reduced_structure, found.omega, law)
+            problem = Problem(
+                reduced_structure, found.omega, contact_law, SOUGHT * periods, subharmonic=periods
+            )
+            if (orbit := Solver(problem).solve(found).assessment.orbit) is not None:
+                twin = replace(study, structure=reduced_structure, contact=contact_law)
                 orbits.append(orbit)
                 numbers.append(of_orbit(twin, found, orbit, self.own.mode))
         return orbits, numbers
@@ -645,8 +649,10 @@ class _Stated(_Case):
     @property
     def _relative_dent(self) -> float:
         """Relative amplitude that half as long elements add where a force at a point is watched."""
-        scene, [watched, *_] = self.study.scene, self.study.watched
-        return 0.0 if scene.points else dent_by_force(scene) / self.near.amplitude(watched.dof)
+        scene, [watched_point, *_] = self.study.scene, self.study.watched
+        return (
+            0.0 if scene.points else dent_by_force(scene) / self.near.amplitude(watched_point.dof)
+        )
 
     def _with_shifted_clearance(self, near: PeriodicSolution) -> dict[str, float]:
         """The numbers with the clearance moved by half a step of the gap from pair to pair, times
