@@ -353,7 +353,8 @@ def _of_scene(path: Path, scene: Scene) -> store.Stored:
     stored.check_files(begun)
     if not _kept(scene).keys() <= stored.columns.keys():
         raise stored.refused("a whole sweep")
-    return opened(path)
+    scene_of(stored)
+    return stored
 
 
 def _check_omitted(stored: store.Stored, omitted: Sequence[str]) -> None:
@@ -376,9 +377,8 @@ def _kept(scene: Scene) -> dict[str, tuple[str, str]]:
     return {"state": ("", "u1")} | columns_of(scene) | checksums
 
 
-def opened(path: Path) -> store.Stored:
-    """The header of a sweep's file, all of whose columns are as they should be."""
-    stored = store.header(path)
+def scene_of(stored: store.Stored) -> Scene:
+    """Return the scene of a sweep's file; InputError unless all its columns fit it."""
     stored.fitting_argument(KIND)
     scene = stored.scene()
     if scene is None or scene.sweep is None:
@@ -395,7 +395,7 @@ def opened(path: Path) -> store.Stored:
         total += column.size
     if total > MOST_BYTES:
         raise stored.refused(f"a sweep with at most {MOST_BYTES} bytes of columns")
-    return stored
+    return scene
 
 
 def _cases(stored: store.Stored, scene: Scene) -> tuple[dict[str, np.ndarray], np.ndarray]:

@@ -62,9 +62,9 @@ from fenics_crack.sweep.file import (
     SweepFile,
     columns_of,
     of_load,
-    opened,
     read_columns,
     read_waves,
+    scene_of,
 )
 from fenics_crack.sweep.jobs import Manager, Worker, serve
 from fenics_crack.sweep.plan import Plan
@@ -222,13 +222,12 @@ class SweepResult(Tabular):
         InputError
             The file cannot be read, is damaged, or is not one of a sweep.
         """
-        return cls.of(opened(Path(path)))
+        return cls.of(header(Path(path)))
 
     @classmethod
     def of(cls, stored: Stored) -> SweepResult:
         """The same of a file whose header is at hand."""
-        scene = stored.scene()
-        assert scene is not None
+        scene = scene_of(stored)
         return cls(stored.path, scene, read_columns(stored, scene))
 
     def __getitem__(self, name: str) -> np.ndarray:

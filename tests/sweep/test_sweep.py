@@ -23,6 +23,7 @@ from helpers import MPI_ENVIRONMENT, changed, relative
 from mpi4py import MPI
 from ranks import HELD, LIMIT, kill
 from rotating import cracked
+from surroundings import main
 
 import fenics_crack as fc
 import fenics_crack.fem.build
@@ -477,6 +478,28 @@ def test_a_file_from_before_an_observable(
     assert found.gap(0).shape == (11, 1) and len(found.table().rows) == 2
     with pytest.raises(fc.InputError, match="a whole sweep"):
         run_sweep(scene, path)
+
+
+@pytest.mark.parametrize("forgery", ["type", "length", "scene"])
+def test_a_forged_sweep_is_not_drawn(
+    forgery: str, paper_scene: fc.Scene, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    """A column of another type or length, or no scene: one line."""
+    scene = swept(paper_scene, {"excitation.omega": [1900.0, 2000.0]}, SOFT)
+    file = SweepFile(tmp_path / "forged.h5", scene, 5, 1)
+    file.close()
+    with h5py.File(tmp_path / "forged.h5", "r+") as stored:
+        if forgery == "scene":
+            del stored.attrs["scene"]
+        else:
+            del stored["response"]
+            stored["response"] = np.ones(2, "u4") if forgery == "type" else np.ones(1)
+    for command in ("plot", "report"):
+        target = tmp_path / ("forged.html" if command == "report" else "pictures")
+        words = [command, str(tmp_path / "forged.h5"), "--output", str(target), "--quiet"]
+        assert main(words) == 2
+        [line] = capsys.readouterr().err.splitlines()
+        assert "forged.h5" in line and "must be" in line
 
 
 EACH = len(COLUMNS) + 3
