@@ -562,3 +562,10 @@ def test_lengths_without_a_stable_vibration() -> None:
     table: Any = SimpleNamespace(axes=axes, not_stable=is_unstable, converged=converged)
     path = LengthPath(np.array(axes[0].values), {}, (table, table))
     assert path.not_stable == [0.01, 0.02]
+
+
+def test_drop_of_the_frequency() -> None:
+    """Relative to that of the first length."""
+    path: Any = SimpleNamespace(omega_bilinear=np.array([2.0, 1.5, 1.0]))
+    drop = vars(fc.Growth)["frequency_drop"].fget(path)
+    assert drop == pytest.approx([0.0, 0.25, 0.5], abs=1e-15)
