@@ -246,7 +246,8 @@ def test_flapping_blade(tmp_path: Path) -> None:
     found = load("flapping_blade").main(tmp_path, scene.replace({"mesh.lip_elements": 3}))
     assert found["resonance [Hz]"] == pytest.approx(332.5, rel=5e-3)
     assert found["amplitude there [m]"] == pytest.approx(1.31e-3, rel=0.02)
-    assert found["friction would change the amplitude by"] < 1e-3
+    # As stated: at least the size of the change of the motion, also at another phase.
+    assert found["friction would change the amplitude by"] < 2e-3
     assert found["largest K_I [Pa m^0.5]"] == pytest.approx(4.99e6, rel=0.06)
     deepest = found["largest K_I where the crack is deepest [Pa m^0.5]"]
     assert deepest == pytest.approx(2.98e6, rel=0.03)

@@ -64,7 +64,7 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     ResponseCurve
         The same points, with the multipliers of their orbits; "irregular", with the growth of a
         small disturbance, where exact motions are; else "undecided" (and nan) where the predicted
-        error is above 0.1, or no orbit is accepted (:mod:`fenics_crack.balance.assessment`).
+        error is above 0.1, or no orbit is accepted for its solution.
 
     Raises
     ------
