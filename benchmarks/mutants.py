@@ -10,17 +10,19 @@ Each mutant has one small mistake, drawn with a seed, as many of each kind:
     constant      a factor or term such as 0.5 plus 1 %
 
 Messages, type hints, defaults, limits of iterations and tolerances are left alone: there a change
-of 1 % is no mistake. A mutant is made in a copy of the checkout in a temporary folder, where the
-tests of its folder run until one fails: those first whose names lead to what is changed. A mutant
-is killed by a test that fails, crashes or takes more than ``TEST_LIMIT``, or by the compiler. It
-survives if all tests pass, or all that were run within ``--limit`` seconds by the clock. At the end
-the tests that failed run once more, without a mistake.
+of 1 % is no mistake. At first all of README's tests run once, to note which lines each of them
+reaches (by ``pip install pytest-cov``; a quarter of an hour). A mutant is made in a copy of the
+checkout in a temporary folder, where the tests that reach its statement run until one fails: those
+of its own folder first, then the cheapest. A mutant is killed by a test that fails, crashes or
+takes more than ``TEST_LIMIT``, or by the compiler. It survives if all these tests pass, or all that
+were run within ``--limit`` seconds by the clock; of the others, only tests that start a process of
+their own can reach it. At the end the tests that failed run once more, without a mistake.
 
     OMP_NUM_THREADS=1 python benchmarks/mutants.py [--seed N] [--number N] [--only PATTERN]
         [--limit SECONDS] [folder]
 
-The rows are added to mutants-SEED.csv in the folder as they are found; a run goes on where it was
-stopped, and repeats what is taken out of the file.
+The folder keeps what the tests reach, by commit, and mutants-SEED.csv, to which rows are added as
+they are found; a run goes on where it was stopped, and repeats what is taken out of the file.
 """
 
 from __future__ import annotations
@@ -40,9 +42,11 @@ import sys
 import tempfile
 import time
 from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = Path("fenics_crack")
@@ -52,14 +56,6 @@ FOLDERS = (
 """Folders of the package that compute."""
 READERS = ("msh_file", "msh_reader", "matrix_files", "model_files", "matrices")
 """Modules there that read files."""
-TEST_FOLDERS = {
-    "fem": ("fem", "study", "disk"),
-    "kernel": ("balance", "motion", "numerics", "time", "curves"),
-    "model": ("model", "disk"),
-    "numerics": ("numerics", "curves"),
-    "study": ("study", "disk"),
-}
-"""Folders of tests, where they are more than the one of the same name."""
 TEST_LIMIT = 60.0
 """Processor time of a test [s]; nearly all take less than a few seconds."""
 MEMORY_LIMIT = 8 * 2**30
@@ -91,12 +87,10 @@ C_PATTERNS = {
 """What is changed in C, by kind."""
 
 C_FUNCTION = re.compile(r"(?ms)^\w[^;{}=]*?(\w+)\([^;{}]*\)\s*\{.*?^\}")
-LEVELS = 5
-"""Functions on the way from a test to what is changed."""
-OTHER_FILES = 6
-"""Most relevant test files, of any folder."""
 FIRST_FILES = 4
-"""Test files that are collected first, before the others."""
+"""Test files that run first, before the others are collected."""
+ORDER = "FENICS_CRACK_TEST_ORDER"
+"""Variable of the environment that names a file: the tests to be run, in their order."""
 
 
 @dataclass(frozen=True)
@@ -292,102 +286,142 @@ def c_replacement(kind: str, text: str) -> str:
     return "" if kind == "term" else (SIGNS | COMPARISONS)[text]
 
 
-class Relevance:
-    """Order of test files by the names that lead to what is changed.
+TestsOfLines = Callable[[str], Mapping[int, Sequence[str]]]
+"""The tests that ran each line of a file, with their phase: ``tests/test_a.py::test_b|run``."""
 
-    A test that mentions the function counts 1, one that mentions a function that uses it a third,
-    and so on; over the number of test files that mention the same name. The largest number counts,
-    and five times that of files in the folders of the module.
+
+class Reach:
+    """Tests that reach each statement of the package.
+
+    A statement of Python is reached by the tests that ran one of its lines, a function in C by
+    those that ran a call of it, or of a function that uses it, as ``kernel.NAME``. What a test
+    reached while its fixtures were made counts for all tests of its file.
     """
 
-    def __init__(self, root: Path) -> None:
-        self._root, self._users = root, defaultdict[str, set[str]](set)
-        self._words = {
-            file: set(re.findall(r"\w+", file.read_text()))
-            for file in sorted((root / "tests").rglob("test_*.py"))
+    def __init__(
+        self, root: Path, tests_of_lines: TestsOfLines, seconds: Mapping[str, float]
+    ) -> None:
+        self._root, self._tests_of_lines, self._seconds = root, tests_of_lines, seconds
+
+    @classmethod
+    def measured(cls, root: Path, folder: Path) -> Reach:
+        """Run README's tests once, unless the folder has what they reached at this commit."""
+        commit = common.commit()
+        lines_file, times_file = folder / f"reach-{commit}.sqlite", folder / f"reach-{commit}.xml"
+        if not times_file.exists():
+            options = ("--cov=fenics_crack", "--cov-context=test", "--cov-report=")
+            subprocess.run(
+                [sys.executable, "-m", "pytest", "-q", *options, f"--junitxml={times_file}"],
+                cwd=root, env={**os.environ, "COVERAGE_FILE": str(lines_file)}, check=False,
+            )  # fmt: skip
+        data = importlib.import_module("coverage").CoverageData(str(lines_file))
+        data.read()
+        cases = ElementTree.parse(times_file).iter("testcase")
+        seconds = {
+            f"{case.get('classname')}::{case.get('name')}": float(case.get("time", 0.0))
+            for case in cases
         }
-        self._files_of_word = Counter(word for words in self._words.values() for word in words)
-        for file in sorted((root / PACKAGE).rglob("*.[cp]*")):
-            if file.suffix in (".py", ".c"):
-                for name, body in bodies(file):
-                    for word in re.findall(r"\w+", body):
-                        self._users[word].add(name)
+        return cls(root, data.contexts_by_lineno, seconds)
 
-    def tests_of(self, mutation: Mutation) -> list[str]:
-        """Return the test files of a mutation's folder and the most relevant other ones."""
-        names, known_names, scores = {mutation.function}, set[str](), Counter[Path]()
-        for level in range(LEVELS):
-            for file, words in self._words.items():
-                for name in names & words:
-                    relevance = 3.0**-level / self._files_of_word[name]
-                    scores[file] = max(scores[file], relevance)
-            known_names |= names
-            names = {user for name in names for user in self._users[name]} - known_names
-        folder, module = mutation.path.parent.name, mutation.path.stem
-        paths = [self._root / "tests" / name for name in TEST_FOLDERS.get(folder, (folder,))]
-        folder_files = [
-            file for file in self._words if any(file.is_relative_to(path) for path in paths)
-        ]
-        for file in folder_files:
-            scores[file] *= 5.0
-            scores[file] += 1.0 * (module in file.stem or folder in file.stem)
-        most_relevant = [file for file, _ in scores.most_common(OTHER_FILES)]
-        files = sorted({*most_relevant, *folder_files}, key=lambda file: (-scores[file], file))
-        return [str(file.relative_to(self._root)) for file in files]
+    def tests_of(self, mutation: Mutation) -> dict[str, list[str]]:
+        """Return the tests that reach a mutation, by file, in the order in which they run."""
+        contexts = set().union(*map(self._contexts, self._statements(mutation)))
+        reaching_tests = {context.rpartition("|")[0] for context in contexts if context}
+        shared_files = {
+            context.partition("::")[0] for context in contexts if context.endswith("|setup")
+        }
+        tests, costs = defaultdict[str, list[str]](list), Counter[str]()
+        for name, seconds in self._seconds.items():
+            module, _, case = name.partition("::")
+            file = module.replace(".", "/") + ".py"
+            if file in shared_files or f"{file}::{case}" in reaching_tests:
+                tests[file].append(f"{file}::{case}")
+                costs[file] += seconds
+        own_folder = f"tests/{mutation.path.parent.name}/"
+        files = sorted(tests, key=lambda file: (not file.startswith(own_folder), costs[file]))
+        return {file: tests[file] for file in files}
 
+    def _contexts(self, place: tuple[Path, range]) -> set[str]:
+        """Return the tests that ran one of the lines of a module, each with its phase."""
+        path, lines = place
+        tests_of_line = self._tests_of_lines(str(self._root / path))
+        return {context for line in lines for context in tests_of_line.get(line, ())}
 
-def bodies(file: Path) -> Iterator[tuple[str, str]]:
-    """Yield the name, of methods as ``__init__`` the class's, and the text of each function."""
-    text = file.read_text()
-    lines = text.splitlines()
-    if file.suffix == ".c":
-        yield from ((match[1], match[0]) for match in C_FUNCTION.finditer(text))
-        return
-    for node in ast.walk(ast.parse(text)):
-        for child in node.body if isinstance(node, ast.Module | ast.ClassDef) else ():
-            if isinstance(child, ast.FunctionDef):
-                is_special = isinstance(node, ast.ClassDef) and child.name.startswith("__")
-                body = lines[child.lineno - 1 : child.end_lineno]
-                yield node.name if is_special else child.name, "\n".join(body)
+    def _statements(self, mutation: Mutation) -> Iterator[tuple[Path, range]]:
+        """Yield file and lines of the statement that holds a mutation, or that calls it in C."""
+        if mutation.path.suffix == ".py":
+            source = (self._root / mutation.path).read_bytes()
+            line = source.count(b"\n", 0, mutation.start) + 1
+            first_line = max(
+                node.lineno
+                for node in ast.walk(ast.parse(source))
+                if isinstance(node, ast.stmt) and node.lineno <= line <= node.end_lineno
+            )
+            yield mutation.path, range(first_line, line + 1)
+            return
+        calls = re.compile(rf"\bkernel\.({'|'.join(self._users(mutation.function))})\b")
+        for file in sorted((self._root / PACKAGE).rglob("*.py")):
+            for line, text in enumerate(file.read_text().splitlines(), 1):
+                if calls.search(text):
+                    yield file.relative_to(self._root), range(line, line + 1)
+
+    def _users(self, function: str) -> set[str]:
+        """Return a function of the kernel and all functions there that use it."""
+        bodies = {
+            match[1]: set(re.findall(r"\w+", match[0]))
+            for file in (self._root / PACKAGE / "kernel").glob("*.c")
+            for match in C_FUNCTION.finditer(file.read_text())
+        }
+        users, count = {function}, 0
+        while count < len(users):
+            count = len(users)
+            users |= {name for name, words in bodies.items() if words & users}
+        return users
 
 
 class Copy:
     """A copy of the checkout in which mutants are made and tested."""
 
-    def __init__(self, folder: Path) -> None:
-        self.root, self._objects = folder / "checkout", folder / "kernel"
+    def __init__(self, folder: Path, reach: Reach) -> None:
+        self.root, self._objects, self._reach = folder / "checkout", folder / "kernel", reach
         command = ["git", "-C", str(ROOT), "ls-files", "-z"]
         names = subprocess.run(command, capture_output=True, check=True, text=True).stdout
         libraries = [str(file.relative_to(ROOT)) for file in ROOT.glob("fenics_crack/kernel/*.so")]
         for name in [*filter(None, names.split("\0")), *libraries]:
             (self.root / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(ROOT / name, self.root / name)
-        self._relevance = Relevance(self.root)
 
     def killer(self, mutation: Mutation, limit: float) -> str:
         """Return the test that kills a mutant within a time [s], or nothing."""
-        tests = self._relevance.tests_of(mutation)
+        tests = self._reach.tests_of(mutation)
+        files = list(tests)
         source = mutation.apply(self.root)
         try:
             is_built = mutation.path.suffix == ".py" or self._build(mutation.path)
             failures = [] if is_built else ["the compiler"]
             end = time.monotonic() + limit
-            for files in (tests[:FIRST_FILES], tests[FIRST_FILES:]):
-                if files and not failures and time.monotonic() < end:
-                    failures = self.failures(["-x", *files], end - time.monotonic())
+            for group in (files[:FIRST_FILES], files[FIRST_FILES:]):
+                if group and not failures and time.monotonic() < end:
+                    names = [name for file in group for name in tests[file]]
+                    failures = self.failures(names, end - time.monotonic())
         finally:
             (self.root / mutation.path).write_bytes(source)
         if mutation.path.suffix == ".c":
             self._build(mutation.path)
         return failures[0] if failures else ""
 
-    def failures(self, arguments: list[str], limit: float | None = None) -> list[str]:
-        """Run pytest and return the tests that failed, or the signal that ended it."""
-        options = ("-q", "-n", "0", "-p", "no:cacheprovider", "-p", "mutants", "--tb=no")
+    def failures(self, tests: list[str], limit: float | None = None) -> list[str]:
+        """Run tests up to the first failure and return it, or the signal that ended the run;
+        without a limit, run all of them."""
+        options = ["-q", "-n", "0", "-p", "no:cacheprovider", "-p", "mutants", "--tb=no"]
+        options += ["-x"] if limit is not None else []
+        order = self.root.parent / "order"
+        order.write_text("\n".join(tests))
+        files = dict.fromkeys(name.partition("::")[0] for name in tests)
         paths = os.pathsep.join(map(str, (self.root, self.root / "benchmarks")))
         process = subprocess.Popen(
-            [sys.executable, "-m", "pytest", *options, *arguments],
-            cwd=self.root, env={**os.environ, "PYTHONPATH": paths}, start_new_session=True,
+            [sys.executable, "-m", "pytest", *options, *files], start_new_session=True,
+            cwd=self.root, env={**os.environ, "PYTHONPATH": paths, ORDER: str(order)},
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace",
             preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (MEMORY_LIMIT,) * 2),
         )  # fmt: skip
@@ -419,6 +453,14 @@ class Copy:
         return True
 
 
+def pytest_collection_modifyitems(items: list[Any]) -> None:
+    """Leave the tests that are to be run, in their order."""
+    order = {name: i for i, name in enumerate(Path(os.environ[ORDER]).read_text().splitlines())}
+    items[:] = sorted(
+        (item for item in items if item.nodeid in order), key=lambda item: order[item.nodeid]
+    )
+
+
 def pytest_runtest_setup() -> None:
     """End the process if a test takes more than its processor time."""
     signal.setitimer(signal.ITIMER_PROF, TEST_LIMIT)
@@ -429,8 +471,9 @@ def mutants(arguments: argparse.Namespace) -> None:
     mutations = draw(all_mutations(ROOT, arguments.pattern), arguments.seed, arguments.number)
     file = arguments.folder / f"mutants-{arguments.seed}.csv"
     rows = list(csv.reader(file.read_text().splitlines()))[1:] if file.exists() else []
+    reach = Reach.measured(ROOT, arguments.folder.resolve())
     with tempfile.TemporaryDirectory() as scratch:
-        copy = Copy(Path(scratch))
+        copy = Copy(Path(scratch), reach)
         known_numbers = {int(row[0]) for row in rows}
         for number, mutation in enumerate(mutations):
             if number in known_numbers:

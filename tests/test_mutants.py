@@ -104,20 +104,44 @@ def test_draw() -> None:
     )
 
 
-def test_relevant_tests_come_first(tmp_path: Path) -> None:
-    """Those that use what uses the function, before the folder's others; not those of others."""
+def test_tests_that_reach_a_mutant(tmp_path: Path) -> None:
+    """Those of its folder first, then the cheapest; all of a file whose fixtures reach it."""
     files = {
-        "fenics_crack/model/a.py": "def inner(x):\n    return -x\ndef outer(x):\n    inner(x)\n",
-        "tests/model/test_c.py": "outer(1)",
-        "tests/model/test_b.py": "another(1)",
-        "tests/curves/test_d.py": "another(1)",
+        "model/a.py": "def inner(x):\n    return (\n        -x\n    )\n",
+        "model/b.py": "def outer(x):\n    kernel.sum_of(x)\n",
+        "kernel/c.c": "double diff(double a) {\n    return 1 - a;\n}\n"
+        "double sum_of(double a) {\n    return diff(a);\n}\n",
     }
     for name, text in files.items():
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).write_text(text)
-    [mutation] = mutants.all_mutations(tmp_path)
-    tests = mutants.Relevance(tmp_path).tests_of(mutation)
-    assert tests == ["tests/model/test_c.py", "tests/model/test_b.py"]
+        (tmp_path / "fenics_crack" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "fenics_crack" / name).write_text(text)
+    tests_of_lines = {
+        "model/a.py": {
+            2: ["", "tests/curves/test_d.py::test_dear|run", "tests/fem/test_e.py::test_cheap|run"],
+            3: ["tests/model/test_f.py::test_first[1]|setup"],
+        },
+        "model/b.py": {2: ["tests/kernel/test_g.py::test_sum|run"]},
+    }
+    seconds = {
+        "tests.curves.test_d::test_dear": 5.0, "tests.curves.test_d::test_other": 0.1,
+        "tests.fem.test_e::test_cheap": 0.1, "tests.model.test_f::test_first[1]": 9.0,
+        "tests.model.test_f::test_next": 9.0, "tests.kernel.test_g::test_sum": 1.0,
+    }  # fmt: skip
+    reach = mutants.Reach(
+        tmp_path,
+        lambda file: tests_of_lines[str(Path(file).relative_to(tmp_path / "fenics_crack"))],
+        seconds,
+    )
+    in_python, *_, in_c = mutants.all_mutations(tmp_path)
+    assert list(reach.tests_of(in_python).items()) == [
+        (
+            "tests/model/test_f.py",
+            [f"tests/model/test_f.py::test_{n}" for n in ("first[1]", "next")],
+        ),
+        ("tests/fem/test_e.py", ["tests/fem/test_e.py::test_cheap"]),
+        ("tests/curves/test_d.py", ["tests/curves/test_d.py::test_dear"]),
+    ]
+    assert reach.tests_of(in_c) == {"tests/kernel/test_g.py": ["tests/kernel/test_g.py::test_sum"]}
 
 
 def test_mutant_is_undone(tmp_path: Path) -> None:
