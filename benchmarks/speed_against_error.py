@@ -11,8 +11,8 @@ scene's solution, with more modes (:data:`REFERENCE_MODES`), or with all where i
 Where a row states an error of the mesh, elements of the reference are three times shorter, with a
 stiffness of each pair three times smaller; where it states one of friction that the scene leaves
 out, the reference has that friction. Both are left out where such a reference cannot be solved
-(:data:`AS_MESHED`). An answer that misses its tolerance is "not reached", with what the program
-says would help; so is a row without an answer in ten minutes of processor time.
+(:data:`FIXED_MESH_DEMOS`). An answer that misses its tolerance is "not reached", with what the
+program says would help; so is a row without an answer in ten minutes of processor time.
 
 Rows are kept in ``docs/pictures/speed_against_error.json``, each with its commit and day; the
 tables of ``README.md`` and ``benchmarks/README.md`` and the picture are made from it.
@@ -55,13 +55,13 @@ REFERENCE_MODES = {
 }  # fmt: skip
 """Four times those of the scene or more, and those up to which orbits are followed for tolerances
 that choose more; the paper's plate has all of its 50."""
-AS_MESHED = ("breathing_plate",)
+FIXED_MESH_DEMOS = ("breathing_plate",)
 """Demos whose reference has the scene's mesh and friction: on a finer mesh they have 54 pairs."""
 REFERENCE_ERROR = 1e-3
 """By harmonics, where no orbit can be found."""
 PATIENCE = 600
 """Processor time [s] after which a row ends without an answer."""
-FINER = 3.0
+MESH_REFINEMENT = 3.0
 """Elements of the scene over those of the reference."""
 MARKS = "<!-- speed against error -->\n", "<!-- end -->\n"
 """Around the tables of the pages."""
@@ -99,7 +99,7 @@ def ladder(demo: str) -> common.Part:
 # --- rows -----------------------------------------------------------------------------------------
 
 
-UNCHANGED = {"mesh.error": False, "contact.friction_error": False}
+CAUSES_LEFT_OUT = {"mesh.error": False, "contact.friction_error": False}
 """Keys by which neither the mesh nor friction is varied."""
 
 
@@ -107,7 +107,7 @@ def changes_of(rung: str) -> dict[str, Any]:
     """Return the keys of the scene that a rung changes."""
     if RUNGS[rung] is None:
         return {}
-    return {"harmonic_balance.tolerance": RUNGS[rung], "reduction": None} | UNCHANGED
+    return {"harmonic_balance.tolerance": RUNGS[rung], "reduction": None} | CAUSES_LEFT_OUT
 
 
 def run_rung(demo: str, rung: str, references: dict[Any, float]) -> Row:
@@ -145,9 +145,9 @@ def answer(demo: str, rung: str) -> Row:
     seconds = usage.ru_utime + usage.ru_stime
     if not results and seconds < PATIENCE:
         raise RuntimeError(f"{' '.join(command)} ended with {code}: {messages}")
-    stated = statements_of(demo, rung, quantities, messages) if results else NO_ANSWER
+    statements = statements_of(demo, rung, quantities, messages) if results else NO_ANSWER
     return {
-        "demo": demo, "rung": rung, **stated,
+        "demo": demo, "rung": rung, **statements,
         "seconds": seconds,
         "mebibytes": usage.ru_maxrss / 1024.0,
         "commit": common.commit(),
@@ -173,7 +173,7 @@ def statements_of(demo: str, rung: str, quantities: list[Row], messages: str) ->
     amplitude = next(entry for entry in quantities if entry["name"].endswith("amplitude"))
     helps = re.search(r"error ([^,;]+), [^,;]+ was asked; what helps: ([^;(]*[^;( ])", messages)
     conclusion, error = values["conclusion"], amplitude["error [%]"]
-    is_varied = rung == "scene" and demo not in AS_MESHED
+    is_varied = rung == "scene" and demo not in FIXED_MESH_DEMOS
     return {
         "amplitude [m]": amplitude["value"],
         "stated": None if error is None else error / 100.0,
@@ -201,19 +201,19 @@ def reference(demo: str, mesh: bool, friction: bool, modes: tuple[int, ...]) -> 
     changes: dict[str, Any] = {}
     if friction:
         changes["contact.friction"] = scene.contact.friction_error
-    scene = scene.replace({"sweep": None, "curve": None} | UNCHANGED)
+    scene = scene.replace({"sweep": None, "curve": None} | CAUSES_LEFT_OUT)
     if scene.crack is not None and scene.crack.first_omega is not None:
         length = fc.find_crack_length(scene)
         scene = scene.replace({"crack.length": length, "crack.first_omega": None})
     if modes:
         changes["reduction.modes"] = modes[0]
-    fine_scene = finer_mesh(scene, FINER) if mesh else None
+    fine_scene = finer_mesh(scene, MESH_REFINEMENT) if mesh else None
     if (
         fine_scene is not None
         and fine_scene.contact is not None
         and fine_scene.contact.stiffness is not None
     ):
-        changes["contact.stiffness"] = fine_scene.contact.stiffness / FINER
+        changes["contact.stiffness"] = fine_scene.contact.stiffness / MESH_REFINEMENT
     if friction and scene.contact.stiffness is not None:  # as stiff along the faces as across
         areas = fc.prepare(scene).structure.pairs.areas
         stiffness = scene.contact.stiffness / float(areas.mean())
@@ -241,9 +241,9 @@ def with_more_modes(orbit: fc.PeriodicOrbit, study: fc.Study) -> fc.PeriodicOrbi
     """Return the orbit of a study with more modes that is next to another orbit."""
     problem = fc.Problem(orbit.structure, orbit.omega, study.contact, 5)
     wave = wave_of(problem, orbit, orbit.coefficients(5))
-    larger = MoreModes(flow_of(study.structure, study.contact), wave, orbit)
-    assert larger.orbit is not None
-    return larger.orbit
+    more_modes = MoreModes(flow_of(study.structure, study.contact), wave, orbit)
+    assert more_modes.orbit is not None
+    return more_modes.orbit
 
 
 # --- what is kept of them -------------------------------------------------------------------------
@@ -258,8 +258,8 @@ def kept_rows() -> list[Row]:
 
 def keep(row: Row) -> None:
     """Keep a row in place of the one before."""
-    others = [other for other in kept_rows() if key_of(other) != key_of(row)]
-    RECORD.write_text(json.dumps([*others, row], indent=1) + "\n")
+    other_rows = [kept_row for kept_row in kept_rows() if key_of(kept_row) != key_of(row)]
+    RECORD.write_text(json.dumps([*other_rows, row], indent=1) + "\n")
 
 
 def key_of(row: Row) -> tuple[str, str]:
@@ -279,17 +279,19 @@ def percentage(share: float | None) -> str:
     return f"{100.0 * share:.2g} %" if share > 5e-7 else "< 0.0001 %"
 
 
-def why_missed(row: Row) -> str:
+def reason_of_miss(row: Row) -> str:
     """Say why a row misses its level, of the gap or of the amplitude; "" where it does not."""
-    goal, stated = RUNGS[row["rung"]], row["stated"]
-    if row["missed"] or goal is None or (stated is not None and stated <= goal):
+    goal, stated_error = RUNGS[row["rung"]], row["stated"]
+    if row["missed"] or goal is None or (stated_error is not None and stated_error <= goal):
         return str(row["missed"])
-    return "no error is stated" if stated is None else "the error of the amplitude is above it"
+    return (
+        "no error is stated" if stated_error is None else "the error of the amplitude is above it"
+    )
 
 
 def cells(row: Row) -> list[str]:
     """Cells of a row: demo, rung, amplitude, stated and true error, ratio, time, memory, remark."""
-    stated_error, true_error, reason = row["stated"], row["true"], why_missed(row)
+    stated_error, true_error, reason = row["stated"], row["true"], reason_of_miss(row)
     cause = f", mostly {row['most by']}" if stated_error else ""
     size = "" if row["amplitude [m]"] is None else f"{1e6 * row['amplitude [m]']:.4g} um"
     prefix = "not reached: " if reason and size else "not reached" if reason else ""

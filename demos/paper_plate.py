@@ -450,9 +450,9 @@ def draw_crack(solution: fc.PeriodicSolution, folder: Path, magnification: float
     stress = grid["von Mises stress"] / 1e3  # kPa
     plotter = off_screen_plotter((700, 700))
     plotter.add_mesh(grid, style="wireframe", color="#b0b0b0")
-    moved = grid.warp_by_vector("displacement", factor=magnification)
+    warped_grid = grid.warp_by_vector("displacement", factor=magnification)
     look = {"cmap": "viridis", "show_edges": True, "lighting": False, "show_scalar_bar": False}
-    plotter.add_mesh(moved, scalars="von Mises stress", **look)
+    plotter.add_mesh(warped_grid, scalars="von Mises stress", **look)
     plotter.view_xy()
     plotter.camera.zoom(1.3)
     picture = plotter.screenshot(None, return_img=True)
@@ -471,11 +471,13 @@ def draw_crack(solution: fc.PeriodicSolution, folder: Path, magnification: float
 
 def answer(summary: dict[str, Any], output: Path) -> None:
     """Print the answer: what was found, how far off it is, by which method, in which files."""
-    paper, agreeing = summary["paper"], summary["agreeing"]
+    paper, soft_case = summary["paper"], summary["agreeing"]
     five, block, mesh = (paper[name] for name in ("harmonic_balance", "block_system", "mesh"))
-    many, march = agreeing["harmonic_balance"], agreeing["direct_integration"]
-    exact, orbit = paper["exact_orbit"], agreeing["exact_orbit"]
-    low, high = (1e6 * size for size in paper["direct_integration"]["amplitudes_m"])
+    balance, march = soft_case["harmonic_balance"], soft_case["direct_integration"]
+    exact, orbit = paper["exact_orbit"], soft_case["exact_orbit"]
+    least_amplitude, largest_amplitude = (
+        1e6 * size for size in paper["direct_integration"]["amplitudes_m"]
+    )
     omega = summary["natural_frequencies_rad_per_s"]
     rows = {
         "plate": f"{summary['dofs']} dofs, crack of one element with "
@@ -492,15 +494,15 @@ def answer(summary: dict[str, Any], output: Path) -> None:
         f"gap over the period {five['error_of_gap']:.1%})",
         "stability": f"{exact['verdict']}: a disturbance grows "
         f"{exact['growth_in_a_period']:.0f}-fold in a period; the motion wanders between "
-        f"{low:.2f} and {high:.2f} um",
+        f"{least_amplitude:.2f} and {largest_amplitude:.2f} um",
         "mesh": f"+ {mesh['growth_with_elements_half_as_long']:.0%} with elements half as long; a "
         f"point force has no limit: + {mesh['growth_by_the_point_force']:.0%} by it with each "
         "halving",
-        "softer: 1e9 N/m, 1 % damping": f"{1e6 * many['amplitude_m']:.4f} um with "
-        f"{agreeing['harmonics']} harmonics, {abs(many['error_of_amplitude']):.2%} off the exact "
-        f"orbit (gap {many['error_of_gap']:.2%}), {orbit['verdict']}; direct integration "
+        "softer: 1e9 N/m, 1 % damping": f"{1e6 * balance['amplitude_m']:.4f} um with "
+        f"{soft_case['harmonics']} harmonics, {abs(balance['error_of_amplitude']):.2%} off the "
+        f"exact orbit (gap {balance['error_of_gap']:.2%}), {orbit['verdict']}; direct integration "
         + ("settles on it" if march["settled"] else "does not settle")
-        + f", gaps {agreeing['difference_of_methods']:.1%} apart",
+        + f", gaps {soft_case['difference_of_methods']:.1%} apart",
     }
     say("\nThe paper's plate, 1e11 N/m, 0.1 % damping, 100 N at 2000 rad/s:")
     for name, words in rows.items():

@@ -355,7 +355,7 @@ def test_tables_of_speed_against_error_are_the_record() -> None:
         assert page.read_text() == ladder.page_with_table(page, table), page.name
     for row in rows:
         assert_is_a_commit(row["commit"])
-        if row["rung"] in ("scene", "1%") and row["stated"] and not ladder.why_missed(row):
+        if row["rung"] in ("scene", "1%") and row["stated"] and not ladder.reason_of_miss(row):
             assert 0.3 <= row["true"] / row["stated"] <= 1.6, row
 
 

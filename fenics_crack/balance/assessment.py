@@ -155,8 +155,8 @@ class Assessment:
             return self.own, True
         orbit = self._source or self._nearest_orbit()
         max_distance = MAX_DISTANCE if self.wave.structure.light_lips else MAX_ERROR
-        if orbit is None and (finer_wave := self._refined_assessment()) and finer_wave.accepted:
-            orbit = finer_wave.orbit
+        if orbit is None and (refinement := self._refined_assessment()) and refinement.accepted:
+            orbit = refinement.orbit
         elif self._source is None:  # predictions are within a factor of 3 of the distance
             max_distance = min(max_distance, max(3.0 * self.predicted_error, NEARLY_SOLVED))
         return orbit, orbit is not None and distance(self.wave, orbit) <= max_distance

@@ -97,8 +97,8 @@ class BlockSystem(Snes):
         self._still_gap = structure.gap_of(np.zeros(linear.shape))
         if problem.residual is not None:
             static_response = all_modes(structure).moved_at_once(problem.cutoff)
-            load_rows = part.tocsr()[: linear.size] * (self.force / self.length)
-            self._seen -= sparse.kron(sparse.identity(rows), static_response.T) @ load_rows
+            force_rows = part.tocsr()[: linear.size] * (self.force / self.length)
+            self._seen -= sparse.kron(sparse.identity(rows), static_response.T) @ force_rows
             self._still_gap += self._load @ static_response
         place = np.arange(rows * pairs).reshape(rows, pairs).T
         self._ends = np.repeat(place, rows, axis=1).ravel(), np.tile(place, rows).ravel()

@@ -259,7 +259,7 @@ def _errors(run: Run[Any], name: str) -> tuple[float, str]:
         name = natural_name(run.scene, kind, int(mode))
     error, cause = run.stated.stated(name)
     percents = 100.0 * max(error, LEAST_ERROR) if error < np.inf else np.nan
-    missing_causes = run.stated.lacking(name) if name in run.stated.values else {}
+    missing_causes = run.stated.missing_causes(name) if name in run.stated.values else {}
     if missing_causes:
         cause += f"; not included: {', '.join(missing_causes)}"
     return float(f"{percents:.3g}"), cause

@@ -185,7 +185,7 @@ def _in_unit(scene: Scene) -> tuple[Scene, float]:
     power of ten by which the longest side is from 0.0316 to 0.316."""
     unit = 10.0 ** (round(math.log10(max(scene.geometry.sides))) + 1)
 
-    def scaled(table: Any) -> Any:
+    def in_unit(table: Any) -> Any:
         lengths = {
             key.name: np.divide(value, unit).tolist()
             for key in fields(table)
@@ -195,8 +195,8 @@ def _in_unit(scene: Scene) -> tuple[Scene, float]:
 
     unit_scene = copy(scene)  # a similar one: what has been checked holds
     for name in ("geometry", "mesh", "crack", "disk", "excitation"):
-        vars(unit_scene)[name] = getattr(scene, name) and scaled(getattr(scene, name))
-    vars(unit_scene)["cracks"] = tuple(map(scaled, scene.cracks))
+        vars(unit_scene)[name] = getattr(scene, name) and in_unit(getattr(scene, name))
+    vars(unit_scene)["cracks"] = tuple(map(in_unit, scene.cracks))
     return unit_scene, unit
 
 

@@ -649,10 +649,10 @@ class _Stated(_Case):
     @property
     def _relative_dent(self) -> float:
         """Relative amplitude that half as long elements add where a force at a point is watched."""
-        scene, [watched_point, *_] = self.study.scene, self.study.watched
-        return (
-            0.0 if scene.points else dent_by_force(scene) / self.near.amplitude(watched_point.dof)
-        )
+        if self.study.scene.points:
+            return 0.0
+        amplitude = self.near.amplitude(self.study.watched[0].dof)
+        return dent_by_force(self.study.scene) / amplitude
 
     def _with_shifted_clearance(self, near: PeriodicSolution) -> dict[str, float]:
         """The numbers with the clearance moved by half a step of the gap from pair to pair, times

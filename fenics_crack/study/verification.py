@@ -325,7 +325,7 @@ class Verification(Saved):
             for counts in [self.counts[cause]]
         }
 
-    def lacking(self, quantity: str) -> dict[str, str]:
+    def missing_causes(self, quantity: str) -> dict[str, str]:
         """Return the causes that were varied without a part for a quantity, and why."""
         return {
             cause: MISSING_PART_REASONS.get(cause, "the other run has no such number")
@@ -370,7 +370,7 @@ class Verification(Saved):
         if not parts or unknown:
             return math.nan, ""
         total = self.relative(quantity, self.total(quantity))
-        if total == 0.0 and (self.unknown or self.lacking(quantity)):
+        if total == 0.0 and (self.unknown or self.missing_causes(quantity)):
             return math.nan, ""
         cause = max(parts, key=lambda one: parts[one])
         return math.inf if total >= 1.0 else total, cause
@@ -507,7 +507,7 @@ class Verification(Saved):
         """Sentences on numbers whose error lacks a cause that was varied."""
         return tuple(
             f"{', '.join(names)}: error due to the {cause} not included: "
-            f"{self.lacking(names[0])[cause]}"
+            f"{self.missing_causes(names[0])[cause]}"
             for cause, parts in self.parts.items()
             if (names := [name for name in self.values if name not in parts])
         )

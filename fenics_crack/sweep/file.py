@@ -387,8 +387,8 @@ def scene_of(stored: store.Stored) -> Scene:
     for name in sorted(column_formats.keys() & (stored.columns.keys() | REQUIRED_COLUMNS)):
         column = stored.columns.get(name)
         if column is None:
-            allowed = f"a sweep with a column {name!r}: this one is of an older version"
-            raise stored.refused(f"{allowed}; solve it anew in another folder")
+            requirement = f"a sweep with a column {name!r}: this one is of an older version"
+            raise stored.refused(f"{requirement}; solve it anew in another folder")
         column_type = np.dtype(column_formats[name][1])
         if column.shape != scene.given("sweep").shape or column.dtype != column_type:
             raise stored.refused("a whole sweep")

@@ -108,12 +108,12 @@ def test_with_stress_intensities() -> None:
     without, found = (changes(run.errors) for run in both)
     assert found == pytest.approx(without, rel=1e-9)
     errors = both[1].errors
-    assert errors is not None and set(errors.lacking("K_II_max")) == {"friction"}
+    assert errors is not None and set(errors.missing_causes("K_II_max")) == {"friction"}
     others = errors.contributions("K_II_max")
     assert set(others) == {"modes", "harmonics"}  # the mesh file has no coarser one
     known = errors.relative("K_II_max", np.hypot.reduce([*others.values()]))
     assert errors.stated("K_II_max")[0] == pytest.approx(known, rel=1e-9) and known > 0.0
-    assert not errors.lacking("K_max") and errors.table().rows
+    assert not errors.missing_causes("K_max") and errors.table().rows
     zero, rubbed = errors.parts["friction"]["K_max"].values
     assert 1e-3 < abs(rubbed / zero - 1.0) < 0.03  # at the tip; from pair to pair 2e-4 to 0.03
 
