@@ -123,11 +123,15 @@ class FrictionForces(CoupledForces):
         self.force = balanced(self._forces, integrals.harmonics)
 
     def apply(self, change: np.ndarray) -> np.ndarray:
-        return self._of_values(sampled(change, self._integrals.instants))
+        values = sampled(change, self._integrals.instants)
+        return self._of_values(values, values[0, values.shape[1] // 2 :])
 
-    def _of_values(self, values: np.ndarray) -> np.ndarray:
+    def _of_values(self, values: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
+        """Coefficients of the forces' change by changes (n, 2 n_pairs) that act as gaps do, and by
+        those of the places (n_pairs,) where pairs always stick."""
         values, found = np.ascontiguousarray(values), np.empty_like(self._forces)
-        arrays = map(pointer, (self.states, values, found))
+        places = np.zeros(values.shape[1] // 2) if start is None else np.ascontiguousarray(start)
+        arrays = map(pointer, (self.states, values, places, found))
         if kernel.friction_changes(self._integrals.sets.handle, len(values), *arrays):
             raise MemoryError("friction")
         return balanced(found, self._integrals.harmonics)

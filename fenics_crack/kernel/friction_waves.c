@@ -54,12 +54,22 @@ static int some_begin_to_stick(const signed char *now, const signed char *next, 
     return 0;
 }
 
+/* Whether a pair sticks at all instants: its place is that of the gaps at the first one. */
+static int always_sticks(int count, const signed char *states, int pairs, int pair)
+{
+    for (long t = 0; t < count; t++)
+        if (states[t * pairs + pair] != STICK) return 0;
+    return 1;
+}
+
 int friction_changes(closed_sets *s, int count, const signed char *states, const double *gaps,
-                     double *forces)
+                     const double *start, double *forces)
 {
     const int p = pairs_of(s), r = 2 * p;
     double *held = calloc((size_t)p + 1, sizeof(double));
     if (!held) return 1;
+    for (int i = 0; i < p; i++)
+        if (always_sticks(count, states, p, i)) held[i] = start[i];
     for (long t = 0; t < 2L * count; t++) {
         const long at = t % count;
         const signed char *next = states + (t + 1) % count * p;
@@ -98,6 +108,11 @@ int friction_tangent(closed_sets *s, int count, const signed char *states, int r
     double *seen = moved + columns * n, *weights = seen + (long)r * n;
     memset(held, 0, bytes(columns * p));
     memset(tangent, 0, bytes(columns * columns));
+    for (int i = 0; i < p; i++)
+        if (always_sticks(count, states, p, i))
+            for (int j = 0; j < rows; j++)
+                for (int b = 0; b < n; b++)
+                    held[i * columns + (long)j * n + b] = waves[j] * basis[(long)(p + i) * n + b];
     for (long t = 0; t < 2L * count; t++) {
         const long at = t % count;
         const signed char *next = states + (t + 1) % count * p;

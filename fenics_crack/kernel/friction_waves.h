@@ -10,14 +10,16 @@
 int march_friction(closed_sets *s, int count, int turns, const double *gaps, double *held,
                    double *forces, signed char *states, double *places);
 /* What changes ds (count, r) of the gaps change of the forces, (count, r), through the states of a
- * march. 0, or 1 without memory. */
+ * march; dh = start (p) of pairs that stick at all instants. 0, or 1 without memory. */
 int friction_changes(closed_sets *s, int count, const signed char *states, const double *gaps,
-                     double *forces);
+                     const double *start, double *forces);
 /* The derivative of the coefficients of U^T lambda, rows a_0, a_1, b_1, ... of `rows` waves, by those
  * of changes U c of the gaps, U (r, n): tangent (rows n, rows n), both ordered (row, column of U).
  * Through the states of a march (count, p), of which h is known from its last but one period on:
  *
- *     d lambda = L (ds - dh),     dh = dg_t of pairs that do not stick.
+ *     d lambda = L (ds - dh),     dh = dg_t of pairs that do not stick,
+ *
+ * and dh = dg_t at the first instant of those that always stick.
  *
  * waves, means (count, rows): values of the waves, and what makes coefficients of values. 0, or 1
  * without memory. */

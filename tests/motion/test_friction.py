@@ -223,3 +223,15 @@ def test_more_than_one_answer() -> None:
     assert flow is not None and flow.critical_friction == np.inf  # pressure and slide are apart
     plates = solved("inclined_crack", 0.005, 3183.0 * HERTZ, 0.3).assessment.flow
     assert plates is not None and 4.0 < plates.critical_friction < 8.0
+
+
+@pytest.mark.parametrize("harmonics", [1, 5])
+def test_a_damper_that_never_slips_is_a_spring(harmonics: int) -> None:
+    """Newton's method needs few steps where a pair sticks all the time: its place goes with the
+    gaps. F / |k + k_t - w^2 + 2 i xi w|."""
+    structure, law = jenkins()
+    structure = structure.varied(load=np.diag([1.0, 0.2, 0.2]))
+    solution = fc.solve_harmonic_balance(structure, 0.6, law, harmonics=harmonics)
+    expected = 0.2 / abs(1.5 - 0.6**2 + 0.04j * 0.6)
+    assert np.hypot(*solution.displacement_coefficients[1:3, 0]) == pytest.approx(expected)
+    assert solution.iterations < 10
