@@ -7,7 +7,8 @@ each instant the forces follow from s and from the places h where pairs stuck un
 
 (:mod:`fenics_crack.model.contact`, ``kernel/friction_waves.c``). The march ends where h repeats,
 when it has forgotten where it began, but for pairs that stick all the time: these are tied where
-the gaps were at first. The derivative goes through its last two periods, h with it.
+the gaps were at first, or where they slipped last. The derivative goes through its last two
+periods, h with it.
 
 Source: Cameron and Griffin, Journal of Applied Mechanics 56 (1989) 149-154.
 """
@@ -82,8 +83,8 @@ class FrictionIntegrals(ContactIntegrals):
         """N."""
         return self.samples or max(MIN_SAMPLES, SAMPLES_PER_HARMONIC * self.harmonics)
 
-    def march(self, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Forces, states and places at instants of a period, of values (n, 2 n_pairs).
+    def march(self, gap: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return forces, states, places and origins for values (n, 2 n_pairs) of a period's gaps.
 
         Raises as :meth:`FrictionSets.solve`.
         """
@@ -99,7 +100,7 @@ class FrictionIntegrals(ContactIntegrals):
         every = np.concatenate([turn / count * np.arange(count), np.mod(phase, turn)])
         values = np.concatenate([sampled(gap, count), evaluate(gap, 1.0, phase)])
         _, first, place = np.unique(every, return_index=True, return_inverse=True)
-        forces, _, places = self.march(values[first])
+        forces, _, places, _ = self.march(values[first])
         asked = place[count:]
         return forces[asked], places[asked]
 
@@ -119,19 +120,15 @@ class FrictionForces(CoupledForces):
     def __init__(self, integrals: FrictionIntegrals, gap: np.ndarray) -> None:
         self._integrals, self._rows = integrals, gap.shape
         values = sampled(gap, integrals.instants)
-        self._forces, self.states, self.places = integrals.march(values)
+        self._forces, self.states, self.places, self._origins = integrals.march(values)
         self.force = balanced(self._forces, integrals.harmonics)
 
     def apply(self, change: np.ndarray) -> np.ndarray:
-        values = sampled(change, self._integrals.instants)
-        return self._of_values(values, values[0, values.shape[1] // 2 :])
+        return self._of_values(sampled(change, self._integrals.instants))
 
-    def _of_values(self, values: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
-        """Coefficients of the forces' change by changes (n, 2 n_pairs) that act as gaps do, and by
-        those of the places (n_pairs,) where pairs always stick."""
+    def _of_values(self, values: np.ndarray) -> np.ndarray:
         values, found = np.ascontiguousarray(values), np.empty_like(self._forces)
-        places = np.zeros(values.shape[1] // 2) if start is None else np.ascontiguousarray(start)
-        arrays = map(pointer, (self.states, values, places, found))
+        arrays = map(pointer, (self.states, self._origins, values, found))
         if kernel.friction_changes(self._integrals.sets.handle, len(values), *arrays):
             raise MemoryError("friction")
         return balanced(found, self._integrals.harmonics)
@@ -146,8 +143,8 @@ class FrictionForces(CoupledForces):
         means[:, 0] *= 0.5
         found = np.empty((rows, n, rows * n))
         if kernel.friction_tangent(
-            self._integrals.sets.handle, count, pointer(self.states), rows, pointer(values),
-            pointer(means), n, pointer(seen), pointer(found),
+            self._integrals.sets.handle, count, pointer(self.states), pointer(self._origins), rows,
+            pointer(values), pointer(means), n, pointer(seen), pointer(found),
         ):  # fmt: skip
             raise MemoryError("friction")
         return found

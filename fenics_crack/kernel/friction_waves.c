@@ -21,18 +21,21 @@ static int repeats(int p, const signed char *now, const signed char *states, con
 }
 
 int march_friction(closed_sets *s, int count, int turns, const double *gaps, double *held,
-                   double *forces, signed char *states, double *places)
+                   double *forces, signed char *states, double *places, int *origins)
 {
     const int p = pairs_of(s), r = 2 * p;
     double *gap = malloc(bytes(r + 1)), largest = 0.0;
     signed char *now = calloc((size_t)p + 1, 1);
     int failed = !gap || !now;
+    memset(origins, 0, (size_t)p * sizeof(int));
     for (long i = 0; i < (long)count * r; i++) largest = fmax(largest, fabs(gaps[i]));
     for (long t = 0; t < (long)turns * count && !failed; t++) {
         const long at = t % count;
         memcpy(gap, gaps + at * r, bytes(r));
         failed = rub(s, held, now, gap, forces + at * r);
         if (t >= count && repeats(p, now, states + at * p, held, places + at * p, ROUNDING * largest)) break;
+        for (int i = 0; i < p; i++)
+            if (now[i] != STICK) origins[i] = (int)at;
         memcpy(states + at * p, now, (size_t)p);
         memcpy(places + at * p, held, bytes(p));
     }
@@ -54,7 +57,6 @@ static int some_begin_to_stick(const signed char *now, const signed char *next, 
     return 0;
 }
 
-/* Whether a pair sticks at all instants: its place is that of the gaps at the first one. */
 static int always_sticks(int count, const signed char *states, int pairs, int pair)
 {
     for (long t = 0; t < count; t++)
@@ -62,14 +64,14 @@ static int always_sticks(int count, const signed char *states, int pairs, int pa
     return 1;
 }
 
-int friction_changes(closed_sets *s, int count, const signed char *states, const double *gaps,
-                     const double *start, double *forces)
+int friction_changes(closed_sets *s, int count, const signed char *states, const int *origins,
+                     const double *gaps, double *forces)
 {
     const int p = pairs_of(s), r = 2 * p;
     double *held = calloc((size_t)p + 1, sizeof(double));
     if (!held) return 1;
     for (int i = 0; i < p; i++)
-        if (always_sticks(count, states, p, i)) held[i] = start[i];
+        if (always_sticks(count, states, p, i)) held[i] = gaps[(long)origins[i] * r + p + i];
     for (long t = 0; t < 2L * count; t++) {
         const long at = t % count;
         const signed char *next = states + (t + 1) % count * p;
@@ -96,8 +98,8 @@ int friction_changes(closed_sets *s, int count, const signed char *states, const
     return 0;
 }
 
-int friction_tangent(closed_sets *s, int count, const signed char *states, int rows,
-                     const double *waves, const double *means, int n, const double *basis,
+int friction_tangent(closed_sets *s, int count, const signed char *states, const int *origins,
+                     int rows, const double *waves, const double *means, int n, const double *basis,
                      double *tangent)
 {
     const int p = pairs_of(s), r = 2 * p;
@@ -112,7 +114,8 @@ int friction_tangent(closed_sets *s, int count, const signed char *states, int r
         if (always_sticks(count, states, p, i))
             for (int j = 0; j < rows; j++)
                 for (int b = 0; b < n; b++)
-                    held[i * columns + (long)j * n + b] = waves[j] * basis[(long)(p + i) * n + b];
+                    held[i * columns + (long)j * n + b] =
+                        waves[(long)origins[i] * rows + j] * basis[(long)(p + i) * n + b];
     for (long t = 0; t < 2L * count; t++) {
         const long at = t % count;
         const signed char *next = states + (t + 1) % count * p;

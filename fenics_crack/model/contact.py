@@ -416,22 +416,23 @@ class FrictionSets:
 
     def solve(
         self, gap: np.ndarray, places: np.ndarray, turns: int = 1
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Forces [N], states and places [m] at instants that follow each other, of gaps (n, 2
-        n_pairs) [m], from the places (n_pairs,) before; of the last turn, in which the places
-        repeat or which is the last of so many.
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return forces [N], states and places [m] at instants, and origins (n_pairs,) of places.
+
+        Of gaps (n, 2 n_pairs) [m] at instants that follow each other, from the places (n_pairs,)
+        before; of the last turn, in which the places repeat or which is the last of so many. The
+        origin is the instant at which a pair did not stick last, or 0.
 
         Raises ConvergenceError where an instant has no forces, or more than one solution.
         """
         count, rows = gap.shape
         gap, held = shaped(gap, count, rows), np.array(places, dtype=float)
         forces, found = np.empty_like(gap), np.empty((count, rows // 2))
-        states = np.empty((count, rows // 2), dtype=np.int8)
-        if kernel.march_friction(
-            self.handle, count, turns, *map(pointer, (gap, held, forces, states, found))
-        ):
+        states, origins = np.empty(found.shape, dtype=np.int8), np.empty(rows // 2, dtype=np.intc)
+        arrays = map(pointer, (gap, held, forces, states, found, origins))
+        if kernel.march_friction(self.handle, count, turns, *arrays):
             raise ConvergenceError("contact: an instant has no forces, or more than one solution")
-        return forces, states, found
+        return forces, states, found, origins
 
 
 KEPT = 1 / 32

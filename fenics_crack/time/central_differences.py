@@ -403,7 +403,7 @@ class _CentralDifferences(Scheme):
         where they are now."""
         if friction_of(self.contact) is None:
             return self.contact.force(gap)
-        forces, _, places = self._sets.solve(gap[None], self._held)
+        forces, _, places, _ = self._sets.solve(gap[None], self._held)
         self._held = places[0]
         return forces[0]
 

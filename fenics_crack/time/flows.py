@@ -251,7 +251,7 @@ class ExponentialFlow(Flow):
         states[0] = state
         gap = self.gap_rows @ (state - self.steady[0]) + self.linear_gap[0]
         if self.friction:
-            forces[:1], closed[:1], held = self._rubbing.solve(gap[None], places)
+            forces[:1], closed[:1], held, _ = self._rubbing.solve(gap[None], places)
             self._held[:] = held[0]
         else:
             forces[:1], closed[:1] = self._static.solve(gap[None])

@@ -10,6 +10,7 @@ from fenics_crack.balance.friction_integrals import FrictionIntegrals
 from fenics_crack.model.contact import CoulombFriction, FrictionSets
 from fenics_crack.motion.flow import ContactFlow
 from fenics_crack.motion.orbit import find_orbit
+from fenics_crack.numerics.fourier import sampled
 
 RIGID = fc.UnilateralConstraint()
 
@@ -154,15 +155,34 @@ def test_derivatives_of_the_forces_of_a_wave(pairs: int) -> None:
     assert known.by_share() == pytest.approx(expected, abs=1e-6 * np.abs(expected).max())
 
 
+@pytest.mark.parametrize(("size", "origin"), [(0.15, 0), (0.3, 32)])
+def test_derivative_where_a_pair_always_sticks(size: float, origin: int) -> None:
+    """Its place goes with the gap of the first instant, or of that at which it slipped last, half
+    a period later: against differences, by the tangential gap."""
+    integrals = FrictionIntegrals(CoulombFriction(RIGID, 0.4), 2, residual=np.eye(2), samples=64)
+    gap = np.zeros((5, 2))
+    gap[0, 0], gap[1, 1] = 1.0, size
+    at_wave = integrals.linearise(gap)
+    assert np.all(at_wave.states == 1) and integrals.march(sampled(gap, 64))[3][0] == origin
+    change, step = np.zeros((5, 2)), 1e-7
+    change[:, 1] = np.random.default_rng(3).normal(size=5)
+    ends = [integrals.force(gap + sign * step * change) for sign in (1.0, -1.0)]
+    expected = (ends[0] - ends[1]) / (2.0 * step)
+    assert at_wave.apply(change) == pytest.approx(expected, abs=1e-6)
+    assert at_wave.tangent().reshape(10, 10) @ change.ravel() == pytest.approx(
+        expected.ravel(), abs=1e-6
+    )
+
+
 def test_marches_of_one_step_or_many() -> None:
     """The forces of instants by one march, and by marches that follow each other, are the same."""
     draw = np.random.default_rng(8)
     root = draw.normal(size=(6, 6))
     sets = FrictionSets(root @ root.T / 6.0 + np.eye(6), 0.5)
     gaps, held = draw.normal(size=(200, 6)), np.zeros(3)
-    whole = sets.solve(gaps, held)
+    whole = sets.solve(gaps, held)[:3]
     for instant, gap in enumerate(gaps):
-        forces, states, places = sets.solve(gap[None], held)
+        forces, states, places, _ = sets.solve(gap[None], held)
         held = places[0]
         for part, one in zip(whole, (forces, states, places), strict=True):
             assert part[instant] == pytest.approx(one[0], abs=1e-12)
@@ -177,7 +197,7 @@ def test_a_wave_is_marched_until_its_places_repeat() -> None:
     own = FrictionIntegrals(CoulombFriction(RIGID, 5.0), 4, residual=compliance)
     time = 2.0 * np.pi / 128 * np.arange(128)[:, None] - phase
     gap = np.hstack([0.7 + np.cos(time), 0.6 * np.sin(time + 0.4)])
-    forces, states, places = own.march(gap)
+    forces, states, places, _ = own.march(gap)
     assert np.all(states.any(axis=1)) and not np.any(states.all(axis=0))
     again = own.sets.solve(gap, places[-1])[0]
     assert again == pytest.approx(forces, abs=1e-10)
