@@ -8,8 +8,11 @@ up.
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
+import gmsh
 import numpy as np
+from helpers import gmsh_model
 
 import fenics_crack as fc
 
@@ -33,6 +36,20 @@ damping = { ratio = 0.01 }
 excitation = { point = [0.02, 0.3], force_cos = [1.0, 0.0], omega = 100.0 }
 contact = { law = "unilateral" }
 mesh = { layout = "graded", order = 2, size = 0.004, lip_elements = 8 }
+"""
+ROD = """
+geometry = { kind = "solid", file = "rod.step", faces = { clamp = [[0.0, 0.0, 0.0]] } }
+material = { young = 2.1e11, poisson = 0.3, density = 7850.0 }
+damping = { ratio = 0.002 }
+excitation = { point = [0.0, 0.3, 0.0], force_sin = [1.0, 0.0, 1.0], frequency = 1.0 }
+contact = { law = "unilateral" }
+mesh = { layout = "graded", order = 2, size = 0.006, lip_elements = 4, error = false }
+
+[crack]
+point = [-0.005, 0.06, 0.0]
+normal = [0.0, 1.0, 0.0]
+direction = [1.0, 0.0, 0.0]
+front = "through"
 """
 
 
@@ -282,4 +299,27 @@ def measured_cantilever() -> dict[str, float]:
                 quantities[f"f1 breathing, {1e3 * depth:g} mm at {1e3 * place:g} mm"] = (
                     frequencies.omega_bilinear[0] / frequencies.omega_tied[0]
                 )
+    return quantities
+
+
+@outside
+def ross_rod() -> dict[str, float]:
+    """First frequencies of a round cantilever with a crack with a straight front, over those
+    without it, each against two models."""
+    quantities = {}
+    with TemporaryDirectory() as folder, gmsh_model() as model:
+        model.occ.addCylinder(0, 0, 0, 0, 300, 0, 10)
+        model.occ.synchronize()
+        gmsh.write(f"{folder}/rod.step")
+        for depth in (0.1, 0.2, 0.3, 0.35, 0.45, 0.5):
+            scene = fc.Scene.from_text(ROD, folder).replace(
+                {"crack.point": [0.02 * depth - 0.01, 0.06, 0.0]}
+            )
+            frequencies = fc.bilinear_frequencies(fc.build_structure(scene))
+            ratios = frequencies.omega_open[:2] / frequencies.omega_tied[:2]
+            quantities |= {
+                f"{plane} plane, a/D = {depth:g}, {model_name}": ratio
+                for plane, ratio in zip(("weak", "strong"), ratios, strict=True)
+                for model_name in ("Flex", "Papadopoulos")
+            }
     return quantities
