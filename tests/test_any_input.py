@@ -331,15 +331,6 @@ def test_a_surface_in_two_groups(tmp_path: Path) -> None:
 
 # --- matrices -------------------------------------------------------------------------------------
 
-MATRICES = {
-    "mass": "coordinate real symmetric\n% kg\n3 3 3\n1 1 1.0\n2 2 2.0\n3 3 1.0\n",
-    "stiffness": "coordinate real general\n3 3 7\n1 1 2.0\n1 2 -1.0\n2 1 -1.0\n2 2 2.0\n"
-    "2 3 -1.0\n3 2 -1.0\n3 3 2.0\n",
-    "gap": "array real general\n3 1\n1.0\n0.0\n-1.0\n",
-    "damping": "array real symmetric\n3 3\n0.1\n0\n0\n0.1\n0\n0.1\n",
-    "force_sin": "array real general\n3 1\n1.0\n0.0\n0.0\n",
-}
-
 
 def balance_or_refuse(arguments: dict[str, Any], options: dict[str, Any]) -> None:
     """A structure of any matrices, solved with any options."""
@@ -359,40 +350,6 @@ def balance_or_refuse(arguments: dict[str, Any], options: dict[str, Any]) -> Non
             assert np.all(np.isfinite(found.gap_coefficients))
 
 
-def market_files(folder: Path, changes: dict[str, bytes]) -> dict[str, Any]:
-    """Matrix Market files, some of them replaced."""
-    arguments = {}
-    for name, text in MATRICES.items():
-        path = folder / f"{name}.mtx"
-        path.write_bytes(changes.get(name, f"%%MatrixMarket matrix {text}".encode()))
-        arguments[name] = str(path)
-    return arguments
-
-
-@pytest.mark.parametrize(
-    ("name", "text"),
-    [
-        ("force_sin", "array real general"),  # SciPy reads on for ever
-        ("gap", "array real general\n3 1\n1.0\n0.0\n-1.0\n4.0\n5.0\n"),
-        ("damping", "array real symmetric\n3 3\n0.1\n0\n0\n0.1\n0\n0.1\n1.0\n"),
-        ("stiffness", "coordinate real symmetric\n3 3 4\n1 1 2\n2 2 2\n3 3 2\n1 2 -1\n"),
-        ("gap", "array real general\n1000000000000 1\n1.0\n"),
-        ("stiffness", "coordinate real general\n1000000000000 1000000000000 1\n1 1 1.0\n"),
-        ("mass", "coordinate real general\n1000000 1000000 1\n1 1 1.0\n"),
-        ("stiffness", "coordinate real general\n3 3 2\n1 1 2.0\n4 4 1.0\n"),
-        ("damping", "coordinate real general\n3 3 99999999999999999999999\n1 1 2.0\n"),
-        ("mass", "coordinate complex hermitian\n1 1 1\n1 1 1.0 0.0\n"),
-    ],
-)
-def test_matrix_files_that_failed(name: str, text: str, tmp_path: Path) -> None:
-    """Found by mutations."""
-    changes = {name: f"%%MatrixMarket matrix {text}".encode()}
-    with time_limit(), pytest.raises(InputError) as caught:
-        fc.Structure.from_matrices(**market_files(tmp_path, changes))
-    assert caught.value.key == name
-    check_error(caught.value)
-
-
 ODD = [
     None, "", "x", b"x", [], [[]], {}, {"a": 1}, object(), len, int, range(3), True, 0.0, -1.0, 1,
     1j, 7, 1000, 2**31, 2**63, 10**400, 1e-30, 1e30, float("nan"), "1e5", Path("missing"), "/",
@@ -406,7 +363,9 @@ ODD = [
     sparse.csr_matrix((0, 0)), fc.ModalDamping(0.1), fc.UnilateralConstraint(),
     fc.SmoothedPenalty(1.0, 1e3),
 ]  # fmt: skip
-PARTS = (*MATRICES, "force_cos", "force_mean", "clearance")
+PARTS = (
+    "mass", "stiffness", "gap", "damping", "force_sin", "force_cos", "force_mean", "clearance",
+)  # fmt: skip
 OPTIONS = (
     "omega", "contact", "harmonics", "samples", "subharmonic", "tolerance", "initial",
     "residual_tolerance",

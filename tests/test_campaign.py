@@ -4,6 +4,7 @@ Of several that show the same the dearest are marked nightly.
 """
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +15,7 @@ import pytest
 import fenics_crack as fc
 from fenics_crack.balance.assessment import stated_error
 
+NIGHTLY = pytest.mark.nightly
 WERE_WRONG = [
     # An estimate of 0.8 % where the exact orbit is 12 % away: Newton's second step in the wider
     # equations is nine times the first.
@@ -129,61 +131,71 @@ def test_smooth_law_with_few_harmonics_has_no_verdict() -> None:
     assert "the truncated harmonics change it by 8.6 %" in stability.reason
 
 
+def around_fold(curve: fc.ResponseCurve) -> np.ndarray:
+    """Return the points next to the first fold of a curve."""
+    return int(np.flatnonzero(np.diff(curve.omega) < 0.0)[0]) + np.arange(-2, 7)
+
+
+def around_unstable(curve: fc.ResponseCurve) -> np.ndarray:
+    """Return the first and the last unstable point of a curve, and their neighbours."""
+    unstable = np.flatnonzero(curve.verdicts == "unstable")
+    return np.array([unstable[0] - 1, unstable[0], unstable[-1], unstable[-1] + 1])
+
+
+def behind_fold(curve: fc.ResponseCurve) -> np.ndarray:
+    """Return the points of a curve whose fold nodes missed."""
+    return np.flatnonzero((curve.omega > 0.3536) & (curve.omega < 0.3541))
+
+
+def every_point(curve: fc.ResponseCurve) -> np.ndarray:
+    """Return all points of a curve."""
+    return np.arange(len(curve))
+
+
+BOTH = {"stable", "unstable"}
 CURVES = [
     # Two masses: at a fold the orbits of both sides are as near as the wave's own error.
-    pytest.param(74, 736, id="at a fold", marks=pytest.mark.nightly),
+    pytest.param(74, 736, None, every_point, BOTH, None, id="at a fold", marks=NIGHTLY),
     # 18 rigid pairs, 0.16 %: three pairs of multipliers leave the circle between two nodes.
-    pytest.param(74, 742, id="between two nodes", marks=pytest.mark.nightly),
+    pytest.param(74, 742, None, every_point, BOTH, None, id="between two nodes", marks=NIGHTLY),
     # Newton's method leads from no wave of 5 harmonics to its orbit.
-    pytest.param(75, 261, id="all unstable"),
+    pytest.param(75, 261, None, every_point, {"unstable"}, None, id="all unstable"),
+    # 28 rigid pairs: the fold of the exact orbits lies 0.0006 % behind that of the curve; the
+    # nearest orbit was the stable one before it.
+    pytest.param(75, 1101, "cracks", around_fold, BOTH, None, id="behind a fold", marks=NIGHTLY),
+    # 15 pairs with mass: multipliers leave the unit circle and return between the curve's first
+    # point and its ninth, next to which the first two orbits are found.
+    pytest.param(
+        77, 91, "crowd", lambda _: np.arange(9), BOTH, 2 * ["neimark_sacker"], id="within a step"
+    ),
+    # 12 pairs: behind the curve's fold the orbits of several points are unstable; nodes missed
+    # them, and with them the fold, and the points had the verdict of the orbits before it.
+    pytest.param(78, 85, "crowd", behind_fold, BOTH, None, id="missed fold", marks=NIGHTLY),
+    # A plate: by harmonic balance one was called stable by the orbit on the other side.
+    pytest.param(
+        71, 555, "plate", around_unstable, BOTH, ["fold", "fold"], id="between", marks=NIGHTLY
+    ),
 ]
 
 
-@pytest.mark.parametrize(("seed", "number"), CURVES)
-def test_points_of_a_curve_have_the_verdict_of_their_own_orbits(seed: int, number: int) -> None:
-    """Which each of them has by itself, and the reference confirms for each sixth."""
-    case = campaign.draw(seed, number, None, campaign.family_of(seed, number))
+@pytest.mark.parametrize(("seed", "number", "family", "places", "expected", "kinds"), CURVES)
+def test_points_of_a_curve_have_the_verdict_of_their_own_orbits(
+    seed: int, number: int, family: str | None, places: Callable[[fc.ResponseCurve], np.ndarray],
+    expected: set[str], kinds: list[str] | None,
+) -> None:  # fmt: skip
+    """Which each of them has by itself, and the reference confirms for some."""
+    case = campaign.draw(seed, number, None, family or campaign.family_of(seed, number))
     curve = campaign.followed(case, 0.1 if case.family == "few" else 0.03)
-    alone = [
-        fc.floquet(case.structure, one).verdict for one in map(curve.solution, range(len(curve)))
-    ]
-    both = [
-        place
-        for place, verdicts in enumerate(zip(curve.verdicts, alone, strict=True))
-        if "undecided" not in verdicts
-    ]
-    expected = {"unstable"} if number == 261 else {"stable", "unstable"}
-    assert {curve.verdicts[place] for place in both} == expected
-    assert len(both) > 0.8 * len(curve)
+    chosen = places(curve).tolist()
+    alone = {place: fc.floquet(case.structure, curve.solution(place)).verdict for place in chosen}
+    both = [one for one in chosen if "undecided" not in (alone[one], curve.verdicts[one])]
+    assert {curve.verdicts[place] for place in both} == expected and len(both) > 0.8 * len(chosen)
+    assert kinds is None or [one.kind for one in curve.bifurcations] == kinds
     for place in both:
         assert curve.verdicts[place] == alone[place], place
-    for place in both[::6]:
+    for place in both[:: min(6, len(both) // 4)]:
         row = campaign.judge(case, curve.solution(place), "point", str(curve.verdicts[place]))
         assert row.judgement != campaign.WRONG, row
-
-
-@pytest.mark.nightly
-def test_points_just_behind_a_fold_have_the_verdict_of_their_own_side() -> None:
-    """28 rigid pairs: the fold of the exact orbits lies 0.0006 % behind that of the curve; the
-    nearest orbit was the stable one before it."""
-    curve = campaign.followed(campaign.draw(75, 1101, None, "cracks"), 0.03)
-    fold = int(np.flatnonzero(np.diff(curve.omega) < 0.0)[0])
-    for side, places in (("stable", (-2, -1)), ("unstable", range(1, 7))):
-        for place in fold + np.array(places):
-            found = curve.solution(int(place))
-            assert fc.floquet(found.structure, found).verdict == side
-            assert curve.verdicts[place] in (side, "undecided")
-        assert curve.verdicts[place] == side
-
-
-def test_a_pair_that_leaves_and_returns_before_the_second_node() -> None:
-    """15 pairs with mass: multipliers leave the unit circle and return between the curve's first
-    point and its ninth, next to which the first two orbits are found."""
-    curve = campaign.followed(campaign.draw(77, 91, None, "crowd"), 0.03)
-    verdicts = [fc.floquet(curve.structure, curve.solution(place)).verdict for place in range(9)]
-    assert {"stable", "unstable"} == {*verdicts} and verdicts[0] == verdicts[8] == "stable"
-    assert curve.verdicts[:9].tolist() == verdicts
-    assert [one.kind for one in curve.bifurcations] == 2 * ["neimark_sacker"]
 
 
 def test_two_short_steps_next_to_grazing_are_not_enough() -> None:
@@ -209,33 +221,6 @@ def test_point_next_to_a_fold_is_not_judged_by_an_orbit_at_another_frequency() -
     assert len(rows) > 2 and campaign.WRONG not in {row["judgement"] for row in rows}
 
 
-@pytest.mark.nightly
-def test_points_next_to_a_missing_part_of_the_branch_are_judged_by_their_own_orbits() -> None:
-    """12 pairs: behind the curve's fold the orbits of several points are unstable; nodes missed
-    them, and with them the fold, and the points had the verdict of the orbits before it."""
-    case = campaign.draw(78, 85, None, "crowd")
-    curve = campaign.followed(case, 0.03)
-    near = np.flatnonzero((curve.omega > 0.3536) & (curve.omega < 0.3541))
-    assert {"stable", "unstable"} == set(curve.verdicts[near])
-    for place in near:
-        solution, verdict = curve.solution(int(place)), str(curve.verdicts[place])
-        assert verdict == fc.floquet(case.structure, solution).verdict
-        row = campaign.judge(case, solution, "point", verdict)
-        assert row.judgement == campaign.RIGHT or row.remark == "at a bifurcation", row
-
-
-@pytest.mark.nightly
-def test_points_between_two_folds_are_unstable() -> None:
-    """A plate: by harmonic balance one was called stable by the orbit on the other side."""
-    case = campaign.draw(71, 555, family="plate")
-    curve = campaign.followed(case, 0.03)
-    assert [one.kind for one in curve.bifurcations] == ["fold", "fold"]
-    between = np.flatnonzero(curve.verdicts == "unstable")
-    for place in (between[0] - 1, between[0], between[-1], between[-1] + 1):
-        found, verdict = curve.solution(int(place)), str(curve.verdicts[place])
-        assert campaign.judge(case, found, "point", verdict).judgement != campaign.WRONG
-
-
 def test_curve_from_between_its_ends() -> None:
     """The first solutions at the start and at the end lie on curves that turn back; one between
     them lies on a curve that reaches both."""
@@ -244,21 +229,6 @@ def test_curve_from_between_its_ends() -> None:
     curve = fc.continue_frequency(case.structure, *span, case.law, harmonics=case.harmonics)
     assert curve.complete and (curve.omega[0], curve.omega[-1]) == pytest.approx(span, rel=1e-12)
     assert curve.status == "reached the end, not by the first solution found at its start"
-
-
-@pytest.mark.nightly  # 40 s; test_cold_start_with_several_stiff_pairs is like it
-def test_cold_start_after_thousands_of_folds() -> None:
-    """Eleven masses and three stiff pairs: no path of up to 1,000 steps led there. Rounding decides
-    which way the path goes at its folds, and of seven frequencies beside each other two are not
-    solved: other ones on another machine."""
-    case = campaign.draw(1, 38)
-    assert any(
-        fc.solve_harmonic_balance(
-            case.structure, factor * case.omega, case.law, harmonics=20, residual_tolerance=1e-9,
-            throw=False,
-        ).converged
-        for factor in (1.0, 1.0 - 1e-9, 1.0 - 1e-7, 1.0 - 1e-5)
-    )  # fmt: skip
 
 
 @pytest.mark.parametrize(("family", "pairs"), [("mass", (5, 10)), ("plate", (8, 61))])

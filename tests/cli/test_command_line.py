@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import errno
-import importlib
 import json
 import os
 import re
@@ -12,7 +11,6 @@ import signal
 import subprocess
 import sys
 import time
-import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -47,35 +45,6 @@ def table(path: Path) -> list[dict[str, str]]:
     """Rows of a CSV file."""
     with open(path, newline="") as file:
         return list(csv.DictReader(file))
-
-
-def test_numbers_are_those_of_the_library(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
-    """The program prints, stores and reads back what a script computes."""
-    scene = fc.Scene.load(ROOT / "demos" / "paper_plate.toml").replace(
-        {"contact.stiffness": 1e9, "damping.ratio": 0.01}
-    )
-    plate = fc.build_structure(scene)
-    expected = fc.solve_harmonic_balance(plate, 2000.0, fc.UnilateralPenalty(1e9), harmonics=5)
-    words = ["solve", str(ROOT / "demos" / "paper_plate.toml"), "--output", str(tmp_path),
-             "--set", "contact.stiffness=1e9", "--set", "damping.ratio=0.01",
-             "--format", "json"]  # fmt: skip
-    assert main(words) == 0
-    shown = {row["quantity"]: row["value"] for row in json.loads(capsys.readouterr().out)}
-    time = np.linspace(0.0, expected.period, 1024, endpoint=False)
-    assert shown["largest opening"] == pytest.approx(-expected.gap(time).min(), rel=1e-12)
-    assert shown["verdict"] == fc.floquet(plate, expected).verdict
-    read = fc.load_run(tmp_path / "solution.h5")
-    assert read.scene == scene and isinstance(read.result, fc.PeriodicSolution)
-    assert read.result.report == expected.report
-    for name in ("gap_coefficients", "force_coefficients", "displacement_coefficients"):
-        one, other = getattr(read.result, name), getattr(expected, name)
-        np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12 * np.abs(other).max())
-    rows = table(tmp_path / "solution.csv")
-    time = np.array([float(row["time [s]"]) for row in rows])
-    corner = [float(row["x displacement at (0.1, 0.1) m [m]"]) for row in rows]
-    dof = plate.find_dof((0.1, 0.1), "x")
-    wanted = expected.displacement(time, [dof])[:, 0]
-    np.testing.assert_allclose(corner, wanted, atol=1e-12 * np.abs(wanted).max())
 
 
 @pytest.mark.parametrize("law", ["unilateral", "smoothed"])
@@ -158,14 +127,7 @@ def test_harmonics_that_nothing_damps(
     [
         ("", "none"),
         ("reduction.modes=1", "massless, 1 mode, crack faces without mass"),
-        (
-            "damping.modes=7 reduction.method=massless",
-            "massless, 7 modes, crack faces without mass",
-        ),
-        ("mesh.columns=8", "massless, 50 modes, crack faces without mass"),
         ("reduction.method=free_interface", "free_interface, 50 modes"),
-        ("mesh.columns=8 crack=none contact=none", "free_interface, 50 modes"),
-        ("mesh.columns=4 reduction.method=off", "none"),
     ],
 )
 def test_check_says_how_it_is_solved(
@@ -347,13 +309,6 @@ def test_one_rank_prints_before_a_command_runs(tmp_path: Path, words: list[str])
     said = done.stdout + done.stderr
     assert said.count("usage: fenics-crack") + said.count(f"fenics-crack {fc.__version__}") == 1
     assert (done.returncode == 0) == (words != ["nothing"])
-
-
-def test_is_installed_as_a_program() -> None:
-    """pyproject.toml names the function that the tests call."""
-    scripts = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]
-    module, function = scripts["fenics-crack"].split(":")
-    assert getattr(importlib.import_module(module), function) is main
 
 
 @pytest.mark.mpi

@@ -22,7 +22,7 @@ from fenics_crack import ErrorReport, ResponseCurve, SweepResult
 from fenics_crack.basics.progress import StageLines
 from fenics_crack.basics.tables import Table
 from fenics_crack.cli import pictures
-from fenics_crack.cli.account import DECIDES, of_error, of_more_modes, of_stability
+from fenics_crack.cli.account import DECIDES, of_error, of_stability
 from fenics_crack.cli.results import _undecided_stretches, few_special_points
 from fenics_crack.cli.studies import few_cases, stepped_over, warnings_of
 from fenics_crack.draw import plot
@@ -101,27 +101,6 @@ def test_undecided_orbit(scene: fc.Scene) -> None:
     assert text.endswith("orbit is undecided (no exact orbit was found next to it)")
     [text] = of_stability(scene.replace(FIXED), run, undecided)
     assert text.endswith("; --set harmonic_balance.tolerance=1e-2 may decide it")
-
-
-def test_verdict_that_hangs_on_modes_left_out() -> None:
-    """A stiff crack that hardly loses energy: what 10 modes call stable 20 do not, by their own
-    solution, and it is said so; of a solution 1 % beside it both say the same."""
-    few = {
-        "contact.stiffness": 1e11, "reduction.method": "massless", "reduction.modes": 10,
-        "mesh.size": 0.02, "mesh.lip_elements": 4, "damping.modes": "all",
-    }  # fmt: skip
-    scene = fc.Scene.load(DEMOS / "breathing_plate.toml").replace(few)
-    study = fc.prepare(scene)
-    for omega, flips in ((4028.09, True), (3985.0, False)):
-        found = fc.solve_harmonic_balance(study.structure, omega, study.contact, harmonics=30)
-        verdict = fc.floquet(study.structure, found).verdict
-        said = [*of_more_modes(scene, found, verdict)]
-        more = fc.prepare(scene.replace({"reduction.modes": 20})).structure
-        also = fc.solve_harmonic_balance(more, omega, study.contact, harmonics=60)
-        other = fc.floquet(more, also).verdict
-        assert {verdict, other} <= {"stable", "unstable"} and (verdict != other) == flips
-        assert len(said) == flips
-        assert all(text.startswith(f"with 20 modes the orbit is {other} (largest") for text in said)
 
 
 def curve_of(kinds: list[str], verdicts: list[str]) -> Any:

@@ -70,6 +70,8 @@ def test_integers(tmp_path: Path) -> None:
         ("matrix coordinate real general\n2 2 2\n1 1\n2 2\n", "2 numbers instead of 3"),
         ("matrix coordinate real general\n9 9 1000000000000\n1 1 1\n", "more than it can hold"),
         ("matrix array real general\n1000000 1000000\n1\n", "more than it can hold"),
+        ("matrix coordinate real general\n9 9 99999999999999999999999\n1 1 1\n", "hold"),
+        ("matrix coordinate real general\n1000000 1000000 1\n1 1 1\n", "of shape"),
         ("matrix array real symmetric\n1000000 1000000\n1\n", "more than it can hold"),
     ],
 )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -442,44 +441,6 @@ def test_of_modes_and_of_a_curve(scene: fc.Scene, run: fc.Run) -> None:
     assert "peak" in dir(curve) and "peak" not in dir(run)
     with pytest.raises(AttributeError, match="'Run' object has no attribute 'peak'"):
         run.peak()
-
-
-@pytest.mark.nightly
-@pytest.mark.usefixtures("not_drawn")
-def test_words_and_files(
-    scene: fc.Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The table, the file and the report have them; a file read again states the same."""
-    path = tmp_path / "plate.toml"
-    path.write_text(scene.as_toml())
-    where = ["--output", str(tmp_path)]
-    assert main(["solve", str(path), *where]) == 0
-    captured = capsys.readouterr()
-    assert "error [%]" in captured.out and "most by" in captured.out
-    assert re.search(
-        "solved; .* half peak-to-peak, estimated error .*; the crack opens", captured.err
-    )
-    rows = {row["name"]: row for row in json.loads((tmp_path / "solution.json").read_text())}
-    assert 1.0 < rows["amplitude"]["error [%]"] < 20.0 and rows["amplitude"]["most by"] == "mesh"
-    assert rows["over_bilinear"]["error [%]"] < 1.0 and rows["verdict"]["error [%]"] is None
-    again = fc.load_run(tmp_path / "solution.h5", MPI.COMM_SELF)
-    assert again.stated is not None and again.errors is again.stated
-    assert 100.0 * again.stated.stated("opening")[0] == pytest.approx(
-        rows["opening"]["error [%]"], rel=1e-2
-    )
-    assert main(["modes", str(path), *where]) == main(["check", str(path)]) == 0
-    printed = capsys.readouterr().out
-    assert "error [%]" in printed and "frequencies due to the mesh" in printed
-    files = [str(tmp_path / f"{name}.h5") for name in ("solution", "modes")]
-    assert main(["report", *files, *where[:1], str(tmp_path / "page.html"), "--quiet"]) == 0
-    assert "mostly due to the mesh" in (tmp_path / "page.html").read_text()
-    short = ["curve.parameter=frequency", "curve.start=825.0", "curve.stop=845.0"]
-    of_curve = [*short, "curve.stability=false"]
-    assert main(["curve", str(path), *where, *(w for s in of_curve for w in ("--set", s))]) == 0
-    told = capsys.readouterr().err
-    assert "largest response" in told and "estimated error" in told
-    assert main(["solve", str(path), *where, "--set", "mesh.error=false"]) == 0
-    assert "error due to the mesh not included: mesh.error = false" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import shutil
 from pathlib import Path
 
 import h5py
@@ -21,12 +22,18 @@ REDUCED = {
 }  # fmt: skip
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def scene(paper_scene: fc.Scene) -> fc.Scene:
     """Two frequencies, two clearances."""
     over = {"excitation.omega": [1900.0, 2000.0], "crack.clearance": [0.0, 1e-7]}
     base = paper_scene.replace({"contact.stiffness": 1e9, "damping.ratio": 0.02})
     return base.replace({"sweep.over": over})
+
+
+@pytest.fixture(scope="module")
+def whole(scene: fc.Scene, tmp_path_factory: pytest.TempPathFactory) -> SweepResult:
+    """Its sweep; not to be changed."""
+    return run_sweep(scene, tmp_path_factory.mktemp("whole") / "sweep.h5", MPI.COMM_SELF)
 
 
 def alone(case: fc.Scene) -> tuple[fc.Study, fc.PeriodicSolution]:
@@ -44,7 +51,8 @@ def alone(case: fc.Scene) -> tuple[fc.Study, fc.PeriodicSolution]:
 def test_cases_have_the_indicators_of_their_solutions(
     scene: fc.Scene, tmp_path: Path, changes: dict[str, object]
 ) -> None:
-    """Of the load's point in the load's direction, x, and of each point in both directions."""
+    """Of the load's point in the load's direction, x, and of each point in both directions; with
+    the verdict, and the multiplier to rounding."""
     scene = scene.replace(changes | {"output.points": {"corner": (0.1, 0.1), "side": (0.1, 0.05)}})
     result = run_sweep(scene, tmp_path / "sweep.h5", MPI.COMM_SELF)
     assert result.converged.all()
@@ -61,36 +69,21 @@ def test_cases_have_the_indicators_of_their_solutions(
     for name in names:
         load = result["response" if name == "amplitude" else name]
         np.testing.assert_allclose(load, result[f"corner.ux.{name}"], rtol=1e-9)
-    known = fc.bilinear_frequencies(study.structure)
+    known, stability = (
+        fc.bilinear_frequencies(study.structure),
+        fc.floquet(study.structure, solution),
+    )
     np.testing.assert_allclose(result["omega_tied"], known.omega_tied[0], rtol=1e-9)
     breathing = [result[f"omega_bilinear_{mode}"][1, 1] for mode in (1, 2, 3)]
     np.testing.assert_allclose(breathing, known.omega_bilinear[:3], rtol=1e-9)
     np.testing.assert_allclose(result["over_open"][1], 2000.0 / known.omega_open[0], rtol=1e-9)
     np.testing.assert_allclose(result["closed_share"][1, 1], found.closed_share, atol=2e-3)
+    assert result["verdict"][1, 1] == stability.verdict
+    assert result["multiplier"][1, 1] == pytest.approx(abs(stability.multipliers[0]), rel=1e-6)
 
 
-@pytest.mark.parametrize("changes", [{}, REDUCED], ids=["whole", "massless"])
-def test_cases_are_judged_as_single_solutions(
-    scene: fc.Scene, tmp_path: Path, changes: dict[str, object]
-) -> None:
-    """Verdict, and multiplier to rounding; by their waves, cases of the whole plate would have
-    others."""
-    over = {"excitation.omega": [1500.0, 1750.0, 2500.0]}
-    scene = scene.replace(
-        {"sweep.over": over, "damping.ratio": 0.01, "harmonic_balance.harmonics": 5} | changes
-    )
-    result = run_sweep(scene, tmp_path / "sweep.h5", MPI.COMM_SELF)
-    for place, omega in enumerate(over["excitation.omega"]):
-        study, solution = alone(scene.replace({"excitation.omega": omega}))
-        stability = fc.floquet(study.structure, solution)
-        assert result["verdict"][place] == stability.verdict
-        largest = abs(stability.multipliers[0])
-        assert result["multiplier"][place] == pytest.approx(largest, rel=1e-6)
-
-
-def test_without_verdicts(scene: fc.Scene, tmp_path: Path) -> None:
+def test_without_verdicts(whole: SweepResult, scene: fc.Scene, tmp_path: Path) -> None:
     """All else is the same, to the bit; a file keeps the verdicts that it has."""
-    whole = run_sweep(scene, tmp_path / "whole.h5", MPI.COMM_SELF)
     plain = run_sweep(scene, tmp_path / "plain.h5", MPI.COMM_SELF, verdicts=False)
     assert np.all(whole["verdict"] != "") and np.all(plain["verdict"] == "")
     assert np.all(np.isnan(plain["multiplier"])) and not plain.not_stable.any()
@@ -98,7 +91,7 @@ def test_without_verdicts(scene: fc.Scene, tmp_path: Path) -> None:
     assert all(one.startswith(other) for one, other in told)
     for name in set(whole.columns) - {"verdict", "multiplier", "seconds", "status"}:
         np.testing.assert_array_equal(plain[name], whole[name], err_msg=name)
-    again = run_sweep(scene, tmp_path / "whole.h5", MPI.COMM_SELF, verdicts=False)
+    again = run_sweep(scene, whole.path, MPI.COMM_SELF, verdicts=False)
     np.testing.assert_array_equal(again["multiplier"], whole["multiplier"])
 
 
@@ -114,9 +107,8 @@ def test_a_reduction_that_is_not_judged(scene: fc.Scene, tmp_path: Path) -> None
         np.testing.assert_allclose(plain[name], judged[name], rtol=1e-6, err_msg=name)
 
 
-def test_natural_frequencies_alone(scene: fc.Scene, tmp_path: Path) -> None:
+def test_natural_frequencies_alone(whole: SweepResult, scene: fc.Scene, tmp_path: Path) -> None:
     """At some places of the last axis nothing else is found; elsewhere all is the same."""
-    whole = run_sweep(scene, tmp_path / "whole.h5", MPI.COMM_SELF, verdicts=False)
     path, how = tmp_path / "part.h5", {"verdicts": False, "natural": [1]}
     part = run_sweep(scene, path, MPI.COMM_SELF, **how)  # type: ignore[arg-type]
     assert np.all(part["status"][:, 1] == "natural frequencies alone")
@@ -143,10 +135,11 @@ def test_cases_of_a_file_are_asked_alike(scene: fc.Scene, tmp_path: Path) -> Non
     assert again.complete and np.all(again["verdict"] == whole["verdict"])
 
 
-def test_a_case_with_longer_words_is_written_again(scene: fc.Scene, tmp_path: Path) -> None:
+def test_a_case_with_longer_words_is_written_again(
+    whole: SweepResult, scene: fc.Scene, tmp_path: Path
+) -> None:
     """Nothing of them is left behind the new ones, with which no checksum would agree."""
-    path = tmp_path / "sweep.h5"
-    whole = run_sweep(scene, path, MPI.COMM_SELF)
+    path = shutil.copy(whole.path, tmp_path)
     with h5py.File(path, "r+") as file:
         file["status"][0] = b"x" * 100
     again = run_sweep(scene, path, MPI.COMM_SELF)
@@ -170,28 +163,24 @@ def test_names_words_and_units(scene: fc.Scene, tmp_path: Path) -> None:
         result.table().columns
     )
     with h5py.File(path, "r") as file:
-        assert file["tip.uy.amplitude"].attrs["unit"] == "m"
-        assert file["omega_bilinear"].attrs["unit"] == "rad/s"
+        units = {name: file[name].attrs["unit"] for name in ("tip.uy.amplitude", "omega_bilinear")}
+        assert units == {"tip.uy.amplitude": "m", "omega_bilinear": "rad/s"}
         assert file["tip.uy.ratio_2_1"].attrs["about"] == "harmonic ratio 2/1"
         assert "a0, a1, b1" in file["gap"].attrs["about"]
         assert file["tip.uy.ratio_2_1"].shape == (2, 2)
-    again = run_sweep(scene, path, MPI.COMM_SELF)
-    np.testing.assert_array_equal(again["tip.ux.amplitude"], result["tip.ux.amplitude"])
 
 
-def test_default_quantities(scene: fc.Scene, tmp_path: Path) -> None:
+def test_default_quantities(whole: SweepResult) -> None:
     """Those of the load's point and of the lips."""
-    result = run_sweep(scene, tmp_path / "sweep.h5", MPI.COMM_SELF)
-    assert list(result.quantities) == [
+    assert list(whole.quantities) == [
         "response", "ratio_2_1", "ratio_3_1", "mean_shift", "opening", "closed_share"
     ]  # fmt: skip
-    assert result.quantities["response"] == ("half peak-to-peak at the load's point", "m")
+    assert whole.quantities["response"] == ("half peak-to-peak at the load's point", "m")
 
 
-def test_file_of_an_older_version(scene: fc.Scene, tmp_path: Path) -> None:
+def test_file_of_an_older_version(whole: SweepResult, tmp_path: Path) -> None:
     """A file that lost a column is not read: its cases are no longer what was written."""
-    path = tmp_path / "sweep.h5"
-    run_sweep(scene, path, MPI.COMM_SELF, verdicts=False)
+    path = Path(shutil.copy(whole.path, tmp_path))
     with changed(path) as opened:
         del opened["ratio_2_1"]
     with pytest.raises(fc.InputError, match="cases are damaged"):
@@ -206,6 +195,7 @@ def test_verdicts_that_hang_on_modes_left_out(
     coarse = {
         "mesh.size": 0.02, "mesh.lip_elements": 4, "crack.length": 0.05, "reduction.modes": 8,
         "curve": None, "sweep.over": {"excitation.omega": [9050.0, 9150.0]},
+        "mesh.error": False, "contact.friction_error": False,
     }  # fmt: skip
     scene = fc.Scene.load(ROOT / "benchmarks" / "plate.toml").replace(coarse)
     (tmp_path / "plate.toml").write_text(scene.as_toml(), encoding="utf-8")
@@ -222,3 +212,6 @@ def test_verdicts_that_hang_on_modes_left_out(
     assert f"{told}9050.0: {said}; raise reduction.modes" in capsys.readouterr().err
     for asked in ({"verdicts": False}, {"judged": False}):
         assert not run_sweep(scene, comm=MPI.COMM_SELF, **asked).contradicted
+    alone = ["--set", "excitation.omega=9050.0", "--set", "sweep=none"]
+    assert main(["solve", str(tmp_path / "plate.toml"), *out, *alone]) == 4  # its error is large
+    assert said in capsys.readouterr().err

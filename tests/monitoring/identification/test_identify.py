@@ -5,11 +5,7 @@ from __future__ import annotations
 import fcntl
 import html
 import json
-import os
 import re
-import subprocess
-import sys
-import time
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import cache
@@ -17,9 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import MPI_ENVIRONMENT, ROOT
 from mpi4py import MPI
-from ranks import HELD, LIMIT, kill
 from scipy.special import chdtri
 from surroundings import main
 from test_responses import file_of as universal_file
@@ -123,9 +117,6 @@ def test_cracks_are_found(scene: fc.Scene, folder: Path) -> None:
         assert found.estimate["crack.length"] == pytest.approx(length, abs=0.03 * 0.1)
         assert found.estimate["crack.height"] == pytest.approx(height, abs=0.05 * 0.2)
         held += found.contains(truth)
-        worth = found.where_to_measure()
-        assert np.all(np.diff(worth.information) <= 0.0) and worth.information[0] > 0.0
-        assert np.all(worth.deviations["crack.length"] <= worth.now["crack.length"] * 1.000001)
     assert held >= 2
 
 
@@ -786,60 +777,6 @@ def test_arrivals_from_the_shell(
     assert len(table) == 10 and float(table[1].split(",")[1]) == -value
 
 
-KILLED = """
-import os, sys
-import fenics_crack as fc
-from mpi4py import MPI
-folder = Path(sys.argv[1])
-(folder / f"pid{MPI.COMM_WORLD.rank}").write_text(str(os.getpid()))
-scene = fc.Scene.load(folder / "plate.toml")
-fc.identify(scene, folder / "m.csv", folder=folder)
-"""
-
-
-@pytest.mark.nightly
-def test_killed_sweep_goes_on(
-    scene: fc.Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """kill -9 of both ranks: what was solved stays as it is, the rest is added."""
-    measured(scene, {"crack.length": 0.015}, 1).to_csv(tmp_path / "m.csv")
-    lengths = {"crack.length": np.linspace(0.008, 0.026, 10).tolist()}
-    plain = scene.replace(EXACT | {"identify.unknown": lengths})
-    (tmp_path / "plate.toml").write_text(plain.as_toml())
-    (tmp_path / "run.py").write_text(HELD.format(cases=3, go="never") + KILLED)
-    words = ["mpirun", "-n", "2", sys.executable, str(tmp_path / "run.py"), str(tmp_path)]
-    started = subprocess.Popen(
-        words, env=os.environ | MPI_ENVIRONMENT | {"PYTHONPATH": str(ROOT)},
-        stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
-    deadline = time.monotonic() + LIMIT
-    done = 0
-    while done < 3:
-        assert time.monotonic() < deadline and started.poll() is None
-        time.sleep(0.01)
-        for path in tmp_path.glob("forward_[0-9a-f]*.h5"):
-            done = int(np.count_nonzero(SweepResult.load(path)["state"]))
-    pids = [int(path.read_text()) for path in tmp_path.glob("pid*")]
-    kill(started, pids)
-    [path] = tmp_path.glob("forward_[0-9a-f]*.h5")
-    before = SweepResult.load(path)
-    assert not before.complete and len(pids) == 2
-    scene = fc.Scene.load(tmp_path / "plate.toml")
-    found = fc.identify(scene, tmp_path / "m.csv", folder=tmp_path)
-    after = SweepResult.load(path)
-    kept = before["state"] > 0
-    assert after.complete and kept.sum() >= 3
-    np.testing.assert_array_equal(after["seconds"][kept], before["seconds"][kept])
-    assert found.estimate["crack.length"] == pytest.approx(0.015, abs=0.003)
-
-    def solve(*_: object) -> None:
-        raise AssertionError("all cases are there")
-
-    monkeypatch.setattr("fenics_crack.sweep.case.Cases.solve", solve)
-    again = fc.identify(scene, tmp_path / "m.csv", folder=tmp_path)
-    assert again.estimate == found.estimate
-
-
 def command_of_one_unknown(folder: Path) -> list[str]:
     """The words of a command for one unknown and a frequency; its results are in "out"."""
     few = {"crack.length": [0.01, 0.018, 0.026, 0.034]}
@@ -873,27 +810,18 @@ def test_up_to_which_length_there_may_be_a_crack(
 
 @pytest.mark.nightly
 def test_beside_other_results(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A report of all files in its folder leaves out the sweeps that were made for it, and has what
-    was inferred; alone, too, and not without the files beside it."""
+    """A report has what was inferred; it is refused without the picture beside its file."""
     assert main(command_of_one_unknown(tmp_path)) == 0
-    files = sorted(map(str, (tmp_path / "out").glob("*.h5")))
-    [own] = [name for name in files if name.endswith("identify.h5")]
-    page = tmp_path / "page.html"
-    capsys.readouterr()
-    assert len(files) == 4 and main(["report", *files, "--output", str(page)]) == 0
-    first, left = capsys.readouterr().err.splitlines()
-    assert first == str(page) and left.startswith("left out, as parts of other results: ")
-    text = page.read_text("utf-8")
-    assert "Sweep" not in text and left.count(".h5") == 3
-    found = json.loads(Path(own).with_suffix(".json").read_text("utf-8"))
+    own, page = tmp_path / "out" / "identify.h5", tmp_path / "page.html"
+    picture = own.with_name("posterior.png")
+    before = picture.read_bytes()
+    report = ["report", str(own), "--output", str(page)]
+    assert main(report) == main(["plot", str(own)]) == 0 and picture.read_bytes() == before
+    found = json.loads(own.with_suffix(".json").read_text("utf-8"))
     said = [found["reason"], *found["remarks"], *found["warnings"], *found["advice"]]
     said += [str(row[0]) for row in found["measurements"]] + list(found["priors"])
-    assert said and all(one[1:] in html.unescape(text) for one in said)
-    picture = Path(own).with_name("posterior.png")
-    before = picture.read_bytes()
-    assert main(["report", own, "--output", str(page)]) == 0 and main(["plot", own]) == 0
-    assert picture.read_bytes() == before
-    assert main(["plot", own, "--pictures", "pdf"]) == 2  # which identify has not drawn
+    assert said and all(one[1:] in html.unescape(page.read_text("utf-8")) for one in said)
+    assert main(["plot", str(own), "--pictures", "pdf"]) == 2  # which identify has not drawn
     for beside in ("link", "text", "nothing"):
         picture.unlink(missing_ok=True)
         if beside == "link":  # of somebody else's folder, to any picture of mine
@@ -901,14 +829,10 @@ def test_beside_other_results(tmp_path: Path, capsys: pytest.CaptureFixture[str]
             picture.symlink_to(tmp_path / "mine.png")
         elif beside == "text":
             picture.write_text("no picture")
-        _assert_refused(own, capsys)
-
-
-def _assert_refused(own: str, capsys: pytest.CaptureFixture[str]) -> None:
-    for command in ("plot", "report"):
-        capsys.readouterr()
-        assert main([command, own]) == 2
-        assert "must be with posterior.png in its folder" in capsys.readouterr().err
+        for command in (["plot", str(own)], report):
+            capsys.readouterr()
+            assert main(command) == 2
+            assert "must be with posterior.png in its folder" in capsys.readouterr().err
 
 
 def test_crack_from_frequency_responses(
