@@ -16,14 +16,14 @@ import importlib
 import subprocess
 import zlib
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from random import Random
 from typing import TYPE_CHECKING, Any
 
 import pytest
 from ranks import LIMIT, Ranks, command, environment
-from surroundings import DEMOS
+from surroundings import DEMOS, RunCommand, main
 
 import fenics_crack as fc
 
@@ -238,6 +238,22 @@ def light_lips(paper_scene: Scene) -> Structure:
 def breathing_plate() -> Structure:
     """The plate of demos/breathing_plate.toml: about 4000 dofs, 18 pairs."""
     return fc.build_structure(fc.Scene.load(DEMOS / "breathing_plate.toml"))
+
+
+@pytest.fixture
+def run_command(capsys: pytest.CaptureFixture[str]) -> RunCommand:
+    """Run a command in this process; return its ``out`` and ``err``.
+
+    Its keys are changed by ``sets``, and it ends with ``code``.
+    """
+
+    def run(*words: object, sets: Iterable[str] = (), code: int = 0) -> Any:
+        capsys.readouterr()
+        changes = (word for change in sets for word in ("--set", change))
+        assert main([*map(str, words), *changes]) == code
+        return capsys.readouterr()
+
+    return run
 
 
 @pytest.fixture

@@ -7,12 +7,16 @@ import atexit
 import os
 import shutil
 import tempfile
+from collections.abc import Callable
 from importlib.metadata import entry_points
 from pathlib import Path
+from typing import Any
 
 [PROGRAM] = entry_points(group="console_scripts", name="fenics-crack")
 main = PROGRAM.load()
 """The program, as it is installed."""
+RunCommand = Callable[..., Any]
+"""The fixture ``run_command``: words of a command, and the exit code expected, to what it says."""
 ROOT = Path(__file__).parents[1]
 DEMOS = ROOT / "demos"
 OF_MPIRUN = tempfile.mkdtemp(prefix="mpirun")

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 from helpers import DEMOS, ROOT
-from surroundings import main
+from surroundings import RunCommand
 from test_any_input import TINY
 
 from fenics_crack import Scene
@@ -320,7 +320,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.mark.parametrize(("line", "message"), TABLE, ids=[line[:60] for line, _ in TABLE])
 def test_bad_input_is_one_line(
-    line: str, message: str, folder: Path, capsys: pytest.CaptureFixture[str]
+    line: str, message: str, folder: Path, run_command: RunCommand
 ) -> None:
     """Exit code 2, and what was found and what may stand there on standard error."""
     for name, listed in LISTS.items():
@@ -328,8 +328,7 @@ def test_bad_input_is_one_line(
     arguments: list[str] = []
     for word in line.split():
         arguments += ["--set", word] if "=" in word or word in SETTINGS else [word]
-    assert main(arguments) == 2
-    read = capsys.readouterr()
+    read = run_command(*arguments, code=2)
     written = list(Path("output").glob("*/*"))
     assert not read.out and (not written or line.startswith("timing"))  # which writes arrivals
     said, _, _ = (errors := read.err).partition("for example:")

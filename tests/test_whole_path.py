@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from helpers import few_frames
-from surroundings import ROOT, main
+from surroundings import ROOT, RunCommand, main
 
 import fenics_crack as fc
 
@@ -39,15 +39,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 @pytest.fixture
-def ask(folder: Path, capsys: pytest.CaptureFixture[str]) -> object:
+def ask(folder: Path, run_command: RunCommand, capsys: pytest.CaptureFixture[str]) -> object:
     """Run a command on the coarse plate, and return what it printed."""
 
     def asked(command: str, *changes: str, output: str = "output/plate") -> str:
         capsys.readouterr()
         words = [word for change in (*COARSE, *changes) for word in ("--set", change)]
         places = [] if command.startswith("check") else ["--output", output]
-        assert main([*command.split(), "plate.toml", *words, *places]) == 0
-        return capsys.readouterr().out
+        return run_command(*command.split(), "plate.toml", *words, *places).out
 
     return asked
 

@@ -7,16 +7,15 @@ import judged
 import numpy as np
 import pytest
 from judged import NEW
-from surroundings import main
+from surroundings import RunCommand, main
 
 import fenics_crack as fc
 
 
-def test_solution(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_solution(tmp_path: Path, run_command: RunCommand) -> None:
     """Solved to the tolerance of the scene; what is printed, written and read again is one answer,
     and next to its exact orbit."""
-    assert main(["solve", str(NEW), "--output", str(tmp_path)]) == 0
-    printed = capsys.readouterr().out
+    printed = run_command("solve", NEW, "--output", tmp_path).out
     written = json.loads((tmp_path / "solution.json").read_text())
     run = fc.load_run(tmp_path / "solution.h5")
     found = run.result
@@ -56,12 +55,11 @@ def test_curve(tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_exit_codes(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], change: str, code: int, words: str
+    tmp_path: Path, run_command: RunCommand, change: str, code: int, words: str
 ) -> None:
     """2 with the key that is wrong, 4 where the tolerance was not reached."""
     given = ["--set", change, "--set", "mesh.lip_elements=2", "--set", "reduction.modes=5"]
     if "harmonics" in change.split("=")[0].split(".")[1]:
         given += ["--set", "harmonic_balance.tolerance=none"]
-    assert main(["solve", str(NEW), "--output", str(tmp_path), *given]) == code
-    captured = capsys.readouterr()
+    captured = run_command("solve", NEW, "--output", tmp_path, *given, code=code)
     assert words in captured.err + captured.out

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from helpers import MPI_ENVIRONMENT, ROOT
 from ranks import HELD, LIMIT
-from surroundings import main
+from surroundings import RunCommand, main
 
 import fenics_crack as fc
 
@@ -64,15 +64,13 @@ def test_other_laws_read_back(tmp_path: Path, law: str) -> None:
     assert read.result.contact_force(time).max() > 1.0
 
 
-def test_uncracked_plate(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_uncracked_plate(tmp_path: Path, run_command: RunCommand) -> None:
     """Solved linearly, with no word about contact; a curve of it is refused."""
     scene = str(ROOT / "demos" / "paper_plate.toml")
     whole = ["--set", "crack=none", "--set", "contact=none", "--output", str(tmp_path)]
-    assert main(["solve", scene, *whole]) == 0
-    assert "opening" not in capsys.readouterr().out
+    assert "opening" not in run_command("solve", scene, *whole).out
     assert main(["plot", str(tmp_path / "solution.h5")]) == 0
-    assert main(["integrate", scene, *whole]) == 2
-    assert "crack" in capsys.readouterr().err
+    assert "crack" in run_command("integrate", scene, *whole, code=2).err
 
 
 FREE = "reduction.method=free_interface"
@@ -107,19 +105,17 @@ QUIET = {line.split()[0]: line for line, expected in reversed(REMARKS) if expect
 @pytest.mark.drawn(4)
 @pytest.mark.parametrize(("line", "expected"), REMARKS, ids=[line for line, _ in REMARKS])
 def test_harmonics_that_nothing_damps(
-    line: str, expected: str, tmp_path: Path, capsys: pytest.CaptureFixture
+    line: str, expected: str, tmp_path: Path, run_command: RunCommand
 ) -> None:
     """One line where they are reached, and none where all is damped; none by --quiet."""
     command, *changes = line.split()
     words = [command, str(PAPER), *(() if command == "check" else ("--output", str(tmp_path)))]
     for change in ("contact.stiffness=1e9", "damping.ratio=0.01", *changes):
         words += ["--set", change]
-    assert main(words) == 0
-    said = [row for row in capsys.readouterr().err.splitlines() if "H w =" in row]
+    said = [row for row in run_command(*words).err.splitlines() if "H w =" in row]
     assert len(said) == bool(expected) and expected in "".join(said)
     if line in QUIET:
-        assert main([*words, "--quiet"]) == 0
-        assert "H w =" not in capsys.readouterr().err
+        assert "H w =" not in run_command(*words, "--quiet").err
 
 
 @pytest.mark.parametrize(
@@ -130,17 +126,17 @@ def test_harmonics_that_nothing_damps(
         ("reduction.method=free_interface", "free_interface, 50 modes"),
     ],
 )
-def test_check_says_how_it_is_solved(
-    changes: str, expected: str, capsys: pytest.CaptureFixture
-) -> None:
+def test_check_says_how_it_is_solved(changes: str, expected: str, run_command: RunCommand) -> None:
     """As it is, or in what is left after its reduction."""
     words = (word for change in changes.split() for word in ("--set", change))
-    assert main(["check", str(PAPER), "--format", "json", *words]) == 0
-    rows = {row["what"]: row["value"] for row in json.loads(capsys.readouterr().out)}
+    rows = {
+        row["what"]: row["value"]
+        for row in json.loads(run_command("check", PAPER, "--format", "json", *words).out)
+    }
     assert rows["reduction"] == expected
 
 
-def test_new_scene(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_new_scene(tmp_path: Path, run_command: RunCommand) -> None:
     """Without penetration, of lips without mass; marched by exponential steps."""
     path = tmp_path / "plate.toml"
     assert main(["new", str(path)]) == 0
@@ -150,13 +146,12 @@ def test_new_scene(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     run = fc.integrate(scene.replace({"mesh.size": 0.03, "mesh.lip_elements": 6}))
     assert isinstance(run.structure, fc.MasslessStructure) and run.structure.n_modes == 50
     assert run.result.settled <= 1e-3 and run.result.gap.max() < 1e-18
-    assert main(["check", str(path), *COARSE]) == 0
-    assert "crack faces without mass" in capsys.readouterr().out
+    assert "crack faces without mass" in run_command("check", path, *COARSE).out
 
 
 @pytest.mark.parametrize("kind", [[], ["--blade"]])
 def test_check_proposes_a_curve_through_the_resonance(
-    kind: list[str], tmp_path: Path, capsys: pytest.CaptureFixture
+    kind: list[str], tmp_path: Path, run_command: RunCommand, capsys: pytest.CaptureFixture
 ) -> None:
     """Of a shorter plate, whose resonance the template's range does not hold, and without a curve;
     in the scene's unit, around the resonance. Once it is copied nothing is proposed."""
@@ -171,8 +166,7 @@ def test_check_proposes_a_curve_through_the_resonance(
     def checked(*changes: str) -> tuple[dict[str, Any], str]:
         capsys.readouterr()
         words = [word for change in (*other, *changes) for word in ("--set", change)]
-        assert main(["check", path, "--format", "json", *words]) == 0
-        said = capsys.readouterr()
+        said = run_command("check", path, "--format", "json", *words)
         return {row["what"]: row["value"] for row in json.loads(said.out)}, said.err
 
     rows, told = checked("curve.start=2900" if kind else "curve.start=780")
@@ -200,10 +194,9 @@ def test_the_sweep_of_a_new_scene_meets_its_tolerance(kind: list[str], tmp_path:
     assert found.errors.sum(axis=0).max() < found.scene.given("harmonic_balance").tolerance
 
 
-def test_new_scene_of_a_name_too_long(capsys: pytest.CaptureFixture) -> None:
+def test_new_scene_of_a_name_too_long(run_command: RunCommand) -> None:
     """One line, of bad input."""
-    assert main(["new", 300 * "a"]) == 2
-    assert "File name too long" in capsys.readouterr().err
+    assert "File name too long" in run_command("new", 300 * "a", code=2).err
 
 
 def test_nothing_else_is_printed(tmp_path: Path) -> None:
@@ -246,13 +239,14 @@ def test_one_process_looks_for_no_network(
     assert done.stdout.split("\n")[:2] == [f"pml = {told[0]}", f"then {told[1]}"]
 
 
-def test_new_scene_resonates_as_it_breathes(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_new_scene_resonates_as_it_breathes(tmp_path: Path, run_command: RunCommand) -> None:
     """Half of each period open, half closed: within 1 % of 2 f_open f_tied / (f_open + f_tied)."""
     path = tmp_path / "plate.toml"
-    assert main(["new", str(path), "--quiet"]) == 0
-    capsys.readouterr()
-    assert main(["check", str(path), *COARSE, "--format", "json"]) == 0
-    rows = {row["what"]: row["value"] for row in json.loads(capsys.readouterr().out)}
+    run_command("new", path, "--quiet")
+    rows = {
+        row["what"]: row["value"]
+        for row in json.loads(run_command("check", path, *COARSE, "--format", "json").out)
+    }
     first = "first natural frequency, crack faces {} [Hz]"
     opened, tied = (rows[first.format(state)] for state in ("open", "bonded"))
     breathing = 2.0 * opened * tied / (opened + tied)
@@ -274,15 +268,16 @@ def test_new_scene_resonates_as_it_breathes(tmp_path: Path, capsys: pytest.Captu
     assert opened < float(highest["frequency [Hz]"]) < tied
 
 
-def test_not_converged_says_so(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_not_converged_says_so(tmp_path: Path, run_command: RunCommand) -> None:
     """Exit code 3 where a motion has not settled; the files are there."""
     words = ["integrate", str(ROOT / "demos" / "paper_plate.toml"), "--output", str(tmp_path),
              "--set", "integration.periods=2", "--set", "integration.method=events"]  # fmt: skip
-    assert main(words) == 3
-    assert "not settled" in capsys.readouterr().err
+    assert "not settled" in run_command(*words, code=3).err
     assert (tmp_path / "integration.h5").exists()
-    assert main([*words, "--set", "integration.periods=1"]) == 3
-    assert "1 of 1 periods: one period shows no change" in capsys.readouterr().err
+    assert (
+        "1 of 1 periods: one period shows no change"
+        in run_command(*words, "--set", "integration.periods=1", code=3).err
+    )
 
 
 def test_help_and_version(capsys: pytest.CaptureFixture) -> None:
@@ -380,13 +375,12 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize(("stop", "at_end"), [(12.0, False), (8.5, True)])
 def test_a_largest_response_is_one_peak_or_still_rising(
-    stop: float, at_end: bool, tmp_path: Path, capsys: pytest.CaptureFixture
+    stop: float, at_end: bool, tmp_path: Path, run_command: RunCommand
 ) -> None:
     """The table, the sentence, the page and Python have the same place and size of a peak; what is
     largest at the end of the range, which a resonance lies beyond, is none."""
     chain = ["curve", str(ROOT / "demos" / "chain.toml"), "--set", f"curve.stop={stop}"]
-    assert main([*chain, "--output", str(tmp_path)]) == 0
-    said, run = capsys.readouterr().err, fc.load_run(tmp_path / "curve.h5")
+    said, run = run_command(*chain, "--output", tmp_path).err, fc.load_run(tmp_path / "curve.h5")
     peak = run.peak()
     assert peak.at_end == at_end
     points = {row["point"]: row for row in json.loads((tmp_path / "curve.json").read_text())}

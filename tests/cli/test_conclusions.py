@@ -12,7 +12,7 @@ from helpers import DEMOS
 from mpi4py import MPI
 from ranks import run_program
 from scipy import io, sparse
-from surroundings import main
+from surroundings import RunCommand, main
 
 import fenics_crack as fc
 from fenics_crack.basics.tables import error_in_words
@@ -147,15 +147,14 @@ def test_a_crack_that_a_mean_load_holds_open(tmp_path: Path) -> None:
 
 
 def test_no_error_is_asked_for(
-    paper_scene: fc.Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    paper_scene: fc.Scene, tmp_path: Path, run_command: RunCommand
 ) -> None:
     """error = false: plain harmonic balance, neither error nor stability, in Python and in the
     program; with a tolerance it is refused."""
     scene = paper_scene.replace({"contact.stiffness": 1e9})
     path = tmp_path / "plate.toml"
     path.write_text(scene.replace({"harmonic_balance.error": False}).as_toml())
-    assert main(["solve", str(path), "--output", str(tmp_path / "out")]) == 0
-    out, err = capsys.readouterr()
+    out, err = run_command("solve", path, "--output", tmp_path / "out")
     assert "error [%]" not in out and "verdict" not in out
     closing = err.strip().splitlines()[-1]
     assert "its error is not estimated (harmonic_balance.error = false)" in closing

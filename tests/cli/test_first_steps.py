@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import ROOT
-from surroundings import main
+from surroundings import RunCommand, main
 
 import fenics_crack as fc
 from fenics_crack.cli.given import changes as cli_changes
@@ -63,23 +63,23 @@ def test_every_command_runs_on_what_new_wrote(here: Path) -> None:
 
 
 @pytest.mark.nightly
-def test_the_crack_of_the_sample_is_found(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_crack_of_the_sample_is_found(here: Path, run_command: RunCommand) -> None:
     """From the measurements that new wrote."""
     assert main(["new", "plain.toml", "--identify", "--quiet"]) == 0
     coarse = sets("mesh.size=0.04", "mesh.lip_elements=3", "identify.finer=1.0")
-    capsys.readouterr()
-    assert main(["identify", "plain.toml", "plain_measured.csv", *coarse, "--quiet"]) == 0
-    *_, row = capsys.readouterr().out.splitlines()
+    *_, row = run_command(
+        "identify", "plain.toml", "plain_measured.csv", *coarse, "--quiet"
+    ).out.splitlines()
     assert float(row.split()[1]) == pytest.approx(0.025, rel=0.05)
 
 
 @pytest.mark.nightly
-def test_commands_run_on_the_solid_that_new_wrote(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_commands_run_on_the_solid_that_new_wrote(here: Path, run_command: RunCommand) -> None:
     """The commands of a plate, with pictures and a report; its first mode is the flap."""
-    assert main(["new", "own.toml", "--solid", "--blade"]) == 2
-    assert "--solid = 'with --blade'" in capsys.readouterr().err
+    assert (
+        "--solid = 'with --blade'"
+        in run_command("new", "own.toml", "--solid", "--blade", code=2).err
+    )
     assert main(["new", "own.toml", "--solid", "--quiet"]) == 0
     few = ["sweep.over={'crack.depth' = [0.002, 0.003]}", "curve.stop=604.0", "mesh.size=0.015"]
     few += ["mesh.lip_elements=1", "reduction.modes=6"]
@@ -102,16 +102,15 @@ def test_commands_run_on_the_solid_that_new_wrote(
     ("command", "gone"),
     [("timing", "tip_timing"), ("campbell", "rotation"), ("curve", "curve"), ("sweep", "sweep")],
 )
-def test_lines_to_paste(
-    command: str, gone: str, here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_lines_to_paste(command: str, gone: str, here: Path, run_command: RunCommand) -> None:
     """The error shows a table; put behind the scene it does."""
     assert main(["new", "own.toml", "--quiet"]) == 0
     parts = Path("own.toml").read_text().split("\n\n")
     text = "\n\n".join(part for part in parts if not part.startswith(f"[{gone}"))
     Path("own.toml").write_text(text)
-    assert main([command, "own.toml", "--quiet"]) == 2
-    told, _, lines = capsys.readouterr().err.partition("for example:\n\n")
+    told, _, lines = run_command(command, "own.toml", "--quiet", code=2).err.partition(
+        "for example:\n\n"
+    )
     assert told.startswith(f"fenics-crack: {gone} is missing: ") and told.count("\n") == 1
     Path("own.toml").write_text(f"{text}\n{lines}")
     coarse = [change for change in COARSE if not change.startswith(("curve", gone))]
@@ -136,7 +135,7 @@ WRONG = {
 
 @pytest.mark.parametrize("command", ["check", "solve"])
 def test_every_wrong_key_is_shown_at_once(
-    command: str, here: Path, capsys: pytest.CaptureFixture[str]
+    command: str, here: Path, run_command: RunCommand
 ) -> None:
     """In all tables, by a line each with a proposal; Python raises the first."""
     assert main(["new", "own.toml", "--quiet"]) == 0
@@ -145,8 +144,11 @@ def test_every_wrong_key_is_shown_at_once(
         assert text.count(right) == 1, right
         text = text.replace(right, f"{wrong}  # " if "\n" not in wrong else wrong)
     Path("own.toml").write_text(text)
-    assert main([command, "own.toml"]) == 2
-    said = capsys.readouterr().err.partition("for example:\n\n[contact]")[0].splitlines()
+    said = (
+        run_command(command, "own.toml", code=2)
+        .err.partition("for example:\n\n[contact]")[0]
+        .splitlines()
+    )
     patterns = [
         "fenics-crack: " + re.escape(line).replace(r"\.\*", ".*") for _, line in WRONG.values()
     ]
@@ -158,11 +160,10 @@ def test_every_wrong_key_is_shown_at_once(
     assert f"fenics-crack: {error.value}" == said[0]
 
 
-def test_tables_to_paste_make_a_scene(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_tables_to_paste_make_a_scene(here: Path, run_command: RunCommand) -> None:
     """Of an empty file all are missing; what is shown is one that can be solved."""
     Path("own.toml").touch()
-    assert main(["check", "own.toml"]) == 2
-    said, _, lines = capsys.readouterr().err.partition("for example:\n\n")
+    said, _, lines = run_command("check", "own.toml", code=2).err.partition("for example:\n\n")
     assert said.count(" is missing: must be given: a table\n") == said.count("\n") == 5
     Path("own.toml").write_text(lines)
     assert main(["check", "own.toml", *sets("mesh.size=0.05", "mesh.error=false"), "--quiet"]) == 0
@@ -183,7 +184,7 @@ def test_tables_to_paste_make_a_scene(here: Path, capsys: pytest.CaptureFixture[
     ids=["hertz", "second", "blade"],
 )
 def test_the_curve_to_paste_is_of_this_scene(
-    kind: list[str], changes: list[str], unit: str, here: Path, capsys: pytest.CaptureFixture[str]
+    kind: list[str], changes: list[str], unit: str, here: Path, run_command: RunCommand
 ) -> None:
     """Around its resonance nearest to the load's frequency, in its unit; it runs, and has a peak
     inside."""
@@ -191,8 +192,7 @@ def test_the_curve_to_paste_is_of_this_scene(
     given = [change for change in COARSE if not change.startswith("curve")]
     scene = fc.Scene.load("own.toml").replace(cli_changes([*given, *changes, "curve=none"]))
     Path("own.toml").write_text(scene.as_toml())
-    assert main(["curve", "own.toml"]) == 2
-    said, _, lines = capsys.readouterr().err.partition("for example:\n\n")
+    said, _, lines = run_command("curve", "own.toml", code=2).err.partition("for example:\n\n")
     assert said.startswith(
         "fenics-crack: curve is missing: must be given for this command: a table"
     )
@@ -205,21 +205,21 @@ def test_the_curve_to_paste_is_of_this_scene(
     assert curve.complete and 0 < int(np.argmax(curve.amplitude())) < len(curve.omega) - 1
 
 
-def test_commands_to_paste_quote_their_paths(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_commands_to_paste_quote_their_paths(here: Path, run_command: RunCommand) -> None:
     """A shell takes each as the words of a call that runs; also those in the scene itself."""
     name = "my 'plate' $x.toml"
-    assert main(["new", name, "--identify"]) == 0
-    said = capsys.readouterr().err.splitlines()
+    said = run_command("new", name, "--identify").err.splitlines()
     assert shlex.split(said[0].partition("now: ")[2])[1:] == ["check", name]
     rows = "my 'plate' $x_measured.csv"
     assert shlex.split(said[1].partition("then: ")[2])[1:] == ["identify", name, rows]
     text = Path(name).read_text()
     assert f"check  {shlex.quote(name)} " in text
     assert f"identify {shlex.quote(name)} {shlex.quote(rows)}\n" in text
-    assert main(["modes", name, "--count", "1", *sets(*COARSE)]) == 0
-    [line] = [one for one in capsys.readouterr().err.splitlines() if "pictures: " in one]
+    [line] = [
+        one
+        for one in run_command("modes", name, "--count", "1", *sets(*COARSE)).err.splitlines()
+        if "pictures: " in one
+    ]
     program, *words = shlex.split(line.partition("pictures: ")[2])
     assert program == "fenics-crack" and main([*words, "--quiet"]) == 0
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from helpers import DEMOS, wrap
 from ranks import LIMIT
-from surroundings import main
+from surroundings import RunCommand, main
 
 import fenics_crack as fc
 from fenics_crack import ErrorReport, ResponseCurve, SweepResult
@@ -146,15 +146,14 @@ def swept(scene: fc.Scene, path: Path) -> SweepResult:
 
 
 def test_sweep_fits_on_one_screen(
-    scene: fc.Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+    scene: fc.Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run_command: RunCommand
 ) -> None:
     """31 x 6 cases in at most 40 lines of 120 columns, with the largest response of each length."""
     found = swept(scene, tmp_path / "sweep.h5")
     monkeypatch.setattr(result, "run_sweep", lambda *given, **options: found)
     path = tmp_path / "scene.toml"
     path.write_text(found.scene.as_toml())
-    assert main(["sweep", str(path), "--output", str(tmp_path)]) == 3
-    out, err = capsys.readouterr()
+    out, err = run_command("sweep", path, "--output", tmp_path, code=3)
     lines = (out + err).splitlines()
     assert sum(1 + (len(line) - 1) // 120 for line in lines) <= 40
     assert all(len(line) <= 120 for line in out.splitlines())
@@ -174,7 +173,7 @@ def test_sweep_fits_on_one_screen(
 
 @pytest.mark.nightly
 def test_sweep_of_few_modes(
-    scene: fc.Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+    scene: fc.Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run_command: RunCommand
 ) -> None:
     """Loads at natural frequencies that two modes do not have, and at one where twenty are few: the
     cases are told as solve tells the largest of them, and marked in pictures; none is whose error
@@ -187,8 +186,7 @@ def test_sweep_of_few_modes(
     at_third = ["--set", "excitation.frequency=4232.0", "--output", str(tmp_path)]
     lines = []
     for command, given, code in (("solve", at_third, 4), ("sweep", at_third[2:], 0)):
-        assert main([command, str(path), *given]) == code  # 4: the error is unknown
-        err = capsys.readouterr().err.splitlines()
+        err = run_command(command, path, *given, code=code).err.splitlines()
         lines += [line.partition("warning: ")[2] for line in err if "more modes" in line]
     where = "3 cases with an error above 5 %, the largest at modes = 2, frequency = 4232.0"
     assert "for truncated modes" in lines[0] and lines[1:] == [f"{where}: {lines[0]}"]
@@ -281,18 +279,20 @@ def test_solution_and_curve_agree(scene: fc.Scene, frequency: float) -> None:
     assert one.result.stability.verdict == many.result.verdicts[0] == "stable"
 
 
-def test_large_displacements_are_said(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_large_displacements_are_said(tmp_path: Path, run_command: RunCommand) -> None:
     """The equations are linear but for the contact, and the errors say nothing about that."""
     path = tmp_path / "plate.toml"
     assert main(["new", str(path), "--quiet"]) == 0
     path.write_text(fc.Scene.load(path).replace(COARSE).as_toml())
     for key, force, warns in (("sin", 10.0, False), ("sin", 1e6, True), ("mean", 1e6, True)):
         change = f"excitation.force_{key}=[{force}, 0.0]"
-        assert main(["solve", str(path), "--set", change, "--output", str(tmp_path / "out")]) == 0
-        assert ("beyond small displacements" in capsys.readouterr().err) == warns
+        assert (
+            "beyond small displacements"
+            in run_command("solve", path, "--set", change, "--output", tmp_path / "out").err
+        ) == warns
 
 
-def test_large_is_what_rotates(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_large_is_what_rotates(tmp_path: Path, run_command: RunCommand) -> None:
     """A slender blade that moves by 2 % of its length, half its thickness, is linear to 0.04 %; by
     20 % it is not. So says ``check`` before."""
     path = tmp_path / "blade.toml"
@@ -308,25 +308,23 @@ def test_large_is_what_rotates(tmp_path: Path, capsys: pytest.CaptureFixture) ->
         force = f"excitation.force_sin=[{unit * share * 0.1}, 0.0]"
         words = [str(path), "--set", force]
         for command in (["check", *words], ["solve", *words, "--output", str(tmp_path / "out")]):
-            assert main(command) == 0
-            assert ("beyond small displacements" in capsys.readouterr().err) == warns, command
+            assert ("beyond small displacements" in run_command(*command).err) == warns, command
 
 
 def test_errors_without_the_mesh_are_told_of_every_number(
-    tmp_path: Path, capsys: pytest.CaptureFixture
+    tmp_path: Path, run_command: RunCommand
 ) -> None:
     """Also where the amplitude is not among those that are asked for."""
     words = ["damping.ratio=0.05", "contact.stiffness=1e9", "harmonic_balance.harmonics=5"]
     words += ["output.quantities=['ratio_2_1']", "mesh.error=false"]
     chosen = [word for one in words for word in ("--set", one)]
-    assert main(["solve", str(DEMOS / "paper_plate.toml"), *chosen, "--output", str(tmp_path)]) == 0
-    told = capsys.readouterr()
+    told = run_command("solve", DEMOS / "paper_plate.toml", *chosen, "--output", tmp_path)
     assert "harmonic ratio 2/1" in told.out and "half peak-to-peak" not in told.out
     assert "error due to the mesh not included: mesh.error = false" in told.err
 
 
 @pytest.mark.nightly
-def test_a_steady_load_moves_nothing(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_a_steady_load_moves_nothing(tmp_path: Path, run_command: RunCommand) -> None:
     """Whether it opens the crack or closes it: amplitude and harmonics are 0, not rounding, and the
     file is read again, though all gaps of closed lips are rounding."""
     path, folder = tmp_path / "plate.toml", tmp_path / "out"
@@ -335,27 +333,24 @@ def test_a_steady_load_moves_nothing(tmp_path: Path, capsys: pytest.CaptureFixtu
     for force, closed in ((1400.0, 0.0), (-1400.0, 1.0)):
         mean = {"excitation.force_mean": [force, 0.0]}
         path.write_text(fc.Scene.load(path).replace(COARSE | still | mean).as_toml())
-        assert main(["solve", str(path), "--output", str(folder)]) == 0
-        told = capsys.readouterr().err
+        told = run_command("solve", path, "--output", folder).err
         assert "nothing vibrates" in told and "estimated error" not in told
         run = fc.load_run(folder / "solution.h5")
         found = run.result.indicators(run.watched_dof)
         assert found.amplitude == found.harmonic_1 == found.harmonic_2 == 0.0
         assert found.closed_share == closed and abs(found.mean) > 1e-6
         assert ("opening" in fc.solve(run.scene).errors.values) == (closed == 0.0)
-        assert main(["curve", str(path), "--output", str(folder)]) == 2
-        assert "nothing vibrates" in capsys.readouterr().err
+        assert "nothing vibrates" in run_command("curve", path, "--output", folder, code=2).err
 
 
-def test_a_motion_of_closed_lips_settles(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_a_motion_of_closed_lips_settles(tmp_path: Path, run_command: RunCommand) -> None:
     """Their gaps are rounding, of which nothing repeats: the displacement of the load does."""
     path = tmp_path / "plate.toml"
     assert main(["new", str(path), "--quiet"]) == 0
     pressed = {"excitation.force_mean": [-1400.0, 0.0], "damping.ratio": 0.02}
     path.write_text(fc.Scene.load(path).replace(COARSE | pressed).as_toml())
     asked = ["--set", 'output.quantities=["amplitude"]', "--output", str(tmp_path)]
-    assert main(["integrate", str(path), *asked]) == 0
-    told = capsys.readouterr()
+    told = run_command("integrate", path, *asked)
     assert "not settled" not in told.err and "distance from the settled motion" in told.out
     found = fc.load_run(tmp_path / "integration.h5")
     longer = {"integration.settle": 1e-10, "integration.periods": 2000}
@@ -441,7 +436,7 @@ def test_words() -> None:
 
 
 def test_a_larger_harmonic_that_is_left_out(
-    scene: fc.Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    scene: fc.Scene, tmp_path: Path, run_command: RunCommand
 ) -> None:
     """At a seventh of the resonance six harmonics call the second one the largest: the seventh of
     the exact orbit is told, and the error stated is that; with nine there is no more to tell."""
@@ -451,8 +446,7 @@ def test_a_larger_harmonic_that_is_left_out(
     for harmonics in (6, 9):
         one = scene.replace(FIXED | slow | {"harmonic_balance.harmonics": harmonics})
         (tmp_path / "plate.toml").write_text(one.as_toml())
-        assert main(words) == 0
-        shown = capsys.readouterr()
+        shown = run_command(*words)
         told.append("harmonic 7, which the solution leaves out, is the largest of" in shown.err)
         rows = {row["name"]: row for row in json.loads(shown.out)}
         orders.append(rows["largest_order"]["value"])
@@ -495,21 +489,20 @@ def test_hint_to_damp_more_modes(
     expected: bool,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture,
+    run_command: RunCommand,
 ) -> None:
     """Of an undecided orbit, where there are modes without damping."""
     undecided = fc.Stability(np.array([1.0 + 0j]), "undecided", np.nan)
     monkeypatch.setattr("fenics_crack.study.solve.floquet", lambda structure, solution: undecided)
     words = ["solve", str(PAPER), "--output", str(tmp_path), "--set", "contact.stiffness=1e9"]
     words += [word for change in changes.split() for word in ("--set", change)]
-    assert main(words) == 0
-    answer = capsys.readouterr().err
+    answer = run_command(*words).err
     assert "the stability of the orbit is undecided" in answer and f"; {DECIDES} " in answer
     assert ("or damping of all modes" in answer) == expected
 
 
 def test_an_interrupted_curve_is_beside_a_complete_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run_command: RunCommand
 ) -> None:
     """It takes its place nowhere, and the point where Ctrl-C came is no largest response."""
     (tmp_path / "curve.h5").write_bytes(b"complete")
@@ -524,8 +517,7 @@ def test_an_interrupted_curve_is_beside_a_complete_one(
     changes = ["contact.stiffness=1e9", "damping.ratio=0.02", "curve.start=2200.0",
                "curve.stop=2300.0"]  # fmt: skip
     words = ["curve", str(PAPER), "--verbose", "--output", str(tmp_path)]
-    assert main([*words, *(word for change in changes for word in ("--set", change))]) == 3
-    said = capsys.readouterr()
+    said = run_command(*words, *(word for change in changes for word in ("--set", change)), code=3)
     assert (tmp_path / "curve.h5").read_bytes() == b"complete"
     assert not fc.load_run(tmp_path / "curve_interrupted.h5").result.complete
     assert "largest so far" in said.out and "grows up to where the curve ended" in said.err
@@ -534,7 +526,7 @@ def test_an_interrupted_curve_is_beside_a_complete_one(
 
 
 def test_an_interrupted_curve_of_orbits_keeps_its_verdicts(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run_command: RunCommand
 ) -> None:
     """Its multipliers come with its points: no sentence says that they were not examined, and the
     report reports no errors."""
@@ -549,8 +541,9 @@ def test_an_interrupted_curve_of_orbits_keeps_its_verdicts(
     changes = ["contact.stiffness=1e9", "damping.ratio=0.02", "curve.start=2200.0",
                "curve.stop=2300.0", "harmonic_balance.tolerance=0.05"]  # fmt: skip
     words = ["curve", str(PAPER), "--output", str(tmp_path)]
-    assert main([*words, *(word for change in changes for word in ("--set", change))]) == 3
-    said = capsys.readouterr().err
+    said = run_command(
+        *words, *(word for change in changes for word in ("--set", change)), code=3
+    ).err
     assert "was interrupted; its errors were not examined" in said
     assert re.search(r"(\d) stable of \1 points", said)
     assert "; curve interrupted; " in f"; {said.splitlines()[-1]}" and "estimated error" not in said

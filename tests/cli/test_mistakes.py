@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from helpers import ROOT
-from surroundings import main
+from surroundings import RunCommand, main
 
 LINES = re.findall(
     r"^\| ([^|]+?) \| (`[^|]+`) \| ([^|]+?) \|$",
@@ -26,11 +26,10 @@ def plate(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_table_is_long_enough(plate: Path, capsys: pytest.CaptureFixture) -> None:
+def test_table_is_long_enough(plate: Path, run_command: RunCommand) -> None:
     """Twenty slips at least; and the scene without any gets no remark."""
     assert len(LINES) >= 20
-    assert main(["check", str(plate), *COARSE]) == 0
-    assert capsys.readouterr().err == ""
+    assert run_command("check", plate, *COARSE).err == ""
 
 
 @pytest.mark.parametrize(("slip", "changes", "answer"), LINES, ids=[line[0] for line in LINES])

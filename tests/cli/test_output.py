@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import scipy.io
 from mpi4py import MPI
-from surroundings import DEMOS, main
+from surroundings import DEMOS, RunCommand, main
 
 import fenics_crack as fc
 from fenics_crack import prepare
@@ -87,10 +87,9 @@ def test_scene_with_output_is_read_back(scene: fc.Scene) -> None:
     assert fc.Scene.from_text(scene.as_toml()) == scene
 
 
-def test_solution(scene: fc.Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_solution(scene: fc.Scene, tmp_path: Path, run_command: RunCommand) -> None:
     """What is chosen is printed, the file has it all, and the remark tells of the distance."""
-    assert main(["solve", written(scene, tmp_path), "--output", str(tmp_path)]) == 0
-    shown, notes = capsys.readouterr()
+    shown, notes = run_command("solve", written(scene, tmp_path), "--output", tmp_path)
     assert shown.count("harmonic ratio 2/1") == 4
     assert "natural frequency, crack open, mode 1" in shown
     assert "half peak-to-peak" not in shown and "Hz" not in shown
@@ -119,13 +118,12 @@ def test_solution(scene: fc.Scene, tmp_path: Path, capsys: pytest.CaptureFixture
     np.testing.assert_allclose(wave[:, 1:3], solution.displacement(wave[:, 0], dofs), atol=1e-15)
 
 
-def test_curve(scene: fc.Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_curve(scene: fc.Scene, tmp_path: Path, run_command: RunCommand) -> None:
     """A column for each point and direction; the special points have what is chosen, in Hz."""
     scene = scene.replace({"excitation.frequency": 300.0, "curve.start": 1500.0,
                            "curve.stop": 1550.0})  # fmt: skip
     words = ["curve", written(scene, tmp_path), "--output", str(tmp_path)]
-    assert main([*words, "--set", "curve.stability=false"]) == 0
-    heading = capsys.readouterr().out.splitlines()[0].split("  ")
+    heading = run_command(*words, "--set", "curve.stability=false").out.splitlines()[0].split("  ")
     shown = [word.strip() for word in heading if word.strip()]
     assert shown == ["point", "frequency [Hz]", *(f"{n}.u{a}.ratio_2_1" for n in ("tip", "side")
                      for a in "xy"), "frequency_open [Hz]"]  # fmt: skip
@@ -157,36 +155,33 @@ def test_motion_in_time_has_the_same_indicators(
 
 
 def test_a_verdict_that_is_left_out_is_told(
-    scene: fc.Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    scene: fc.Scene, tmp_path: Path, run_command: RunCommand
 ) -> None:
     """Of lips that have mass and may not overlap."""
     rigid = {"contact.law": "unilateral", "contact.stiffness": None, "reduction.method": "off"}
     small = {"mesh.columns": 2, "mesh.rows": 2, "output": None}
     file = written(scene.replace(rigid | small), tmp_path)
     words = ["solve", file, "--output", str(tmp_path)]
-    assert main(words) == 0
-    told = capsys.readouterr()
+    told = run_command(*words)
     assert "the stability is not assessed" in told.err and "verdict" not in told.out
-    assert main([*words, "--set", "reduction.method=massless", "--set", "reduction.modes=6"]) == 0
-    told = capsys.readouterr()
+    told = run_command(*words, "--set", "reduction.method=massless", "--set", "reduction.modes=6")
     assert "not assessed" not in told.err and "verdict" in told.out
 
 
-def test_a_crack_of_a_mesh_file_that_stays_open(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_crack_of_a_mesh_file_that_stays_open(tmp_path: Path, run_command: RunCommand) -> None:
     """Without contact there is nothing to judge; what needs it asks for contact, not a crack."""
     words = [str(DEMOS / "inclined_crack.toml"), "--set", "contact=none", "--output", str(tmp_path)]
-    assert main(["solve", *words]) == 0
-    told = capsys.readouterr()
+    told = run_command("solve", *words)
     assert "not assessed" not in told.err and "verdict" not in told.out
-    assert main(["integrate", *words]) == 2
-    assert "contact is missing: must be given for this command: a table" in capsys.readouterr().err
+    assert (
+        "contact is missing: must be given for this command: a table"
+        in run_command("integrate", *words, code=2).err
+    )
 
 
 @pytest.mark.parametrize(("mean", "shown"), [(1e-17, "0"), (-2e-9, "-2e-09")])
 def test_rounding_is_printed_as_zero(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], mean: float, shown: str
+    tmp_path: Path, run_command: RunCommand, mean: float, shown: str
 ) -> None:
     """Of a length, in both forms of a table; larger ones and numbers without a unit stay, and files
     have all."""
@@ -203,15 +198,13 @@ def test_rounding_is_printed_as_zero(
         "output": {"quantities": ["amplitude", "mean", "mean_shift"]},
     }
     words = [written(fc.Scene.from_mapping(tables, tmp_path), tmp_path), "--output", str(tmp_path)]
-    assert main(["solve", *words]) == 0
-    lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+    lines = [" ".join(line.split()) for line in run_command("solve", *words).out.splitlines()]
     for first in (f"mean displacement {shown} m", f"mean displacement over harmonic 1 {mean:g} -"):
         assert any(line.startswith(first) for line in lines)
     rows = json.loads((tmp_path / "solution.json").read_text())
     [kept] = [row["value"] for row in rows if row["name"] == "mean"]
     assert kept == pytest.approx(mean, rel=1e-12)
-    assert main(["curve", *words]) == 0
-    start = capsys.readouterr().out.splitlines()[2].split()
+    start = run_command("curve", *words).out.splitlines()[2].split()
     assert start == ["start", "0.6", "1", shown, f"{mean:g}"]
 
 

@@ -1,11 +1,10 @@
 """`plot` with several curves: labels by what their scenes differ in; the mesh of a scene."""
 
 from pathlib import Path
-from typing import Any
 
 import pytest
 from helpers import DEMOS
-from surroundings import main
+from surroundings import RunCommand, main
 
 import fenics_crack as fc
 
@@ -54,7 +53,7 @@ def test_curves(results: Path, tmp_path: Path) -> None:
         assert all(f"<!-- {label} -->" in text for label in shown)
 
 
-def test_what_cannot_be_laid_over(results: Path, tmp_path: Path, capsys: Any) -> None:
+def test_what_cannot_be_laid_over(results: Path, tmp_path: Path, run_command: RunCommand) -> None:
     """One line says why."""
     solution = str(results / f"{LOADS[0]:g}" / "solution.h5")
     one, two = (str(results / ratio / "curve.h5") for ratio in ("0.05", "0.1"))
@@ -64,8 +63,9 @@ def test_what_cannot_be_laid_over(results: Path, tmp_path: Path, capsys: Any) ->
         ([one, one], "result = "),
         ([one, SCENE], "path = "),
     ):
-        assert main(["plot", *words, "--output", str(tmp_path)]) == 2
-        assert capsys.readouterr().err.startswith(f"fenics-crack: {expected}")
+        assert run_command("plot", *words, "--output", tmp_path, code=2).err.startswith(
+            f"fenics-crack: {expected}"
+        )
     assert not list(tmp_path.iterdir())
 
 

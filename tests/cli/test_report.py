@@ -8,12 +8,11 @@ import shutil
 from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
-from typing import Any
 
 import pytest
 from helpers import DEMOS, ROOT, few_frames
 from PIL import Image
-from surroundings import main
+from surroundings import RunCommand, main
 
 import fenics_crack as fc
 from fenics_crack.cli.kinds import KINDS, loaded
@@ -199,7 +198,7 @@ def test_matrices_without_a_mesh(tmp_path: Path) -> None:
     assert not made.open
 
 
-def test_it_refuses(folder: Path, tmp_path: Path, capsys: Any) -> None:
+def test_it_refuses(folder: Path, tmp_path: Path, run_command: RunCommand) -> None:
     """One line names what is wrong."""
     solution = str(folder / "solution.h5")
     for words, expected in (
@@ -207,8 +206,7 @@ def test_it_refuses(folder: Path, tmp_path: Path, capsys: Any) -> None:
         ([str(tmp_path / "none.h5")], "path = "),
         ([SCENE], "path = "),
     ):
-        assert main(["report", *words]) == 2
-        assert capsys.readouterr().err.startswith(f"fenics-crack: {expected}")
+        assert run_command("report", *words, code=2).err.startswith(f"fenics-crack: {expected}")
 
 
 @pytest.mark.nightly
@@ -250,7 +248,7 @@ def test_every_kind_is_known_by_one_table() -> None:
     }
 
 
-def test_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder(tmp_path: Path, run_command: RunCommand) -> None:
     """All results in it, but for the sweeps that another result has made for itself; a sweep over
     words has no picture, and the page says why."""
     scene = fc.Scene.load(SCENE, {"contact.stiffness": 1e7, "harmonic_balance.harmonics": 5})
@@ -258,13 +256,11 @@ def test_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     over = {"sweep.over": {"crack.edge": ["left", "right"]}}
     fc.run_sweep(scene.replace(over), tmp_path / "sweep.h5")
     fc.run_sweep(scene.replace(over), tmp_path / "growth_1.h5", judged=False)
-    assert main(["report", str(tmp_path)]) == 0
-    assert "left out, as parts of other results: " in capsys.readouterr().err
+    assert "left out, as parts of other results: " in run_command("report", tmp_path).err
     page = Page((tmp_path / "report.html").read_text("utf-8"))
     assert sum(tag == "section" for tag, _ in page.tags) == 5
     assert "no picture: sweep.over = " in page.words.lower()
     assert main(["report", str(tmp_path / "growth_1.h5"), "--quiet"]) == 0
     empty = tmp_path / "empty"
     empty.mkdir()
-    assert main(["plot", str(empty)]) == 2
-    assert "must be a folder with results" in capsys.readouterr().err
+    assert "must be a folder with results" in run_command("plot", empty, code=2).err

@@ -19,7 +19,7 @@ import scipy.io
 import scipy.sparse as sparse
 from helpers import DEMOS, csr
 from mpi4py import MPI
-from surroundings import main
+from surroundings import RunCommand, main
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
@@ -105,11 +105,10 @@ def test_from_matrices_to_a_verdict(scene: Scene) -> None:
 
 
 @pytest.mark.nightly
-def test_from_the_shell(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_from_the_shell(folder: Path, run_command: RunCommand) -> None:
     """Modes are drawn on the model's bricks; a load beside its nodes gets a remark."""
     words = [str(folder / "scene.toml"), "--set", "excitation.point=[0.001,0.02,0.0]"]
-    assert main(["check", *words]) == 0
-    assert "no node is there: the force acts on the nearest one" in capsys.readouterr().err
+    assert "no node is there: the force acts on the nearest one" in run_command("check", *words).err
     assert main(["modes", *words, "--output", str(folder)]) == 0
     assert main(["plot", str(folder / "modes.h5")]) == 0
     assert (folder / "modes.png").exists()
@@ -726,9 +725,7 @@ def test_stiffness_and_mass_that_are_swapped(scene: Scene) -> None:
         fc.build_structure(scene.replace(paths))
 
 
-def test_a_model_in_small_units_is_remarked(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_model_in_small_units_is_remarked(folder: Path, run_command: RunCommand) -> None:
     """As a mesh file is."""
     path = folder / "plate.inp"
     heading, *nodes = path.read_text().partition("*ELEMENT")[0].splitlines()
@@ -737,8 +734,7 @@ def test_a_model_in_small_units_is_remarked(
     rest = path.read_text().partition("*ELEMENT")[2]
     path.write_text("\n".join([heading, *lines, f"*ELEMENT{rest}"]))
     words = ["--set", "excitation.point=[0.0,200.0,0.0]"]
-    assert main(["check", str(folder / "scene.toml"), *words]) == 0
-    assert "is the mesh in mm?" in capsys.readouterr().err
+    assert "is the mesh in mm?" in run_command("check", folder / "scene.toml", *words).err
 
 
 def test_rows_without_mass_are_named(folder: Path, scene: Scene) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from helpers import DEMOS, ROOT
 from ranks import LIMIT
-from surroundings import main, no_rank
+from surroundings import RunCommand, main, no_rank
 
 from fenics_crack.basics import untrusted_files
 from fenics_crack.fem.model_files import read_model
@@ -79,9 +79,7 @@ def test_too_many_measurements(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["device", "pipe"])
-def test_what_never_ends_is_no_text(
-    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_never_ends_is_no_text(kind: str, tmp_path: Path, run_command: RunCommand) -> None:
     """A scene, measurements, responses and arrivals; a table that a result replaces."""
     scene = scene_of(tmp_path, "--identify")
     for name in ("never.toml", "never.csv", "never.uff"):
@@ -94,9 +92,7 @@ def test_what_never_ends_is_no_text(
         ["check", text], ["identify", scene, table], ["identify", scene, universal],
         ["timing", table],
     ):  # fmt: skip
-        capsys.readouterr()
-        assert main([*map(str, words), "--quiet"]) == 2
-        [line] = capsys.readouterr().err.splitlines()
+        [line] = run_command(*map(str, words), "--quiet", code=2).err.splitlines()
         assert "regular file" in line
     place = tmp_path / "out" / "solution.json"
     place.parent.mkdir()
@@ -114,12 +110,13 @@ def test_a_load_that_never_ends(kind: str, tmp_path: Path) -> None:
     assert code == 2 and "excitation.wave" in said[-1] and "regular file" in said[-1]
 
 
-def test_a_packed_load(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_packed_load(tmp_path: Path, run_command: RunCommand) -> None:
     """No text: a table of 91 kB was unpacked to 1 GB."""
     path, scene = tmp_path / "load.csv.xz", str(scene_of(tmp_path))
     path.write_bytes(lzma.compress(b"t,fx,fy\n0,5,0\n1,-5,0\n"))
-    assert main(["check", scene, *COARSE, "--quiet", "--set", f"excitation.wave={path}"]) == 2
-    [line] = capsys.readouterr().err.splitlines()
+    [line] = run_command(
+        "check", scene, *COARSE, "--quiet", "--set", f"excitation.wave={path}", code=2
+    ).err.splitlines()
     assert "excitation.wave" in line and "a CSV file" in line
 
 
@@ -134,7 +131,7 @@ def test_a_packed_table_of_nodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
             read_model(tmp_path / f"nodes.{ending}")
 
 
-def test_matrices_without_values(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_matrices_without_values(tmp_path: Path, run_command: RunCommand) -> None:
     """Of a pattern nobody knows the numbers."""
     shutil.copytree(ROOT / "meshes" / "chain", tmp_path / "chain")
     text = (DEMOS / "chain.toml").read_text().replace("../meshes/chain", "chain")
@@ -142,8 +139,7 @@ def test_matrices_without_values(tmp_path: Path, capsys: pytest.CaptureFixture[s
     head = "%%MatrixMarket matrix coordinate pattern symmetric\n12 12 12\n"
     rows = "".join(f"{n} {n}\n" for n in range(1, 13))
     (tmp_path / "chain" / "mass.mtx").write_text(head + rows)
-    assert main(["check", str(tmp_path / "scene.toml")]) == 2
-    [line] = capsys.readouterr().err.splitlines()
+    [line] = run_command("check", tmp_path / "scene.toml", code=2).err.splitlines()
     assert "structure.mass" in line and "pattern" in line
 
 
@@ -155,7 +151,11 @@ def test_matrices_without_values(tmp_path: Path, capsys: pytest.CaptureFixture[s
     ],
 )
 def test_contact_that_nothing_makes(
-    key: str, changes: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    key: str,
+    changes: list[str],
+    tmp_path: Path,
+    run_command: RunCommand,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     """It is remarked once, by check and beside results."""
     path = scene_of(tmp_path)
@@ -163,8 +163,7 @@ def test_contact_that_nothing_makes(
     for command in (["check"], ["modes", "--output", str(tmp_path)]):
         capsys.readouterr()
         words = [*command, str(path), *(word for one in few for word in ("--set", one))]
-        assert main(words) == 0
-        assert capsys.readouterr().err.count(f"remark: {key} = ") == 1
+        assert run_command(*words).err.count(f"remark: {key} = ") == 1
 
 
 @pytest.mark.nightly

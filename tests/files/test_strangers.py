@@ -19,7 +19,7 @@ import pytest
 from helpers import DEMOS, ROOT, chain, changed
 from mpi4py import MPI
 from ranks import LIMIT
-from surroundings import main
+from surroundings import RunCommand
 
 import fenics_crack as fc
 from fenics_crack import SweepResult, run_sweep
@@ -54,11 +54,9 @@ def result(structure: fc.Structure, home: Path) -> Path:
     return home / "result.h5"
 
 
-def refused(capsys: pytest.CaptureFixture[str], *words: object) -> str:
+def refused(run_command: RunCommand, *words: object) -> str:
     """The one line with which a command refuses its input; nothing was run."""
-    capsys.readouterr()
-    assert main([str(word) for word in words]) == 2
-    [line] = capsys.readouterr().err.splitlines()
+    [line] = run_command(*[str(word) for word in words], code=2).err.splitlines()
     assert not Path("PWNED").exists()
     return line
 

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from helpers import SOLID, changed
 from mpi4py import MPI
+from surroundings import RunCommand, main
 
 import fenics_crack as fc
-from fenics_crack.cli.command_line import main
 
 pytestmark = pytest.mark.usefixtures("not_drawn")
 
@@ -67,7 +67,7 @@ class Blocked:
         if name.split(".")[0] in others:
             raise ImportError(name + " is blocked")
 sys.meta_path.insert(0, Blocked())
-from fenics_crack.cli.command_line import main
+from surroundings import RunCommand, main
 sys.exit(main(sys.argv[1:]))
 """
 
@@ -283,19 +283,18 @@ def test_files_of_the_scene_may_have_gone(tmp_path: Path) -> None:
         fc.load_prepared(path)
 
 
-def test_command_writes_the_file_that_is_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_command_writes_the_file_that_is_named(tmp_path: Path, run_command: RunCommand) -> None:
     """Other commands than solve and curve say what takes it."""
     scene, path = tmp_path / "plate.toml", tmp_path / "there" / "kept.h5"
     scene.write_text(PLATE)
-    assert main(["reduce", str(scene), "--output", str(tmp_path / "kept")]) == 2
-    assert "a .h5 file" in capsys.readouterr().err
+    assert (
+        "a .h5 file"
+        in run_command("reduce", str(scene), "--output", str(tmp_path / "kept"), code=2).err
+    )
     assert main(["reduce", str(scene), "--output", str(path)]) == 0
     assert omega_of(path).size and [*path.parent.iterdir()] == [path]
     for command in ("check", "sweep", "modes", "verify", "grow"):
-        assert main([command, str(path)]) == 2
-        (line,) = capsys.readouterr().err.splitlines()[-1:]
+        (line,) = run_command(command, str(path), code=2).err.splitlines()[-1:]
         assert f"a scene for {command}; a file of reduce is one for solve and curve" in line
 
 

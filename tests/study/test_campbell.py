@@ -14,7 +14,7 @@ from rotating import CRACKED, UNIT, cracked, strip
 from scipy.optimize import nnls
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import eigsh, splu
-from surroundings import DEMOS, main
+from surroundings import DEMOS, RunCommand, main
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
@@ -287,13 +287,14 @@ def test_how_a_frequency_follows_the_speed() -> None:
             assert diagram.stiffening(600.0, 1.01 * line[1]) == pytest.approx(slope, rel=5e-3)
 
 
-def test_command(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_command(
+    run_command: RunCommand, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     """Table, files and picture; speeds in the scene's unit; each crossing of the scene's order."""
     path = tmp_path / "blade.toml"
     path.write_text(cracked(1.0).replace({"rotation.rpm": 6e3, "excitation.order": 12}).as_toml())
     words = ["campbell", str(path), "--output", str(tmp_path), "--count", "1"]
-    assert main([*words, "--speeds", "4000", "8000", "3"]) == 0
-    printed = capsys.readouterr()
+    printed = run_command(*words, "--speeds", "4000", "8000", "3")
     assert "rpm" in printed.out and "engine order 12 meets mode 1" in printed.err
     assert "with the crack breathing (bilinear estimate); it would be held open at" in printed.err
     assert "; there d ln f / d ln n = 0.0" in printed.err

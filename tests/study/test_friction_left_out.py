@@ -10,7 +10,7 @@ import pytest
 from friction_left_out import NAMES, effects, is_right, random_scene, with_and_without
 from helpers import SOLID_TEXT
 from mpi4py import MPI
-from surroundings import main
+from surroundings import RunCommand
 
 import fenics_crack as fc
 from fenics_crack.basics.errors import ConvergenceError
@@ -76,7 +76,7 @@ def test_ten_drawn_plates() -> None:
     assert np.mean(ratios < 0.2) <= 0.1
 
 
-def test_page_names_what_is_missing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_page_names_what_is_missing(tmp_path: Path, run_command: RunCommand) -> None:
     """K_II of a solid under two opposite forces, from its page and its file: an error by the other
     causes, the cause that is missing, and why."""
     keys = {
@@ -87,8 +87,9 @@ def test_page_names_what_is_missing(tmp_path: Path, capsys: pytest.CaptureFixtur
     }  # fmt: skip
     (tmp_path / "twisted.toml").write_text(SOLID_TEXT)
     changes = [f"--set={key}={value}" for key, value in keys.items()]
-    assert main(["solve", str(tmp_path / "twisted.toml"), *changes, "--output", str(tmp_path)]) == 0
-    page = "".join(capsys.readouterr())
+    page = "".join(
+        run_command("solve", str(tmp_path / "twisted.toml"), *changes, "--output", str(tmp_path))
+    )
     assert "K_II_max, K_III_max: error due to the friction not included: that at the" in page
     rows = {row["name"]: row for row in json.loads((tmp_path / "solution.json").read_text())}
     for name in ("K_II_max", "K_III_max"):

@@ -13,7 +13,7 @@ import scipy.io
 import scipy.sparse as sparse
 from helpers import DEMOS, csr, relative
 from mpi4py import MPI
-from surroundings import main
+from surroundings import RunCommand, main
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene, run_sweep
@@ -114,25 +114,23 @@ def test_results_belong_to_their_files(scene: Scene, tmp_path: Path) -> None:
     assert caught.value.key == "structure.gap"
 
 
-def test_rigid_contact_of_masses_gets_a_remark(capsys: pytest.CaptureFixture[str]) -> None:
+def test_rigid_contact_of_masses_gets_a_remark(run_command: RunCommand) -> None:
     """Its verdict and its curve are not to be had; without mass at the pairs they are."""
     words = ["check", str(DEMOS / "chain.toml"), "--set", "contact.stiffness=none"]
     for more, remarked in ((), True), (("--set", "reduction.method=massless"), False):
-        assert main([*words, "--set", "contact.law=unilateral", *more]) == 0
-        said = capsys.readouterr().err
+        said = run_command(*words, "--set", "contact.law=unilateral", *more).err
         assert ("remark: contact.law = unilateral: rigid contact of pairs" in said) == remarked
 
 
 @pytest.mark.usefixtures("not_drawn")
 @pytest.mark.parametrize("commands", [["check"], ["modes"], ["solve"], ["integrate"], ["sweep"]])
 def test_the_example_runs_from_the_shell(
-    commands: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    commands: list[str], tmp_path: Path, run_command: RunCommand, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Every command; what is drawn needs no mesh, and what needs one is left out with a word."""
     (name,) = commands
     output = [] if name == "check" else ["--output", str(tmp_path)]
-    assert main([name, str(DEMOS / "chain.toml"), *output]) == 0
-    printed = capsys.readouterr()
+    printed = run_command(name, DEMOS / "chain.toml", *output)
     remarks = [line for line in printed.err.splitlines() if line.startswith("remark")]
     over = ["steps over a peak" in line for line in remarks]  # narrower than the steps of 1 Hz
     assert over == [True] * (name == "sweep") and "warning" not in printed.err

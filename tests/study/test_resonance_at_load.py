@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from helpers import ROOT, titanium_blade
 from mpi4py import MPI
-from surroundings import main
+from surroundings import RunCommand
 
 import fenics_crack as fc
 from fenics_crack.study.plausibility import find_key_figures, proposed_curve
@@ -70,9 +70,7 @@ def test_speed_that_meets_an_order() -> None:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("force", [0.2, 0.4, 1.0])
-def test_blade_that_its_load_moves(
-    force: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_blade_that_its_load_moves(force: float, tmp_path: Path, run_command: RunCommand) -> None:
     """The centrifugal load opens the crack, and the bilinear frequency meets the order at 5,847 rpm
     whatever the load is: check and campbell name the peak of its curve, and check a range with it.
     """
@@ -81,8 +79,10 @@ def test_blade_that_its_load_moves(
     speed = peak.omega / 4.0
     path = tmp_path / "blade.toml"
     path.write_text(scene.replace({"curve": None}).as_toml())
-    assert main(["check", str(path), "--format", "json"]) == 0
-    rows = {row["what"]: row["value"] for row in json.loads(capsys.readouterr().out)}
+    rows = {
+        row["what"]: row["value"]
+        for row in json.loads(run_command("check", str(path), "--format", "json").out)
+    }
     told = rows["order 4 meets the resonance at the load, rotor speed [rad/s]"]
     assert told == pytest.approx(speed, rel=2e-4)
     start, stop = (rows[f"proposed curve.{end} [rpm]"] for end in ("start", "stop"))

@@ -12,7 +12,7 @@ from helpers import relative
 from motion.reference import ReferenceFlow
 from mpi4py import MPI
 from scipy.optimize import nnls
-from surroundings import main
+from surroundings import RunCommand, main
 
 import fenics_crack as fc
 from fenics_crack.study.vary import stated_errors
@@ -101,13 +101,12 @@ def test_tighter_is_never_worse(new: fc.Scene, modes: int | None) -> None:
 
 
 def test_command_that_misses_its_tolerance(
-    new: fc.Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    new: fc.Scene, tmp_path: Path, run_command: RunCommand
 ) -> None:
     """It ends with 4 and one sentence, which does not say that nothing converged."""
     scene = tmp_path / "plate.toml"
     scene.write_text(new.replace({"harmonic_balance.tolerance": 1e-4, "mesh.size": 0.02}).as_toml())
-    assert main(["solve", str(scene), "--output", str(tmp_path / "found")]) == 4
-    said = capsys.readouterr().err
+    said = run_command("solve", str(scene), "--output", str(tmp_path / "found"), code=4).err
     assert "warning: solved; error 0." in said and "what helps: reduction.modes 40" in said
     assert "not converged" not in said
 
@@ -176,7 +175,7 @@ def test_lips_that_the_load_presses_together(paper_scene: fc.Scene) -> None:
 
 @pytest.mark.parametrize("frequency", [1800.0, 1832.0])
 def test_own_plate_from_the_settings_of_new(
-    new: fc.Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str], frequency: float
+    new: fc.Scene, tmp_path: Path, run_command: RunCommand, frequency: float
 ) -> None:
     """90 x 180 mm, 30 % crack, 0.3 % of damping, next to its resonance: an answer and a verdict."""
     own = {
@@ -187,8 +186,12 @@ def test_own_plate_from_the_settings_of_new(
     }  # fmt: skip
     path = tmp_path / "own.toml"
     path.write_text(new.replace(own).as_toml())
-    assert main(["solve", str(path), "--output", str(tmp_path), "--format", "json"]) == 0
-    rows = {row["name"]: row for row in json.loads(capsys.readouterr().out)}
+    rows = {
+        row["name"]: row
+        for row in json.loads(
+            run_command("solve", str(path), "--output", str(tmp_path), "--format", "json").out
+        )
+    }
     assert rows["verdict"]["value"] == "stable" and rows["total_error"]["value"] < 3e-2
     assert 0.5 < rows["amplitude"]["error [%]"] < 6.0
 

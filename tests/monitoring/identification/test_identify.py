@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 from scipy.special import chdtri
-from surroundings import main
+from surroundings import RunCommand, main
 from test_responses import file_of as universal_file
 
 import fenics_crack as fc
@@ -269,9 +269,7 @@ noise = 2e-8
 
 
 @pytest.mark.nightly
-def test_arrivals_at_other_speeds_of_the_rotor(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_arrivals_at_other_speeds_of_the_rotor(tmp_path: Path, run_command: RunCommand) -> None:
     """The blade at 2400 rpm has another stiffening and another pull on its crack than that of the
     scene at 3000: taken for that, the arrivals were those of a crack of 11.1 +- 0.6 mm, where 8 are
     true. With a load that follows no order they are refused; natural
@@ -300,8 +298,7 @@ def test_arrivals_at_other_speeds_of_the_rotor(
     )
     (tmp_path / "held.toml").write_text(held.as_toml(), encoding="utf-8")
     words = ["identify", str(tmp_path / "held.toml"), "--arrivals", str(tmp_path / "2400.csv")]
-    assert main([*words, "--output", str(tmp_path)]) == 2
-    said = " ".join(capsys.readouterr().err.split())
+    said = " ".join(run_command(*words, "--output", tmp_path, code=2).err.split())
     assert "'2400 rpm': must be at 3000 rpm" in said and "excitation.order" in said
 
 
@@ -713,14 +710,17 @@ def test_one_frequency(scene: fc.Scene, folder: Path) -> None:
 
 
 def test_command(
-    scene: fc.Scene, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    scene: fc.Scene,
+    folder: Path,
+    tmp_path: Path,
+    run_command: RunCommand,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     """The table, the files and the picture; from the sweeps that are there it takes seconds."""
     measured(scene, {"crack.length": 0.015, "crack.height": 0.11}, 1).to_csv(tmp_path / "m.csv")
     (tmp_path / "plate.toml").write_text(PLATE)
     words = ["identify", str(tmp_path / "plate.toml"), str(tmp_path / "m.csv")]
-    assert main([*words, "--output", str(folder), "--pictures", "svg"]) == 0
-    printed = capsys.readouterr()
+    printed = run_command(*words, "--output", folder, "--pictures", "svg")
     assert printed.out.split()[:5] == ["unknown", "estimate", "deviation", "low", "high"]
     closing = printed.err.strip().splitlines()[-1]
     assert closing.startswith("crack; crack length ") and "; log Bayes factor" in closing
@@ -743,19 +743,25 @@ def test_command(
     capsys.readouterr()
     wrong = (tmp_path / "m.csv").read_text().replace("tip.ux", "top.ux")
     (tmp_path / "m.csv").write_text(wrong)
-    assert main([*words, "--output", str(folder)]) == 2
-    assert "measurements.point = 'top.ux': must be empty, or one of" in capsys.readouterr().err
-    assert main([*words[:2], "--output", str(folder)]) == 2
-    assert "measurements is missing: must be given" in capsys.readouterr().err
+    assert (
+        "measurements.point = 'top.ux': must be empty, or one of"
+        in run_command(*words, "--output", folder, code=2).err
+    )
+    assert (
+        "measurements is missing: must be given"
+        in run_command(*words[:2], "--output", folder, code=2).err
+    )
     (tmp_path / "a.csv").write_text("time\n")
     given = ["--arrivals", str(tmp_path / "a.csv"), "--output", str(folder)]
-    assert main([*words[:2], *given]) == 2
-    assert "tip_timing is missing: must be given for this command" in capsys.readouterr().err
+    assert (
+        "tip_timing is missing: must be given for this command"
+        in run_command(*words[:2], *given, code=2).err
+    )
 
 
 @pytest.mark.nightly
 def test_arrivals_from_the_shell(
-    scene: fc.Scene, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    scene: fc.Scene, folder: Path, tmp_path: Path, run_command: RunCommand
 ) -> None:
     """Beside a file of frequencies, or alone; a tip that is watched against the rotation."""
     truth = {"crack.length": 0.026, "crack.height": 0.07}
@@ -766,8 +772,7 @@ def test_arrivals_from_the_shell(
     (tmp_path / "plate.toml").write_text(f"{PLATE}[tip_timing]\n{timing}")
     words = ["identify", str(tmp_path / "plate.toml"), str(tmp_path / "m.csv")]
     given = ["--arrivals", str(tmp_path / "a.csv"), "--output", str(folder)]
-    assert main([*words, *given]) == 0
-    assert "log Bayes factor" in capsys.readouterr().err
+    assert "log Bayes factor" in run_command(*words, *given).err
     table = (folder / "fit.csv").read_text().splitlines()
     assert len(table) == 11 and table[2].startswith("displacement at 700 Hz and ")
     value = float(table[2].split(",")[1])
@@ -789,17 +794,14 @@ def command_of_one_unknown(folder: Path) -> list[str]:
     return [*words, "--output", str(folder / "out")]
 
 
-def test_up_to_which_length_there_may_be_a_crack(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_up_to_which_length_there_may_be_a_crack(tmp_path: Path, run_command: RunCommand) -> None:
     """Where there is no crack the terminal, JSON, the page of a report and Python say above which
     length; a crack of 2 mm, below the bounds of the search, is no contradiction."""
     words, bounds = command_of_one_unknown(tmp_path), (0.01, 0.034)
     scene = fc.Scene.load(words[1]).replace({"crack.length": 0.002, "mesh.lip_elements": 2})
     hertz = float(fc.solve_modes(fc.build_structure(scene), 1).omega[0]) / (2.0 * np.pi)
     fc.Measurements.from_arrays("frequency_open", [hertz], 5.0, mode=[1]).to_csv(words[2])
-    assert main(words) == 0
-    said = re.search(r"no crack above ([\d.]+) mm of crack length; log", capsys.readouterr().err)
+    said = re.search(r"no crack above ([\d.]+) mm of crack length; log", run_command(*words).err)
     assert said is not None and bounds[0] < 1e-3 * float(said[1]) < bounds[1]
     found = json.loads((tmp_path / "out" / "identify.json").read_text("utf-8"))
     assert found["conclusion"] == f"no crack above {said[1]} mm of crack length"
@@ -809,7 +811,7 @@ def test_up_to_which_length_there_may_be_a_crack(
 
 
 @pytest.mark.nightly
-def test_beside_other_results(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_beside_other_results(tmp_path: Path, run_command: RunCommand) -> None:
     """A report has what was inferred; it is refused without the picture beside its file."""
     assert main(command_of_one_unknown(tmp_path)) == 0
     own, page = tmp_path / "out" / "identify.h5", tmp_path / "page.html"
@@ -830,13 +832,11 @@ def test_beside_other_results(tmp_path: Path, capsys: pytest.CaptureFixture[str]
         elif beside == "text":
             picture.write_text("no picture")
         for command in (["plot", str(own)], report):
-            capsys.readouterr()
-            assert main(command) == 2
-            assert "must be with posterior.png in its folder" in capsys.readouterr().err
+            assert "must be with posterior.png in its folder" in run_command(*command, code=2).err
 
 
 def test_crack_from_frequency_responses(
-    scene: fc.Scene, folder: Path, capsys: pytest.CaptureFixture[str]
+    scene: fc.Scene, folder: Path, run_command: RunCommand
 ) -> None:
     """Of a finer mesh, in universal files, with the crack and before; a mode that a file does not
     show is said."""
@@ -865,8 +865,7 @@ def test_crack_from_frequency_responses(
     before = file_of({"crack": None, "contact": None}, folder / "before.uff")
     (folder / "plate.toml").write_text(PLATE)
     command = ["identify", str(folder / "plate.toml"), str(measured), "--before", str(before)]
-    assert main([*command, "--output", str(folder)]) == 2
-    words = capsys.readouterr().err
+    words = run_command(*command, "--output", folder, code=2).err
     assert "frequency_uncracked of mode 2 = 68" in words and "its mode 3 has" in words
     rows = fc.Measurements.read(measured)
     assert [row.mode for row in rows.rows] == [1, 2, 3]

@@ -18,7 +18,7 @@ import pytest
 from helpers import wrap
 from scipy.interpolate import CubicSpline
 from scipy.stats import kstest
-from surroundings import main
+from surroundings import RunCommand, main
 from test_identify import PROBES, SPINNING, command_of_one_unknown
 
 import fenics_crack as fc
@@ -698,14 +698,13 @@ def test_an_inclined_crack_acts_at_its_tip(tmp_path: Path) -> None:
     ],
     ids=range(6),
 )
-def test_ambiguous_tables(
-    text: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_ambiguous_tables(text: str, words: str, tmp_path: Path, run_command: RunCommand) -> None:
     """Numbers that may be read in two ways are refused in one line."""
     scene = command_of_one_unknown(tmp_path)[1]
     (path := tmp_path / "table.csv").write_text(text)
-    assert main(["identify", scene, str(path), "--output", str(tmp_path / "out")]) == 2
-    [line] = capsys.readouterr().err.splitlines()
+    [line] = run_command(
+        "identify", scene, str(path), "--output", str(tmp_path / "out"), code=2
+    ).err.splitlines()
     assert re.search(words, line)
 
 
@@ -737,10 +736,7 @@ def little(not_laid_out: None, tmp_path: Path) -> list[str]:
 
 
 def test_stops_at_ctrl_c(
-    little: list[str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    little: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run_command: RunCommand
 ) -> None:
     """Nothing is inferred from a part of a sweep, and no other sweep begins; the same call goes on
     with it."""
@@ -754,8 +750,7 @@ def test_stops_at_ctrl_c(
         record(*arguments)
 
     wrap(monkeypatch, "fenics_crack.sweep.file.SweepFile.record", interrupted)
-    assert main(little) == 3
-    said = capsys.readouterr().err
+    said = run_command(*little, code=3).err
     assert "fenics-crack: identification was stopped; the same command goes on" in said
     [path] = (tmp_path / "out").iterdir()  # no file of what was found
     assert np.count_nonzero(SweepResult.load(path)["state"]) == 2
@@ -780,7 +775,7 @@ def test_cases_that_failed(
     little: list[str],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    run_command: RunCommand,
 ) -> None:
     """They are said, and the exit code is that of a sweep with failed cases. The harmonics of one
     between others are made up for; of one at an end, or of too many, what needs them is left out,
@@ -803,8 +798,7 @@ def test_cases_that_failed(
     alone = fc.Measurements.read(tmp_path / "m.csv")
     ratio = fc.Measurements.from_arrays("ratio_2_1", [0.01], 1e-3, frequency=[700.0])
     (alone + ratio).to_csv(tmp_path / "m.csv")
-    assert main(little) == 3
-    said = capsys.readouterr().err
+    said = run_command(*little, code=3).err
     value = (0.01, 0.015, 0.02, 0.025, 0.03)[lost[0]]
     assert f"failed, the first at length = {value}, frequency = 700.0: no luck" in said
     assert ("ratio_2_1 at 700 Hz is not used: too few" in said) == (not used)

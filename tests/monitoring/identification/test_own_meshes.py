@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 import pytest
 from mpi4py import MPI
-from surroundings import main
+from surroundings import RunCommand
 
 import fenics_crack as fc
 
@@ -94,7 +94,7 @@ def test_as_the_program_s_own_meshes(own: Path, rows: fc.Measurements, tmp_path:
 
 
 def test_command_without_a_mesh_of_no_crack(
-    own: Path, rows: fc.Measurements, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    own: Path, rows: fc.Measurements, tmp_path: Path, run_command: RunCommand
 ) -> None:
     """There is nothing to compare with; of one height."""
     rows.to_csv(tmp_path / "m.csv")
@@ -105,14 +105,12 @@ def test_command_without_a_mesh_of_no_crack(
     alone.write_text("\n".join(lines))
     words = ["identify", str(alone), str(tmp_path / "m.csv")]
     words += ["--output", str(own.parent / "sweeps")]
-    assert main(words) == 0
-    said = capsys.readouterr().err
+    said = run_command(*words).err
     assert "undecided; there is no plate without a crack" in said
     assert "priors: " in said and "young_deviation = 0.03" in said and "confidence = 0.95" in said
     before = replace(rows.rows[0], quantity="frequency_uncracked")
     (rows + fc.Measurements((before,))).to_csv(tmp_path / "m.csv")
-    assert main(words) == 2
-    assert "not allowed where the crack cannot be taken out" in capsys.readouterr().err
+    assert "not allowed where the crack cannot be taken out" in run_command(*words, code=2).err
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.signal import lfilter
-from surroundings import main
+from surroundings import RunCommand
 from test_identify import SPINNING, TURN
 
 import fenics_crack as fc
@@ -169,7 +169,7 @@ def swept(scene: fc.Scene, kind: str, path: Path, orders: tuple[int, ...]) -> No
 
 
 @pytest.mark.nightly
-def test_record_of_a_run_up(scene: fc.Scene, tmp_path: Path, capsys: Any) -> None:
+def test_record_of_a_run_up(scene: fc.Scene, tmp_path: Path, run_command: RunCommand) -> None:
     """From the arrivals of two run-ups, before there was a crack and now, to its length."""
     lightly: dict[str, Any] = {"damping.ratio": 0.002, "excitation.force_sin": (0.3, 0.0)}
     lightly["excitation.force_mean"] = (40.0, 0.0)  # its crack stays open
@@ -180,8 +180,7 @@ def test_record_of_a_run_up(scene: fc.Scene, tmp_path: Path, capsys: Any) -> Non
     swept(stiff, "open", now, (5, 6))
     swept(stiff.replace({"crack": None, "contact": None}), "open", before, (6, 7))
     words = ["identify", str(tmp_path / "blade.toml"), "--output", str(tmp_path / "found")]
-    assert main([*words, "--arrivals", str(now), "--before", str(before)]) == 0
-    said = capsys.readouterr()
+    said = run_command(*words, "--arrivals", str(now), "--before", str(before))
     used = re.findall(
         r"mode 1: ([\d.]+) ± ([\d.]+) Hz, engine order (\d) at ([\d.]+) rpm", said.err
     )
@@ -210,7 +209,7 @@ def test_record_of_a_run_up(scene: fc.Scene, tmp_path: Path, capsys: Any) -> Non
     ("rise", "reason"), [(0.0, "those of a run-up, or"), (0.5, "a run-up through a resonance of")]
 )
 def test_a_record_without_a_resonance(
-    scene: fc.Scene, rise: float, reason: str, tmp_path: Path, capsys: Any
+    scene: fc.Scene, rise: float, reason: str, tmp_path: Path, run_command: RunCommand
 ) -> None:
     """One of constant speed shows no natural frequency, and a run-up none without a resonance."""
     (tmp_path / "blade.toml").write_text(scene.as_toml(), encoding="utf-8")
@@ -220,6 +219,9 @@ def test_a_record_without_a_resonance(
     seen, marks = (one / (1.0 + rise * one / time[1][-1]) for one in time)
     fc.ArrivalTimes(seen, marks, PROBES, 0.5).to_csv(steady)
     words = ["identify", str(tmp_path / "blade.toml"), str(tmp_path / "rows.csv")]
-    assert main([*words, "--before", steady, "--output", str(tmp_path / "found")]) == 2
-    assert "--before = 'ArrivalTimes(40 revol" in (error := capsys.readouterr().err)
+    assert "--before = 'ArrivalTimes(40 revol" in (
+        error := run_command(
+            *words, "--before", steady, "--output", str(tmp_path / "found"), code=2
+        ).err
+    )
     assert reason in error

@@ -15,7 +15,7 @@ import pytest
 from helpers import DEMOS
 from rotating import UNIT, strip
 from scipy.signal import lfilter
-from surroundings import main
+from surroundings import RunCommand, main
 
 import fenics_crack as fc
 
@@ -276,9 +276,7 @@ def test_what_is_left_of_every_second_revolution_is_told() -> None:
     assert fit.in_doubt and abs(fit.omega - 500.0) > 4.0 * fit.omega_error
 
 
-def test_orders_that_contradict_each_other(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_orders_that_contradict_each_other(tmp_path: Path, run_command: RunCommand) -> None:
     """A resonance of order 5 near which the speed turns, which is no transient of a mode (its size
     is that of a steady vibration): two other orders are found within its width, and name each
     other."""
@@ -297,8 +295,7 @@ def test_orders_that_contradict_each_other(
     marks = np.interp(2.0 * np.pi * np.arange(len(rows) + 1), angle, grid)
     fc.ArrivalTimes(seen, marks, probes, 0.5).to_csv(tmp_path / "record.csv")
     words = ["timing", str(tmp_path / "record.csv"), "--output", str(tmp_path)]
-    assert main([*words, "--set", "tip_timing.orders=[5,15,21]"]) == 0
-    told = " ".join(capsys.readouterr().err.split())
+    told = " ".join(run_command(*words, "--set", "tip_timing.orders=[5,15,21]").err.split())
     orders = [row["order"] for row in json.loads((tmp_path / "timing.json").read_text())]
     assert orders == [15.0, 21.0]
     for other in ("21", "15"):
@@ -481,13 +478,12 @@ def test_no_radius_and_other_probes(tmp_path: Path) -> None:
 # --- the command ----------------------------------------------------------------------------------
 
 
-def test_a_record_from_the_shell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_record_from_the_shell(tmp_path: Path, run_command: RunCommand) -> None:
     """Its resonances, a table and a picture; keys that a record has no use for."""
     record, _ = swept([(500.0, 0.002, 5, 2e-6), (692.0, 0.003, 7, 1e-6)])
     record.to_csv(tmp_path / "record.csv")
     words = ["timing", str(tmp_path / "record.csv"), "--output", str(tmp_path)]
-    assert main([*words, "--set", "tip_timing.orders=[5,6,7]"]) == 0
-    told = capsys.readouterr()
+    told = run_command(*words, "--set", "tip_timing.orders=[5,6,7]")
     assert f"1 blade, {len(record)} revolutions, 4 probes" in told.err
     assert "run-up overestimates and a run-down underestimates the frequency" in told.err
     rows = (tmp_path / "timing.csv").read_text().splitlines()
@@ -502,21 +498,21 @@ def test_a_record_from_the_shell(tmp_path: Path, capsys: pytest.CaptureFixture[s
         (["--set", "crack.length=1"], "crack.length = 1: not allowed with a record"),
         (["--set", "tip_timing.orders=[0]"], "tip_timing.orders = [0]: must be a list of"),
     ):
-        assert main([*words, *more]) == 2
-        assert error in capsys.readouterr().err
+        assert error in run_command(*words, *more, code=2).err
 
 
-def test_two_probes_from_the_shell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_two_probes_from_the_shell(tmp_path: Path, run_command: RunCommand) -> None:
     """The order fits, which is no proof that it is the right one."""
     record, _ = swept([(500.0, 0.002, 5, 2e-6)])
     record.without(np.array([2, 3])).to_csv(tmp_path / "record.csv")
     words = ["timing", str(tmp_path / "record.csv"), "--output", str(tmp_path)]
-    assert main([*words, "--set", "tip_timing.orders=[5,6]"]) == 0
-    told = " ".join(capsys.readouterr().err.split())
+    told = " ".join(run_command(*words, "--set", "tip_timing.orders=[5,6]").err.split())
     assert "rpm: 2 probes cannot test an order: 5 fits, and others may as well" in told
 
 
-def test_one_blade_of_several(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_blade_of_several(
+    tmp_path: Path, run_command: RunCommand, capsys: pytest.CaptureFixture[str]
+) -> None:
     """A record of two blades: all of them without a scene, or the one that is given; with a scene
     the one that is given, and an error that says which there are."""
     rng = np.random.default_rng(1)
@@ -530,10 +526,13 @@ def test_one_blade_of_several(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     scene.write_text(strip(2.0, 100.0 / UNIT, tip_timing=table).as_toml())
     for command in (["timing", str(scene), str(path)], ["identify", str(scene), "--arrivals"]):
         words = [*command, *[str(path)] * (command[0] == "identify"), "--output", str(tmp_path)]
-        assert main(words) == 2
-        assert f"is missing: must be given: one of 3, 4 in {path}" in capsys.readouterr().err
-        assert main([*words, "--blade", "2"]) == 2
-        assert f"--blade = 2: must be one of 3, 4 in {path}" in capsys.readouterr().err
+        assert (
+            f"is missing: must be given: one of 3, 4 in {path}" in run_command(*words, code=2).err
+        )
+        assert (
+            f"--blade = 2: must be one of 3, 4 in {path}"
+            in run_command(*words, "--blade", "2", code=2).err
+        )
     words = ["timing", str(scene), str(path), "--output", str(tmp_path), "--blade", "4"]
     assert main(words) == 0
     arrivals = fc.ArrivalTimes.from_csv(tmp_path / "arrivals.csv")
@@ -541,13 +540,10 @@ def test_one_blade_of_several(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     capsys.readouterr()
     words = ["timing", str(path), "--output", str(tmp_path), "--set", "tip_timing.tip_radius=0.5"]
     for more, told in (([], "2 blades, 399 revolutions"), (["--blade", "4"], "1 blade, 399 rev")):
-        assert main([*words, *more]) == 0
-        assert told in capsys.readouterr().err
+        assert told in run_command(*words, *more).err
 
 
-def test_units_of_a_record_without_a_resonance(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_units_of_a_record_without_a_resonance(tmp_path: Path, run_command: RunCommand) -> None:
     """Nothing stands out, which is said; so are a tip as fast as a planet and probes in radians."""
     angles = [0.3, 1.1, 2.9]
     rng = np.random.default_rng(1)
@@ -557,18 +553,18 @@ def test_units_of_a_record_without_a_resonance(
     narrow, fast = "all probes are within 2.6 degrees: are angles in rad?", "the blade tip moves at"
     for speed, unit, doubted in (("Hz", "rad", False), ("Hz", "deg", True), ("rpm", "rad", False)):
         path = written(tmp_path / "record.csv", f"speed [{speed}]," + names.format(unit), rows)
-        assert main(["timing", str(path), *radius]) == 0
-        told = capsys.readouterr().err
+        told = run_command("timing", path, *radius).err
         assert "no resonance stands out" in told
         assert (narrow in told) == doubted and fast not in told
     rows = [[60.0 * row[0], *row[1:]] for row in rows]
     path = written(tmp_path / "record.csv", "speed [Hz]," + names.format("rad"), rows)
-    assert main(["timing", str(path), *radius]) == 0
-    told = capsys.readouterr().err
+    told = run_command("timing", path, *radius).err
     assert f"{fast} 2.07e+04 m/s, where the fastest have 700" in told
 
 
-def test_a_record_at_constant_speed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_record_at_constant_speed(
+    tmp_path: Path, run_command: RunCommand, capsys: pytest.CaptureFixture[str]
+) -> None:
     """The fit finds the engine order that is in it; times in ns are questioned. Refused are orders
     that end before they begin, and probes at their median arrivals."""
     probes, speed, size = np.array([0.2, 0.9, 1.7, 2.4, 3.3, 4.1, 5.2]), 300.0, 8e-4
@@ -583,14 +579,15 @@ def test_a_record_at_constant_speed(tmp_path: Path, capsys: pytest.CaptureFixtur
     for unit, is_questioned in ((1.0, False), (1e9, True)):
         seen = unit * (arrivals / speed + jitter)
         fc.ArrivalTimes(seen, unit * marks, probes, 0.2).to_csv(path)
-        assert main(["timing", str(path), *out, "--orders", "1", "30"]) == 0
-        told = capsys.readouterr()
+        told = run_command("timing", path, *out, "--orders", "1", "30")
         rows = json.loads(told.out)
         assert [row["order"] for row in rows] == [0.0, 4.0, 8.0]
         assert rows[1]["amplitude [m]"] == pytest.approx(size, rel=1e-3)
         assert (question in told.err) == is_questioned
-    assert main(["timing", str(path), *out, "--orders", "5", "4"]) == 2
-    assert "--orders = [5, 4]: must be whole numbers, 1 <= FIRST <= LAST" in capsys.readouterr().err
+    assert (
+        "--orders = [5, 4]: must be whole numbers, 1 <= FIRST <= LAST"
+        in run_command("timing", path, *out, "--orders", "5", "4", code=2).err
+    )
     path = written(path, "speed [Hz],probe 1 [rad],probe 2 [rad]", [[50.0, 0.3, 1.1]] * 30)
     words = ["timing", str(path), *out, "--set", "tip_timing.tip_radius=0.2"]
     assert main(words) == 2
