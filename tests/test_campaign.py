@@ -311,7 +311,6 @@ def test_orbit_that_newton_s_method_does_not_find(number: int) -> None:
         case.structure, case.omega, case.law, tolerance=campaign.TOLERANCE, throw=False
     )
     orbit, flow = found.orbit, case.flow(case.structure)
-    assert orbit is not None
     state = campaign.state_of(orbit, flow)
     after = flow.advance(state, case.omega, 0.0, orbit.period).state
     assert np.linalg.norm(after - state) < 1e-6 * np.linalg.norm(state)

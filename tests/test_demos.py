@@ -27,7 +27,6 @@ pytestmark = pytest.mark.usefixtures("not_laid_out")
 def load(name: str) -> ModuleType:
     """Import a demo by its name."""
     spec = importlib.util.spec_from_file_location(name, DEMOS / f"{name}.py")
-    assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     spec.loader.exec_module(module)

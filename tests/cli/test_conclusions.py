@@ -179,7 +179,6 @@ def test_one_sentence_holds_the_answer(
     run = fc.load_run(tmp_path / "solution.h5")
     size, opening = (fc_quantity(rows[name]["value"]) for name in ("amplitude", "opening"))
     assert f"at 2000 rad/s the {run.watched_name} is {size} half peak-to-peak" in closing
-    assert run.stated is not None
     error = error_in_words(run.stated.stated("opening")[0])
     said = f"; the crack opens by {opening}, estimated error {error}, and is closed for "
     assert said in closing

@@ -54,7 +54,6 @@ def test_arrivals_and_the_way_back(tmp_path: Path, timing: RunCommand) -> None:
     that the solution's harmonics."""
     scene = solved(tmp_path)
     run = fc.load_run(tmp_path / "solution.h5")
-    assert isinstance(run.result, fc.PeriodicSolution)
     wanted = fc.tip_timing(
         run.result, {run.watched_dof: -0.5}, probes=np.radians(PROBES), tip_radius=RADIUS, order=5,
         revolutions=20,

@@ -87,7 +87,6 @@ def test_pairs_are_found_without_a_word(scene: Scene) -> None:
     assert structure.pair_points == pytest.approx(np.array([[0.0, 0.01, 0.0], [0.0, 0.01, 0.005]]))
     assert structure.pair_areas == pytest.approx([0.5 * 0.01 * 0.005] * 2)
     assert list(structure.watched_pairs) == ["the mouth"]
-    assert structure.nodes is not None
     moved = np.zeros((2, structure.n_dofs))
     moved[0, structure.nodes.dofs[[18, 19], 1]] = -1e-6
     moved[1, structure.nodes.dofs[[3, 12], 1]] = 1e-6
@@ -292,7 +291,6 @@ def test_every_format_is_the_same_plate(program: str, folder: Path, scene: Scene
     assert frequencies(structure) == pytest.approx(frequencies(own), rel=1e-8)
     assert structure.pair_points == pytest.approx(own.pair_points)
     moved = np.zeros((1, structure.n_dofs))
-    assert structure.nodes is not None
     moved[0, structure.nodes.dofs[[-2, -1], 1]] = -1e-6
     expected = 1e-6 if program == "a table" else 0.5e-6
     assert structure.apply_bt(moved) == pytest.approx(np.full((1, 2), expected))
@@ -393,16 +391,13 @@ def test_pairs_of_a_solid_are_its_own(crack: str) -> None:
     keys = {f"crack.{key}": x for key, x in ({"height": 0.03} | CRACKS[crack]).items()}
     keys |= {f"cracks.1.{key}": x for key, x in SECOND.items() if crack == "two"}
     own = fc.build_structure(Scene.from_text(SOLID).replace(keys), MPI.COMM_SELF)
-    assert own.nodes is not None and own.pair_points is not None and own.pair_areas is not None
     points, dofs = own.nodes.points, own.nodes.dofs
     stiffness = csr(own.stiffness)
     model = Model(np.arange(len(points)), points, {24: own.nodes.cells})
     gap, pairs = find_pairs(model, dofs, stiffness, turns=False)
-    assert pairs.points is not None and pairs.areas is not None
     here, there = (np.lexsort(found.round(9).T) for found in (pairs.points, own.pair_points))
     assert abs(gap[:, here] - own.gap[:, there]).max() < 1e-12
     assert pairs.areas[here] == pytest.approx(own.pair_areas[there], rel=1e-12)
-    assert pairs.cracks is not None and own.pairs.cracks is not None
     np.testing.assert_array_equal(pairs.cracks[here], own.pairs.cracks[there])
     assert pairs.positions is not None and pairs.places.keys() - own.watched_pairs.keys() == set()
     for place in pairs.places.values():
@@ -413,7 +408,6 @@ def test_pairs_of_a_solid_are_its_own(crack: str) -> None:
     other = find_pairs(
         Model(model.labels, points[mixed], {24: cells}), dofs[mixed], stiffness, turns=False
     )[1]
-    assert other.points is not None and other.cracks is not None
     places = [np.lexsort(found.round(9).T) for found in (pairs.points, other.points)]
     np.testing.assert_array_equal(pairs.cracks[places[0]], other.cracks[places[1]])
     nodes, _ = find_pairs(Model(model.labels, points, {}), dofs, stiffness, turns=False)
@@ -577,7 +571,6 @@ def test_blanks_and_instances_of_abaqus(tmp_path: Path) -> None:
     """Around the sign of equality; an instance that is where its part is."""
     text = (FOLDER / "plate.inp").read_text()
     kind = re.search(r"(?i)type=C3D8\w*", text)
-    assert kind is not None
     words = f"type = {kind[0][5:]}"
     (tmp_path / "all.inp").write_text(
         f"*Instance, name=A, part=B\n0., 0., 0.\n{text.replace(kind[0], words)}"
@@ -622,7 +615,6 @@ def test_results_belong_to_all_their_files(folder: Path, scene: Scene) -> None:
 def test_pairs_of_a_plane_model_are_the_plates(name: str) -> None:
     """Of nodes: the plate's own B, whatever the direction of its crack."""
     own = fc.build_structure(Scene.load(DEMOS / f"{name}.toml"), MPI.COMM_SELF)
-    assert own.nodes is not None and own.pair_points is not None
     points, dofs = (np.pad(x, ((0, 0), (0, 1)), constant_values=fill) for x, fill in (
         (own.nodes.points, 0.0), (own.nodes.dofs, -1)))  # fmt: skip
     model = Model(np.arange(len(points)), points, {})

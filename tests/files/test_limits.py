@@ -34,7 +34,6 @@ def run(*words: object, **surroundings: str) -> tuple[int, list[str]]:
         stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
         preexec_fn=lambda: [signal.setitimer(*timer) for timer in TIMERS],
     )  # fmt: skip
-    assert done.stderr is not None
     with done.stderr:
         said = done.stderr.read()
     _, status, usage = os.wait4(done.pid, 0)

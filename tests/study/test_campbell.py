@@ -206,7 +206,6 @@ def test_a_tie_that_takes_a_mode_past_another() -> None:
     together, also of the first mode alone."""
     scene = Scene.from_text(BAR)
     bar = fc.build_structure(scene)
-    assert bar.nodes is not None
     tip = bar.nodes.dofs[np.argmax(bar.nodes.points[:, 1])][[0, 2]]
     along = {}
     for lips in ("open", "tied"):

@@ -23,7 +23,6 @@ INCLINED = fc.Scene.load(ROOT / "demos" / "inclined_crack.toml").replace({"curve
 
 def changes(errors: fc.Verification | None) -> dict[str, float]:
     """Stated relative changes by friction."""
-    assert errors is not None
     part = errors.parts["friction"]
     return {name: part[name].values[1] / part[name].values[0] - 1.0 for name in NAMES}
 
@@ -38,7 +37,6 @@ def test_effect_is_that_of_the_scene_with_friction() -> None:
     stated = []
     for modes in (10, 30):
         run = fc.solve(INCLINED.replace({"reduction.modes": modes}), MPI.COMM_SELF)
-        assert run.errors is not None
         stated.append(changes(run.errors))
         part = run.errors.contributions("ratio_2_1")["friction"]
         assert run.errors.total("ratio_2_1") >= part
@@ -52,7 +50,6 @@ def test_effect_is_that_of_the_scene_with_friction() -> None:
 def true_over_stated(scene: fc.Scene) -> dict[str, float]:
     """Of each number, what friction changes with 60 modes over its part of the error."""
     run = fc.solve(scene, MPI.COMM_SELF)
-    assert run.errors is not None
     true = with_and_without(run.scene, 60)
     parts = {name: run.errors.contributions(name)["friction"] for name in NAMES}
     return {n: abs(true[n] * run.errors.values[n]) / part for n, part in parts.items()}
@@ -123,7 +120,6 @@ def test_where_it_is_silent() -> None:
     """With friction, and by a key; solids and matrices say that it is not estimated."""
     few = {"reduction.method": "massless", "reduction.modes": 10}
     rubbing = fc.solve(INCLINED.replace(few | {"contact.friction": 0.3}), MPI.COMM_SELF).errors
-    assert rubbing is not None
     assert "friction" not in {*rubbing.parts, *rubbing.unknown, *rubbing.absent}
     off = fc.solve(INCLINED.replace({"contact.friction_error": False}), MPI.COMM_SELF).errors
     assert off is not None and off.unknown["friction"] == "contact.friction_error = false"
@@ -149,7 +145,6 @@ def test_last_line(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr("fenics_crack.study.vary.law_of", fails)
     errors = fc.solve(few, MPI.COMM_SELF).errors
-    assert errors is not None
     assert errors.unknown["friction"] == "a run with friction has no solution"
     assert errors.stated("amplitude")[0] > 0.0
 

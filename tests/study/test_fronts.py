@@ -38,7 +38,6 @@ def test_patches(elements: int) -> None:
     structure = study.structure
     stations, rows, of_forces = tip_rows(study)
     radius = DEEP / elements  # about the domain's
-    assert structure.nodes is not None and structure.pairs.areas is not None
     away = structure.nodes.points - np.array([0.015, 0.03, 0.006])
     free = structure.nodes.numbered.free_part
     for axis in np.eye(3):
@@ -171,7 +170,6 @@ def test_cells_in_another_order() -> None:
     """The numbers of cells, which differ from run to run on several ranks, do not matter."""
     scene = solid(mesh__lip_elements=3)
     structure = fc.build_structure(scene, MPI.COMM_SELF)
-    assert structure.nodes is not None
     nodes = replace(structure.nodes, cells=structure.nodes.cells[::-1])
     turned = structure._in(structure.setting, nodes=nodes)
     _, rows, _ = front_functionals(scene, structure)

@@ -105,7 +105,6 @@ def test_results_belong_to_their_files(scene: Scene, tmp_path: Path) -> None:
         again = fc.load_run(tmp_path / f"{name}.h5", MPI.COMM_SELF)
         assert again.scene.structure == run.scene.structure
     modes = again.result
-    assert isinstance(modes, fc.Modes)
     np.testing.assert_array_equal(modes.shapes, runs["modes"].result.shapes)  # type: ignore[union-attr]
     with open(tmp_path / "gap.mtx", "a") as file:
         file.write("% changed\n")

@@ -37,7 +37,6 @@ RUBBING: dict[str, Any] = {
 def true_changes(run: fc.Run[fc.PeriodicSolution]) -> dict[str, float]:
     """Change of each number from the exact orbit to that of four times the modes."""
     result, orbit = run.result, run.result.assessment.orbit
-    assert orbit is not None and run.contact is not None
 
     def numbers(orbit: PeriodicOrbit) -> dict[str, float]:
         return of_orbit(replace(run, structure=orbit.structure), result, orbit, 1)
@@ -49,9 +48,7 @@ def true_changes(run: fc.Run[fc.PeriodicSolution]) -> dict[str, float]:
             reference=False,
         )  # fmt: skip
         flow = flow_of(structure, run.contact)
-        assert flow is not None
         found = MoreModes(flow, result.assessment.wave, larger).orbit
-        assert found is not None
         larger = found
     few, many = numbers(orbit), numbers(larger)
     return {name: abs(many[name] - value) for name, value in few.items() if name in many}
@@ -80,7 +77,6 @@ def test_modes_that_change_a_number_little_by_chance(
     of the change of the motion states them."""
     run = fc.solve(fc.Scene.load(scene).replace(ALONE | changes))
     true = true_changes(run)
-    assert run.errors is not None
     for name in names:
         part = run.errors.parts["modes"][name]
         next_change = abs(part.values[0] - part.values[1])

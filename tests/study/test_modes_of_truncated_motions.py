@@ -29,7 +29,6 @@ def prepared(changes: dict[str, Any]) -> fc.Study:
 def solved(study: fc.Study, harmonics: int) -> fc.PeriodicSolution:
     """Its solution with some harmonics."""
     omega = study.scene.excitation.omega
-    assert omega is not None and study.contact is not None
     return fc.solve_harmonic_balance(study.structure, omega, study.contact, harmonics=harmonics)
 
 
@@ -44,7 +43,6 @@ def orbit_of(study: fc.Study, modes: int) -> fc.PeriodicOrbit:
     more = fc.prepare(study.scene.replace({"reduction.modes": modes}))
     omega = study.scene.excitation.omega
     solution = fc.solve_harmonic_balance(more.structure, omega, more.contact, tolerance=0.5)
-    assert solution.orbit is not None
     return solution.orbit
 
 

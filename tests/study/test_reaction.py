@@ -97,7 +97,6 @@ def test_shaken_solid() -> None:
 def momentum(structure: fc.Structure, moved: np.ndarray, about: np.ndarray) -> np.ndarray:
     """Momentum and angular momentum of velocities (n, n_dofs), or their rates of accelerations, by
     Gauss points in bilinear rectangles: (n, 3)."""
-    assert structure.nodes is not None
     points, cells, dofs = (getattr(structure.nodes, name) for name in ("points", "cells", "dofs"))
     field = np.where(dofs >= 0, moved[:, dofs], 0.0)  # (n, node, 2)
     found = np.zeros((len(moved), 3))

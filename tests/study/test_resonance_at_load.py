@@ -28,7 +28,6 @@ def test_plate() -> None:
     """In ten modes that of all that are kept, and proportional to the load."""
     scene = fc.Scene.load(DEMOS / "blade.toml")
     study = fc.prepare(scene, MPI.COMM_SELF)
-    assert study.contact is not None
     problem = fc.Problem(study.structure, scene.excitation.omega, study.contact)
     whole = fc.resonance_at(problem, tolerance=0.01)
     found = at_load(scene)
@@ -99,7 +98,6 @@ def test_proposed_curve_meets_its_peak() -> None:
     figures = find_key_figures(study)
     found = resonance_of(study, figures.omega_bilinear, figures.slopes)
     curve = proposed_curve(study.scene, replace(figures, at_load=found))
-    assert curve is not None
     start, stop = curve.followed[1:]
     assert start <= found.value - 3.0 * found.width < found.value + 3.0 * found.width <= stop
     keys = {"curve.start": start, "curve.stop": stop, "curve.parameter": "omega"}

@@ -33,7 +33,6 @@ def test_solution_and_motion_agree(scene: fc.Scene, law: dict[str, Any], tmp_pat
     scene = scene.replace(law | {"integration.settle": 1e-5, "harmonic_balance.harmonics": 40})
     solved = fc.solve(scene, MPI.COMM_SELF)
     found, plate = solved.result, solved.structure
-    assert isinstance(plate, fc.MasslessStructure)
     assert solved.scene.reduction is not None and solved.scene.reduction.method == "massless"
     assert found.converged and found.stability is not None
     marched = fc.integrate(scene, MPI.COMM_SELF)
@@ -58,7 +57,6 @@ def test_solution_and_motion_agree(scene: fc.Scene, law: dict[str, Any], tmp_pat
         read.displacement(time, [dof]), motion, rtol=1e-9, atol=1e-9 * np.ptp(motion)
     )
     motion_again = fc.load_run(tmp_path / "integration.h5", MPI.COMM_SELF).result
-    assert isinstance(motion_again, fc.TimeHistory)
     np.testing.assert_allclose(
         motion_again.displacement([dof]), history.displacement([dof]), atol=1e-9 * np.ptp(motion)
     )
@@ -84,7 +82,6 @@ def test_pictures_of_lips_without_mass(scene: fc.Scene, tmp_path: Path) -> None:
     fc.write_modes(modes, tmp_path / "modes.vtu")
     fc.save(modes, tmp_path / "modes.h5")
     read = fc.load(tmp_path / "modes.h5", run.structure)
-    assert isinstance(read, fc.Modes)
     np.testing.assert_allclose(read.omega, fc.solve_modes(run.structure.whole, 3).omega)
 
 

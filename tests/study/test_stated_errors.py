@@ -93,7 +93,6 @@ def test_true_errors_over_stated_ones(scene: fc.Scene, frequency: float) -> None
     keys = {"excitation.frequency": frequency, "contact.friction_error": False}
     run = fc.solve(scene.replace(keys), MPI.COMM_SELF)
     finer = refined(run.scene, 4.0)
-    assert run.errors is not None
     exact = {"harmonic_balance.tolerance": None, "harmonic_balance.harmonics": 40}
     true = changes(finer.replace(exact | {"reduction.modes": 20}), run)
     names = {"amplitude": 1.5, "frequency_open_1": 1.5, "frequency_bilinear_1": 1.5}
@@ -126,7 +125,6 @@ def test_elements_longer_than_a_solid_is_thick() -> None:
     for lips in (2, 3):
         changes = {"mesh.lip_elements": lips, "mesh.error": True}
         found = fc.modes(scene.replace(changes), comm=MPI.COMM_SELF)
-        assert found.errors is not None
         for mode in (1, 2, 3):
             stated = found.errors.stated(f"frequency_open_{mode}")[0]
             seen = found.result.omega[mode - 1] / true[mode - 1] - 1.0
@@ -147,7 +145,6 @@ def test_a_solid_at_half_of_a_resonance_and_below_it(
     more of the kind)."""
     scene = fc.Scene.from_text(THROUGH).replace({"excitation.frequency": frequency})
     run = fc.solve(scene, MPI.COMM_SELF)
-    assert run.errors is not None
     for name, right in {"amplitude": amplitude, "opening": opening}.items():
         true, (stated, cause) = abs(right / run.errors.values[name] - 1.0), run.errors.stated(name)
         assert cause == "mesh" and 0.2 < true / stated < 1.5, name
@@ -161,7 +158,6 @@ def test_a_plate_next_to_its_force(scene: fc.Scene) -> None:
     crack = {"crack.length": 0.045, "crack.height": 0.243, "damping.ratio": 0.006}
     load = {"excitation.frequency": 428.8, "contact.friction_error": False}
     run = fc.solve(scene.replace(coarse | crack | load), MPI.COMM_SELF)
-    assert run.errors is not None
     true = abs(4.945e-6 - run.errors.values["amplitude"])
     assert 0.2 < true / run.errors.contributions("amplitude")["mesh"] < 1.6
 
@@ -209,7 +205,6 @@ def test_a_crack_that_closes_pair_by_pair(scene: fc.Scene) -> None:
     pressed |= {"mesh.size": 0.02, "mesh.lip_elements": 4, "excitation.frequency": 1024.0}
     run = fc.solve(scene.replace(pressed), MPI.COMM_SELF)
     finer = refined(run.scene, 4.0)
-    assert run.errors is not None
     touching = run.result.contact_force(run.result.instants()) > 0.0
     assert 0 < touching.all(axis=0).sum() < 4
     exact = {"harmonic_balance.tolerance": None, "harmonic_balance.harmonics": 40}
@@ -278,7 +273,6 @@ def test_the_report_and_the_stated_error_are_by_the_same_orbits(run: fc.Run) -> 
     amplitude changes by less than the motion does."""
     found, stated, dof = run.result, run.errors, run.watched_dof
     more = found.assessment.more_modes
-    assert more is not None and more.orbit is not None and stated is not None
     share, few, many = found.structure.share, more.fewer, more.orbit
     time = few.period * np.arange(2000) / 2000
     own, other = (
@@ -332,7 +326,6 @@ def test_without_the_mesh(scene: fc.Scene) -> None:
     for demo, changes in (("chain", {}), ("inclined_crack", {}), ("paper_plate", soft)):
         few = {"harmonic_balance.harmonics": 3, "curve": None} | changes
         run = fc.solve(fc.Scene.load(DEMOS / f"{demo}.toml").replace(few), MPI.COMM_SELF)
-        assert run.errors is not None
         assert run.errors.unknown.keys() - {"friction"} == {"mesh"}
     whole = fc.solve(scene.replace({"crack": None, "contact": None}), MPI.COMM_SELF).errors
     assert whole is not None and not whole.unknown and whole.absent.keys() == {"harmonics"}
@@ -365,7 +358,6 @@ def test_far_too_few_harmonics(frequency: float, tmp_path: Path) -> None:
         fc.solve(few.replace({"harmonic_balance.harmonics": harmonics}), MPI.COMM_SELF)
         for harmonics in (5, 80)
     )
-    assert found.errors is not None
     exact, value = (run.errors.values["amplitude"] for run in (fine, found))
     error, cause = found.errors.stated("amplitude")
     true = abs(exact / value - 1.0)
@@ -379,7 +371,6 @@ def test_far_too_few_harmonics(frequency: float, tmp_path: Path) -> None:
 def test_two_files_of_one_part(scene: fc.Scene, run: fc.Run, tmp_path: Path) -> None:
     """The coarser one says of the other what the meshes of a scene say of each other."""
     twin = refined(scene, 0.5)
-    assert run.errors is not None
     for name, made in (("own", scene), ("coarse", twin)):
         fc.write_msh(made, tmp_path / f"{name}.msh")
     files = scene.replace(
@@ -398,7 +389,6 @@ def test_two_files_of_one_part(scene: fc.Scene, run: fc.Run, tmp_path: Path) -> 
         fc.solve(files.replace({"mesh.coarser": str(tmp_path / "none.msh")}), MPI.COMM_SELF)
     same = files.replace({"mesh.coarser": str(tmp_path / "own.msh")})
     unknown = fc.solve(same, MPI.COMM_SELF).errors
-    assert unknown is not None
     assert unknown.unknown == {"mesh": "a coarser one has as many elements"}
     larger = {"geometry.height": 2.0 * scene.geometry.height, "mesh.size": 2.0 * scene.mesh.size}
     fc.write_msh(twin.replace(larger), tmp_path / "other.msh")
@@ -407,7 +397,6 @@ def test_two_files_of_one_part(scene: fc.Scene, run: fc.Run, tmp_path: Path) -> 
     assert errors is not None and "another part" in errors.unknown["mesh"]
     crack, cracks = scene.given("crack"), tmp_path / "cracks.msh"
     few = refined(scene, 0.25)
-    assert crack.length is not None
     second = {"edge": "right", "height": 0.5 * crack.height, "length": crack.length}
     for other_crack in (
         {"crack.length": 0.5 * crack.length}, {"crack.height": 0.5 * crack.height},
@@ -428,7 +417,6 @@ def test_of_modes_and_of_a_curve(scene: fc.Scene, run: fc.Run) -> None:
     assert modes.errors.stated(name)[0] == pytest.approx(run.errors.stated(name)[0], rel=1e-6)
     range_ = {"curve.start": 820.0, "curve.stop": 845.0, "curve.parameter": "frequency"}
     curve = fc.curve(scene.replace(range_ | {"curve.stability": False}), MPI.COMM_SELF)
-    assert curve.errors is not None
     largest = curve.result.amplitude(curve.watched_dof).max()
     assert curve.errors.values["amplitude"] == pytest.approx(largest, rel=1e-4)
     assert curve.errors.stated("amplitude")[0] < run.errors.stated("amplitude")[0]
@@ -456,7 +444,6 @@ def test_of_modes_and_of_a_curve(scene: fc.Scene, run: fc.Run) -> None:
 )
 def test_strange_files(run: fc.Run, tmp_path: Path, change: Callable[[Any], object]) -> None:
     """What does not fit is refused."""
-    assert run.errors is not None
     kept = json.loads(run.errors.text())
     path = tmp_path / "solution.h5"
     replace(run, stated=run.errors).save(path)
@@ -476,6 +463,5 @@ def test_three_natural_frequencies_are_stated() -> None:
     run = fc.solve(fc.Scene.load(DEMOS / "chain.toml"))
     whole = run.structure.whole
     squares = scipy.linalg.eigvalsh(dense(whole.stiffness), dense(whole.mass))
-    assert run.errors is not None
     stated = [run.errors.values[f"frequency_open_{mode}"] for mode in (1, 2, 3)]
     assert stated == pytest.approx(np.sqrt(squares[:3]) / (2.0 * np.pi), rel=1e-6)

@@ -99,7 +99,6 @@ def test_each_part_is_what_its_runs_say() -> None:
 
 def opening(plate: Study, omega: float) -> float:
     """Of the lips at a frequency."""
-    assert plate.contact is not None
     harmonics = plate.scene.harmonic_balance.harmonics
     found = fc.solve_harmonic_balance(plate.structure, omega, plate.contact, harmonics=harmonics)
     return found.indicators(plate.watched[0].dof).opening

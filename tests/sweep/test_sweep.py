@@ -57,7 +57,6 @@ def swept(scene: fc.Scene, over: Over, changes: Over = SOFT) -> fc.Scene:
 def by_hand(scene: fc.Scene, values: Over) -> tuple[fc.Structure, fc.PeriodicSolution]:
     """One case on its own."""
     case = scene.replace({"sweep": None}).replace(dict(values))
-    assert case.contact is not None
     plate = prepare(case, MPI.COMM_SELF).structure
     solution = fc.solve_harmonic_balance(
         plate,

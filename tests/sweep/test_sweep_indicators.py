@@ -39,7 +39,6 @@ def whole(scene: fc.Scene, tmp_path_factory: pytest.TempPathFactory) -> SweepRes
 def alone(case: fc.Scene) -> tuple[fc.Study, fc.PeriodicSolution]:
     """A case as a scene of its own."""
     study = fc.prepare(case.replace({"sweep": None}), MPI.COMM_SELF)
-    assert study.contact is not None
     solution = fc.solve_harmonic_balance(
         study.structure, case.excitation.omega, study.contact,
         harmonics=case.harmonic_balance.harmonics,

@@ -99,7 +99,6 @@ class Beam:
         """Of the first three modes in bending of the plate in plane stress, crack open [rad/s]."""
         structure = fc.build_structure(self.scene(share))
         modes = fc.solve_modes(structure, 4)
-        assert structure.nodes is not None
         lengthwise = structure.nodes.dofs[:, 1]
         axial = np.sum(modes.shapes[lengthwise[lengthwise >= 0]] ** 2, axis=0)
         bending = axial < 0.5 * np.sum(modes.shapes**2, axis=0)

@@ -51,7 +51,6 @@ def with_eight_nodes(structure: fc.Structure) -> fc.Structure:
     u_9 = -(u_1 + ... + u_4) / 4 + (u_5 + ... + u_8) / 2, so M, K and B are those of elements with
     eight nodes.
     """
-    assert structure.nodes is not None
     cells, dofs = structure.nodes.cells, structure.nodes.dofs
     middle = dofs[cells[:, 8]].ravel()
     kept = np.setdiff1d(np.arange(structure.n_dofs), middle)
@@ -150,7 +149,6 @@ def rotating_blade() -> dict[float, tuple[np.ndarray, np.ndarray]]:
     """By speed [rpm]: six frequencies of the twisted blade, ours and CalculiX's [Hz]."""
     scene = fc.Scene.load(ROOT / "demos" / "solid_blade.toml")
     structure = fc.build_structure(scene)
-    assert structure.rotation is not None and scene.rotation is not None
     lines, found = mesh_lines(structure, scene, "C3D10"), {}
     place = ", ".join(f"{x:.13e}" for x in np.concatenate(scene.axis))
     for rpm in SPEEDS:
@@ -205,7 +203,6 @@ def opened() -> tuple[fc.Structure, np.ndarray, np.ndarray]:
 def draw_opening(axes: Any) -> None:
     """Over the distance from the mouth."""
     structure, *both = opened()
-    assert structure.pairs is not None
     for motion, style, name in zip(both, ("-", "kx"), ("fenics_crack", "CalculiX"), strict=True):
         opening = -structure.apply_bt(motion[None])[0]
         axes.plot(1e3 * structure.pairs.positions, 1e12 * opening, style, label=name)
@@ -222,7 +219,6 @@ def calculix_crack_opening() -> list[Row]:
     faces, from the mouth (position 0) towards the tip, and the work of the forces.
     """
     structure, *both = opened()
-    assert structure.pairs is not None
     openings = [-structure.apply_bt(motion[None])[0] for motion in both]
     positions = structure.pairs.positions
     rows = []
@@ -257,7 +253,6 @@ def breathing_plate() -> tuple[fc.Scene, fc.Structure, fc.ContactLaw]:
         }
     )
     study = fc.prepare(scene, whole=True)
-    assert study.contact is not None
     return scene, study.structure, study.contact
 
 
@@ -557,7 +552,6 @@ def calculix_solids() -> list[Row]:
     lines = mesh_lines(own, scene, "C3D10")
     with stored_matrices(lines, scene) as stored:
         read = fc.build_structure(stored)
-    assert own.pair_areas is not None and read.pair_areas is not None
     found = fc.solve_modes(read, 6).omega / (2.0 * np.pi)
     near = np.abs(found / both["cracked"][1] - 1.0) < 1e-6
     rows += [Row("its matrices, read: modes of six that are within 1e-6", near.sum(), 6, 0.0)]
@@ -615,7 +609,6 @@ def mass_at_four_points(structure: fc.Structure, density: float, shapes: np.ndar
     """v^H M v of shapes (n_dofs, m), with M of tetrahedra with straight sides by the four points of
     a rule for polynomials of degree 2."""
     nodes = structure.nodes
-    assert nodes is not None
     corners = nodes.points[nodes.cells[:, :4]]
     volumes = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) / 6.0
     near, far = (5.0 + 3.0 * 5.0**0.5) / 20.0, (5.0 - 5.0**0.5) / 20.0
@@ -623,7 +616,6 @@ def mass_at_four_points(structure: fc.Structure, density: float, shapes: np.ndar
     one, other = np.array([(0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)]).T
     values = np.hstack([places * (2.0 * places - 1.0), 4.0 * places[:, one] * places[:, other]])
     moved = np.vstack([shapes, np.zeros(shapes.shape[1])])[nodes.dofs[nodes.cells]]
-    assert nodes.frames is not None
     moved = np.einsum("cnij,cnjm->cnim", nodes.frames[nodes.cells], moved)
     squares = np.abs(np.einsum("pn,cnam->cpam", values, moved)) ** 2
     return density / 4.0 * np.einsum("c,cpam->m", volumes, squares)

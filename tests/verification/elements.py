@@ -73,7 +73,6 @@ def errors_of_the_made(cells: int, order: int) -> tuple[float, float]:
     """
     mesh = {"layout": "grid", "columns": cells, "rows": cells, "order": order}
     structure = fc.build_structure(cracked_plate(1.0, 1.0, [], mesh))
-    assert structure.nodes is not None
     points, dofs = structure.nodes.points, structure.nodes.dofs
     free = dofs >= 0
     load = np.zeros(structure.n_dofs)

@@ -39,7 +39,6 @@ class Front:
     @property
     def points(self) -> np.ndarray:
         """All nodes [m]."""
-        assert self.structure.nodes is not None
         return self.structure.nodes.points
 
     @property
@@ -50,7 +49,6 @@ class Front:
     @cache  # noqa: B019
     def displacement(self) -> np.ndarray:
         """Of the nodes when it is pulled: (n, 3) [m]."""
-        assert self.structure.nodes is not None
         solver, (found, load) = PETSc.KSP().create(), self.structure.stiffness.createVecs()
         solver.setOperators(self.structure.stiffness)
         solver.setType("preonly")
@@ -65,7 +63,6 @@ class Front:
     def energy(self, shift: np.ndarray) -> float:
         """Elastic energy of the cells at the front [J], whose nodes are shifted by (n_front, 3)
         while the displacements stay; edges remain straight, and four points are exact."""
-        assert self.structure.nodes is not None
         cells, points = self.structure.nodes.cells, self.points.copy()
         cells = cells[np.isin(cells[:, :4], self.nodes).any(axis=1)]
         points[self.nodes] += shift
@@ -124,7 +121,6 @@ def pulled(shape: str, elements: int) -> Front:
             }
         )
     )  # fmt: skip
-    assert structure.nodes is not None
     corners = np.unique(structure.nodes.cells[:, :4])
     x, y, z = structure.nodes.points[corners].T
     x, z = (x - 0.015) / 0.008, (THICKNESS - z) / 0.003
@@ -174,7 +170,6 @@ def at_stations(elements: int) -> tuple[np.ndarray, ...]:
     on the line through the last two, as the program has it."""
     front = pulled("ellipse", elements)
     stations, rows, _ = front_functionals(solid(), front.structure)
-    assert front.structure.nodes is not None
     free = front.structure.nodes.numbered.free_part(front.displacement().ravel())
     one, two, three = (rows @ free).reshape(-1, 3).T
     x, _, z = np.array([station.point for station in stations]).T

@@ -41,7 +41,6 @@ def mesh_lines(
     of the plate's thickness between two planes; the nodes of the second have the numbers of the
     first, increased by the number of nodes.
     """
-    assert structure.nodes is not None
     points, dofs = structure.nodes.points, structure.nodes.dofs
     solid, layer = points.shape[1] == 3, element == "C3D8"
     thickness = scene.geometry.thickness
@@ -104,7 +103,6 @@ def sector_lines(sector: Sector, scene: fc.Scene) -> list[str]:
 
 def ties(structure: fc.Structure) -> list[str]:
     """B^T u = 0 as equations."""
-    assert structure.nodes is not None
     places = {int(dof): place for place, dof in np.ndenumerate(structure.nodes.dofs)}
     lines = []
     for column in structure.apply_bt(np.eye(structure.n_dofs)).T:
@@ -119,7 +117,6 @@ def ties(structure: fc.Structure) -> list[str]:
 
 def contact_lines(structure: fc.Structure, scene: fc.Scene) -> list[str]:
     """Contact of the faces of a grid's bricks along a crack, by a pressure of so much a depth."""
-    assert structure.nodes is not None and scene.crack is not None
     points, cells = structure.nodes.points, structure.nodes.cells
     x, y = points.T
     on_line = np.isclose(y, scene.crack.height) & (x < scene.crack.length * (1.0 + 1e-9))
@@ -217,7 +214,6 @@ def transient(
     clamped layer of bricks, from a state of displacement and velocity. A copy of the input file is
     kept if a place is given.
     """
-    assert structure.nodes is not None
     period = 2.0 * np.pi / scene.excitation.omega
     step, back = period / steps, len(structure.nodes.points)
     lines = mesh_lines(structure, scene, "C3D8") + contact_lines(structure, scene)
@@ -267,7 +263,6 @@ def _marched(
 
 def _values(structure: fc.Structure, values: np.ndarray, shifts: tuple[int, ...]) -> list[str]:
     """Lines of node, axis and value of the dofs that are not zero."""
-    assert structure.nodes is not None
     dofs = structure.nodes.dofs
     return [
         f"{node + 1 + shift}, {axis + 1}, {values[dofs[node, axis]]:.13e}"
@@ -279,7 +274,6 @@ def _values(structure: fc.Structure, values: np.ndarray, shifts: tuple[int, ...]
 
 def _displacements(table: str, structure: fc.Structure) -> np.ndarray:
     """Of all dofs, from tables of the front's nodes, one an instant."""
-    assert structure.nodes is not None
     dofs = structure.nodes.dofs
     found = []
     for part in table.split("displacements")[1:]:

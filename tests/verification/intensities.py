@@ -76,7 +76,6 @@ def meshed(
 
 def displaced(structure: fc.Structure, load: np.ndarray, held: np.ndarray) -> np.ndarray:
     """Displacement under forces, where dofs (n_nodes, 3) are held."""
-    assert structure.nodes is not None
     dofs = structure.nodes.dofs[held]
     matrix = structure.stiffness.copy()
     diagonal = matrix.getDiagonal()
@@ -113,7 +112,6 @@ def pressed_open(
     scene, structure = meshed(make, front, np.minimum(element, bent * radius), 0.5, side / 4.0)
     stations, rows, of_forces = front_functionals(scene, structure)
     forces = STRESS * structure.pair_areas
-    assert structure.nodes is not None
     held = (np.abs(structure.nodes.points) < 1e-9) & [corner, False, corner]
     values = rows @ displaced(structure, -(structure.gap @ forces), held) + of_forces @ forces
     x, _, z = np.array([station.point for station in stations]).T
@@ -289,7 +287,6 @@ def torsion(element: float = 1.2e-4) -> tuple[np.ndarray, np.ndarray, int]:
     t = np.linspace(0.0, 0.5 * np.pi, 400)
     front = LIGAMENT * np.column_stack([np.cos(t), 0.0 * t, np.sin(t)])
     scene, structure = meshed(make, front, np.full(400, element), 0.6, RADIUS / 3.0)
-    assert structure.nodes is not None
     points, cells = structure.nodes.points, structure.nodes.cells
     load = np.zeros_like(points)
     for corners in combinations(range(4), 3):

@@ -33,7 +33,6 @@ def scene_of(stiffness: float, ratio: float) -> fc.Scene:
     depth is 3 k / (length thickness).
     """
     paper = fc.Scene.load(SCENE)
-    assert paper.crack is not None
     first = fc.solve_modes(fc.build_structure(paper), 1).omega[0]
     area = paper.crack.length * paper.geometry.thickness
     contact = {"law": "penalty", "stiffness_per_area": 3.0 * stiffness / area}

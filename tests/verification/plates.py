@@ -41,7 +41,6 @@ def cracked_plate(
 def draw_shapes(axes: Any, structure: fc.Structure, names: list[str], columns: int) -> None:
     """The first modes of a plate, side by side."""
     nodes = structure.nodes
-    assert nodes is not None
     shapes = fc.solve_modes(structure, len(names)).shapes
     free, size = nodes.dofs >= 0, np.ptp(nodes.points, axis=0)
     for mode, name in enumerate(names):

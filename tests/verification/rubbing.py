@@ -45,7 +45,6 @@ def jenkins_oscillator() -> list[Row]:
     peak-to-peak that was found.
     """
     exact, one = jenkins_solution(), jenkins_solution(1)
-    assert exact.orbit is not None
     time = np.linspace(0.0, exact.period, 200001)
     size = float(np.ptp(exact.orbit.tangential_gap_at(time))) / 2.0
     loss = float(exact.orbit.work.friction[0])

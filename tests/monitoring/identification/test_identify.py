@@ -203,7 +203,6 @@ def arrivals_of(scene: fc.Scene, order: int, share: float, seed: int) -> fc.Arri
     of a period late; noise is a share of the first harmonic."""
     force = {"excitation.force_cos": (-140.0, -42.0), "excitation.force_sin": (0.0, 0.0)}
     study = fc.prepare(scene.replace(force), MPI.COMM_SELF)
-    assert study.contact is not None
     solution = fc.solve_harmonic_balance(
         study.structure, 2.0 * np.pi * 700.0, study.contact, harmonics=14
     )
@@ -406,7 +405,6 @@ def test_damping_is_found_near_a_resonance(folder: Path, scene: fc.Scene) -> Non
     truth = {"crack.length": 0.022, "crack.height": 0.095, "damping.ratio": 0.011}
     rng = np.random.default_rng(11)
     study = fc.prepare(plain.replace(truth | {"identify": None}), MPI.COMM_SELF)
-    assert study.contact is not None
     natural = fc.bilinear_frequencies(study.structure).omega_bilinear[:5] / (2.0 * np.pi)
     rows = fc.Measurements.from_arrays(
         "frequency_bilinear", natural * (1.0 + 1e-3 * rng.normal(size=5)), 1e-3 * natural,
@@ -440,7 +438,6 @@ def test_resonances_are_near_bilinear_frequencies(scene: fc.Scene, mode: int, sh
     over what lies between the frequencies with lips open and tied."""
     changes = {"identify": None, "crack.length": 0.03, "damping.ratio": 0.004}
     study = fc.prepare(scene.replace(changes), MPI.COMM_SELF)
-    assert study.contact is not None
     natural = fc.bilinear_frequencies(study.structure)
     low, high = natural.omega_open[mode - 1], natural.omega_tied[mode - 1]
     curve = fc.continue_frequency(
