@@ -241,16 +241,23 @@ def breathing_plate() -> Structure:
 
 
 @pytest.fixture
-def run_command(capsys: pytest.CaptureFixture[str]) -> RunCommand:
+def run_command(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> RunCommand:
     """Run a command in this process; return its ``out`` and ``err``.
 
-    Its keys are changed by ``sets``, and it ends with ``code``.
+    A scene among its words is written to a file. Its keys are changed by ``sets``, and it ends with
+    ``code``.
     """
+
+    def word_of(word: object) -> str:
+        if not isinstance(word, fc.Scene):
+            return str(word)
+        (tmp_path / "scene.toml").write_text(word.as_toml(), encoding="utf-8")
+        return str(tmp_path / "scene.toml")
 
     def run(*words: object, sets: Iterable[str] = (), code: int = 0) -> Any:
         capsys.readouterr()
         changes = (word for change in sets for word in ("--set", change))
-        assert main([*map(str, words), *changes]) == code
+        assert main([*map(word_of, words), *changes]) == code
         return capsys.readouterr()
 
     return run

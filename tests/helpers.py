@@ -15,6 +15,7 @@ import gmsh
 import h5py
 import numpy as np
 import pytest
+import scipy.io
 import scipy.linalg
 import scipy.sparse as sparse
 from surroundings import DEMOS as DEMOS
@@ -103,6 +104,16 @@ def wrap(patch: pytest.MonkeyPatch, name: str, around: Callable[..., Any]) -> No
     """Let calls of a function of the package, by its dotted name, be ``around(function, ...)``."""
     function = pkgutil.resolve_name(name)
     patch.setattr(name, lambda *given, **options: around(function, *given, **options))
+
+
+def scene_of_matrices(folder: Path, parts: dict[str, Any], tables: dict[str, Any]) -> fc.Scene:
+    """Write matrices to files of their names; return the scene of these and of other tables."""
+    for name, matrix in parts.items():
+        written = matrix if sparse.issparse(matrix) else np.atleast_2d(matrix)
+        scipy.io.mmwrite(folder / f"{name}.mtx", written, precision=17)
+    files = {name: f"{name}.mtx" for name in parts}
+    structure = {"structure": files | tables.get("structure", {})}
+    return fc.Scene.from_mapping(tables | structure, folder)
 
 
 # --- structures -----------------------------------------------------------------------------------

@@ -130,7 +130,6 @@ def test_breathing_plate(tmp_path: Path) -> None:
         assert (tmp_path / name).exists()
 
 
-@pytest.mark.mpi
 def swept(folder: Path, comm: object) -> str:
     """What the demo of sweeps says with fewer cases (collective)."""
     over = {"crack.length": [0.03, 0.05], "excitation.omega": [1600.0, 1800.0, 2000.0]}
@@ -140,6 +139,7 @@ def swept(folder: Path, comm: object) -> str:
     return said.getvalue()
 
 
+@pytest.mark.mpi
 def test_sweep_over_two_ranks(on_ranks: Callable[..., str], tmp_path: Path) -> None:
     """Ranks share the cases; the table is whole and sorted, and a second run only draws."""
     assert "6 of 6 cases converged" in on_ranks(swept, tmp_path)
@@ -273,12 +273,12 @@ def test_growth(tmp_path: Path) -> None:
         assert (tmp_path / drive / "growth_1.h5").exists()
 
 
-@pytest.mark.nightly
 def displayed(value: object, kind: str) -> Any:
     """A value as a notebook asks for it."""
     return getattr(value, f"_repr_{kind}_")()
 
 
+@pytest.mark.nightly
 def test_first_notebook(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each cell that ends with a value shows a picture or a table; the file keeps no output."""
     monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=str))

@@ -87,7 +87,7 @@ TABLES: dict[str, Any] = {
 """Classes of a scene's tables."""
 
 
-@pytest.mark.drawn(12)
+@pytest.mark.drawn(9)
 @pytest.mark.parametrize("code", BLOCKS)
 def test_python_block_runs(code: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each program of a page is whole, run in the project's folder; those of measured beams and of
@@ -106,6 +106,7 @@ def test_gallery_draws_its_pictures() -> None:
     assert all((ROOT / "docs" / "pictures" / name).stat().st_size < 100_000 for name in shown)
 
 
+@pytest.mark.nightly
 @pytest.mark.mpi
 def test_job_script_runs(tmp_path: Path) -> None:
     """That of a cluster: a sweep, and again, where it finds nothing left."""

@@ -11,7 +11,7 @@ import check
 
 FOLDER = Path(check.__file__).parent
 
-QUICK = ("nlvib-03-0.6", "bilinear-10", "five-stops", "rub-lift", "rub-two", "smooth-20")
+QUICK = ("nlvib-03-0.6", "bilinear-10", "five-stops", "rub-lift", "smooth-20")
 """Stop, doubled, several pairs, friction, smoothed."""
 FILES = sorted((FOLDER / "cases").glob("*.json"))
 

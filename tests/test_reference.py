@@ -59,9 +59,14 @@ def names() -> dict[str, Any]:
     return made
 
 
+DEAR = {"amplification", "draw_amplification", "draw_wheel"}
+"""Functions whose examples solve many wheels."""
+EXAMPLES = [pytest.param(name, marks=[pytest.mark.nightly] * (name in DEAR)) for name in FUNCTIONS]
+
+
 @pytest.mark.drawn(30)
 @pytest.mark.usefixtures("not_drawn")
-@pytest.mark.parametrize("name", FUNCTIONS)
+@pytest.mark.parametrize("name", EXAMPLES)
 def test_examples_run(
     name: str, names: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -7,35 +7,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from helpers import OMEGA_0 as OMEGA_0
+from helpers import oscillator as oscillator
+from helpers import two_masses as two_masses
 from reference_flow import Orbit, ReferenceFlow, size_of_motion
 
 import fenics_crack as fc
 
 NEW = Path(__file__).parents[2] / "benchmarks" / "plate.toml"
 """The plate of `new`."""
-OMEGA_0 = 2.0 * np.sqrt(2.0) / (1.0 + np.sqrt(2.0))
-"""Bilinear frequency of the oscillator with a contact as stiff as its spring."""
 START = np.zeros(1)
-
-
-def oscillator(
-    damping: float | None = 0.1, force: float = 1.0, clearance: float = 0.0
-) -> fc.Structure:
-    """x'' + c x' + x (+ contact beyond the clearance) = f cos W t."""
-    one = np.ones((1, 1))
-    return fc.Structure.from_matrices(
-        one, one, gap=one, force_cos=[force], clearance=clearance,
-        damping=None if damping is None else damping * one,
-    )  # fmt: skip
-
-
-def two_masses(force: float = 0.1) -> fc.Structure:
-    """A stop at mass 1 beyond a clearance of 1, the load on mass 2."""
-    stiffness = np.array([[1.0, -1.0], [-1.0, 2.0]])
-    return fc.Structure.from_matrices(
-        np.eye(2), stiffness, gap=[1.0, 0.0], force_cos=[0.0, force], clearance=1.0,
-        damping=0.03 * stiffness,
-    )  # fmt: skip
 
 
 def chain(pairs: int = 3, count: int = 10, seed: int = 1) -> fc.Structure:

@@ -52,11 +52,17 @@ VERBS = {
 """Names that begin with another program's verb, or are another's, and what they must lead on to."""
 
 
+COARSE = {
+    "mesh.size": 0.05, "mesh.lip_elements": 2, "mesh.error": False, "contact.friction_error": False,
+    "harmonic_balance.tolerance": None, "harmonic_balance.harmonics": 5,
+}  # fmt: skip
+
+
 @pytest.fixture(scope="module")
 def things() -> dict[str, Any]:
     """The package, and what its short calls give for a small plate."""
     scene = fc.Scene.load(ROOT / "benchmarks" / "plate.toml")
-    scene = scene.replace({"curve.stop": 781.0, "reduction.modes": 5})
+    scene = scene.replace({"curve.stop": 781.0, "reduction.modes": 5, **COARSE})
     scene = scene.replace({"integration.periods": 2, "sweep.over": {"crack.length": [0.02]}})
     calls = {"solution": fc.solve, "curve": fc.curve, "history": fc.integrate, "modes": fc.modes}
     results = {name: call(scene) for name, call in calls.items()}

@@ -101,7 +101,7 @@ def test_periods_until_steady() -> None:
 
 def test_the_period() -> None:
     """Exact motion: upward crossings are as many as load periods; the spectrum's lines."""
-    periods = 400
+    periods = 240
     law = fc.UnilateralPenalty(STIFFNESS)
     start = fc.solve_harmonic_balance(plate(), OMEGA, law, harmonics=5)
     history = fc.integrate_events(
@@ -148,6 +148,7 @@ BANDS = ((2302.9, 3481.6, 1), (4725.0, 8043.6, 3), (8579.3, 9356.6, 3))
 """First three natural frequencies with an open crack and without one [rad/s]; printed digits."""
 
 
+@pytest.mark.nightly
 def test_three_resonances() -> None:
     """The paper's method reaches the end; its peaks, and the answer to a tolerance there."""
     law = fc.UnilateralPenalty(STIFFNESS)

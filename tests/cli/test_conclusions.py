@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import DEMOS
+from helpers import DEMOS, scene_of_matrices
 from mpi4py import MPI
 from ranks import run_program
-from scipy import io, sparse
 from surroundings import RunCommand, main
 
 import fenics_crack as fc
@@ -41,14 +40,12 @@ def two_masses(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "mass": np.eye(2), "stiffness": STIFFNESS, "damping": DAMPING * STIFFNESS,
         "gap": [[0.0], [1.0]], "force_cos": [[0.0], [0.1]],
     }  # fmt: skip
-    for name, matrix in matrices.items():
-        io.mmwrite(folder / f"{name}.mtx", sparse.csr_matrix(np.array(matrix)))
-    files = "\n".join(f'{name} = "{name}.mtx"' for name in matrices)
-    (folder / "two.toml").write_text(
-        f"[structure]\n{files}\nclearance = 0.01\n[excitation]\nomega = {BESIDE}\n"
-        "[contact]\nstiffness = 10.0\n[curve]\nparameter = 'omega'\nstart = 0.75\nstop = 0.85\n"
-        "[sweep.over]\n'excitation.omega' = [0.8, 2.0]\n"
-    )
+    tables = {
+        "structure": {"clearance": 0.01}, "excitation": {"omega": BESIDE},
+        "contact": {"stiffness": 10.0}, "sweep": {"over": {"excitation.omega": [0.8, 2.0]}},
+        "curve": {"parameter": "omega", "start": 0.75, "stop": 0.85},
+    }  # fmt: skip
+    (folder / "two.toml").write_text(scene_of_matrices(folder, matrices, tables).as_toml())
     return folder / "two.toml"
 
 
@@ -152,13 +149,12 @@ def test_no_error_is_asked_for(
     """error = false: plain harmonic balance, neither error nor stability, in Python and in the
     program; with a tolerance it is refused."""
     scene = paper_scene.replace({"contact.stiffness": 1e9})
-    path = tmp_path / "plate.toml"
-    path.write_text(scene.replace({"harmonic_balance.error": False}).as_toml())
-    out, err = run_command("solve", path, "--output", tmp_path / "out")
+    plain = scene.replace({"harmonic_balance.error": False})
+    out, err = run_command("solve", plain, "--output", tmp_path / "out")
     assert "error [%]" not in out and "verdict" not in out
     closing = err.strip().splitlines()[-1]
     assert "its error is not estimated (harmonic_balance.error = false)" in closing
-    run = fc.solve(fc.Scene.load(path), MPI.COMM_SELF)
+    run = fc.solve(plain, MPI.COMM_SELF)
     assert run.errors is None and run.result.stability is None
     assert not run.result.report.estimated and run.result.converged
     refused = {"harmonic_balance.harmonics": None, "harmonic_balance.tolerance": 1e-2}
@@ -167,13 +163,11 @@ def test_no_error_is_asked_for(
 
 
 def test_one_sentence_holds_the_answer(
-    paper_scene: fc.Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    paper_scene: fc.Scene, tmp_path: Path, run_command: RunCommand
 ) -> None:
     """The terminal, the JSON, Python and the page end with it: amplitude, error, crack, verdict."""
-    path = tmp_path / "plate.toml"
-    path.write_text(paper_scene.replace({"contact.stiffness": 1e9}).as_toml())
-    assert main(["solve", str(path), "--output", str(tmp_path)]) in (0, 4)
-    closing = capsys.readouterr().err.strip().splitlines()[-1]
+    scene = paper_scene.replace({"contact.stiffness": 1e9})
+    closing = run_command("solve", scene, "--output", tmp_path, code=4).err.splitlines()[-1]
     rows = rows_of(tmp_path / "solution.json")
     assert rows["conclusion"]["value"] == closing
     run = fc.load_run(tmp_path / "solution.h5")

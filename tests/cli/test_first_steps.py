@@ -23,7 +23,8 @@ pytestmark = pytest.mark.usefixtures("not_drawn")
 KINDS = ("blade", "timing", "identify")
 COARSE = (
     "mesh.size=0.05", "mesh.lip_elements=2", "reduction.modes=5", "curve.stability=false",
-    "harmonic_balance.tolerance=none", "harmonic_balance.harmonics=3",
+    "harmonic_balance.tolerance=none", "harmonic_balance.harmonics=3", "mesh.error=false",
+    "contact.friction_error=false",
 )  # fmt: skip
 
 

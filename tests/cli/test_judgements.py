@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from ranks import LIMIT
 from surroundings import RunCommand, main
 
 import fenics_crack as fc
-from fenics_crack import ErrorReport, ResponseCurve, SweepResult
+from fenics_crack import ErrorReport, SweepResult
 from fenics_crack.basics.progress import StageLines
 from fenics_crack.basics.tables import Table
 from fenics_crack.cli import pictures
@@ -36,8 +37,9 @@ pytestmark = pytest.mark.usefixtures("not_drawn")
 PAPER = DEMOS / "paper_plate.toml"
 ZERO = {"residual": 0.0, "truncation": 0.0, "sampling": 0.0, "reduction": 0.0, "penetration": 0.0}
 FIXED = {"harmonic_balance.tolerance": None, "harmonic_balance.harmonics": 15}
-COARSE = {"mesh.size": 0.03, "mesh.lip_elements": 6}
+COARSE = {"mesh.size": 0.03, "mesh.lip_elements": 6, "contact.friction_error": False}
 STIFF = {"contact.law": "penalty", "contact.stiffness": 1e14}
+RANGE = ["contact.stiffness=1e9", "damping.ratio=0.02", "curve.start=2200", "curve.stop=2300"]
 
 
 @pytest.fixture(scope="module")
@@ -86,42 +88,38 @@ def test_undecided_stretches_of_a_curve() -> None:
 
 def test_undecided_orbit(scene: fc.Scene) -> None:
     """No advice to choose a tolerance where there is one, nor to damp what is damped."""
-    undecided = fc.Stability(np.array([1.0 + 0j]), "undecided", np.nan)
-    run: Any = SimpleNamespace(structure=None)
-    [text] = of_stability(scene, run, undecided)
-    assert text == "the stability of the orbit is undecided"
-    for multiplier, way in ((1.5, "of another size"), (-1.5, "two periods of the load")):
+    undecided, run = fc.Stability(np.array([1.0 + 0j]), "undecided", np.nan), SimpleNamespace()
+    run.structure = None
+    for multiplier, way in (
+        (1.5, "of another size"), (-1.5, "two periods of the load"),
+        (1.0 + 1j, "does not repeat each period"),
+    ):  # fmt: skip
         unstable = fc.Stability(np.array([multiplier + 0j]), "unstable", 0.0)
         [told] = of_stability(scene, run, unstable)
-        assert told.endswith(way)
-    [told] = of_stability(scene, run, fc.Stability(np.array([1.0 + 1j]), "unstable", 0.0))
-    assert "does not repeat each period" in told
-    undecided = replace(undecided, reason="no exact orbit was found next to it")
-    [text] = of_stability(scene, run, undecided)
-    assert text.endswith("orbit is undecided (no exact orbit was found next to it)")
-    [text] = of_stability(scene.replace(FIXED), run, undecided)
-    assert text.endswith("; --set harmonic_balance.tolerance=1e-2 may decide it")
-
-
-def curve_of(kinds: list[str], verdicts: list[str]) -> Any:
-    """What is read of a curve over the load frequency."""
-    points = [SimpleNamespace(kind=kind) for kind in kinds]
-    found = SimpleNamespace(bifurcations=points, verdicts=np.array(verdicts), multipliers=1)
-    return SimpleNamespace(result=found)
+        assert way in told
+    told = replace(undecided, reason="no exact orbit was found next to it")
+    words = "the stability of the orbit is undecided"
+    because = f"{words} (no exact orbit was found next to it)"
+    advised = f"{because}; --set harmonic_balance.tolerance=1e-2 may decide it"
+    for given, one, said in (
+        (scene, undecided, words), (scene, told, because), (scene.replace(FIXED), told, advised)
+    ):  # fmt: skip
+        assert [*of_stability(given, run, one)] == [said]
 
 
 def test_five_bifurcations_at_most() -> None:
     """Those with the larger response, in order along the curve."""
-    kinds = ["fold"] * 14
     rows = [(name, 0.0, 1.0) for name in ("start", "end", "largest")]
     rows += [(f"fold {number}", 0.0, float(number)) for number in range(14)]
     rows += [("stability lost after", 0.0, 99.0)] * 4
-    run = curve_of(kinds, ["stable", "unstable"])
+    curve = SimpleNamespace(bifurcations=14 * [SimpleNamespace(kind="fold")], multipliers=1)
+    curve.verdicts = np.array(["stable", "unstable"])
+    run: Any = SimpleNamespace(result=curve)
     shown, hidden = few_special_points(run, Table(("point", "omega", "amplitude [m]"), rows))
     assert [row[0] for row in shown.rows[3:]] == [f"fold {n}" for n in (9, 10, 11, 12, 13)]
     assert hidden == 13
     few = Table(("point", "omega", "amplitude [m]"), rows[:4])
-    assert few_special_points(curve_of(kinds[:1], ["stable"]), few) == (few, 0)
+    assert few_special_points(run, few) == (few, 0)
 
 
 def swept(scene: fc.Scene, path: Path) -> SweepResult:
@@ -151,9 +149,7 @@ def test_sweep_fits_on_one_screen(
     """31 x 6 cases in at most 40 lines of 120 columns, with the largest response of each length."""
     found = swept(scene, tmp_path / "sweep.h5")
     monkeypatch.setattr(result, "run_sweep", lambda *given, **options: found)
-    path = tmp_path / "scene.toml"
-    path.write_text(found.scene.as_toml())
-    out, err = run_command("sweep", path, "--output", tmp_path, code=3)
+    out, err = run_command("sweep", found.scene, "--output", tmp_path, code=3)
     lines = (out + err).splitlines()
     assert sum(1 + (len(line) - 1) // 120 for line in lines) <= 40
     assert all(len(line) <= 120 for line in out.splitlines())
@@ -178,16 +174,14 @@ def test_sweep_of_few_modes(
     """Loads at natural frequencies that two modes do not have, and at one where twenty are few: the
     cases are told as solve tells the largest of them, and marked in pictures; none is whose error
     was not asked for."""
-    path, frequencies = tmp_path / "scene.toml", [800.0, 3205.0, 4232.0]
     few = {"reduction.modes": 2, "reduction.method": "massless"}
-    axes = {"reduction.modes": [2, 20], "excitation.frequency": frequencies}
-    swept = scene.replace(FIXED | few | {"sweep.over": axes})
-    path.write_text(swept.as_toml())
-    at_third = ["--set", "excitation.frequency=4232.0", "--output", str(tmp_path)]
-    lines = []
-    for command, given, code in (("solve", at_third, 4), ("sweep", at_third[2:], 0)):
-        err = run_command(command, path, *given, code=code).err.splitlines()
-        lines += [line.partition("warning: ")[2] for line in err if "more modes" in line]
+    axes = {"reduction.modes": [2, 20], "excitation.frequency": [800.0, 3205.0, 4232.0]}
+    swept, lines = scene.replace(FIXED | few | {"sweep.over": axes}), []
+    for command, sets, code in (("solve", ["excitation.frequency=4232.0"], 4), ("sweep", [], 0)):
+        err = run_command(command, swept, "--output", tmp_path, sets=sets, code=code).err
+        lines += [
+            line.partition("warning: ")[2] for line in err.split("\n") if "more modes" in line
+        ]
     where = "3 cases with an error above 5 %, the largest at modes = 2, frequency = 4232.0"
     assert "for truncated modes" in lines[0] and lines[1:] == [f"{where}: {lines[0]}"]
     found = SweepResult.load(tmp_path / "sweep.h5")
@@ -196,15 +190,10 @@ def test_sweep_of_few_modes(
     told, depends = warnings_of(replace(found, scene=asked))
     assert "whose verdict depends on truncated modes" in depends
     assert told.startswith("6 cases with an error above 1 %, the largest at modes = 2, ")
-
-    marked: list[list[bool]] = []
-
-    def recorded(draw: Any, x: Any, curves: Any, **how: Any) -> Any:
-        marked.append(how["doubtful"]["modes kept 2"].tolist())
-        return draw(x, curves, **how)
-
-    wrap(monkeypatch, "fenics_crack.draw.plot.draw_response", recorded)
-    assert main(["plot", str(tmp_path / "sweep.h5"), "--output", str(tmp_path), "--quiet"]) == 0
+    drawn = Mock(wraps=plot.draw_response)
+    monkeypatch.setattr(plot, "draw_response", drawn)
+    run_command("plot", tmp_path / "sweep.h5", "--output", tmp_path, "--quiet")
+    marked = [call.kwargs["doubtful"]["modes kept 2"].tolist() for call in drawn.call_args_list]
     assert marked and all(rings == [False, True, True] for rings in marked)
     unasked = fc.run_sweep(swept, judged=False)
     assert not unasked.inexact.any() and not [*warnings_of(unasked)]
@@ -278,78 +267,70 @@ def test_solution_and_curve_agree(scene: fc.Scene, frequency: float) -> None:
     assert one.result.stability.verdict == many.result.verdicts[0] == "stable"
 
 
-def test_large_displacements_are_said(tmp_path: Path, run_command: RunCommand) -> None:
+def test_large_displacements_are_said(
+    scene: fc.Scene, tmp_path: Path, run_command: RunCommand
+) -> None:
     """The equations are linear but for the contact, and the errors say nothing about that."""
-    path = tmp_path / "plate.toml"
-    assert main(["new", str(path), "--quiet"]) == 0
-    path.write_text(fc.Scene.load(path).replace(COARSE).as_toml())
+    coarse = scene.replace({"mesh.error": False, "reduction.modes": 10})
     for key, force, warns in (("sin", 10.0, False), ("sin", 1e6, True), ("mean", 1e6, True)):
-        change = f"excitation.force_{key}=[{force}, 0.0]"
-        assert (
-            "beyond small displacements"
-            in run_command("solve", path, "--set", change, "--output", tmp_path / "out").err
-        ) == warns
+        change = [f"excitation.force_{key}=[{force}, 0.0]"]
+        said = run_command("solve", coarse, "--output", tmp_path / "out", sets=change).err
+        assert ("beyond small displacements" in said) == warns
 
 
-def test_large_is_what_rotates(tmp_path: Path, run_command: RunCommand) -> None:
+def test_large_is_what_rotates(scene: fc.Scene, tmp_path: Path, run_command: RunCommand) -> None:
     """A slender blade that moves by 2 % of its length, half its thickness, is linear to 0.04 %; by
     20 % it is not. So says ``check`` before."""
-    path = tmp_path / "blade.toml"
-    assert main(["new", str(path), "--quiet"]) == 0
     sides = {"geometry.width": 0.004, "geometry.height": 0.1, "crack.height": 0.02}
     size = {"crack.length": 0.001, "mesh.size": 0.004, "mesh.lip_elements": 2, "mesh.error": False}
     load = {"excitation.point": [0.004, 0.1], "excitation.frequency": 340.0, "sweep": None}
     few = FIXED | {"harmonic_balance.harmonics": 3, "reduction.modes": 5, "curve": None}
-    blade = fc.Scene.load(path).replace(sides | size | load | few)
-    path.write_text(blade.as_toml())
+    blade = scene.replace(sides | size | load | few)
     unit = 10.0 / fc.solve(blade).amplitude()
     for share, warns in ((0.02, False), (0.2, True)):
-        force = f"excitation.force_sin=[{unit * share * 0.1}, 0.0]"
-        words = [str(path), "--set", force]
-        for command in (["check", *words], ["solve", *words, "--output", str(tmp_path / "out")]):
-            assert ("beyond small displacements" in run_command(*command).err) == warns, command
+        force = [f"excitation.force_sin=[{unit * share * 0.1}, 0.0]"]
+        for command in (["check", blade], ["solve", blade, "--output", tmp_path / "out"]):
+            said = run_command(*command, sets=force).err
+            assert ("beyond small displacements" in said) == warns, command
 
 
 def test_errors_without_the_mesh_are_told_of_every_number(
     tmp_path: Path, run_command: RunCommand
 ) -> None:
     """Also where the amplitude is not among those that are asked for."""
-    words = ["damping.ratio=0.05", "contact.stiffness=1e9", "harmonic_balance.harmonics=5"]
-    words += ["output.quantities=['ratio_2_1']", "mesh.error=false"]
-    chosen = [word for one in words for word in ("--set", one)]
-    told = run_command("solve", DEMOS / "paper_plate.toml", *chosen, "--output", tmp_path)
+    chosen = ["damping.ratio=0.05", "contact.stiffness=1e9", "harmonic_balance.harmonics=5"]
+    chosen += ["output.quantities=['ratio_2_1']", "mesh.error=false"]
+    told = run_command("solve", PAPER, "--output", tmp_path, sets=chosen)
     assert "harmonic ratio 2/1" in told.out and "half peak-to-peak" not in told.out
     assert "error due to the mesh not included: mesh.error = false" in told.err
 
 
 @pytest.mark.nightly
-def test_a_steady_load_moves_nothing(tmp_path: Path, run_command: RunCommand) -> None:
+def test_a_steady_load_moves_nothing(
+    scene: fc.Scene, tmp_path: Path, run_command: RunCommand
+) -> None:
     """Whether it opens the crack or closes it: amplitude and harmonics are 0, not rounding, and the
     file is read again, though all gaps of closed lips are rounding."""
-    path, folder = tmp_path / "plate.toml", tmp_path / "out"
-    assert main(["new", str(path), "--quiet"]) == 0
-    still = {"excitation.force_sin": [0.0, 0.0], "mesh.error": False}
+    folder, still = tmp_path / "out", {"excitation.force_sin": [0.0, 0.0], "mesh.error": False}
     for force, closed in ((1400.0, 0.0), (-1400.0, 1.0)):
-        mean = {"excitation.force_mean": [force, 0.0]}
-        path.write_text(fc.Scene.load(path).replace(COARSE | still | mean).as_toml())
-        told = run_command("solve", path, "--output", folder).err
+        held = scene.replace(still | {"excitation.force_mean": [force, 0.0]})
+        told = run_command("solve", held, "--output", folder).err
         assert "nothing vibrates" in told and "estimated error" not in told
         run = fc.load_run(folder / "solution.h5")
         found = run.result.indicators(run.watched_dof)
         assert found.amplitude == found.harmonic_1 == found.harmonic_2 == 0.0
         assert found.closed_share == closed and abs(found.mean) > 1e-6
         assert ("opening" in fc.solve(run.scene).errors.values) == (closed == 0.0)
-        assert "nothing vibrates" in run_command("curve", path, "--output", folder, code=2).err
+        assert "nothing vibrates" in run_command("curve", held, "--output", folder, code=2).err
 
 
-def test_a_motion_of_closed_lips_settles(tmp_path: Path, run_command: RunCommand) -> None:
+def test_a_motion_of_closed_lips_settles(
+    scene: fc.Scene, tmp_path: Path, run_command: RunCommand
+) -> None:
     """Their gaps are rounding, of which nothing repeats: the displacement of the load does."""
-    path = tmp_path / "plate.toml"
-    assert main(["new", str(path), "--quiet"]) == 0
     pressed = {"excitation.force_mean": [-1400.0, 0.0], "damping.ratio": 0.02}
-    path.write_text(fc.Scene.load(path).replace(COARSE | pressed).as_toml())
-    asked = ["--set", 'output.quantities=["amplitude"]', "--output", str(tmp_path)]
-    told = run_command("integrate", path, *asked)
+    pressed |= {"output.quantities": ["amplitude"]}
+    told = run_command("integrate", scene.replace(pressed), "--output", tmp_path)
     assert "not settled" not in told.err and "distance from the settled motion" in told.out
     found = fc.load_run(tmp_path / "integration.h5")
     longer = {"integration.settle": 1e-10, "integration.periods": 2000}
@@ -366,23 +347,23 @@ def test_a_motion_of_closed_lips_settles(tmp_path: Path, run_command: RunCommand
 
 def test_lines_and_maps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two axes: few values of the second make lines, many a map, some both; words on the axes."""
-    drawn: list[tuple[str, dict[str, Any]]] = []
-    for name in ("draw_map", "draw_response"):
-        monkeypatch.setattr(plot, name, lambda *a, name=name, **how: drawn.append((name, how)))
+    drawn = Mock()
+    monkeypatch.setattr(plot, "draw_map", drawn.draw_map)
+    monkeypatch.setattr(plot, "draw_response", drawn.draw_response)
     for count, expected in (
         (3, ["draw_response"]),
         (5, ["draw_response", "draw_map"]),
         (8, ["draw_map"]),
     ):
-        drawn.clear()
+        drawn.reset_mock()
         lengths = tuple(0.02 + 0.002 * n for n in range(count))
         axes = Axis("excitation.frequency", (1.0, 2.0, 3.0, 4.0)), Axis("crack.length", lengths)
         values, doubtful = np.ones((4, count)), np.zeros((4, count), bool)
         words = "largest opening", "m"
         pictures.draw_swept(axes, values, doubtful, words, tmp_path.joinpath, "a")
-        assert [name for name, _ in drawn] == expected
-    assert drawn[0][1]["x_label"] == "load frequency [Hz]"
-    assert drawn[0][1]["y_label"] == "crack length [mm]"
+        assert [call[0] for call in drawn.mock_calls] == expected
+    assert drawn.draw_map.call_args.kwargs["x_label"] == "load frequency [Hz]"
+    assert drawn.draw_map.call_args.kwargs["y_label"] == "crack length [mm]"
 
 
 # --- keys and values in words ---------------------------------------------------------------------
@@ -440,12 +421,10 @@ def test_a_larger_harmonic_that_is_left_out(
     """At a seventh of the resonance six harmonics call the second one the largest: the seventh of
     the exact orbit is told, and the error stated is that; with nine there is no more to tell."""
     slow = {"excitation.frequency": 119.0, "mesh.error": False, "curve": None}
-    words = ["solve", str(tmp_path / "plate.toml"), "--output", str(tmp_path), "--format", "json"]
     told, orders, seen = [], [], []
     for harmonics in (6, 9):
         one = scene.replace(FIXED | slow | {"harmonic_balance.harmonics": harmonics})
-        (tmp_path / "plate.toml").write_text(one.as_toml())
-        shown = run_command(*words)
+        shown = run_command("solve", one, "--output", tmp_path, "--format", "json")
         told.append("harmonic 7, which the solution leaves out, is the largest of" in shown.err)
         rows = {row["name"]: row for row in json.loads(shown.out)}
         orders.append(rows["largest_order"]["value"])
@@ -456,19 +435,18 @@ def test_a_larger_harmonic_that_is_left_out(
 
 
 def test_rounding_is_no_high_harmonic(
-    scene: fc.Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    scene: fc.Scene, tmp_path: Path, run_command: RunCommand
 ) -> None:
     """Of lips that a mean load holds open or shut all higher harmonics are rounding, and none of
     them is the largest."""
     means = [[0.0, 0.0], *([mean, 0.0] for mean in (100.0, -100.0, 200.0, -200.0))]
     slow = {"excitation.frequency": 138.8, "harmonic_balance.harmonics": 8, "curve": None}
     one = scene.replace(FIXED | slow | {"sweep.over": {"excitation.force_mean": means}})
-    (tmp_path / "plate.toml").write_text(one.as_toml())
-    assert main(["sweep", str(tmp_path / "plate.toml"), "--output", str(tmp_path)]) == 0
+    said = run_command("sweep", one, "--output", tmp_path).err
     found = fc.SweepResult.load(tmp_path / "sweep.h5")
     assert found["largest_order"][0] > 3.0 and np.isnan(found["largest_order"][1:]).all()
     assert np.all(found["ratio_largest"][1:] < 1e-9)
-    assert "in 1 case the largest higher harmonic is above the third" in capsys.readouterr().err
+    assert "in 1 case the largest higher harmonic is above the third" in said
 
 
 # --- what ends a command, and what it says meanwhile ----------------------------------------------
@@ -493,9 +471,8 @@ def test_hint_to_damp_more_modes(
     """Of an undecided orbit, where there are modes without damping."""
     undecided = fc.Stability(np.array([1.0 + 0j]), "undecided", np.nan)
     monkeypatch.setattr("fenics_crack.study.solve.floquet", lambda structure, solution: undecided)
-    words = ["solve", str(PAPER), "--output", str(tmp_path), "--set", "contact.stiffness=1e9"]
-    words += [word for change in changes.split() for word in ("--set", change)]
-    answer = run_command(*words).err
+    sets = ["contact.stiffness=1e9", "mesh.error=false", *changes.split()]
+    answer = run_command("solve", PAPER, "--output", tmp_path, sets=sets).err
     assert "the stability of the orbit is undecided" in answer and f"; {DECIDES} " in answer
     assert ("or damping of all modes" in answer) == expected
 
@@ -505,18 +482,9 @@ def test_an_interrupted_curve_is_beside_a_complete_one(
 ) -> None:
     """It takes its place nowhere, and the point where Ctrl-C came is no largest response."""
     (tmp_path / "curve.h5").write_bytes(b"complete")
-    points = iter(range(3))
-
-    def progress(_: fc.Continuation) -> float:
-        if next(points, None) is None:
-            raise KeyboardInterrupt
-        return 0.5
-
+    progress = Mock(side_effect=[0.5, 0.5, 0.5, KeyboardInterrupt])
     monkeypatch.setattr(fc.Continuation, "progress", progress)
-    changes = ["contact.stiffness=1e9", "damping.ratio=0.02", "curve.start=2200.0",
-               "curve.stop=2300.0"]  # fmt: skip
-    words = ["curve", str(PAPER), "--verbose", "--output", str(tmp_path)]
-    said = run_command(*words, *(word for change in changes for word in ("--set", change)), code=3)
+    said = run_command("curve", PAPER, "--verbose", "--output", tmp_path, sets=RANGE, code=3)
     assert (tmp_path / "curve.h5").read_bytes() == b"complete"
     assert not fc.load_run(tmp_path / "curve_interrupted.h5").result.complete
     assert "largest so far" in said.out and "grows up to where the curve ended" in said.err
@@ -537,12 +505,8 @@ def test_an_interrupted_curve_of_orbits_keeps_its_verdicts(
         return record(*given)
 
     wrap(monkeypatch, "fenics_crack.curves.continuation.Continuation._record", record)
-    changes = ["contact.stiffness=1e9", "damping.ratio=0.02", "curve.start=2200.0",
-               "curve.stop=2300.0", "harmonic_balance.tolerance=0.05"]  # fmt: skip
-    words = ["curve", str(PAPER), "--output", str(tmp_path)]
-    said = run_command(
-        *words, *(word for change in changes for word in ("--set", change)), code=3
-    ).err
+    changes = [*RANGE, "harmonic_balance.tolerance=0.05"]
+    said = run_command("curve", PAPER, "--output", tmp_path, sets=changes, code=3).err
     assert "was interrupted; its errors were not examined" in said
     assert re.search(r"(\d) stable of \1 points", said)
     assert "; curve interrupted; " in f"; {said.splitlines()[-1]}" and "estimated error" not in said
@@ -552,15 +516,12 @@ def test_ctrl_c_during_the_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     """The solution is saved beside an older one, whatever comes meanwhile."""
     (tmp_path / "solution.h5").write_bytes(b"older")
 
-    def stopped(*_: Any) -> None:
-        raise KeyboardInterrupt
-
     def again(save: Callable[..., None], *given: Any) -> None:
         signal.raise_signal(signal.SIGINT)
         save(*given)
 
     with monkeypatch.context() as patch:
-        patch.setattr("fenics_crack.study.run.errors_of", stopped)
+        patch.setattr("fenics_crack.study.run.errors_of", Mock(side_effect=KeyboardInterrupt))
         wrap(patch, "fenics_crack.study.run.on_root", again)
         words = ["--output", str(tmp_path), "--set", "contact.stiffness=1e9"]
         assert main(["solve", str(PAPER), *words, "--set", "damping.ratio=0.02"]) == 3
@@ -609,8 +570,8 @@ def test_signs_of_life_say_how_far(
     monkeypatch.setattr("fenics_crack.basics.progress._reached", Held())
     wrap(monkeypatch, "fenics_crack.basics.progress.StageLines._write", write)
     settings = ["damping.ratio=0.02", "contact.stiffness=1e9", *changes.split()]
-    words = [word for one in settings for word in ("--set", one)]
-    assert main([command, str(PAPER), "--output", str(tmp_path), *words]) in (0, 3)
+    words = [command, str(PAPER), "--output", str(tmp_path), *(f"--set={x}" for x in settings)]
+    assert main(words) in (0, 3)
     assert re.search(rf"^  .* \d+ s, {said}", capsys.readouterr().err, re.MULTILINE)
 
 
@@ -621,11 +582,6 @@ def test_a_result_is_kept_where_another_one_is_stopped(
     words = ["modes", str(PAPER), "--output", str(tmp_path), "--quiet"]
     assert main(words) == 0
     first = (tmp_path / "modes.h5").read_bytes()
-
-    def stop(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr("fenics_crack.study.run.Run.save", stop)
-        assert main([*words, "--set", "material.young=2e11"]) == 130
+    monkeypatch.setattr("fenics_crack.study.run.Run.save", Mock(side_effect=KeyboardInterrupt))
+    assert main([*words, "--set", "material.young=2e11"]) == 130
     assert (tmp_path / "before" / "modes.h5").read_bytes() == first

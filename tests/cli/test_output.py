@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-import scipy.io
+from helpers import scene_of_matrices
 from mpi4py import MPI
 from surroundings import DEMOS, RunCommand, main
 
@@ -184,10 +184,8 @@ def test_rounding_is_printed_as_zero(
     """Of a length, in both forms of a table; larger ones and numbers without a unit stay, and files
     have all."""
     parts = {"mass": 1.0, "stiffness": 1.0, "gap": 1.0, "force_sin": 0.64, "force_mean": mean}
-    for name, value in parts.items():
-        scipy.io.mmwrite(tmp_path / f"{name}.mtx", np.full((1, 1), value))
     tables = {
-        "structure": {name: f"{name}.mtx" for name in parts} | {"clearance": 10.0},
+        "structure": {"clearance": 10.0},
         "damping": {"ratio": 0.0},
         "contact": {"stiffness": 1.0},
         "excitation": {"omega": 0.6},
@@ -195,7 +193,11 @@ def test_rounding_is_printed_as_zero(
         "curve": {"start": 0.6, "stop": 0.65, "stability": False},
         "output": {"quantities": ["amplitude", "mean", "mean_shift"]},
     }
-    words = [written(fc.Scene.from_mapping(tables, tmp_path), tmp_path), "--output", str(tmp_path)]
+    words = [
+        written(scene_of_matrices(tmp_path, parts, tables), tmp_path),
+        "--output",
+        str(tmp_path),
+    ]
     lines = [" ".join(line.split()) for line in run_command("solve", *words).out.splitlines()]
     for first in (f"mean displacement {shown} m", f"mean displacement over harmonic 1 {mean:g} -"):
         assert any(line.startswith(first) for line in lines)
@@ -214,16 +216,14 @@ def leaning(tmp_path: Path) -> fc.Scene:
         "mass": np.eye(2), "stiffness": stiffness, "damping": 0.03 * stiffness,
         "gap": [[1.0], [0.0]], "force_cos": [[0.0], [0.1]],
     }  # fmt: skip
-    for name, value in parts.items():
-        scipy.io.mmwrite(tmp_path / f"{name}.mtx", np.array(value), precision=17)
     tables = {
-        "structure": {name: f"{name}.mtx" for name in parts} | {"clearance": 1.0},
+        "structure": {"clearance": 1.0},
         "contact": {"stiffness": 100.0},
         "excitation": {"omega": 0.614},
         "harmonic_balance": {"harmonics": 60},
         "curve": {"start": 0.62, "stop": 0.75},
     }
-    return fc.Scene.from_mapping(tables, tmp_path)
+    return scene_of_matrices(tmp_path, parts, tables)
 
 
 def test_what_is_seen_in_place_of_an_unstable_orbit(

@@ -62,7 +62,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     changes = {
         "contact.stiffness": "1e7", "damping.ratio": "0.05", "harmonic_balance.harmonics": "5",
         "curve.start": "2000", "curve.stop": "2100", "integration.periods": "5",
-        "curve.stability": "false",
+        "curve.stability": "false", "contact.friction_error": "false",
         "sweep.over": "{'excitation.omega' = [1900.0, 2000.0, 2100.0]}",
     }  # fmt: skip
     common = [word for key, value in changes.items() for word in ("--set", f"{key}={value}")]

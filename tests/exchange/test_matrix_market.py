@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import scipy.io
 import scipy.sparse as sparse
+from helpers import scene_of_matrices
 
 import fenics_crack as fc
 
@@ -103,20 +104,18 @@ def test_bombs(tmp_path: Path, packed: Callable[[bytes], bytes], kind: str) -> N
 
 def test_columns_without_an_entry(tmp_path: Path) -> None:
     """They are not counted: a sweep makes no room for the million pairs of a file of a line."""
-    for name in ("mass", "stiffness"):
-        scipy.io.mmwrite(tmp_path / f"{name}.mtx", sparse.eye(3))
-    scipy.io.mmwrite(tmp_path / "force.mtx", np.ones((3, 1)))
+    parts = {"mass": sparse.eye(3), "stiffness": sparse.eye(3), "force_sin": np.ones((3, 1))}
     lines = "%%MatrixMarket matrix coordinate real general\n3 1000000 1\n1 1 1.0\n"
     (tmp_path / "gap.mtx").write_text(lines)
-    files = {name: f"{name}.mtx" for name in ("mass", "stiffness", "gap")}
     tables = {
-        "structure": files | {"force_sin": "force.mtx"},
+        "structure": {"gap": "gap.mtx"},
         "contact": {"law": "penalty", "stiffness": 1.0},
         "damping": {"ratio": 0.1},
         "excitation": {"omega": 0.5},
         "sweep": {"over": {"excitation.omega": [0.5, 0.6]}},
     }
-    found = fc.run_sweep(fc.Scene.from_mapping(tables, tmp_path), tmp_path / "sweep.h5")
+    scene = scene_of_matrices(tmp_path, parts, tables)
+    found = fc.run_sweep(scene, tmp_path / "sweep.h5")
     assert not found.converged.any() and found.path.stat().st_size < 10**6
 
 

@@ -684,9 +684,8 @@ KEYS: list[tuple[dict[str, Any], str]] = [
 @pytest.mark.parametrize(("changes", "key"), KEYS, ids=range(len(KEYS)))
 def test_bad_keys_are_named(folder: Path, scene: Scene, changes: dict[str, Any], key: str) -> None:
     moved = {k: str(folder / v) if isinstance(v, str) else v for k, v in changes.items()}
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=rf"^{key}( =| is)"):
         fc.build_structure(scene.replace(moved))
-    assert caught.value.key == key
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,8 @@ from mpi4py import MPI
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
 
+pytestmark = pytest.mark.usefixtures("predicted_errors")
+
 ORDERS = [{"order": 7, "cos": [3.0, 0.0], "sin": [1.0, 2.0]}]
 QUADRATIC = {"mesh.order": 2, "mesh.columns": 4, "reduction.modes": 12}
 PLATES: dict[str, dict[str, Any]] = {

@@ -14,7 +14,7 @@ from rotating import CRACKED, UNIT, cracked, strip
 from scipy.optimize import nnls
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import eigsh, splu
-from surroundings import DEMOS, RunCommand, main
+from surroundings import DEMOS, RunCommand
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
@@ -247,9 +247,8 @@ def test_bad_input() -> None:
         ("kind", lambda: diagram.crossings(1, "closed")),
         ("orders", lambda: fc.draw_campbell(diagram, [0])),
     ):
-        with pytest.raises(InputError) as caught:
+        with pytest.raises(InputError, match=rf"^{key}( =| is)"):
             call()
-        assert caught.value.key == key
 
 
 def test_speeds_that_are_too_fast() -> None:
@@ -286,14 +285,11 @@ def test_how_a_frequency_follows_the_speed() -> None:
             assert diagram.stiffening(600.0, 1.01 * line[1]) == pytest.approx(slope, rel=5e-3)
 
 
-def test_command(
-    run_command: RunCommand, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_command(run_command: RunCommand, tmp_path: Path) -> None:
     """Table, files and picture; speeds in the scene's unit; each crossing of the scene's order."""
-    path = tmp_path / "blade.toml"
-    path.write_text(cracked(1.0).replace({"rotation.rpm": 6e3, "excitation.order": 12}).as_toml())
-    words = ["campbell", str(path), "--output", str(tmp_path), "--count", "1"]
-    printed = run_command(*words, "--speeds", "4000", "8000", "3")
+    scene = cracked(1.0).replace({"rotation.rpm": 6e3, "excitation.order": 12})
+    words = ["campbell", scene, "--output", tmp_path, "--count", 1, "--speeds"]
+    printed = run_command(*words, 4000, 8000, 3)
     assert "rpm" in printed.out and "engine order 12 meets mode 1" in printed.err
     assert "with the crack breathing (bilinear estimate); it would be held open at" in printed.err
     assert "; there d ln f / d ln n = 0.0" in printed.err
@@ -301,11 +297,10 @@ def test_command(
     assert [float(row["rpm"]) for row in rows] == pytest.approx([4e3, 6e3, 8e3])
     assert json.loads((tmp_path / "campbell.json").read_text())[0]["mode"] == 1
     assert (tmp_path / "campbell.png").stat().st_size > 10_000
-    assert main([*words, "--speeds", "4000", "4100", "2"]) == 0
     closing = "1 mode found between 4000 and 4100 rpm; engine order 12 meets none of them"
-    assert closing in capsys.readouterr().err
-    for wrong in (["8000", "4000", "3"], ["0", "1", "1.5"]):
-        assert main([*words, "--speeds", *wrong]) == 2
+    assert closing in run_command(*words, 4000, 4100, 2).err
+    for wrong in ([8000, 4000, 3], [0, 1, 1.5]):
+        run_command(*words, *wrong, code=2)
 
 
 def test_a_blade_of_few_modes_has_all_of_them() -> None:

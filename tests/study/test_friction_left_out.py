@@ -19,6 +19,7 @@ pytestmark = pytest.mark.usefixtures("not_drawn")
 
 ROOT = Path(__file__).parents[2]
 INCLINED = fc.Scene.load(ROOT / "demos" / "inclined_crack.toml").replace({"curve": None})
+FEW = INCLINED.replace({"reduction.method": "massless", "reduction.modes": 10})
 
 
 def changes(errors: fc.Verification | None) -> dict[str, float]:
@@ -55,6 +56,7 @@ def true_over_stated(scene: fc.Scene) -> dict[str, float]:
     return {n: abs(true[n] * run.errors.values[n]) / part for n, part in parts.items()}
 
 
+@pytest.mark.nightly
 def test_effect_on_an_extreme_that_is_small_by_chance() -> None:
     """The opening of a plate that 20 modes change by 0.01 % and many by 0.03 to 0.05 %: at most 1.6
     times what is stated, as of the other numbers."""
@@ -98,10 +100,9 @@ def test_page_names_what_is_missing(tmp_path: Path, run_command: RunCommand) -> 
 def test_with_stress_intensities() -> None:
     """Where they are requested the others keep it; K_I changes by as little as openings. The error
     of K_II is that of the other causes, and friction is named as missing."""
-    few = INCLINED.replace({"reduction.method": "massless", "reduction.modes": 10})
     asked = ["K_max", "K_II_max", *NAMES]
     both = [
-        fc.solve(few.replace({"output.quantities": one}), MPI.COMM_SELF) for one in (NAMES, asked)
+        fc.solve(FEW.replace({"output.quantities": one}), MPI.COMM_SELF) for one in (NAMES, asked)
     ]
     without, found = (changes(run.errors) for run in both)
     assert found == pytest.approx(without, rel=1e-9)
@@ -118,10 +119,9 @@ def test_with_stress_intensities() -> None:
 
 def test_where_it_is_silent() -> None:
     """With friction, and by a key; solids and matrices say that it is not estimated."""
-    few = {"reduction.method": "massless", "reduction.modes": 10}
-    rubbing = fc.solve(INCLINED.replace(few | {"contact.friction": 0.3}), MPI.COMM_SELF).errors
+    rubbing = fc.solve(FEW.replace({"contact.friction": 0.3}), MPI.COMM_SELF).errors
     assert "friction" not in {*rubbing.parts, *rubbing.unknown, *rubbing.absent}
-    off = fc.solve(INCLINED.replace({"contact.friction_error": False}), MPI.COMM_SELF).errors
+    off = fc.solve(FEW.replace({"contact.friction_error": False}), MPI.COMM_SELF).errors
     assert off is not None and off.unknown["friction"] == "contact.friction_error = false"
     assert "the friction not included" in off.without
     chain = fc.Scene.load(ROOT / "demos" / "chain.toml").replace({"curve": None})
@@ -133,10 +133,9 @@ def test_last_line(monkeypatch: pytest.MonkeyPatch) -> None:
     """It names friction above the tolerance only; a search that fails is said."""
     from fenics_crack.study.conclusion import said_of
 
-    few = INCLINED.replace({"reduction.method": "massless", "reduction.modes": 10})
     for frequency, said in ((3560.0, True), (2000.0, False)):
         at = {"excitation.frequency": frequency, "harmonic_balance.tolerance": 0.1}
-        run = fc.solve(few.replace(at), MPI.COMM_SELF)
+        run = fc.solve(FEW.replace(at), MPI.COMM_SELF)
         vars(run)["stated"] = run.errors
         assert ("friction left out: about" in said_of(run).closing()) == said
 
@@ -144,7 +143,7 @@ def test_last_line(monkeypatch: pytest.MonkeyPatch) -> None:
         raise ConvergenceError("none")
 
     monkeypatch.setattr("fenics_crack.study.vary.law_of", fails)
-    errors = fc.solve(few, MPI.COMM_SELF).errors
+    errors = fc.solve(FEW, MPI.COMM_SELF).errors
     assert errors.unknown["friction"] == "a run with friction has no solution"
     assert errors.stated("amplitude")[0] > 0.0
 
@@ -153,7 +152,7 @@ def test_effect_grows_with_the_coefficient() -> None:
     """Little rubbing changes numbers in proportion to it."""
     sizes = []
     for mu in (0.001, 0.002):
-        run = fc.solve(INCLINED.replace({"contact.friction_error": mu}), MPI.COMM_SELF)
+        run = fc.solve(FEW.replace({"contact.friction_error": mu}), MPI.COMM_SELF)
         sizes.append(changes(run.errors)["amplitude"])
     assert sizes[1] / sizes[0] == pytest.approx(2.0, rel=0.1)
 

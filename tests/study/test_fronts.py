@@ -20,6 +20,9 @@ from fenics_crack.study.prepare import prepare
 
 YOUNG, POISSON, STRESS = 2.1e11, 0.3, 1e6
 LONG, DEEP = 0.008, 0.003
+FEW: dict[str, object] = {
+    "reduction__modes": 8, "harmonic_balance__tolerance": None, "harmonic_balance__harmonics": 9,
+}  # fmt: skip
 
 
 @cache
@@ -30,11 +33,17 @@ def solid(**changed: object) -> fc.Scene:
     return scene.replace(given | {key.replace("__", "."): one for key, one in changed.items()})
 
 
+@cache
+def whole(elements: int) -> fc.Study:
+    """That solid with so many elements on its crack, not reduced."""
+    return prepare(solid(mesh__lip_elements=elements), MPI.COMM_SELF, whole=True)
+
+
 @pytest.mark.parametrize("elements", [3, pytest.param(4, marks=pytest.mark.nightly)])
 def test_patches(elements: int) -> None:
     """Rigid rotations, and uniform stresses that leave the free faces of the plate without loads,
     whose crack is pressed open by what they are: no K at any station."""
-    study = prepare(solid(mesh__lip_elements=elements), MPI.COMM_SELF, whole=True)
+    study = whole(elements)
     structure = study.structure
     stations, rows, of_forces = tip_rows(study)
     radius = DEEP / elements  # about the domain's
@@ -97,15 +106,10 @@ def test_patches_of_a_straight_front() -> None:
             assert np.abs(found).max() < 1e-3 * STRESS * np.sqrt(np.pi) * size
 
 
-@cache
-def flapping(comm: MPI.Comm = MPI.COMM_SELF) -> fc.Run:
-    return fc.solve(solid(), comm)
-
-
 def test_a_front_that_breathes(tmp_path: Path) -> None:
     """Closed for half of a period: what is computed then is small, and reported as zero; the crack
     opens alike on both sides of its middle, by less where it is deep."""
-    found = fc.stress_intensity(flapping())
+    found = fc.stress_intensity(fc.solve(solid(**FEW), MPI.COMM_SELF))
     assert found.three is not None and len(found.tips) == 13
     assert 0.0 < found.closed.max() < 0.03 * found.largest.max()
     assert 0.3 < (found.one.max(axis=1) == 0.0).mean() < 0.7
@@ -126,7 +130,7 @@ def test_a_front_that_breathes(tmp_path: Path) -> None:
 def test_a_coarser_mesh_without_stress_intensity() -> None:
     """Its elements are too long for them: their errors alone are unknown."""
     asked = ("amplitude", "delta_K_effective")
-    few = solid(mesh__lip_elements=2, mesh__error=True, output__quantities=asked)
+    few = solid(mesh__lip_elements=2, mesh__error=True, output__quantities=asked, **FEW)
     errors = fc.solve(few, MPI.COMM_SELF).errors
     assert errors is not None and not errors.unknown
     assert 0.01 < errors.stated("amplitude")[0] < 1.0
@@ -141,7 +145,7 @@ def test_a_front_that_is_held_open() -> None:
     pulled = solid(
         mesh__lip_elements=3, mesh__error=True, output__quantities=asked, crack__length=0.008,
         contact__friction_error=False, excitation__frequency=400.0,
-        excitation__force_mean=(0.0, 1e3, 5.0), excitation__point=(0.015, 0.09, 0.003),
+        excitation__force_mean=(0.0, 1e3, 5.0), excitation__point=(0.015, 0.09, 0.003), **FEW,
     )  # fmt: skip
     run = fc.solve(pulled, MPI.COMM_SELF)
     found, errors = fc.stress_intensity(run), run.errors
@@ -168,8 +172,7 @@ def test_modes() -> None:
 
 def test_cells_in_another_order() -> None:
     """The numbers of cells, which differ from run to run on several ranks, do not matter."""
-    scene = solid(mesh__lip_elements=3)
-    structure = fc.build_structure(scene, MPI.COMM_SELF)
+    scene, structure = solid(mesh__lip_elements=3), whole(3).structure
     nodes = replace(structure.nodes, cells=structure.nodes.cells[::-1])
     turned = structure._in(structure.setting, nodes=nodes)
     _, rows, _ = front_functionals(scene, structure)

@@ -117,6 +117,5 @@ def test_bad_input() -> None:
         " values": lambda: fc.grid_convergence([1.0, 2.0, 3.0], [1.0, 2.0, math.nan]),
         "formal": lambda: fc.grid_convergence([1.0, 2.0, 3.0], [1.0, 2.0, 3.0], formal=0.0),
     }.items():
-        with pytest.raises(InputError) as caught:
+        with pytest.raises(InputError, match=rf"^{key.strip()}( =| is)"):
             call()
-        assert caught.value.key == key.strip()

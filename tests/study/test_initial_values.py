@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-import scipy.io
-from helpers import relative
+from helpers import relative, scene_of_matrices
 from mpi4py import MPI
 from surroundings import main
 
@@ -28,27 +27,13 @@ laws = pytest.mark.parametrize("law", LAWS, ids=["penalty", "lips without mass"]
 @pytest.fixture
 def mass(tmp_path: Path) -> Path:
     """The scene of one mass, 2 kg, far from its stop."""
-    for name, value in {"mass": 2.0, "stiffness": 800.0, "gap": 1.0, "force": 3.0}.items():
-        scipy.io.mmwrite(tmp_path / f"{name}.mtx", np.array([[value]]))
-    text = f"""
-        [structure]
-        mass = "mass.mtx"
-        stiffness = "stiffness.mtx"
-        gap = "gap.mtx"
-        force_sin = "force.mtx"
-        clearance = 1.0
-        [excitation]
-        omega = {OMEGA}
-        [damping]
-        ratio = {RATIO}
-        [contact]
-        stiffness = 1e3
-        [integration]
-        periods = 20
-        deflection = 2.0
-        free = true
-        """
-    (tmp_path / "mass.toml").write_text(text)
+    parts = {"mass": 2.0, "stiffness": 800.0, "gap": 1.0, "force_sin": 3.0}
+    tables = {
+        "structure": {"clearance": 1.0}, "excitation": {"omega": OMEGA},
+        "damping": {"ratio": RATIO}, "contact": {"stiffness": 1e3},
+        "integration": {"periods": 20, "deflection": 2.0, "free": True},
+    }  # fmt: skip
+    (tmp_path / "mass.toml").write_text(scene_of_matrices(tmp_path, parts, tables).as_toml())
     return tmp_path / "mass.toml"
 
 
@@ -150,14 +135,11 @@ def test_bad_input(scene: fc.Scene, tmp_path: Path) -> None:
         ("free", {"free": 1}),
     ]
     for key, table in wrong:
-        with pytest.raises(fc.InputError) as caught:
+        with pytest.raises(fc.InputError, match=rf"^integration\.{key}( =| is)"):
             changes = {f"integration.{name}": value for name, value in table.items()}
             fc.integrate(scene.replace(changes), MPI.COMM_SELF)
-        assert caught.value.key == f"integration.{key}"
-    with pytest.raises(fc.InputError) as caught:
+    with pytest.raises(fc.InputError, match=r"^integration\.free( =| is)"):
         scene.replace({"integration.free": True, "rotation.rpm": 60.0, "rotation.hub_radius": 0.1})
-    assert caught.value.key == "integration.free"
     other = {"mesh.columns": 4, "integration.initial": str(tmp_path / "solution.h5")}
-    with pytest.raises(fc.InputError) as caught:
+    with pytest.raises(fc.InputError, match=r"^integration\.initial( =| is)"):
         fc.integrate(scene.replace(other), MPI.COMM_SELF)
-    assert caught.value.key == "integration.initial"

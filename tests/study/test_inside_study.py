@@ -188,8 +188,17 @@ def test_mean_load_keeps_lips_apart_or_together() -> None:
         assert all(any(text in word for word in words) for text in texts)
 
 
-@pytest.mark.drawn(3)
-@pytest.mark.parametrize("demo", sorted(DEMOS.glob("*.toml")), ids=lambda path: path.stem)
+@pytest.mark.drawn(4)
+@pytest.mark.parametrize(
+    "demo",
+    [
+        pytest.param(
+            path, marks=[pytest.mark.nightly] * (path.stem in ("bladed_disk", "solid_blade"))
+        )
+        for path in sorted(DEMOS.glob("*.toml"))
+    ],
+    ids=lambda path: path.stem,
+)
 def test_no_remark_on_demos(demo: object) -> None:
     """Every scene of demos is usual."""
     scene = fc.Scene.load(str(demo))

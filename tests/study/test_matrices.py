@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import scipy.io
 import scipy.sparse as sparse
-from helpers import DEMOS, csr, relative
+from helpers import DEMOS, csr, relative, scene_of_matrices
 from mpi4py import MPI
 from surroundings import RunCommand, main
 
@@ -32,31 +32,14 @@ def plate(paper_scene: Scene) -> Scene:
 def scene(plate: Scene, tmp_path: Path) -> Scene:
     """The scene of the files."""
     whole = fc.build_structure(plate, MPI.COMM_SELF)
-    force = whole.force[2]
-    parts = {"gap": whole.gap, "force": sparse.csr_matrix(force[:, None])}
-    parts["clearance"] = sparse.csr_matrix(whole.clearance[:, None])
-    for name in ("mass", "stiffness"):
-        parts[name] = csr(getattr(whole, name))
-    for name, part in parts.items():
-        scipy.io.mmwrite(tmp_path / f"{name}.mtx", part, precision=17)
-    text = """
-        [structure]
-        mass = "mass.mtx"
-        stiffness = "stiffness.mtx"
-        gap = "gap.mtx"
-        force_sin = "force.mtx"
-        clearance = "clearance.mtx"
-        [excitation]
-        omega = 2000.0
-        [damping]
-        ratio = 0.02
-        [contact]
-        stiffness = 1e9
-        [harmonic_balance]
-        harmonics = 5
-        """
-    (tmp_path / "scene.toml").write_text(text)
-    return Scene.load(tmp_path / "scene.toml")
+    columns = {"force_sin": whole.force[2], "clearance": whole.clearance}
+    parts = {name: sparse.csr_matrix(column[:, None]) for name, column in columns.items()}
+    parts |= {"mass": csr(whole.mass), "stiffness": csr(whole.stiffness), "gap": whole.gap}
+    tables = {
+        "excitation": {"omega": 2000.0}, "damping": {"ratio": 0.02}, "contact": {"stiffness": 1e9},
+        "harmonic_balance": {"harmonics": 5},
+    }  # fmt: skip
+    return scene_of_matrices(tmp_path, parts, tables)
 
 
 def test_results_are_those_of_the_plate(plate: Scene, scene: Scene) -> None:
@@ -108,9 +91,8 @@ def test_results_belong_to_their_files(scene: Scene, tmp_path: Path) -> None:
     np.testing.assert_array_equal(modes.shapes, runs["modes"].result.shapes)  # type: ignore[union-attr]
     with open(tmp_path / "gap.mtx", "a") as file:
         file.write("% changed\n")
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=r"^structure\.gap( =| is)"):
         fc.load_run(tmp_path / "solution.h5", MPI.COMM_SELF)
-    assert caught.value.key == "structure.gap"
 
 
 def test_rigid_contact_of_masses_gets_a_remark(run_command: RunCommand) -> None:
@@ -153,19 +135,12 @@ def test_few_masses_take_more_steps_than_stability_asks_for(tmp_path: Path) -> N
     """Of two masses that is 18 of a period, and twice as many make a motion of two periods of one
     that has one; a length of a crack is not sought in them."""
     matrices = {"mass": np.eye(2), "stiffness": 1e4 * np.array([[2.0, -1.0], [-1.0, 1.0]])}
-    matrices |= {"gap": np.array([[0.0], [1.0]]), "force_sin": np.array([[10.0], [0.0]])}
-    for name, matrix in matrices.items():
-        scipy.io.mmwrite(tmp_path / f"{name}.mtx", sparse.coo_matrix(matrix))
-    files = {name: str(tmp_path / f"{name}.mtx") for name in matrices}
-    scene = Scene.from_mapping(
-        {
-            "structure": files | {"clearance": 1e-3},
-            "damping": {"ratio": 0.05},
-            "excitation": {"omega": 60.0},
-            "contact": {"stiffness": 1e5},
-            "harmonic_balance": {"harmonics": 40},
-        }
-    )
+    matrices |= {"gap": [[0.0], [1.0]], "force_sin": [[10.0], [0.0]]}
+    tables = {
+        "structure": {"clearance": 1e-3}, "damping": {"ratio": 0.05}, "excitation": {"omega": 60.0},
+        "contact": {"stiffness": 1e5}, "harmonic_balance": {"harmonics": 40},
+    }  # fmt: skip
+    scene = scene_of_matrices(tmp_path, matrices, tables)
     marched, solved = (way(scene, MPI.COMM_SELF).result for way in (fc.integrate, fc.solve))
     assert marched.settled < 1e-4
     assert marched.indicators(0).amplitude == pytest.approx(solved.amplitude(0), rel=1e-3)
@@ -193,7 +168,7 @@ def test_the_example_meets_its_stop() -> None:
         ({"structure.mass": "missing.mtx"}, "structure.mass"),
         ({"structure.gap": "stiff.mtx"}, "structure.gap"),
         ({"structure.force_mean": "mass.mtx"}, "structure.force_mean"),
-        ({"structure.clearance": "force.mtx"}, "structure.clearance"),
+        ({"structure.clearance": "force_sin.mtx"}, "structure.clearance"),
         ({"structure.force_sin": None}, "structure.force_sin"),
         ({"contact": None}, "contact"),
         ({"contact.stiffness": None, "contact.stiffness_per_area": 1e9}, "contact.stiffness_per"),

@@ -23,7 +23,7 @@ PLATE: dict[str, Any] = {
     "damping": {"ratio": 0.01, "modes": 8},
     "excitation": {"omega": 3000.0, "point": [0.1, 0.15], "force_sin": [700.0, 300.0]},
     "contact": {"law": "unilateral"},
-    "mesh": {"layout": "grid", "columns": 8, "rows": 16},
+    "mesh": {"layout": "grid", "columns": 8, "rows": 16, "error": False},
 }
 BOTH = ("reaction_force", "reaction_moment")
 

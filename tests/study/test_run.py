@@ -29,43 +29,28 @@ def scene(paper_scene: fc.Scene) -> fc.Scene:
 
 @laws
 def test_solution_and_motion_agree(scene: fc.Scene, law: dict[str, Any], tmp_path: Path) -> None:
-    """Balanced with its stability, marched by exponential steps, stored, read and drawn."""
+    """Balanced with its stability, marched by exponential steps, and read again."""
     scene = scene.replace(law | {"integration.settle": 1e-5, "harmonic_balance.harmonics": 40})
     solved = fc.solve(scene, MPI.COMM_SELF)
     found, plate = solved.result, solved.structure
+    assert isinstance(plate, fc.MasslessStructure) and found.stability is not None
     assert solved.scene.reduction is not None and solved.scene.reduction.method == "massless"
-    assert found.converged and found.stability is not None
-    marched = fc.integrate(scene, MPI.COMM_SELF)
-    history = marched.result
+    history, dof = fc.integrate(scene, MPI.COMM_SELF).result, [solved.watched_dof]
     assert history.steps_per_period == 512 and history.settled < 1e-5
-    dof = solved.watched_dof
-    last = slice(-512, None)
-    time = history.time[last]
-    assert relative(history.gap[last], found.gap(time)) < 5e-3
-    motion = found.displacement(time, [dof])
-    assert relative(history.displacement([dof])[last], motion) < 2e-3
-
-    # Files.
-    for name, run in (("solution", solved), ("integration", marched)):
-        fc.save(run.result, tmp_path / f"{name}.h5", run.scene)
+    time, motion = history.time[-512:], found.displacement(history.time[-512:], dof)
+    assert relative(history.gap[-512:], found.gap(time)) < 5e-3
+    assert relative(history.displacement(dof)[-512:], motion) < 2e-3
+    fc.save(found, tmp_path / "solution.h5", solved.scene)
     again = fc.load_run(tmp_path / "solution.h5", MPI.COMM_SELF)
     read = again.result
-    assert isinstance(read, fc.PeriodicSolution) and again.contact == solved.contact
-    assert read.static_above == found.static_above and read.contact == found.contact
+    assert read.static_above == found.static_above
+    assert read.contact == found.contact == again.contact == solved.contact
     np.testing.assert_allclose(read.gap(time), found.gap(time), atol=1e-9 * np.ptp(motion))
-    np.testing.assert_allclose(
-        read.displacement(time, [dof]), motion, rtol=1e-9, atol=1e-9 * np.ptp(motion)
-    )
-    motion_again = fc.load_run(tmp_path / "integration.h5", MPI.COMM_SELF).result
-    np.testing.assert_allclose(
-        motion_again.displacement([dof]), history.displacement([dof]), atol=1e-9 * np.ptp(motion)
-    )
-
     # The whole displacement closes the gaps as they are, with their kinks.
     field = read.displacement_field(time[::64])
     closing = plate.whole.apply_bt(field) - plate.clearance
     np.testing.assert_allclose(closing, found.gap(time[::64]), atol=1e-9 * np.ptp(motion))
-    np.testing.assert_allclose(field[:, dof], motion[::64, 0], atol=1e-9 * np.ptp(motion))
+    np.testing.assert_allclose(field[:, dof], motion[::64], atol=1e-9 * np.ptp(motion))
 
 
 def test_pictures_of_lips_without_mass(scene: fc.Scene, tmp_path: Path) -> None:

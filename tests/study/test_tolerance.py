@@ -103,9 +103,8 @@ def test_command_that_misses_its_tolerance(
     new: fc.Scene, tmp_path: Path, run_command: RunCommand
 ) -> None:
     """It ends with 4 and one sentence, which does not say that nothing converged."""
-    scene = tmp_path / "plate.toml"
-    scene.write_text(new.replace({"harmonic_balance.tolerance": 1e-4, "mesh.size": 0.02}).as_toml())
-    said = run_command("solve", str(scene), "--output", str(tmp_path / "found"), code=4).err
+    scene = new.replace({"harmonic_balance.tolerance": 1e-4, "mesh.size": 0.02})
+    said = run_command("solve", scene, "--output", tmp_path / "found", code=4).err
     assert "warning: solved; error 0." in said and "what helps: reduction.modes 40" in said
     assert "not converged" not in said
 
@@ -182,14 +181,8 @@ def test_own_plate_from_the_settings_of_new(
         "excitation.frequency": frequency, "mesh.size": 0.02, "contact.friction_error": False,
         "harmonic_balance.tolerance": 3e-2,
     }  # fmt: skip
-    path = tmp_path / "own.toml"
-    path.write_text(new.replace(own).as_toml())
-    rows = {
-        row["name"]: row
-        for row in json.loads(
-            run_command("solve", str(path), "--output", str(tmp_path), "--format", "json").out
-        )
-    }
+    words = ["solve", new.replace(own), "--output", tmp_path, "--format", "json"]
+    rows = {row["name"]: row for row in json.loads(run_command(*words).out)}
     assert rows["verdict"]["value"] == "stable" and rows["total_error"]["value"] < 3e-2
     assert 0.5 < rows["amplitude"]["error [%]"] < 6.0
 

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from helpers import DEMOS
 from mpi4py import MPI
-from surroundings import RunCommand, main
+from surroundings import RunCommand
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene, Study
@@ -56,15 +56,11 @@ def test_each_part_is_what_its_runs_say() -> None:
     found = fc.verify(scene)
     assert found.causes == ("mesh", "shift", "modes", "harmonics") and not found.failures
     assert found.counts["modes"] == (6, 12, 24) and found.counts["harmonics"] == (3, 100)
-    own = fc.prepare(scene)
+    own, value = fc.prepare(scene), found.values["opening"]
     part = found.parts["mesh"]["omega_bilinear_1"]
     error = part.uncertainty(-1) / part.values[-1]
-    shifts = [1.0 + 0.5 * error, 1.0 + error]
-    shifts.append(part.values[-1] / part.extrapolated)
-    openings = [opening(own, 2000.0 * shift) for shift in shifts]
-    by_shift, value = found.parts["shift"]["opening"], found.values["opening"]
-    assert by_shift.extrapolated == pytest.approx(openings[-1], rel=1e-6)
-    most = max(abs(one - value) for one in openings)
+    shifts = [1.0 + 0.5 * error, 1.0 + error, part.values[-1] / part.extrapolated]
+    most = max(abs(opening(own, 2000.0 * shift) - value) for shift in shifts)
     assert found.contributions("opening")["shift"] == pytest.approx(most, rel=1e-6)
     finer = [{"mesh.size": 0.03 / f, "mesh.lip_elements": int(2 * f)} for f in (1.5, 2.0)]
     plates = [fc.prepare(scene.replace(changes)) for changes in finer]
@@ -78,14 +74,9 @@ def test_each_part_is_what_its_runs_say() -> None:
     )
     changed = [value + one - many for one in values]
     assert found.parts["modes"]["opening"].values[1::-1] == pytest.approx(changed, rel=1e-4)
-    assert {found.parts[cause]["opening"].values[2] for cause in ("mesh", "modes")} == {value}
-    for cause in ("modes", "harmonics"):
-        sizes = tuple(1.0 / count for count in found.counts[cause][::-1])
-        assert found.parts[cause]["opening"].sizes == sizes
-    known = found.parts["harmonics"]["opening"]
+    known, mesh = found.parts["harmonics"]["opening"], found.parts["mesh"]["opening"]
     assert known.extrapolated == pytest.approx(many, rel=1e-4)
     assert known.behaviour == "exact orbit" and known.gci == 0.0
-    mesh = found.parts["mesh"]["opening"]
     assert mesh.sizes[2] == pytest.approx(math.sqrt(0.01 / found.counts["mesh"][0]))
     parts = found.contributions("opening")
     both = math.hypot(parts["mesh"] + parts["shift"], parts["modes"], parts["harmonics"])
@@ -214,10 +205,8 @@ def test_unstable_orbits_are_named(paper_scene: Scene) -> None:
 
 def test_command(run_command: RunCommand, tmp_path: Path, verified: fc.Verification) -> None:
     """Table, statement, files and picture; frequencies in the scene's unit."""
-    path = tmp_path / "plate.toml"
-    path.write_text(plate({"excitation.frequency": 318.3}).as_toml())
-    words = ["verify", str(path), "--output", str(tmp_path)]
-    printed = run_command(*words, code=MISSED)
+    scene = plate({"excitation.frequency": 318.3})
+    printed = run_command("verify", scene, "--output", tmp_path, code=MISSED)
     assert "frequency_open_1 [Hz]" in printed.out and "total [%]" in printed.out
     assert "amplitude = " in printed.err and "contact is integrated exactly" in printed.err
     rows = list(csv.DictReader((tmp_path / "verify.csv").open()))
@@ -228,15 +217,13 @@ def test_command(run_command: RunCommand, tmp_path: Path, verified: fc.Verificat
     records = json.loads((tmp_path / "verify.json").read_text())
     assert {row["cause"] for row in records} == {*verified.causes, "total", "sum"}
     assert (tmp_path / "verify.png").stat().st_size > 20_000
-    assert (
-        json.loads(run_command(*words, "--format", "json", "--quiet", code=MISSED).out) == records
-    )
-    kept = str(tmp_path / "verify.h5")
-    assert main(["report", kept, "--output", str(tmp_path / "page.html"), "--quiet"]) == 0
+    kept = tmp_path / "verify.h5"
+    run_command("report", kept, "--output", tmp_path / "page.html", "--quiet")
     page = (tmp_path / "page.html").read_text()
     assert "Convergence study" in page and "mostly due to" in page and page.count("<img") == 2
     (tmp_path / "verify.png").unlink()
-    assert main(["plot", kept, "--quiet"]) == 0 and (tmp_path / "verify.png").exists()
+    run_command("plot", kept, "--quiet")
+    assert (tmp_path / "verify.png").exists()
 
 
 def test_rows_are_quantities_in_words(verified: fc.Verification) -> None:
@@ -254,9 +241,8 @@ def test_rows_are_quantities_in_words(verified: fc.Verification) -> None:
 
 def test_bad_input(verified: fc.Verification) -> None:
     """Each error names what is wrong."""
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=r"^quantity( =| is)"):
         verified.contributions("colour")
-    assert caught.value.key == "quantity"
     with pytest.raises(InputError, match="axes"):
         fc.draw_verification(verified, axes=[None])
 

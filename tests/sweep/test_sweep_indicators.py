@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from helpers import ROOT, changed
 from mpi4py import MPI
-from surroundings import RunCommand, main
+from surroundings import RunCommand
 
 import fenics_crack as fc
 from fenics_crack import SweepResult, run_sweep
@@ -186,9 +186,7 @@ def test_file_of_an_older_version(whole: SweepResult, tmp_path: Path) -> None:
         SweepResult.load(path)
 
 
-def test_verdicts_that_hang_on_modes_left_out(
-    tmp_path: Path, run_command: RunCommand, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_verdicts_that_hang_on_modes_left_out(tmp_path: Path, run_command: RunCommand) -> None:
     """What 8 modes call stable the 18 of their reference do not, by a sweep with these; it is told,
     and of the case beside it nothing. Without verdicts, or what judges the modes, there is none."""
     coarse = {
@@ -197,9 +195,7 @@ def test_verdicts_that_hang_on_modes_left_out(
         "mesh.error": False, "contact.friction_error": False,
     }  # fmt: skip
     scene = fc.Scene.load(ROOT / "benchmarks" / "plate.toml").replace(coarse)
-    (tmp_path / "plate.toml").write_text(scene.as_toml(), encoding="utf-8")
-    out = ["--output", str(tmp_path)]
-    assert main(["sweep", str(tmp_path / "plate.toml"), *out]) == 0
+    told = run_command("sweep", scene, "--output", tmp_path).err
     few = fc.SweepResult.load(tmp_path / "sweep.h5")
     many = run_sweep(scene.replace({"reduction.modes": 18}), comm=MPI.COMM_SELF)
     assert few["verdict"].tolist() == ["stable", "stable"] == [*many["verdict"][1:], "stable"]
@@ -207,9 +203,9 @@ def test_verdicts_that_hang_on_modes_left_out(
     [(place, said)] = few.contradicted
     largest = f"largest multiplier {many['multiplier'][0]:.6g}"
     assert place == (0,) and said == f"with 18 modes the orbit is unstable ({largest})"
-    told = "1 case or more whose verdict depends on truncated modes, the first at omega = "
-    assert f"{told}9050.0: {said}; raise reduction.modes" in capsys.readouterr().err
+    depends = "1 case or more whose verdict depends on truncated modes, the first at omega = "
+    assert f"{depends}9050.0: {said}; raise reduction.modes" in told
     for asked in ({"verdicts": False}, {"judged": False}):
         assert not run_sweep(scene, comm=MPI.COMM_SELF, **asked).contradicted
-    alone = ["--set", "excitation.omega=9050.0", "--set", "sweep=none"]
-    assert said in run_command("solve", tmp_path / "plate.toml", *out, *alone, code=4).err
+    alone = scene.replace({"sweep": None, "excitation.omega": 9050.0})
+    assert said in run_command("solve", alone, "--output", tmp_path, code=4).err

@@ -107,6 +107,12 @@ class Case:
         return "\n".join(parts)
 
 
+def label(axes: Any, **words: Any) -> None:
+    """Name the axes, set their ranges and show the legend."""
+    axes.set(**words)
+    axes.legend()
+
+
 def case(
     *, draw: Callable[[Any], None], maker: Callable[[], str | None] | None = None
 ) -> Callable[[Callable[[], list[Row]]], Callable[[], list[Row]]]:

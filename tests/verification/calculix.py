@@ -7,7 +7,7 @@ import numpy as np
 import paper_plate
 import scipy.sparse as sparse
 from beams import THICK
-from book import Row, case
+from book import Row, case, label
 from inp import (
     calculix,
     linear_transient,
@@ -206,8 +206,7 @@ def draw_opening(axes: Any) -> None:
     for motion, style, name in zip(both, ("-", "kx"), ("fenics_crack", "CalculiX"), strict=True):
         opening = -structure.apply_bt(motion[None])[0]
         axes.plot(1e3 * structure.pairs.positions, 1e12 * opening, style, label=name)
-    axes.set(xlabel="distance from the mouth [mm]", ylabel="opening [pm]")
-    axes.legend()
+    label(axes, xlabel="distance from the mouth [mm]", ylabel="opening [pm]")
 
 
 @case(draw=draw_opening, maker=calculix)
@@ -513,8 +512,7 @@ def draw_solids(axes: Any) -> None:
     for name, (ours, theirs) in solid_frequencies().items():
         axes.semilogy(range(1, 7), np.abs(ours / theirs - 1.0), "o-", label=name, ms=4, lw=1)
     axes.axhline(1e-4, color="0.5", ls=":", lw=1)
-    axes.set(xlabel="mode", ylabel="relative difference", xticks=range(1, 7))
-    axes.legend()
+    label(axes, xlabel="mode", ylabel="relative difference", xticks=range(1, 7))
 
 
 @case(draw=draw_solids, maker=calculix)

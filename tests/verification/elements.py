@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse.linalg
-from book import Row, case
+from book import Row, case, label
 from helpers import log_slope
 from plates import cracked_plate, csr, pull, tada
 from scipy.integrate import quad
@@ -305,8 +305,7 @@ def draw_release(axes: Any) -> None:
     axes.plot([0.0], [limit], "C0s", label="extrapolated")
     axes.axhspan(0.995 * mean_tada(), 1.005 * mean_tada(), color="0.9", label="Tada, 0.5 %")
     axes.axhline(mean_tada(), color="k", ls=":", lw=1)
-    axes.set(xlabel="size of the cells / W", ylabel="F", xlim=(-0.003, 0.105))
-    axes.legend()
+    label(axes, xlabel="size of the cells / W", ylabel="F", xlim=(-0.003, 0.105))
 
 
 @case(draw=draw_release)

@@ -5,7 +5,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from book import Row, case
+from book import Row, case, label
 from elements import tada
 from fatigue.test_ellipse import newman_raju
 from petsc4py import PETSc
@@ -197,8 +197,9 @@ def draw_front(axes: Any) -> None:
         axes.plot(np.degrees(ANGLES), found / 1e3, mark, label=f"{elements} elements")
     at, one, *_ = at_stations(6)
     axes.plot(np.degrees(at), one / 1e3, "k+", label="6 elements, interaction integral")
-    axes.set(xlabel="angle from the face [degrees]", ylabel="K [kPa m$^{1/2}$]", ylim=(0.0, None))
-    axes.legend()
+    label(
+        axes, xlabel="angle from the face [degrees]", ylabel="K [kPa m$^{1/2}$]", ylim=(0.0, None)
+    )
 
 
 @case(draw=draw_front)

@@ -4,7 +4,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from book import Row, case
+from book import Row, case, label
 from free_motions import free_frequency
 from helpers import dense_matrices, free_bar, heavy_mass
 from scipy.integrate import simpson, solve_ivp
@@ -46,8 +46,7 @@ def draw_release(axes: Any) -> None:
         1e3 * release().time[::200], release().contact_force[::200, 0] / 1e3, "kx",
         label="exponential steps",
     )  # fmt: skip
-    axes.set(xlabel="t [ms]", ylabel="contact force [kN]", xlim=(0.0, 40.0))
-    axes.legend()
+    label(axes, xlabel="t [ms]", ylabel="contact force [kN]", xlim=(0.0, 40.0))
 
 
 @case(draw=draw_release)
@@ -168,8 +167,7 @@ def draw_free_motion(axes: Any) -> None:
     energies = np.geomspace(4e-4, ENERGIES[1], 30)
     axes.semilogx(energies, [balanced(e) for e in energies], "o", ms=3, label="balanced, H = 60")
     axes.plot(ENERGIES[0], 0.64621695, "rx", ms=8, label='published as "analytic"')
-    axes.set(xlabel="energy [J]", ylabel="frequency [Hz]")
-    axes.legend()
+    label(axes, xlabel="energy [J]", ylabel="frequency [Hz]")
 
 
 @case(draw=draw_free_motion)

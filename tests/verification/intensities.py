@@ -10,7 +10,7 @@ from typing import Any
 
 import gmsh
 import numpy as np
-from book import Row, case
+from book import Row, case, label
 from fatigue.test_ellipse import CASES, brute_force, law, table_of
 from fronts import furthest
 from helpers import gmsh_model
@@ -195,8 +195,7 @@ def draw_ellipse(axes: Any) -> None:
     t = np.linspace(0.0, 0.5 * np.pi, 200)
     axes.plot(np.degrees(t), green(t) / 1e3, "k:", lw=1, label="closed form, K_I")
     draw_modes(axes, angles, found / 1e3)
-    axes.set(xlabel="angle of the ellipse [degrees]", ylabel="K [kPa m$^{1/2}$]")
-    axes.legend()
+    label(axes, xlabel="angle of the ellipse [degrees]", ylabel="K [kPa m$^{1/2}$]")
 
 
 @case(draw=draw_ellipse)
@@ -352,8 +351,7 @@ def draw_coarse(axes: Any) -> None:
     sizes = np.array(COARSE) * 1e3
     axes.loglog(sizes, errors, "o-", label="torsion, K_III")
     axes.loglog(sizes, errors[0] * sizes / sizes[0], "k:", lw=1, label="order 1")
-    axes.set(xlabel="elements at the front [mm]", ylabel="error of K_III, root mean square")
-    axes.legend()
+    label(axes, xlabel="elements at the front [mm]", ylabel="error of K_III, root mean square")
 
 
 @case(draw=draw_coarse)

@@ -4,7 +4,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from book import Row, case
+from book import Row, case, label
 from helpers import (
     BILINEAR_ORBITS,
     OMEGA_0,
@@ -101,10 +101,9 @@ def draw_truncation(axes: Any) -> None:
     """Errors over H."""
     axes.loglog(COUNTS, truncation_errors(), "o-", label="fenics_crack")
     axes.loglog(COUNTS, [3.1e-4, 3.7e-5, 4.0e-6, 3.9e-7], "kx", label="reference")
-    axes.set(xlabel="harmonics H", ylabel="relative L2 error of x over a period")
     axes.minorticks_off()
     axes.set_xticks(COUNTS, [str(count) for count in COUNTS])
-    axes.legend()
+    label(axes, xlabel="harmonics H", ylabel="relative L2 error of x over a period")
 
 
 @case(draw=draw_truncation)
@@ -153,8 +152,7 @@ def draw_doubled(axes: Any) -> None:
     ):  # fmt: skip
         axes.plot(share, orbit.gap(share * once.period)[:, 0], style, label=name)
     axes.axhline(0.0, color="0.7", lw=1)
-    axes.set(xlabel="t / period of the load", ylabel="x", xlim=(0.0, 2.0))
-    axes.legend()
+    label(axes, xlabel="t / period of the load", ylabel="x", xlim=(0.0, 2.0))
 
 
 @case(draw=draw_doubled)
@@ -193,8 +191,7 @@ def draw_stop_curve(axes: Any) -> None:
     for name, chosen, style in (("stable", curve.stable, "C0-"), ("unstable", unstable, "C0--")):
         axes.semilogy(curve.omega, np.where(chosen, found, np.nan), style, label=name)
     axes.plot([0.7, 0.7], [0.77839461, 0.22134025], "kx", ms=8, mew=2, label="reference")
-    axes.set(xlabel="W", ylabel="abs(X1) of mass 2")
-    axes.legend()
+    label(axes, xlabel="W", ylabel="abs(X1) of mass 2")
 
 
 @case(draw=draw_stop_curve)

@@ -4,7 +4,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from book import Row, case
+from book import Row, case, label
 from scipy.integrate import solve_ivp
 
 import fenics_crack as fc
@@ -55,8 +55,7 @@ def draw_gap(axes: Any) -> None:
     points = FREE | UPPER | LOWER
     axes.plot(list(points), list(points.values()), "kx", label="pyHarm's table")
     axes.axhline(1.0, color="0.7", lw=1, ls="--", label="gap")
-    axes.set(xlabel="frequency of the load [rad/s]", ylabel="norm of the coefficients / 10")
-    axes.legend()
+    label(axes, xlabel="frequency of the load [rad/s]", ylabel="norm of the coefficients / 10")
 
 
 @case(draw=draw_gap)

@@ -4,7 +4,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from book import Row, case
+from book import Row, case, label
 from motion.cone import march_cone
 from motion.test_friction import jenkins, nlstep_beam
 from motion.test_friction_on_solids import solved
@@ -67,8 +67,7 @@ def draw_cantilever(axes: Any) -> None:
     size = curve.indicators(tip).harmonic_1
     axes.plot(curve.omega, size, label="fenics_crack")
     axes.plot([*SIZES], [*SIZES.values()], "kx", label="reference")
-    axes.set(xlabel="w [rad/s]", ylabel="abs(U1) of the tip [mm]")
-    axes.legend()
+    label(axes, xlabel="w [rad/s]", ylabel="abs(U1) of the tip [mm]")
 
 
 @case(draw=draw_cantilever)
@@ -118,8 +117,7 @@ def draw_cone(axes: Any) -> None:
     axes.plot(time * 1e3, run.result.displacement(time, run.watched_dof) * 1e6, label="lines")
     time = np.arange(1, STEPS[1] + 1) / STEPS[1] * run.result.period
     axes.plot(time[::4] * 1e3, seen[1][::4] * 1e6, "k.", label="cone, by steps")
-    axes.set(xlabel="time [ms]", ylabel="displacement [um]")
-    axes.legend()
+    label(axes, xlabel="time [ms]", ylabel="displacement [um]")
 
 
 @case(draw=draw_cone)

@@ -20,7 +20,8 @@ FILES = (
     programs, uncertainties,
 )  # fmt: skip
 DEAR = (
-    "ellipse_in_a_block", "energy_release_on_three_meshes", "friction_on_a_solid",
+    "breathing_crack_in_a_beam", "ellipse_in_a_block", "energy_release_on_three_meshes",
+    "friction_on_a_solid", "fronts_on_coarse_meshes",
     "growth_of_half_ellipses", "penny_in_a_block",
     "rotor_with_a_crack", "stress_intensity_along_a_front", "stress_intensity_factors",
     "torsion_of_a_cracked_bar", "true_errors_over_stated_ones",

@@ -4,7 +4,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from book import Row, case
+from book import Row, case, label
 from stated_errors import compared, exact, on_finer_mesh, pulled_plate, with_more_modes
 
 import fenics_crack as fc
@@ -38,8 +38,7 @@ def draw_shares(axes: Any) -> None:
         axes.loglog(100.0 * stated, 100.0 * true, mark, label=cause)
     ends = np.array(axes.get_xlim())
     axes.loglog(ends, ends, "k-", lw=1, label="equal")
-    axes.set(xlabel="stated uncertainty [%]", ylabel="true error [%]", xlim=ends)
-    axes.legend()
+    label(axes, xlabel="stated uncertainty [%]", ylabel="true error [%]", xlim=ends)
 
 
 @case(draw=draw_shares)

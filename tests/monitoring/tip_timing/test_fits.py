@@ -263,6 +263,7 @@ def test_frequency_of_an_asynchronous_vibration(speed: float, sine: fc.PeriodicS
     assert fit.amplitudes[0] == pytest.approx(1e-3, rel=0.01)
 
 
+@NIGHTLY
 def test_more_frequencies_than_are_scanned_at_once(sine: fc.PeriodicSolution) -> None:
     """A scan of more than a million frequencies finds the same as one of few of them."""
     arrivals = measured(sine, speed=61.3, probes=FOUR[:3], revolutions=8000)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import re
 from collections.abc import Iterable
@@ -152,18 +151,17 @@ def test_frequency_that_follows_the_speed(stiffening: float) -> None:
         fc.fit_passage(record, 100.0, [order], stiffening=lambda speed, omega: np.nan)
 
 
-def test_frequency_that_follows_the_speed_as_the_scene_has_it(tmp_path: Path) -> None:
+def test_frequency_that_follows_the_speed_as_the_scene_has_it(
+    tmp_path: Path, run_command: RunCommand
+) -> None:
     """From the shell, with a scene that rotates: damping by its Campbell diagram."""
     table = {"probes": [0.0, 90.0], "tip_radius": 0.5, "orders": [4, 5, 6]}
     scene = strip(2.0, 100.0 / UNIT, tip_timing=table)
     stiffening = fc.campbell(scene, [90.0, 110.0], 3).stiffening(100.0, 500.0)
     record, _ = swept([(500.0, 0.004, 5, 8e-6)], stiffening=stiffening)
     record.to_csv(tmp_path / "record.csv")
-    (tmp_path / "strip.toml").write_text(scene.as_toml())
-    words = ["timing", "strip.toml", "record.csv", "--output", "found", "--quiet"]
-    with contextlib.chdir(tmp_path):
-        assert main(words) == 0
-    [fit] = json.loads((tmp_path / "found" / "timing.json").read_text())
+    run_command("timing", scene, tmp_path / "record.csv", "--output", tmp_path, "--quiet")
+    [fit] = json.loads((tmp_path / "timing.json").read_text())
     assert stiffening > 0.05 and fit["stiffening"] == pytest.approx(stiffening, rel=5e-3)
     assert fit["order"] == 5 and fit["damping"] == pytest.approx(0.004, rel=5e-3)
 
