@@ -572,52 +572,49 @@ def test_phases_in_degrees() -> None:
         fc.Measurement("displacement", -1e-5, 1e-7, phase=90.0, **given)  # type: ignore[arg-type]
 
 
-def test_one_value_of_each() -> None:
-    """Two of the same are refused, by name, with both values."""
-    one = fc.Measurement("frequency_open", 841.0, 0.8, 1)
-    other = fc.Measurement("frequency_open", 850.0, 0.8, 1)
-    with pytest.raises(fc.InputError) as error:
-        fc.Measurements((one, other))
-    said = "measurements, frequency_open of mode 1 = [841.0, 850.0]: must be one value, the mean"
-    assert said in str(error.value)
+HEAD = TABLE.split("frequency_bilinear")[0]
+UNUSABLE = {
+    f"{HEAD}frequency_bilinear,841,0.8,7,,": "measurements.mode = 7: must be a whole number",
+    f"{HEAD}frequency_bilinear,841,0.8,,250,": "measurements.mode = 0",
+    f"{HEAD}frequency_bilinear,841,0,1,,": "measurements.deviation = 0.0",
+    f"{HEAD}frequency_bilinear,841,1e-200,1,,": "deviation = 1e-200: must be a number (0, or of",
+    f"{HEAD}frequency_bilinear,1e300,1,1,,": "measurements.value = 1e+300: must be a number",
+    f"{HEAD}frequency,841,1,1,,": "measurements.quantity = 'frequency': must be one of",
+    f"{HEAD}ratio_2_1,x,1,,250,": "measurements.value = 'x': must be a finite number (line 3)",
+    f"{HEAD}ratio_2_1,0.1,0.1,,,tip.ux": "measurements.frequency = nan",
+    f"{HEAD}ratio_2_1,0.1,0.1": "measurements, line 3 = 'ratio_2_1,0.1,0.1': must be 6 cells",
+    f"{HEAD}displacement,-1e-5,1e-7,,250,": "measurements.phase = nan: must be a finite number",
+    f"{HEAD}frequency_open,841,1,1,,\nfrequency_open,850,1,1,,": (
+        "measurements, frequency_open of mode 1 = [841.0, 850.0]: must be one value, the mean"
+    ),
+    "": ": nothing': must be a CSV file with",
+    "# none\n": ": nothing': must be a CSV file with",
+    "a,b\n": ": the columns a, b': must be a CSV file with",
+    # Numbers that may be read in two ways, and units that the program does not convert.
+    "quantity,value,deviation,mode\nfrequency_open,841,1,0,8,1": "line 2 has more cells",
+    "quantity;value;deviation;mode\nfrequency_open;1,234;1,000;1": "mark is ambiguous: 1,234",
+    "quantity;value;deviation;mode\nfrequency_open;841,5;0.8;1": "is ambiguous: 0.8 and 841,5",
+    "quantity;value;deviation;mode\nfrequency_open;1.841,5;1;1": "mark is ambiguous: 1.841,5",
+    "quantity;value,deviation\nfrequency_open;1;1": "the columns quantity;value, deviation'",
+    "quantity,value [mm],deviation\nharmonic_1,1,1": "column value [mm]': must be in Hz",
+    "quantity,value,deviation,frequency [rad/s]\nfrequency_open,1,1,4400": (
+        "the column frequency [rad/s]': must be in Hz"
+    ),
+    "quantity,value,deviation,phase [turn]\nfrequency_open,1,1,90": (
+        "the column phase [turn]': must be in rad"
+    ),
+    "quantity,value,deviation,mode [-]\nfrequency_open,1,1,1": "must be without a unit",
+    'quantity,value,deviation,mode\nfrequency_open,1,1,"1\n"': "must be 4 cells: quantity",
+}
 
 
-def test_files_that_are_no_tables(tmp_path: Path) -> None:
-    """An empty file, and one of other columns, by their names."""
-    for text, found in (("", "nothing"), ("# none\n", "nothing"), ("a,b\n", "the columns a, b")):
-        path = tmp_path / "measured.csv"
-        path.write_text(text)
-        with pytest.raises(
-            fc.InputError,
-            match=re.escape(f"measurements = '{path}: {found}': must be a CSV file with"),
-        ):
-            fc.Measurements.from_csv(path)
-
-
-@pytest.mark.parametrize(
-    ("line", "message"),
-    [
-        ("frequency_bilinear,841,0.8,7,,", "measurements.mode = 7: must be a whole number"),
-        ("frequency_bilinear,841,0.8,,250,", "measurements.mode = 0"),
-        ("frequency_bilinear,841,0,1,,", "measurements.deviation = 0.0"),
-        (
-            "frequency_bilinear,841,1e-200,1,,",
-            "measurements.deviation = 1e-200: must be a number (0, or of",
-        ),
-        ("frequency_bilinear,1e300,1,1,,", "measurements.value = 1e+300: must be a number"),
-        ("frequency,841,1,1,,", "measurements.quantity = 'frequency': must be one of"),
-        ("ratio_2_1,x,1,,250,", "measurements.value = 'x': must be a finite number (line 3)"),
-        ("ratio_2_1,0.1,0.1,,,tip.ux", "measurements.frequency = nan"),
-        ("ratio_2_1,0.1,0.1", "measurements, line 3 = 'ratio_2_1,0.1,0.1': must be 6 cells"),
-        ("displacement,-1e-5,1e-7,,250,", "measurements.phase = nan: must be a finite number"),
-    ],
-)
-def test_lines_that_cannot_be_used(tmp_path: Path, line: str, message: str) -> None:
+@pytest.mark.parametrize(("text", "words"), UNUSABLE.items(), ids=range(len(UNUSABLE)))
+def test_tables_that_cannot_be_used(tmp_path: Path, text: str, words: str) -> None:
     """One line says what is wrong."""
     path = tmp_path / "measured.csv"
-    path.write_text("\n".join([*TABLE.splitlines()[:2], line]))
-    with pytest.raises(fc.InputError, match=re.escape(message)):
-        fc.Measurements.from_csv(path)
+    path.write_text(text)
+    with pytest.raises(fc.InputError, match=re.escape(words)):
+        fc.Measurements.read(path)
 
 
 def test_harmonics_that_the_model_does_not_have() -> None:
@@ -676,37 +673,6 @@ def test_an_inclined_crack_acts_at_its_tip(tmp_path: Path) -> None:
     assert 0.8 < tilted @ straight / (straight @ straight) < 1.15
     spread = crack_deviations(np.array([[length, height]]), ("crack.length", "crack.height"), scene)
     assert spread[0, 1] == pytest.approx(length * np.tan(np.radians(5.0)))
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("quantity,value,deviation,mode\nfrequency_open,841,1,0,8,1", "line 2 has more cells"),
-        (
-            "quantity;value;deviation;mode\nfrequency_open;1,234;1,000;1",
-            "decimal mark is ambiguous: 1,234",
-        ),
-        (
-            "quantity;value;deviation;mode\nfrequency_open;841,5;0.8;1",
-            "decimal mark is ambiguous: 0.8 and 841,5",
-        ),
-        (
-            "quantity;value;deviation;mode\nfrequency_open;1.841,5;1;1",
-            "decimal mark is ambiguous: 1.841,5",
-        ),
-        ("quantity;value,deviation\nfrequency_open;1;1", "the columns quantity;value, deviation'"),
-        ("quantity,value [mm],deviation\nharmonic_1,1,1", r"column value \[mm\]': must be in Hz"),
-    ],
-    ids=range(6),
-)
-def test_ambiguous_tables(text: str, words: str, tmp_path: Path, run_command: RunCommand) -> None:
-    """Numbers that may be read in two ways are refused in one line."""
-    scene = command_of_one_unknown(tmp_path)[1]
-    (path := tmp_path / "table.csv").write_text(text)
-    [line] = run_command(
-        "identify", scene, str(path), "--output", str(tmp_path / "out"), code=2
-    ).err.splitlines()
-    assert re.search(words, line)
 
 
 def test_tables_of_spreadsheets(tmp_path: Path) -> None:

@@ -90,24 +90,6 @@ def test_modes_of_responses(form: str, stored: int, derived: int, tmp_path: Path
     assert np.all(np.abs(found - OMEGA / (2.0 * np.pi)) < 0.01 * DAMPING * found)
 
 
-@pytest.mark.parametrize(
-    ("heading", "cell", "words"),
-    [
-        ("frequency [rad/s]", "4400", r"the column frequency \[rad/s\]'?: must be in Hz"),
-        ("phase [turn]", "90", r"the column phase \[turn\]'?: must be in rad"),
-        ("mode [-]", "1", "must be without a unit"),
-        ("mode", '"1\n"', "must be 4 cells: quantity"),
-    ],
-    ids=range(4),
-)
-def test_units_of_a_table(heading: str, cell: str, words: str, tmp_path: Path) -> None:
-    """In headings, and only those that the program converts: kHz were taken for Hz."""
-    path = tmp_path / "one.csv"
-    path.write_text(f"quantity,value [Hz],deviation [Hz],{heading}\nfrequency_open,1,1,{cell}\n")
-    with pytest.raises(fc.InputError, match=rf"^measurements.* = .*{words}"):
-        fc.Measurements.read(path)
-
-
 @pytest.mark.parametrize("form", ["even", "<", ">"])
 def test_every_response_of_a_file_counts(form: str, tmp_path: Path) -> None:
     """The first two are at nodes of the second mode; some numbers of text touch, as exponents have
