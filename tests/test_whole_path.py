@@ -39,25 +39,20 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 @pytest.fixture
-def ask(folder: Path, run_command: RunCommand, capsys: pytest.CaptureFixture[str]) -> object:
+def ask(folder: Path, run_command: RunCommand) -> object:
     """Run a command on the coarse plate, and return what it printed."""
 
     def asked(command: str, *changes: str, output: str = "output/plate") -> str:
-        capsys.readouterr()
-        words = [word for change in (*COARSE, *changes) for word in ("--set", change)]
         places = [] if command.startswith("check") else ["--output", output]
-        return run_command(*command.split(), "plate.toml", *words, *places).out
+        sets = [*COARSE, *changes]
+        return str(run_command(*command.split(), "plate.toml", *places, sets=sets).out)
 
     return asked
 
 
-def rows_of(path: Path) -> list[dict[str, str]]:
-    with path.open() as file:
-        return list(csv.DictReader(file))
-
-
-def column(rows: list[dict[str, str]], ending: str) -> np.ndarray:
-    """Numbers of the column whose name ends so."""
+def column(path: Path, ending: str) -> np.ndarray:
+    """Return the numbers of the column whose name ends so."""
+    rows = [*csv.DictReader(path.read_text().splitlines())]
     [name] = [name for name in rows[0] if name.endswith(ending)]
     return np.array([float(row[name]) for row in rows])
 
@@ -76,16 +71,17 @@ def test_a_preload_and_the_length_of_a_crack(folder: Path, ask: object) -> None:
         "output.quantities=['ratio_2_1', 'closed_share']",
     )
     assert len(printed.splitlines()) <= 20 and "ratio_2_1" in printed
-    cases = rows_of(folder / "output/plate/sweep.csv")
-    assert len(cases) == 20 and np.all(column(cases, "ratio_2_1") > 1e-6)
-    shares = column(cases, "closed_share")
+    ratios, shares = (
+        column(folder / "output/plate/sweep.csv", name) for name in ("ratio_2_1", "closed_share")
+    )
+    assert len(ratios) == 20 and np.all(ratios > 1e-6)
     assert np.all((shares > 0.3) & (shares < 0.7))
     peaks = []
     for name, force in LOADS.items():
         changes = [f"curve.start={0.98 * breathing}", f"curve.stop={1.02 * breathing}"]
         changes += [f"excitation.force_sin=[{force}, 0.0]", "curve.stability=false"]
         ask("curve", *changes, "crack.clearance=-5e-7", output=f"output/{name}")
-        points = rows_of(folder / f"output/{name}/curve.csv")
+        points = folder / f"output/{name}/curve.csv"
         amplitude = column(points, "amplitude [m]")
         peaks.append(column(points, "frequency [Hz]")[amplitude.argmax()])
     assert peaks[0] > peaks[1] == pytest.approx(breathing, rel=0.01)

@@ -246,7 +246,7 @@ SOFT_PLATE = {
 @pytest.mark.parametrize(
     "span",
     [
-        (2300.0, 2450.0), (1700.0, 1725.0),
+        (2300.0, 2450.0), pytest.param((1700.0, 1725.0), marks=pytest.mark.nightly),
         pytest.param((1280.0, 1340.0), marks=pytest.mark.nightly),
     ],
 )  # fmt: skip

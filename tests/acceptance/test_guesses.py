@@ -54,7 +54,7 @@ VERBS = {
 
 COARSE = {
     "mesh.size": 0.05, "mesh.lip_elements": 2, "mesh.error": False, "contact.friction_error": False,
-    "harmonic_balance.tolerance": None, "harmonic_balance.harmonics": 5,
+    "harmonic_balance.tolerance": 0.03,
 }  # fmt: skip
 
 

@@ -459,7 +459,7 @@ def test_file_of_a_mesh_that_has_changed(tmp_path: Path) -> None:
         fc.load_run(paths[0])
     with pytest.raises(fc.InputError, match="it has changed or gone"):
         swept.solution(0)
-    with pytest.raises(fc.InputError, match="begun with"):  # neither does the sweep go on
+    with pytest.raises(fc.InputError, match="changed or gone"):  # neither does the sweep go on
         fc.run_sweep(scene, paths[1])
 
 

@@ -167,7 +167,7 @@ def test_one_sentence_holds_the_answer(
 ) -> None:
     """The terminal, the JSON, Python and the page end with it: amplitude, error, crack, verdict."""
     scene = paper_scene.replace({"contact.stiffness": 1e9})
-    closing = run_command("solve", scene, "--output", tmp_path, code=4).err.splitlines()[-1]
+    closing = run_command("solve", scene, "--output", tmp_path).err.splitlines()[-1]
     rows = rows_of(tmp_path / "solution.json")
     assert rows["conclusion"]["value"] == closing
     run = fc.load_run(tmp_path / "solution.h5")

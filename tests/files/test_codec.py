@@ -96,7 +96,13 @@ def is_ratio(item: h5py.Dataset) -> bool:
     return words or item.name.strip("/").rpartition(".")[2] in RATIOS
 
 
-@pytest.mark.parametrize("name", RESULTS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.nightly] * (name == "amplification"))
+        for name in RESULTS
+    ],
+)
 def test_result_comes_back(name: str, tmp_path: Path) -> None:
     """Every field, and what is computed from them."""
     result, path = RESULTS[name](), tmp_path / f"{name}.h5"

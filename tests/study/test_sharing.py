@@ -20,6 +20,7 @@ COARSE: dict[str, object] = {
     "mesh.size": 0.04, "mesh.lip_elements": 3, "mesh.order": 2, "crack.first_omega": None,
     "crack.length": 0.03, "reduction": None, "harmonic_balance.harmonics": None,
     "harmonic_balance.tolerance": 0.05, "damping.modes": "all", "damping.ratio": 0.02,
+    "contact.friction_error": False,
 }  # fmt: skip
 
 

@@ -9,6 +9,7 @@ import gmsh
 import h5py
 import numpy as np
 import pytest
+from helpers import gmsh_model
 from mpi4py import MPI
 from surroundings import RunCommand
 
@@ -141,10 +142,8 @@ def test_meshes_that_cannot_be_used(own: Path, old: str, new: str, message: str)
 
 def write_box(path: Path, length: float) -> None:
     """A blade of 30 x 90 x 6 mm with a crack through it, if it has one, 30 mm from its clamp."""
-    gmsh.initialize(readConfigFiles=False)
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
-        occ, model = gmsh.model.occ, gmsh.model
+    with gmsh_model() as model:
+        occ = model.occ
         box = [(3, occ.addBox(0.0, 0.0, 0.0, 0.03, 0.09, 0.006))]
         if length:
             face = occ.addRectangle(0.0, 0.0, 0.0, length, 0.006)
@@ -162,8 +161,6 @@ def write_box(path: Path, length: float) -> None:
         gmsh.option.setNumber("Mesh.MeshSizeMax", 0.012)
         model.mesh.generate(3)
         gmsh.write(str(path))
-    finally:
-        gmsh.finalize()
 
 
 @pytest.mark.nightly
