@@ -12,7 +12,7 @@ LINES = re.findall(
     (ROOT / "docs" / "short_answers.md").read_text(),
     re.M,
 )[1:]
-KEYS = "mesh.size=0.05", "mesh.lip_elements=4", "mesh.error=false"
+KEYS = "mesh.size=0.05", "mesh.lip_elements=6", "mesh.error=false"
 COARSE = [word for key in KEYS for word in ("--set", key)]
 """The new scene's mesh takes several times as long, and has no error to be remarked on; slips of
 the mesh itself come after."""
