@@ -17,6 +17,7 @@ import subprocess
 import zlib
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from pathlib import Path
 from random import Random
 from typing import TYPE_CHECKING, Any
@@ -261,6 +262,12 @@ def run_command(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> RunComman
         return capsys.readouterr()
 
     return run
+
+
+@pytest.fixture
+def timing(run_command: RunCommand, tmp_path: Path) -> RunCommand:
+    """The command ``timing``, with its files in the test's folder."""
+    return partial(run_command, "timing", "--output", tmp_path)
 
 
 @pytest.fixture

@@ -295,6 +295,16 @@ def period_two_orbit(harmonics: int) -> fc.PeriodicSolution:
     )  # fmt: skip
 
 
+def passing_angles(
+    targets: np.ndarray, motion: Callable[[np.ndarray], Any], radius: float
+) -> np.ndarray:
+    """Return the angles a of the rotor at which a moving tip passes: a = target - u(a) / R."""
+    angles = targets
+    for _ in range(60):
+        angles = targets - motion(angles) / radius
+    return angles
+
+
 def resized(rows: np.ndarray, harmonics: int) -> np.ndarray:
     """Coefficients a0, a1, b1, ... cut off or padded with zeros to a number of harmonics."""
     padded = np.zeros((2 * harmonics + 1, *rows.shape[1:]))

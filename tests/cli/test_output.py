@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from helpers import scene_of_matrices
 from mpi4py import MPI
-from surroundings import DEMOS, RunCommand, main
+from surroundings import DEMOS, RunCommand
 
 import fenics_crack as fc
 from fenics_crack import prepare
@@ -32,13 +32,6 @@ def scene(paper_scene: fc.Scene) -> fc.Scene:
             "output.quantities": ["ratio_2_1", "omega_open"],
         }
     )
-
-
-def written(scene: fc.Scene, folder: Path) -> str:
-    """The file of a scene."""
-    file = folder / "scene.toml"
-    file.write_text(scene.as_toml(), encoding="utf-8")
-    return str(file)
 
 
 def test_points_are_watched_at_their_nearest_nodes(scene: fc.Scene) -> None:
@@ -89,7 +82,7 @@ def test_scene_with_output_is_read_back(scene: fc.Scene) -> None:
 
 def test_solution(scene: fc.Scene, tmp_path: Path, run_command: RunCommand) -> None:
     """What is chosen is printed, the file has it all, and the remark tells of the distance."""
-    shown, notes = run_command("solve", written(scene, tmp_path), "--output", tmp_path)
+    shown, notes = run_command("solve", scene, "--output", tmp_path)
     assert shown.count("harmonic ratio 2/1") == 4
     assert "natural frequency, crack open, mode 1" in shown
     assert "half peak-to-peak" not in shown and "Hz" not in shown
@@ -121,9 +114,8 @@ def test_curve(scene: fc.Scene, tmp_path: Path, run_command: RunCommand) -> None
     """A column for each point and direction; the special points have what is chosen, in Hz."""
     scene = scene.replace({"excitation.frequency": 300.0, "curve.start": 1500.0,
                            "curve.stop": 1550.0})  # fmt: skip
-    words = ["curve", written(scene, tmp_path), "--output", str(tmp_path)]
-    heading = run_command(*words, "--set", "curve.stability=false").out.splitlines()[0].split("  ")
-    shown = [word.strip() for word in heading if word.strip()]
+    told = run_command("curve", scene, "--output", tmp_path, sets=["curve.stability=false"]).out
+    shown = [word.strip() for word in told.splitlines()[0].split("  ") if word.strip()]
     assert shown == ["point", "frequency [Hz]", *(f"{n}.u{a}.ratio_2_1" for n in ("tip", "side")
                      for a in "xy"), "frequency_open [Hz]"]  # fmt: skip
     with open(tmp_path / "curve.csv", newline="") as file:
@@ -134,22 +126,21 @@ def test_curve(scene: fc.Scene, tmp_path: Path, run_command: RunCommand) -> None
 
 
 def test_motion_in_time_has_the_same_indicators(
-    scene: fc.Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    scene: fc.Scene, tmp_path: Path, run_command: RunCommand
 ) -> None:
     """Exact from event to event, its last period: ratios and mean as with 30 harmonics."""
     changes = {"integration.method": "events", "integration.settle": 1e-6}
     scene = scene.replace(changes | {"harmonic_balance.harmonics": 30, "output.quantities": None})
-    file = written(scene, tmp_path)
-    found = {}
-    for command, name in (("solve", "solution"), ("integrate", "integration")):
-        assert main([command, file, "--output", str(tmp_path)]) == 0
-        text = (tmp_path / f"{name}.json").read_text()
-        found[command] = {row["name"]: row["value"] for row in json.loads(text)}
-    capsys.readouterr()
+    solved, exact = (
+        {row["name"]: row["value"] for row in json.loads(run_command(*words).out)}
+        for words in (
+            [command, scene, "--output", tmp_path, "--format", "json"]
+            for command in ("solve", "integrate")
+        )
+    )
     for quantity in ("amplitude", "harmonic_1", "ratio_2_1", "mean_shift"):
-        for point in ("tip.ux", "side.uy"):
-            exact = found["integrate"][f"{point}.{quantity}"]
-            assert found["solve"][f"{point}.{quantity}"] == pytest.approx(exact, rel=2e-3)
+        for name in (f"tip.ux.{quantity}", f"side.uy.{quantity}"):
+            assert solved[name] == pytest.approx(exact[name], rel=2e-3)
 
 
 def test_a_verdict_that_is_left_out_is_told(
@@ -158,23 +149,20 @@ def test_a_verdict_that_is_left_out_is_told(
     """Of lips that have mass and may not overlap."""
     rigid = {"contact.law": "unilateral", "contact.stiffness": None, "reduction.method": "off"}
     small = {"mesh.columns": 2, "mesh.rows": 2, "output": None}
-    file = written(scene.replace(rigid | small), tmp_path)
-    words = ["solve", file, "--output", str(tmp_path)]
+    words = ["solve", scene.replace(rigid | small), "--output", tmp_path]
     told = run_command(*words)
     assert "the stability is not assessed" in told.err and "verdict" not in told.out
-    told = run_command(*words, "--set", "reduction.method=massless", "--set", "reduction.modes=6")
+    told = run_command(*words, sets=["reduction.method=massless", "reduction.modes=6"])
     assert "not assessed" not in told.err and "verdict" in told.out
 
 
 def test_a_crack_of_a_mesh_file_that_stays_open(tmp_path: Path, run_command: RunCommand) -> None:
     """Without contact there is nothing to judge; what needs it asks for contact, not a crack."""
-    words = [str(DEMOS / "inclined_crack.toml"), "--set", "contact=none", "--output", str(tmp_path)]
-    told = run_command("solve", *words)
+    scene = fc.Scene.load(DEMOS / "inclined_crack.toml", {"contact": None})
+    told = run_command("solve", scene, "--output", tmp_path)
     assert "not assessed" not in told.err and "verdict" not in told.out
-    assert (
-        "contact is missing: must be given for this command: a table"
-        in run_command("integrate", *words, code=2).err
-    )
+    missing = "contact is missing: must be given for this command: a table"
+    assert missing in run_command("integrate", scene, "--output", tmp_path, code=2).err
 
 
 @pytest.mark.parametrize(("mean", "shown"), [(1e-17, "0"), (-2e-9, "-2e-09")])
@@ -193,11 +181,7 @@ def test_rounding_is_printed_as_zero(
         "curve": {"start": 0.6, "stop": 0.65, "stability": False},
         "output": {"quantities": ["amplitude", "mean", "mean_shift"]},
     }
-    words = [
-        written(scene_of_matrices(tmp_path, parts, tables), tmp_path),
-        "--output",
-        str(tmp_path),
-    ]
+    words = [scene_of_matrices(tmp_path, parts, tables), "--output", tmp_path]
     lines = [" ".join(line.split()) for line in run_command("solve", *words).out.splitlines()]
     for first in (f"mean displacement {shown} m", f"mean displacement over harmonic 1 {mean:g} -"):
         assert any(line.startswith(first) for line in lines)
@@ -227,26 +211,24 @@ def leaning(tmp_path: Path) -> fc.Scene:
 
 
 def test_what_is_seen_in_place_of_an_unstable_orbit(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], leaning: fc.Scene
+    tmp_path: Path, run_command: RunCommand, leaning: fc.Scene
 ) -> None:
     """Told with the warning and on the page: two sizes between which a motion that leaves the orbit
     still varies, those of ``fc.attractors``. And of the largest response of a curve."""
-    words = [written(leaning, tmp_path), "--output", str(tmp_path)]
-    assert main(["solve", *words]) == 0
+    said = run_command("solve", leaning, "--output", tmp_path).err
     run = fc.load_run(tmp_path / "solution.h5")
     [found] = fc.attractors(run.structure, run.result)
     sizes = [f"{1e3 * size:.4g} mm" for size in np.sort(found.amplitudes(run.watched_dof))[[0, -1]]]
     still = "; the motion still varies after 1000 periods, between"
     told = f"{still} {' and '.join(sizes)} half peak-to-peak"
-    assert told in capsys.readouterr().err
-    page = tmp_path / "report.html"
-    assert main(["report", str(tmp_path / "solution.h5"), "--output", str(page)]) == 0
-    assert told in page.read_text()
-    assert main(["curve", *words]) == 0  # to where two periods of the load are one
+    assert told in said
+    run_command("report", tmp_path / "solution.h5", "--quiet")
+    assert told in (tmp_path / "report.html").read_text()
+    # To where two periods of the load are one.
+    said = run_command("curve", leaning, "--output", tmp_path).err
     curve = fc.load_run(tmp_path / "curve.h5")
     last = curve.result.solution(len(curve.result) - 1)
     [doubled] = fc.attractors(curve.structure, last)
     sizes = [f"{size:.4g} m" for size in np.sort(doubled.amplitudes(curve.watched_dof))]
     told = f"response is unstable; the motion settles to between {sizes[0]} and "
-    told += f"{sizes[1]} half"
-    assert told in capsys.readouterr().err
+    assert f"{told}{sizes[1]} half" in said

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from helpers import passing_angles
 from surroundings import RunCommand, main
 from test_any_input import TINY
 
@@ -34,12 +34,6 @@ def written(folder: Path, changes: dict[str, Any] | None = None) -> Path:
     scene = fc.Scene.from_mapping(TINY).replace(more | (changes or {}))
     (folder / "scene.toml").write_text(scene.as_toml(), encoding="utf-8")
     return folder / "scene.toml"
-
-
-@pytest.fixture
-def timing(run_command: RunCommand, tmp_path: Path) -> RunCommand:
-    """The command, with its files in the test's folder."""
-    return partial(run_command, "timing", "--output", tmp_path)
 
 
 def solved(folder: Path, changes: dict[str, Any] | None = None) -> Path:
@@ -184,7 +178,7 @@ def test_a_resonance_that_is_passed_in_few_revolutions(tmp_path: Path, timing: R
     """A vibration of one harmonic, whose size changes within each revolution: no second one is
     stated, and the first one is within its errors at every speed."""
     turns = 2.0 * np.pi * np.arange(101)
-    targets = angle = turns[:-1, None] + np.radians(PROBES)
+    targets = turns[:-1, None] + np.radians(PROBES)
 
     def speed(angle: np.ndarray) -> np.ndarray:
         return np.asarray(np.sqrt(390.0**2 + (410.0**2 - 390.0**2) * angle / turns[-1]))
@@ -195,8 +189,7 @@ def test_a_resonance_that_is_passed_in_few_revolutions(tmp_path: Path, timing: R
     def wave(angle: np.ndarray) -> np.ndarray:
         return np.asarray(1e-3 / (1.0 + 1j * (speed(angle) - 403.0) / 0.8))
 
-    for _ in range(50):
-        angle = targets - (wave(angle) * np.exp(5j * angle)).real / RADIUS
+    angle = passing_angles(targets, lambda at: (wave(at) * np.exp(5j * at)).real, RADIUS)
     rng = np.random.default_rng(1)
     noise = 1e-8 * rng.standard_normal(targets.shape)
     arrivals, path = (times(angle) + noise, times(turns)), tmp_path / "seen.csv"

@@ -150,19 +150,13 @@ def test_matrices_without_values(tmp_path: Path, run_command: RunCommand) -> Non
     ],
 )
 def test_contact_that_nothing_makes(
-    key: str,
-    changes: list[str],
-    tmp_path: Path,
-    run_command: RunCommand,
-    capsys: pytest.CaptureFixture[str],
+    key: str, changes: list[str], tmp_path: Path, run_command: RunCommand
 ) -> None:
     """It is remarked once, by check and beside results."""
     path = scene_of(tmp_path)
     few = ["mesh.size=0.05", "mesh.lip_elements=2", "mesh.error=false", *changes]
-    for command in (["check"], ["modes", "--output", str(tmp_path)]):
-        capsys.readouterr()
-        words = [*command, str(path), *(word for one in few for word in ("--set", one))]
-        assert run_command(*words).err.count(f"remark: {key} = ") == 1
+    for command in (["check"], ["modes", "--output", tmp_path]):
+        assert run_command(*command, path, sets=few).err.count(f"remark: {key} = ") == 1
 
 
 @pytest.mark.nightly

@@ -56,9 +56,9 @@ def result(structure: fc.Structure, home: Path) -> Path:
 
 def refused(run_command: RunCommand, *words: object) -> str:
     """The one line with which a command refuses its input; nothing was run."""
-    [line] = run_command(*[str(word) for word in words], code=2).err.splitlines()
+    [line] = run_command(*words, code=2).err.splitlines()
     assert not Path("PWNED").exists()
-    return line
+    return str(line)
 
 
 # --- meshes ---------------------------------------------------------------------------------------
@@ -77,12 +77,11 @@ def refused(run_command: RunCommand, *words: object) -> str:
     ],
 )
 def test_a_script_is_no_mesh(
-    home: Path, capsys: pytest.CaptureFixture[str], name: str, text: str, reason: str
+    home: Path, run_command: RunCommand, name: str, text: str, reason: str
 ) -> None:
     """Whatever it is called, and wherever the script stands; gmsh ran the first of these."""
     (home / name).write_text(text)
-    (home / "scene.toml").write_text(FROM_FILE.replace({"mesh.file": name}).as_toml())
-    line = refused(capsys, "check", "scene.toml")
+    line = refused(run_command, "check", FROM_FILE.replace({"mesh.file": str(home / name)}))
     assert "mesh.file" in line and reason in line
 
 
@@ -97,7 +96,7 @@ def test_nothing_beside_a_mesh_is_run(home: Path) -> None:
 
 @pytest.mark.parametrize("how", ["polyglot", "no digest", "any digest", "script with its digest"])
 def test_a_result_runs_nothing(
-    home: Path, structure: fc.Structure, capsys: pytest.CaptureFixture[str], how: str
+    home: Path, structure: fc.Structure, run_command: RunCommand, how: str
 ) -> None:
     """Its scene names a script as mesh, or itself, with the script before its own beginning."""
     path, evil = home / "result.h5", home / "evil.msh"
@@ -123,7 +122,7 @@ def test_a_result_runs_nothing(
     }  # fmt: skip
     for words in (["plot", path], ["report", path], ["plot", path, path, "--label", "a"]):
         if "--label" not in words or how != "script with its digest":
-            assert refused(capsys, *words) and not Path("PWNED").exists()
+            assert refused(run_command, *words) and not Path("PWNED").exists()
     with pytest.raises(fc.InputError) as caught:
         fc.load_run(path)
     assert reasons[how] in str(caught.value) and not Path("PWNED").exists()
@@ -238,7 +237,7 @@ def test_made_results(
 
 @pytest.mark.parametrize("attribute", ["digest", "version"])
 def test_a_result_of_an_older_version(
-    result: Path, structure: fc.Structure, capsys: pytest.CaptureFixture[str], attribute: str
+    result: Path, structure: fc.Structure, run_command: RunCommand, attribute: str
 ) -> None:
     """It has no digest; without another attribute it is not what was written."""
     with h5py.File(result, "r+") as file:
@@ -246,7 +245,7 @@ def test_a_result_of_an_older_version(
     reason = "older versions did not write" if attribute == "digest" else "damaged"
     with pytest.raises(fc.InputError, match=reason):
         fc.load(result, structure)
-    assert reason in refused(capsys, "plot", result)
+    assert reason in refused(run_command, "plot", result)
 
 
 def test_words_for_numbers(result: Path, structure: fc.Structure) -> None:
@@ -413,9 +412,7 @@ FORGED: dict[str, Callable[[h5py.File], object]] = {
 
 
 @pytest.mark.parametrize("change", FORGED)
-def test_made_sweeps(
-    swept: SweepResult, home: Path, capsys: pytest.CaptureFixture[str], change: str
-) -> None:
+def test_made_sweeps(swept: SweepResult, home: Path, run_command: RunCommand, change: str) -> None:
     """Neither read nor continued; no command draws or reports it."""
     path = Path(shutil.copy(swept.path, home))
     with h5py.File(path, "r+") if change.startswith("no") else changed(path) as file:
@@ -428,7 +425,7 @@ def test_made_sweeps(
     with pytest.raises(fc.InputError, match="path"):
         run_sweep(swept.scene, path, MPI.COMM_SELF)
     for command in ("plot", "report"):
-        assert "sweep.h5" in refused(capsys, command, path)
+        assert "sweep.h5" in refused(run_command, command, path)
     assert path.read_bytes() == before
 
 

@@ -13,7 +13,7 @@ import scipy.io
 import scipy.sparse as sparse
 from helpers import DEMOS, csr, relative, scene_of_matrices
 from mpi4py import MPI
-from surroundings import RunCommand, main
+from surroundings import RunCommand
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene, run_sweep
@@ -106,7 +106,7 @@ def test_rigid_contact_of_masses_gets_a_remark(run_command: RunCommand) -> None:
 @pytest.mark.usefixtures("not_drawn")
 @pytest.mark.parametrize("commands", [["check"], ["modes"], ["solve"], ["integrate"], ["sweep"]])
 def test_the_example_runs_from_the_shell(
-    commands: list[str], tmp_path: Path, run_command: RunCommand, capsys: pytest.CaptureFixture[str]
+    commands: list[str], tmp_path: Path, run_command: RunCommand
 ) -> None:
     """Every command; what is drawn needs no mesh, and what needs one is left out with a word."""
     (name,) = commands
@@ -119,7 +119,7 @@ def test_the_example_runs_from_the_shell(
     if name == "check":  # of masses: nothing that plates alone have
         assert not re.search("crack|lips|flap|torsion|plate|mesh", printed.out)
         return
-    assert main(["plot", str(tmp_path / f"{result}.h5")]) == 0
+    told = run_command("plot", tmp_path / f"{result}.h5").err
     pictures = {path.name for path in tmp_path.glob("*.*") if path.suffix not in (".csv", ".json")}
     expected = {
         "solve": {"solution_waves.png", "solution_orbits.png"},
@@ -128,7 +128,7 @@ def test_the_example_runs_from_the_shell(
         "modes": {"modes.h5"},
     }[name]
     assert expected <= pictures
-    assert ("no mesh" in capsys.readouterr().err) == (name in ("solve", "modes"))
+    assert ("no mesh" in told) == (name in ("solve", "modes"))
 
 
 def test_few_masses_take_more_steps_than_stability_asks_for(tmp_path: Path) -> None:

@@ -11,11 +11,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import identification
 import numpy as np
 import pytest
-from helpers import wrap
+from helpers import passing_angles, wrap
 from scipy.interpolate import CubicSpline
 from scipy.stats import kstest
 from surroundings import RunCommand, main
@@ -479,10 +480,12 @@ def test_arrivals_become_displacements(tmp_path: Path) -> None:
     """At the phase of the arrival itself, with the standard error of the mean of each probe."""
     probes, radius, speed, order = np.radians([10.0, 95.0, 200.0, 310.0]), 0.5, 100.0, 4
     rng, marks = np.random.default_rng(4), 2.0 * np.pi / speed * np.arange(51)
-    angles = probes + np.zeros((50, 1))
-    for _ in range(60):  # u = 100 um cos(4 alpha) + 30 um sin(8 alpha)
-        u = 1e-4 * np.cos(order * angles) + 3e-5 * np.sin(2 * order * angles)
-        angles = probes - u / radius
+
+    def motion(angle: np.ndarray) -> np.ndarray:
+        return 1e-4 * np.cos(order * angle) + 3e-5 * np.sin(2 * order * angle)
+
+    angles = passing_angles(probes + np.zeros((50, 1)), motion, radius)
+    u = motion(angles)
     time = marks[:-1, None] + angles / speed + 2e-8 * rng.normal(size=angles.shape)
     arrivals = fc.ArrivalTimes(time, marks, probes, radius)
     found = fc.Measurements.from_arrivals(arrivals, order, "tip.ux")
@@ -522,11 +525,9 @@ def test_displacements_of_few_revolutions_have_true_errors(revolutions: int) -> 
     and 1.16, of tails that few arrivals have by chance, and of a scatter that they hardly tell."""
     probes, radius, speed, order = np.radians([10.0, 95.0, 200.0, 310.0]), 0.5, 100.0, 4
     marks = 2.0 * np.pi / speed * np.arange(revolutions + 1)
-    angles = probes + np.zeros((revolutions, 1))
-    for _ in range(60):
-        u = 1e-4 * np.cos(order * angles)
-        angles = probes - u / radius
-    off = []
+    targets, off = probes + np.zeros((revolutions, 1)), []
+    angles = passing_angles(targets, lambda angle: 1e-4 * np.cos(order * angle), radius)
+    u = 1e-4 * np.cos(order * angles)
     for seed in range(100):
         noise = 2e-8 * np.random.default_rng(seed).normal(size=angles.shape)
         arrivals = fc.ArrivalTimes(marks[:-1, None] + angles / speed + noise, marks, probes, radius)
@@ -784,7 +785,7 @@ def test_cases_that_failed(
 
 
 def test_arrivals_of_a_solid_are_its_circumferential_motion(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run_command: RunCommand
 ) -> None:
     """A box that turns about x passes the probes along z: what is compared with them."""
     tables = {
@@ -802,18 +803,17 @@ def test_arrivals_of_a_solid_are_its_circumferential_motion(
         "mesh": {"layout": "graded", "order": 2, "size": 0.008, "lip_elements": 3},
         "reduction": {"modes": 10},
     }
-    (tmp_path / "box.toml").write_text(fc.Scene.from_mapping(tables).as_toml())
+    box = fc.Scene.from_mapping(tables)
     turn, rng = 60.0 / 1500.0, np.random.default_rng(0)
     marks = turn * np.arange(6.0)
     time = marks[:-1, None] + turn * PROBES / (2.0 * np.pi) + 1e-8 * rng.normal(size=(5, 9))
     fc.ArrivalTimes(time, marks, PROBES, 0.29).to_csv(tmp_path / "a.csv")
-    compared: list[str] = []
-
-    def identify(_: fc.Scene, rows: fc.Measurements, **__: object) -> None:
-        compared.extend(row.point for row in rows.rows)
-        raise fc.InputError("identify", None, "asked for no more")
-
+    identify = Mock(side_effect=fc.InputError("identify", None, "asked for no more"))
     monkeypatch.setattr("fenics_crack.monitoring.identification.identify.identify", identify)
-    words = ["identify", str(tmp_path / "box.toml"), "--arrivals", str(tmp_path / "a.csv")]
-    assert main([*words, "--output", str(tmp_path)]) == 2
-    assert compared == ["tip.uz"] * len(PROBES)
+    words, values = ["identify", box, "--arrivals", tmp_path / "a.csv", "--output", tmp_path], []
+    for share in (1.0, -0.5):  # watched along the rotation, and against it
+        run_command(*words, sets=[f"tip_timing.tangential={share}"], code=2)
+        rows = identify.call_args.args[1].rows
+        assert [row.point for row in rows] == ["tip.uz"] * len(PROBES)
+        values.append([row.value for row in rows])
+    assert values[1] == pytest.approx([-value for value in values[0]])

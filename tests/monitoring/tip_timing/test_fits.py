@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.stats
-from helpers import amplitudes, period_two_orbit
+from helpers import amplitudes, passing_angles, period_two_orbit
 
 import fenics_crack as fc
 
@@ -345,12 +345,12 @@ def test_outliers_varying_speeds_and_errors_of_probes_and_marks(sine: fc.Periodi
         time = np.concatenate([[0.0], np.cumsum(np.diff(grid) / (0.5 * (pace[1:] + pace[:-1])))])
         errors = deviation * rng.standard_normal(len(probes))
         targets = 2.0 * np.pi * np.arange(turns)[:, None] + probes + errors
-        angle = targets
-        for _ in range(6):
-            moved = 1e-3 * np.cos(6.0 * angle) + 2e-4 * np.cos(
-                1000.0 * np.interp(angle, grid, time)
-            )
-            angle = targets - moved / RADIUS
+
+        def motion(angle: np.ndarray, grid: np.ndarray = grid, time: np.ndarray = time) -> Any:
+            beside = np.cos(1000.0 * np.interp(angle, grid, time))
+            return 1e-3 * np.cos(6.0 * angle) + 2e-4 * beside
+
+        angle = passing_angles(targets, motion, RADIUS)
         seen = np.interp(angle, grid, time) + 2e-8 * rng.standard_normal(angle.shape)
         seen[rng.random(seen.shape) < 0.01] += 3e-5
         marks = np.interp(2.0 * np.pi * np.arange(turns + 1), grid, time)
@@ -442,10 +442,10 @@ def test_a_second_harmonic_that_is_left_out(
         order, (one, two) = 2 + draw % 11, rng.uniform(0.0, 2.0 * np.pi, 2)
         errors = deviation * rng.standard_normal(len(probes))
         target = 2.0 * np.pi * np.arange(100)[:, None] + probes + errors
-        angle = target
-        for _ in range(8):
-            moved = 1e-3 * np.cos(order * angle + one) + second * np.cos(2 * order * angle + two)
-            angle = target - moved / 0.4
+        waves = ((1e-3, order, one), (second, 2 * order, two))
+        angle = passing_angles(
+            target, lambda at, waves=waves: sum(a * np.cos(n * at + p) for a, n, p in waves), 0.4
+        )
         seen = angle / (200.0 * np.pi) + 2e-8 * rng.standard_normal(angle.shape)
         arrivals = fc.ArrivalTimes(seen, marks, probes, 0.4)
         fit = fc.fit_order(arrivals, [order], angle_deviation=deviation)
