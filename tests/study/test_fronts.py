@@ -1,11 +1,9 @@
 """Stress intensity along the fronts of cracks in solids."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from itertools import combinations_with_replacement
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -180,22 +178,3 @@ def test_cells_in_another_order() -> None:
     _, rows, _ = front_functionals(scene, structure)
     _, others, _ = front_functionals(scene, turned)
     np.testing.assert_allclose(others, rows, rtol=0.0, atol=1e-9 * np.abs(rows).max())
-
-
-def all_modes(scenes: list[fc.Scene], comm: MPI.Comm) -> list[np.ndarray]:
-    """K_I, K_II and K_III of each scene, (3, n, n_stations), of all ranks together."""
-    found = [fc.stress_intensity(fc.solve(scene, comm)) for scene in scenes]
-    return [np.array([each.one, each.two, each.three]) for each in found]
-
-
-@pytest.mark.nightly
-def test_same_on_two_ranks(on_ranks: Callable[..., Any]) -> None:
-    """A mesh that is spread over ranks has the same, in tension and in torsion."""
-    pulled = {"excitation__force_mean": (0.0, 1e3, 5.0), "excitation__frequency": 400.0}
-    turned = {"excitation__force_sin": (0.0, 0.0, 1.0), "excitation__frequency": 3474.1}
-    middle, coarse = {"excitation__point": (0.015, 0.09, 0.003)}, {"mesh__lip_elements": 3}
-    scenes = [solid(**pulled, **middle, **coarse), solid(**turned, **coarse)]
-    alone = all_modes(scenes, MPI.COMM_SELF)
-    for one, other in zip(on_ranks(all_modes, scenes), alone, strict=True):
-        largest = np.abs(other).max(axis=(1, 2), keepdims=True)
-        np.testing.assert_allclose(one / largest, other / largest, rtol=0.0, atol=1e-6)

@@ -71,6 +71,8 @@ def test_free_decay_from_the_shell(mass: Path, tmp_path: Path) -> None:
     path = tmp_path / "integration.h5"
     again: Any = fc.load_run(path, MPI.COMM_SELF).result
     assert relative(again.displacement()[:, 0], decay(again.time)) < 1e-3
+    csv = np.loadtxt(tmp_path / "integration.csv", delimiter=",", skiprows=1)
+    assert relative(csv[:, 1], decay(csv[:, 0])) < 1e-3
     rows = json.loads((tmp_path / "integration.json").read_text())
     assert {row["name"]: row["value"] for row in rows}["periods"] == 20
     assert main(["plot", str(path), "--quiet"]) == 0

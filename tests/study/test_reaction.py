@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -246,16 +245,3 @@ def test_refused_by_name() -> None:
         fc.reaction(3.0)  # type: ignore[arg-type]
     with pytest.raises(fc.InputError, match=r"output.quantities.*have no clamp"):
         matrices.replace({"output.quantities": BOTH})
-
-
-def numbers_on(scene: fc.Scene, comm: MPI.Comm) -> np.ndarray:
-    """Force and moment on all ranks together."""
-    return np.array([*fc.reaction(fc.solve(scene, comm)).numbers.values()])
-
-
-@pytest.mark.nightly
-def test_same_on_two_ranks(on_ranks: Callable[..., Any]) -> None:
-    """A mesh that is spread over ranks has the same."""
-    scene = plate(reduction__modes=10)
-    alone = [*fc.reaction(solved(scene)).numbers.values()]
-    assert on_ranks(numbers_on, scene) == pytest.approx(alone, rel=1e-6)

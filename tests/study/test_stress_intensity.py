@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -389,12 +388,6 @@ def test_refused_by_name() -> None:
         scene.replace({"output.quantities": ["K_max"], "crack.clearance": -1e-9})
 
 
-def numbers_on(scene: fc.Scene, comm: MPI.Comm) -> np.ndarray:
-    """Largest K_I and K_II of all ranks together."""
-    found = fc.stress_intensity(fc.solve(scene, comm))
-    return np.array([found.largest, found.numbers["K_II_max"]])
-
-
 @pytest.mark.parametrize("command", ["check", "solve", "curve", "integrate"])
 def test_refused_and_nothing_is_left(command: str, tmp_path: Path) -> None:
     """A tip whose elements are too long for what is asked of it."""
@@ -415,11 +408,3 @@ def test_a_tip_next_to_an_edge(tmp_path: Path) -> None:
     assert main(["plot", str(tmp_path / "solution.h5")]) == 0
     drawn = {path.name for path in tmp_path.iterdir()}
     assert "solution_waves.png" in drawn and "solution_tips.png" not in drawn
-
-
-@pytest.mark.nightly
-def test_same_on_two_ranks(on_ranks: Callable[..., Any]) -> None:
-    """A mesh that is spread over ranks has the same."""
-    scene = strip(SWING, mesh__lip_elements=4)
-    alone = of(scene)
-    assert on_ranks(numbers_on, scene)[0] == pytest.approx(alone.largest, rel=1e-6)
