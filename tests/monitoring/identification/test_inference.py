@@ -811,9 +811,10 @@ def test_arrivals_of_a_solid_are_its_circumferential_motion(
     identify = Mock(side_effect=fc.InputError("identify", None, "asked for no more"))
     monkeypatch.setattr("fenics_crack.monitoring.identification.identify.identify", identify)
     words, values = ["identify", box, "--arrivals", tmp_path / "a.csv", "--output", tmp_path], []
-    for share in (1.0, -0.5):  # watched along the rotation, and against it
-        run_command(*words, sets=[f"tip_timing.tangential={share}"], code=2)
+    given = [f"tip_timing.tangential={share}" for share in (1.0, -0.5)]  # of u_x, along or against
+    for sets, point in (([], "tip.uz"), (given[:1], "tip.ux"), (given[1:], "tip.ux")):
+        run_command(*words, sets=sets, code=2)
         rows = identify.call_args.args[1].rows
-        assert [row.point for row in rows] == ["tip.uz"] * len(PROBES)
+        assert [row.point for row in rows] == [point] * len(PROBES)
         values.append([row.value for row in rows])
-    assert values[1] == pytest.approx([-value for value in values[0]])
+    assert values[2] == pytest.approx([-value for value in values[1]])
