@@ -27,7 +27,7 @@ def base(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     ("part", "count"),
     [
-        ("inputs", 8), ("wheels", 12), ("structures", 12),
+        ("inputs", 12), ("wheels", 20), ("structures", 20),
         pytest.param("inputs", 400, marks=pytest.mark.nightly),
         pytest.param("wheels", 600, marks=pytest.mark.nightly),
         pytest.param("calls", 600, marks=pytest.mark.nightly),
