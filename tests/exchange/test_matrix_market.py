@@ -65,7 +65,7 @@ def test_integers(tmp_path: Path) -> None:
         ("matrix array real symmetric\n2 1\n1\n2\n", "symmetric, but of shape"),
         ("matrix coordinate real general\n2 2 1\n1 1 1\n2 2 1\n", "more entries instead of 1"),
         ("matrix coordinate real general\n2 2 2\n1 1 1\n3 2 1\n", "outside of the matrix"),
-        ("matrix coordinate real general\n3 1 1\n1 3 1\n", "outside of the matrix"),
+        ("matrix coordinate real general\n3 1 3\n1 1 1\n1 2 1\n1 3 1\n", "outside of the matrix"),
         ("matrix coordinate real general\n2 2 2\n1 1 1\n1.5 2 1\n", "outside of the matrix"),
         ("matrix coordinate real symmetric\n2 2 2\n1 1 1\n1 2 1\n", "above the diagonal"),
         ("matrix coordinate real general\n9 9 1\n1 1 1\n", "has only 1 entries"),
