@@ -72,27 +72,6 @@ def test_condensed_is_the_full_block_on_chains(law: str, damping: str, subharmon
     assert np.all(pressed)
 
 
-@pytest.mark.drawn(1)
-@pytest.mark.parametrize("law", LAWS)
-def test_condensed_is_the_full_block_on_the_plate(wide_plate: fc.Structure, law: str) -> None:
-    """Four pairs, all modes damped: agreement to 1e-9; the full one begins with the solution."""
-    contact = {
-        "exact": fc.UnilateralPenalty(1e9),
-        "per pair": fc.UnilateralPenalty(np.array([1e8, 2e9, 1e9, 5e8])),
-        "sampled": fc.UnilateralPenalty(1e9),
-        "smoothed": fc.SmoothedPenalty(1e9, 1e9),
-    }[law]
-    problem = Problem(wide_plate, 2000.0, contact, 6, LAWS[law][1] or 1024)
-    condensed, full = (
-        solve_form(problem, form=form, residual_tolerance=1e-12) for form in ("condensed", "block")
-    )
-    assert relative(condensed.gap_coefficients, full.gap_coefficients) < 1e-9
-    assert relative(condensed.displacement_coefficients, full.displacement_coefficients) < 1e-9
-    again = solve_form(problem, form="block", initial=condensed, residual_tolerance=1e-12)
-    assert again.iterations <= 2
-    assert condensed.contact_force(np.linspace(0.0, condensed.period, 200)).max() > 1.0
-
-
 # --- the two compliances --------------------------------------------------------------------------
 
 

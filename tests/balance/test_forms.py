@@ -5,13 +5,11 @@ from __future__ import annotations
 import itertools
 from dataclasses import replace
 from functools import cache
-from typing import Any
 
 import numpy as np
 import pytest
 from helpers import (
     BILINEAR_ORBITS,
-    DAMPINGS,
     OMEGA_0,
     Cubic,
     block_system,
@@ -102,27 +100,6 @@ def test_tangent_on_few_samples(samples: int) -> None:
         change[column] = step
         slope = (integrals.force(gap + change) - integrals.force(gap - change)) / (2.0 * step)
         assert np.allclose(tangent[:, :, column].T, slope, rtol=0.0, atol=1e-7)
-
-
-def test_refusals() -> None:
-    """Unknown words, and arguments that do not go with collocation."""
-    structure, law, rigid = oscillator(), fc.UnilateralPenalty(1.0), fc.UnilateralConstraint()
-    cases: list[tuple[str, Problem, dict[str, Any]]] = [
-        ("balance", Problem(structure, 1.0, law), {"balance": "classical"}),
-        ("balance", Problem(structure, 1.0, rigid), {"balance": "collocation"}),
-        ("samples", Problem(structure, 1.0, law, samples=11), {"balance": "collocation"}),
-        ("form", Problem(structure, 1.0, fc.UnilateralConstraint(1.0)), {"form": "block"}),
-        *(
-            ("form", Problem(structure, 1.0, law), {"form": given})
-            for given in ("incremental", "full", None)
-        ),
-    ]
-    for key, problem, options in cases:
-        with pytest.raises(fc.InputError) as error:
-            solve_form(problem, **options)
-        assert error.value.key == key
-    with pytest.raises(fc.InputError, match=r"^samples = 11"):
-        fc.solve_harmonic_balance(structure, 1.0, law, harmonics=5, samples=11)
 
 
 # --- spurious solutions: a Duffing oscillator -----------------------------------------------------
@@ -314,19 +291,6 @@ def test_error_of_collocation_on_contact(scene: str, soft_plate: fc.Structure) -
 # --- the incremental form is Newton's method on the classical one ---------------------------------
 
 
-def block_diagonal(structure: fc.Structure, base: float, harmonics: int) -> np.ndarray:
-    """A of all coefficients, with dense M, C and K."""
-    mass, dashpots, stiffness = dense_matrices(structure)
-    n = len(mass)
-    matrix = np.zeros((2 * harmonics + 1, n, 2 * harmonics + 1, n))
-    matrix[0, :, 0] = stiffness
-    for k in range(1, harmonics + 1):
-        cosine, sine = 2 * k - 1, 2 * k
-        matrix[cosine, :, cosine] = matrix[sine, :, sine] = stiffness - (k * base) ** 2 * mass
-        matrix[cosine, :, sine], matrix[sine, :, cosine] = k * base * dashpots, -k * base * dashpots
-    return matrix.reshape((2 * harmonics + 1) * n, -1)
-
-
 CASES = [
     pytest.param("penalty", None, id="exact"),
     pytest.param("penalty", 64, id="sampled"),
@@ -334,37 +298,6 @@ CASES = [
     pytest.param("smoothed", 64, id="smoothed"),
     pytest.param("cubic", None, id="cubic"),
 ]
-
-
-@pytest.mark.drawn(10)
-@pytest.mark.parametrize(("law", "samples"), CASES)
-@pytest.mark.parametrize("damping", DAMPINGS)
-@pytest.mark.parametrize("subharmonic", [1, 2])
-def test_incremental_system_is_the_newton_system(
-    law: str, samples: int | None, damping: str, subharmonic: int
-) -> None:
-    """K_C = A + B T B^T and R = c - A u - B b to 1e-12, about random motions of three pairs."""
-    structure, harmonics, omega = chain(damping), 5, 0.9
-    pairs, contact = structure.gap.toarray(), LAWS[law]
-    rng, rows = np.random.default_rng(6), 2 * harmonics + 1
-    linear = block_diagonal(structure, omega / subharmonic, harmonics)
-    problem = Problem(structure, omega, contact, harmonics, samples, subharmonic)
-    load, integrals = problem.load, problem.integrals()
-    for _ in range(3):
-        u = rng.normal(size=(rows, structure.n_dofs))
-        gap = u @ pairs
-        gap[0] -= structure.clearance
-        at = integrals.linearise(gap)
-        force, tangent = at.force, at.tangent
-        spread = np.einsum("np,pij,mp->injm", pairs, tangent, pairs)
-        jacobian = linear + spread.reshape(linear.shape)
-        residual = (linear @ u.ravel()).reshape(u.shape) + force @ pairs.T - load
-        matrix, right = incremental_system(
-            structure, omega, contact, u, samples=samples, subharmonic=subharmonic
-        )
-        assert relative(matrix, jacobian) < 1e-12
-        assert relative(right, -residual) < 1e-12
-        assert np.linalg.norm(spread) > 0.1  # contact does take part
 
 
 @pytest.mark.parametrize(("law", "samples"), CASES)
@@ -392,38 +325,3 @@ def test_incremental_iterates_are_the_newton_iterates(law: str, samples: int | N
                 assert relative(incremental, newton) < 1e-9
             assert relative(structure.gap_of(incremental), gap) < 1e-9
     assert moved > 0.1 * np.linalg.norm(gap)
-
-
-def test_incremental_system_refuses() -> None:
-    """Motions of another shape, too few samples, no law."""
-    structure, law = chain(), fc.UnilateralPenalty(1.0)
-    u = np.zeros((7, 10))
-    cases: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = [
-        ("omega", (0.0, law, u), {}),
-        ("contact", (1.0, 3.0, u), {}),
-        ("displacement", (1.0, law, u[:6]), {}),
-        ("displacement", (1.0, law, u[:, :9]), {}),
-        ("displacement", (1.0, law, u[:3]), {"subharmonic": 2}),
-        ("samples", (1.0, law, u), {"samples": 6}),
-    ]
-    for key, arguments, options in cases:
-        with pytest.raises(fc.InputError) as error:
-            incremental_system(structure, *arguments, **options)
-        assert error.value.key == key
-
-
-def test_incremental_residual_with_gyroscopic_damping() -> None:
-    """C need not be symmetric: the residual of a solution vanishes."""
-    dashpots = np.array([[0.1, 0.3], [-0.3, 0.1]])
-    structure = fc.Structure.from_matrices(
-        np.eye(2),
-        np.array([[2.0, -1.0], [-1.0, 2.0]]),
-        gap=np.array([1.0, 0.0]),
-        force_sin=[0.0, 1.0],
-        damping=dashpots,
-    )
-    law, samples = fc.SmoothedPenalty(2.0, 30.0), 256
-    solution = fc.solve_harmonic_balance(structure, 0.7, law, samples=samples)
-    displacement = solution.displacement_coefficients
-    right = incremental_system(structure, 0.7, law, displacement, samples=samples)[1]
-    assert np.abs(right).max() < 1e-9

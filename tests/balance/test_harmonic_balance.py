@@ -255,21 +255,6 @@ def test_the_kernel_finds_what_snes_finds(law: ContactLaw, lips: str) -> None:
     assert relative(found[0].force_coefficients, found[1].force_coefficients) < 1e-9
 
 
-def test_petsc_options_reach_snes(mpirun: Callable[..., str]) -> None:
-    """-crack_hb_snes_monitor prints SNES's residuals; -crack_hb_snes_max_it is SNES's own."""
-    script = """
-import sys, petsc4py
-petsc4py.init(["x", "-crack_hb_snes_monitor", "-crack_hb_ksp_type", "gmres"])
-import fenics_crack as fc
-from helpers import oscillator
-solution = fc.solve_harmonic_balance(oscillator(), 1.0, fc.UnilateralPenalty(1.0))
-print("iterations", solution.iterations)
-"""
-    output = mpirun(script, 1)
-    assert "SNES Function norm" in output
-    assert "iterations 4" in output
-
-
 def test_one_rank_alone(mpirun: Callable[..., str]) -> None:
     """A rank that solves by itself waits for none: PETSc starts on all of them with the import, and
     MPI before it, for threads."""

@@ -452,14 +452,6 @@ def test_smoothed_force_by_quadrature() -> None:
     assert found == pytest.approx(integrals / np.pi, abs=1e-9)
 
 
-def test_coefficients_and_samples() -> None:
-    """There and back, the values being those of the wave."""
-    gap = random_gaps(5, 2)
-    values = sampled(gap, 24)
-    assert np.allclose(values, evaluate(gap, 1.0, 2.0 * np.pi * np.arange(24) / 24), atol=1e-13)
-    assert np.allclose(balanced(values, 5), gap, atol=1e-13)
-
-
 # --- derivatives ----------------------------------------------------------------------------------
 
 
