@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from surroundings import main
-from wheels import SOLID, ring
+from wheels import BRIEF, SOLID, ring
 
 import fenics_crack as fc
 from fenics_crack.monitoring.tip_timing.scene_timing import tip_direction
@@ -22,7 +22,7 @@ PROBES = [0.0, 17.0, 41.0, 58.0, 86.0, 113.0, 140.0, 178.0, 205.0, 251.0]
 @pytest.fixture(scope="module")
 def run() -> fc.Run[fc.PeriodicSolution]:
     """Next to the resonance of the cracked blade."""
-    return fc.solve(ring(**PATTERN, excitation__frequency=1270.0))
+    return fc.solve(ring(**PATTERN, excitation__frequency=1270.0).replace(BRIEF))
 
 
 def written(scene: fc.Scene, folder: Path) -> str:
@@ -51,7 +51,7 @@ def test_blades_of_a_curve() -> None:
     """Each where it moves most."""
     keys = {"parameter": "frequency", "start": 1250.0, "stop": 1290.0, "stability": False}
     scene = ring(**{f"curve__{key}": value for key, value in keys.items()})
-    curve = fc.curve(scene)
+    curve = fc.curve(scene.replace(BRIEF))
     found, dof = fc.blades(curve), curve.watched_dof
     assert found.amplitude[0] == pytest.approx(curve.amplitude(dof).max(), rel=1e-3)
     assert found.omega[0] == pytest.approx(curve.omega[int(np.argmax(curve.amplitude(dof)))])
@@ -79,8 +79,8 @@ def test_nodal_diameters() -> None:
 
 def test_amplification() -> None:
     """Never above Whitehead's bound; of no mistuning 1; the same as solutions of the pattern."""
-    scene = ring(excitation__frequency=1390.0)
-    found = fc.amplification(scene, 40, 0.01, seed=5)
+    scene = ring(excitation__frequency=1390.0).replace(BRIEF)
+    found = fc.amplification(scene, 4, 0.01, seed=5)
     assert 1.0 < found.factor.max() <= found.bound == pytest.approx(0.5 * (1.0 + np.sqrt(6.0)))
     assert fc.amplification(scene, 2, 0.0).factor == pytest.approx(1.0, abs=1e-3)
     place = int(np.argmax(found.factor))
@@ -94,8 +94,8 @@ def test_amplification() -> None:
 def test_patterns_are_swept(tmp_path: Path) -> None:
     """Cases of a sweep over the seed are solutions of their own patterns."""
     over = {"disk.seed": [1, 2]}
-    scene = ring(**PATTERN, excitation__frequency=1270.0, sweep__over=over)
-    found = fc.run_sweep(scene, tmp_path / "sweep.h5")
+    scene = ring(**PATTERN, excitation__frequency=1270.0, sweep__over=over).replace(BRIEF)
+    found = fc.run_sweep(scene, tmp_path / "sweep.h5", verdicts=False, judged=False)
     alone = [fc.solve(scene.replace({"disk.seed": seed, "sweep": None})) for seed in (1, 2)]
     sizes = [one.result.amplitude(one.watched_dof) for one in alone]
     assert found["response"] == pytest.approx(sizes, rel=1e-3)
@@ -107,7 +107,7 @@ def test_tips_are_timed() -> None:
     that is written."""
     timing = {"probes": PROBES, "tip_radius": 0.18, "noise": 1e-8, "revolutions": 60}
     changes = {f"tip_timing__{key}": value for key, value in timing.items()}
-    scene = ring(**PATTERN, excitation__frequency=1380.0, **changes)
+    scene = ring(**PATTERN, excitation__frequency=1380.0, **changes).replace(BRIEF)
     arrivals, run = fc.arrivals_of_blades(scene)
     assert run is not None
     wheel = run.structure.whole
@@ -127,7 +127,7 @@ def test_record_of_all_blades(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     """The command writes one record, and finds the same in it."""
     timing = {"probes": PROBES, "tip_radius": 0.18, "noise": 1e-8, "revolutions": 20}
     changes = {f"tip_timing__{key}": value for key, value in timing.items()}
-    scene = ring(**PATTERN, excitation__frequency=1380.0, **changes)
+    scene = ring(**PATTERN, excitation__frequency=1380.0, **changes).replace(BRIEF)
     file = written(scene, tmp_path)
     tables = []
     for more in ([], [str(tmp_path / "first" / "arrivals.csv")]):
@@ -140,12 +140,15 @@ def test_record_of_all_blades(tmp_path: Path, capsys: pytest.CaptureFixture[str]
         assert again["amplitude [m]"] == pytest.approx(first["amplitude [m]"], rel=1e-6)
 
 
+@pytest.mark.usefixtures("not_drawn")
 def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The scene of new --disk is checked and solved; its diameters are printed and drawn."""
     file = str(tmp_path / "disk.toml")
     assert main(["new", file, "--disk"]) == 0
     coarse = ["--set", "mesh.size=0.012", "--set", "mesh.error=false", "--set", "disk.sectors=6"]
     coarse += ["--set", "mesh.lip_elements=4", "--output", str(tmp_path / "out")]
+    coarse += ["--set", "harmonic_balance.error=false", "--set", "harmonic_balance.harmonics=5"]
+    coarse += ["--set", "harmonic_balance.tolerance=none"]
     assert main(["disk", file, *coarse, "--patterns", "5"]) == 0
     said = capsys.readouterr()
     assert "nodal diameter 2" in said.err and "Whitehead" in said.err
@@ -159,6 +162,7 @@ def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["new", str(tmp_path / "b.toml"), "--disk", "--solid"]) == 2
 
 
+@pytest.mark.nightly
 def test_new_scene_is_right_by_itself(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Nothing is remarked on the scene of new --disk, and it is solved to its tolerance."""
     file = str(tmp_path / "disk.toml")
@@ -183,6 +187,7 @@ def test_many_elements_along_the_crack(
     assert "crack faces bonded" in capsys.readouterr().out
 
 
+@pytest.mark.usefixtures("not_laid_out")
 def test_pictures(run: fc.Run[fc.PeriodicSolution], tmp_path: Path) -> None:
     """Every picture is made; a solution of a plate is refused."""
     fc.draw_wheel(run.result, path=tmp_path / "wheel.png")
@@ -190,8 +195,9 @@ def test_pictures(run: fc.Run[fc.PeriodicSolution], tmp_path: Path) -> None:
     figure = fc.draw_nodal_diameters(found, families=2, path=tmp_path / "diameters.png")
     labels = [line.get_label() for line in figure.axes[0].lines]
     assert labels[:2] == ["family 1", "family 2"] and "engine orders at 3000 rpm" in labels
-    fc.draw_modes(fc.modes(run.scene, 2).result, path=tmp_path / "modes.png")
-    fc.write_modes(fc.modes(run.scene, 2).result, tmp_path / "modes")
+    modes = fc.modes(run.scene, 2).result
+    fc.draw_modes(modes, path=tmp_path / "modes.png")
+    fc.write_modes(modes, tmp_path / "modes")
     assert len(list(tmp_path.glob("*.png"))) == 3
 
 
@@ -206,7 +212,7 @@ def test_solid_wheel_is_drawn(tmp_path: Path) -> None:
 def test_sector_file(tmp_path: Path) -> None:
     """A mesh file of one sector with its sides named gives what the built-in one gives; one whose
     sides do not match, or have no names, is refused."""
-    scene = ring()
+    scene = ring().replace(BRIEF)
     fc.write_msh(scene, tmp_path / "sector.msh")
     text = (tmp_path / "sector.msh").read_text(errors="surrogateescape")
     names = ("left", "edge"), ("right", "far"), ("rim_left", "left"), ("rim_right", "right")

@@ -118,7 +118,13 @@ def _response(reduced: fc.ReducedStructure, omega: float, dofs: list[int]) -> np
     return np.asarray(found[1] - 1j * found[2])
 
 
-@pytest.mark.parametrize("without", [{"disk__cracked": []}, {"crack": None, "contact": None}])
+@pytest.mark.parametrize(
+    "without",
+    [
+        {"disk__cracked": []},
+        pytest.param({"crack": None, "contact": None}, marks=pytest.mark.nightly),
+    ],
+)
 def test_bonded_wheel_is_one_sector(without: dict[str, Any]) -> None:
     """The response of every tip of a tuned wheel is that of one sector with its complex ties."""
     wheel = wheel_of(ring(**without, disk__families=6))

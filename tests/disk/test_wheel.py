@@ -61,7 +61,7 @@ def test_error_falls_with_the_families_and_is_stated(mistuned: Wheel) -> None:
     """Against the whole wheel with more modes than any; of six families none is stated."""
     whole = reduce_structure(mistuned, modes=120, method="massless", reference=False)
     tips = mistuned.dofs_of_blades(mistuned.watched_dof)
-    exact, found = {hertz: solved(whole, hertz) for hertz in (1245.0, 1340.0)}, []
+    exact, found = {1245.0: solved(whole, 1245.0)}, []
     for families in (1, 3, 6):
         reduced, errors = fc.reduce_wheel(mistuned, families), []
         for hertz, known in exact.items():

@@ -27,6 +27,8 @@ RING: dict[str, Any] = {
 """Twelve blades of steel in plane stress, 80 x 12 mm, on a rim of radii 50 and 100 mm."""
 COARSE: dict[str, Any] = {"mesh.size": 0.012, "mesh.lip_elements": 3, "disk.sectors": 6}
 """Changes for few dofs."""
+BRIEF: dict[str, Any] = {"harmonic_balance.harmonics": 5, "harmonic_balance.error": False}
+"""Changes for few harmonics, whose errors are not sought."""
 SOLID: dict[str, Any] = {
     **RING,
     "geometry": {"kind": "solid", "width": 0.02, "height": 0.06, "thickness": 0.008},

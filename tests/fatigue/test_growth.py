@@ -60,11 +60,11 @@ def edge_crack(length: float) -> float:
 
 
 def plate(**growth: Any) -> fc.Scene:
-    """The plate that ``new`` writes, coarser away from the crack, with 40 harmonics; the crack
+    """The plate that ``new`` writes, coarser away from the crack, with 15 harmonics; the crack
     grows from 35 to 43 mm."""
     exact = {
         "harmonic_balance.tolerance": None,
-        "harmonic_balance.harmonics": 40,
+        "harmonic_balance.harmonics": 15,
         "mesh.size": 0.05,
         "reduction.modes": 8,
     }
@@ -203,7 +203,8 @@ def test_threshold_and_toughness(request: pytest.FixtureRequest) -> None:
     """A range below the threshold stops the crack where it is; at its toughness the plate
     breaks."""
     coarse = fc.Scene.from_mapping(STRIP).replace({"mesh.lip_elements": 4})
-    stopped = fc.grow(coarse.replace({"growth.threshold": 1e8}), comm=MPI.COMM_SELF)
+    high = {"growth.threshold": 1e8, "mesh.error": False}
+    stopped = fc.grow(coarse.replace(high), comm=MPI.COMM_SELF)
     assert stopped.end == "arrested" and stopped.length.tolist() == [0.02]
     assert stopped.rate.tolist() == [0.0]
     assert stopped.life == 0.0 and math.isfinite(stopped.factor)
