@@ -289,7 +289,7 @@ def test_rigid_contact_where_few_modes_are_left_out(modes: int, soft_plate: fc.S
 # --- errors ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("modes", [10, 20])
+@pytest.mark.parametrize("modes", [10, pytest.param(20, marks=pytest.mark.nightly)])
 def test_truncation_of_the_breathing_plate(
     modes: int, coarse_breathing_plate: fc.Structure
 ) -> None:

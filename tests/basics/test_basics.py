@@ -370,6 +370,7 @@ def chain_result(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "solution.h5"
 
 
+@pytest.mark.usefixtures("not_drawn")
 @pytest.mark.parametrize("command", COMMANDS)
 def test_full_disk(
     command: str, chain_result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -434,6 +435,7 @@ def test_full_tmpfs(chain_result: Path, tmp_path: Path) -> None:
     assert done.returncode == 1 and "sweep.h5" in line and "No space left" in line
 
 
+@pytest.mark.usefixtures("not_drawn")
 @pytest.mark.parametrize("command", COMMANDS)
 def test_links_in_the_folder_lead_nowhere(command: str, chain_result: Path, tmp_path: Path) -> None:
     """A file takes the place of a link, and what the link leads to stays as it was."""
@@ -659,9 +661,8 @@ print(counted()[:2])
     assert run(program).splitlines() == ["(1, {True})", "(1, {1})", "(1, {True})"]
 
 
-@pytest.mark.parametrize(
-    "chosen", [{}, pytest.param({"OMP_NUM_THREADS": "1"}, marks=pytest.mark.nightly)]
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize("chosen", [{}, {"OMP_NUM_THREADS": "1"}])
 def test_no_thread_of_openmp(chosen: dict[str, str]) -> None:
     """CHOLMOD begins none, which asks for four whatever is set; the limit is restored."""
     program = """

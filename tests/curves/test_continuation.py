@@ -21,8 +21,13 @@ def folds(curve: fc.ResponseCurve) -> list[float]:
     return [b.omega for b in curve.bifurcations if b.kind == "fold"]
 
 
-@pytest.mark.parametrize("harmonics", [5, 10, pytest.param(20, marks=pytest.mark.nightly)])
-@pytest.mark.parametrize("stiffness", [1.0, 10.0, 100.0, 1000.0])
+@pytest.mark.parametrize(
+    ("stiffness", "harmonics"),
+    [
+        (1.0, 5), (10.0, 10), (100.0, 10), (1000.0, 5),
+        *(pytest.param(k, 20, marks=pytest.mark.nightly) for k in (1.0, 10.0, 100.0, 1000.0)),
+    ],
+)  # fmt: skip
 def test_bilinear_oscillator_runs_through(stiffness: float, harmonics: int) -> None:
     """From 2.0 down to 0.3 without intervention; at kc = 1 with the two true folds only."""
     curve = continue_frequency(
@@ -104,29 +109,6 @@ def test_fold_of_a_duffing_oscillator() -> None:
     exact = grid[np.flatnonzero(np.diff(signs))]
     assert len(exact) == 2
     assert np.allclose(sorted(folds(curve)), exact, atol=1e-3)
-
-
-def test_saved_curve_comes_back(tmp_path: Path) -> None:
-    """Written and read again: the same numbers, nothing solved; a wrong file gets one error."""
-    structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(1.0)
-    curve = continue_frequency(structure, 2.0, 0.3, law, harmonics=6, stability=True)
-    fc.save(curve, tmp_path / "curve.h5")
-    again = fc.load(tmp_path / "curve.h5", structure, law)
-    assert np.array_equal(again.omega, curve.omega)
-    assert np.array_equal(again.amplitude(0), curve.amplitude(0))
-    assert np.array_equal(again.stable, curve.stable)
-    assert [(b.kind, b.omega) for b in again.bifurcations] == [
-        (b.kind, b.omega) for b in curve.bifurcations
-    ]
-    assert (again.complete, again.status) == (curve.complete, curve.status)
-    (tmp_path / "other.h5").write_text("no curve")
-    with pytest.raises(fc.InputError, match="path"):
-        fc.load(tmp_path / "other.h5", structure, law)
-    with pytest.raises(fc.InputError, match="path"):
-        fc.load(tmp_path / "missing.h5", structure, law)
-    wide = fc.Structure.from_matrices(np.eye(2), np.eye(2), gap=np.eye(2))
-    with pytest.raises(fc.InputError, match="pairs"):
-        fc.load(tmp_path / "curve.h5", wide, law)
 
 
 def test_frequency_derivative() -> None:
@@ -386,20 +368,6 @@ def test_branch_only_from_where_one_begins() -> None:
         fc.follow_branch(curve, wrong, harmonics=7)
     with pytest.raises(fc.InputError, match="step"):
         fc.follow_branch(curve, wrong, step=0.1)  # type: ignore[call-arg]
-
-
-def test_iterating_again_goes_on() -> None:
-    """A few points at a time: the same curve, through its folds; at the end nothing more comes."""
-    structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(1.0)
-    growing = fc.Continuation(fc.Problem(structure, 2.0, law, harmonics=6), "omega", 2.0, 0.3)
-    for _ in range(2000):
-        list(islice(growing, 12))
-        if growing.complete:
-            break
-    curve = growing.curve
-    assert curve.complete and curve.status == "reached the end"
-    assert len(folds(curve)) == 2
-    assert len(list(growing)) == 1 and growing.status == "reached the end"
 
 
 @pytest.mark.parametrize("span", [(2.0, 0.3), (0.3, 2.0)])

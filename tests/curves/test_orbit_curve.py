@@ -125,14 +125,6 @@ def test_saved_and_read(parameter: str, values: np.ndarray, tmp_path: Path) -> N
 STOP = fc.UnilateralPenalty(100.0)
 
 
-@pytest.fixture(scope="module")
-def followed() -> fc.ResponseCurve:
-    """Through the resonance of two masses and a stop."""
-    curve = fc.continue_frequency(two_masses(), 0.6, 0.9, STOP, tolerance=1e-2)
-    assert curve.exact
-    return curve
-
-
 def test_branches_of_equal_masses() -> None:
     """Two with stops, loaded alike, move alike on the curve; at four branch points they part, and
     the branches come back."""
@@ -148,20 +140,6 @@ def test_branches_of_equal_masses() -> None:
         branch = fc.follow_branch(curve, point)
         assert branch.status == "closed loop"
         assert np.ptp(branch.gap_coefficients, axis=2).max() > 0.5
-
-
-def test_stopped_and_saved(followed: fc.ResponseCurve, tmp_path: Path) -> None:
-    """A curve that has not reached its end is the beginning of the whole one, from a file too."""
-    structure = followed.structure
-    few = {"tolerance": 1e-2, "most_points": 60}
-    part = fc.continue_frequency(structure, 0.6, 0.9, STOP, **few, throw=False)
-    assert not part.complete and "not enough" in part.status
-    with pytest.raises(fc.ConvergenceError, match="after 61 points") as error:
-        fc.continue_frequency(structure, 0.6, 0.9, STOP, **few)
-    assert len(error.value.found) == 61
-    fc.save(part, tmp_path / "part.h5")
-    part = fc.load(tmp_path / "part.h5", structure, STOP)
-    assert part.points == pytest.approx(followed.points[:61], rel=1e-9)
 
 
 @pytest.mark.parametrize(

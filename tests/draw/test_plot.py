@@ -88,6 +88,7 @@ DRAWN: dict[str, tuple[int, Callable[..., Figure]]] = {
 
 
 @pytest.mark.drawn(8)
+@pytest.mark.usefixtures("not_laid_out")
 @pytest.mark.parametrize("name", DRAWN)
 def test_on_axes_that_are_given(
     name: str, results: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -76,8 +76,8 @@ def test_pairs_crack_by_crack(layout: str, cells: str, cracks: list[dict[str, An
     """From the mouth, or the left tip; both nodes in one place, on the two sides of a crack."""
     order = 1 if layout == "grid" else 2
     scene = plate(cracks, layout, **{"mesh.cells": cells, "mesh.order": order})
-    np.testing.assert_allclose(area(scene), WIDTH * HEIGHT, rtol=1e-12)
     structure = build_structure(scene)
+    np.testing.assert_allclose(area(structure), WIDTH * HEIGHT, rtol=1e-12)
     points, positions = structure.pair_points, structure.pairs.positions
     assert structure.nodes is not None and points is not None and positions is not None
     lower, upper, normals = pair_nodes(structure)
@@ -276,9 +276,13 @@ def summary(scene: Scene, comm: MPI.Comm) -> dict[str, Any]:
 
 
 @pytest.mark.mpi
-def test_two_ranks_build_the_same_cracks(on_ranks: Callable[..., Any]) -> None:
-    """Pairs, their cracks, closings and natural frequencies are the serial ones on two ranks."""
-    scene = plate(THREE, **{"mesh.order": 2, "cracks.1.clearance": 1e-6})
+@pytest.mark.parametrize(("layout", "order"), [("grid", 1), ("graded", 2)])
+def test_two_ranks_build_the_same_cracks(
+    layout: str, order: int, on_ranks: Callable[..., Any]
+) -> None:
+    """Nodes, pairs, their cracks, closings and natural frequencies are the serial ones on two
+    ranks."""
+    scene = plate(THREE, layout, **{"mesh.order": order, "cracks.1.clearance": 1e-6})
     parallel, alone = on_ranks(summary, scene), summary(scene, MPI.COMM_SELF)
     assert parallel.keys() == alone.keys()
     for name, value in alone.items():

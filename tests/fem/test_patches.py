@@ -11,7 +11,7 @@ import pyvista
 from mpi4py import MPI
 from test_cracks import THREE, plate, summary
 from test_mesh import field, nodes_of_side
-from test_solids import THICKNESS, solid
+from test_solids import AREAS, THICKNESS, THROUGH, solid
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
@@ -61,12 +61,12 @@ def test_gaps_are_means_by_hats(order: int) -> None:
     assert slid is not None and np.abs(slid[0]) == pytest.approx(-opened, rel=1e-12)
 
 
-@pytest.mark.parametrize("patches", [1, 4, 99])
+@pytest.mark.parametrize("patches", [None, 1, 4, 99])
 @pytest.mark.parametrize("order", [1, 2])
-def test_a_uniform_pressure_goes_through(order: int, patches: int) -> None:
-    """Patches pressed together are an uncracked column: u_y = - sigma y / E, lambda = sigma w."""
+def test_a_uniform_pressure_goes_through(order: int, patches: int | None) -> None:
+    """Faces pressed together are an uncracked column: u_y = - sigma y / E, lambda = sigma w."""
     structure = fc.build_structure(column(order=order, patches=patches))
-    assert structure.n_pairs == min(patches, 12)
+    assert structure.n_pairs == min(patches or 12 * order, 12 if patches else 24)
     pressed(structure, 2e11, STRESS)
 
 
@@ -80,9 +80,10 @@ def pressed(structure: fc.Structure, young: float, stress: float) -> None:
     np.testing.assert_allclose(moved, exact, atol=1e-9 * np.abs(exact).max())
 
 
-def solid_column(patches: int) -> Scene:
-    """A solid with a crack through its thickness under pressure."""
-    text = solid({"edge": "left", "height": 0.03, "length": 0.012}).as_toml()
+def solid_column(patches: int | None, **crack: Any) -> Scene:
+    """A solid with a crack, through its thickness if none is given, under pressure."""
+    crack = crack or {"edge": "left", "height": 0.03, "length": 0.012}
+    text = solid(crack, **{"mesh.lip_elements": 5 if crack == THROUGH else 2}).as_toml()
     text += f'\n[[loads]]\nedge = "top"\npressure_mean = {STRESS}\n'
     changes = {"material.poisson": 0.0, "mesh.patches": patches}
     return Scene.from_text(text).replace(changes | {"excitation.force_cos": (0.0, 0.0, 1e-6)})
@@ -96,6 +97,12 @@ def test_patches_of_a_solid(patches: int) -> None:
     assert structure.pair_areas.sum() == pytest.approx(0.012 * THICKNESS, rel=1e-12)
     assert list(structure.watched_pairs) == ["the mouth"]
     pressed(structure, 2.1e11, STRESS)
+
+
+@pytest.mark.parametrize("name", ["ellipse", "through"])
+def test_nodes_of_a_solid(name: str) -> None:
+    """Each with the area of its part of the facets and of the front: the pressure is uniform."""
+    pressed(fc.build_structure(solid_column(None, **AREAS[name][0])), 2.1e11, STRESS)
 
 
 @pytest.mark.parametrize("scene", [column(order=2, patches=4), solid_column(4)], ids=["2", "3"])

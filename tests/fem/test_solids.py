@@ -123,44 +123,6 @@ def test_lips_are_those_of_the_crack(cracked: tuple[fc.Structure, float, dict[st
     assert list(structure.watched_pairs) == ["the mouth"]
 
 
-def test_areas_of_patches_are_those_of_their_facets(
-    cracked: tuple[fc.Structure, float, dict[str, Any]],
-) -> None:
-    """A third of each triangle around, away from the front; next to it more, by shares of the
-    front's own, each of which goes to the pairs that are corners of the same triangles."""
-    structure, area, crack = cracked
-    mesh = NodalMesh(structure)
-    facets = mesh.lips
-    corners = mesh.points[facets]
-    sizes = np.linalg.norm(
-        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-    )
-    shares: dict[tuple[float, ...], float] = {}
-    for places, size in zip(corners.round(9), 0.5 * sizes, strict=True):
-        for place in places:
-            shares[tuple(place)] = shares.get(tuple(place), 0.0) + size / 6.0  # of both lips
-    assert structure.pair_points is not None and structure.pair_areas is not None
-    pairs = structure.pairs
-    assert pairs.nodes is not None and pairs.shares is not None
-    node, at_front = pairs.shares[structure.n_pairs :].nonzero()
-    touching = pairs.nodes[structure.n_pairs :][node].round(9)
-    own = np.array([shares[tuple(point)] for point in structure.pair_points.round(9)])
-    inner = np.setdiff1d(np.arange(len(own)), at_front)
-    assert structure.pair_areas[inner] == pytest.approx(own[inner], rel=1e-12)
-    assert np.all(structure.pair_areas[at_front] > 1.001 * own[at_front])
-    fronts = np.unique(touching, axis=0)
-    assert len(shares) == len(own) + len(fronts)
-    given = sum(shares[tuple(place)] for place in fronts)
-    assert structure.pair_areas.sum() - own.sum() == pytest.approx(given, rel=1e-12)
-    corner = {tuple(place) for place in structure.pair_points.round(9)}
-    for node, pair in zip(touching, at_front, strict=True):
-        point = structure.pair_points[pair].round(9)
-        assert any({tuple(node), tuple(point)} <= set(map(tuple, c)) for c in corners.round(9))
-    assert corner.isdisjoint(map(tuple, fronts))
-    if "front" not in crack:
-        assert sum(shares.values()) == pytest.approx(area, rel=1e-12)
-
-
 def test_pairs_measure_the_gap(cracked: tuple[fc.Structure, float, dict[str, Any]]) -> None:
     """None where the motion is continuous, a translation or a strain; d where what lies above the
     crack moves down by d: of a patch that does not reach the front exactly, as it is a mean."""
@@ -194,29 +156,6 @@ def test_pairs_measure_the_gap(cracked: tuple[fc.Structure, float, dict[str, Any
     assert np.all((gap > 0.1e-6) & (gap < 1.1e-6))  # towards the front it vanishes by a parabola
     if crack is THROUGH:
         assert gap[structure.first_watched] == pytest.approx(1e-6, rel=1e-9)
-
-
-def test_cells_around_a_crack_keep_their_side() -> None:
-    """Two layers of cubes, cut into tetrahedra by gmsh, with a crack between them that ends in the
-    middle: the cells that get new nodes are those above, and what was one surface are two."""
-    mesh = build_mesh(solid(THROUGH), MPI.COMM_SELF)
-    lower, upper = (mesh.facets(name) for name in ("lower_lip", "upper_lip"))
-    assert len(lower) == len(upper) > 0
-    assert not np.intersect1d(lower, upper).size
-    mesh.mesh.topology.create_connectivity(2, 3)
-    cells = mesh.mesh.topology.connectivity(2, 3)
-    mesh.mesh.topology.create_connectivity(3, 0)
-    for facets, sign in ((lower, -1.0), (upper, 1.0)):
-        for facet in facets:
-            (cell,) = cells.links(int(facet))
-            nodes = mesh.mesh.geometry.x[_cell_nodes(mesh.mesh, int(cell))]
-            assert sign * (nodes[:4, 1].mean() - 0.03) > 0.0
-
-
-def _cell_nodes(mesh: Any, cell: int) -> np.ndarray:
-    dofmap = mesh.geometry.dofmap
-    found = dofmap[cell] if isinstance(dofmap, np.ndarray) else dofmap.links(cell)
-    return np.asarray(found)
 
 
 CUBES = np.array([[0, 1, 3, 2, 4, 5, 7, 6], [4, 5, 7, 6, 8, 9, 11, 10]])
@@ -324,10 +263,7 @@ def sharing(cells: np.ndarray, places: np.ndarray) -> set[tuple[tuple[float, ...
 def test_cracks_are_split_as_by_gmsh(shape: str, order: int) -> None:
     """Its plugin gives every cell nodes that it shares with the same cells. The surface of what is
     left has Euler's number of a ball: V - E + F = 2, and of a ball with a hole inside: 4."""
-    gmsh.initialize(readConfigFiles=False)
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
-        gmsh.model.add("cube")
+    with gmsh_model():
         _, crack, *mouth = draw_surface(shape, order)
         cells, places = cells_of_model()
         numbers = np.sort(gmsh.model.mesh.getNodes()[0])
@@ -344,8 +280,6 @@ def test_cracks_are_split_as_by_gmsh(shape: str, order: int) -> None:
         gmsh.plugin.setNumber("Crack", "OpenBoundaryPhysicalGroup", mouth[0] if mouth else 0)
         gmsh.plugin.run("Crack")
         assert own == sharing(*cells_of_model())
-    finally:
-        gmsh.finalize()
     (found,) = cracks_between(
         *lips[..., :3].swapaxes(0, 1), np.concatenate([places, places[twins]])
     )
@@ -526,10 +460,7 @@ def test_each_crack_has_a_contact_map() -> None:
 
 def write_box(path: Path, order: int, *, crack: bool = True, name: str = "crack") -> None:
     """A mesh of gmsh's of the box with the through crack, as a surface whose nodes exist once."""
-    gmsh.initialize(readConfigFiles=False)
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
-        gmsh.model.add("box")
+    with gmsh_model():
         occ = gmsh.model.occ
         box = [(3, occ.addBox(0.0, 0.0, 0.0, WIDTH, HEIGHT, THICKNESS))]
         face = occ.addRectangle(0.0, 0.0, 0.0, 0.01, THICKNESS)
@@ -548,8 +479,6 @@ def write_box(path: Path, order: int, *, crack: bool = True, name: str = "crack"
         gmsh.model.mesh.generate(3)
         gmsh.model.mesh.setOrder(order)
         gmsh.write(str(path))
-    finally:
-        gmsh.finalize()
 
 
 def of_file(path: Path) -> Scene:
@@ -656,11 +585,8 @@ def test_lips_tied_in_every_direction_are_no_crack(tmp_path: Path) -> None:
 def write_hexahedra(path: Path, *, incomplete: bool = False) -> None:
     """The same box of four extruded blocks, the crack between the left ones; with 20 nodes each,
     or with 8."""
-    gmsh.initialize(readConfigFiles=False)
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
+    with gmsh_model():
         gmsh.option.setNumber("Mesh.SecondOrderIncomplete", int(incomplete))
-        gmsh.model.add("blocks")
         geo, xs, ys = gmsh.model.geo, (0.0, 0.01, WIDTH), (0.0, 0.03, HEIGHT)
         at = {(i, j): geo.addPoint(x, y, 0.0) for i, x in enumerate(xs) for j, y in enumerate(ys)}
         rows = {(i, j): geo.addLine(at[i, j], at[i + 1, j]) for i in (0, 1) for j in range(3)}
@@ -688,8 +614,6 @@ def write_hexahedra(path: Path, *, incomplete: bool = False) -> None:
         gmsh.model.mesh.removeDuplicateNodes()
         gmsh.model.mesh.setOrder(2 if incomplete else 1)
         gmsh.write(str(path))
-    finally:
-        gmsh.finalize()
 
 
 def test_hexahedra(tmp_path: Path, fine: np.ndarray) -> None:

@@ -161,27 +161,6 @@ def test_reduced() -> None:
     assert later.varied(damping=2.0).damping == RAYLEIGH.scaled(2.0)
 
 
-def test_in_time() -> None:
-    """Step by step as with the matrix, also without penetration and by a changed factor."""
-    structure = chain("rayleigh").varied(damping=2.0)
-    for law in (LAW, fc.UnilateralConstraint()):
-        one, other = (
-            fc.integrate_central_difference(s, 0.8, law, periods=2, steps_per_period=200)
-            for s in (structure, with_matrix(structure))
-        )
-        assert relative(one.gap, other.gap) < 1e-10
-
-
-def test_events() -> None:
-    """Exactly, from one event to the next."""
-    structure = chain("rayleigh")
-    one, other = (
-        fc.integrate_events(s, 0.8, LAW, periods=2, steps_per_period=50)
-        for s in (structure, with_matrix(structure))
-    )
-    assert relative(one.gap, other.gap) < 1e-9
-
-
 def test_plate_in_its_sparse_matrices(soft_plate: fc.Structure) -> None:
     """C has no entries but those of M and K; it is formed once and belongs to one structure."""
     plate = soft_plate.damped(fc.RayleighDamping.from_ratios((0.01, 0.02), (2000.0, 9000.0)))
@@ -195,15 +174,6 @@ def test_plate_in_its_sparse_matrices(soft_plate: fc.Structure) -> None:
     np.testing.assert_allclose(dense(twice.damping_matrix), 2.0 * expected, rtol=1e-14)
     assert dense(plate.varied(damping=0.0).damping_matrix).max() == 0.0
     np.testing.assert_allclose(dense(plate.damping_matrix), expected, rtol=1e-14)
-
-
-def test_curve_over_the_factor() -> None:
-    """Followed from the damping as given to twice as much."""
-    structure = chain("rayleigh")
-    curve = fc.continue_parameter(structure, 0.9, LAW, "damping", 1.0, 2.0, harmonics=7)
-    end = fc.solve_harmonic_balance(structure.varied(damping=2.0), 0.9, LAW, harmonics=7)
-    assert curve.complete
-    assert relative(curve.solution(-1).gap_coefficients, end.gap_coefficients) < 1e-8
 
 
 # --- lips without mass ----------------------------------------------------------------------------

@@ -1,14 +1,11 @@
 """Reduced structures: exact at zero frequency, convergent, their errors estimated."""
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import pyvista
 from helpers import DAMPINGS, ROOT, chain, dense_matrices, log_slope, relative, true_error, wrap
-from matplotlib.image import imread
 from mpi4py import MPI
 from reference_flow import size_of_motion
 
@@ -238,35 +235,6 @@ def test_changed_reduction_has_no_positions(wide_plate: fc.Structure) -> None:
     changed = fc.reduce_structure(wide_plate, modes=5).tied(1.0)
     with pytest.raises(fc.InputError, match="point"):
         changed.find_dof((0.1, 0.1), "x")
-
-
-def test_files_and_pictures_of_a_reduced_solution(wide_plate: fc.Structure, tmp_path: Path) -> None:
-    """The period for ParaView is that of the whole structure; maps and modes are drawn."""
-    reduced = fc.reduce_structure(wide_plate, modes=30)
-    law = fc.UnilateralPenalty(1e9)
-    grids = []
-    for name, made in (("small", reduced), ("large", wide_plate)):
-        solution = fc.solve_harmonic_balance(made, 2000.0, law)
-        magnification = fc.write_period(solution, tmp_path / f"{name}.pvd", frames=5)
-        assert magnification > 1.0
-        grids.append([pyvista.read(tmp_path / name / f"frame_{i:04d}.vtu") for i in range(5)])
-        fc.draw_contact_map(solution, path=tmp_path / f"{name}.png")
-    for small, large in zip(*grids, strict=True):
-        assert small.n_points == large.n_points == len(wide_plate.nodes.points)
-        assert np.allclose(small.points, large.points, atol=1e-5)
-        assert relative(small["displacement"], large["displacement"]) < 1e-4
-        assert np.array_equal(small["contact state"], large["contact state"])
-    modes = fc.solve_modes(reduced, 3)
-    fc.write_modes(modes, tmp_path / "small.vtu")
-    fc.write_modes(fc.solve_modes(wide_plate, 3), tmp_path / "large.vtu")
-    small, large = (pyvista.read(tmp_path / f"{name}.vtu") for name in ("small", "large"))
-    assert list(small.point_data) == list(large.point_data)
-    for name in small.point_data:
-        shapes = small[name], large[name]
-        assert min(relative(shapes[0], s * shapes[1]) for s in (1.0, -1.0)) < 1e-5
-    fc.draw_modes(modes, path=tmp_path / "modes.png")
-    for name in ("small", "modes"):
-        assert imread(tmp_path / f"{name}.png")[..., :3].std() > 0.02
 
 
 # --- arguments ------------------------------------------------------------------------------------

@@ -301,7 +301,7 @@ ANY_MATRIX = (
 )
 
 
-@settings(max_examples=100)
+@settings(max_examples=40)
 @given(st.dictionaries(st.sampled_from(sorted(good())), ANY_MATRIX, min_size=1, max_size=3))
 def test_any_matrices_give_a_structure_or_an_input_error(changes: dict[str, Any]) -> None:
     """Whatever is given for some of the arguments, the only exception is InputError."""

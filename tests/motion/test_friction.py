@@ -22,6 +22,7 @@ def plate(name: str, ratio: float) -> tuple[fc.Structure, fc.Structure]:
     return fc.reduce_structure(whole, modes=10, method="massless"), whole
 
 
+@cache
 def solved(name: str, ratio: float, omega: float, mu: float) -> fc.PeriodicSolution:
     """Its exact orbit."""
     structure, _ = plate(name, ratio)

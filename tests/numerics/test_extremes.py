@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import DEMOS, oscillator, two_masses
+from helpers import DEMOS, two_masses
 
 import fenics_crack as fc
 from fenics_crack.numerics.extremes import largest
@@ -145,13 +145,3 @@ def test_extremes_of_orbits() -> None:
     assert along.opening[0] == pytest.approx(ends[1], rel=1e-9)
     assert along.ratio_2_1[0] == pytest.approx(alone.ratio_2_1, rel=1e-4)
     assert along.closed_share[0] == pytest.approx(alone.closed_share, abs=1.0 / 256)
-
-
-def test_a_whole_oscillator() -> None:
-    """Half the period on each side of a stop, U = (1 + 1 / r) / 2 of a bilinear one, is no sine."""
-    solution = fc.solve_harmonic_balance(
-        oscillator(0.05, 1.0), 1.1, fc.UnilateralPenalty(1.0), harmonics=15
-    )
-    time = np.linspace(0.0, solution.period, 200_001)
-    fine = np.ptp(solution.displacement(time)) / 2.0
-    assert -1e-12 <= solution.amplitude() / fine - 1.0 <= 1e-8

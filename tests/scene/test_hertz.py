@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import csv
-import json
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from helpers import DEMOS
-from surroundings import main
 from test_scene import GONE, GOOD, GRADED, changed
 
 import fenics_crack as fc
@@ -143,27 +139,3 @@ def test_a_curve_in_hertz() -> None:
         with pytest.raises(InputError) as caught:
             turned.replace({f"curve.{name}": -1.0})
         assert caught.value.key == f"curve.{name}"
-
-
-def test_tables_have_both_and_the_terminal_one(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Columns in rad/s and Hz in the files; of a curve in Hz the terminal has Hz alone."""
-    given = ["crack.length=0.05", "crack.first_omega=none", "harmonic_balance.harmonics=3",
-             "contact.stiffness=1e7", "damping.ratio=0.02", "curve.parameter=frequency",
-             "curve.start=300", "curve.stop=330", "curve.stability=false"]  # fmt: skip
-    options = [word for text in given for word in ("--set", text)]
-    scene = [str(DEMOS / "paper_plate.toml"), "--output", str(tmp_path), "--quiet"]
-    assert main(["curve", *scene, *options]) == 0
-    heading = capsys.readouterr().out.splitlines()[0]
-    assert "frequency [Hz]" in heading and "rad/s" not in heading
-    (first, *_) = json.loads((tmp_path / "curve.json").read_text())
-    assert first["frequency [Hz]"] == 300.0
-    assert first["omega [rad/s]"] == pytest.approx(TURN * 300.0, rel=1e-15)
-    with open(tmp_path / "curve.csv", newline="") as file:
-        assert {"omega [rad/s]", "frequency [Hz]"} <= set(csv.DictReader(file).fieldnames or ())
-    sweep = ["--set", "sweep.over={'excitation.frequency' = [300.0, 310.0]}"]
-    assert main(["sweep", *scene, *options, *sweep]) == 0
-    found = fc.SweepResult.load(tmp_path / "sweep.h5")
-    assert found["frequency"].tolist() == pytest.approx([300.0, 310.0])
-    assert found["omega"].tolist() == [TURN * 300.0, TURN * 310.0]

@@ -302,12 +302,6 @@ def test_bad_file_is_named(content: bytes | None, tmp_path: Path) -> None:
         assert str(path) in str(caught.value)
 
 
-def test_a_folder_is_not_a_scene(tmp_path: Path) -> None:
-    """A path that is a folder is refused as such."""
-    with pytest.raises(InputError, match="scene = "):
-        Scene.load(tmp_path)
-
-
 # --- frozen, and changed copies -------------------------------------------------------------------
 def test_scenes_are_frozen() -> None:
     """Neither the scene nor any key of any of its tables can be assigned."""

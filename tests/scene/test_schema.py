@@ -40,7 +40,9 @@ def fits(value: Any, schema: dict[str, Any]) -> bool:
 
 @pytest.mark.parametrize("demo", sorted(DEMOS.glob("*.toml")), ids=lambda path: path.stem)
 def test_demos_fit(demo: Any) -> None:
-    """Each scene does, as it stands in its file, and a misspelt key or a wrong word does not."""
+    """Each scene is valid and does, as it stands in its file; a misspelt key or a wrong word does
+    not."""
+    assert fc.Scene.load(demo).excitation.omega > 0.0
     schema = json.loads(json.dumps(fc.Scene.schema()))
     tables = tomllib.loads(demo.read_text(encoding="utf-8"))
     assert fits(tables, schema)

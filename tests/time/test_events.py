@@ -158,17 +158,6 @@ def test_few_instants_tell_few_harmonics(steps: int) -> None:
     assert few.ratio_largest == few.ratio_2_1 and few.largest_order == many.largest_order == 2.0
 
 
-def test_what_it_cannot_do_is_refused() -> None:
-    """Other laws, and bad arguments, get one error that names them."""
-    structure, law = oscillator(), fc.UnilateralPenalty(1.0)
-    with pytest.raises(fc.InputError, match=r"^contact"):
-        integrate_events(structure, 1.0, fc.SmoothedPenalty(1.0, 1.0), periods=1)
-    with pytest.raises(fc.InputError, match=r"^periods"):
-        integrate_events(structure, 1.0, law, periods=0)
-    with pytest.raises(fc.InputError, match=r"^initial"):
-        integrate_events(structure, 1.0, law, periods=1, initial=(np.ones(3), np.ones(3)))
-
-
 @pytest.mark.parametrize("rounding", [-1e-17, 0.0, 1e-17])
 def test_pairs_that_touch_at_the_start(rounding: float) -> None:
     """At rest on the stop, pressed into it: contact begins at once, despite rounding."""

@@ -252,22 +252,6 @@ def test_reduced_structure_speaks_of_the_dofs_of_the_whole(soft_plate: fc.Struct
         assert np.abs(difference).max() < 1e-6 * np.abs(whole.displacement([corner])).max()
 
 
-def test_reduced_structure_moves_as_the_whole(wide_plate: fc.Structure) -> None:
-    """Few coordinates against all dofs of a plate with four pairs, step by step."""
-    reduced = fc.reduce_structure(wide_plate, modes=60)
-    assert reduced.n_dofs < 0.6 * wide_plate.n_dofs
-    corner = wide_plate.find_dof((0.1, 0.1), "x")
-    whole, small = (
-        fc.integrate_central_difference(
-            structure, 2000.0, LAW, periods=2, steps_per_period=1024, dofs=[corner]
-        )
-        for structure in (wide_plate, reduced)
-    )
-    assert np.any(whole.gap > 0.0, axis=0).all()
-    assert relative(small.displacement([corner]), whole.displacement([corner])) < 4e-3
-    assert relative(small.gap, whole.gap) < 8e-3
-
-
 @pytest.mark.parametrize("modes", [20, 40])
 def test_reduced_structure_against_the_exact_flow(modes: int) -> None:
     """Order 2 against its own exact flow; with all modes, against that of the whole chain."""
