@@ -865,7 +865,6 @@ def test_frequency_that_cannot_be(omega: float) -> None:
 def responses(scene: Scene, cases: list[Any], comm: MPI.Comm) -> list[Any]:
     """Static compliance and the load's response at the nodes by position (collective)."""
     built = build_structure(scene, comm)
-    assert built.nodes is not None
     local = built.nodes.dofs - np.where(built.nodes.dofs >= 0, built.first_dof, 0)
     lip = np.append(built.gap.toarray().sum(axis=1), 0.0)[local[:, 1]]  # clamped: number -1
     places = gather_rows(comm, np.column_stack([built.nodes.points.round(9), lip.round(9)]))

@@ -707,7 +707,6 @@ def test_largest_compliance(name: str) -> None:
     """Of random chains, at parameters in and out of the range."""
     structure, law = chain(pairs=3), fc.UnilateralPenalty(np.array([3.0, 8.0, 20.0]))
     family = WAVES[name](fc.Problem(structure, 0.83, law, 4), *RANGES[name])
-    assert family.compiled is not None
     for parameter in (-0.2, 0.0, 0.4, 1.0):
         matrices = family.system(family.value(parameter)).compliance.matrices
         expected = np.abs(matrices).sum(axis=2).max()
@@ -819,7 +818,6 @@ def test_undamped_resonance_that_the_load_leaves_alone() -> None:
     assert alone.converged
     family = WAVES["omega"](fc.Problem(structure, 0.7, law, 5), 0.7, 1.7)
     found = solve_in_plane(family, 1.01 * alone.gap_coefficients, 0.0, None, tolerance=1e-9)
-    assert found is not None
     np.testing.assert_allclose(found.unknown, alone.gap_coefficients, rtol=1e-6, atol=1e-8)
 
 
@@ -889,7 +887,6 @@ def test_coupled_path_of_a_chain(name: str, formed: bool, monkeypatch: pytest.Mo
     system = family.system(family.start)
     assert system.integrals.coupled and system.matrix_free != formed
     start = solve_at(Plain(family), system.linear, 0.0, tolerance=1e-12)
-    assert start is not None
     close, slope = (1e-11, 1e-10) if formed else (1e-6, 1e-3)
     options = PathOptions(0.01, max_step=0.2, min_step=1e-10)
     ways = [

@@ -150,7 +150,6 @@ def test_end_is_the_orbit_found_there(parameter: str) -> None:
     last, there, state = path.points[-1], family.at(RANGES[parameter][1]), states(path)[-1]
     assert last.value == pytest.approx(RANGES[parameter][1]) and last.omega == there.omega
     orbit = find_orbit(exact_flow(there.structure, there.contact), there.omega, 1.001 * state)
-    assert orbit is not None
     assert state == pytest.approx(orbit.state, abs=1e-7 * np.abs(orbit.state).max())
     assert np.abs(last.multipliers) == pytest.approx(np.abs(orbit.multipliers[:8]), abs=1e-7)
 

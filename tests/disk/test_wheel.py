@@ -115,7 +115,6 @@ def test_two_cracked_blades() -> None:
     assert moved[:3] == pytest.approx(moved[3:], rel=1e-7)
     assert list(wheel.watched_pairs) == ["the mouth of blade 1", "the mouth of blade 4"]
     places = wheel.pair_points
-    assert places is not None
     middle = 2.0 * wheel.sector.center
     half = reduced.n_pairs // 2
     assert places[half:] == pytest.approx(middle - places[:half], abs=1e-12)
@@ -251,7 +250,6 @@ def test_resonance_of_the_cracked_blade(mesh: dict[str, Any]) -> None:
     """The ring of twelve: its true error by the mesh is below the stated one, and small."""
     scene = fc.Scene.from_mapping(RING).replace(mesh | {"disk.families": 1})
     coarse = finer_mesh(scene, 0.5)
-    assert coarse is not None
     (own, dofs), (other, _) = map(resonance, (scene, coarse))
     stated = abs(own - other) / (coarse.mesh.given("size") / scene.mesh.given("size") - 1.0)
     true = abs(own - LIMIT)

@@ -288,7 +288,6 @@ def test_the_largest_response_is_marked(results: dict[str, Any]) -> None:
     assert (x, y) == pytest.approx((peak.omega, peak.amplitude), rel=1e-9)
     [words] = [word for word in legend_of(panel) if word.startswith("largest")]
     found = re.match(rf"largest: ([\d.]+) (\w?)m at {x:.5g} rad/s", words)
-    assert found is not None
     factor = {"": 1.0, "m": 1e-3, "µ": 1e-6, "n": 1e-9}[found[2]]
     assert float(found[1]) * factor == pytest.approx(y, rel=1e-2)
     assert not any("largest" in word for word in legend_of(fc.draw_curve(exact_curve(), 0).axes[0]))

@@ -101,7 +101,6 @@ def test_block_loading_of_a_strip() -> None:
     weight = 2.0 * STRESS / 1e6 / 0.5**0.5
     exact = quad(lambda a: 1.0 / (1e-11 * (weight * edge_crack(a)) ** 2), 0.02, 0.035)[0]
     assert found.life == pytest.approx(exact, rel=0.015)
-    assert found.repeats is not None
     assert found.repeats[-1] == pytest.approx(found.life / 4500.0, rel=1e-12)
     lasting = found.repeats[-1] * (4000.0 / 2.0 + 500.0 / 8.0)
     assert found.time[-1] == pytest.approx(lasting, rel=1e-9)
@@ -127,7 +126,6 @@ def test_run_up_through_the_resonance(tmp_path: Path) -> None:
     curve = columns_of_curve(followed, tmp_path)
     strength, along = curve["delta_K_effective"] / 1e6, curve["frequency"]
     grown = 6.9e-12 * trapezoid(strength**3 * along / rate, along)
-    assert found.repeats is not None
     first = found.length[1] - found.length[0]
     assert first / found.repeats[1] == pytest.approx(grown, rel=0.02)
 

@@ -348,7 +348,6 @@ def test_on_a_crack_that_slopes_or_lies_inside() -> None:
                 fc.build_structure(scene)
     sloping = Scene.load(DEMOS / "inclined_crack.toml")
     points = fc.build_structure(sloping).pair_points
-    assert points is not None
     middle = 0.5 * (points[0] + points[1])
     with pytest.raises(InputError, match="two crack faces") as caught:
         fc.build_structure(sloping.replace({"excitation.point": middle.tolist()}))

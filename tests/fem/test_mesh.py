@@ -68,7 +68,6 @@ def file_plate(path: Path, **changes: Any) -> Scene:
 def area(structure: Structure) -> float:
     """Return the area of all cells, from corner to corner, whichever way round they are."""
     nodes = structure.nodes
-    assert nodes is not None
     corners = 3 if nodes.cells.shape[1] in (3, 6) else 4
     x, y = np.moveaxis(nodes.points[nodes.cells[:, :corners]], -1, 0)
     twice = np.sum(x * np.roll(y, -1, axis=1) - np.roll(x, -1, axis=1) * y, axis=1)
@@ -82,7 +81,6 @@ def gather_rows(comm: MPI.Comm, rows: np.ndarray) -> np.ndarray:
 
 def field(structure: Structure, values: np.ndarray) -> np.ndarray:
     """Displacement (1, n_local) that takes the values (n_nodes, 2) at this rank's nodes."""
-    assert structure.nodes is not None
     free = structure.nodes.dofs >= 0
     displacement = np.zeros((1, structure.n_local))
     displacement[0, structure.nodes.dofs[free] - structure.first_dof] = values[free]
@@ -94,7 +92,6 @@ def pair_nodes(structure: Structure) -> tuple[np.ndarray, np.ndarray, np.ndarray
 
     The lower node is the one with positive entries along y.
     """
-    assert structure.nodes is not None
     gap = structure.gap.toarray()
     padded = np.concatenate([gap, np.zeros((1, gap.shape[1]))])  # clamped dofs are number -1
     nodal = padded[structure.nodes.dofs]  # (n_nodes, 2, n_pairs)
@@ -117,7 +114,6 @@ def nodes_of_side(structure: Structure, origin: Any, direction: Any) -> np.ndarr
 
     The cell's centre lies from a point of the line in the direction given.
     """
-    assert structure.nodes is not None
     points = gather_rows(structure.comm, structure.nodes.points)
     cells = gather_rows(structure.comm, structure.nodes.cells)
     kept = cells[(points[cells].mean(axis=1) - origin) @ direction > 0.0]
@@ -137,7 +133,6 @@ def test_lips_pair_one_to_one(layout: str, cells: str, order: int) -> None:
         np.testing.assert_allclose(area(structure), WIDTH * HEIGHT, rtol=1e-12)
         elements = round(20 * length) if layout == "grid" else 5
         assert structure.n_pairs == elements * order
-        assert structure.nodes is not None and structure.pair_points is not None
 
         lower, upper, normals = pair_nodes(structure)
         assert not set(lower) & set(upper)
@@ -184,7 +179,6 @@ def test_elements_are_no_larger_than_the_size_asked_for() -> None:
 def test_grading_shortens_the_elements_at_the_tip() -> None:
     """The lip's element at the tip is `grading` times shorter than the one at the mouth."""
     structure = build_structure(plate("graded", "quadrilateral", 1))
-    assert structure.pair_points is not None
     ends = np.append(structure.pair_points[:, 0], 0.4 * WIDTH)
     lengths = np.diff(ends)
     np.testing.assert_allclose(lengths[0] / lengths[-1], 3.0, rtol=1e-6)
@@ -209,7 +203,6 @@ def test_sign_of_the_closing(layout: str, cells: str, order: int) -> None:
     """A translation closes nothing; lifting the part above the crack by 1 opens every pair by 1."""
     scene = plate(layout, cells, order)
     structure = build_structure(scene)
-    assert structure.nodes is not None
     everywhere = np.ones((len(structure.nodes.points), 1))
     for direction in ([1.0, 0.0], [0.0, 1.0], [2.0, -3.0]):
         shift = field(structure, everywhere * direction)
@@ -256,7 +249,6 @@ def test_point_load_does_its_work(
         {"excitation.point": point} | {f"excitation.{name}": part for name, part in parts.items()}
     )
     structure = build_structure(scene)
-    assert structure.nodes is not None
     rng = np.random.default_rng(3)
     for gradient in (np.zeros((2, 2)), rng.standard_normal((2, 2))):
         offset = rng.standard_normal(2)
@@ -349,7 +341,6 @@ def test_inclined_crack_from_a_file(msh: Callable[..., Path], recombined: bool, 
     scene = file_plate(path, **{"mesh.order": order, "crack.clearance": 1e-6})
     structure = build_structure(scene)
     np.testing.assert_allclose(area(structure), 2.0, rtol=1e-12)
-    assert structure.nodes is not None and structure.pair_points is not None
     assert structure.n_pairs == 4 * order
     np.testing.assert_array_equal(structure.clearance, np.full(4 * order, 1e-6))
     lower, upper, normals = pair_nodes(structure)

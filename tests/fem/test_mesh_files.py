@@ -140,7 +140,6 @@ def test_lips_of_the_plugin(
     assert structure.n_pairs == elements * order - (not lip.has_mouth)
     _, _, normals = pair_nodes(structure) if name not in ("vertical", "upright") else (0, 0, None)
     points, positions = structure.pair_points, structure.pairs.positions
-    assert points is not None and positions is not None and structure.nodes is not None
     assert np.all(np.diff(positions) > 0.0)
     if name == "arc":
         radial = (points - [1.0, 0.3]) / 0.4
@@ -251,7 +250,6 @@ def test_example_of_the_plugin(tmp_path: Path) -> None:
     assert [end[2] for end in ends] == [True, False]
     assert made.points["load"] == (0.1, 0.12) and made.points["mouth"] == (0.0, 0.06)
     structure = build_structure(file_plate(path))
-    assert structure.pair_areas is not None
     lengths = 0.02 + np.hypot(0.02, 0.01) + np.hypot(0.03, 0.01)
     np.testing.assert_allclose(structure.pair_areas.sum(), 0.01 * lengths, rtol=0.05)
 

@@ -91,7 +91,6 @@ def whole(matrix: Any, comm: MPI.Comm) -> sparse.csr_matrix:
 def matched(structure: fc.Structure, comm: MPI.Comm) -> list[Any]:
     """M, K, B and B_t by place, node (that of a lower face first) and component."""
     nodes = structure.nodes
-    assert nodes is not None
     points, dofs, cells = (gather_rows(comm, x) for x in (nodes.points, nodes.dofs, nodes.cells))
     cell = np.repeat(np.arange(len(cells)), cells.shape[1])
     at = sparse.csr_matrix((np.ones(cells.size), (cells.ravel(), cell)))
@@ -194,7 +193,6 @@ def of_function(solution: fc.PeriodicSolution) -> float:
     clamped nodes rest."""
     structure, time = solution.structure.whole, 0.3 * solution.period
     expected = solution.displacement(np.array([time]), [*range(structure.n_dofs)])[0]
-    assert structure.nodes is not None
     dofs = structure.nodes.dofs.ravel()
     values = solution.function(time).x.array[: len(dofs)]
     expected = np.where(dofs >= 0, expected[dofs], 0.0)

@@ -52,7 +52,6 @@ def test_gaps_are_means_by_hats(order: int) -> None:
     # Integrals of psi (0.06 - x): a half hat's centre is a third from its middle.
     below = np.append(0.0, length[:-1] / 2.0 * (0.06 - x[1:-1] + length[:-1] / 3.0))
     above = np.append(length[:-1] / 2.0 * (0.06 - x[:-2] - length[:-1] / 3.0), length[-1] ** 2 / 2)
-    assert structure.nodes is not None
     upper = nodes_of_side(structure, (0.0, 0.08), (0.0, 1.0))[:, None]
     opening = np.where(upper, np.maximum(0.06 - structure.nodes.points[:, :1], 0.0), 0.0)
     opened = structure.apply_bt(field(structure, opening * [0.0, 1.0]))[0]
@@ -74,7 +73,6 @@ def pressed(structure: fc.Structure, young: float, stress: float) -> None:
     """Compare the static state with that without a crack."""
     moved, forces = static_state(structure, structure.force[0], np.zeros(structure.n_pairs))
     assert forces == pytest.approx(stress * structure.pair_areas, rel=1e-9)
-    assert structure.nodes is not None
     along = np.eye(structure.nodes.points.shape[1])[1]
     exact = field(structure, -stress / young * structure.nodes.points[:, 1:2] * along)[0]
     np.testing.assert_allclose(moved, exact, atol=1e-9 * np.abs(exact).max())
@@ -180,7 +178,6 @@ def test_patches_follow_the_mesh() -> None:
         coarse, fine = coarser_scene(scene), finer_mesh(scene, 2.0)
         assert isinstance(coarse, Scene) or scene.dimension == 3
         coarse = finer_mesh(scene, 0.5)
-        assert coarse is not None and fine is not None
         assert (coarse.mesh.patches, fine.mesh.patches) == (8 // factor, 8 * factor)
     assert "patch" in str(coarser_scene(column(patches=1)))
 

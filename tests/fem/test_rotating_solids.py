@@ -48,7 +48,6 @@ def test_southwell_coefficients_and_stretch(name: str) -> None:
     one across it, which softens; and the stretch of a bar, rho W^2 (R L^2 / 2 + L^3 / 3) / E."""
     structure = bar(rotation={"speed": 100.0} | AXES[name])
     rotation, hub = structure.rotation, 0.1
-    assert rotation is not None and structure.nodes is not None
     still = fc.solve_modes(rotation.at_rest, 2).omega ** 2
     modes = fc.solve_modes(structure, 2)
     found = (modes.omega**2 - still) / 100.0**2
@@ -100,7 +99,6 @@ def test_a_twisted_blade_beside_calculix() -> None:
     0.2 % off at 6000 rpm."""
     scene = Scene.load(BLADE)
     rotation = fc.build_structure(scene).rotation
-    assert rotation is not None
     for rpm, expected in CALCULIX.items():
         found = fc.solve_modes(rotation.at(rpm * math.pi / 30.0), 6).omega / (2.0 * math.pi)
         assert found == pytest.approx(expected, rel=1e-3)

@@ -64,7 +64,6 @@ def test_frequencies_of_a_rotating_cantilever(strips: dict[int, fc.Structure], r
     """Within 1 % of the published ones, and these are those of the beam to their last digit."""
     bending, tension, mass, _ = beam(ratio)
     rotation = strips[ratio].rotation
-    assert rotation is not None
     for (at, speed), published in PUBLISHED.items():
         if at != ratio:
             continue
@@ -79,7 +78,6 @@ def test_southwell_coefficients(strips: dict[int, fc.Structure]) -> None:
     and 1.571 R / L more with one."""
     for ratio, structure in strips.items():
         rotation = structure.rotation
-        assert rotation is not None
         speed = 0.1 * UNIT
         squares = fc.solve_modes(rotation.at(speed), 1).omega ** 2
         squares -= fc.solve_modes(rotation.at_rest, 1).omega ** 2
@@ -108,7 +106,6 @@ def test_stiffness_of_linear_motions(strips: dict[int, fc.Structure]) -> None:
     area, length = WIDTH * 0.02, HEIGHT
     for ratio, structure in strips.items():
         rotation, nodes = structure.rotation, structure.nodes
-        assert rotation is not None and nodes is not None
         pulled, softened = ratio * length**3 / 2.0 + length**3 / 3.0, length**3 / 3.0
         for component, expected in ((0, pulled), (1, pulled - softened)):
             moved = np.zeros((structure.n_dofs, 1))
@@ -172,7 +169,6 @@ def test_speeds_too_high_and_loads_are_refused() -> None:
     """Where softening outweighs all stiffness nothing holds the plate; factors of a load would
     multiply the centrifugal one too."""
     rotation = fc.build_structure(strip(0, 1.0)).rotation
-    assert rotation is not None
     softening = rotation.at_rest.mass.copy()
     softening.scale(-1.0)
     with pytest.raises(InputError, match=r"rotation.speed.*lower"):

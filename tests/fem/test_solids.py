@@ -117,7 +117,6 @@ def test_lips_are_those_of_the_crack(cracked: tuple[fc.Structure, float, dict[st
     both = 0.5 * np.linalg.norm(normals, axis=1).sum()
     assert 0.75 * area < 0.5 * both <= area * (1.0 + 1e-12)
     assert normals[:, 1].sum() == pytest.approx(0.0, abs=1e-12 * both)  # they look at each other
-    assert structure.pair_areas is not None
     assert 0.0 < structure.pair_areas.min()
     assert structure.pair_areas.sum() == pytest.approx(0.5 * both, rel=1e-12)
     assert list(structure.watched_pairs) == ["the mouth"]
@@ -127,7 +126,6 @@ def test_pairs_measure_the_gap(cracked: tuple[fc.Structure, float, dict[str, Any
     """None where the motion is continuous, a translation or a strain; d where what lies above the
     crack moves down by d: of a patch that does not reach the front exactly, as it is a mean."""
     structure, _, crack = cracked
-    assert structure.nodes is not None
     nodes, components = np.nonzero(structure.nodes.dofs >= 0)
     rows = structure.nodes.dofs[nodes, components]
     points = structure.nodes.points[nodes]
@@ -570,7 +568,6 @@ def test_lips_tied_in_every_direction_are_no_crack(tmp_path: Path) -> None:
         write_box(tmp_path / f"{name}.msh", 2, crack=crack)
     cracked = fc.build_structure(of_file(tmp_path / "cracked.msh"))
     whole = fc.build_structure(of_file(tmp_path / "whole.msh").replace({"contact": None}))
-    assert cracked.nodes is not None
     dofs, twins = cracked.nodes.dofs, coincident(cracked.nodes.points)
     assert cracked.n_dofs == whole.n_dofs + 3 * len(twins)
     kept = np.arange(cracked.n_dofs)
@@ -792,7 +789,6 @@ def test_metres_and_millimetres_have_one_mesh(kind: str) -> None:
     scaled |= {"excitation.point": [1e3 * x for x in scene.excitation.point or ()]}
     steel = {"material.young": 2.1e5, "material.density": 7.85e-9}
     metres, millimetres = (fc.build_structure(of) for of in (scene, scene.replace(scaled | steel)))
-    assert metres.nodes is not None and millimetres.nodes is not None
     np.testing.assert_allclose(millimetres.nodes.points, 1e3 * metres.nodes.points, atol=1e-9)
     found, expected = (fc.bilinear_frequencies(of) for of in (millimetres, metres))
     np.testing.assert_allclose(found.omega_bilinear, expected.omega_bilinear, rtol=1e-6)
@@ -961,7 +957,6 @@ def test_loads_on_a_crack_there_are_two_lips() -> None:
 def on_ranks_of(text: str, comm: MPI.Comm) -> tuple[list[float], list[float]]:
     """Frequencies [rad/s] and sorted areas of the pairs, on all ranks."""
     structure = fc.build_structure(Scene.from_text(text), comm)
-    assert structure.pair_areas is not None
     omega = fc.solve_modes(structure, 3).omega
     rows = gather_rows(comm, structure.gap.toarray())
     return omega.tolist(), [*structure.pair_areas.tolist(), float(np.linalg.norm(rows))]
@@ -971,7 +966,6 @@ def test_two_ranks_build_the_same_solid(on_ranks: Callable[..., Any]) -> None:
     text = solid(ELLIPSE).as_toml()
     (omega, pairs) = on_ranks(on_ranks_of, text)
     alone = fc.build_structure(Scene.from_text(text), MPI.COMM_SELF)
-    assert alone.pair_areas is not None
     assert omega == pytest.approx(fc.solve_modes(alone, 3).omega.tolist(), rel=1e-8)
     own = [*alone.pair_areas.tolist(), float(np.linalg.norm(alone.gap.toarray()))]
     assert pairs == pytest.approx(own, rel=1e-10)
@@ -1003,7 +997,6 @@ def test_static_state_is_in_equilibrium() -> None:
     assert not np.any(pairs) and np.all(gap < 0.0)
     # Equilibrium of moments and forces about the whole: rotation pulls with its centrifugal load.
     total = rotating.DENSITY * 0.02 * 0.004 * 600.0**2 * (0.3 * 0.12 + 0.12**2 / 2.0)
-    assert fast.rotation is not None
     load = 600.0**2 * fast.rotation.force.sum()
     assert load == pytest.approx(total, rel=0.05)  # less what the clamped row carries
     assert load < total
@@ -1121,7 +1114,6 @@ def test_coriolis_force_of_a_whirling_bar() -> None:
     speed, axis = 200.0 * math.pi, np.array([0.0, 1.0, 0.0])
     place = {"axis": axis.tolist(), "center": [SIDE / 2.0, 0.0, SIDE / 2.0]}
     shaft = bar(rotation={"speed": speed} | place)
-    assert shaft.rotation is not None
     [still, _] = fc.solve_modes(shaft.rotation.at_rest, 2).omega
     modes = fc.solve_modes(shaft, 2)
     whirling = modes.omega * (1.0 + coriolis_shifts(modes, speed * axis))
@@ -1150,7 +1142,6 @@ def test_check_tells_where_the_order_meets_a_twisted_blade() -> None:
     scene = Scene.load(BLADE).replace({"rotation.rpm": 9000.0})
     figures, speed = find_key_figures(fc.prepare(scene, whole=True)), scene.speed
     rotation = fc.build_structure(scene).rotation
-    assert rotation is not None
     near = np.array([0.99, 1.01]) * speed
     squares = [fc.solve_modes(rotation.at(float(one)), 1).omega[0] ** 2 for one in near]
     slope = np.diff(squares)[0] / np.diff(near**2)[0]

@@ -396,7 +396,6 @@ def test_damped_modes() -> None:
     ratios = [0.01, 0.02, 0.03]
     structure = Structure.from_matrices(mass, stiffness, gap=None, damping=ModalDamping(ratios, 3))
     damped = damped_modes(structure)
-    assert damped is not None
     squares = scipy.linalg.eigvalsh(stiffness, mass)[:3]
     np.testing.assert_allclose(damped.rate, 2.0 * np.array(ratios) * np.sqrt(squares), rtol=1e-8)
     np.testing.assert_allclose(damped.mass_shapes, mass @ damped.shapes, rtol=1e-12, atol=1e-14)
@@ -427,7 +426,6 @@ def modes_of(scene: Scene, count: int, comm: MPI.Comm) -> dict[str, Any]:
     """Frequencies, and the shapes at the nodes sorted by position (collective)."""
     structure = build_structure(scene, comm)
     modes = solve_modes(structure, count)
-    assert structure.nodes is not None
     padded = np.concatenate([modes.shapes, np.zeros((1, count))])  # clamped dofs are number -1
     local = structure.nodes.dofs - np.where(structure.nodes.dofs >= 0, structure.first_dof, 0)
     points = gather_rows(comm, structure.nodes.points)

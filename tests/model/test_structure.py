@@ -324,7 +324,6 @@ def test_any_matrices_give_a_structure_or_an_input_error(changes: dict[str, Any]
 def test_find_dof(paper_structure: Structure) -> None:
     """The dof of a node moves that node: its unit displacement shows at its place alone."""
     nodes = paper_structure.nodes
-    assert nodes is not None
     for point in ((0.1, 0.1), (0.05, 0.05), (0.0, 0.0625)):
         place = np.flatnonzero(np.linalg.norm(nodes.points - point, axis=1) < 1e-9)
         found = [paper_structure.find_dof(point, component) for component in (0, 1, "x", "y")]
@@ -502,11 +501,9 @@ def test_arrays_are_read_only(paper_scene: Scene) -> None:
     """Those of the structure, of its nodes and of its gap."""
     for structure in plates(paper_scene):
         nodes = structure.nodes
-        assert nodes is not None
         arrays = [structure.force, structure.clearance, structure.pair_points, structure.pair_areas]
         arrays += [nodes.points, nodes.dofs, nodes.cells, structure.gap.data]
         if isinstance(structure, ReducedStructure):
-            assert structure.reference is not None
             arrays += [structure.basis, structure.omega, structure.reference.basis]
         for array in arrays:
             assert array is not None and array.size

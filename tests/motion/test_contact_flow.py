@@ -381,7 +381,6 @@ def test_motion_in_arcs(light: bool) -> None:
     step, orbit = next_to(solution)
     flow, time = orbit.flow, np.linspace(0.0, 0.999 * orbit.period, 300)
     motion = predicted_motion(flow, 0.5, step, 1)
-    assert motion is not None
     assert relative(motion.sampled.states[::16], step.states[:, : 2 * flow.count]) < 1e-9
     closed = predicted(flow, 0.5, orbit.sampled.whole_states[::16])
     assert closed is not None and closed.error < 1e-8
@@ -419,7 +418,6 @@ def test_by_products_as_by_factors(seed: int, monkeypatch: pytest.MonkeyPatch) -
 def test_by_omega() -> None:
     """The orbit moves with the frequency as its derivative says."""
     flow, omega, step = flow_of(light_chain(1), RIGID), 0.5, 1e-5
-    assert flow is not None
     orbits = [find_orbit(flow, omega + h, np.zeros(flow.size)) for h in (0.0, step, -step)]
     here, after, before = (one for one in orbits if one is not None)
     system = FlowOrbits(flow, omega, here.state)
@@ -442,7 +440,6 @@ def test_coefficients(light: bool) -> None:
     """Gauss's rule between events against very many samples; without contact they are exact."""
     structure: fc.Structure = light_chain(2) if light else chain(pairs=3, seed=2)
     flow = flow_of(structure, RIGID if light else fc.UnilateralPenalty(20.0))
-    assert flow is not None
     settled = flow.advance(np.zeros(flow.size), 0.6, 30 * 2.0 * np.pi / 0.6).state
     orbit = find_orbit(flow, 0.6, settled)
     assert orbit is not None and orbit.events > 0

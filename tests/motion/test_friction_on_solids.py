@@ -43,7 +43,6 @@ def test_no_friction_is_the_limit_of_little() -> None:
     dof = free.watched_dof
     assert little.result.amplitude(dof) == pytest.approx(free.result.amplitude(dof), rel=1e-9)
     structure = little.structure.whole
-    assert structure.tangential is not None and structure.nodes is not None
     normal, first = structure.gap, structure.tangential[:, : structure.n_pairs]
     other = structure.tangential[:, structure.n_pairs :]
     assert abs(normal.multiply(first)).max() < 1e-12

@@ -252,7 +252,6 @@ def test_equations_of_a_path(light: bool) -> None:
     if light:
         structure, contact = fc.reduce_structure(structure, modes=6, method="massless"), RIGID
     flow = flow_of(structure, contact)
-    assert flow is not None
     settled = flow.advance(np.zeros(flow.size), 0.6, 30 * 2.0 * np.pi / 0.6).state
     system, step = FlowOrbits(flow, 0.6, settled), 1e-6
     x = 1.05 * system.start
@@ -265,13 +264,11 @@ def test_equations_of_a_path(light: bool) -> None:
     ends = [system.linearise(x + h * change, 1.02).residual for h in (step, -step)]
     assert relative(at.jacobian @ change, (ends[0] - ends[1]) / (2.0 * step)) < 1e-6
     first = solve_in_plane(system, system.start, 1.0, None, tolerance=1e-11)
-    assert first is not None
     options = PathOptions(0.01, max_step=0.05, max_steps=6, span=(0.9, 1.1))
     points = list(Path(system, point_on_path(system, first.unknown, 1.0), options).points())
     assert len(points) > 4
     for point in points:
         orbit = find_orbit(flow, point.parameter * 0.6, point.unknown / system.scale)
-        assert orbit is not None
         assert relative(point.unknown, system.scale * orbit.state) < 1e-6
 
 
@@ -301,7 +298,6 @@ def test_point_between_two_is_judged_once() -> None:
         return point.parameter - (before.parameter + 0.004 * tangent.p)
 
     met = Crossing(test).locate(system, (before, after), 1e-12)
-    assert met is not None
     assert met.parameter == pytest.approx(before.parameter + 0.004 * tangent.p, rel=1e-11)
     assert len(set(asked)) == len(asked)
 
@@ -371,7 +367,6 @@ def test_snes_finds_the_end_of_a_path(kind: str) -> None:
     """Full steps of SNES from near the path's end, and that end, in the kernel and called back."""
     system = equations(kind)
     begun = solve_at(system, system.linear, 0.0, tolerance=1e-12)
-    assert begun is not None
     start = point_on_path(system, begun.unknown, 0.0)
     found = Path(system, start, PathOptions(0.1, max_step=0.5), [Target(1.0)]).run()
     assert found is not None and found.parameter == 1.0

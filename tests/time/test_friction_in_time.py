@@ -19,7 +19,6 @@ def test_exponential_steps_are_of_second_order() -> None:
     omega, law = 3183.0 * HERTZ, fc.CoulombFriction(RIGID, 0.3)
     found = solved("inclined_crack", 0.005, omega, 0.3)
     orbit, off = found.orbit, []
-    assert orbit is not None
     size = np.ptp(orbit.gap)
     for steps in (512, 1024, 2048):
         history = fc.integrate_exponential(
@@ -27,7 +26,6 @@ def test_exponential_steps_are_of_second_order() -> None:
             record_periods=1,
         )  # fmt: skip
         off.append(float(np.abs(history.gap - orbit.gap_at(history.time)).max() / size))
-        assert history.tangential_gap is not None
         slide = history.tangential_gap - orbit.tangential_gap_at(history.time)
         assert np.abs(slide).max() < 6e-2 * (512 / steps) ** 2 * size
         loss = history.indicators().friction_loss
@@ -39,7 +37,6 @@ def test_events_follow_the_orbit() -> None:
     structure, _ = plate("inclined_crack", 0.005)
     omega, law = 3183.0 * HERTZ, fc.CoulombFriction(RIGID, 0.3)
     found = solved("inclined_crack", 0.005, omega, 0.3)
-    assert found.orbit is not None
     history = fc.integrate_events(
         structure, omega, law, periods=200, steps_per_period=128, initial=found, record_periods=1
     )

@@ -49,11 +49,9 @@ def test_order(method: Method) -> None:
     """The slide of the Jenkins oscillator against its exact orbit: order 2, fitted."""
     structure, law = jenkins()
     orbit = fc.solve_harmonic_balance(structure, 0.9, law, tolerance=1e-4).orbit
-    assert orbit is not None
     counts, off = 2 ** np.arange(7, 13), []
     for steps in counts.tolist():
         history = last_period(method, structure, law, steps)
-        assert history.tangential_gap is not None
         exact = orbit.tangential_gap_at(history.time)
         off.append(np.abs(history.tangential_gap - exact).max())
     order = -np.polyfit(np.log(counts), np.log(off), 1)[0]
@@ -134,12 +132,10 @@ def test_run_that_goes_on(tmp_path: Path, method: Method, unmoved: int, close: f
     fc.save(first, tmp_path / "first.h5")
     again = fc.load(tmp_path / "first.h5", structure)
     assert all(map(np.array_equal, again.final_state, first.final_state))
-    assert whole.tangential_force is not None
     size = np.ptp(whole.tangential_force)
     off = []
     for state in (again.final_state, again.final_state[:2]):
         rest = method(structure, 0.9, RUBBING, periods=2, initial=state, **options)
-        assert rest.tangential_force is not None
         off.append(np.abs(rest.tangential_force - whole.tangential_force[-512:]).max() / size)
     assert off[0] < close < 0.02 < off[1]
     with pytest.raises(fc.InputError, match="places"):
@@ -156,14 +152,12 @@ def test_start_on_the_orbit(method: Method) -> None:
     structure = rubbing()
     found = fc.solve_harmonic_balance(structure, 0.9, RUBBING, tolerance=1e-3, throw=False)
     orbit, coefficients = found.orbit, found.displacement_coefficients
-    assert orbit is not None
     orders = np.arange(1, len(coefficients) // 2 + 1)
     velocity = 0.9 * orders @ coefficients[2::2]
     moved = coefficients[0] + coefficients[1::2].sum(axis=0)
     off = []
     for start in (found, (moved, velocity)):
         history = method(structure, 0.9, RUBBING, periods=1, steps_per_period=1024, initial=start)
-        assert history.tangential_force is not None
         exact = orbit.tangential_force_at(history.time)
         off.append(np.abs(history.tangential_force - exact).max() / np.ptp(exact))
     assert off[0] < 2e-3 and off[0] < 0.1 * off[1], off
@@ -182,7 +176,6 @@ def test_scene_that_goes_on(tmp_path: Path) -> None:
         run.save(tmp_path / "integration.h5")
         runs.append(run.result)
     whole, first, rest = runs
-    assert whole.tangential_force is not None and rest.tangential_force is not None
     count, size = len(rest.time), np.ptp(whole.tangential_force)
     off = rest.tangential_force - whole.tangential_force[-count:]
     assert np.abs(off).max() < 1e-6 * size and len(first.final_state) == 3
