@@ -10,8 +10,7 @@ import scipy.linalg
 from helpers import DAMPINGS, Cubic, chain, oscillator, period_two_orbit, relative, two_masses
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from motion.reference import ReferenceFlow
-from reference_flow import size_of_motion
+from reference_flow import ReferenceFlow, size_of_motion
 
 import fenics_crack as fc
 from fenics_crack import PeriodicOrbit
@@ -32,6 +31,17 @@ def known(structure: fc.Structure, contact: object) -> ContactFlow:
     flow = flow_of(structure, contact)
     assert flow is not None
     return flow
+
+
+def reference_of(
+    structure: fc.Structure, contact: object, flow: ContactFlow
+) -> tuple[ReferenceFlow, np.ndarray]:
+    """Return a flow that shares no code, and the matrix from a flow's states to its states."""
+    reference, shapes = ReferenceFlow(structure, contact), flow.modes.shapes
+    units = (np.split(unit, 2) for unit in np.eye(flow.size))
+    return reference, np.column_stack(
+        [reference.state(shapes @ shape, shapes @ rate) for shape, rate in units]
+    )
 
 
 def thrown(flow: ContactFlow, seed: int = 0) -> np.ndarray:
@@ -61,7 +71,7 @@ def energy(flow: ContactFlow, motion: Motion) -> np.ndarray:
 def test_against_the_reference(
     damping: str, pairs: int, seed: int, hardness: float, light: bool
 ) -> None:
-    """State, motion, derivative and number of events over two periods, with and without mass at the
+    """State, gaps, derivative and number of events over two periods, with and without mass at the
     lips, to rounding."""
     coupled = damping in ("matrix", "gyroscopic")
     structure = chain("modal" if coupled and light else damping, 10, pairs, seed)
@@ -71,15 +81,16 @@ def test_against_the_reference(
         contact = contact if seed % 2 else RIGID
     flow, omega = known(structure, contact), 0.7
     state, duration = thrown(flow, seed), 4.0 * np.pi / omega
-    instants = np.linspace(0.0, duration, 60) + 0.3
+    instants = duration * np.arange(60) / 60 + 0.3
     motion = flow.advance(state, omega, duration, start=0.3, instants=instants)
-    reference = ReferenceFlow(flow, omega)
-    end, states, tangent, events = reference.advance(state, duration, instants, 0.3)
-    grown = np.linalg.norm(tangent)
-    assert relative(motion.state, end) < 1e-12 * (1.0 + grown)
-    assert relative(motion.samples.states, states[:, : flow.size]) < 1e-12 * (1.0 + grown)
-    assert relative(motion.track.tangent, tangent) < 1e-9 * (1.0 + grown)
-    assert motion.events == events
+    reference, turn = reference_of(structure, contact, flow)
+    passage = reference.advance(turn @ state, omega, 0.3, duration, 60)
+    tangent = passage.tangent() @ turn
+    grown = np.linalg.norm(motion.track.tangent)
+    assert relative(turn @ motion.state, passage.state) < 1e-12 * (1.0 + grown)
+    assert np.abs(motion.samples.gap - passage.gap).max() < 1e-12 * (1.0 + grown)
+    assert relative(turn @ motion.track.tangent, tangent) < 1e-9 * (1.0 + grown)
+    assert motion.events == len(passage.pieces) - 1
     assert motion.samples.gap[motion.samples.closed].min(initial=0.0) >= 0.0
     assert motion.track.lengths.sum() == pytest.approx(duration, rel=1e-12)
 
@@ -182,18 +193,30 @@ def test_equal_structures_side_by_side() -> None:
 
 
 def test_almost_equal_structures() -> None:
-    """Events that follow one another after 1e-10 of a period are two: the derivative is sharp."""
+    """Events that follow one another after 1e-10 of a period are two: the derivative is sharp, that
+    of each structure by itself."""
     mass, stiffness, gap = _matrices(chain(seed=6))
+    force, factors = chain(seed=6).force[1], np.diag([1.0, 1.0 + 1e-9])
     both = fc.Structure.from_matrices(
-        np.kron(np.eye(2), mass), np.kron(np.diag([1.0, 1.0 + 1e-9]), stiffness),
-        gap=np.kron(np.eye(2), gap), force_cos=np.tile(chain(seed=6).force[1], 2),
+        np.kron(np.eye(2), mass), np.kron(factors, stiffness),
+        gap=np.kron(np.eye(2), gap), force_cos=np.tile(force, 2),
     )  # fmt: skip
-    flow = known(both, fc.UnilateralPenalty(40.0))
-    state = flow.state(np.tile(np.linspace(-1, 1, 10), 2), np.zeros(20))
-    _, _, tangent, events = ReferenceFlow(flow, 0.7).advance(state, 18.0, np.zeros(0))
-    motion = flow.advance(state, 0.7, 18.0)
-    assert motion.events == events > 20
-    assert relative(motion.track.tangent, tangent) < 1e-11
+    alone = (
+        fc.Structure.from_matrices(mass, factor * stiffness, gap=gap, force_cos=force)
+        for factor in factors.diagonal()
+    )
+    motions = []
+    for structure in (both, *alone):
+        flow = known(structure, fc.UnilateralPenalty(40.0))
+        rest = np.resize(np.linspace(-1, 1, 10), structure.n_dofs)
+        motion = flow.advance(flow.state(rest, 0.0 * rest), 0.7, 18.0)
+        to_dofs = np.kron(np.eye(2), flow.modes.shapes)
+        motions.append((motion.events, to_dofs @ motion.track.tangent @ np.linalg.inv(to_dofs)))
+    (events, tangent), *parts = motions
+    assert events == sum(part[0] for part in parts) > 20
+    for number, (_, expected) in enumerate(parts):
+        own = np.add.outer([0, 20], 10 * number + np.arange(10)).ravel()
+        assert relative(tangent[np.ix_(own, own)], expected) < 1e-11
 
 
 def _matrices(structure: fc.Structure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -359,16 +382,14 @@ def test_orbit_against_the_reference(seed: int, light: bool) -> None:
     contact: object = RIGID if light else fc.UnilateralPenalty(20.0)
     solution = fc.solve_harmonic_balance(structure, 0.5, contact, harmonics=20)
     found, orbit = next_to(solution)
-    reference = ReferenceFlow(orbit.flow, orbit.omega)
-    instants = np.linspace(0.0, orbit.period, 100)
-    end, states, tangent, events = reference.advance(orbit.state, orbit.period, instants)
-    assert relative(end, orbit.state) < 1e-10
-    count = orbit.flow.size // 2
-    slow = orbit.samples(instants).states[:, :count] @ orbit.flow.modes.pairs
-    assert np.abs(slow - states[:, :count] @ orbit.flow.modes.pairs).max() < 1e-11 * np.ptp(slow)
-    largest = np.abs(np.linalg.eigvals(tangent)).max()
+    reference, turn = reference_of(structure, contact, orbit.flow)
+    passage = reference.advance(turn @ orbit.state, orbit.omega, 0.0, orbit.period, 100)
+    assert relative(passage.state, turn @ orbit.state) < 1e-10
+    gap = orbit.gap_at(orbit.period * np.arange(100) / 100)
+    assert np.abs(gap - passage.gap).max() < 1e-11 * np.ptp(gap)
+    largest = np.abs(np.linalg.eigvals(passage.tangent())).max()
     assert abs(orbit.multipliers[0]) == pytest.approx(largest, rel=1e-9)
-    assert orbit.events == events > 0
+    assert orbit.events == len(passage.pieces) - 1 > 0
     assert 0.2 < distance(solution, orbit) / found.error < 2.0
 
 
