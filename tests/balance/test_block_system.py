@@ -237,15 +237,3 @@ def test_form_changes_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPat
                 same = pytest.approx(first, **rough) if isinstance(first, float) else first
                 assert second == same, (name, key)
     assert condensed["value"][condensed["names"].index("verdict")] in ("stable", "unstable")
-
-
-def test_saved_and_read(tmp_path: Path) -> None:
-    """A plate of many dofs, not reduced, whose file is read as it was solved."""
-    changes = AGREEING | {"mesh.columns": 8, "mesh.rows": 8, "damping.modes": 5}
-    keys = {"harmonic_balance.form": "block", "harmonic_balance.error": False}
-    keys |= {"reduction.method": "off"}
-    run = fc.solve(fc.Scene.load(PAPER, changes | keys))
-    assert run.structure.n_dofs > 100 and run.result.converged
-    run.save(tmp_path / "solution.h5")
-    again = fc.load_run(tmp_path / "solution.h5")
-    assert again.result.amplitude() == pytest.approx(run.result.amplitude(), rel=1e-10)

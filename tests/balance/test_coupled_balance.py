@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import DEMOS, chain, log_slope, relative, resized, true_error
+from helpers import DEMOS, chain, log_slope, relative, true_error
 from test_inside_balance import random_gaps
 
 import fenics_crack as fc
@@ -222,19 +222,6 @@ def test_twice_the_period(short_chain: fc.Structure) -> None:
     assert again.status.startswith("full Newton steps: converged (0 iterations)")
 
 
-def test_smoothed_law_tends_to_the_penalty(plate: fc.Structure) -> None:
-    """With its sharpness, at 1e9 N/m."""
-    penalty = fc.solve_harmonic_balance(plate, 2000.0, fc.UnilateralPenalty(1e9), harmonics=10)
-    errors = [
-        true_error(
-            fc.solve_harmonic_balance(plate, 2000.0, fc.SmoothedPenalty(1e9, s), harmonics=10),
-            penalty,
-        )
-        for s in (1e8, 1e10)
-    ]
-    assert errors[1] < 0.05 * errors[0] < 0.05 * 0.1
-
-
 def test_lips_with_mass_against_lips_without(paper_scene: fc.Scene) -> None:
     """One pair at the mouth, a third of the modes: the difference falls with the mesh."""
     law, errors = fc.UnilateralPenalty(1e9), []
@@ -321,31 +308,3 @@ def test_reduction_of_the_breathing_plate(coarse_breathing_plate: fc.Structure) 
         errors.append(true_error(found, exact))
         assert errors[-1] / 3.0 < found.report.reduction < 3.0 * errors[-1]
     assert 1e-3 < errors[-1] < errors[0] / 3.0
-
-
-def test_sampling_and_penetration(plate: fc.Structure) -> None:
-    """Few samples against exact integrals, and the depth by its definition."""
-    law = fc.UnilateralPenalty(1e9)
-    exact = fc.solve_harmonic_balance(plate, 2000.0, law, harmonics=10)
-    assert exact.report.sampling == 0.0
-    for samples in (64, 256):
-        found = fc.solve_harmonic_balance(plate, 2000.0, law, harmonics=10, samples=samples)
-        error = true_error(found, exact)
-        assert error / 3.0 < found.report.sampling < 3.0 * error
-    fine = fc.solve_harmonic_balance(plate, 2000.0, law, harmonics=80)
-    gap = fine.gap(np.arange(4096) * fine.period / 4096)
-    share = np.sqrt(np.mean(np.maximum(gap, 0.0) ** 2) / np.mean(gap**2))
-    assert fine.report.penetration == pytest.approx(share, rel=0.02)
-    rigid = fc.solve_harmonic_balance(plate, 2000.0, RIGID, harmonics=10)
-    assert rigid.report.penetration == 0.0
-
-
-def test_point_of_a_solution(short_chain: fc.Structure) -> None:
-    """The gap of a solution is that of its slow part, and it solves the equations."""
-    solution = fc.solve_harmonic_balance(short_chain, 0.8, RIGID, harmonics=9)
-    point = system_of(short_chain, RIGID, 9).linearise(solution.slow_gap_coefficients)
-    assert relative(point.gap, solution.gap_coefficients) < 1e-9
-    assert np.linalg.norm(point.residual) < 1e-9 * np.linalg.norm(point.unknown)
-    assert solution.report.residual < 1e-9
-    wide = resized(solution.slow_gap_coefficients, 12)
-    assert np.linalg.norm(point.system.widened(12).linearise(wide).residual[:19]) < 1e-8

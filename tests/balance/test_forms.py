@@ -88,20 +88,6 @@ def test_collocation_satisfies_the_equation_of_motion_at_its_instants(
     assert left(classical) > 1e-3
 
 
-@pytest.mark.parametrize("samples", [9, 10, 12, 16])
-def test_tangent_on_few_samples(samples: int) -> None:
-    """Finite differences from 2H+1 samples on, where means of high order are folded back."""
-    law, rng = Cubic(1.0), np.random.default_rng(4)
-    integrals = Problem(oscillator(), 1.0, law, 4, samples).integrals()
-    gap, step = rng.normal(size=(9, 2)), 1e-5
-    tangent = integrals.linearise(gap).tangent
-    for column in range(9):
-        change = np.zeros_like(gap)
-        change[column] = step
-        slope = (integrals.force(gap + change) - integrals.force(gap - change)) / (2.0 * step)
-        assert np.allclose(tangent[:, :, column].T, slope, rtol=0.0, atol=1e-7)
-
-
 # --- spurious solutions: a Duffing oscillator -----------------------------------------------------
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers import chain, oscillator, period_two_orbit, sampled_harmonics
+from helpers import chain, oscillator, sampled_harmonics
 
 import fenics_crack as fc
 
@@ -47,24 +47,6 @@ def test_bilinear_oscillator_at_its_resonance() -> None:
     curve = fc.continue_frequency(structure, 1.2, 1.4, law, harmonics=10)
     along = curve.indicators(0)
     assert along.omega[np.argmax(along.amplitude)] == pytest.approx(omega, rel=2e-3)
-
-
-def test_linear_motion_has_one_harmonic() -> None:
-    """A linear solution: nothing but U_1, and no lips' force."""
-    found = fc.solve_linear(chain(), 1.3, harmonics=4).indicators(2)
-    assert found.ratio_2_1 < 1e-14
-    assert found.ratio_3_1 < 1e-14
-    assert found.contact_force == found.closed_share == 0.0
-    assert found.amplitude == pytest.approx(found.harmonic_1, rel=1e-4)
-
-
-def test_half_the_loads_frequency() -> None:
-    """A period-two orbit shows it."""
-    solution = period_two_orbit(20)
-    found = solution.indicators(0)
-    rows = solution.coefficients_at([0])[:, 0]
-    assert found.ratio_half_1 == pytest.approx(np.hypot(*rows[1:3]) / np.hypot(*rows[3:5]))
-    assert found.ratio_half_1 > 0.1
 
 
 @pytest.mark.parametrize("massless", [False, True])

@@ -128,18 +128,6 @@ def test_known_roots_of_one_harmonic() -> None:
         assert found.closed_at_start[pair] == (m + np.cos(p) > 0.0)
 
 
-def test_many_known_roots() -> None:
-    """cos(H theta - 1): 2 H equidistant roots, a falling one first."""
-    for count in HARMONICS:
-        table = np.zeros((count + 1, 1), dtype=complex)
-        table[count] = np.exp(-1j)
-        found = switching_instants(table)
-        theta = np.sort(found.theta)
-        expected = (0.5 * np.pi + 1.0 + np.pi * np.arange(2 * count)) / count
-        assert np.allclose(theta, np.sort(expected % (2.0 * np.pi)), atol=1e-12)
-        assert found.closed_at_start.tolist() == [True]
-
-
 @pytest.mark.parametrize("distance", [1e-1, 1e-2, 1e-3])
 def test_three_roots_close_together(distance: float) -> None:
     """sin^3 x - sin^2(d) sin x, x = m theta - p: roots at multiples of pi and d beside them.
@@ -214,21 +202,3 @@ def test_double_roots_exactly_at_zero(angle: float, count: int) -> None:
         assert np.all(np.abs(values_at(table, found.pair[mine], theta)) <= 1e-12)
         share = found.closed_at_start[pair] - float(closing @ theta) / (2.0 * np.pi)
         assert share == pytest.approx(closed, abs=1e-5)
-
-
-def test_pairs_do_not_disturb_each_other() -> None:
-    """Many pairs at once give what one pair at a time gives, to 1e-10."""
-    rng = np.random.default_rng(14)
-    for count in (1, 5, 20, 60):
-        table = random_harmonics(count, 25, rng)
-        together = switching_instants(table)
-        for pair in range(25):
-            alone = switching_instants(table[:, pair : pair + 1])
-            mine = together.pair == pair
-            order, alone_order = np.argsort(together.theta[mine]), np.argsort(alone.theta)
-            assert np.allclose(
-                together.theta[mine][order], alone.theta[alone_order], rtol=0.0, atol=1e-10
-            )
-            assert np.array_equal(together.closing[mine][order], alone.closing[alone_order])
-            assert together.closed_at_start[pair] == alone.closed_at_start[0]
-            assert not np.any(alone.pair)

@@ -157,20 +157,6 @@ def test_displacement_of_a_curve_is_that_of_its_solutions(curve: fc.ResponseCurv
 # --- rigid contact --------------------------------------------------------------------------------
 
 
-def test_points_of_one_rigid_pair_are_solutions() -> None:
-    """Each solves the equations at its frequency."""
-    reduced = fc.reduce_structure(steel("mouth"), modes=5, method="massless")
-    curve = fc.continue_frequency(reduced, *SPAN, RIGID, harmonics=8)
-    assert curve.complete and len(folds(curve)) % 2 == 0
-    for index in range(0, len(curve), 20):
-        start = curve.solution(index)
-        found = fc.solve_harmonic_balance(reduced, start.omega, RIGID, harmonics=8, initial=start)
-        difference = np.abs(found.gap_coefficients - start.gap_coefficients).max()
-        assert difference < 1e-6 * np.abs(start.gap_coefficients).max()
-        force = found.contact_force(np.linspace(0.0, found.period, 200))
-        assert force.min() >= 0.0 and start.report.residual < 1e-7
-
-
 def test_eight_pairs_over_a_resonance(curve: fc.ResponseCurve) -> None:
     """Two folds, and all points are solutions."""
     assert curve.complete and len(folds(curve)) == 2

@@ -143,27 +143,6 @@ def test_branches_of_equal_masses() -> None:
 
 
 @pytest.mark.parametrize(
-    ("parameter", "end"), [("load", 1.3), ("stiffness", 2.0), ("damping", 0.7), ("clearance", -0.1)]
-)
-def test_over_other_parameters(parameter: str, end: float) -> None:
-    """To the orbit that the end has by itself."""
-    start = 0.0 if parameter == "clearance" else 1.0
-    curve = fc.continue_parameter(two_masses(), 0.7, STOP, parameter, start, end, tolerance=1e-2)
-    assert curve.complete and curve.values[-1] == pytest.approx(end, rel=1e-12)
-    orbit = curve.orbit(len(curve) - 1)
-    assert orbit.residual < 1e-9
-    problem = curve.problem_of(len(curve) - 1)
-    alone = fc.solve_harmonic_balance(
-        problem.structure,
-        0.7,
-        problem.contact,
-        harmonics=40,
-        initial=curve.solution(len(curve) - 1),
-    )
-    assert curve.amplitude()[-1] == pytest.approx(alone.amplitude(), rel=1e-3)
-
-
-@pytest.mark.parametrize(
     ("key", "wrong"),
     [
         ("tolerance", {"harmonics": 5}),

@@ -134,28 +134,6 @@ def test_a_crack_that_rotation_holds_open() -> None:
     assert 0.02 < stiffening and peaks[1].damping == pytest.approx(0.005, rel=3e-3)
 
 
-def test_run_up_meets_structures_of_each_speed(run_up: Run[fc.ResponseCurve]) -> None:
-    """w = order W all along; its solutions are those of structures reduced at their own speed, and
-    it is largest between where the order meets the open and the tied mode."""
-    curve, scene = run_up.result, run_up.scene
-    assert curve.complete and curve.omega == pytest.approx(ORDER * curve.values)
-    amplitude = curve.amplitude(run_up.watched_dof)
-    assert amplitude.max() > 5.0 * amplitude[[0, -1]].max()
-    diagram = fc.campbell(scene, [560.0, 640.0], 1, MPI.COMM_SELF)
-    slowest, fastest = (diagram.crossings(ORDER, kind)[0, 1] for kind in ("open", "tied"))
-    assert slowest < curve.values[amplitude.argmax()] < fastest
-    whole = run_up.structure.whole
-    for index in np.linspace(0, len(curve) - 1, 5).astype(int):
-        there = whole.rotation.at(float(curve.values[index]))
-        there = fc.reduce_structure(there, modes=6, method="massless")
-        mine = curve.solution(int(index))
-        assert mine.report.residual < 1e-9
-        at = float(curve.omega[index])
-        found = fc.solve_harmonic_balance(there, at, run_up.contact, harmonics=40, initial=mine)
-        expected = found.amplitude(run_up.watched_dof)
-        assert amplitude[index] == pytest.approx(expected, rel=1e-3)
-
-
 def test_natural_frequencies_are_those_of_each_speed(run_up: Run[fc.ResponseCurve]) -> None:
     """Columns of a run-up, and of its special points, against structures at their own speeds."""
     rotation = run_up.structure.whole.rotation

@@ -13,7 +13,7 @@ from wheels import RING, SOLID, ring, wheel_of, whole_scene, write_whole
 
 import fenics_crack as fc
 from fenics_crack.model.cyclic import CyclicModes
-from fenics_crack.model.wheel import Wheel, WheelStructure
+from fenics_crack.model.wheel import WheelStructure
 from fenics_crack.scene.scene import Scene
 
 
@@ -140,15 +140,3 @@ def test_bonded_wheel_is_one_sector(without: dict[str, Any]) -> None:
     found = _response(undamped, omega, wheel.dofs_of_blades(wheel.watched_dof))
     turned = np.exp(2j * np.pi * order * np.arange(sector.count) / sector.count)
     assert found == pytest.approx(exact[own] * turned, rel=1e-5)
-
-
-def test_copied_matrices_are_symmetric_and_whole() -> None:
-    """The whole wheel by its copies has the modes of its sector, and the mass of all of them."""
-    wheel = wheel_of(ring(disk__cracked=[]))
-    plain = fc.Structure.from_matrices(
-        csr(wheel.mass), csr(wheel.stiffness), gap=None, force_cos=None
-    )
-    assert fc.solve_modes(plain, 12).omega == pytest.approx(
-        of_wheel(wheel.cyclic_modes(4))[:12], rel=1e-10
-    )
-    assert isinstance(wheel.whole, Wheel)

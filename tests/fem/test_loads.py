@@ -106,16 +106,6 @@ def test_sweep_of_a_shaken_plate(tmp_path: Path) -> None:
         )
 
 
-def test_a_curve_of_a_shaken_plate() -> None:
-    """Its ends are single solutions."""
-    shaken = strip(base={"acceleration_cos": [4.0, 0.0]}, **CRACKED).replace(
-        {"curve.start": 200.0, "curve.stop": 210.0, "curve.stability": False}
-    )
-    curve = fc.curve(shaken, MPI.COMM_SELF).result
-    alone = fc.solve(shaken.replace({"excitation.omega": 210.0}), MPI.COMM_SELF).result
-    np.testing.assert_allclose(curve.gap_coefficients[-1], alone.gap_coefficients, rtol=1e-6)
-
-
 @pytest.mark.parametrize(
     ("tables", "key"),
     [

@@ -237,23 +237,6 @@ def put_lips(cells: np.ndarray, places: np.ndarray, clamp: Edges, **curves: Edge
         return put((np.arange(len(places)), spatial, groups), 2)[1]
 
 
-def test_example_of_the_plugin(tmp_path: Path) -> None:
-    """The .geo file of the documentation gives two cracks, one bent at the edge, one inside."""
-    path = tmp_path / "plate.msh"
-    with gmsh_model():
-        gmsh.merge(str(ROOT / "meshes" / "crack_plugin.geo"))
-        gmsh.write(str(path))
-    made = build_mesh(file_plate(path), MPI.COMM_SELF)
-    ends = [(lip.points[0], lip.points[-1], lip.has_mouth) for lip in made.lips]
-    np.testing.assert_allclose(ends[0][:2], [(0.0, 0.06), (0.04, 0.05)], atol=1e-12)
-    np.testing.assert_allclose(ends[1][:2], [(0.05, 0.09), (0.08, 0.1)], atol=1e-12)
-    assert [end[2] for end in ends] == [True, False]
-    assert made.points["load"] == (0.1, 0.12) and made.points["mouth"] == (0.0, 0.06)
-    structure = build_structure(file_plate(path))
-    lengths = 0.02 + np.hypot(0.02, 0.01) + np.hypot(0.03, 0.01)
-    np.testing.assert_allclose(structure.pair_areas.sum(), 0.01 * lengths, rtol=0.05)
-
-
 def test_text_of_the_documentation(tmp_path: Path) -> None:
     """The .geo file in docs/matrices.md, as it stands there, is a plate with an edge crack."""
     [text] = re.findall(r"```geo\n(.*?)```", (ROOT / "docs" / "matrices.md").read_text(), re.S)

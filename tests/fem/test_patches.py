@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -60,11 +61,16 @@ def test_gaps_are_means_by_hats(order: int) -> None:
     assert slid is not None and np.abs(slid[0]) == pytest.approx(-opened, rel=1e-12)
 
 
-@pytest.mark.parametrize("patches", [None, 1, 4, 99])
-@pytest.mark.parametrize("order", [1, 2])
-def test_a_uniform_pressure_goes_through(order: int, patches: int | None) -> None:
+@pytest.mark.parametrize(
+    ("order", "patches", "cells"),
+    [
+        *itertools.product((1, 2), (None,), ("triangle", "quadrilateral")),
+        (1, 1, "quadrilateral"), (2, 4, "triangle"), (2, 99, "quadrilateral"),
+    ],
+)  # fmt: skip
+def test_a_uniform_pressure_goes_through(order: int, patches: int | None, cells: str) -> None:
     """Faces pressed together are an uncracked column: u_y = - sigma y / E, lambda = sigma w."""
-    structure = fc.build_structure(column(order=order, patches=patches))
+    structure = fc.build_structure(column(order=order, patches=patches, cells=cells))
     assert structure.n_pairs == min(patches or 12 * order, 12 if patches else 24)
     pressed(structure, 2e11, STRESS)
 

@@ -22,7 +22,7 @@ from helpers import csr, gmsh_model
 from mpi4py import MPI
 from scipy.spatial.transform import Rotation as Turned
 from surroundings import DEMOS, ROOT
-from test_rotating_solids import BAR, BLADE, LENGTH, PUSHED, SIDE, bar
+from test_rotating_solids import BAR, LENGTH, PUSHED, SIDE, bar
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
@@ -44,7 +44,6 @@ from fenics_crack.monitoring.tip_timing.scene_timing import (
     tip_in_words,
 )
 from fenics_crack.study.plausibility import find_key_figures, remarks_on_scene
-from fenics_crack.study.resonance import meeting_speed
 from fenics_crack.sweep.plan import Plan
 
 MESHES = ROOT / "meshes"
@@ -394,31 +393,6 @@ def test_the_tip_of_a_solid_is_its_farthest_node_from_the_axis() -> None:
         assert f"the blade tip moves at {6000.0 * away:.3g} m/s" in str(remark)
         assert str(remark).endswith("in rpm? then 628.319")
         assert not remarks_on_scene(turning.replace({speed: 600.0}), structure)
-
-
-def test_rotating_solids_are_rotating_plates_in_their_plane() -> None:
-    """The frequency in the plane rises with the speed as that of the plate does."""
-    spinning = {"rotation.hub_radius": 0.3, "rotation.speed": 1500.0, "material.poisson": 0.0}
-    plate = solid().replace(
-        spinning
-        | {
-            "geometry.kind": "plate", "excitation.point": [0.0, HEIGHT], "contact": None,
-            "excitation.force_cos": [1.0, 0.0],
-        }
-    )  # fmt: skip
-    squares = []
-    for speed in (0.0, 1500.0):
-        flat = frequencies(plate.replace({"rotation.speed": speed}), 1)[0]
-        modes = fc.solve_modes(
-            fc.build_structure(solid(**spinning | {"rotation.speed": speed, "contact": None})), 3
-        )
-        shapes = NodalMesh(modes.structure).field(modes.structure.expand(modes.shapes.T))
-        sizes = np.linalg.norm(shapes, axis=1)
-        own = modes.omega[np.flatnonzero(sizes[:, 0] > sizes[:, 2])[0]] / (2.0 * math.pi)
-        squares.append((flat**2, own**2))
-    rise = np.subtract(*squares[::-1])
-    assert rise[1] == pytest.approx(rise[0], rel=0.02)
-    assert rise[0] > 0.0
 
 
 # --- solutions ------------------------------------------------------------------------------------
@@ -1133,23 +1107,6 @@ def test_coriolis_force_of_a_whirling_bar() -> None:
     assert not remarks_on_scene(across, blade)
     plate = fc.solve_modes(fc.build_structure(rotating.strip(1, 1.0)), 2)
     assert not np.any(coriolis_shifts(plate, speed * axis[[1, 0, 2]]))
-
-
-@pytest.mark.nightly
-def test_check_tells_where_the_order_meets_a_twisted_blade() -> None:
-    """S is the slope of w^2 over W^2, as between two speeds next to the blade's; at the speed told,
-    two thirds of its own, the breathing frequency is that of the order to three thousandths."""
-    scene = Scene.load(BLADE).replace({"rotation.rpm": 9000.0})
-    figures, speed = find_key_figures(fc.prepare(scene, whole=True)), scene.speed
-    rotation = fc.build_structure(scene).rotation
-    near = np.array([0.99, 1.01]) * speed
-    squares = [fc.solve_modes(rotation.at(float(one)), 1).omega[0] ** 2 for one in near]
-    slope = np.diff(squares)[0] / np.diff(near**2)[0]
-    assert figures.slopes[0, 0] == pytest.approx(slope, rel=1e-3)
-    omega = float(figures.omega_bilinear[0])
-    met = meeting_speed(4, speed, omega, figures.slopes[0])
-    lips = fc.bilinear_frequencies(rotation.at(met))
-    assert lips.omega_bilinear[0] == pytest.approx(4 * met, rel=3e-3)
 
 
 def test_compiler_is_quiet(

@@ -21,7 +21,6 @@ from fenics_crack import (
 )
 
 TABLE = Scene.load(DEMOS / "paper_plate.toml").contact
-GRADED = {"columns": None, "rows": None, "size": 0.02, "lip_elements": 5}
 GAPS = np.linspace(-2.0, 2.0, 81)[:, None] + 0.003
 
 
@@ -152,35 +151,6 @@ def test_stiffness_per_area_needs_areas() -> None:
     for structure in (None, oscillator()):
         with pytest.raises(InputError, match=r"contact\.stiffness_per_area"):
             contact_law(contact(stiffness_per_area=1e12), structure)
-
-
-@pytest.mark.parametrize("cells", ["quadrilateral", "triangle"])
-@pytest.mark.parametrize("order", [1, 2])
-@pytest.mark.parametrize("layout", ["grid", "graded"])
-def test_areas_of_the_pairs(paper_scene: Scene, layout: str, order: int, cells: str) -> None:
-    """Simpson's or the trapezoidal rule along the lip: their sum is t L less the tip's share.
-
-    The tip belongs to both lips and is no pair: half of the last element, or a sixth.
-    """
-    thickness, length = 0.7, 0.05
-    mesh: dict[str, object] = {"layout": layout, "cells": cells, "order": order}
-    mesh |= {"columns": 8, "rows": 8} if layout == "grid" else GRADED
-    changes = {f"mesh.{key}": value for key, value in mesh.items()}
-    changes |= {"geometry.thickness": thickness, "damping.modes": 2}
-    scene = paper_scene.replace(changes)
-    made = build_structure(scene)
-    position = np.append(made.pair_points[:, 0], length)
-    assert position[0] == pytest.approx(0.0, abs=1e-12) and np.all(np.diff(position) > 0.0)
-    ends = position[::order]
-    shares = np.zeros(len(position))
-    for element, size in enumerate(np.diff(ends)):
-        weights = np.array([0.5, 0.5] if order == 1 else [1.0, 4.0, 1.0])
-        first = order * element
-        shares[first : first + order + 1] += size * weights / weights.sum()
-    assert shares.sum() == pytest.approx(length)
-    assert made.pair_areas == pytest.approx(thickness * shares[:-1], rel=1e-8)
-    tip = (ends[-1] - ends[-2]) * (0.5 if order == 1 else 1.0 / 6.0)
-    assert made.pair_areas.sum() == pytest.approx(thickness * (length - tip), rel=1e-8)
 
 
 def test_refining_the_mesh_does_not_change_the_physics(paper_scene: Scene) -> None:

@@ -108,13 +108,6 @@ def test_double_frequencies_are_found_twice(count: int) -> None:
     np.testing.assert_allclose(modes.shapes.T @ modes.shapes, np.eye(count), atol=1e-12)
 
 
-def test_one_dof() -> None:
-    """A mass m on a spring k: omega = sqrt(k/m), phi = m^-1/2."""
-    modes = solve_modes(Structure.from_matrices([[2.0]], [[18.0]], gap=None), 1)
-    np.testing.assert_allclose(modes.omega, [3.0], rtol=1e-14)
-    np.testing.assert_allclose(modes.shapes, [[2.0**-0.5]], rtol=1e-14)
-
-
 @pytest.mark.parametrize("n", [9, 10, 23])
 def test_signs(n: int) -> None:
     """A chain between walls, sin(j pi i / (n+1)): the first of its largest parts is positive."""

@@ -125,15 +125,6 @@ def test_reduced_plate(breathing_plate: fc.Structure, method: str, error: float)
     np.testing.assert_allclose(reduced.apply_bt(found.shapes.T), 0.0, atol=1e-12)
 
 
-def test_massless_with_all_modes() -> None:
-    """Nothing is left without mass: the ties hold the modes themselves."""
-    stiffness, gap = held_chain()
-    whole = fc.Structure.from_matrices(np.eye(13), stiffness, gap=gap)
-    reduced = fc.reduce_structure(whole, modes=13, method="massless")
-    found = fc.solve_modes(reduced, 12, lips="tied").omega
-    np.testing.assert_allclose(found, np.repeat(half_chain(), 2), rtol=1e-10)
-
-
 @pytest.mark.parametrize("modes", [4, 10, 13])
 def test_massless_with_ties_that_repeat_each_other(modes: int) -> None:
     """A pair given twice, its half, and the sum of two pairs tie no more than the two pairs do."""

@@ -81,23 +81,6 @@ def follow(
 
 
 @pytest.mark.parametrize("longest", [0.05, 0.2, 1.0])
-def test_path_goes_round_a_circle(longest: float) -> None:
-    """x^2 + p^2 = 1 from (1, 0): always on in the same sense, over both folds, again and again."""
-    plane = Plane(lambda x, p: x * x + p * p - 1.0, lambda x, p: 2.0 * x, lambda x, p: 2.0 * p)
-    start = point_on_path(plane, np.array([1.0, 2.0]), 0.0)
-    points = list(Path(plane, start, PathOptions(0.05, longest, max_steps=150)).points())
-    assert len(points) == 150
-    x = np.array([1.0, *(point.unknown[0] for point in points)])
-    p = np.array([0.0, *(point.parameter for point in points)])
-    assert np.abs(x**2 + p**2 - 1.0).max() < 1e-7
-    angle = np.unwrap(np.arctan2(p, x))
-    assert np.all(np.diff(angle) > 0.01) and np.all(np.diff(angle) < 0.5 * np.pi)
-    assert angle[-1] > 2.0 * np.pi
-    # Upwards on the right, downwards on the left: the tangent knows on which side of a fold it is.
-    assert all((point.tangent.p > 0.0) == (point.unknown[0] > 0.0) for point in points)
-
-
-@pytest.mark.parametrize("longest", [0.05, 0.2, 1.0])
 def test_path_passes_both_folds_of_a_cubic(longest: float) -> None:
     """x^3 - x = p: p grows to 0.385 at x = -0.577, falls to -0.385 at 0.577, and grows again."""
     plane = Plane(lambda x, p: x**3 - x - p, lambda x, p: 3.0 * x * x - 1.0, lambda x, p: -1.0)

@@ -87,24 +87,6 @@ def test_pairs_with_mass() -> None:
         fc.integrate_central_difference(structure, omega, rigid, periods=1, steps_per_period=64)
 
 
-def test_files(tmp_path: Path) -> None:
-    """What friction does is read as it was written."""
-    structure, _ = plate("inclined_crack", 0.005)
-    omega, law = 3183.0 * HERTZ, fc.CoulombFriction(RIGID, 0.3)
-    found = solved("inclined_crack", 0.005, omega, 0.3)
-    fc.save(found, tmp_path / "solution.h5")
-    read = fc.load(tmp_path / "solution.h5", structure, law)
-    assert np.array_equal(read.tangential_force_coefficients, found.tangential_force_coefficients)
-    loss = found.indicators().friction_loss
-    assert read.indicators().friction_loss == pytest.approx(loss, rel=0.05)  # of its harmonics
-    with pytest.raises(fc.InputError, match="the law of the file"):
-        fc.load(tmp_path / "solution.h5", structure, fc.CoulombFriction(RIGID, 0.4))
-    history = fc.integrate_exponential(structure, omega, law, periods=2, initial=found)
-    fc.save(history, tmp_path / "history.h5")
-    again = fc.load(tmp_path / "history.h5", structure)
-    assert np.array_equal(again.tangential_gap, history.tangential_gap) and again.friction == 0.3
-
-
 @pytest.mark.parametrize(
     "how", [pytest.param({"tolerance": 0.05}, marks=pytest.mark.nightly), {"harmonics": 8}]
 )

@@ -185,27 +185,6 @@ def test_created_energy_vanishes_with_the_step() -> None:
     assert created[0] < 0.05
 
 
-def test_created_energy_is_of_second_order() -> None:
-    """Like dt^2, in the mean over steps that meet the contact at other phases."""
-    chained, law = chain("none"), fc.UnilateralPenalty(4.0)
-    counts: list[int] = [200, 400, 800, 1600, 3200]
-    created = []
-    for steps in counts:
-        near = range(steps, steps + 56, 7)
-        histories = [
-            [release(count) for count in near],
-            [
-                fc.integrate_central_difference(
-                    chained, 0.8, law, periods=2, steps_per_period=count, dofs=()
-                )
-                for count in near
-            ],
-        ]
-        created.append([np.mean([h.created_energy**2 for h in row]) ** 0.5 for row in histories])
-    for sizes in np.transpose(created):
-        assert log_slope(counts, sizes) == pytest.approx(-2.0, abs=0.2)
-
-
 def test_lumped_mass(soft_plate: fc.Structure) -> None:
     """The plate with its lumped mass moves as its own exact flow says; its steps may be longer."""
     lumped, options = soft_plate.lumped(), {"periods": 3, "steps_per_period": 1024}
