@@ -100,6 +100,13 @@ def changed(path: Path) -> Iterator[h5py.File]:
         file.attrs["digest"] = digest(texts(file), parts)
 
 
+def refusal(call: Callable[[], object], words: str | None = None) -> fc.InputError:
+    """Return the error by which a call refuses its input, in some words."""
+    with pytest.raises(fc.InputError, match=words) as caught:
+        call()
+    return caught.value
+
+
 def wrap(patch: pytest.MonkeyPatch, name: str, around: Callable[..., Any]) -> None:
     """Let calls of a function of the package, by its dotted name, be ``around(function, ...)``."""
     function = pkgutil.resolve_name(name)

@@ -34,35 +34,6 @@ def test_bilinear_oscillator(stiffness: float, harmonics: int) -> None:
         )
 
 
-@pytest.mark.nightly
-def test_breathing_plate(breathing_plate: fc.Structure) -> None:
-    """18 pairs on the reduced structure, soft and stiff, H = 5 and 10, at and above resonance: from
-    fewer harmonics, and by the continuation in the contact compliance."""
-    reduced = fc.reduce_structure(breathing_plate)
-    assert reduced.n_pairs == 18
-    pressed = np.zeros(18, dtype=bool)
-    for stiffness, harmonics, frequencies in (
-        (1e9, 5, (2000.0, 3000.0)),
-        (1e9, 10, (2000.0,)),
-        (1e11, 5, (3000.0,)),
-        (1e11, 10, (3000.0,)),
-    ):
-        for omega in frequencies:
-            problem = fc.Problem(reduced, omega, fc.UnilateralPenalty(stiffness), harmonics)
-            solution = fc.solve_harmonic_balance(
-                reduced, omega, problem.contact, harmonics=harmonics
-            )
-            system = problem.system(problem.compliance())
-            at = system.linearise(
-                system.slow(solution.gap_coefficients, solution.force_coefficients)
-            )
-            left = np.linalg.norm(at.residual) / np.linalg.norm(at.unknown)
-            assert solution.converged and left < 1e-9
-            t = np.linspace(0.0, solution.period, 400)
-            pressed |= solution.contact_force(t).max(axis=0) > 0.0
-    assert np.all(pressed)
-
-
 def test_many_pairs_climb_from_few_harmonics() -> None:
     """Twenty stops on a chain, 220 and 420 unknowns: full steps with more and more harmonics, each
     time from the solution with about half of them."""

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import DEMOS, ROOT, two_masses
+from helpers import DEMOS, ROOT, refusal, two_masses
 from ranks import LIMIT, run_program
 from surroundings import main
 
@@ -481,9 +481,9 @@ def test_links_devices_and_folders(tmp_path: Path) -> None:
     assert Path("/dev/null").is_char_device()
     with pytest.raises(WriteError, match="/dev/full"):
         write_whole("/dev/full", "anything")
-    with pytest.raises(fc.InputError, match="can be written") as refused:
-        write_whole(tmp_path, "anything")
-    assert not isinstance(refused.value, WriteError)
+    assert not isinstance(
+        refusal(lambda: write_whole(tmp_path, "anything"), "can be written"), WriteError
+    )
     assert sorted(tmp_path.iterdir()) == [file, link]
 
 

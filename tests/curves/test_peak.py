@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import shutil
 import sys
-import tempfile
-from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -13,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import ROOT, oscillator
-from mpi4py import MPI
 
 import fenics_crack as fc
 
@@ -198,31 +194,3 @@ def test_short_words() -> None:
     assert "matrices" in str(chain) and "mesh" in str(mesh)
     plate = fc.prepare(scene)
     assert str(plate).startswith("Study(MasslessStructure(20 modes") and len(str(plate)) < 250
-
-
-def looked_at(scene: fc.Scene, comm: MPI.Comm) -> list[float]:
-    """What is watched by default of a curve, a solution and a motion in time; kept and read again
-    (collective)."""
-    curve, solved, marched = fc.curve(scene, comm), fc.solve(scene, comm), fc.integrate(scene, comm)
-    place = comm.bcast(tempfile.mkdtemp() if comm.rank == 0 else None)
-    solved.save(f"{place}/solution.h5")
-    again = fc.load_run(f"{place}/solution.h5", comm)
-    comm.Barrier()
-    if comm.rank == 0:
-        shutil.rmtree(place)
-    return [
-        curve.peak().amplitude,
-        solved.amplitude(),
-        again.amplitude(),
-        marched.indicators().amplitude,
-    ]
-
-
-@pytest.mark.nightly
-@pytest.mark.mpi
-@pytest.mark.parametrize("changes", [{}, POINT], ids=["load", "point"])
-def test_two_ranks(changes: dict[str, Any], on_ranks: Callable[..., Any]) -> None:
-    """They share the mesh, and speak of the same dof."""
-    scene = fc.Scene.load(STEEL).replace(COARSE | changes)
-    alone = looked_at(scene, MPI.COMM_SELF)
-    assert on_ranks(looked_at, scene) == pytest.approx(alone, rel=1e-6)

@@ -266,21 +266,31 @@ def test_what_has_no_phase_resonance() -> None:
     """Friction and smooth laws, no damping, no load, a load of 0; a key beside another
     parameter."""
     law, structure = fc.UnilateralPenalty(1.0), mass(0.01)
-    with pytest.raises(InputError, match="without friction"):
-        resonance_at(Problem(structure, 1.0, fc.SmoothedPenalty(1.0, 1e3), 5))
-    with pytest.raises(InputError, match="no damped mode answers"):
-        resonance_at(Problem(mass(0.0), 0.9, law, 5))
-    with pytest.raises(InputError, match="no damped mode answers"):
-        resonance_at(Problem(mass(0.01, force=0.0), 1.0, law, 5))
+    for call, words in (
+        (
+            lambda: resonance_at(Problem(structure, 1.0, fc.SmoothedPenalty(1.0, 1e3), 5)),
+            "without friction",
+        ),
+        (lambda: resonance_at(Problem(mass(0.0), 0.9, law, 5)), "no damped mode answers"),
+        (
+            lambda: resonance_at(Problem(mass(0.01, force=0.0), 1.0, law, 5)),
+            "no damped mode answers",
+        ),
+    ):
+        with pytest.raises(InputError, match=words):
+            call()
     problem = Problem(structure, 1.0, law, 5)
-    with pytest.raises(InputError, match="start"):
-        follow_resonance(problem, 0.0, 1.0)
-    with pytest.raises(InputError, match="near"):
-        resonance_at(problem, near=0.0)
-    with pytest.raises(InputError, match="tolerance"):
-        follow_resonance(problem, 0.5, 1.0, tolerance=-0.01)
-    with pytest.raises(InputError, match="follow_resonance"):
-        fc.continue_parameter(structure, 1.0, law, "resonance", 0.5, 1.0)
+    for call, words in (
+        (lambda: follow_resonance(problem, 0.0, 1.0), "start"),
+        (lambda: resonance_at(problem, near=0.0), "near"),
+        (lambda: follow_resonance(problem, 0.5, 1.0, tolerance=-0.01), "tolerance"),
+        (
+            lambda: fc.continue_parameter(structure, 1.0, law, "resonance", 0.5, 1.0),
+            "follow_resonance",
+        ),
+    ):
+        with pytest.raises(InputError, match=words):
+            call()
     span = {"parameter": "clearance", "at": "resonance", "start": 0.1, "stop": 1.0}
     with pytest.raises(InputError, match=r"curve.at"):
         fc.Scene.from_mapping(CRACKED | {"curve": span})

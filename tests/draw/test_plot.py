@@ -88,7 +88,6 @@ DRAWN: dict[str, tuple[int, Callable[..., Figure]]] = {
 
 
 @pytest.mark.drawn(8)
-@pytest.mark.usefixtures("not_laid_out")
 @pytest.mark.parametrize("name", DRAWN)
 def test_on_axes_that_are_given(
     name: str, results: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -105,12 +104,13 @@ def test_on_axes_that_are_given(
     assert not panels[count].has_data()
     figure.savefig(tmp_path / "drawn.png")
     assert [path.name for path in tmp_path.iterdir()] == ["drawn.png"]
-    with pytest.raises(fc.InputError, match="axes"):
-        draw(results, axes=panels)
-    with pytest.raises(fc.InputError, match="path"):
-        draw(results, axes=given, path="again.png")
-    with pytest.raises(fc.InputError, match=r"^path = '.*drawn\.xls': .*\.png"):
-        draw(results, path=tmp_path / "drawn.xls")
+    for call, words in (
+        (lambda: draw(results, axes=panels), "axes"),
+        (lambda: draw(results, axes=given, path="again.png"), "path"),
+        (lambda: draw(results, path=tmp_path / "drawn.xls"), r"^path = '.*drawn\.xls': .*\.png"),
+    ):
+        with pytest.raises(fc.InputError, match=words):
+            call()
 
 
 @pytest.mark.drawn(6)

@@ -9,7 +9,7 @@ from typing import Any
 import gmsh
 import numpy as np
 import pytest
-from helpers import gmsh_model
+from helpers import gmsh_model, refusal
 from mpi4py import MPI
 
 from fenics_crack import InputError, Scene, Structure, build_structure, write_msh
@@ -427,9 +427,10 @@ def test_unreadable_mesh_file(content: str | None, tmp_path: Path) -> None:
     path = tmp_path / "broken.msh"
     if content is not None:
         path.write_text(content)
-    with pytest.raises(InputError, match=r"broken\.msh") as caught:
-        build_structure(file_plate(path), MPI.COMM_SELF)
-    assert caught.value.key == "mesh.file"
+    assert (
+        refusal(lambda: build_structure(file_plate(path), MPI.COMM_SELF), r"broken\.msh").key
+        == "mesh.file"
+    )
 
 
 def test_three_dimensional_mesh_file(tmp_path: Path) -> None:
@@ -441,9 +442,10 @@ def test_three_dimensional_mesh_file(tmp_path: Path) -> None:
         model.addPhysicalGroup(3, [1], 1)
         model.mesh.generate(3)
         gmsh.write(str(path))
-    with pytest.raises(InputError, match="plane") as caught:
-        build_structure(file_plate(path), MPI.COMM_SELF)
-    assert caught.value.key == "mesh.file"
+    assert (
+        refusal(lambda: build_structure(file_plate(path), MPI.COMM_SELF), "plane").key
+        == "mesh.file"
+    )
 
 
 def test_load_off_the_mesh_of_a_file(msh: Callable[..., Path]) -> None:
@@ -452,9 +454,7 @@ def test_load_off_the_mesh_of_a_file(msh: Callable[..., Path]) -> None:
     with pytest.raises(InputError, match="on the mesh") as caught:
         build_structure(file_plate(path, **{"excitation.point": (2.1, 0.5)}))
     assert caught.value.key == "excitation.point"
-    with pytest.raises(InputError, match="load") as caught:
-        build_structure(file_plate(path))
-    assert caught.value.key == "excitation.point"
+    assert refusal(lambda: build_structure(file_plate(path)), "load").key == "excitation.point"
 
 
 # --- several ranks --------------------------------------------------------------------------------

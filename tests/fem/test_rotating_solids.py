@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import refusal
 from mpi4py import MPI
 
 import fenics_crack as fc
-from fenics_crack import InputError, Scene
+from fenics_crack import Scene
 from fenics_crack.study.plausibility import remarks_on_scene
 
 SIDE, LENGTH, YOUNG, DENSITY = 0.01, 0.2, 2.1e11, 7850.0
@@ -167,9 +168,7 @@ def test_effective_masses_of_a_shaken_bar(axis: int, shares: tuple[float, ...]) 
 def test_axes_that_cannot_be(key: str, rotation: dict[str, Any], kind: str) -> None:
     tables = BAR | {"rotation": {"speed": 1.0} | rotation} | PUSHED
     tables["geometry"] = BAR["geometry"] | {"kind": kind}
-    with pytest.raises(InputError) as caught:
-        Scene.from_mapping(tables)
-    assert caught.value.key == key
+    assert refusal(lambda: Scene.from_mapping(tables)).key == key
 
 
 @pytest.mark.parametrize("key", ["axis", "center"])
@@ -177,6 +176,10 @@ def test_axes_that_cannot_be(key: str, rotation: dict[str, Any], kind: str) -> N
 def test_vectors_of_solids_have_three_numbers(key: str, value: object) -> None:
     """As what is no vector at all is told."""
     rotation = {"speed": 1.0, "hub_radius": 0.1, key: value}
-    with pytest.raises(InputError, match="three finite numbers") as caught:
-        Scene.from_mapping(BAR | PUSHED | {"rotation": rotation})
-    assert caught.value.key == f"rotation.{key}"
+    assert (
+        refusal(
+            lambda: Scene.from_mapping(BAR | PUSHED | {"rotation": rotation}),
+            "three finite numbers",
+        ).key
+        == f"rotation.{key}"
+    )

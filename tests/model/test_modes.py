@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.linalg
-from helpers import chain_stiffness, dense, log_slope
+from helpers import chain_stiffness, dense, log_slope, refusal
 from mpi4py import MPI
 
 import fenics_crack as fc
@@ -171,9 +171,7 @@ def test_what_is_lost_in_rounding_is_said(height: float) -> None:
 def test_count_that_cannot_be(count: Any) -> None:
     """The number of modes is a whole number from 1 to the number of dofs."""
     structure = Structure.from_matrices(*random_matrices(30), gap=None)
-    with pytest.raises(InputError) as caught:
-        solve_modes(structure, count)
-    assert caught.value.key == "count"
+    assert refusal(lambda: solve_modes(structure, count)).key == "count"
 
 
 # --- modal damping --------------------------------------------------------------------------------
@@ -257,9 +255,7 @@ def test_unreachable_first_frequency(breathing: Scene, target: float) -> None:
 
 def test_length_without_a_frequency(paper_scene: Scene) -> None:
     """Without crack.first_omega no length can be found."""
-    with pytest.raises(InputError) as caught:
-        find_crack_length(paper_scene, MPI.COMM_SELF)
-    assert caught.value.key == "crack.first_omega"
+    assert refusal(lambda: find_crack_length(paper_scene, MPI.COMM_SELF)).key == "crack.first_omega"
 
 
 # --- several ranks --------------------------------------------------------------------------------

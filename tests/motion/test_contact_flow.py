@@ -284,14 +284,23 @@ def test_rest_stays() -> None:
 def test_budget() -> None:
     """A motion that takes more is given up at once."""
     flow = known(chain(), fc.UnilateralPenalty(50.0))
-    with pytest.raises(fc.ConvergenceError, match="open and close without end"):
-        flow.advance(thrown(flow), 0.8, 1e3, budget=Budget(intervals=20))
-    with pytest.raises(fc.ConvergenceError, match="too fast for that long"):
-        flow.advance(thrown(flow), 0.8, 1e3, budget=Budget(pieces=20))
-    with pytest.raises(fc.ConvergenceError, match="too fast for that long"):  # before any event
-        flow.advance(thrown(flow), 0.8, 1e300, budget=Budget(intervals=20))
-    with pytest.raises(fc.ConvergenceError, match="not finite"):
-        flow.advance(np.full(flow.size, np.nan), 0.8, 1e3)
+    for call, words in (
+        (
+            lambda: flow.advance(thrown(flow), 0.8, 1e3, budget=Budget(intervals=20)),
+            "open and close without end",
+        ),
+        (
+            lambda: flow.advance(thrown(flow), 0.8, 1e3, budget=Budget(pieces=20)),
+            "too fast for that long",
+        ),
+        (
+            lambda: flow.advance(thrown(flow), 0.8, 1e300, budget=Budget(intervals=20)),
+            "too fast for that long",
+        ),
+        (lambda: flow.advance(np.full(flow.size, np.nan), 0.8, 1e3), "not finite"),
+    ):
+        with pytest.raises(fc.ConvergenceError, match=words):
+            call()
 
 
 def test_who_has_a_flow() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 import pytest
-from helpers import DEMOS
+from helpers import DEMOS, refusal
 
 from fenics_crack import InputError, Scene
 
@@ -53,9 +53,8 @@ KEYS = {
 def test_in_a_file_that_is_no_toml(old: str, new: str, question: str) -> None:
     """TOML itself refuses it: the line is shown as it should be."""
     assert old in PLATE
-    with pytest.raises(InputError) as caught:
-        Scene.from_text(PLATE.replace(old, new))
-    assert question in caught.value.allowed and "line" in caught.value.allowed
+    error = refusal(lambda: Scene.from_text(PLATE.replace(old, new)))
+    assert question in error.allowed and "line" in error.allowed
 
 
 def test_what_is_not_understood_is_not_guessed() -> None:
@@ -63,6 +62,6 @@ def test_what_is_not_understood_is_not_guessed() -> None:
     with pytest.raises(InputError) as caught:
         Scene.from_text(PLATE.replace("poisson = 0.3", "poisson 0.3"))
     assert "did you mean" not in str(caught.value)
-    with pytest.raises(InputError) as caught:
-        Scene.from_text(PLATE).replace({"crack.length": "-30 mm"})
-    assert "did you mean" not in str(caught.value)
+    assert "did you mean" not in str(
+        refusal(lambda: Scene.from_text(PLATE).replace({"crack.length": "-30 mm"}))
+    )

@@ -6,9 +6,10 @@ import math
 from typing import Any
 
 import pytest
+from helpers import refusal
 from test_scene import GONE, GRADED, changed
 
-from fenics_crack import InputError, Scene
+from fenics_crack import Scene
 
 RPM = 2.0 * math.pi / 60.0
 ROTATING = GRADED | {"rotation": {"rpm": 6000.0, "hub_radius": 0.2}}
@@ -77,6 +78,4 @@ def test_a_swept_frequency_takes_the_place_of_the_order() -> None:
 )
 def test_what_cannot_be_is_refused(key: str, changes: dict[str, Any]) -> None:
     """The error names the key."""
-    with pytest.raises(InputError) as caught:
-        Scene.from_mapping(changed(changes))
-    assert caught.value.key == key
+    assert refusal(lambda: Scene.from_mapping(changed(changes))).key == key

@@ -234,12 +234,13 @@ def test_gap_is_that_of_the_coordinates() -> None:
 
 def test_what_cannot_be_marched() -> None:
     """A law that is not piecewise linear, many dofs, and a constraint of lips with mass."""
-    with pytest.raises(fc.InputError, match="contact"):
-        ExponentialFlow(massless(), 0.8, fc.SmoothedPenalty(1.0, 1.0), 8)
-    with pytest.raises(fc.InputError, match="massless"):
-        ExponentialFlow(chain(), 0.8, RIGID, 8)
-    with pytest.raises(fc.InputError, match="700 dofs"):
-        ExponentialFlow(chain("none", 700), 0.8, PENALTY, 8)
+    for call, words in (
+        (lambda: ExponentialFlow(massless(), 0.8, fc.SmoothedPenalty(1.0, 1.0), 8), "contact"),
+        (lambda: ExponentialFlow(chain(), 0.8, RIGID, 8), "massless"),
+        (lambda: ExponentialFlow(chain("none", 700), 0.8, PENALTY, 8), "700 dofs"),
+    ):
+        with pytest.raises(fc.InputError, match=words):
+            call()
     resonant = chain("none")
     with pytest.raises(fc.ConvergenceError, match="resonance"):
         ExponentialFlow(resonant, float(all_modes(resonant).squares[2] ** 0.5), PENALTY, 8)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers import dense_matrices, log_slope, oscillator, random_stiffness
+from helpers import dense_matrices, oscillator, random_stiffness
 from scipy.linalg import expm
 
 import fenics_crack as fc
@@ -52,27 +52,6 @@ def test_overdamped_motion(ratio: float) -> None:
     assert np.allclose(history.gap[:, 0] + 100.0, exact, atol=1e-12)
     solution = fc.solve_harmonic_balance(structure, 1.0, law, harmonics=3)
     assert solution.report.total < 1e-10 and floquet(structure, solution).verdict == "stable"
-
-
-def test_central_differences_converge_to_it() -> None:
-    """Two pairs with a clearance and a preload; the difference falls like dt^2."""
-    stiffness = np.array([[3.0, -1.0, 0.0], [-1.0, 3.0, -1.0], [0.0, -1.0, 2.0]])
-    gap = np.array([[1.0, 0.0], [-1.0, 1.0], [0.0, -1.0]])
-    structure = fc.Structure.from_matrices(
-        np.eye(3), stiffness, gap=gap, force_sin=[1.0, 0.0, -1.0], clearance=[0.1, -0.05],
-        damping=fc.ModalDamping(0.05),
-    )  # fmt: skip
-    law, omega = fc.UnilateralPenalty(np.array([5.0, 9.0])), 0.9
-    exact = integrate_events(structure, omega, law, periods=4, steps_per_period=200)
-    assert np.any(exact.gap > 0.0, axis=0).all()
-    errors = []
-    for factor in (1, 2, 4, 8):
-        history = fc.integrate_central_difference(
-            structure, omega, law, periods=4, steps_per_period=200 * factor
-        )
-        errors.append(np.abs(history.gap[::factor] - exact.gap).max())
-    assert log_slope([1, 2, 4, 8], errors) < -1.7
-    assert errors[-1] < 1e-4 * np.abs(exact.gap).max()
 
 
 def test_brief_contacts_are_not_missed() -> None:

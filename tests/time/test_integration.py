@@ -54,22 +54,6 @@ def test_contact_release() -> None:
     assert force.sum() * step == pytest.approx(198.0198, rel=1e-3)
 
 
-def test_second_order_on_a_smooth_motion(paper_structure: fc.Structure) -> None:
-    """A linear motion with modal damping against the frequency response: slope 2."""
-    law = fc.UnilateralPenalty(1e-3)  # as good as no contact
-    orbit = fc.solve_linear(paper_structure, 2000.0)
-    dof = paper_structure.find_dof((0.1, 0.1), "x")
-    counts, errors = (320, 640, 1280), []
-    for steps in counts:
-        history = fc.integrate_central_difference(
-            paper_structure, 2000.0, law, periods=2, steps_per_period=steps, initial=orbit
-        )
-        exact = orbit.displacement(history.time, [dof])
-        errors.append(relative(history.displacement([dof]), exact))
-    assert log_slope(counts, errors) == pytest.approx(-2.0, abs=0.15)
-    assert errors[-1] < 1e-4
-
-
 @pytest.mark.parametrize("damping", ["none", "modal", "few modes", "rayleigh", "matrix"])
 def test_damping_forms_against_matrix_exponential(damping: str) -> None:
     """Free vibration of a small system, every way of damping, against SciPy's expm."""
@@ -103,31 +87,6 @@ def test_damping_forms_against_matrix_exponential(damping: str) -> None:
     exact = (expm(flow * history.time[last]) @ start.ravel())[:n]
     found = history.displacement(range(n))[last]
     assert np.linalg.norm(found - exact) < 1e-4 * np.linalg.norm(start[0])
-
-
-@pytest.mark.usefixtures("predicted_errors")
-def test_paper_data_does_not_settle(paper_structure: fc.Structure) -> None:
-    """k = 1e11, xi = 0.001: started on the orbit of the harmonic balance, the motion leaves it."""
-    law = fc.UnilateralPenalty(1e11)
-    orbit = fc.solve_harmonic_balance(paper_structure, 2000.0, law, harmonics=10)
-    history = fc.integrate_central_difference(
-        paper_structure,
-        2000.0,
-        law,
-        periods=150,
-        steps_per_period=2304,
-        initial=orbit,
-        settle=1e-6,
-        dofs=[],
-    )
-    assert history.periods == 150
-    assert history.settled > 1e-3
-    folded = history.by_period(history.gap[:, 0])
-    assert folded.shape == (150, 2304)
-    drift = np.linalg.norm(folded - orbit.gap(history.time[:2304])[:, 0], axis=1)
-    assert drift.max() > 3.0 * drift[0]
-    opening = -folded.min(axis=1)
-    assert 0.5e-6 < opening.min() and opening.max() < 5e-6  # bounded all the same
 
 
 def test_step_beyond_the_stable_one_is_refused(soft_plate: fc.Structure) -> None:
