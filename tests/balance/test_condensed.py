@@ -1,7 +1,7 @@
 """Harmonic balance condensed onto the pairs: equal to the full block system, and to published
 orbits."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
@@ -20,7 +20,6 @@ from helpers import (
     to_complex,
 )
 from laboratory import solve_form
-from mpi4py import MPI
 
 import fenics_crack as fc
 from fenics_crack import Problem
@@ -252,62 +251,6 @@ def test_twice_the_period() -> None:
     )
     assert again.iterations <= 1
     assert relative(again.gap_coefficients, same.gap_coefficients) < 1e-8
-
-
-# --- ranks ----------------------------------------------------------------------------------------
-
-
-def solutions(scene: fc.Scene, comm: MPI.Comm) -> dict[str, Any]:
-    """Gaps, motion of the loaded corner, and errors, by law and structure (collective)."""
-    plate = fc.build_structure(scene, comm)
-    reduced = fc.reduce_structure(plate, modes=12)
-    corner = plate.find_dof((0.1, 0.1), "x")
-    penalty, smoothed = fc.UnilateralPenalty(1e9), fc.SmoothedPenalty(1e9, 1e9)
-    soft = fc.UnilateralPenalty(1e8)  # next to a wave of 1e9 no orbit is found, by a long search
-    found: dict[str, Any] = {}
-    for name, structure, law in (
-        ("whole", plate, penalty),
-        ("smoothed", plate, smoothed),
-        ("reduced", reduced, soft),
-        ("constraint", plate, fc.UnilateralConstraint(1e8)),
-    ):
-        solution = fc.solve_harmonic_balance(structure, 2000.0, law, harmonics=7)
-        report = solution.report
-        motion = solution.coefficients_at([corner])
-        found[name] = solution.gap_coefficients, motion, [report.truncation, report.reduction]
-    return found
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize(
-    ("mesh", "pairs"),
-    [
-        pytest.param(
-            {"mesh.order": 2, "mesh.columns": 8, "mesh.rows": 10},
-            8,
-            id="factored",
-            marks=pytest.mark.nightly,
-        ),
-        pytest.param({}, 4, id="small"),
-    ],
-)
-def test_same_solution_on_one_and_two_ranks(
-    paper_scene: fc.Scene, on_ranks: Callable[..., Any], mesh: dict[str, Any], pairs: int
-) -> None:
-    """A plate so large that one rank factors it too, and a small one: to 1e-8."""
-    changes = {"mesh.columns": 8, "mesh.rows": 8, "damping.ratio": 0.01, "damping.modes": 12} | mesh
-    scene = paper_scene.replace(changes)
-    plate = fc.build_structure(scene)
-    problem = Problem(plate, 2000.0, fc.UnilateralPenalty(1.0), 1)
-    assert (type(problem.compliance()) is FactoredCompliance) == (pairs == 8)
-    parallel = on_ranks(solutions, scene)
-    for name, (gap, motion, errors) in solutions(scene, MPI.COMM_SELF).items():
-        assert gap.shape == (15, pairs)
-        assert relative(parallel[name][0], gap) < 1e-8
-        assert relative(parallel[name][1], motion) < 1e-8
-        if pairs == 8 or name == "reduced":  # else one rank knows R beyond H from all modes
-            # Estimates above 1 magnify what rounding has changed.
-            assert relative(np.array(parallel[name][2]), np.array(errors)) < 1e-5
 
 
 # --- refusals -------------------------------------------------------------------------------------

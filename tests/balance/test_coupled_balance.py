@@ -113,33 +113,6 @@ def test_matrix_free_is_dense(short_chain: fc.Structure) -> None:
     assert np.isnan(free.sign) and abs(dense.sign) == 1.0
 
 
-def test_gap_by_force_is_the_slope_of_the_solution(short_chain: fc.Structure) -> None:
-    """A disturbed force, or linear gap, changes the solution's gap as the linearisation says."""
-    system = system_of(short_chain, RIGID, 8)
-    known = fc.solve_harmonic_balance(short_chain, 0.8, RIGID, harmonics=8)
-    slow = known.slow_gap_coefficients
-    change, step = random_gaps(8, 3, 4), 1e-6
-
-    def solved(linear: np.ndarray) -> np.ndarray:
-        moved = replace_linear(system, linear)
-        at = moved.linearise(slow)
-        for _ in range(8):
-            at = moved.linearise(at.unknown + at.solve(-at.residual))
-        return at.gap
-
-    after, before = (solved(system.linear + s * step * change) for s in (1.0, -1.0))
-    at = system.linearise(slow)
-    found = at.gap_of(at.solve(change))
-    assert relative((after - before) / (2.0 * step), found) < 1e-4
-
-
-def replace_linear(system: Any, linear: np.ndarray) -> Any:
-    """The same equations with another linear gap."""
-    other = type(system)(system.compliance, system.integrals)
-    other.linear = linear
-    return other
-
-
 # --- solutions ------------------------------------------------------------------------------------
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers import chain, oscillator, sampled_harmonics
+from helpers import chain
 
 import fenics_crack as fc
 
@@ -29,24 +29,6 @@ def bilinear_wave(ratio: float, count: int) -> np.ndarray:
     closed = np.sin(np.pi * time / (1.0 - open_share)) / ratio
     open_part = -np.sin(np.pi * (time - (1.0 - open_share)) / open_share)
     return np.where(time < 1.0 - open_share, closed, open_part)
-
-
-def test_bilinear_oscillator_at_its_resonance() -> None:
-    """Lightly damped and driven at 2 w_o w_c / (w_o + w_c), its wave is that of the free motion."""
-    ratio = 2.0
-    omega = 2.0 * ratio / (1.0 + ratio)
-    structure = oscillator(damping=0.001)
-    law = fc.UnilateralPenalty(ratio**2 - 1.0)
-    found = fc.solve_harmonic_balance(structure, omega, law, harmonics=20).indicators(0)
-    wave = bilinear_wave(ratio, 8192)
-    mean, free = sampled_harmonics(wave)
-    assert found.ratio_2_1 == pytest.approx(free[1] / free[0], rel=1e-3)
-    assert found.ratio_3_1 == pytest.approx(free[2] / free[0], rel=1e-2)
-    assert found.mean_shift == pytest.approx(mean / free[0], rel=1e-3)
-    assert found.closed_share == pytest.approx(1.0 / (1.0 + ratio), abs=2e-3)
-    curve = fc.continue_frequency(structure, 1.2, 1.4, law, harmonics=10)
-    along = curve.indicators(0)
-    assert along.omega[np.argmax(along.amplitude)] == pytest.approx(omega, rel=2e-3)
 
 
 @pytest.mark.parametrize("massless", [False, True])

@@ -266,6 +266,7 @@ def test_what_has_no_phase_resonance() -> None:
     """Friction and smooth laws, no damping, no load, a load of 0; a key beside another
     parameter."""
     law, structure = fc.UnilateralPenalty(1.0), mass(0.01)
+    problem = Problem(structure, 1.0, law, 5)
     for call, words in (
         (
             lambda: resonance_at(Problem(structure, 1.0, fc.SmoothedPenalty(1.0, 1e3), 5)),
@@ -276,11 +277,6 @@ def test_what_has_no_phase_resonance() -> None:
             lambda: resonance_at(Problem(mass(0.01, force=0.0), 1.0, law, 5)),
             "no damped mode answers",
         ),
-    ):
-        with pytest.raises(InputError, match=words):
-            call()
-    problem = Problem(structure, 1.0, law, 5)
-    for call, words in (
         (lambda: follow_resonance(problem, 0.0, 1.0), "start"),
         (lambda: resonance_at(problem, near=0.0), "near"),
         (lambda: follow_resonance(problem, 0.5, 1.0, tolerance=-0.01), "tolerance"),

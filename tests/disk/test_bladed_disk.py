@@ -65,7 +65,6 @@ def test_results_come_back(run: fc.Run[fc.PeriodicSolution], tmp_path: Path) -> 
     modes = fc.modes(run.scene, 3)
     modes.save(tmp_path / "modes.h5")
     found = fc.load_run(tmp_path / "modes.h5").result
-    assert isinstance(found, fc.Modes)
     assert found.shapes == pytest.approx(modes.result.shapes, abs=1e-9)
 
 

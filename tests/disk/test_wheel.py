@@ -239,7 +239,6 @@ def resonance(scene: fc.Scene) -> tuple[float, int]:
     sweep = {"parameter": "frequency", "start": 1260.0, "stop": 1290.0, "stability": False}
     run = fc.curve(scene.replace({f"curve.{key}": value for key, value in sweep.items()}))
     wheel = run.structure.whole
-    assert isinstance(wheel, Wheel)
     return run.peak().omega / (2.0 * np.pi), wheel.sector.structure.n_dofs
 
 

@@ -244,7 +244,6 @@ def test_contact_of_two_cracks_and_its_mirror_image(law: str) -> None:
     np.testing.assert_allclose(*found, atol=1e-5 * np.abs(found[0]).max())
 
 
-# --- stress intensity -----------------------------------------------------------------------------
 # --- several ranks --------------------------------------------------------------------------------
 def summary(scene: Scene, comm: MPI.Comm) -> dict[str, Any]:
     """What must not depend on the number of ranks (collective)."""

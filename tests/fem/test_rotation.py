@@ -183,7 +183,6 @@ def test_speeds_too_high_and_loads_are_refused() -> None:
             same = varied.rotation.at(speed)
             assert np.array_equal(same.clearance, varied.clearance)
             assert same.damping == varied.damping != structure.whole.damping
-    assert plate.contact is not None
     with pytest.raises(InputError, match="parameter"):
         fc.continue_parameter(plate.structure, 3000.0, plate.contact, "load", 0.5, 1.0)
 
@@ -215,9 +214,6 @@ def test_the_length_found_from_a_frequency_is_that_at_rest() -> None:
     assert found == pytest.approx(0.006, rel=2e-3)
 
 
-# --- tips of solids -------------------------------------------------------------------------------
-
-
 def test_lumped_and_tied_blades_rotate_still() -> None:
     """Part of their mean load is centrifugal, which is not multiplied; their run-ups are theirs."""
     whole = fc.build_structure(cracked(600.0), MPI.COMM_SELF)
@@ -229,6 +225,3 @@ def test_lumped_and_tied_blades_rotate_still() -> None:
         there = other.rotation.at(650.0)
         expected = fc.solve_modes(there, 3).omega
         assert spinning.at_speed(650.0).omega == pytest.approx(expected, rel=1e-7)
-
-
-# --- insides of solids that rotate, and of compilers ----------------------------------------------

@@ -17,9 +17,7 @@ from fenics_crack.model.receptance import Receptance, last_receptance, receptanc
 
 def reduced(structure: fc.Structure, modes: int) -> MasslessStructure:
     """Without mass on the lips."""
-    found = fc.reduce_structure(structure, modes=modes, method="massless")
-    assert isinstance(found, MasslessStructure)
-    return found
+    return fc.reduce_structure(structure, modes=modes, method="massless")
 
 
 def compliance_of(structure: fc.Structure, base: float, harmonics: int) -> Any:
@@ -201,7 +199,6 @@ def test_varied_copies() -> None:
     other = reduced(structure.varied(**changes), 6)
     for found, expected in zip(seen(one, base, 4), seen(other, base, 4), strict=True):
         assert relative(found, expected) < 1e-9
-    assert isinstance(one.reference, MasslessStructure)
     assert relative(seen(one.reference, base, 4)[1], seen(other.reference, base, 4)[1]) < 1e-9
     force = np.random.default_rng(5).normal(size=(9, 3))
     moved = [made.expand(compliance_of(made, base, 4).displacement(force)) for made in (one, other)]
@@ -314,7 +311,6 @@ def test_any_number_of_modes_from_those_of_another(damping: str, unconstrained: 
         structure = structure.varied(load=2.0, damping=3.0, clearance=0.1)
         made, motion = reduced(structure, modes), []
         for one in (made, made.reference):
-            assert isinstance(one, MasslessStructure)
             some = np.sin(np.arange(3.0 * one.n_dofs)).reshape(3, -1)
             shown = one.expand(some)
             dofs = [0, 7, structure.n_dofs - 1]

@@ -63,22 +63,6 @@ def test_loss_of_a_slide() -> None:
         assert orbit.work.friction[0] == pytest.approx(4.0 * 0.3 * (size - 0.6), rel=1e-9)
 
 
-def test_no_friction_in_the_limit() -> None:
-    """With mu -> 0 the solution without friction; 0 itself is that law."""
-    structure, _ = plate("inclined_crack", 0.005)
-    omega = 3183.0 * HERTZ
-    free = fc.solve_harmonic_balance(structure, omega, RIGID, tolerance=0.05, throw=False)
-    found = solved("inclined_crack", 0.005, omega, 1e-6)
-    assert found.amplitude() == pytest.approx(free.amplitude(), rel=1e-5)
-    scene = fc.Scene.load("demos/inclined_crack.toml")
-    none = fc.contact_law(scene.replace({"contact.friction": 0.0}).contact, plate_whole())
-    assert isinstance(none, fc.UnilateralPenalty)
-
-
-def plate_whole() -> fc.Structure:
-    return plate("inclined_crack", 0.005)[1]
-
-
 # --- plates ---------------------------------------------------------------------------------------
 
 

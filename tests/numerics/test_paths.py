@@ -4,14 +4,13 @@ PETSc's SNES and the kernel's loops on the same equations; systems whose matrix 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from itertools import islice, pairwise
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from helpers import chain, oscillator, relative
+from helpers import chain, relative
 
 import fenics_crack as fc
 from fenics_crack.curves.waves import WAVES
@@ -26,7 +25,6 @@ from fenics_crack.numerics.newton import (
     point_on_path,
     solve_at,
     solve_in_plane,
-    tangent_of,
 )
 from fenics_crack.numerics.path import Closed, Crossing, Ended, Fold, Path, PathOptions, Target
 
@@ -253,36 +251,6 @@ def test_equations_of_a_path(light: bool) -> None:
     for point in points:
         orbit = find_orbit(flow, point.parameter * 0.6, point.unknown / system.scale)
         assert relative(point.unknown, system.scale * orbit.state) < 1e-6
-
-
-def test_point_between_two_is_judged_once() -> None:
-    """Brent's method asks the test function once at each orbit that it meets."""
-    law = fc.UnilateralPenalty(1.0)
-    found = fc.solve_harmonic_balance(oscillator(), 1.0, law, harmonics=5)
-    known = found.assessment
-    assert known.flow is not None
-    system = FlowOrbits(known.flow, found.omega, known.states[0])
-    start = solve_in_plane(system, system.start, 1.0, None, tolerance=1e-12)
-    assert start is not None and start.at is not None
-    tangent = tangent_of(system, start.unknown, start.at)
-    before = replace(start, tangent=tangent)
-    after = solve_in_plane(
-        system,
-        before.unknown + 0.02 * tangent.x,
-        before.parameter + 0.02 * tangent.p,
-        tangent,
-        tolerance=1e-12,
-    )
-    assert after is not None
-    asked: list[float] = []
-
-    def test(point: PathPoint) -> float:
-        asked.append(point.parameter)
-        return point.parameter - (before.parameter + 0.004 * tangent.p)
-
-    met = Crossing(test).locate(system, (before, after), 1e-12)
-    assert met.parameter == pytest.approx(before.parameter + 0.004 * tangent.p, rel=1e-11)
-    assert len(set(asked)) == len(asked)
 
 
 class Narrow:

@@ -130,9 +130,6 @@ def test_exponential_steps(dofs: int, pairs: int, damping: str, steps: int, seed
     assert np.array_equal(found.closed, forces > 0.0)
 
 
-# --- exact flow -----------------------------------------------------------------------------------
-
-
 # --- the flow by exponential steps ----------------------------------------------------------------
 
 
@@ -196,23 +193,6 @@ def test_no_step_is_too_long(
 
 
 # --- steady motion --------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("damping", ["modal", "matrix", "none"])
-@pytest.mark.parametrize("modes", [4, 10])
-def test_steady_motion_is_the_linear_solution(damping: str, modes: int) -> None:
-    """Gap and displacement of lips that pass through each other, at every instant."""
-    structure = chain(damping).varied(clearance=1e3)  # contact is out of reach
-    made = fc.reduce_structure(structure, modes=modes, method="massless")
-    flow = ExponentialFlow(made, 0.8, PENALTY, 24)
-    steps = flow.advance(flow.steady[0])
-    time = np.arange(24) * flow.step_size
-    linear = fc.solve_linear(made, 0.8)
-    assert relative(steps.gaps[:-1], linear.gap(time)) < 1e-9
-    assert relative(steps.states[-1], steps.states[0]) < 1e-10
-    motion = flow.coordinates(steps.states[:-1], steps.forces[:-1])
-    assert relative(made.expand(motion), linear.displacement_field(time)) < 1e-8
-    assert relative(made.apply_bt(motion) - made.clearance, steps.gaps[:-1]) < 1e-10
 
 
 def test_gap_is_that_of_the_coordinates() -> None:

@@ -25,7 +25,6 @@ def by_runge_kutta(
     structure: fc.Structure, omega: float, springs: float, duration: float, instants: np.ndarray
 ) -> np.ndarray:
     """Gaps from rest by DOP853, contact at each instant by Lawson and Hanson's method."""
-    assert isinstance(structure, fc.MasslessStructure)
     rows, shapes, squares = structure.gap.toarray(), structure.shapes, structure.omega**2
     pairs, count, seen = structure.n_pairs, len(squares), shapes.T @ rows
     damping = np.diag(structure.rate) if structure.rate.ndim == 1 else structure.rate

@@ -58,22 +58,6 @@ def test_order(method: Method) -> None:
     assert order == pytest.approx(2.0, abs=0.25)
 
 
-@BOTH
-def test_loss_of_a_slide(method: Method) -> None:
-    """4 F (A - F / k_t) of the Jenkins oscillator's own slide between -A and A."""
-    structure, law = jenkins()
-    for steps in (512, 2048):
-        history = last_period(method, structure, law, steps)
-        assert history.tangential_gap is not None
-        size = 0.5 * np.ptp(history.tangential_gap)
-        seen = history.indicators(0)
-        bound = 20.0 / steps**2  # instants beside the turning points and the ends of sticking
-        assert seen.stick_share + seen.slip_share == pytest.approx(1.0)
-        assert seen.friction_loss == pytest.approx(
-            4.0 * 0.3 * (size - 0.6), abs=size * bound * 10.0
-        )
-
-
 def test_energy_of_pairs_with_mass() -> None:
     """Over a settled period the load's work is what damping and friction take: to rounding while
     the pair is closed; where it opens, too, but for what closing between steps creates."""
