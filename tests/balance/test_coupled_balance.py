@@ -281,3 +281,20 @@ def test_reduction_of_the_breathing_plate(coarse_breathing_plate: fc.Structure) 
         errors.append(true_error(found, exact))
         assert errors[-1] / 3.0 < found.report.reduction < 3.0 * errors[-1]
     assert 1e-3 < errors[-1] < errors[0] / 3.0
+
+
+def test_sampling_and_penetration(plate: fc.Structure) -> None:
+    """Few samples against exact integrals, and the depth by its definition."""
+    law = fc.UnilateralPenalty(1e9)
+    exact = fc.solve_harmonic_balance(plate, 2000.0, law, harmonics=10)
+    assert exact.report.sampling == 0.0
+    for samples in (64, 256):
+        found = fc.solve_harmonic_balance(plate, 2000.0, law, harmonics=10, samples=samples)
+        error = true_error(found, exact)
+        assert error / 3.0 < found.report.sampling < 3.0 * error
+    fine = fc.solve_harmonic_balance(plate, 2000.0, law, harmonics=80)
+    gap = fine.gap(np.arange(4096) * fine.period / 4096)
+    share = np.sqrt(np.mean(np.maximum(gap, 0.0) ** 2) / np.mean(gap**2))
+    assert fine.report.penetration == pytest.approx(share, rel=0.02)
+    rigid = fc.solve_harmonic_balance(plate, 2000.0, RIGID, harmonics=10)
+    assert rigid.report.penetration == 0.0

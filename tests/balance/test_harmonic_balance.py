@@ -150,6 +150,23 @@ def test_cold_start_on_soft_contact_of_all_pairs(breathing_plate: fc.Structure) 
         assert solution.gap(np.linspace(0.0, solution.period, 200)).max() > 0.0
 
 
+@pytest.mark.parametrize("stiffness", [1e9, 1e10, 1e11])
+@pytest.mark.parametrize("ratio", [0.001, 0.01])
+def test_cold_start_on_the_paper_plate(
+    paper_scene: fc.Scene, stiffness: float, ratio: float
+) -> None:
+    """H = 5, both laws, the paper's stiffness among others, from the linear solution."""
+    plate = fc.build_structure(paper_scene.replace({"damping.ratio": ratio}))
+    hard = fc.solve_harmonic_balance(plate, 2000.0, fc.UnilateralPenalty(stiffness))
+    smooth = fc.solve_harmonic_balance(plate, 2000.0, fc.SmoothedPenalty(stiffness, 1e11))
+    assert hard.report.residual < 1e-10 and smooth.report.residual < 1e-10
+    t = np.linspace(0.0, hard.period, 400)
+    penetration = hard.gap(t).max()
+    assert 0.0 < penetration
+    assert hard.contact_force(t).max() == pytest.approx(stiffness * penetration)
+    assert np.all(hard.contact_force(t) >= 0.0)
+
+
 def test_continues_from_a_given_solution() -> None:
     """From the solution itself no iteration is needed; the number of harmonics may differ."""
     law = fc.UnilateralPenalty(1.0)

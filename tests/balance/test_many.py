@@ -82,18 +82,6 @@ def test_friction() -> None:
     check_single(solved(structure, law, drawn(0.9, 20)), 0.9)
 
 
-@pytest.mark.nightly
-def test_order_of_cases(light_lips: fc.Structure) -> None:
-    """Shuffled cases have the same orbits."""
-    omega = float(fc.bilinear_frequencies(light_lips).omega_bilinear[0])
-    cases, order = drawn(omega, 60), np.random.default_rng(1).permutation(60)
-    one = solved(light_lips, RIGID, cases)
-    other = solved(light_lips, RIGID, {name: values[order] for name, values in cases.items()})
-    apart = np.abs(one.states[order] - other.states).max(axis=1)
-    assert np.all(apart <= 1e-9 * np.abs(other.states).max(axis=1))
-    assert one.verdict[order].tolist() == other.verdict.tolist()
-
-
 def test_proportional_loads() -> None:
     """Without a clearance the orbit grows with the load; a reversed one is another motion."""
     many = fc.solve_many(oscillator(), 0.7, fc.UnilateralPenalty(3.0), load=[1.0, 3.0, -2.0, 0.0])

@@ -51,9 +51,7 @@ def ring(**changes: Any) -> fc.Scene:
 
 def wheel_of(scene: fc.Scene) -> Wheel:
     """The whole wheel of a scene."""
-    found = fc.build_structure(scene)
-    assert isinstance(found, Wheel)
-    return found
+    return fc.build_structure(scene)
 
 
 def write_whole(wheel: Wheel, path: Path) -> None:

@@ -248,7 +248,6 @@ def test_contact_of_two_cracks_and_its_mirror_image(law: str) -> None:
 def summary(scene: Scene, comm: MPI.Comm) -> dict[str, Any]:
     """What must not depend on the number of ranks (collective)."""
     structure = build_structure(scene, comm)
-    assert structure.nodes is not None and structure.pair_points is not None
     points = structure.nodes.points
     linear = points @ np.array([[0.3, 1.7], [-0.4, 0.9]])
     for number, crack in enumerate(scene.all_cracks.values()):

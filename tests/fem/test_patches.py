@@ -44,7 +44,6 @@ def test_gaps_are_means_by_hats(order: int) -> None:
     is a half one, and the last goes on to the tip. All areas are the crack's, and a slip alike."""
     structure = fc.build_structure(column(order=order, patches=5))
     positions, areas = structure.pairs.positions, structure.pair_areas
-    assert positions is not None and areas is not None
     assert areas.sum() == pytest.approx(0.06 * 0.01, rel=1e-12)
     x = np.append(positions, 0.06)
     length = np.diff(x)

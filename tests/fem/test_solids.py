@@ -914,11 +914,6 @@ def test_loads_at_the_nodes_of_a_curved_side() -> None:
         assert found[1].sum() == 2.0 and watched is not None
 
 
-def test_loads_on_a_crack_there_are_two_lips() -> None:
-    with pytest.raises(InputError, match="upper one"):
-        fc.build_structure(solid(THROUGH, **{"excitation.point": [0.005, 0.03, 0.003]}))
-
-
 # --- ranks ----------------------------------------------------------------------------------------
 
 

@@ -26,7 +26,6 @@ GAPS = np.linspace(-2.0, 2.0, 81)[:, None] + 0.003
 
 def contact(**keys: Any) -> Any:
     """A scene's table ``[contact]`` with these keys."""
-    assert TABLE is not None
     return replace(TABLE, **{"stiffness": None, **keys})
 
 

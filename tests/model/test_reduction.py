@@ -191,19 +191,6 @@ def test_basis_does_not_depend_on_the_size_of_the_load(paper_scene: fc.Scene) ->
     assert np.allclose(*omegas, rtol=1e-6)
 
 
-def test_reduced_once_more(wide_plate: fc.Structure) -> None:
-    """A reduction of a reduction still speaks of the first structure's dofs and nodes."""
-    once = fc.reduce_structure(wide_plate, modes=40)
-    twice = fc.reduce_structure(once, modes=25)
-    assert twice.whole is wide_plate and twice.n_dofs < once.n_dofs
-    law, corner = fc.UnilateralPenalty(1e9), wide_plate.find_dof((0.1, 0.1), "x")
-    found = fc.solve_harmonic_balance(twice, 2000.0, law)
-    exact = fc.solve_harmonic_balance(wide_plate, 2000.0, law)
-    assert relative(found.coefficients_at([corner]), exact.coefficients_at([corner])) < 1e-3
-    t = np.linspace(0.0, found.period, 10)
-    assert relative(found.displacement_field(t), exact.displacement_field(t)) < 1e-3
-
-
 def test_damped_reduction(wide_plate: fc.Structure) -> None:
     """Other damping of its own coordinates; it still speaks of the plate's dofs."""
     reduced = fc.reduce_structure(wide_plate.damped(None), modes=5)

@@ -54,6 +54,22 @@ def test_contact_release() -> None:
     assert force.sum() * step == pytest.approx(198.0198, rel=1e-3)
 
 
+def test_second_order_on_a_smooth_motion(paper_structure: fc.Structure) -> None:
+    """A linear motion with modal damping against the frequency response: slope 2."""
+    law = fc.UnilateralPenalty(1e-3)  # as good as no contact
+    orbit = fc.solve_linear(paper_structure, 2000.0)
+    dof = paper_structure.find_dof((0.1, 0.1), "x")
+    counts, errors = (320, 640, 1280), []
+    for steps in counts:
+        history = fc.integrate_central_difference(
+            paper_structure, 2000.0, law, periods=2, steps_per_period=steps, initial=orbit
+        )
+        exact = orbit.displacement(history.time, [dof])
+        errors.append(relative(history.displacement([dof]), exact))
+    assert log_slope(counts, errors) == pytest.approx(-2.0, abs=0.15)
+    assert errors[-1] < 1e-4
+
+
 @pytest.mark.parametrize("damping", ["none", "modal", "few modes", "rayleigh", "matrix"])
 def test_damping_forms_against_matrix_exponential(damping: str) -> None:
     """Free vibration of a small system, every way of damping, against SciPy's expm."""
@@ -142,6 +158,27 @@ def test_created_energy_vanishes_with_the_step() -> None:
         assert energy / 50.0 - 1.0 == pytest.approx(history.created_energy, abs=30.0 / steps)
     assert created[-1] < 1e-4
     assert created[0] < 0.05
+
+
+def test_created_energy_is_of_second_order() -> None:
+    """Like dt^2, in the mean over steps that meet the contact at other phases."""
+    chained, law = chain("none"), fc.UnilateralPenalty(4.0)
+    counts: list[int] = [200, 400, 800, 1600, 3200]
+    created = []
+    for steps in counts:
+        near = range(steps, steps + 56, 7)
+        histories = [
+            [release(count) for count in near],
+            [
+                fc.integrate_central_difference(
+                    chained, 0.8, law, periods=2, steps_per_period=count, dofs=()
+                )
+                for count in near
+            ],
+        ]
+        created.append([np.mean([h.created_energy**2 for h in row]) ** 0.5 for row in histories])
+    for sizes in np.transpose(created):
+        assert log_slope(counts, sizes) == pytest.approx(-2.0, abs=0.2)
 
 
 def test_lumped_mass(soft_plate: fc.Structure) -> None:
