@@ -11,7 +11,6 @@ import pytest
 from helpers import relative
 from mpi4py import MPI
 from reference_flow import ReferenceFlow
-from scipy.optimize import nnls
 from surroundings import RunCommand, main
 
 import fenics_crack as fc
