@@ -367,15 +367,15 @@ class Reach:
 
     def _users(self, function: str) -> set[str]:
         """Return a function of the kernel and all functions there that use it."""
-        bodies = {
-            match[1]: set(re.findall(r"\w+", match[0]))
+        bodies = [
+            (match[1], set(re.findall(r"\w+", match[0])))
             for file in (self._root / PACKAGE / "kernel").glob("*.c")
             for match in C_FUNCTION.finditer(file.read_text())
-        }
+        ]
         users, count = {function}, 0
         while count < len(users):
             count = len(users)
-            users |= {name for name, words in bodies.items() if words & users}
+            users |= {name for name, words in bodies if words & users}
         return users
 
 

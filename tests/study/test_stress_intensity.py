@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import gmsh
@@ -15,6 +16,8 @@ from mpi4py import MPI
 from surroundings import main
 
 import fenics_crack as fc
+from fenics_crack.fem import interaction_integral
+from fenics_crack.fem.cracks import Lip
 
 SLOW = 30.0
 """[rad/s] The strip's first resonance is at 3200, so inertia adds 1e-4; an exact orbit takes as
@@ -408,3 +411,15 @@ def test_a_tip_next_to_an_edge(tmp_path: Path) -> None:
     assert main(["plot", str(tmp_path / "solution.h5")]) == 0
     drawn = {path.name for path in tmp_path.iterdir()}
     assert "solution_waves.png" in drawn and "solution_tips.png" not in drawn
+
+
+def test_domains_at_the_tips_of_a_bent_crack(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are .8 of the straight piece at the tip wide, and point along it."""
+    corners = np.array([[0.0, 0.0], [0.03, 0.0], [0.04, 0.0], [0.07, 0.04], [0.1, 0.08]])
+    monkeypatch.setattr(interaction_integral, "_outer_points", lambda _: np.full((1, 2), 1.0))
+    plate = SimpleNamespace(lips=[Lip(corners, has_mouth=False)])
+    dofs: Any = SimpleNamespace(plate=plate, comm=MPI.COMM_SELF)
+    right, left = interaction_integral.find_tips(dofs)
+    assert (right.radius, left.radius) == pytest.approx((0.8 * 0.1, 0.8 * 0.04))
+    assert right.ahead == pytest.approx([0.6, 0.8]) and left.ahead == pytest.approx([-1.0, 0.0])
+    assert (right.position, left.position) == pytest.approx((0.14, 0.0))
