@@ -91,7 +91,8 @@ class Factor:
         Factor as L D L^T, which halves the work and counts the negative eigenvalues.
     definite : bool
         x^T A x is nowhere negative: on one rank CHOLMOD, or UMFPACK if A is not symmetric, then
-        solves in half the time of MUMPS. Where it meets a pivot of zero, MUMPS factors again.
+        solves in half the time of MUMPS. MUMPS factors where it meets a pivot of zero, and where
+        PETSc has been built without it.
     border : (n_local, m), optional
         Independent columns of B: solutions x have B^T x = 0.
 
@@ -135,7 +136,7 @@ class Factor:
         self.negative_pivots = int(self._factor.getMumpsInfog(12)) - self._border
 
     def _set_up(self, solver: str) -> None:
-        self._pc = PETSc.PC().create(self._matrix.comm)
+        self._pc, self._factor = PETSc.PC().create(self._matrix.comm), PETSc.Mat()
         self._pc.setOptionsPrefix(PREFIX)
         self._pc.setOperators(self._matrix)
         self._pc.setType(self._kind)

@@ -31,7 +31,7 @@ from fenics_crack.model.contact import (
     solve_complementarity,
     solve_forces,
 )
-from fenics_crack.model.factor import distributed
+from fenics_crack.model.factor import Factor, distributed
 from fenics_crack.model.matrices import read_labels
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.modes import damped_modes, damped_range, largest_frequency
@@ -663,3 +663,16 @@ def test_labels_of_rotations(tmp_path: Path) -> None:
     words = "UX", "UY", "UZ", "ROTX", "ROTY", "ROTZ"
     (tmp_path / "rows").write_text("".join(f"{n} 7 {word}\n" for n, word in enumerate(words, 1)))
     assert read_labels(tmp_path / "rows").tolist() == [[7, number] for number in range(1, 7)]
+
+
+def test_what_petsc_lacks_gives_way_to_mumps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As CHOLMOD in DOLFINx's wheels, which is refused before there is a factor."""
+    set_up = Factor._set_up
+    lacking = {"cholmod": "a library that PETSc lacks"}
+    monkeypatch.setattr(
+        Factor, "_set_up", lambda self, solver: set_up(self, lacking.get(solver, solver))
+    )
+    stiffness = random_stiffness(np.random.default_rng(3), 6)
+    with Factor(distributed(stiffness, MPI.COMM_SELF), definite=True) as factor:
+        assert relative(factor.solve(stiffness), np.eye(6)) < 1e-10
+        assert factor.negative_pivots == 0
