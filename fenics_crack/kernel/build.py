@@ -1,7 +1,7 @@
 """Build of the compiled kernel, by cffi from the C files in this folder.
 
-``install.sh`` has it built by pip. After a change of the C files this builds it again, in a second
-or two, into this folder or into another one:
+``install.sh`` has it built by pip. After a change of the C files this builds it again, in some ten
+seconds, into this folder or into another one:
 
     .venv/bin/python fenics_crack/kernel/build.py [--sanitize] [FOLDER]
 
@@ -21,9 +21,10 @@ from cffi import FFI
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
-FLAGS = ["-std=c11", "-O3", "-fno-math-errno", "-ffp-contract=off", "-fvisibility=hidden"]
+FLAGS = ["-std=c11", "-O3", "-g0", "-fno-math-errno", "-ffp-contract=off", "-fvisibility=hidden"]
 """No contraction of products and sums: results do not depend on the processor. Names of functions
-are hidden: those of other libraries in the process do not get in their way."""
+are hidden: those of other libraries in the process do not get in their way. Symbols for debuggers,
+for which Python's own options ask, would take a fifth of the time."""
 CALLED_BACK = """
 extern "Python" {
     int python_evaluate(equations *at, const double *x, double p);
@@ -35,6 +36,8 @@ extern "Python" {
 }
 """
 """Functions of equations in Python (``numerics/equations.py``)."""
+FOR_WRAPPERS = '#pragma GCC optimize ("O1")'
+"""What cffi writes behind the headers hands arguments over; -O3 takes twice the time for it."""
 SANITIZER = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g", "-O1"]
 
 
@@ -48,7 +51,7 @@ def builder_in(folder: Path, *, sanitize: bool = False) -> FFI:
     ffi.cdef(CALLED_BACK)
     ffi.set_source(
         "fenics_crack.kernel._kernel",
-        "\n".join(f'#include "{header.name}"' for header in headers),
+        "\n".join([*(f'#include "{header.name}"' for header in headers), FOR_WRAPPERS]),
         sources=[str(here / source.name) for source in sources],
         include_dirs=[str(here)],
         depends=[str(here / header.name) for header in headers],
