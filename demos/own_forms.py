@@ -6,15 +6,23 @@ The mesh is gmsh's, the forms are UFL's; what ParaView shows is in plate.pvd.
 """
 
 import sys
+from contextlib import suppress
 from pathlib import Path
+
+with suppress(ImportError):
+    import dolfinx_solver  # noqa: F401  DOLFINx of wheels finds MPI through it
 
 import gmsh
 import ufl
 from dolfinx import fem, io
-from dolfinx.io import gmshio
 from mpi4py import MPI
 
 import fenics_crack as fc
+
+try:
+    from dolfinx.io import gmsh as gmshio
+except ImportError:  # before DOLFINx 0.10
+    from dolfinx.io import gmshio
 
 MESH = Path(__file__).parents[1] / "meshes" / "inclined_crack.msh"
 FOOT, LOWER, UPPER = 2, 3, 4  # its physical curves
@@ -24,7 +32,7 @@ def main(output: Path = Path("output/own_forms"), springs: float = 1e13) -> fc.P
     """Solve the plate on springs [N/m^3] near its first resonance, and write the motion."""
     gmsh.initialize(["", "-v", "1"])
     gmsh.open(str(MESH))
-    mesh, _, tags = gmshio.model_to_mesh(gmsh.model, MPI.COMM_WORLD, 0, gdim=2)
+    mesh, _, tags, *_ = gmshio.model_to_mesh(gmsh.model, MPI.COMM_WORLD, 0, gdim=2)
     gmsh.finalize()
     if hasattr(fem, "functionspace"):
         V = fem.functionspace(mesh, ("Lagrange", 2, (2,)))

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import sysconfig
 import tempfile
 from collections.abc import Callable
 from contextlib import suppress
@@ -18,6 +17,7 @@ from pathlib import Path
 
 from fenics_crack.basics.atomic_files import reported, write_whole
 from fenics_crack.basics.caches import PRIVATE, private_folder
+from fenics_crack.basics.installation import c_compiler
 from fenics_crack.basics.ranks import MPI, Result, on_root
 from fenics_crack.basics.untrusted_files import sha256, text_of
 
@@ -34,11 +34,11 @@ def load_form(comm: MPI.Comm, record: Path, make: Callable[[dict[str, object]], 
     make : callable
         Does so with the given options of DOLFINx.
     """
-    folder, complete = on_root(comm, lambda: _folder(record))
+    folder, compiler = on_root(comm, lambda: _folder(record))
     before = os.environ.get("CC")
     # It ends with this program, however that ends, and Ctrl-C in a terminal does not reach it: the
     # program may have to finish a case first.
-    os.environ["CC"] = f"setpriv --pdeathsig TERM setsid {before or sysconfig.get_config_var('CC')}"
+    os.environ["CC"] = f"setpriv --pdeathsig TERM setsid {compiler}"
     try:
         # Ranks of another machine, which have such a folder for themselves, wait [s] for one.
         form = make({"cache_dir": folder, "timeout": 300})
@@ -48,21 +48,22 @@ def load_form(comm: MPI.Comm, record: Path, make: Callable[[dict[str, object]], 
     finally:
         del os.environ["CC"]
         os.environ.update({"CC": before} if before else {})
-    if not complete:
+    if compiler:
         on_root(comm, lambda: write_whole(folder.with_name(record.name), _content(folder)))
     return form
 
 
-def _folder(record: Path) -> tuple[Path, bool]:
-    """Return the recorded folder and True; a new one and False if it is missing or damaged."""
+def _folder(record: Path) -> tuple[Path, str]:
+    """Return the recorded folder and ""; a new one and a compiler if it is missing or damaged."""
     with reported(record.parent, "cache_dir", PRIVATE):
         record = private_folder(record.parent) / record.name
     with suppress(OSError, ValueError):
         text = text_of(record)
         folder = record.with_name(text.partition("\n")[0])
         if _content(folder) == text:
-            return folder, True
-    return Path(tempfile.mkdtemp(prefix="fenics_crack-", dir=record.parent)), False
+            return folder, ""
+    compiler = c_compiler()
+    return Path(tempfile.mkdtemp(prefix="fenics_crack-", dir=record.parent)), compiler
 
 
 def _content(folder: Path) -> str:

@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
+from fenics_crack.basics.installation import loading
+
 
 @contextmanager
 def kept_interrupts() -> Iterator[None]:
@@ -35,7 +37,7 @@ def kept_interrupts() -> Iterator[None]:
         signal.signal = set_handler
 
 
-with kept_interrupts():
+with kept_interrupts(), loading():
     import gmsh as gmsh
 
 with suppress(AttributeError, ValueError):  # FLTK would write its settings, of root into /etc

@@ -16,17 +16,25 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import partial
+from importlib.util import find_spec
 from itertools import dropwhile
 from typing import Any, TypeVar, cast
 
 import numpy as np
 
 from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.installation import SIZES, check_launcher, loading
 from fenics_crack.basics.untrusted_files import away
 
-with away():  # UCX would read a ucx.conf
+with away(), loading():  # UCX would read a ucx.conf
+    if find_spec("dolfinx_solver"):  # DOLFINx of wheels, and MPICH, which Open MPI's mpirun ends
+        check_launcher(0, "MPICH", SIZES[:1])
+        import dolfinx_solver  # noqa: F401
+        import scipy.linalg  # noqa: F401  with an OpenBLAS of its own, which alone() has to find
     from mpi4py import MPI
     from petsc4py import init, lib
+
+check_launcher(MPI.COMM_WORLD.size, " ".join(map(str, MPI.get_vendor())))
 
 Result = TypeVar("Result")
 STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)
@@ -54,6 +62,18 @@ def _start_petsc() -> None:
 
 if "petsc4py.PETSc" not in sys.modules:  # unless who calls has started it
     _start_petsc()
+
+
+def check_scalars() -> None:
+    """Raise InputError unless PETSc computes with real numbers of eight bytes."""
+    from petsc4py import PETSc
+
+    if PETSc.ScalarType is not np.float64:
+        allowed = "float64: install a PETSc of real numbers (dolfinx-solver-real, petsc=*=real*)"
+        raise InputError("PETSc.ScalarType", PETSc.ScalarType.__name__, allowed)
+
+
+check_scalars()
 
 
 def unread_options() -> list[str]:

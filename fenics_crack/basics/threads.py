@@ -114,7 +114,7 @@ class _Pool(NamedTuple):
 def _pools(modules: int) -> list[tuple[_Pool, int]]:
     """Each OpenBLAS of this process and the threads it begins with; found anew after imports."""
     found, forms = [], [*product(("openblas_", "scipy_openblas_"), ("", "64_", "_64"))]
-    for library in map(ctypes.CDLL, _loaded(r"[^/\s]*openblas")):
+    for library in map(ctypes.CDLL, loaded_libraries(r"[^/\s]*openblas")):
         known = [form for form in forms if hasattr(library, "set_num_threads".join(form))]
         found += [_Pool(library, form) for form in known[:1]]
     return [(pool, pool.begins_with()) for pool in found]
@@ -123,11 +123,11 @@ def _pools(modules: int) -> list[tuple[_Pool, int]]:
 @lru_cache(maxsize=1)
 def _openmp(modules: int) -> list[ctypes.CDLL]:
     """Each OpenMP of this process, GCC's, LLVM's and Intel's; found anew after imports."""
-    found = map(ctypes.CDLL, _loaded(r"lib(?:g|i)?omp"))
+    found = map(ctypes.CDLL, loaded_libraries(r"lib(?:g|i)?omp"))
     return [library for library in found if hasattr(library, "omp_set_max_active_levels")]
 
 
-def _loaded(name: str) -> list[str]:
+def loaded_libraries(name: str) -> list[str]:
     """Paths of the libraries of this process whose names begin as a pattern says."""
     try:
         files = Path("/proc/self/maps").read_text()

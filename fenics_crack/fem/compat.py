@@ -1,6 +1,7 @@
 """Everything that differs between the versions of DOLFINx and gmsh in use.
 
-DOLFINx 0.5 and gmsh 4.8 are Debian 12's, 0.9 and 4.13 Debian 13's; DOLFINx 0.10 is provided for.
+DOLFINx 0.5 and gmsh 4.8 are Debian 12's, 0.9 and 4.13 Debian 13's, 0.11 and 4.15 those of wheels;
+DOLFINx 0.10 is provided for.
 
 No other module looks at a version.
 """
@@ -23,6 +24,7 @@ from fenics_crack.basics.caches import settle_caches
 from fenics_crack.basics.errors import reading
 from fenics_crack.basics.form_cache import load_form
 from fenics_crack.basics.gmsh_process import gmsh
+from fenics_crack.basics.installation import loading
 from fenics_crack.basics.threads import addresses_left
 from fenics_crack.basics.untrusted_files import away
 
@@ -42,7 +44,7 @@ def _versions_by_metadata() -> Iterator[None]:
 
 
 settle_caches()
-with _versions_by_metadata(), away():
+with _versions_by_metadata(), away(), loading():
     import basix
     import dolfinx
     import dolfinx.fem.petsc

@@ -17,6 +17,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -639,7 +640,8 @@ def test_the_user_decides(pool: Pool, name: str, monkeypatch: pytest.MonkeyPatch
 
 
 def test_loaded_libraries_are_found() -> None:
-    """Debian's, which NumPy, SciPy and PETSc share, in a program without settings."""
+    """Debian's, which NumPy, SciPy and PETSc share, or each of three wheels' own, in a program
+    without settings."""
     program = """
 import sys
 from unittest.mock import patch
@@ -658,7 +660,26 @@ with patch("fenics_crack.cli.command_line._command", lambda *_: print(counted()[
     main(["check", "demos/paper_plate.toml"])
 print(counted()[:2])
 """
-    assert run(program).splitlines() == ["(1, {True})", "(1, {1})", "(1, {True})"]
+    count = 3 if find_spec("dolfinx_solver") else 1
+    assert run(program).splitlines() == [f"({count}, {{{seen}}})" for seen in (True, 1, True)]
+
+
+def test_a_command_has_one_thread_of_each_openblas() -> None:
+    """Also of SciPy's own, which a command loads after all others; two of them would take eight
+    times as long."""
+    program = """
+from unittest.mock import patch
+from fenics_crack.basics import threads
+from surroundings import main
+
+def counted(*_):
+    import scipy.linalg
+    print({pool("get_num_threads") for pool, _ in threads._pools(-1)})
+
+with patch("fenics_crack.cli.command_line._command", counted):
+    main(["check", "demos/paper_plate.toml"])
+"""
+    assert run(program).splitlines() == ["{1}"]
 
 
 @pytest.mark.nightly
