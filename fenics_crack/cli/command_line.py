@@ -11,7 +11,7 @@ import re
 import signal
 import sys
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from itertools import dropwhile
 from pathlib import Path
@@ -216,6 +216,8 @@ def _run(given: argparse.Namespace) -> Exit:
     MPI and PETSc take longer to load than most input to be refused. Where mpirun has started this
     process, rank 0 reads for all.
     """
+    if given.command == "doctor":  # which asks what is there
+        return _command(given, None, None) or Exit.DONE
     threads.check_modules()
     from fenics_crack.cli.given import Console, read_inputs, read_prepared
 
@@ -226,13 +228,8 @@ def _run(given: argparse.Namespace) -> Exit:
     meshes = given.command != "new" and not prepared and of_scene
     if meshes and not (inputs and inputs.scene.structure):
         from fenics_crack.basics import gmsh_process as mesher  # noqa: F401  before MPI: see there
-    wanted = {} if launched else ONE_PROCESS_SETTINGS
-    added = {name: value for name, value in wanted.items() if name not in os.environ}
-    os.environ |= added
-    from fenics_crack.basics.ranks import MPI, STOPS, on_root, unread_options  # starts MPI
-
-    for name in added:  # the user's own stay
-        del os.environ[name]
+    with one_process_settings():
+        from fenics_crack.basics.ranks import MPI, STOPS, on_root, unread_options  # starts MPI
     comm = MPI.COMM_WORLD
     if comm.rank > 0:
         _be_silent()
@@ -251,7 +248,22 @@ def _run(given: argparse.Namespace) -> Exit:
         return exit_code
 
 
-def _command(given: argparse.Namespace, inputs: Inputs | None, console: Console) -> Exit | None:
+@contextlib.contextmanager
+def one_process_settings() -> Iterator[None]:
+    """Set :data:`ONE_PROCESS_SETTINGS` while MPI starts, unless mpirun has started this process."""
+    wanted = {} if threads.launched() else ONE_PROCESS_SETTINGS
+    added = {name: value for name, value in wanted.items() if name not in os.environ}
+    os.environ |= added
+    try:
+        yield
+    finally:
+        for name in added:  # the user's own stay
+            del os.environ[name]
+
+
+def _command(
+    given: argparse.Namespace, inputs: Inputs | None, console: Console | None
+) -> Exit | None:
     """Call a command; return how it ended where that may differ."""
     name, *_ = COMMANDS[given.command][1].split()
     command: Callable[..., Exit | None] = resolve_name(f"fenics_crack.{name}")
@@ -264,6 +276,7 @@ def _command(given: argparse.Namespace, inputs: Inputs | None, console: Console)
     from fenics_crack.cli.given import make_writable
     from fenics_crack.study.plausibility import remarks_on_scene
 
+    assert console is not None
     make_writable(inputs.folder, console.comm)
     try:
         return command(given, inputs, console)
@@ -353,6 +366,10 @@ COMMANDS = {
     "report": (
         "one HTML page with all of some results, or of a folder, to be read anywhere",
         "cli.pictures:report results --output=FILE",
+    ),
+    "doctor": (
+        "what this installation consists of, and whether it computes known numbers",
+        "cli.doctor:doctor",
     ),
 }
 """Description of each command; its function and its own arguments. A function of ``cli`` takes
