@@ -1,8 +1,12 @@
 #!/bin/sh
-# Sets this project up on Debian 12 or 13: Debian's packages first, then .venv beside this file.
+# Sets this project up: .venv beside this file.
 #
 #     sh install.sh            what the program needs
 #     sh install.sh --tests    also what its tests and the site of its documentation need
+#
+# On Debian 12 and 13 DOLFINx, PETSc, SLEPc and gmsh are Debian's packages, installed by apt first.
+# On other systems, and where packages are missing and there is no root, they are wheels from PyPI,
+# for which a Python 3.12 or newer is looked for. docs/install.md has the other ways.
 #
 # It may be run again at any time. When everything is in place it changes nothing, needs no
 # network and no root rights, and takes a second or two. What --tests has added stays.
@@ -50,10 +54,11 @@ unset PYTHONPATH PYTHONHOME
 
 # --- Debian's packages ------------------------------------------------------------------
 
+# by_wheels: why not by Debian's packages; empty: by these.
 system=$( (. /etc/os-release && printf '%s %s' "${ID:-}" "${VERSION_ID:-}") 2>/dev/null) || system=
 case $system in
-'debian 12' | 'debian 13') ;;
-*) fail "only Debian 12 and Debian 13 are supported; this system is '${system:-unknown}'" ;;
+'debian 12' | 'debian 13') by_wheels= ;;
+*) by_wheels="this system (${system:-unknown}) is neither Debian 12 nor 13" ;;
 esac
 
 # gcc and python3-dev: DOLFINx compiles every form when it first meets it; the kernel is built.
@@ -72,7 +77,7 @@ packages='
 '
 
 missing=
-for package in $packages; do
+[ -n "$by_wheels" ] || for package in $packages; do
     dpkg-query -W -f '${db:Status-Status}\n' "$package" 2>/dev/null | grep -qx installed ||
         missing="$missing $package"
 done
@@ -83,8 +88,11 @@ if [ -n "$missing" ]; then
     elif command -v sudo >/dev/null; then
         as_root=sudo
     else
-        fail "these Debian packages are missing and installing them needs root or sudo:$missing"
+        by_wheels="there is neither root nor sudo to install Debian's packages$missing"
+        missing=
     fi
+fi
+if [ -n "$missing" ]; then
     apt="$as_root env DEBIAN_FRONTEND=noninteractive apt-get -q -y"
     apt="$apt -o Dpkg::Use-Pty=0 -o DPkg::Lock::Timeout=300"
     # A package source that does not answer is no reason to stop: the install step decides.
@@ -98,22 +106,68 @@ if [ -n "$missing" ]; then
         $apt install --no-install-recommends $missing
 fi
 
+# --- Python -----------------------------------------------------------------------------
+
+# suits PYTHON: wheels of DOLFINx are for it, and it can make a virtual environment.
+suits() {
+    "$1" -c '
+import ensurepip, platform, sys, venv
+library, version = platform.libc_ver()
+assert sys.version_info >= (3, 12) and platform.machine() == "x86_64"
+assert library == "glibc" and [*map(int, version.split("."))] >= [2, 34]
+' 2>/dev/null
+}
+
+# find_python: the file of such a Python itself, not of an environment that was made of it.
+find_python() {
+    for name in python3.13 python3.14 python3.12 python3 python; do
+        if suits "$name"; then
+            "$name" -c 'import sys; print(getattr(sys, "_base_executable", sys.executable))'
+            return
+        fi
+    done
+    return 1
+}
+
+if [ -z "$by_wheels" ]; then
+    python=/usr/bin/python3 venv='venv --system-site-packages' extra=
+else
+    echo "install.sh: $by_wheels:"
+    python=$(find_python) || fail "DOLFINx comes from PyPI then, for Linux on x86-64 with glibc" \
+        "2.34 or newer, and Python 3.12 or newer with its module venv: none is on PATH. Get one" \
+        "by 'uv python install 3.13', pyenv or conda; other ways are in docs/install.md"
+    venv=venv extra=dolfinx
+    missing=$("$python" -B -c '
+from fenics_crack.basics.installation import InputError, c_compiler
+try:
+    c_compiler()
+except InputError as error:
+    print(error)
+')
+    [ -z "$missing" ] || fail "$missing"
+    echo "install.sh: DOLFINx comes from PyPI, for $python"
+fi
+
 # --- the virtual environment ------------------------------------------------------------
 
 # sound_venv: .venv was made in this place by exactly this command, and is whole.
 sound_venv() {
-    grep -qxF "command = /usr/bin/python3 -m venv --system-site-packages $here/.venv" \
-        .venv/pyvenv.cfg 2>/dev/null && .venv/bin/python -m pip --version >/dev/null 2>&1
+    grep -qxF "command = $python -m $venv $here/.venv" .venv/pyvenv.cfg 2>/dev/null &&
+        .venv/bin/python -m pip --version >/dev/null 2>&1
 }
 
 # What the program needs can be loaded.
-debian_imports() {
+libraries_load() {
     (cd / && "$1" -c '
+import sys
+from importlib.util import find_spec
+if find_spec("dolfinx_solver"):
+    import dolfinx_solver
 import dolfinx.fem, gmsh, h5py, matplotlib, mpi4py.MPI, petsc4py.PETSc, scipy, slepc4py.SLEPc, tqdm
 ')
 }
 everything_imports() {
-    debian_imports "$here/.venv/bin/python" &&
+    libraries_load "$here/.venv/bin/python" &&
         (cd / && "$here/.venv/bin/python" -c 'import cffi, jinja2, pyvista')
 }
 
@@ -150,16 +204,18 @@ debian_is_first() {
     return 1
 }
 
-pins=$(versions /usr/bin/python3 -I) ||
+pins=
+[ -n "$by_wheels" ] || pins=$(versions "$python" -I) ||
     fail "the versions of Debian's Python packages cannot be read"
 stamp=.venv/fenics_crack.stamp
-case $(cat "$stamp" 2>/dev/null) in *' test,docs') extras=test,docs ;; esac
+case $(cat "$stamp" 2>/dev/null) in *test,docs) extras=test,docs ;; esac
 [ -z "$extras" ] || tools='furo hypothesis mypy myst_parser numpydoc pytest ruff shtab sphinx xdist'
+extras=${extra:+$extra${extras:+,}}$extras
 
 # What .venv depends on: when any of it changes, pip runs again, and builds the kernel again.
 wanted=$({
     cat pyproject.toml setup.py install.sh fenics_crack/kernel/*.[ch] fenics_crack/kernel/build.py
-    /usr/bin/python3 -VV
+    "$python" -VV
     echo "$here" "$pins"
 } | sha256sum)
 wanted="${wanted%% *} $extras"
@@ -170,11 +226,12 @@ compile_program() {
     .venv/bin/python -m compileall -q fenics_crack >/dev/null 2>&1 || :
 }
 
-if ! { sound_venv && debian_is_first && everything_imports; } >/dev/null 2>&1; then
+if ! { sound_venv && { [ -n "$by_wheels" ] || debian_is_first; } && everything_imports; } >/dev/null 2>&1; then
     # If the fault is not in .venv, say so and leave it alone.
-    step "checking that Debian's packages can be imported" debian_imports /usr/bin/python3
+    [ -n "$by_wheels" ] || [ ! -e .venv ] ||
+        step "checking that Debian's packages can be imported" libraries_load "$python"
     rm -rf .venv
-    step "making .venv" /usr/bin/python3 -m venv --system-site-packages .venv
+    step "making .venv" "$python" -m $venv .venv
 elif [ "$(cat "$stamp" 2>/dev/null)" = "$wanted" ] && everything_is_found >/dev/null 2>&1; then
     compile_program
     echo "install.sh: everything is in place"
@@ -191,10 +248,11 @@ import pathlib
 print("[install]", "constraint = " + pathlib.Path(".venv/debian-pins.txt").absolute().as_uri(), sep="\n")
 ' >.venv/pip.conf
 }
-step "pinning the versions of Debian's packages" write_pins
-step "installing PyPI packages and the project into .venv" \
-    .venv/bin/python -m pip install --editable ".${extras:+[$extras]}"
-step "checking that Debian's packages come first" debian_is_first
+[ -n "$by_wheels" ] || step "pinning the versions of Debian's packages" write_pins
+# Bytecode is written when a module is first used, of which there are few of all that pip unpacks.
+step "installing PyPI packages and the project into .venv (a minute)" \
+    env PIP_NO_COMPILE=1 .venv/bin/python -m pip install --editable ".${extras:+[$extras]}"
+[ -n "$by_wheels" ] || step "checking that Debian's packages come first" debian_is_first
 step "checking that everything can be imported" everything_imports
 step "checking that everything is there" everything_is_found
 compile_program
