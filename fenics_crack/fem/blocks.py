@@ -1,4 +1,4 @@
-"""Plates and boxes with cracks, which are meshed here by gmsh.
+"""Plates with cracks, and the rims below blades of a disk, which are meshed here by gmsh.
 
 **A plate** is cut into blocks at all tips and along all cracks; for one edge crack into four,
 
@@ -17,19 +17,13 @@ away from tips and from cracks, so the size is linear in the distance. Between t
 cracks, they grow from both to the middle, where the block is cut once more. A crack inside the
 plate is two halves that meet in its middle, each like an edge crack whose mouth is there.
 
-**A box** has its cracks as surfaces inside, whose nodes exist once: they are split like those of a
-mesh file (:mod:`fenics_crack.fem.msh_file`). Its elements are ``mesh.size`` long and, at a distance
-d from the front of a crack,
-
-    h(d) = h_0 + max(r - 1, 1/3) d,    r = grading^(1 / (lip_elements - 1)),
-
-h_0 such that ``lip_elements`` elements in a row, each r times as long as the one before, reach from
-the front to the mouth. **The graded sector of a plane disk** has triangles of such lengths around
-the tips and, with h_0 = ``mesh.size`` / 32 and a slope of ``mesh.size`` over the blade's width,
-around the corners between blade and rim: all of it scales with ``mesh.size``.
+**The graded sector of a plane disk** has triangles around the tips as long as tetrahedra around
+the fronts of solids (:mod:`fenics_crack.fem.solid`) and, with h_0 = ``mesh.size`` / 32 and a slope
+of ``mesh.size`` over the blade's width, around the corners between blade and rim: all of it scales
+with ``mesh.size``.
 
 gmsh's tolerances are lengths. So all is drawn in a unit by which a scene in mm has the mesh of one
-in m (:func:`_in_unit`), and then its nodes are scaled.
+in m (:func:`in_unit`), and then its nodes are scaled.
 """
 
 from __future__ import annotations
@@ -49,7 +43,6 @@ from fenics_crack.fem.cracks import Lip, Lips, Names
 from fenics_crack.kernel import Struct, kernel
 from fenics_crack.model.factor import factor_memory
 from fenics_crack.scene.scene import Scene
-from fenics_crack.scene.tables import Crack
 
 SMALLEST_CELL = 1e-7
 """Minimum cell size relative to the plate: gmsh and the matrices allow no smaller one."""
@@ -134,7 +127,7 @@ def _plate_blocks(scene: Scene) -> tuple[list[Interval], list[Interval], list[Sl
     return columns, rows, slits
 
 
-def _check_cells(scene: Scene, key: str, cells: float, per_cell: int, shortest: str = "") -> None:
+def check_cells(scene: Scene, key: str, cells: float, per_cell: int, shortest: str = "") -> None:
     """Raise InputError where there are too many cells for gmsh, or their matrices, of so many
     degrees of freedom per cell, or the factor of one would not fit."""
     dofs, most = per_cell * cells, 5e6  # a mesh file may have any number of cells
@@ -180,7 +173,7 @@ def _nearest(places: np.ndarray, place: float) -> int:
 # --- the unit of length ---------------------------------------------------------------------------
 
 
-def _in_unit(scene: Scene) -> tuple[Scene, float]:
+def in_unit(scene: Scene) -> tuple[Scene, float]:
     """Return a scene of the same mesh in the unit of length in which gmsh meshes, and that [m]: the
     power of ten by which the longest side is from 0.0316 to 0.316."""
     unit = 10.0 ** (round(math.log10(max(scene.geometry.sides))) + 1)
@@ -300,7 +293,7 @@ def _graded(length: float, first: float, last: float) -> tuple[int, float]:
 def draw_plate(scene: Scene) -> tuple[Names, Lips]:
     """Fill the current gmsh model with the mesh of a scene's plate; its named sides, and the faces
     of its cracks."""
-    unit_scene, unit = _in_unit(scene)
+    unit_scene, unit = in_unit(scene)
     groups = _draw_blocks(scene, unit_scene)
     if scene.has_element_lengths:
         rim = Rim(unit_scene)
@@ -333,7 +326,7 @@ def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
     if scene.disk is not None:
         cells += Rim(scene).area / _length(scene) ** 2
     key = "columns" if scene.mesh.layout == "grid" else "size"
-    _check_cells(scene, key, cells, 2 * scene.mesh.order**2)
+    check_cells(scene, key, cells, 2 * scene.mesh.order**2)
 
     columns, rows, slits = _plate_blocks(unit_scene)
     rim = None if unit_scene.disk is None else Rim(unit_scene)
@@ -541,71 +534,7 @@ class Rim:
         return {"clamp": (1, inside), RIM_SIDES[0]: (1, radial[:1]), RIM_SIDES[1]: (1, radial[-1:])}
 
 
-# --- a box ----------------------------------------------------------------------------------------
-
-PER_VOLUME = 5.0
-"""Tetrahedra that gmsh makes of a volume h^3 where they are to be h long, of a fine mesh."""
-
-
-def draw_box(scene: Scene) -> tuple[Names, Lips]:
-    """Fill the current gmsh model with the mesh of a scene's box; its named surfaces, and its
-    cracks.
-
-    Raises
-    ------
-    InputError
-        gmsh cannot mesh it, or a crack's surface cannot be split.
-    """
-    _check_size(scene, _gradings(scene))
-    unit_scene, unit = _in_unit(scene)
-    _draw_solid(scene, unit_scene)
-    _scale_nodes(unit)
-    from fenics_crack.fem.msh_file import named_groups, put  # with what takes surfaces apart
-    from fenics_crack.fem.msh_reader import groups
-
-    numbers, positions, _ = gmsh.model.mesh.getNodes()
-    named = named_groups(groups())
-    gmsh.model.remove()
-    gmsh.model.add("fenics_crack")
-    try:
-        return put((numbers, positions.reshape(-1, 3), named), 3)
-    except InputError as error:
-        raise _not_meshed(scene, f"{error.value}") from None
-
-
-def _draw_solid(scene: Scene, unit_scene: Scene) -> None:
-    """Mesh the box of a scene, which is drawn in a unit of its size, with its cracks as surfaces
-    inside, and name its faces."""
-    width, height, thickness = size = unit_scene.geometry.sides
-    occ = gmsh.model.occ
-    rim = None if unit_scene.disk is None else Rim(unit_scene)
-    box = [(3, occ.addBox(0.0, 0.0, 0.0, *size))] if rim is None else rim.with_box(*size)
-    faces = []
-    for crack in unit_scene.all_cracks.values():
-        face = _face(crack, width, thickness)
-        faces += occ.intersect(face, box, removeObject=True, removeTool=False)[0]
-    if faces:
-        occ.fragment(box, faces)
-    occ.synchronize()
-    volumes = [tag for _, tag in gmsh.model.getEntities(3)]
-    groups: dict[str, tuple[int, list[int]]] = {
-        "solid": (3, volumes), "clamp": (2, []), "crack": (2, [])
-    }  # fmt: skip
-    sides = [
-        ("left", 0, 0.0), ("right", 0, width), ("clamp", 1, 0.0), ("top", 1, height),
-        ("back", 2, 0.0), ("front", 2, thickness),
-    ]  # fmt: skip
-    near = 1e-6 * max(size)
-    for _, tag in gmsh.model.getEntities(2):
-        middle = occ.getCenterOfMass(2, tag)
-        at = [name for name, axis, place in sides if abs(middle[axis] - place) < near]
-        if rim is not None and middle[1] < 0.0:
-            at = [rim.name_of(middle)]
-        groups.setdefault(at[0] if at else "crack", (2, []))[1].append(tag)
-    _name(groups)
-    if rim is not None:
-        rim.match(2, *(groups[name][1] for name in RIM_SIDES))
-    _mesh_graded(scene, unit_scene, _gradings(unit_scene))
+# --- graded sectors -----------------------------------------------------------------------------
 
 
 def _mesh_graded(scene: Scene, unit_scene: Scene, gradings: list[_Grading]) -> None:
@@ -626,62 +555,38 @@ def _mesh_graded(scene: Scene, unit_scene: Scene, gradings: list[_Grading]) -> N
         gmsh.option.setNumber(f"Mesh.{option}", 0)
     gmsh.model.mesh.setSizeCallback(length)
     try:
-        gmsh.model.mesh.generate(scene.dimension)
+        gmsh.model.mesh.generate(2)
     except Exception as error:  # gmsh raises nothing else
-        raise _not_meshed(scene, str(error)) from None
+        raise not_meshed(scene, str(error)) from None
     finally:
         gmsh.model.mesh.removeSizeCallback()
 
 
-def _not_meshed(scene: Scene, reason: str) -> InputError:
+def not_meshed(scene: Scene, reason: str) -> InputError:
     """The refusal of what gmsh makes no sound mesh of: of its smallest crack, or else of the
     size of elements."""
     sizes = {
         f"{name}.{key}": value
         for name, crack in scene.all_cracks.items()
-        for key in ("depth", "length")
+        for key in ("depth", "length", "radii")
         if (value := getattr(crack, key)) is not None
     }
-    key = min(sizes, key=lambda one: sizes[one], default="mesh.size")
+    key = min(sizes, key=lambda one: np.min(sizes[one]), default="mesh.size")
     kind = scene.geometry.kind
     allowed = f"such that gmsh can mesh the {kind} ({reason}): not as small beside its other sizes"
     return InputError(key, sizes.get(key, scene.mesh.size), allowed)
 
 
-def _ellipse(crack: Crack, width: float) -> tuple[float, float]:
-    """Middle and half of the extent along x of the whole ellipse or rectangle of which a crack is
-    a part."""
-    first, last = crack.span(width)
-    if crack.edge is None:
-        return 0.5 * (first + last), 0.5 * (last - first)
-    return (0.0 if crack.edge == "left" else width), last - first
-
-
-def _face(crack: Crack, width: float, thickness: float) -> list[tuple[int, int]]:
-    """A surface in a crack's plane whose part inside the box is the crack."""
-    occ, middle, half = gmsh.model.occ, *_ellipse(crack, width)
-    depth = crack.depth or 2.0 * thickness
-    if crack.front == "elliptical":
-        face = [(2, occ.addDisk(0.0, 0.0, 0.0, max(half, depth), min(half, depth)))]
-        if depth > half:
-            occ.rotate(face, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.5 * math.pi)
-    else:
-        face = [(2, occ.addRectangle(-half, -depth, 0.0, 2.0 * half, 2.0 * depth))]
-    occ.rotate(face, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.5 * math.pi)
-    occ.translate(face, middle, crack.given("height"), thickness)
-    return face
-
-
 @dataclass(frozen=True)
 class _Grading:
-    """Lengths of elements h = shortest + growth d around a crack, d from its front.
+    """Lengths of elements h = shortest + growth d around points, d from the nearest.
 
     Attributes
     ----------
     along, through, height : (n,), (n,), () [m]
-        x, z and y of points on the front.
+        x, z and y of the points.
     shortest : float [m]
-        Of an element at the front.
+        Of an element there.
     growth : float
         With the distance.
     """
@@ -696,62 +601,19 @@ class _Grading:
         """As the kernel takes it (``length_at``)."""
         return Struct("grading", count=len(self.along), **vars(self))
 
-    def cells(self, size: float) -> float:
-        """Return the number of cells around the front, in the tube in which they are shorter than a
-        size: its length times int 2 pi d / h^3 dd."""
-        steps = np.hypot(np.diff(self.along), np.diff(self.through))
-        length = steps[steps < 2.0 * np.median(steps)].sum()  # the sides of a rectangle are apart
-        least = min(self.shortest, size)
-        turns = 0.5 / least - 1.0 / size + 0.5 * least / size**2
-        return PER_VOLUME * length * 2.0 * math.pi / self.growth**2 * turns
-
 
 def _gradings(scene: Scene) -> list[_Grading]:
-    """One for each crack, of a plate without thickness."""
-    width, _, thickness = (*scene.geometry.sides, 0.0)[:3]
-    mesh, found = scene.mesh, []
+    """One for each crack of a plate, around its tips."""
+    (width, _), mesh, found = scene.geometry.sides, scene.mesh, []
     for crack in scene.all_cracks.values():
         count = mesh.given("lip_elements")
-        if crack.edge is None and scene.dimension == 2:
-            count = -(-count // 2)  # as of :class:`_Half`
-        middle, half = _ellipse(crack, width)
-        reach = min(half, crack.depth or half)
+        first, last = crack.span(width)
+        reach = last - first
+        if crack.edge is None:
+            count, reach = -(-count // 2), 0.5 * reach  # as of :class:`_Half`
         growth = mesh.grading ** (1.0 / max(count - 1, 1))
         shortest = reach / float((growth ** np.arange(count)).sum())
-        front = _front(crack, middle, half, thickness)
-        found.append(_Grading(*front, crack.given("height"), shortest, max(growth - 1.0, GROWTH)))
+        tips = np.array([end for end in (first, last) if 0.0 < end < width])
+        front = tips, np.zeros(len(tips)), crack.given("height")
+        found.append(_Grading(*front, shortest, max(growth - 1.0, GROWTH)))
     return found
-
-
-def _check_size(scene: Scene, gradings: list[_Grading]) -> None:
-    """Raise InputError where gmsh would make too many cells, before it does."""
-    size = scene.mesh.given("size")
-    volume = math.prod(scene.geometry.sides)
-    if scene.disk is not None:
-        volume += Rim(scene).area * scene.geometry.sides[0]
-    bulk = PER_VOLUME * volume / size**3
-    fronts = sum(grading.cells(size) for grading in gradings)
-    key, shortest = "size", ""
-    if fronts > bulk:
-        least = min(grading.shortest for grading in gradings)
-        key, shortest = "lip_elements", f", at a crack's front {least:.2g} m long"
-    _check_cells(scene, key, bulk + fronts, scene.mesh.order**3 // 2, shortest)
-
-
-def _front(
-    crack: Crack, middle: float, half: float, thickness: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Coordinates x and z along the front of a crack, and of what goes on outside: (n,) each."""
-    count = 60  # points from which distances are measured while meshing
-    share = np.linspace(0.0, 1.0, count)
-    if crack.front == "elliptical":
-        turn, depth = np.pi * share, crack.given("depth")
-        x, z = middle + half * np.cos(turn), thickness - depth * np.sin(turn)
-    else:
-        depth = crack.depth or thickness
-        ends = [middle + sign * half * np.ones(count) for sign in (-1.0, 1.0)]
-        x, z = np.concatenate(ends), np.tile(thickness - depth * share, 2)
-        if crack.depth is not None:
-            x = np.append(x, middle + half * (2.0 * share - 1.0))
-            z = np.append(z, np.full(count, thickness - depth))
-    return x, z

@@ -31,7 +31,7 @@ from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.elasticity import thickness
 from fenics_crack.fem.plate import Dofs
 from fenics_crack.fem.setting import parts_of
-from fenics_crack.model.nodes import Clamp, nearest_node, nodes_at
+from fenics_crack.model.nodes import FARTHEST, Clamp, nearest_node, nodes_at
 from fenics_crack.scene.fields import Vector
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Load
@@ -100,7 +100,8 @@ def _share_at(scene: Scene, dofs: Dofs, key: str, point: Vector) -> np.ndarray:
     """Return the fraction of a force at a point that each of this rank's nodes carries: (n_nodes,).
 
     A node takes all of what acts at it, also where rounding, or a curved boundary between flat
-    sides, puts it out of every cell.
+    sides, puts it out of every cell; so does the node of a part nearest to a point that is out of
+    every cell, but near.
     """
     if sides := [found for lip in dofs.plate.lips if (found := lip.beside(point)) is not None]:
         (low, high), *_ = sides
@@ -113,7 +114,10 @@ def _share_at(scene: Scene, dofs: Dofs, key: str, point: Vector) -> np.ndarray:
     values = np.where(np.abs(values) < 1e-12, 0.0, values)  # rounding
     hits = dofs.comm.allgather(len(nodes) > 0)
     if not any(hits):
-        raise InputError(key, tuple(point), f"on the mesh ({nearest_node(places, point)})")
+        away, extent = np.linalg.norm(places - point, axis=1), np.ptp(places, axis=0).max()
+        if scene.geometry.file is None or away.min() > FARTHEST * extent:
+            raise InputError(key, tuple(point), f"on the mesh ({nearest_node(places, point)})")
+        return np.where(own == int(away.argmin()), 1.0, 0.0)
     if dofs.comm.rank != hits.index(True):
         nodes, values = nodes[:0], values[:0]
 
@@ -125,6 +129,15 @@ def _share_at(scene: Scene, dofs: Dofs, key: str, point: Vector) -> np.ndarray:
     share = np.zeros(dofs.n_nodes)
     np.add.at(share, numbers[mine] - dofs.first_node, shares[mine])
     return share
+
+
+def is_on_mesh(scene: Scene, dofs: Dofs, point: Vector) -> bool:
+    """Return True for a point in a cell, or at a node (collective)."""
+    held = len(compat.basis_at(dofs.space, scene.mesh.order, np.array(point))[0]) > 0
+    return (
+        dofs.comm.allreduce(int(held)) > 0
+        or len(nodes_at(gather_rows(dofs.comm, dofs.points), point)) > 0
+    )
 
 
 def _at_point(

@@ -25,9 +25,10 @@ from fenics_crack.basics.gmsh_process import gmsh, kept_interrupts
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.untrusted_files import content_of
 from fenics_crack.fem import compat
-from fenics_crack.fem.blocks import draw_box, draw_plate
+from fenics_crack.fem.blocks import draw_plate
 from fenics_crack.fem.compat import dolfinx, ufl
 from fenics_crack.fem.cracks import Lips, Names
+from fenics_crack.fem.solid import draw_solid
 from fenics_crack.model.nodes import Nodes
 from fenics_crack.scene.scene import Scene
 
@@ -140,7 +141,7 @@ def _model(scene: Scene) -> tuple[Names, Lips]:
 
         found = read_file(Path(str(scene.mesh.file)), scene.dimension)
     else:
-        found = draw_plate(scene) if scene.dimension == 2 else draw_box(scene)
+        found = draw_plate(scene) if scene.dimension == 2 else draw_solid(scene)
     gmsh.model.mesh.renumberNodes()
     return found
 

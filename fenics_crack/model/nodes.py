@@ -20,6 +20,10 @@ from fenics_crack.numerics.fourier import evaluate
 AXES = "xyz"
 
 
+FARTHEST = 0.05
+"""Largest distance of a point from the mesh, whose nearest node is taken, over the mesh's size."""
+
+
 @dataclass(frozen=True, eq=False)
 class Nodes(ReadOnly):
     """Positions of the nodes that this rank owns, and their dofs; the arrays are read-only.
@@ -65,7 +69,7 @@ class Nodes(ReadOnly):
         place = int(np.argmin(distance))
         shown = tuple(map(float, point))
         there = nearest_node(points, point)
-        if distance[place] > 0.05 * size:
+        if distance[place] > FARTHEST * size:
             raise InputError(key, shown, f"on the mesh ({there})")
         if len(nodes_at(points, points[place])) > 1:
             raise InputError(key, shown, f"near a node that exists once, not on a face ({there})")

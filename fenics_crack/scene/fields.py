@@ -55,6 +55,10 @@ class Point(Axis):
     """A named point: its key is the name, its values are x and y, of a solid z too [m]."""
 
 
+class Face(Axis):
+    """A named face of a part: its key is the name, its values are points (x, y, z) on it [m]."""
+
+
 class MeshFile(Axis):
     """A mesh with the numbers that it has: its key is the file, its values are names and numbers,
     ``("crack.length", 0.005)``."""
@@ -126,6 +130,10 @@ def _vector(value: object, lengths: tuple[int, ...] = (2, 3)) -> Vector:
     if len(_of(list | tuple, value)) not in lengths:
         raise TypeError
     return _floats(value)
+
+
+def _in_space(value: object) -> Vector:
+    return _vector(value, (3,))
 
 
 def _one_or_more(value: object) -> float | tuple[float, ...]:
@@ -235,6 +243,9 @@ _READERS: dict[str, Callable[[object], Any]] = {
     "float | tuple[float, ...]": _one_or_more,
     "int | str": lambda value: value if value == "all" else _int(value),
     "tuple[Axis, ...]": _axes(Axis, _values),
+    "tuple[Face, ...]": _axes(
+        Face, lambda _, given: tuple(map(_in_space, _of(list | tuple, given)))
+    ),
     "tuple[MeshFile, ...]": _axes(MeshFile, _numbers_of_mesh),
     "tuple[Point, ...]": _axes(Point, lambda _, given: _vector(given)),
     "tuple[Harmonic, ...]": _harmonics,
@@ -245,7 +256,7 @@ _READERS: dict[str, Callable[[object], Any]] = {
 """Function that reads a value, by the type of a field that is not None."""
 
 
-_BY_NAME = ("tuple[Axis, ...]", "tuple[MeshFile, ...]", "tuple[Point, ...]")
+_BY_NAME = ("tuple[Axis, ...]", "tuple[Face, ...]", "tuple[MeshFile, ...]", "tuple[Point, ...]")
 _JSON = {"bool": "boolean", "float": "number", "int": "integer", "str": "string"}
 _JSON |= dict.fromkeys(_BY_NAME, "object")
 """JSON's words for types; all others are arrays."""

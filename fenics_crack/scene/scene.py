@@ -126,7 +126,10 @@ class Scene:
             _check_matrices(self, self.structure)
         else:
             _check_dimension(self)
-            (_check_file if self.mesh.layout == "file" else _check_plate)(self)
+            if self.geometry.file is not None:
+                _check_part(self)
+            else:
+                (_check_file if self.mesh.layout == "file" else _check_plate)(self)
             if self.disk is not None:
                 _check_disk(self, self.disk)
         for name in self.quantities or ():
@@ -493,6 +496,8 @@ def _in_short(scene: Scene) -> str:
         parts = [f"matrices {scene.structure.stiffness!r}"]
     elif scene.mesh.layout == "file":
         parts = [f"mesh {scene.mesh.file!r}"]
+    elif scene.geometry.file is not None:
+        parts = [f"part {scene.geometry.file!r}"]
     else:
         sides = " x ".join(f"{side:g}" for side in scene.geometry.sides)
         parts = [f"{scene.geometry.kind} of {sides} m"]
@@ -598,6 +603,9 @@ def _check_dimension(scene: Scene) -> None:
     geometry, dimension = scene.geometry, scene.dimension
     if dimension == 2 and scene.rotation is not None:
         scene.rotation.leave_out(("axis", "center"), "a plate: its axis is parallel to x")
+    for name, crack in scene.all_cracks.items() if dimension == 2 else ():
+        with named(name):
+            crack.leave_out(kinds.OF_PLANES, "geometry.kind = 'plate'")
     _check_vectors(scene)
     mesh = scene.mesh
     if scene.contact is not None and scene.contact.pairs == "mouth":
@@ -611,7 +619,9 @@ def _check_dimension(scene: Scene) -> None:
         if scene.contact is not None and scene.contact.friction and scene.disk is not None:
             allowed = "0, or left out, with [disk] and geometry.kind = 'solid': not there yet"
             scene.contact.require(False, "friction", allowed)
-    if dimension == 2 or mesh.layout != "file":
+    if geometry.file is None:
+        mesh.leave_out(("per_turn",), "no geometry.file: it has no curved faces")
+    if dimension == 2 or (mesh.layout != "file" and geometry.file is None):
         geometry.given("thickness", "given: a finite number > 0")
 
 
@@ -668,6 +678,23 @@ def _check_plate(scene: Scene) -> None:
             raise InputError("contact", None, "given where there is a crack: a table")
 
 
+def _check_part(scene: Scene) -> None:
+    """Raise InputError where a part from a CAD file cannot be meshed as the scene says."""
+    scene.mesh.require(scene.mesh.layout == "graded", "layout", "'graded' with geometry.file")
+    if scene.disk is not None:
+        raise InputError("disk", "a table", "left out with geometry.file")
+    if not scene.has_other_loads:
+        scene.excitation.given("point", "given: [x, y, z], on the part or near it")
+    if scene.all_cracks:
+        scene.mesh.given("lip_elements", "given where there is a crack")
+        if scene.contact is None:
+            raise InputError("contact", None, "given where there is a crack: a table")
+    for name, crack in scene.all_cracks.items():
+        with named(name):
+            crack.given("point", "given with geometry.file: [x, y, z]")
+            crack.check_plane()
+
+
 def _check_file(scene: Scene) -> None:
     of_file = ("width", "height", "thickness")[: scene.dimension]
     scene.geometry.leave_out(of_file, "mesh.layout = 'file'")
@@ -680,9 +707,7 @@ def _check_file(scene: Scene) -> None:
 
 LEAST_DISTANCE = 1e-4
 """Minimum distance of cracks and crack tips from the edges and each other, relative to the side."""
-_OF_SHAPES = (
-    "edge", "center", "height", "length", "depth", "front", "first_frequency", "first_omega",
-)  # fmt: skip
+_OF_SHAPES = (*kinds.OF_BOXES, "front", *kinds.OF_PLANES)
 """Keys of a crack that a mesh file defines itself."""
 
 
@@ -691,13 +716,18 @@ def _check_cracks(scene: Scene) -> None:
     cracks, geometry, mesh = scene.all_cracks, scene.geometry, scene.mesh
     for name, crack in cracks.items():
         with named(name):
+            if crack.point is not None:
+                crack.check_plane()
+                continue
+            crack.leave_out(kinds.OF_PLANES, "no crack.point")
+            crack.require(crack.front != "through", "front", "another one without crack.point")
             _check_crack(crack, geometry, list(cracks))
             _check_front(crack, geometry)
             if mesh.layout == "grid":
                 _check_grid(crack, geometry, mesh)
     if mesh.layout == "graded":
         mesh.given("lip_elements", "given where there is a crack")
-    for first, second in combinations(cracks, 2):
+    for first, second in combinations([n for n, c in cracks.items() if c.point is None], 2):
         _check_apart(scene, first, second)
 
 

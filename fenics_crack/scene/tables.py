@@ -18,6 +18,7 @@ from fenics_crack.basics.tables import RPM, TURN
 from fenics_crack.scene.fields import (
     OR_ZERO,
     Axis,
+    Face,
     Harmonic,
     MeshFile,
     Pair,
@@ -45,6 +46,8 @@ LOAD_KINDS = ("force", "pressure", "traction")
 """Kinds of the loads at a point or on an edge."""
 MOST_POINTS = 100
 """Points of ``[output.points]``: every quantity of each is computed, printed and written."""
+MOST_FACES = 200
+"""Points of ``[geometry.faces]``."""
 MIN_VALUES = 4
 """Minimum values of an unknown, as its interpolation requires."""
 
@@ -52,7 +55,8 @@ MIN_VALUES = 4
 @dataclass(frozen=True)
 class Geometry(Table):
     """A plate [0, width] x [0, height] in plane stress, clamped along y = 0; or a solid, the box
-    [0, width] x [0, height] x [0, thickness], clamped at y = 0. A mesh file has its own shape."""
+    [0, width] x [0, height] x [0, thickness], clamped at y = 0, or a part from a CAD file. A mesh
+    file has its own shape."""
 
     kind: str = choice("plate", "solid", default="plate")
     """Plane stress, or three dimensions."""
@@ -60,6 +64,35 @@ class Geometry(Table):
     """Thickness of a plate, whatever its mesh, and of a box along z."""
     width: float | None = between("1e-6", "1e6", None, unit="m")
     height: float | None = between("1e-6", "1e6", None, unit="m")
+    file: str | None = holds(
+        "the path of a .step, .stp or .brep file",
+        lambda path: path.lower().endswith((".step", ".stp", ".brep")),
+        None,
+        path=True,
+    )
+    """A part without a crack, one solid, that is meshed here."""
+    unit: str | None = choice("mm", "m", "inch", default=None)
+    """Unit of length of a .brep file, which has none."""
+    faces: tuple[Face, ...] = holds(
+        f"names with lists of points [x, y, z] in m, one on each face, at most {MOST_FACES}",
+        lambda faces: sum(len(face.values) for face in faces) <= MOST_FACES,
+        (),
+    )
+    """Faces of a part: a point on, or near, each."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.file is None:
+            self.leave_out(("unit", "faces"), "no geometry.file")
+            return
+        self.require(self.kind == "solid", "kind", "'solid' with geometry.file")
+        self.leave_out(("width", "height", "thickness"), "geometry.file")
+        clamped = any(face.key == "clamp" and face.values for face in self.faces)
+        self.require(clamped, "faces", "names with lists of points, one of them clamp")
+        if self.file.lower().endswith(".brep"):
+            self.given("unit", "given: 'mm', 'm' or 'inch', as a .brep file has none")
+        else:
+            self.leave_out(("unit",), "a STEP file, which has one")
 
     @property
     def dimension(self) -> int:
@@ -78,12 +111,21 @@ class Geometry(Table):
         return self.sides[0 if self.dimension == 2 else 2]
 
 
+OF_BOXES = (
+    "edge", "center", "height", "length", "depth", "first_frequency", "first_omega",
+)  # fmt: skip
+"""Keys of a crack in a plate, or in the plane y = height of a box."""
+OF_PLANES = ("point", "normal", "direction", "radii")
+"""Keys of a crack in any plane of a solid."""
+
+
 @dataclass(frozen=True)
 class Crack(Table):
     """Straight horizontal crack: a slit whose two faces share only its tip, or its two tips.
 
     Of a solid: in the plane y = height, through the thickness, or as deep as ``depth`` from the
-    face z = thickness.
+    face z = thickness. Or, of a box and of a part, in any plane: the part inside the solid of an
+    ellipse around ``point``, or of the half-plane that ends there.
     """
 
     _ADVICE: ClassVar[Mapping[str, str]] = dict.fromkeys(
@@ -101,14 +143,52 @@ class Crack(Table):
     """Or let ``first_omega`` determine it."""
     depth: float | None = positive(None, unit="m")
     """Depth of a crack in a solid that does not go through it."""
-    front: str | None = choice("straight", "elliptical", default=None)
-    """Shape of such a crack: a rectangle, or half of an ellipse; a quarter of one at an edge."""
+    front: str | None = choice("straight", "elliptical", "through", default=None)
+    """Shape of such a crack: a rectangle, or half of an ellipse; a quarter of one at an edge. Or
+    "through": the half-plane that ends at ``point``."""
+    point: Vector | None = vector("", unit="m", of_solid=True)
+    """Middle of the ellipse, or where the half-plane ends."""
+    normal: Vector | None = vector("n", of_solid=True)
+    """Of the crack's plane."""
+    direction: Vector | None = vector("d", of_solid=True)
+    """Of the first radius, or in which a half-plane grows; as far as it is in the crack's plane."""
+    radii: Pair | None = holds(
+        "[a, b], two finite numbers > 0", lambda radii: min(radii) > 0, None, unit="m"
+    )
+    """Of the ellipse, along the direction and across."""
     first_omega: float | None = positive(None, unit="rad/s")
     """First natural frequency with the crack open, from which the length is found."""
     first_frequency: float | None = hertz("first_omega")
     """The same in Hz."""
     clearance: float = number(0.0, unit="m")
     """g0 >= 0: opening that closes before the crack faces touch; < 0: preload."""
+
+    def check_plane(self) -> None:
+        """Raise InputError unless the crack of a solid is one around a point."""
+        self.leave_out(OF_BOXES, "crack.point")
+        normal = np.array(self.given("normal"))
+        self.require(any(normal), "normal", "a vector that is not zero")
+        self.require(self.front in (None, "through"), "front", "'through', or left out with radii")
+        if self.front == "through":
+            self.leave_out(("radii",), "front = 'through'")
+        else:
+            self.given("radii", "given: [a, b], or front = 'through'")
+        if self.radii is None or self.radii[0] != self.radii[1]:
+            self.given("direction", "given: of the first radius, or in which a half-plane grows")
+        if self.direction is not None:
+            across = np.linalg.norm(np.cross(normal, self.direction))
+            lengths = np.linalg.norm(normal) * np.linalg.norm(self.direction)
+            self.require(across > 1e-3 * lengths, "direction", "a vector across crack.normal")
+
+    @property
+    def frame(self) -> np.ndarray:
+        """Rows: the direction and another one in the crack's plane, and the normal; (3, 3)."""
+        normal = np.array(self.given("normal"), dtype=float)
+        normal /= np.linalg.norm(normal)
+        along = np.array(self.direction or np.eye(3)[np.abs(normal).argmin()], dtype=float)
+        along -= (along @ normal) * normal
+        along /= np.linalg.norm(along)
+        return np.array([along, np.cross(normal, along), normal])
 
     def span(self, width: float) -> tuple[float, float]:
         """x of its left and its right end [m] in a plate of some width."""
@@ -642,6 +722,8 @@ class Mesh(Table):
     """Elements of a graded mesh along each crack face."""
     grading: float = between("1", "1e+06", 4.0)
     """Size of elements of a graded mesh at the mouth over that at the crack tip."""
+    per_turn: int = holds("a whole number from 4 to 200", lambda count: 4 <= count <= 200, 12)
+    """Elements on a full turn of a curved face of a part."""
     file: str | None = path("the path of a .msh file")
     """Beside the scene's file, or with its whole path."""
     coarser: str | None = path("the path of a .msh file")
@@ -656,7 +738,7 @@ class Mesh(Table):
         super().__post_init__()
         keys = {
             "grid": ("columns", "rows"),
-            "graded": ("size", "lip_elements", "grading"),
+            "graded": ("size", "lip_elements", "grading", "per_turn"),
             "file": ("file", "coarser"),
         }
         given = keys.pop(self.layout)

@@ -74,7 +74,7 @@ def _ratio(scene: Scene, coarse: Scene, counts: tuple[int, int]) -> float:
     """
     size, plane = scene.mesh.size, scene.dimension == 2
     if scene.has_element_lengths and size is not None and (scene.all_cracks or plane):
-        if plane or size <= min(scene.geometry.sides):
+        if plane or size <= min(scene.geometry.sides, default=math.inf):
             return coarse.mesh.given("size") / size
     return float((counts[0] / counts[1]) ** (1.0 / scene.dimension))
 
@@ -123,7 +123,7 @@ def finer_mesh(scene: Scene, factor: float) -> Scene | None:
     changes: dict[str, Any] = {}
     lips, size = mesh.lip_elements, mesh.size
     if scene.has_element_lengths and size is not None and factor > 1.0:
-        size = min(size, *scene.geometry.sides)
+        size = min([size, *scene.geometry.sides])
     if scene.has_element_lengths and lips is not None and lips > 2:
         count, grading, factor = _similar(lips, mesh.grading, factor)
         changes |= {"mesh.lip_elements": count, "mesh.grading": grading}

@@ -533,10 +533,15 @@ def _thickness(value: float, scene: Scene) -> float | None:
 
 
 def _no_node(value: object, scene: Scene, structure: Structure) -> tuple[float, str] | None:
-    """Distance of a load from the nearest node of a model from elsewhere, over its size, and that
-    node's place."""
-    if scene.structure is None or structure.nodes is None:
+    """Distance of a load from the nearest node, of a part or of a model from elsewhere, over its
+    size, and that node's place."""
+    if structure.nodes is None or (scene.structure is None and scene.geometry.file is None):
         return None
+    if scene.structure is None:
+        from fenics_crack.fem.loads import is_on_mesh  # DOLFINx
+
+        if is_on_mesh(scene, structure.nodes.numbered, value):  # type: ignore[arg-type]
+            return None
     points = gather_rows(structure.comm, structure.nodes.points)
     distance = np.linalg.norm(points - value, axis=1)
     nearest = int(np.argmin(distance))

@@ -330,7 +330,7 @@ def test_in_its_plane_a_solid_is_a_plate() -> None:
         in_plane = np.flatnonzero(sizes[:, 0] > sizes[:, 2])[0]
         errors.append(modes.omega[in_plane] / (2.0 * math.pi) / exact - 1.0)
     assert 0.0 < errors[1] < 0.6 * errors[0]
-    assert errors[1] < 6e-3
+    assert errors[1] < 7e-3
 
 
 def test_tied_lips_are_a_solid_without_a_crack() -> None:
