@@ -312,7 +312,7 @@ SOLVED = "scene --set --output"
 COMMANDS = {
     "new": (
         "write a commented scene to start from",
-        "cli.given:new file --blade --timing --identify --solid --disk",
+        "cli.given:new file --blade --timing --identify --solid --disk --cad",
     ),
     "check": ("mesh and assemble a scene without solving it", "cli.scenes:check scene --set"),
     "modes": (
@@ -381,6 +381,10 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     "--identify": ("of one whose crack is looked for, by a CSV file", {"action": "store_true"}),
     "--solid": ("of a blade in three dimensions", {"action": "store_true"}),
     "--disk": ("of a bladed disk with one cracked blade", {"action": "store_true"}),
+    "--cad": (
+        "of a part from a CAD file, .step, .stp or .brep, with a picture of its faces",
+        {"type": path, "metavar": "PART"},
+    ),
     "--patterns": (
         "number of random patterns of mistuning, without contact (default: 0)",
         {"type": int, "default": 0, "metavar": "COUNT"},

@@ -352,11 +352,18 @@ def new(given: Namespace, _: None, console: Console) -> None:
     path: Path = given.file
     kinds = [kind for kind in JOINABLE_SCENES if vars(given)[kind]]
     alone = [name for name in WHOLE_SCENES if vars(given)[name]]
+    alone += ["cad"] if given.cad else []
     if alone and len(alone + kinds) > 1:
         other = f"with --{(alone[1:] + kinds)[0]}"
         raise InputError(f"--{alone[0]}", other, "used alone: it is another scene")
     rows = path.with_name(f"{path.stem}_measured.csv")
-    if alone:
+    if given.cad:
+        from fenics_crack.cli.part import part_scene  # gmsh and VTK
+
+        text, picture = on_root(console.comm, lambda: part_scene(given.cad, path))
+        console.note(f"{picture}: the faces of {given.cad}, with numbers")
+        files = {path: text}
+    elif alone:
         text = packaged(f"cli/new_{alone[0]}.toml")
         files = {path: text.replace("SCENE", shlex.quote(path.name))}
     else:

@@ -4,6 +4,7 @@ surface, seen from a corner, into an image."""
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import cycle
 from typing import Any, Unpack
 
 import numpy as np
@@ -194,6 +195,34 @@ def draw_moved(
         drawn = ScalarMappable(Normalize(0.0, float(values.max())), "viridis")
     axes.axis("off")
     return drawn
+
+
+def draw_faces(
+    triangles: np.ndarray, owners: np.ndarray, faces: Sequence[int], places: np.ndarray,
+    **where: Unpack[Where],
+) -> Figure:  # fmt: skip
+    """Draw faces of a part with their numbers, from 1, at places (n, 3) of each.
+
+    Triangles (m, 3, 3) have the face of each in ``owners`` (m,).
+    """
+    from fenics_crack.draw import vtk
+
+    picture = Picture(2, columns=2, size=(11.0, 6.5), **where)
+    numbers = [str(number) for number in range(1, len(faces) + 1)]
+    look = {"font_size": 24, "show_points": False, "shape": None}
+    for panel, turn, words in zip(
+        picture, ([1.0, 1.0, 1.0], [-1.0, 1.0, -1.0]), ("from a corner", "from the other side"),
+        strict=True,
+    ):  # fmt: skip
+        plotter, corners = vtk.off_screen_plotter(), turn * triangles.reshape(-1, 3)
+        rows = np.arange(len(corners)).reshape(-1, 3)
+        for face, colour in zip(faces, cycle(COLOURS.values()), strict=False):
+            plotter.add_mesh(vtk.surface(corners, rows[owners == face]), color=to_rgb(colour))
+        plotter.add_point_labels(turn * places[: len(faces)], numbers, **look)
+        panel.imshow(vtk.image_of(plotter, corners), interpolation="antialiased")
+        panel.axis("off")
+        panel.set_title(words)
+    return picture.finished()
 
 
 # --- of solids ------------------------------------------------------------------------------------
