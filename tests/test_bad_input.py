@@ -27,6 +27,15 @@ LISTS = {
 }
 LISTS["TABLES"] = LISTS["SWEPT"] + ", curve, integration, sweep, growth, identify, tip_timing, output"
 """Names of tables that errors list."""
+PART = """
+geometry = { kind = "solid", file = "part.step", faces = { clamp = [[0.0, 0.0, 0.0]] } }
+crack = { point = [0.0, 0.03, 0.0], normal = [0.0, 1.0, 0.0], radii = [0.004, 0.004] }
+material = { young = 2.1e11, poisson = 0.3, density = 7850.0 }
+damping = { ratio = 0.002 }
+excitation = { point = [0.0, 0.09, 0.0], force_sin = [0.0, 0.0, 0.1], frequency = 560.0 }
+contact = { law = "unilateral" }
+mesh = { layout = "graded", size = 0.006, lip_elements = 2 }
+"""
 TABLE = [
     # command, scene or file and arguments (key=value stands for --set key=value), message
     ("check missing.toml", "scene = 'missing.toml': must be a readable file (No such file or directory)"),
@@ -72,6 +81,11 @@ TABLE = [
     ("solve scene.toml mesh.rows=4 cracks.1.edge=right cracks.1.height=0.025 cracks.1.first_omega=2000", "cracks.1.first_omega = 2000.0: not allowed with several cracks: it finds the length of the only one"),
     ("solve scene.toml sweep.over={'cracks.1.length'=[0.05]}", "sweep.over = 'cracks.1.length': must be a table.key of the scene, given once, with a table of "),
     ("check list.toml", "cracks = 1: must be a list of tables: [[cracks]]"),
+    ("check part.toml mesh.layout=file mesh.file=a.msh mesh.size=none mesh.lip_elements=none", "mesh.layout = 'file': must be 'graded' with geometry.file"),
+    ("check part.toml excitation.point=none", "excitation.point is missing: must be given: [x, y, z], on the part or near it"),
+    ("check part.toml crack.point=none", "crack.point is missing: must be given with geometry.file: [x, y, z]"),
+    ("check part.toml disk.sectors=8 excitation.order=1", "disk = 'a table': not allowed with geometry.file"),
+    ("check part.toml geometry.file=none geometry.faces={} geometry.width=1 geometry.height=1 geometry.thickness=1 crack.point=none crack.normal=none crack.direction=none crack.radii=none crack.front=through", "crack.front = 'through': must be another one without crack.point"),
     ("check lists.toml", "cracks.2.edge = 'top': must be one of 'left', 'right'"),
     ("solve scene.toml crack.height=0.1", "crack.height = 0.1: must be inside the plate: between 0 and geometry.height = 0.1, at least 0.0001 of that from both"),
     ("solve scene.toml crack.height=0.04", "crack.height = 0.04: must be a whole number of grid cells of 0.05 m, at least one from each end"),
@@ -308,6 +322,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         "flat.toml": "mesh = 1\n" + text.split("[mesh]")[0],
         "list.toml": "cracks = 1\n" + text,
         "lists.toml": text + "\n[[cracks]]\nedge = 'left'\n[[cracks]]\nedge = 'top'\n",
+        "part.toml": PART,
         "less.toml": text.replace("young", "#"),
         "text.h5": "no",
         "wheel.toml": (DEMOS / "bladed_disk.toml").read_text(),

@@ -8,6 +8,7 @@ are limited. The answer is how it ended.
 """
 
 import contextlib
+import ctypes
 import json
 import os
 import resource
@@ -22,6 +23,7 @@ import numpy as np
 def serve(reader: str, line: socket.socket) -> None:
     """Have files read until nobody asks any more."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the program that asks
+    end_with_parent()
     with contextlib.suppress(Exception):  # what fails now fails again in the copy
         runpy.run_path(reader)
     while True:
@@ -32,6 +34,7 @@ def serve(reader: str, line: socket.socket) -> None:
         if copy == 0:
             end = 1
             try:
+                end_with_parent()
                 line.close()  # no file answers for the next one
                 attempt(reader, handed[0], json.loads(words))
                 end = 0
@@ -39,6 +42,12 @@ def serve(reader: str, line: socket.socket) -> None:
                 os._exit(end)
         os.close(handed[0])
         line.send(str(os.waitstatus_to_exitcode(os.waitpid(copy, 0)[1])).encode())
+
+
+def end_with_parent() -> None:
+    """Let the system kill this process when the one that started it has ended (Linux)."""
+    with contextlib.suppress(AttributeError):
+        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
 
 
 def limit(kind: int, soft_limit: int, margin: int = 0) -> None:

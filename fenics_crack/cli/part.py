@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from fenics_crack.cli.given import packaged
 from fenics_crack.draw.plot_mesh import draw_faces
-from fenics_crack.fem.solid import faces_of
+from fenics_crack.fem.solid import faces_of, ray_length
+from fenics_crack.version import packaged
 
 MOST_FACES = 40
 """Largest faces that a scene lists and a picture numbers."""
@@ -55,7 +55,7 @@ def part_scene(part: Path, scene: Path) -> tuple[str, Path]:
     target[axis] = low[axis] + ROOT * length
     root = np.linalg.norm(middles[own] - target, axis=1).argmin()
     start, normal = middles[own][root], normals[own][root]
-    deep = _thickness(start, normal, triangles)
+    deep = ray_length(start, -normal, triangles)
     picture = scene.with_name(f"{scene.stem}_faces.png")
     draw_faces(triangles, owners, faces[:MOST_FACES], places, path=picture)
     lines = [f"clamp = [{_vector(places[clamp])}]", f"tip = [{_vector(places[tip])}]"]
@@ -79,16 +79,3 @@ def part_scene(part: Path, scene: Path) -> tuple[str, Path]:
 
 def _vector(values: np.ndarray | list[float]) -> str:
     return json.dumps([float(f"{round(x, 9):.6g}") + 0.0 for x in values])
-
-
-def _thickness(point: np.ndarray, normal: np.ndarray, triangles: np.ndarray) -> float:
-    """Distance through the part from a point of its surface, along the normal there."""
-    one, two = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-    across = np.cross(normal, two)
-    scale = (one * across).sum(axis=1)
-    scale = np.where(np.abs(scale) < 1e-300, np.inf, scale)
-    to = point - triangles[:, 0]
-    u, turned = (to * across).sum(axis=1) / scale, np.cross(to, one)
-    v, away = turned @ normal / scale, np.abs((two * turned).sum(axis=1) / scale)
-    hits = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (away > 1e-9 * np.ptp(triangles))
-    return float(away[hits].min(initial=np.ptp(triangles)))

@@ -68,6 +68,7 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
         figures = replace(figures, at_load=replace(at_load, mesh_error=mesh_error))
     rows: dict[str, object] = {
         **({} if whole.nodes is None else _extents(figures)),
+        **_part(scene, whole),
         "degrees of freedom": whole.n_dofs,
         **_frequencies(study.scene, figures),
         **_known_by_mesh(by_mesh),
@@ -113,6 +114,15 @@ def _extents(figures: KeyFigures) -> dict[str, object]:
     """The sizes of the mesh."""
     names = ("width", "height", "thickness")[: len(figures.size)]
     return {" x ".join(names) + " [m]": " x ".join(f"{extent:g}" for extent in figures.size)}
+
+
+def _part(scene: Scene, whole: Structure) -> dict[str, str]:
+    """Faces and crack fronts of a part from a CAD file."""
+    if scene.geometry is None or scene.geometry.file is None:
+        return {}
+    from fenics_crack.fem.solid import described  # DOLFINx
+
+    return described(whole)
 
 
 def _frequencies(scene: Scene, figures: KeyFigures) -> dict[str, object]:

@@ -21,10 +21,16 @@ import numpy as np
 
 from fenics_crack.basics.errors import InputError, reading
 from fenics_crack.basics.gmsh_process import gmsh
+from fenics_crack.basics.tables import quantity
 from fenics_crack.basics.untrusted_files import beginning_of, run_reader
-from fenics_crack.fem import solid_mesher
+from fenics_crack.fem import compat, solid_mesher
 from fenics_crack.fem.blocks import RIM_SIDES, Rim, check_cells, in_unit, not_meshed
-from fenics_crack.fem.cracks import Lips, Names
+from fenics_crack.fem.compat import ufl
+from fenics_crack.fem.cracks import LIP_TAGS, Lips, Names
+from fenics_crack.fem.fronts import find_fronts
+from fenics_crack.fem.nodal_mesh import NodalMesh
+from fenics_crack.model.nodes import place_in_words
+from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Crack
 
@@ -71,6 +77,44 @@ def faces_of(scene_file: str, unit: str | None) -> dict[str, np.ndarray]:
         It is no file of one solid.
     """
     return _read(scene_file, {"unit": unit or "mm"})
+
+
+def described(structure: Structure) -> dict[str, str]:
+    """Return where the named faces of a part are, and how long its fronts and the shortest
+    ligaments ahead of them (collective)."""
+    assert structure.nodes is not None
+    plate, comm, rows = structure.nodes.numbered.plate, structure.comm, {}  # type: ignore[union-attr]
+    space = compat.function_space(plate.mesh, 1, vectors=False)
+    for name in sorted(set(plate.groups) - {*LIP_TAGS}):
+        weights = compat.assembled_vector(ufl.TestFunction(space) * plate.along(name))
+        points = space.tabulate_dof_coordinates()[: len(weights)]
+        area = comm.allreduce(weights.sum())
+        middle = place_in_words(comm.allreduce(weights @ points) / area, ".4g")
+        rows[f"face {name}"] = f"{1e6 * area:.4g} mm^2 around {middle} m"
+    mesh = NodalMesh(structure)
+    surface = mesh.points[mesh.boundary]
+    for front in find_fronts(structure):
+        length = np.linalg.norm(np.diff(front.nodes, axis=0), axis=1).sum()
+        ahead = zip(front.nodes[1:-1], front.frame(front.at[1:-1])[0][:, 0], strict=True)
+        ligament = min((ray_length(*ray, surface) for ray in ahead), default=np.nan)
+        words = f"{quantity(float(length), 'm')} long, {quantity(ligament, 'm')} from the surface"
+        rows[front.name] = f"{words} straight ahead at least"
+    return rows
+
+
+def ray_length(point: np.ndarray, direction: np.ndarray, triangles: np.ndarray) -> float:
+    """Return the distance from a point to the first of triangles (n, 3, 3) along a direction of
+    length 1; their whole extent where there is none."""
+    one, two = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    across = np.cross(direction, two)
+    scale = (one * across).sum(axis=1)
+    scale = np.where(np.abs(scale) < 1e-300, np.inf, scale)
+    to = point - triangles[:, 0]
+    u, turned = (to * across).sum(axis=1) / scale, np.cross(to, one)
+    v, away = turned @ direction / scale, (two * turned).sum(axis=1) / scale
+    extent = float(np.ptp(triangles.reshape(-1, 3), axis=0).max())
+    hits = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (away > 1e-6 * extent)
+    return float(away[hits].min(initial=extent))
 
 
 def _part(scene: Scene) -> dict[str, np.ndarray]:

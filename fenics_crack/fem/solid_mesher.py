@@ -36,6 +36,8 @@ STRAIGHT = 2.5
 """Distance from a front up to which cells are straight, in elements there."""
 FOLDED = 0.2
 """Smallest over largest Jacobian determinant below which a curved cell becomes straight."""
+SMALLEST = 0.1
+"""Least length of elements by curvature over the size."""
 NEAR = 0.1
 """Ligament at a front over its elements, and distance of a face's point over the part's size."""
 SAMPLES = 40
@@ -231,12 +233,13 @@ def insert(
         for own in children[1:]
     ]
     fronts = [_front(crack, rim) for crack, rim in zip(cracks, rims, strict=True)]
-    for number, (crack, own, rim) in enumerate(zip(cracks, children[1:], rims, strict=True)):
+    each = [*zip(cracks, children[1:], rims, fronts, strict=True)]
+    for number, (crack, own, rim, front) in reversed([*enumerate(each)]):
         if len(own) != 1 or any(rim & other for other in rims[:number]):
             allowed = "such that the crack crosses and touches no other one"
             raise Refusal(f"{crack['key']}.point", allowed)
         if len(triangles):
-            _check_place(crack, own[0][1], fronts[number], triangles)
+            _check_place(crack, own[0][1], front, triangles)
     return [own[0][1] for own in children[1:]], fronts
 
 
@@ -350,7 +353,8 @@ def generate(size: float, fronts: list[Front], per_turn: int = 0) -> None:
         least = fields.add("Min")
         fields.setNumbers(least, "FieldsList", every)
         fields.setAsBackgroundMesh(least)
-    smallest = 0.1 * min([size, *(front["shortest"] for front in fronts)]) if per_turn else 0.0
+    # Small faces of a part are not resolved: else some meshes would not end.
+    smallest = min([SMALLEST * size, *(front["shortest"] for front in fronts)])
     values = {"FromPoints": 0, "ExtendFromBoundary": 0, "FromCurvature": per_turn, "Max": size,
               "Min": smallest}  # fmt: skip
     for name, value in values.items():

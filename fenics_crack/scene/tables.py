@@ -722,12 +722,12 @@ class Mesh(Table):
     """Elements of a graded mesh along each crack face."""
     grading: float = between("1", "1e+06", 4.0)
     """Size of elements of a graded mesh at the mouth over that at the crack tip."""
-    per_turn: int = holds("a whole number from 4 to 200", lambda count: 4 <= count <= 200, 12)
-    """Elements on a full turn of a curved face of a part."""
     file: str | None = path("the path of a .msh file")
     """Beside the scene's file, or with its whole path."""
     coarser: str | None = path("the path of a .msh file")
     """The same part with fewer elements, for the errors due to those of ``file``."""
+    per_turn: int = holds("a whole number from 4 to 200", lambda count: 4 <= count <= 200, 12)
+    """Elements on a full turn of a curved face of a part."""
     patches: int | None = at_least_one(None)
     """Contact pairs of each crack, at most: means over several nodes, where the mesh is finer than
     contact needs. Default: all nodes; of a solid all corners of elements."""

@@ -1,0 +1,304 @@
+"""Plane cracks in parts from CAD files, and in any plane of a box."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import gmsh_model
+from mpi4py import MPI
+from surroundings import MPI_ENVIRONMENT, ROOT
+
+import fenics_crack as fc
+from fenics_crack import InputError, Scene
+from fenics_crack.study.plausibility import remarks_on_scene
+
+BOX = [0.03, 0.09, 0.006]
+TEXT = """
+geometry.kind = "solid"
+geometry.file = "box.step"
+geometry.faces = { clamp = [[0.015, 0.0, 0.003]], top = [[0.0151, 0.0901, 0.003]] }
+crack.point = [0.015, 0.03, 0.006]
+crack.normal = [0.0, 2.0, 0.0]
+crack.direction = [1.0, 0.5, 0.0]
+crack.radii = [0.008, 0.003]
+material = { young = 2.1e11, poisson = 0.3, density = 7850.0 }
+damping = { ratio = 0.002 }
+excitation = { point = [0.0, 0.09, 0.003], force_sin = [0.0, 0.0, 0.1], frequency = 560.0 }
+contact = { law = "unilateral" }
+mesh = { layout = "graded", size = 0.006, lip_elements = 2, error = false }
+"""
+SIDES = dict(zip(("geometry.width", "geometry.height", "geometry.thickness"), BOX, strict=True))
+OF_PART = {"geometry.file": None, "geometry.faces": ()}
+"""What a box does not have."""
+THROUGH = {
+    "crack.radii": None, "crack.front": "through", "crack.point": [0.012, 0.03, 0.003],
+    "crack.direction": [1.0, 0.0, 0.0],
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def parts(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with parts: a box, two boxes, a surface, a rod, and files that are none."""
+    folder = tmp_path_factory.mktemp("parts")
+    with gmsh_model() as model:
+        for name, draw in DRAWN.items():
+            model.add(name)
+            draw(model.occ)
+            model.occ.synchronize()
+            write(str(folder / name))
+            model.remove()
+    (folder / "words.step").write_text("A script?\nMesh 3;\n")
+    (folder / "cut.step").write_bytes((folder / "box.step").read_bytes()[:5000])
+    return folder
+
+
+def write(path: str) -> None:
+    """Write gmsh's current model."""
+    import gmsh
+
+    gmsh.write(path)
+
+
+def box(occ: Any) -> None:
+    occ.addBox(0, 0, 0, *(1e3 * side for side in BOX))
+
+
+def two(occ: Any) -> None:
+    box(occ)
+    occ.addBox(50, 0, 0, 10, 10, 10)
+
+
+DRAWN: dict[str, Callable[[Any], Any]] = {
+    "box.step": box,
+    "box.brep": box,
+    "two.step": two,
+    "flat.step": lambda occ: occ.addRectangle(0, 0, 0, 10, 10),
+    "rod.step": lambda occ: occ.addCylinder(0, 0, 0, 0, 200, 0, 10),
+}
+
+
+def part(parts: Path, **changes: Any) -> Scene:
+    """The scene of the box in a STEP file."""
+    text = TEXT.replace("box.step", str(parts / "box.step"))
+    scene = Scene.from_text(text)
+    return scene.replace({key.replace("__", "."): value for key, value in changes.items()})
+
+
+def frequencies(scene: Scene, lips: str = "open") -> np.ndarray:
+    """First three natural frequencies [Hz]."""
+    structure = fc.build_structure(scene, MPI.COMM_SELF)
+    return fc.solve_modes(structure, 3, lips=lips).omega / (2.0 * math.pi)
+
+
+@pytest.mark.parametrize(
+    ("changes", "own"),
+    [
+        ({}, {"center": 0.015, "length": 0.016, "depth": 0.003, "front": "elliptical"}),
+        (THROUGH, {"edge": "left", "length": 0.012}),
+    ],
+    ids=["ellipse", "through"],
+)
+def test_a_box_from_a_file(parts: Path, changes: dict[str, Any], own: dict[str, Any]) -> None:
+    """Its frequencies are those of the box that is made here, whose crack is given by its keys."""
+    scene = part(parts, mesh__lip_elements=4).replace(changes)
+    lost = dict.fromkeys(f"crack.{key}" for key in ("point", "normal", "direction", "radii"))
+    keys = {f"crack.{key}": value for key, value in ({"height": 0.03} | own).items()}
+    same = scene.replace(OF_PART | SIDES | lost | {"crack.front": None} | keys)
+    for lips in ("open", "tied"):
+        assert frequencies(scene, lips)[0] == pytest.approx(frequencies(same, lips)[0], rel=5e-4)
+
+
+def test_a_file_without_a_unit(parts: Path) -> None:
+    """A .brep file in mm and one in inches: all is 25.4 times as large."""
+    scene = part(parts, geometry__file=str(parts / "box.brep"), geometry__unit="mm", crack=None)
+    large = {
+        "geometry.unit": "inch", "mesh.size": 25.4 * 0.006,
+        "excitation.point": [0.0, 25.4 * 0.09, 25.4 * 0.003],
+        "geometry.faces": {"clamp": [[25.4 * 0.015, 0.0, 25.4 * 0.003]]},
+    }  # fmt: skip
+    scene = scene.replace({"contact": None})
+    assert frequencies(scene.replace(large))[0] * 25.4 == pytest.approx(
+        frequencies(scene)[0], rel=1e-3
+    )
+
+
+def test_an_inclined_crack_of_a_box(parts: Path) -> None:
+    """That of a part and that of a box; its area is that of half of the ellipse."""
+    tilt = {"crack.normal": [0.5, 1.0, 0.0], "crack.direction": [1.0, -0.5, 0.0]}
+    scene = part(parts).replace(tilt)
+    structures = [
+        fc.build_structure(one, MPI.COMM_SELF) for one in (scene, scene.replace(OF_PART | SIDES))
+    ]
+    for structure in structures:
+        assert structure.pair_areas is not None
+        area = structure.pair_areas.sum()
+        assert area == pytest.approx(0.5 * math.pi * 0.008 * 0.003, rel=0.06)  # of chords
+    first = [fc.solve_modes(structure, 1).omega[0] for structure in structures]
+    assert first[0] == pytest.approx(first[1], rel=5e-4)
+
+
+def test_cracks_in_the_order_of_the_scene(parts: Path) -> None:
+    """The upper one first, with a clearance of its own; named faces take loads."""
+    high = {
+        "crack.point": [0.0, 0.06, 0.006],
+        "crack.radii": [0.006, 0.003],
+        "crack.clearance": 1e-6,
+    }
+    low = {"point": [0.03, 0.03, 0.006], "normal": [0.0, 1.0, 0.0], "direction": [1.0, 0.0, 0.0]}
+    low |= {"radii": [0.006, 0.003], "clearance": 2e-6}
+    load = {"edge": "top", "pressure_cos": -1.0}
+    scene = part(parts).replace(
+        high | {f"cracks.1.{key}": value for key, value in low.items()}
+        | {f"loads.1.{key}": value for key, value in load.items()}
+    )  # fmt: skip
+    for other in (scene, scene.replace(OF_PART | SIDES)):
+        structure = fc.build_structure(other, MPI.COMM_SELF)
+        points = structure.pairs.points
+        assert points is not None
+        np.testing.assert_array_equal(points[:, 1] > 0.045, structure.clearance < 1.5e-6)
+    assert structure.force[1].sum() == pytest.approx(BOX[0] * BOX[2], rel=1e-9)
+
+
+REFUSED = [
+    ("geometry.file", {"geometry.file": "part.stl"}, "path of a .step, .stp or .brep file"),
+    ("geometry.file", {"geometry.file": "words.step"}, "does not begin as such a file"),
+    ("geometry.file", {"geometry.file": "missing.step"}, "No such file"),
+    ("geometry.file", {"geometry.file": "cut.step"}, "readable by gmsh|one solid|gmsh reads"),
+    ("geometry.file", {"geometry.file": "two.step"}, "one solid: it has 2"),
+    ("geometry.file", {"geometry.file": "flat.step"}, "one solid: it has none"),
+    ("geometry.unit", {"geometry.file": "box.brep"}, "given: 'mm', 'm' or 'inch'"),
+    ("geometry.unit", {"geometry.unit": "mm"}, "not allowed with a STEP file"),
+    ("geometry.faces", {"geometry.faces": {}}, "one of them clamp"),
+    ("geometry.faces", {"geometry.faces": {"clamp": [[0.0, 0.0]]}}, "lists of points"),
+    ("geometry.faces", {"geometry.faces": {"clamp": [[0.0, -0.02, 0.0]]}}, "away from the nearest"),
+    ("geometry.width", {"geometry.width": 1.0}, "not allowed with geometry.file"),
+    ("mesh.size", {"mesh.size": 1e-5}, "cells"),
+    ("mesh.lip_elements", {"mesh.lip_elements": 5000}, "cells"),
+    ("crack.point", {"crack.point": None}, "given with geometry.file"),
+    ("crack.point", {"crack.point": [0.0, 0.2, 0.0]}, "misses the part"),
+    ("crack.point", {"crack.radii": [0.1, 0.1]}, "cut the part in two"),
+    ("crack.point", {"crack.point": [0.015, 0.0, 0.006]}, "lies in a face"),
+    ("crack.point", {"crack.point": [0.0148, 0.03, 0.003], "crack.radii": [0.003, 0.003]},
+     "farther from the surface"),
+    ("crack.point", {"crack.radii": [0.008, 0.00599]}, "farther from the surface"),
+    ("cracks.1.point", {"cracks.1.point": [0.015, 0.03, 0.006], "cracks.1.normal": [1.0, 1.0, 0.0],
+                        "cracks.1.direction": [0.0, 0.0, 1.0], "cracks.1.radii": [0.003, 0.003]},
+     "crosses and touches no other"),
+    ("crack.normal", {"crack.normal": [0.0, 0.0, 0.0]}, "not zero"),
+    ("crack.direction", {"crack.direction": [0.0, 1.0, 0.0]}, "across crack.normal"),
+    ("crack.direction", {"crack.direction": None}, "of the first radius"),
+    ("crack.radii", {"crack.radii": None}, "or front = 'through'"),
+    ("crack.radii", {"crack.front": "through"}, "not allowed with front = 'through'"),
+    ("crack.height", {"crack.height": 0.03}, "not allowed with crack.point"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("key", "changes", "words"), REFUSED)
+def test_refused(parts: Path, key: str, changes: dict[str, Any], words: str) -> None:
+    """One line with the key, before the part is meshed."""
+    changes = dict(changes)
+    if "geometry.file" in changes:
+        changes["geometry.file"] = str(parts / changes["geometry.file"])
+    with pytest.raises(InputError, match=words) as caught:
+        fc.build_structure(part(parts).replace(changes), MPI.COMM_SELF)
+    assert caught.value.key == key
+
+
+def test_a_load_near_the_surface(parts: Path) -> None:
+    """It acts on the nearest node, which a remark names; one in the mesh acts where it is."""
+    scene = part(parts, excitation__point=[0.0, 0.0902, 0.003], crack=None, contact=None)
+    structure = fc.build_structure(scene, MPI.COMM_SELF)
+    remarks = [str(one) for one in remarks_on_scene(scene, structure)]
+    assert any("the force acts on the nearest one, at (0, 0.09, 0.003)" in one for one in remarks)
+    assert np.count_nonzero(structure.force[2]) == 1
+    with pytest.raises(InputError, match="on the mesh") as caught:
+        fc.build_structure(scene.replace({"excitation.point": [0.0, 0.12, 0.003]}))
+    assert caught.value.key == "excitation.point"
+    scene = scene.replace({"excitation.point": [0.001, 0.0895, 0.003]})
+    structure = fc.build_structure(scene, MPI.COMM_SELF)
+    assert not any("nearest" in str(one) for one in remarks_on_scene(scene, structure))
+
+
+def on_these_ranks(scene: Scene, comm: MPI.Comm) -> np.ndarray:
+    """First frequencies (collective)."""
+    return fc.solve_modes(fc.build_structure(scene, comm), 3).omega
+
+
+@pytest.mark.mpi
+def test_two_ranks(on_ranks: Callable[..., Any], parts: Path) -> None:
+    """The mesh is made once, and is the same."""
+    alone = on_these_ranks(part(parts), MPI.COMM_SELF)
+    np.testing.assert_allclose(on_ranks(on_these_ranks, part(parts)), alone, rtol=1e-8)
+
+
+def test_a_new_scene(parts: Path, tmp_path: Path) -> None:
+    """``new --cad`` proposes what ``check`` accepts, and draws the faces."""
+    scene = tmp_path / "rod.toml"
+    command = [sys.executable, "-m", "fenics_crack"]
+    run = lambda *words: subprocess.run(  # noqa: E731
+        [*command, *words], cwd=tmp_path, capture_output=True, text=True, env=environment()
+    )
+    made = run("new", "rod.toml", "--cad", str(parts / "rod.step"))
+    assert made.returncode == 0, made.stderr
+    assert (tmp_path / "rod_faces.png").stat().st_size > 1000
+    text = scene.read_text()
+    assert "# face_3 = " in text and "# face_4 = " not in text
+    checked = run("check", "rod.toml", "--set", "mesh.error=false", "--set", "mesh.lip_elements=2")
+    assert checked.returncode == 0, checked.stderr
+    [clamp] = [line for line in checked.stdout.splitlines() if line.startswith("face clamp")]
+    assert float(clamp.split()[2]) == pytest.approx(100.0 * math.pi, rel=0.01)
+    assert "the crack front" in checked.stdout and "from the surface" in checked.stdout
+
+
+def environment() -> dict[str, str]:
+    """Of a command."""
+    return dict(os.environ) | MPI_ENVIRONMENT | {"PYTHONPATH": str(ROOT)}
+
+
+def test_killed_while_it_meshes(parts: Path) -> None:
+    """No process and no file is left, and the next run succeeds."""
+    script = "import fenics_crack as fc; fc.build_structure(fc.Scene.from_text({!r}))"
+    text = TEXT.replace("box.step", str(parts / "box.step")).replace(
+        "size = 0.006", "size = 0.0006"
+    )
+    program = subprocess.Popen([sys.executable, "-c", script.format(text)], env=environment())
+    meshers: list[int] = []
+    while not meshers and program.poll() is None:
+        time.sleep(0.2)
+        meshers = [child for reader in children(program.pid) for child in children(reader)]
+    time.sleep(0.5)
+    program.send_signal(signal.SIGKILL)
+    program.wait()
+    deadline = time.monotonic() + 20.0
+    while any(map(is_running, meshers)) and time.monotonic() < deadline:
+        time.sleep(0.2)
+    assert meshers and not any(map(is_running, meshers))
+    assert fc.build_structure(part(parts), MPI.COMM_SELF).n_pairs > 0
+
+
+def children(process: int) -> list[int]:
+    """Processes that a process has started."""
+    try:
+        lines = Path(f"/proc/{process}/task/{process}/children").read_text()
+    except OSError:
+        return []
+    return [int(one) for one in lines.split()]
+
+
+def is_running(process: int) -> bool:
+    """True unless a process has ended."""
+    try:
+        state = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state not in "ZX"
