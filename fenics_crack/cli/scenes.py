@@ -205,7 +205,8 @@ def _contact(study: Study, figures: KeyFigures) -> dict[str, object]:
         if crack.length is not None:
             words = "crack length" if len(cracks) == 1 else f"{name}, length"
             rows[f"{words} [m]"] = crack.length
-            rows[f"{words} / width"] = crack.length / (study.scene.geometry.width or np.nan)
+            if (width := study.scene.geometry.width) is not None:
+                rows[f"{words} / width"] = crack.length / width
     rows["contact pairs"] = study.structure.n_pairs
     if law is None or contact is None:
         return rows

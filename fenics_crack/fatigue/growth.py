@@ -291,7 +291,7 @@ def grow(
     scene = _checked(with_crack_length(scene, comm))
     law, alone = scene.given("growth"), scene.replace({"curve": None, "sweep": None})
     where = None if folder is None else Path(folder)
-    if alone.given("crack").front is not None:
+    if alone.given("crack").is_elliptical:
         return _grow_ellipse(alone, where, comm, progress=progress)
     _at_size(alone, alone.excitation.omega, law.until)  # is refused before anything is solved
     path, missed, jumps = _solve_lengths(alone, where, comm, progress=progress)
@@ -343,8 +343,8 @@ def _checked(scene: Scene) -> Scene:
     if crack.front == "straight":
         allowed = "'elliptical' with [growth], or a crack through the solid: a rectangle changes"
         raise InputError("crack.front", crack.front, allowed)
-    ellipse = crack.front is not None
-    if scene.cracks or (crack.edge is None and not ellipse):
+    ellipse = crack.is_elliptical
+    if scene.cracks or (crack.edge is None and crack.point is None and not ellipse):
         allowed = "one crack from an edge with [growth]: its tip is the one that grows"
         raise InputError("crack", "several tips", allowed)
     if law.drive == "spectrum" and scene.excitation.order is not None:
@@ -355,10 +355,9 @@ def _checked(scene: Scene) -> Scene:
         raise InputError("growth.drive", law.drive, allowed)
     if law.drive == "resonance" and not resonates(scene):
         raise InputError("growth.drive", law.drive, f"another one {NO_PEAK_SOUGHT}")
-    key, side, most = "length", "width", scene.geometry.sides[0]
-    if ellipse:
-        key, side, most = "depth", "thickness", scene.geometry.given("thickness")
-    least = crack.given(key)
+    key, side = ("depth", "thickness") if ellipse else ("length", "width")
+    allowed = "given with [growth], and crack.length: these are what changes"
+    least, most = crack.given(key, allowed), getattr(scene.geometry, side) or math.inf
     if not least < law.until < most:
         allowed = f"between crack.{key} = {least:g} and geometry.{side} = {most:g}"
         raise InputError("growth.until", law.until, allowed)
@@ -372,10 +371,8 @@ def _grow_ellipse(
     law, crack = scene.given("growth"), scene.given("crack")
     if scene.reduction is None:
         scene = scene.replace({"reduction.method": "massless", "reduction.modes": SHAPE_MODES})
-    room, ends = scene.geometry.sides[0], 1 if crack.edge else 2
-    if crack.edge is None:
-        room = 2.0 * min(crack.given("center"), room - crack.given("center"))
-    most = WIDEST * room
+    ends = 1 if crack.edge else 2
+    most = _longest(scene)
     if crack.given("length") >= most:
         raise InputError("crack.length", crack.length, f"below {most:g} with [growth]: the sides")
     over = {
@@ -411,6 +408,18 @@ def _grow_ellipse(
         seen["delta_K_effective"], seen["K_II_max"], path.rates[:, 1], path.end,
         solved[swept.converged], errors, (*said, *without), path.depth,
     )  # fmt: skip
+
+
+def _longest(scene: Scene) -> float:
+    """Largest length of a half-ellipse for which stress intensities are found [m]; around a point,
+    whose room is not known, that of one which grows three times as fast along the face."""
+    crack, law = scene.given("crack"), scene.given("growth")
+    if crack.point is not None:
+        return float(crack.given("length") * (law.until / crack.given("depth")) ** 3)
+    room = scene.geometry.sides[0]
+    if crack.edge is None:
+        room = 2.0 * min(crack.given("center"), room - crack.given("center"))
+    return WIDEST * room
 
 
 def missed_by(table: EllipseTable, path: EllipsePath, law: Law, ends: int) -> float:

@@ -157,9 +157,12 @@ def _cracks(scene: Scene) -> list[dict[str, Any]]:
         if crack.point is None:
             made = _of_box(crack, scene.geometry.sides)
         else:
+            round_axes = crack.half_axes if crack.front != "through" else None
+            shift = (crack.length or 0.0) * crack.frame[0] * (round_axes is None)
             made = {
-                "middle": crack.point, "frame": crack.frame.tolist(), "half": crack.radii,
-                "is_round": crack.front != "through", "reach": crack.radii and min(crack.radii),
+                "middle": (crack.point + shift).tolist(), "frame": crack.frame.tolist(),
+                "half": round_axes, "is_round": round_axes is not None,
+                "reach": round_axes and min(round_axes),
             }  # fmt: skip
         elements, grading = scene.mesh.given("lip_elements"), scene.mesh.grading
         found.append({"key": key, **made, "elements": elements, "grading": grading})

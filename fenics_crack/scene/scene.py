@@ -408,8 +408,8 @@ def without_tips(scene: Scene) -> str:
 
 def without_ellipse(scene: Scene) -> str:
     """Why a scene's crack does not grow as half of an ellipse; "" where it does."""
-    if scene.crack is None or scene.crack.front != "elliptical" or scene.cracks:
-        return "without one crack with crack.front = 'elliptical'"
+    if scene.crack is None or not scene.crack.is_elliptical or scene.cracks:
+        return "without one crack with crack.front = 'elliptical', or around a point"
     return without_tips(scene)
 
 
@@ -707,7 +707,7 @@ def _check_file(scene: Scene) -> None:
 
 LEAST_DISTANCE = 1e-4
 """Minimum distance of cracks and crack tips from the edges and each other, relative to the side."""
-_OF_SHAPES = (*kinds.OF_BOXES, "front", *kinds.OF_PLANES)
+_OF_SHAPES = (*kinds.OF_BOXES, "length", "depth", "front", *kinds.OF_PLANES)
 """Keys of a crack that a mesh file defines itself."""
 
 

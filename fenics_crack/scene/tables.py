@@ -111,10 +111,8 @@ class Geometry(Table):
         return self.sides[0 if self.dimension == 2 else 2]
 
 
-OF_BOXES = (
-    "edge", "center", "height", "length", "depth", "first_frequency", "first_omega",
-)  # fmt: skip
-"""Keys of a crack in a plate, or in the plane y = height of a box."""
+OF_BOXES = ("edge", "center", "height", "first_frequency", "first_omega")
+"""Keys of a crack in a plate, or in the plane y = height of a box; and its length and depth."""
 OF_PLANES = ("point", "normal", "direction", "radii")
 """Keys of a crack in any plane of a solid."""
 
@@ -147,7 +145,7 @@ class Crack(Table):
     """Shape of such a crack: a rectangle, or half of an ellipse; a quarter of one at an edge. Or
     "through": the half-plane that ends at ``point``."""
     point: Vector | None = vector("", unit="m", of_solid=True)
-    """Middle of the ellipse, or where the half-plane ends."""
+    """Middle of the ellipse; or where the half-plane ends or, with a length, where its mouth is."""
     normal: Vector | None = vector("n", of_solid=True)
     """Of the crack's plane."""
     direction: Vector | None = vector("d", of_solid=True)
@@ -155,7 +153,7 @@ class Crack(Table):
     radii: Pair | None = holds(
         "[a, b], two finite numbers > 0", lambda radii: min(radii) > 0, None, unit="m"
     )
-    """Of the ellipse, along the direction and across."""
+    """Of the ellipse, along the direction and across; or half of ``length``, and ``depth``."""
     first_omega: float | None = positive(None, unit="rad/s")
     """First natural frequency with the crack open, from which the length is found."""
     first_frequency: float | None = hertz("first_omega")
@@ -169,16 +167,30 @@ class Crack(Table):
         normal = np.array(self.given("normal"))
         self.require(any(normal), "normal", "a vector that is not zero")
         self.require(self.front in (None, "through"), "front", "'through', or left out with radii")
+        given = [key for key in ("length", "depth") if getattr(self, key) is not None]
         if self.front == "through":
-            self.leave_out(("radii",), "front = 'through'")
+            self.leave_out(("radii", "depth"), "front = 'through'")
+        elif self.radii is not None:
+            self.leave_out(given, "crack.radii")
         else:
-            self.given("radii", "given: [a, b], or front = 'through'")
-        if self.radii is None or self.radii[0] != self.radii[1]:
+            words = "given: [a, b]; or front = 'through', or crack.length and depth"
+            self.require(len(given) == 2, "radii", words)
+        if self.front == "through" or self.half_axes[0] != self.half_axes[1]:
             self.given("direction", "given: of the first radius, or in which a half-plane grows")
         if self.direction is not None:
             across = np.linalg.norm(np.cross(normal, self.direction))
             lengths = np.linalg.norm(normal) * np.linalg.norm(self.direction)
             self.require(across > 1e-3 * lengths, "direction", "a vector across crack.normal")
+
+    @property
+    def half_axes(self) -> Pair:
+        """Radii of the ellipse around a point [m]."""
+        return self.radii or (0.5 * self.given("length"), self.given("depth"))
+
+    @property
+    def is_elliptical(self) -> bool:
+        """True of an ellipse, around a point or of a box."""
+        return self.front == "elliptical" or (self.point is not None and self.front != "through")
 
     @property
     def frame(self) -> np.ndarray:

@@ -349,8 +349,12 @@ def _at_tips(study: Study) -> Rows:
 def _at_ellipse(study: Study) -> Rows:
     """The rows of the crack's front, and the numbers at its deepest place and its ends."""
     places, rows, of_forces = tip_rows(study)
-    heights = np.array([place.point[2] for place in places])
-    ends = np.flatnonzero(heights > heights.max() - 1e-6 * np.ptp(heights))
+    points, crack = np.array([place.point for place in places]), study.scene.given("crack")
+    heights = points[:, 2]
+    if crack.point is not None:
+        heights = -np.abs((points - crack.point) @ crack.frame[1])
+    middle = 0.5 * (heights.min() + heights.max())
+    ends = [end for end in (0, len(places) - 1) if heights[end] > middle]
 
     def numbers(record: Record) -> dict[str, float]:
         tips = at_tips(record, places, of_forces, study.scene.growth)

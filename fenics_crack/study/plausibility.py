@@ -519,6 +519,11 @@ def _side(value: float, scene: Scene) -> float | None:
     return value if value == max(geometry.width or 0.0, geometry.height or 0.0) else None
 
 
+def _over(length: float, side: float | None) -> float | None:
+    """A crack's length over a side of a plate or of a box."""
+    return None if side is None else length / side
+
+
 def _shorter(scene: Scene) -> float:
     """Shorter side of a plate in its plane [m]; inf without any."""
     sides = scene.geometry.width, scene.geometry.height
@@ -694,9 +699,9 @@ OF_SCENE = (
     Usual("geometry.thickness", 0.0, 1.0, "thicker than the {kind} is wide or high",
           _thickness, MM),
     Usual("crack.length", 0.01, 0.9, "{:.3g} of the {kind}'s width; 0.01 to 0.9 are usual",
-          lambda length, scene: length / (scene.geometry.width or math.nan)),
+          lambda length, scene: _over(length, scene.geometry.width)),
     Usual("crack.depth", 0.01, 0.9, "{:.3g} of the {kind}'s thickness; 0.01 to 0.9 are usual",
-          lambda depth, scene: depth / (scene.geometry.thickness or math.nan)),
+          lambda depth, scene: _over(depth, scene.geometry.thickness)),
     Usual("mesh.size", 0.0, 1.0, "longer than the {kind}'s shorter side",
           lambda size, scene: size / _shorter(scene), MM),
     Usual("rotation.hub_radius", 0.0, LARGEST_SIDE, ROTOR, units=MM),
