@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from helpers import gmsh_model
 from mpi4py import MPI
+from scipy.integrate import dblquad
 from scipy.special import ellipe
 from surroundings import ROOT
 
@@ -177,6 +178,47 @@ def test_a_part_with_cracks_vibrates(folder: Path, case: str) -> None:
     assert bonded < 1.004 * uncracked
     assert bonded == pytest.approx(uncracked, rel=0.03)
     assert time.process_time() - before < 120.0
+
+
+def rod_flexibility(depth: float, radius: float, young: float, poisson: float) -> float:
+    """Rotation per moment that a straight crack adds to a rod [rad/(N m)]: strips in plane strain
+    (Dimarogonas and Papadopoulos, Journal of Sound and Vibration 91, 1983, 583)."""
+
+    def density(along: float, across: float) -> float:
+        height = 2.0 * math.sqrt(radius**2 - across**2)
+        turn = 0.5 * math.pi * along / height
+        shape = math.sqrt(math.tan(turn) / turn) / math.cos(turn)
+        shape *= 0.923 + 0.199 * (1.0 - math.sin(turn)) ** 4
+        return 0.25 * height**2 * math.pi * along * shape**2
+
+    below = radius - depth
+    half = math.sqrt(radius**2 - below**2)
+    total, _ = dblquad(
+        density, -half, half, lambda x: 1e-9 * radius, lambda x: math.sqrt(radius**2 - x**2) - below
+    )
+    return 2.0 * (1.0 - poisson**2) / young * 16.0 / (math.pi**2 * radius**8) * total
+
+
+@pytest.mark.parametrize("share", [0.25, 0.4])
+def test_a_rod_with_a_straight_crack(folder: Path, share: float) -> None:
+    """The square of its first frequency falls by the flexibility of strips: to 10 %."""
+    radius, length = 0.01, 0.2
+    changes = {
+        "crack.point": [0.0, 0.1, 2.0 * radius * share - radius], "mesh.lip_elements": 6,
+        "mesh.size": 0.006, "mesh.per_turn": 16,
+    }  # fmt: skip
+    structure = fc.build_structure(scene_of(folder, "rod").replace(changes), MPI.COMM_SELF)
+    open_, bonded = (fc.solve_modes(structure, 1, lips=lips).omega[0] for lips in ("open", "tied"))
+    k = 1.8751041 / length
+    sigma = (math.cosh(1.8751041) + math.cos(1.8751041)) / (
+        math.sinh(1.8751041) + math.sin(1.8751041)
+    )
+    x = np.append(np.linspace(0.0, length, 2001), 0.5 * length)
+    bend = np.cosh(k * x) + np.cos(k * x) - sigma * (np.sinh(k * x) + np.sin(k * x))
+    stiffness = 2.1e11 * 0.25 * math.pi * radius**4
+    added = rod_flexibility(2.0 * radius * share, radius, 2.1e11, 0.3) * stiffness * bend[-1] ** 2
+    expected = added / (length * np.mean(bend[:-1] ** 2))
+    assert (bonded / open_) ** 2 - 1.0 == pytest.approx(expected, rel=0.1)
 
 
 PULL = 1e8

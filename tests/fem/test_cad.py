@@ -94,10 +94,9 @@ def part(parts: Path, **changes: Any) -> Scene:
     return scene.replace({key.replace("__", "."): value for key, value in changes.items()})
 
 
-def frequencies(scene: Scene, lips: str = "open") -> np.ndarray:
-    """First three natural frequencies [Hz]."""
-    structure = fc.build_structure(scene, MPI.COMM_SELF)
-    return fc.solve_modes(structure, 3, lips=lips).omega / (2.0 * math.pi)
+def first_frequency(scene: Scene) -> float:
+    """Of the open crack [rad/s]."""
+    return float(fc.solve_modes(fc.build_structure(scene, MPI.COMM_SELF), 1).omega[0])
 
 
 @pytest.mark.parametrize(
@@ -114,8 +113,10 @@ def test_a_box_from_a_file(parts: Path, changes: dict[str, Any], own: dict[str, 
     lost = dict.fromkeys(f"crack.{key}" for key in ("point", "normal", "direction", "radii"))
     keys = {f"crack.{key}": value for key, value in ({"height": 0.03} | own).items()}
     same = scene.replace(OF_PART | SIDES | lost | {"crack.front": None} | keys)
+    structures = [fc.build_structure(one, MPI.COMM_SELF) for one in (scene, same)]
     for lips in ("open", "tied"):
-        assert frequencies(scene, lips)[0] == pytest.approx(frequencies(same, lips)[0], rel=5e-4)
+        found, known = (fc.solve_modes(one, 1, lips=lips).omega[0] for one in structures)
+        assert found == pytest.approx(known, rel=5e-4)
 
 
 def test_a_file_without_a_unit(parts: Path) -> None:
@@ -127,8 +128,8 @@ def test_a_file_without_a_unit(parts: Path) -> None:
         "geometry.faces": {"clamp": [[25.4 * 0.015, 0.0, 25.4 * 0.003]]},
     }  # fmt: skip
     scene = scene.replace({"contact": None})
-    assert frequencies(scene.replace(large))[0] * 25.4 == pytest.approx(
-        frequencies(scene)[0], rel=1e-3
+    assert first_frequency(scene.replace(large)) * 25.4 == pytest.approx(
+        first_frequency(scene), rel=1e-3
     )
 
 
