@@ -173,10 +173,10 @@ def _nearest(places: np.ndarray, place: float) -> int:
 # --- the unit of length ---------------------------------------------------------------------------
 
 
-def in_unit(scene: Scene) -> tuple[Scene, float]:
-    """Return a scene of the same mesh in the unit of length in which gmsh meshes, and that [m]: the
-    power of ten by which the longest side is from 0.0316 to 0.316."""
-    unit = 10.0 ** (round(math.log10(max(scene.geometry.sides))) + 1)
+def in_unit(scene: Scene, unit: float = 0.0) -> tuple[Scene, float]:
+    """Return a scene of the same mesh in the unit of length in which gmsh meshes, and that [m]; by
+    default the power of ten by which the longest side is from 0.0316 to 0.316."""
+    unit = unit or 10.0 ** (round(math.log10(max(scene.geometry.sides))) + 1)
 
     def in_unit(table: Any) -> Any:
         lengths = {

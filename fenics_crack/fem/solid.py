@@ -34,6 +34,8 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Crack
 
+MILLIMETRE = 1e-3
+"""Unit of length in which parts are meshed [m]."""
 BEGINNINGS = {".brep": b"DBRep_DrawableShape"}
 """Words near the beginning of a file; others are STEP's."""
 SECONDS = 600
@@ -56,15 +58,16 @@ def draw_solid(scene: Scene) -> tuple[Names, Lips]:
     """
     from fenics_crack.fem.msh_file import named_groups, put  # with what takes surfaces apart
 
-    found = _box(scene) if scene.geometry.file is None else _part(scene)
+    found, unit = _box(scene) if scene.geometry.file is None else _part(scene)
     gmsh.model.remove()
     gmsh.model.add("fenics_crack")
     try:
-        names, lips = put((found["numbers"], found["positions"], named_groups(found)), 3)
+        names, lips = put((found["numbers"], unit * found["positions"], named_groups(found)), 3)
     except InputError as error:
         raise not_meshed(scene, f"{error.value}") from None
     places = np.array([lip.triangles.mean(axis=(0, 1)) for lip in lips])  # type: ignore[union-attr]
-    order = [np.linalg.norm(places - middle, axis=1).argmin() for middle in found["middles"]]
+    middles = unit * found["middles"]
+    order = [np.linalg.norm(places - middle, axis=1).argmin() for middle in middles]
     return names, tuple(lips[place] for place in order)  # type: ignore[return-value]
 
 
@@ -76,7 +79,8 @@ def faces_of(scene_file: str, unit: str | None) -> dict[str, np.ndarray]:
     InputError
         It is no file of one solid.
     """
-    return _read(scene_file, {"unit": unit or "mm"})
+    found = _read(scene_file, {"unit": unit or "mm"})
+    return found | {"triangles": MILLIMETRE * found["triangles"]}
 
 
 def described(structure: Structure) -> dict[str, str]:
@@ -117,15 +121,17 @@ def ray_length(point: np.ndarray, direction: np.ndarray, triangles: np.ndarray) 
     return float(away[hits].min(initial=extent))
 
 
-def _part(scene: Scene) -> dict[str, np.ndarray]:
-    """The mesh of a part; raises InputError."""
-    geometry, mesh = scene.geometry, scene.mesh
+def _part(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
+    """The mesh of a part and its unit [m]; raises InputError."""
+    unit_scene, unit = in_unit(scene, MILLIMETRE)
+    geometry, mesh = scene.geometry, unit_scene.mesh
+    points = [(face.key, point) for face in geometry.faces for point in face.values]
     asked = {
         "unit": geometry.unit or "mm", "size": mesh.size, "per_turn": mesh.per_turn,
-        "faces": [(face.key, point) for face in geometry.faces for point in face.values],
-        "cracks": _cracks(scene), "cells": MOST_CELLS,
+        "faces": [(name, np.divide(point, unit).tolist()) for name, point in points],
+        "cracks": _cracks(unit_scene), "cells": MOST_CELLS,
     }  # fmt: skip
-    return _read(str(geometry.file), asked, scene)
+    return _read(str(geometry.file), asked, scene), unit
 
 
 def _read(path: str, asked: dict[str, Any], scene: Scene | None = None) -> dict[str, np.ndarray]:
@@ -185,8 +191,8 @@ def _of_box(crack: Crack, sides: Sequence[float]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _box(scene: Scene) -> dict[str, np.ndarray]:
-    """The mesh of a box, or of a sector of a disk, which is drawn in a unit of its size."""
+def _box(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
+    """The mesh of a box, or of a sector of a disk, in a unit of its size, and that [m]."""
     unit_scene, unit = in_unit(scene)
     width, height, thickness = size = unit_scene.geometry.sides
     occ, rim = gmsh.model.occ, None if scene.disk is None else Rim(unit_scene)
@@ -222,8 +228,7 @@ def _box(scene: Scene) -> dict[str, np.ndarray]:
         solid_mesher.generate(unit_scene.mesh.given("size"), fronts)
     except Exception as error:  # gmsh raises nothing else
         raise not_meshed(scene, str(error)) from None
-    found = solid_mesher.collected(surfaces, groups)
-    return found | {key: unit * found[key] for key in ("positions", "middles")}
+    return solid_mesher.collected(surfaces, groups), unit
 
 
 def _check_size(scene: Scene, unit: float, fronts: list[dict[str, Any]]) -> None:

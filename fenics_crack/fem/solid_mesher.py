@@ -24,10 +24,8 @@ Crack = dict[str, Any]
 Front = dict[str, Any]
 """As :func:`insert` has them."""
 
-UNIT = 1e-3
-"""Unit of length in which a part is meshed [m]: gmsh's tolerances are lengths."""
 UNITS = {"m": 1e3, "mm": 1.0, "inch": 25.4}
-"""Units of a file without one, in that unit."""
+"""Units of a file without one [mm]."""
 PER_VOLUME = 5.0
 """Tetrahedra that gmsh makes of a volume h^3 where they are to be h long, of a fine mesh."""
 COARSE = 25.0
@@ -51,8 +49,8 @@ class Refusal(Exception):
 def read(path: str, _most: int, given: dict[str, Any]) -> dict[str, Any]:
     """Return the mesh of a part as msh_reader.py does, or its faces where none is asked for.
 
-    ``given`` has lengths [m]: faces, a list of [name, point]; cracks, as :func:`insert` takes them;
-    size, unit, per_turn, elements, grading, cells.
+    ``given`` has lengths in mm, in which a part is meshed: faces, a list of [name, point]; cracks,
+    as :func:`insert` takes them; size, unit, per_turn, cells.
     """
     with suppress(AttributeError, ValueError):  # as in basics/gmsh_process.py, for FLTK
         ctypes.c_ubyte.in_dll(gmsh.lib, "_ZN2Fl13options_read_E").value = 1
@@ -69,18 +67,17 @@ def _meshed(path: str, given: dict[str, Any]) -> dict[str, Any]:
     solid = _imported(path, given["unit"])
     triangles, owners = coarse()
     if "size" not in given:
-        return {"triangles": UNIT * triangles, "owners": owners}
+        return {"triangles": triangles, "owners": owners}
     named = _named(given["faces"], triangles, owners)
-    cracks, per_turn = scaled(given["cracks"], 1.0 / UNIT), given["per_turn"]
-    size = given["size"] / UNIT
-    surfaces, fronts = insert(solid, cracks, triangles)
+    surfaces, fronts = insert(solid, given["cracks"], triangles)
+    size = given["size"]
     bulk, around = n_cells(size, fronts)
     if bulk + around > given["cells"]:
         allowed = f"so that there are at most {given['cells']:.0e} cells: about"
         key = "mesh.size" if bulk > around else "mesh.lip_elements"
         raise Refusal(key, f"{allowed} {bulk + around:.2g} would be")
     try:
-        generate(size, fronts, per_turn)
+        generate(size, fronts, given["per_turn"])
         gmsh.model.mesh.setOrder(2)
     except Exception as error:
         allowed = f"such that gmsh can mesh the part ({error})"
@@ -89,18 +86,7 @@ def _meshed(path: str, given: dict[str, Any]) -> dict[str, Any]:
     groups = {name: [s for s, owner in sides.items() if owner in tags] for name, tags in named}
     found = collected(surfaces, groups)
     found["positions"], found["straight"] = straightened(found, fronts)
-    for key in ("positions", "middles"):
-        found[key] *= UNIT
     return found
-
-
-def scaled(cracks: list[Crack], factor: float) -> list[Crack]:
-    """Cracks with all lengths times a factor."""
-    keys = ("middle", "half", "reach")
-    return [
-        {key: factor * np.array(v) if key in keys and v is not None else v for key, v in c.items()}
-        for c in cracks
-    ]
 
 
 # --- the part -------------------------------------------------------------------------------------
@@ -179,10 +165,10 @@ def _named(
     size = np.ptp(triangles.reshape(-1, 3), axis=0).max()
     found: dict[str, set[int]] = {}
     for name, point in faces:
-        away = distances(np.array([point]) / UNIT, triangles)[0]
+        away = distances(np.array([point]), triangles)[0]
         if away.min() > NEAR * size:
-            raise Refusal("geometry.faces", f"points on faces: that of {name}, {point}, is"
-                          f" {UNIT * away.min():.3g} m away from the nearest one")  # fmt: skip
+            raise Refusal("geometry.faces", f"points on faces: one of {name} is"
+                          f" {away.min():.3g} mm away from the nearest one")  # fmt: skip
         found.setdefault(name, set()).add(owners[away.argmin()])
     return found.items()
 
