@@ -112,9 +112,8 @@ def _imported(path: str, unit: str) -> Tags:
 def coarse() -> tuple[np.ndarray, np.ndarray]:
     """Triangles (n, 3, 3) of a coarse mesh of the part's faces, and the faces (n,)."""
     low_high = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
-    gmsh.option.setNumber("Mesh.MeshSizeMax", np.linalg.norm(np.ptp(low_high, axis=0)) / COARSE)
-    gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", 16)
-    gmsh.option.setNumber("Mesh.MeshSizeMin", 0.05 * gmsh.option.getNumber("Mesh.MeshSizeMax"))
+    largest = float(np.linalg.norm(np.ptp(low_high, axis=0))) / COARSE
+    _set_sizes(Max=largest, FromCurvature=16, Min=0.05 * largest)
     try:
         gmsh.model.mesh.generate(2)
     except Exception as error:
@@ -322,8 +321,7 @@ def generate(size: float, fronts: list[Front], per_turn: int = 0) -> None:
     for front in fronts:
         if front["curves"]:
             away, graded = fields.add("Distance"), fields.add("Threshold")
-            with suppress(Exception):  # gmsh 4.8
-                fields.setNumbers(away, "CurvesList", front["curves"])
+            fields.setNumbers(away, "CurvesList", front["curves"])
             count = min(2000, max(SAMPLES, math.ceil(2.0 * front["length"] / front["shortest"])))
             for name in ("NumPointsPerCurve", "Sampling"):  # until 4.8, and since
                 with suppress(Exception):
@@ -341,11 +339,17 @@ def generate(size: float, fronts: list[Front], per_turn: int = 0) -> None:
         fields.setAsBackgroundMesh(least)
     # Small faces of a part are not resolved: else some meshes would not end.
     smallest = min([SMALLEST * size, *(front["shortest"] for front in fronts)])
-    values = {"FromPoints": 0, "ExtendFromBoundary": 0, "FromCurvature": per_turn, "Max": size,
-              "Min": smallest}  # fmt: skip
+    _set_sizes(FromPoints=0, ExtendFromBoundary=0, FromCurvature=per_turn, Max=size, Min=smallest)
+    try:
+        gmsh.model.mesh.generate(3)
+    finally:
+        _set_sizes(FromCurvature=0, Max=1e22, Min=0)  # for what is meshed next
+
+
+def _set_sizes(**values: float) -> None:
+    """Set gmsh's options of the sizes of elements."""
     for name, value in values.items():
         gmsh.option.setNumber(f"Mesh.MeshSize{name}", value)
-    gmsh.model.mesh.generate(3)
 
 
 def collected(surfaces: list[int], sides: dict[str, list[int]]) -> dict[str, Any]:

@@ -228,7 +228,9 @@ material = { young = 2.1e11, poisson = 0.3, density = 7850.0 }
 damping = { ratio = 0.1 }
 excitation = { omega = 10.0 }
 loads = [{ edge = "top", traction_mean = [0.0, 1e8, 0.0], traction_cos = [0.0, 1e5, 0.0] }]
-contact = { law = "unilateral" }
+contact = { law = "unilateral", friction_error = false }
+harmonic_balance = { harmonics = 1, error = false }
+reduction = { method = "massless", modes = 5 }
 mesh = { layout = "graded", size = 0.02, lip_elements = 5, grading = 2.0, error = false }
 """
 
