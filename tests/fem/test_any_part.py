@@ -223,7 +223,7 @@ def test_a_rod_with_a_straight_crack(folder: Path, share: float) -> None:
 
 PULL = 1e8
 BLOCK = """
-geometry = { kind = "solid", width = 0.06, height = 0.06, thickness = 0.06 }
+geometry = { kind = "solid", width = 0.08, height = 0.2, thickness = 0.08 }
 material = { young = 2.1e11, poisson = 0.3, density = 7850.0 }
 damping = { ratio = 0.1 }
 excitation = { omega = 10.0 }
@@ -241,7 +241,7 @@ def test_a_tilted_ellipse_in_a_block(radii: tuple[float, float], angle: float) -
     block is clamped at its lower side, far from the crack."""
     turn = math.radians(angle)
     crack = {
-        "crack.point": [0.03, 0.033, 0.03], "crack.normal": [math.sin(turn), math.cos(turn), 0.0],
+        "crack.point": [0.04, 0.1, 0.04], "crack.normal": [math.sin(turn), math.cos(turn), 0.0],
         "crack.direction": [0.0, 0.0, 1.0], "crack.radii": list(radii),
     }  # fmt: skip
     scene = fc.Scene.from_text(BLOCK).replace(crack)
