@@ -102,7 +102,11 @@ def first_frequency(scene: Scene) -> float:
 @pytest.mark.parametrize(
     ("changes", "own"),
     [
-        ({}, {"center": 0.015, "length": 0.016, "depth": 0.003, "front": "elliptical"}),
+        pytest.param(
+            {},
+            {"center": 0.015, "length": 0.016, "depth": 0.003, "front": "elliptical"},
+            marks=pytest.mark.nightly,
+        ),
         (THROUGH, {"edge": "left", "length": 0.012}),
     ],
     ids=["ellipse", "through"],
@@ -254,7 +258,8 @@ def test_a_new_scene(parts: Path, tmp_path: Path) -> None:
     assert (tmp_path / "rod_faces.png").stat().st_size > 1000
     text = scene.read_text()
     assert "# face_3 = " in text and "# face_4 = " not in text
-    checked = run("check", "rod.toml", "--set", "mesh.error=false", "--set", "mesh.lip_elements=2")
+    checked = run("check", "rod.toml", "--set", "mesh.error=false", "--set", "mesh.lip_elements=2",
+                  "--set", "mesh.size=0.02")  # fmt: skip
     assert checked.returncode == 0, checked.stderr
     [clamp] = [line for line in checked.stdout.splitlines() if line.startswith("face clamp")]
     assert float(clamp.split()[2]) == pytest.approx(100.0 * math.pi, rel=0.01)
