@@ -49,3 +49,14 @@ def test_curve_has_the_indicators_of_its_solutions(massless: bool) -> None:
                 assert getattr(along, name)[index] == expected, name
     assert f"{len(curve)} points" in repr(along)
     assert along.table().columns[:2] == ["omega [rad/s]", "amplitude [m]"]
+
+
+def test_a_steady_load_leaves_two_masses_still() -> None:
+    """One that varies as little as rounding does not."""
+    for size in (0.0, 1e-12):
+        structure = fc.Structure.from_matrices(
+            np.eye(2), [[2.0, -1.0], [-1.0, 2.0]], gap=[1.0, 0.0], force_mean=[1.0, 0.5],
+            force_cos=[size, 0.0], damping=0.1 * np.eye(2),
+        )  # fmt: skip
+        solution = fc.solve_harmonic_balance(structure, 1.0, fc.UnilateralPenalty(3.0))
+        assert solution.still == (size == 0.0)
