@@ -37,8 +37,10 @@ def whole(elements: int) -> fc.Study:
     return prepare(solid(mesh__lip_elements=elements), MPI.COMM_SELF, whole=True)
 
 
-@pytest.mark.parametrize("elements", [3, pytest.param(4, marks=pytest.mark.nightly)])
-def test_patches(elements: int) -> None:
+@pytest.mark.parametrize(
+    ("elements", "limit"), [(3, 0.015), pytest.param(4, 0.002, marks=pytest.mark.nightly)]
+)
+def test_patches(elements: int, limit: float) -> None:
     """Rigid rotations, and uniform stresses that leave the free faces of the plate without loads,
     whose crack is pressed open by what they are: no K at any station."""
     study = whole(elements)
@@ -57,7 +59,7 @@ def test_patches(elements: int) -> None:
         found = rows @ free((away @ strain).ravel())
         found -= stress[1, 1] * of_forces @ structure.pairs.areas
         kinds = found.reshape(len(stations), 3).T[: 1 if one != other else 3]
-        assert np.abs(kinds).max() < 0.01 * STRESS * np.sqrt(np.pi * radius)
+        assert np.abs(kinds).max() < limit * STRESS * np.sqrt(np.pi * radius)
     assert structure.pairs.areas.sum() == pytest.approx(0.5 * np.pi * LONG * DEEP, rel=2e-3)
 
 
