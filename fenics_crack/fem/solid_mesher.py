@@ -389,7 +389,12 @@ def straightened(found: dict[str, Any], fronts: list[Front]) -> tuple[np.ndarray
     local = gmsh.model.mesh.getElementProperties(kind)[4]
     slopes = np.reshape(gmsh.model.mesh.getBasisFunctions(kind, local, "GradLagrange")[1],
                         (10, 10, 3))  # fmt: skip
-    wanted, straight = np.zeros(len(cells), dtype=bool), np.zeros(len(cells), dtype=bool)
+
+    def folded() -> np.ndarray:
+        determinants = np.linalg.det(np.einsum("cnx,pnr->cpxr", positions[cells], slopes))
+        return np.asarray(determinants.min(axis=1) < FOLDED * determinants.max(axis=1))
+
+    wanted, straight = folded(), np.zeros(len(cells), dtype=bool)
     for front in fronts:
         steps = front["points"]
         for point in steps:
@@ -400,6 +405,5 @@ def straightened(found: dict[str, Any], fronts: list[Front]) -> tuple[np.ndarray
     while np.any(wanted & ~straight):
         straight |= wanted
         positions[cells[wanted, 4:]] = positions[cells[wanted][:, EDGES]].mean(axis=2)
-        every = np.linalg.det(np.einsum("cnx,pnr->cpxr", positions[cells], slopes))
-        wanted = every.min(axis=1) < FOLDED * every.max(axis=1)
+        wanted = folded()
     return positions, int((straight & bent).sum())

@@ -312,7 +312,7 @@ def ross_rod() -> dict[str, float]:
         model.occ.synchronize()
         gmsh.write(f"{folder}/rod.step")
         for depth in (0.1, 0.2, 0.3, 0.35, 0.45, 0.5):
-            scene = fc.Scene.from_text(ROD, folder).replace(
+            scene = fc.Scene.from_text(ROD, folder=Path(folder)).replace(
                 {"crack.point": [0.02 * depth - 0.01, 0.06, 0.0]}
             )
             frequencies = fc.bilinear_frequencies(fc.build_structure(scene))
