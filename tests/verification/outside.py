@@ -307,10 +307,11 @@ def ross_rod() -> dict[str, float]:
     """First frequencies of a round cantilever with a crack with a straight front, over those
     without it, each against two models."""
     quantities = {}
-    with TemporaryDirectory() as folder, gmsh_model() as model:
-        model.occ.addCylinder(0, 0, 0, 0, 300, 0, 10)
-        model.occ.synchronize()
-        gmsh.write(f"{folder}/rod.step")
+    with TemporaryDirectory() as folder:
+        with gmsh_model() as model:
+            model.occ.addCylinder(0, 0, 0, 0, 300, 0, 10)
+            model.occ.synchronize()
+            gmsh.write(f"{folder}/rod.step")
         for depth in (0.1, 0.2, 0.3, 0.35, 0.45, 0.5):
             scene = fc.Scene.from_text(ROD, folder=Path(folder)).replace(
                 {"crack.point": [0.02 * depth - 0.01, 0.06, 0.0]}
