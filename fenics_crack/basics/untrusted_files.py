@@ -238,12 +238,13 @@ def _lines_of(file: TextIO, most: int) -> Iterator[str]:
 
 
 def run_reader(
-    reader: Path, path: Path, seconds: int, memory: int = 2**30, *more: Any
+    reader: Path, path: Path, seconds: int, memory: int = 2**30, **request: Any
 ) -> dict[str, np.ndarray] | str:
     """Let a program of its own read a file (:mod:`fenics_crack.basics.untrusted_reader`).
 
     Its processor time [s] and its address space [bytes] are limited: ``memory``, and four times
-    what its arrays may take. It is told ``more`` (JSON).
+    what its arrays may take. gmsh needs 0.2 GiB, h5py half of it. Its function ``read`` takes
+    ``request`` (JSON) as keyword arguments.
 
     Returns
     -------
@@ -252,11 +253,7 @@ def run_reader(
     """
     most = allowance(bytes_of(path, None))
     asked = {"folder": os.getcwd(), "path": str(path), "seconds": seconds, "wait": 4 * seconds}
-    asked |= {
-        "most": most,
-        "memory": memory + 4 * most,
-        "more": more,
-    }  # gmsh needs 0.2 GiB, h5py half of it
+    asked |= {"most": most, "memory": memory + 4 * most, "request": request}
     with os.fdopen(os.memfd_create("numbers"), "w+b") as handed:  # a disk may be full
         ended = _asked(reader, json.dumps(asked).encode(), handed.fileno())
         if ended in (-signal.SIGXCPU, -signal.SIGALRM):

@@ -67,7 +67,7 @@ def attempt(reader: str, handed: int, asked: dict) -> None:
     limit(resource.RLIMIT_CPU, asked["seconds"], 1)
     read = runpy.run_path(reader)["read"]
     try:
-        found = read(asked["path"], asked["most"], *asked["more"])
+        found = read(asked["path"], asked["most"], **asked["request"])
     except Exception as error:  # whatever a damaged file leads a library to
         found = {"error": np.array(str(error) or type(error).__name__)}
     with os.fdopen(handed, "wb") as out:

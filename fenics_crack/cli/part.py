@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shlex
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,76 @@ ROOT = 0.2
 """Height of the proposed crack above the clamp, over the part's length."""
 
 
+@dataclass(frozen=True)
+class _Surface:
+    """Triangles of a part's faces, and a point in the middle of each face.
+
+    Attributes
+    ----------
+    triangles : (n, 3, 3) [m]
+        Corners.
+    owners, areas, normals, middles : (n,), (n,) [m^2], (n, 3), (n, 3) [m]
+        Of each triangle: the number of its face, its size, outward direction and middle.
+    faces : list of int
+        Numbers of the faces, the largest first.
+    points : (n_faces, 3) [m]
+        The triangles' middles that are nearest to the faces' centers.
+    """
+
+    triangles: np.ndarray
+    owners: np.ndarray
+    areas: np.ndarray
+    normals: np.ndarray
+    middles: np.ndarray
+    faces: list[int]
+    points: np.ndarray
+
+    def area(self, face: int) -> float:
+        """Return the area of a face [m^2]."""
+        return float(self.areas[self.owners == face].sum())
+
+    def end(self, axis: int, *, high: bool) -> int:
+        """Return the place of the largest face whose point is at an end of the part."""
+        along = self.points[:, axis]
+        tolerance = 1e-3 * float(np.ptp(self.triangles[..., axis]))
+        is_there = along > along.max() - tolerance if high else along < along.min() + tolerance
+        return int(is_there.argmax())
+
+
+def _surface_of(part: Path, unit: str | None) -> _Surface:
+    """Measure the faces of a part."""
+    surface = faces_of(str(part), unit)
+    triangles, owners = surface["triangles"], surface["owners"]
+    sides = triangles[:, 1:] - triangles[:, :1]
+    normals, middles = np.cross(sides[:, 0], sides[:, 1]), triangles.mean(axis=1)
+    areas = 0.5 * np.linalg.norm(normals, axis=1)
+    normals /= np.maximum(2.0 * areas, 1e-300)[:, None]
+    faces = sorted(set(owners.tolist()), key=lambda face: -areas[owners == face].sum())
+    points = []
+    for face in faces:
+        belongs = owners == face
+        center = areas[belongs] @ middles[belongs] / areas[belongs].sum()
+        distances = np.linalg.norm(middles[belongs] - center, axis=1)
+        points.append(middles[belongs][distances.argmin()])
+    return _Surface(triangles, owners, areas, normals, middles, faces, np.array(points))
+
+
+def _crack_start(surface: _Surface, axis: int) -> tuple[np.ndarray, np.ndarray, float]:
+    """Propose a crack above the clamp, on the largest face along an axis: its point [m], the
+    normal of the face there, and the depth of the part behind it [m]."""
+    along_axis = np.eye(3)[axis]
+    low, high = surface.triangles[..., axis].min(), surface.triangles[..., axis].max()
+    slopes = [np.abs(surface.normals[surface.owners == face][:, axis]).max()
+              for face in surface.faces]  # fmt: skip
+    place = int((np.array(slopes) < 0.7).argmax())
+    belongs = surface.owners == surface.faces[place]
+    target = surface.points[place] * (1.0 - along_axis)
+    target[axis] = low + ROOT * (high - low)
+    nearest = np.linalg.norm(surface.middles[belongs] - target, axis=1).argmin()
+    start, normal = surface.middles[belongs][nearest], surface.normals[belongs][nearest]
+    return start, normal, ray_length(start, -normal, surface.triangles)
+
+
 def part_scene(part: Path, scene: Path) -> tuple[str, Path]:
     """Return the text of a scene for a part, and the picture that it writes of the faces.
 
@@ -28,48 +99,26 @@ def part_scene(part: Path, scene: Path) -> tuple[str, Path]:
         The file of the part cannot be used.
     """
     unit = "mm" if part.suffix.lower() == ".brep" else None
-    found = faces_of(str(part), unit)
-    triangles, owners = found["triangles"], found["owners"]
-    spans = triangles[:, 1:] - triangles[:, :1]
-    normals, middles = np.cross(spans[:, 0], spans[:, 1]), triangles.mean(axis=1)
-    areas = 0.5 * np.linalg.norm(normals, axis=1)
-    normals /= np.maximum(2.0 * areas, 1e-300)[:, None]
-    faces = sorted(set(owners.tolist()), key=lambda face: -areas[owners == face].sum())
-    points = []
-    for face in faces:
-        own = owners == face
-        middle = areas[own] @ middles[own] / areas[own].sum()
-        points.append(middles[own][np.linalg.norm(middles[own] - middle, axis=1).argmin()])
-    places = np.array(points)
-    low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
-    axis = int((high - low).argmax())
-    length = float((high - low)[axis])
-    clamp = next(
-        k for k, at in enumerate(places) if at[axis] < places[:, axis].min() + 1e-3 * length
-    )
-    tip = next(k for k, at in enumerate(places) if at[axis] > places[:, axis].max() - 1e-3 * length)
-    unit_axis = np.eye(3)[axis]
-    sides = [np.abs(normals[owners == face][:, axis]).max() < 0.7 for face in faces]
-    side = sides.index(True) if any(sides) else 0
-    own, target = owners == faces[side], places[side] * (1.0 - unit_axis)
-    target[axis] = low[axis] + ROOT * length
-    root = np.linalg.norm(middles[own] - target, axis=1).argmin()
-    start, normal = middles[own][root], normals[own][root]
-    deep = ray_length(start, -normal, triangles)
+    surface = _surface_of(part, unit)
+    extents = np.ptp(surface.triangles.reshape(-1, 3), axis=0)
+    axis = int(extents.argmax())
+    clamp, tip = (surface.points[surface.end(axis, high=high)] for high in (False, True))
+    start, normal, depth = _crack_start(surface, axis)
+    shown = surface.faces[:MOST_FACES]
     picture = scene.with_name(f"{scene.stem}_faces.png")
-    draw_faces(triangles, owners, faces[:MOST_FACES], places, path=picture)
-    lines = [f"clamp = [{_vector(places[clamp])}]", f"tip = [{_vector(places[tip])}]"]
-    for number, (face, place) in enumerate(zip(faces[:MOST_FACES], places, strict=False), 1):
-        area = areas[owners == face].sum()
-        lines.append(f"# face_{number} = [{_vector(place)}]  # {1e6 * area:.4g} mm^2")
+    draw_faces(surface.triangles, surface.owners, shown, surface.points, path=picture)
+    lines = [f"clamp = [{_vector(clamp)}]", f"tip = [{_vector(tip)}]"]
+    for number, (face, point) in enumerate(zip(shown, surface.points, strict=False), 1):
+        area = 1e6 * surface.area(face)
+        lines.append(f"# face_{number} = [{_vector(point)}]  # {area:.4g} mm^2")
     words = {
-        "EXTENTS": " x ".join(f"{x:.4g}" for x in high - low), "UNIT": f'unit = "{unit}"',
+        "EXTENTS": " x ".join(f"{x:.4g}" for x in extents), "UNIT": f'unit = "{unit}"',
         "PART": json.dumps(os.path.relpath(part, scene.parent)), "PICTURE": picture.name,
-        "FACES": "\n".join(lines), "POINT": _vector(start), "NORMAL": _vector(unit_axis),
-        "DIRECTION": _vector(np.cross(unit_axis, normal)), "LOAD": _vector(places[tip]),
-        "RADII": _vector([0.5 * deep, 0.3 * deep]),
+        "FACES": "\n".join(lines), "POINT": _vector(start), "NORMAL": _vector(np.eye(3)[axis]),
+        "DIRECTION": _vector(np.cross(np.eye(3)[axis], normal)), "LOAD": _vector(tip),
+        "RADII": _vector([0.5 * depth, 0.3 * depth]),
         "FORCE": _vector(np.eye(3)[np.abs(normal).argmax()]),
-        "SIZE": f"{min(deep, length / 15.0):.2g}", "SCENE": shlex.quote(scene.name),
+        "SIZE": f"{min(depth, extents[axis] / 15.0):.2g}", "SCENE": shlex.quote(scene.name),
     }  # fmt: skip
     text = packaged("cli/new_part.toml")
     for word, value in words.items():

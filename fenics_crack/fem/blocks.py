@@ -484,8 +484,8 @@ class Rim:
         """Lengths of elements around the corners between the blade and the rim, where stress is
         infinite: the shorter, and the less growing, the smaller ``mesh.size`` is."""
         (width, _), size = self.scene.geometry.sides, self.scene.mesh.given("size")
-        ends, none = np.array([0.0, width]), np.zeros(2)
-        return [_Grading(ends, none, self.foot(0.0), AT_CORNER * size, size / width)]
+        ends = np.array([0.0, width])
+        return [_Grading(ends, self.foot(0.0), AT_CORNER * size, size / width)]
 
     def name_of(self, middle: tuple[float, float, float]) -> str:
         """The name of a face of a solid's rim, by its center of mass."""
@@ -547,9 +547,9 @@ def _mesh_graded(scene: Scene, unit_scene: Scene, gradings: list[_Grading]) -> N
     """
     size, around = unit_scene.mesh.given("size"), [one.compiled() for one in gradings]
 
-    def length(dimension: int, tag: int, x: float, y: float, z: float, *_: float) -> float:
+    def length(dimension: int, tag: int, x: float, y: float, *_: float) -> float:
         """Asked for a hundred thousand times a mesh."""
-        return min([size, *(kernel.length_at(one.at, x, y, z) for one in around)])
+        return min([size, *(kernel.length_at(one.at, x, y) for one in around)])
 
     for option in ("MeshSizeFromPoints", "MeshSizeExtendFromBoundary", "MeshSizeFromCurvature"):
         gmsh.option.setNumber(f"Mesh.{option}", 0)
@@ -583,8 +583,8 @@ class _Grading:
 
     Attributes
     ----------
-    along, through, height : (n,), (n,), () [m]
-        x, z and y of the points.
+    along, height : (n,), () [m]
+        x and y of the points.
     shortest : float [m]
         Of an element there.
     growth : float
@@ -592,7 +592,6 @@ class _Grading:
     """
 
     along: np.ndarray
-    through: np.ndarray
     height: float
     shortest: float
     growth: float
@@ -614,6 +613,6 @@ def _gradings(scene: Scene) -> list[_Grading]:
         growth = mesh.grading ** (1.0 / max(count - 1, 1))
         shortest = reach / float((growth ** np.arange(count)).sum())
         tips = np.array([end for end in (first, last) if 0.0 < end < width])
-        front = tips, np.zeros(len(tips)), crack.given("height")
-        found.append(_Grading(*front, shortest, max(growth - 1.0, GROWTH)))
+        growth_by_distance = max(growth - 1.0, GROWTH)
+        found.append(_Grading(tips, crack.given("height"), shortest, growth_by_distance))
     return found

@@ -96,12 +96,17 @@ def _unit(parts: Sequence[Vector]) -> Vector:
     return tuple(x / size for x in largest)
 
 
-def _share_at(scene: Scene, dofs: Dofs, key: str, point: Vector) -> np.ndarray:
+def share_at(scene: Scene, dofs: Dofs, key: str, point: Vector) -> np.ndarray:
     """Return the fraction of a force at a point that each of this rank's nodes carries: (n_nodes,).
 
     A node takes all of what acts at it, also where rounding, or a curved boundary between flat
     sides, puts it out of every cell; so does the node of a part nearest to a point that is out of
-    every cell, but near.
+    every cell, but near (collective).
+
+    Raises
+    ------
+    InputError
+        The point is off the mesh, or on a crack, where there are two faces.
     """
     if sides := [found for lip in dofs.plate.lips if (found := lip.beside(point)) is not None]:
         (low, high), *_ = sides
@@ -131,21 +136,12 @@ def _share_at(scene: Scene, dofs: Dofs, key: str, point: Vector) -> np.ndarray:
     return share
 
 
-def is_on_mesh(scene: Scene, dofs: Dofs, point: Vector) -> bool:
-    """Return True for a point in a cell, or at a node (collective)."""
-    held = len(compat.basis_at(dofs.space, scene.mesh.order, np.array(point))[0]) > 0
-    return (
-        dofs.comm.allreduce(int(held)) > 0
-        or len(nodes_at(gather_rows(dofs.comm, dofs.points), point)) > 0
-    )
-
-
 def _at_point(
     scene: Scene, dofs: Dofs, key: str, point: Vector, parts: Sequence[Vector]
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Forces at the point of a load as consistent nodal forces, (len(parts), n_dofs), and their
     direction there, of the free dofs (n_local,); None: no force."""
-    share = _share_at(scene, dofs, f"{key}.point", point)
+    share = share_at(scene, dofs, f"{key}.point", point)
     force = np.array([_at_nodes(dofs, share, part) for part in parts])
     along = dofs.free_part(_at_nodes(dofs, share, _unit(parts))) if any(map(any, parts)) else None
     return _moving(dofs, f"{key}.point", tuple(point), force), along

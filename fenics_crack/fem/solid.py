@@ -140,7 +140,7 @@ def _read(path: str, asked: dict[str, Any], scene: Scene | None = None) -> dict[
         start = BEGINNINGS.get(Path(path).suffix.lower(), b"ISO-10303-21")
         if start not in beginning_of(path, 4096):
             raise ValueError("it does not begin as such a file")
-        found = run_reader(Path(solid_mesher.__file__), Path(path), SECONDS, MEMORY, asked)
+        found = run_reader(Path(solid_mesher.__file__), Path(path), SECONDS, MEMORY, given=asked)
         if isinstance(found, str):
             raise ValueError(found)
     if "refused" in found:

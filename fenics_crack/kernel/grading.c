@@ -2,13 +2,13 @@
 
 #include <math.h>
 
-double length_at(const grading *around, double x, double y, double z)
+double length_at(const grading *around, double x, double y)
 {
     double least = INFINITY;
     const double up = around->height - y;
     for (int i = 0; i < around->count; i++) {
-        const double aside = around->along[i] - x, in = around->through[i] - z;
-        const double square = aside * aside + up * up + in * in;
+        const double aside = around->along[i] - x;
+        const double square = aside * aside + up * up;
         if (square < least) least = square;
     }
     return around->shortest + around->growth * sqrt(least);

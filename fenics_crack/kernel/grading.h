@@ -1,15 +1,15 @@
-/* Lengths of elements around the front of a crack: fenics_crack/fem/blocks.py. */
+/* Lengths of elements around the tips of a plane crack: fenics_crack/fem/blocks.py. */
 #ifndef GRADING_H
 #define GRADING_H
 
-/* h = shortest + growth d, d from the nearest of points in a plane y = height: x and z (count). */
+/* h = shortest + growth d, d from the nearest of points on a line y = height: x (count). */
 typedef struct {
     int count;
     double height, shortest, growth;
-    const double *along, *through;
+    const double *along;
 } grading;
 
 /* h at a place. */
-double length_at(const grading *around, double x, double y, double z);
+double length_at(const grading *around, double x, double y);
 
 #endif

@@ -543,9 +543,10 @@ def _no_node(value: object, scene: Scene, structure: Structure) -> tuple[float, 
     if structure.nodes is None or (scene.structure is None and scene.geometry.file is None):
         return None
     if scene.structure is None:
-        from fenics_crack.fem.loads import is_on_mesh  # DOLFINx
+        from fenics_crack.fem.loads import share_at  # DOLFINx
 
-        if is_on_mesh(scene, structure.nodes.numbered, value):  # type: ignore[arg-type]
+        shares = share_at(scene, structure.nodes.numbered, "excitation.point", value)  # type: ignore[arg-type]
+        if structure.comm.allreduce(np.count_nonzero(shares)) > 1:  # of the nodes of its cell
             return None
     points = gather_rows(structure.comm, structure.nodes.points)
     distance = np.linalg.norm(points - value, axis=1)
