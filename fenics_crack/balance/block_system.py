@@ -41,7 +41,7 @@ from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.progress import begin
 from fenics_crack.basics.threads import machine_memory
-from fenics_crack.model.factor import distributed, factor_memory, local_rows
+from fenics_crack.model.factor import distribute_rows, factor_memory, local_rows
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.modes import check_damped_modes, damped_modes
 from fenics_crack.model.structure import ModalDamping
@@ -108,7 +108,7 @@ class BlockSystem(Snes):
         touched = (abs(self._into) @ pattern @ abs(self._seen)).tocoo()  # where nothing cancels
         entries = np.append(part.data, 0.0 * touched.data)
         at = np.append(part.row, touched.row), np.append(part.col, touched.col)
-        matrix = distributed(sparse.coo_matrix((entries, at), part.shape), structure.comm)
+        matrix = distribute_rows(sparse.coo_matrix((entries, at), part.shape), structure.comm)
         self._linear = matrix.duplicate(copy=True)
         self._seen_here = self._seen[:, slice(*matrix.getOwnershipRange())]
         self.rounding = least_residual(10.0 * matrix.norm() / math.sqrt(part.shape[1]))

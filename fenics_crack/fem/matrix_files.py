@@ -33,7 +33,7 @@ from fenics_crack.basics.errors import InputError, reading
 from fenics_crack.basics.ranks import on_each, on_root
 from fenics_crack.fem.cracks import FACETS, SAME, each_once, shares_of_neighbours
 from fenics_crack.fem.model_files import Model, read_model
-from fenics_crack.model.factor import distributed, local_rows
+from fenics_crack.model.factor import distribute_rows, local_rows
 from fenics_crack.model.matrices import (
     LabelledMatrix,
     matrix_market,
@@ -101,7 +101,7 @@ def _made(scene: Scene, table: Table, rule: DampingRule | None, comm: MPI.Comm) 
             parts["gap"], pairs = find_pairs(model, dofs, parts["stiffness"], turns=turns)
         start, stop = _own(bounds, comm)
         for name in read:
-            parts[name] = distributed(parts[name][start:stop], comm)
+            parts[name] = distribute_rows(parts[name][start:stop], comm)
         nodes = _nodes(model, dofs, start, stop, comm)
     parts |= {name: column[order] for name, column in columns.items()}
     n_pairs = 0 if parts["gap"] is None else parts["gap"].shape[1]

@@ -36,7 +36,7 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 
 from fenics_crack.model.body import Body
-from fenics_crack.model.factor import Factor, distributed, local_rows
+from fenics_crack.model.factor import Factor, distribute_rows, local_rows
 from fenics_crack.model.modes import MULTIPLE, NEGLIGIBLE, modes_by
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.fourier import to_complex
@@ -179,7 +179,7 @@ class Sector:
         side = np.unique(dofs.place[dofs.after])
         inside, right = np.setdiff1d(np.arange(count), side), count + side
         to_left, to_right = (whole[inside][:, one] for one in (side, right))
-        held = distributed(whole[inside][:, inside], MPI.COMM_SELF)
+        held = distribute_rows(whole[inside][:, inside], MPI.COMM_SELF)
         with Factor(held, definite=True) as factor:
             by_left, by_right = (factor.solve(to.T).T for to in (to_left, to_right))
             own = whole[side][:, side] + whole[right][:, right]
@@ -301,7 +301,7 @@ class NodalDiameter:
         def in_real_form(matrix: sparse.csr_matrix) -> Any:
             a = ties.conj().T @ matrix @ ties
             real = sparse.bmat([[a.real, -a.imag], [a.imag, a.real]]) if self.turn.imag else a
-            return distributed(real, MPI.COMM_SELF)
+            return distribute_rows(real, MPI.COMM_SELF)
 
         mass, stiffness = map(in_real_form, (sector.mass, sector.stiffness))
         size = mass.size[0]

@@ -1,16 +1,22 @@
-"""Direct solution of sparse linear systems by libraries that PETSc calls, on local rows.
+"""Direct solution of sparse linear systems, by the libraries that PETSc calls.
 
-A stiffness whose contact pairs are bonded, so that the relative normal motion of each is zero,
+Arrays hold the rows of the calling rank. A stiffness K with bonded contact pairs has no relative
+normal motion in any pair, B^T x = 0:
 
     K x + B mu = r,     B^T x = 0
 
-is factored with Lagrange multipliers, in one symmetric indefinite matrix [[K, B], [B^T, 0]] (a
-saddle point). It is the limit of springs k on the pairs, k -> inf, without their rounding,
+The symmetric indefinite matrix [[K, B], [B^T, 0]] is factored, a saddle point with the Lagrange
+multipliers mu. The solution is
 
-    x = (K^-1 - K^-1 B (B^T K^-1 B)^-1 B^T K^-1) r,
+    x = (K^-1 - K^-1 B (B^T K^-1 B)^-1 B^T K^-1) r
 
-and exact where K alone is singular. Its negative eigenvalues are those of K on the space of bonded
-motions, and one for each tie (Benzi, Golub, Liesen, Acta Numerica 14, 2005, 1, section 3.4).
+Springs k on the pairs have the same limit for k -> inf, but lose digits. The saddle point is exact
+even if K alone is singular. Its negative eigenvalues are those of K on the bonded motions, and one
+for each tie.
+
+References
+----------
+Benzi, Golub and Liesen, Acta Numerica 14, 2005, 1, section 3.4 (saddle points).
 """
 
 from __future__ import annotations
@@ -24,90 +30,124 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 from petsc4py import PETSc
 
-AT_A_TIME = 16
-"""Columns that a factor solves for, or a matrix multiplies, at a time: PETSc copies them."""
-TOLERATED = 1e-10
-"""Asymmetry relative to a matrix's size; eigenvalues of K and M that are none, to K_ii / M_ii; sums
-of a mass's rows that are zero, to the largest."""
-OF_PLANE = 40
-"""Entries of a row from which on a matrix is one of a solid: there they are 45 or more, of a plane
-18 to 32. With rows ordered for minimum fill the latter are factored in 0.6 of MUMPS's own time, the
-former in more, and larger."""
-PREFIX, ORDER, QUIET = "crack_factor_", "mat_mumps_icntl_7", "mat_cholmod_print"
+MAX_BLOCK_COLUMNS = 16
+"""Maximum number of columns that are solved or multiplied together: PETSc copies them."""
+MATRIX_TOLERANCE = 1e-10
+"""Relative size that counts as zero in a matrix.
+
+It bounds an asymmetry relative to the matrix, an eigenvalue relative to K_ii / M_ii, and a row sum
+of the mass relative to the largest row sum.
+"""
+MIN_SOLID_ROW_ENTRIES = 40
+"""Minimum mean number of entries in a row of a solid's matrix.
+
+Measured: 45 or more in solids, 18 to 32 in planes. Ordering for minimum fill factors plane matrices
+in 0.6 of MUMPS's own time. It makes solid matrices slower to factor, and their factors larger.
+"""
+OPTIONS_PREFIX, ORDERING_OPTION, PRINT_OPTION = (
+    "crack_factor_",
+    "mat_mumps_icntl_7",
+    "mat_cholmod_print",
+)
 
 
 def factor_memory(dofs: float, *, solid: bool) -> float:
-    """Memory of the factor of a stiffness with so many dofs, of a plane mesh or of a solid, with
-    MUMPS's work space [byte].
+    """Estimate the memory of a factored stiffness, with MUMPS's work space [byte].
 
-    Nested dissection leaves O(n log n) numbers in the plane (George, SIAM Journal on Numerical
-    Analysis 10, 1973, 345); the constant here is of 4,000 to a million dofs of quadratic cells. In
-    space they are O(n^(4/3)), with a constant that falls with the thickness: of quadratic
-    tetrahedra, from 7,000 to 180,000 dofs, it is 95 to 136 in twisted blades, 133 to 203 in plates,
-    210 to 233 in cubes.
+    Nested dissection leaves O(n log n) numbers in the plane; the constant was measured with 4,000
+    to a million dofs of quadratic cells. In space they are O(n^(4/3)), with a constant that falls
+    with the thickness. For quadratic tetrahedra with 7,000 to 180,000 dofs it is 95 to 136 in
+    twisted blades, 133 to 203 in plates, and 210 to 233 in cubes.
+
+    Parameters
+    ----------
+    dofs : float
+        Number of degrees of freedom.
+    solid : bool
+        True for a solid, False for a plane mesh.
+
+    References
+    ----------
+    George, SIAM Journal on Numerical Analysis 10, 1973, 345.
     """
     if solid:
         return float(130.0 * dofs ** (4.0 / 3.0))
     return float(60.0 * dofs * np.log2(dofs + 1.0))
 
 
-def distributed(rows: Any, comm: MPI.Comm) -> Any:
-    """Square PETSc matrix of the rows on this rank (n_local, n), with a diagonal, even zero: MUMPS
-    finds no null pivot where there is no entry (collective)."""
+def distribute_rows(rows: Any, comm: MPI.Comm) -> Any:
+    """Make a square PETSc matrix from the rows of each rank (collective).
+
+    Every diagonal entry is stored, even a zero: MUMPS finds no null pivot without an entry.
+
+    Parameters
+    ----------
+    rows : (n_local, n)
+        Rows of this rank, sparse or dense.
+    """
     entries = sparse.coo_matrix(rows)
-    local, total = entries.shape
-    place = np.arange(local)
-    at = np.append(entries.row, place), np.append(entries.col, (comm.exscan(local) or 0) + place)
-    whole = sparse.csr_matrix((np.append(entries.data, 0.0 * place), at), entries.shape)
-    sizes = ((local, PETSc.DETERMINE), (local, total))
-    matrix = PETSc.Mat().createAIJ(sizes, csr=(whole.indptr, whole.indices, whole.data), comm=comm)
+    n_local, n_columns = entries.shape
+    diagonal = np.arange(n_local)
+    positions = (
+        np.append(entries.row, diagonal),
+        np.append(entries.col, (comm.exscan(n_local) or 0) + diagonal),
+    )
+    completed_rows = sparse.csr_matrix(
+        (np.append(entries.data, 0.0 * diagonal), positions), entries.shape
+    )
+    sizes = ((n_local, PETSc.DETERMINE), (n_local, n_columns))
+    matrix = PETSc.Mat().createAIJ(
+        sizes, csr=(completed_rows.indptr, completed_rows.indices, completed_rows.data), comm=comm
+    )
     matrix.assemble()
     return matrix
 
 
 def local_rows(matrix: Any) -> sparse.csr_matrix:
-    """Rows of a PETSc matrix on this rank, (n_local, n)."""
-    starts, columns, values = matrix.getValuesCSR()
-    return sparse.csr_matrix((values, columns, starts), (matrix.local_size[0], matrix.size[1]))
+    """Return this rank's rows of a PETSc matrix: (n_local, n)."""
+    row_starts, column_indices, entries = matrix.getValuesCSR()
+    return sparse.csr_matrix(
+        (entries, column_indices, row_starts), (matrix.local_size[0], matrix.size[1])
+    )
 
 
-def weighted_sum(first: Any, weight: float, second: Any) -> Any:
-    """Return the matrix first + weight * second, whatever their patterns (collective)."""
-    total = first.copy()
-    total.axpy(weight, second, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-    clean = total.copy()  # factorisations misread the rows of a pattern that axpy has changed
+def weighted_sum(matrix: Any, weight: float, added_matrix: Any) -> Any:
+    """Return matrix + weight * added_matrix, for any patterns (collective)."""
+    total = matrix.copy()
+    total.axpy(weight, added_matrix, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+    compact_total = total.copy()  # factorisations misread the pattern that axpy leaves
     total.destroy()
-    return clean
+    return compact_total
 
 
 class Factor:
-    """Factorisation of a real square PETSc matrix A, or of one with a border, [[A, B], [B^T, 0]].
+    """Factorisation of a real square PETSc matrix A, or of [[A, B], [B^T, 0]].
 
     Parameters
     ----------
     matrix : PETSc.Mat
-        (n, n), assembled.
+        A, (n, n), assembled.
     symmetric : bool
-        Factor as L D L^T, which halves the work and counts the negative eigenvalues.
+        Factor as L D L^T. This halves the work and counts the negative eigenvalues.
     definite : bool
-        x^T A x is nowhere negative: on one rank CHOLMOD, or UMFPACK if A is not symmetric, then
-        solves in half the time of MUMPS. MUMPS factors where it meets a pivot of zero, and where
-        PETSc has been built without it.
+        x^T A x >= 0 for every x. One rank then uses CHOLMOD, or UMFPACK for an unsymmetric A, in
+        half the time of MUMPS. MUMPS still factors after a zero pivot, or if PETSc lacks these
+        libraries.
     border : (n_local, m), optional
-        Independent columns of B: solutions x have B^T x = 0.
+        B, with independent columns: solutions x have B^T x = 0.
 
     Attributes
     ----------
     null_pivots : int
-        Number of pivots that vanished: the dimension of the null space that was met.
+        Number of zero pivots, the dimension of the null space.
     negative_pivots : int
-        Number of negative eigenvalues of a symmetric matrix (Sylvester's law of inertia), on the
-        space where B^T x = 0.
+        Number of negative eigenvalues of a symmetric matrix on the space with B^T x = 0, by
+        Sylvester's law of inertia.
 
     Notes
     -----
-    Use as a context manager, or call :meth:`destroy`: the factors of a parallel matrix are freed
-    by all ranks together. PETSc options with the prefix ``crack_factor_`` reach the solver.
+    Use it as a context manager, or call :meth:`destroy`: all ranks free the factors of a parallel
+    matrix together. PETSc options with the prefix ``crack_factor_`` reach the solver.
     """
 
     null_pivots = negative_pivots = 0
@@ -120,95 +160,113 @@ class Factor:
         definite: bool = False,
         border: sparse.spmatrix | None = None,
     ) -> None:
-        self._local, self._border = matrix.local_size[0], 0 if border is None else border.shape[1]
-        self._matrix = matrix if border is None else _bordered(matrix, border)
+        self._n_local = matrix.local_size[0]
+        self._n_border = 0 if border is None else border.shape[1]
+        self._matrix = matrix if border is None else _border_matrix(matrix, border)
         self._matrix.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
         self._vectors = self._matrix.createVecs()
         self._kind = "cholesky" if symmetric else "lu"
         if definite and border is None and matrix.comm.size == 1:
             try:
-                self._set_up("cholmod" if symmetric else "umfpack")
+                self._factorise("cholmod" if symmetric else "umfpack")
                 return
             except PETSc.Error:
-                self._free()
-        self._set_up("mumps")
+                self._destroy_factor()
+        self._factorise("mumps")
         self.null_pivots = int(self._factor.getMumpsInfog(28))
-        self.negative_pivots = int(self._factor.getMumpsInfog(12)) - self._border
+        self.negative_pivots = int(self._factor.getMumpsInfog(12)) - self._n_border
 
-    def _set_up(self, solver: str) -> None:
+    def _factorise(self, solver: str) -> None:
+        """Factor the matrix with one of PETSc's solver packages (collective)."""
         self._pc, self._factor = PETSc.PC().create(self._matrix.comm), PETSc.Mat()
-        self._pc.setOptionsPrefix(PREFIX)
+        self._pc.setOptionsPrefix(OPTIONS_PREFIX)
         self._pc.setOperators(self._matrix)
         self._pc.setType(self._kind)
         self._pc.setFactorSolverType(solver)
-        options, own = PETSc.Options(), {}
-        if solver == "cholmod":  # it would warn of each pivot of zero; PETSc reads one of both
-            own = {QUIET: 0, PREFIX + QUIET: 0}
+        options, default_options = PETSc.Options(), {}
+        if solver == "cholmod":  # no warning for each zero pivot; PETSc reads one of both options
+            default_options = {PRINT_OPTION: 0, OPTIONS_PREFIX + PRINT_OPTION: 0}
         elif solver == "mumps":
             entries = self._matrix.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
-            if entries < OF_PLANE * self._matrix.size[0]:
-                own = {PREFIX + ORDER: 2}  # minimum fill; setMumpsIcntl does not last
-        own = {name: value for name, value in own.items() if not options.hasName(name)}
-        for name, value in own.items():
-            options[name] = value
+            if entries < MIN_SOLID_ROW_ENTRIES * self._matrix.size[0]:
+                # Minimum fill; setMumpsIcntl does not last.
+                default_options = {OPTIONS_PREFIX + ORDERING_OPTION: 2}
+        default_options = {
+            name: number for name, number in default_options.items() if not options.hasName(name)
+        }
+        for name, number in default_options.items():
+            options[name] = number
         try:
             self._pc.setFactorSetUpSolverType()
             self._factor = self._pc.getFactorMatrix()
-            self._factor.setOptionsPrefix(PREFIX)  # PETSc would set it after it has read them
+            self._factor.setOptionsPrefix(OPTIONS_PREFIX)  # before PETSc reads the options
             if solver == "mumps":
                 self._factor.setMumpsIcntl(24, 1)  # detect null pivots
             self._pc.setFromOptions()
             self._pc.setUp()
         finally:
-            for name in own:
+            for name in default_options:
                 options.delValue(name)
 
-    def apply(self, right: Any, solution: Any) -> None:
-        """Solve for a PETSc vector (collective)."""
-        source, target = self._vectors
-        source.array_w[: self._local] = right.array_r
-        source.array_w[self._local :] = 0.0
-        self._pc.apply(source, target)
-        solution.array_w[:] = target.array_r[: self._local]
+    def apply(self, rhs: Any, solution: Any) -> None:
+        """Solve for one PETSc vector (collective)."""
+        padded_rhs, padded_solution = self._vectors
+        padded_rhs.array_w[: self._n_local] = rhs.array_r
+        padded_rhs.array_w[self._n_local :] = 0.0
+        self._pc.apply(padded_rhs, padded_solution)
+        solution.array_w[:] = padded_solution.array_r[: self._n_local]
 
     def solve(self, rhs: np.ndarray | sparse.spmatrix) -> np.ndarray:
-        """Solve for real right-hand sides (m, n_local), one a row (collective)."""
-        found = np.empty(rhs.shape)
-        for start in range(0, len(found), AT_A_TIME):
-            block = rhs[start : start + AT_A_TIME]
-            found[start : start + AT_A_TIME] = self._solve(
+        """Solve for real right-hand sides, one in each row (collective).
+
+        Parameters
+        ----------
+        rhs : (m, n_local)
+
+        Returns
+        -------
+        (m, n_local)
+            The solutions, one in each row.
+        """
+        solutions = np.empty(rhs.shape)
+        for start in range(0, len(solutions), MAX_BLOCK_COLUMNS):
+            block = rhs[start : start + MAX_BLOCK_COLUMNS]
+            solutions[start : start + MAX_BLOCK_COLUMNS] = self._solve_block(
                 block.toarray() if sparse.issparse(block) else block
             )
-        return found
+        return solutions
 
-    def _solve(self, rhs: np.ndarray) -> np.ndarray:
-        """The same of a few (collective)."""
-        (count, local), comm = rhs.shape, self._matrix.comm
-        own, total = self._matrix.sizes[0]
-        columns = np.zeros((own, count), order="F")
-        columns[:local] = rhs.T
-        right, solution = (
-            PETSc.Mat().createDense(((own, total), (PETSc.DECIDE, count)), array=array, comm=comm)
-            for array in (columns, None)
+    def _solve_block(self, rhs: np.ndarray) -> np.ndarray:
+        """Solve for at most MAX_BLOCK_COLUMNS right-hand sides, as :meth:`solve` (collective)."""
+        (n_columns, n_local), comm = rhs.shape, self._matrix.comm
+        n_own_rows, n_rows = self._matrix.sizes[0]
+        rhs_columns = np.zeros((n_own_rows, n_columns), order="F")
+        rhs_columns[:n_local] = rhs.T
+        rhs_matrix, solution_matrix = (
+            PETSc.Mat().createDense(
+                ((n_own_rows, n_rows), (PETSc.DECIDE, n_columns)), array=array, comm=comm
+            )
+            for array in (rhs_columns, None)
         )
-        for made in (right, solution):
-            made.setUp()
-            made.assemble()
-        self._factor.matSolve(right, solution)
-        found = np.array(solution.getDenseArray()[:local].T)
-        right.destroy()
-        solution.destroy()
-        return found
+        for dense_matrix in (rhs_matrix, solution_matrix):
+            dense_matrix.setUp()
+            dense_matrix.assemble()
+        self._factor.matSolve(rhs_matrix, solution_matrix)
+        solutions = np.array(solution_matrix.getDenseArray()[:n_local].T)
+        rhs_matrix.destroy()
+        solution_matrix.destroy()
+        return solutions
 
-    def _free(self) -> None:
+    def _destroy_factor(self) -> None:
+        """Free PETSc's factor and preconditioner (collective)."""
         self._factor.destroy()
         self._pc.destroy()
 
     def destroy(self) -> None:
-        """Free the factors (collective)."""
-        self._free()
-        for used in (self._matrix, *self._vectors) if self._border else self._vectors:
-            used.destroy()
+        """Free the factors and the work vectors (collective)."""
+        self._destroy_factor()
+        for petsc_object in (self._matrix, *self._vectors) if self._n_border else self._vectors:
+            petsc_object.destroy()
 
     def __enter__(self) -> Factor:
         return self
@@ -218,20 +276,28 @@ class Factor:
 
 
 @contextmanager
-def factored_sum(first: Any, weight: float, second: Any, **options: Any) -> Iterator[Factor]:
-    """Factor the symmetric matrix first + weight * second, and free both (collective)."""
-    matrix = weighted_sum(first, weight, second)
-    with Factor(matrix, **options) as factor:
+def factored_sum(matrix: Any, weight: float, added_matrix: Any, **options: Any) -> Iterator[Factor]:
+    """Factor the symmetric matrix + weight * added_matrix for a while (collective).
+
+    Sum and factor are freed at the end of the context.
+    """
+    total = weighted_sum(matrix, weight, added_matrix)
+    with Factor(total, **options) as factor:
         yield factor
-    matrix.destroy()
+    total.destroy()
 
 
-def _bordered(matrix: Any, border: sparse.spmatrix) -> Any:
-    """[[A, s B], [s B^T, 0]], the border on the last rank; s is the size of A (collective)."""
-    comm, count = matrix.comm.tompi4py(), border.shape[1]
+def _border_matrix(matrix: Any, border: sparse.spmatrix) -> Any:
+    """Return [[A, s B], [s B^T, 0]] with s, the size of A (collective).
+
+    The last rank owns the rows of B^T.
+    """
+    comm, n_border = matrix.comm.tompi4py(), border.shape[1]
     scale = matrix.norm(PETSc.NormType.INFINITY) or 1.0
     rows = sparse.hstack([local_rows(matrix), scale * border])
-    whole = sparse.vstack(comm.allgather(border), "csr")
+    border_everywhere = sparse.vstack(comm.allgather(border), "csr")
     if comm.rank == comm.size - 1:
-        rows = sparse.vstack([rows, sparse.hstack([scale * whole.T, np.zeros((count, count))])])
-    return distributed(rows, comm)
+        rows = sparse.vstack(
+            [rows, sparse.hstack([scale * border_everywhere.T, np.zeros((n_border, n_border))])]
+        )
+    return distribute_rows(rows, comm)

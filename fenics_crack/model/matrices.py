@@ -39,9 +39,9 @@ from fenics_crack.basics.ranks import gather_rows, on_each
 from fenics_crack.basics.tables import counted
 from fenics_crack.basics.untrusted_files import opened_text, rows_in
 from fenics_crack.model.factor import (
-    TOLERATED,
+    MATRIX_TOLERANCE,
     Factor,
-    distributed,
+    distribute_rows,
     factored_sum,
     local_rows,
     weighted_sum,
@@ -558,11 +558,11 @@ def petsc_matrix(name: str, given: Any, comm: MPI.Comm, n: int | None = None) ->
     if not made:
         _check_sizes(name, whole.data)
         start, stop = (rows * comm.rank) // comm.size, (rows * (comm.rank + 1)) // comm.size
-        return distributed(whole[start:stop], comm)
+        return distribute_rows(whole[start:stop], comm)
     comm = given.comm.tompi4py()
     own = local_rows(given.convert("aij", PETSc.Mat()))
     on_each(comm, lambda: _check_sizes(name, own.data))
-    return distributed(own, comm)
+    return distribute_rows(own, comm)
 
 
 def _read_matrix(name: str, given: Any, rows: int | None) -> Any:
@@ -695,18 +695,20 @@ def lumped_mass(mass: Any) -> Any:
     ones.set(1.0)
     mass.mult(ones, sums)
     smallest = sums.min()[1]
-    if smallest <= TOLERATED * sums.max()[1]:  # zero at a triangle's corners
+    if smallest <= MATRIX_TOLERANCE * sums.max()[1]:  # zero at a triangle's corners
         allowed = "lumped only where every row sum is positive"
         raise InputError("mass", f"row sum {smallest:.3g}", allowed)
     shape = mass.local_size[0], mass.size[1]
-    return distributed(sparse.diags(sums.array_r, mass.owner_range[0], shape), mass.comm.tompi4py())
+    return distribute_rows(
+        sparse.diags(sums.array_r, mass.owner_range[0], shape), mass.comm.tompi4py()
+    )
 
 
 def with_springs(stiffness: Any, gap: sparse.csr_matrix, springs: np.ndarray) -> Any:
     """K + B diag(k) B^T of springs k (n_pairs,) (collective)."""
     comm = stiffness.comm.tompi4py()
     whole = sparse.vstack(comm.allgather(gap), format="csr")
-    added = distributed(gap @ sparse.diags(springs) @ whole.T, comm)
+    added = distribute_rows(gap @ sparse.diags(springs) @ whole.T, comm)
     matrix = weighted_sum(stiffness, 1.0, added)
     added.destroy()
     return matrix
@@ -718,7 +720,7 @@ def _check_symmetric(name: str, matrix: Any) -> None:
     difference.axpy(-1.0, matrix, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
     asymmetry = difference.norm(PETSc.NormType.INFINITY)
     difference.destroy()
-    if asymmetry > TOLERATED * size:
+    if asymmetry > MATRIX_TOLERANCE * size:
         raise InputError(name, f"asymmetric by {asymmetry / size:.1e}", "symmetric")
 
 
@@ -729,7 +731,7 @@ def _check_semidefinite(name: str, matrix: Any, mass: Any) -> None:
     quotients.pointwiseDivide(quotients, mass.getDiagonal())
     sizes = quotients.copy()
     sizes.abs()
-    with factored_sum(matrix, TOLERATED * sizes.max()[1], mass) as factor:
+    with factored_sum(matrix, MATRIX_TOLERANCE * sizes.max()[1], mass) as factor:
         negative = factor.negative_pivots
     if negative:
         raise InputError(name, counted(negative, "negative eigenvalue"), "positive semidefinite")

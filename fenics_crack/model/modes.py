@@ -26,7 +26,7 @@ from fenics_crack.basics.progress import begin
 from fenics_crack.basics.ranks import gather_rows, slepc
 from fenics_crack.basics.tables import Tabular, counted, hertz_of, with_frequency
 from fenics_crack.kernel import kernel
-from fenics_crack.model.factor import AT_A_TIME, TOLERATED, Factor, factored_sum
+from fenics_crack.model.factor import MATRIX_TOLERANCE, MAX_BLOCK_COLUMNS, Factor, factored_sum
 from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
 from fenics_crack.numerics.equations import EPSILON, ROUNDING
 
@@ -285,7 +285,9 @@ def _nearest_zero(
     where K is singular by that of K + s M."""
     if not factor.null_pivots:
         squares, shapes = _krylov(factor, structure, count, 0.0)
-        if squares[0] > TOLERATED * scale:  # what the factor of a singular K finds may be below 0
+        if (
+            squares[0] > MATRIX_TOLERANCE * scale
+        ):  # what the factor of a singular K finds may be below 0
             return squares, shapes
     shift = -1e-6 * scale
     shifted = factored_sum(structure.stiffness, -shift, structure.mass, definite=True, border=ties)
@@ -353,13 +355,13 @@ def largest_frequency(structure: Structure) -> float:
 def times(matrix: Any, columns: np.ndarray) -> np.ndarray:
     """A X for a PETSc matrix and the columns of X (n_local, m) (collective)."""
     found = np.empty(columns.shape)
-    for start in range(0, columns.shape[1], AT_A_TIME):
-        block = np.array(columns[:, start : start + AT_A_TIME], order="F")
+    for start in range(0, columns.shape[1], MAX_BLOCK_COLUMNS):
+        block = np.array(columns[:, start : start + MAX_BLOCK_COLUMNS], order="F")
         whole = (matrix.sizes[1], (PETSc.DECIDE, block.shape[1]))
         right = PETSc.Mat().createDense(whole, array=block, comm=matrix.comm)
         right.assemble()
         product = matrix.matMult(right)
-        found[:, start : start + AT_A_TIME] = product.getDenseArray()
+        found[:, start : start + MAX_BLOCK_COLUMNS] = product.getDenseArray()
         right.destroy()
         product.destroy()
     return found

@@ -24,7 +24,7 @@ import scipy.sparse as sparse
 
 from fenics_crack.basics.progress import begin
 from fenics_crack.basics.ranks import gather_rows
-from fenics_crack.model.factor import AT_A_TIME, Factor
+from fenics_crack.model.factor import MAX_BLOCK_COLUMNS, Factor
 from fenics_crack.model.matrices import Absent
 from fenics_crack.model.modes import modes_by, solve_modes, times
 from fenics_crack.model.structure import Structure
@@ -234,7 +234,7 @@ def _loaded_dofs(structure: Structure) -> np.ndarray:
     static solutions holds the watched one (collective)."""
     own = np.flatnonzero(np.any(structure.force != 0.0, axis=0)) + structure.first_dof
     found = gather_rows(structure.comm, own)
-    return found if len(found) <= AT_A_TIME else np.array([structure.watched_dof])
+    return found if len(found) <= MAX_BLOCK_COLUMNS else np.array([structure.watched_dof])
 
 
 class ResidualFlexibility:
@@ -279,8 +279,8 @@ class ResidualFlexibility:
         """Y^T G X, (m, n_sources), and the diagonal of Y^T G M G Y, (m,), of sparse forces Y
         (n_local, m) (collective)."""
         rows, inertia = [np.zeros((0, self.sources.shape[1]))], [np.zeros(0)]
-        for start in range(0, columns.shape[1], AT_A_TIME):
-            block = columns[:, start : start + AT_A_TIME].T.toarray()
+        for start in range(0, columns.shape[1], MAX_BLOCK_COLUMNS):
+            block = columns[:, start : start + MAX_BLOCK_COLUMNS].T.toarray()
             # Where K^-1 is small enough its modal part is subtracted once, below.
             moved = factor.solve(block) if self._held else self.solve(factor, block)
             rows.append((self.sources.T @ moved.T).T)

@@ -27,7 +27,7 @@ from mpi4py import MPI
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.tables import hertz_of
 from fenics_crack.model.body import Body
-from fenics_crack.model.factor import distributed
+from fenics_crack.model.factor import distribute_rows
 from fenics_crack.model.modes import NEGLIGIBLE, solve_modes
 from fenics_crack.model.nodes import of_body
 from fenics_crack.model.receptance import expanded, rows_at
@@ -55,13 +55,15 @@ def _coordinates(
     """The body in coordinates of mass 1, and others without mass whose stiffness is given."""
     n_modes, extra = len(squares), len(compliance)
     if isinstance(damping, np.ndarray):
-        damping = distributed(scipy.linalg.block_diag(damping, 0.0 * compliance), MPI.COMM_SELF)
+        damping = distribute_rows(scipy.linalg.block_diag(damping, 0.0 * compliance), MPI.COMM_SELF)
+    mass = sparse.diags(np.repeat([1.0, 0.0], [n_modes, extra]))
     stiffness = sparse.block_diag([sparse.diags(squares), compliance])
     return {
-        "mass": distributed(sparse.diags(np.repeat([1.0, 0.0], [n_modes, extra])), MPI.COMM_SELF),
-        "stiffness": distributed(stiffness, MPI.COMM_SELF), "gap": pairs, "tangential": tangents,
-        "force": force, "clearance": whole.clearance, "damping": damping, "nodes": whole.nodes,
-        "pairs": whole.pairs, "omega": np.sqrt(np.maximum(squares, 0.0)), "whole": whole,
+        "mass": distribute_rows(mass, MPI.COMM_SELF),
+        "stiffness": distribute_rows(stiffness, MPI.COMM_SELF),
+        "gap": pairs, "tangential": tangents, "force": force, "clearance": whole.clearance,
+        "damping": damping, "nodes": whole.nodes, "pairs": whole.pairs,
+        "omega": np.sqrt(np.maximum(squares, 0.0)), "whole": whole,
     }  # fmt: skip
 
 

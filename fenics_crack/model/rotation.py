@@ -34,7 +34,7 @@ from fenics_crack.basics.ranks import collect_garbage, gather_rows
 from fenics_crack.basics.tables import RPM
 from fenics_crack.model.body import Body
 from fenics_crack.model.contact import solve_complementarity
-from fenics_crack.model.factor import Factor, distributed, weighted_sum
+from fenics_crack.model.factor import Factor, distribute_rows, weighted_sum
 from fenics_crack.model.matrices import read_only, read_only_rows
 from fenics_crack.model.modes import AS_ZERO, Modes, independent_part, solve_modes, times
 from fenics_crack.model.nodes import of_body
@@ -268,7 +268,7 @@ class Ritz:
             inverse,
             structure.sum_over_ranks(rotation.at_rest.force @ basis),
             structure.sum_over_ranks(rotation.force @ basis),
-            distributed(sparse.diags(inverse), MPI.COMM_SELF),
+            distribute_rows(sparse.diags(inverse), MPI.COMM_SELF),
             read_only_rows(structure.apply_bt(basis.T)),
             structure.apply_tangential(basis.T),
             modes,
@@ -286,7 +286,7 @@ class Ritz:
     def at(self, speed: float) -> Structure:
         """The small structure at a speed [rad/s], without damping."""
         stiffness, force = self.matrices(speed)
-        matrix = distributed(stiffness, MPI.COMM_SELF)
+        matrix = distribute_rows(stiffness, MPI.COMM_SELF)
         return Structure(Body(self.mass, matrix, self.gap, force, self.whole.clearance))
 
 
@@ -345,7 +345,7 @@ class RunUpStructure(MasslessInterface):
     def stiffness(self) -> Any:
         """V^T K(W) V. Paths make a structure for each of their many speeds, and do not ask for its
         matrix."""
-        return distributed(self.body.dense, MPI.COMM_SELF)
+        return distribute_rows(self.body.dense, MPI.COMM_SELF)
 
     @property
     def _size_words(self) -> str:

@@ -44,7 +44,7 @@ from fenics_crack.model.cyclic import (
     cyclic_basis,
     solve_cyclic_modes,
 )
-from fenics_crack.model.factor import distributed, local_rows
+from fenics_crack.model.factor import distribute_rows, local_rows
 from fenics_crack.model.matrices import Absent, numbers
 from fenics_crack.model.modes import solve_modes
 from fenics_crack.model.nodes import Nodes, Pairs, of_body
@@ -201,7 +201,7 @@ class Wheel(Structure):
         """That of the wheel from one of all sectors, apart (collective)."""
         copies = chosen(self.numbers.ravel(), self.n_dofs)
         whole = sparse.csr_matrix(copies.T @ matrix @ copies)
-        return distributed(whole[: self.n_local], self.comm)
+        return distribute_rows(whole[: self.n_local], self.comm)
 
     @property
     def _size_words(self) -> str:
@@ -340,8 +340,8 @@ class WheelStructure(Structure):
 
         tangents = sector.tangential if wheel.cracked else None
         body = WheelCoordinates(
-            distributed(mass, comm), distributed(stiffness, comm), of_cracks(sector.gap), force,
-            wheel.clearance, damping=wheel.damping,
+            distribute_rows(mass, comm), distribute_rows(stiffness, comm),
+            of_cracks(sector.gap), force, wheel.clearance, damping=wheel.damping,
             tangential=None if tangents is None else of_cracks(tangents),
             nodes=wheel.nodes, pairs=wheel.pairs, comm=comm, wheel=wheel, basis=basis,
         )  # fmt: skip

@@ -24,7 +24,7 @@ from fenics_crack.model.contact import (
     UnilateralConstraint,
     UnilateralPenalty,
 )
-from fenics_crack.model.factor import AT_A_TIME, factor_memory
+from fenics_crack.model.factor import MAX_BLOCK_COLUMNS, factor_memory
 from fenics_crack.model.modes import krylov_vectors
 from fenics_crack.model.nodes import AXES
 from fenics_crack.model.reduction import MODES, reduce_structure
@@ -308,7 +308,7 @@ def reduction_memory(structure: Structure, modes: int, method: str) -> float:
     dofs, columns = structure.n_dofs, structure.n_pairs + 1
     kept = modes + max(modes // 2, 10) if method == "massless" else modes
     # Blocks of static responses, or all of them in a basis and that of its reference.
-    static = 8.0 * dofs * (4 * AT_A_TIME if method == "massless" else 10 * columns)
+    static = 8.0 * dofs * (4 * MAX_BLOCK_COLUMNS if method == "massless" else 10 * columns)
     most = max(static, _memory_for_modes(structure, kept))
     return _memory_held(structure) + _factor_memory(structure) + 8.0 * dofs * kept + most
 

@@ -31,7 +31,7 @@ from fenics_crack.model.contact import (
     solve_complementarity,
     solve_forces,
 )
-from fenics_crack.model.factor import Factor, distributed
+from fenics_crack.model.factor import Factor, distribute_rows
 from fenics_crack.model.matrices import read_labels
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.modes import damped_modes, damped_range, largest_frequency
@@ -384,7 +384,7 @@ def test_a_diverging_structure_is_refused() -> None:
         stiffness = np.diag([lowest, 2.0, 3.0, 4.0, *np.arange(5.0, 40.0)])
         with pytest.raises(InputError, match="1 negative eigenvalue"):
             Structure.from_matrices(np.eye(39), stiffness, gap=None)
-        diverging = whole._changed(stiffness=distributed(stiffness, whole.comm))
+        diverging = whole._changed(stiffness=distribute_rows(stiffness, whole.comm))
         with pytest.raises(InputError, match="positive semidefinite") as caught:
             solve_modes(diverging, 2)
         assert caught.value.key == "stiffness"
@@ -667,12 +667,12 @@ def test_labels_of_rotations(tmp_path: Path) -> None:
 
 def test_what_petsc_lacks_gives_way_to_mumps(monkeypatch: pytest.MonkeyPatch) -> None:
     """As CHOLMOD in DOLFINx's wheels, which is refused before there is a factor."""
-    set_up = Factor._set_up
+    factorise = Factor._factorise
     lacking = {"cholmod": "a library that PETSc lacks"}
     monkeypatch.setattr(
-        Factor, "_set_up", lambda self, solver: set_up(self, lacking.get(solver, solver))
+        Factor, "_factorise", lambda self, solver: factorise(self, lacking.get(solver, solver))
     )
     stiffness = random_stiffness(np.random.default_rng(3), 6)
-    with Factor(distributed(stiffness, MPI.COMM_SELF), definite=True) as factor:
+    with Factor(distribute_rows(stiffness, MPI.COMM_SELF), definite=True) as factor:
         assert relative(factor.solve(stiffness), np.eye(6)) < 1e-10
         assert factor.negative_pivots == 0

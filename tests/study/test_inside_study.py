@@ -22,7 +22,7 @@ from test_verify import plate
 import fenics_crack as fc
 from fenics_crack.balance.solution import Solver
 from fenics_crack.fem import blocks
-from fenics_crack.model.factor import Factor, distributed
+from fenics_crack.model.factor import Factor, distribute_rows
 from fenics_crack.study import prepare
 from fenics_crack.study.meshes import finer_mesh
 from fenics_crack.study.numbers import numbers_of
@@ -352,7 +352,7 @@ def ordered_by(sides: int, dimension: int, dofs: int) -> int:
     coupled to all that are next to it."""
     line = sparse.diags([-1.0, 2.5, -1.0], [-1, 0, 1], (sides, sides))
     nodes = functools.reduce(sparse.kron, [line] * dimension)
-    matrix = distributed(sparse.kron(nodes, np.eye(dofs) + 0.1), MPI.COMM_SELF)
+    matrix = distribute_rows(sparse.kron(nodes, np.eye(dofs) + 0.1), MPI.COMM_SELF)
     with Factor(matrix) as factor:
         return int(factor._factor.getMumpsInfog(7))
 
