@@ -36,10 +36,10 @@ from fenics_crack.fem.model_files import Model, read_model
 from fenics_crack.model.factor import distribute_rows, local_rows
 from fenics_crack.model.matrices import (
     LabelledMatrix,
-    matrix_market,
-    matrix_market_shape,
+    format_matrix_market,
     read_matrix,
-    whole_rows,
+    read_matrix_market_shape,
+    read_whole_matrix,
 )
 from fenics_crack.model.modes import check_damped_modes
 from fenics_crack.model.nodes import Nodes, Pairs, place_in_words
@@ -137,7 +137,7 @@ def _read(table: Table) -> tuple[dict[str, LabelledMatrix], dict[str, Any], Mode
     stiffness = found["stiffness"]
     for name, one in found.items() if stiffness.labels is not None else ():
         with reading(name, getattr(table, name), "one of the dofs of the stiffness"):
-            found[name] = LabelledMatrix(one.at(stiffness), stiffness.labels)
+            found[name] = LabelledMatrix(one.with_rows_of(stiffness), stiffness.labels)
     if len(empty := np.flatnonzero(found["mass"].matrix.diagonal() <= 0.0)):
         where = f"row {empty[0] + 1}"
         if stiffness.labels is not None and empty[0] < len(stiffness.labels):
@@ -149,7 +149,11 @@ def _read(table: Table) -> tuple[dict[str, LabelledMatrix], dict[str, Any], Mode
             model = read_model(Path(table.model))
     given = {name: path for name in ROW_FILES if (path := getattr(table, name)) is not None}
     rows = stiffness.matrix.shape[0]
-    return found, {name: whole_rows(name, Path(path), rows) for name, path in given.items()}, model
+    return (
+        found,
+        {name: read_whole_matrix(name, Path(path), rows) for name, path in given.items()},
+        model,
+    )
 
 
 def _by_nodes(
@@ -205,7 +209,7 @@ def _per_pair(name: str, given: float | str, pairs: int) -> Any:
     """Return one number for all pairs, or read from a file one for each."""
     if not isinstance(given, str):
         return given
-    return whole_rows(name, Path(given), pairs).toarray().ravel() if pairs else 0.0
+    return read_whole_matrix(name, Path(given), pairs).toarray().ravel() if pairs else 0.0
 
 
 def count_pairs(table: Table) -> int:
@@ -217,7 +221,7 @@ def count_pairs(table: Table) -> int:
     try:
         with reading("structure.gap", path, "a file that can be read"):
             if table.gap is not None:
-                return matrix_market_shape(Path(table.gap))[1]
+                return read_matrix_market_shape(Path(table.gap))[1]
             return len(coincident(read_model(Path(path)).points))
     except InputError:  # who reads it will say why
         return 0
@@ -282,7 +286,7 @@ def write_matrices(structure: Structure, folder: str | Path, scene: Scene | None
             rate = structure.damping.rate(squares[:count])
             damped = whole["mass"] @ shapes[:, :count] * np.sqrt(rate)
             whole["damping"] = sparse.csr_matrix(damped @ damped.T)
-        texts = {f"{name}.mtx": matrix_market(matrix) for name, matrix in whole.items()}
+        texts = {f"{name}.mtx": format_matrix_market(matrix) for name, matrix in whole.items()}
         replace_files(WRITTEN, Path(folder), texts | {SCENE: text})
 
     on_root(comm, work)

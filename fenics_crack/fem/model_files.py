@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fenics_crack.model.matrices import numbered_lines, rows_of
+from fenics_crack.model.matrices import numbered_lines, read_number_rows
 from fenics_crack.scene.fields import LARGEST
 
 VTK = {4: 10, 6: 13, 8: 12, 10: 24, 15: 26, 20: 25}
@@ -115,7 +115,7 @@ def _put(nodes: Nodes, number: int, label: int, place: tuple[float, ...]) -> Non
 
 
 def _table(path: Path, nodes: Nodes, cells: Cells) -> None:
-    for number, (label, *place) in enumerate(rows_of(path, 4, "#", ",").tolist(), 1):
+    for number, (label, *place) in enumerate(read_number_rows(path, 4, "#", ",").tolist(), 1):
         if label % 1 != 0:
             raise ValueError(f"row {number}: {label:g} is no number of a node")
         _put(nodes, number, int(label), tuple(place))

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from fenics_crack.model.matrices import ReadOnly, read_only_rows
+from fenics_crack.model.matrices import ReadOnlyArrays, read_only_rows
 from fenics_crack.model.nodes import Clamp, Nodes, Pairs
 
 
 @dataclass(frozen=True, eq=False)
-class Body(ReadOnly):
+class Body(ReadOnlyArrays):
     """The attributes of a structure as it was made; arrays are made read-only.
 
     The load and the clearance are those that weights and additions of a setting refer to. A mean

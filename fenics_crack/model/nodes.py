@@ -14,7 +14,7 @@ from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import gather_rows
-from fenics_crack.model.matrices import ReadOnly, numbers
+from fenics_crack.model.matrices import ReadOnlyArrays, numbers
 from fenics_crack.numerics.fourier import evaluate
 
 AXES = "xyz"
@@ -25,7 +25,7 @@ FARTHEST = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Nodes(ReadOnly):
+class Nodes(ReadOnlyArrays):
     """Positions of the nodes that this rank owns, and their dofs; the arrays are read-only.
 
     Attributes
@@ -96,7 +96,7 @@ def place_in_words(point: np.ndarray, digits: str = ".8g") -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class Pairs(ReadOnly):
+class Pairs(ReadOnlyArrays):
     """Places of the contact pairs of a structure, crack by crack; the arrays are read-only.
 
     Attributes

@@ -25,7 +25,7 @@ import scipy.sparse as sparse
 from fenics_crack.basics.progress import begin
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.model.factor import MAX_BLOCK_COLUMNS, Factor
-from fenics_crack.model.matrices import Absent
+from fenics_crack.model.matrices import AbsentMatrix
 from fenics_crack.model.modes import modes_by, solve_modes, times
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import EPSILON, ROUNDING
@@ -134,7 +134,7 @@ def _of_load(structure: Structure, known: Receptance) -> Receptance | None:
 def check_matrices(structure: Structure, wanted: str) -> None:
     """Raise InputError for what a structure of arrays alone has not."""
     if not structure.has_matrices:
-        raise Absent.refused(wanted)
+        raise AbsentMatrix.input_error(wanted)
 
 
 def sources_of(structure: Structure) -> sparse.csr_matrix:

@@ -35,7 +35,7 @@ from fenics_crack.basics.tables import RPM
 from fenics_crack.model.body import Body
 from fenics_crack.model.contact import solve_complementarity
 from fenics_crack.model.factor import Factor, distribute_rows, weighted_sum
-from fenics_crack.model.matrices import read_only, read_only_rows
+from fenics_crack.model.matrices import read_only_array, read_only_rows
 from fenics_crack.model.modes import AS_ZERO, Modes, independent_part, solve_modes, times
 from fenics_crack.model.nodes import of_body
 from fenics_crack.model.reduced import MasslessInterface, ReducedBody
@@ -262,7 +262,7 @@ class Ritz:
             raise InputError("rotation.speed", rotation.speed, words) from None
         return cls(
             structure,
-            read_only(basis),  # shared by all speeds
+            read_only_array(basis),  # shared by all speeds
             at_rest,
             added,
             inverse,

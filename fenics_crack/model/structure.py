@@ -35,15 +35,15 @@ from fenics_crack.basics.threads import alone
 from fenics_crack.model.body import BESIDE_MATRICES, UNVARIED, Body, Setting
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.matrices import (
-    Absent,
-    checked,
-    lumped_mass,
+    AbsentMatrix,
+    add_harmonics,
+    add_springs,
+    check_parts,
+    expand_to_pairs,
+    lump_mass,
+    make_petsc_matrix,
     numbers,
-    per_pair,
-    petsc_matrix,
-    read_only,
-    with_harmonics,
-    with_springs,
+    read_only_array,
 )
 from fenics_crack.model.nodes import Clamp, Coordinates, Nodes, Pairs, of_body
 
@@ -252,14 +252,18 @@ class Structure(Coordinates):
     def force(self) -> np.ndarray:  # type: ignore[override]
         """Load, weighted."""
         given = self.body.force
-        return given if self.setting is UNVARIED else read_only(np.dot(self.setting.weights, given))
+        return (
+            given
+            if self.setting is UNVARIED
+            else read_only_array(np.dot(self.setting.weights, given))
+        )
 
     @cached_property
     def clearance(self) -> np.ndarray:
         """g0 of every pair, with what is added; nothing to tangential ones."""
         found, added = self.body.clearance.copy(), self.setting.clearance
         found[: np.size(added) if np.ndim(added) else None] += added
-        return read_only(found)
+        return read_only_array(found)
 
     @property
     def damping_factor(self) -> float:
@@ -299,7 +303,7 @@ class Structure(Coordinates):
     @property
     def has_matrices(self) -> bool:
         """False if it is that of a file of a prepared structure."""
-        return not isinstance(self.stiffness, Absent)
+        return not isinstance(self.stiffness, AbsentMatrix)
 
     def once(self, compute: Callable[[Any], Found], *, of_matrices: bool = False) -> Found:
         """A result computed from :attr:`original` once, for it and all of its varied copies; what
@@ -362,7 +366,7 @@ class Structure(Coordinates):
         InputError
             A row sum is not positive, as for six-node triangles.
         """
-        return _turning(self, lambda one: one._changed(mass=lumped_mass(one.mass)))
+        return _turning(self, lambda one: one._changed(mass=lump_mass(one.mass)))
 
     def tied(self, stiffness: float | np.ndarray) -> Structure:
         """Return this structure with every pair connected by a spring k [N/m].
@@ -371,13 +375,13 @@ class Structure(Coordinates):
         modes, Rayleigh damping the new stiffness.
         InputError: the stiffness is not one finite number >= 0, or one for each pair.
         """
-        springs = per_pair("stiffness", stiffness, self.n_pairs)
+        springs = expand_to_pairs("stiffness", stiffness, self.n_pairs)
         if np.any(springs < 0.0):
             raise InputError("stiffness", stiffness, ">= 0: springs that hold the pairs together")
         gap = sparse.csr_matrix((self.n_local, 0))
 
         def held(one: Structure) -> Structure:
-            matrix = with_springs(one.stiffness, one.gap, springs)
+            matrix = add_springs(one.stiffness, one.gap, springs)
             return one._changed(
                 stiffness=matrix, gap=gap, tangential=None, clearance=np.zeros(0), pairs=Pairs()
             )
@@ -401,7 +405,7 @@ class Structure(Coordinates):
         """
         if self.whole is not self:
             raise InputError("structure", repr(self), "one that is not reduced")
-        force = with_harmonics(self.force, harmonics, self.mass)
+        force = add_harmonics(self.force, harmonics, self.mass)
         return self._in(replace(self.setting, weights=1.0), force=force, clamp=None)
 
     def with_tangents(self) -> Structure:
@@ -507,7 +511,7 @@ class Structure(Coordinates):
             allowed = "1 for a structure that rotates: part of its mean load is centrifugal"
             raise InputError("load", load, allowed)
         check_number("damping", damping, 0.0)
-        added = per_pair("clearance", clearance, self.n_pairs)
+        added = expand_to_pairs("clearance", clearance, self.n_pairs)
         return self._in(self.setting.then(Setting(weights, damping, added)))
 
     def _changed(self, **changes: Any) -> Structure:
@@ -560,10 +564,10 @@ class Structure(Coordinates):
             symmetric, the mass is not positive definite, or the stiffness not semidefinite.
         """
         forces = {"force_mean": force_mean, "force_cos": force_cos, "force_sin": force_sin}
-        parts = checked(mass, stiffness, (gap, tangential), forces, clearance, comm)
+        parts = check_parts(mass, stiffness, (gap, tangential), forces, clearance, comm)
         if not isinstance(damping, DampingRule | None):
             made = parts["mass"]
-            damping = petsc_matrix("damping", damping, made.comm.tompi4py(), made.size[0])
+            damping = make_petsc_matrix("damping", damping, made.comm.tompi4py(), made.size[0])
         return cls(Body(**parts, damping=damping))
 
     @classmethod

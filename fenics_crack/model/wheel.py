@@ -45,7 +45,7 @@ from fenics_crack.model.cyclic import (
     solve_cyclic_modes,
 )
 from fenics_crack.model.factor import distribute_rows, local_rows
-from fenics_crack.model.matrices import Absent, numbers
+from fenics_crack.model.matrices import AbsentMatrix, numbers
 from fenics_crack.model.modes import solve_modes
 from fenics_crack.model.nodes import Nodes, Pairs, of_body
 from fenics_crack.model.reduced import ReducedStructure
@@ -116,7 +116,7 @@ class Wheel(Structure):
         structure, count, tangential = sector.structure, sector.count, sector.structure.tangential
         cracked = tuple(cracked) if structure.n_pairs else ()
         dofs, places = sector.dofs.in_wheel(count, cracked)
-        absent, mine = Absent(len(places), comm.rank), slice(None if comm.rank == 0 else 0)
+        absent, mine = AbsentMatrix(len(places), comm.rank), slice(None if comm.rank == 0 else 0)
         copies, of_cracks = chosen(dofs.ravel(), len(places)), np.eye(count)[:, list(cracked)]
 
         def on_wheel(rows: np.ndarray) -> np.ndarray:

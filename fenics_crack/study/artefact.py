@@ -27,7 +27,7 @@ from fenics_crack.fem.setting import clearance_of, damping_of, parts_of
 from fenics_crack.files.codec import Parts, packed, unpacked
 from fenics_crack.files.store import Stored, check_shapes, read, write
 from fenics_crack.model.body import Body
-from fenics_crack.model.matrices import Absent
+from fenics_crack.model.matrices import AbsentMatrix
 from fenics_crack.model.nodes import Nodes, Pairs
 from fenics_crack.model.receptance import Receptance, held_receptance, receptance, rows_at
 from fenics_crack.model.structure import DampingRule, Structure
@@ -155,7 +155,7 @@ class _Prepared:
             own = slice(None) if first else slice(0)
             nodes = Nodes(self.points[own], self.node_dofs[own], self.cells[own], 0)
         clearance = self.clearance if self.pairs.cracks is None else clearance_of(scene, self.pairs)
-        sizes = Absent(self.n_dofs, comm.rank)
+        sizes = AbsentMatrix(self.n_dofs, comm.rank)
         made = Structure(Body(
             sizes, sizes, rows(self.gap, count), force, clearance,
             damping_of(scene.given("damping")),

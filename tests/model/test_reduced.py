@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 import fenics_crack as fc
 from fenics_crack import MasslessStructure
-from fenics_crack.model.matrices import Absent
+from fenics_crack.model.matrices import AbsentMatrix
 from fenics_crack.model.receptance import Receptance, last_receptance, receptance
 
 
@@ -361,7 +361,7 @@ def test_from_arrays_alone() -> None:
     made = chain("modal", 30)
     held = made.once(last_receptance, of_matrices=True)
     held[:] = [Receptance(**parts, force=made.force)]
-    object.__setattr__(made.body, "stiffness", Absent(made.n_dofs, 0))
+    object.__setattr__(made.body, "stiffness", AbsentMatrix(made.n_dofs, 0))
     found = reduced(made, 6)
     assert relative(found.residual, expected.residual) < 1e-14
     dof = [expected.watched_dof]
