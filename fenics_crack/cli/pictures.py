@@ -147,7 +147,7 @@ def _draw_scene(
 
 def draw_modes_of(run: Run[Modes], file: Drawn) -> None:
     """Draw the shapes of modes that have a mesh."""
-    if run.structure.whole.meshed is None:
+    if run.structure.whole.drawable_nodes is None:
         file.notes.append(NO_MESH)
         return
     words = "Mode shapes with the crack open. Without contact, so the crack faces may overlap."
@@ -185,7 +185,7 @@ def draw_solution(run: Run[PeriodicSolution], file: Drawn) -> None:
 
         words = "The wheel where it moves most, magnified; cracked blades have orange numbers."
         draw_wheel(found, path=file("solution_wheel", words), title=title)
-    if found.structure.whole.meshed is None:
+    if found.structure.whole.drawable_nodes is None:
         file.notes.append(NO_MESH)
     else:
         _on_mesh(run, file)

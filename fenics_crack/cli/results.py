@@ -308,7 +308,7 @@ def waves_of(run: Run[Any]) -> Waves:
         motion, gap = found.displacement(time, dofs), found.gap(time)
         force = found.contact_force(time)
     pairs = whole.watched_pairs.values() if gap.size else ()
-    return Waves(time, motion, {whole.where(pair): gap[:, pair] for pair in pairs}, force)
+    return Waves(time, motion, {whole.describe_pair(pair): gap[:, pair] for pair in pairs}, force)
 
 
 def _waves(run: Run, waves: Waves) -> Table:

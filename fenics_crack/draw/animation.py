@@ -308,7 +308,7 @@ class _Page:
         if len(fields.areas):
             gaps, watched = solution.gap(time), solution.structure.watched_pairs.values()
             pair = max(watched, key=lambda number: float(np.ptp(gaps[:, number])))
-            quantity, wave = f"opening {solution.structure.where(pair)}", -gaps[:, pair]
+            quantity, wave = f"opening {solution.structure.describe_pair(pair)}", -gaps[:, pair]
             self.values = -solution.gap(fields.time)[:, pair]
             cracks = solution.structure.pairs.cracks
             assert cracks is not None  # of a mesh

@@ -471,7 +471,9 @@ def draw_spectrum(
     if solution.structure.n_pairs:
         time = np.linspace(0.0, solution.period, 257)
         pair = int(np.argmax(np.ptp(solution.gap(time), axis=0)))
-        lengths[f"gap {solution.structure.where(pair)}"] = solution.gap_coefficients[:, pair]
+        lengths[f"gap {solution.structure.describe_pair(pair)}"] = solution.gap_coefficients[
+            :, pair
+        ]
     if dof is not None:
         lengths[solution.structure.dof_name(dof)] = solution.coefficients_at([dof])[:, 0]
     if not lengths:
@@ -553,8 +555,8 @@ def draw_orbits(
     closed = solution.contact_force(time) > 0.0
     orbits: list[tuple[Motion, np.ndarray, str, str]] = []
     if solution.structure.n_pairs:
-        pair = solution.structure.first_watched
-        gap, name = lambda time: solution.gap(time)[:, pair], solution.structure.where(pair)
+        pair = solution.structure.first_watched_pair
+        gap, name = lambda time: solution.gap(time)[:, pair], solution.structure.describe_pair(pair)
         orbits.append((gap, closed[:, pair], f"closing {name}", "crack faces touch there"))
     if dof is not None:
         moved, name = partial(solution.displacement, dofs=[dof]), solution.structure.dof_name(dof)
@@ -642,7 +644,7 @@ def draw_friction_loops(solution: PeriodicSolution, **where: Unpack[Where]) -> F
     [panel] = picture = Picture(size=(6.4, 4.6), comm=solution.structure.comm, **where)
     chosen = np.argsort(-loss, kind="stable")[: min(LOOPS, len(loss))]
     for pair, colour in zip(chosen.tolist(), distinct_colours(len(chosen)), strict=True):
-        name = solution.structure.where(pair).removeprefix("of ")
+        name = solution.structure.describe_pair(pair).removeprefix("of ")
         label = f"{name}: {quantity(float(loss[pair]), 'J')}"
         panel.plot(slide[:, pair], drag[:, pair], color=colour, lw=1.1, label=label)
         sliding = np.where(slips[:, pair], slide[:, pair], np.nan)

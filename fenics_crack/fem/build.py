@@ -313,7 +313,7 @@ def in_another(scene: Scene, structure: Structure, *, loads: bool) -> Structure:
         "clearance": clearance_of(scene, structure.pairs), "damping": damping_of(scene.damping),
     }  # fmt: skip
     if loads:
-        dofs: Dofs = structure.nodes.numbered  # type: ignore[union-attr]
+        dofs: Dofs = structure.nodes.mesh_dofs  # type: ignore[union-attr]
         _, mass = _forms(scene, dofs.space)
         matrix = compat.assembled_matrix(mass)
         force, changes["watched"] = assemble_loads(scene, dofs, matrix)

@@ -238,7 +238,7 @@ def find_fronts(structure: Structure) -> list[Front]:
     """
     nodes = structure.nodes
     assert nodes is not None
-    lips: tuple[CrackSurface, ...] = nodes.numbered.plate.lips
+    lips: tuple[CrackSurface, ...] = nodes.mesh_dofs.plate.lips
     held = gather_rows(structure.comm, nodes.points[np.all(nodes.dofs < 0, axis=1)])
     found = []
     for crack, lip in enumerate(lips):
@@ -401,11 +401,11 @@ def front_functionals(
 def _own_part(nodes: Nodes, numbers: np.ndarray, values: np.ndarray) -> np.ndarray:
     """This rank's free dofs (n, n_local) of values (m, n, 3) at nodes by their numbers, 0 at
     others."""
-    places = numbers - nodes.numbered.first_node
-    own = (places >= 0) & (places < nodes.numbered.n_nodes)
-    found = np.zeros((values.shape[1], nodes.numbered.n_nodes, 3))
+    places = numbers - nodes.mesh_dofs.first_node
+    own = (places >= 0) & (places < nodes.mesh_dofs.n_nodes)
+    found = np.zeros((values.shape[1], nodes.mesh_dofs.n_nodes, 3))
     found[:, places[own]] = values[own].swapaxes(0, 1)
-    return np.asarray(nodes.numbered.free_part(found.reshape(len(found), -1)))
+    return np.asarray(nodes.mesh_dofs.free_part(found.reshape(len(found), -1)))
 
 
 def _stations(structure: Structure, front: Front) -> list[Station]:
@@ -695,7 +695,7 @@ def _of_pressures(structure: Structure, front: Front) -> np.ndarray:
     """Factors of the contact forces in K_I, (n_stations, n_pairs), by their pressures."""
     pairs = structure.pairs
     assert pairs.nodes is not None and pairs.shares is not None and pairs.areas is not None
-    lip: CrackSurface = structure.nodes.numbered.plate.lips[front.crack]  # type: ignore[union-attr]
+    lip: CrackSurface = structure.nodes.mesh_dofs.plate.lips[front.crack]  # type: ignore[union-attr]
     tree, own = cKDTree(pairs.nodes), cKDTree(front.nodes)
     far, at = own.query(lip.triangles)
     reach = np.linalg.norm(lip.triangles - lip.triangles.mean(axis=1)[:, None], axis=2).max(axis=1)

@@ -148,7 +148,7 @@ def tip_functionals(scene: Scene, structure: Structure) -> tuple[list[Tip], np.n
     """
     check_matrices(structure, "stress intensities")
     assert structure.nodes is not None
-    dofs: Dofs = structure.nodes.numbered
+    dofs: Dofs = structure.nodes.mesh_dofs
     tips, sides, points = find_tips(dofs), _sides(dofs), dofs.points
     row_of, rows, pressed = _form(scene, dofs), [], []
     on_lips = np.any(sides != 0.0, axis=1)[: dofs.n_nodes]

@@ -31,7 +31,12 @@ from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.elasticity import thickness
 from fenics_crack.fem.plate import Dofs
 from fenics_crack.fem.setting import parts_of
-from fenics_crack.model.nodes import FARTHEST, Clamp, nearest_node, nodes_at
+from fenics_crack.model.nodes import (
+    MAX_NODE_DISTANCE_RATIO,
+    Clamp,
+    describe_nearest_node,
+    find_nodes_at,
+)
 from fenics_crack.scene.fields import Vector
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Load
@@ -113,15 +118,17 @@ def share_at(scene: Scene, dofs: Dofs, key: str, point: Vector) -> np.ndarray:
         allowed = "on one of the two crack faces there: {} on the lower one, {} on the upper one"
         raise InputError(key, tuple(point), allowed.format(low, high))
     places, own = gather_rows(dofs.comm, dofs.points), dofs.first_node + np.arange(dofs.n_nodes)
-    if len(found := nodes_at(places, point)):
+    if len(found := find_nodes_at(places, point)):
         return np.where(own == found[0], 1.0, 0.0)
     nodes, values = compat.basis_at(dofs.space, scene.mesh.order, np.array(point))
     values = np.where(np.abs(values) < 1e-12, 0.0, values)  # rounding
     hits = dofs.comm.allgather(len(nodes) > 0)
     if not any(hits):
         away, extent = np.linalg.norm(places - point, axis=1), np.ptp(places, axis=0).max()
-        if scene.geometry.file is None or away.min() > FARTHEST * extent:
-            raise InputError(key, tuple(point), f"on the mesh ({nearest_node(places, point)})")
+        if scene.geometry.file is None or away.min() > MAX_NODE_DISTANCE_RATIO * extent:
+            raise InputError(
+                key, tuple(point), f"on the mesh ({describe_nearest_node(places, point)})"
+            )
         return np.where(own == int(away.argmin()), 1.0, 0.0)
     if dofs.comm.rank != hits.index(True):
         nodes, values = nodes[:0], values[:0]

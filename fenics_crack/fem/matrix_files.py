@@ -42,7 +42,7 @@ from fenics_crack.model.matrices import (
     read_whole_matrix,
 )
 from fenics_crack.model.modes import check_damped_modes
-from fenics_crack.model.nodes import Nodes, Pairs, place_in_words
+from fenics_crack.model.nodes import Nodes, Pairs, format_point
 from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCES, Damping, Excitation
@@ -110,7 +110,7 @@ def _made(scene: Scene, table: Table, rule: DampingRule | None, comm: MPI.Comm) 
         pairs = replace(pairs, areas=_per_pair("areas", table.areas, n_pairs))
     if scene.excitation.point is not None:
         assert nodes is not None
-        _, at = nodes.nearest(comm, "excitation.point", scene.excitation.point)
+        _, at = nodes.find_nearest(comm, "excitation.point", scene.excitation.point)
         for name in FORCES:
             force = sparse.lil_matrix(parts.get(name, (rows, 1)))
             for dof, value in zip(at, getattr(scene.excitation, name), strict=True):
@@ -369,7 +369,7 @@ class _Lips:
         nodes, uses = np.unique(np.append(self.first, self.second), return_counts=True)
         if np.any(uses > 1):
             most = nodes[np.argmax(uses)]
-            where = f"{place_in_words(model.points[most], 'g')}, one of them {model.labels[most]}"
+            where = f"{format_point(model.points[most], 'g')}, one of them {model.labels[most]}"
             allowed = "one with two nodes at each place of a crack: cracks neither branch nor cross"
             raise InputError("model", f"more than two nodes at {where}", allowed)
         if not len(self.first):
@@ -576,7 +576,7 @@ def _of_nodes(lips: _Lips, tangents: int) -> tuple[sparse.csr_matrix, np.ndarray
         up = points[beside[1]].mean(axis=0) - points[beside[0]].mean(axis=0)
         up -= along.T @ (along @ up)
         if np.linalg.norm(up) <= SAME * size:
-            where = place_in_words(points[a], "g")
+            where = format_point(points[a], "g")
             allowed = "a crack with a side below and one above, or a model with its elements"
             raise InputError("model", f"two nodes at {where} that lie on the same side", allowed)
         up /= np.linalg.norm(up)

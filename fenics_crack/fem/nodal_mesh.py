@@ -38,7 +38,7 @@ class NodalMesh:
     """
 
     def __init__(self, structure: Structure) -> None:
-        if structure.nodes is None or structure.meshed is None:
+        if structure.nodes is None or structure.drawable_nodes is None:
             raise InputError("structure", "made from matrices", "made from a mesh")
         whole = structure.whole
         nodes, comm = structure.nodes, whole.comm

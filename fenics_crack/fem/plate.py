@@ -247,6 +247,6 @@ class Dofs:
             dofs=self.numbers.reshape(-1, self.dimension),
             cells=np.asarray(numbers).reshape(cells.shape),
             vtk_type=max(self.comm.allgather(vtk_type)),
-            numbered=self,
+            mesh_dofs=self,
             frames=self.frames,
         )

@@ -20,7 +20,7 @@ from fenics_crack.fem.elasticity import rotation_of
 from fenics_crack.fem.plate import Dofs
 from fenics_crack.model.cyclic import Sector
 from fenics_crack.model.modes import times
-from fenics_crack.model.nodes import place_in_words
+from fenics_crack.model.nodes import format_point
 from fenics_crack.model.structure import Structure
 from fenics_crack.model.wheel import Wheel
 from fenics_crack.scene.scene import Scene
@@ -79,14 +79,14 @@ def turn_sides(scene: Scene, dofs: Dofs) -> None:
     nearer = min((0, 1), key=lambda way: matched[way][0])
     (distance, place, partner), turn = matched[nearer], turns[nearer]
     if distance > SAME * size:
-        where = place_in_words(points[left[place]])
+        where = format_point(points[left[place]])
         found = f"{len(left)} nodes of the left side and {len(right)} of the right one"
         allowed = f"sides that match: the left one, turned about the axis by 360/{disk.sectors}"
         allowed += " degrees, is the right one node by node;"
         allowed += f" that at {where} is {distance:.2g} m from the nearest"
         raise InputError("mesh.file" if names[0] == "left" else "disk", found, allowed)
     if len(shared := np.intersect1d(left, right)):
-        where = place_in_words(points[shared[0]])
+        where = format_point(points[shared[0]])
         allowed = f"a disk with a hole: both sides have the node at {where}"
         raise InputError("mesh.file", "a sector that reaches the axis", allowed)
     d = points.shape[1]
@@ -102,12 +102,12 @@ def _sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
         lower, upper = np.setdiff1d(lower, upper), np.setdiff1d(upper, lower)
         distance, place, partner = _matched(points[lower], points[upper])
         if distance > SAME * float(np.ptp(points, axis=0).max()):
-            where = place_in_words(points[lower[place]])
+            where = format_point(points[lower[place]])
             allowed = f"meshed identically, so that they can be bonded, but not at {where}"
             raise InputError("lips", f"{len(lower)} lower and {len(upper)} upper nodes", allowed)
         lips = np.array([lower, upper[partner]])
     if len(shared := np.intersect1d(lips, sides)):
-        allowed = f"away from the sides of its sector, not at {place_in_words(points[shared[0]])}"
+        allowed = f"away from the sides of its sector, not at {format_point(points[shared[0]])}"
         raise InputError("lips", "a crack", allowed)
     center, turn = scene.axis[0][: points.shape[1]], frames[sides[1, 0]]
     count = scene.given("disk").sectors

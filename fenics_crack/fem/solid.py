@@ -29,7 +29,7 @@ from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.cracks import LIP_TAGS, Lips, Names
 from fenics_crack.fem.fronts import find_fronts
 from fenics_crack.fem.nodal_mesh import NodalMesh
-from fenics_crack.model.nodes import place_in_words
+from fenics_crack.model.nodes import format_point
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Crack
@@ -87,13 +87,13 @@ def described(structure: Structure) -> dict[str, str]:
     """Return where the named faces of a part are, and how long its fronts and the shortest
     ligaments ahead of them (collective)."""
     assert structure.nodes is not None
-    plate, comm, rows = structure.nodes.numbered.plate, structure.comm, {}  # type: ignore[union-attr]
+    plate, comm, rows = structure.nodes.mesh_dofs.plate, structure.comm, {}  # type: ignore[union-attr]
     space = compat.function_space(plate.mesh, 1, vectors=False)
     for name in sorted(set(plate.groups) - {*LIP_TAGS}):
         weights = compat.assembled_vector(ufl.TestFunction(space) * plate.along(name))
         points = space.tabulate_dof_coordinates()[: len(weights)]
         area = comm.allreduce(weights.sum())
-        middle = place_in_words(comm.allreduce(weights @ points) / area, ".4g")
+        middle = format_point(comm.allreduce(weights @ points) / area, ".4g")
         rows[f"face {name}"] = f"{1e6 * area:.4g} mm^2 around {middle} m"
     mesh = NodalMesh(structure)
     surface = mesh.points[mesh.boundary]

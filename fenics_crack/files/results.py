@@ -154,7 +154,7 @@ def type_of(stored: Stored) -> type[Result]:
 def _pack_modes(modes: Modes) -> Parts:
     """Datasets of the modes; those of a structure without a mesh by its dofs (collective)."""
     whole = modes.structure.whole
-    if whole.meshed is None:
+    if whole.drawable_nodes is None:
         by_dof = gather_rows(whole.comm, modes.structure.expand(modes.shapes.T).T)
         return {"omega": modes.omega, "shapes": by_dof.T}
     mesh = NodalMesh(modes.structure)
@@ -172,7 +172,7 @@ def _unpack_modes(parts: Parts, structure: Structure, contact: Law = None) -> Mo
     """
     omega, shapes, whole = parts["omega"], parts["shapes"], structure.whole
     check_shapes(parts, {"omega": (len(shapes),)})
-    if whole.meshed is None:
+    if whole.drawable_nodes is None:
         if "nodes" in parts or shapes.ndim != 2 or shapes.shape[1] != whole.n_dofs:
             allowed = f"that of the file, {shapes.shape}"
             raise InputError("structure", f"{whole.n_dofs} dofs", allowed)

@@ -20,7 +20,7 @@ from fenics_crack.numerics.fourier import evaluate
 AXES = "xyz"
 
 
-FARTHEST = 0.05
+MAX_NODE_DISTANCE_RATIO = 0.05
 """Largest distance of a point from the mesh, whose nearest node is taken, over the mesh's size."""
 
 
@@ -49,10 +49,10 @@ class Nodes(ReadOnlyArrays):
     dofs: np.ndarray
     cells: np.ndarray
     vtk_type: int
-    numbered: Any = None
+    mesh_dofs: Any = None
     frames: np.ndarray | None = None
 
-    def nearest(
+    def find_nearest(
         self, comm: MPI.Comm, key: str, point: Sequence[float]
     ) -> tuple[np.ndarray, np.ndarray]:
         """Position of the node nearest to a point, and its dofs (d,), -1 where clamped
@@ -68,29 +68,29 @@ class Nodes(ReadOnlyArrays):
         distance, size = np.linalg.norm(points - point, axis=1), np.ptp(points, axis=0).max()
         place = int(np.argmin(distance))
         shown = tuple(map(float, point))
-        there = nearest_node(points, point)
-        if distance[place] > FARTHEST * size:
+        there = describe_nearest_node(points, point)
+        if distance[place] > MAX_NODE_DISTANCE_RATIO * size:
             raise InputError(key, shown, f"on the mesh ({there})")
-        if len(nodes_at(points, points[place])) > 1:
+        if len(find_nodes_at(points, points[place])) > 1:
             raise InputError(key, shown, f"near a node that exists once, not on a face ({there})")
         if np.all(dofs[place] < 0):
             raise InputError(key, shown, f"near a node that is free to move ({there})")
         return points[place], dofs[place]
 
 
-def nodes_at(points: np.ndarray, point: Sequence[float] | np.ndarray) -> np.ndarray:
+def find_nodes_at(points: np.ndarray, point: Sequence[float] | np.ndarray) -> np.ndarray:
     """Return the indices of nodes, ``points`` (n, d), at a point, to 1e-6 of the mesh's size."""
     near = 1e-6 * np.ptp(points, axis=0).max()
     return np.flatnonzero(np.linalg.norm(points - point, axis=1) <= near)
 
 
-def nearest_node(points: np.ndarray, point: Sequence[float] | np.ndarray) -> str:
+def describe_nearest_node(points: np.ndarray, point: Sequence[float] | np.ndarray) -> str:
     """Return the place of the node nearest to ``point``, of ``points`` (n, d), in words."""
     nearest = points[np.argmin(np.linalg.norm(points - point, axis=1))]
-    return f"the nearest node is at {place_in_words(nearest)}"
+    return f"the nearest node is at {format_point(nearest)}"
 
 
-def place_in_words(point: np.ndarray, digits: str = ".8g") -> str:
+def format_point(point: np.ndarray, digits: str = ".8g") -> str:
     """A point in words, "(0.1, 0.1)"; its digits identify a node for :func:`nodes_at`."""
     return f"({', '.join(format(x, digits) for x in point.round(12) + 0.0)})"  # no -1e-19
 
@@ -132,7 +132,7 @@ class Pairs(ReadOnlyArrays):
     tangents: sparse.csr_matrix | None = None
 
 
-def of_body(name: str) -> Any:
+def body_property(name: str) -> Any:
     """A property: the attribute of a structure that its body has by this name."""
     return property(attrgetter(f"body.{name}"))
 
@@ -164,18 +164,18 @@ class Coordinates:
 
     body: Any
     setting: Any
-    comm: MPI.Comm = of_body("comm")
-    mass: Any = of_body("mass")
-    gap: sparse.csr_matrix = of_body("gap")
-    tangential: sparse.csr_matrix | None = of_body("tangential")
+    comm: MPI.Comm = body_property("comm")
+    mass: Any = body_property("mass")
+    gap: sparse.csr_matrix = body_property("gap")
+    tangential: sparse.csr_matrix | None = body_property("tangential")
     force: np.ndarray
-    nodes: Nodes | None = of_body("nodes")
-    pairs: Pairs = of_body("pairs")
-    pair_points: np.ndarray | None = of_body("pairs.points")
+    nodes: Nodes | None = body_property("nodes")
+    pairs: Pairs = body_property("pairs")
+    pair_points: np.ndarray | None = body_property("pairs.points")
     """Positions of the contact pairs where there is a mesh: (n_pairs, d) [m]."""
-    pair_areas: np.ndarray | None = of_body("pairs.areas")
+    pair_areas: np.ndarray | None = body_property("pairs.areas")
     """Area of the face that belongs to each pair, where there is a mesh: (n_pairs,) [m^2]."""
-    watched: np.ndarray | None = of_body("watched")
+    watched: np.ndarray | None = body_property("watched")
 
     def __setattr__(self, name: str, value: object) -> NoReturn:
         raise AttributeError(
@@ -187,7 +187,7 @@ class Coordinates:
         return f"{self.n_dofs} dofs"
 
     @property
-    def meshed(self) -> Nodes | None:
+    def drawable_nodes(self) -> Nodes | None:
         """The nodes, where they carry every dof and have cells to be drawn."""
         return self.nodes if self.nodes is not None and self.nodes.vtk_type else None
 
@@ -217,7 +217,7 @@ class Coordinates:
         return self.pairs.places or ({"pair 1": 0} if self.n_pairs else {})
 
     @property
-    def first_watched(self) -> int:
+    def first_watched_pair(self) -> int:
         """The pair at the mouth of the first crack, or in the middle of one inside the plate."""
         return next(iter(self.watched_pairs.values()))
 
@@ -231,14 +231,14 @@ class Coordinates:
         if whole is not self:
             return int(whole.watched_dof)
         if self.watched is None:
-            return self.most_loaded()
+            return self.find_most_loaded_dof()
         return int(np.argmax(gather_rows(self.comm, np.abs(self.watched))))
 
-    def most_loaded(self) -> int:
+    def find_most_loaded_dof(self) -> int:
         """The dof that carries most of the load, of all ranks' (collective)."""
         return int(np.argmax(gather_rows(self.comm, np.abs(self.body.force).max(axis=0))))
 
-    def where(self, pair: int) -> str:
+    def describe_pair(self, pair: int) -> str:
         """A pair in words: "at the mouth", "at the middle of crack 2", "of pair 3"."""
         names = {number: name for name, number in self.pairs.places.items()}
         return f"at {names[pair]}" if pair in names else f"of pair {pair + 1}"
@@ -265,7 +265,7 @@ class Coordinates:
         InputError
             The structure is not one of a mesh of DOLFINx.
         """
-        dofs = getattr(self.whole.nodes, "numbered", None)
+        dofs = getattr(self.whole.nodes, "mesh_dofs", None)
         if dofs is None:
             raise InputError("structure", repr(self), "made from a mesh of DOLFINx, or from forms")
         return dofs.function(self.expand(displacement[None])[0])
@@ -347,9 +347,9 @@ class Coordinates:
             words = f"[{', '.join(AXES[:d])}], {('two', 'three')[d - 2]} finite numbers"
             raise InputError("point", point, words)
         points = gather_rows(comm, self.nodes.points)
-        found = nodes_at(points, target)
+        found = find_nodes_at(points, target)
         if len(found) != 1:
-            nodes = f"{len(found)} found there; {nearest_node(points, target)}"
+            nodes = f"{len(found)} found there; {describe_nearest_node(points, target)}"
             raise InputError("point", tuple(target), f"at a node that exists once ({nodes})")
         dof = int(gather_rows(comm, self.nodes.dofs)[found[0], known.index(component) % d])
         if dof < 0:
@@ -363,7 +363,7 @@ class Coordinates:
             return f"displacement of dof {dof}"
         comm = self.whole.comm
         node, component = np.argwhere(gather_rows(comm, self.nodes.dofs) == dof)[0]
-        place = place_in_words(gather_rows(comm, self.nodes.points)[node], ".4g")
+        place = format_point(gather_rows(comm, self.nodes.points)[node], ".4g")
         return f"{AXES[component]} displacement at {place} m"
 
 
@@ -398,11 +398,11 @@ class Clamp:
     inertia: np.ndarray
     load: np.ndarray
 
-    def varied(self, weights: float | np.ndarray) -> Clamp:
+    def with_weights(self, weights: float | np.ndarray) -> Clamp:
         """The same under a load whose parts are multiplied by a factor, or mapped to others."""
         return replace(self, load=np.dot(weights, self.load))
 
-    def of_waves(
+    def reaction_of_waves(
         self, waves: np.ndarray, omega: float, subharmonic: int, drag: float, phases: np.ndarray
     ) -> tuple[np.ndarray, ...]:
         """Forces (n, d) [N] and moments (n, n_rigid - d) [N m] at phases (n,) of a periodic motion
@@ -418,7 +418,7 @@ class Clamp:
         forces = evaluate(moved, 1.0, phases) - evaluate(self.load, subharmonic, phases)
         return tuple(np.split(forces, [len(self.center)], axis=1))
 
-    def of_record(
+    def reaction_of_record(
         self, time: np.ndarray, seen: np.ndarray, omega: float, drag: float
     ) -> tuple[np.ndarray, ...]:
         """Forces (n, d) and moments at the instants (n,) [s] of a record (n, n_rigid) of r^T M u

@@ -29,7 +29,7 @@ from fenics_crack.basics.tables import hertz_of
 from fenics_crack.model.body import Body
 from fenics_crack.model.factor import distribute_rows
 from fenics_crack.model.modes import NEGLIGIBLE, solve_modes
-from fenics_crack.model.nodes import of_body
+from fenics_crack.model.nodes import body_property
 from fenics_crack.model.receptance import expanded, rows_at
 from fenics_crack.model.structure import DampingRule, Structure
 
@@ -89,9 +89,9 @@ class ReducedStructure(Structure):
     """
 
     body: ReducedBody
-    basis: np.ndarray = of_body("basis")
-    omega: np.ndarray = of_body("omega")
-    share: float = of_body("share")
+    basis: np.ndarray = body_property("basis")
+    omega: np.ndarray = body_property("omega")
+    share: float = body_property("share")
     frequency = hertz_of()
 
     def __init__(
@@ -206,7 +206,7 @@ class MasslessStructure(MasslessInterface):
     """
 
     body: MasslessBody
-    flexibility: np.ndarray = of_body("flexibility")
+    flexibility: np.ndarray = body_property("flexibility")
 
     def __init__(
         self,

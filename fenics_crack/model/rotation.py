@@ -37,7 +37,7 @@ from fenics_crack.model.contact import solve_complementarity
 from fenics_crack.model.factor import Factor, distribute_rows, weighted_sum
 from fenics_crack.model.matrices import read_only_array, read_only_rows
 from fenics_crack.model.modes import AS_ZERO, Modes, independent_part, solve_modes, times
-from fenics_crack.model.nodes import of_body
+from fenics_crack.model.nodes import body_property
 from fenics_crack.model.reduced import MasslessInterface, ReducedBody
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import DampingRule, Structure, of_original
@@ -316,9 +316,9 @@ class RunUpStructure(MasslessInterface):
     """
 
     body: RunUpBody
-    speed: float = of_body("speed")
-    shapes: np.ndarray = of_body("shapes")
-    left: np.ndarray = of_body("left")
+    speed: float = body_property("speed")
+    shapes: np.ndarray = body_property("shapes")
+    left: np.ndarray = body_property("left")
 
     def __init__(self, ritz: Ritz, speed: float) -> None:
         stiffness, force = ritz.matrices(speed)

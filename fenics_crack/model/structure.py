@@ -45,7 +45,7 @@ from fenics_crack.model.matrices import (
     numbers,
     read_only_array,
 )
-from fenics_crack.model.nodes import Clamp, Coordinates, Nodes, Pairs, of_body
+from fenics_crack.model.nodes import Clamp, Coordinates, Nodes, Pairs, body_property
 
 
 @dataclass(frozen=True)
@@ -233,7 +233,7 @@ class Structure(Coordinates):
 
     body: Body
     setting: Setting
-    stiffness: Any = of_body("stiffness")
+    stiffness: Any = body_property("stiffness")
     light_lips: ClassVar[bool] = False
     """True if crack faces have no mass: the residual flexibility of the modes gives the
     quasi-static response to forces on the pairs."""
@@ -288,7 +288,7 @@ class Structure(Coordinates):
     @cached_property
     def clamp(self) -> Clamp | None:
         """Clamp of a mesh, under the weighted load."""
-        return self.body.clamp and self.body.clamp.varied(self.setting.weights)
+        return self.body.clamp and self.body.clamp.with_weights(self.setting.weights)
 
     @cached_property
     def rotation(self) -> Any:

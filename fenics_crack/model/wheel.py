@@ -47,7 +47,7 @@ from fenics_crack.model.cyclic import (
 from fenics_crack.model.factor import distribute_rows, local_rows
 from fenics_crack.model.matrices import AbsentMatrix, numbers
 from fenics_crack.model.modes import solve_modes
-from fenics_crack.model.nodes import Nodes, Pairs, of_body
+from fenics_crack.model.nodes import Nodes, Pairs, body_property
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure, of_original
@@ -92,13 +92,13 @@ class Wheel(Structure):
     """
 
     body: WheelBody
-    families: int = of_body("families")
-    sector: Sector = of_body("sector")
-    cracked: tuple[int, ...] = of_body("cracked")
-    mistuning: np.ndarray = of_body("mistuning")
-    order: int = of_body("order")
-    numbers: np.ndarray = of_body("numbers")
-    places: np.ndarray = of_body("places")
+    families: int = body_property("families")
+    sector: Sector = body_property("sector")
+    cracked: tuple[int, ...] = body_property("cracked")
+    mistuning: np.ndarray = body_property("mistuning")
+    order: int = body_property("order")
+    numbers: np.ndarray = body_property("numbers")
+    places: np.ndarray = body_property("places")
 
     def __init__(
         self,
@@ -129,7 +129,7 @@ class Wheel(Structure):
 
         watched = structure.watched
         if watched is None:
-            watched = np.eye(1, structure.n_dofs, structure.most_loaded())[0]
+            watched = np.eye(1, structure.n_dofs, structure.find_most_loaded_dof())[0]
         first = np.eye(1, count, cracked[0] if cracked else 0)
         body = WheelBody(
             absent, absent, of_all(structure.gap), on_wheel(_loads(sector, order)),
@@ -320,7 +320,7 @@ class WheelStructure(Structure):
     """
 
     body: WheelCoordinates
-    basis: CyclicBasis = of_body("basis")
+    basis: CyclicBasis = body_property("basis")
 
     def __init__(self, wheel: Wheel, families: int) -> None:
         """Take so many modes of each nodal diameter (collective)."""

@@ -100,10 +100,10 @@ def held(record: Record) -> Held:
     whole, omega = record.structure.whole, record.omega
     clamp, drag = _clamp(whole)
     if record.steps:
-        return Held(*clamp.of_record(record.time, record.motion, omega, drag))
+        return Held(*clamp.reaction_of_record(record.time, record.motion, omega, drag))
     base = omega / record.subharmonic
     parts = record.waves, base, record.subharmonic, drag, base * record.time
-    return Held(*clamp.of_waves(*parts))
+    return Held(*clamp.reaction_of_waves(*parts))
 
 
 def _clamp(whole: Structure) -> tuple[Clamp, float]:

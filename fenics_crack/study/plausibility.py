@@ -43,7 +43,7 @@ from fenics_crack.model.modes import (
     tied_modes,
     times,
 )
-from fenics_crack.model.nodes import place_in_words
+from fenics_crack.model.nodes import format_point
 from fenics_crack.model.receptance import ResidualFlexibility
 from fenics_crack.model.rotation import coriolis_shifts
 from fenics_crack.model.structure import ModalDamping, RayleighDamping, Structure
@@ -545,13 +545,13 @@ def _no_node(value: object, scene: Scene, structure: Structure) -> tuple[float, 
     if scene.structure is None:
         from fenics_crack.fem.loads import share_at  # DOLFINx
 
-        shares = share_at(scene, structure.nodes.numbered, "excitation.point", value)  # type: ignore[arg-type]
+        shares = share_at(scene, structure.nodes.mesh_dofs, "excitation.point", value)  # type: ignore[arg-type]
         if structure.comm.allreduce(np.count_nonzero(shares)) > 1:  # of the nodes of its cell
             return None
     points = gather_rows(structure.comm, structure.nodes.points)
     distance = np.linalg.norm(points - value, axis=1)
     nearest = int(np.argmin(distance))
-    return distance[nearest] / np.ptp(points, axis=0).max(), place_in_words(points[nearest])
+    return distance[nearest] / np.ptp(points, axis=0).max(), format_point(points[nearest])
 
 
 def _tip_speed(value: float, scene: Scene, structure: Structure) -> float | None:

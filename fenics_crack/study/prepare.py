@@ -173,7 +173,7 @@ def _watched_dofs(scene: Scene, structure: Structure) -> tuple[Watched, ...]:
         key = f"output.points.{point.key}"
         if nodes is None:
             raise InputError(key, point.values, "left out: the structure has no positions")
-        place, dofs = nodes.nearest(comm, key, point.values)
+        place, dofs = nodes.find_nearest(comm, key, point.values)
         distance = float(np.linalg.norm(place - point.values).round(12))
         for axis, dof in zip(AXES, dofs, strict=False):
             if dof >= 0:

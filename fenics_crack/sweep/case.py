@@ -179,7 +179,7 @@ def _at_load(scene: Scene, structure: Structure) -> dict[str, np.ndarray]:
         weights = gather_rows(whole.comm, whole.watched)
     elif scene.structure is not None:
         weights = np.zeros(whole.n_dofs)
-        weights[whole.most_loaded()] = 1.0
+        weights[whole.find_most_loaded_dof()] = 1.0
     else:
         return {}
     dofs = np.flatnonzero(weights)

@@ -163,7 +163,7 @@ def test_rigid_lips_do_not_pass_through_each_other() -> None:
     touching = opening > -1e-9 * np.ptp(opening)
     assert opening.max() < 1e-9 * np.ptp(opening) and 0.1 < touching.mean() < 0.9
     assert np.median(np.abs(speed[touching])) < 1e-6 * speed.max()
-    time, pair = np.linspace(0.0, run.result.period, 4001), run.structure.first_watched
+    time, pair = np.linspace(0.0, run.result.period, 4001), run.structure.first_watched_pair
     exact = np.gradient(fc.shoot(run.structure, run.result).gap_at(time)[:, pair], time)
     assert speed.max() == pytest.approx(exact.max(), rel=0.02)
 

@@ -154,7 +154,7 @@ def test_one_pair_of_each_crack() -> None:
     assert structure.watched_pairs == {
         "the mouth of crack 1": 0, "the middle of crack 2": 1, "the mouth of crack 3": 2,
     }  # fmt: skip
-    assert structure.where(1) == "at the middle of crack 2"
+    assert structure.describe_pair(1) == "at the middle of crack 2"
 
 
 def test_each_crack_has_its_clearance() -> None:

@@ -36,7 +36,7 @@ from fenics_crack.fem.msh_file import cells_of
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.fem.plate import Dofs, build_mesh
 from fenics_crack.model.modes import times
-from fenics_crack.model.nodes import place_in_words
+from fenics_crack.model.nodes import format_point
 from fenics_crack.model.rotation import coriolis_shifts, static_state
 from fenics_crack.monitoring.tip_timing.scene_timing import (
     probed_displacement,
@@ -152,7 +152,7 @@ def test_pairs_measure_the_gap(cracked: tuple[fc.Structure, float, dict[str, Any
     gap = structure.apply_bt(closing)[0]
     assert np.all((gap > 0.1e-6) & (gap < 1.1e-6))  # towards the front it vanishes by a parabola
     if crack is THROUGH:
-        assert gap[structure.first_watched] == pytest.approx(1e-6, rel=1e-9)
+        assert gap[structure.first_watched_pair] == pytest.approx(1e-6, rel=1e-9)
 
 
 CUBES = np.array([[0, 1, 3, 2, 4, 5, 7, 6], [4, 5, 7, 6, 8, 9, 11, 10]])
@@ -907,7 +907,7 @@ def test_loads_at_the_nodes_of_a_curved_side() -> None:
     free = free[~np.isin(free, dofs.nodes_on("upper_lip"))]
     assert len(free) > 500
     for node in free[::5]:
-        point = place_in_words(dofs.points[node]).strip("()").split(", ")
+        point = format_point(dofs.points[node]).strip("()").split(", ")
         scene = blade.replace(force | {"excitation.point": [float(x) for x in point]})
         found, watched = assemble_loads(scene, dofs, None)
         assert np.flatnonzero(found[1]).tolist() == [3 * node + 2]

@@ -559,7 +559,9 @@ def calculix_solids() -> list[Row]:
     force[own.find_dof((0.0, 0.3, 0.0), "y")] = 1000.0
     pulled = spsolve(csr(own.stiffness).tocsc(), force, "MMD_AT_PLUS_A")
     theirs = static(lines, own, force)
-    openings = [own.apply_bt(motion[None])[0, own.first_watched] for motion in (pulled, theirs)]
+    openings = [
+        own.apply_bt(motion[None])[0, own.first_watched_pair] for motion in (pulled, theirs)
+    ]
     rows += quotients("opening at the mouth", *openings, 1e-5)
     rows += quotients("f . u", force @ pulled, force @ theirs, 1e-5)
     whole, cracked = both["whole"][0], both["cracked"][0]
