@@ -184,7 +184,9 @@ class ModalCompliance:
             raise InputError("structure", f"{structure.n_dofs} dofs", "reduced, on one rank")
         self._clearance = structure.clearance
         self._modes = all_modes(structure)
-        self.basis = structure.once(_basis) if len(self._modes.pairs) < structure.n_pairs else None
+        self.basis = (
+            structure.cached_result(_basis) if len(self._modes.pairs) < structure.n_pairs else None
+        )
         self._order = np.arange(len(load) // 2 + 1.0)
         self._unit_load = to_complex(load @ self._modes.shapes)
         self.shape: tuple[int, ...] = len(load), structure.n_pairs
@@ -369,7 +371,7 @@ class FactoredCompliance:
 
     def beyond(self, highest: int) -> np.ndarray:
         """R_k for k = H+1 to ``highest``, from some modes and the rest of the static R_0."""
-        omega, rate, pairs = self.structure.once(_lowest_modes)
+        omega, rate, pairs = self.structure.cached_result(_lowest_modes)
         rate = self.structure.damping_factor * rate
         static = self.matrices[0].real - (pairs.T / omega**2) @ pairs
         frequency = self._base * np.arange(len(self.matrices), highest + 1)[:, None]

@@ -51,7 +51,7 @@ from fenics_crack.fem.elasticity import constants, rotation_of, stress, thicknes
 from fenics_crack.fem.loads import assemble_loads, clamp_of
 from fenics_crack.fem.plate import Dofs, build_mesh
 from fenics_crack.fem.setting import clearance_of, damping_of
-from fenics_crack.model.body import UNVARIED, Body
+from fenics_crack.model.body import DEFAULT_SETTING, Body
 from fenics_crack.model.factor import local_rows
 from fenics_crack.model.modes import solve_modes
 from fenics_crack.model.nodes import Pairs
@@ -319,7 +319,7 @@ def in_another(scene: Scene, structure: Structure, *, loads: bool) -> Structure:
         force, changes["watched"] = assemble_loads(scene, dofs, matrix)
         changes |= {"force": dofs.free_part(force), "clamp": clamp_of(dofs, matrix, force)}
         matrix.destroy()
-    return structure._in(UNVARIED, **changes)
+    return structure._in_setting(DEFAULT_SETTING, **changes)
 
 
 def _assembled(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:

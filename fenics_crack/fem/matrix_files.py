@@ -121,7 +121,7 @@ def _made(scene: Scene, table: Table, rule: DampingRule | None, comm: MPI.Comm) 
         excitation = scene.excitation
         allowed = "left out with [structure], whose files have a column for each order"
         excitation.require(False, (excitation.wave and "wave") or "harmonics", allowed)
-    return Structure.from_matrices(**parts, comm=comm).placed(nodes, pairs)
+    return Structure.from_matrices(**parts, comm=comm).with_places(nodes, pairs)
 
 
 def _read(table: Table) -> tuple[dict[str, LabelledMatrix], dict[str, Any], Model | None]:

@@ -42,11 +42,11 @@ def assemble_wheel(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Com
         still, stiffness = rotation.stiffnesses(scene.speed)
         # K(W) u_s, with the stress and the displaced shape of bonded cracks, which the load opens.
         force, load = structure.force.copy(), scene.speed**2 * rotation.force
-        stiffened = replace(sector, structure=structure._changed(stiffness=still))
+        stiffened = replace(sector, structure=structure._with_changes(stiffness=still))
         with stiffened.factored() as same:
             moved = same.answers(load[:, None])
         force[0] += load + (times(stiffness, moved) - times(still, moved))[:, 0]
-        turning = structure._changed(stiffness=stiffness, force=force)
+        turning = structure._with_changes(stiffness=stiffness, force=force)
         sector = replace(sector, structure=turning)
     return Wheel(
         sector, cracked=[number - 1 for number in disk.cracked], mistuning=disk.deviations,

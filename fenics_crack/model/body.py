@@ -38,9 +38,9 @@ class Body(ReadOnlyArrays):
     clamp: Clamp | None = None
     rotation: Any = None
     comm: MPI.Comm = None
-    known: dict[Callable[..., Any], Any] = field(default_factory=dict)
-    """Results of :meth:`Structure.once`."""
-    of_matrices: dict[Callable[..., Any], Any] = field(default_factory=dict)
+    cached_results: dict[Callable[..., Any], Any] = field(default_factory=dict)
+    """Results of :meth:`Structure.cached_result`."""
+    matrix_results: dict[Callable[..., Any], Any] = field(default_factory=dict)
     """Those that follow from mass, stiffness and pairs: bodies that share these share it."""
 
     def __post_init__(self) -> None:
@@ -52,8 +52,16 @@ class Body(ReadOnlyArrays):
         super().__post_init__()
 
 
-BESIDE_MATRICES = {"force", "clearance", "damping", "clamp", "rotation", "watched", "tangential"}
-"""Attributes of a body on which none of :attr:`Body.of_matrices` depends."""
+MATRIX_INDEPENDENT_NAMES = {
+    "force",
+    "clearance",
+    "damping",
+    "clamp",
+    "rotation",
+    "watched",
+    "tangential",
+}
+"""Attributes of a body on which none of :attr:`Body.matrix_results` depends."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +85,7 @@ class Setting:
     clearance: float | np.ndarray = 0.0
     watched_dof: int | None = None
 
-    def then(self, other: Setting) -> Setting:
+    def combine_with(self, other: Setting) -> Setting:
         """This setting, varied by another."""
         watched = self.watched_dof if other.watched_dof is None else other.watched_dof
         weights, factor = np.dot(other.weights, self.weights), other.damping_factor
@@ -85,5 +93,5 @@ class Setting:
         return Setting(weights, factor * self.damping_factor, clearance, watched)
 
 
-UNVARIED = Setting()
+DEFAULT_SETTING = Setting()
 """The setting in which a structure is made."""

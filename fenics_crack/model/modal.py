@@ -236,7 +236,7 @@ class AllModes:
 
 def all_modes(structure: Structure) -> AllModes:
     """All modes of a small structure, computed once for it and its varied copies."""
-    modes, factor = structure.once(_all_modes), structure.damping_factor
+    modes, factor = structure.cached_result(_all_modes), structure.damping_factor
     return modes if factor == 1.0 else replace(modes, damping=factor * modes.damping)
 
 

@@ -233,7 +233,7 @@ def modes_by(factor: Inverse, structure: Structure, count: int, ties: Any = None
     omega = np.sqrt(squares)
     shapes *= _signs(structure, shapes)
     if ties is None:
-        structure.once(_lowest, of_matrices=True)[:] = omega, shapes
+        structure.cached_result(_lowest, from_matrices=True)[:] = omega, shapes
     return Modes(omega, shapes, structure)
 
 
@@ -242,7 +242,7 @@ def lowest_known(structure: Structure, count: int) -> Modes | None:
     if structure.whole is not structure:  # small and dense
         if (known := structure.known_modes(tied=False)) is not None:
             return Modes(known[0][:count], known[1][:, :count], structure)
-    kept = structure.once(_lowest, of_matrices=True)
+    kept = structure.cached_result(_lowest, from_matrices=True)
     if not kept or len(kept[0]) < count:
         return None
     return Modes(kept[0][:count], kept[1][:, :count], structure)
@@ -449,7 +449,7 @@ def damped_modes(structure: Structure) -> DampedModes | None:
     """
     if not isinstance(structure.original.damping, ModalDamping):
         return None
-    modes, factor = structure.once(_damped_modes), structure.damping_factor
+    modes, factor = structure.cached_result(_damped_modes), structure.damping_factor
     return modes if factor == 1.0 else replace(modes, rate=factor * modes.rate)
 
 
@@ -628,7 +628,7 @@ def bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
     >>> natural = fc.bilinear_frequencies(structure)
     >>> resonance = natural.omega_bilinear[0]
     """
-    return structure.once(_bilinear_frequencies, of_matrices=True)
+    return structure.cached_result(_bilinear_frequencies, from_matrices=True)
 
 
 def _bilinear_frequencies(structure: Structure) -> BilinearFrequencies:

@@ -90,7 +90,10 @@ def receptance(structure: Structure, count: int) -> Receptance:
         It is made from arrays alone, which have fewer modes, or another load.
     """
     structure = structure.original
-    held, last = structure.once(held_receptance), structure.once(last_receptance, of_matrices=True)
+    held, last = (
+        structure.cached_result(held_receptance),
+        structure.cached_result(last_receptance, from_matrices=True),
+    )
     if not held and last:
         held += filter(None, [_of_load(structure, last[0])])
     if not held or held[0].n_modes < count:

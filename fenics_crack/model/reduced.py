@@ -114,7 +114,7 @@ class ReducedStructure(Structure):
     @cached_property
     def _whole(self) -> Structure:
         """The structure that was reduced, in the same setting."""
-        return self._shared(self.body.whole)
+        return self._apply_setting(self.body.whole)
 
     @property
     def whole(self) -> Structure:
@@ -124,13 +124,13 @@ class ReducedStructure(Structure):
     @cached_property
     def reference(self) -> ReducedStructure | None:
         """The same with a larger basis, in the same setting."""
-        return self.body.reference and self._shared(self.body.reference)
+        return self.body.reference and self._apply_setting(self.body.reference)
 
     def damped(self, damping: DampingRule | None) -> Self:
         """Return this structure with another damping, of the reference too."""
         given = self.body.reference
         damped = super().damped(damping)
-        return damped._in(damped.setting, reference=given and given.damped(damping))
+        return damped._in_setting(damped.setting, reference=given and given.damped(damping))
 
     def expand(self, displacement: np.ndarray) -> np.ndarray:
         """u = T q of coordinates (m, n_dofs): (m, whole.n_local)."""
@@ -140,9 +140,9 @@ class ReducedStructure(Structure):
         """Displacement of dofs of the whole structure from coordinates (m, n_dofs) (collective)."""
         return displacement @ self._whole.values_at(self.basis.T, dofs)
 
-    def _changed(self, **changes: Any) -> Structure:
+    def _with_changes(self, **changes: Any) -> Structure:
         """A plain structure of the coordinates, which have no positions."""
-        return super()._changed(**({"nodes": None} | changes))
+        return super()._with_changes(**({"nodes": None} | changes))
 
 
 class MasslessInterface(ReducedStructure):
@@ -172,7 +172,7 @@ class MasslessInterface(ReducedStructure):
         without the factor of a varied copy."""
         given = self.body.damping
         if isinstance(given, DampingRule):
-            return given.of_kept(self.n_modes).rate(self.omega**2)
+            return given.for_modes(self.n_modes).rate(self.omega**2)
         if given is None:
             return np.zeros(self.n_modes)
         place = range(self.n_modes)
@@ -223,7 +223,7 @@ class MasslessStructure(MasslessInterface):
         """Take Phi^T [B, B_t] (n_modes, n_pairs or 2 n_pairs), the load on all coordinates
         (2K+1, n_dofs), and S."""
         if isinstance(damping, DampingRule):
-            damping = damping.of_kept(len(squares))
+            damping = damping.for_modes(len(squares))
         seen = np.vstack([pairs, compliance[:, : pairs.shape[1]]])
         normal, tangents = np.split(seen, [whole.n_pairs], axis=1)
         known = None if whole.tangential is None else tangents

@@ -195,7 +195,7 @@ def _massless(structure: Structure, modes: int, assessed: bool | int) -> Massles
             share=share if count == counts[-1] else 0.5,
         )
     assert reference is not None
-    return reference._in(structure.setting)
+    return reference._in_setting(structure.setting)
 
 
 def _is_rounding(left: np.ndarray, seen: np.ndarray, squares: np.ndarray) -> np.ndarray:

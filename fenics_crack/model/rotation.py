@@ -40,7 +40,7 @@ from fenics_crack.model.modes import AS_ZERO, Modes, independent_part, solve_mod
 from fenics_crack.model.nodes import body_property
 from fenics_crack.model.reduced import MasslessInterface, ReducedBody
 from fenics_crack.model.reduction import reduce_structure
-from fenics_crack.model.structure import DampingRule, Structure, of_original
+from fenics_crack.model.structure import DampingRule, Structure, shared_property
 
 N_SPEEDS = 3
 """Speeds of a range whose bases are put together."""
@@ -92,7 +92,7 @@ class Rotation:
         force = self.at_rest.force.copy()
         force[0] += times(stiffness, moved)[:, 0]
         rotation = replace(self, speed=speed)
-        return self.at_rest._changed(stiffness=stiffness, force=force, rotation=rotation)
+        return self.at_rest._with_changes(stiffness=stiffness, force=force, rotation=rotation)
 
     def stiffnesses(self, speed: float) -> tuple[Any, Any]:
         """K + W^2 K_1 of the displacement that rotation makes, and K(W) of what moves about it
@@ -104,7 +104,7 @@ class Rotation:
         displaced.destroy()
         return still, stiffness
 
-    def changed(self, change: Callable[[Structure], Structure]) -> Rotation:
+    def change_rest_structure(self, change: Callable[[Structure], Structure]) -> Rotation:
         """The same of a structure that is changed."""
         return replace(self, at_rest=change(self.at_rest))
 
@@ -334,14 +334,14 @@ class RunUpStructure(MasslessInterface):
         omega = 1.0 / np.sqrt(inverse)
         body = RunUpBody(
             ritz.mass, None, ritz.gap, force, ritz.whole.clearance,
-            damping=None if damping is None else damping.of_kept(len(force[0])),
+            damping=None if damping is None else damping.for_modes(len(force[0])),
             tangential=ritz.tangential, nodes=ritz.whole.nodes, pairs=ritz.whole.pairs,
             basis=ritz.basis, omega=omega, whole=ritz.whole, speed=speed, shapes=static * omega,
             left=factor.T @ factor - static @ static.T, ritz=ritz, dense=stiffness,
         )  # fmt: skip
         Structure.__init__(self, body)
 
-    @of_original
+    @shared_property
     def stiffness(self) -> Any:
         """V^T K(W) V. Paths make a structure for each of their many speeds, and do not ask for its
         matrix."""
@@ -360,7 +360,7 @@ class RunUpStructure(MasslessInterface):
             The speed is not positive, or so high that the plate is unstable.
         """
         check_number("speed", speed, 0.0, above=True)
-        return RunUpStructure(self.body.ritz, float(speed))._in(self.setting)
+        return RunUpStructure(self.body.ritz, float(speed))._in_setting(self.setting)
 
     def stiffening(self, omega: float) -> float:
         """d ln w / d ln W of the natural frequency w, crack open, that is nearest to one [rad/s]:

@@ -32,7 +32,7 @@ from fenics_crack.basics.errors import InputError, check_count, check_number, ch
 from fenics_crack.basics.suggestions import checked_call
 from fenics_crack.basics.tables import counted
 from fenics_crack.basics.threads import alone
-from fenics_crack.model.body import BESIDE_MATRICES, UNVARIED, Body, Setting
+from fenics_crack.model.body import DEFAULT_SETTING, MATRIX_INDEPENDENT_NAMES, Body, Setting
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.matrices import (
     AbsentMatrix,
@@ -81,7 +81,7 @@ class ModalDamping:
         ratio: Any = (factor * np.asarray(self.ratio)).tolist()
         return replace(self, ratio=ratio)
 
-    def of_kept(self, count: int) -> ModalDamping:
+    def for_modes(self, count: int) -> ModalDamping:
         """Damping of so many kept modes: those beyond the damped ones by the last ratio."""
         if isinstance(self.ratio, float):
             return ModalDamping(self.ratio)
@@ -171,7 +171,7 @@ class RayleighDamping:
         """The same with both coefficients multiplied by a factor."""
         return RayleighDamping(factor * self.mass, factor * self.stiffness)
 
-    def of_kept(self, count: int) -> RayleighDamping:
+    def for_modes(self, count: int) -> RayleighDamping:
         """Damping of so many kept modes: its own."""
         return self
 
@@ -195,17 +195,17 @@ DampingRule = ModalDamping | RayleighDamping
 """Damping that follows from mass and stiffness."""
 
 
-NEVER_COPIED = {"rotation", "known", "of_matrices"}
+UNCOPIED_NAMES = {"rotation", "cached_results", "matrix_results"}
 """Attributes of a body that one with other matrices has not."""
-Found = TypeVar("Found")
+Result = TypeVar("Result")
 
 
-def of_original(compute: Callable[[Any], Any]) -> Any:
+def shared_property(compute: Callable[[Any], Any]) -> Any:
     """A property: what is computed from :attr:`Structure.original` once, for all varied copies."""
-    return property(lambda structure: structure.once(compute), doc=compute.__doc__)
+    return property(lambda structure: structure.cached_result(compute), doc=compute.__doc__)
 
 
-Other = TypeVar("Other", bound="Structure")
+AnyStructure = TypeVar("AnyStructure", bound="Structure")
 
 
 class Structure(Coordinates):
@@ -239,7 +239,7 @@ class Structure(Coordinates):
     quasi-static response to forces on the pairs."""
 
     def __init__(self, body: Body) -> None:
-        vars(self).update(body=body, setting=UNVARIED)
+        vars(self).update(body=body, setting=DEFAULT_SETTING)
 
     def __repr__(self) -> str:
         pairs, damping = counted(self.n_pairs, "pair"), self.body.damping
@@ -254,7 +254,7 @@ class Structure(Coordinates):
         given = self.body.force
         return (
             given
-            if self.setting is UNVARIED
+            if self.setting is DEFAULT_SETTING
             else read_only_array(np.dot(self.setting.weights, given))
         )
 
@@ -293,45 +293,51 @@ class Structure(Coordinates):
     @cached_property
     def rotation(self) -> Any:
         """Terms of rotation, about a structure at rest in the same setting."""
-        return self.body.rotation and self.body.rotation.changed(self._shared)
+        return self.body.rotation and self.body.rotation.change_rest_structure(self._apply_setting)
 
     @property
     def original(self) -> Structure:
         """The structure of which this is a varied copy, or itself."""
-        return self._in(UNVARIED)
+        return self._in_setting(DEFAULT_SETTING)
 
     @property
     def has_matrices(self) -> bool:
         """False if it is that of a file of a prepared structure."""
         return not isinstance(self.stiffness, AbsentMatrix)
 
-    def once(self, compute: Callable[[Any], Found], *, of_matrices: bool = False) -> Found:
+    def cached_result(
+        self, compute: Callable[[Any], Result], *, from_matrices: bool = False
+    ) -> Result:
         """A result computed from :attr:`original` once, for it and all of its varied copies; what
         follows from mass, stiffness and pairs alone, for all that share these."""
-        known = self.body.of_matrices if of_matrices else self.body.known
-        if compute not in known:
-            known[compute] = compute(self.original)
-        found: Found = known[compute]
-        return found
+        cache = self.body.matrix_results if from_matrices else self.body.cached_results
+        if compute not in cache:
+            cache[compute] = compute(self.original)
+        result: Result = cache[compute]
+        return result
 
-    def _in(self, setting: Setting, **changes: Any) -> Self:
+    def _in_setting(self, setting: Setting, **changes: Any) -> Self:
         """The same body in another setting; with changes another body, of which nothing is known
         yet but what follows from its matrices, where these stay."""
         if setting is self.setting and not changes:
             return self
         made, body = object.__new__(type(self)), self.body
         if changes:
-            anew: dict[str, Any] = {"known": {}}
-            if not changes.keys() <= BESIDE_MATRICES:
-                anew["of_matrices"] = {}
-            body = replace(body, **anew | changes)
+            caches: dict[str, Any] = {"cached_results": {}}
+            if not changes.keys() <= MATRIX_INDEPENDENT_NAMES:
+                caches["matrix_results"] = {}
+            body = replace(body, **caches | changes)
         Structure.__init__(made, body)
         vars(made)["setting"] = setting
         return made
 
-    def _shared(self, other: Other) -> Other:
+    def _apply_setting(self, other: AnyStructure) -> AnyStructure:
         """Another structure, varied as this one is."""
-        return other if self.setting is UNVARIED else other._in(other.setting.then(self.setting))
+        return (
+            other
+            if self.setting is DEFAULT_SETTING
+            else other._in_setting(other.setting.combine_with(self.setting))
+        )
 
     def gap_of(self, displacement: np.ndarray) -> np.ndarray:
         """Coefficients of g = B^T u - g0 from those of u (2H+1, n_local): (2H+1, n_pairs)
@@ -366,7 +372,7 @@ class Structure(Coordinates):
         InputError
             A row sum is not positive, as for six-node triangles.
         """
-        return _turning(self, lambda one: one._changed(mass=lump_mass(one.mass)))
+        return _change_with_rotation(self, lambda one: one._with_changes(mass=lump_mass(one.mass)))
 
     def tied(self, stiffness: float | np.ndarray) -> Structure:
         """Return this structure with every pair connected by a spring k [N/m].
@@ -382,11 +388,11 @@ class Structure(Coordinates):
 
         def held(one: Structure) -> Structure:
             matrix = add_springs(one.stiffness, one.gap, springs)
-            return one._changed(
+            return one._with_changes(
                 stiffness=matrix, gap=gap, tangential=None, clearance=np.zeros(0), pairs=Pairs()
             )
 
-        return _turning(self, held)
+        return _change_with_rotation(self, held)
 
     def with_harmonics(self, harmonics: Mapping[int, tuple[Any, Any]]) -> Structure:
         """Return this structure with further harmonics of its load.
@@ -406,7 +412,7 @@ class Structure(Coordinates):
         if self.whole is not self:
             raise InputError("structure", repr(self), "one that is not reduced")
         force = add_harmonics(self.force, harmonics, self.mass)
-        return self._in(replace(self.setting, weights=1.0), force=force, clamp=None)
+        return self._in_setting(replace(self.setting, weights=1.0), force=force, clamp=None)
 
     def with_tangents(self) -> Structure:
         """This structure with the tangential gaps of a solid's pairs, B_t (n_local, 2 n_pairs):
@@ -423,7 +429,7 @@ class Structure(Coordinates):
         if self is not self.whole:
             allowed = "a whole one: reduce structure.whole.with_tangents()"
             raise InputError("structure", repr(self), allowed)
-        return self.once(_with_tangents)._in(self.setting)
+        return self.cached_result(_add_tangents)._in_setting(self.setting)
 
     def with_tangential_pairs(self, direction: np.ndarray | None = None) -> Structure:
         """This structure with tangential gaps behind the normal ones as further pairs, B = [B_n,
@@ -446,15 +452,15 @@ class Structure(Coordinates):
         if (self.tangential.shape[1] > self.n_pairs) != (direction is not None):
             allowed = "given on solids alone: fc.slide_along_lines(structure, omega, contact)"
             raise InputError("direction of friction", direction, allowed)
-        held = self.once(_tangential_pairs)
+        held = self.cached_result(_tangential_pair_cache)
         if not held or not np.array_equal(held[0][0], direction):
             original = self.original
-            held[:] = [(direction, _with_tangential_pairs(original, direction))]
-        return held[0][1]._in(self.setting)
+            held[:] = [(direction, _add_tangential_pairs(original, direction))]
+        return held[0][1]._in_setting(self.setting)
 
-    def placed(self, nodes: Nodes | None, pairs: Pairs) -> Structure:
+    def with_places(self, nodes: Nodes | None, pairs: Pairs) -> Structure:
         """Return this structure with the places of its nodes and pairs."""
-        return self._changed(nodes=nodes, pairs=pairs)
+        return self._with_changes(nodes=nodes, pairs=pairs)
 
     def damped(self, damping: DampingRule | None) -> Self:
         """Return this structure with another modal or Rayleigh damping, or none.
@@ -463,18 +469,18 @@ class Structure(Coordinates):
         """
         if not isinstance(damping, DampingRule | None):
             raise InputError("damping", damping, "a ModalDamping, a RayleighDamping or None")
-        kept = damping.of_kept(self.n_modes) if damping and self.light_lips else damping
+        kept = damping.for_modes(self.n_modes) if damping and self.light_lips else damping
         setting, rotation = self.setting, self.body.rotation
         if self.damping_factor != 1.0:
             setting = replace(setting, damping_factor=1.0)
         if rotation is not None:
-            rotation = rotation.changed(lambda one: one.damped(damping))
-        return self._in(setting, damping=kept, rotation=rotation)
+            rotation = rotation.change_rest_structure(lambda one: one.damped(damping))
+        return self._in_setting(setting, damping=kept, rotation=rotation)
 
     def watching(self, dof: int) -> Self:
         """Return this structure with another dof for results to be asked about."""
         checked_dof = int(self.whole.check_dofs([dof])[0])
-        return self._in(replace(self.setting, watched_dof=checked_dof))
+        return self._in_setting(replace(self.setting, watched_dof=checked_dof))
 
     def varied(
         self,
@@ -507,16 +513,16 @@ class Structure(Coordinates):
         if weights.shape not in ((), (rows, rows)) or not np.all(np.isfinite(weights)):
             allowed = f"a finite number, or a finite matrix of shape ({rows}, {rows})"
             raise InputError("load", load, allowed)
-        if self.whole.rotation is not None and not _keeps_mean(weights):
+        if self.whole.rotation is not None and not _is_mean_kept(weights):
             allowed = "1 for a structure that rotates: part of its mean load is centrifugal"
             raise InputError("load", load, allowed)
         check_number("damping", damping, 0.0)
         added = expand_to_pairs("clearance", clearance, self.n_pairs)
-        return self._in(self.setting.then(Setting(weights, damping, added)))
+        return self._in_setting(self.setting.combine_with(Setting(weights, damping, added)))
 
-    def _changed(self, **changes: Any) -> Structure:
+    def _with_changes(self, **changes: Any) -> Structure:
         """A structure of its matrices and places, with some changed."""
-        names = [item.name for item in fields(Body) if item.name not in NEVER_COPIED]
+        names = [item.name for item in fields(Body) if item.name not in UNCOPIED_NAMES]
         return Structure(Body(**({name: getattr(self, name) for name in names} | changes)))
 
     @classmethod
@@ -625,36 +631,40 @@ class Structure(Coordinates):
         made = cls.from_matrices(**{"damping": damping} | parts, clearance=clearance)
         for key in bilinear:
             parts[key].destroy()
-        return made.placed(*places)
+        return made.with_places(*places)
 
 
-def _keeps_mean(weights: np.ndarray) -> bool:
+def _is_mean_kept(weights: np.ndarray) -> bool:
     """True if weights of a load leave its mean as it is."""
     if weights.ndim == 0:
         return bool(weights == 1.0)
     return bool(weights[0, 0] == 1.0 and not weights[0, 1:].any() and not weights[1:, 0].any())
 
 
-def _with_tangents(structure: Structure) -> Structure:
-    return _turning(structure, lambda one: one._in(one.setting, tangential=one.pairs.tangents))
+def _add_tangents(structure: Structure) -> Structure:
+    return _change_with_rotation(
+        structure, lambda one: one._in_setting(one.setting, tangential=one.pairs.tangents)
+    )
 
 
-def _tangential_pairs(structure: Structure) -> list[tuple[np.ndarray | None, Structure]]:
+def _tangential_pair_cache(structure: Structure) -> list[tuple[np.ndarray | None, Structure]]:
     """The structure with tangential gaps as pairs, and their directions, requested last."""
     return []
 
 
-def _with_tangential_pairs(structure: Structure, direction: np.ndarray | None) -> Structure:
+def _add_tangential_pairs(structure: Structure, direction: np.ndarray | None) -> Structure:
     tangents: Any = structure.tangential
     if direction is not None:
         turn = (sparse.diags(part) for part in (np.cos(direction), np.sin(direction)))
         tangents = tangents @ sparse.vstack([*turn])
     both = sparse.hstack([structure.gap, tangents])
     clearance = np.concatenate([structure.clearance, np.zeros(structure.n_pairs)])
-    return structure._in(structure.setting, gap=both, tangential=None, clearance=clearance)
+    return structure._in_setting(structure.setting, gap=both, tangential=None, clearance=clearance)
 
 
-def _turning(structure: Structure, change: Callable[[Structure], Structure]) -> Structure:
+def _change_with_rotation(
+    structure: Structure, change: Callable[[Structure], Structure]
+) -> Structure:
     """A structure changed, and so what it is at rest where it rotates."""
-    rotation = structure.rotation and structure.rotation.changed(change)
-    return change(structure)._in(UNVARIED, rotation=rotation)
+    rotation = structure.rotation and structure.rotation.change_rest_structure(change)
+    return change(structure)._in_setting(DEFAULT_SETTING, rotation=rotation)

@@ -34,7 +34,7 @@ from mpi4py import MPI
 from fenics_crack.basics.errors import InputError, check_count
 from fenics_crack.basics.progress import begin
 from fenics_crack.basics.suggestions import fitting_argument
-from fenics_crack.model.body import UNVARIED, Body
+from fenics_crack.model.body import DEFAULT_SETTING, Body
 from fenics_crack.model.cyclic import (
     CyclicBasis,
     CyclicModes,
@@ -50,7 +50,7 @@ from fenics_crack.model.modes import solve_modes
 from fenics_crack.model.nodes import Nodes, Pairs, body_property
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.reduction import reduce_structure
-from fenics_crack.model.structure import Structure, of_original
+from fenics_crack.model.structure import Structure, shared_property
 from fenics_crack.numerics.fourier import from_complex, to_complex
 
 
@@ -185,12 +185,12 @@ class Wheel(Structure):
 
     # --- its matrices -----------------------------------------------------------------------------
 
-    @of_original
+    @shared_property
     def mass(self) -> Any:
         """M: (n, n) [kg]; made when it is first requested (collective)."""
         return self._of_sectors(sparse.kron(np.eye(self.sector.count), self.sector.mass))
 
-    @of_original
+    @shared_property
     def stiffness(self) -> Any:
         """K: (n, n) [N/m], likewise."""
         tuned = sparse.kron(np.eye(self.sector.count), self.sector.stiffness)
@@ -222,7 +222,7 @@ class Wheel(Structure):
         InputError
             There are more or fewer, or one leaves no stiffness.
         """
-        return self._in(self.setting, mistuning=_deviations(deviations, self.sector.count))
+        return self._in_setting(self.setting, mistuning=_deviations(deviations, self.sector.count))
 
     def basis(self, families: int) -> CyclicBasis:
         """The motions in which it is sought, with so many modes of each nodal diameter; found once
@@ -350,7 +350,7 @@ class WheelStructure(Structure):
     @cached_property
     def whole(self) -> Wheel:
         """The whole wheel, in the same setting."""
-        return self._shared(self.body.wheel)
+        return self._apply_setting(self.body.wheel)
 
     def known_modes(self, *, tied: bool) -> tuple[np.ndarray, np.ndarray] | None:
         """All, of small dense matrices: those of equal sectors come in pairs, which Krylov's method
@@ -360,8 +360,8 @@ class WheelStructure(Structure):
         open ones, of which M is 1 whatever it is in coordinates.
         """
         if tied:
-            return self.once(_tied_modes)
-        return self.once(_all_modes) if self.body.ranked is None else self.body.ranked
+            return self.cached_result(_tied_modes)
+        return self.cached_result(_all_modes) if self.body.ranked is None else self.body.ranked
 
     def ranked(self, count: int, more: int) -> tuple[WheelStructure, float]:
         """The same with the lowest modes, so many of them, and as many ``more`` as move the cracks
@@ -370,15 +370,17 @@ class WheelStructure(Structure):
 
         Mode j has (psi_ij / w_j)^2 of the static compliance of pair i, psi = B^T phi, and its
         inertia changes that by (w / w_j)^2."""
-        omega, shapes = self.once(_all_modes)
+        omega, shapes = self.cached_result(_all_modes)
         parts = ((self.gap.T @ shapes) / omega) ** 2
         changes = (parts / parts.sum(axis=1, keepdims=True)).sum(axis=0) / omega**2
         order = count + np.argsort(-changes[count:], kind="stable")
         following = np.sort(order[more : more + NEXT])
         kept = np.concatenate([np.arange(count), np.sort(order[:more]), following])
         share = changes[following].sum() / changes[order[more:]].sum()
-        known, ranked = self.body.known, (omega[kept], shapes[:, kept])
-        return self._in(self.setting, known=known, ranked=ranked), float(share)
+        cached_results, ranked = self.body.cached_results, (omega[kept], shapes[:, kept])
+        return self._in_setting(self.setting, cached_results=cached_results, ranked=ranked), float(
+            share
+        )
 
     @property
     def _size_words(self) -> str:
@@ -413,7 +415,7 @@ def _all_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _tied_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
-    omega, shapes = structure.once(_all_modes)
+    omega, shapes = structure.cached_result(_all_modes)
     free = scipy.linalg.null_space(structure.gap.T @ shapes)
     squares, turned = scipy.linalg.eigh((free.T * omega**2) @ free)
     return np.sqrt(np.maximum(squares, 0.0)), shapes @ (free @ turned)
@@ -487,14 +489,14 @@ def reduce_wheel(
     most = (families_of_basis(families) - families) * wheel.sector.count
     if more > most:
         raise InputError("more", more, f"at most {most}, those of four families")
-    one = WheelStructure(wheel._in(UNVARIED), families_of_basis(families, more))
+    one = WheelStructure(wheel._in_setting(DEFAULT_SETTING), families_of_basis(families, more))
     begin("reduction")
     count = min(families * wheel.sector.count, one.n_dofs - one.n_pairs)
     if not one.n_pairs:
         reduced = reduce_structure(one, modes=count + more, reference=reference)
-        return reduced._in(wheel.setting)
+        return reduced._in_setting(wheel.setting)
     one, share = one.ranked(count, more)
     count += more
     finer = reference and min(count + NEXT, one.n_dofs)
     reduced = reduce_structure(one, modes=count, method="massless", reference=finer)
-    return reduced._in(wheel.setting, share=share)
+    return reduced._in_setting(wheel.setting, share=share)

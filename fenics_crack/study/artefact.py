@@ -168,7 +168,7 @@ class _Prepared:
         change = scipy.linalg.block_diag(of_pairs, of_loads)
         held = dict(zip(map(int, self.dofs), zip(self.shapes, self.static @ change, strict=True),
                         strict=True))  # fmt: skip
-        made.once(held_receptance).append(Receptance(
+        made.cached_result(held_receptance).append(Receptance(
             self.squares, change.T @ self.modal, change.T @ self.compliance @ change, held, force,
             self.inertia,
         ))  # fmt: skip
@@ -341,7 +341,7 @@ def _made(stored: Stored, scene: Scene, comm: MPI.Comm) -> Made:
             alone = MPI.COMM_SELF  # as of the coarser twin of a reduced structure
             twin = _structure(its, coarse, weights, alone)
             made = Made(twin, alone, parts_shared(coarse, alone))
-            whole.once(kept, of_matrices=True).append(made)
+            whole.cached_result(kept, from_matrices=True).append(made)
     return Made(whole, comm, parts_shared(scene, comm))
 
 

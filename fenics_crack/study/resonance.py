@@ -178,7 +178,7 @@ def _of_rotor(study: Study, estimate: float, slope: np.ndarray) -> AtLoad:
     steady, count = whole.force[0] - whole.rotation.at_rest.force[0], len(whole.force)
     loads = np.vstack([whole.force, steady, np.zeros_like(steady)])
     setting = replace(whole.setting, weights=1.0)
-    more = whole._in(setting, force=loads, clamp=None, rotation=None)
+    more = whole._in_setting(setting, force=loads, clamp=None, rotation=None)
     small = _few(study, more.watching(study.structure.watched_dof))
 
     def at(turning: float, omega: float) -> Problem:

@@ -1138,7 +1138,7 @@ def test_force_of_each_crack() -> None:
     force = np.array([[3.0, 0.0, 4.0], [2.0, 2.0, 0.0]])
     for cracks, expected in ((None, 7.0), ([0, 0, 1], 4.0), ([0, 1, 1], 4.0), ([0, 1, 2], 4.0)):
         pairs = Pairs(cracks=None if cracks is None else np.array(cracks))
-        structure = oscillator().placed(None, pairs)
+        structure = oscillator().with_places(None, pairs)
         found = indicators_of(np.ones(3), gap=-np.ones((2, 3)), force=force, structure=structure)
         assert (found.contact_force, found.crack_force) == (4.0, expected)
 

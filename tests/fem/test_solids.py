@@ -978,11 +978,11 @@ def test_a_clamp_of_a_file_that_is_not_where_radii_begin(tmp_path: Any) -> None:
         ([0.1, -rotating.HEIGHT], f"y = {-rotating.HEIGHT:g} m"),
     ):
         nodes = replace(structure.nodes, points=structure.nodes.points + moved)
-        [remark] = remarks_on_scene(scene, structure.placed(nodes, structure.pairs))
+        [remark] = remarks_on_scene(scene, structure.with_places(nodes, structure.pairs))
         counted = "counted from a clamp at y = 0"
         assert str(remark).startswith(f"rotation.hub_radius = {rotating.HEIGHT:g}: {counted}")
         assert str(remark).endswith(where)
-        remarks = remarks_on_scene(grid, structure.placed(nodes, structure.pairs))
+        remarks = remarks_on_scene(grid, structure.with_places(nodes, structure.pairs))
         assert [remark.key for remark in remarks] == ["geometry.thickness"]
 
 

@@ -384,7 +384,7 @@ def test_a_diverging_structure_is_refused() -> None:
         stiffness = np.diag([lowest, 2.0, 3.0, 4.0, *np.arange(5.0, 40.0)])
         with pytest.raises(InputError, match="1 negative eigenvalue"):
             Structure.from_matrices(np.eye(39), stiffness, gap=None)
-        diverging = whole._changed(stiffness=distribute_rows(stiffness, whole.comm))
+        diverging = whole._with_changes(stiffness=distribute_rows(stiffness, whole.comm))
         with pytest.raises(InputError, match="positive semidefinite") as caught:
             solve_modes(diverging, 2)
         assert caught.value.key == "stiffness"

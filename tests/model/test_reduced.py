@@ -296,7 +296,7 @@ def test_what_is_held_does_not_grow_with_the_pairs(paper_scene: fc.Scene) -> Non
     for thing in (made, made.body, made.reference, made.reference.body, known):
         for name, value in vars(thing).items():
             assert not isinstance(value, np.ndarray) or value.size < plate.n_dofs or name == "force"
-    [shapes] = [value for value in plate.body.of_matrices.values() if len(value) == 2]
+    [shapes] = [value for value in plate.body.matrix_results.values() if len(value) == 2]
     assert shapes[1].shape == (plate.n_dofs, 14) and np.shares_memory(made.basis, shapes[1])
 
 
@@ -359,7 +359,7 @@ def test_from_arrays_alone() -> None:
         name: getattr(known, name) for name in ("squares", "modal", "compliance", "rows", "inertia")
     }
     made = chain("modal", 30)
-    held = made.once(last_receptance, of_matrices=True)
+    held = made.cached_result(last_receptance, from_matrices=True)
     held[:] = [Receptance(**parts, force=made.force)]
     object.__setattr__(made.body, "stiffness", AbsentMatrix(made.n_dofs, 0))
     found = reduced(made, 6)

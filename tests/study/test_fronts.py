@@ -176,7 +176,7 @@ def test_cells_in_another_order() -> None:
     """The numbers of cells, which differ from run to run on several ranks, do not matter."""
     scene, structure = solid(mesh__lip_elements=3), whole(3).structure
     nodes = replace(structure.nodes, cells=structure.nodes.cells[::-1])
-    turned = structure._in(structure.setting, nodes=nodes)
+    turned = structure._in_setting(structure.setting, nodes=nodes)
     _, rows, _ = front_functionals(scene, structure)
     _, others, _ = front_functionals(scene, turned)
     np.testing.assert_allclose(others, rows, rtol=0.0, atol=1e-9 * np.abs(rows).max())
