@@ -1,7 +1,6 @@
-"""What of a structure never varies, and what does.
+"""The two parts of a structure: the constant body and the variable setting.
 
-A structure is a body in a setting. Copies of it in other settings share the body: its matrices, and
-all that has been computed from them.
+Copies of a structure in other settings share the body: the matrices, and all results from them.
 """
 
 from __future__ import annotations
@@ -19,10 +18,10 @@ from fenics_crack.model.nodes import Clamp, Nodes, Pairs
 
 @dataclass(frozen=True, eq=False)
 class Body(ReadOnlyArrays):
-    """The attributes of a structure as it was made; arrays are made read-only.
+    """Attributes of a structure as it was made; arrays are read-only.
 
-    The load and the clearance are those that weights and additions of a setting refer to. A mean
-    load that rotation makes is part of this load, and no weight applies to it.
+    Load and clearance are given without the setting, whose weights multiply this load and whose
+    clearance is added. A mean load due to rotation is part of this load, without a weight.
     """
 
     mass: Any
@@ -39,16 +38,19 @@ class Body(ReadOnlyArrays):
     rotation: Any = None
     comm: MPI.Comm = None
     cached_results: dict[Callable[..., Any], Any] = field(default_factory=dict)
-    """Results of :meth:`Structure.cached_result`."""
+    """Results of :meth:`Structure.cached_result` by the function that computes them."""
     matrix_results: dict[Callable[..., Any], Any] = field(default_factory=dict)
-    """Those that follow from mass, stiffness and pairs: bodies that share these share it."""
+    """Cached results that depend on mass, stiffness and pairs alone.
+
+    Bodies that share these matrices and pairs share this dictionary.
+    """
 
     def __post_init__(self) -> None:
         if self.comm is None:
             object.__setattr__(self, "comm", self.mass.comm.tompi4py())
         for name in ("gap", "tangential"):
-            if (rows := getattr(self, name)) is not None:
-                object.__setattr__(self, name, read_only_rows(rows))
+            if (sparse_rows := getattr(self, name)) is not None:
+                object.__setattr__(self, name, read_only_rows(sparse_rows))
         super().__post_init__()
 
 
@@ -61,23 +63,23 @@ MATRIX_INDEPENDENT_NAMES = {
     "watched",
     "tangential",
 }
-"""Attributes of a body on which none of :attr:`Body.matrix_results` depends."""
+"""Attributes of a body that do not affect :attr:`Body.matrix_results`."""
 
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """What varies of a structure.
+    """The variable part of a structure.
 
     Attributes
     ----------
     weights : float or (2K+1, 2K+1)
-        Factor of the load, or the matrix that maps its rows to others.
+        Factor of the load, or matrix that maps its rows.
     damping_factor : float
         Factor of the damping.
     clearance : float or (n_pairs,) [m]
-        Added to that of each pair.
+        Clearance added to each pair.
     watched_dof : int or None
-        Dof of the whole structure for results to be requested of; None: the body's.
+        Dof of the whole structure for requested results. None: the body's.
     """
 
     weights: float | np.ndarray = 1.0
@@ -85,13 +87,15 @@ class Setting:
     clearance: float | np.ndarray = 0.0
     watched_dof: int | None = None
 
-    def combine_with(self, other: Setting) -> Setting:
-        """This setting, varied by another."""
-        watched = self.watched_dof if other.watched_dof is None else other.watched_dof
-        weights, factor = np.dot(other.weights, self.weights), other.damping_factor
-        clearance = other.clearance + self.clearance
-        return Setting(weights, factor * self.damping_factor, clearance, watched)
+    def combine_with(self, later_setting: Setting) -> Setting:
+        """Return this setting, then varied by a later one."""
+        watched_dof = (
+            self.watched_dof if later_setting.watched_dof is None else later_setting.watched_dof
+        )
+        weights, factor = np.dot(later_setting.weights, self.weights), later_setting.damping_factor
+        clearance = later_setting.clearance + self.clearance
+        return Setting(weights, factor * self.damping_factor, clearance, watched_dof)
 
 
 DEFAULT_SETTING = Setting()
-"""The setting in which a structure is made."""
+"""Setting of a new structure."""

@@ -1,19 +1,18 @@
-"""The structure: mass, stiffness, damping, load, and the gaps between the faces of the crack.
+"""The structure: mass, stiffness, damping, load, and the gaps of the cracks.
 
     M u'' + C u' + K u + B lambda(g) = f(t),     g = B^T u - g0
 
-``g > 0`` is penetration, ``g < 0`` an open crack. Column j of B is +1 on the normal displacement
-of the lower face's node and -1 on the upper face's. Matrices are PETSc's and distributed by rows;
-every array that stands for a displacement holds the rows that this rank owns ("n_local"), which on
-one rank are all.
+``g > 0`` is penetration, ``g < 0`` an open crack. Column j of B is +1 on the normal displacement of
+the lower face's node and -1 on that of the upper face's node. PETSc's matrices are distributed by
+rows. Every displacement array holds the ``n_local`` rows of its rank; one rank holds all of them.
 
-A structure never changes: what is computed from it stays true. Copies that differ in load,
-clearance, or a factor of the damping share its matrices, and its modes once they are computed.
+A structure never changes, so its results stay true. Copies with another load, clearance or damping
+factor share the matrices, and the modes once they are computed.
 
-Modal damping and Rayleigh's follow from mass and stiffness. Both are diagonal in the natural modes,
-K phi_j = omega_j^2 M phi_j with phi_i^T M phi_j = delta_ij:
+Modal and Rayleigh damping follow from mass and stiffness. Both are diagonal in the natural modes, K
+phi_j = omega_j^2 M phi_j with phi_i^T M phi_j = delta_ij:
 
-    phi_i^T C phi_j = 2 xi_j omega_j delta_ij.
+    phi_i^T C phi_j = 2 xi_j omega_j delta_ij
 """
 
 from __future__ import annotations
@@ -50,14 +49,16 @@ from fenics_crack.model.nodes import Clamp, Coordinates, Nodes, Pairs, body_prop
 
 @dataclass(frozen=True)
 class ModalDamping:
-    """Damping C = M Phi diag(2 xi_j omega_j) Phi^T M over mass-normalised modes; never formed.
+    """Damping C = M Phi diag(2 xi_j omega_j) Phi^T M, never formed.
+
+    Phi holds mass-normalised modes.
 
     Attributes
     ----------
     ratio : float or tuple of float
-        xi_j, of critical damping: one for all modes, or one per mode.
+        xi_j, relative to critical damping: one for all modes, or one per mode.
     modes : int or None
-        Number of the lowest modes that are damped; None: all.
+        Number of damped modes, the lowest ones. None: all.
 
     Raises
     ------
@@ -77,33 +78,45 @@ class ModalDamping:
         object.__setattr__(self, "ratio", tuple(ratio.tolist()) if ratio.ndim else float(ratio))
 
     def scaled(self, factor: float) -> ModalDamping:
-        """The same with every ratio multiplied by a factor."""
+        """Return this damping with every ratio multiplied by a factor."""
         ratio: Any = (factor * np.asarray(self.ratio)).tolist()
         return replace(self, ratio=ratio)
 
-    def for_modes(self, count: int) -> ModalDamping:
-        """Damping of so many kept modes: those beyond the damped ones by the last ratio."""
+    def for_modes(self, n_modes: int) -> ModalDamping:
+        """Return the damping of a reduced structure with ``n_modes`` modes.
+
+        Modes beyond the damped ones get the last ratio.
+        """
         if isinstance(self.ratio, float):
             return ModalDamping(self.ratio)
-        ratio = list(self.ratio)[:count]
-        return ModalDamping(tuple(ratio + ratio[-1:] * (count - len(ratio))))
+        ratio = list(self.ratio)[:n_modes]
+        return ModalDamping(tuple(ratio + ratio[-1:] * (n_modes - len(ratio))))
 
     def rate(self, squares: np.ndarray) -> np.ndarray:
-        """2 xi omega [1/s] of the damped modes, with omega^2 (n,) [rad^2/s^2]."""
+        """Return 2 xi omega [1/s] of the damped modes.
+
+        Parameters
+        ----------
+        squares : (n,) [rad^2/s^2]
+            omega^2.
+        """
         return np.asarray(2.0 * np.asarray(self.ratio) * np.sqrt(np.maximum(squares, 0.0)))
 
     def __str__(self) -> str:
         percent = 100.0 * np.asarray(self.ratio)
-        low, high = f"{percent.min():.3g}", f"{percent.max():.3g}"
+        minimum, maximum = f"{percent.min():.3g}", f"{percent.max():.3g}"
+        span = minimum if minimum == maximum else f"{minimum} to {maximum}"
         modes = "" if self.modes is None else f" of {self.modes} modes"
-        return f"modal damping {low if low == high else f'{low} to {high}'} %{modes}"
+        return f"modal damping {span} %{modes}"
 
 
 @dataclass(frozen=True)
 class RayleighDamping:
-    """Damping C = a M + b K, which damps every mode by the ratio
+    """Damping C = a M + b K.
 
-        xi(omega) = a / (2 omega) + b omega / 2.
+    Every mode is damped by the ratio
+
+        xi(omega) = a / (2 omega) + b omega / 2
 
     Attributes
     ----------
@@ -128,20 +141,20 @@ class RayleighDamping:
 
     @classmethod
     def from_ratios(cls, ratios: Sequence[float], omegas: Sequence[float]) -> RayleighDamping:
-        """The damping with given ratios at two frequencies.
+        """Return the damping with given ratios at two frequencies.
 
         With w_1 < w_2 and s = w_1 (xi_2 - xi_1) / (w_2 - w_1),
 
-            a = 2 w_1 w_2 (xi_1 - s) / (w_1 + w_2),      b = 2 (xi_2 + s) / (w_1 + w_2).
+            a = 2 w_1 w_2 (xi_1 - s) / (w_1 + w_2),      b = 2 (xi_2 + s) / (w_1 + w_2)
 
-        Between both frequencies the ratio is at most the larger of the two.
+        Between the two frequencies, the ratio is at most the larger one.
 
         Parameters
         ----------
         ratios : (2,)
-            xi_1 and xi_2, of critical damping.
+            xi_1 and xi_2, relative to critical damping.
         omegas : (2,) [rad/s]
-            The frequencies at which they hold.
+            w_1 and w_2, in any order.
 
         Raises
         ------
@@ -156,35 +169,41 @@ class RayleighDamping:
         xi, omega = numbers(ratios), numbers(omegas)
         if xi.shape != (2,) or not np.all(np.isfinite(xi)) or xi.min() < 0.0:
             raise InputError("damping ratios", ratios, "two finite numbers >= 0")
-        known = omega.shape == (2,) and np.all(np.isfinite(omega))
-        if not known or omega.min() <= 0.0 or omega[0] == omega[1]:
+        is_valid = omega.shape == (2,) and np.all(np.isfinite(omega))
+        if not is_valid or omega.min() <= 0.0 or omega[0] == omega[1]:
             raise InputError("damping omegas", omegas, "two different finite numbers > 0")
-        ratio, place = [float(x) for x in xi], [float(w) for w in omega]
-        check_two_ratios("damping ratios", ratio, place)
-        (low, at_low), (high, at_high) = sorted(zip(place, ratio, strict=True))
-        slope = low / (high - low) * (at_high - at_low)
-        mean = 0.5 * (low + high)
-        mass, stiffness = low / mean * high * (at_low - slope), (at_high + slope) / mean
-        return cls(max(mass, 0.0), max(stiffness, 0.0))  # not below 0 by rounding
+        xi_list, omega_list = [float(x) for x in xi], [float(w) for w in omega]
+        check_two_ratios("damping ratios", xi_list, omega_list)
+        (w_1, xi_1), (w_2, xi_2) = sorted(zip(omega_list, xi_list, strict=True))
+        s = w_1 / (w_2 - w_1) * (xi_2 - xi_1)
+        mean_omega = 0.5 * (w_1 + w_2)
+        a, b = w_1 / mean_omega * w_2 * (xi_1 - s), (xi_2 + s) / mean_omega
+        return cls(max(a, 0.0), max(b, 0.0))  # rounding may make them negative
 
     def scaled(self, factor: float) -> RayleighDamping:
-        """The same with both coefficients multiplied by a factor."""
+        """Return this damping with both coefficients multiplied by a factor."""
         return RayleighDamping(factor * self.mass, factor * self.stiffness)
 
-    def for_modes(self, count: int) -> RayleighDamping:
-        """Damping of so many kept modes: its own."""
+    def for_modes(self, n_modes: int) -> RayleighDamping:
+        """Return the damping of a reduced structure: the same coefficients."""
         return self
 
     def rate(self, squares: np.ndarray) -> np.ndarray:
-        """2 xi omega = a + b omega^2 [1/s] of modes with omega^2 (n,) [rad^2/s^2]."""
+        """Return 2 xi omega = a + b omega^2 [1/s].
+
+        Parameters
+        ----------
+        squares : (n,) [rad^2/s^2]
+            omega^2.
+        """
         return self.mass + self.stiffness * squares
 
     def matrix(self, mass: Any, stiffness: Any) -> Any:
-        """C of PETSc's M and K, as sparse as both (collective)."""
-        part = mass.copy()
-        part.scale(self.mass)
-        total = weighted_sum(part, self.stiffness, stiffness)
-        part.destroy()
+        """Return C from PETSc's M and K; sparse (collective)."""
+        mass_term = mass.copy()
+        mass_term.scale(self.mass)
+        total = weighted_sum(mass_term, self.stiffness, stiffness)
+        mass_term.destroy()
         return total
 
     def __str__(self) -> str:
@@ -196,12 +215,15 @@ DampingRule = ModalDamping | RayleighDamping
 
 
 UNCOPIED_NAMES = {"rotation", "cached_results", "matrix_results"}
-"""Attributes of a body that one with other matrices has not."""
+"""Attributes that a body with other matrices does not take over."""
 Result = TypeVar("Result")
 
 
 def shared_property(compute: Callable[[Any], Any]) -> Any:
-    """A property: what is computed from :attr:`Structure.original` once, for all varied copies."""
+    """Make a property that all varied copies share.
+
+    It is computed once, from :attr:`Structure.original`.
+    """
     return property(lambda structure: structure.cached_result(compute), doc=compute.__doc__)
 
 
@@ -209,61 +231,69 @@ AnyStructure = TypeVar("AnyStructure", bound="Structure")
 
 
 class Structure(Coordinates):
-    """A linear structure with contact pairs; none of its attributes can be set.
+    """A linear structure with contact pairs; read-only.
 
     Made by :func:`fenics_crack.build_structure` from a scene, by :meth:`from_matrices` or by
-    :meth:`from_forms`. It is a body, which varied copies share, in a setting, which is theirs
+    :meth:`from_forms`. It is a body, shared with varied copies, in a setting of its own
     (``model/body.py``).
 
     Attributes
     ----------
     comm, gap, tangential, force, nodes, pairs, watched
-        As of :class:`fenics_crack.model.nodes.Coordinates`.
+        See :class:`fenics_crack.model.nodes.Coordinates`.
     mass, stiffness : PETSc.Mat
         (n, n), symmetric; [kg], [N/m].
     clearance : (n_pairs,) [m]
         g0 of every pair; positive: an opening that closes first, negative: preload.
     damping_factor : float
-        Factor of the damping relative to that of :attr:`original`; 1 unless varied.
+        Factor of the damping relative to :attr:`original`; 1 unless varied.
     clamp : fenics_crack.model.nodes.Clamp or None
-        Clamp of a mesh; None of matrices, and of a reduced structure, whose whole one has it.
+        Clamp of a mesh. None without a mesh, and for a reduced structure: see its whole structure.
     rotation : fenics_crack.model.rotation.Rotation or None
-        Terms that rotation has added to the matrices and the mean load; None at rest.
+        Terms that rotation has added to the matrices and the mean load. None at rest.
     """
 
     body: Body
     setting: Setting
     stiffness: Any = body_property("stiffness")
     light_lips: ClassVar[bool] = False
-    """True if crack faces have no mass: the residual flexibility of the modes gives the
-    quasi-static response to forces on the pairs."""
+    """True if crack faces have no mass.
+
+    The residual flexibility of the modes then gives the quasi-static response to forces on the
+    pairs.
+    """
 
     def __init__(self, body: Body) -> None:
         vars(self).update(body=body, setting=DEFAULT_SETTING)
 
     def __repr__(self) -> str:
         pairs, damping = counted(self.n_pairs, "pair"), self.body.damping
-        words = "no damping" if damping is None else "damping matrix"
+        damping_words = "no damping" if damping is None else "damping matrix"
         if isinstance(damping, DampingRule):
-            words = str(damping.scaled(self.damping_factor))
-        return f"{type(self).__name__}({self._size_words}, {pairs}, {words})"
+            damping_words = str(damping.scaled(self.damping_factor))
+        return f"{type(self).__name__}({self._size_words}, {pairs}, {damping_words})"
 
     @cached_property
     def force(self) -> np.ndarray:  # type: ignore[override]
-        """Load, weighted."""
-        given = self.body.force
+        """Load, weighted by the setting."""
+        body_force = self.body.force
         return (
-            given
+            body_force
             if self.setting is DEFAULT_SETTING
-            else read_only_array(np.dot(self.setting.weights, given))
+            else read_only_array(np.dot(self.setting.weights, body_force))
         )
 
     @cached_property
     def clearance(self) -> np.ndarray:
-        """g0 of every pair, with what is added; nothing to tangential ones."""
-        found, added = self.body.clearance.copy(), self.setting.clearance
-        found[: np.size(added) if np.ndim(added) else None] += added
-        return read_only_array(found)
+        """g0 of every pair, with the setting's clearance.
+
+        Tangential pairs, behind the normal ones, get no addition.
+        """
+        clearance, added_clearance = self.body.clearance.copy(), self.setting.clearance
+        clearance[: np.size(added_clearance) if np.ndim(added_clearance) else None] += (
+            added_clearance
+        )
+        return read_only_array(clearance)
 
     @property
     def damping_factor(self) -> float:
@@ -274,14 +304,14 @@ class Structure(Coordinates):
     def damping(self) -> Any:
         """ModalDamping, RayleighDamping, the matrix C [N s/m], or None (collective).
 
-        A varied copy computes it when it is first requested: many copies never are.
+        A varied copy computes it at the first request, since many copies never need it.
         """
-        given = self.body.damping
-        if given is None or self.damping_factor == 1.0:
-            return given
-        if isinstance(given, DampingRule):
-            return given.scaled(self.damping_factor)
-        matrix = given.copy()
+        body_damping = self.body.damping
+        if body_damping is None or self.damping_factor == 1.0:
+            return body_damping
+        if isinstance(body_damping, DampingRule):
+            return body_damping.scaled(self.damping_factor)
+        matrix = body_damping.copy()
         matrix.scale(self.damping_factor)
         return matrix
 
@@ -297,19 +327,27 @@ class Structure(Coordinates):
 
     @property
     def original(self) -> Structure:
-        """The structure of which this is a varied copy, or itself."""
+        """The structure before it was varied."""
         return self._in_setting(DEFAULT_SETTING)
 
     @property
     def has_matrices(self) -> bool:
-        """False if it is that of a file of a prepared structure."""
+        """False for a structure from a file of a prepared structure."""
         return not isinstance(self.stiffness, AbsentMatrix)
 
     def cached_result(
         self, compute: Callable[[Any], Result], *, from_matrices: bool = False
     ) -> Result:
-        """A result computed from :attr:`original` once, for it and all of its varied copies; what
-        follows from mass, stiffness and pairs alone, for all that share these."""
+        """Return a result of :attr:`original`, computed once for all varied copies.
+
+        Parameters
+        ----------
+        compute : callable
+            Function of a structure.
+        from_matrices : bool
+            The result depends on mass, stiffness and pairs alone; structures that share these share
+            it.
+        """
         cache = self.body.matrix_results if from_matrices else self.body.cached_results
         if compute not in cache:
             cache[compute] = compute(self.original)
@@ -317,45 +355,67 @@ class Structure(Coordinates):
         return result
 
     def _in_setting(self, setting: Setting, **changes: Any) -> Self:
-        """The same body in another setting; with changes another body, of which nothing is known
-        yet but what follows from its matrices, where these stay."""
+        """Return the same body in another setting.
+
+        With changes, the body is a new one with empty caches; results of the matrices stay if the
+        matrices do.
+        """
         if setting is self.setting and not changes:
             return self
-        made, body = object.__new__(type(self)), self.body
+        new_structure, body = object.__new__(type(self)), self.body
         if changes:
             caches: dict[str, Any] = {"cached_results": {}}
             if not changes.keys() <= MATRIX_INDEPENDENT_NAMES:
                 caches["matrix_results"] = {}
             body = replace(body, **caches | changes)
-        Structure.__init__(made, body)
-        vars(made)["setting"] = setting
-        return made
+        Structure.__init__(new_structure, body)
+        vars(new_structure)["setting"] = setting
+        return new_structure
 
-    def _apply_setting(self, other: AnyStructure) -> AnyStructure:
-        """Another structure, varied as this one is."""
+    def _apply_setting(self, structure: AnyStructure) -> AnyStructure:
+        """Return another structure, varied as this one is."""
         return (
-            other
+            structure
             if self.setting is DEFAULT_SETTING
-            else other._in_setting(other.setting.combine_with(self.setting))
+            else structure._in_setting(structure.setting.combine_with(self.setting))
         )
 
     def gap_of(self, displacement: np.ndarray) -> np.ndarray:
-        """Coefficients of g = B^T u - g0 from those of u (2H+1, n_local): (2H+1, n_pairs)
-        (collective)."""
+        """Return the coefficients of g = B^T u - g0 on every rank (collective).
+
+        Parameters
+        ----------
+        displacement : (2H+1, n_local) [m]
+            Coefficients of u.
+
+        Returns
+        -------
+        (2H+1, n_pairs) [m]
+        """
         gap: np.ndarray = self.apply_bt(displacement)
         gap[0] -= self.clearance
         return gap
 
     def known_modes(self, *, tied: bool) -> tuple[np.ndarray, np.ndarray] | None:
-        """omega (m,) [rad/s] and shapes (n_local, m) with the crack open or bonded where the
-        coordinates are those of modes, else None."""
+        """Return modes that follow from the coordinates; None if there are none.
+
+        Parameters
+        ----------
+        tied : bool
+            Crack bonded, not open.
+
+        Returns
+        -------
+        omega : (m,) [rad/s]
+        shapes : (n_local, m)
+        """
         return None
 
     @cached_property
     def damping_matrix(self) -> Any:
-        """C where damping is a matrix or Rayleigh's, else None (collective).
+        """C, if the damping is a matrix or Rayleigh's, else None (collective).
 
-        Rayleigh's is formed when it is first requested.
+        Rayleigh's matrix is formed at the first request.
         """
         damping = self.damping
         if isinstance(damping, RayleighDamping):
@@ -372,27 +432,42 @@ class Structure(Coordinates):
         InputError
             A row sum is not positive, as for six-node triangles.
         """
-        return _change_with_rotation(self, lambda one: one._with_changes(mass=lump_mass(one.mass)))
+        return _change_with_rotation(
+            self, lambda structure: structure._with_changes(mass=lump_mass(structure.mass))
+        )
 
     def tied(self, stiffness: float | np.ndarray) -> Structure:
         """Return this structure with every pair connected by a spring k [N/m].
 
-        Its stiffness is K + B diag(k) B^T, and it has no pairs; modal damping follows the new
-        modes, Rayleigh damping the new stiffness.
-        InputError: the stiffness is not one finite number >= 0, or one for each pair.
+        The stiffness becomes K + B diag(k) B^T, without contact pairs. Modal damping follows the
+        new modes, Rayleigh damping the new stiffness.
+
+        Parameters
+        ----------
+        stiffness : float or (n_pairs,) [N/m]
+            k.
+
+        Raises
+        ------
+        InputError
+            The stiffness is not one finite number >= 0, or one for each pair.
         """
         springs = expand_to_pairs("stiffness", stiffness, self.n_pairs)
         if np.any(springs < 0.0):
             raise InputError("stiffness", stiffness, ">= 0: springs that hold the pairs together")
         gap = sparse.csr_matrix((self.n_local, 0))
 
-        def held(one: Structure) -> Structure:
-            matrix = add_springs(one.stiffness, one.gap, springs)
-            return one._with_changes(
-                stiffness=matrix, gap=gap, tangential=None, clearance=np.zeros(0), pairs=Pairs()
+        def bond_pairs(structure: Structure) -> Structure:
+            bonded_stiffness = add_springs(structure.stiffness, structure.gap, springs)
+            return structure._with_changes(
+                stiffness=bonded_stiffness,
+                gap=gap,
+                tangential=None,
+                clearance=np.zeros(0),
+                pairs=Pairs(),
             )
 
-        return _change_with_rotation(self, held)
+        return _change_with_rotation(self, bond_pairs)
 
     def with_harmonics(self, harmonics: Mapping[int, tuple[Any, Any]]) -> Structure:
         """Return this structure with further harmonics of its load.
@@ -400,14 +475,15 @@ class Structure(Coordinates):
         Parameters
         ----------
         harmonics : dict of int to (cosine, sine)
-            By their orders k, multiples of the load's frequency: f_c and f_s of f_c cos(k w t) +
-            f_s sin(k w t), (n,) [N] or None, whole on every rank; of the first it is added.
+            f_c and f_s of f_c cos(k w t) + f_s sin(k w t) by the order k, a multiple of the load's
+            frequency: (n,) [N] or None, whole on every rank. They are added to harmonics of the
+            load.
 
         Raises
         ------
         InputError
-            An order or a shape does not fit; or the structure is reduced, whose load is that of
-            the whole one.
+            An order or a shape does not fit. Or the structure is reduced: its load follows from the
+            whole one.
         """
         if self.whole is not self:
             raise InputError("structure", repr(self), "one that is not reduced")
@@ -415,48 +491,50 @@ class Structure(Coordinates):
         return self._in_setting(replace(self.setting, weights=1.0), force=force, clamp=None)
 
     def with_tangents(self) -> Structure:
-        """This structure with the tangential gaps of a solid's pairs, B_t (n_local, 2 n_pairs):
-        along the first directions of all pairs, then along the second ones; itself if it has
-        tangents, or none are known.
+        """Return this structure with the tangential gaps of a solid's pairs.
+
+        B_t is (n_local, 2 n_pairs): all pairs along their first directions, then along their second
+        directions. The structure itself is returned if it has tangents, or none are known.
 
         Raises
         ------
         InputError
-            It is reduced, and was not with them.
+            It was reduced without tangents.
         """
         if self.tangential is not None or self.pairs.tangents is None:
             return self
         if self is not self.whole:
-            allowed = "a whole one: reduce structure.whole.with_tangents()"
-            raise InputError("structure", repr(self), allowed)
+            requirement = "a whole one: reduce structure.whole.with_tangents()"
+            raise InputError("structure", repr(self), requirement)
         return self.cached_result(_add_tangents)._in_setting(self.setting)
 
     def with_tangential_pairs(self, direction: np.ndarray | None = None) -> Structure:
-        """This structure with tangential gaps behind the normal ones as further pairs, B = [B_n,
-        B_t] (n_local, 2 n_pairs), without a clearance: all gaps on which contact with friction
-        acts.
+        """Return this structure with tangential gaps as further pairs.
+
+        These are all gaps on which contact with friction acts: B = [B_n, B_t] (n_local, 2 n_pairs).
+        Tangential gaps have no clearance.
 
         Parameters
         ----------
         direction : (n_pairs,) [rad] or None
-            Of a solid's pairs: the angle phi of B_t = cos(phi) B_1 + sin(phi) B_2.
+            In a solid: angle phi of each pair, B_t = cos(phi) B_1 + sin(phi) B_2.
 
         Raises
         ------
         InputError
-            It has no tangents, or two directions a pair, and none is given.
+            It has no tangents, or two directions a pair without ``direction``.
         """
         if self.tangential is None:
-            allowed = "one with tangents; with_tangents() of a solid has them"
-            raise InputError("structure", repr(self), allowed)
+            requirement = "one with tangents; with_tangents() of a solid has them"
+            raise InputError("structure", repr(self), requirement)
         if (self.tangential.shape[1] > self.n_pairs) != (direction is not None):
-            allowed = "given on solids alone: fc.slide_along_lines(structure, omega, contact)"
-            raise InputError("direction of friction", direction, allowed)
-        held = self.cached_result(_tangential_pair_cache)
-        if not held or not np.array_equal(held[0][0], direction):
+            requirement = "given on solids alone: fc.slide_along_lines(structure, omega, contact)"
+            raise InputError("direction of friction", direction, requirement)
+        cache = self.cached_result(_tangential_pair_cache)
+        if not cache or not np.array_equal(cache[0][0], direction):
             original = self.original
-            held[:] = [(direction, _add_tangential_pairs(original, direction))]
-        return held[0][1]._in_setting(self.setting)
+            cache[:] = [(direction, _add_tangential_pairs(original, direction))]
+        return cache[0][1]._in_setting(self.setting)
 
     def with_places(self, nodes: Nodes | None, pairs: Pairs) -> Structure:
         """Return this structure with the places of its nodes and pairs."""
@@ -465,20 +543,20 @@ class Structure(Coordinates):
     def damped(self, damping: DampingRule | None) -> Self:
         """Return this structure with another modal or Rayleigh damping, or none.
 
-        Of a reduced structure it is that of its own coordinates or modes.
+        In a reduced structure, it damps the reduced coordinates or modes.
         """
         if not isinstance(damping, DampingRule | None):
             raise InputError("damping", damping, "a ModalDamping, a RayleighDamping or None")
-        kept = damping.for_modes(self.n_modes) if damping and self.light_lips else damping
+        new_damping = damping.for_modes(self.n_modes) if damping and self.light_lips else damping
         setting, rotation = self.setting, self.body.rotation
         if self.damping_factor != 1.0:
             setting = replace(setting, damping_factor=1.0)
         if rotation is not None:
-            rotation = rotation.change_rest_structure(lambda one: one.damped(damping))
-        return self._in_setting(setting, damping=kept, rotation=rotation)
+            rotation = rotation.change_rest_structure(lambda structure: structure.damped(damping))
+        return self._in_setting(setting, damping=new_damping, rotation=rotation)
 
     def watching(self, dof: int) -> Self:
-        """Return this structure with another dof for results to be asked about."""
+        """Return this structure with another watched dof, for results without a named dof."""
         checked_dof = int(self.whole.check_dofs([dof])[0])
         return self._in_setting(replace(self.setting, watched_dof=checked_dof))
 
@@ -491,38 +569,42 @@ class Structure(Coordinates):
     ) -> Self:
         """Return this structure with its load and damping multiplied, and a clearance added.
 
-        The copy shares matrices, and modes once they are computed. Of a reduced structure the whole
-        one and the reference are varied too.
+        The copy shares matrices, and modes once they are computed. In a reduced structure, the
+        whole one and the reference are varied too.
 
         Parameters
         ----------
         load : float or (2K+1, 2K+1)
-            Factor, or the matrix that maps its rows, mean, cosine and sine parts, to the new ones.
-            Where the structure rotates the mean load stays, which holds the centrifugal one.
+            Factor, or matrix that maps the rows (mean, cosine and sine parts) to new ones. A
+            structure that rotates keeps its mean load, which holds the centrifugal one.
         damping : float
             Factor >= 0.
         clearance : float or (n_pairs,) [m]
-            Terms that are added.
+            Added to the clearance.
 
         Raises
         ------
         InputError
             A value cannot be used.
         """
-        weights, rows = numbers(load), len(self.force)
-        if weights.shape not in ((), (rows, rows)) or not np.all(np.isfinite(weights)):
-            allowed = f"a finite number, or a finite matrix of shape ({rows}, {rows})"
-            raise InputError("load", load, allowed)
+        weights, n_rows = numbers(load), len(self.force)
+        if weights.shape not in ((), (n_rows, n_rows)) or not np.all(np.isfinite(weights)):
+            requirement = f"a finite number, or a finite matrix of shape ({n_rows}, {n_rows})"
+            raise InputError("load", load, requirement)
         if self.whole.rotation is not None and not _is_mean_kept(weights):
-            allowed = "1 for a structure that rotates: part of its mean load is centrifugal"
-            raise InputError("load", load, allowed)
+            requirement = "1 for a structure that rotates: part of its mean load is centrifugal"
+            raise InputError("load", load, requirement)
         check_number("damping", damping, 0.0)
-        added = expand_to_pairs("clearance", clearance, self.n_pairs)
-        return self._in_setting(self.setting.combine_with(Setting(weights, damping, added)))
+        added_clearance = expand_to_pairs("clearance", clearance, self.n_pairs)
+        return self._in_setting(
+            self.setting.combine_with(Setting(weights, damping, added_clearance))
+        )
 
     def _with_changes(self, **changes: Any) -> Structure:
-        """A structure of its matrices and places, with some changed."""
-        names = [item.name for item in fields(Body) if item.name not in UNCOPIED_NAMES]
+        """Return a plain structure of the same matrices and places, except for changes."""
+        names = [
+            body_field.name for body_field in fields(Body) if body_field.name not in UNCOPIED_NAMES
+        ]
         return Structure(Body(**({name: getattr(self, name) for name in names} | changes)))
 
     @classmethod
@@ -572,8 +654,10 @@ class Structure(Coordinates):
         forces = {"force_mean": force_mean, "force_cos": force_cos, "force_sin": force_sin}
         parts = check_parts(mass, stiffness, (gap, tangential), forces, clearance, comm)
         if not isinstance(damping, DampingRule | None):
-            made = parts["mass"]
-            damping = make_petsc_matrix("damping", damping, made.comm.tompi4py(), made.size[0])
+            mass_matrix = parts["mass"]
+            damping = make_petsc_matrix(
+                "damping", damping, mass_matrix.comm.tompi4py(), mass_matrix.size[0]
+            )
         return cls(Body(**parts, damping=damping))
 
     @classmethod
@@ -622,49 +706,58 @@ class Structure(Coordinates):
             The space, a condition, a form or the tags are not such, nodes of the two faces do not
             match, or a matrix is none for :meth:`from_matrices`.
         """
-        bilinear = {"stiffness": stiffness, "mass": mass}
+        bilinear_forms = {"stiffness": stiffness, "mass": mass}
         if not isinstance(damping, DampingRule | None):
-            bilinear["damping"] = damping
-        # That file loads DOLFINx, which matrices do not need, and is above this folder.
-        forms = import_module("fenics_crack.fem.forms")
-        parts, *places = forms.parts_of_forms(space, bilinear, bcs, loads, crack, thickness)
-        made = cls.from_matrices(**{"damping": damping} | parts, clearance=clearance)
-        for key in bilinear:
+            bilinear_forms["damping"] = damping
+        # Matrices do not need DOLFINx, which this import loads; it is from a folder above.
+        forms_module = import_module("fenics_crack.fem.forms")
+        parts, *places = forms_module.parts_of_forms(
+            space, bilinear_forms, bcs, loads, crack, thickness
+        )
+        structure = cls.from_matrices(**{"damping": damping} | parts, clearance=clearance)
+        for key in bilinear_forms:
             parts[key].destroy()
-        return made.with_places(*places)
+        return structure.with_places(*places)
 
 
 def _is_mean_kept(weights: np.ndarray) -> bool:
-    """True if weights of a load leave its mean as it is."""
+    """Return True if load weights do not change the mean of the load."""
     if weights.ndim == 0:
         return bool(weights == 1.0)
     return bool(weights[0, 0] == 1.0 and not weights[0, 1:].any() and not weights[1:, 0].any())
 
 
 def _add_tangents(structure: Structure) -> Structure:
+    """Return a structure with its pairs' tangents, also at rest."""
     return _change_with_rotation(
-        structure, lambda one: one._in_setting(one.setting, tangential=one.pairs.tangents)
+        structure,
+        lambda source: source._in_setting(source.setting, tangential=source.pairs.tangents),
     )
 
 
 def _tangential_pair_cache(structure: Structure) -> list[tuple[np.ndarray | None, Structure]]:
-    """The structure with tangential gaps as pairs, and their directions, requested last."""
+    """Return an empty cache for the last requested direction and structure."""
     return []
 
 
 def _add_tangential_pairs(structure: Structure, direction: np.ndarray | None) -> Structure:
+    """Return a structure with tangential gaps as further pairs."""
     tangents: Any = structure.tangential
     if direction is not None:
-        turn = (sparse.diags(part) for part in (np.cos(direction), np.sin(direction)))
-        tangents = tangents @ sparse.vstack([*turn])
-    both = sparse.hstack([structure.gap, tangents])
+        direction_factors = (
+            sparse.diags(component) for component in (np.cos(direction), np.sin(direction))
+        )
+        tangents = tangents @ sparse.vstack([*direction_factors])
+    all_gaps = sparse.hstack([structure.gap, tangents])
     clearance = np.concatenate([structure.clearance, np.zeros(structure.n_pairs)])
-    return structure._in_setting(structure.setting, gap=both, tangential=None, clearance=clearance)
+    return structure._in_setting(
+        structure.setting, gap=all_gaps, tangential=None, clearance=clearance
+    )
 
 
 def _change_with_rotation(
     structure: Structure, change: Callable[[Structure], Structure]
 ) -> Structure:
-    """A structure changed, and so what it is at rest where it rotates."""
+    """Change a structure, and its structure at rest if it rotates."""
     rotation = structure.rotation and structure.rotation.change_rest_structure(change)
     return change(structure)._in_setting(DEFAULT_SETTING, rotation=rotation)
