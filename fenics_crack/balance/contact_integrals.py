@@ -462,7 +462,7 @@ class _SampledForces(CoupledForces):
         values = sampled(gap, integrals.samples or default_samples(integrals.harmonics))
         if integrals.piecewise:
             self._force, closed = contact.solve(values)
-            self._slope = contact.stack(closed)
+            self._slope = contact.invert_sets(closed)
         else:
             self._force, self._slope = smooth_forces(integrals.law, contact.compliance, values)
         self._waves = balanced(self._slope, 2 * self.harmonics)

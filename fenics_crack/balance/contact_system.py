@@ -50,7 +50,13 @@ from fenics_crack.balance.friction_integrals import (
 from fenics_crack.basics.errors import ConvergenceError, InputError
 from fenics_crack.basics.tables import hertz_of
 from fenics_crack.kernel import Struct, kernel, owned, pointer, shaped
-from fenics_crack.model.contact import ContactLaw, friction_of, is_rigid, seen_by, springs_of
+from fenics_crack.model.contact import (
+    ContactLaw,
+    add_friction_pairs,
+    friction_of,
+    is_rigid,
+    spring_compliances,
+)
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import (
@@ -134,7 +140,7 @@ class ContactSystem:
 
     def _springs(self, law: ContactLaw) -> np.ndarray:
         """1/k of each row [m/N]."""
-        return springs_of(law, self.shape[1] // (1 if friction_of(law) is None else 2))
+        return spring_compliances(law, self.shape[1] // (1 if friction_of(law) is None else 2))
 
     @cached_property
     def moving_seen(self) -> np.ndarray:
@@ -317,7 +323,7 @@ class Wave:
     @cached_property
     def seen(self) -> Structure:
         """The structure with its rows as pairs."""
-        return seen_by(self.contact, self.structure)
+        return add_friction_pairs(self.contact, self.structure)
 
     @property
     def gap_rows(self) -> np.ndarray:

@@ -32,7 +32,7 @@ from fenics_crack.balance.contact_system import ContactPoint, ContactSystem, Wav
 from fenics_crack.balance.more_modes import UNKNOWN, Errors, left_out, loaded, reference_of
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.tables import Described
-from fenics_crack.model.contact import REGULAR, as_penalty, is_regular, is_rigid
+from fenics_crack.model.contact import REGULAR, is_regular, is_rigid, with_penalty
 from fenics_crack.model.modal import SMALL, all_modes
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.model.reduced import ReducedStructure
@@ -248,7 +248,7 @@ def _lost_in_reduction(at: ContactPoint, wave: Wave, problem: Problem) -> Errors
         assert residual is not None
         if is_rigid(problem.contact) and not is_regular(all_modes(other.seen).static_part(cutoff)):
             nearly = len(residual) / (REGULAR * np.trace(residual))  # a constraint to rounding
-            other = replace(other, contact=as_penalty(problem.contact, float(nearly)))
+            other = replace(other, contact=with_penalty(problem.contact, float(nearly)))
     system = other.system(other.compliance())
     if system.residual is not None:
         start = start + at.force @ system.residual

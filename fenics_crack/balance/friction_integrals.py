@@ -23,7 +23,7 @@ import numpy as np
 
 from fenics_crack.balance.contact_integrals import ContactIntegrals, CoupledForces, CoupledIntegrals
 from fenics_crack.kernel import kernel, pointer
-from fenics_crack.model.contact import ContactLaw, FrictionSets, friction_of, springs_of
+from fenics_crack.model.contact import ContactLaw, FrictionSets, friction_of, spring_compliances
 from fenics_crack.numerics.fourier import balanced, evaluate, sampled, waves
 
 
@@ -76,7 +76,7 @@ class FrictionIntegrals(ContactIntegrals):
     def springs(self) -> np.ndarray:
         """1/k of the normals, then of the tangents: (2 n_pairs,) [m/N]."""
         assert self.residual is not None
-        return springs_of(self.law, len(self.residual) // 2)
+        return spring_compliances(self.law, len(self.residual) // 2)
 
     @property
     def instants(self) -> int:

@@ -59,13 +59,13 @@ from fenics_crack.basics.threads import machine_memory
 from fenics_crack.kernel import kernel
 from fenics_crack.model.contact import (
     ContactLaw,
+    add_friction_pairs,
     check_law,
     friction_of,
     is_regular,
     is_rigid,
     normal_law,
-    seen_by,
-    springs_of,
+    spring_compliances,
 )
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
@@ -213,7 +213,7 @@ class Problem:
     def seen(self) -> Structure:
         """The structure with all gaps on which contact acts as its pairs: with friction normal and
         tangential ones."""
-        return seen_by(self.contact, self.structure)
+        return add_friction_pairs(self.contact, self.structure)
 
     @property
     def friction(self) -> bool:
@@ -248,7 +248,10 @@ class Problem:
     @property
     def _residual_with_friction(self) -> np.ndarray | None:
         """That of normals and tangents, which all see what they have in series."""
-        small, springs = is_small(self.structure), springs_of(self.contact, self.structure.n_pairs)
+        small, springs = (
+            is_small(self.structure),
+            spring_compliances(self.contact, self.structure.n_pairs),
+        )
         found = all_modes(self.seen).static_part(self.cutoff) if small else None
         at_once = np.diag(springs) if found is None else found + np.diag(springs)
         if not np.all(springs) and not is_regular(at_once):

@@ -22,10 +22,10 @@ from fenics_crack.files.store import Stored, check_shapes, read, write
 from fenics_crack.model.contact import (
     ContactLaw,
     UnilateralConstraint,
+    add_friction_pairs,
     friction_of,
     is_rigid,
     is_unilateral,
-    seen_by,
 )
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import NEGLIGIBLE, Modes
@@ -257,7 +257,7 @@ def solution_from(parts: Parts, structure: Structure, contact: Law) -> PeriodicS
         raise ValueError("its frequency does not fit")
     tangential = parts.get("tangential_force_coefficients")
     rows = force if tangential is None else np.hstack([force, tangential])
-    seen = seen_by(contact, structure)
+    seen = add_friction_pairs(contact, structure)
     compliance = dynamic_compliance(seen, omega / subharmonic, len(gap) // 2, subharmonic)
     displacement = compliance.displacement(rows)
     compliance.destroy()
@@ -357,7 +357,7 @@ def _unpack_curve(parts: Parts, structure: Structure, contact: Law) -> ResponseC
     else:
         names = [f"bifurcation_{number}" for number in range(len(parts["kinds"]))]
         unknowns = parts["unknowns"]
-        seen = seen_by(contact, structure)
+        seen = add_friction_pairs(contact, structure)
         _check_pairs(seen, unknowns)
         shapes["unknowns"] = counts[""], unknowns.shape[1] | 1, seen.n_pairs
         shapes |= {name: (len(parts[name]) | 1, seen.n_pairs) for name in names}

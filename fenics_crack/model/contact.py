@@ -79,7 +79,7 @@ class _Penalty:
     stiffness: float | np.ndarray
 
     def __post_init__(self) -> None:
-        stiffness = _positive("contact stiffness", self.stiffness, each_pair=True)
+        stiffness = _check_positive("contact stiffness", self.stiffness, each_pair=True)
         object.__setattr__(self, "stiffness", stiffness)
 
     def scaled(self, factor: float) -> Self:
@@ -138,7 +138,7 @@ class SmoothedPenalty(_Penalty):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "sharpness", _positive("contact sharpness", self.sharpness))
+        object.__setattr__(self, "sharpness", _check_positive("contact sharpness", self.sharpness))
 
     def force(self, gap: np.ndarray) -> np.ndarray:
         """lambda(g) [N]."""
@@ -171,7 +171,7 @@ class UnilateralConstraint:
 
     def __post_init__(self) -> None:
         if self.weight is not None:
-            object.__setattr__(self, "weight", _positive("contact weight", self.weight))
+            object.__setattr__(self, "weight", _check_positive("contact weight", self.weight))
 
     @property
     def stiffness(self) -> float:
@@ -230,10 +230,12 @@ class CoulombFriction:
     def __post_init__(self) -> None:
         if not is_unilateral(self.law):
             raise InputError("law", self.law, "UnilateralPenalty or UnilateralConstraint")
-        mu = _positive("friction coefficient", self.coefficient, each_pair=True)
+        mu = _check_positive("friction coefficient", self.coefficient, each_pair=True)
         object.__setattr__(self, "coefficient", mu)
         if not np.array_equal(self.tangential_stiffness, np.inf):
-            stiffness = _positive("tangential stiffness", self.tangential_stiffness, each_pair=True)
+            stiffness = _check_positive(
+                "tangential stiffness", self.tangential_stiffness, each_pair=True
+            )
             object.__setattr__(self, "tangential_stiffness", stiffness)
 
     @property
@@ -270,20 +272,20 @@ def normal_law(contact: ContactLaw) -> ContactLaw:
     return contact.law if isinstance(contact, CoulombFriction) else contact
 
 
-def as_penalty(contact: ContactLaw, stiffness: float) -> ContactLaw:
+def with_penalty(contact: ContactLaw, stiffness: float) -> ContactLaw:
     """The law with a penalty in the place of its normal contact [N/m]."""
     penalty = UnilateralPenalty(stiffness)
     return replace(contact, law=penalty) if isinstance(contact, CoulombFriction) else penalty
 
 
-def seen_by(contact: object, structure: Structure) -> Structure:
+def add_friction_pairs(contact: object, structure: Structure) -> Structure:
     """The structure with all gaps on which a law acts as its pairs: with friction the normal ones,
     and behind them the tangential ones."""
     friction = friction_of(contact)
     return structure if friction is None else structure.with_tangential_pairs(friction.direction)
 
 
-def springs_of(contact: ContactLaw, pairs: int) -> np.ndarray:
+def spring_compliances(contact: ContactLaw, pairs: int) -> np.ndarray:
     """1/k of the pairs, with friction behind it 1/k_t: (n_pairs,) or (2 n_pairs,) [m/N]."""
     friction, ones = friction_of(contact), np.ones(pairs)
     found = ones / np.asarray(contact.stiffness, dtype=float)
@@ -293,7 +295,7 @@ def springs_of(contact: ContactLaw, pairs: int) -> np.ndarray:
 
 
 @lru_cache
-def gauss(count: int) -> tuple[np.ndarray, np.ndarray]:
+def gauss_rule(count: int) -> tuple[np.ndarray, np.ndarray]:
     """Gauss's nodes between 0 and 1, and their weights: for means of forces between two gaps."""
     nodes, weights = np.polynomial.legendre.leggauss(count)
     return 0.5 + 0.5 * nodes, 0.5 * weights
@@ -301,7 +303,7 @@ def gauss(count: int) -> tuple[np.ndarray, np.ndarray]:
 
 def potential(contact: ContactLaw, gap: np.ndarray) -> np.ndarray:
     """V(g), the integral of lambda from 0, by Gauss's rule: (..., n_pairs) [J]."""
-    nodes, weights = gauss(32)
+    nodes, weights = gauss_rule(32)
     forces = contact.force(np.multiply.outer(nodes, gap))
     return np.asarray(gap * np.tensordot(weights, forces, 1))
 
@@ -340,10 +342,10 @@ def check_law(structure: Structure, contact: Any, *, rigid: bool = False) -> Non
     if not is_rigid(contact) and not np.all(np.isfinite(stiffness)):
         raise InputError("contact stiffness", contact, "finite")
     if not is_unilateral(contact):
-        _check_returned(contact, structure.n_pairs)
+        _check_law_outputs(contact, structure.n_pairs)
 
 
-def _check_returned(law: ContactLaw, pairs: int) -> None:
+def _check_law_outputs(law: ContactLaw, pairs: int) -> None:
     """Raise InputError unless a user's law returns valid values for gaps (n, n_pairs)."""
     gap, kind = np.outer([-EPSILON, 0.0, EPSILON], np.ones(pairs)), type(law).__name__
     for name in ("force", "tangent"):
@@ -384,7 +386,7 @@ def check_slope(law: ContactLaw, gap: np.ndarray) -> None:
         raise InputError("contact", type(law).__name__, allowed)
 
 
-def _positive(key: str, value: object, *, each_pair: bool = False) -> float | np.ndarray:
+def _check_positive(key: str, value: object, *, each_pair: bool = False) -> float | np.ndarray:
     """A number > 0, or an array of them, one per pair; else InputError."""
     found = numbers(value)
     positive = found.size > 0 and np.all(np.isfinite(found) & (found > 0.0))
@@ -409,7 +411,7 @@ class FrictionSets:
         self.compliance = compliance = shaped(compliance, rows, rows)
         mu = np.ascontiguousarray(np.broadcast_to(coefficient, rows // 2), dtype=float)
         self._held = np.zeros((rows, 1)), compliance, mu  # which the kernel does not copy all
-        most = int(KEPT * machine_memory()) // 8
+        most = int(SETS_MEMORY_FRACTION * machine_memory()) // 8
         made = kernel.new_closed_sets(1, rows // 2, *map(pointer, self._held), most)
         self.handle = owned(made, kernel.free_closed_sets)
         """The kernel's own object."""
@@ -435,7 +437,7 @@ class FrictionSets:
         return forces, states, found, origins
 
 
-KEPT = 1 / 32
+SETS_MEMORY_FRACTION = 1 / 32
 """Fraction of the machine's memory for the sets of closed pairs of one compliance, or of one flow:
 some of them may be in each of several processes. A set that is found anew takes the time of five
 pieces of a motion."""
@@ -463,12 +465,12 @@ class ActiveSets:
 
     def __init__(self, compliance: np.ndarray) -> None:
         self.compliance = compliance = shaped(compliance, len(compliance), len(compliance))
-        most = int(KEPT * machine_memory()) // max(compliance.nbytes, 8)
+        most = int(SETS_MEMORY_FRACTION * machine_memory()) // max(compliance.nbytes, 8)
         count = len(compliance)
         self.handle = owned(kernel.new_sets(count, pointer(compliance), most), kernel.free_sets)
         """The kernel's own object."""
 
-    def stack(self, sets: np.ndarray) -> np.ndarray:
+    def invert_sets(self, sets: np.ndarray) -> np.ndarray:
         """(D_AA)^-1 with zeros outside A, of sets (m, n_pairs): (m, n_pairs, n_pairs) [N/m]."""
         closed = shaped(sets, len(sets), len(self.compliance), kind=bool)
         found = np.empty((*closed.shape, closed.shape[1]))
@@ -488,7 +490,7 @@ class ActiveSets:
             self.handle, len(gap), pointer(gap), pointer(closed), pointer(force), pointer(failed)
         )
         for row in np.flatnonzero(failed):
-            force[row] = by_least_squares(self.compliance, gap[row])
+            force[row] = solve_by_least_squares(self.compliance, gap[row])
             closed[row] = force[row] > 0.0
         return force, closed
 
@@ -505,7 +507,7 @@ def solve_complementarity(
     return np.asarray(ActiveSets(matrix).solve(shaped(gap, len(matrix))[None], guess)[0][0])
 
 
-def by_least_squares(matrix: np.ndarray, gap: np.ndarray) -> np.ndarray:
+def solve_by_least_squares(matrix: np.ndarray, gap: np.ndarray) -> np.ndarray:
     """The same by least squares with bounds; what of D is not symmetric follows by iteration."""
     import scipy.optimize  # takes a while, and is rarely needed
 
@@ -589,13 +591,13 @@ def solve_forces(
         if np.any(too_far):
             rows, start = left[too_far], force[too_far]
             step = found[rows] - start
-            share = _lowest(evaluate, start, step, given[too_far], flat[too_far])
+            share = _minimise_along_steps(evaluate, start, step, given[too_far], flat[too_far])
             found[rows] = start + share[:, None] * step
             reached, answer, tangent = evaluate(found[left], given)
     raise ConvergenceError("contact: Newton's method for the forces of a step does not converge")
 
 
-def _lowest(
+def _minimise_along_steps(
     evaluate: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, ...]],
     force: np.ndarray,
     step: np.ndarray,

@@ -30,14 +30,14 @@ from fenics_crack.basics.errors import ConvergenceError, InputError
 from fenics_crack.basics.threads import machine_memory
 from fenics_crack.kernel import NULL, Struct, kernel, owned, pointer, shaped
 from fenics_crack.model.contact import (
-    KEPT,
+    SETS_MEMORY_FRACTION,
     ContactLaw,
+    add_friction_pairs,
     check_law,
     friction_of,
     is_regular,
     is_unilateral,
-    seen_by,
-    springs_of,
+    spring_compliances,
 )
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
@@ -95,10 +95,10 @@ def _refused(structure: Structure, contact: ContactLaw) -> InputError | None:
         return InputError("contact", contact, "UnilateralPenalty or UnilateralConstraint")
     if not is_small(structure):
         return InputError("structure", f"{structure.n_dofs} dofs", "reduced, on one rank")
-    softness = springs_of(contact, structure.n_pairs)
+    softness = spring_compliances(contact, structure.n_pairs)
     if np.all(softness):
         return None
-    static = all_modes(seen_by(contact, structure)).static_part()
+    static = all_modes(add_friction_pairs(contact, structure)).static_part()
     if not is_regular(static + np.diag(softness)):
         allowed = "one whose faces have no mass: reduce_structure(structure, method='massless')"
         return InputError("structure", repr(structure), allowed)
@@ -137,13 +137,13 @@ class Flow:
     def __init__(self, structure: Structure, contact: ContactLaw) -> None:
         self.structure, self.contact = structure, contact
         self.friction = friction_of(contact)
-        seen = seen_by(contact, structure)
+        seen = add_friction_pairs(contact, structure)
         self.clearance = seen.clearance
         self.modes = modes = all_modes(seen)
         self.count = len(modes.squares)
         self.size = 2 * self.count + (structure.n_pairs if self.friction else 0)
         self.residual = modes.static_part()
-        self.softness = springs_of(contact, structure.n_pairs)
+        self.softness = spring_compliances(contact, structure.n_pairs)
         self.compliance = self.residual + np.diag(self.softness)
         self.force = np.ascontiguousarray(structure.force @ modes.shapes)
         self.gap = np.zeros((len(self.force), len(self.softness)))
@@ -214,7 +214,8 @@ class ContactFlow(Flow):
             damping=doubles(modes.damping),
             rows=doubles(modes.pairs.T), compliance=doubles(self.compliance), force=self.force,
             harmonics=len(self.force) // 2,
-            gap=self.gap, fastest=self.fastest, most=int(KEPT * machine_memory()) // 8,
+            gap=self.gap, fastest=self.fastest,
+            most=int(SETS_MEMORY_FRACTION * machine_memory()) // 8,
         )  # fmt: skip
         self.handle = owned(kernel.new_flow(parts.at), kernel.free_flow)
         """The kernel's own object."""

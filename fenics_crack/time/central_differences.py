@@ -48,14 +48,14 @@ from fenics_crack.model.contact import (
     ActiveSets,
     ContactLaw,
     FrictionSets,
+    add_friction_pairs,
     check_law,
     coefficient_of,
     friction_of,
     is_piecewise_linear,
     potential,
-    seen_by,
     solve_complementarity,
-    springs_of,
+    spring_compliances,
 )
 from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.modal import CACHE_SIZE, all_modes, is_small
@@ -96,7 +96,7 @@ def stable_steps_per_period(structure: Structure, omega: float, contact: Contact
     check_omega(omega)
     check_law(structure, contact, rigid=True)
     springs = _springs(structure, contact)
-    seen = seen_by(contact, structure)
+    seen = add_friction_pairs(contact, structure)
     if is_small(structure):
         modes = all_modes(seen)
         tied = np.diag(modes.squares) + (modes.pairs * springs) @ modes.pairs.T
@@ -110,7 +110,7 @@ def stable_steps_per_period(structure: Structure, omega: float, contact: Contact
 def _springs(structure: Structure, contact: ContactLaw) -> np.ndarray:
     """Stiffness of closed pairs, with friction behind it of those that stick: (n_rows,) [N/m]; zero
     with a constraint. InputError with friction without springs."""
-    soft = springs_of(contact, structure.n_pairs)
+    soft = spring_compliances(contact, structure.n_pairs)
     if friction_of(contact) is not None and not np.all(soft):
         allowed = "a penalty with a tangential stiffness: crack faces have mass"
         raise InputError("contact", contact, allowed)
@@ -226,7 +226,7 @@ class _ModalDifferences(Scheme):
     name, remedy = NAME, MORE_STEPS
 
     def __init__(self, asked: March) -> None:
-        self._seen = seen_by(asked.contact, asked.structure)
+        self._seen = add_friction_pairs(asked.contact, asked.structure)
         self._asked, self._modes, dt = asked, all_modes(self._seen), asked.step_size
         modes, (count, pairs) = self._modes, self._modes.pairs.shape
         springs, own = None, dict[str, Any]()
@@ -328,7 +328,7 @@ class _CentralDifferences(Scheme):
         self.load, self.load_rows = asked.load, asked.load_rows
         self.force = np.zeros(structure.n_pairs)
         # Only few rows of B are not zero.
-        seen = seen_by(asked.contact, structure)
+        seen = add_friction_pairs(asked.contact, structure)
         self._gap_rows = np.flatnonzero(np.diff(seen.gap.indptr))
         self._gap_block = seen.gap[self._gap_rows].toarray()
         self._clearance = seen.clearance

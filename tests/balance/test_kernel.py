@@ -198,7 +198,7 @@ WRONG = {
     "sets, a compliance not square": lambda: ActiveSets(np.ones((3, 2))),
     "sets, other pairs": lambda: TWO.solve(np.ones((4, 3))),
     "sets, a guess too short": lambda: TWO.solve(np.ones((4, 2)), np.ones((3, 2), bool)),
-    "inverses, other pairs": lambda: TWO.stack(np.ones((4, 3), bool)),
+    "inverses, other pairs": lambda: TWO.invert_sets(np.ones((4, 3), bool)),
     "responses, other pairs": lambda: respond(np.ones((2, 3, 3)), np.ones((3, 2))),
     "responses, an even number of rows": lambda: respond(np.ones((3, 2, 2)), np.ones((4, 2))),
     "columns, an even number of rows": lambda: respond_to_columns(
@@ -282,7 +282,7 @@ def test_sets_are_those_of_every_instant(pairs: int, harmonics: int, seed: int) 
     # The forces on both sides of an event are the same: they vanish, or begin, there.
     values = evaluate(gap, 1.0, intervals.theta[1:])
     before, after = (
-        np.einsum("npq,nq->np", contact.stack(sets), values)
+        np.einsum("npq,nq->np", contact.invert_sets(sets), values)
         for sets in (intervals.closed[:-1], intervals.closed[1:])
     )
     largest = np.abs(contact.solve(evaluate(gap, 1.0, theta))[0]).max()

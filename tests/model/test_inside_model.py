@@ -26,8 +26,8 @@ from fenics_crack.model import contact as contact_module
 from fenics_crack.model import modes as model_modes
 from fenics_crack.model.contact import (
     ActiveSets,
-    by_least_squares,
     smooth_forces,
+    solve_by_least_squares,
     solve_complementarity,
     solve_forces,
 )
@@ -118,9 +118,9 @@ def test_sets_that_are_not_found_follow_by_least_squares(monkeypatch: pytest.Mon
 
     def counted(matrix: np.ndarray, row: np.ndarray) -> np.ndarray:
         asked.append(row)
-        return by_least_squares(matrix, row)
+        return solve_by_least_squares(matrix, row)
 
-    monkeypatch.setattr(contact_module, "by_least_squares", counted)
+    monkeypatch.setattr(contact_module, "solve_by_least_squares", counted)
     force, closed = ActiveSets(compliance[np.ix_(twice, twice)]).solve(gap[:, twice])
     assert len(asked) > 5 and np.array_equal(closed, force > 0.0)
     assert relative(force[:, ::2] + force[:, 1::2], expected) < 1e-9
@@ -149,7 +149,7 @@ def test_no_instants_and_no_pairs() -> None:
     """Arrays without rows, and laws of pairs that are not there, come back as they are."""
     sets = ActiveSets(np.eye(2))
     assert [part.shape for part in sets.solve(np.zeros((0, 2)))] == [(0, 2), (0, 2)]
-    assert sets.stack(np.zeros((0, 2), bool)).shape == (0, 2, 2)
+    assert sets.invert_sets(np.zeros((0, 2), bool)).shape == (0, 2, 2)
 
 
 def test_slope_is_that_of_the_set() -> None:
@@ -158,7 +158,7 @@ def test_slope_is_that_of_the_set() -> None:
     compliance = np.linalg.inv(random_stiffness(rng, 4))
     sets, gap, step = ActiveSets(compliance), rng.normal(size=(20, 4)), 1e-7
     _, closed = sets.solve(gap)
-    slopes = sets.stack(closed)
+    slopes = sets.invert_sets(closed)
     for pair in range(4):
         change = step * np.eye(4)[pair]
         after, before = (sets.solve(gap + sign * change)[0] for sign in (1.0, -1.0))
@@ -301,7 +301,7 @@ def test_complementarity_against_enumeration(seed: int) -> None:
     exact = by_enumeration(matrix, gap)
     for guess in (None, np.zeros(6, dtype=bool), np.ones(6, dtype=bool), rng.normal(size=6) > 0.0):
         assert np.allclose(solve_complementarity(matrix, gap, guess), exact, atol=1e-9)
-    assert np.allclose(by_least_squares(matrix, gap), exact, atol=1e-9)
+    assert np.allclose(solve_by_least_squares(matrix, gap), exact, atol=1e-9)
 
 
 def test_complementarity_where_active_sets_cycle() -> None:

@@ -246,7 +246,9 @@ def test_motions_do_not_depend_on_earlier_ones(
         return motion.state, motion.track.lengths, motion.track.tangent, step.states
 
     expected = found(busy=False)
-    monkeypatch.setattr(flow_module, "KEPT", remembered * flow_module.KEPT)
+    monkeypatch.setattr(
+        flow_module, "SETS_MEMORY_FRACTION", remembered * flow_module.SETS_MEMORY_FRACTION
+    )
     for one, other in zip(found(busy=True), expected, strict=True):
         assert np.array_equal(one, other)
 
