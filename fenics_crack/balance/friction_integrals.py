@@ -88,7 +88,7 @@ class FrictionIntegrals(ContactIntegrals):
 
         Raises as :meth:`FrictionSets.solve`.
         """
-        return self.sets.solve(gap, gap[0, gap.shape[1] // 2 :], turns=TURNS)
+        return self.sets.solve(gap, gap[0, gap.shape[1] // 2 :], max_periods=TURNS)
 
     def forces(self, gap: np.ndarray) -> np.ndarray:
         return self.march(gap)[0]

@@ -1,41 +1,41 @@
-"""Contact: laws, force from the closing g of a pair of face nodes (g > 0: penetration), and the
-forces of all pairs at one instant.
+"""Contact laws, and the contact forces of all pairs at one instant.
 
-A law is a function of the gap alone, pair by pair; the force enters the equation of motion on the
-left, M u'' + C u' + K u + B lambda(g) = f, so lambda >= 0 pushes the crack faces apart. To add a
-law, write a class with the four members of :class:`ContactLaw`.
+A law gives the force lambda of a pair from its gap g alone (g > 0: penetration). In the equation of
+motion, M u'' + C u' + K u + B lambda(g) = f, a force lambda >= 0 pushes the crack faces apart. A
+new law is a class with the four members of :class:`ContactLaw`. Methods ask :func:`is_unilateral`,
+:func:`is_rigid` and :func:`is_piecewise_linear` what else they need, and never ask for a class.
 
-What else a method requires of a law, :func:`is_unilateral`, :func:`is_rigid` and
-:func:`is_piecewise_linear` return: no other module uses a law's class.
+Coupled pairs
+-------------
+A residual flexibility R_inf couples the pairs: the truncated part of a structure responds to
+contact forces quasi-statically, without mass. Let s be the gap from the modes and the load alone:
 
-**All pairs at one instant**, coupled by a residual flexibility: what a basis of modes truncates of
-a structure responds quasi-statically to contact forces, without mass,
+    g = s - R_inf lambda
 
-    g = s - R_inf lambda,
+R_inf is symmetric and positive semidefinite. The forces follow from s at each instant:
 
-with s the gap that the modes and the load alone would make, and R_inf symmetric and positive
-semidefinite. The forces then follow from s instant by instant,
+    0 <= lambda,     (R_inf + I/k) lambda - s >= 0,     complementary,         k infinite: rigid
 
-    0 <= lambda,     (R_inf + I/k) lambda - s >= 0,     complementary,         k infinite: rigid,
+The matrix D = R_inf + I/k of this linear complementarity problem is positive definite. There is one
+solution, piecewise linear in s. With the set A of closed pairs,
 
-a linear complementarity problem in a positive definite matrix D = R_inf + I/k: it has one solution,
-which is piecewise linear in s. Where the set A of pairs is closed,
+    lambda_A = (D_AA)^-1 s_A,       opening of all other pairs = (D lambda - s) >= 0
 
-    lambda_A = (D_AA)^-1 s_A,       opening of the others = (D lambda - s) >= 0.
+The primal-dual active set method, a semismooth Newton method, finds the sets. If it cycles, Murty's
+method changes one pair at a time (``kernel/sets.c``). If rounding spoils that, or D is singular, a
+least-squares problem with bounds gives the minimum of lambda^T D lambda / 2 - lambda^T s for lambda
+>= 0; Lawson and Hanson's method for it is finite. A law that is not piecewise linear is solved by
+Newton's method at all instants together.
 
-The sets are found by the primal-dual active set method (a semismooth Newton method; Hintermueller,
-Ito and Kunisch, SIAM Journal on Optimization 13, 2002, 865), and where it cycles by Murty's method,
-which changes one pair at a time (``kernel/sets.c``); where rounding spoils that, or D is singular,
-as the minimum of lambda^T D lambda / 2 - lambda^T s for lambda >= 0, a least-squares problem with
-bounds, for which the method of Lawson and Hanson is finite. A law that is not piecewise linear is
-solved by Newton's method at all instants together.
+A step of time integration solves the same problem. D is then the compliance of the step, and s the
+gap that the step would reach without contact forces.
 
-One step of time integration asks the same, D being the compliance of the step and s the gaps that
-it would reach without contact forces.
-
-Sources: Lawson and Hanson, Solving Least Squares Problems (1974), chapter 23; MacNeal, Computers &
-Structures 1 (1971) 581 (statics of what modes leave out);
-Monjaraz-Tec, Gross and Krack, Computers & Structures 267 (2022) 106810 (boundaries without mass).
+References
+----------
+Hintermueller, Ito and Kunisch, SIAM Journal on Optimization 13 (2002) 865 (active sets).
+Lawson and Hanson, Solving Least Squares Problems (1974), chapter 23.
+MacNeal, Computers & Structures 1 (1971) 581 (statics of truncated modes).
+Monjaraz-Tec, Gross and Krack, Computers & Structures 267 (2022) 106810 (massless boundaries).
 """
 
 from __future__ import annotations
@@ -63,13 +63,13 @@ class ContactLaw(Protocol):
         """Largest tangent, of a firmly closed pair: one for all pairs or (n_pairs,) [N/m]."""
 
     def force(self, gap: np.ndarray) -> np.ndarray:
-        """lambda(g) for gaps (..., n_pairs) [m]: the same shape [N]."""
+        """Return lambda(g) [N] for gaps (..., n_pairs) [m]: the same shape."""
 
     def tangent(self, gap: np.ndarray) -> np.ndarray:
-        """d lambda / d g for gaps (..., n_pairs) [m]: the same shape [N/m]."""
+        """Return d lambda / d g [N/m] for gaps (..., n_pairs) [m]: the same shape."""
 
     def scaled(self, factor: float) -> Self:
-        """Return the same law with its stiffness multiplied by a factor."""
+        """Return this law with its stiffness multiplied by a factor."""
 
 
 @dataclass(frozen=True)
@@ -79,11 +79,11 @@ class _Penalty:
     stiffness: float | np.ndarray
 
     def __post_init__(self) -> None:
-        stiffness = _check_positive("contact stiffness", self.stiffness, each_pair=True)
+        stiffness = _check_positive("contact stiffness", self.stiffness, allows_array=True)
         object.__setattr__(self, "stiffness", stiffness)
 
     def scaled(self, factor: float) -> Self:
-        """The same law with factor * k."""
+        """Return this law with the stiffness factor * k."""
         return replace(self, stiffness=np.multiply(factor, self.stiffness))
 
 
@@ -91,7 +91,7 @@ class _Penalty:
 class UnilateralPenalty(_Penalty):
     """Penalty law: lambda = k g for g > 0, else 0 (paper, eq. 11).
 
-    The tangent jumps from 0 to k where the pair closes; at g = 0 itself it is 0.
+    The tangent jumps from 0 to k at the closing of a pair; at g = 0 it is 0.
 
     Attributes
     ----------
@@ -105,11 +105,11 @@ class UnilateralPenalty(_Penalty):
     """
 
     def force(self, gap: np.ndarray) -> np.ndarray:
-        """lambda(g) [N]."""
+        """Return lambda(g) [N]."""
         return self.stiffness * np.maximum(gap, 0.0)
 
     def tangent(self, gap: np.ndarray) -> np.ndarray:
-        """d lambda / d g [N/m]."""
+        """Return d lambda / d g [N/m]."""
         return self.stiffness * (gap > 0.0)
 
 
@@ -117,9 +117,9 @@ class UnilateralPenalty(_Penalty):
 class SmoothedPenalty(_Penalty):
     """Smoothed penalty: lambda = k g (1/2 + arctan(s g) / pi) (paper, eq. 12, sign corrected).
 
-    It tends to the penalty law as s grows, but not faster than 1/s: an open crack keeps feeling a
-    pull of k / (pi s), and at the same distance into contact k / (pi s) is missing. Choose s so
-    that this is small against the contact force.
+    The law tends to the penalty law as s grows, but not faster than 1/s. An open crack keeps
+    feeling a pull of k / (pi s), and k / (pi s) is missing from contact forces. Choose s so that
+    this is small against the contact force.
 
     Attributes
     ----------
@@ -141,11 +141,14 @@ class SmoothedPenalty(_Penalty):
         object.__setattr__(self, "sharpness", _check_positive("contact sharpness", self.sharpness))
 
     def force(self, gap: np.ndarray) -> np.ndarray:
-        """lambda(g) [N]."""
+        """Return lambda(g) [N]."""
         return self.stiffness * gap * (0.5 + np.arctan(self.sharpness * gap) / np.pi)
 
     def tangent(self, gap: np.ndarray) -> np.ndarray:
-        """d lambda / d g = k (1/2 + arctan(s g)/pi + s g / (pi (1 + (s g)^2))) [N/m]."""
+        """Return d lambda / d g [N/m].
+
+        k (1/2 + arctan(s g) / pi + s g / (pi (1 + (s g)^2)))
+        """
         x = self.sharpness * gap
         return self.stiffness * (0.5 + (np.arctan(x) + x / (1.0 + x * x)) / np.pi)
 
@@ -154,17 +157,18 @@ class SmoothedPenalty(_Penalty):
 class UnilateralConstraint:
     """No penetration at all: g <= 0, lambda >= 0, lambda g = 0 (Signorini).
 
-    The limit of the penalty law for k to infinity. It gives no force from the gap alone. Where
-    pairs have a residual flexibility (:class:`fenics_crack.Problem`) the force follows from the
-    slow gap; else it is balanced in frequency, with the truncated series of gap and force,
-    lambda = eps max(0, g + lambda / eps).
+    This is the limit of the penalty law for k to infinity, so the gap alone gives no force. With a
+    residual flexibility (:class:`fenics_crack.Problem`) the force follows from the slow gap s.
+    Otherwise it is balanced in frequency, with truncated series of gap and force:
+
+        lambda = eps max(0, g + lambda / eps)
 
     Attributes
     ----------
     weight : float or None [N/m]
-        eps > 0, for crack faces with mass; the truncated solution depends on it a little, and less
-        the more harmonics there are. None: where one is needed, the inverse of the static
-        compliance that the pairs see.
+        eps > 0, for crack faces with mass. The truncated solution depends on it a little, and less
+        with more harmonics. None: the inverse of the static compliance at the pairs, if a weight is
+        needed.
     """
 
     weight: float | None = None
@@ -179,41 +183,42 @@ class UnilateralConstraint:
         return np.inf
 
     def force(self, gap: np.ndarray) -> np.ndarray:
-        """Refused: it does not follow from the gap."""
+        """Raise InputError: the force does not follow from the gap."""
         raise InputError("contact", self, "a law that gives the force from the gap")
 
     def tangent(self, gap: np.ndarray) -> np.ndarray:
-        """Refused likewise."""
+        """Raise InputError, as :meth:`force`."""
         return self.force(gap)
 
     def scaled(self, factor: float) -> UnilateralConstraint:
-        """The same: nothing is stiffer."""
+        """Return this law: it has no finite stiffness to scale."""
         return self
 
 
 @dataclass(frozen=True)
 class CoulombFriction:
-    """Coulomb friction beside a law of normal contact, along a line for each pair.
+    """Coulomb friction with a law of normal contact, along a line for each pair.
 
-        -mu lambda_n <= lambda_t <= mu lambda_n,      h' = 0 where <,      lambda_t h' >= 0 where =,
+        -mu lambda_n <= lambda_t <= mu lambda_n,      h' = 0 where <,      lambda_t h' >= 0 where =
 
-    with the tangential force lambda_t, on the left of the equation of motion as lambda_n, and h =
-    g_t - lambda_t / k_t, the place of the slider in the tangential gap g_t: a pair that is closed
-    sticks or slips. One coefficient holds at rest and in motion.
+    The tangential force lambda_t stands on the left of the equation of motion, as lambda_n. The
+    slider h = g_t - lambda_t / k_t is a place in the tangential gap g_t: a closed pair sticks or
+    slips. One coefficient holds at rest and in motion.
 
     Attributes
     ----------
     law : UnilateralPenalty or UnilateralConstraint
-        Of normal contact.
+        Law of normal contact.
     coefficient : float or (n_pairs,)
         mu.
     tangential_stiffness : float or (n_pairs,) [N/m]
         k_t; infinite: without elastic slip.
     direction : (n_pairs,) [rad] or None
-        Of a solid, whose tangential gaps have two directions: angles of the lines along which pairs
-        slide, from the first to the second direction (:func:`fenics_crack.slide_along_lines`).
+        In a solid, whose tangential gaps have two directions: the angle of each pair's sliding
+        line, from the first to the second direction (:func:`fenics_crack.slide_along_lines`).
     turning : float or None
-        Sliding across these lines over that along them, of the motion that they were chosen for.
+        Sliding across these lines, relative to sliding along them, in the motion that they were
+        chosen for.
 
     Raises
     ------
@@ -230,79 +235,92 @@ class CoulombFriction:
     def __post_init__(self) -> None:
         if not is_unilateral(self.law):
             raise InputError("law", self.law, "UnilateralPenalty or UnilateralConstraint")
-        mu = _check_positive("friction coefficient", self.coefficient, each_pair=True)
+        mu = _check_positive("friction coefficient", self.coefficient, allows_array=True)
         object.__setattr__(self, "coefficient", mu)
         if not np.array_equal(self.tangential_stiffness, np.inf):
             stiffness = _check_positive(
-                "tangential stiffness", self.tangential_stiffness, each_pair=True
+                "tangential stiffness", self.tangential_stiffness, allows_array=True
             )
             object.__setattr__(self, "tangential_stiffness", stiffness)
 
     @property
     def stiffness(self) -> float | np.ndarray:
-        """Of the law of normal contact [N/m]."""
+        """Stiffness of the normal contact law [N/m]."""
         return self.law.stiffness
 
     def force(self, gap: np.ndarray) -> np.ndarray:
-        """lambda_n(g) [N]."""
+        """Return lambda_n(g) [N]."""
         return np.asarray(self.law.force(gap))
 
     def tangent(self, gap: np.ndarray) -> np.ndarray:
-        """d lambda_n / d g [N/m]."""
+        """Return d lambda_n / d g [N/m]."""
         return np.asarray(self.law.tangent(gap))
 
     def scaled(self, factor: float) -> CoulombFriction:
-        """The same with factor * k and factor * k_t."""
+        """Return this law with factor * k and factor * k_t."""
         stiffness = np.multiply(factor, self.tangential_stiffness)
         return replace(self, law=self.law.scaled(factor), tangential_stiffness=stiffness)
 
 
 def friction_of(contact: object) -> CoulombFriction | None:
-    """The friction of a law; None without."""
+    """Return a law's friction; None without friction."""
     return contact if isinstance(contact, CoulombFriction) else None
 
 
 def coefficient_of(contact: object) -> float | np.ndarray | None:
-    """mu of a law; None without friction."""
+    """Return a law's friction coefficient mu; None without friction."""
     return getattr(friction_of(contact), "coefficient", None)
 
 
 def normal_law(contact: ContactLaw) -> ContactLaw:
-    """The law of normal contact alone."""
+    """Return the law of normal contact alone."""
     return contact.law if isinstance(contact, CoulombFriction) else contact
 
 
 def with_penalty(contact: ContactLaw, stiffness: float) -> ContactLaw:
-    """The law with a penalty in the place of its normal contact [N/m]."""
+    """Return a law with a penalty stiffness [N/m] for its normal contact."""
     penalty = UnilateralPenalty(stiffness)
     return replace(contact, law=penalty) if isinstance(contact, CoulombFriction) else penalty
 
 
 def add_friction_pairs(contact: object, structure: Structure) -> Structure:
-    """The structure with all gaps on which a law acts as its pairs: with friction the normal ones,
-    and behind them the tangential ones."""
+    """Return a structure whose pairs are all gaps on which a law acts.
+
+    With friction, the tangential gaps follow the normal ones. Without friction, the structure
+    itself is returned.
+    """
     friction = friction_of(contact)
     return structure if friction is None else structure.with_tangential_pairs(friction.direction)
 
 
-def spring_compliances(contact: ContactLaw, pairs: int) -> np.ndarray:
-    """1/k of the pairs, with friction behind it 1/k_t: (n_pairs,) or (2 n_pairs,) [m/N]."""
-    friction, ones = friction_of(contact), np.ones(pairs)
-    found = ones / np.asarray(contact.stiffness, dtype=float)
+def spring_compliances(contact: ContactLaw, n_pairs: int) -> np.ndarray:
+    """Return 1/k of the pairs, and behind it 1/k_t with friction.
+
+    Returns
+    -------
+    (n_pairs,) or (2 n_pairs,) [m/N]
+    """
+    friction, unit_vector = friction_of(contact), np.ones(n_pairs)
+    normal_compliances = unit_vector / np.asarray(contact.stiffness, dtype=float)
     if friction is None:
-        return found
-    return np.concatenate([found, ones / np.asarray(friction.tangential_stiffness, dtype=float)])
+        return normal_compliances
+    return np.concatenate(
+        [normal_compliances, unit_vector / np.asarray(friction.tangential_stiffness, dtype=float)]
+    )
 
 
 @lru_cache
-def gauss_rule(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Gauss's nodes between 0 and 1, and their weights: for means of forces between two gaps."""
-    nodes, weights = np.polynomial.legendre.leggauss(count)
+def gauss_rule(n_nodes: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return nodes between 0 and 1 and weights of Gauss's rule.
+
+    They give means of forces between two gaps.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(n_nodes)
     return 0.5 + 0.5 * nodes, 0.5 * weights
 
 
 def potential(contact: ContactLaw, gap: np.ndarray) -> np.ndarray:
-    """V(g), the integral of lambda from 0, by Gauss's rule: (..., n_pairs) [J]."""
+    """Return V(g), the integral of lambda from 0, by Gauss's rule: (..., n_pairs) [J]."""
     nodes, weights = gauss_rule(32)
     forces = contact.force(np.multiply.outer(nodes, gap))
     return np.asarray(gap * np.tensordot(weights, forces, 1))
@@ -314,20 +332,22 @@ def is_rigid(contact: object) -> TypeGuard[UnilateralConstraint]:
 
 
 def is_piecewise_linear(contact: object) -> TypeGuard[UnilateralPenalty]:
-    """Return True if lambda = k max(0, g), linear between switching instants: the penalty law."""
+    """Return True if lambda = k max(0, g), the penalty law."""
     return isinstance(getattr(contact, "law", contact), UnilateralPenalty)
 
 
 def is_unilateral(contact: object) -> bool:
-    """Return True if a pair is open or closed and nothing between, as exact integrals and flows
-    require: the penalty law, or the constraint."""
+    """Return True if every pair is either open or closed.
+
+    That is the penalty law or the constraint; exact integrals and flows require it.
+    """
     return is_piecewise_linear(contact) or is_rigid(contact)
 
 
 def check_law(structure: Structure, contact: Any, *, rigid: bool = False) -> None:
     """Raise InputError unless an object is a contact law for a structure's pairs.
 
-    :class:`UnilateralConstraint` is one only with ``rigid``.
+    :class:`UnilateralConstraint` passes only with ``rigid``.
     """
     members = ("stiffness", "force", "tangent", "scaled")
     is_class = isinstance(contact, type)
@@ -337,68 +357,75 @@ def check_law(structure: Structure, contact: Any, *, rigid: bool = False) -> Non
         raise InputError("contact", contact, f"a contact law such as UnilateralPenalty(1e9){lacks}")
     stiffness = np.asarray(contact.stiffness, dtype=np.float64)
     if stiffness.shape not in ((), (structure.n_pairs,)):
-        allowed = f"one number or {structure.n_pairs}, one per pair"
-        raise InputError("contact stiffness", stiffness.shape, allowed)
+        requirement = f"one number or {structure.n_pairs}, one per pair"
+        raise InputError("contact stiffness", stiffness.shape, requirement)
     if not is_rigid(contact) and not np.all(np.isfinite(stiffness)):
         raise InputError("contact stiffness", contact, "finite")
     if not is_unilateral(contact):
         _check_law_outputs(contact, structure.n_pairs)
 
 
-def _check_law_outputs(law: ContactLaw, pairs: int) -> None:
+def _check_law_outputs(law: ContactLaw, n_pairs: int) -> None:
     """Raise InputError unless a user's law returns valid values for gaps (n, n_pairs)."""
-    gap, kind = np.outer([-EPSILON, 0.0, EPSILON], np.ones(pairs)), type(law).__name__
+    gap, law_name = np.outer([-EPSILON, 0.0, EPSILON], np.ones(n_pairs)), type(law).__name__
     for name in ("force", "tangent"):
         try:
-            found = numbers(getattr(law, name)(gap))
+            outputs = numbers(getattr(law, name)(gap))
         except (ArithmeticError, TypeError, ValueError, IndexError):
-            found = np.asarray(np.nan)
-        if found.shape != gap.shape or not np.all(np.isfinite(found)):
-            allowed = f"a law with a finite {name}(gap) for each gap, (n, n_pairs)"
-            raise InputError("contact", kind, allowed)
-    if np.any(found < -EPSILON * np.abs(found).max(initial=0.0)):
-        raise InputError("contact", kind, "a law with tangent(gap) >= 0, a stiffness in N/m")
+            outputs = np.asarray(np.nan)
+        if outputs.shape != gap.shape or not np.all(np.isfinite(outputs)):
+            requirement = f"a law with a finite {name}(gap) for each gap, (n, n_pairs)"
+            raise InputError("contact", law_name, requirement)
+    if np.any(outputs < -EPSILON * np.abs(outputs).max(initial=0.0)):
+        raise InputError("contact", law_name, "a law with tangent(gap) >= 0, a stiffness in N/m")
     try:
-        softer = law.scaled(0.5)
-        same = isinstance(softer, type(law)) and np.allclose(
-            numbers(softer.stiffness), 0.5 * numbers(law.stiffness), atol=0.0
+        half_law = law.scaled(0.5)
+        is_scaled = isinstance(half_law, type(law)) and np.allclose(
+            numbers(half_law.stiffness), 0.5 * numbers(law.stiffness), atol=0.0
         )
     except (ArithmeticError, TypeError, ValueError):
-        same = False
-    if not same:
-        allowed = "a law whose scaled(factor) is a law of its kind, factor times as stiff"
-        raise InputError("contact", kind, allowed)
+        is_scaled = False
+    if not is_scaled:
+        requirement = "a law whose scaled(factor) is a law of its kind, factor times as stiff"
+        raise InputError("contact", law_name, requirement)
 
 
 def check_slope(law: ContactLaw, gap: np.ndarray) -> None:
-    """Raise InputError unless the tangent of a law is the slope of its force along gaps (n,
-    n_pairs), at kinks one between those on both sides."""
+    """Raise InputError unless a law's tangent is the slope of its force.
+
+    The slope is compared along gaps (n, n_pairs). At a kink, any slope between both sides is right.
+    """
     step = CENTRAL_STEP * float(np.abs(gap).max(initial=0.0))
-    values = [np.asarray(law.force(gap + side * step)) for side in (-2.0, -1.0, 0.0, 1.0, 2.0)]
-    rises, stated = np.diff(values, axis=0), step * law.tangent(gap)
-    sizes = np.maximum(np.abs(rises).max(axis=0), np.abs(stated))
-    off = np.maximum(rises[1:3].min(axis=0) - stated, stated - rises[1:3].max(axis=0))
-    # Rises beside these differ from them by rounding, and where the slope bends within a step. Half
-    # of the digits that differences leave may be wrong.
-    unsure = float(np.abs(rises[[0, 3]] - rises[[1, 2]]).max(initial=0.0))
-    if np.any(off > np.sqrt(CENTRAL_STEP) * sizes + unsure):
-        allowed = "a law whose tangent(gap) is the slope of its force(gap)"
-        raise InputError("contact", type(law).__name__, allowed)
+    forces = [np.asarray(law.force(gap + offset * step)) for offset in (-2.0, -1.0, 0.0, 1.0, 2.0)]
+    increments, expected_increment = np.diff(forces, axis=0), step * law.tangent(gap)
+    increment_size = np.maximum(np.abs(increments).max(axis=0), np.abs(expected_increment))
+    excess = np.maximum(
+        increments[1:3].min(axis=0) - expected_increment,
+        expected_increment - increments[1:3].max(axis=0),
+    )
+    # The outer increments differ from the inner ones by rounding, or if the slope bends within a
+    # step. Differences leave some digits; half of these may be wrong.
+    uncertainty = float(np.abs(increments[[0, 3]] - increments[[1, 2]]).max(initial=0.0))
+    if np.any(excess > np.sqrt(CENTRAL_STEP) * increment_size + uncertainty):
+        requirement = "a law whose tangent(gap) is the slope of its force(gap)"
+        raise InputError("contact", type(law).__name__, requirement)
 
 
-def _check_positive(key: str, value: object, *, each_pair: bool = False) -> float | np.ndarray:
-    """A number > 0, or an array of them, one per pair; else InputError."""
-    found = numbers(value)
-    positive = found.size > 0 and np.all(np.isfinite(found) & (found > 0.0))
-    if isinstance(value, str | bool) or found.ndim > each_pair or not positive:
-        allowed = "a finite number > 0" + (", or one per pair" if each_pair else "")
-        raise InputError(key, value, allowed)
-    return found.copy() if found.ndim else float(found)
+def _check_positive(key: str, number: object, *, allows_array: bool = False) -> float | np.ndarray:
+    """Return a number > 0, or an array of them; else raise InputError."""
+    array = numbers(number)
+    is_positive = array.size > 0 and np.all(np.isfinite(array) & (array > 0.0))
+    if isinstance(number, str | bool) or array.ndim > allows_array or not is_positive:
+        requirement = "a finite number > 0" + (", or one per pair" if allows_array else "")
+        raise InputError(key, number, requirement)
+    return array.copy() if array.ndim else float(array)
 
 
 class FrictionSets:
-    """Contact with friction at instants under a compliance D of normals, then tangents; what is
-    known of the states of the pairs is kept.
+    """Contact with friction at successive instants, under a compliance D.
+
+    D has the normal gaps first, then the tangential ones. Matrices of the pairs' states are kept
+    once they are computed.
 
     Attributes
     ----------
@@ -407,55 +434,83 @@ class FrictionSets:
     """
 
     def __init__(self, compliance: np.ndarray, coefficient: float | np.ndarray) -> None:
-        rows = len(compliance)
-        self.compliance = compliance = shaped(compliance, rows, rows)
-        mu = np.ascontiguousarray(np.broadcast_to(coefficient, rows // 2), dtype=float)
-        self._held = np.zeros((rows, 1)), compliance, mu  # which the kernel does not copy all
-        most = int(SETS_MEMORY_FRACTION * machine_memory()) // 8
-        made = kernel.new_closed_sets(1, rows // 2, *map(pointer, self._held), most)
-        self.handle = owned(made, kernel.free_closed_sets)
+        n_gaps = len(compliance)
+        self.compliance = compliance = shaped(compliance, n_gaps, n_gaps)
+        mu = np.ascontiguousarray(np.broadcast_to(coefficient, n_gaps // 2), dtype=float)
+        # The kernel does not copy all of these.
+        self._kernel_arrays = np.zeros((n_gaps, 1)), compliance, mu
+        max_doubles = int(SETS_MEMORY_FRACTION * machine_memory()) // 8
+        new_handle = kernel.new_closed_sets(
+            1, n_gaps // 2, *map(pointer, self._kernel_arrays), max_doubles
+        )
+        self.handle = owned(new_handle, kernel.free_closed_sets)
         """The kernel's own object."""
 
     def solve(
-        self, gap: np.ndarray, places: np.ndarray, turns: int = 1
+        self, gap: np.ndarray, slider_positions: np.ndarray, max_periods: int = 1
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return forces [N], states and places [m] at instants, and origins (n_pairs,) of places.
+        """March through the instants of a period, until the sliders repeat.
 
-        Of gaps (n, 2 n_pairs) [m] at instants that follow each other, from the places (n_pairs,)
-        before; of the last turn, in which the places repeat or which is the last of so many. The
-        origin is the instant at which a pair did not stick last, or 0.
+        Parameters
+        ----------
+        gap : (n, 2 n_pairs) [m]
+            Gaps at successive instants.
+        slider_positions : (n_pairs,) [m]
+            Positions of the sliders before the first instant.
+        max_periods : int
+            Maximum number of periods.
 
-        Raises ConvergenceError where an instant has no forces, or more than one solution.
+        Returns
+        -------
+        forces : (n, 2 n_pairs) [N]
+            Forces in the last period.
+        states : (n, n_pairs) int
+            States of the pairs.
+        positions : (n, n_pairs) [m]
+            Positions of the sliders.
+        origins : (n_pairs,) int
+            Last instant at which the pair did not stick, or 0.
+
+        Raises
+        ------
+        ConvergenceError
+            An instant has no forces, or more than one solution.
         """
-        count, rows = gap.shape
-        gap, held = shaped(gap, count, rows), np.array(places, dtype=float)
-        forces, found = np.empty_like(gap), np.empty((count, rows // 2))
-        states, origins = np.empty(found.shape, dtype=np.int8), np.empty(rows // 2, dtype=np.intc)
-        arrays = map(pointer, (gap, held, forces, states, found, origins))
-        if kernel.march_friction(self.handle, count, turns, *arrays):
+        n_instants, n_gaps = gap.shape
+        gap = shaped(gap, n_instants, n_gaps)
+        start_positions = np.array(slider_positions, dtype=float)
+        forces, positions = np.empty_like(gap), np.empty((n_instants, n_gaps // 2))
+        states = np.empty(positions.shape, dtype=np.int8)
+        origins = np.empty(n_gaps // 2, dtype=np.intc)
+        arrays = map(pointer, (gap, start_positions, forces, states, positions, origins))
+        if kernel.march_friction(self.handle, n_instants, max_periods, *arrays):
             raise ConvergenceError("contact: an instant has no forces, or more than one solution")
-        return forces, states, found, origins
+        return forces, states, positions, origins
 
 
 SETS_MEMORY_FRACTION = 1 / 32
-"""Fraction of the machine's memory for the sets of closed pairs of one compliance, or of one flow:
-some of them may be in each of several processes. A set that is found anew takes the time of five
-pieces of a motion."""
+"""Fraction of the machine's memory for the closed sets of one compliance or flow.
+
+Each of several processes may have some. Finding a set anew takes the time of five pieces of a
+motion.
+"""
 MAX_NEWTON_SMOOTH = 200
-"""Maximum iterations for forces that are not piecewise linear in the gaps."""
+"""Maximum number of iterations for forces that are not piecewise linear in the gaps."""
 REGULAR: float = kernel.REGULAR
-"""Smallest eigenvalue of R_inf, relative to the largest, with which a constraint is solved; the
-softness of a penalty that stands for one."""
+"""Minimum relative eigenvalue of R_inf for which a constraint is solved.
+
+It is relative to the largest eigenvalue. A penalty that replaces a constraint has this softness.
+"""
 
 
 def is_regular(matrix: np.ndarray) -> bool:
-    """Return True if a symmetric matrix is positive definite, and not badly scaled."""
-    values = np.linalg.eigvalsh(matrix)
-    return not len(values) or bool(values[0] > REGULAR * values[-1] > 0.0)
+    """Return True if a symmetric matrix is positive definite and well scaled."""
+    eigenvalues = np.linalg.eigvalsh(matrix)
+    return not len(eigenvalues) or bool(eigenvalues[0] > REGULAR * eigenvalues[-1] > 0.0)
 
 
 class ActiveSets:
-    """Contact at instants under a compliance D; inverses on sets of closed pairs are kept.
+    """Contact at instants under a compliance D; inverses on closed sets are kept.
 
     Attributes
     ----------
@@ -465,66 +520,119 @@ class ActiveSets:
 
     def __init__(self, compliance: np.ndarray) -> None:
         self.compliance = compliance = shaped(compliance, len(compliance), len(compliance))
-        most = int(SETS_MEMORY_FRACTION * machine_memory()) // max(compliance.nbytes, 8)
-        count = len(compliance)
-        self.handle = owned(kernel.new_sets(count, pointer(compliance), most), kernel.free_sets)
+        max_inverses = int(SETS_MEMORY_FRACTION * machine_memory()) // max(compliance.nbytes, 8)
+        n_pairs = len(compliance)
+        self.handle = owned(
+            kernel.new_sets(n_pairs, pointer(compliance), max_inverses), kernel.free_sets
+        )
         """The kernel's own object."""
 
     def invert_sets(self, sets: np.ndarray) -> np.ndarray:
-        """(D_AA)^-1 with zeros outside A, of sets (m, n_pairs): (m, n_pairs, n_pairs) [N/m]."""
-        closed = shaped(sets, len(sets), len(self.compliance), kind=bool)
-        found = np.empty((*closed.shape, closed.shape[1]))
-        if kernel.inverses_of(self.handle, len(closed), pointer(closed), pointer(found)):
+        """Return (D_AA)^-1, with zeros outside A, for each set A of closed pairs.
+
+        Parameters
+        ----------
+        sets : (m, n_pairs) bool
+
+        Returns
+        -------
+        (m, n_pairs, n_pairs) [N/m]
+        """
+        is_closed = shaped(sets, len(sets), len(self.compliance), kind=bool)
+        inverses = np.empty((*is_closed.shape, is_closed.shape[1]))
+        if kernel.inverses_of(self.handle, len(is_closed), pointer(is_closed), pointer(inverses)):
             raise ConvergenceError("contact: the compliance of the closed pairs is singular")
-        return found
+        return inverses
 
     def solve(
-        self, gap: np.ndarray, closed: np.ndarray | None = None
+        self, gap: np.ndarray, is_closed: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Forces [N] and sets of closed pairs of gaps s (n, n_pairs) [m], from a guess of these."""
+        """Find the contact forces at each instant.
+
+        Parameters
+        ----------
+        gap : (n, n_pairs) [m]
+            s.
+        is_closed : (n, n_pairs) bool, optional
+            First guess of the closed pairs.
+
+        Returns
+        -------
+        (n, n_pairs) [N]
+            Forces.
+        (n, n_pairs) bool
+            Closed pairs.
+        """
         gap = shaped(gap, len(gap), len(self.compliance))
-        guess = gap > 0.0 if closed is None else np.array(closed)
-        closed = shaped(guess, *gap.shape, kind=bool)
-        force, failed = np.zeros_like(gap), np.empty(len(gap), dtype=bool)
+        guess = gap > 0.0 if is_closed is None else np.array(is_closed)
+        is_closed = shaped(guess, *gap.shape, kind=bool)
+        force, has_failed = np.zeros_like(gap), np.empty(len(gap), dtype=bool)
         kernel.forces_of(
-            self.handle, len(gap), pointer(gap), pointer(closed), pointer(force), pointer(failed)
+            self.handle,
+            len(gap),
+            pointer(gap),
+            pointer(is_closed),
+            pointer(force),
+            pointer(has_failed),
         )
-        for row in np.flatnonzero(failed):
-            force[row] = solve_by_least_squares(self.compliance, gap[row])
-            closed[row] = force[row] > 0.0
-        return force, closed
+        for instant in np.flatnonzero(has_failed):
+            force[instant] = solve_by_least_squares(self.compliance, gap[instant])
+            is_closed[instant] = force[instant] > 0.0
+        return force, is_closed
 
 
 def solve_complementarity(
-    matrix: np.ndarray, gap: np.ndarray, closed: np.ndarray | None = None
+    matrix: np.ndarray, gap: np.ndarray, is_closed: np.ndarray | None = None
 ) -> np.ndarray:
-    """Find lambda with 0 <= lambda, D lambda - g >= 0, lambda^T (D lambda - g) = 0: (n,).
+    """Find lambda with 0 <= lambda, D lambda - g >= 0, lambda^T (D lambda - g) = 0.
 
-    D is positive definite, and symmetric but for a small part; ``closed`` is a first guess of where
-    lambda > 0. Raises ConvergenceError where there is no solution, or it was not found.
+    Parameters
+    ----------
+    matrix : (n, n)
+        D, positive definite, and symmetric but for a small part.
+    gap : (n,)
+        g.
+    is_closed : (n,) bool, optional
+        First guess of the positions with lambda > 0.
+
+    Returns
+    -------
+    (n,)
+        lambda.
+
+    Raises
+    ------
+    ConvergenceError
+        There is no solution, or none was found.
     """
-    guess = None if closed is None else np.array(closed)[None]
+    guess = None if is_closed is None else np.array(is_closed)[None]
     return np.asarray(ActiveSets(matrix).solve(shaped(gap, len(matrix))[None], guess)[0][0])
 
 
 def solve_by_least_squares(matrix: np.ndarray, gap: np.ndarray) -> np.ndarray:
-    """The same by least squares with bounds; what of D is not symmetric follows by iteration."""
+    """Solve as :func:`solve_complementarity`, by least squares with bounds.
+
+    An iteration adds the unsymmetric part of D.
+    """
     import scipy.optimize  # takes a while, and is rarely needed
 
-    symmetric = 0.5 * (matrix + matrix.T)
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(symmetric), np.finfo(float).tiny))
-    values, vectors = np.linalg.eigh(scale[:, None] * symmetric * scale)
-    root = np.sqrt(np.maximum(values, 1e-15 * values.max(initial=0.0)))
-    allowed = 1e-10 * float(np.abs(gap).max(initial=0.0))
+    symmetric_part = 0.5 * (matrix + matrix.T)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(symmetric_part), np.finfo(float).tiny))
+    eigenvalues, eigenvectors = np.linalg.eigh(scale[:, None] * symmetric_part * scale)
+    root = np.sqrt(np.maximum(eigenvalues, 1e-15 * eigenvalues.max(initial=0.0)))
+    tolerance = 1e-10 * float(np.abs(gap).max(initial=0.0))
     force = np.zeros(len(gap))
     for _ in range(MAX_NEWTON_SMOOTH):
-        target = (vectors.T @ (scale * (gap - (matrix - symmetric) @ force))) / root
+        target = (eigenvectors.T @ (scale * (gap - (matrix - symmetric_part) @ force))) / root
         try:
-            force = scale * scipy.optimize.nnls((vectors * root).T, target)[0]
+            force = scale * scipy.optimize.nnls((eigenvectors * root).T, target)[0]
         except RuntimeError:
             break
         opening = matrix @ force - gap
-        if opening.min() >= -allowed and np.abs(opening[force > 0.0]).max(initial=0.0) <= allowed:
+        if (
+            opening.min() >= -tolerance
+            and np.abs(opening[force > 0.0]).max(initial=0.0) <= tolerance
+        ):
             return force
     raise ConvergenceError("contact: no set of closed pairs satisfies the step's constraints")
 
@@ -532,14 +640,33 @@ def solve_by_least_squares(matrix: np.ndarray, gap: np.ndarray) -> np.ndarray:
 def smooth_forces(
     law: ContactLaw, compliance: np.ndarray, gap: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """lambda = h(s - D lambda) of gaps s (n, n_pairs), and its derivative by s (n, n_pairs,
-    n_pairs), for a law whose force does not fall where the gap grows, from the penalty law's
-    solution.
+    """Find lambda = h(s - D lambda) for a law h without falling parts.
 
-    Raises ConvergenceError as :func:`solve_forces`.
+    Newton's method starts from the penalty law's solution.
+
+    Parameters
+    ----------
+    law : ContactLaw
+        h; its force may not fall while the gap grows.
+    compliance : (n_pairs, n_pairs) [m/N]
+        D.
+    gap : (n, n_pairs) [m]
+        s.
+
+    Returns
+    -------
+    (n, n_pairs) [N]
+        lambda.
+    (n, n_pairs, n_pairs) [N/m]
+        Derivative of lambda by s.
+
+    Raises
+    ------
+    ConvergenceError
+        As :func:`solve_forces`.
     """
-    springs = np.broadcast_to(1.0 / np.asarray(law.stiffness, dtype=float), gap.shape[1:])
-    guess = ActiveSets(compliance + np.diag(springs)).solve(gap)[0]
+    spring_compliance = np.broadcast_to(1.0 / np.asarray(law.stiffness, dtype=float), gap.shape[1:])
+    guess = ActiveSets(compliance + np.diag(spring_compliance)).solve(gap)[0]
     force = solve_forces(lambda g: (law.force(g), law.tangent(g)), compliance, gap, guess)
     slope = law.tangent(gap - force @ compliance)
     jacobian = np.eye(gap.shape[1]) + compliance * slope[:, None, :]
@@ -552,48 +679,72 @@ def solve_forces(
     gap: np.ndarray,
     guess: np.ndarray,
 ) -> np.ndarray:
-    """Find lambda = h(s - D lambda) of gaps s (n, n_pairs), D symmetric, by Newton's method at all
-    instants together: (n, n_pairs).
+    """Find lambda = h(s - D lambda) at all instants, by Newton's method.
 
-    ``response`` gives h(g) and its derivative, pair by pair; h may not fall where g grows. The
-    solution is then the minimum of a convex function, whose slope along a step shortens steps that
-    go too far. Raises ConvergenceError where Newton's method fails.
+    The solution is the minimum of a convex function. Its slope along a step shows a step that is
+    too long; such a step is shortened.
+
+    Parameters
+    ----------
+    response : callable
+        Gives h(g) and its derivative, pair by pair; h may not fall while g grows.
+    matrix : (n_pairs, n_pairs) [m/N]
+        D, symmetric.
+    gap : (n, n_pairs) [m]
+        s.
+    guess : (n, n_pairs) [N]
+        First guess of lambda.
+
+    Returns
+    -------
+    (n, n_pairs) [N]
+        lambda.
+
+    Raises
+    ------
+    ConvergenceError
+        Newton's method fails.
     """
 
-    def evaluate(force: np.ndarray, given: np.ndarray) -> tuple[np.ndarray, ...]:
-        reached = given - force @ matrix
-        return (reached, *response(reached))
+    def evaluate(force: np.ndarray, slow_gap: np.ndarray) -> tuple[np.ndarray, ...]:
+        total_gap = slow_gap - force @ matrix
+        return (total_gap, *response(total_gap))
 
-    found, left = np.array(guess), np.arange(len(gap))
-    unit, (reached, answer, tangent) = np.eye(gap.shape[1]), evaluate(found, gap)
+    solution, active_rows = np.array(guess), np.arange(len(gap))
+    identity, (reached_gap, law_force, tangent) = np.eye(gap.shape[1]), evaluate(solution, gap)
     for _ in range(MAX_NEWTON_SMOOTH):
-        force, given = found[left], gap[left]
-        excess = force - answer
+        force, active_gap = solution[active_rows], gap[active_rows]
+        excess = force - law_force
         if not np.any(excess):
-            return found
+            return solution
         try:
-            change = -np.linalg.solve(unit + tangent[:, :, None] * matrix, excess[:, :, None])
+            newton_change = -np.linalg.solve(
+                identity + tangent[:, :, None] * matrix, excess[:, :, None]
+            )
         except np.linalg.LinAlgError:
             break
-        moved, trial = change[:, :, 0] @ matrix, force + change[:, :, 0]
+        gap_change, trial = newton_change[:, :, 0] @ matrix, force + newton_change[:, :, 0]
         if not np.all(np.isfinite(trial)):
             break
-        found[left] = trial
-        size = (np.abs(given) + np.abs(given - reached)).max(axis=1)
-        more = np.abs(moved).max(axis=1) > ROUNDING * size
-        if not np.any(more):
-            return found
-        left, force, moved, given = left[more], force[more], moved[more], given[more]
-        flat = -0.1 * np.sum(moved * excess[more], axis=1)
-        reached, answer, tangent = evaluate(found[left], given)
-        slope = np.sum(moved * (found[left] - answer), axis=1)
-        too_far = (flat > 0.0) & (slope > flat)
-        if np.any(too_far):
-            rows, start = left[too_far], force[too_far]
-            step = found[rows] - start
-            share = _minimise_along_steps(evaluate, start, step, given[too_far], flat[too_far])
-            found[rows] = start + share[:, None] * step
-            reached, answer, tangent = evaluate(found[left], given)
+        solution[active_rows] = trial
+        gap_size = (np.abs(active_gap) + np.abs(active_gap - reached_gap)).max(axis=1)
+        is_unfinished = np.abs(gap_change).max(axis=1) > ROUNDING * gap_size
+        if not np.any(is_unfinished):
+            return solution
+        active_rows, force = active_rows[is_unfinished], force[is_unfinished]
+        gap_change, active_gap = gap_change[is_unfinished], active_gap[is_unfinished]
+        slope_tolerance = -0.1 * np.sum(gap_change * excess[is_unfinished], axis=1)
+        reached_gap, law_force, tangent = evaluate(solution[active_rows], active_gap)
+        slope = np.sum(gap_change * (solution[active_rows] - law_force), axis=1)
+        is_too_far = (slope_tolerance > 0.0) & (slope > slope_tolerance)
+        if np.any(is_too_far):
+            long_rows, start_force = active_rows[is_too_far], force[is_too_far]
+            step = solution[long_rows] - start_force
+            fraction = _minimise_along_steps(
+                evaluate, start_force, step, active_gap[is_too_far], slope_tolerance[is_too_far]
+            )
+            solution[long_rows] = start_force + fraction[:, None] * step
+            reached_gap, law_force, tangent = evaluate(solution[active_rows], active_gap)
     raise ConvergenceError("contact: Newton's method for the forces of a step does not converge")
 
 
@@ -602,18 +753,29 @@ def _minimise_along_steps(
     force: np.ndarray,
     step: np.ndarray,
     gap: np.ndarray,
-    flat: np.ndarray,
+    slope_tolerance: np.ndarray,
 ) -> np.ndarray:
-    """Shares of steps (n, n_pairs) where the convex functions are lowest along them, by bisection
-    of their slopes until these are flat (n,): (n,)."""
-    moved = evaluate(force, gap)[0] - evaluate(force + step, gap)[0]  # D times the step
-    share, size = np.full(len(force), 0.5), 0.5
-    while size > EPSILON:
-        trial = force + share[:, None] * step
-        slope = np.sum(moved * (trial - evaluate(trial, gap)[1]), axis=1)
-        steep = np.abs(slope) > flat
-        if not np.any(steep):
+    """Return the fractions of steps at which convex functions are smallest.
+
+    Bisection of the slopes ends at ``slope_tolerance`` (n,).
+
+    Parameters
+    ----------
+    force, step : (n, n_pairs) [N]
+        Start and length of each step.
+
+    Returns
+    -------
+    (n,)
+    """
+    gap_change = evaluate(force, gap)[0] - evaluate(force + step, gap)[0]  # D times the step
+    fraction, half_width = np.full(len(force), 0.5), 0.5
+    while half_width > EPSILON:
+        trial = force + fraction[:, None] * step
+        slope = np.sum(gap_change * (trial - evaluate(trial, gap)[1]), axis=1)
+        is_steep = np.abs(slope) > slope_tolerance
+        if not np.any(is_steep):
             break
-        size *= 0.5
-        share -= np.where(steep, np.copysign(size, slope), 0.0)
-    return share
+        half_width *= 0.5
+        fraction -= np.where(is_steep, np.copysign(half_width, slope), 0.0)
+    return fraction

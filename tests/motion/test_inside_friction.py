@@ -200,5 +200,5 @@ def test_a_wave_is_marched_until_its_places_repeat() -> None:
     assert np.all(states.any(axis=1)) and not np.any(states.all(axis=0))
     again = own.sets.solve(gap, places[-1])[0]
     assert again == pytest.approx(forces, abs=1e-10)
-    short = own.sets.solve(gap, gap[0, 3:], turns=2)[0]
+    short = own.sets.solve(gap, gap[0, 3:], max_periods=2)[0]
     assert np.abs(short - forces).max() > 0.01
