@@ -22,7 +22,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from fenics_crack.balance.contact_system import Wave
-from fenics_crack.model.modes import NEGLIGIBLE, times
+from fenics_crack.model.modes import NEGLIGIBLE, multiply
 from fenics_crack.model.reduced import ReducedStructure, massless
 from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.motion.flow import ContactFlow, Samples
@@ -111,7 +111,7 @@ class MoreModes:
         structure, reference = self.wave.structure, self.flow.structure
         assert isinstance(structure, ReducedStructure) and isinstance(reference, ReducedStructure)
         whole = structure.whole
-        moved = times(whole.mass, structure.basis)
+        moved = multiply(whole.mass, structure.basis)
         map_to = whole.sum_over_ranks(reference.basis.T @ moved) @ self.fewer.flow.modes.shapes
         return self.flow.state(shape @ map_to.T, speed @ map_to.T, places)
 

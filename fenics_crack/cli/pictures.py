@@ -41,7 +41,7 @@ from fenics_crack.draw.figure import Picture, distinct_colours
 from fenics_crack.fatigue.growth import Growth
 from fenics_crack.files.store import Stored, read, versions
 from fenics_crack.model.contact import friction_of
-from fenics_crack.model.modes import LIP_STATES, NEGLIGIBLE, Modes, n_tied_modes, solve_modes
+from fenics_crack.model.modes import LIP_STATES, NEGLIGIBLE, Modes, count_bonded_modes, solve_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.monitoring.identification.report import Identified
 from fenics_crack.monitoring.tip_timing.fit_order import TipTrack
@@ -294,7 +294,7 @@ def _linear_line(
     span: np.ndarray, structure: Structure, dof: int, lips: str
 ) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies, closer together next to natural ones, and amplitudes of a dof."""
-    most = n_tied_modes(structure) if lips == "tied" else structure.n_modes
+    most = count_bonded_modes(structure) if lips == "tied" else structure.n_modes
     modes = solve_modes(structure, min(FEW_MODES, most), lips=lips).omega
     near = np.geomspace(1e-6, 0.1, 30)
     close = np.outer(modes, np.concatenate([1.0 - near, 1.0 + near])).ravel()

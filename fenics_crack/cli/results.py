@@ -30,7 +30,12 @@ from fenics_crack.cli.scenes import remark_on
 from fenics_crack.curves.curve import PARAMETERS, ResponseCurve, kind_in_words, parameter_axis
 from fenics_crack.curves.peak import Top
 from fenics_crack.curves.stability import attractors
-from fenics_crack.model.modes import KINDS, BilinearFrequencies, Modes, bilinear_frequencies
+from fenics_crack.model.modes import (
+    FREQUENCY_KINDS,
+    BilinearFrequencies,
+    Modes,
+    bilinear_frequencies,
+)
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.scene.scene import asked_quantities
 from fenics_crack.scene.tables import Integration
@@ -254,7 +259,7 @@ def _errors(run: Run[Any], name: str) -> tuple[float, str]:
     which is named."""
     assert run.stated is not None
     kind = name.rpartition("_")[2]
-    if kind in KINDS:
+    if kind in FREQUENCY_KINDS:
         mode = bilinear_frequencies(run.structure).nearest(run.result.omega)["mode"]
         name = natural_name(run.scene, kind, int(mode))
     error, cause = run.stated.stated(name)

@@ -19,7 +19,7 @@ from fenics_crack.fem.cracks import LIP_TAGS, SAME
 from fenics_crack.fem.elasticity import rotation_of
 from fenics_crack.fem.plate import Dofs
 from fenics_crack.model.cyclic import Sector
-from fenics_crack.model.modes import times
+from fenics_crack.model.modes import multiply
 from fenics_crack.model.nodes import format_point
 from fenics_crack.model.structure import Structure
 from fenics_crack.model.wheel import Wheel
@@ -45,7 +45,7 @@ def assemble_wheel(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Com
         stiffened = replace(sector, structure=structure._with_changes(stiffness=still))
         with stiffened.factored() as same:
             moved = same.answers(load[:, None])
-        force[0] += load + (times(stiffness, moved) - times(still, moved))[:, 0]
+        force[0] += load + (multiply(stiffness, moved) - multiply(still, moved))[:, 0]
         turning = structure._with_changes(stiffness=stiffness, force=force)
         sector = replace(sector, structure=turning)
     return Wheel(

@@ -37,7 +37,11 @@ from mpi4py import MPI
 
 from fenics_crack.model.body import Body
 from fenics_crack.model.factor import Factor, distribute_rows, local_rows
-from fenics_crack.model.modes import MULTIPLE, NEGLIGIBLE, modes_by
+from fenics_crack.model.modes import (
+    MULTIPLE_FREQUENCY_TOLERANCE,
+    NEGLIGIBLE,
+    solve_modes_with_factor,
+)
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.fourier import to_complex
 
@@ -307,7 +311,7 @@ class NodalDiameter:
         size = mass.size[0]
         gap = sparse.csr_matrix((size, 0))
         structure = Structure(Body(mass, stiffness, gap, np.zeros((1, size)), np.zeros(0)))
-        found = modes_by(self, structure, 2 * count if self.turn.imag else count)
+        found = solve_modes_with_factor(self, structure, 2 * count if self.turn.imag else count)
         for used in (mass, stiffness):  # PETSc would keep those of all nodal diameters
             used.destroy()
         shapes = found.shapes
@@ -463,7 +467,7 @@ def cyclic_basis(
             both = np.hstack([one.answers(forces), answers])
             rest = both - shapes @ (shapes.conj().T @ (sector.mass @ both))
             sizes, whole = (np.sqrt(np.sum(np.abs(x) ** 2, axis=0)) for x in (rest, both))
-            rest = rest[:, kept := sizes > MULTIPLE * whole] / sizes[kept]
+            rest = rest[:, kept := sizes > MULTIPLE_FREQUENCY_TOLERANCE * whole] / sizes[kept]
             omega, shapes = sector.ritz(np.hstack([shapes, sector.ritz(rest)[1]]))
             pulls = _pulls(sector, omega, shapes, force, answers)
             moved = one.inverse @ (left + np.conj(one.turn) * right)

@@ -12,7 +12,13 @@ import scipy.linalg
 from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.kernel import kernel
 from fenics_crack.model.factor import local_rows
-from fenics_crack.model.modes import AS_ZERO, NEGLIGIBLE, damped_modes, damping_in, solve_modes
+from fenics_crack.model.modes import (
+    AS_ZERO,
+    NEGLIGIBLE,
+    damped_modes,
+    damping_on_modes,
+    solve_modes,
+)
 from fenics_crack.model.reduced import MasslessInterface
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import EPSILON
@@ -249,7 +255,7 @@ def _all_modes(structure: Structure) -> AllModes:
     else:
         matrices = (local_rows(one).toarray() for one in (structure.stiffness, structure.mass))
         squares, shapes = scipy.linalg.eigh(*matrices)
-        damping = damping_in(structure, shapes, squares)
+        damping = damping_on_modes(structure, shapes, squares)
     # Beside the largest it may be rounding of LAPACK's; one mode of K itself decides.
     doubtful = squares[0] <= AS_ZERO * squares[-1]
     unconstrained = bool(doubtful and solve_modes(structure, 1).omega[0] == 0.0)

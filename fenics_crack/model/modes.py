@@ -31,7 +31,7 @@ from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamp
 from fenics_crack.numerics.equations import EPSILON, ROUNDING
 
 LIP_STATES = ("open", "tied")
-LOST = (
+ROUNDING_ADVICE = (
     "what is too slender, or held by too little, has frequencies below the rounding of its "
     "stiffness; make it thicker, or what is left beside a crack wider"
 )
@@ -41,7 +41,7 @@ responses and gaps."""
 NEGLIGIBLE = ROUNDING
 """Rounding of solutions with K, relative to the largest: eigenvalues of static compliances, weights
 of directions in a Gram matrix, gaps of crack faces that the load presses together."""
-MULTIPLE = math.sqrt(NEGLIGIBLE)
+MULTIPLE_FREQUENCY_TOLERANCE = math.sqrt(NEGLIGIBLE)
 """Relative difference of frequencies that count as one of several modes, as that of their squares
 where missing ones are looked for; and what an order of numbers counts beside a shape."""
 
@@ -126,31 +126,35 @@ def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Mode
     """
     check_choice("lips", lips, LIP_STATES)
     tied = lips == "tied" and structure.n_pairs > 0
-    known = structure.known_modes(tied=tied)
-    ties = independent_ties(structure) if tied and known is None else None
+    known = structure.known_modes(is_bonded=tied)
+    ties = find_independent_ties(structure) if tied and known is None else None
     words = "the number of bonded modes" if tied else "n_dofs" if known is None else "n_modes"
-    most = len(known[0]) if known is not None else _space(structure, ties)
+    most = len(known[0]) if known is not None else _count_modes(structure, ties)
     whole = isinstance(count, Integral) and not isinstance(count, bool)
     if not (whole and 1 <= count <= most):
         raise InputError("count", count, f"a whole number from 1 to {words} = {most}")
     if known is not None:
         omega, shapes = known
         return Modes(omega[:count], shapes[:, :count], structure)
-    if ties is None and (kept := lowest_known(structure, count)) is not None:
+    if ties is None and (kept := find_known_modes(structure, count)) is not None:
         return kept
     with Factor(structure.stiffness, definite=True) as factor:
-        return modes_by(factor, structure, int(count), ties)
+        return solve_modes_with_factor(factor, structure, int(count), ties)
 
 
-def n_tied_modes(structure: Structure) -> int:
+def count_bonded_modes(structure: Structure) -> int:
     """Number of modes with a bonded crack (collective)."""
     if structure.n_pairs == 0:
         return structure.n_modes
-    known = structure.known_modes(tied=True)
-    return len(known[0]) if known is not None else _space(structure, independent_ties(structure))
+    known = structure.known_modes(is_bonded=True)
+    return (
+        len(known[0])
+        if known is not None
+        else _count_modes(structure, find_independent_ties(structure))
+    )
 
 
-def independent_ties(structure: Structure) -> sparse.csc_matrix:
+def find_independent_ties(structure: Structure) -> sparse.csc_matrix:
     """Columns of B that are linearly independent, on this rank: (n_local, n_ties) (collective)."""
     gap = sparse.csc_matrix(structure.gap)
     gram = structure.sum_over_ranks((gap.T @ gap).toarray())
@@ -163,7 +167,7 @@ def independent_ties(structure: Structure) -> sparse.csc_matrix:
     return gap[:, np.sort(order[sizes > rounding])]
 
 
-def _space(structure: Structure, ties: Any) -> int:
+def _count_modes(structure: Structure, ties: Any) -> int:
     """Number of modes with mass everywhere."""
     return structure.n_dofs - (0 if ties is None else int(ties.shape[1]))
 
@@ -178,7 +182,7 @@ class Inverse(Protocol):
         """Solve for a PETSc vector (collective)."""
 
 
-class Bonded:
+class BondedInverse:
     """Inverse of a stiffness where B^T x = 0, by its factor and independent columns of B:
 
     x = K^-1 r - K^-1 B S^-1 B^T K^-1 r,        S = B^T K^-1 B.
@@ -199,20 +203,22 @@ class Bonded:
         solution.array_w[:] -= scipy.linalg.cho_solve(self._compliance, gap) @ self._moved
 
 
-def modes_by(factor: Inverse, structure: Structure, count: int, ties: Any = None) -> Modes:
+def solve_modes_with_factor(
+    factor: Inverse, structure: Structure, count: int, ties: Any = None
+) -> Modes:
     """The same of a structure with mass everywhere, by the factor of its stiffness; ``ties`` are
     the independent columns of B where the crack is bonded."""
-    if ties is None and (kept := lowest_known(structure, count)) is not None:
+    if ties is None and (kept := find_known_modes(structure, count)) is not None:
         return kept
     quotients = structure.stiffness.getDiagonal().array_r / structure.mass.getDiagonal().array_r
     quotients = gather_rows(structure.comm, quotients)  # [rad^2/s^2]
     scale = float(np.min(quotients[quotients > 0.0], initial=np.inf))
     scale = scale if np.isfinite(scale) else 1.0
     begin(counted(count, "natural mode"))
-    inverse: Inverse = factor if ties is None else Bonded(factor, structure, ties)
-    asked, most = count, _space(structure, ties)
+    inverse: Inverse = factor if ties is None else BondedInverse(factor, structure, ties)
+    asked, most = count, _count_modes(structure, ties)
     while True:
-        squares, shapes = _nearest_zero(inverse, structure, asked, scale, ties)
+        squares, shapes = _solve_near_zero(inverse, structure, asked, scale, ties)
         if squares[0] < -1e-8 * scale:
             worst = f"{squares[0]:.3g} = omega^2 of a mode"
             raise InputError("stiffness", worst, "positive semidefinite")
@@ -229,32 +235,34 @@ def modes_by(factor: Inverse, structure: Structure, count: int, ties: Any = None
     alone = structure.sum_over_ranks(structure.stiffness.getDiagonal().array_r @ shapes**2)
     squares[squares <= AS_ZERO * np.maximum(alone, scale)] = 0.0
     if squares[0] == 0.0 and structure.clamp is not None:  # no part of a mesh is without one
-        raise ConvergenceError(f"modes: omega^2 of the lowest is rounding of the stiffness: {LOST}")
+        raise ConvergenceError(
+            f"modes: omega^2 of the lowest is rounding of the stiffness: {ROUNDING_ADVICE}"
+        )
     omega = np.sqrt(squares)
-    shapes *= _signs(structure, shapes)
+    shapes *= _choose_signs(structure, shapes)
     if ties is None:
-        structure.cached_result(_lowest, from_matrices=True)[:] = omega, shapes
+        structure.cached_result(_lowest_modes_cache, from_matrices=True)[:] = omega, shapes
     return Modes(omega, shapes, structure)
 
 
-def lowest_known(structure: Structure, count: int) -> Modes | None:
+def find_known_modes(structure: Structure, count: int) -> Modes | None:
     """The lowest modes, crack open, if so many have been found before, or are its coordinates."""
     if structure.whole is not structure:  # small and dense
-        if (known := structure.known_modes(tied=False)) is not None:
+        if (known := structure.known_modes(is_bonded=False)) is not None:
             return Modes(known[0][:count], known[1][:, :count], structure)
-    kept = structure.cached_result(_lowest, from_matrices=True)
+    kept = structure.cached_result(_lowest_modes_cache, from_matrices=True)
     if not kept or len(kept[0]) < count:
         return None
     return Modes(kept[0][:count], kept[1][:, :count], structure)
 
 
-def _lowest(structure: Structure) -> list[np.ndarray]:
+def _lowest_modes_cache(structure: Structure) -> list[np.ndarray]:
     """Frequencies and shapes of the most modes of a structure requested so far, crack open; it
     is not held by them itself, which would keep it alive."""
     return []
 
 
-def _solver(structure: Structure, prefix: str, count: int, krylov: int) -> Any:
+def _make_solver(structure: Structure, prefix: str, count: int, krylov: int) -> Any:
     """SLEPc's solver of K phi = omega^2 M phi."""
     solver = slepc().EPS().create(structure.comm)
     solver.setOptionsPrefix(prefix)
@@ -265,26 +273,26 @@ def _solver(structure: Structure, prefix: str, count: int, krylov: int) -> Any:
     return solver
 
 
-def _solve(solver: Any, count: int) -> None:
+def _run_solver(solver: Any, count: int) -> None:
     solver.setFromOptions()
     try:
         solver.solve()
     except PETSc.Error as error:  # rounding leaves the mass indefinite in what SLEPc spans
         solver.destroy()
-        raise ConvergenceError(f"modes: SLEPc cannot find {count}: {LOST}") from error
+        raise ConvergenceError(f"modes: SLEPc cannot find {count}: {ROUNDING_ADVICE}") from error
     found = solver.getConverged()
     if found < count:
         solver.destroy()
-        raise ConvergenceError(f"modes: only {found} of {count} converged: {LOST}")
+        raise ConvergenceError(f"modes: only {found} of {count} converged: {ROUNDING_ADVICE}")
 
 
-def _nearest_zero(
+def _solve_near_zero(
     factor: Inverse, structure: Structure, count: int, scale: float, ties: Any
 ) -> tuple[np.ndarray, np.ndarray]:
     """Eigenvalues omega^2, ascending, and shapes of the modes closest to zero, by the factor of K;
     where K is singular by that of K + s M."""
     if not factor.null_pivots:
-        squares, shapes = _krylov(factor, structure, count, 0.0)
+        squares, shapes = _solve_near_shift(factor, structure, count, 0.0)
         if (
             squares[0] > MATRIX_TOLERANCE * scale
         ):  # what the factor of a singular K finds may be below 0
@@ -292,21 +300,21 @@ def _nearest_zero(
     shift = -1e-6 * scale
     shifted = factored_sum(structure.stiffness, -shift, structure.mass, definite=True, border=ties)
     with shifted as other:
-        return _krylov(other, structure, count, shift)
+        return _solve_near_shift(other, structure, count, shift)
 
 
-def krylov_vectors(count: int) -> int:
+def krylov_size(count: int) -> int:
     """Held for so many modes: SLEPc's default is twice the count; of many modes fewer are as quick,
     of few some more keep to one sweep."""
     return max(min(2 * count, count + 150), count + 15)
 
 
-def _krylov(
+def _solve_near_shift(
     factor: Inverse, structure: Structure, count: int, shift: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Eigenvalues, ascending, and mass-normalised shapes of the modes closest to a shift, by the
     factor of K - shift M."""
-    solver = _solver(structure, "crack_modes_", count, krylov_vectors(count))
+    solver = _make_solver(structure, "crack_modes_", count, krylov_size(count))
     solver.setWhichEigenpairs(solver.Which.TARGET_MAGNITUDE)
     solver.setTolerances(1e-12, 500)
     solver.setTarget(shift)
@@ -317,7 +325,7 @@ def _krylov(
     inner = transformation.getKSP().getPC()
     inner.setType("python")
     inner.setPythonContext(SimpleNamespace(apply=lambda _, right, x: factor.apply(right, x)))
-    _solve(solver, count)
+    _run_solver(solver, count)
     vector, moved = structure.mass.createVecs()
     squares = np.array([solver.getEigenvalue(index).real for index in range(count)])
     order = np.argsort(squares)
@@ -340,19 +348,19 @@ def count_below(structure: Structure, square: float, ties: Any = None) -> int:
 
 def largest_frequency(structure: Structure) -> float:
     """Largest natural angular frequency [rad/s] (collective)."""
-    solver = _solver(structure, "crack_largest_", 1, 30)
+    solver = _make_solver(structure, "crack_largest_", 1, 30)
     solver.setWhichEigenpairs(solver.Which.LARGEST_REAL)
     solver.setTolerances(1e-6, 1000)
     inner = solver.getST().getKSP().getPC()
     inner.setType("cholesky")
     inner.setFactorSolverType("mumps")
-    _solve(solver, 1)
+    _run_solver(solver, 1)
     square = solver.getEigenvalue(0).real
     solver.destroy()
     return float(np.sqrt(square))
 
 
-def times(matrix: Any, columns: np.ndarray) -> np.ndarray:
+def multiply(matrix: Any, columns: np.ndarray) -> np.ndarray:
     """A X for a PETSc matrix and the columns of X (n_local, m) (collective)."""
     found = np.empty(columns.shape)
     for start in range(0, columns.shape[1], MAX_BLOCK_COLUMNS):
@@ -379,9 +387,9 @@ def independent_part(
     """
 
     def gram(rows: np.ndarray) -> np.ndarray:
-        return structure.sum_over_ranks(rows.T @ times(matrix, columns))
+        return structure.sum_over_ranks(rows.T @ multiply(matrix, columns))
 
-    squares = structure.sum_over_ranks((columns * times(matrix, columns)).sum(axis=0))
+    squares = structure.sum_over_ranks((columns * multiply(matrix, columns)).sum(axis=0))
     columns = columns / np.sqrt(np.maximum(squares, 1e-300))
     for _ in range(2):  # once more against rounding
         columns = columns - basis @ gram(basis)
@@ -391,7 +399,7 @@ def independent_part(
     return columns
 
 
-def _signs(structure: Structure, shapes: np.ndarray) -> np.ndarray:
+def _choose_signs(structure: Structure, shapes: np.ndarray) -> np.ndarray:
     """Signs that make the largest component positive; ties go to the first by position, then dof.
 
     A symmetric structure has equally large components: neither rounding may decide between them,
@@ -455,7 +463,7 @@ def damped_modes(structure: Structure) -> DampedModes | None:
 
 def _damped_modes(structure: Structure) -> DampedModes:
     modes = solve_modes(structure, check_damped_modes(structure))
-    mass_shapes = times(structure.mass, modes.shapes)
+    mass_shapes = multiply(structure.mass, modes.shapes)
     rate = structure.damping.rate(modes.omega**2)
     return DampedModes(modes.omega, rate, modes.shapes, mass_shapes)
 
@@ -501,7 +509,7 @@ def damped_range(structure: Structure) -> tuple[int, float] | None:
     return None if last == structure.n_modes - 1 else (len(found), float(known.omega[last]))
 
 
-def damping_in(structure: Structure, columns: np.ndarray, squares: np.ndarray) -> np.ndarray:
+def damping_on_modes(structure: Structure, columns: np.ndarray, squares: np.ndarray) -> np.ndarray:
     """X^T C X of columns with X^T M X = I and X^T K X = diag(squares): its diagonal (m,) where what
     couples them is rounding of a projection, else (m, m) [1/s] (collective)."""
     if isinstance(structure.damping, RayleighDamping):
@@ -517,11 +525,11 @@ def projected_damping(structure: Structure, columns: np.ndarray) -> np.ndarray:
     """X^T C X of the columns of X (n_local, m): (m, m) [kg/s] (collective)."""
     rule = structure.damping
     if isinstance(rule, RayleighDamping):  # without C
-        product = rule.mass * times(structure.mass, columns)
-        product += rule.stiffness * times(structure.stiffness, columns)
+        product = rule.mass * multiply(structure.mass, columns)
+        product += rule.stiffness * multiply(structure.stiffness, columns)
         return structure.sum_over_ranks(columns.T @ product)
     if structure.damping_matrix is not None:
-        product = times(structure.damping_matrix, columns)
+        product = multiply(structure.damping_matrix, columns)
         return structure.sum_over_ranks(columns.T @ product)
     damped = damped_modes(structure)
     if damped is None:
@@ -532,7 +540,7 @@ def projected_damping(structure: Structure, columns: np.ndarray) -> np.ndarray:
 
 # --- with the crack open and bonded --------------------------------------------------------------
 
-KINDS = ("open", "tied", "bilinear")
+FREQUENCY_KINDS = ("open", "tied", "bilinear")
 """Kinds of natural frequencies."""
 
 
@@ -582,7 +590,7 @@ class BilinearFrequencies(Tabular):
         place = np.abs(omega[..., None] - bilinear).argmin(axis=-1)
         count = bilinear.shape[-1]
         found: dict[str, np.ndarray] = {"mode": place + 1}
-        for name in KINDS:
+        for name in FREQUENCY_KINDS:
             natural = np.broadcast_to(getattr(self, f"omega_{name}"), (*place.shape, count))
             natural = np.take_along_axis(natural, place[..., None], -1)[..., 0]
             found[f"omega_{name}"] = natural
@@ -593,7 +601,7 @@ class BilinearFrequencies(Tabular):
     def to_dict(self) -> dict[str, Any]:
         """Columns, a row for every mode."""
         columns: dict[str, Any] = {"mode": list(range(1, len(self.omega_open) + 1))}
-        names = [f"omega_{kind}" for kind in KINDS]
+        names = [f"omega_{kind}" for kind in FREQUENCY_KINDS]
         return columns | {name: getattr(self, name).tolist() for name in names}
 
     def _title(self) -> str:
@@ -633,24 +641,26 @@ def bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
 
 def _bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
     count = min(FEW_MODES, structure.n_modes)
-    is_open, tied = solve_modes(structure, count), tied_modes(structure, count)
-    return BilinearFrequencies(is_open.omega, tied.omega[partners(is_open, tied)])
+    is_open, tied = solve_modes(structure, count), solve_bonded_modes(structure, count)
+    return BilinearFrequencies(is_open.omega, tied.omega[match_bonded_modes(is_open, tied)])
 
 
-def tied_modes(structure: Structure, count: int, factor: Factor | None = None) -> Modes:
+def solve_bonded_modes(structure: Structure, count: int, factor: Factor | None = None) -> Modes:
     """The lowest modes with the crack bonded, perhaps by the factor of the stiffness; where there
     are no more, infinite frequencies and shapes of zero (collective)."""
     omega, shapes = np.full(count, np.inf), np.zeros((structure.n_local, count))
-    if most := min(count, n_tied_modes(structure)):
-        if factor is None or structure.known_modes(tied=True) is not None:
+    if most := min(count, count_bonded_modes(structure)):
+        if factor is None or structure.known_modes(is_bonded=True) is not None:
             found = solve_modes(structure, most, lips="tied")
         else:
-            found = modes_by(factor, structure, most, independent_ties(structure))
+            found = solve_modes_with_factor(
+                factor, structure, most, find_independent_ties(structure)
+            )
         omega[:most], shapes[:, :most] = found.omega, found.shapes
     return Modes(omega, shapes, structure)
 
 
-def partners(is_open: Modes, tied: Modes) -> np.ndarray:
+def match_bonded_modes(is_open: Modes, tied: Modes) -> np.ndarray:
     """Return the bonded mode of the shape of each open mode: (n,) numbers from 0.
 
     Each is taken once: as many as there are of (phi_open^T M phi_tied)^2 above 0.9 (a bond that
@@ -663,15 +673,17 @@ def partners(is_open: Modes, tied: Modes) -> np.ndarray:
     is_open, tied : Modes
         Of one structure, at least as many bonded ones as open ones.
     """
-    moved = times(is_open.structure.mass, tied.shapes)
+    moved = multiply(is_open.structure.mass, tied.shapes)
     overlaps = is_open.structure.sum_over_ranks(is_open.shapes.T @ moved) ** 2
     of_open, of_tied = (
-        np.isclose(omega[:, None], omega, rtol=MULTIPLE, atol=0.0).astype(float)
+        np.isclose(omega[:, None], omega, rtol=MULTIPLE_FREQUENCY_TOLERANCE, atol=0.0).astype(float)
         for omega in (is_open.omega, tied.omega)
     )
-    slower = tied.omega < (1.0 - MULTIPLE) * is_open.omega[:, None]
+    slower = tied.omega < (1.0 - MULTIPLE_FREQUENCY_TOLERANCE) * is_open.omega[:, None]
     same = (of_open @ overlaps @ of_tied > 0.9) & ~slower
     rows, columns = np.indices(overlaps.shape)
-    weights = 1.0 + same - MULTIPLE * (rows - columns) ** 2  # all > 0, which are matches
+    weights = (
+        1.0 + same - MULTIPLE_FREQUENCY_TOLERANCE * (rows - columns) ** 2
+    )  # all > 0, which are matches
     matched = min_weight_full_bipartite_matching(sparse.csr_matrix(weights), maximize=True)
     return np.asarray(matched[1])

@@ -26,7 +26,7 @@ from fenics_crack.basics.progress import begin
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.model.factor import MAX_BLOCK_COLUMNS, Factor
 from fenics_crack.model.matrices import AbsentMatrix
-from fenics_crack.model.modes import modes_by, solve_modes, times
+from fenics_crack.model.modes import multiply, solve_modes, solve_modes_with_factor
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import EPSILON, ROUNDING
 
@@ -157,7 +157,7 @@ def _extended(structure: Structure, known: Receptance | None, count: int) -> Rec
     """With so many modes, more than are known."""
     begin("factor of the stiffness")
     with Factor(structure.stiffness, definite=True) as factor:
-        found = modes_by(factor, structure, count)
+        found = solve_modes_with_factor(factor, structure, count)
         squares, every = found.omega**2, count == structure.n_dofs
         left = ResidualFlexibility(structure, found.shapes, squares, sources_of(structure))
         begin("static responses")
@@ -274,8 +274,8 @@ class ResidualFlexibility:
         """G f of forces (m, n_local), with the factor of K: the same shape (collective)."""
         structure, shapes = self.structure, self.shapes
         modal = structure.sum_over_ranks(forces @ shapes)
-        found = factor.solve(forces - times(structure.mass, shapes @ modal.T).T)
-        moved = times(structure.mass, found.T).T
+        found = factor.solve(forces - multiply(structure.mass, shapes @ modal.T).T)
+        moved = multiply(structure.mass, found.T).T
         return found - structure.sum_over_ranks(moved @ shapes) @ shapes.T
 
     def seen(self, factor: Factor, columns: sparse.spmatrix) -> tuple[np.ndarray, np.ndarray]:
@@ -287,7 +287,7 @@ class ResidualFlexibility:
             # Where K^-1 is small enough its modal part is subtracted once, below.
             moved = factor.solve(block) if self._held else self.solve(factor, block)
             rows.append((self.sources.T @ moved.T).T)
-            inertia.append(np.sum(moved.T * times(self.structure.mass, moved.T), axis=0))
+            inertia.append(np.sum(moved.T * multiply(self.structure.mass, moved.T), axis=0))
         found: np.ndarray = self.structure.sum_over_ranks(np.concatenate(rows))
         inertias: np.ndarray = self.structure.sum_over_ranks(np.concatenate(inertia))
         if self._held:

@@ -178,9 +178,9 @@ class MasslessInterface(ReducedStructure):
         place = range(self.n_modes)
         return np.asarray(given.getValues(place, place))
 
-    def known_modes(self, *, tied: bool) -> tuple[np.ndarray, np.ndarray] | None:
+    def known_modes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
         """Modes with mass, for an open crack."""
-        return None if tied else (self.omega, self.shapes)
+        return None if is_bonded else (self.omega, self.shapes)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -247,15 +247,15 @@ class MasslessStructure(MasslessInterface):
         """S^-1 on the other coordinates."""
         return scipy.linalg.block_diag(np.zeros((self.n_modes,) * 2), self.flexibility)
 
-    def known_modes(self, *, tied: bool) -> tuple[np.ndarray, np.ndarray] | None:
+    def known_modes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
         """omega, and the unit vectors of the modes' coordinates; with a bonded crack those of
 
             (Lambda + b R_inf^-1 b^T) q = w^2 q,      b = Phi^T B,      lambda = R_inf^-1 b^T q:
 
         ties are springs of the compliance that the modes leave out, and hold b^T q where it has
         none. Pairs that depend on each other, by their static compliance, are one tie."""
-        if not tied:
-            return super().known_modes(tied=False)
+        if not is_bonded:
+            return super().known_modes(is_bonded=False)
         pairs, residual = self.gap[: self.n_modes].toarray(), self.residual
         static = pairs / np.where(self.omega > 0.0, self.omega, self.omega.max() or 1.0)[:, None]
         ties = _inverse_root(static.T @ static + residual)

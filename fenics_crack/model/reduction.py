@@ -40,11 +40,11 @@ from fenics_crack.model.modes import (
     AS_ZERO,
     check_damped_modes,
     damped_modes,
-    damping_in,
+    damping_on_modes,
     independent_part,
-    modes_by,
+    multiply,
     solve_modes,
-    times,
+    solve_modes_with_factor,
 )
 from fenics_crack.model.receptance import ResidualFlexibility, loaded_parts, receptance
 from fenics_crack.model.reduced import MasslessStructure, ReducedStructure, check_mass
@@ -123,7 +123,7 @@ def reduce_structure(
         damped_modes(structure)
     begin("reduction")
     with Factor(structure.stiffness, definite=True) as own:
-        found = modes_by(own, structure, int(modes))
+        found = solve_modes_with_factor(own, structure, int(modes))
         kept, squares = found.shapes[:, :modes], found.omega[:modes] ** 2
         with _regular(own, structure, held=bool(squares[0] > 0.0)) as factor:
             # Static responses to forces of pairs and to the load, without the part of the modes.
@@ -136,9 +136,9 @@ def reduce_structure(
             static = independent_part(structure, structure.mass, kept, static)
             if not reference:
                 return _reduced(structure, kept, squares, static, None)
-            following = [static, factor.solve(times(structure.mass, static).T).T]
+            following = [static, factor.solve(multiply(structure.mass, static).T).T]
             if rule is None and structure.damping_matrix is not None:
-                damping = times(structure.damping_matrix, np.hstack([kept, static]))
+                damping = multiply(structure.damping_matrix, np.hstack([kept, static]))
                 following.append(factor.solve(damping.T).T)
     finer = _reduced(structure, kept, squares, np.hstack(following), None)
     return _reduced(structure, kept, squares, static, finer)
@@ -231,7 +231,9 @@ def _regular(factor: Factor, structure: Structure, *, held: bool) -> Iterator[Fa
     if held:
         yield factor
         return
-    elastic = modes_by(factor, structure, min(structure.n_dofs, 10)).omega[-1] ** 2 or 1.0
+    elastic = (
+        solve_modes_with_factor(factor, structure, min(structure.n_dofs, 10)).omega[-1] ** 2 or 1.0
+    )
     with factored_sum(structure.stiffness, elastic, structure.mass, definite=True) as regular:
         yield regular
 
@@ -245,7 +247,7 @@ def _reduced(
 ) -> ReducedStructure:
     """Reduce to known modes and the rest of other vectors, made M-orthonormal and K-diagonal."""
     extra = independent_part(structure, structure.mass, kept, extra)
-    elastic = structure.sum_over_ranks(extra.T @ times(structure.stiffness, extra))
+    elastic = structure.sum_over_ranks(extra.T @ multiply(structure.stiffness, extra))
     more, rotation = np.linalg.eigh(elastic)
     extra = extra @ rotation
     basis = np.hstack([kept, extra])
@@ -265,7 +267,7 @@ def _damping(
         return None
     if (rule := _rule_of_all(structure)) is not None:
         return rule
-    rate, omega = damping_in(structure, basis, squares), np.sqrt(np.maximum(squares, 0.0))
+    rate, omega = damping_on_modes(structure, basis, squares), np.sqrt(np.maximum(squares, 0.0))
     if rate.ndim == 2:
         return rate
     if np.any(rate[omega == 0.0] > 0.0):  # no ratio damps a motion as a rigid body

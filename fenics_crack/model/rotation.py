@@ -36,7 +36,7 @@ from fenics_crack.model.body import Body
 from fenics_crack.model.contact import solve_complementarity
 from fenics_crack.model.factor import Factor, distribute_rows, weighted_sum
 from fenics_crack.model.matrices import read_only_array, read_only_rows
-from fenics_crack.model.modes import AS_ZERO, Modes, independent_part, solve_modes, times
+from fenics_crack.model.modes import AS_ZERO, Modes, independent_part, multiply, solve_modes
 from fenics_crack.model.nodes import body_property
 from fenics_crack.model.reduced import MasslessInterface, ReducedBody
 from fenics_crack.model.reduction import reduce_structure
@@ -90,7 +90,7 @@ class Rotation:
             moved = factor.solve(speed**2 * self.force[None]).T
         still.destroy()
         force = self.at_rest.force.copy()
-        force[0] += times(stiffness, moved)[:, 0]
+        force[0] += multiply(stiffness, moved)[:, 0]
         rotation = replace(self, speed=speed)
         return self.at_rest._with_changes(stiffness=stiffness, force=force, rotation=rotation)
 
@@ -180,7 +180,7 @@ def coriolis_shifts(modes: Modes, turning: np.ndarray) -> np.ndarray:
     rows = nodes.dofs[nodes.dofs[:, 0] >= 0] - structure.first_dof
     turned = np.zeros_like(modes.shapes)
     turned[rows] = np.cross(turning, modes.shapes[rows], axisb=1, axisc=1)
-    coupling = 2.0 * structure.sum_over_ranks(modes.shapes.T @ times(structure.mass, turned))
+    coupling = 2.0 * structure.sum_over_ranks(modes.shapes.T @ multiply(structure.mass, turned))
     root, zero = np.diag(modes.omega), np.zeros((count, count))
     matrix = np.block([[zero, root], [-root, -coupling]])
     return np.asarray(np.linalg.eigvalsh(1j * matrix)[count:] / modes.omega - 1.0)
@@ -247,7 +247,7 @@ class Ritz:
             collect_garbage(structure.comm)
 
         def projected(matrix: object) -> np.ndarray:
-            found = structure.sum_over_ranks(basis.T @ times(matrix, basis))
+            found = structure.sum_over_ranks(basis.T @ multiply(matrix, basis))
             return np.asarray(0.5 * (found + found.T))
 
         inverse, turned = np.linalg.eigh(projected(structure.mass))

@@ -396,12 +396,12 @@ class Structure(Coordinates):
         gap[0] -= self.clearance
         return gap
 
-    def known_modes(self, *, tied: bool) -> tuple[np.ndarray, np.ndarray] | None:
+    def known_modes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
         """Return modes that follow from the coordinates; None if there are none.
 
         Parameters
         ----------
-        tied : bool
+        is_bonded : bool
             Crack bonded, not open.
 
         Returns

@@ -207,11 +207,11 @@ class Wheel(Structure):
     def _size_words(self) -> str:
         return f"{self.sector.count} sectors, {self.n_dofs} dofs"
 
-    def known_modes(self, *, tied: bool) -> tuple[np.ndarray, np.ndarray] | None:
+    def known_modes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
         """Those of its few coordinates, as many as ``families`` are of all sectors."""
         few = in_few_coordinates(self)
         count = min(self.families * self.sector.count, few.n_dofs - few.n_pairs)
-        found = solve_modes(few, count, lips="tied" if tied and few.n_pairs else "open")
+        found = solve_modes(few, count, lips="tied" if is_bonded and few.n_pairs else "open")
         return found.omega, few.expand(found.shapes.T).T
 
     def mistuned(self, deviations: Any) -> Wheel:
@@ -352,14 +352,14 @@ class WheelStructure(Structure):
         """The whole wheel, in the same setting."""
         return self._apply_setting(self.body.wheel)
 
-    def known_modes(self, *, tied: bool) -> tuple[np.ndarray, np.ndarray] | None:
+    def known_modes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
         """All, of small dense matrices: those of equal sectors come in pairs, which Krylov's method
         mixes with its own error.
 
         In ascending order, or as :meth:`ranked` has the open ones; the bonded ones are among the
         open ones, of which M is 1 whatever it is in coordinates.
         """
-        if tied:
+        if is_bonded:
             return self.cached_result(_tied_modes)
         return self.cached_result(_all_modes) if self.body.ranked is None else self.body.ranked
 

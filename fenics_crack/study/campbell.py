@@ -41,13 +41,13 @@ from fenics_crack.files.store import Stored
 from fenics_crack.model.body import Body
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modes import (
-    KINDS,
+    FREQUENCY_KINDS,
     BilinearFrequencies,
     Modes,
-    n_tied_modes,
-    partners,
+    count_bonded_modes,
+    match_bonded_modes,
+    multiply,
     solve_modes,
-    times,
 )
 from fenics_crack.model.rotation import Ritz, coriolis_shifts, static_state
 from fenics_crack.model.structure import Structure
@@ -56,7 +56,7 @@ from fenics_crack.study.plausibility import coriolis_in_words, damping_ratios, r
 from fenics_crack.study.resonance import NOT_SOUGHT, SOUGHT_MODES, AtLoad, over_speed
 from fenics_crack.study.sharing import assembled
 
-HELD = (*KINDS[:2], "partly")
+HELD = (*FREQUENCY_KINDS[:2], "partly")
 """Kinds of frequencies of a crack that its resonance does not change."""
 STATES = {
     **dict(zip(HELD, ("held open", "held shut", "held partly open"), strict=True)),
@@ -152,8 +152,8 @@ class Campbell(Saved):
         """ "open", "tied" and "bilinear", and "partly" where the crack is that somewhere; "open"
         alone without a crack."""
         seen = {*self.kind.ravel().tolist(), *(change[-1] for change in self.changes)}
-        found = (*KINDS, *seen.intersection({"partly"}))
-        return found if self.cracked else KINDS[:1]
+        found = (*FREQUENCY_KINDS, *seen.intersection({"partly"}))
+        return found if self.cracked else FREQUENCY_KINDS[:1]
 
     def crossings(self, order: int, kind: str = "bilinear") -> np.ndarray:
         """Find where w = order W meets natural frequencies: (k, 2), mode (from 1), speed [rad/s].
@@ -246,7 +246,7 @@ class Campbell(Saved):
                 own = [*dict.fromkeys(self._states(mode, speed))]
                 others = [
                     f"{STATES[kind]} at {_in_words(other)}"
-                    for kind in KINDS
+                    for kind in FREQUENCY_KINDS
                     if kind != own[-1] or len(own) > 1
                     for which, other in self.crossings(order, kind)
                     if which == mode
@@ -367,7 +367,7 @@ def campbell(
     asked = scene
     scene = with_crack_length(scene.replace({"rotation.speed": float(wanted[-1])}), comm)
     top = assembled(scene, comm)
-    most = n_tied_modes(top)
+    most = count_bonded_modes(top)
     if count is not None and count > most:
         raise InputError("count", count, f"a whole number from 1 to {most}")
     count = min(few, most) if count is None else count
@@ -511,11 +511,11 @@ def _held(
         ties, loose = structure.gap[:, tied], np.zeros(int(tied.sum()))
         part = Structure(Body(structure.mass, structure.stiffness, ties, structure.force, loose))
         found = solve_modes(part, n_tied, lips="tied")
-        own = partners(is_open, found)
+        own = match_bonded_modes(is_open, found)
         modes = Modes(found.omega[own], found.shapes[:, own], structure)
     change = np.abs(structure.apply_bt(modes.shapes.T)).T
     if tied.any():
-        stiff, heavy = (times(m, modes.shapes) for m in (structure.stiffness, structure.mass))
+        stiff, heavy = (multiply(m, modes.shapes) for m in (structure.stiffness, structure.mass))
         left = ties.T @ (heavy * modes.omega**2 - stiff)
         change[tied] = np.abs(np.linalg.lstsq((ties.T @ ties).toarray(), left, rcond=None)[0])
     return modes.omega, (rest[:, None] - peaks(modes) * change).min(axis=0)

@@ -12,7 +12,7 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import MOST_HARMONICS
 from fenics_crack.basics.observables import QUANTITIES, STATED, Place, names_of
 from fenics_crack.basics.tables import frequency_axis
-from fenics_crack.model.modes import KINDS, NEGLIGIBLE, bilinear_frequencies
+from fenics_crack.model.modes import FREQUENCY_KINDS, NEGLIGIBLE, bilinear_frequencies
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.motions import Harmonics, Observed, Record
 from fenics_crack.motion.orbit import PeriodicOrbit
@@ -74,7 +74,7 @@ def numbers_of(study: Study, found: PeriodicSolution | _Exact, mode: int | None 
     wanted = {("open", number) for number in (1, 2, 3, mode)}
     if structure.n_pairs:
         wanted |= {("tied", mode), ("bilinear", mode)}
-    for kind, number in sorted(wanted, key=lambda one: (KINDS.index(one[0]), one[1])):
+    for kind, number in sorted(wanted, key=lambda one: (FREQUENCY_KINDS.index(one[0]), one[1])):
         if number <= len(natural.omega_open):
             name, omega = natural_name(scene, kind, number), getattr(natural, f"omega_{kind}")
             values[name], units[name] = factor * float(omega[number - 1]), unit

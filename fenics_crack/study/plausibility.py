@@ -37,11 +37,11 @@ from fenics_crack.model.modes import (
     Modes,
     check_damped_modes,
     count_below,
-    modes_by,
-    partners,
+    match_bonded_modes,
+    multiply,
+    solve_bonded_modes,
     solve_modes,
-    tied_modes,
-    times,
+    solve_modes_with_factor,
 )
 from fenics_crack.model.nodes import format_point
 from fenics_crack.model.receptance import ResidualFlexibility
@@ -131,18 +131,19 @@ def find_key_figures(study: Study) -> KeyFigures:
     """Compute the figures of a study; of a reduced one in its own coordinates, which hold static
     responses exactly (collective)."""
     scene, whole, law = study.scene, in_few_coordinates(study.structure), study.contact
-    known = whole.known_modes(tied=False)
+    known = whole.known_modes(is_bonded=False)
     most = whole.n_dofs if known is None else len(known[0])
     count = min(N_MODES, most)
     with Factor(whole.stiffness, definite=True) as factor:
-        many = modes_by(factor, whole, min(SOUGHT_MODES, most))  # of the resonance, too
+        # Of the resonance, too.
+        many = solve_modes_with_factor(factor, whole, min(SOUGHT_MODES, most))
         modes = Modes(many.omega[:count], many.shapes[:, :count], whole)
         slopes = _slopes(factor, many, count)
         static = _static(factor, modes, whole.force)
         lips = whole.apply_bt(_static(factor, modes, whole.gap.T.toarray()))
-        tied = tied_modes(whole, count, factor) if whole.n_pairs else modes
+        tied = solve_bonded_modes(whole, count, factor) if whole.n_pairs else modes
     ratios = damping_ratios(whole, modes.omega)
-    breathing = BilinearFrequencies(modes.omega, tied.omega[partners(modes, tied)])
+    breathing = BilinearFrequencies(modes.omega, tied.omega[match_bonded_modes(modes, tied)])
     gaps, psi = whole.apply_bt(static), whole.apply_bt(modes.shapes.T)
     loads = whole.sum_over_ranks(whole.force @ modes.shapes)
     amplitudes = [to_complex(rows)[1:] for rows in (static, gaps, loads)]  # of each harmonic
@@ -232,8 +233,8 @@ def _slopes(factor: Factor, modes: Modes, count: int) -> np.ndarray:
         shapes = shape[:, None]
         if isinstance(whole, WheelStructure):
             shapes = np.vstack(list(whole.of_sectors(shape[None]))).T
-        curved = 2.0 * times(third, shapes)
-        slope = times(rotation.stiffness, shapes) + times(second, shapes)
+        curved = 2.0 * multiply(third, shapes)
+        slope = multiply(rotation.stiffness, shapes) + multiply(second, shapes)
         slope += rotation.speed**2 * curved
         found[mode] = [whole.sum_over_ranks((shapes * one).sum()) for one in (slope, curved)]
         if isinstance(whole, WheelStructure):

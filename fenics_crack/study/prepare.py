@@ -25,7 +25,7 @@ from fenics_crack.model.contact import (
     UnilateralPenalty,
 )
 from fenics_crack.model.factor import MAX_BLOCK_COLUMNS, factor_memory
-from fenics_crack.model.modes import krylov_vectors
+from fenics_crack.model.modes import krylov_size
 from fenics_crack.model.nodes import AXES
 from fenics_crack.model.reduction import MODES, reduce_structure
 from fenics_crack.model.rotation import N_SPEEDS
@@ -318,7 +318,7 @@ def wheel_memory(wheel: Wheel, families: int) -> float:
     sector = wheel.sector
     size, dofs = 2 * len(sector.dofs.own), sector.structure.n_dofs
     solid = sector.structure.nodes is not None and sector.structure.nodes.points.shape[1] == 3
-    of_modes = 2.0 * factor_memory(size, solid=solid) + 16.0 * size * krylov_vectors(families)
+    of_modes = 2.0 * factor_memory(size, solid=solid) + 16.0 * size * krylov_size(families)
     modes = 16.0 * len(sector.diameters) * dofs * families
     # Answers to the opening of the crack by sectors, their products with a matrix, and as much
     # again while either is made; bonds have up to 40 patterns of forces beyond those of the pairs.
@@ -343,7 +343,7 @@ def run_up_memory(structure: Structure, modes: int) -> float:
 
 def _memory_for_modes(structure: Structure, count: int) -> float:
     """Return the memory to find modes: vectors, or another factor, of a matrix and its copy."""
-    krylov = 8.0 * structure.n_dofs * krylov_vectors(count)
+    krylov = 8.0 * structure.n_dofs * krylov_size(count)
     return max(krylov, _factor_memory(structure) + 2 * _matrix_memory(structure))
 
 

@@ -31,7 +31,7 @@ from fenics_crack.files.results import Result, save, type_of, unpack
 from fenics_crack.files.store import Stored, read
 from fenics_crack.model.contact import ContactLaw, friction_of, is_rigid, is_unilateral
 from fenics_crack.model.modal import is_small
-from fenics_crack.model.modes import Modes, bilinear_frequencies, solve_modes, times
+from fenics_crack.model.modes import Modes, bilinear_frequencies, multiply, solve_modes
 from fenics_crack.model.nodes import AXES
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.reduction import MODES
@@ -516,7 +516,7 @@ def _state_of(
     if not all(whole.comm.allgather(same)):
         table.require(False, "initial", "a result of the same mesh")
     if isinstance(structure, ReducedStructure):
-        modal = whole.sum_over_ranks(times(whole.mass, moved.T).T @ structure.basis)
+        modal = whole.sum_over_ranks(multiply(whole.mass, moved.T).T @ structure.basis)
         moved = np.pad(modal, ((0, 0), (0, structure.n_dofs - modal.shape[1])))
     return moved[0], moved[1], *state[2:]
 

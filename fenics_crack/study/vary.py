@@ -97,8 +97,8 @@ from fenics_crack.model.modes import (
     BilinearFrequencies,
     Modes,
     bilinear_frequencies,
+    solve_bonded_modes,
     solve_modes,
-    tied_modes,
 )
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.reduction import reduce_structure
@@ -442,7 +442,7 @@ def errors_of_natural(
         count = max(map(len, natural.values()))
         both = {"open": solve_modes(twin.structure, count).omega}
         if "tied" in natural:
-            both["tied"] = tied_modes(twin.structure, count).omega
+            both["tied"] = solve_bonded_modes(twin.structure, count).omega
         coarse_values = named(both)
         if at_load.numbers and slopes is not None:
             estimates = BilinearFrequencies(both["open"], both["tied"]).omega_bilinear

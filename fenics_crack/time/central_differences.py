@@ -59,7 +59,7 @@ from fenics_crack.model.contact import (
 )
 from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.modal import CACHE_SIZE, all_modes, is_small
-from fenics_crack.model.modes import damped_modes, largest_frequency, times
+from fenics_crack.model.modes import damped_modes, largest_frequency, multiply
 from fenics_crack.model.reduced import INSTEAD, check_mass
 from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.time.march import March, Scheme, TimeHistory, Window, march
@@ -451,7 +451,7 @@ class _CentralDifferences(Scheme):
         """(u^T K u + v^T M v) / 2: [J]."""
         structure = self.structure
         parts = (structure.stiffness, self.displacement), (structure.mass, velocity)
-        energy = 0.5 * sum(rows @ times(matrix, rows[:, None])[:, 0] for matrix, rows in parts)
+        energy = 0.5 * sum(rows @ multiply(matrix, rows[:, None])[:, 0] for matrix, rows in parts)
         return float(structure.sum_over_ranks(np.array([energy]))[0])
 
     def _admissible(self, displacement: np.ndarray) -> np.ndarray:

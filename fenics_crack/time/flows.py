@@ -35,7 +35,7 @@ import numpy as np
 from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.kernel import Struct, kernel, pointer, shaped
 from fenics_crack.model.contact import ActiveSets, ContactLaw, FrictionSets, coefficient_of
-from fenics_crack.model.modes import times
+from fenics_crack.model.modes import multiply
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import Flow, check_exact, doubles, exact_flow
 from fenics_crack.numerics.fourier import derivative, from_complex, to_complex, waves_of
@@ -343,7 +343,7 @@ class _ByExponentials(Scheme):
         """Kinetic, elastic, and contact energy at an instant."""
         flow = self._flow
         motion = flow.coordinates(steps.states[[place]], steps.forces[[place]])[0]
-        elastic = motion @ times(flow.structure.stiffness, motion[:, None])[:, 0]
+        elastic = motion @ multiply(flow.structure.stiffness, motion[:, None])[:, 0]
         rate = steps.states[place, len(flow.modes.squares) :]
         springs = np.sum(flow.softness * steps.forces[place] ** 2)
         return 0.5 * float(elastic + rate @ rate + springs)

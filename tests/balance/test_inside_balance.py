@@ -51,7 +51,7 @@ from fenics_crack.balance.contact_integrals import (
     default_samples,
 )
 from fenics_crack.basics.ranks import gather_rows
-from fenics_crack.model.modes import damped_modes, times
+from fenics_crack.model.modes import damped_modes, multiply
 from fenics_crack.model.nodes import Pairs
 from fenics_crack.motion.motions import Indicators, Observed, Record
 from fenics_crack.numerics.fourier import (
@@ -620,7 +620,7 @@ def applied(structure: Structure, omega: float, amplitude: np.ndarray) -> np.nda
     """Z u of amplitudes (m, n_local), from the distributed matrices (collective)."""
 
     def product(matrix: Any) -> np.ndarray:
-        return (times(matrix, amplitude.real.T) + 1j * times(matrix, amplitude.imag.T)).T
+        return (multiply(matrix, amplitude.real.T) + 1j * multiply(matrix, amplitude.imag.T)).T
 
     found = product(structure.stiffness) - omega**2 * product(structure.mass)
     if structure.damping_matrix is not None:

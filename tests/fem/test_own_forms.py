@@ -21,7 +21,7 @@ from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.fem import compat
 from fenics_crack.fem.loads import rigid_motions
 from fenics_crack.fem.plate import PlateMesh, build_mesh
-from fenics_crack.model.modes import times
+from fenics_crack.model.modes import multiply
 
 PLATE = fc.Scene.load(DEMOS / "paper_plate.toml").replace(
     {"mesh.columns": 8, "mesh.rows": 4, "contact.pairs": "all", "contact.stiffness": 1e9}
@@ -222,7 +222,7 @@ def of_functions(comm: MPI.Comm) -> list[float]:
     solution = fc.solve_harmonic_balance(structure, 2000.0, fc.UnilateralPenalty(1e9), harmonics=5)
     moved = solution.function(1e-4)
     expected = solution.displacement_field(np.array([1e-4]))[0]
-    product = structure.sum_over_ranks(expected @ times(structure.mass, expected[:, None]))[0]
+    product = structure.sum_over_ranks(expected @ multiply(structure.mass, expected[:, None]))[0]
     form = dolfinx.fem.form(0.5 * 7800.0 * ufl.inner(moved, moved) * ufl.dx)
     energy = comm.allreduce(dolfinx.fem.assemble_scalar(form))
     return [energy / product, *comm.allgather(of_function(solution))]

@@ -35,7 +35,7 @@ from fenics_crack.fem.matrix_files import coincident
 from fenics_crack.fem.msh_file import cells_of
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.fem.plate import Dofs, build_mesh
-from fenics_crack.model.modes import times
+from fenics_crack.model.modes import multiply
 from fenics_crack.model.nodes import format_point
 from fenics_crack.model.rotation import coriolis_shifts, static_state
 from fenics_crack.monitoring.tip_timing.scene_timing import (
@@ -941,7 +941,7 @@ def equilibrium(structure: fc.Structure) -> tuple[np.ndarray, np.ndarray]:
     """Gaps and contact forces of the static state, whose equilibrium is checked to 1e-10."""
     force = structure.force[0]
     moved, pairs = static_state(structure, force, structure.clearance)
-    left = times(structure.stiffness, moved[:, None])[:, 0] + structure.gap @ pairs - force
+    left = multiply(structure.stiffness, moved[:, None])[:, 0] + structure.gap @ pairs - force
     assert np.abs(left).max() < 1e-10 * np.abs(force).max()
     gap = structure.apply_bt(moved[None])[0] - structure.clearance
     assert np.all(pairs >= 0.0) and gap.max() < 1e-10 * np.abs(moved).max()

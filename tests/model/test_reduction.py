@@ -242,7 +242,7 @@ def counts(monkeypatch: pytest.MonkeyPatch) -> list[int]:
         return solve(factor, structure, count, *ties)
 
     for module in ("receptance", "reduction", "modes"):
-        wrap(monkeypatch, f"fenics_crack.model.{module}.modes_by", counted)
+        wrap(monkeypatch, f"fenics_crack.model.{module}.solve_modes_with_factor", counted)
     return asked
 
 

@@ -51,7 +51,7 @@ from fenics_crack.basics.errors import FEW_MODES, InputError
 from fenics_crack.basics.ranks import MPI
 from fenics_crack.basics.tables import RPM, TURN
 from fenics_crack.fem.loads import rigid_motions
-from fenics_crack.model.modes import Modes, solve_modes, times
+from fenics_crack.model.modes import Modes, multiply, solve_modes
 from fenics_crack.monitoring.identification.interpolation import Feature, driving, poles, turned
 from fenics_crack.monitoring.identification.measurements import Measurement, Measurements
 from fenics_crack.scene.scene import Scene
@@ -89,12 +89,12 @@ class Whole:
         self.speed, self.table, modes = scene.speed, table, _modes(scene)
         still = _modes(scene.at_rest()) if scene.speed > 0.0 else modes
         every = np.hstack([still.shapes, modes.shapes]) if scene.speed > 0.0 else modes.shapes
-        squares, vectors = eigh(every.T @ times(modes.structure.mass, every))
+        squares, vectors = eigh(every.T @ multiply(modes.structure.mass, every))
         kept = squares > np.sqrt(np.finfo(float).eps) * squares[-1]  # independent motions
         basis = every @ (vectors[:, kept] / np.sqrt(squares[kept]))
-        at_rest = times(still.structure.stiffness, basis)
+        at_rest = multiply(still.structure.stiffness, basis)
         elastic = basis.T @ at_rest
-        rotating = basis.T @ times(modes.structure.stiffness, basis) - elastic
+        rotating = basis.T @ multiply(modes.structure.stiffness, basis) - elastic
         rigid, self.turning = _held(modes)
         self.stiffness, self.reactions = np.stack([elastic, rotating]), at_rest.T @ rigid
 
