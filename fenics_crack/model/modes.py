@@ -2,9 +2,13 @@
 
     K phi_j = omega_j^2 M phi_j,     phi_i^T M phi_j = delta_ij
 
-Shift-and-invert by the factor of K, which static responses use too. Where K is singular, the shift
-lies slightly below zero, so that rigid-body modes are found too. With a bonded crack all of this
-happens on the space of motions with B^T phi = 0 (:mod:`fenics_crack.model.factor`).
+Modes come from shift-and-invert with the factor of K, which static responses use too. If K is
+singular, the shift lies slightly below zero, so that rigid-body modes are found too. With a bonded
+crack, all vectors have B^T phi = 0 (:mod:`fenics_crack.model.factor`):
+
+    x = K^-1 r - K^-1 B S^-1 B^T K^-1 r,        S = B^T K^-1 B
+
+Modal damping is C = M Phi diag(2 xi_j omega_j) Phi^T M.
 """
 
 from __future__ import annotations
@@ -36,26 +40,38 @@ ROUNDING_ADVICE = (
     "stiffness; make it thicker, or what is left beside a crack wider"
 )
 AS_ZERO: float = kernel.AS_ZERO
-"""Relative size that counts as zero of squares of frequencies (to sum K_ii phi_i^2), static
-responses and gaps."""
+"""Relative size that counts as zero.
+
+For squares of frequencies it is relative to the sum of K_ii phi_i^2; it holds for static responses
+and gaps, too.
+"""
 NEGLIGIBLE = ROUNDING
-"""Rounding of solutions with K, relative to the largest: eigenvalues of static compliances, weights
-of directions in a Gram matrix, gaps of crack faces that the load presses together."""
+"""Rounding of solutions with K, relative to the largest.
+
+It bounds eigenvalues of static compliances, weights of directions in a Gram matrix, and gaps of
+crack faces that the load presses together.
+"""
 MULTIPLE_FREQUENCY_TOLERANCE = math.sqrt(NEGLIGIBLE)
-"""Relative difference of frequencies that count as one of several modes, as that of their squares
-where missing ones are looked for; and what an order of numbers counts beside a shape."""
+"""Relative difference of frequencies that count as equal.
+
+A search for missing modes takes it for squares of frequencies. In the matching of modes, it weighs
+the order of numbers against the shape.
+"""
 
 
 @dataclass(frozen=True, repr=False)
 class Modes(Tabular):
-    """Natural frequencies and mode shapes: K phi_j = omega_j^2 M phi_j, phi_i^T M phi_j = delta_ij.
+    """Natural frequencies and mode shapes.
+
+        K phi_j = omega_j^2 M phi_j,     phi_i^T M phi_j = delta_ij
 
     Attributes
     ----------
     omega : (count,) [rad/s]
         Natural angular frequencies, ascending.
     shapes : (n_local, count) [kg^-1/2]
-        Mass-normalised; the largest component is positive (of equal ones, the first by position).
+        Mass-normalised; the largest component is positive (if several are equal, the first by
+        position).
     structure : Structure
         Structure that vibrates.
     """
@@ -68,34 +84,36 @@ class Modes(Tabular):
     frequency = hertz_of()
 
     def function(self, index: int) -> Any:
-        """The shape of ``omega[index]`` as DOLFINx's Function, on the space of the mesh
-        (collective)."""
-        last = len(self.omega) - 1
-        if not isinstance(index, Integral) or not 0 <= index <= last:
-            raise InputError("index", index, f"a whole number from 0 to {last}")
+        """Return the shape of ``omega[index]`` as DOLFINx's Function (collective)."""
+        last_index = len(self.omega) - 1
+        if not isinstance(index, Integral) or not 0 <= index <= last_index:
+            raise InputError("index", index, f"a whole number from 0 to {last_index}")
         return self.structure.function(self.shapes[:, index])
 
     def to_dict(self) -> dict[str, Any]:
-        """Columns, a row for every mode: its number, omega [rad/s] and frequency [Hz]."""
+        """Return columns with a row for every mode.
+
+        They are the number of the mode, omega [rad/s] and frequency [Hz].
+        """
         number = list(range(1, len(self.omega) + 1))
         return with_frequency({"mode": number, "omega": self.omega.tolist()})
 
     def _title(self) -> str:
-        span = " to ".join(f"{omega:.6g}" for omega in self.omega[[0, -1]])
-        return f"{counted(len(self.omega), 'mode')}, {span} rad/s, of {self.structure.n_dofs} dofs"
+        omega_range = " to ".join(f"{omega:.6g}" for omega in self.omega[[0, -1]])
+        n_dofs = self.structure.n_dofs
+        return f"{counted(len(self.omega), 'mode')}, {omega_range} rad/s, of {n_dofs} dofs"
 
 
 def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Modes:
-    """Find the lowest natural modes of the structure, its crack faces all open or all bonded
-    (collective).
+    """Find the lowest natural modes with all cracks open or bonded (collective).
 
-    Open faces pass through each other. Bonded ones have no relative normal motion, B^T phi = 0
-    whatever the clearance, and slide without friction: a little softer than the uncracked
+    Open faces pass through each other. Bonded faces have no relative normal motion, B^T phi = 0
+    whatever the clearance, and slide without friction: they are a little softer than the uncracked
     structure. A breathing crack without clearance resonates near 2 w_open w_tied / (w_open +
     w_tied).
 
-    Those of a structure whose crack faces have no mass are the modes to which it was reduced;
-    bonded, they are as near to those of the whole structure as the reduction.
+    A structure with massless crack faces has the modes to which it was reduced. Its bonded modes
+    are as accurate as the reduction.
 
     Parameters
     ----------
@@ -114,8 +132,8 @@ def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Mode
     Raises
     ------
     InputError
-        lips is none of these, count is not between 1 and n_dofs (less one for each pair that is
-        bonded), or the number of modes with mass, or the stiffness has a negative eigenvalue.
+        ``lips`` is neither word, or the stiffness has a negative eigenvalue. Or ``count`` is not
+        between 1 and n_dofs (less one for each bonded pair), or the number of modes with mass.
     ConvergenceError
         SLEPc found fewer modes than requested, or the lowest frequency of a clamped mesh is lost in
         rounding.
@@ -125,115 +143,135 @@ def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Mode
     >>> modes = fc.solve_modes(structure, 3, lips="tied")
     """
     check_choice("lips", lips, LIP_STATES)
-    tied = lips == "tied" and structure.n_pairs > 0
-    known = structure.known_modes(is_bonded=tied)
-    ties = find_independent_ties(structure) if tied and known is None else None
-    words = "the number of bonded modes" if tied else "n_dofs" if known is None else "n_modes"
-    most = len(known[0]) if known is not None else _count_modes(structure, ties)
-    whole = isinstance(count, Integral) and not isinstance(count, bool)
-    if not (whole and 1 <= count <= most):
-        raise InputError("count", count, f"a whole number from 1 to {words} = {most}")
-    if known is not None:
-        omega, shapes = known
+    is_bonded = lips == "tied" and structure.n_pairs > 0
+    known_modes = structure.known_modes(is_bonded=is_bonded)
+    ties = find_independent_ties(structure) if is_bonded and known_modes is None else None
+    limit_name = "n_dofs" if known_modes is None else "n_modes"
+    if is_bonded:
+        limit_name = "the number of bonded modes"
+    max_count = len(known_modes[0]) if known_modes is not None else _count_modes(structure, ties)
+    is_integer = isinstance(count, Integral) and not isinstance(count, bool)
+    if not (is_integer and 1 <= count <= max_count):
+        raise InputError("count", count, f"a whole number from 1 to {limit_name} = {max_count}")
+    if known_modes is not None:
+        omega, shapes = known_modes
         return Modes(omega[:count], shapes[:, :count], structure)
-    if ties is None and (kept := find_known_modes(structure, count)) is not None:
-        return kept
+    if ties is None and (cached_modes := find_known_modes(structure, count)) is not None:
+        return cached_modes
     with Factor(structure.stiffness, definite=True) as factor:
         return solve_modes_with_factor(factor, structure, int(count), ties)
 
 
 def count_bonded_modes(structure: Structure) -> int:
-    """Number of modes with a bonded crack (collective)."""
+    """Return the number of modes with a bonded crack (collective)."""
     if structure.n_pairs == 0:
         return structure.n_modes
-    known = structure.known_modes(is_bonded=True)
+    known_modes = structure.known_modes(is_bonded=True)
     return (
-        len(known[0])
-        if known is not None
+        len(known_modes[0])
+        if known_modes is not None
         else _count_modes(structure, find_independent_ties(structure))
     )
 
 
 def find_independent_ties(structure: Structure) -> sparse.csc_matrix:
-    """Columns of B that are linearly independent, on this rank: (n_local, n_ties) (collective)."""
+    """Return linearly independent columns of B, on this rank (collective).
+
+    Returns
+    -------
+    (n_local, n_ties)
+    """
     gap = sparse.csc_matrix(structure.gap)
     gram = structure.sum_over_ranks((gap.T @ gap).toarray())
     diagonal = np.diag(gram)
     if np.all(diagonal > 0.0) and np.count_nonzero(gram) == len(gram):
         return gap  # orthogonal: no two pairs share a node
-    factor, order = scipy.linalg.qr(gram, mode="r", pivoting=True)
-    sizes = np.abs(np.diag(factor))
-    rounding = 10.0 * len(gram) * EPSILON * sizes.max(initial=0.0)
-    return gap[:, np.sort(order[sizes > rounding])]
+    upper_factor, order = scipy.linalg.qr(gram, mode="r", pivoting=True)
+    pivot_sizes = np.abs(np.diag(upper_factor))
+    max_rounding = 10.0 * len(gram) * EPSILON * pivot_sizes.max(initial=0.0)
+    return gap[:, np.sort(order[pivot_sizes > max_rounding])]
 
 
 def _count_modes(structure: Structure, ties: Any) -> int:
-    """Number of modes with mass everywhere."""
+    """Return the number of modes if every dof has mass."""
     return structure.n_dofs - (0 if ties is None else int(ties.shape[1]))
 
 
 class Inverse(Protocol):
-    """What applies the inverse of a stiffness: a :class:`Factor`, for example."""
+    """Interface of what applies the inverse of a stiffness, such as a :class:`Factor`."""
 
     null_pivots: int
-    """Dimension of the null space that was met."""
+    """Dimension of the stiffness's null space."""
 
-    def apply(self, right: Any, solution: Any) -> None:
+    def apply(self, rhs: Any, solution: Any) -> None:
         """Solve for a PETSc vector (collective)."""
 
 
 class BondedInverse:
-    """Inverse of a stiffness where B^T x = 0, by its factor and independent columns of B:
+    """Inverse of a stiffness on the space with B^T x = 0.
 
-    x = K^-1 r - K^-1 B S^-1 B^T K^-1 r,        S = B^T K^-1 B.
+    It takes the factor of the stiffness and independent columns of B:
+
+        x = K^-1 r - K^-1 B S^-1 B^T K^-1 r,        S = B^T K^-1 B
     """
 
     def __init__(self, factor: Any, structure: Structure, ties: Any) -> None:
         self.null_pivots = factor.null_pivots
-        self._factor, self._ties, self._sum = factor, ties.T, structure.sum_over_ranks
+        self._factor, self._ties = factor, ties.T
+        self._sum_over_ranks = structure.sum_over_ranks
         if not self.null_pivots:
-            self._moved = factor.solve(self._ties)
-            flexibility = self._sum(self._ties @ self._moved.T)
+            self._tie_responses = factor.solve(self._ties)
+            flexibility = self._sum_over_ranks(self._ties @ self._tie_responses.T)
             self._compliance = scipy.linalg.cho_factor(flexibility)
 
-    def apply(self, right: Any, solution: Any) -> None:
+    def apply(self, rhs: Any, solution: Any) -> None:
         """Solve for a PETSc vector (collective)."""
-        self._factor.apply(right, solution)
-        gap = self._sum(self._ties @ solution.array_r)
-        solution.array_w[:] -= scipy.linalg.cho_solve(self._compliance, gap) @ self._moved
+        self._factor.apply(rhs, solution)
+        gap = self._sum_over_ranks(self._ties @ solution.array_r)
+        solution.array_w[:] -= scipy.linalg.cho_solve(self._compliance, gap) @ self._tie_responses
 
 
 def solve_modes_with_factor(
     factor: Inverse, structure: Structure, count: int, ties: Any = None
 ) -> Modes:
-    """The same of a structure with mass everywhere, by the factor of its stiffness; ``ties`` are
-    the independent columns of B where the crack is bonded."""
-    if ties is None and (kept := find_known_modes(structure, count)) is not None:
-        return kept
+    """Find the lowest modes with the factor of the stiffness (collective).
+
+    Every dof of the structure has mass.
+
+    Parameters
+    ----------
+    ties : (n_local, n_ties), optional
+        Independent columns of B, for a bonded crack.
+    """
+    if ties is None and (cached_modes := find_known_modes(structure, count)) is not None:
+        return cached_modes
     quotients = structure.stiffness.getDiagonal().array_r / structure.mass.getDiagonal().array_r
     quotients = gather_rows(structure.comm, quotients)  # [rad^2/s^2]
     scale = float(np.min(quotients[quotients > 0.0], initial=np.inf))
     scale = scale if np.isfinite(scale) else 1.0
     begin(counted(count, "natural mode"))
     inverse: Inverse = factor if ties is None else BondedInverse(factor, structure, ties)
-    asked, most = count, _count_modes(structure, ties)
+    n_requested, max_count = count, _count_modes(structure, ties)
     while True:
-        squares, shapes = _solve_near_zero(inverse, structure, asked, scale, ties)
+        squares, shapes = _solve_near_zero(inverse, structure, n_requested, scale, ties)
         if squares[0] < -1e-8 * scale:
-            worst = f"{squares[0]:.3g} = omega^2 of a mode"
-            raise InputError("stiffness", worst, "positive semidefinite")
+            problem = f"{squares[0]:.3g} = omega^2 of a mode"
+            raise InputError("stiffness", problem, "positive semidefinite")
         # A Krylov space holds one mode of a multiple frequency until rounding brings in the
-        # others. So count the frequencies below the highest one; if some are missing, ask for more.
+        # others. So count the frequencies below the highest one; if any is missing, ask for more.
         bound = squares[count - 1] - 1e-6 * max(squares[count - 1], 0.01 * scale)
-        if asked == most or count_below(structure, bound, ties) <= np.sum(squares < bound):
+        n_found = np.sum(squares < bound)
+        if n_requested == max_count or count_below(structure, bound, ties) <= n_found:
             break
-        asked = min(2 * asked + 2, most)
+        n_requested = min(2 * n_requested + 2, max_count)
     squares, shapes = squares[:count], shapes[:, :count]
-    # Rounding of K is relative to sum K_ii phi_i^2, what each dof would add to omega^2 if it moved
-    # alone. The largest K_ii / M_ii is no measure: elements that shrink towards a tip make it as
-    # large as one likes, while a low mode moves them hardly more than others.
-    alone = structure.sum_over_ranks(structure.stiffness.getDiagonal().array_r @ shapes**2)
-    squares[squares <= AS_ZERO * np.maximum(alone, scale)] = 0.0
+    # Rounding of K is relative to the sum of K_ii phi_i^2, omega^2 if each dof moved alone. The
+    # largest K_ii / M_ii is no measure: elements that shrink towards a tip make it arbitrarily
+    # large, while a low mode moves them hardly more than others.
+    single_dof_squares = structure.sum_over_ranks(
+        structure.stiffness.getDiagonal().array_r @ shapes**2
+    )
+    squares[squares <= AS_ZERO * np.maximum(single_dof_squares, scale)] = 0.0
     if squares[0] == 0.0 and structure.clamp is not None:  # no part of a mesh is without one
         raise ConvergenceError(
             f"modes: omega^2 of the lowest is rounding of the stiffness: {ROUNDING_ADVICE}"
@@ -246,114 +284,147 @@ def solve_modes_with_factor(
 
 
 def find_known_modes(structure: Structure, count: int) -> Modes | None:
-    """The lowest modes, crack open, if so many have been found before, or are its coordinates."""
+    """Return the lowest modes with an open crack, if they are known; else None.
+
+    They were computed before, or the coordinates are those of modes.
+    """
     if structure.whole is not structure:  # small and dense
-        if (known := structure.known_modes(is_bonded=False)) is not None:
-            return Modes(known[0][:count], known[1][:, :count], structure)
-    kept = structure.cached_result(_lowest_modes_cache, from_matrices=True)
-    if not kept or len(kept[0]) < count:
+        if (known_modes := structure.known_modes(is_bonded=False)) is not None:
+            return Modes(known_modes[0][:count], known_modes[1][:, :count], structure)
+    cache = structure.cached_result(_lowest_modes_cache, from_matrices=True)
+    if not cache or len(cache[0]) < count:
         return None
-    return Modes(kept[0][:count], kept[1][:, :count], structure)
+    return Modes(cache[0][:count], cache[1][:, :count], structure)
 
 
 def _lowest_modes_cache(structure: Structure) -> list[np.ndarray]:
-    """Frequencies and shapes of the most modes of a structure requested so far, crack open; it
-    is not held by them itself, which would keep it alive."""
+    """Return an empty cache for frequencies and shapes with an open crack.
+
+    It keeps the largest number of modes requested so far. It does not refer to the structure, which
+    it would keep alive.
+    """
     return []
 
 
-def _make_solver(structure: Structure, prefix: str, count: int, krylov: int) -> Any:
-    """SLEPc's solver of K phi = omega^2 M phi."""
+def _make_solver(structure: Structure, prefix: str, count: int, krylov_size: int) -> Any:
+    """Make SLEPc's solver of K phi = omega^2 M phi."""
     solver = slepc().EPS().create(structure.comm)
     solver.setOptionsPrefix(prefix)
     solver.setOperators(structure.stiffness, structure.mass)
     solver.setProblemType(solver.ProblemType.GHEP)
-    solver.setDimensions(count, min(structure.n_dofs, krylov))
+    solver.setDimensions(count, min(structure.n_dofs, krylov_size))
     solver.getST().getKSP().setType("preonly")
     return solver
 
 
 def _run_solver(solver: Any, count: int) -> None:
+    """Run SLEPc's solver; raise ConvergenceError if modes are missing."""
     solver.setFromOptions()
     try:
         solver.solve()
     except PETSc.Error as error:  # rounding leaves the mass indefinite in what SLEPc spans
         solver.destroy()
         raise ConvergenceError(f"modes: SLEPc cannot find {count}: {ROUNDING_ADVICE}") from error
-    found = solver.getConverged()
-    if found < count:
+    n_converged = solver.getConverged()
+    if n_converged < count:
         solver.destroy()
-        raise ConvergenceError(f"modes: only {found} of {count} converged: {ROUNDING_ADVICE}")
+        raise ConvergenceError(f"modes: only {n_converged} of {count} converged: {ROUNDING_ADVICE}")
 
 
 def _solve_near_zero(
     factor: Inverse, structure: Structure, count: int, scale: float, ties: Any
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Eigenvalues omega^2, ascending, and shapes of the modes closest to zero, by the factor of K;
-    where K is singular by that of K + s M."""
+    """Find the modes closest to zero, with the factor of K (collective).
+
+    If K is singular, K + s M is factored instead.
+
+    Returns
+    -------
+    (count,) [rad^2/s^2]
+        omega^2, ascending.
+    (n_local, count)
+        Shapes.
+    """
     if not factor.null_pivots:
         squares, shapes = _solve_near_shift(factor, structure, count, 0.0)
-        if (
-            squares[0] > MATRIX_TOLERANCE * scale
-        ):  # what the factor of a singular K finds may be below 0
+        if squares[0] > MATRIX_TOLERANCE * scale:  # a singular K may give values below 0
             return squares, shapes
     shift = -1e-6 * scale
-    shifted = factored_sum(structure.stiffness, -shift, structure.mass, definite=True, border=ties)
-    with shifted as other:
-        return _solve_near_shift(other, structure, count, shift)
+    shifted_factor = factored_sum(
+        structure.stiffness, -shift, structure.mass, definite=True, border=ties
+    )
+    with shifted_factor as inverse:
+        return _solve_near_shift(inverse, structure, count, shift)
 
 
 def krylov_size(count: int) -> int:
-    """Held for so many modes: SLEPc's default is twice the count; of many modes fewer are as quick,
-    of few some more keep to one sweep."""
+    """Return the number of Krylov vectors for some modes.
+
+    SLEPc's default is twice the count. For many modes fewer vectors are as quick; for few modes
+    some more avoid a second sweep.
+    """
     return max(min(2 * count, count + 150), count + 15)
 
 
 def _solve_near_shift(
     factor: Inverse, structure: Structure, count: int, shift: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Eigenvalues, ascending, and mass-normalised shapes of the modes closest to a shift, by the
-    factor of K - shift M."""
+    """Find the modes closest to a shift, factored as K - shift M (collective).
+
+    Returns
+    -------
+    (count,) [rad^2/s^2]
+        omega^2, ascending.
+    (n_local, count)
+        Mass-normalised shapes.
+    """
     solver = _make_solver(structure, "crack_modes_", count, krylov_size(count))
     solver.setWhichEigenpairs(solver.Which.TARGET_MAGNITUDE)
     solver.setTolerances(1e-12, 500)
     solver.setTarget(shift)
-    transformation = solver.getST()
-    transformation.setType(transformation.Type.SINVERT)
-    transformation.setMatMode(transformation.MatMode.SHELL)  # K - shift M is not formed again
+    spectral_transform = solver.getST()
+    spectral_transform.setType(spectral_transform.Type.SINVERT)
+    spectral_transform.setMatMode(
+        spectral_transform.MatMode.SHELL
+    )  # K - shift M is not formed again
     solver.setPurify(False)  # only a singular mass needs it, and it costs orthogonality
-    inner = transformation.getKSP().getPC()
-    inner.setType("python")
-    inner.setPythonContext(SimpleNamespace(apply=lambda _, right, x: factor.apply(right, x)))
+    preconditioner = spectral_transform.getKSP().getPC()
+    preconditioner.setType("python")
+    preconditioner.setPythonContext(
+        SimpleNamespace(apply=lambda _, rhs, solution: factor.apply(rhs, solution))
+    )
     _run_solver(solver, count)
-    vector, moved = structure.mass.createVecs()
+    vector, mass_vector = structure.mass.createVecs()
     squares = np.array([solver.getEigenvalue(index).real for index in range(count)])
     order = np.argsort(squares)
     shapes = np.empty((count, structure.n_local))
     for row, index in zip(shapes, order, strict=True):
         solver.getEigenvector(int(index), vector)
-        structure.mass.mult(vector, moved)
-        row[:] = vector.array_r / np.sqrt(max(vector.dot(moved), 1e-300))
-    # Left to Python, the context would hold K until PETSc frees its garbage, and be lost there.
-    for used in (vector, moved, solver, transformation, inner):
-        used.destroy()
+        structure.mass.mult(vector, mass_vector)
+        row[:] = vector.array_r / np.sqrt(max(vector.dot(mass_vector), 1e-300))
+    # Python would keep the context, and with it K, until PETSc frees its garbage.
+    for petsc_object in (vector, mass_vector, solver, spectral_transform, preconditioner):
+        petsc_object.destroy()
     return squares[order], shapes.T
 
 
 def count_below(structure: Structure, square: float, ties: Any = None) -> int:
-    """Number of modes with omega^2 < square: the negative pivots of K - square M (Sylvester)."""
+    """Return the number of modes with omega^2 < square (collective).
+
+    These are the negative pivots of K - square M (Sylvester).
+    """
     with factored_sum(structure.stiffness, -square, structure.mass, border=ties) as factor:
         return int(factor.negative_pivots)
 
 
 def largest_frequency(structure: Structure) -> float:
-    """Largest natural angular frequency [rad/s] (collective)."""
+    """Return the largest natural angular frequency [rad/s] (collective)."""
     solver = _make_solver(structure, "crack_largest_", 1, 30)
     solver.setWhichEigenpairs(solver.Which.LARGEST_REAL)
     solver.setTolerances(1e-6, 1000)
-    inner = solver.getST().getKSP().getPC()
-    inner.setType("cholesky")
-    inner.setFactorSolverType("mumps")
+    preconditioner = solver.getST().getKSP().getPC()
+    preconditioner.setType("cholesky")
+    preconditioner.setFactorSolverType("mumps")
     _run_solver(solver, 1)
     square = solver.getEigenvalue(0).real
     solver.destroy()
@@ -361,67 +432,86 @@ def largest_frequency(structure: Structure) -> float:
 
 
 def multiply(matrix: Any, columns: np.ndarray) -> np.ndarray:
-    """A X for a PETSc matrix and the columns of X (n_local, m) (collective)."""
-    found = np.empty(columns.shape)
+    """Multiply a PETSc matrix with columns (n_local, m): the same shape (collective)."""
+    products = np.empty(columns.shape)
     for start in range(0, columns.shape[1], MAX_BLOCK_COLUMNS):
         block = np.array(columns[:, start : start + MAX_BLOCK_COLUMNS], order="F")
-        whole = (matrix.sizes[1], (PETSc.DECIDE, block.shape[1]))
-        right = PETSc.Mat().createDense(whole, array=block, comm=matrix.comm)
-        right.assemble()
-        product = matrix.matMult(right)
-        found[:, start : start + MAX_BLOCK_COLUMNS] = product.getDenseArray()
-        right.destroy()
-        product.destroy()
-    return found
+        sizes = (matrix.sizes[1], (PETSc.DECIDE, block.shape[1]))
+        block_matrix = PETSc.Mat().createDense(sizes, array=block, comm=matrix.comm)
+        block_matrix.assemble()
+        product_matrix = matrix.matMult(block_matrix)
+        products[:, start : start + MAX_BLOCK_COLUMNS] = product_matrix.getDenseArray()
+        block_matrix.destroy()
+        product_matrix.destroy()
+    return products
 
 
 def independent_part(
     structure: Structure, matrix: Any, basis: np.ndarray, columns: np.ndarray
 ) -> np.ndarray:
-    """Part of columns x (n_local, m) that is new to a basis with V^T A V = I, likewise
-    (collective).
+    """Return the part of columns that is new to a basis (collective).
 
-    Of columns of unit size x^T A x the directions whose weight in the Gram matrix is negligible are
-    left out: of a static response no more is lost than that of its square, 1e-6, and of a
-    compliance 1e-12.
+    Directions are left out if their weight in the Gram matrix of columns of unit size x^T A x is
+    negligible. The loss is at most 1e-6 of a static response and 1e-12 of a compliance.
+
+    Parameters
+    ----------
+    matrix : PETSc.Mat
+        A.
+    basis : (n_local, n)
+        V, with V^T A V = I.
+    columns : (n_local, m)
+        x.
+
+    Returns
+    -------
+    (n_local, m')
+        X with X^T A X = I and V^T A X = 0.
     """
 
-    def gram(rows: np.ndarray) -> np.ndarray:
-        return structure.sum_over_ranks(rows.T @ multiply(matrix, columns))
+    def project_columns(directions: np.ndarray) -> np.ndarray:
+        return structure.sum_over_ranks(directions.T @ multiply(matrix, columns))
 
     squares = structure.sum_over_ranks((columns * multiply(matrix, columns)).sum(axis=0))
     columns = columns / np.sqrt(np.maximum(squares, 1e-300))
     for _ in range(2):  # once more against rounding
-        columns = columns - basis @ gram(basis)
-        weights, vectors = np.linalg.eigh(gram(columns))
-        kept = weights > NEGLIGIBLE
-        columns = columns @ (vectors[:, kept] / np.sqrt(weights[kept]))
+        columns = columns - basis @ project_columns(basis)
+        weights, eigenvectors = np.linalg.eigh(project_columns(columns))
+        is_kept = weights > NEGLIGIBLE
+        columns = columns @ (eigenvectors[:, is_kept] / np.sqrt(weights[is_kept]))
     return columns
 
 
 def _choose_signs(structure: Structure, shapes: np.ndarray) -> np.ndarray:
-    """Signs that make the largest component positive; ties go to the first by position, then dof.
+    """Return signs that make the largest component of each shape positive.
 
-    A symmetric structure has equally large components: neither rounding may decide between them,
-    nor the numbering, which depends on the number of ranks.
+    A symmetric structure has several equally large components. Then the first by position and
+    direction decides, or without positions the lowest dof. Neither rounding nor the numbering,
+    which depends on the number of ranks, may decide.
+
+    Returns
+    -------
+    (count,)
     """
-    first = structure.first_dof
+    first_dof = structure.first_dof
     width = 1 if structure.nodes is None else structure.nodes.points.shape[1] + 1
     keys = np.zeros((structure.n_local, width))
     if structure.nodes is None or structure.whole is not structure:
-        keys[:, 0] = np.arange(first, first + structure.n_local)
+        keys[:, 0] = np.arange(first_dof, first_dof + structure.n_local)
     else:
         nodes, components = np.nonzero(structure.nodes.dofs >= 0)
-        rows = structure.nodes.dofs[nodes, components] - first
+        rows = structure.nodes.dofs[nodes, components] - first_dof
         keys[rows] = np.column_stack([structure.nodes.points[nodes], components])
-    own = np.maximum(shapes.max(axis=0, initial=0.0), -shapes.min(axis=0, initial=0.0))
-    peaks = np.max(gather_rows(structure.comm, own[None]), axis=0)
+    own_peaks = np.maximum(shapes.max(axis=0, initial=0.0), -shapes.min(axis=0, initial=0.0))
+    peaks = np.max(gather_rows(structure.comm, own_peaks[None]), axis=0)
     signs = np.empty(shapes.shape[1])
     for mode, peak in enumerate(peaks):
-        large = np.flatnonzero(np.abs(shapes[:, mode]) >= (1.0 - 1e-6) * peak)
-        candidates = np.column_stack([keys[large].round(12), np.sign(shapes[large, mode])])
-        every = gather_rows(structure.comm, candidates)
-        signs[mode] = every[np.lexsort(every[:, -2::-1].T)[0], -1]
+        large_rows = np.flatnonzero(np.abs(shapes[:, mode]) >= (1.0 - 1e-6) * peak)
+        candidates = np.column_stack(
+            [keys[large_rows].round(12), np.sign(shapes[large_rows, mode])]
+        )
+        all_candidates = gather_rows(structure.comm, candidates)
+        signs[mode] = all_candidates[np.lexsort(all_candidates[:, -2::-1].T)[0], -1]
     return signs
 
 
@@ -446,7 +536,7 @@ class DampedModes:
 
 
 def damped_modes(structure: Structure) -> DampedModes | None:
-    """Modes that carry the structure's modal damping; None without modal damping (collective).
+    """Return the modes that carry the modal damping; None without it (collective).
 
     They are computed once for a structure and its varied copies.
 
@@ -462,6 +552,7 @@ def damped_modes(structure: Structure) -> DampedModes | None:
 
 
 def _damped_modes(structure: Structure) -> DampedModes:
+    """Compute the modes that carry the modal damping (collective)."""
     modes = solve_modes(structure, check_damped_modes(structure))
     mass_shapes = multiply(structure.mass, modes.shapes)
     rate = structure.damping.rate(modes.omega**2)
@@ -469,7 +560,7 @@ def _damped_modes(structure: Structure) -> DampedModes:
 
 
 def check_damped_modes(structure: Structure) -> int:
-    """Number of modes that modal damping damps; InputError as :func:`damped_modes`."""
+    """Return the number of damped modes; InputError as :func:`damped_modes`."""
     damping = structure.damping
     count: int = structure.n_modes if damping.modes is None else damping.modes
     if count > structure.n_modes:
@@ -481,10 +572,18 @@ def check_damped_modes(structure: Structure) -> int:
 
 
 def damped_range(structure: Structure) -> tuple[int, float] | None:
-    """Number of damped modes, and the highest frequency of one [rad/s] (collective).
+    """Return how many modes are damped, and up to which frequency (collective).
 
-    None where no mode above it is left without damping, and where a damping matrix was given. Where
-    projection has made a matrix of modal damping, the modes are those of the whole structure.
+    A projected matrix of modal damping counts the modes of the whole structure.
+
+    Returns
+    -------
+    int
+        Number of damped modes.
+    float [rad/s]
+        Highest frequency of a damped mode.
+    None
+        Instead of both: no higher mode is undamped, or a damping matrix was given.
 
     Raises
     ------
@@ -500,29 +599,47 @@ def damped_range(structure: Structure) -> tuple[int, float] | None:
         return None if rule.mass or rule.stiffness else (0, 0.0)
     if isinstance(rule.ratio, float) and rule.modes in (None, structure.n_modes):
         return None if rule.ratio else (0, 0.0)
-    known = damped_modes(structure)
-    assert known is not None
-    found = np.flatnonzero(known.rate > 1e-9 * known.rate.max())  # not rounding of a projection
-    if not found.size:
+    damping_modes = damped_modes(structure)
+    assert damping_modes is not None
+    damped_indices = np.flatnonzero(
+        damping_modes.rate > 1e-9 * damping_modes.rate.max()
+    )  # not rounding of a projection
+    if not damped_indices.size:
         return 0, 0.0
-    last = int(found[-1])
-    return None if last == structure.n_modes - 1 else (len(found), float(known.omega[last]))
+    last_index = int(damped_indices[-1])
+    return (
+        None
+        if last_index == structure.n_modes - 1
+        else (len(damped_indices), float(damping_modes.omega[last_index]))
+    )
 
 
 def damping_on_modes(structure: Structure, columns: np.ndarray, squares: np.ndarray) -> np.ndarray:
-    """X^T C X of columns with X^T M X = I and X^T K X = diag(squares): its diagonal (m,) where what
-    couples them is rounding of a projection, else (m, m) [1/s] (collective)."""
+    """Return X^T C X, or its diagonal if it is diagonal (collective).
+
+    A coupling that is rounding of a projection does not count.
+
+    Parameters
+    ----------
+    columns : (n_local, m)
+        X, with X^T M X = I and X^T K X = diag(squares).
+    squares : (m,) [rad^2/s^2]
+
+    Returns
+    -------
+    (m,) or (m, m) [1/s]
+    """
     if isinstance(structure.damping, RayleighDamping):
         return structure.damping.rate(squares)
-    coupled = projected_damping(structure, columns)
-    rate = np.diag(coupled).copy()
-    coupling = np.abs(coupled - np.diag(rate)).max(initial=0.0)
-    rounding = np.sqrt(EPSILON) * np.abs(rate).max(initial=0.0)
-    return rate if coupling <= rounding else coupled
+    damping_matrix = projected_damping(structure, columns)
+    rate = np.diag(damping_matrix).copy()
+    coupling = np.abs(damping_matrix - np.diag(rate)).max(initial=0.0)
+    max_rounding = np.sqrt(EPSILON) * np.abs(rate).max(initial=0.0)
+    return rate if coupling <= max_rounding else damping_matrix
 
 
 def projected_damping(structure: Structure, columns: np.ndarray) -> np.ndarray:
-    """X^T C X of the columns of X (n_local, m): (m, m) [kg/s] (collective)."""
+    """Return X^T C X of columns X (n_local, m): (m, m) [kg/s] (collective)."""
     rule = structure.damping
     if isinstance(rule, RayleighDamping):  # without C
         product = rule.mass * multiply(structure.mass, columns)
@@ -531,11 +648,11 @@ def projected_damping(structure: Structure, columns: np.ndarray) -> np.ndarray:
     if structure.damping_matrix is not None:
         product = multiply(structure.damping_matrix, columns)
         return structure.sum_over_ranks(columns.T @ product)
-    damped = damped_modes(structure)
-    if damped is None:
+    damping_modes = damped_modes(structure)
+    if damping_modes is None:
         return np.zeros((columns.shape[1], columns.shape[1]))
-    projected = structure.sum_over_ranks(damped.mass_shapes.T @ columns)
-    return (projected.T * damped.rate) @ projected
+    modal_columns = structure.sum_over_ranks(damping_modes.mass_shapes.T @ columns)
+    return (modal_columns.T * damping_modes.rate) @ modal_columns
 
 
 # --- with the crack open and bonded --------------------------------------------------------------
@@ -546,24 +663,23 @@ FREQUENCY_KINDS = ("open", "tied", "bilinear")
 
 @dataclass(frozen=True, repr=False)
 class BilinearFrequencies(Tabular):
-    """Natural frequencies with the crack open, in ascending order, and those with it bonded of the
-    same shapes: the other way round where the bond takes one mode past another.
+    """Natural frequencies with the crack open, ascending, and bonded with the same shapes.
 
-    Half a period with the crack open and half a period with it bonded, each half as long as the
-    natural vibration of that state, make a period pi / w_o + pi / w_t, and so the bilinear
-    frequency
+    The bonded ones are not ascending if the bond takes one mode past another.
+
+    Half a natural period with the crack open and half a natural period with the crack bonded make a
+    period pi / w_o + pi / w_t. That is the bilinear frequency
 
         w_b = 2 w_o w_t / (w_o + w_t)
 
     (Shaw and Holmes, Journal of Sound and Vibration 90, 1983, 129, for one degree of freedom). It
-    is exact for a bilinear oscillator without clearance, and near where one mode carries the
-    motion.
+    is exact for a bilinear oscillator without clearance, and close if one mode carries the motion.
 
     Attributes
     ----------
     omega_open, omega_tied : (n,), or (..., n) [rad/s]
-        Of the modes of one shape, or at several speeds; bonded ones are infinite where there are no
-        more.
+        Frequencies of modes with one shape, or at several speeds. A bonded one is infinite if there
+        is none.
     """
 
     omega_open: np.ndarray
@@ -580,40 +696,51 @@ class BilinearFrequencies(Tabular):
             return np.asarray(2.0 / (1.0 / self.omega_open + 1.0 / self.omega_tied))
 
     def nearest(self, omega: Any) -> dict[str, np.ndarray]:
-        """Describe load frequencies (...) by the mode whose bilinear frequency is nearest.
+        """Describe load frequencies by the mode with the nearest bilinear frequency.
 
-        ``mode``, its number; ``omega_open``, ``omega_tied`` and ``omega_bilinear`` of it [rad/s];
-        ``over_open``, ``over_tied`` and ``over_bilinear``, the load frequency over these: one less
-        is the frequency shift. Of shape (...), that of the speeds if there are several.
+        Parameters
+        ----------
+        omega : (...) [rad/s]
+            Load frequencies.
+
+        Returns
+        -------
+        dict
+            ``mode``, the number of the mode; ``omega_open``, ``omega_tied`` and ``omega_bilinear``
+            [rad/s]; ``over_open``, ``over_tied`` and ``over_bilinear``, the load frequency relative
+            to each: less one, this is the frequency shift. Shape (...), which is that of the speeds
+            if there are several.
         """
-        omega, bilinear = np.asarray(omega, dtype=float), self.omega_bilinear
-        place = np.abs(omega[..., None] - bilinear).argmin(axis=-1)
-        count = bilinear.shape[-1]
-        found: dict[str, np.ndarray] = {"mode": place + 1}
+        omega, omega_bilinear = np.asarray(omega, dtype=float), self.omega_bilinear
+        mode_index = np.abs(omega[..., None] - omega_bilinear).argmin(axis=-1)
+        n_modes = omega_bilinear.shape[-1]
+        description: dict[str, np.ndarray] = {"mode": mode_index + 1}
         for name in FREQUENCY_KINDS:
-            natural = np.broadcast_to(getattr(self, f"omega_{name}"), (*place.shape, count))
-            natural = np.take_along_axis(natural, place[..., None], -1)[..., 0]
-            found[f"omega_{name}"] = natural
+            omega_natural = np.broadcast_to(
+                getattr(self, f"omega_{name}"), (*mode_index.shape, n_modes)
+            )
+            omega_natural = np.take_along_axis(omega_natural, mode_index[..., None], -1)[..., 0]
+            description[f"omega_{name}"] = omega_natural
             with np.errstate(divide="ignore", invalid="ignore"):
-                found[f"over_{name}"] = omega / natural
-        return found
+                description[f"over_{name}"] = omega / omega_natural
+        return description
 
     def to_dict(self) -> dict[str, Any]:
-        """Columns, a row for every mode."""
+        """Return columns with a row for every mode."""
         columns: dict[str, Any] = {"mode": list(range(1, len(self.omega_open) + 1))}
-        names = [f"omega_{kind}" for kind in FREQUENCY_KINDS]
-        return columns | {name: getattr(self, name).tolist() for name in names}
+        column_names = [f"omega_{kind}" for kind in FREQUENCY_KINDS]
+        return columns | {name: getattr(self, name).tolist() for name in column_names}
 
     def _title(self) -> str:
-        first = f"first {self.omega_open[0]:.6g} open, {self.omega_tied[0]:.6g} rad/s bonded"
-        return f"{counted(len(self.omega_open), 'mode')}, {first}"
+        first_mode = f"first {self.omega_open[0]:.6g} open, {self.omega_tied[0]:.6g} rad/s bonded"
+        return f"{counted(len(self.omega_open), 'mode')}, {first_mode}"
 
 
 def bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
-    """The lowest natural frequencies, up to 6, with the crack open and bonded (collective).
+    """Find up to 6 lowest frequencies with the crack open and bonded (collective).
 
-    Bonded faces slide (:func:`fenics_crack.solve_modes`); a contact law of little stiffness lets
-    them part, and resonances then lie lower. They are computed once for a structure and its varied
+    Bonded faces slide (:func:`fenics_crack.solve_modes`). A soft contact law lets them part, and
+    resonances then lie lower. The frequencies are computed once for a structure and its varied
     copies.
 
     Parameters
@@ -640,50 +767,69 @@ def bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
 
 
 def _bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
+    """Compute the frequencies of :func:`bilinear_frequencies` (collective)."""
     count = min(FEW_MODES, structure.n_modes)
-    is_open, tied = solve_modes(structure, count), solve_bonded_modes(structure, count)
-    return BilinearFrequencies(is_open.omega, tied.omega[match_bonded_modes(is_open, tied)])
+    open_modes, bonded_modes = solve_modes(structure, count), solve_bonded_modes(structure, count)
+    return BilinearFrequencies(
+        open_modes.omega, bonded_modes.omega[match_bonded_modes(open_modes, bonded_modes)]
+    )
 
 
 def solve_bonded_modes(structure: Structure, count: int, factor: Factor | None = None) -> Modes:
-    """The lowest modes with the crack bonded, perhaps by the factor of the stiffness; where there
-    are no more, infinite frequencies and shapes of zero (collective)."""
-    omega, shapes = np.full(count, np.inf), np.zeros((structure.n_local, count))
-    if most := min(count, count_bonded_modes(structure)):
-        if factor is None or structure.known_modes(is_bonded=True) is not None:
-            found = solve_modes(structure, most, lips="tied")
-        else:
-            found = solve_modes_with_factor(
-                factor, structure, most, find_independent_ties(structure)
-            )
-        omega[:most], shapes[:, :most] = found.omega, found.shapes
-    return Modes(omega, shapes, structure)
+    """Find the lowest modes with a bonded crack (collective).
 
-
-def match_bonded_modes(is_open: Modes, tied: Modes) -> np.ndarray:
-    """Return the bonded mode of the shape of each open mode: (n,) numbers from 0.
-
-    Each is taken once: as many as there are of (phi_open^T M phi_tied)^2 above 0.9 (a bond that
-    mixes modes leaves less, and then none is another's), and the others in the order of their
-    numbers; no tie makes a mode slower (Rayleigh). The shapes of several modes of one frequency are
-    any of a space, so squares are summed over it (collective).
+    Missing modes have infinite frequencies and shapes of zero.
 
     Parameters
     ----------
-    is_open, tied : Modes
-        Of one structure, at least as many bonded ones as open ones.
+    count : int
+        Number of modes.
+    factor : Factor, optional
+        Factor of the stiffness.
     """
-    moved = multiply(is_open.structure.mass, tied.shapes)
-    overlaps = is_open.structure.sum_over_ranks(is_open.shapes.T @ moved) ** 2
-    of_open, of_tied = (
+    omega, shapes = np.full(count, np.inf), np.zeros((structure.n_local, count))
+    if n_available := min(count, count_bonded_modes(structure)):
+        if factor is None or structure.known_modes(is_bonded=True) is not None:
+            modes = solve_modes(structure, n_available, lips="tied")
+        else:
+            modes = solve_modes_with_factor(
+                factor, structure, n_available, find_independent_ties(structure)
+            )
+        omega[:n_available], shapes[:, :n_available] = modes.omega, modes.shapes
+    return Modes(omega, shapes, structure)
+
+
+def match_bonded_modes(open_modes: Modes, bonded_modes: Modes) -> np.ndarray:
+    """Find the bonded mode with the shape of each open mode (collective).
+
+    Each bonded mode is taken once. As many pairs as possible have an overlap (phi_open^T M
+    phi_tied)^2 above 0.9; all others follow the order of their numbers. A bond that mixes modes
+    leaves less overlap, and then no mode is matched by shape. No tie makes a mode slower
+    (Rayleigh). Modes of one frequency have any shapes of a space, so squares are summed over the
+    space.
+
+    Parameters
+    ----------
+    open_modes, bonded_modes : Modes
+        Modes of one structure, at least as many bonded ones as open ones.
+
+    Returns
+    -------
+    (n,) int
+        Index of the bonded mode for each open mode.
+    """
+    mass_shapes = multiply(open_modes.structure.mass, bonded_modes.shapes)
+    overlaps = open_modes.structure.sum_over_ranks(open_modes.shapes.T @ mass_shapes) ** 2
+    is_same_open, is_same_bonded = (
         np.isclose(omega[:, None], omega, rtol=MULTIPLE_FREQUENCY_TOLERANCE, atol=0.0).astype(float)
-        for omega in (is_open.omega, tied.omega)
+        for omega in (open_modes.omega, bonded_modes.omega)
     )
-    slower = tied.omega < (1.0 - MULTIPLE_FREQUENCY_TOLERANCE) * is_open.omega[:, None]
-    same = (of_open @ overlaps @ of_tied > 0.9) & ~slower
+    is_slower = (
+        bonded_modes.omega < (1.0 - MULTIPLE_FREQUENCY_TOLERANCE) * open_modes.omega[:, None]
+    )
+    is_same_shape = (is_same_open @ overlaps @ is_same_bonded > 0.9) & ~is_slower
     rows, columns = np.indices(overlaps.shape)
-    weights = (
-        1.0 + same - MULTIPLE_FREQUENCY_TOLERANCE * (rows - columns) ** 2
-    )  # all > 0, which are matches
-    matched = min_weight_full_bipartite_matching(sparse.csr_matrix(weights), maximize=True)
-    return np.asarray(matched[1])
+    # A match needs a weight > 0.
+    weights = 1.0 + is_same_shape - MULTIPLE_FREQUENCY_TOLERANCE * (rows - columns) ** 2
+    match_indices = min_weight_full_bipartite_matching(sparse.csr_matrix(weights), maximize=True)
+    return np.asarray(match_indices[1])
