@@ -53,7 +53,7 @@ from fenics_crack.model.contact import ContactLaw, friction_of
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import LIP_STATES
-from fenics_crack.model.reduced import ReducedStructure, massless
+from fenics_crack.model.reduced import ReducedStructure, as_massless_structure
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.model.wheel import Wheel
@@ -396,7 +396,7 @@ def _told(
     report, structure = found.report, found.structure
     if not found.converged:
         return found
-    lips, kept, more, each = massless(structure), "", modes_key or "modes", 1
+    lips, kept, more, each = as_massless_structure(structure), "", modes_key or "modes", 1
     if isinstance(structure, ReducedStructure):
         size = f"{structure.n_dofs} coordinates"
         kept = f", {size}"

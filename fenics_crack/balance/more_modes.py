@@ -23,7 +23,7 @@ import numpy as np
 
 from fenics_crack.balance.contact_system import Wave
 from fenics_crack.model.modes import NEGLIGIBLE, multiply
-from fenics_crack.model.reduced import ReducedStructure, massless
+from fenics_crack.model.reduced import ReducedStructure, as_massless_structure
 from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.motion.flow import ContactFlow, Samples
 from fenics_crack.motion.orbit import (
@@ -62,7 +62,7 @@ def reference_of(wave: Wave) -> ReducedStructure | None:
 def _undamped(wave: Wave) -> float:
     """Return the energy that Rayleigh damping would dissipate in what the modes leave out, relative
     to what it dissipates in these; 0 with another damping."""
-    lips = massless(wave.structure)
+    lips = as_massless_structure(wave.structure)
     if lips is None or not isinstance(lips.original.damping, RayleighDamping):
         return 0.0
     rows = np.repeat(np.arange(1.0, wave.harmonics + 1), 2)[:, None]
@@ -97,7 +97,7 @@ class MoreModes:
         samples, flow = self.fewer.sampled, self.flow
         count = self.fewer.flow.count
         shape, speed, places = np.split(samples.whole_states, [count, 2 * count], axis=1)
-        if massless(self.wave.structure) is None:
+        if as_massless_structure(self.wave.structure) is None:
             return self._expanded(shape, speed, places)[:: INSTANTS // SEGMENTS]
         kept = shape.shape[1]
         loads = waves_of(flow.force, self.wave.omega * samples.time) @ flow.force[:, kept:]

@@ -264,7 +264,7 @@ def _all_modes(structure: Structure) -> AllModes:
 
 def _of_interface(structure: MasslessInterface) -> AllModes:
     gap, shapes, squares = structure.gap.toarray(), structure.shapes, structure.omega**2
-    at_once = structure.left @ gap
+    at_once = structure.residual_flexibility @ gap
     residual = gap.T @ at_once
     return AllModes(
         squares,
@@ -274,6 +274,6 @@ def _of_interface(structure: MasslessInterface) -> AllModes:
         bool(np.any(squares == 0.0)),
         0.5 * (residual + residual.T),
         at_once,
-        structure.left,
+        structure.residual_flexibility,
         (structure.mass.getDiagonal().array_r[:, None] * shapes).T,
     )

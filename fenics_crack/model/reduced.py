@@ -33,7 +33,7 @@ from fenics_crack.model.nodes import body_property
 from fenics_crack.model.receptance import expanded, rows_at
 from fenics_crack.model.structure import DampingRule, Structure
 
-INSTEAD = "reduce with method = 'free_interface', or march by integrate_exponential"
+MASS_REMEDY = "reduce with method = 'free_interface', or march by integrate_exponential"
 """Remedy where a scheme needs mass at the crack faces."""
 
 
@@ -48,7 +48,7 @@ class ReducedBody(Body):
     share: float = 0.75  # static shapes of the next order leave a quarter or less
 
 
-def _coordinates(
+def _make_body_fields(
     whole: Structure, squares: np.ndarray, damping: DampingRule | np.ndarray | None,
     pairs: np.ndarray, tangents: np.ndarray | None, force: np.ndarray, compliance: np.ndarray,
 ) -> dict[str, Any]:  # fmt: skip
@@ -104,7 +104,7 @@ class ReducedStructure(Structure):
     ) -> None:
         pairs, force = whole.apply_bt(basis.T), whole.sum_over_ranks(whole.force @ basis)
         tangents = whole.apply_tangential(basis.T)
-        parts = _coordinates(whole, squares, damping, pairs, tangents, force, np.zeros((0, 0)))
+        parts = _make_body_fields(whole, squares, damping, pairs, tangents, force, np.zeros((0, 0)))
         super().__init__(ReducedBody(**parts, basis=basis, reference=reference))
 
     @property
@@ -153,13 +153,13 @@ class MasslessInterface(ReducedStructure):
     ----------
     shapes : (n_dofs, n_modes)
         Phi, mass-normalised.
-    left : (n_dofs, n_dofs) [m/N]
+    residual_flexibility : (n_dofs, n_dofs) [m/N]
         Displacement by forces beyond the modes, without inertia.
     """
 
     light_lips = True
     shapes: np.ndarray
-    left: np.ndarray
+    residual_flexibility: np.ndarray
 
     @property
     def n_modes(self) -> int:
@@ -227,8 +227,8 @@ class MasslessStructure(MasslessInterface):
         seen = np.vstack([pairs, compliance[:, : pairs.shape[1]]])
         normal, tangents = np.split(seen, [whole.n_pairs], axis=1)
         known = None if whole.tangential is None else tangents
-        parts = _coordinates(whole, squares, damping, normal, known, force, compliance)
-        root = _inverse_root(compliance)
+        parts = _make_body_fields(whole, squares, damping, normal, known, force, compliance)
+        root = _root_of_inverse(compliance)
         parts |= {"flexibility": root @ root.T, "share": share}
         Structure.__init__(self, MasslessBody(**parts, reference=reference))
 
@@ -243,7 +243,7 @@ class MasslessStructure(MasslessInterface):
         return np.eye(self.n_dofs, self.n_modes)
 
     @property
-    def left(self) -> np.ndarray:  # type: ignore[override]
+    def residual_flexibility(self) -> np.ndarray:  # type: ignore[override]
         """S^-1 on the other coordinates."""
         return scipy.linalg.block_diag(np.zeros((self.n_modes,) * 2), self.flexibility)
 
@@ -258,7 +258,7 @@ class MasslessStructure(MasslessInterface):
             return super().known_modes(is_bonded=False)
         pairs, residual = self.gap[: self.n_modes].toarray(), self.residual
         static = pairs / np.where(self.omega > 0.0, self.omega, self.omega.max() or 1.0)[:, None]
-        ties = _inverse_root(static.T @ static + residual)
+        ties = _root_of_inverse(static.T @ static + residual)
         shares, turned = np.linalg.eigh(ties.T @ residual @ ties)
         ties, soft = ties @ turned, shares > NEGLIGIBLE
         held = pairs @ ties[:, ~soft]
@@ -310,12 +310,12 @@ def check_mass(structure: Structure, instead: str) -> None:
         raise InputError("structure", repr(structure), f"one with mass at its faces; {instead}")
 
 
-def massless(structure: Structure | None) -> MasslessStructure | None:
+def as_massless_structure(structure: Structure | None) -> MasslessStructure | None:
     """The structure itself if its crack faces have no mass, else None."""
     return structure if isinstance(structure, MasslessStructure) else None
 
 
-def _inverse_root(compliance: np.ndarray) -> np.ndarray:
+def _root_of_inverse(compliance: np.ndarray) -> np.ndarray:
     """Return a root W of the pseudoinverse W W^T of a compliance C, with W^T C W = I.
 
     Units differ from load to pair, so C is scaled to a unit diagonal first.

@@ -296,7 +296,7 @@ class RunUpBody(ReducedBody):
 
     speed: float
     shapes: np.ndarray
-    left: np.ndarray
+    residual_flexibility: np.ndarray
     ritz: Ritz
     dense: np.ndarray
 
@@ -311,14 +311,14 @@ class RunUpStructure(MasslessInterface):
     ----------
     speed : float
         W [rad/s].
-    shapes, left : (n_dofs, n_modes), (n_dofs, n_dofs)
+    shapes, residual_flexibility : (n_dofs, n_modes), (n_dofs, n_dofs)
         Phi, mass-normalised, and G = K^-1 - Phi Lambda^-1 Phi^T.
     """
 
     body: RunUpBody
     speed: float = body_property("speed")
     shapes: np.ndarray = body_property("shapes")
-    left: np.ndarray = body_property("left")
+    residual_flexibility: np.ndarray = body_property("residual_flexibility")
 
     def __init__(self, ritz: Ritz, speed: float) -> None:
         stiffness, force = ritz.matrices(speed)
@@ -337,7 +337,7 @@ class RunUpStructure(MasslessInterface):
             damping=None if damping is None else damping.for_modes(len(force[0])),
             tangential=ritz.tangential, nodes=ritz.whole.nodes, pairs=ritz.whole.pairs,
             basis=ritz.basis, omega=omega, whole=ritz.whole, speed=speed, shapes=static * omega,
-            left=factor.T @ factor - static @ static.T, ritz=ritz, dense=stiffness,
+            residual_flexibility=factor.T @ factor - static @ static.T, ritz=ritz, dense=stiffness,
         )  # fmt: skip
         Structure.__init__(self, body)
 

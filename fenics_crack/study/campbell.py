@@ -378,7 +378,7 @@ def campbell(
 
     @cache
     def at(speed: float) -> tuple[np.ndarray, np.ndarray]:
-        return _frequencies(small.at(speed), peaks, count, n_tied)
+        return _frequencies(small.at_speed(speed), peaks, count, n_tied)
 
     omega, holds = zip(*map(at, wanted.tolist()), strict=True)
     opened, tied, partly = np.moveaxis(omega, 1, 0)
@@ -389,7 +389,7 @@ def campbell(
         for speed, kind in _changes(at, *ends, mode)
     )
     kind = np.array([_kinds(hold) for hold in holds])
-    last = solve_modes(small.at(wanted[-1]), count)
+    last = solve_modes(small.at_speed(wanted[-1]), count)
     modes = Modes(last.omega, small.basis @ last.shapes, top)
     coriolis = coriolis_shifts(modes, wanted[-1] * axis)
     found = Campbell(

@@ -60,7 +60,7 @@ from fenics_crack.model.contact import (
 from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.modal import CACHE_SIZE, all_modes, is_small
 from fenics_crack.model.modes import damped_modes, largest_frequency, multiply
-from fenics_crack.model.reduced import INSTEAD, check_mass
+from fenics_crack.model.reduced import MASS_REMEDY, check_mass
 from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.time.march import March, Scheme, TimeHistory, Window, march
 
@@ -92,7 +92,7 @@ def stable_steps_per_period(structure: Structure, omega: float, contact: Contact
     --------
     >>> steps = fc.stable_steps_per_period(structure, 2000.0, contact)
     """
-    check_mass(structure, INSTEAD)
+    check_mass(structure, MASS_REMEDY)
     check_omega(omega)
     check_law(structure, contact, rigid=True)
     springs = _springs(structure, contact)

@@ -28,9 +28,9 @@ def by_runge_kutta(
     rows, shapes, squares = structure.gap.toarray(), structure.shapes, structure.omega**2
     pairs, count, seen = structure.n_pairs, len(squares), shapes.T @ rows
     damping = np.diag(structure.rate) if structure.rate.ndim == 1 else structure.rate
-    residual = rows.T @ structure.left @ rows
+    residual = rows.T @ structure.residual_flexibility @ rows
     root = np.linalg.cholesky(residual + springs * np.eye(pairs))
-    load, static = structure.force @ shapes, structure.force @ structure.left
+    load, static = structure.force @ shapes, structure.force @ structure.residual_flexibility
 
     def parts(t: float, state: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         wave = np.array([1.0, np.cos(omega * t), np.sin(omega * t)])
