@@ -1,15 +1,22 @@
-"""Structures in the coordinates of a basis, u = T q: the same interface, few unknowns.
+"""Structures in few coordinates q of a basis, u = T q.
 
 :class:`ReducedStructure` has mass in all of its coordinates. In :class:`MasslessStructure` only the
-lowest modes Phi have mass; what they leave out is quasi-static (MacNeal, Computers & Structures 1,
-1971, 581),
+lowest modes Phi have mass. The truncated part is quasi-static:
 
-    u = Phi q + G (f - B lambda),        G = K^-1 - Phi Lambda^-1 Phi^T,
+    u = Phi q + G (f - B lambda),        G = K^-1 - Phi Lambda^-1 Phi^T
 
-so its coordinates are those of the modes, and the forces c on which G acts: c = -lambda on the
-pairs and the amplitudes of the load's parts. With X = [B, f] these have no mass and the stiffness
-S = X^T G X. No column of G X is held: displacements are expanded by static solutions when they are
-requested.
+Lambda holds the squares of the modes' frequencies. The coordinates are those of the modes, and
+massless amplitudes c of the forces on which G acts. On the pairs c = -lambda; for the load's parts
+they are its amplitudes. With X = [B, f],
+
+    u = Phi q + G X c,        S = X^T G X
+
+S is the stiffness of the massless coordinates. No column of G X is held: static solutions expand
+displacements on request.
+
+References
+----------
+MacNeal, Computers & Structures 1, 1971, 581.
 """
 
 from __future__ import annotations
@@ -34,58 +41,66 @@ from fenics_crack.model.receptance import expanded, rows_at
 from fenics_crack.model.structure import DampingRule, Structure
 
 MASS_REMEDY = "reduce with method = 'free_interface', or march by integrate_exponential"
-"""Remedy where a scheme needs mass at the crack faces."""
+"""Remedy for a scheme that needs mass at the crack faces."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ReducedBody(Body):
-    """That of a reduced structure, of whose attributes these are."""
+    """Body of a reduced structure.
 
-    whole: Structure
+    ``source`` is the structure that was reduced; :class:`ReducedStructure` explains all other
+    fields.
+    """
+
+    source: Structure
     basis: np.ndarray | None = None
     omega: np.ndarray
     reference: ReducedStructure | None = None
-    share: float = 0.75  # static shapes of the next order leave a quarter or less
+    share: float = 0.75  # the reference with the next static shapes lacks a quarter or less
 
 
 def _make_body_fields(
-    whole: Structure, squares: np.ndarray, damping: DampingRule | np.ndarray | None,
-    pairs: np.ndarray, tangents: np.ndarray | None, force: np.ndarray, compliance: np.ndarray,
+    source: Structure, squares: np.ndarray, damping: DampingRule | np.ndarray | None,
+    gap: np.ndarray, tangents: np.ndarray | None, force: np.ndarray, compliance: np.ndarray,
 ) -> dict[str, Any]:  # fmt: skip
-    """The body in coordinates of mass 1, and others without mass whose stiffness is given."""
-    n_modes, extra = len(squares), len(compliance)
+    """Make the fields of a body with modal and massless coordinates.
+
+    The modes have mass 1 and stiffness ``squares``. The massless coordinates have the stiffness
+    ``compliance``.
+    """
+    n_modes, n_massless = len(squares), len(compliance)
     if isinstance(damping, np.ndarray):
         damping = distribute_rows(scipy.linalg.block_diag(damping, 0.0 * compliance), MPI.COMM_SELF)
-    mass = sparse.diags(np.repeat([1.0, 0.0], [n_modes, extra]))
+    mass = sparse.diags(np.repeat([1.0, 0.0], [n_modes, n_massless]))
     stiffness = sparse.block_diag([sparse.diags(squares), compliance])
     return {
         "mass": distribute_rows(mass, MPI.COMM_SELF),
         "stiffness": distribute_rows(stiffness, MPI.COMM_SELF),
-        "gap": pairs, "tangential": tangents, "force": force, "clearance": whole.clearance,
-        "damping": damping, "nodes": whole.nodes, "pairs": whole.pairs,
-        "omega": np.sqrt(np.maximum(squares, 0.0)), "whole": whole,
+        "gap": gap, "tangential": tangents, "force": force, "clearance": source.clearance,
+        "damping": damping, "nodes": source.nodes, "pairs": source.pairs,
+        "omega": np.sqrt(np.maximum(squares, 0.0)), "source": source,
     }  # fmt: skip
 
 
 class ReducedStructure(Structure):
-    """A structure in the coordinates q of a basis, u = T q; the same on every rank.
+    """A structure in the coordinates q of a basis, u = T q.
 
-    ``find_dof`` and ``values_at`` refer to the dofs of the whole structure, and so does everything
-    drawn or written of its solutions.
+    Every rank has the same one. ``find_dof`` and ``values_at`` refer to the dofs of the whole
+    structure, and so do drawings and files of its solutions.
 
     Attributes
     ----------
     whole : Structure
         Structure that was reduced.
     basis : (whole.n_local, n_dofs)
-        T, M-orthonormal; its columns are modes of the reduced structure.
+        T, M-orthonormal; the columns are modes of the reduced structure.
     omega : (n_dofs,) [rad/s]
-        Their frequencies.
+        Frequencies of these modes.
     reference : ReducedStructure or None
-        The same with a larger basis, against which the reduction error is estimated.
+        The same with a larger basis, to estimate the reduction error.
     share : float
-        Part that the reference has of what the reduction leaves out: with static shapes of the next
-        order three quarters or more, with twice the modes about a half.
+        Share of the truncated part that the reference has: three quarters or more with static
+        shapes of the next order, about a half with twice the modes.
     """
 
     body: ReducedBody
@@ -96,30 +111,30 @@ class ReducedStructure(Structure):
 
     def __init__(
         self,
-        whole: Structure,
+        source: Structure,
         basis: np.ndarray,
         squares: np.ndarray,
         damping: DampingRule | np.ndarray | None,
         reference: ReducedStructure | None = None,
     ) -> None:
-        pairs, force = whole.apply_bt(basis.T), whole.sum_over_ranks(whole.force @ basis)
-        tangents = whole.apply_tangential(basis.T)
-        parts = _make_body_fields(whole, squares, damping, pairs, tangents, force, np.zeros((0, 0)))
-        super().__init__(ReducedBody(**parts, basis=basis, reference=reference))
+        gap, force = source.apply_bt(basis.T), source.sum_over_ranks(source.force @ basis)
+        tangents = source.apply_tangential(basis.T)
+        fields = _make_body_fields(source, squares, damping, gap, tangents, force, np.zeros((0, 0)))
+        super().__init__(ReducedBody(**fields, basis=basis, reference=reference))
 
     @property
     def _size_words(self) -> str:
         return f"{self.n_dofs} coordinates of {self.whole.n_dofs} dofs"
 
     @cached_property
-    def _whole(self) -> Structure:
+    def _source(self) -> Structure:
         """The structure that was reduced, in the same setting."""
-        return self._apply_setting(self.body.whole)
+        return self._apply_setting(self.body.source)
 
     @property
     def whole(self) -> Structure:
         """The structure that was reduced first."""
-        return self._whole.whole
+        return self._source.whole
 
     @cached_property
     def reference(self) -> ReducedStructure | None:
@@ -127,27 +142,36 @@ class ReducedStructure(Structure):
         return self.body.reference and self._apply_setting(self.body.reference)
 
     def damped(self, damping: DampingRule | None) -> Self:
-        """Return this structure with another damping, of the reference too."""
-        given = self.body.reference
-        damped = super().damped(damping)
-        return damped._in_setting(damped.setting, reference=given and given.damped(damping))
+        """Return this structure with another damping, also in the reference."""
+        body_reference = self.body.reference
+        damped_structure = super().damped(damping)
+        return damped_structure._in_setting(
+            damped_structure.setting, reference=body_reference and body_reference.damped(damping)
+        )
 
     def expand(self, displacement: np.ndarray) -> np.ndarray:
-        """u = T q of coordinates (m, n_dofs): (m, whole.n_local)."""
-        return self._whole.expand(displacement @ self.basis.T)
+        """Return u = T q, (m, whole.n_local), from coordinates (m, n_dofs)."""
+        return self._source.expand(displacement @ self.basis.T)
 
     def values_at(self, displacement: np.ndarray, dofs: Sequence[int | None]) -> np.ndarray:
-        """Displacement of dofs of the whole structure from coordinates (m, n_dofs) (collective)."""
-        return displacement @ self._whole.values_at(self.basis.T, dofs)
+        """Return displacements at dofs of the whole structure (collective).
+
+        Parameters
+        ----------
+        displacement : (m, n_dofs)
+            Coordinates.
+        """
+        return displacement @ self._source.values_at(self.basis.T, dofs)
 
     def _with_changes(self, **changes: Any) -> Structure:
-        """A plain structure of the coordinates, which have no positions."""
+        """Return a plain structure of the coordinates, without positions."""
         return super()._with_changes(**({"nodes": None} | changes))
 
 
 class MasslessInterface(ReducedStructure):
-    """Modes with mass, and what they leave out quasi-static: :class:`MasslessStructure`, and
-    :class:`fenics_crack.model.rotation.RunUpStructure`.
+    """Modes with mass, and a quasi-static truncated part.
+
+    Base of :class:`MasslessStructure` and :class:`fenics_crack.model.rotation.RunUpStructure`.
 
     Attributes
     ----------
@@ -168,40 +192,42 @@ class MasslessInterface(ReducedStructure):
 
     @property
     def rate(self) -> np.ndarray:
-        """Phi^T C Phi, its diagonal where it is diagonal: (n_modes,) or (n_modes, n_modes) [1/s];
-        without the factor of a varied copy."""
-        given = self.body.damping
-        if isinstance(given, DampingRule):
-            return given.for_modes(self.n_modes).rate(self.omega**2)
-        if given is None:
+        """Phi^T C Phi [1/s], without the factor of a varied copy.
+
+        A diagonal matrix is given as its diagonal, (n_modes,), any other as (n_modes, n_modes).
+        """
+        damping = self.body.damping
+        if isinstance(damping, DampingRule):
+            return damping.for_modes(self.n_modes).rate(self.omega**2)
+        if damping is None:
             return np.zeros(self.n_modes)
-        place = range(self.n_modes)
-        return np.asarray(given.getValues(place, place))
+        mode_range = range(self.n_modes)
+        return np.asarray(damping.getValues(mode_range, mode_range))
 
     def known_modes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
-        """Modes with mass, for an open crack."""
+        """Return the modes with mass for an open crack, else None."""
         return None if is_bonded else (self.omega, self.shapes)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MasslessBody(ReducedBody):
-    """That of a structure with crack faces without mass."""
+    """Body of a structure with massless crack faces."""
 
     flexibility: np.ndarray
 
 
 class MasslessStructure(MasslessInterface):
-    """Modes with free crack faces, and what they leave out without mass; the same on every rank.
+    """Modes with free crack faces, and a massless truncated part.
 
-        u = Phi q + G (f - B lambda),        G = K^-1 - Phi Lambda^-1 Phi^T,
+        u = Phi q + G (f - B lambda),        G = K^-1 - Phi Lambda^-1 Phi^T
 
-    Lambda the squares of the modes' frequencies. The coordinates are those of the modes and,
-    without mass, the forces c on which G acts: u = Phi q + G X c, X = [B, B_t, f].
+    Lambda holds the squares of the modes' frequencies. The coordinates are those of the modes and,
+    without mass, amplitudes c of the forces on which G acts: u = Phi q + G X c, X = [B, B_t, f].
 
     Attributes
     ----------
     flexibility : (n_dofs - n_modes,) * 2
-        Inverse of S, the stiffness of the coordinates without mass; its pseudoinverse where forces
+        Inverse of S, the stiffness of the massless coordinates; its pseudoinverse if the forces
         depend on each other.
     """
 
@@ -210,32 +236,47 @@ class MasslessStructure(MasslessInterface):
 
     def __init__(
         self,
-        whole: Structure,
+        source: Structure,
         squares: np.ndarray,
         damping: DampingRule | np.ndarray | None,
-        pairs: np.ndarray,
+        modal_pairs: np.ndarray,
         force: np.ndarray,
         compliance: np.ndarray,
         *,
         reference: MasslessStructure | None,
         share: float = 0.5,
     ) -> None:
-        """Take Phi^T [B, B_t] (n_modes, n_pairs or 2 n_pairs), the load on all coordinates
-        (2K+1, n_dofs), and S."""
+        """Make the structure from modes and the residual compliance.
+
+        Parameters
+        ----------
+        source : Structure
+            Structure to reduce.
+        squares : (n_modes,) [rad^2/s^2]
+            Lambda.
+        modal_pairs : (n_modes, n_pairs or 2 n_pairs)
+            Phi^T [B, B_t].
+        force : (2K+1, n_dofs)
+            Load on all coordinates.
+        compliance : (n_sources, n_sources)
+            S.
+        reference, share
+            As of :class:`ReducedStructure`.
+        """
         if isinstance(damping, DampingRule):
             damping = damping.for_modes(len(squares))
-        seen = np.vstack([pairs, compliance[:, : pairs.shape[1]]])
-        normal, tangents = np.split(seen, [whole.n_pairs], axis=1)
-        known = None if whole.tangential is None else tangents
-        parts = _make_body_fields(whole, squares, damping, normal, known, force, compliance)
-        root = _root_of_inverse(compliance)
-        parts |= {"flexibility": root @ root.T, "share": share}
-        Structure.__init__(self, MasslessBody(**parts, reference=reference))
+        pair_columns = np.vstack([modal_pairs, compliance[:, : modal_pairs.shape[1]]])
+        gap, tangents = np.split(pair_columns, [source.n_pairs], axis=1)
+        tangential_gap = None if source.tangential is None else tangents
+        fields = _make_body_fields(source, squares, damping, gap, tangential_gap, force, compliance)
+        inverse_root = _root_of_inverse(compliance)
+        fields |= {"flexibility": inverse_root @ inverse_root.T, "share": share}
+        Structure.__init__(self, MasslessBody(**fields, reference=reference))
 
     @property
     def basis(self) -> np.ndarray:  # type: ignore[override]
         """Phi: (whole.n_local, n_modes)."""
-        return solve_modes(self._whole, self.n_modes).shapes
+        return solve_modes(self._source, self.n_modes).shapes
 
     @property
     def shapes(self) -> np.ndarray:  # type: ignore[override]
@@ -244,84 +285,109 @@ class MasslessStructure(MasslessInterface):
 
     @property
     def residual_flexibility(self) -> np.ndarray:  # type: ignore[override]
-        """S^-1 on the other coordinates."""
+        """S^-1 on the massless coordinates, zero on the modes."""
         return scipy.linalg.block_diag(np.zeros((self.n_modes,) * 2), self.flexibility)
 
     def known_modes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
-        """omega, and the unit vectors of the modes' coordinates; with a bonded crack those of
+        """Return omega and unit vectors; with a bonded crack other modes.
 
-            (Lambda + b R_inf^-1 b^T) q = w^2 q,      b = Phi^T B,      lambda = R_inf^-1 b^T q:
+        The bonded modes follow from
 
-        ties are springs of the compliance that the modes leave out, and hold b^T q where it has
-        none. Pairs that depend on each other, by their static compliance, are one tie."""
+            (Lambda + b R_inf^-1 b^T) q = w^2 q,      b = Phi^T B,      lambda = R_inf^-1 b^T q
+
+        Ties are springs with the compliance R_inf of the truncated modes. A tie without compliance
+        holds b^T q. Pairs whose static compliance makes them depend on each other are one tie.
+        """
         if not is_bonded:
             return super().known_modes(is_bonded=False)
-        pairs, residual = self.gap[: self.n_modes].toarray(), self.residual
-        static = pairs / np.where(self.omega > 0.0, self.omega, self.omega.max() or 1.0)[:, None]
-        ties = _root_of_inverse(static.T @ static + residual)
-        shares, turned = np.linalg.eigh(ties.T @ residual @ ties)
-        ties, soft = ties @ turned, shares > NEGLIGIBLE
-        held = pairs @ ties[:, ~soft]
-        free = scipy.linalg.null_space(held.T) if held.size else np.eye(self.n_modes)
-        forces = (ties[:, soft] / shares[soft]) @ (pairs @ ties[:, soft]).T
-        squares, shapes = np.linalg.eigh(free.T @ (np.diag(self.omega**2) + pairs @ forces) @ free)
-        modal = free @ shapes
-        static = np.zeros((self.n_dofs - self.n_modes, modal.shape[1]))
-        static[: self.n_pairs] = -forces @ modal
-        return np.sqrt(np.maximum(squares, 0.0)), np.vstack([modal, static])
+        b, residual = self.gap[: self.n_modes].toarray(), self.residual
+        scaled_b = b / np.where(self.omega > 0.0, self.omega, self.omega.max() or 1.0)[:, None]
+        ties = _root_of_inverse(scaled_b.T @ scaled_b + residual)
+        softness, rotation = np.linalg.eigh(ties.T @ residual @ ties)
+        ties, is_soft = ties @ rotation, softness > NEGLIGIBLE
+        rigid_ties = b @ ties[:, ~is_soft]
+        motions = scipy.linalg.null_space(rigid_ties.T) if rigid_ties.size else np.eye(self.n_modes)
+        forces = (ties[:, is_soft] / softness[is_soft]) @ (b @ ties[:, is_soft]).T
+        squares, shapes = np.linalg.eigh(
+            motions.T @ (np.diag(self.omega**2) + b @ forces) @ motions
+        )
+        modal_shapes = motions @ shapes
+        static_amplitudes = np.zeros((self.n_dofs - self.n_modes, modal_shapes.shape[1]))
+        static_amplitudes[: self.n_pairs] = -forces @ modal_shapes
+        return np.sqrt(np.maximum(squares, 0.0)), np.vstack([modal_shapes, static_amplitudes])
 
     @property
     def compliance(self) -> np.ndarray:
         """S: (n_dofs - n_modes,) * 2."""
-        place = range(self.n_modes, self.n_dofs)
-        return np.asarray(self.stiffness.getValues(place, place))
+        massless_range = range(self.n_modes, self.n_dofs)
+        return np.asarray(self.stiffness.getValues(massless_range, massless_range))
 
     @property
     def residual(self) -> np.ndarray:
         """R_inf = B^T G B: (n_pairs, n_pairs) [m/N]."""
         rows = self.gap[self.n_modes :].toarray()
-        found: np.ndarray = rows.T @ self.flexibility @ rows
-        return 0.5 * (found + found.T)
+        residual: np.ndarray = rows.T @ self.flexibility @ rows
+        return 0.5 * (residual + residual.T)
 
     @property
     def _size_words(self) -> str:
         return f"{self.n_modes} modes of {self.whole.n_dofs} dofs, crack faces without mass"
 
     def expand(self, displacement: np.ndarray) -> np.ndarray:
-        """u = Phi q + G X c of coordinates (m, n_dofs): (m, whole.n_local) (collective)."""
-        return self._whole.expand(self._one_step(displacement))
+        """Return u = Phi q + G X c (collective).
 
-    def _one_step(self, displacement: np.ndarray) -> np.ndarray:
-        """The same in the coordinates of the structure that was reduced."""
-        modal, static = np.split(displacement, [self.n_modes], axis=1)
-        return modal @ self.basis.T + expanded(self._whole, self.basis, self.omega**2, static)
+        Parameters
+        ----------
+        displacement : (m, n_dofs)
+            Coordinates q and c.
+
+        Returns
+        -------
+        (m, whole.n_local)
+        """
+        return self._source.expand(self._expand_to_source(displacement))
+
+    def _expand_to_source(self, displacement: np.ndarray) -> np.ndarray:
+        """Expand coordinates to the structure that was reduced (collective)."""
+        modal_part, static_part = np.split(displacement, [self.n_modes], axis=1)
+        return modal_part @ self.basis.T + expanded(
+            self._source, self.basis, self.omega**2, static_part
+        )
 
     def values_at(self, displacement: np.ndarray, dofs: Sequence[int | None]) -> np.ndarray:
-        """Displacement of dofs of the whole structure from coordinates (m, n_dofs) (collective)."""
-        if self._whole.whole is not self._whole:  # itself in few coordinates
-            return self._whole.values_at(self._one_step(displacement), dofs)
-        wanted = self._whole.check_dofs(dofs)
-        return displacement @ np.hstack(rows_at(self._whole, self.n_modes, wanted)).T
+        """Return displacements at dofs of the whole structure (collective).
+
+        Parameters
+        ----------
+        displacement : (m, n_dofs)
+            Coordinates q and c.
+        """
+        if self._source.whole is not self._source:  # it is reduced itself
+            return self._source.values_at(self._expand_to_source(displacement), dofs)
+        dof_array = self._source.check_dofs(dofs)
+        return displacement @ np.hstack(rows_at(self._source, self.n_modes, dof_array)).T
 
 
-def check_mass(structure: Structure, instead: str) -> None:
-    """Raise InputError, which says what to do instead, if the crack faces have no mass."""
+def check_mass(structure: Structure, remedy: str) -> None:
+    """Raise InputError, with a remedy, if the crack faces have no mass."""
     if structure.light_lips:
-        raise InputError("structure", repr(structure), f"one with mass at its faces; {instead}")
+        raise InputError("structure", repr(structure), f"one with mass at its faces; {remedy}")
 
 
 def as_massless_structure(structure: Structure | None) -> MasslessStructure | None:
-    """The structure itself if its crack faces have no mass, else None."""
+    """Return the structure itself if its crack faces have no mass, else None."""
     return structure if isinstance(structure, MasslessStructure) else None
 
 
 def _root_of_inverse(compliance: np.ndarray) -> np.ndarray:
-    """Return a root W of the pseudoinverse W W^T of a compliance C, with W^T C W = I.
+    """Return a root W of the pseudoinverse W W^T of a compliance C.
 
-    Units differ from load to pair, so C is scaled to a unit diagonal first.
+    It has W^T C W = I. Loads and pairs have other units, so C is scaled to a unit diagonal first.
     """
-    size = np.sqrt(np.maximum(np.diag(compliance), 0.0))
-    scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0)
-    values, vectors = np.linalg.eigh(scale[:, None] * compliance * scale)
-    is_kept = values > NEGLIGIBLE * values.max(initial=0.0)
-    return np.asarray(scale[:, None] * vectors[:, is_kept] / np.sqrt(values[is_kept]))
+    root_diagonal = np.sqrt(np.maximum(np.diag(compliance), 0.0))
+    scale = np.divide(
+        1.0, root_diagonal, out=np.zeros_like(root_diagonal), where=root_diagonal > 0.0
+    )
+    eigenvalues, eigenvectors = np.linalg.eigh(scale[:, None] * compliance * scale)
+    is_kept = eigenvalues > NEGLIGIBLE * eigenvalues.max(initial=0.0)
+    return np.asarray(scale[:, None] * eigenvectors[:, is_kept] / np.sqrt(eigenvalues[is_kept]))

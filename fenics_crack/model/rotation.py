@@ -283,7 +283,7 @@ class Ritz:
         force[0] += stiffness @ moved
         return stiffness, force
 
-    def at(self, speed: float) -> Structure:
+    def at_speed(self, speed: float) -> Structure:
         """The small structure at a speed [rad/s], without damping."""
         stiffness, force = self.matrices(speed)
         matrix = distribute_rows(stiffness, MPI.COMM_SELF)
@@ -336,7 +336,7 @@ class RunUpStructure(MasslessInterface):
             ritz.mass, None, ritz.gap, force, ritz.whole.clearance,
             damping=None if damping is None else damping.for_modes(len(force[0])),
             tangential=ritz.tangential, nodes=ritz.whole.nodes, pairs=ritz.whole.pairs,
-            basis=ritz.basis, omega=omega, whole=ritz.whole, speed=speed, shapes=static * omega,
+            basis=ritz.basis, omega=omega, source=ritz.whole, speed=speed, shapes=static * omega,
             residual_flexibility=factor.T @ factor - static @ static.T, ritz=ritz, dense=stiffness,
         )  # fmt: skip
         Structure.__init__(self, body)
