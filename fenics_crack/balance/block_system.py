@@ -96,7 +96,7 @@ class BlockSystem(Snes):
         self._seen = self._spread(sparse.kron(sparse.identity(rows), whole.T), part.shape[1])
         self._still_gap = structure.gap_of(np.zeros(linear.shape))
         if problem.residual is not None:
-            static_response = all_modes(structure).moved_at_once(problem.cutoff)
+            static_response = all_modes(structure).static_displacement(problem.cutoff)
             force_rows = part.tocsr()[: linear.size] * (self.force / self.length)
             self._seen -= sparse.kron(sparse.identity(rows), static_response.T) @ force_rows
             self._still_gap += self._load @ static_response

@@ -149,7 +149,7 @@ def dynamic_compliance(
         The structure is in an undamped resonance, or can move as a rigid body.
     """
     load = load_coefficients(structure, harmonics, subharmonic)
-    if is_small(structure) and not all_modes(structure).ill_conditioned:
+    if is_small(structure) and not all_modes(structure).is_ill_conditioned:
         return ModalCompliance(structure, base_omega, load)
     return FactoredCompliance(structure, base_omega, load)
 
@@ -312,7 +312,7 @@ class ModalCompliance:
         if name == "load":
             return -self._gap(self._unit_load) - self._static_gap
         if name == "damping":
-            damped = 1j * self._modes.damped(self._moved(force))
+            damped = 1j * self._modes.damping_force(self._moved(force))
             return -self._gap(self._base * order * damped)
         return from_complex(self._moved_by_omega(force) @ self._modes.pairs)
 
@@ -324,7 +324,7 @@ class ModalCompliance:
     def _moved_by_omega(self, force: np.ndarray) -> np.ndarray:
         """Derivative of the modal response to the contact forces less the load."""
         order, moved = self._order[:, None], self._moved(force)
-        damped = 1j * self._damping * self._modes.damped(moved)
+        damped = 1j * self._damping * self._modes.damping_force(moved)
         drive = order * (damped - 2.0 * self._base * order * moved)
         return -self._modes.respond(self._receptance, drive)
 

@@ -424,7 +424,7 @@ class Wave:
         found = values @ self.displacement_coefficients
         if self.static_above is not None:
             # The quasi-static part follows the forces as they are, with their kinks.
-            moved = all_modes(self.seen).moved_at_once(self.static_above)
+            moved = all_modes(self.seen).static_displacement(self.static_above)
             found -= (force - values @ self.force_rows) @ moved.T
         return found
 

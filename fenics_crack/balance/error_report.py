@@ -33,7 +33,7 @@ from fenics_crack.balance.more_modes import UNKNOWN, Errors, left_out, loaded, r
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.tables import Described
 from fenics_crack.model.contact import REGULAR, is_regular, is_rigid, with_penalty
-from fenics_crack.model.modal import SMALL, all_modes
+from fenics_crack.model.modal import MAX_DENSE_SIZE, all_modes
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.structure import Structure
@@ -214,7 +214,7 @@ def _beyond_truncation(at: ContactPoint, wave: Wave) -> Errors:
     many pairs are stiff, unless these have a residual flexibility.
     """
     kept, pairs = at.system.integrals.harmonics, at.unknown.shape[1]
-    harmonics = max(2 * kept, kept + 4, min(4 * kept, (SMALL // pairs - 1) // 2))
+    harmonics = max(2 * kept, kept + 4, min(4 * kept, (MAX_DENSE_SIZE // pairs - 1) // 2))
     wide = at.system.widened(harmonics)
     return _change(at, wave, wide, resized(at.unknown, harmonics), wave.structure)
 

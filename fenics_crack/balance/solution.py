@@ -171,7 +171,7 @@ class PeriodicSolution(Wave, Observed, Described):
         numbers are from these."""
         friction, moved = coefficient_of(self.contact), None
         if self.static_above is not None and not self.still:
-            moved = rows @ all_modes(self.seen).moved_at_once(self.static_above)
+            moved = rows @ all_modes(self.seen).static_displacement(self.static_above)
         waves = self.structure.sum_over_ranks(self._moving @ rows.T)
 
         def at(parts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -45,7 +45,7 @@ from fenics_crack.model.contact import (
     is_unilateral,
     smooth_forces,
 )
-from fenics_crack.model.modal import CACHE_SIZE, AllModes, all_modes, is_small
+from fenics_crack.model.modal import CACHE_BLOCK_SIZE, AllModes, all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.attractors import Attractor, in_the_long_run
 from fenics_crack.motion.flow import exact_flow
@@ -70,7 +70,7 @@ def monodromy(
     beyond ``static_above`` [rad/s] are quasi-static. Raises ConvergenceError where M is not found,
     InputError where the law's tangent is not the slope of its force along the solution.
     """
-    modes = all_modes(structure).below(static_above)
+    modes = all_modes(structure).with_static_modes(static_above)
     seen = sampled(gap, 4 * len(gap))
     if modes.residual is not None:
         seen = seen - smooth_forces(contact, modes.residual, seen)[0] @ modes.residual
@@ -101,7 +101,7 @@ def _product(
     else:
         kicks = h * smooth_forces(contact, modes.residual, values)[1]
     stretches = 1
-    while stretches**2 < count and stretches * (2 * n) ** 2 < CACHE_SIZE:
+    while stretches**2 < count and stretches * (2 * n) ** 2 < CACHE_BLOCK_SIZE:
         stretches *= 2
     along = kicks.reshape(stretches, count // stretches, *kicks.shape[1:])
     moved = modes.transition(h)[0]

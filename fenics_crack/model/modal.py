@@ -23,17 +23,17 @@ from fenics_crack.model.reduced import MasslessInterface
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import EPSILON
 
-SMALL = 600
+MAX_DENSE_SIZE = 600
 """Maximum dofs of a structure that is decomposed into all of its modes, and maximum unknowns with
 which better equations are tried: dense matrices of this size take a part of a second."""
-CACHE_SIZE = 2**16
+CACHE_BLOCK_SIZE = 2**16
 """Modal coordinates that are computed at a time, as a cache holds them."""
 
 
 def is_small(structure: Structure) -> bool:
     """Return True if a structure can be decomposed into all of its modes: few dofs on one rank, or
     known by its modes."""
-    few = structure.comm.size == 1 and structure.n_dofs <= SMALL
+    few = structure.comm.size == 1 and structure.n_dofs <= MAX_DENSE_SIZE
     return few or structure.light_lips
 
 
@@ -61,19 +61,19 @@ class AllModes:
     shapes: np.ndarray
     damping: np.ndarray
     pairs: np.ndarray
-    unconstrained: bool
+    is_unconstrained: bool
     residual: np.ndarray | None = None
     static_pairs: np.ndarray | None = None
     """(n_dofs, n_pairs): displacement of the coordinates without mass by unit forces on pairs."""
     static_loads: np.ndarray | None = None
     """(n_dofs, n_dofs): displacement of the coordinates without mass by forces on them."""
-    rows: np.ndarray | None = None
+    inverse_shapes: np.ndarray | None = None
     """Phi^T M where it is at hand."""
 
     @property
-    def ill_conditioned(self) -> bool:
+    def is_ill_conditioned(self) -> bool:
         """Return True if rounding relative to the highest modes may spoil the lowest ones."""
-        return not self.unconstrained and bool(self.squares[0] < NEGLIGIBLE * self.squares[-1])
+        return not self.is_unconstrained and bool(self.squares[0] < NEGLIGIBLE * self.squares[-1])
 
     def receptance(
         self, omega: np.ndarray, factor: float = 1.0, loaded: np.ndarray | None = None
@@ -91,7 +91,7 @@ class AllModes:
         """
         square = (omega * omega)[:, None]
         stiffness = self.squares - square
-        singular = self.unconstrained & (omega == 0.0)
+        singular = self.is_unconstrained & (omega == 0.0)
         if self.damping.ndim == 1:
             impedance = stiffness + (1j * factor * omega)[:, None] * self.damping
             size = np.abs(self.squares) + square
@@ -131,13 +131,13 @@ class AllModes:
         """Modes beyond a frequency, but not the lowest one: (n_modes,) bool."""
         return np.asarray(self.squares > max(above**2, float(self.squares[0])))
 
-    def moved_at_once(self, above: float) -> np.ndarray:
+    def static_displacement(self, above: float) -> np.ndarray:
         """Displacement of it by unit forces on the pairs: (n_dofs, n_pairs) [m/N]."""
         fast = self._fast(above)
         found: np.ndarray = (self.shapes[:, fast] / self.squares[fast]) @ self.pairs[fast]
         return found if self.static_pairs is None else found + self.static_pairs
 
-    def below(self, above: float | None) -> AllModes:
+    def with_static_modes(self, above: float | None) -> AllModes:
         """The same with the modes beyond a frequency [rad/s], if it is given, among what has no
         mass."""
         if above is None:
@@ -155,9 +155,9 @@ class AllModes:
             self.shapes[:, slow],
             rate,
             self.pairs[slow],
-            self.unconstrained,
+            self.is_unconstrained,
             self.static_part(above),
-            self.moved_at_once(above),
+            self.static_displacement(above),
             loads,
             self.inverse[slow],
         )
@@ -165,11 +165,11 @@ class AllModes:
     @cached_property
     def inverse(self) -> np.ndarray:
         """Modal coordinates of displacements: (n_modes, n_dofs)."""
-        if self.rows is not None:
-            return self.rows
+        if self.inverse_shapes is not None:
+            return self.inverse_shapes
         return np.linalg.inv(self.shapes)
 
-    def damped(self, modal: np.ndarray) -> np.ndarray:
+    def damping_force(self, modal: np.ndarray) -> np.ndarray:
         """Phi^T C Phi q of modal coordinates (..., n)."""
         return modal * self.damping if self.damping.ndim == 1 else modal @ self.damping.T
 
@@ -228,7 +228,7 @@ class AllModes:
             impedance = self.squares - omega**2 + 1j * omega * self.damping
             size = np.abs(self.squares)
             free = np.abs(impedance) <= 1e-15 * (size + omega**2)
-            if omega == 0.0 and self.unconstrained:
+            if omega == 0.0 and self.is_unconstrained:
                 free |= size <= 1e-12 * size[-1]
             singular = bool(np.any(force[free]))
             found = np.divide(force, impedance, out=np.zeros_like(force), where=~free)
@@ -242,13 +242,13 @@ class AllModes:
 
 def all_modes(structure: Structure) -> AllModes:
     """All modes of a small structure, computed once for it and its varied copies."""
-    modes, factor = structure.cached_result(_all_modes), structure.damping_factor
+    modes, factor = structure.cached_result(_compute_all_modes), structure.damping_factor
     return modes if factor == 1.0 else replace(modes, damping=factor * modes.damping)
 
 
-def _all_modes(structure: Structure) -> AllModes:
+def _compute_all_modes(structure: Structure) -> AllModes:
     if isinstance(structure, MasslessInterface):
-        return _of_interface(structure)
+        return _massless_interface_modes(structure)
     known = damped_modes(structure)
     if known is not None and len(known.omega) == structure.n_dofs:
         squares, shapes, damping = known.omega**2, known.shapes, known.rate
@@ -262,7 +262,7 @@ def _all_modes(structure: Structure) -> AllModes:
     return AllModes(squares, shapes, damping, (structure.gap.T @ shapes).T, unconstrained)
 
 
-def _of_interface(structure: MasslessInterface) -> AllModes:
+def _massless_interface_modes(structure: MasslessInterface) -> AllModes:
     gap, shapes, squares = structure.gap.toarray(), structure.shapes, structure.omega**2
     at_once = structure.residual_flexibility @ gap
     residual = gap.T @ at_once

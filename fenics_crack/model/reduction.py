@@ -35,7 +35,7 @@ import numpy as np
 from fenics_crack.basics.errors import InputError, check_choice
 from fenics_crack.basics.progress import begin
 from fenics_crack.model.factor import Factor, factored_sum
-from fenics_crack.model.modal import SMALL
+from fenics_crack.model.modal import MAX_DENSE_SIZE
 from fenics_crack.model.modes import (
     AS_ZERO,
     check_damped_modes,
@@ -111,7 +111,7 @@ def reduce_structure(
     if modes is None:
         modes = min(20, structure.n_dofs) if count is None else count
         if rule is not None:
-            modes = MODES if structure.n_dofs > SMALL else structure.n_dofs
+            modes = MODES if structure.n_dofs > MAX_DENSE_SIZE else structure.n_dofs
     whole = isinstance(modes, int | np.integer) and not isinstance(modes, bool)
     if not (whole and 1 <= modes <= structure.n_dofs):
         raise InputError("modes", modes, f"a whole number from 1 to n_dofs = {structure.n_dofs}")
@@ -215,12 +215,10 @@ def _rule_of_all(structure: Structure) -> DampingRule | None:
         return None
     if isinstance(damping.ratio, float):
         return ModalDamping(damping.ratio)
-    if structure.n_dofs <= SMALL:
+    if structure.n_dofs <= MAX_DENSE_SIZE:
         return None
     found = f"{len(damping.ratio)} ratios for all {structure.n_dofs} modes"
-    allowed = (
-        f"one ratio, or ratios of the lowest damping.modes, as there are more than {SMALL} dofs"
-    )
+    allowed = f"one ratio, or ratios of the lowest damping.modes, as there are more than {MAX_DENSE_SIZE} dofs"
     raise InputError("damping ratio", found, allowed)
 
 

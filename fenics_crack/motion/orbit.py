@@ -312,7 +312,7 @@ class PeriodicOrbit(Observed, Described):
         load = waves_of(flow.force, self.omega * samples.time) @ flow.structure.force
         rates = samples.states[:, flow.count :]
         share = (0.5 * length[:, None] * weights).ravel()
-        damping = float(share @ np.sum(rates * flow.modes.damped(rates), axis=1))
+        damping = float(share @ np.sum(rates * flow.modes.damping_force(rates), axis=1))
         count = flow.structure.n_pairs
         friction = np.zeros(count)
         if flow.friction:

@@ -58,7 +58,7 @@ from fenics_crack.model.contact import (
     spring_compliances,
 )
 from fenics_crack.model.factor import Factor, weighted_sum
-from fenics_crack.model.modal import CACHE_SIZE, all_modes, is_small
+from fenics_crack.model.modal import CACHE_BLOCK_SIZE, all_modes, is_small
 from fenics_crack.model.modes import damped_modes, largest_frequency, multiply
 from fenics_crack.model.reduced import MASS_REMEDY, check_mass
 from fenics_crack.model.structure import RayleighDamping, Structure
@@ -278,7 +278,7 @@ class _ModalDifferences(Scheme):
         found = (force[0] + force[1::2].sum(axis=0)) @ modes.shapes - modes.squares * self._shape
         if not self._asked.rigid:
             found -= modes.pairs @ self._forces(self._gap())
-        return np.asarray(found - modes.damped(velocity))
+        return np.asarray(found - modes.damping_force(velocity))
 
     def _forces(self, gap: np.ndarray) -> np.ndarray:
         """Forces of gaps (n_rows,), without a constraint."""
@@ -288,7 +288,7 @@ class _ModalDifferences(Scheme):
 
     def fill(self, window: Window, number: int) -> None:
         modes, asked, count = self._modes, self._asked, len(window.gap)
-        some = max(1, CACHE_SIZE // len(modes.squares))
+        some = max(1, CACHE_BLOCK_SIZE // len(modes.squares))
         for first in range(0, count, some):
             place = slice(first, min(first + some, count))
             shape = np.empty((place.stop - first, len(modes.squares)))

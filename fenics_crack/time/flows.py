@@ -330,7 +330,7 @@ class _ByExponentials(Scheme):
             self._put_in = self._energy(steps, 0)
             self._missing = -self._put_in
         rate = states[:, len(flow.modes.squares) :]
-        lost = np.einsum("nj,nj->n", flow.modes.damped(rate), rate)
+        lost = np.einsum("nj,nj->n", flow.modes.damping_force(rate), rate)
         work = float(np.sum(self._means * np.diff(load_motion, axis=0)))
         self._put_in += abs(work)
         self._missing += flow.step_size * float(np.sum(0.5 * (lost[1:] + lost[:-1])))

@@ -483,7 +483,7 @@ def integrated(law: Any, found: fc.PeriodicSolution) -> np.ndarray:
     """M of the modes that move by SciPy's integrator, the law evaluated at its own instants."""
     modes, residual = all_modes(found.structure), found.residual
     if found.static_above is not None:
-        modes = modes.below(found.static_above)
+        modes = modes.with_static_modes(found.static_above)
     n, unit = len(modes.squares), np.eye(found.structure.n_pairs)
     damping = np.diag(modes.damping) if modes.damping.ndim == 1 else modes.damping
 
@@ -587,7 +587,7 @@ def test_many_at_once_are_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -
     structure, law = chain("matrix"), fc.SmoothedPenalty(3.0, 4.0)
     gap = fc.solve_harmonic_balance(structure, 1.1, law, harmonics=6).gap_coefficients
     one = monodromy(structure, law, gap, 1.1)
-    monkeypatch.setattr("fenics_crack.curves.stability.CACHE_SIZE", 1)
+    monkeypatch.setattr("fenics_crack.curves.stability.CACHE_BLOCK_SIZE", 1)
     assert relative(monodromy(structure, law, gap, 1.1), one) < 1e-10
 
 

@@ -624,7 +624,7 @@ def test_motions_as_a_rigid_body() -> None:
     for modes in (3, 6):
         made = reduced(structure, modes)
         assert np.array_equal(made.omega == 0.0, np.arange(modes) < 3)
-        assert all_modes(made).unconstrained
+        assert all_modes(made).is_unconstrained
         rate = all_modes(made).damping
         rate = rate if rate.ndim == 2 else np.diag(rate)
         assert relative(rate, 0.1 * made.basis.T @ made.basis) < 1e-8
@@ -635,7 +635,7 @@ def test_motions_as_a_rigid_body() -> None:
             strict=True,
         ):  # fmt: skip
             assert relative(found, expected) < (0.3 if modes == 3 else 0.1)
-    assert all_modes(reduced(chain("none", 9, unconstrained=True), 1)).unconstrained
+    assert all_modes(reduced(chain("none", 9, unconstrained=True), 1)).is_unconstrained
 
 
 def made_seen(structure: fc.Structure) -> tuple[np.ndarray, np.ndarray]:
