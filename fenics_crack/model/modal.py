@@ -1,4 +1,15 @@
-"""All modes of a small structure, computed once."""
+"""All modes of a small structure, computed once.
+
+With the mass-normalised shapes Phi, u = Phi q and forces lambda on the pairs,
+
+    q'' + Phi^T C Phi q' + Lambda q + Phi^T B lambda = Phi^T f,        Lambda = diag(omega_j^2)
+
+In steady motion of angular frequency w the response to Phi^T f is H Phi^T f, with the receptance
+
+    H = (Lambda - w^2 + i w Phi^T C Phi)^-1
+
+The truncated part of a massless structure adds its residual flexibility R_inf.
+"""
 
 from __future__ import annotations
 
@@ -24,37 +35,41 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import EPSILON
 
 MAX_DENSE_SIZE = 600
-"""Maximum dofs of a structure that is decomposed into all of its modes, and maximum unknowns with
-which better equations are tried: dense matrices of this size take a part of a second."""
+"""Maximum dofs for a decomposition into all modes, and maximum unknowns for better equations.
+
+Dense matrices of this size take a part of a second.
+"""
 CACHE_BLOCK_SIZE = 2**16
-"""Modal coordinates that are computed at a time, as a cache holds them."""
+"""Number of modal coordinates that are computed together: they fit in a cache."""
 
 
 def is_small(structure: Structure) -> bool:
-    """Return True if a structure can be decomposed into all of its modes: few dofs on one rank, or
-    known by its modes."""
-    few = structure.comm.size == 1 and structure.n_dofs <= MAX_DENSE_SIZE
-    return few or structure.light_lips
+    """Return True if a structure can be decomposed into all of its modes.
+
+    It has few dofs on one rank, or it is given by its modes.
+    """
+    has_few_dofs = structure.comm.size == 1 and structure.n_dofs <= MAX_DENSE_SIZE
+    return has_few_dofs or structure.light_lips
 
 
 @dataclass(frozen=True)
 class AllModes:
-    """All modes of a small structure, its pairs and its damping in modal coordinates.
+    """All modes of a small structure, with pairs and damping in modal coordinates.
 
     Attributes
     ----------
     squares : (n,) [rad^2/s^2]
         omega_j^2, ascending.
-    shapes : (n, n)
+    shapes : (n_dofs, n)
         Phi, mass-normalised.
     damping : (n,) or (n, n) [1/s]
-        Phi^T C Phi: its diagonal where it is diagonal.
+        Phi^T C Phi, or its diagonal if it is diagonal.
     pairs : (n, n_pairs)
         Phi^T B.
-    unconstrained : bool
+    is_unconstrained : bool
         True if the structure can move as a rigid body.
     residual : (n_pairs, n_pairs) [m/N] or None
-        R_inf, the compliance of what has no mass; None where all has.
+        R_inf, the compliance of the massless coordinates. None if every coordinate has mass.
     """
 
     squares: np.ndarray
@@ -64,25 +79,35 @@ class AllModes:
     is_unconstrained: bool
     residual: np.ndarray | None = None
     static_pairs: np.ndarray | None = None
-    """(n_dofs, n_pairs): displacement of the coordinates without mass by unit forces on pairs."""
+    """(n_dofs, n_pairs): displacement of the massless coordinates by unit forces on pairs."""
     static_loads: np.ndarray | None = None
-    """(n_dofs, n_dofs): displacement of the coordinates without mass by forces on them."""
+    """(n_dofs, n_dofs): displacement of the massless coordinates by forces on dofs."""
     inverse_shapes: np.ndarray | None = None
-    """Phi^T M where it is at hand."""
+    """Phi^T M, if it is at hand."""
 
     @property
     def is_ill_conditioned(self) -> bool:
-        """Return True if rounding relative to the highest modes may spoil the lowest ones."""
+        """True if rounding of the highest modes may spoil the lowest ones."""
         return not self.is_unconstrained and bool(self.squares[0] < NEGLIGIBLE * self.squares[-1])
 
     def receptance(
-        self, omega: np.ndarray, factor: float = 1.0, loaded: np.ndarray | None = None
+        self, omega: np.ndarray, factor: float = 1.0, is_loaded: np.ndarray | None = None
     ) -> np.ndarray:
-        """Inverse impedance at frequencies (m,): (m, n), or where damping couples modes (m, n, n).
+        """Return the receptance H at some frequencies.
 
-        ``factor`` multiplies the damping. Where ``loaded`` (m, n) states that the load does not
-        drive a mode, an undamped resonance of it is moved away a little: contact keeps
-        its motion finite.
+        Parameters
+        ----------
+        omega : (m,) [rad/s]
+            Frequencies.
+        factor : float
+            Factor of the damping.
+        is_loaded : (m, n) bool, optional
+            Modes that the load drives. An undamped resonance of any other mode is moved away a
+            little: contact keeps the motion of the mode finite.
+
+        Returns
+        -------
+        (m, n), or (m, n, n) if damping couples modes
 
         Raises
         ------
@@ -91,129 +116,173 @@ class AllModes:
         """
         square = (omega * omega)[:, None]
         stiffness = self.squares - square
-        singular = self.is_unconstrained & (omega == 0.0)
+        is_singular = self.is_unconstrained & (omega == 0.0)
         if self.damping.ndim == 1:
             impedance = stiffness + (1j * factor * omega)[:, None] * self.damping
             size = np.abs(self.squares) + square
-            if loaded is not None:
+            if is_loaded is not None:
                 nudge = math.sqrt(EPSILON) * size
-                moved = (np.abs(impedance) <= nudge) & ~loaded & (square > 0.0)
-                impedance = np.where(moved, nudge, impedance)
-            singular |= (np.abs(impedance) <= kernel.SINGULAR * size).any(axis=1)
+                is_near_resonance = (np.abs(impedance) <= nudge) & ~is_loaded & (square > 0.0)
+                impedance = np.where(is_near_resonance, nudge, impedance)
+            is_singular |= (np.abs(impedance) <= kernel.SINGULAR * size).any(axis=1)
         else:
             impedance = 1j * factor * omega[:, None, None] * self.damping
-            place = np.arange(len(self.squares))
-            impedance[:, place, place] += stiffness
-            # Only an undamped mode can make this singular.
-            free = np.abs(self.damping).sum(axis=1) == 0.0
-            singular |= np.any(stiffness[:, free] == 0.0, axis=1)
-            if not singular.any():
+            mode_range = np.arange(len(self.squares))
+            impedance[:, mode_range, mode_range] += stiffness
+            # Only an undamped mode can make the impedance singular.
+            is_undamped = np.abs(self.damping).sum(axis=1) == 0.0
+            is_singular |= np.any(stiffness[:, is_undamped] == 0.0, axis=1)
+            if not is_singular.any():
                 try:
                     return np.linalg.inv(impedance)
                 except np.linalg.LinAlgError:  # to rounding
-                    singular[np.argmax(np.linalg.cond(impedance))] = True
-        if singular.any():
-            at = omega[np.argmax(singular)]
-            cause = "it can move as a rigid body" if at == 0.0 else "an undamped resonance"
+                    is_singular[np.argmax(np.linalg.cond(impedance))] = True
+        if is_singular.any():
+            frequency = omega[np.argmax(is_singular)]
+            cause = "it can move as a rigid body" if frequency == 0.0 else "an undamped resonance"
             raise ConvergenceError(
-                f"dynamic compliance at {at:g} rad/s: the structure is singular ({cause})"
+                f"dynamic compliance at {frequency:g} rad/s: the structure is singular ({cause})"
             )
         return 1.0 / impedance
 
-    def static_part(self, above: float = np.inf) -> np.ndarray:
-        """Residual flexibility of the pairs, with that of the modes beyond a frequency [rad/s],
-        which are then quasi-static: (n_pairs, n_pairs) [m/N]."""
-        fast = self._fast(above)
-        found = (self.pairs[fast].T / self.squares[fast]) @ self.pairs[fast]
-        return found if self.residual is None else found + self.residual
+    def static_part(self, min_frequency: float = np.inf) -> np.ndarray:
+        """Return the residual flexibility of the pairs [m/N].
 
-    def _fast(self, above: float) -> np.ndarray:
-        """Modes beyond a frequency, but not the lowest one: (n_modes,) bool."""
-        return np.asarray(self.squares > max(above**2, float(self.squares[0])))
+        Parameters
+        ----------
+        min_frequency : float [rad/s]
+            Modes above it are quasi-static, too.
 
-    def static_displacement(self, above: float) -> np.ndarray:
-        """Displacement of it by unit forces on the pairs: (n_dofs, n_pairs) [m/N]."""
-        fast = self._fast(above)
-        found: np.ndarray = (self.shapes[:, fast] / self.squares[fast]) @ self.pairs[fast]
-        return found if self.static_pairs is None else found + self.static_pairs
+        Returns
+        -------
+        (n_pairs, n_pairs)
+        """
+        is_fast = self._is_fast(min_frequency)
+        flexibility = (self.pairs[is_fast].T / self.squares[is_fast]) @ self.pairs[is_fast]
+        return flexibility if self.residual is None else flexibility + self.residual
 
-    def with_static_modes(self, above: float | None) -> AllModes:
-        """The same with the modes beyond a frequency [rad/s], if it is given, among what has no
-        mass."""
-        if above is None:
+    def _is_fast(self, min_frequency: float) -> np.ndarray:
+        """Return True for modes above a frequency, except the lowest mode: (n,) bool."""
+        return np.asarray(self.squares > max(min_frequency**2, float(self.squares[0])))
+
+    def static_displacement(self, min_frequency: float) -> np.ndarray:
+        """Return the quasi-static displacement by unit forces on the pairs [m/N].
+
+        Parameters
+        ----------
+        min_frequency : float [rad/s]
+            As of :meth:`static_part`.
+
+        Returns
+        -------
+        (n_dofs, n_pairs)
+        """
+        is_fast = self._is_fast(min_frequency)
+        displacement: np.ndarray = (self.shapes[:, is_fast] / self.squares[is_fast]) @ self.pairs[
+            is_fast
+        ]
+        return displacement if self.static_pairs is None else displacement + self.static_pairs
+
+    def with_static_modes(self, min_frequency: float | None) -> AllModes:
+        """Return these modes with those above a frequency [rad/s] as massless coordinates.
+
+        None: return the modes themselves.
+        """
+        if min_frequency is None:
             return self
-        slow = ~self._fast(above)
-        if np.all(slow):
+        is_slow = ~self._is_fast(min_frequency)
+        if np.all(is_slow):
             return self
-        squares, shapes = self.squares[~slow], self.shapes[:, ~slow]
-        loads = (shapes / squares) @ shapes.T
+        squares, shapes = self.squares[~is_slow], self.shapes[:, ~is_slow]
+        static_loads = (shapes / squares) @ shapes.T
         if self.static_loads is not None:
-            loads = loads + self.static_loads
-        rate = self.damping[slow] if self.damping.ndim == 1 else self.damping[np.ix_(slow, slow)]
+            static_loads = static_loads + self.static_loads
+        rate = (
+            self.damping[is_slow]
+            if self.damping.ndim == 1
+            else self.damping[np.ix_(is_slow, is_slow)]
+        )
         return AllModes(
-            self.squares[slow],
-            self.shapes[:, slow],
+            self.squares[is_slow],
+            self.shapes[:, is_slow],
             rate,
-            self.pairs[slow],
+            self.pairs[is_slow],
             self.is_unconstrained,
-            self.static_part(above),
-            self.static_displacement(above),
-            loads,
-            self.inverse[slow],
+            self.static_part(min_frequency),
+            self.static_displacement(min_frequency),
+            static_loads,
+            self.inverse[is_slow],
         )
 
     @cached_property
     def inverse(self) -> np.ndarray:
-        """Modal coordinates of displacements: (n_modes, n_dofs)."""
+        """Phi^-1, which turns displacements into modal coordinates: (n, n_dofs)."""
         if self.inverse_shapes is not None:
             return self.inverse_shapes
         return np.linalg.inv(self.shapes)
 
-    def damping_force(self, modal: np.ndarray) -> np.ndarray:
-        """Phi^T C Phi q of modal coordinates (..., n)."""
-        return modal * self.damping if self.damping.ndim == 1 else modal @ self.damping.T
+    def damping_force(self, modal_coordinates: np.ndarray) -> np.ndarray:
+        """Return Phi^T C Phi q' of modal velocities q' (..., n)."""
+        return (
+            modal_coordinates * self.damping
+            if self.damping.ndim == 1
+            else modal_coordinates @ self.damping.T
+        )
 
-    def respond(self, receptance: np.ndarray, drive: np.ndarray) -> np.ndarray:
-        """Modal response to modal forces (..., n)."""
+    def respond(self, receptance: np.ndarray, modal_force: np.ndarray) -> np.ndarray:
+        """Return the modal response H f of modal forces f (..., n)."""
         if self.damping.ndim == 1:
-            return receptance * drive
-        return np.matmul(receptance, drive[..., None])[..., 0]
+            return receptance * modal_force
+        return np.matmul(receptance, modal_force[..., None])[..., 0]
 
     def seen_by_pairs(self, receptance: np.ndarray) -> np.ndarray:
-        """B^T Phi H Phi^T B: (..., n_pairs, n_pairs)."""
+        """Return the compliance B^T Phi H Phi^T B: (..., n_pairs, n_pairs) [m/N]."""
         if self.damping.ndim == 1:
             return np.matmul(self.pairs.T * receptance[..., None, :], self.pairs)
         return self.pairs.T @ receptance @ self.pairs
 
     def transition(self, h: float) -> tuple[np.ndarray, np.ndarray]:
-        """E = exp(A h) of a step h [s], z' = A z being the free motion of z = (q, q'), and the
-        response to unit forces on the pairs that are held over the step, (2n, n_pairs).
+        """Return the motion over a step by state and constant pair forces.
 
-        Where damping leaves the modes uncoupled E is given by the diagonals of its blocks, (4, n),
-        else whole, (2n, 2n).
+        The free motion of the state z = (q, q') is z' = A z.
+
+        Parameters
+        ----------
+        h : float [s]
+            Length of the step.
+
+        Returns
+        -------
+        (2n, 2n), or (4, n) if damping does not couple modes
+            E = exp(A h), or the diagonals of its four blocks.
+        (2n, n_pairs)
+            State after the step by unit forces on the pairs.
         """
-        count, pairs = self.pairs.shape
+        n_modes, n_pairs = self.pairs.shape
         if self.damping.ndim == 1:
             # Mode by mode: exp of h [A, b; 0, 0], scaled to balance q and q'.
             scale = np.maximum(np.sqrt(np.abs(self.squares)), 1.0 / h)
-            system = np.zeros((count, 3, 3))
+            system = np.zeros((n_modes, 3, 3))
             system[:, 0, 1] = scale
             system[:, 1, 0], system[:, 1, 1] = -self.squares / scale, -self.damping
             system[:, 1, 2] = 1.0
-            found = scipy.linalg.expm(h * system)
-            blocks = found[:, 0, 0], found[:, 0, 1] / scale, found[:, 1, 0] * scale, found[:, 1, 1]
-            shape = (found[:, 0, 2] / scale)[:, None] * self.pairs
-            return np.array(blocks), np.vstack([shape, found[:, 1, 2][:, None] * self.pairs])
-        whole = np.zeros((2 * count + pairs,) * 2)
-        whole[:count, count : 2 * count] = np.eye(count)
-        whole[count : 2 * count, :count] = -np.diag(self.squares)
-        whole[count : 2 * count, count : 2 * count] = -self.damping
-        whole[count : 2 * count, 2 * count :] = self.pairs
-        found = scipy.linalg.expm(h * whole)[: 2 * count]
-        return np.ascontiguousarray(found[:, : 2 * count]), found[:, 2 * count :]
+            e = scipy.linalg.expm(h * system)
+            blocks = e[:, 0, 0], e[:, 0, 1] / scale, e[:, 1, 0] * scale, e[:, 1, 1]
+            displacement = (e[:, 0, 2] / scale)[:, None] * self.pairs
+            velocity = e[:, 1, 2][:, None] * self.pairs
+            return np.array(blocks), np.vstack([displacement, velocity])
+        system = np.zeros((2 * n_modes + n_pairs,) * 2)
+        system[:n_modes, n_modes : 2 * n_modes] = np.eye(n_modes)
+        system[n_modes : 2 * n_modes, :n_modes] = -np.diag(self.squares)
+        system[n_modes : 2 * n_modes, n_modes : 2 * n_modes] = -self.damping
+        system[n_modes : 2 * n_modes, 2 * n_modes :] = self.pairs
+        e = scipy.linalg.expm(h * system)[: 2 * n_modes]
+        return np.ascontiguousarray(e[:, : 2 * n_modes]), e[:, 2 * n_modes :]
 
     def steady_response(self, omega: float, force: np.ndarray) -> np.ndarray:
-        """Complex amplitudes of the modes under a load (n,); modes without load are at rest.
+        """Return complex amplitudes of the modes under a load (n,).
+
+        Modes without load are at rest.
 
         Raises
         ------
@@ -222,50 +291,57 @@ class AllModes:
         """
         if self.damping.ndim == 2:
             impedance = np.diag(self.squares - omega**2) + 1j * omega * self.damping
-            found = np.linalg.lstsq(impedance, force, rcond=None)[0]
-            singular = np.abs(impedance @ found - force).max() > 1e-9 * np.abs(force).max()
+            amplitudes = np.linalg.lstsq(impedance, force, rcond=None)[0]
+            is_singular = np.abs(impedance @ amplitudes - force).max() > 1e-9 * np.abs(force).max()
         else:
             impedance = self.squares - omega**2 + 1j * omega * self.damping
             size = np.abs(self.squares)
-            free = np.abs(impedance) <= 1e-15 * (size + omega**2)
+            is_resonant = np.abs(impedance) <= 1e-15 * (size + omega**2)
             if omega == 0.0 and self.is_unconstrained:
-                free |= size <= 1e-12 * size[-1]
-            singular = bool(np.any(force[free]))
-            found = np.divide(force, impedance, out=np.zeros_like(force), where=~free)
-        if singular:
+                is_resonant |= size <= 1e-12 * size[-1]
+            is_singular = bool(np.any(force[is_resonant]))
+            amplitudes = np.divide(force, impedance, out=np.zeros_like(force), where=~is_resonant)
+        if is_singular:
             raise ConvergenceError(
                 f"exponential: at {omega:g} rad/s the load is on an undamped resonance, or moves "
                 "the structure as a rigid body"
             )
-        return found
+        return amplitudes
 
 
 def all_modes(structure: Structure) -> AllModes:
-    """All modes of a small structure, computed once for it and its varied copies."""
+    """Return all modes of a small structure.
+
+    They are computed once for the structure and its varied copies.
+    """
     modes, factor = structure.cached_result(_compute_all_modes), structure.damping_factor
     return modes if factor == 1.0 else replace(modes, damping=factor * modes.damping)
 
 
 def _compute_all_modes(structure: Structure) -> AllModes:
+    """Compute all modes of a small structure."""
     if isinstance(structure, MasslessInterface):
         return _massless_interface_modes(structure)
-    known = damped_modes(structure)
-    if known is not None and len(known.omega) == structure.n_dofs:
-        squares, shapes, damping = known.omega**2, known.shapes, known.rate
+    damping_modes = damped_modes(structure)
+    if damping_modes is not None and len(damping_modes.omega) == structure.n_dofs:
+        squares, shapes, damping = damping_modes.omega**2, damping_modes.shapes, damping_modes.rate
     else:
-        matrices = (local_rows(one).toarray() for one in (structure.stiffness, structure.mass))
+        matrices = (
+            local_rows(matrix).toarray() for matrix in (structure.stiffness, structure.mass)
+        )
         squares, shapes = scipy.linalg.eigh(*matrices)
         damping = damping_on_modes(structure, shapes, squares)
-    # Beside the largest it may be rounding of LAPACK's; one mode of K itself decides.
-    doubtful = squares[0] <= AS_ZERO * squares[-1]
-    unconstrained = bool(doubtful and solve_modes(structure, 1).omega[0] == 0.0)
-    return AllModes(squares, shapes, damping, (structure.gap.T @ shapes).T, unconstrained)
+    # A small square may be LAPACK's rounding of the largest; one mode of K itself decides.
+    is_doubtful = squares[0] <= AS_ZERO * squares[-1]
+    is_unconstrained = bool(is_doubtful and solve_modes(structure, 1).omega[0] == 0.0)
+    return AllModes(squares, shapes, damping, (structure.gap.T @ shapes).T, is_unconstrained)
 
 
 def _massless_interface_modes(structure: MasslessInterface) -> AllModes:
+    """Return the modes of a structure with massless crack faces."""
     gap, shapes, squares = structure.gap.toarray(), structure.shapes, structure.omega**2
-    at_once = structure.residual_flexibility @ gap
-    residual = gap.T @ at_once
+    static_pairs = structure.residual_flexibility @ gap
+    residual = gap.T @ static_pairs
     return AllModes(
         squares,
         shapes,
@@ -273,7 +349,7 @@ def _massless_interface_modes(structure: MasslessInterface) -> AllModes:
         shapes.T @ gap,
         bool(np.any(squares == 0.0)),
         0.5 * (residual + residual.T),
-        at_once,
+        static_pairs,
         structure.residual_flexibility,
         (structure.mass.getDiagonal().array_r[:, None] * shapes).T,
     )

@@ -218,7 +218,10 @@ def _rule_of_all(structure: Structure) -> DampingRule | None:
     if structure.n_dofs <= MAX_DENSE_SIZE:
         return None
     found = f"{len(damping.ratio)} ratios for all {structure.n_dofs} modes"
-    allowed = f"one ratio, or ratios of the lowest damping.modes, as there are more than {MAX_DENSE_SIZE} dofs"
+    allowed = (
+        "one ratio, or ratios of the lowest damping.modes, as there are more than "
+        f"{MAX_DENSE_SIZE} dofs"
+    )
     raise InputError("damping ratio", found, allowed)
 
 
