@@ -1,27 +1,31 @@
-"""Reduced structures: few coordinates that carry the same contact pairs, load and damping.
+"""Reduction of structures to few coordinates with the same pairs, load and damping.
 
-The displacement is sought in the span of a basis T, u = T q:
+The displacement is sought in the span of a basis T, u = T q, by one of two methods:
 
-- ``massless``: the lowest modes Phi with free crack faces, and all that they leave out without mass
+- ``massless``: the lowest modes Phi with free crack faces, and their truncated part without mass
   (:class:`fenics_crack.model.reduced.MasslessStructure`). Crack faces with mass bounce on stiff
-  contact, at frequencies of the mesh; these do not. The compliance seen by the pairs is exact at w
-  = 0, and wrong by a mode's share (w/w_j)^2 / (1 - (w/w_j)^2) of its static one for each mode left
-  out;
-- ``free_interface`` (MacNeal, Rubin): the lowest modes Phi with free crack faces, and for
-  every pair and load the *residual attachment vector*, what the modes leave out of the static
-  response,
+  contact, at frequencies of the mesh; massless faces do not. The compliance at the pairs is exact
+  at w = 0. A truncated mode makes it wrong by (w/w_j)^2 / (1 - (w/w_j)^2) times the static
+  compliance of the mode.
+- ``free_interface`` (MacNeal, Rubin): the lowest modes Phi with free crack faces, and for every
+  pair and load the *residual attachment vector*, the truncated static response
 
-      Psi = (K^-1 - Phi Lambda^-1 Phi^T) [B, f];
+      Psi = (K^-1 - Phi Lambda^-1 Phi^T) [B, f].
 
-  the compliance seen by the pairs is then exact at w = 0 together with its derivative by w^2.
+  The compliance at the pairs is then exact at w = 0, together with its derivative by w^2.
 
-With mass, T is made M-orthonormal and K-diagonal: the reduced structure is diagonal. Its
-*reference* has in addition the static response to the inertia of Psi, K^-1 M Psi, the next term of
-the expansion in w^2; that of a massless one has twice the modes. The difference between both, over
-the share of what is left out that the reference has, is the estimate of the reduction error. To the
-order of w^2 modes that are left out change the compliance of pairs by w^2 B^T G M G B, G being the
-flexibility that they have. Of its trace the reference of a massless one has a known share; a half
-of it at most is used, as contact excites modes at their own frequencies, too.
+With mass, T is made M-orthonormal and K-diagonal: the reduced structure is diagonal.
+
+Estimate of the reduction error
+-------------------------------
+A reduced structure has a *reference*, a larger reduction. With mass, it also has the static
+response K^-1 M Psi to the inertia of Psi, the next term of the expansion in w^2. A massless
+reference has twice the modes. The error estimate is the difference between both results, divided by
+the reference's share of the truncated part.
+
+To the order of w^2, truncated modes with flexibility G change the compliance of the pairs by w^2
+B^T G M G B. A massless reference has a known share of the trace. At most a half is used, because
+contact also excites modes at their own frequencies.
 """
 
 from __future__ import annotations
@@ -51,10 +55,10 @@ from fenics_crack.model.reduced import MasslessStructure, ReducedStructure, chec
 from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
 
 METHODS = ("massless", "free_interface")
-LEAST_SHARE = 0.1
-"""Smallest share of a reference that is used: with less it shows nothing of what is left out."""
-MODES = 50
-"""Modes kept of a large structure whose modes are all damped."""
+MIN_REFERENCE_SHARE = 0.1
+"""Minimum share of a reference; a smaller one shows nothing of the truncated part."""
+DEFAULT_LARGE_MODES = 50
+"""Default number of modes for a large structure whose modes are all damped."""
 
 
 def reduce_structure(
@@ -66,28 +70,27 @@ def reduce_structure(
 ) -> ReducedStructure:
     """Reduce a structure to a few coordinates (collective).
 
-    The displacement is sought as u = T q. T holds the lowest modes with an open crack, and what
-    differs with the method. "massless": what the modes leave out answers quasi-statically, so crack
-    faces have no mass (:class:`MasslessStructure`); for contact on many pairs. "free_interface":
-    the static response to each pair's force and to the load.
+    The displacement is sought as u = T q. T holds the lowest modes with an open crack, and a second
+    part that depends on the method. With "massless", the truncated part answers quasi-statically,
+    so crack faces have no mass (:class:`MasslessStructure`): best for contact on many pairs. With
+    "free_interface", it is the static response to each pair's force and to the load.
 
-    Where one ratio damps all modes, it damps all coordinates: these are the modes of the reduced
-    structure. Rayleigh damping keeps its coefficients. Any other damping is projected; but with
-    ``massless`` all modes that are kept are damped, those beyond the damped ones with the last
-    ratio.
+    If one ratio damps all modes, it damps all coordinates: these are the modes of the reduced
+    structure. Rayleigh damping keeps its coefficients. Any other damping is projected. With
+    ``massless`` all kept modes are damped, those beyond the damped ones with the last ratio.
 
     Parameters
     ----------
     structure : Structure
         Structure to reduce.
     modes : int, optional
-        Number of the lowest modes to keep; default: those that are damped, but 50 if all of more
-        than 600 are; without damping, or with a matrix, 20.
+        Number of the lowest modes to keep. Default: the damped modes, but 50 if all of more than
+        600 are damped; 20 without damping, or with a matrix.
     method : "massless" or "free_interface"
-        Columns of T beside the modes.
+        Second part of T.
     reference : bool or int
-        Keep what estimates the error of the reduction, too: twice the modes, or more static shapes.
-        With "massless" it may be the number of modes that do.
+        Keep the reference, too, which estimates the reduction error: twice the modes, or more
+        static shapes. With "massless" it may be the number of modes of the reference.
 
     Returns
     -------
@@ -105,92 +108,106 @@ def reduce_structure(
     """
     check_choice("method", method, METHODS)
     check_mass(structure, "reduce the whole one")
-    rule = _rule_of_all(structure)
-    modal = rule is None and isinstance(structure.damping, ModalDamping)
-    count = check_damped_modes(structure) if modal else None
+    rule = _uniform_damping_rule(structure)
+    is_modally_damped = rule is None and isinstance(structure.damping, ModalDamping)
+    n_damped = check_damped_modes(structure) if is_modally_damped else None
     if modes is None:
-        modes = min(20, structure.n_dofs) if count is None else count
+        modes = min(20, structure.n_dofs) if n_damped is None else n_damped
         if rule is not None:
-            modes = MODES if structure.n_dofs > MAX_DENSE_SIZE else structure.n_dofs
-    whole = isinstance(modes, int | np.integer) and not isinstance(modes, bool)
-    if not (whole and 1 <= modes <= structure.n_dofs):
+            modes = DEFAULT_LARGE_MODES if structure.n_dofs > MAX_DENSE_SIZE else structure.n_dofs
+    is_integer = isinstance(modes, int | np.integer) and not isinstance(modes, bool)
+    if not (is_integer and 1 <= modes <= structure.n_dofs):
         raise InputError("modes", modes, f"a whole number from 1 to n_dofs = {structure.n_dofs}")
 
     if method == "massless":
-        return _massless(structure, int(modes), reference)
+        return _reduce_massless(structure, int(modes), reference)
 
-    if modal:  # more modes at once, which are kept
+    if is_modally_damped:  # these are more modes, which are cached
         damped_modes(structure)
     begin("reduction")
-    with Factor(structure.stiffness, definite=True) as own:
-        found = solve_modes_with_factor(own, structure, int(modes))
-        kept, squares = found.shapes[:, :modes], found.omega[:modes] ** 2
-        with _regular(own, structure, held=bool(squares[0] > 0.0)) as factor:
-            # Static responses to forces of pairs and to the load, without the part of the modes.
-            loaded = structure.force[loaded_parts(structure)]
-            forces = np.vstack([structure.gap.T.toarray(), loaded])
-            flexibility = ResidualFlexibility(structure, kept, squares, forces.T)
-            static = flexibility.solve(factor, forces).T
-            left = structure.sum_over_ranks((forces.T * static).sum(axis=0))
-            static = static[:, ~_is_rounding(left, flexibility.modal.T, squares)]
-            static = independent_part(structure, structure.mass, kept, static)
+    with Factor(structure.stiffness, definite=True) as stiffness_factor:
+        computed_modes = solve_modes_with_factor(stiffness_factor, structure, int(modes))
+        mode_shapes, squares = computed_modes.shapes[:, :modes], computed_modes.omega[:modes] ** 2
+        with _factor_regular(stiffness_factor, structure, is_held=bool(squares[0] > 0.0)) as factor:
+            # Static responses to pair forces and load, without the part of the modes.
+            load_parts = structure.force[loaded_parts(structure)]
+            forces = np.vstack([structure.gap.T.toarray(), load_parts])
+            flexibility = ResidualFlexibility(structure, mode_shapes, squares, forces.T)
+            static_shapes = flexibility.solve(factor, forces).T
+            own_compliances = structure.sum_over_ranks((forces.T * static_shapes).sum(axis=0))
+            is_rounding = _is_rounding(own_compliances, flexibility.modal.T, squares)
+            static_shapes = static_shapes[:, ~is_rounding]
+            static_shapes = independent_part(structure, structure.mass, mode_shapes, static_shapes)
             if not reference:
-                return _reduced(structure, kept, squares, static, None)
-            following = [static, factor.solve(multiply(structure.mass, static).T).T]
+                return _reduce_to_vectors(structure, mode_shapes, squares, static_shapes, None)
+            reference_vectors = [
+                static_shapes,
+                factor.solve(multiply(structure.mass, static_shapes).T).T,
+            ]
             if rule is None and structure.damping_matrix is not None:
-                damping = multiply(structure.damping_matrix, np.hstack([kept, static]))
-                following.append(factor.solve(damping.T).T)
-    finer = _reduced(structure, kept, squares, np.hstack(following), None)
-    return _reduced(structure, kept, squares, static, finer)
+                damping_columns = multiply(
+                    structure.damping_matrix, np.hstack([mode_shapes, static_shapes])
+                )
+                reference_vectors.append(factor.solve(damping_columns.T).T)
+    reference_structure = _reduce_to_vectors(
+        structure, mode_shapes, squares, np.hstack(reference_vectors), None
+    )
+    return _reduce_to_vectors(structure, mode_shapes, squares, static_shapes, reference_structure)
 
 
-def _massless(structure: Structure, modes: int, assessed: bool | int) -> MasslessStructure:
-    """Reduce a structure to modes and a rest without mass.
+def _reduce_massless(
+    structure: Structure, modes: int, reference_choice: bool | int
+) -> MasslessStructure:
+    """Reduce a structure to modes and a massless truncated part.
 
-    Its reference, by which it is assessed, has twice the modes, or ten more, where these leave
-    something for every pair, without which it has mass, and no more than half of what the kept ones
-    leave. Else it has all modes, or the number that is given. Its share is that of the inertia left
-    out.
+    The reference has twice the modes, or ten more. It must leave something for every pair, which
+    would otherwise have mass, and at most a half of the kept modes' rest. Otherwise it has all
+    modes. A number in ``reference_choice`` decides instead. The reference's share is measured by
+    the inertia of the truncated part.
     """
-    whole = structure.original
-    twice, most = modes + max(modes, 10), whole.n_dofs - whole.n_pairs
-    more = min(twice, most) if most > modes else whole.n_dofs
-    if chosen := assessed is not True and assessed > modes:
-        more = int(assessed)
-    counts = (more, modes) if assessed else (modes,)
-    known = receptance(whole, max(counts))
-    if rigid := np.count_nonzero(known.squares[modes:] == 0.0):
-        allowed = f"at least {modes + rigid}: all motions as a rigid body"
-        raise InputError("modes", modes, allowed)
-    if assessed and not chosen and more < twice and more == most:
-        here = slice(whole.n_pairs)
-        beyond, left = (np.diag(known.compliance_beyond(count))[here] for count in counts)
-        if np.any(beyond > left - beyond):
-            counts = (whole.n_dofs, modes)
-            known = receptance(whole, whole.n_dofs)
-    loaded, seen = loaded_parts(whole), known.modal.T
-    parts, rows = len(loaded), len(known.modal) - np.count_nonzero(loaded)
-    # The amplitudes of the load's parts are unknowns whose force is S times themselves.
-    patterns = np.hstack([np.zeros((parts, rows)), np.eye(parts)[:, loaded]])
-    inertias = [float(known.inertia_beyond(count).sum()) for count in counts]
-    share = max(1.0 - inertias[0] / max(inertias[-1], 1e-300), LEAST_SHARE)
-    share = min(share, 1.0 if counts[0] == whole.n_dofs else 0.5)
-    own, reference = whole.damping, None
-    damping: Any = own
+    original = structure.original
+    n_doubled, max_modes = modes + max(modes, 10), original.n_dofs - original.n_pairs
+    n_reference = min(n_doubled, max_modes) if max_modes > modes else original.n_dofs
+    if is_chosen := reference_choice is not True and reference_choice > modes:
+        n_reference = int(reference_choice)
+    counts = (n_reference, modes) if reference_choice else (modes,)
+    full_receptance = receptance(original, max(counts))
+    if n_rigid := np.count_nonzero(full_receptance.squares[modes:] == 0.0):
+        requirement = f"at least {modes + n_rigid}: all motions as a rigid body"
+        raise InputError("modes", modes, requirement)
+    if reference_choice and not is_chosen and n_reference < n_doubled and n_reference == max_modes:
+        pair_range = slice(original.n_pairs)
+        reference_compliance, compliance = (
+            np.diag(full_receptance.compliance_beyond(count))[pair_range] for count in counts
+        )
+        if np.any(reference_compliance > compliance - reference_compliance):
+            counts = (original.n_dofs, modes)
+            full_receptance = receptance(original, original.n_dofs)
+    is_loaded, modal_sources = loaded_parts(original), full_receptance.modal.T
+    n_load_parts, n_gaps = len(is_loaded), len(full_receptance.modal) - np.count_nonzero(is_loaded)
+    # The amplitudes of the load's parts are unknowns, and S maps them to their forces.
+    load_patterns = np.hstack(
+        [np.zeros((n_load_parts, n_gaps)), np.eye(n_load_parts)[:, is_loaded]]
+    )
+    inertias = [float(full_receptance.inertia_beyond(count).sum()) for count in counts]
+    share = max(1.0 - inertias[0] / max(inertias[-1], 1e-300), MIN_REFERENCE_SHARE)
+    share = min(share, 1.0 if counts[0] == original.n_dofs else 0.5)
+    damping_rule, reference = original.damping, None
+    damping: Any = damping_rule
     for count in counts:
-        left = known.compliance_beyond(count)
-        squares = known.squares[:count]
-        lost = _is_rounding(np.diag(left), seen[:count], squares)
-        left[lost] = left[:, lost] = 0.0  # forces that the kept modes carry alone
-        if not isinstance(own, DampingRule | None):
-            damping = _damping(whole, solve_modes(whole, count).shapes, squares)
+        compliance = full_receptance.compliance_beyond(count)
+        squares = full_receptance.squares[:count]
+        is_lost = _is_rounding(np.diag(compliance), modal_sources[:count], squares)
+        compliance[is_lost] = compliance[:, is_lost] = 0.0  # forces that the kept modes carry alone
+        if not isinstance(damping_rule, DampingRule | None):
+            damping = _reduce_damping(original, solve_modes(original, count).shapes, squares)
         reference = MasslessStructure(
-            whole,
+            original,
             squares,
             damping,
-            seen[:count, :rows],
-            patterns @ np.hstack([known.modal[:, :count], left]),
-            left,
+            modal_sources[:count, :n_gaps],
+            load_patterns @ np.hstack([full_receptance.modal[:, :count], compliance]),
+            compliance,
             reference=reference,
             share=share if count == counts[-1] else 0.5,
         )
@@ -198,16 +215,30 @@ def _massless(structure: Structure, modes: int, assessed: bool | int) -> Massles
     return reference._in_setting(structure.setting)
 
 
-def _is_rounding(left: np.ndarray, seen: np.ndarray, squares: np.ndarray) -> np.ndarray:
-    """Return True for forces whose residual flexibility, beyond the modes, is only rounding."""
-    elastic = squares > 0.0
-    carried = np.sum(seen[elastic] ** 2 / squares[elastic, None], axis=0)
-    return np.asarray(left <= AS_ZERO * carried)
+def _is_rounding(
+    compliance_diagonal: np.ndarray, modal_sources: np.ndarray, squares: np.ndarray
+) -> np.ndarray:
+    """Return True for forces whose residual flexibility is only rounding.
+
+    Parameters
+    ----------
+    compliance_diagonal : (n_sources,) [m/N]
+        Residual flexibility of each force.
+    modal_sources : (n_modes, n_sources)
+        Phi^T X.
+    squares : (n_modes,) [rad^2/s^2]
+    """
+    is_elastic = squares > 0.0
+    modal_compliance = np.sum(modal_sources[is_elastic] ** 2 / squares[is_elastic, None], axis=0)
+    return np.asarray(compliance_diagonal <= AS_ZERO * modal_compliance)
 
 
-def _rule_of_all(structure: Structure) -> DampingRule | None:
-    """Damping rule of all modes, also of those of the reduced structure: one ratio, or Rayleigh's
-    coefficients; else None. InputError for too many ratios."""
+def _uniform_damping_rule(structure: Structure) -> DampingRule | None:
+    """Return one damping rule for all modes, or None.
+
+    It is one ratio, or Rayleigh's coefficients, and holds for the modes of the reduced structure,
+    too. InputError: there are too many ratios.
+    """
     damping = structure.damping
     if isinstance(damping, RayleighDamping):
         return damping
@@ -217,56 +248,64 @@ def _rule_of_all(structure: Structure) -> DampingRule | None:
         return ModalDamping(damping.ratio)
     if structure.n_dofs <= MAX_DENSE_SIZE:
         return None
-    found = f"{len(damping.ratio)} ratios for all {structure.n_dofs} modes"
-    allowed = (
+    problem = f"{len(damping.ratio)} ratios for all {structure.n_dofs} modes"
+    requirement = (
         "one ratio, or ratios of the lowest damping.modes, as there are more than "
         f"{MAX_DENSE_SIZE} dofs"
     )
-    raise InputError("damping ratio", found, allowed)
+    raise InputError("damping ratio", problem, requirement)
 
 
 @contextmanager
-def _regular(factor: Factor, structure: Structure, *, held: bool) -> Iterator[Factor]:
-    """The factor of K; of a structure that nothing holds that of K + s M, s one of its lowest
-    eigenvalues."""
-    if held:
+def _factor_regular(factor: Factor, structure: Structure, *, is_held: bool) -> Iterator[Factor]:
+    """Return the factor of K, or if K is singular of K + s M.
+
+    s is one of the lowest eigenvalues.
+    """
+    if is_held:
         yield factor
         return
-    elastic = (
+    shift = (
         solve_modes_with_factor(factor, structure, min(structure.n_dofs, 10)).omega[-1] ** 2 or 1.0
     )
-    with factored_sum(structure.stiffness, elastic, structure.mass, definite=True) as regular:
-        yield regular
+    with factored_sum(structure.stiffness, shift, structure.mass, definite=True) as regular_factor:
+        yield regular_factor
 
 
-def _reduced(
+def _reduce_to_vectors(
     structure: Structure,
-    kept: np.ndarray,
+    mode_shapes: np.ndarray,
     squares: np.ndarray,
-    extra: np.ndarray,
+    vectors: np.ndarray,
     reference: ReducedStructure | None,
 ) -> ReducedStructure:
-    """Reduce to known modes and the rest of other vectors, made M-orthonormal and K-diagonal."""
-    extra = independent_part(structure, structure.mass, kept, extra)
-    elastic = structure.sum_over_ranks(extra.T @ multiply(structure.stiffness, extra))
-    more, rotation = np.linalg.eigh(elastic)
-    extra = extra @ rotation
-    basis = np.hstack([kept, extra])
-    squares = np.concatenate([squares, more])
-    damping = _damping(structure, basis, squares)
+    """Reduce a structure to known modes and other vectors.
+
+    The basis is made M-orthonormal and K-diagonal.
+    """
+    vectors = independent_part(structure, structure.mass, mode_shapes, vectors)
+    projected_stiffness = structure.sum_over_ranks(
+        vectors.T @ multiply(structure.stiffness, vectors)
+    )
+    vector_squares, rotation = np.linalg.eigh(projected_stiffness)
+    vectors = vectors @ rotation
+    basis = np.hstack([mode_shapes, vectors])
+    squares = np.concatenate([squares, vector_squares])
+    damping = _reduce_damping(structure, basis, squares)
     return ReducedStructure(structure, basis, squares, damping, reference)
 
 
-def _damping(
+def _reduce_damping(
     structure: Structure, basis: np.ndarray, squares: np.ndarray
 ) -> DampingRule | np.ndarray | None:
-    """T^T C T, or one ratio for all; a rule where it is diagonal, else a matrix.
+    """Return T^T C T as a rule if it is diagonal, else as a matrix.
 
-    T^T M T = I and T^T K T is diagonal: Rayleigh's coefficients stay.
+    T^T M T = I and T^T K T is diagonal, so that Rayleigh's coefficients stay. One ratio for all
+    modes stays, too.
     """
     if structure.damping is None:
         return None
-    if (rule := _rule_of_all(structure)) is not None:
+    if (rule := _uniform_damping_rule(structure)) is not None:
         return rule
     rate, omega = damping_on_modes(structure, basis, squares), np.sqrt(np.maximum(squares, 0.0))
     if rate.ndim == 2:

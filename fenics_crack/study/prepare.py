@@ -27,7 +27,7 @@ from fenics_crack.model.contact import (
 from fenics_crack.model.factor import MAX_BLOCK_COLUMNS, factor_memory
 from fenics_crack.model.modes import krylov_size
 from fenics_crack.model.nodes import AXES
-from fenics_crack.model.reduction import MODES, reduce_structure
+from fenics_crack.model.reduction import DEFAULT_LARGE_MODES, reduce_structure
 from fenics_crack.model.rotation import N_SPEEDS
 from fenics_crack.model.structure import Structure
 from fenics_crack.model.wheel import Wheel, families_of_basis, reduce_wheel
@@ -260,7 +260,7 @@ def reduction_of(scene: Scene, structure: Structure) -> Kept | None:
         return None
     modes = table.modes or scene.damped_modes
     if isinstance(modes, str):  # "all"
-        modes = min(MODES, structure.n_dofs)
+        modes = min(DEFAULT_LARGE_MODES, structure.n_dofs)
     lips = structure.n_pairs > 0 and modes < structure.n_dofs
     return Kept(table.method or ("massless" if lips else "free_interface"), modes)
 

@@ -34,7 +34,7 @@ from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import Modes, bilinear_frequencies, multiply, solve_modes
 from fenics_crack.model.nodes import AXES
 from fenics_crack.model.reduced import ReducedStructure
-from fenics_crack.model.reduction import MODES
+from fenics_crack.model.reduction import DEFAULT_LARGE_MODES
 from fenics_crack.model.rotation import run_up_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.attractors import SETTLED
@@ -366,7 +366,7 @@ def _studies_of_curve(given: Scene | Study, comm: MPI.Comm) -> Iterator[Study]:
         chosen = _enough_before(next(few), few, order * start, order * stop)
         whole = replace(whole, scene=chosen.scene)
     kept = reduction_of(whole.scene, whole.structure)
-    modes = min(MODES, whole.structure.n_dofs) if kept is None else kept.modes
+    modes = min(DEFAULT_LARGE_MODES, whole.structure.n_dofs) if kept is None else kept.modes
     structure = run_up_structure(whole.structure, start, stop, modes)
     yield replace(whole, structure=structure.at_speed(start))
 
