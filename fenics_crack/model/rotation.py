@@ -1,22 +1,24 @@
-"""A structure that rotates: what its rotation adds to matrices and load, at any speed.
+"""A structure that rotates: changes of its matrices and load with the speed W.
 
     K(W) = K + W^2 (K_1 + K_2) + W^4 K_3,     K_1 = K_g - M_y,     f_mean(W) = f_mean + K(W) u_s(W)
 
-K_g is the geometric stiffness of the stresses that the centrifugal load f_c makes, M_y the spin
-softening, K_2 and K_3 what comes with the displaced shape, (K + W^2 K_1) u_s = W^2 f_c; all of them
-for W = 1 rad/s (:mod:`fenics_crack.fem.elasticity` assembles them).
+K_g is the geometric stiffness of the centrifugal stresses, M_y the spin softening. K_2 and K_3 come
+with the displaced shape, (K + W^2 K_1) u_s = W^2 f_c, under the centrifugal load f_c. All of them
+hold for W = 1 rad/s (:mod:`fenics_crack.fem.elasticity` assembles them).
 
+Run-ups
+-------
 One small basis serves for all speeds of a run-up:
 
     u = V q,        V^T K(W_0) V = I,        V^T M V diagonal
 
-V holds, of the structure at a few speeds of the range, the lowest modes with an open crack and the
-static responses to forces on every pair and to the load: the free-interface bases of these speeds
-together, without what one of them adds of negligible energy. At these the small structure is as
-good as the reduced one; between them its error, that of a Ritz method, is of second order in what V
-lacks. At each speed its modes are those of a small dense matrix, and smooth to rounding: V is
-scaled so that the stiffness is near I. A Campbell diagram has modes with a bonded crack in V, too,
-and all of its frequencies from there.
+V is made at a few speeds of the range. It holds the lowest modes with an open crack, and the static
+responses to forces on every pair and to the load. These free-interface bases are put together, and
+directions of negligible energy are left out. At these speeds the small structure is as accurate as
+the reduced one. Between them the error, of a Ritz method, is of second order in what V lacks. The
+modes at each speed come from a small dense matrix and are smooth to rounding: V is scaled so that
+the stiffness is near I. For a Campbell diagram V also holds modes with a bonded crack, and gives
+all frequencies.
 """
 
 from __future__ import annotations
@@ -43,7 +45,7 @@ from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import DampingRule, Structure, shared_property
 
 N_SPEEDS = 3
-"""Speeds of a range whose bases are put together."""
+"""Number of speeds in a range whose bases are put together."""
 
 
 @dataclass(frozen=True)
@@ -53,11 +55,11 @@ class Rotation:
     Attributes
     ----------
     at_rest : Structure
-        The structure without it: K and its own load.
+        The structure without rotation: K and its own load.
     stiffness : PETSc.Mat
         K_1 = K_g - M_y: (n, n) [kg].
-    displaced : tuple of PETSc.Mat
-        K_2 [kg] and K_3 [kg s^2].
+    displaced_stiffness : tuple of PETSc.Mat
+        K_2 [kg] and K_3 [kg s^2], due to the displaced shape.
     force : (n_local,) [kg m]
         f_c.
     speed : float
@@ -66,12 +68,12 @@ class Rotation:
 
     at_rest: Structure
     stiffness: Any
-    displaced: tuple[Any, Any]
+    displaced_stiffness: tuple[Any, Any]
     force: np.ndarray
     speed: float
 
     def at(self, speed: float) -> Structure:
-        """The structure at a speed [rad/s]; at 0 the one at rest (collective).
+        """Return the structure at a speed [rad/s]; at 0 the one at rest (collective).
 
         Raises
         ------
@@ -82,42 +84,51 @@ class Rotation:
         check_number("speed", speed, 0.0)
         if speed == 0.0:
             return self.at_rest
-        still, stiffness = self.stiffnesses(speed)
+        static_stiffness, stiffness = self.stiffnesses(speed)
         with Factor(stiffness) as factor:
             if factor.negative_pivots or factor.null_pivots:
-                raise InputError("rotation.speed", speed, too_fast(self.at_rest, speed))
-        with Factor(still, definite=True) as factor:
-            moved = factor.solve(speed**2 * self.force[None]).T
-        still.destroy()
+                raise InputError(
+                    "rotation.speed", speed, describe_unstable_speed(self.at_rest, speed)
+                )
+        with Factor(static_stiffness, definite=True) as factor:
+            rotation_displacement = factor.solve(speed**2 * self.force[None]).T
+        static_stiffness.destroy()
         force = self.at_rest.force.copy()
-        force[0] += multiply(stiffness, moved)[:, 0]
+        force[0] += multiply(stiffness, rotation_displacement)[:, 0]
         rotation = replace(self, speed=speed)
         return self.at_rest._with_changes(stiffness=stiffness, force=force, rotation=rotation)
 
     def stiffnesses(self, speed: float) -> tuple[Any, Any]:
-        """K + W^2 K_1 of the displacement that rotation makes, and K(W) of what moves about it
-        (collective)."""
-        square, (second, third) = speed**2, self.displaced
-        still = weighted_sum(self.at_rest.stiffness, square, self.stiffness)
-        displaced = weighted_sum(second, square, third)
-        stiffness = weighted_sum(still, square, displaced)
-        displaced.destroy()
-        return still, stiffness
+        """Return the stiffness for the static shape and for motion (collective).
+
+        Returns
+        -------
+        PETSc.Mat
+            K + W^2 K_1, for the displacement u_s due to rotation.
+        PETSc.Mat
+            K(W), for motion about the displaced shape.
+        """
+        speed_squared, (K_2, K_3) = speed**2, self.displaced_stiffness
+        static_stiffness = weighted_sum(self.at_rest.stiffness, speed_squared, self.stiffness)
+        shape_stiffness = weighted_sum(K_2, speed_squared, K_3)
+        stiffness = weighted_sum(static_stiffness, speed_squared, shape_stiffness)
+        shape_stiffness.destroy()
+        return static_stiffness, stiffness
 
     def change_rest_structure(self, change: Callable[[Structure], Structure]) -> Rotation:
-        """The same of a structure that is changed."""
+        """Return the rotation of a changed structure at rest."""
         return replace(self, at_rest=change(self.at_rest))
 
 
 def static_state(
     structure: Structure, force: np.ndarray, clearance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Displacement (n_local,) [m] and contact forces (n_pairs,) [N] under a constant load.
+    """Find displacement and contact forces under a constant load (collective).
 
         K u + B lambda = f,        0 <= lambda,    B^T u <= g0,    lambda^T (B^T u - g0) = 0
 
-    The forces are those of a small problem on the crack faces, through their compliance B^T K^-1 B;
-    where the load opens all pairs, there are none (collective).
+    The forces solve a small problem on the crack faces, with their compliance B^T K^-1 B. If the
+    load opens all pairs, there are none.
 
     Parameters
     ----------
@@ -126,75 +137,95 @@ def static_state(
     clearance : (n_pairs,) [m]
         g0.
 
+    Returns
+    -------
+    (n_local,) [m]
+        u.
+    (n_pairs,) [N]
+        lambda.
+
     Raises
     ------
     ConvergenceError
         No set of closed pairs was found.
     """
-    pairs = np.zeros(structure.n_pairs)
+    contact_forces = np.zeros(structure.n_pairs)
     with Factor(structure.stiffness, definite=True) as factor:
-        moved = factor.solve(force[None])[0]
-        gap = structure.apply_bt(moved[None])[0] - clearance
+        displacement = factor.solve(force[None])[0]
+        gap = structure.apply_bt(displacement[None])[0] - clearance
         if np.any(gap > AS_ZERO * np.abs(gap).max(initial=0.0)):
-            pushed = factor.solve(structure.gap.T.toarray())
-            compliance = structure.apply_bt(pushed)
-            pairs = solve_complementarity(0.5 * (compliance + compliance.T), gap)
-            pairs = np.asarray(structure.comm.bcast(pairs))
-            moved = moved - pairs @ pushed
-    return moved, pairs
+            pair_responses = factor.solve(structure.gap.T.toarray())
+            compliance = structure.apply_bt(pair_responses)
+            contact_forces = solve_complementarity(0.5 * (compliance + compliance.T), gap)
+            contact_forces = np.asarray(structure.comm.bcast(contact_forces))
+            displacement = displacement - contact_forces @ pair_responses
+    return displacement, contact_forces
 
 
-def too_fast(structure: Structure, speed: float) -> str:
-    """Describe the allowed values instead of a speed [rad/s] at which a plate is unstable; or a
-    solid, which the Coriolis force may keep from that. A mesh in mm is: so its size is reported
-    (collective)."""
-    what, at = "the plate", f"is unstable at {speed / RPM:.6g} rpm"
+def describe_unstable_speed(structure: Structure, speed: float) -> str:
+    """Say which speeds are allowed, after a speed [rad/s] without stability (collective).
+
+    A solid may be stable by the Coriolis force, which is left out. The size is reported because a
+    mesh in mm is unstable.
+    """
+    subject, problem = "the plate", f"is unstable at {speed / RPM:.6g} rpm"
     if structure.nodes is not None:
         sides = np.ptp(gather_rows(structure.comm, structure.nodes.points), axis=0)
-        at += f"; it measures {' x '.join(f'{side:.3g}' for side in sides)} m"
+        problem += f"; it measures {' x '.join(f'{side:.3g}' for side in sides)} m"
         if len(sides) == 3:
-            what = "without the Coriolis force, which is left out, the solid"
-    return f"lower: {what} {at}"
+            subject = "without the Coriolis force, which is left out, the solid"
+    return f"lower: {subject} {problem}"
 
 
-def coriolis_shifts(modes: Modes, turning: np.ndarray) -> np.ndarray:
-    """By how much the Coriolis force, which is left out, would change natural frequencies of a
-    solid, relative to them: (m,); of a plate, to which it is normal, nothing (collective).
+def coriolis_shifts(modes: Modes, rotation_vector: np.ndarray) -> np.ndarray:
+    """Return relative shifts of natural frequencies due to the Coriolis force (collective).
+
+    The Coriolis force is left out elsewhere. In the space of the given modes,
 
         q'' + G q' + Lambda q = 0,      G = 2 Phi^T M (W x Phi)
 
-    in the space of these modes. The mass matrix is the same in each direction, so it multiplies
-    what W turns of each node. With x = (Lambda^1/2 q, q') the matrix of x' = A x is skew.
+    The mass matrix is the same in each direction, so it multiplies the turned vectors of each node.
+    With x = (Lambda^1/2 q, q') the matrix of x' = A x is skew. A plate has no shifts: the force is
+    normal to it.
 
     Parameters
     ----------
     modes : Modes
-        Of a whole structure that turns.
-    turning : (3,) [rad/s]
+        Modes of a whole structure that turns.
+    rotation_vector : (3,) [rad/s]
         W.
+
+    Returns
+    -------
+    (m,)
+        Shift of each frequency, relative to the frequency.
     """
-    structure, count = modes.structure, len(modes.omega)
+    structure, n_modes = modes.structure, len(modes.omega)
     nodes = structure.nodes
     if nodes is None or nodes.points.shape[1] != 3:
-        return np.zeros(count)
-    rows = nodes.dofs[nodes.dofs[:, 0] >= 0] - structure.first_dof
-    turned = np.zeros_like(modes.shapes)
-    turned[rows] = np.cross(turning, modes.shapes[rows], axisb=1, axisc=1)
-    coupling = 2.0 * structure.sum_over_ranks(modes.shapes.T @ multiply(structure.mass, turned))
-    root, zero = np.diag(modes.omega), np.zeros((count, count))
-    matrix = np.block([[zero, root], [-root, -coupling]])
-    return np.asarray(np.linalg.eigvalsh(1j * matrix)[count:] / modes.omega - 1.0)
+        return np.zeros(n_modes)
+    node_dofs = nodes.dofs[nodes.dofs[:, 0] >= 0] - structure.first_dof
+    coriolis_shapes = np.zeros_like(modes.shapes)
+    coriolis_shapes[node_dofs] = np.cross(
+        rotation_vector, modes.shapes[node_dofs], axisb=1, axisc=1
+    )
+    gyroscopic = 2.0 * structure.sum_over_ranks(
+        modes.shapes.T @ multiply(structure.mass, coriolis_shapes)
+    )
+    root_of_squares, zero = np.diag(modes.omega), np.zeros((n_modes, n_modes))
+    matrix = np.block([[zero, root_of_squares], [-root_of_squares, -gyroscopic]])
+    return np.asarray(np.linalg.eigvalsh(1j * matrix)[n_modes:] / modes.omega - 1.0)
 
 
 @dataclass(frozen=True)
 class Ritz:
-    """A structure and what rotation adds to it, in a basis; the same on every rank.
+    """A structure and its terms of rotation, in a basis, on every rank.
 
     Attributes
     ----------
-    whole : Structure
+    structure : Structure
         Structure that was reduced, at its own speed.
-    basis : (whole.n_local, n)
+    basis : (structure.n_local, n)
         V.
     at_rest, stiffness : (n, n), (3, n, n)
         V^T K V, and V^T K_i V of K_1, K_2, K_3.
@@ -205,12 +236,12 @@ class Ritz:
     centrifugal : (n,)
         V^T f_c.
     mass, gap, tangential
-        The mass as a matrix of PETSc's, V^T B, and V^T B_t or None.
+        The mass as a PETSc matrix, V^T B, and V^T B_t or None.
     modes : int
         Number of modes with mass.
     """
 
-    whole: Structure
+    structure: Structure
     basis: np.ndarray
     at_rest: np.ndarray
     stiffness: np.ndarray
@@ -224,75 +255,100 @@ class Ritz:
 
     @classmethod
     def of_range(
-        cls, structure: Structure, start: float, stop: float, modes: int, tied: int = 0
+        cls, structure: Structure, start: float, stop: float, modes: int, n_bonded: int = 0
     ) -> Ritz:
-        """Return the basis for speeds between two [rad/s], from some of the lowest modes of a few
-        of them, open crack and bonded; scaled at the structure's own speed (collective)."""
+        """Make the basis for speeds between two, scaled at the structure's speed (collective).
+
+        Parameters
+        ----------
+        start, stop : float [rad/s]
+            Ends of the range.
+        modes : int
+            Number of modes with an open crack, of each speed.
+        n_bonded : int
+            Number of modes with a bonded crack, of each speed.
+        """
         rotation = structure.rotation
         basis: np.ndarray = np.zeros((structure.n_local, 0))
         for speed in np.linspace(start, stop, N_SPEEDS):
-            own = np.isclose(speed, rotation.speed, rtol=1e-12, atol=0.0)
-            there = structure if own else rotation.at(float(speed))
-            part = reduce_structure(there, modes=modes, method="free_interface", reference=False)
-            shapes, omega = part.basis, part.omega
-            if tied:
-                found = solve_modes(there, tied, lips="tied")
-                shapes, omega = np.hstack([shapes, found.shapes]), np.append(omega, found.omega)
-                del found
-            if not np.all(omega > 0.0):  # to rounding, which pivots need not see
-                raise InputError("rotation.speed", float(speed), too_fast(structure, float(speed)))
-            new = independent_part(structure, structure.stiffness, basis, shapes)
-            basis = np.hstack([basis, new])
-            del there, part, shapes, new
+            is_own_speed = np.isclose(speed, rotation.speed, rtol=1e-12, atol=0.0)
+            structure_at_speed = structure if is_own_speed else rotation.at(float(speed))
+            reduced_structure = reduce_structure(
+                structure_at_speed, modes=modes, method="free_interface", reference=False
+            )
+            shapes, omega = reduced_structure.basis, reduced_structure.omega
+            if n_bonded:
+                bonded_modes = solve_modes(structure_at_speed, n_bonded, lips="tied")
+                shapes = np.hstack([shapes, bonded_modes.shapes])
+                omega = np.append(omega, bonded_modes.omega)
+                del bonded_modes
+            if not np.all(omega > 0.0):  # pivots need not show what rounding hides
+                raise InputError(
+                    "rotation.speed", float(speed), describe_unstable_speed(structure, float(speed))
+                )
+            new_columns = independent_part(structure, structure.stiffness, basis, shapes)
+            basis = np.hstack([basis, new_columns])
+            del structure_at_speed, reduced_structure, shapes, new_columns
             collect_garbage(structure.comm)
 
-        def projected(matrix: object) -> np.ndarray:
-            found = structure.sum_over_ranks(basis.T @ multiply(matrix, basis))
-            return np.asarray(0.5 * (found + found.T))
+        def project_matrix(matrix: object) -> np.ndarray:
+            projection = structure.sum_over_ranks(basis.T @ multiply(matrix, basis))
+            return np.asarray(0.5 * (projection + projection.T))
 
-        inverse, turned = np.linalg.eigh(projected(structure.mass))
-        basis = basis @ turned
-        square = rotation.speed**2
-        added = np.array([projected(part) for part in (rotation.stiffness, *rotation.displaced)])
-        at_rest = np.eye(len(inverse)) - square * (added[0] + added[1] + square * added[2])
+        squares_inverse, eigenvectors = np.linalg.eigh(project_matrix(structure.mass))
+        basis = basis @ eigenvectors
+        speed_squared = rotation.speed**2
+        matrices = rotation.stiffness, *rotation.displaced_stiffness
+        rotation_stiffness = np.array([project_matrix(matrix) for matrix in matrices])
+        at_rest = np.eye(len(squares_inverse)) - speed_squared * (
+            rotation_stiffness[0] + rotation_stiffness[1] + speed_squared * rotation_stiffness[2]
+        )
         try:
             np.linalg.cholesky(at_rest)
-        except np.linalg.LinAlgError:  # beside what rotation adds it is rounding
-            words = too_fast(structure, rotation.speed)
-            raise InputError("rotation.speed", rotation.speed, words) from None
+        except np.linalg.LinAlgError:  # K is rounding of the terms of rotation
+            requirement = describe_unstable_speed(structure, rotation.speed)
+            raise InputError("rotation.speed", rotation.speed, requirement) from None
         return cls(
             structure,
             read_only_array(basis),  # shared by all speeds
             at_rest,
-            added,
-            inverse,
+            rotation_stiffness,
+            squares_inverse,
             structure.sum_over_ranks(rotation.at_rest.force @ basis),
             structure.sum_over_ranks(rotation.force @ basis),
-            distribute_rows(sparse.diags(inverse), MPI.COMM_SELF),
+            distribute_rows(sparse.diags(squares_inverse), MPI.COMM_SELF),
             read_only_rows(structure.apply_bt(basis.T)),
             structure.apply_tangential(basis.T),
             modes,
         )
 
     def matrices(self, speed: float) -> tuple[np.ndarray, np.ndarray]:
-        """The stiffness (n, n) and the load (2K+1, n) at a speed [rad/s]."""
-        first, second, third = speed**2 * self.stiffness
-        stiffness = self.at_rest + first + second + speed**2 * third
-        moved = np.linalg.solve(self.at_rest + first, speed**2 * self.centrifugal)
+        """Return stiffness and load at a speed [rad/s].
+
+        Returns
+        -------
+        (n, n) [N/m]
+            V^T K(W) V.
+        (2K+1, n) [N]
+            V^T f, with the mean load due to rotation.
+        """
+        term_1, term_2, term_3 = speed**2 * self.stiffness
+        stiffness = self.at_rest + term_1 + term_2 + speed**2 * term_3
+        rotation_displacement = np.linalg.solve(self.at_rest + term_1, speed**2 * self.centrifugal)
         force = self.force.copy()
-        force[0] += stiffness @ moved
+        force[0] += stiffness @ rotation_displacement
         return stiffness, force
 
     def at_speed(self, speed: float) -> Structure:
-        """The small structure at a speed [rad/s], without damping."""
+        """Return the small structure at a speed [rad/s], without damping."""
         stiffness, force = self.matrices(speed)
         matrix = distribute_rows(stiffness, MPI.COMM_SELF)
-        return Structure(Body(self.mass, matrix, self.gap, force, self.whole.clearance))
+        return Structure(Body(self.mass, matrix, self.gap, force, self.structure.clearance))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RunUpBody(ReducedBody):
-    """That of a rotating structure at one speed; ``dense`` is V^T K(W) V."""
+    """Body of a rotating structure at one speed; ``dense`` is V^T K(W) V."""
 
     speed: float
     shapes: np.ndarray
@@ -302,9 +358,9 @@ class RunUpBody(ReducedBody):
 
 
 class RunUpStructure(MasslessInterface):
-    """A rotating structure at one speed, in coordinates that do not depend on it.
+    """A rotating structure at one speed, in coordinates for all speeds.
 
-    Its lowest modes have mass; what they leave out is quasi-static, as in
+    The lowest modes have mass. The truncated part is quasi-static, as in
     :class:`fenics_crack.MasslessStructure`.
 
     Attributes
@@ -323,28 +379,38 @@ class RunUpStructure(MasslessInterface):
     def __init__(self, ritz: Ritz, speed: float) -> None:
         stiffness, force = ritz.matrices(speed)
         try:
-            factor = np.linalg.inv(np.linalg.cholesky(stiffness))
+            inverse_factor = np.linalg.inv(np.linalg.cholesky(stiffness))
         except np.linalg.LinAlgError:
-            raise InputError("speed", speed, too_fast(ritz.whole, speed)) from None
-        # The largest eigenvalues, 1 / omega^2, are those that rounding leaves alone.
-        inverse, turned = np.linalg.eigh((factor * ritz.squares_inverse) @ factor.T)
-        inverse, turned = inverse[: -ritz.modes - 1 : -1], turned[:, : -ritz.modes - 1 : -1]
-        static = factor.T @ turned
-        damping = ritz.whole.damping
-        omega = 1.0 / np.sqrt(inverse)
+            raise InputError(
+                "speed", speed, describe_unstable_speed(ritz.structure, speed)
+            ) from None
+        # Rounding hardly changes the largest eigenvalues, 1 / omega^2.
+        squares_inverse, eigenvectors = np.linalg.eigh(
+            (inverse_factor * ritz.squares_inverse) @ inverse_factor.T
+        )
+        squares_inverse, eigenvectors = (
+            squares_inverse[: -ritz.modes - 1 : -1],
+            eigenvectors[:, : -ritz.modes - 1 : -1],
+        )
+        mode_columns = inverse_factor.T @ eigenvectors
+        damping = ritz.structure.damping
+        omega = 1.0 / np.sqrt(squares_inverse)
         body = RunUpBody(
-            ritz.mass, None, ritz.gap, force, ritz.whole.clearance,
+            ritz.mass, None, ritz.gap, force, ritz.structure.clearance,
             damping=None if damping is None else damping.for_modes(len(force[0])),
-            tangential=ritz.tangential, nodes=ritz.whole.nodes, pairs=ritz.whole.pairs,
-            basis=ritz.basis, omega=omega, source=ritz.whole, speed=speed, shapes=static * omega,
-            residual_flexibility=factor.T @ factor - static @ static.T, ritz=ritz, dense=stiffness,
+            tangential=ritz.tangential, nodes=ritz.structure.nodes, pairs=ritz.structure.pairs,
+            basis=ritz.basis, omega=omega, source=ritz.structure, speed=speed, ritz=ritz,
+            shapes=mode_columns * omega, dense=stiffness,
+            residual_flexibility=inverse_factor.T @ inverse_factor - mode_columns @ mode_columns.T,
         )  # fmt: skip
         Structure.__init__(self, body)
 
     @shared_property
     def stiffness(self) -> Any:
-        """V^T K(W) V. Paths make a structure for each of their many speeds, and do not ask for its
-        matrix."""
+        """V^T K(W) V as a PETSc matrix.
+
+        Paths make a structure for each of many speeds, and never need this matrix.
+        """
         return distribute_rows(self.body.dense, MPI.COMM_SELF)
 
     @property
@@ -352,7 +418,7 @@ class RunUpStructure(MasslessInterface):
         return f"{self.n_dofs} coordinates of {self.whole.n_dofs} dofs at {self.speed:g} rad/s"
 
     def at_speed(self, speed: float) -> RunUpStructure:
-        """The same structure at another speed [rad/s].
+        """Return the same structure at another speed [rad/s].
 
         Raises
         ------
@@ -363,24 +429,31 @@ class RunUpStructure(MasslessInterface):
         return RunUpStructure(self.body.ritz, float(speed))._in_setting(self.setting)
 
     def stiffening(self, omega: float) -> float:
-        """d ln w / d ln W of the natural frequency w, crack open, that is nearest to one [rad/s]:
-        phi^T dK/d(ln W) phi / (2 w^2), phi being its mode."""
-        first, second, third = self.speed**2 * self.body.ritz.stiffness
-        mode = int(np.abs(self.omega - omega).argmin())
-        shape = self.shapes[:, mode]
-        change = 2.0 * (first + second + 2.0 * self.speed**2 * third)
-        return float(shape @ change @ shape / (2.0 * self.omega[mode] ** 2))
+        """Return d ln w / d ln W of a natural frequency w, crack open.
+
+            phi^T dK/d(ln W) phi / (2 w^2),    phi the mode of w
+
+        Parameters
+        ----------
+        omega : float [rad/s]
+            The nearest natural frequency is taken.
+        """
+        term_1, term_2, term_3 = self.speed**2 * self.body.ritz.stiffness
+        mode_index = int(np.abs(self.omega - omega).argmin())
+        shape = self.shapes[:, mode_index]
+        stiffness_slope = 2.0 * (term_1 + term_2 + 2.0 * self.speed**2 * term_3)
+        return float(shape @ stiffness_slope @ shape / (2.0 * self.omega[mode_index] ** 2))
 
     def damped(self, damping: DampingRule | None) -> RunUpStructure:
-        """Return this structure with a modal or Rayleigh damping, or none."""
+        """Raise InputError: the damping comes from the structure before the run-up."""
         raise InputError("damping", damping, "that of the structure from which this one was made")
 
 
 def run_up_structure(structure: Structure, start: float, stop: float, modes: int) -> RunUpStructure:
-    """A rotating structure for all speeds between two, at its own speed (collective).
+    """Make a rotating structure for all speeds in a range (collective).
 
-    One ratio, or one for each of the lowest modes, damps the modes at each speed, those beyond with
-    the last one.
+    It is made at its own speed. One ratio, or one for each of the lowest modes, damps the modes at
+    each speed; modes beyond get the last ratio.
 
     Parameters
     ----------

@@ -395,7 +395,7 @@ def campbell(
     found = Campbell(
         asked, wanted, opened, tied, partly, top.n_pairs > 0, kind, changes, coriolis, at
     )
-    return replace(found, met=_met(found, replace(small, whole=top)))
+    return replace(found, met=_met(found, replace(small, structure=top)))
 
 
 def _met(found: Campbell, small: Ritz) -> tuple[tuple[int, AtLoad], ...]:

@@ -228,7 +228,7 @@ def _slopes(factor: Factor, modes: Modes, count: int) -> np.ndarray:
         rotation = whole.whole.rotation
     if rotation is None:
         return found
-    second, third = rotation.displaced
+    second, third = rotation.displaced_stiffness
     for mode, shape in enumerate(modes.shapes.T[:count]):
         shapes = shape[:, None]
         if isinstance(whole, WheelStructure):

@@ -199,7 +199,7 @@ def _of_rotor(study: Study, estimate: float, slope: np.ndarray) -> AtLoad:
 def over_speed(scene: Scene, small: Ritz, speed: float) -> AtLoad:
     """The resonance at the load of a rotor in a basis for all speeds, next to one at which the
     scene's engine order meets a natural frequency."""
-    order, law = scene.excitation.order, law_of(scene, small.whole)
+    order, law = scene.excitation.order, law_of(scene, small.structure)
     assert order is not None and law is not None
     try:
         rotor = RunUpStructure(small, speed)
