@@ -67,7 +67,7 @@ class Drive:
         part, whole = slice(2 * harmonic - 1, 2 * harmonic + 1), structure.whole
         if not isinstance(whole, Wheel):
             return cls(harmonic, structure.force[part])
-        numbers = np.unique(whole.numbers[whole.first, ~whole.sector.dofs.after])
+        numbers = np.unique(whole.numbers[whole.first, ~whole.sector.dofs.is_next_sector])
         dofs = numbers[np.any(whole.force[part, numbers], axis=0)]
         blade = structure.values_at(np.eye(structure.n_dofs), dofs.tolist())
         return cls(harmonic, whole.force[part, dofs] @ blade.T)

@@ -74,7 +74,9 @@ def _number_blades(panel: Axes, wheel: Wheel) -> None:
     middle = nodes.points.mean(axis=0) - sector.center
     reach = 1.08 * float(np.linalg.norm(nodes.points - sector.center, axis=1).max())
     for place in range(sector.count):
-        at = sector.center + reach * sector.turned(place) @ (middle / np.linalg.norm(middle))
+        at = sector.center + reach * sector.rotation_matrix(place) @ (
+            middle / np.linalg.norm(middle)
+        )
         colour, weight = ("orange", "bold") if place in wheel.cracked else ("grey", "normal")
         look = {"color": COLOURS[colour], "weight": weight, "ha": "center", "va": "center"}
         panel.text(*at, str(place + 1), **look)

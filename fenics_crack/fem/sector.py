@@ -37,14 +37,14 @@ def assemble_wheel(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Com
     disk = scene.given("disk")
     sector, rotation = _sector(scene, dofs, structure), None
     if scene.speed > 0.0:
-        with sector.factored() as same:  # a load that is the same on all sectors
-            rotation = rotation_of(scene, dofs, structure, same.answers)
+        with sector.factor_stiffness() as same:  # a load that is the same on all sectors
+            rotation = rotation_of(scene, dofs, structure, same.static_response)
         still, stiffness = rotation.stiffnesses(scene.speed)
         # K(W) u_s, with the stress and the displaced shape of bonded cracks, which the load opens.
         force, load = structure.force.copy(), scene.speed**2 * rotation.force
         stiffened = replace(sector, structure=structure._with_changes(stiffness=still))
-        with stiffened.factored() as same:
-            moved = same.answers(load[:, None])
+        with stiffened.factor_stiffness() as same:
+            moved = same.static_response(load[:, None])
         force[0] += load + (multiply(stiffness, moved) - multiply(still, moved))[:, 0]
         turning = structure._with_changes(stiffness=stiffness, force=force)
         sector = replace(sector, structure=turning)

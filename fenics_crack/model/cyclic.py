@@ -52,7 +52,7 @@ def excited_diameter(order: int, sectors: int) -> int:
     return min(rest, sectors - rest)
 
 
-class Numbering:
+class SectorNumbering:
     """What belongs to a sector with a bonded crack, and to the whole wheel, of its dofs or nodes.
 
     Attributes
@@ -74,17 +74,22 @@ class Numbering:
         for first, other in (sides, lips):
             free = of_nodes[other] >= 0
             same[of_nodes[other][free]] = of_nodes[first][free]
-        self.own, self.place = np.unique(same, return_inverse=True)
+        self.own_items, self.item_positions = np.unique(same, return_inverse=True)
         right, upper = of_nodes[sides[1]], of_nodes[lips[1]].ravel()
-        self.after, self.upper = np.isin(np.arange(len(same)), right), upper[upper >= 0]
+        self.is_next_sector, self.upper_items = (
+            np.isin(np.arange(len(same)), right),
+            upper[upper >= 0],
+        )
 
     def in_wheel(self, count: int, cracked: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         """Numbers in a wheel of so many sectors, at some places with an open crack: (N, n); and of
         each number the place, among all N n, of what belongs to its sector: (n_wheel,)."""
-        every = np.arange(count * len(self.place)).reshape(count, -1)
-        numbers = self.place + (np.arange(count)[:, None] + self.after) % count * len(self.own)
-        opened = np.ix_(cracked, self.upper)
-        own, others = every[:, self.own].ravel(), every[opened]
+        every = np.arange(count * len(self.item_positions)).reshape(count, -1)
+        numbers = self.item_positions + (
+            np.arange(count)[:, None] + self.is_next_sector
+        ) % count * len(self.own_items)
+        opened = np.ix_(cracked, self.upper_items)
+        own, others = every[:, self.own_items].ravel(), every[opened]
         numbers[opened] = len(own) + np.arange(others.size).reshape(others.shape)
         return numbers, np.concatenate([own, others.ravel()])
 
@@ -120,15 +125,15 @@ class Sector:
     turn: np.ndarray
     sides: np.ndarray
     lips: np.ndarray
-    elastic: Any
+    stiffness_at_rest: Any
     bases: dict[tuple[Any, ...], CyclicBasis] = field(default_factory=dict, init=False)
 
     @cached_property
-    def dofs(self) -> Numbering:
+    def dofs(self) -> SectorNumbering:
         """Its dofs."""
         nodes = self.structure.nodes
         assert nodes is not None
-        return Numbering(nodes.dofs, self.sides, self.lips)
+        return SectorNumbering(nodes.dofs, self.sides, self.lips)
 
     @property
     def diameters(self) -> range:
@@ -145,13 +150,13 @@ class Sector:
         """True of the nodal diameters without a second one that turns the other way."""
         return 2 * diameter % self.count == 0
 
-    def turned(self, times: int) -> np.ndarray:
+    def rotation_matrix(self, times: int) -> np.ndarray:
         """Q^times: (d, d)."""
         return np.asarray(np.linalg.matrix_power(self.turn, times % self.count))
 
-    def placed(self, points: np.ndarray, times: int) -> np.ndarray:
+    def place_points(self, points: np.ndarray, times: int) -> np.ndarray:
         """Points (n, d) of the first sector where they are in another one [m]."""
-        return np.asarray((points - self.center) @ self.turned(times).T + self.center)
+        return np.asarray((points - self.center) @ self.rotation_matrix(times).T + self.center)
 
     @cached_property
     def stiffness(self) -> sparse.csr_matrix:
@@ -175,12 +180,12 @@ class Sector:
         return np.sqrt(np.maximum(squares, 0.0)), shapes @ mixed
 
     @contextmanager
-    def factored(self) -> Iterator[NodalDiameter]:
+    def factor_stiffness(self) -> Iterator[NodalDiameter]:
         """Nodal diameter 0, and by it all others, of the stiffness, factored once."""
-        dofs, count = self.dofs, len(self.dofs.own)
-        both = chosen(dofs.place + count * dofs.after, 2 * count)
+        dofs, count = self.dofs, len(self.dofs.own_items)
+        both = selection_matrix(dofs.item_positions + count * dofs.is_next_sector, 2 * count)
         whole = sparse.csr_matrix(both.T @ self.stiffness @ both)
-        side = np.unique(dofs.place[dofs.after])
+        side = np.unique(dofs.item_positions[dofs.is_next_sector])
         inside, right = np.setdiff1d(np.arange(count), side), count + side
         to_left, to_right = (whole[inside][:, one] for one in (side, right))
         held = distribute_rows(whole[inside][:, inside], MPI.COMM_SELF)
@@ -195,7 +200,7 @@ class Sector:
         held.destroy()
 
 
-def chosen(columns: np.ndarray, count: int) -> sparse.csr_matrix:
+def selection_matrix(columns: np.ndarray, count: int) -> sparse.csr_matrix:
     """The matrix (n, count) whose rows have one entry each, 1."""
     every = np.arange(len(columns) + 1)
     return sparse.csr_matrix((np.ones(len(columns)), columns, every), (len(columns), count))
@@ -230,40 +235,42 @@ class NodalDiameter:
 
     sector: Sector
     factor: Factor
-    both: sparse.csr_matrix
-    inside: np.ndarray
-    side: np.ndarray
+    dof_selection: sparse.csr_matrix
+    inside_rows: np.ndarray
+    side_rows: np.ndarray
     coupling: tuple[sparse.csr_matrix, sparse.csr_matrix]
-    own: np.ndarray
-    across: np.ndarray
-    turn: complex
+    side_stiffness: np.ndarray
+    cross_stiffness: np.ndarray
+    phase_factor: complex
 
     null_pivots = 0
 
-    def at(self, diameter: int) -> NodalDiameter:
+    def at_diameter(self, diameter: int) -> NodalDiameter:
         """Another nodal diameter."""
         turn = np.exp(2j * np.pi * diameter / self.sector.count)
         single = self.sector.is_single(diameter)
-        return replace(self, turn=float(round(turn.real)) if single else complex(turn))
+        return replace(self, phase_factor=float(round(turn.real)) if single else complex(turn))
 
     @cached_property
     def ties(self) -> sparse.csr_matrix:
         """T_n: (n_dofs, n_own)."""
-        count = self.both.shape[1] // 2
-        return sparse.csr_matrix(self.both[:, :count] + self.turn * self.both[:, count:])
+        count = self.dof_selection.shape[1] // 2
+        return sparse.csr_matrix(
+            self.dof_selection[:, :count] + self.phase_factor * self.dof_selection[:, count:]
+        )
 
     @cached_property
     def inverse(self) -> np.ndarray:
         """S_n^-1: (n_side, n_side)."""
-        across = np.asarray(self.turn * self.across)
-        return np.linalg.inv(np.asarray(self.own) + across + across.conj().T)
+        across = np.asarray(self.phase_factor * self.cross_stiffness)
+        return np.linalg.inv(np.asarray(self.side_stiffness) + across + across.conj().T)
 
     @cached_property
-    def coupled(self) -> sparse.csr_matrix:
+    def phased_coupling(self) -> sparse.csr_matrix:
         """K_il of this nodal diameter: (n_inside, n_side)."""
-        return sparse.csr_matrix(self.coupling[0] + self.turn * self.coupling[1])
+        return sparse.csr_matrix(self.coupling[0] + self.phase_factor * self.coupling[1])
 
-    def within(self, forces: np.ndarray) -> np.ndarray:
+    def solve_inside(self, forces: np.ndarray) -> np.ndarray:
         """K_ii^-1 f_i of real or complex columns (n_inside, m): the same shape."""
         if not forces.any():
             return forces
@@ -273,28 +280,30 @@ class NodalDiameter:
         real, imaginary = np.split(parts, 2, axis=1)
         return real + 1j * imaginary
 
-    def field(self, left: np.ndarray, right: np.ndarray, within: Any = 0.0) -> np.ndarray:
+    def sector_displacement(
+        self, left: np.ndarray, right: np.ndarray, within: Any = 0.0
+    ) -> np.ndarray:
         """Displacements (n_dofs, m) of a sector whose sides move, and whose inside would move
         by itself."""
-        found = np.zeros((self.both.shape[1], left.shape[1]))
-        found[self.side], found[len(found) // 2 + self.side] = left, right
+        found = np.zeros((self.dof_selection.shape[1], left.shape[1]))
+        found[self.side_rows], found[len(found) // 2 + self.side_rows] = left, right
         to_left, to_right = self.coupling
-        found[self.inside] = within - self.within(to_left @ left + to_right @ right)
-        return np.asarray(self.both @ found)
+        found[self.inside_rows] = within - self.solve_inside(to_left @ left + to_right @ right)
+        return np.asarray(self.dof_selection @ found)
 
     def solve(self, forces: np.ndarray) -> np.ndarray:
         """K_n^-1 f of forces on the sector's own dofs (n_own, m): the same shape."""
-        within, coupling = self.within(forces[self.inside]), self.coupled
-        on_side = forces[self.side] - coupling.conj().T @ within
+        within, coupling = self.solve_inside(forces[self.inside_rows]), self.phased_coupling
+        on_side = forces[self.side_rows] - coupling.conj().T @ within
         found = np.empty(forces.shape, dtype=np.result_type(forces, self.inverse))
-        found[self.side] = moved = self.inverse @ on_side
-        found[self.inside] = within - self.within(coupling @ moved)
+        found[self.side_rows] = moved = self.inverse @ on_side
+        found[self.inside_rows] = within - self.solve_inside(coupling @ moved)
         return found
 
     def apply(self, right: Any, solution: Any) -> None:
         """K_n^-1 of a vector of PETSc's in real form, as :meth:`Factor.apply`."""
-        rows = right.array_r.reshape(2 if self.turn.imag else 1, -1)
-        force = rows[0] + 1j * rows[1] if self.turn.imag else rows[0]
+        rows = right.array_r.reshape(2 if self.phase_factor.imag else 1, -1)
+        force = rows[0] + 1j * rows[1] if self.phase_factor.imag else rows[0]
         found = self.solve(force[:, None])[:, 0]
         solution.array_w[:] = np.concatenate([found.real, found.imag][: len(rows)])
 
@@ -304,23 +313,27 @@ class NodalDiameter:
 
         def in_real_form(matrix: sparse.csr_matrix) -> Any:
             a = ties.conj().T @ matrix @ ties
-            real = sparse.bmat([[a.real, -a.imag], [a.imag, a.real]]) if self.turn.imag else a
+            real = (
+                sparse.bmat([[a.real, -a.imag], [a.imag, a.real]]) if self.phase_factor.imag else a
+            )
             return distribute_rows(real, MPI.COMM_SELF)
 
         mass, stiffness = map(in_real_form, (sector.mass, sector.stiffness))
         size = mass.size[0]
         gap = sparse.csr_matrix((size, 0))
         structure = Structure(Body(mass, stiffness, gap, np.zeros((1, size)), np.zeros(0)))
-        found = solve_modes_with_factor(self, structure, 2 * count if self.turn.imag else count)
+        found = solve_modes_with_factor(
+            self, structure, 2 * count if self.phase_factor.imag else count
+        )
         for used in (mass, stiffness):  # PETSc would keep those of all nodal diameters
             used.destroy()
         shapes = found.shapes
-        if self.turn.imag:  # each pair of real modes is one complex one, twice over
+        if self.phase_factor.imag:  # each pair of real modes is one complex one, twice over
             shapes = shapes[: size // 2] + 1j * shapes[size // 2 :]
         omega, shapes = sector.ritz(ties @ shapes)
         return omega[:count], shapes[:, :count]
 
-    def answers(self, forces: np.ndarray) -> np.ndarray:
+    def static_response(self, forces: np.ndarray) -> np.ndarray:
         """T_n K_n^-1 T_n^H f of forces (n_dofs, m) on a sector: the same shape."""
         return np.asarray(self.ties @ self.solve(np.asarray(self.ties.conj().T @ forces)))
 
@@ -365,9 +378,9 @@ class CyclicBasis:
     """
 
     modes: CyclicModes
-    opened: np.ndarray
-    opening: np.ndarray
-    cracked: tuple[int, ...]
+    opening_responses: np.ndarray
+    openings: np.ndarray
+    cracked_places: tuple[int, ...]
 
     @property
     def squares(self) -> np.ndarray:
@@ -384,21 +397,24 @@ class CyclicBasis:
             angle = np.asarray(2.0 * np.pi * diameter / sector.count * place)[..., None]
             turned = np.exp(1j * angle) * np.sqrt(sector.shares[diameter]) * shapes[rows]
             parts += [turned.real] if sector.is_single(diameter) else [turned.real, turned.imag]
-        for one in self.cracked:
-            here = np.asarray(place == one)[..., None] * self.opening[rows]
-            parts.append(self.opened[(place - one) % sector.count, rows] + here)
+        for one in self.cracked_places:
+            here = np.asarray(place == one)[..., None] * self.openings[rows]
+            parts.append(self.opening_responses[(place - one) % sector.count, rows] + here)
         return np.hstack(parts)
 
     def _products(self, matrix: sparse.csr_matrix, columns: slice) -> Iterator[np.ndarray]:
         """U_j^T A U_j of each sector, or some columns of it."""
         modes = replace(self.modes, shapes=tuple(matrix @ v for v in self.modes.shapes))
-        opened, opening = np.array([matrix @ one for one in self.opened]), matrix @ self.opening
-        moved = CyclicBasis(modes, opened, opening, self.cracked)
+        opened, opening = (
+            np.array([matrix @ one for one in self.opening_responses]),
+            matrix @ self.openings,
+        )
+        moved = CyclicBasis(modes, opened, opening, self.cracked_places)
         for place in range(self.modes.sector.count):
             yield self.columns(place).T @ moved.columns(place)[:, columns]
 
     @cached_property
-    def tuned(self) -> tuple[np.ndarray, np.ndarray]:
+    def tuned_matrices(self) -> tuple[np.ndarray, np.ndarray]:
         """U^T M U and U^T K U without mistuning: (n, n) each. The modes are those of both; K of
         openings of cracks is what holds the upper faces."""
         sector, cracks = self.modes.sector, slice(len(self.squares), None)
@@ -406,26 +422,26 @@ class CyclicBasis:
         mass, stiffness = np.eye(len(coupled)), np.zeros((len(coupled),) * 2)
         mass[:, cracks], mass[cracks] = coupled, coupled.T
         stiffness[: cracks.start, : cracks.start] = np.diag(self.squares)
-        pulled = (sector.stiffness @ self.opening).T
-        if self.cracked:
-            held = [pulled @ self.columns(place)[:, cracks] for place in self.cracked]
+        pulled = (sector.stiffness @ self.openings).T
+        if self.cracked_places:
+            held = [pulled @ self.columns(place)[:, cracks] for place in self.cracked_places]
             stiffness[cracks, cracks] = np.vstack(held)
         return 0.5 * (mass + mass.T), 0.5 * (stiffness + stiffness.T)
 
     @cached_property
-    def elastic(self) -> np.ndarray:
+    def sector_stiffnesses(self) -> np.ndarray:
         """U_j^T K U_j of each sector, K its stiffness at rest: (N, n, n)."""
-        matrix = local_rows(self.modes.sector.elastic)
+        matrix = local_rows(self.modes.sector.stiffness_at_rest)
         return np.array([0.5 * (part + part.T) for part in self._products(matrix, slice(None))])
 
 
 def solve_cyclic_modes(sector: Sector, families: int, comm: MPI.Comm) -> CyclicModes:
     """The lowest modes of each nodal diameter, which ranks share (collective)."""
-    families, found = min(families, len(sector.dofs.own)), {}
-    with sector.factored() as inside:
+    families, found = min(families, len(sector.dofs.own_items)), {}
+    with sector.factor_stiffness() as inside:
         for diameter in sector.diameters[comm.rank :: comm.size]:
-            found[diameter] = inside.at(diameter).modes(families)
-    omegas, shapes = zip(*_of_all_ranks(found, comm).values(), strict=True)
+            found[diameter] = inside.at_diameter(diameter).modes(families)
+    omegas, shapes = zip(*_gather_diameters(found, comm).values(), strict=True)
     return CyclicModes(omegas, shapes, sector)
 
 
@@ -443,51 +459,51 @@ def cyclic_basis(
     of all displacements of its face, which what is on the sides gives. These are real, sector by
     sector, and what is inside follows from them.
     """
-    families = min(families, len(sector.dofs.own))
-    loads, pulled = _loads(sector, order), -sector.stiffness[:, sector.dofs.upper]
+    families = min(families, len(sector.dofs.own_items))
+    loads, pulled = _diameter_loads(sector, order), -sector.stiffness[:, sector.dofs.upper_items]
     # The modes of a few nodal diameters have the patterns of all.
     first = list(dict.fromkeys((0, sector.count // 4, sector.count // 2)))
     mine = [*first, *(n for n in sector.diameters if n not in first)][comm.rank :: comm.size]
     found: dict[int, tuple[Any, ...]] = {}
-    with sector.factored() as still:
-        ahead = {n: still.at(n).modes(families) for n in mine if n in first}
-        known = _of_all_ranks(ahead, comm)
+    with sector.factor_stiffness() as still:
+        ahead = {n: still.at_diameter(n).modes(families) for n in mine if n in first}
+        known = _gather_diameters(ahead, comm)
         forces = _side_forces(sector, [known[n] for n in first])
-        whole = sparse.csr_matrix(still.both.T @ pulled)
-        places = still.inside, still.side, len(sector.dofs.own) + still.side
+        whole = sparse.csr_matrix(still.dof_selection.T @ pulled)
+        places = still.inside_rows, still.side_rows, len(sector.dofs.own_items) + still.side_rows
         inner, *outer = (whole[there].toarray() for there in places)
-        within = still.within(inner)
+        within = still.solve_inside(inner)
         work = inner.T @ within
         del inner, whole
         left, right = (f - to.T @ within for f, to in zip(outer, still.coupling, strict=True))
         for diameter in mine:
-            one, force = still.at(diameter), loads[diameter]
+            one, force = still.at_diameter(diameter), loads[diameter]
             _, shapes = ahead.get(diameter) or one.modes(families)
-            answers = one.answers(force)
-            both = np.hstack([one.answers(forces), answers])
+            answers = one.static_response(force)
+            both = np.hstack([one.static_response(forces), answers])
             rest = both - shapes @ (shapes.conj().T @ (sector.mass @ both))
             sizes, whole = (np.sqrt(np.sum(np.abs(x) ** 2, axis=0)) for x in (rest, both))
             rest = rest[:, kept := sizes > MULTIPLE_FREQUENCY_TOLERANCE * whole] / sizes[kept]
             omega, shapes = sector.ritz(np.hstack([shapes, sector.ritz(rest)[1]]))
-            pulls = _pulls(sector, omega, shapes, force, answers)
-            moved = one.inverse @ (left + np.conj(one.turn) * right)
+            pulls = _bond_forces(sector, omega, shapes, force, answers)
+            moved = one.inverse @ (left + np.conj(one.phase_factor) * right)
             found[diameter] = omega, shapes, pulls, moved
-        omegas, every, pulls, moved = zip(*_of_all_ranks(found, comm).values(), strict=True)
+        omegas, every, pulls, moved = zip(*_gather_diameters(found, comm).values(), strict=True)
         sides = scipy.fft.irfft(moved, sector.count, axis=0)
         work += left.T @ sides[0] + right.T @ sides[1]
-        opening = _openings(sector, np.hstack(pulls), work) if cracked else work[:, :0]
+        opening = _opening_shapes(sector, np.hstack(pulls), work) if cracked else work[:, :0]
         sides, within = sides @ opening, within @ opening
         opened = np.zeros((sector.count, sector.structure.n_dofs, opening.shape[1]))
         for place in range(comm.rank, sector.count, comm.size):
             ends = sides[place], sides[(place + 1) % sector.count]
-            opened[place] = still.field(*ends, within if place == 0 else 0.0)
+            opened[place] = still.sector_displacement(*ends, within if place == 0 else 0.0)
         comm.Allreduce(MPI.IN_PLACE, opened)
     modes = CyclicModes(omegas, every, sector)
-    moved = chosen(sector.dofs.upper, sector.structure.n_dofs).T @ opening
+    moved = selection_matrix(sector.dofs.upper_items, sector.structure.n_dofs).T @ opening
     return CyclicBasis(modes, opened, moved, cracked)
 
 
-def _loads(sector: Sector, order: int) -> list[np.ndarray]:
+def _diameter_loads(sector: Sector, order: int) -> list[np.ndarray]:
     """Complex forces (n_dofs, m) of each nodal diameter on sector 0, whose answers turn with the
     sectors as modes do: those of the load's harmonics, f - i g."""
     found: list[list[np.ndarray]] = [[] for _ in sector.diameters]
@@ -499,7 +515,7 @@ def _loads(sector: Sector, order: int) -> list[np.ndarray]:
     return [np.array(forces).reshape(-1, sector.structure.n_dofs).T for forces in found]
 
 
-def _pulls(
+def _bond_forces(
     sector: Sector, omega: np.ndarray, shapes: np.ndarray, force: np.ndarray, answers: np.ndarray
 ) -> np.ndarray:
     """Real forces (n_upper, m) on the upper face that bonds bear: of modes (K - w^2 M) v / w, of
@@ -508,20 +524,20 @@ def _pulls(
     parts = [(sector.stiffness @ shapes - (sector.mass @ shapes) * omega**2) / omega]
     work = np.sum(force.conj() * answers, axis=0).real
     parts.append((sector.stiffness @ answers - force) / np.sqrt(work))
-    found = np.hstack(parts)[sector.dofs.upper]
+    found = np.hstack(parts)[sector.dofs.upper_items]
     return np.hstack([found.real, found.imag])
 
 
-OPENED = 1e-5
+MIN_OPENING_PATTERN = 1e-5
 """Least size of a pattern of forces of bonds that is kept: its square is what opening the crack by
 it changes of w^2, or of the work of a load, relative to these. Smaller ones change less than the
 mass of what moves with the faces, which static patterns leave out: up to 6e-9 of frequencies."""
 
 
-def _openings(sector: Sector, pulls: np.ndarray, work: np.ndarray) -> np.ndarray:
+def _opening_shapes(sector: Sector, pulls: np.ndarray, work: np.ndarray) -> np.ndarray:
     """Displacements of the upper face (n_upper, m) of unit energy, without coupling: what forces of
     contact pairs, and those that bonds bear, open the crack by."""
-    structure, upper = sector.structure, sector.dofs.upper
+    structure, upper = sector.structure, sector.dofs.upper_items
     pairs = [structure.gap] + ([] if structure.tangential is None else [structure.tangential])
     held = sector.stiffness[upper][:, upper].toarray() - work
     lower = scipy.linalg.cholesky(0.5 * (held + held.T), lower=True)
@@ -531,30 +547,30 @@ def _openings(sector: Sector, pulls: np.ndarray, work: np.ndarray) -> np.ndarray
     )
     basis = scipy.linalg.orth(contact)
     patterns, sizes, _ = np.linalg.svd(pulls - basis @ (basis.T @ pulls), full_matrices=False)
-    kept = np.hstack([basis, patterns[:, sizes > OPENED]])
+    kept = np.hstack([basis, patterns[:, sizes > MIN_OPENING_PATTERN]])
     return scipy.linalg.solve_triangular(lower.T, kept)
 
 
-def _of_all_ranks(found: dict[int, Any], comm: MPI.Comm) -> dict[int, Any]:
+def _gather_diameters(found: dict[int, Any], comm: MPI.Comm) -> dict[int, Any]:
     """What all ranks have found of their nodal diameters, in their order (collective)."""
     parts = comm.allgather(found) if comm.size > 1 else [found]
     return dict(sorted(item for part in parts for item in part.items()))
 
 
-PATTERN = 0.5
+MIN_SIDE_PATTERN = 0.5
 """Least size of a pattern of forces on a side, relative to the largest one."""
 
 
 def _side_forces(sector: Sector, modes: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
     """Patterns of forces of modes, their frequencies and shapes, on the right side of a sector,
     orthonormal: (n_dofs, p)."""
-    parts, right = [], sector.dofs.after
+    parts, right = [], sector.dofs.is_next_sector
     for omega, shapes in modes:
         force = (sector.stiffness @ shapes - sector.mass @ shapes * omega**2)[right]
         scaled = force / np.maximum(omega, 1e-300) ** 2
         parts += [scaled.real, scaled.imag]
     patterns, sizes, _ = np.linalg.svd(np.hstack(parts), full_matrices=False)
-    kept = patterns[:, sizes > PATTERN * sizes[0]]
+    kept = patterns[:, sizes > MIN_SIDE_PATTERN * sizes[0]]
     found = np.zeros((sector.structure.n_dofs, kept.shape[1]))
     found[right] = kept
     return found

@@ -38,10 +38,10 @@ from fenics_crack.model.body import DEFAULT_SETTING, Body
 from fenics_crack.model.cyclic import (
     CyclicBasis,
     CyclicModes,
-    Numbering,
     Sector,
-    chosen,
+    SectorNumbering,
     cyclic_basis,
+    selection_matrix,
     solve_cyclic_modes,
 )
 from fenics_crack.model.factor import distribute_rows, local_rows
@@ -117,7 +117,10 @@ class Wheel(Structure):
         cracked = tuple(cracked) if structure.n_pairs else ()
         dofs, places = sector.dofs.in_wheel(count, cracked)
         absent, mine = AbsentMatrix(len(places), comm.rank), slice(None if comm.rank == 0 else 0)
-        copies, of_cracks = chosen(dofs.ravel(), len(places)), np.eye(count)[:, list(cracked)]
+        copies, of_cracks = (
+            selection_matrix(dofs.ravel(), len(places)),
+            np.eye(count)[:, list(cracked)],
+        )
 
         def on_wheel(rows: np.ndarray) -> np.ndarray:
             """Forces on all sectors (m, N, n_sector) as those on the wheel: (m, n_local)."""
@@ -194,12 +197,12 @@ class Wheel(Structure):
     def stiffness(self) -> Any:
         """K: (n, n) [N/m], likewise."""
         tuned = sparse.kron(np.eye(self.sector.count), self.sector.stiffness)
-        elastic = local_rows(self.sector.elastic)
+        elastic = local_rows(self.sector.stiffness_at_rest)
         return self._of_sectors(tuned + sparse.kron(np.diag(self.mistuning), elastic))
 
     def _of_sectors(self, matrix: sparse.spmatrix) -> Any:
         """That of the wheel from one of all sectors, apart (collective)."""
-        copies = chosen(self.numbers.ravel(), self.n_dofs)
+        copies = selection_matrix(self.numbers.ravel(), self.n_dofs)
         whole = sparse.csr_matrix(copies.T @ matrix @ copies)
         return distribute_rows(whole[: self.n_local], self.comm)
 
@@ -261,10 +264,10 @@ def _nodes(sector: Sector, cracked: tuple[int, ...], dofs: np.ndarray, mine: sli
     nodes = sector.structure.nodes
     assert nodes is not None
     count = len(nodes.points)
-    numbering = Numbering(np.arange(count)[:, None], sector.sides, sector.lips)
+    numbering = SectorNumbering(np.arange(count)[:, None], sector.sides, sector.lips)
     numbers, places = numbering.in_wheel(sector.count, cracked)
     place, node = divmod(places[mine], count)
-    frames = np.array([sector.turned(one) for one in range(sector.count)])[place]
+    frames = np.array([sector.rotation_matrix(one) for one in range(sector.count)])[place]
     points = np.einsum("nij,nj->ni", frames, nodes.points[node] - sector.center) + sector.center
     own = nodes.dofs[node]
     own = np.where(own >= 0, dofs[place[:, None], own], -1)
@@ -284,7 +287,7 @@ def _pairs(sector: Sector, cracked: tuple[int, ...]) -> Pairs:
         for number, place in enumerate(cracked)
         for name, pair in pairs.places.items()
     }
-    points = np.concatenate([sector.placed(pairs.points, place) for place in cracked])
+    points = np.concatenate([sector.place_points(pairs.points, place) for place in cracked])
     cracks = (pairs.cracks + count * numbers).ravel()
     areas, positions = (np.tile(values, several) for values in (pairs.areas, pairs.positions))
     return Pairs(points, areas, cracks, positions, places)
@@ -327,9 +330,9 @@ class WheelStructure(Structure):
         begin(f"modes of {len(wheel.sector.diameters)} nodal diameters")
         basis, sector, comm = wheel.basis(families), wheel.sector.structure, MPI.COMM_SELF
         begin("matrices of the wheel")
-        mass, stiffness = basis.tuned
+        mass, stiffness = basis.tuned_matrices
         if np.any(wheel.mistuning):
-            stiffness = stiffness + np.tensordot(wheel.mistuning, basis.elastic, 1)
+            stiffness = stiffness + np.tensordot(wheel.mistuning, basis.sector_stiffnesses, 1)
         loads = _loads(wheel.sector, wheel.order)
         force = sum(loads[:, place] @ basis.columns(place) for place in range(wheel.sector.count))
 
@@ -483,7 +486,7 @@ def reduce_wheel(
     check_count("families", families, 1)
     check_count("more", more, 0)
     # Beyond it static answers are made of modes but for rounding.
-    most = len(wheel.sector.dofs.own) // 2
+    most = len(wheel.sector.dofs.own_items) // 2
     if families > most:
         raise InputError("families", families, f"at most {most}, half of a sector's dofs")
     most = (families_of_basis(families) - families) * wheel.sector.count

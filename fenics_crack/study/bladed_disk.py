@@ -411,7 +411,7 @@ def _largest_response(wheel: Wheel, near: float) -> Largest:
     """Return the largest response of a wheel, in the family of modes that its engine order excites
     next to a frequency."""
     few, count = WheelStructure(wheel, families_of_basis(wheel.families)), wheel.sector.count
-    (mass, tuned), damping = few.basis.tuned, wheel.damping
+    (mass, tuned), damping = few.basis.tuned_matrices, wheel.damping
     force = few.force[1] - 1j * few.force[2]
     if not np.any(force):
         raise InputError("load", "steady", "one that changes in time: nothing vibrates")
@@ -427,7 +427,7 @@ def _largest_response(wheel: Wheel, near: float) -> Largest:
     steps = np.arange(-WIDTHS, WIDTHS + 0.5 / PER_WIDTH, 1.0 / PER_WIDTH)
 
     def largest(deviations: np.ndarray) -> tuple[float, float, int]:
-        stiffness = tuned + np.tensordot(deviations, few.basis.elastic, 1)
+        stiffness = tuned + np.tensordot(deviations, few.basis.sector_stiffnesses, 1)
         squares, shapes = scipy.linalg.eigh(stiffness, mass)
         natural, rate = np.sqrt(squares), damping.rate(squares)
         pull, seen = shapes.T @ force, rows @ shapes

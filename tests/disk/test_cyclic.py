@@ -129,8 +129,8 @@ def test_bonded_wheel_is_one_sector(without: dict[str, Any]) -> None:
     """The response of every tip of a tuned wheel is that of one sector with its complex ties."""
     wheel = wheel_of(ring(**without, disk__families=6))
     sector, order, omega = wheel.sector, wheel.order, 2.0 * np.pi * 990.0
-    with sector.factored() as still:
-        ties = still.at(order).ties.toarray()
+    with sector.factor_stiffness() as still:
+        ties = still.at_diameter(order).ties.toarray()
     dynamic = (sector.stiffness - omega**2 * sector.mass) @ ties
     force = sector.structure.force
     pull = ties.conj().T @ (force[1] - 1j * force[2])

@@ -65,7 +65,7 @@ def write_whole(wheel: Wheel, path: Path) -> None:
     number[used] = np.arange(len(used))
     points, cells = [], []
     for place in range(wheel.sector.count):
-        moved = wheel.sector.placed(nodes.points[used], place)
+        moved = wheel.sector.place_points(nodes.points[used], place)
         cells.append(number[nodes.cells[:, :corners]] + len(used) * place)
         points.append(moved)
     every, where = np.concatenate(points), np.concatenate(cells)
