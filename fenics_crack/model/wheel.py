@@ -486,7 +486,7 @@ def reduce_wheel(
     check_count("families", families, 1)
     check_count("more", more, 0)
     # Beyond it static answers are made of modes but for rounding.
-    most = len(wheel.sector.dofs.own_items) // 2
+    most = len(wheel.sector.dofs.own_members) // 2
     if families > most:
         raise InputError("families", families, f"at most {most}, half of a sector's dofs")
     most = (families_of_basis(families) - families) * wheel.sector.count
