@@ -66,8 +66,7 @@ class SectorNumbering:
     own_members : (n_own,) int
         Members of the sector alone: without right side and upper face.
     member_positions : (n,) int
-        Position among ``own_members`` of the member with the same motion, in this sector or the next
-        one.
+        Position in ``own_members`` of the member with the same motion, here or in the next sector.
     is_next_sector : (n,) bool
         True on the right side, which belongs to the next sector.
     upper_members : (n_upper,) int
@@ -419,8 +418,8 @@ class NodalDiameter:
 class CyclicModes:
     """Natural modes of a wheel of equal sectors with bonded cracks.
 
-    Sector j, from 0, moves in mode m of nodal diameter n as the real and the imaginary part of v
-    e^(i 2 pi n j / N): two modes of one frequency, for n = 0 and N/2 one mode.
+    In a mode of nodal diameter n, sector j, from 0, moves as the real and the imaginary part of
+    v e^(i 2 pi n j / N). These are two modes with one frequency; n = 0 and N/2 have one mode.
 
     Attributes
     ----------

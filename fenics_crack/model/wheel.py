@@ -135,12 +135,12 @@ class Wheel(Structure):
             watched = np.eye(1, structure.n_dofs, structure.find_most_loaded_dof())[0]
         first = np.eye(1, count, cracked[0] if cracked else 0)
         body = WheelBody(
-            absent, absent, of_all(structure.gap), on_wheel(_loads(sector, order)),
+            absent, absent, of_all(structure.gap), on_wheel(_sector_loads(sector, order)),
             np.tile(structure.clearance, len(cracked)), damping=structure.damping,
             tangential=None if tangential is None else of_all(tangential),
-            nodes=_nodes(sector, cracked, dofs, mine), pairs=_pairs(sector, cracked),
+            nodes=_wheel_nodes(sector, cracked, dofs, mine), pairs=_wheel_pairs(sector, cracked),
             watched=on_wheel(first[..., None] * watched)[0], rotation=rotation, comm=comm,
-            sector=sector, cracked=cracked, mistuning=_deviations(mistuning, count), order=order,
+            sector=sector, cracked=cracked, mistuning=_read_deviations(mistuning, count), order=order,
             families=families, numbers=dofs, places=places,
         )  # fmt: skip
         super().__init__(body)
@@ -191,16 +191,16 @@ class Wheel(Structure):
     @shared_property
     def mass(self) -> Any:
         """M: (n, n) [kg]; made when it is first requested (collective)."""
-        return self._of_sectors(sparse.kron(np.eye(self.sector.count), self.sector.mass))
+        return self._assemble_wheel(sparse.kron(np.eye(self.sector.count), self.sector.mass))
 
     @shared_property
     def stiffness(self) -> Any:
         """K: (n, n) [N/m], likewise."""
         tuned = sparse.kron(np.eye(self.sector.count), self.sector.stiffness)
         elastic = local_rows(self.sector.stiffness_at_rest)
-        return self._of_sectors(tuned + sparse.kron(np.diag(self.mistuning), elastic))
+        return self._assemble_wheel(tuned + sparse.kron(np.diag(self.mistuning), elastic))
 
-    def _of_sectors(self, matrix: sparse.spmatrix) -> Any:
+    def _assemble_wheel(self, matrix: sparse.spmatrix) -> Any:
         """That of the wheel from one of all sectors, apart (collective)."""
         copies = selection_matrix(self.numbers.ravel(), self.n_dofs)
         whole = sparse.csr_matrix(copies.T @ matrix @ copies)
@@ -225,7 +225,9 @@ class Wheel(Structure):
         InputError
             There are more or fewer, or one leaves no stiffness.
         """
-        return self._in_setting(self.setting, mistuning=_deviations(deviations, self.sector.count))
+        return self._in_setting(
+            self.setting, mistuning=_read_deviations(deviations, self.sector.count)
+        )
 
     def basis(self, families: int) -> CyclicBasis:
         """The motions in which it is sought, with so many modes of each nodal diameter; found once
@@ -243,7 +245,7 @@ class Wheel(Structure):
         return solve_cyclic_modes(self.sector, count, self.comm)
 
 
-def _deviations(given: Any, count: int) -> np.ndarray:
+def _read_deviations(given: Any, count: int) -> np.ndarray:
     values = numbers(given)
     if values.shape not in ((), (count,)) or not np.all(values > -1.0) or not np.all(values < 1e3):
         allowed = f"one number above -1, or one for each of the {count} sectors"
@@ -251,7 +253,7 @@ def _deviations(given: Any, count: int) -> np.ndarray:
     return np.broadcast_to(values, (count,)).copy()
 
 
-def _loads(sector: Sector, order: int) -> np.ndarray:
+def _sector_loads(sector: Sector, order: int) -> np.ndarray:
     """Rows of the load on the dofs of each sector: (2K+1, N, n_sector) [N]."""
     waves = to_complex(sector.structure.force)
     angles = np.multiply.outer(np.arange(len(waves)), np.arange(sector.count)) * order
@@ -259,7 +261,7 @@ def _loads(sector: Sector, order: int) -> np.ndarray:
     return from_complex(turns[..., None] * waves[:, None])
 
 
-def _nodes(sector: Sector, cracked: tuple[int, ...], dofs: np.ndarray, mine: slice) -> Nodes:
+def _wheel_nodes(sector: Sector, cracked: tuple[int, ...], dofs: np.ndarray, mine: slice) -> Nodes:
     """Of the wheel, those of one rank, from its numbers of the dofs of all sectors."""
     nodes = sector.structure.nodes
     assert nodes is not None
@@ -275,7 +277,7 @@ def _nodes(sector: Sector, cracked: tuple[int, ...], dofs: np.ndarray, mine: sli
     return Nodes(points, own, cells, nodes.vtk_type, frames=frames)
 
 
-def _pairs(sector: Sector, cracked: tuple[int, ...]) -> Pairs:
+def _wheel_pairs(sector: Sector, cracked: tuple[int, ...]) -> Pairs:
     """Of the wheel."""
     pairs, several = sector.structure.pairs, len(cracked)
     if not cracked or pairs.points is None or pairs.cracks is None:
@@ -296,7 +298,7 @@ def _pairs(sector: Sector, cracked: tuple[int, ...]) -> Pairs:
 # --- in few coordinates ---------------------------------------------------------------------------
 
 
-NEXT = 16
+N_REFERENCE_MODES = 16
 """Modes that the reference of a wheel has beyond those that are kept: of ten wheels they have 0.53
 to 0.99 of what is left to change. With eight, 0.35 to 0.96, errors of an opening of 0.7 and 0.9 %
 and of the load's displacement of 1.5 % were 1.8 times what was stated."""
@@ -304,11 +306,11 @@ and of the load's displacement of 1.5 % were 1.8 times what was stated."""
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class WheelCoordinates(Body):
-    """The body of a wheel in few coordinates; ``ranked`` are its modes in another order."""
+    """The body of a wheel in few coordinates; ``ranked_modes`` are its modes in another order."""
 
     wheel: Wheel
     basis: CyclicBasis
-    ranked: tuple[np.ndarray, np.ndarray] | None = None
+    ranked_modes: tuple[np.ndarray, np.ndarray] | None = None
 
 
 class WheelStructure(Structure):
@@ -333,7 +335,7 @@ class WheelStructure(Structure):
         mass, stiffness = basis.tuned_matrices
         if np.any(wheel.mistuning):
             stiffness = stiffness + np.tensordot(wheel.mistuning, basis.sector_stiffnesses, 1)
-        loads = _loads(wheel.sector, wheel.order)
+        loads = _sector_loads(wheel.sector, wheel.order)
         force = sum(loads[:, place] @ basis.columns(place) for place in range(wheel.sector.count))
 
         def of_cracks(gap: sparse.spmatrix) -> sparse.csr_matrix:
@@ -359,37 +361,41 @@ class WheelStructure(Structure):
         """All, of small dense matrices: those of equal sectors come in pairs, which Krylov's method
         mixes with its own error.
 
-        In ascending order, or as :meth:`ranked` has the open ones; the bonded ones are among the
+        In ascending order, or as :meth:`rank_modes` has the open ones; the bonded ones are among the
         open ones, of which M is 1 whatever it is in coordinates.
         """
         if is_bonded:
-            return self.cached_result(_tied_modes)
-        return self.cached_result(_all_modes) if self.body.ranked is None else self.body.ranked
+            return self.cached_result(_solve_bonded_modes)
+        return (
+            self.cached_result(_solve_all_modes)
+            if self.body.ranked_modes is None
+            else self.body.ranked_modes
+        )
 
-    def ranked(self, count: int, more: int) -> tuple[WheelStructure, float]:
+    def rank_modes(self, count: int, more: int) -> tuple[WheelStructure, float]:
         """The same with the lowest modes, so many of them, and as many ``more`` as move the cracks
         most, ascending; behind them the :data:`NEXT` that follow in this order; and the share that
         these have of what all but the first change.
 
         Mode j has (psi_ij / w_j)^2 of the static compliance of pair i, psi = B^T phi, and its
         inertia changes that by (w / w_j)^2."""
-        omega, shapes = self.cached_result(_all_modes)
+        omega, shapes = self.cached_result(_solve_all_modes)
         parts = ((self.gap.T @ shapes) / omega) ** 2
         changes = (parts / parts.sum(axis=1, keepdims=True)).sum(axis=0) / omega**2
         order = count + np.argsort(-changes[count:], kind="stable")
-        following = np.sort(order[more : more + NEXT])
+        following = np.sort(order[more : more + N_REFERENCE_MODES])
         kept = np.concatenate([np.arange(count), np.sort(order[:more]), following])
         share = changes[following].sum() / changes[order[more:]].sum()
-        cached_results, ranked = self.body.cached_results, (omega[kept], shapes[:, kept])
-        return self._in_setting(self.setting, cached_results=cached_results, ranked=ranked), float(
-            share
-        )
+        cached_results, ranked_modes = self.body.cached_results, (omega[kept], shapes[:, kept])
+        return self._in_setting(
+            self.setting, cached_results=cached_results, ranked_modes=ranked_modes
+        ), float(share)
 
     @property
     def _size_words(self) -> str:
         return f"{self.n_dofs} coordinates of {self.whole._size_words}"
 
-    def of_sectors(self, displacement: np.ndarray) -> Iterator[np.ndarray]:
+    def sector_displacements(self, displacement: np.ndarray) -> Iterator[np.ndarray]:
         """Displacements (m, n_sector) of all sectors, one by one, from coordinates (m, n_dofs)."""
         every = range(self.whole.sector.count)
         return (displacement @ self.basis.columns(place).T for place in every)
@@ -399,7 +405,9 @@ class WheelStructure(Structure):
         wheel = self.whole
         found = np.zeros((len(displacement), wheel.n_dofs))
         if wheel.comm.rank == 0:
-            for numbers, moved in zip(wheel.numbers, self.of_sectors(displacement), strict=True):
+            for numbers, moved in zip(
+                wheel.numbers, self.sector_displacements(displacement), strict=True
+            ):
                 found[:, numbers] = moved
         return found[:, : wheel.n_local]
 
@@ -411,14 +419,14 @@ class WheelStructure(Structure):
         return np.asarray(displacement @ rows.T)
 
 
-def _all_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
+def _solve_all_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
     matrices = (local_rows(part).toarray() for part in (structure.stiffness, structure.mass))
     squares, shapes = scipy.linalg.eigh(*matrices)
     return np.sqrt(np.maximum(squares, 0.0)), shapes
 
 
-def _tied_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
-    omega, shapes = structure.cached_result(_all_modes)
+def _solve_bonded_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
+    omega, shapes = structure.cached_result(_solve_all_modes)
     free = scipy.linalg.null_space(structure.gap.T @ shapes)
     squares, turned = scipy.linalg.eigh((free.T * omega**2) @ free)
     return np.sqrt(np.maximum(squares, 0.0)), shapes @ (free @ turned)
@@ -428,10 +436,10 @@ def in_few_coordinates(structure: Structure) -> Structure:
     """The same structure; of a wheel in the coordinates in which it is solved (collective)."""
     if not isinstance(structure, Wheel):
         return structure
-    return WheelStructure(structure, families_of_basis(structure.families))
+    return WheelStructure(structure, count_basis_families(structure.families))
 
 
-def families_of_basis(families: int, more: int = 0) -> int:
+def count_basis_families(families: int, more: int = 0) -> int:
     """Modes of each nodal diameter in the basis, for so many that are kept: four more, or eleven
     where more modes are chosen among them.
 
@@ -454,7 +462,7 @@ def reduce_wheel(
     leave on the sides, and the opening of each crack with the static answer of the wheel. Of the
     modes that the mistuned wheel with open cracks has in them ``families`` times as many as there
     are sectors are kept, and the ``more`` others that move the cracks most. The reference, by which
-    the error of the reduction is estimated, has the few that follow (``WheelStructure.ranked``).
+    the error of the reduction is estimated, has the few that follow (``WheelStructure.rank_modes``).
 
     Parameters
     ----------
@@ -489,17 +497,17 @@ def reduce_wheel(
     most = len(wheel.sector.dofs.own_members) // 2
     if families > most:
         raise InputError("families", families, f"at most {most}, half of a sector's dofs")
-    most = (families_of_basis(families) - families) * wheel.sector.count
+    most = (count_basis_families(families) - families) * wheel.sector.count
     if more > most:
         raise InputError("more", more, f"at most {most}, those of four families")
-    one = WheelStructure(wheel._in_setting(DEFAULT_SETTING), families_of_basis(families, more))
+    one = WheelStructure(wheel._in_setting(DEFAULT_SETTING), count_basis_families(families, more))
     begin("reduction")
     count = min(families * wheel.sector.count, one.n_dofs - one.n_pairs)
     if not one.n_pairs:
         reduced = reduce_structure(one, modes=count + more, reference=reference)
         return reduced._in_setting(wheel.setting)
-    one, share = one.ranked(count, more)
+    one, share = one.rank_modes(count, more)
     count += more
-    finer = reference and min(count + NEXT, one.n_dofs)
+    finer = reference and min(count + N_REFERENCE_MODES, one.n_dofs)
     reduced = reduce_structure(one, modes=count, method="massless", reference=finer)
     return reduced._in_setting(wheel.setting, share=share)

@@ -37,7 +37,7 @@ from fenics_crack.fem.build import assemble
 from fenics_crack.files.saved import Saved
 from fenics_crack.model.cyclic import excited_diameter
 from fenics_crack.model.structure import DampingRule, Structure
-from fenics_crack.model.wheel import Wheel, WheelStructure, families_of_basis
+from fenics_crack.model.wheel import Wheel, WheelStructure, count_basis_families
 from fenics_crack.numerics.fourier import to_complex
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import remarks_on_scene
@@ -410,7 +410,7 @@ blade, of the relative deviations of all sectors' stiffness."""
 def _largest_response(wheel: Wheel, near: float) -> Largest:
     """Return the largest response of a wheel, in the family of modes that its engine order excites
     next to a frequency."""
-    few, count = WheelStructure(wheel, families_of_basis(wheel.families)), wheel.sector.count
+    few, count = WheelStructure(wheel, count_basis_families(wheel.families)), wheel.sector.count
     (mass, tuned), damping = few.basis.tuned_matrices, wheel.damping
     force = few.force[1] - 1j * few.force[2]
     if not np.any(force):

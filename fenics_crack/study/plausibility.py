@@ -232,7 +232,7 @@ def _slopes(factor: Factor, modes: Modes, count: int) -> np.ndarray:
     for mode, shape in enumerate(modes.shapes.T[:count]):
         shapes = shape[:, None]
         if isinstance(whole, WheelStructure):
-            shapes = np.vstack(list(whole.of_sectors(shape[None]))).T
+            shapes = np.vstack(list(whole.sector_displacements(shape[None]))).T
         curved = 2.0 * multiply(third, shapes)
         slope = multiply(rotation.stiffness, shapes) + multiply(second, shapes)
         slope += rotation.speed**2 * curved

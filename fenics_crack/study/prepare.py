@@ -30,7 +30,7 @@ from fenics_crack.model.nodes import AXES
 from fenics_crack.model.reduction import DEFAULT_LARGE_MODES, reduce_structure
 from fenics_crack.model.rotation import N_SPEEDS
 from fenics_crack.model.structure import Structure
-from fenics_crack.model.wheel import Wheel, families_of_basis, reduce_wheel
+from fenics_crack.model.wheel import Wheel, count_basis_families, reduce_wheel
 from fenics_crack.scene.scene import LOOKED_AT, Scene
 from fenics_crack.scene.tables import Contact, Reduction
 from fenics_crack.study.sharing import LAST, Made, assembled
@@ -293,7 +293,7 @@ def check_memory_of(scene: Scene, structure: Structure, *, run_up: bool = False)
 def _memory_needed(scene: Scene, structure: Structure, run_up: bool) -> float:
     if isinstance(structure, Wheel):
         disk = scene.given("disk")
-        return wheel_memory(structure, families_of_basis(disk.families, disk.modes))
+        return wheel_memory(structure, count_basis_families(disk.families, disk.modes))
     kept = reduction_of(scene, structure)
     if kept is None:
         return whole_memory(structure, scene.harmonic_balance.harmonics)
