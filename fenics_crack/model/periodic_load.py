@@ -1,13 +1,13 @@
 """A periodic load of any form as a mean and harmonics.
 
-Between samples, at equal or unequal times, the load is linear; two samples of one time are a jump.
-The coefficients of a period T, w = 2 pi / T, are then exact,
+Between samples, at equal or unequal times, the load is linear. Two samples at one time are a jump.
+The coefficients with period T, w = 2 pi / T, are exact:
 
-    c_k = 2/T int f exp(i k w t) dt,      k = 1 .. K,
+    c_k = 2/T int f exp(i k w t) dt,      k = 1 .. K
 
-by parts over each stretch, and by Parseval's theorem so is what K harmonics leave out of it,
+Each interval is integrated by parts. By Parseval's theorem, the error of K harmonics is exact, too:
 
-    error^2 = 1 - sum_k |c_k|^2 / 2 / (mean square of f less its mean).
+    error^2 = 1 - sum_k |c_k|^2 / 2 / (mean square of f less its mean)
 """
 
 from __future__ import annotations
@@ -21,13 +21,12 @@ from fenics_crack.numerics.fourier import from_complex
 
 
 def load_harmonics(time: object, values: object, harmonics: int) -> tuple[np.ndarray, float]:
-    """Return the mean and the harmonics of a periodic load given at some times, and what they leave
-    out of it.
+    """Return mean and harmonics of a periodic load, and their error.
 
     Parameters
     ----------
     time : (n,)
-        Ascending, in any unit, from the beginning of a period to its end; two equal ones are a
+        Ascending, in any unit, from the beginning of a period to its end; two equal times are a
         jump.
     values : (n,) or (n, m)
         The load then, linear in between.
@@ -39,7 +38,7 @@ def load_harmonics(time: object, values: object, harmonics: int) -> tuple[np.nda
     coefficients : (2K+1,) or (2K+1, m)
         Mean, and cosine and sine of each order.
     error : float
-        Root mean square of what is left out, relative to that of what changes in time.
+        Root mean square of the remaining load, relative to the load without its mean.
 
     Raises
     ------
@@ -51,50 +50,69 @@ def load_harmonics(time: object, values: object, harmonics: int) -> tuple[np.nda
     >>> square, error = fc.load_harmonics([0.0, 0.5, 0.5, 1.0], [1.0, 1.0, -1.0, -1.0], 9)
     >>> sine = square[2::2]
     """
-    at, found = numbers(time), numbers(values)
+    instants, samples = numbers(time), numbers(values)
     check_count("harmonics", harmonics, 1, MOST_HARMONICS)
-    ascending = at.ndim == 1 and len(at) > 1 and np.all(np.isfinite(at)) and at[-1] > at[0]
-    if not ascending or np.any(np.diff(at) < 0.0):
+    is_ascending = (
+        instants.ndim == 1
+        and len(instants) > 1
+        and np.all(np.isfinite(instants))
+        and instants[-1] > instants[0]
+    )
+    if not is_ascending or np.any(np.diff(instants) < 0.0):
         raise InputError("time", time, "two or more ascending numbers, of a whole period")
-    if found.ndim not in (1, 2) or len(found) != len(at) or not np.all(np.isfinite(found)):
-        raise InputError("values", np.shape(values), f"finite, ({len(at)},) or ({len(at)}, m)")
-    columns = found.reshape(len(at), -1)
-    phase = 2.0 * np.pi * (at - at[0]) / (at[-1] - at[0])
+    if (
+        samples.ndim not in (1, 2)
+        or len(samples) != len(instants)
+        or not np.all(np.isfinite(samples))
+    ):
+        raise InputError(
+            "values", np.shape(values), f"finite, ({len(instants)},) or ({len(instants)}, m)"
+        )
+    columns = samples.reshape(len(instants), -1)
+    phase = 2.0 * np.pi * (instants - instants[0]) / (instants[-1] - instants[0])
     length, rise = np.diff(phase)[:, None], np.diff(columns, axis=0)
-    begin, end = columns[:-1], columns[1:]
-    mean = np.sum(length * (begin + end), axis=0) / (4.0 * np.pi)
-    square = np.sum(length * (begin**2 + begin * end + end**2), axis=0) / (6.0 * np.pi)
+    start_values, end_values = columns[:-1], columns[1:]
+    mean = np.sum(length * (start_values + end_values), axis=0) / (4.0 * np.pi)
+    square_sum = start_values**2 + start_values * end_values + end_values**2
+    mean_square = np.sum(length * square_sum, axis=0) / (6.0 * np.pi)
     slope = np.divide(rise, length, out=np.zeros_like(rise), where=length > 0.0)
     rows = [mean.astype(complex)]
     for order in range(1, harmonics + 1):
-        turn = np.exp(1j * order * phase)[:, None]
-        # int f e = [f e / (i k)] + slope [e] / k^2 over each stretch
-        change = (end * turn[1:] - begin * turn[:-1]) / (1j * order)
+        exponentials = np.exp(1j * order * phase)[:, None]
+        # int f e = [f e / (i k)] + slope [e] / k^2 over each interval
+        change = (end_values * exponentials[1:] - start_values * exponentials[:-1]) / (1j * order)
         change = np.where(length > 0.0, change, 0.0)
-        whole = np.sum(change + slope * np.diff(turn, axis=0) / order**2, axis=0)
-        rows.append(np.conj(whole) / np.pi)
+        coefficient = np.sum(change + slope * np.diff(exponentials, axis=0) / order**2, axis=0)
+        rows.append(np.conj(coefficient) / np.pi)
     coefficients = from_complex(np.array(rows))
-    moving = float(np.sum(square - mean**2))
-    kept = 0.5 * float(np.sum(coefficients[1:] ** 2))
-    error = float(np.sqrt(max(0.0, 1.0 - kept / moving))) if moving > 0.0 else 0.0
-    return coefficients.reshape(2 * harmonics + 1, *found.shape[1:]), error
+    variance = float(np.sum(mean_square - mean**2))
+    kept_variance = 0.5 * float(np.sum(coefficients[1:] ** 2))
+    error = float(np.sqrt(max(0.0, 1.0 - kept_variance / variance))) if variance > 0.0 else 0.0
+    return coefficients.reshape(2 * harmonics + 1, *samples.shape[1:]), error
 
 
 def read_wave(key: str, path: str, harmonics: int, dimension: int) -> tuple[np.ndarray, float]:
-    """:func:`load_harmonics` of a table with a column of times and one for each component of a
-    force [N], words in its first line: (2K+1, dimension).
+    """Read a table of a periodic force, and return its harmonics.
+
+    The first line has words; a row has a time and the components of the force [N].
+
+    Returns
+    -------
+    coefficients : (2K+1, dimension) [N]
+    error : float
+        As of :func:`load_harmonics`.
 
     Raises
     ------
     InputError
         The file cannot be read, or is no such table.
     """
-    allowed = f"a CSV file with a line of words, then rows of a time and {dimension} forces [N]"
-    with reading(key, path, allowed):
+    requirement = f"a CSV file with a line of words, then rows of a time and {dimension} forces [N]"
+    with reading(key, path, requirement):
         table = np.array([[float(cell) for cell in cells] for _, cells in table_rows(path)[1:]])
     if table.ndim != 2 or table.shape[1] != dimension + 1:
-        raise InputError(key, path, allowed)
+        raise InputError(key, path, requirement)
     try:
         return load_harmonics(table[:, 0], table[:, 1:], harmonics)
     except InputError as error:
-        raise InputError(key, f"{path} ({error.key})", f"{allowed}; {error.allowed}") from None
+        raise InputError(key, f"{path} ({error.key})", f"{requirement}; {error.allowed}") from None
