@@ -1,15 +1,19 @@
-"""Receptance of a structure: what forces on contact pairs and load do to it, as seen at both.
+"""Receptance of a structure: its response to pair forces and load, at pairs and load.
 
-With X = [B, B_t, f] and unit amplitudes c the response to forces X c of angular frequency w is
+With X = [B, B_t, f] and unit amplitudes c, the response to forces X c of angular frequency w is
 
     X^T u = sum_j X^T phi_j phi_j^T X c / (w_j^2 - w^2) + S c
 
-in N lowest modes and the static compliance S = X^T G X of all others (MacNeal, Computers &
-Structures 1, 1971, 581). Fewer modes leave out what more do and the statics of those between, so
-that one receptance holds all of fewer modes: sums of small arrays. More modes extend it.
+The sum has the N lowest modes; S = X^T G X is the static compliance of all other modes. Fewer modes
+truncate more, by the statics of the modes between. So one receptance holds all those of fewer
+modes, as sums of small arrays. More modes extend it.
 
-A structure and all that share its matrices share one; made from arrays alone it needs no matrices,
-and has no displacements but those of the dofs whose rows it holds.
+All structures with the same matrices share one receptance. Made from arrays alone it needs no
+matrices. Then only the dofs with known rows have displacements.
+
+References
+----------
+MacNeal, Computers & Structures 1, 1971, 581.
 """
 
 from __future__ import annotations
@@ -33,7 +37,7 @@ from fenics_crack.numerics.equations import EPSILON, ROUNDING
 
 @dataclass(frozen=True, eq=False)
 class Receptance:
-    """The lowest modes and all that they leave out, seen at pairs and load; the same on all ranks.
+    """The lowest modes and their truncated part at pairs and load, on every rank.
 
     Attributes
     ----------
@@ -44,12 +48,12 @@ class Receptance:
     compliance : (n_sources, n_sources)
         S = X^T G X beyond the modes.
     rows : dict of int to ((n_modes,), (n_sources,))
-        Of dofs of the structure: their displacements by the modes, and by G X. More are added.
+        Displacements of a dof by the modes, and by G X. Further dofs are added on request.
     force : (2K+1, n_local) [N]
-        The structure's load f, of which X has the rows that are not zero.
+        The structure's load f; X has its nonzero rows.
     inertia : (n_pairs,) [m s^2/N]
-        Diagonal of B^T G M G B beyond the modes: by w^2 times this forces of angular frequency w do
-        more than S says.
+        Diagonal of B^T G M G B beyond the modes. Forces of angular frequency w do more than S says,
+        by w^2 times this.
     """
 
     squares: np.ndarray
@@ -65,29 +69,42 @@ class Receptance:
         return len(self.squares)
 
     def beyond(self, count: int, seen: np.ndarray, modal: np.ndarray) -> np.ndarray:
-        """seen^T G X, G being that beyond so many modes, from what it is beyond all: (m, n_sources)
-        of displacements by the modes, (m, n_modes), and by G X."""
+        """Return seen^T G X beyond the first ``count`` modes.
+
+        Parameters
+        ----------
+        seen : (m, n_sources)
+            seen^T G X beyond all modes.
+        modal : (m, n_modes)
+            Displacements by the modes.
+
+        Returns
+        -------
+        (m, n_sources)
+        """
         between = slice(count, None)
         weighted = modal[:, between] / self.squares[between]
         return np.asarray(seen + weighted @ self.modal[:, between].T)
 
     def compliance_beyond(self, count: int) -> np.ndarray:
-        """S beyond so many modes: (n_sources, n_sources)."""
+        """Return S beyond the first ``count`` modes: (n_sources, n_sources)."""
         return self.beyond(count, self.compliance, self.modal)
 
     def inertia_beyond(self, count: int) -> np.ndarray:
-        """Diagonal of B^T G M G B beyond so many modes: (n_pairs,)."""
+        """Return the diagonal of B^T G M G B beyond the first ``count`` modes: (n_pairs,)."""
         weighted_modes = self.modal[: len(self.inertia), count:] / self.squares[count:]
         return np.asarray(self.inertia + np.sum(weighted_modes**2, axis=1))
 
 
 def receptance(structure: Structure, count: int) -> Receptance:
-    """The receptance of a structure, not varied, with so many modes or more (collective).
+    """Return the receptance of the original structure (collective).
+
+    It has ``count`` modes or more.
 
     Raises
     ------
     InputError
-        It is made from arrays alone, which have fewer modes, or another load.
+        The structure is made from arrays alone, which have fewer modes, or another load.
     """
     structure = structure.original
     held, last = (
@@ -103,19 +120,26 @@ def receptance(structure: Structure, count: int) -> Receptance:
 
 
 def held_receptance(structure: Structure) -> list[Receptance]:
-    """The receptance with the most modes requested so far; it does not hold the structure itself,
-    which would keep it alive."""
+    """Return an empty cache for the receptance with the most modes so far.
+
+    The cache does not hold the structure, which would keep it alive.
+    """
     return []
 
 
 def last_receptance(structure: Structure) -> list[Receptance]:
-    """That of the last of all structures that share the matrices, whatever their loads."""
+    """Return an empty cache for structures with the same matrices and any load.
+
+    It keeps the last receptance of any such structure.
+    """
     return []
 
 
 def _of_load(structure: Structure, known: Receptance) -> Receptance | None:
-    """The receptance of a structure by that of another load, where its own is a sum of the other's
-    parts; else None (collective)."""
+    """Return a receptance with the structure's load, from one with another load (collective).
+
+    None: the structure's load is no sum of the other load's parts.
+    """
     own, other = structure.force[loaded_parts(structure)], known.force
     both = np.vstack([other[loaded_parts(structure, other)], own])
     given = len(both) - len(own)
@@ -135,26 +159,31 @@ def _of_load(structure: Structure, known: Receptance) -> Receptance | None:
 
 
 def check_matrices(structure: Structure, wanted: str) -> None:
-    """Raise InputError for what a structure of arrays alone has not."""
+    """Raise InputError if a structure of arrays alone lacks its matrices."""
     if not structure.has_matrices:
         raise AbsentMatrix.input_error(wanted)
 
 
 def sources_of(structure: Structure) -> sparse.csr_matrix:
-    """X: (n_local, n_sources) (collective)."""
+    """Return X: (n_local, n_sources) (collective)."""
     force = structure.force[loaded_parts(structure)]
     contact = [structure.gap] + ([] if structure.tangential is None else [structure.tangential])
     return sparse.hstack([*contact, force.T]).tocsr()
 
 
 def loaded_parts(structure: Structure, force: np.ndarray | None = None) -> np.ndarray:
-    """True for parts of the load, or of another, that are not zero: (2K+1,) (collective)."""
+    """Return True for nonzero parts of a load, by default the structure's (collective).
+
+    Returns
+    -------
+    (2K+1,) bool
+    """
     force = structure.force if force is None else force
     return np.asarray(structure.sum_over_ranks((force**2).sum(axis=1)) > 0.0)
 
 
 def _extended(structure: Structure, known: Receptance | None, count: int) -> Receptance:
-    """With so many modes, more than are known."""
+    """Return a receptance with ``count`` modes, more than are known (collective)."""
     begin("factor of the stiffness")
     with Factor(structure.stiffness, definite=True) as factor:
         found = solve_modes_with_factor(factor, structure, count)
@@ -183,8 +212,15 @@ def _extended(structure: Structure, known: Receptance | None, count: int) -> Rec
 
 
 def rows_at(structure: Structure, count: int, dofs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Displacements of dofs by so many modes (m, count), and by G X beyond them (m, n_sources);
-    kept (collective)."""
+    """Return the displacements of dofs by modes and by G X; they are kept (collective).
+
+    Returns
+    -------
+    (m, count)
+        Displacements by the modes.
+    (m, n_sources)
+        Displacements by G X beyond the modes.
+    """
     known, structure = receptance(structure, count), structure.original
     wanted = [int(dof) for dof in dofs]
     missing = [dof for dof in dict.fromkeys(wanted) if dof not in known.rows]
@@ -201,7 +237,17 @@ def rows_at(structure: Structure, count: int, dofs: np.ndarray) -> tuple[np.ndar
 def expanded(
     structure: Structure, shapes: np.ndarray, squares: np.ndarray, amplitude: np.ndarray
 ) -> np.ndarray:
-    """G X c of amplitudes (m, n_sources) beyond some modes: (m, n_local) (collective)."""
+    """Return G X c beyond some modes, from amplitudes (collective).
+
+    Parameters
+    ----------
+    amplitude : (m, n_sources)
+        c.
+
+    Returns
+    -------
+    (m, n_local)
+    """
     used = np.any(amplitude != 0.0, axis=1)
     found = np.zeros((len(amplitude), structure.n_local))
     if np.any(used):
@@ -219,6 +265,7 @@ def _add_rows(
     left: ResidualFlexibility,
     factor: Factor | None = None,
 ) -> None:
+    """Add the rows of some dofs to a receptance (collective)."""
     own = dofs - structure.first_dof
     mine = np.flatnonzero((own >= 0) & (own < structure.n_local))
     shape = structure.n_local, len(dofs)
@@ -233,19 +280,21 @@ def _add_rows(
 
 
 def _loaded_dofs(structure: Structure) -> np.ndarray:
-    """Dofs under the load, at which its effect is watched; of a load on more than one block of
-    static solutions holds the watched one (collective)."""
+    """Return the dofs under the load, to watch the effect of the load (collective).
+
+    With more loaded dofs than one block of static solutions holds, it is the watched dof.
+    """
     own = np.flatnonzero(np.any(structure.force != 0.0, axis=0)) + structure.first_dof
     found = gather_rows(structure.comm, own)
     return found if len(found) <= MAX_BLOCK_COLUMNS else np.array([structure.watched_dof])
 
 
 class ResidualFlexibility:
-    """G = K^-1 - Phi Lambda^-1 Phi^T of a structure, as a map of forces to displacements.
+    """G = K^-1 - Phi Lambda^-1 Phi^T of a structure, a map of forces to displacements.
 
-    A force is first freed of its part on the modes, r = f - M Phi Phi^T f, and the displacement
-    x = K^-1 r of its own, x - Phi Phi^T M x: nothing cancels, and a structure that can move as a
-    rigid body is held by its modes.
+    A force f first loses its part on the modes, r = f - M Phi Phi^T f. The displacement x = K^-1 r
+    then loses its own, x - Phi Phi^T M x. Nothing cancels, and modes hold a structure that can move
+    as a rigid body.
 
     Attributes
     ----------
@@ -254,7 +303,7 @@ class ResidualFlexibility:
     shapes : (n_local, n_modes)
         Phi, mass-normalised.
     squares : (n_modes,) [rad^2/s^2]
-        The squares of their frequencies.
+        Squares of the modes' frequencies.
     sources : (n_local, n_sources)
         X: the forces of unit amplitude, a sparse matrix.
     modal : (n_sources, n_modes)
@@ -267,11 +316,11 @@ class ResidualFlexibility:
         self.structure, self.shapes, self.squares = structure, shapes, squares
         self.sources = sparse.csr_matrix(sources)
         self.modal = structure.sum_over_ranks(self.sources.T @ shapes)
-        # Of a hinge that hardly resists, rounding of the modal part would be all that is left.
+        # With a hinge that hardly resists, only rounding of the modal part would remain.
         self._held = bool(np.all(squares > np.sqrt(EPSILON) * squares[-1:]))
 
     def solve(self, factor: Factor, forces: np.ndarray) -> np.ndarray:
-        """G f of forces (m, n_local), with the factor of K: the same shape (collective)."""
+        """Return G f of forces (m, n_local), with the factor of K: the same shape (collective)."""
         structure, shapes = self.structure, self.shapes
         modal = structure.sum_over_ranks(forces @ shapes)
         found = factor.solve(forces - multiply(structure.mass, shapes @ modal.T).T)
@@ -279,12 +328,24 @@ class ResidualFlexibility:
         return found - structure.sum_over_ranks(moved @ shapes) @ shapes.T
 
     def seen(self, factor: Factor, columns: sparse.spmatrix) -> tuple[np.ndarray, np.ndarray]:
-        """Y^T G X, (m, n_sources), and the diagonal of Y^T G M G Y, (m,), of sparse forces Y
-        (n_local, m) (collective)."""
+        """Return Y^T G X, and the diagonal of Y^T G M G Y (collective).
+
+        Parameters
+        ----------
+        columns : (n_local, m)
+            Y, sparse forces.
+
+        Returns
+        -------
+        (m, n_sources)
+            Y^T G X.
+        (m,)
+            Diagonal of Y^T G M G Y.
+        """
         rows, inertia = [np.zeros((0, self.sources.shape[1]))], [np.zeros(0)]
         for start in range(0, columns.shape[1], MAX_BLOCK_COLUMNS):
             block = columns[:, start : start + MAX_BLOCK_COLUMNS].T.toarray()
-            # Where K^-1 is small enough its modal part is subtracted once, below.
+            # If K^-1 is small enough, its modal part is subtracted once, below.
             moved = factor.solve(block) if self._held else self.solve(factor, block)
             rows.append((self.sources.T @ moved.T).T)
             inertia.append(np.sum(moved.T * multiply(self.structure.mass, moved.T), axis=0))
@@ -297,6 +358,14 @@ class ResidualFlexibility:
         return found, inertias
 
     def compliance(self, factor: Factor) -> tuple[np.ndarray, np.ndarray]:
-        """S = X^T G X, (n_sources, n_sources), and the diagonal of X^T G M G X (collective)."""
+        """Return S = X^T G X, and the diagonal of X^T G M G X (collective).
+
+        Returns
+        -------
+        (n_sources, n_sources)
+            S, symmetric.
+        (n_sources,)
+            Diagonal of X^T G M G X.
+        """
         found, inertia = self.seen(factor, self.sources)
         return 0.5 * (found + found.T), inertia
