@@ -37,9 +37,9 @@ class Body(ReadOnlyArrays):
     clamp: Clamp | None = None
     rotation: Any = None
     comm: MPI.Comm = None
-    cached_results: dict[Callable[..., Any], Any] = field(default_factory=dict)
+    result_cache: dict[Callable[..., Any], Any] = field(default_factory=dict)
     """Results of :meth:`Structure.cached_result` by the function that computes them."""
-    matrix_results: dict[Callable[..., Any], Any] = field(default_factory=dict)
+    matrix_cache: dict[Callable[..., Any], Any] = field(default_factory=dict)
     """Cached results that depend on mass, stiffness and pairs alone.
 
     Bodies that share these matrices and pairs share this dictionary.
@@ -63,7 +63,7 @@ MATRIX_INDEPENDENT_NAMES = {
     "watched",
     "tangential",
 }
-"""Attributes of a body that do not affect :attr:`Body.matrix_results`."""
+"""Attributes of a body that do not affect :attr:`Body.matrix_cache`."""
 
 
 @dataclass(frozen=True, eq=False)

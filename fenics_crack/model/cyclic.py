@@ -112,10 +112,8 @@ class SectorNumbering:
         owners = (np.arange(n_sectors)[:, None] + self.is_next_sector) % n_sectors
         numbers = self.member_positions + owners * len(self.own_members)
         open_index = np.ix_(cracked_places, self.upper_members)
-        owned_members, open_members = (
-            all_members[:, self.own_members].ravel(),
-            all_members[open_index],
-        )
+        owned_members = all_members[:, self.own_members].ravel()
+        open_members = all_members[open_index]
         numbers[open_index] = len(owned_members) + np.arange(open_members.size).reshape(
             open_members.shape
         )
@@ -582,10 +580,8 @@ def cyclic_basis(
         side_forces = _side_forces(sector, [all_first_modes[n] for n in first_diameters])
         bond_columns = -sector.stiffness[:, sector.dofs.upper_members]
         sector_forces = sparse.csr_matrix(tuned_sector.dof_selection.T @ bond_columns)
-        left_rows, right_rows = (
-            tuned_sector.side_rows,
-            len(sector.dofs.own_members) + tuned_sector.side_rows,
-        )
+        left_rows = tuned_sector.side_rows
+        right_rows = len(sector.dofs.own_members) + left_rows
         inside_forces = sector_forces[tuned_sector.inside_rows].toarray()
         side_parts = sector_forces[left_rows].toarray(), sector_forces[right_rows].toarray()
         inside_motion = tuned_sector.solve_inside(inside_forces)

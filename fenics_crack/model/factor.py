@@ -44,11 +44,8 @@ MIN_SOLID_ROW_ENTRIES = 40
 Measured: 45 or more in solids, 18 to 32 in planes. Ordering for minimum fill factors plane matrices
 in 0.6 of MUMPS's own time. It makes solid matrices slower to factor, and their factors larger.
 """
-OPTIONS_PREFIX, ORDERING_OPTION, PRINT_OPTION = (
-    "crack_factor_",
-    "mat_mumps_icntl_7",
-    "mat_cholmod_print",
-)
+OPTIONS_PREFIX = "crack_factor_"
+ORDERING_OPTION, PRINT_OPTION = "mat_mumps_icntl_7", "mat_cholmod_print"
 
 
 def factor_memory(dofs: float, *, solid: bool) -> float:

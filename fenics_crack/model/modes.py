@@ -384,9 +384,8 @@ def _solve_near_shift(
     solver.setTarget(shift)
     spectral_transform = solver.getST()
     spectral_transform.setType(spectral_transform.Type.SINVERT)
-    spectral_transform.setMatMode(
-        spectral_transform.MatMode.SHELL
-    )  # K - shift M is not formed again
+    # K - shift M is not formed again.
+    spectral_transform.setMatMode(spectral_transform.MatMode.SHELL)
     solver.setPurify(False)  # only a singular mass needs it, and it costs orthogonality
     preconditioner = spectral_transform.getKSP().getPC()
     preconditioner.setType("python")
@@ -601,9 +600,8 @@ def damped_range(structure: Structure) -> tuple[int, float] | None:
         return None if rule.ratio else (0, 0.0)
     damping_modes = damped_modes(structure)
     assert damping_modes is not None
-    damped_indices = np.flatnonzero(
-        damping_modes.rate > 1e-9 * damping_modes.rate.max()
-    )  # not rounding of a projection
+    # A smaller rate is rounding of a projection.
+    damped_indices = np.flatnonzero(damping_modes.rate > 1e-9 * damping_modes.rate.max())
     if not damped_indices.size:
         return 0, 0.0
     last_index = int(damped_indices[-1])

@@ -107,10 +107,8 @@ def receptance(structure: Structure, count: int) -> Receptance:
         The structure is made from arrays alone, which have fewer modes, or another load.
     """
     structure = structure.original
-    held, last = (
-        structure.cached_result(held_receptance),
-        structure.cached_result(last_receptance, from_matrices=True),
-    )
+    held = structure.cached_result(held_receptance)
+    last = structure.cached_result(last_receptance, from_matrices=True)
     if not held and last:
         held += filter(None, [_of_load(structure, last[0])])
     if not held or held[0].n_modes < count:

@@ -122,7 +122,7 @@ def reduce_structure(
     if method == "massless":
         return _reduce_massless(structure, int(modes), reference)
 
-    if is_modally_damped:  # these are more modes, which are cached
+    if is_modally_damped:  # more modes, which are cached
         damped_modes(structure)
     begin("reduction")
     with Factor(structure.stiffness, definite=True) as stiffness_factor:

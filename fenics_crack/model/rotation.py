@@ -305,7 +305,7 @@ class Ritz:
         )
         try:
             np.linalg.cholesky(at_rest)
-        except np.linalg.LinAlgError:  # K is rounding of the terms of rotation
+        except np.linalg.LinAlgError:  # K is only rounding of the terms of rotation
             requirement = describe_unstable_speed(structure, rotation.speed)
             raise InputError("rotation.speed", rotation.speed, requirement) from None
         return cls(
@@ -388,10 +388,9 @@ class RunUpStructure(MasslessInterface):
         squares_inverse, eigenvectors = np.linalg.eigh(
             (inverse_factor * ritz.squares_inverse) @ inverse_factor.T
         )
-        squares_inverse, eigenvectors = (
-            squares_inverse[: -ritz.modes - 1 : -1],
-            eigenvectors[:, : -ritz.modes - 1 : -1],
-        )
+        largest_first = slice(None, -ritz.modes - 1, -1)
+        squares_inverse = squares_inverse[largest_first]
+        eigenvectors = eigenvectors[:, largest_first]
         mode_columns = inverse_factor.T @ eigenvectors
         damping = ritz.structure.damping
         omega = 1.0 / np.sqrt(squares_inverse)

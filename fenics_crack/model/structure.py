@@ -214,7 +214,7 @@ DampingRule = ModalDamping | RayleighDamping
 """Damping that follows from mass and stiffness."""
 
 
-UNCOPIED_NAMES = {"rotation", "cached_results", "matrix_results"}
+UNCOPIED_NAMES = {"rotation", "result_cache", "matrix_cache"}
 """Attributes that a body with other matrices does not take over."""
 Result = TypeVar("Result")
 
@@ -348,7 +348,7 @@ class Structure(Coordinates):
             The result depends on mass, stiffness and pairs alone; structures that share these share
             it.
         """
-        cache = self.body.matrix_results if from_matrices else self.body.cached_results
+        cache = self.body.matrix_cache if from_matrices else self.body.result_cache
         if compute not in cache:
             cache[compute] = compute(self.original)
         result: Result = cache[compute]
@@ -364,9 +364,9 @@ class Structure(Coordinates):
             return self
         new_structure, body = object.__new__(type(self)), self.body
         if changes:
-            caches: dict[str, Any] = {"cached_results": {}}
+            caches: dict[str, Any] = {"result_cache": {}}
             if not changes.keys() <= MATRIX_INDEPENDENT_NAMES:
-                caches["matrix_results"] = {}
+                caches["matrix_cache"] = {}
             body = replace(body, **caches | changes)
         Structure.__init__(new_structure, body)
         vars(new_structure)["setting"] = setting

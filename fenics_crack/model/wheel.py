@@ -465,14 +465,9 @@ class WheelStructure(Structure):
         first_indices, next_indices = np.arange(count), np.sort(order[:n_more])
         mode_indices = np.concatenate([first_indices, next_indices, reference_indices])
         share = inertia_changes[reference_indices].sum() / inertia_changes[order[n_more:]].sum()
-        cache, ranked_modes = (
-            self.body.cached_results,
-            (omega[mode_indices], shapes[:, mode_indices]),
-        )
-        ranked_wheel = self._in_setting(
-            self.setting, cached_results=cache, ranked_modes=ranked_modes
-        )
-        return ranked_wheel, float(share)
+        ranked_modes = omega[mode_indices], shapes[:, mode_indices]
+        changes = {"result_cache": self.body.result_cache, "ranked_modes": ranked_modes}
+        return self._in_setting(self.setting, **changes), float(share)
 
     @property
     def _size_words(self) -> str:

@@ -296,7 +296,7 @@ def test_what_is_held_does_not_grow_with_the_pairs(paper_scene: fc.Scene) -> Non
     for thing in (made, made.body, made.reference, made.reference.body, known):
         for name, value in vars(thing).items():
             assert not isinstance(value, np.ndarray) or value.size < plate.n_dofs or name == "force"
-    [shapes] = [value for value in plate.body.matrix_results.values() if len(value) == 2]
+    [shapes] = [value for value in plate.body.matrix_cache.values() if len(value) == 2]
     assert shapes[1].shape == (plate.n_dofs, 14) and np.shares_memory(made.basis, shapes[1])
 
 
