@@ -546,11 +546,11 @@ def damped_modes(structure: Structure) -> DampedModes | None:
     """
     if not isinstance(structure.original.damping, ModalDamping):
         return None
-    modes, factor = structure.cached_result(_damped_modes), structure.damping_factor
+    modes, factor = structure.cached_result(_compute_damped_modes), structure.damping_factor
     return modes if factor == 1.0 else replace(modes, rate=factor * modes.rate)
 
 
-def _damped_modes(structure: Structure) -> DampedModes:
+def _compute_damped_modes(structure: Structure) -> DampedModes:
     """Compute the modes that carry the modal damping (collective)."""
     modes = solve_modes(structure, check_damped_modes(structure))
     mass_shapes = multiply(structure.mass, modes.shapes)
@@ -761,10 +761,10 @@ def bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
     >>> natural = fc.bilinear_frequencies(structure)
     >>> resonance = natural.omega_bilinear[0]
     """
-    return structure.cached_result(_bilinear_frequencies, from_matrices=True)
+    return structure.cached_result(_compute_bilinear_frequencies, from_matrices=True)
 
 
-def _bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
+def _compute_bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
     """Compute the frequencies of :func:`bilinear_frequencies` (collective)."""
     count = min(FEW_MODES, structure.n_modes)
     open_modes, bonded_modes = solve_modes(structure, count), solve_bonded_modes(structure, count)

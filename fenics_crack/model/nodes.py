@@ -216,7 +216,7 @@ class Coordinates:
         )
 
     @property
-    def _size_words(self) -> str:
+    def _size_description(self) -> str:
         """Say in words how many dofs there are."""
         return f"{self.n_dofs} dofs"
 

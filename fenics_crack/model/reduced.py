@@ -123,7 +123,7 @@ class ReducedStructure(Structure):
         super().__init__(ReducedBody(**fields, basis=basis, reference=reference))
 
     @property
-    def _size_words(self) -> str:
+    def _size_description(self) -> str:
         return f"{self.n_dofs} coordinates of {self.whole.n_dofs} dofs"
 
     @cached_property
@@ -330,7 +330,7 @@ class MasslessStructure(MasslessInterface):
         return 0.5 * (residual + residual.T)
 
     @property
-    def _size_words(self) -> str:
+    def _size_description(self) -> str:
         return f"{self.n_modes} modes of {self.whole.n_dofs} dofs, crack faces without mass"
 
     def expand(self, displacement: np.ndarray) -> np.ndarray:

@@ -413,7 +413,7 @@ class RunUpStructure(MasslessInterface):
         return distribute_rows(self.body.dense, MPI.COMM_SELF)
 
     @property
-    def _size_words(self) -> str:
+    def _size_description(self) -> str:
         return f"{self.n_dofs} coordinates of {self.whole.n_dofs} dofs at {self.speed:g} rad/s"
 
     def at_speed(self, speed: float) -> RunUpStructure:

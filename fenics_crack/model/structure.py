@@ -271,7 +271,7 @@ class Structure(Coordinates):
         damping_words = "no damping" if damping is None else "damping matrix"
         if isinstance(damping, DampingRule):
             damping_words = str(damping.scaled(self.damping_factor))
-        return f"{type(self).__name__}({self._size_words}, {pairs}, {damping_words})"
+        return f"{type(self).__name__}({self._size_description}, {pairs}, {damping_words})"
 
     @cached_property
     def force(self) -> np.ndarray:  # type: ignore[override]

@@ -228,7 +228,7 @@ class Wheel(Structure):
         return distribute_rows(wheel_matrix[: self.n_local], self.comm)
 
     @property
-    def _size_words(self) -> str:
+    def _size_description(self) -> str:
         return f"{self.sector.count} sectors, {self.n_dofs} dofs"
 
     def known_modes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
@@ -470,8 +470,8 @@ class WheelStructure(Structure):
         return self._in_setting(self.setting, **changes), float(share)
 
     @property
-    def _size_words(self) -> str:
-        return f"{self.n_dofs} coordinates of {self.whole._size_words}"
+    def _size_description(self) -> str:
+        return f"{self.n_dofs} coordinates of {self.whole._size_description}"
 
     def sector_displacements(self, displacement: np.ndarray) -> Iterator[np.ndarray]:
         """Yield the displacement (m, n_sector) of each sector, from coordinates (m, n_dofs)."""
