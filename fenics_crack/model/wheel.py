@@ -63,7 +63,7 @@ class WheelBody(Body):
     """Body of a wheel, whose matrices are made later; :class:`Wheel` explains all fields."""
 
     sector: Sector
-    cracked: tuple[int, ...]
+    cracked_places: tuple[int, ...]
     mistuning: np.ndarray
     order: int
     families: int
@@ -98,7 +98,7 @@ class Wheel(Structure):
     body: WheelBody
     families: int = body_property("families")
     sector: Sector = body_property("sector")
-    cracked: tuple[int, ...] = body_property("cracked")
+    cracked: tuple[int, ...] = body_property("cracked_places")
     mistuning: np.ndarray = body_property("mistuning")
     order: int = body_property("order")
     numbers: np.ndarray = body_property("numbers")
@@ -147,7 +147,7 @@ class Wheel(Structure):
             nodes=_wheel_nodes(sector, cracked, dofs, own_rows),
             pairs=_wheel_pairs(sector, cracked), watched=watched_motion, rotation=rotation,
             comm=comm,
-            sector=sector, cracked=cracked, mistuning=_read_deviations(mistuning, n_sectors),
+            sector=sector, cracked_places=cracked, mistuning=_read_deviations(mistuning, n_sectors),
             order=order, families=families, numbers=dofs, places=places,
         )  # fmt: skip
         super().__init__(body)
