@@ -87,10 +87,9 @@ class SectorNumbering:
         """
         representatives = np.arange(node_members.max() + 1)
         for kept_nodes, merged_nodes in (sides, lips):
-            has_member = node_members[merged_nodes] >= 0
-            representatives[node_members[merged_nodes][has_member]] = node_members[kept_nodes][
-                has_member
-            ]
+            kept_members, merged_members = node_members[kept_nodes], node_members[merged_nodes]
+            has_member = merged_members >= 0
+            representatives[merged_members[has_member]] = kept_members[has_member]
         self.own_members, self.member_positions = np.unique(representatives, return_inverse=True)
         right_members, upper_members = node_members[sides[1]], node_members[lips[1]].ravel()
         self.is_next_sector = np.isin(np.arange(len(representatives)), right_members)

@@ -407,22 +407,20 @@ class Coordinates:
         d, comm = self.nodes.points.shape[1], self.whole.comm
         components: list[int | str] = [*range(d), *AXES[:d]]
         if component not in components:
-            words = ", ".join(map(repr, components[:-1]))
-            raise InputError("component", component, f"{words} or {components[-1]!r}")
+            requirement = f"{', '.join(map(repr, components[:-1]))} or {components[-1]!r}"
+            raise InputError("component", component, requirement)
         coordinates = numbers(point)
         if coordinates.shape != (d,) or not np.all(np.isfinite(coordinates)):
-            words = f"[{', '.join(AXES[:d])}], {('two', 'three')[d - 2]} finite numbers"
-            raise InputError("point", point, words)
+            requirement = f"[{', '.join(AXES[:d])}], {('two', 'three')[d - 2]} finite numbers"
+            raise InputError("point", point, requirement)
         points = gather_rows(comm, self.nodes.points)
         node_indices = find_nodes_at(points, coordinates)
         if len(node_indices) != 1:
-            problem = (
-                f"{len(node_indices)} found there; {describe_nearest_node(points, coordinates)}"
-            )
-            raise InputError("point", tuple(coordinates), f"at a node that exists once ({problem})")
-        dof = int(
-            gather_rows(comm, self.nodes.dofs)[node_indices[0], components.index(component) % d]
-        )
+            hint = describe_nearest_node(points, coordinates)
+            requirement = f"at a node that exists once ({len(node_indices)} found there; {hint})"
+            raise InputError("point", tuple(coordinates), requirement)
+        node_dofs = gather_rows(comm, self.nodes.dofs)[node_indices[0]]
+        dof = int(node_dofs[components.index(component) % d])
         if dof < 0:
             requirement = f"free in component {component!r}, not clamped"
             raise InputError("point", tuple(coordinates), requirement)

@@ -321,9 +321,8 @@ def _wheel_nodes(
     node_numbers = SectorNumbering(np.arange(count)[:, None], sector.sides, sector.lips)
     numbers, places = node_numbers.in_wheel(sector.count, cracked_places)
     sector_index, node = divmod(places[own_rows], count)
-    frames = np.array([sector.rotation_matrix(n_turns) for n_turns in range(sector.count)])[
-        sector_index
-    ]
+    rotations = np.array([sector.rotation_matrix(n_turns) for n_turns in range(sector.count)])
+    frames = rotations[sector_index]
     points = np.einsum("nij,nj->ni", frames, nodes.points[node] - sector.center) + sector.center
     node_dofs = nodes.dofs[node]
     node_dofs = np.where(node_dofs >= 0, dofs[sector_index[:, None], node_dofs], -1)
