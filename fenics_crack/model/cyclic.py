@@ -552,9 +552,9 @@ def cyclic_basis(
     the loads and to the forces (K - w^2 M) v that mistuning and cracks leave on the right side. A
     few patterns hold these forces for all modes.
 
-    A crack opens by forces of its pairs, and by forces that its bonds bear. The stiffness of an
-    opening belongs to all displacements of the face, and includes the response of the sides. The
-    openings are real, sector by sector, and the inside follows from the sides.
+    A crack opens by forces of its pairs, and by forces that its bonds bear. An opening's stiffness
+    belongs to all displacements of the face, and includes the response of the sides. The openings
+    are real, sector by sector, and the inside follows from the sides.
 
     Parameters
     ----------
@@ -670,8 +670,8 @@ def _bond_forces(
 ) -> np.ndarray:
     """Return the real forces that bonds bear on the upper face: (n_upper, m).
 
-    They are (K - w^2 M) v / w for modes, and K x - f for loads of unit work. Their squares in the
-    compliance of an opening are the relative changes, by this opening, of w^2 or of a load's work.
+    They are (K - w^2 M) v / w for modes, and K x - f for loads of unit work. Squared in the
+    compliance of an opening, they are its relative changes of w^2 or of the work.
     """
     forces = [(sector.stiffness @ shapes - (sector.mass @ shapes) * omega**2) / omega]
     work = np.sum(load.conj() * load_response, axis=0).real
@@ -683,7 +683,7 @@ def _bond_forces(
 MIN_OPENING_PATTERN = 1e-5
 """Minimum size of a kept pattern of bond forces.
 
-The square of the size is the relative change, by this opening, of w^2 or of a load's work. Smaller
+The square of the size is the relative change, by this opening, of w^2 or of the work. Smaller
 patterns change less than the mass that moves with the faces, which static patterns neglect: up to
 6e-9 of frequencies.
 """

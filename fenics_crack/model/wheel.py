@@ -1,8 +1,8 @@
 """A bladed disk of equal sectors: mistuned, some blades cracked, under an engine order.
 
-The whole wheel has the own dofs of each sector, in the frame of the sector, and the dofs on the
-upper face of each crack. Its matrices are copies of the sector's, and are made on request. The
-wheel is solved in few coordinates:
+The whole wheel has each sector's own dofs, in the sector's frame, and the dofs on the upper face of
+each crack. Its matrices are copies of the sector's, and are made on request. The wheel is solved in
+few coordinates:
 
     u = U (q, d),      M = U^T M U,      K = sum_j (1 + delta_j) U_j^T K U_j
 
