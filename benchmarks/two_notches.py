@@ -1,9 +1,9 @@
 """Find two notches of one depth in 30 clamped beams from six frequencies of another program.
 
 The frequencies are A. Thada's (MSSP 160, 2021, 107915), computed by Ansys on coarse meshes. The
-program says nothing of bending in two planes and torsion by springs: it solves the modes of beams
-in matrices; the springs, the calibration and the regions are this script's. Each notch is three
-springs, whose compliances follow d^n exp(a + b d). These, the frequencies without notches and the
+program solves the modes of the beam in matrices: bending in two planes and torsion with warping.
+The springs, the calibration and the regions are this script's. Each notch is a spring in each kind
+of motion, of compliance d^n exp(a + b d). The springs, the frequencies without notches and the
 scatter of both are fitted to beams whose notches are known (maximum likelihood, Student's t).
 
     python benchmarks/two_notches.py training.csv parameters.md
