@@ -38,8 +38,8 @@ from fenics_crack.motion.orbit import (
     too_slow,
 )
 from fenics_crack.motion.search import wave_states
-from fenics_crack.numerics.equations import NEARLY_SOLVED
-from fenics_crack.numerics.fourier import resized
+from fenics_crack.numerics.equations import COARSE_TOLERANCE
+from fenics_crack.numerics.fourier import resize_harmonics
 from fenics_crack.numerics.newton import relative_to_motion
 
 MAX_ERROR = 0.1
@@ -158,7 +158,7 @@ class Assessment:
         if orbit is None and (refinement := self._refined_assessment()) and refinement.accepted:
             orbit = refinement.orbit
         elif self._source is None:  # predictions are within a factor of 3 of the distance
-            max_distance = min(max_distance, max(3.0 * self.predicted_error, NEARLY_SOLVED))
+            max_distance = min(max_distance, max(3.0 * self.predicted_error, COARSE_TOLERANCE))
         return orbit, orbit is not None and distance(self.wave, orbit) <= max_distance
 
     def _nearest_orbit(self) -> PeriodicOrbit | None:
@@ -275,8 +275,8 @@ def with_twice_the_harmonics(wave: Wave) -> Wave | None:
         subharmonic=wave.subharmonic, static_above=wave.static_above,
     )  # fmt: skip
     system = problem.system(problem.compliance())
-    search = Search(system, problem, NEARLY_SOLVED, 1.0)
-    point = search.solve(resized(wave.slow_gap_coefficients, problem.harmonics))
+    search = Search(system, problem, COARSE_TOLERANCE, 1.0)
+    point = search.solve(resize_harmonics(wave.slow_gap_coefficients, problem.harmonics))
     return problem.wave(system.linearise(point.unknown)) if search.converged else None
 
 

@@ -59,7 +59,13 @@ from fenics_crack.numerics.equations import (
     Linearisation,
     solve_factored,
 )
-from fenics_crack.numerics.fourier import evaluate, resized, stretched, waves_of, waves_over
+from fenics_crack.numerics.fourier import (
+    evaluate,
+    fourier_basis_for,
+    fourier_basis_over_period,
+    resize_harmonics,
+    stretch_period,
+)
 from fenics_crack.numerics.newton import gmres
 
 MATRIX_FREE = 350
@@ -146,7 +152,8 @@ class ContactSystem:
         """s of the coefficients of a gap and of its force, with any harmonics, of whose periods one
         of these has so many: (2H+1, n_pairs)."""
         gap, force = (
-            resized(stretched(rows, factor), self.integrals.harmonics) for rows in (gap, force)
+            resize_harmonics(stretch_period(rows, factor), self.integrals.harmonics)
+            for rows in (gap, force)
         )
         return gap if self.residual is None else gap + force @ self.residual
 
@@ -348,12 +355,12 @@ class Wave:
     def at_phase(self, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """1, cos, sin, ... at phases (n,) of the response, (n, 2H+1), by which coefficients are
         multiplied; gaps [m] and contact forces [N] of all rows there: (n, n_rows) each."""
-        return self._with(waves_of(self.gap_coefficients, phase), phase)
+        return self._with(fourier_basis_for(self.gap_coefficients, phase), phase)
 
     def over_period(self, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The same at the instants i T / count."""
         phase = 2.0 * np.pi / count * np.arange(count)
-        return self._with(waves_over(self.harmonics, count), phase)
+        return self._with(fourier_basis_over_period(self.harmonics, count), phase)
 
     def _with(
         self, values: np.ndarray, phase: np.ndarray

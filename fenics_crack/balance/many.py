@@ -32,7 +32,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import ContactFlow, exact_flow
 from fenics_crack.motion.motions import rows_of
 from fenics_crack.motion.orbit import KNOWN, PeriodicOrbit, affordable, find_orbit, orbit_from
-from fenics_crack.numerics.fourier import balanced
+from fenics_crack.numerics.fourier import fourier_coefficients
 from fenics_crack.numerics.newton import relative_to_motion
 
 NEAREST, BEFORE = 16, 8
@@ -241,7 +241,7 @@ def _numbers(problem: Problem, orbit: PeriodicOrbit, watched: np.ndarray) -> dic
     count, track = max(SAMPLES, 4 * problem.harmonics + 4), orbit.motion.track
     samples = orbit.samples(np.arange(count) * orbit.period / count)
     motion = samples.displacement, samples.gaps, samples.forces
-    wave = problem.wave_of(*(balanced(one, problem.harmonics) for one in motion))
+    wave = problem.wave_of(*(fourier_coefficients(one, problem.harmonics) for one in motion))
     change, moved = motion[1] - wave.over_period(count)[1], motion[0] @ watched.T
     off = 0.0 if is_still(samples) else relative_to_motion(change, motion[1] + wave.seen.clearance)
     multiplier = abs(orbit.multipliers[0])

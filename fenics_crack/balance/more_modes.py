@@ -37,8 +37,8 @@ from fenics_crack.motion.orbit import (
     predicted_motion,
 )
 from fenics_crack.motion.search import SEGMENTS
-from fenics_crack.numerics.equations import CLOSE
-from fenics_crack.numerics.fourier import waves_of
+from fenics_crack.numerics.equations import ROOT_TOLERANCE
+from fenics_crack.numerics.fourier import fourier_basis_for
 from fenics_crack.numerics.newton import relative_to_motion
 
 UNKNOWN = 1.0
@@ -100,7 +100,7 @@ class MoreModes:
         if massless(self.wave.structure) is None:
             return self._expanded(shape, speed, places)[:: INSTANTS // SEGMENTS]
         kept = shape.shape[1]
-        loads = waves_of(flow.force, self.wave.omega * samples.time) @ flow.force[:, kept:]
+        loads = fourier_basis_for(flow.force, self.wave.omega * samples.time) @ flow.force[:, kept:]
         loads = loads - samples.forces @ flow.modes.pairs[kept:].T
         static = loads / flow.modes.squares[kept:]
         rate = (np.roll(static, -1, axis=0) - np.roll(static, 1, axis=0)) / (2.0 * samples.time[1])
@@ -128,7 +128,7 @@ class MoreModes:
         """
         flow, omega, periods = self.flow, self.wave.omega, self.wave.subharmonic
         states, start_inverse = self._states, self.inverse
-        search = partial(find_orbit, flow, omega, subharmonic=periods, located=CLOSE)
+        search = partial(find_orbit, flow, omega, subharmonic=periods, located=ROOT_TOLERANCE)
         orbit = search(states[0], inverse=start_inverse) or (
             search(states[0]) if start_inverse else None
         )

@@ -23,7 +23,7 @@ from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.motion.motions import Observed, Record
 from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.motion.search import SearchOptions
-from fenics_crack.numerics.fourier import evaluate, resized, sampled
+from fenics_crack.numerics.fourier import evaluate, resize_harmonics, sample_period
 
 
 @dataclass(frozen=True, repr=False)
@@ -200,7 +200,7 @@ class PeriodicSolution(Wave, Observed, Described):
     def _moving(self) -> np.ndarray:
         """Coefficients of the displacement without the rounding of what is still."""
         rows = self.displacement_coefficients
-        return resized(rows[:1], self.harmonics) if self.still else rows
+        return resize_harmonics(rows[:1], self.harmonics) if self.still else rows
 
     def coefficients_at(self, dofs: Sequence[int | None] = (None,)) -> np.ndarray:
         """Coefficients of the displacement of dofs: (2H+1, len(dofs)) [m] (collective)."""
@@ -326,7 +326,7 @@ class Solver:
         their coefficients (2H+1, n_pairs), and along those against them."""
         if is_unilateral(self.problem.contact):
             return
-        gap = sampled(last, 4 * len(last))
+        gap = sample_period(last, 4 * len(last))
         with np.errstate(all="ignore"):  # they may be far beyond what the law is meant for
             check_slope(self.problem.contact, np.concatenate([gap, -gap]))
 

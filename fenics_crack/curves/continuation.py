@@ -54,15 +54,15 @@ from fenics_crack.motion.flow import exact_flow, flow_of
 from fenics_crack.motion.orbit import FORMED, PeriodicOrbit, too_slow
 from fenics_crack.numerics.newton import PathPoint, Tangent, tangent_of
 from fenics_crack.numerics.path import (
-    ARRIVED,
-    Closed,
-    Ended,
+    ARRIVAL_DISTANCE,
+    ClosedLoop,
+    EndReason,
     Event,
     Path,
     PathOptions,
-    Stretch,
+    PathSegment,
     Target,
-    observed,
+    observe_point,
 )
 
 
@@ -202,14 +202,14 @@ class GrowingCurve:
         for part in self._parts():
             self._record(part)
 
-    def _parts(self) -> Iterator[Stretch]:
+    def _parts(self) -> Iterator[PathSegment]:
         """The path behind the last point, to where the curve ends."""
         if self.complete:
             return
         system, here, longest = self.system, self._here, self._steps.longest_step
         self.status = "under way"
         events: list[Event] = [kind() for kind in system.events]
-        events += [Target(1.0), Closed(self._origin, system)]
+        events += [Target(1.0), ClosedLoop(self._origin, system)]
         if self._branch:
             events.append(Target(0.0))
             if system.problem.subharmonic % 2 == 0:
@@ -217,7 +217,7 @@ class GrowingCurve:
         options = PathOptions(
             initial_step=0.2 * longest,
             max_step=longest,
-            min_step=max(ARRIVED, system.rounding(here.parameter)),
+            min_step=max(ARRIVAL_DISTANCE, system.rounding(here.parameter)),
             max_steps=self.most_points + 1 - len(self.points),
             at_once=max(1, min(PathOptions.at_once, system.at_once)),
             span=(-self._steps.turning_back, np.inf),
@@ -227,9 +227,9 @@ class GrowingCurve:
         assert path.ended is not None
         self.complete = path.event is not None
         self.status = path.event.words if path.event else path.ended.in_words(self.most_points)
-        self.returned = path.ended is Ended.LEFT or isinstance(path.event, Closed)
+        self.returned = path.ended is EndReason.LEFT or isinstance(path.event, ClosedLoop)
 
-    def _record(self, points: Stretch) -> CurvePoint:
+    def _record(self, points: PathSegment) -> CurvePoint:
         """Take up points, and what lies before the last of them; return that one."""
         special = [
             (event.kind, self._point(at.parameter, at.unknown, at.iterations, at.observed))
@@ -389,7 +389,7 @@ def first_point(
     """A solution as the first point of a curve, with its direction, towards growing p or roughly
     known, and what a step control uses."""
     at = system.linearise(unknown, parameter)
-    tangent, seen = tangent_of(system, unknown, at, towards), observed(system, at)
+    tangent, seen = tangent_of(system, unknown, at, towards), observe_point(system, at)
     record = None if seen is None else at.record.ravel()
     return PathPoint(unknown, parameter, iterations, tangent, record=record, observed=seen)
 

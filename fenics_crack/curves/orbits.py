@@ -40,10 +40,10 @@ from fenics_crack.curves.orbit_events import (
 from fenics_crack.curves.waves import WAVES, Waves
 from fenics_crack.motion.flow import ContactFlow, Motion, doubles, exact_flow
 from fenics_crack.motion.shooting import OrbitPoint, ShootingEquations
-from fenics_crack.numerics.equations import EPSILON, ROUNDING
+from fenics_crack.numerics.equations import MACHINE_EPSILON, ROUNDING
 from fenics_crack.numerics.path import BranchPoint, Fold
 
-FORWARD_STEP = math.sqrt(EPSILON)
+FORWARD_STEP = math.sqrt(MACHINE_EPSILON)
 """Step of p for a forward difference: its truncation error is then as small as its rounding."""
 
 

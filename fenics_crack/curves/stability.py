@@ -52,8 +52,8 @@ from fenics_crack.motion.flow import exact_flow
 from fenics_crack.motion.orbit import FORMED, KNOWN, PeriodicOrbit, eigenvalues, equal, find_orbit
 from fenics_crack.motion.search import SearchOptions, by_homotopy
 from fenics_crack.motion.shooting import FlowOrbits
-from fenics_crack.numerics.fourier import sampled
-from fenics_crack.numerics.newton import moving_size
+from fenics_crack.numerics.fourier import sample_period
+from fenics_crack.numerics.newton import motion_size
 
 
 def monodromy(
@@ -71,7 +71,7 @@ def monodromy(
     InputError where the law's tangent is not the slope of its force along the solution.
     """
     modes = all_modes(structure).below(static_above)
-    seen = sampled(gap, 4 * len(gap))
+    seen = sample_period(gap, 4 * len(gap))
     if modes.residual is not None:
         seen = seen - smooth_forces(contact, modes.residual, seen)[0] @ modes.residual
     check_slope(contact, seen)
@@ -95,7 +95,7 @@ def _product(
 ) -> np.ndarray:
     """M of so many steps, a power of two: of stretches of the period at once, then of these one
     after the other."""
-    h, n, values = 2.0 * np.pi / base_omega / count, len(modes.squares), sampled(gap, count)
+    h, n, values = 2.0 * np.pi / base_omega / count, len(modes.squares), sample_period(gap, count)
     if modes.residual is None:
         kicks = h * contact.tangent(values)[:, :, None]
     else:
@@ -306,7 +306,7 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
     leading = int(np.abs(values).argmax())
     mu, change = values[leading], vectors[:, leading].real
     states = orbit.sampled.whole_states
-    moved = moving_size(orbits.scale * states) / np.sqrt(len(states))
+    moved = motion_size(orbits.scale * states) / np.sqrt(len(states))
     change *= 0.01 * moved / np.linalg.norm(change)
     found: list[Attractor] = []
     for start in (orbits.start + change, orbits.start - change)[: 2 if mu == abs(mu) else 1]:

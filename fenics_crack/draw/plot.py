@@ -35,7 +35,7 @@ from fenics_crack.model.contact import ContactLaw, coefficient_of, is_rigid
 from fenics_crack.model.nodes import AXES, Pairs
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.motions import friction_losses, slipping
-from fenics_crack.numerics.equations import CENTRAL_STEP
+from fenics_crack.numerics.equations import CENTRAL_DIFFERENCE_STEP
 from fenics_crack.numerics.fourier import to_complex
 
 if TYPE_CHECKING:  # which loads DOLFINx
@@ -582,7 +582,7 @@ def _orbit(
     touching: str,
 ) -> None:
     """Draw the orbit of one displacement, thick where the crack is closed."""
-    step = CENTRAL_STEP * solution.period
+    step = CENTRAL_DIFFERENCE_STEP * solution.period
 
     def orbit_at(time: np.ndarray) -> np.ndarray:
         before, now, after = (np.ravel(motion(time + by)) for by in (-step, 0.0, step))

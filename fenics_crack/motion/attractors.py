@@ -15,7 +15,7 @@ from fenics_crack.motion.flow import Budget, ContactFlow
 from fenics_crack.motion.orbit import INSTANTS, PIECES, PeriodicOrbit, find_orbit
 from fenics_crack.motion.search import LATER, SearchOptions, comes_back, followed
 from fenics_crack.motion.shooting import FlowOrbits
-from fenics_crack.numerics.equations import LOCATED
+from fenics_crack.numerics.equations import LOCATION_TOLERANCE
 
 SETTLED = 1e-3
 """Maximum relative change of a motion that has settled."""
@@ -98,7 +98,7 @@ def in_the_long_run(orbits: FlowOrbits, start: np.ndarray, most: int | None = No
             decays = 1.0 - abs(orbit.multipliers[0])
             off = np.linalg.norm(orbits.unknown(orbit.state) - last)
             # What decays by |mu| a period and is off by d changes by no less than (1 - |mu|) d.
-            if decays > 0.0 and decays * off <= 2.0 * changes[several] + LOCATED * size:
+            if decays > 0.0 and decays * off <= 2.0 * changes[several] + LOCATION_TOLERANCE * size:
                 after = f"an orbit of {turns} periods of the load"
                 does = f"settles to {after if several else 'a periodic orbit'}"
                 return Attractor(orbit, does, (len(passed) - 1) * orbits.subharmonic, orbits, last)

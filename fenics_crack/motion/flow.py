@@ -41,7 +41,7 @@ from fenics_crack.model.contact import (
 )
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.fourier import waves_of
+from fenics_crack.numerics.fourier import fourier_basis_for
 
 
 @dataclass(frozen=True)
@@ -173,7 +173,9 @@ class Flow:
     ) -> np.ndarray:
         """Displacement of the structure's own dofs, or of some, in states and under contact forces
         at phases of the load: (n, n_dofs) [m]."""
-        return self.displaced(states[:, : self.count], force, waves_of(self.force, phase), dofs)
+        return self.displaced(
+            states[:, : self.count], force, fourier_basis_for(self.force, phase), dofs
+        )
 
     def displaced(
         self,

@@ -32,7 +32,7 @@ from fenics_crack.basics.observables import FILES, FRICTION, Observables, Place,
 from fenics_crack.basics.tables import Tabular, hertz_of
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.extremes import InPeriod, largest
+from fenics_crack.numerics.extremes import RecordFunction, find_maxima
 
 SLIPPING = 1.0 - 1e-6
 """Friction force over its limit from which on a pair slips: orbits are known to 1e-6."""
@@ -141,7 +141,7 @@ class Record:
     force: np.ndarray
     structure: Structure
     friction: float | np.ndarray | None = None
-    at: InPeriod | None = None
+    at: RecordFunction | None = None
     steps: int = 0
     exact: Mapping[str, float] = field(default_factory=dict)
 
@@ -190,7 +190,7 @@ class Record:
             return np.column_stack(parts)
 
         samples = columns(self.motion, self.gap, self.force)
-        return largest(samples, at and (lambda parts: columns(*at(parts))))
+        return find_maxima(samples, at and (lambda parts: columns(*at(parts))))
 
 
 class Harmonics:

@@ -44,9 +44,14 @@ from fenics_crack.kernel import kernel
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import Budget, BudgetError, ContactFlow, Motion, Samples, Track
 from fenics_crack.motion.motions import Observed, Record
-from fenics_crack.numerics.equations import CLOSE, LOCATED, factored, solve_factored
-from fenics_crack.numerics.fourier import balanced, waves_of
-from fenics_crack.numerics.newton import FORCING, gmres, relative_to_motion
+from fenics_crack.numerics.equations import (
+    LOCATION_TOLERANCE,
+    ROOT_TOLERANCE,
+    factorise,
+    solve_factored,
+)
+from fenics_crack.numerics.fourier import fourier_basis_for, fourier_coefficients
+from fenics_crack.numerics.newton import FORCING_TERM, gmres, relative_to_motion
 
 FLOWS, MIN_NEWTON_STEP = 20, 1e-3
 """Search budget in periods integrated, and shortest damped Newton step."""
@@ -244,7 +249,8 @@ class PeriodicOrbit(Observed, Described):
             track, exact = self.motion.track, dict(self.sliding)
             exact |= {"closed_share": track.share(track.sets > 0)} if gap.size else {}
         yield Record(
-            self.omega, self.subharmonic, self.period * parts, balanced(motion, HARMONICS),
+            self.omega, self.subharmonic, self.period * parts,
+            fourier_coefficients(motion, HARMONICS),
             motion, gap, force,
             structure=self.structure,
             friction=getattr(self.flow.friction, "coefficient", None),
@@ -309,7 +315,7 @@ class PeriodicOrbit(Observed, Described):
             force, moved = (one.reshape(len(length), len(weights), -1) for one in (force, moved))
             return np.asarray(np.einsum("k,pkc,pkc->c", weights, force, turn @ moved))
 
-        load = waves_of(flow.force, self.omega * samples.time) @ flow.structure.force
+        load = fourier_basis_for(flow.force, self.omega * samples.time) @ flow.structure.force
         rates = samples.states[:, flow.count :]
         share = (0.5 * length[:, None] * weights).ravel()
         damping = float(share @ np.sum(rates * flow.modes.damped(rates), axis=1))
@@ -463,7 +469,7 @@ def predicted(
         excess = moved - np.concatenate([states[1:], states[:1]])
         change = track.carried(np.zeros(flow.size), excess, ends)[-1]
         inverse = _inverse(flow, track, weights)
-        changes = track.carried(inverse(change, FORCING), excess, ends)[:-1]
+        changes = track.carried(inverse(change, FORCING_TERM), excess, ends)[:-1]
     except (ConvergenceError, np.linalg.LinAlgError, ValueError):
         return None
     count = flow.count
@@ -488,7 +494,7 @@ def _inverse(flow: ContactFlow, track: Track, weights: np.ndarray) -> Inverse:
     """b to (I - M)^-1 b, exactly, or of large states to a relative residual in the norm of the
     energy."""
     if flow.count <= FORMED:
-        factors = factored(np.eye(flow.size) - track.tangent)
+        factors = factorise(np.eye(flow.size) - track.tangent)
         if not (np.isfinite(factors[0]).all() and np.diag(factors[0]).all()):
             raise np.linalg.LinAlgError("I - M is singular")
         return lambda right, sharp: solve_factored(factors, right)
@@ -506,7 +512,7 @@ def find_orbit(
     *,
     subharmonic: int = 1,
     inverse: Inverse | None = None,
-    located: float = LOCATED,
+    located: float = LOCATION_TOLERANCE,
     ended: list[str] | None = None,
 ) -> PeriodicOrbit | None:
     """The orbit that Newton's method leads to from a state at phase zero, closed to 1e-6: behind a
@@ -561,16 +567,16 @@ class _Search:
     def leads_to_orbit(self, inverse: Inverse | None, located: float) -> bool:
         """Return True if the search ends with an orbit."""
         formed = self._flow.count <= FORMED
-        closed, shortest = (located, MIN_NEWTON_STEP) if formed else (CLOSE, 0.1)
+        closed, shortest = (located, MIN_NEWTON_STEP) if formed else (ROOT_TOLERANCE, 0.1)
         self.motion = self._follow(self.state)
         share, own = 1.0, False  # whether the derivative is that of the motion here
         steps: list[np.ndarray] = []  # with one derivative
         if formed and inverse is not None:
-            steps = [inverse(self.motion.state - self.state, FORCING)]
+            steps = [inverse(self.motion.state - self.state, FORCING_TERM)]
         while self.flows < FLOWS:
             if inverse is None or not steps:
                 inverse, own = _inverse(self._flow, self.motion.track, self._weights), True
-                steps = [inverse(self.motion.state - self.state, FORCING)]
+                steps = [inverse(self.motion.state - self.state, FORCING_TERM)]
             step = steps[-1]
             trial = self.state + share * step
             moved = self._follow(trial)

@@ -30,10 +30,10 @@ from fenics_crack.basics.tables import counted, percent
 from fenics_crack.motion.flow import Budget, ContactFlow
 from fenics_crack.motion.orbit import FLOWS, FORMED, PeriodicOrbit, equal, find_orbit, predicted
 from fenics_crack.motion.shooting import FlowOrbits, OrbitPoint
-from fenics_crack.numerics.equations import LOCATED, DenseLinearisation
-from fenics_crack.numerics.fourier import derivative, waves_over
+from fenics_crack.numerics.equations import LOCATION_TOLERANCE, DenseLinearisation
+from fenics_crack.numerics.fourier import differentiate, fourier_basis_over_period
 from fenics_crack.numerics.newton import point_on_path, solve_in_plane
-from fenics_crack.numerics.path import NARROW, Path, Target
+from fenics_crack.numerics.path import HOMOTOPY_OPTIONS, Path, Target
 
 SEGMENTS = 32
 """Multiple-shooting segments per period."""
@@ -142,8 +142,8 @@ def search_orbit(
 def wave_states(flow: ContactFlow, displacement: np.ndarray, base_omega: float) -> np.ndarray:
     """States at equal parts of the period of a wave of the displacement, given by its coefficients
     (2H+1, n_dofs) [m]: (32, 2 n_modes)."""
-    values = waves_over(len(displacement) // 2, SEGMENTS)
-    rate = derivative(displacement, base_omega)
+    values = fourier_basis_over_period(len(displacement) // 2, SEGMENTS)
+    rate = differentiate(displacement, base_omega)
     return flow.state(values @ displacement, values @ rate)
 
 
@@ -195,10 +195,12 @@ def by_homotopy(orbits: FlowOrbits, options: SearchOptions) -> PeriodicOrbit | N
     """The orbit to which the path from the start of some leads; None where that takes too long."""
     begin("an orbit along a path from the motion")
     system = Homotopy(orbits, options.pieces(orbits.flow) // 2)
-    steps = replace(NARROW, max_steps=Budget.pieces)
+    steps = replace(HOMOTOPY_OPTIONS, max_steps=Budget.pieces)
     try:
         # M - I may be singular where the motion closes: next to a resonance without damping.
-        closed = solve_in_plane(orbits, orbits.start, 1.0, None, tolerance=LOCATED, iterations=1)
+        closed = solve_in_plane(
+            orbits, orbits.start, 1.0, None, tolerance=LOCATION_TOLERANCE, iterations=1
+        )
         if closed is not None:
             return orbits.orbit(closed)
         end = Path(system, point_on_path(system, orbits.start, 0.0), steps, [Target(1.0)]).run()

@@ -23,25 +23,25 @@ from scipy.linalg.lapack import dgetrf, dgetrs
 from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.kernel import Struct, ffi, kernel
 
-EPSILON, TINY = float(np.finfo(float).eps), float(np.finfo(float).tiny)
+MACHINE_EPSILON, SMALLEST_NORMAL = float(np.finfo(float).eps), float(np.finfo(float).tiny)
 """Relative rounding, and the smallest number that has it."""
 ROUNDING: float = kernel.ROUNDING
 """Rounding of solutions, relative to the largest."""
-CENTRAL_STEP = float(np.cbrt(EPSILON))
+CENTRAL_DIFFERENCE_STEP = float(np.cbrt(MACHINE_EPSILON))
 """Step of a parameter, for a derivative by central differences: their truncation error is then as
 small as their rounding."""
-LOCATED, CLOSE = 1e-11, math.sqrt(EPSILON)
+LOCATION_TOLERANCE, ROOT_TOLERANCE = 1e-11, math.sqrt(MACHINE_EPSILON)
 """Maximum |F| / |x| of a special point between two points of a path, and relative length of a step
 behind which an orbit is found; and of orbits that many are sought, or that are found by
 products."""
-NEARLY_SOLVED = CENTRAL_STEP
+COARSE_TOLERANCE = CENTRAL_DIFFERENCE_STEP
 """Maximum |F| / |x| of a solution with which another one begins, or by which it is assessed; and
 the largest rounding: equations that require more are refused."""
 
 
-def least_residual(slope: float) -> float:
+def residual_rounding(slope: float) -> float:
     """Return the rounding error of |F| / |x| where F changes by at most so much times |x|."""
-    return max(ROUNDING, min(NEARLY_SOLVED, EPSILON * slope))
+    return max(ROUNDING, min(COARSE_TOLERANCE, MACHINE_EPSILON * slope))
 
 
 class Linearisation(ABC):
@@ -108,7 +108,7 @@ class DenseLinearisation(Linearisation):
 
     @cached_property
     def _factors(self) -> tuple[np.ndarray, np.ndarray]:
-        return factored(self.condense())
+        return factorise(self.condense())
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         return solve_factored(self._factors, right)
@@ -121,7 +121,7 @@ class DenseLinearisation(Linearisation):
         return -1.0 if (swaps + negative) % 2 else 1.0
 
 
-def factored(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def factorise(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """LU factors of A^T: the transpose is in Fortran's order, which LAPACK takes without a
     transposing copy."""
     factors, pivots, _ = dgetrf(matrix.T)
@@ -228,7 +228,7 @@ class _State:
         return np.frombuffer(ffi.buffer(numbers, self._bytes)).reshape(self._shape)
 
 
-def _called_back(failed: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+def _python_callback(failed: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """For functions of the table: what they raise is kept until the loop has ended."""
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -247,34 +247,34 @@ def _called_back(failed: Any) -> Callable[[Callable[..., Any]], Callable[..., An
     return decorate
 
 
-@_called_back(kernel.FAILED)
+@_python_callback(kernel.FAILED)
 def _evaluate(state: _State, unknown: Any, parameter: float) -> int:
     state.at = state.system.linearise(state.array(unknown).copy(), parameter)
     return int(kernel.FOUND)
 
 
-@_called_back(None)
+@_python_callback(None)
 def _residual(state: _State, found: Any) -> None:
     state.array(found)[...] = state.at.residual
 
 
-@_called_back(None)
+@_python_callback(None)
 def _solve(state: _State, right: Any) -> None:
     both = state.array(right)
     both[...] = state.at.solve(both.copy())
 
 
-@_called_back(None)
+@_python_callback(None)
 def _by_parameter(state: _State, found: Any) -> None:
     state.array(found)[...] = state.at.by_parameter
 
 
-@_called_back(None)
+@_python_callback(None)
 def _record(state: _State, found: Any) -> None:
     record = state.at.record.ravel()
     np.frombuffer(ffi.buffer(found, record.nbytes))[:] = record
 
 
-@_called_back(np.nan)
+@_python_callback(np.nan)
 def _sign(state: _State) -> float:
     return state.at.sign

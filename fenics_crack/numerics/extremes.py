@@ -12,22 +12,22 @@ from collections.abc import Callable
 
 import numpy as np
 
-Motion = Callable[[np.ndarray], np.ndarray]
+PeriodicFunctions = Callable[[np.ndarray], np.ndarray]
 """Columns (n, m) of functions at parts (n,) of the period, 0 to 1 and beyond."""
-InPeriod = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
+RecordFunction = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
 """Likewise columns of a motion [m], and gaps [m] and contact forces [N] of all rows."""
-AROUND, STEPS = np.linspace(-1.0, 1.0, 9), 10
+OFFSETS, N_REFINEMENTS = np.linspace(-1.0, 1.0, 9), 10
 """Places around the largest, a quarter as far apart at each step: 4e-9 of the period from 256
 samples on, whose square is rounding with 100 harmonics."""
-POWERS = np.arange(len(AROUND))
-POLYNOMIAL = np.linalg.inv(AROUND[:, None] ** POWERS)
+POWERS = np.arange(len(OFFSETS))
+POLYNOMIAL_FROM_VALUES = np.linalg.inv(OFFSETS[:, None] ** POWERS)
 """Coefficients of the polynomial through values there."""
-SMOOTH = 1e-6
+MAX_POLYNOMIAL_ERROR = 1e-6
 """Maximum distance of a function from its polynomial, over the range of its values next to a
 maximum, of which that is then as small a part."""
 
 
-def largest(values: np.ndarray, at: Motion | None = None) -> np.ndarray:
+def find_maxima(values: np.ndarray, at: PeriodicFunctions | None = None) -> np.ndarray:
     """Largest values (m,) of functions by their samples at equal parts of the period (n, m), and
     by the functions themselves where they are given."""
     tops: np.ndarray = np.max(values, axis=0)
@@ -36,29 +36,29 @@ def largest(values: np.ndarray, at: Motion | None = None) -> np.ndarray:
     high = 2.0 * values - np.minimum(before, after) >= tops
     rows, columns = np.nonzero((values > before) & (values >= after) & high)
     places, distance = rows / len(values), 1.0 / len(values)
-    for step in range(STEPS):
+    for step in range(N_REFINEMENTS):
         if at is None or not len(places):
             break
-        each, near = np.arange(len(places)), places[:, None] + distance * AROUND
+        each, near = np.arange(len(places)), places[:, None] + distance * OFFSETS
         seen = at(near.ravel()).reshape(*near.shape, -1)[each, :, columns]
         best = seen.argmax(axis=1)
         np.maximum.at(tops, columns, seen[each, best])
         if step == 0:
-            there, expected = _top_of_polynomial(seen, AROUND[best])
+            there, expected = _maximise_polynomial(seen, OFFSETS[best])
             top = at(places + distance * there)[each, columns]
             np.maximum.at(tops, columns, top)
-            smooth = np.abs(top - expected) <= SMOOTH * np.ptp(seen, axis=1)
+            smooth = np.abs(top - expected) <= MAX_POLYNOMIAL_ERROR * np.ptp(seen, axis=1)
             flat = (seen == seen[each, best][:, None]).sum(axis=1) > 2  # closed without penetration
             each = np.flatnonzero(~(smooth | flat))
         places, columns = near[each, best[each]], columns[each]
-        distance *= AROUND[1] - AROUND[0]
+        distance *= OFFSETS[1] - OFFSETS[0]
     return tops
 
 
-def _top_of_polynomial(values: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _maximise_polynomial(values: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Places (n,) from -1 to 1, and values, of the maxima of polynomials through values (n, 9), by
     Newton's method from places nearby."""
-    known, place = values @ POLYNOMIAL.T, start
+    known, place = values @ POLYNOMIAL_FROM_VALUES.T, start
     slopes = known[:, 1:] * POWERS[1:]
     bends = slopes[:, 1:] * POWERS[1:-1]
     for _ in range(3):

@@ -15,7 +15,7 @@ import numpy as np
 if TYPE_CHECKING:  # which takes a tenth of NumPy's own time
     from numpy.typing import ArrayLike
 
-AS_MATRIX = 45_000
+MAX_MATRIX_SIZE = 45_000
 """Numbers in the values of all harmonics at all instants up to which a product with them is about
 the work of an FFT (measured with 1 to 100 columns, H = 20 to 100), whose library need not load."""
 
@@ -38,7 +38,7 @@ def from_complex(harmonics: np.ndarray) -> np.ndarray:
     return coefficients
 
 
-def waves(phase: np.ndarray, orders: ArrayLike = (1.0,)) -> np.ndarray:
+def fourier_basis(phase: np.ndarray, orders: ArrayLike = (1.0,)) -> np.ndarray:
     """1, cos k theta, sin k theta, ... of orders k (K,) at phases (...): (..., 2K+1)."""
     angle = np.multiply.outer(phase, orders)
     terms = np.ones((*angle.shape[:-1], 2 * angle.shape[-1] + 1))
@@ -46,7 +46,7 @@ def waves(phase: np.ndarray, orders: ArrayLike = (1.0,)) -> np.ndarray:
     return terms
 
 
-def waves_of(rows: np.ndarray, phase: np.ndarray) -> np.ndarray:
+def fourier_basis_for(rows: np.ndarray, phase: np.ndarray) -> np.ndarray:
     """1, cos theta, sin theta, cos 2 theta, ... of as many rows at phases (...): (..., rows)."""
     phase, last = np.asarray(phase, dtype=float), len(rows) // 2
     powers = np.ones((last + 1, *phase.shape), dtype=complex)
@@ -65,10 +65,10 @@ def waves_of(rows: np.ndarray, phase: np.ndarray) -> np.ndarray:
 def evaluate(coefficients: np.ndarray, omega: float, time: np.ndarray) -> np.ndarray:
     """x(t) at times (n,) [s] of coefficients (2H+1, ...): (n, ...)."""
     phase = omega * np.atleast_1d(np.asarray(time, dtype=float))
-    return np.tensordot(waves_of(coefficients, phase), coefficients, 1)
+    return np.tensordot(fourier_basis_for(coefficients, phase), coefficients, 1)
 
 
-def derivative(coefficients: np.ndarray, omega: float) -> np.ndarray:
+def differentiate(coefficients: np.ndarray, omega: float) -> np.ndarray:
     """Coefficients of x'(t) by those of x(t), rows a0, a1, b1, ...: (2H+1, n)."""
     rate = omega * np.arange(1, len(coefficients) // 2 + 1)[:, None]
     found = np.zeros_like(coefficients)
@@ -76,10 +76,12 @@ def derivative(coefficients: np.ndarray, omega: float) -> np.ndarray:
     return found
 
 
-def sampled(coefficients: np.ndarray, count: int) -> np.ndarray:
+def sample_period(coefficients: np.ndarray, count: int) -> np.ndarray:
     """Values at the instants i T / count of coefficients (2H+1, ...), 2H < count: (count, ...)."""
-    if len(coefficients) * count <= AS_MATRIX:
-        return _product(waves_over(len(coefficients) // 2, count), coefficients)
+    if len(coefficients) * count <= MAX_MATRIX_SIZE:
+        return _multiply_columns(
+            fourier_basis_over_period(len(coefficients) // 2, count), coefficients
+        )
     import scipy.fft  # takes a while, and long series alone need it
 
     spectrum = 0.5 * count * to_complex(coefficients)
@@ -87,10 +89,10 @@ def sampled(coefficients: np.ndarray, count: int) -> np.ndarray:
     return np.asarray(scipy.fft.irfft(spectrum, n=count, axis=0))
 
 
-def balanced(values: np.ndarray, harmonics: int) -> np.ndarray:
+def fourier_coefficients(values: np.ndarray, harmonics: int) -> np.ndarray:
     """Coefficients (2H+1, ...) of values at equally spaced instants, more than 2H."""
-    if (2 * harmonics + 1) * len(values) <= AS_MATRIX:
-        return _product(_means(harmonics, len(values)), values)
+    if (2 * harmonics + 1) * len(values) <= MAX_MATRIX_SIZE:
+        return _multiply_columns(_analysis_matrix(harmonics, len(values)), values)
     import scipy.fft
 
     spectrum = scipy.fft.rfft(values, axis=0)[: harmonics + 1] * (2.0 / len(values))
@@ -98,11 +100,11 @@ def balanced(values: np.ndarray, harmonics: int) -> np.ndarray:
     return from_complex(spectrum)
 
 
-def instants(harmonics: int) -> int:
+def count_instants(harmonics: int) -> int:
     """As few equally spaced instants as products of waves of H and 2H harmonics need, or a few more
     with which an FFT is fast."""
     least = 4 * harmonics + 1
-    if (2 * harmonics + 1) * least <= AS_MATRIX:
+    if (2 * harmonics + 1) * least <= MAX_MATRIX_SIZE:
         return least
     import scipy.fft
 
@@ -110,7 +112,7 @@ def instants(harmonics: int) -> int:
 
 
 @lru_cache(maxsize=16)
-def waves_over(harmonics: int, count: int) -> np.ndarray:
+def fourier_basis_over_period(harmonics: int, count: int) -> np.ndarray:
     """Values of 1, cos k theta, sin k theta at the instants i T / count: (count, 2H+1)."""
     instants, order = np.arange(count), np.arange(1, harmonics + 1)
     turned = np.exp(2j * np.pi / count * instants)[np.outer(instants, order) % count]
@@ -121,19 +123,19 @@ def waves_over(harmonics: int, count: int) -> np.ndarray:
 
 
 @lru_cache(maxsize=16)
-def _means(harmonics: int, count: int) -> np.ndarray:
+def _analysis_matrix(harmonics: int, count: int) -> np.ndarray:
     """What makes coefficients of values there: (2H+1, count)."""
-    means = 2.0 / count * waves_over(harmonics, count).T
+    means = 2.0 / count * fourier_basis_over_period(harmonics, count).T
     means[0] *= 0.5
     return means
 
 
-def _product(matrix: np.ndarray, columns: np.ndarray) -> np.ndarray:
+def _multiply_columns(matrix: np.ndarray, columns: np.ndarray) -> np.ndarray:
     found: np.ndarray = matrix @ columns.reshape(len(columns), -1)
     return found.reshape(len(matrix), *columns.shape[1:])
 
 
-def resized(coefficients: np.ndarray, harmonics: int) -> np.ndarray:
+def resize_harmonics(coefficients: np.ndarray, harmonics: int) -> np.ndarray:
     """Coefficients cut off or padded with zeros to a number of harmonics."""
     padded = np.zeros((2 * harmonics + 1, *coefficients.shape[1:]))
     rows = min(len(padded), len(coefficients))
@@ -141,7 +143,7 @@ def resized(coefficients: np.ndarray, harmonics: int) -> np.ndarray:
     return padded
 
 
-def stretched(coefficients: np.ndarray, factor: int) -> np.ndarray:
+def stretch_period(coefficients: np.ndarray, factor: int) -> np.ndarray:
     """The same wave as one of ``factor`` times the period: harmonic k becomes harmonic factor k."""
     harmonics = to_complex(coefficients)
     longer = np.zeros((factor * (len(harmonics) - 1) + 1, *harmonics.shape[1:]), dtype=complex)

@@ -44,13 +44,13 @@ from petsc4py import PETSc
 
 from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.kernel import NULL, Struct, kernel, pointer, shaped
-from fenics_crack.numerics.equations import EPSILON, Linearisation, System, equations_of
+from fenics_crack.numerics.equations import MACHINE_EPSILON, Linearisation, System, equations_of
 
-SELF = PETSc.COMM_SELF
-RESTART: int = kernel.KRYLOV_MOST
+COMM_SELF = PETSc.COMM_SELF
+GMRES_RESTART: int = kernel.KRYLOV_MOST
 """Vectors that GMRES keeps."""
 OPTIONS_PREFIX = "crack_hb_"
-FORCING = 1e-2
+FORCING_TERM = 1e-2
 """Relative residual of GMRES in the first steps; later ones are solved as sharply as pays
 (Eisenstat and Walker, SIAM Journal on Scientific Computing 17, 1996, 16)."""
 
@@ -59,7 +59,7 @@ def gmres(
     apply: Callable[[np.ndarray], np.ndarray],
     right: np.ndarray,
     tolerance: float,
-    most: int = RESTART,
+    most: int = GMRES_RESTART,
 ) -> np.ndarray:
     """x with A x = r to |A x - r| <= tolerance |r|, for arrays of one shape, the same on all ranks;
     or the best that ``most`` iterations find."""
@@ -67,13 +67,13 @@ def gmres(
     def multiply(_: Any, source: Any, target: Any) -> None:
         target.array_w[:] = apply(source.array_r.reshape(right.shape)).ravel()
 
-    matrix = PETSc.Mat().createPython((right.size,) * 2, SimpleNamespace(mult=multiply), SELF)
+    matrix = PETSc.Mat().createPython((right.size,) * 2, SimpleNamespace(mult=multiply), COMM_SELF)
     matrix.setUp()
-    solver = PETSc.KSP().create(SELF)
+    solver = PETSc.KSP().create(COMM_SELF)
     solver.setOptionsPrefix("crack_krylov_")
     solver.setOperators(matrix)
     solver.setType("gmres")
-    solver.setGMRESRestart(RESTART)
+    solver.setGMRESRestart(GMRES_RESTART)
     solver.getPC().setType("none")
     solver.setTolerances(rtol=tolerance, atol=0.0, max_it=most)
     solver.setFromOptions()
@@ -95,7 +95,7 @@ class SingleSystem(System, Protocol):
     """True if the system only applies its Jacobian: GMRES solves with it then."""
 
 
-def kernel_solves(system: SingleSystem) -> bool:
+def can_solve_in_kernel(system: SingleSystem) -> bool:
     """Return True if the kernel has a system, and no option is for SNES."""
     has = getattr(system, "compiled", None) is not None
     return has and not PETSc.Options(OPTIONS_PREFIX).getAll()
@@ -189,17 +189,17 @@ class Newton(Snes):
         self._at: tuple[np.ndarray, Linearisation] | None = None
         self._tangent: Linearisation
         size = int(np.prod(system.shape))
-        matrix = PETSc.Mat().createPython((size, size), self, SELF)
+        matrix = PETSc.Mat().createPython((size, size), self, COMM_SELF)
         matrix.setUp()
         super().__init__(matrix, history)
 
     def _choose(self, solver: Any) -> None:
         if self.system.matrix_free:
             solver.setType("gmres")
-            solver.setGMRESRestart(RESTART)
-            solver.setTolerances(max_it=RESTART)
+            solver.setGMRESRestart(GMRES_RESTART)
+            solver.setTolerances(max_it=GMRES_RESTART)
             solver.getPC().setType("none")
-            self._snes.setUseEW(True, version=2, rtol_0=FORCING, rtol_max=FORCING)
+            self._snes.setUseEW(True, version=2, rtol_0=FORCING_TERM, rtol_max=FORCING_TERM)
             self._snes.setMaxLinearSolveFailures(1000)  # an inexact step is better than none
         else:
             solver.setType("preonly")
@@ -241,10 +241,10 @@ MAX_ITERATIONS = 8
 """Maximum iterations of one correction."""
 MIN_DAMPING = 0.05
 """Minimum damping factor of a Newton step."""
-FULL_STEPS, STALL = 20, 8
+MAX_FULL_STEPS, MAX_STALLED_STEPS = 20, 8
 """Budget of full steps from a guess at a given parameter: their number, and those that may together
 fail to halve the residual."""
-STRAY = 3.0
+MAX_PARAMETER_REACH = 3.0
 """Maximum distance of the parameter from its prediction, in steps."""
 
 
@@ -302,25 +302,25 @@ def means_of(system: System) -> int:
     return int(getattr(system, "means", 0))
 
 
-def moving_square(moving: float, means: float) -> float:
+def motion_square(moving: float, means: float) -> float:
     """The square of a size, given that of the means over time and that of all else: means
     contribute no more than all else, unless that is rounding, as where nothing vibrates."""
     whole = moving + means
-    return max(2.0 * moving if EPSILON**0.75 * means < moving < means else whole, 1e-300)
+    return max(2.0 * moving if MACHINE_EPSILON**0.75 * means < moving < means else whole, 1e-300)
 
 
-def moving_size(motion: np.ndarray) -> float:
+def motion_size(motion: np.ndarray) -> float:
     """The size of a motion in time (n, k), over all of that, likewise."""
     mean = motion.sum(axis=0) / len(motion)
     moving = motion - mean
     means = len(motion) * float(mean @ mean)
-    return math.sqrt(moving_square(float(np.vdot(moving, moving)), means))
+    return math.sqrt(motion_square(float(np.vdot(moving, moving)), means))
 
 
 def relative_to_motion(change: np.ndarray, whole: np.ndarray) -> float:
     """Size of a change of a motion in time (n, k) relative to that of the whole, to which its means
     contribute no more than all else: a steady load does not make errors small."""
-    return float(np.linalg.norm(change)) / moving_size(whole) if whole.any() else 0.0
+    return float(np.linalg.norm(change)) / motion_size(whole) if whole.any() else 0.0
 
 
 def norm_at(system: System, unknown: np.ndarray) -> tuple[float, float]:
@@ -334,7 +334,7 @@ def norm_at(system: System, unknown: np.ndarray) -> tuple[float, float]:
     means = float(mean @ mean)
     whole = float(np.vdot(unknown, unknown))
     # Equations are solved to a part of this size, which rounding of the means must not be.
-    square = moving_square(max(whole - means, EPSILON**0.5 * whole), means)
+    square = motion_square(max(whole - means, MACHINE_EPSILON**0.5 * whole), means)
     return 1.0 / square, 0.5 * square / means if 2.0 * means > square else 1.0
 
 
@@ -386,7 +386,7 @@ def solve_in_plane(
         size = Struct("norm", weight=plane.weight, of_means=plane.of_means)
         border = Struct("plane", across=across, slope=plane.p, size=size).at
     shortest = -1.0 if least_damping is None else least_damping
-    how = correction(tolerance, reach, iterations, shortest, stall)
+    how = correction_struct(tolerance, reach, iterations, shortest, stall)
     outcome = equations.run(
         kernel.solve_in_plane, border, how.at, pointer(shaped(found, *equations.shape)),
         pointer(place), pointer(taken),
@@ -398,7 +398,7 @@ def solve_in_plane(
 
 
 @lru_cache
-def correction(
+def correction_struct(
     tolerance: float,
     reach: float,
     iterations: int = MAX_ITERATIONS,
@@ -412,7 +412,7 @@ def correction(
     )  # fmt: skip
 
 
-def correct(
+def predict_and_correct(
     system: System, start: PathPoint, step: float, tolerance: float, *, reach: float | None = None
 ) -> PathPoint | None:
     """The point of a path at a distance from another one; None where it is not found.
@@ -422,7 +422,7 @@ def correct(
     """
     ahead = start.tangent
     unknown, parameter = start.unknown + step * ahead.x, start.parameter + step * ahead.p
-    reach = reach or STRAY * step
+    reach = reach or MAX_PARAMETER_REACH * step
     return solve_in_plane(system, unknown, parameter, ahead, tolerance=tolerance, reach=reach)
 
 
@@ -430,7 +430,7 @@ def step_along(
     system: System, start: PathPoint, step: float, tolerance: float = 1e-8
 ) -> PathPoint | None:
     """The same with the tangent there, which keeps its direction."""
-    found = correct(system, start, step, tolerance)
+    found = predict_and_correct(system, start, step, tolerance)
     if found is None or found.at is None:
         return None
     return replace(found, tangent=tangent_of(system, found.unknown, found.at, start.tangent))
@@ -442,18 +442,19 @@ def solve_at(
     parameter: float,
     *,
     tolerance: float,
-    iterations: int = FULL_STEPS,
+    iterations: int = MAX_FULL_STEPS,
     least_damping: float | None = None,
 ) -> PathPoint | None:
     """Newton steps from a guess at a given parameter, full ones unless they may be shortened; None
     where they do not converge."""
     return solve_in_plane(
         system, unknown, parameter, None,
-        tolerance=tolerance, iterations=iterations, least_damping=least_damping, stall=STALL,
+        tolerance=tolerance, iterations=iterations, least_damping=least_damping,
+        stall=MAX_STALLED_STEPS,
     )  # fmt: skip
 
 
-def solve_near(
+def solve_robustly(
     system: System, unknown: np.ndarray, parameter: float, *, tolerance: float, full: bool = True
 ) -> PathPoint | None:
     """A solution at a parameter by full steps from a guess, or else by steps that are shortened
@@ -462,7 +463,7 @@ def solve_near(
     return found or solve_at(system, unknown, parameter, tolerance=tolerance, least_damping=0.01)
 
 
-def distance(system: System, before: PathPoint, after: PathPoint) -> float:
+def chord_length(system: System, before: PathPoint, after: PathPoint) -> float:
     """Length of the chord between two points in the norm of the first one."""
     change = after.unknown - before.unknown
     square = before.tangent.product(system, change, change)

@@ -38,30 +38,30 @@ import numpy as np
 from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.kernel import NULL, Struct, kernel, pointer
 from fenics_crack.numerics.equations import (
-    EPSILON,
-    LOCATED,
+    LOCATION_TOLERANCE,
+    MACHINE_EPSILON,
     ROUNDING,
     Linearisation,
     System,
     equations_of,
 )
 from fenics_crack.numerics.newton import (
-    STRAY,
+    MAX_PARAMETER_REACH,
     PathPoint,
     Tangent,
-    correction,
-    distance,
+    chord_length,
+    correction_struct,
     solve_at,
     solve_in_plane,
     step_along,
     tangent_of,
 )
 
-STRAIGHT = 0.9
+MIN_DIRECTION_COSINE = 0.9
 """Minimum cosine of the angle between two directions that count as one."""
-FEW = 3
+POINTS_AFTER_HALVING = 3
 """Points that are computed at once where steps were halved."""
-ARRIVED = math.sqrt(EPSILON)
+ARRIVAL_DISTANCE = math.sqrt(MACHINE_EPSILON)
 """Distance to a point of a path at which it counts as found, and the shortest step: where the
 parameter turns, it is then known to the square of that."""
 
@@ -72,7 +72,7 @@ class PathOptions:
 
     initial_step: float
     max_step: float
-    min_step: float = ARRIVED
+    min_step: float = ARRIVAL_DISTANCE
     """Minimum step; the path ends where steps would be shorter."""
     max_steps: int = 1000
     rtol: float = 1e-9
@@ -87,11 +87,11 @@ class PathOptions:
     """Range of the parameter: the path ends where it is left."""
 
 
-NARROW = PathOptions(0.3, 0.3, min_cosine=0.5, span=(0.0, 2.0))
+HOMOTOPY_OPTIONS = PathOptions(0.3, 0.3, min_cosine=0.5, span=(0.0, 2.0))
 """Options for paths whose parameter runs from 0 to 1; one that goes as far beyond is left."""
 
 
-class Ended(Enum):
+class EndReason(Enum):
     """Reason for the end of a path."""
 
     MET = "reached the end"
@@ -109,7 +109,7 @@ NOT_IN_KERNEL = "met", "observed"
 """Members that the kernel does not have of a stretch."""
 
 
-class Stretch(Sequence[PathPoint]):
+class PathSegment(Sequence[PathPoint]):
     """Points of a path in the kernel's arrays, one after the other; each is made where it is asked
     for.
 
@@ -162,7 +162,7 @@ class Stretch(Sequence[PathPoint]):
     def __len__(self) -> int:
         return len(self.parameters)
 
-    def singly(self) -> Iterator[Stretch]:
+    def singly(self) -> Iterator[PathSegment]:
         """Each point by itself."""
         for place in range(len(self)):
             part = self[place : place + 1]
@@ -172,10 +172,10 @@ class Stretch(Sequence[PathPoint]):
     @overload
     def __getitem__(self, place: int) -> PathPoint: ...
     @overload
-    def __getitem__(self, place: slice) -> Stretch: ...
-    def __getitem__(self, place: int | slice) -> PathPoint | Stretch:
+    def __getitem__(self, place: slice) -> PathSegment: ...
+    def __getitem__(self, place: int | slice) -> PathPoint | PathSegment:
         if isinstance(place, slice):
-            part = object.__new__(Stretch)
+            part = object.__new__(PathSegment)
             arrays = {name: array for name, array in vars(self).items() if name != "met"}
             vars(part).update({name: array[place] for name, array in arrays.items()}, met=[])
             return part
@@ -191,7 +191,7 @@ class Stretch(Sequence[PathPoint]):
 
 # --- events ---------------------------------------------------------------------------------------
 
-Ends = tuple[PathPoint, PathPoint]
+SegmentEnds = tuple[PathPoint, PathPoint]
 """Two neighbours on a path."""
 
 
@@ -214,11 +214,11 @@ class Event(ABC):
     terminal, sought, words, kind = False, False, "", ""
 
     @abstractmethod
-    def between(self, points: Stretch) -> np.ndarray:
+    def between(self, points: PathSegment) -> np.ndarray:
         """Return True where it may lie behind a point, for each but the last: (n-1,) bool."""
 
     @abstractmethod
-    def locate(self, system: System, ends: Ends, rtol: float) -> PathPoint | None:
+    def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
         """Locate it; None where it is not there, or is not found."""
 
 
@@ -228,14 +228,14 @@ class BranchPoint(Event):
 
     kind = "branch_point"
 
-    def between(self, points: Stretch) -> np.ndarray:
+    def between(self, points: PathSegment) -> np.ndarray:
         return np.asarray(points.crossings[1:] > 0)
 
-    def locate(self, system: System, ends: Ends, rtol: float) -> PathPoint | None:
+    def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
         before, behind = ends
-        near, far = 0.0, distance(system, before, behind)
+        near, far = 0.0, chord_length(system, before, behind)
         side = _orientation(system, before)
-        while far - near > ARRIVED:
+        while far - near > ARRIVAL_DISTANCE:
             middle = 0.5 * (near + far)
             point = step_along(system, before, middle, rtol)
             if point is None:
@@ -254,21 +254,21 @@ def _orientation(system: System, point: PathPoint) -> float:
 
 
 class Crossing(Event):
-    """Zero of a function of points (:func:`zero_between`)."""
+    """Zero of a function of points (:func:`find_zero`)."""
 
     def __init__(self, test: Callable[[PathPoint], float]) -> None:
         self._test = test
 
-    def between(self, points: Stretch) -> np.ndarray:
+    def between(self, points: PathSegment) -> np.ndarray:
         values = np.array([self._test(point) for point in points])
         return np.asarray(values[1:] * values[:-1] < 0.0)
 
-    def locate(self, system: System, ends: Ends, rtol: float) -> PathPoint | None:
-        return zero_between(system, ends, self._test, rtol)[0]
+    def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
+        return find_zero(system, ends, self._test, rtol)[0]
 
 
-def zero_between(
-    system: System, ends: Ends, test: Callable[[PathPoint], float], rtol: float
+def find_zero(
+    system: System, ends: SegmentEnds, test: Callable[[PathPoint], float], rtol: float
 ) -> tuple[PathPoint, float]:
     """The point between two neighbours where a function vanishes, by the Illinois method, and the
     function there; where that fails the point at which it was smallest.
@@ -280,7 +280,7 @@ def zero_between(
     """
     before, after = ends
     change, rise = after.unknown - before.unknown, after.parameter - before.parameter
-    length = distance(system, before, after) or 1.0
+    length = chord_length(system, before, after) or 1.0
     chord = replace(before.tangent, x=change / length, p=rise / length)
     met = {share: (point, test(point)) for share, point in zip((0.0, 1.0), ends, strict=True)}
 
@@ -292,11 +292,13 @@ def zero_between(
             x = x + lean[0] * before.tangent.x + lean[1] * after.tangent.x
             p = before.parameter + smooth * rise
             p += lean[0] * before.tangent.p + lean[1] * after.tangent.p
-            crossing = solve_in_plane(system, x, p, chord, tolerance=rtol, reach=STRAY * length)
+            crossing = solve_in_plane(
+                system, x, p, chord, tolerance=rtol, reach=MAX_PARAMETER_REACH * length
+            )
             if crossing is None or crossing.at is None:
                 raise ConvergenceError("path: lost between two points")
             tangent = tangent_of(system, crossing.unknown, crossing.at, chord)
-            point = replace(crossing, tangent=tangent, observed=observed(system, crossing.at))
+            point = replace(crossing, tangent=tangent, observed=observe_point(system, crossing.at))
             met[share] = point, test(point)
         return met[share][1]
 
@@ -324,12 +326,12 @@ class Fold(Crossing):
     def __init__(self) -> None:
         super().__init__(lambda point: point.tangent.p)
 
-    def between(self, points: Stretch) -> np.ndarray:
+    def between(self, points: PathSegment) -> np.ndarray:
         return np.asarray(points.slopes[1:] * points.slopes[:-1] < 0.0)
 
-    def locate(self, system: System, ends: Ends, rtol: float) -> PathPoint | None:
-        near, length = _between(system, ends, None, rtol), distance(system, *ends)
-        if near is None and length > 4.0 * ARRIVED:  # by shorter steps
+    def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
+        near, length = _find_between(system, ends, None, rtol), chord_length(system, *ends)
+        if near is None and length > 4.0 * ARRIVAL_DISTANCE:  # by shorter steps
             closer = PathOptions(0.25 * length, 0.25 * length, max_steps=8)
             for stretch in Path(system, ends[0], closer, [Fold()]):
                 if stretch.met:
@@ -342,14 +344,14 @@ class Target(Event):
     """Point where the parameter has a given value."""
 
     parameter: float
-    terminal, sought, words = True, True, Ended.MET.value
+    terminal, sought, words = True, True, EndReason.MET.value
 
-    def between(self, points: Stretch) -> np.ndarray:
+    def between(self, points: PathSegment) -> np.ndarray:
         off = points.parameters - self.parameter
         return np.asarray((off[:-1] != 0.0) & (off[1:] * off[:-1] <= 0.0))
 
-    def locate(self, system: System, ends: Ends, rtol: float) -> PathPoint | None:
-        near = _between(system, ends, self.parameter, rtol)
+    def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
+        near = _find_between(system, ends, self.parameter, rtol)
         if near is None:
             return None
         at = solve_at(system, near.unknown, self.parameter, tolerance=rtol)
@@ -357,16 +359,18 @@ class Target(Event):
 
 
 @dataclass(frozen=True)
-class Closed(Event):
+class ClosedLoop(Event):
     """Return of a path to a point of it, by more than some steps."""
 
     origin: PathPoint
     system: System
     terminal, words = True, "closed loop"
 
-    def between(self, points: Stretch) -> np.ndarray:
+    def between(self, points: PathSegment) -> np.ndarray:
         lengths = points.lengths[1:]
-        near = np.abs(points.parameters[:-1] - self.origin.parameter) <= lengths / STRAIGHT
+        near = (
+            np.abs(points.parameters[:-1] - self.origin.parameter) <= lengths / MIN_DIRECTION_COSINE
+        )
         for place in np.flatnonzero(near):
             here = points[int(place)]
             ahead, back = here.tangent, self.origin.unknown - here.unknown
@@ -375,29 +379,33 @@ class Closed(Event):
             near[place] = 0.0 < way <= lengths[place]
         return np.asarray(near)
 
-    def locate(self, system: System, ends: Ends, rtol: float) -> PathPoint | None:
+    def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
         before, origin = ends[0], self.origin
-        chord = distance(system, before, origin)
+        chord = chord_length(system, before, origin)
         back, rise = origin.unknown - before.unknown, origin.parameter - before.parameter
         along = replace(before.tangent, x=back, p=rise).along(before.tangent, system)
-        if along < STRAIGHT:
+        if along < MIN_DIRECTION_COSINE:
             return None
         met = step_along(system, before, along * chord, rtol)
-        if met is None or met.tangent.along(origin.tangent, system) < STRAIGHT:
+        if met is None or met.tangent.along(origin.tangent, system) < MIN_DIRECTION_COSINE:
             return None
         off = met.unknown - origin.unknown
         return origin if origin.tangent.product(system, off, off) < 1e-10 else None
 
 
-def _between(system: System, ends: Ends, target: float | None, rtol: float) -> PathPoint | None:
+def _find_between(
+    system: System, ends: SegmentEnds, target: float | None, rtol: float
+) -> PathPoint | None:
     """The point between two others of a path where the parameter turns back, or where it is a
     ``target``; None where it is not found.
 
     Where the next point is looked for follows from Hermite's cubic polynomial p(s) through the two
     points that enclose it, with s along the tangent of the first one.
     """
-    equations, found = equations_of(system, ends[0].unknown.shape), Stretch(ends, 3)
-    how = Struct("stepping", shortest=ARRIVED, newton=correction(rtol, STRAY))
+    equations, found = equations_of(system, ends[0].unknown.shape), PathSegment(ends, 3)
+    how = Struct(
+        "stepping", shortest=ARRIVAL_DISTANCE, newton=correction_struct(rtol, MAX_PARAMETER_REACH)
+    )
     wanted = NULL if target is None else pointer(np.array([target]))
     path = found.struct(2)
     outcome = equations.run(kernel.find_between, how.at, wanted, path.at)
@@ -411,11 +419,11 @@ class StepControl(ABC):
     """Control of the step length by more than the path itself."""
 
     @abstractmethod
-    def too_long(self, points: Stretch) -> np.ndarray:
+    def too_long(self, points: PathSegment) -> np.ndarray:
         """Return True where a step, behind each point but the last, is too long: (n-1,) bool."""
 
 
-def observed(system: System, at: Linearisation) -> np.ndarray | None:
+def observe_point(system: System, at: Linearisation) -> np.ndarray | None:
     """Return the values that a step control uses at a point, if the system has them."""
     observe = getattr(system, "observe", None)
     return None if observe is None else np.asarray(observe(at.record[None])[0])
@@ -452,9 +460,11 @@ class Path:
         self._system, self._options, self._events = system, options, events
         self._equations, self._control = equations_of(system, start.unknown.shape), control
         self._longest = options.max_step
-        self._at_once = options.at_once if control is None else min(FEW, options.at_once)
+        self._at_once = (
+            options.at_once if control is None else min(POINTS_AFTER_HALVING, options.at_once)
+        )
         self.last = start = self._observed(start)
-        self.ended: Ended | None = None
+        self.ended: EndReason | None = None
         self.event: Event | None = None
         self._begin(start, options.initial_step)
 
@@ -467,19 +477,19 @@ class Path:
         """The terminal event's point, all of the path at once; None where it meets none."""
         for _ in self:
             pass
-        return self.last if self.ended is Ended.MET else None
+        return self.last if self.ended is EndReason.MET else None
 
-    def __iter__(self) -> Iterator[Stretch]:
+    def __iter__(self) -> Iterator[PathSegment]:
         left, shorter = self._options.max_steps, math.inf
         while self.ended is None:
             if not left:
-                self.ended = Ended.MANY
+                self.ended = EndReason.MANY
                 return
             stretch = self._follow(left)
             if stretch is None:
                 continue
             if len(stretch) == 1:
-                self.ended = Ended.SHORT
+                self.ended = EndReason.SHORT
                 return
             for found, place in self._eventful(stretch):
                 left -= len(found)
@@ -488,7 +498,7 @@ class Path:
                 else:
                     shorter = 0.25 * min(shorter, float(stretch.lengths[place + 1]))
                     if shorter < self._options.min_step:
-                        self.ended = Ended.LOST
+                        self.ended = EndReason.LOST
                     else:
                         self._begin(stretch[place], shorter)
                 if len(found):
@@ -497,7 +507,7 @@ class Path:
                 if place is not None or self.ended is not None:
                     break
 
-    def _eventful(self, stretch: Stretch) -> Iterator[tuple[Stretch, int | None]]:
+    def _eventful(self, stretch: PathSegment) -> Iterator[tuple[PathSegment, int | None]]:
         """The points behind the first one in parts that end where something happens; with the place
         behind which what is sought was not found."""
         lowest, highest = self._options.span
@@ -507,7 +517,7 @@ class Path:
         begin = 1
         for place in map(int, np.flatnonzero(flags.any(axis=0) | outside)):
             ends = stretch[place], stretch[place + 1]
-            sharp = max(LOCATED, self._rounding(ends[1]))
+            sharp = max(LOCATION_TOLERANCE, self._rounding(ends[1]))
             found = stretch[begin : place + 2]
             for event, near in zip(self._events, flags[:, place], strict=True):
                 at = event.locate(self._system, ends, sharp) if near else None
@@ -519,14 +529,14 @@ class Path:
                         found = stretch[begin : place + 1]
                     else:
                         found.put(-1, at)
-                    self.ended, self.event = Ended.MET, event
+                    self.ended, self.event = EndReason.MET, event
                     yield found, None
                     return
                 if near and at is None and event.sought:
                     yield stretch[begin : place + 1], place
                     return
             if outside[place]:
-                self.ended = Ended.LEFT
+                self.ended = EndReason.LEFT
                 yield stretch[begin : place + 1], None
                 return
             if found.met:
@@ -542,7 +552,7 @@ class Path:
         if self._control is None or point.observed is not None:
             return point
         at = point.at or self._system.linearise(point.unknown, point.parameter)
-        return replace(point, record=at.record.ravel(), observed=observed(self._system, at))
+        return replace(point, record=at.record.ravel(), observed=observe_point(self._system, at))
 
     def _rounding(self, point: PathPoint) -> float:
         """Return the rounding error of |F| / |x| at a point."""
@@ -553,7 +563,7 @@ class Path:
         """Go on from a point, with a step."""
         self._known, self._step, self._orientation = [point], step, 0.0
 
-    def _up_to_halved_step(self, found: Stretch, known: int, step: float) -> Stretch | None:
+    def _up_to_halved_step(self, found: PathSegment, known: int, step: float) -> PathSegment | None:
         """The last point that was known, and those behind it, of which the first was sought by a
         step, up to the first step that is halved; None if that is the first."""
         assert self._control is not None
@@ -572,10 +582,10 @@ class Path:
         if found.crossings[last + 1 :].sum() % 2:
             self._orientation = -self._orientation
         self._step = self._longest = 0.5 * float(lengths[halved[0]])
-        self._at_once = min(FEW, self._options.at_once)
+        self._at_once = min(POINTS_AFTER_HALVING, self._options.at_once)
         return found[known - 1 : last + 1] if last >= known else None
 
-    def _follow(self, left: int) -> Stretch | None:
+    def _follow(self, left: int) -> PathSegment | None:
         """The last point that is known, and those behind it, if no step is too short, no more than
         are left; None where a step control halves the first step."""
         options, known = self._options, self._known
@@ -584,12 +594,12 @@ class Path:
         bounds = [*options.span, *targets]
         many = min(left, self._at_once if self._equations.many else 1)
         records = 0 if self._control is None else int(self._equations.table.records)
-        found = Stretch(known, len(known) + many, records)
+        found = PathSegment(known, len(known) + many, records)
         path = found.struct(len(known), step=self._step, orientation=self._orientation)
         how = Struct(
             "stepping", longest=self._longest, shortest=options.min_step,
             least_cosine=options.min_cosine, rounding=rounding,
-            newton=correction(max(options.rtol, rounding), STRAY),
+            newton=correction_struct(max(options.rtol, rounding), MAX_PARAMETER_REACH),
             lowest=max(p for p in bounds if p <= here),
             highest=min(p for p in bounds if p >= here),
         )  # fmt: skip

@@ -38,7 +38,7 @@ from fenics_crack.model.contact import ActiveSets, ContactLaw, FrictionSets, coe
 from fenics_crack.model.modes import times
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import Flow, check_exact, doubles, exact_flow
-from fenics_crack.numerics.fourier import derivative, from_complex, to_complex, waves_of
+from fenics_crack.numerics.fourier import differentiate, fourier_basis_for, from_complex, to_complex
 from fenics_crack.time.march import March, Scheme, TimeHistory, Window, march
 
 
@@ -212,8 +212,8 @@ class ExponentialFlow(Flow):
         loads = enumerate(to_complex(self.force))
         answers = [modes.steady_response(order * omega, load) for order, load in loads]
         shape = from_complex(np.array(answers))
-        instants = waves_of(self.force, 2.0 * np.pi * np.arange(steps) / steps)
-        self.steady = instants @ np.hstack([shape, derivative(shape, omega)])
+        instants = fourier_basis_for(self.force, 2.0 * np.pi * np.arange(steps) / steps)
+        self.steady = instants @ np.hstack([shape, differentiate(shape, omega)])
         self.linear_gap = instants @ (shape @ modes.pairs + self.gap)
         seen = self.compliance + moved_gap
         own: dict[str, Any]

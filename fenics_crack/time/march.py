@@ -32,8 +32,13 @@ from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.motions import Observed, Record
-from fenics_crack.numerics.fourier import balanced, derivative, evaluate, waves_of
-from fenics_crack.numerics.newton import moving_size
+from fenics_crack.numerics.fourier import (
+    differentiate,
+    evaluate,
+    fourier_basis_for,
+    fourier_coefficients,
+)
+from fenics_crack.numerics.newton import motion_size
 
 MEMORY_LIMIT = 2**31
 """Bytes of history on one rank beyond which recording is refused."""
@@ -154,7 +159,7 @@ class March:
         """1, cos and sin of the multiples of the load's phase at the instants of a period: (N,
         2K+1)."""
         instants = np.arange(self.steps_per_period) / self.steps_per_period
-        return waves_of(self.structure.force, 2.0 * np.pi * instants)
+        return fourier_basis_for(self.structure.force, 2.0 * np.pi * instants)
 
     @cached_property
     def load(self) -> np.ndarray:
@@ -331,7 +336,7 @@ class TimeHistory(Observed, Tabular):
             force = np.hstack([force, self.tangential_force])
         yield Record(
             2.0 * np.pi * (len(self.time) - 1) / steps / np.ptp(self.time), 1, self.time,
-            balanced(motion[-steps:], min(10, (steps - 1) // 2)), motion, gap, force,
+            fourier_coefficients(motion[-steps:], min(10, (steps - 1) // 2)), motion, gap, force,
             structure=structure,
             friction=self.friction,
             steps=steps,
@@ -448,7 +453,7 @@ def _sizes(parts: Sequence[np.ndarray]) -> list[float]:
     Infinite, so that no change of it counts, where a part is rounding relative to the largest
     one, as the gaps of rigid crack faces that stay closed.
     """
-    sizes = [moving_size(part) for part in parts]
+    sizes = [motion_size(part) for part in parts]
     return [size if size > NEGLIGIBLE * max(sizes) else math.inf for size in sizes]
 
 
@@ -464,7 +469,7 @@ def initial_state(
     state: tuple[np.ndarray, ...]
     if isinstance(initial, PeriodicSolution):
         coefficients, omega = initial.displacement_coefficients, initial.base_omega
-        both = coefficients, derivative(coefficients, omega)
+        both = coefficients, differentiate(coefficients, omega)
         state = tuple(evaluate(wave, omega, np.zeros(1))[0] for wave in both)
         if rubs and friction_of(initial.contact) is not None:
             state = *state, initial.sticking_places(np.zeros(1))[0]

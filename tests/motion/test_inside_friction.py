@@ -10,7 +10,7 @@ from fenics_crack.balance.friction_integrals import FrictionIntegrals
 from fenics_crack.model.contact import CoulombFriction, FrictionSets
 from fenics_crack.motion.flow import ContactFlow
 from fenics_crack.motion.orbit import find_orbit
-from fenics_crack.numerics.fourier import sampled
+from fenics_crack.numerics.fourier import sample_period
 
 RIGID = fc.UnilateralConstraint()
 
@@ -162,7 +162,7 @@ def test_derivative_where_a_pair_always_sticks(size: float, origin: int) -> None
     gap = np.zeros((5, 2))
     gap[0, 0], gap[1, 1] = 1.0, size
     at_wave = integrals.linearise(gap)
-    assert np.all(at_wave.states == 1) and integrals.march(sampled(gap, 64))[3][0] == origin
+    assert np.all(at_wave.states == 1) and integrals.march(sample_period(gap, 64))[3][0] == origin
     change, step = np.zeros((5, 2)), 1e-7
     change[:, 1] = np.random.default_rng(3).normal(size=5)
     ends = [integrals.force(gap + sign * step * change) for sign in (1.0, -1.0)]
