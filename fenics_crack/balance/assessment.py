@@ -11,7 +11,7 @@ the own orbit of the solution with twice or four times the harmonics, up to the 
 Without an orbit the error is stated from the prediction p as 3 p / (1 + 2 p): three times a small
 one, and never below p. Then the exact motion that begins with the solution is followed, and a small
 disturbance of it: where that grows the motion is irregular
-(:func:`fenics_crack.motion.attractors.irregular_motion`).
+(:func:`fenics_crack.motion.attractors.find_irregular_motion`).
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ from fenics_crack.balance.more_modes import UNKNOWN, MoreModes, is_still, loaded
 from fenics_crack.balance.problem import Problem, Search
 from fenics_crack.basics.tables import percent
 from fenics_crack.model.modal import is_small
-from fenics_crack.motion.attractors import Attractor, irregular_motion
+from fenics_crack.motion.attractors import Attractor, find_irregular_motion
 from fenics_crack.motion.flow import ContactFlow, flow_of
 from fenics_crack.motion.orbit import (
-    FLOWS,
+    MAX_SEARCH_PERIODS,
     PeriodicOrbit,
     Prediction,
-    affordable,
     find_orbit,
-    predicted,
-    too_slow,
+    is_affordable,
+    is_too_slow,
+    predict_orbit,
 )
 from fenics_crack.motion.search import wave_states
 from fenics_crack.numerics.equations import COARSE_TOLERANCE
@@ -106,13 +106,13 @@ class Assessment:
     def affordable(self) -> bool:
         """True if there is a flow on which a search for orbits does not take long."""
         flow, wave = self.flow, self.wave
-        return flow is not None and affordable(flow, wave.omega, wave.subharmonic)
+        return flow is not None and is_affordable(flow, wave.omega, wave.subharmonic)
 
     @property
     def too_slow(self) -> bool:
         """True if the load is too slow for the time integration of exact motions of few modes."""
         flow, wave = self.flow, self.wave
-        return flow is not None and too_slow(flow, wave.omega, wave.subharmonic)
+        return flow is not None and is_too_slow(flow, wave.omega, wave.subharmonic)
 
     @cached_property
     def states(self) -> np.ndarray:
@@ -130,7 +130,9 @@ class Assessment:
         """One step of Newton's method of the whole solution; None where its motion cannot be
         followed."""
         flow, wave = self.flow, self.wave
-        return None if flow is None else predicted(flow, wave.omega, self.states, wave.subharmonic)
+        return (
+            None if flow is None else predict_orbit(flow, wave.omega, self.states, wave.subharmonic)
+        )
 
     @property
     def predicted_error(self) -> float:
@@ -189,7 +191,9 @@ class Assessment:
         if self.orbit is not None or self.prediction is None or not self.affordable:
             return None
         assert self.flow is not None
-        return irregular_motion(self.flow, self.wave.omega, self.states[0], self.wave.subharmonic)
+        return find_irregular_motion(
+            self.flow, self.wave.omega, self.states[0], self.wave.subharmonic
+        )
 
     @cached_property
     def distance(self) -> float:
@@ -231,7 +235,9 @@ class Assessment:
             return None
         assert wave.contact is not None
         flow = flow_of(reference, wave.contact)
-        known = flow is not None and affordable(flow, wave.omega, wave.subharmonic, FLOWS)
+        known = flow is not None and is_affordable(
+            flow, wave.omega, wave.subharmonic, MAX_SEARCH_PERIODS
+        )
         if flow is None or not known or self.orbit is None:
             return None
         return MoreModes(flow, wave, self.orbit)

@@ -31,7 +31,13 @@ from fenics_crack.model.matrices import numbers
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import ContactFlow, exact_flow
 from fenics_crack.motion.motions import rows_of
-from fenics_crack.motion.orbit import KNOWN, PeriodicOrbit, affordable, find_orbit, orbit_from
+from fenics_crack.motion.orbit import (
+    MULTIPLIER_TOLERANCE,
+    PeriodicOrbit,
+    find_orbit,
+    is_affordable,
+    orbit_from,
+)
 from fenics_crack.numerics.fourier import fourier_coefficients
 from fenics_crack.numerics.newton import relative_to_motion
 
@@ -214,7 +220,7 @@ def _sought(
 ) -> PeriodicOrbit:
     """The orbit of a case."""
     flow = ContactFlow(problem.structure, problem.contact)
-    if not affordable(flow, problem.omega):
+    if not is_affordable(flow, problem.omega):
         raise ConvergenceError("a load too slow, or too many modes, for exact orbits")
     known = (many.verdict[before] != "") & (many.load[before] != 0.0)
     before, x = before[known][:BEFORE], x[known][:BEFORE]
@@ -226,7 +232,9 @@ def _sought(
         guesses.insert(0, np.linalg.lstsq(rows, weights * states, rcond=None)[0][0])
     found = (find_orbit(flow, problem.omega, state, located=SHORT) for state in guesses)
     orbit, many.status[case] = next(filter(None, found), None), "neighbour"
-    if orbit is not None and abs(orbit.multipliers[0]) <= 1.0 + KNOWN:  # 1 without damping
+    if (
+        orbit is not None and abs(orbit.multipliers[0]) <= 1.0 + MULTIPLIER_TOLERANCE
+    ):  # 1 without damping
         return orbit
     search = initial_orbit(problem)
     if orbit is None or (search.orbit is not None and search.orbit.is_stable):
@@ -253,7 +261,7 @@ def _numbers(problem: Problem, orbit: PeriodicOrbit, watched: np.ndarray) -> dic
         "multiplier": multiplier,
         "truncation": off,
         "states": orbit.state,
-        "verdict": "undecided" if abs(multiplier - 1.0) <= KNOWN else verdict,
+        "verdict": "undecided" if abs(multiplier - 1.0) <= MULTIPLIER_TOLERANCE else verdict,
     }
 
 

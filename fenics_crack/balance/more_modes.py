@@ -27,14 +27,14 @@ from fenics_crack.model.reduced import ReducedStructure, massless
 from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.motion.flow import ContactFlow, Samples
 from fenics_crack.motion.orbit import (
-    INSTANTS,
-    KNOWN,
+    INSTANTS_PER_PERIOD,
+    MULTIPLIER_TOLERANCE,
     Inverse,
     MotionInArcs,
     PeriodicOrbit,
     find_orbit,
-    predicted,
-    predicted_motion,
+    predict_motion,
+    predict_orbit,
 )
 from fenics_crack.motion.search import SEGMENTS
 from fenics_crack.numerics.equations import ROOT_TOLERANCE
@@ -98,13 +98,13 @@ class MoreModes:
         count = self.fewer.flow.count
         shape, speed, places = np.split(samples.whole_states, [count, 2 * count], axis=1)
         if massless(self.wave.structure) is None:
-            return self._expanded(shape, speed, places)[:: INSTANTS // SEGMENTS]
+            return self._expanded(shape, speed, places)[:: INSTANTS_PER_PERIOD // SEGMENTS]
         kept = shape.shape[1]
         loads = fourier_basis_for(flow.force, self.wave.omega * samples.time) @ flow.force[:, kept:]
         loads = loads - samples.forces @ flow.modes.pairs[kept:].T
         static = loads / flow.modes.squares[kept:]
         rate = (np.roll(static, -1, axis=0) - np.roll(static, 1, axis=0)) / (2.0 * samples.time[1])
-        return np.hstack([shape, static, speed, rate, places])[:: INSTANTS // SEGMENTS]
+        return np.hstack([shape, static, speed, rate, places])[:: INSTANTS_PER_PERIOD // SEGMENTS]
 
     def _expanded(self, shape: np.ndarray, speed: np.ndarray, places: np.ndarray) -> np.ndarray:
         """States of the reference of modal ones of a structure with mass."""
@@ -132,9 +132,9 @@ class MoreModes:
         orbit = search(states[0], inverse=start_inverse) or (
             search(states[0]) if start_inverse else None
         )
-        if orbit is None and (step := predicted(flow, omega, states, periods)):
+        if orbit is None and (step := predict_orbit(flow, omega, states, periods)):
             orbit = search(step.states[0], inverse=step.inverse)
-            return orbit or predicted_motion(flow, omega, step, periods)
+            return orbit or predict_motion(flow, omega, step, periods)
         return orbit
 
     @property
@@ -163,7 +163,7 @@ class MoreModes:
             return ""
         size = float(abs(self.orbit.multipliers[0]))
         other = "stable" if size < 1.0 else "unstable"
-        if other == verdict or abs(size - 1.0) <= KNOWN:
+        if other == verdict or abs(size - 1.0) <= MULTIPLIER_TOLERANCE:
             return ""
         many = len(self.flow.modes.squares)
         return f"with {many} modes the orbit is {other} (largest multiplier {size:.6g})"

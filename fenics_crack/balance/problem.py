@@ -70,7 +70,7 @@ from fenics_crack.model.contact import (
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import flow_of
-from fenics_crack.motion.orbit import FORMED, PeriodicOrbit, affordable
+from fenics_crack.motion.orbit import MAX_MODES_FOR_MONODROMY, PeriodicOrbit, is_affordable
 from fenics_crack.motion.search import SearchOptions, search_orbit, wave_states
 from fenics_crack.numerics.equations import (
     COARSE_TOLERANCE,
@@ -474,7 +474,7 @@ class Search:
         rest = [(f"continuation in the {quantity}", self._path(system))] * (not self._spent)
         if self.share == 1.0 and system.integrals.coupled and problem.harmonics <= self._many:
             flow = flow_of(problem.structure, problem.contact)
-            late = flow is not None and flow.count > FORMED
+            late = flow is not None and flow.count > MAX_MODES_FOR_MONODROMY
             rest.insert(len(rest) * late, ("from an exact orbit", self._next_to_orbit(problem)))
         yield from rest
 
@@ -544,7 +544,7 @@ class Search:
         where it does not take long to find."""
         flow, at = flow_of(problem.structure, problem.contact), self._fewer
         omega, periods, guesses = problem.omega, problem.subharmonic, list[np.ndarray]()
-        if flow is None or not affordable(flow, omega, periods):
+        if flow is None or not is_affordable(flow, omega, periods):
             return
         if at is not None:
             moved = self.system.compliance.displacement(

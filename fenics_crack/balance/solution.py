@@ -20,7 +20,7 @@ from fenics_crack.basics.tables import TURN, Described, counted, quantity, with_
 from fenics_crack.model.contact import check_slope, coefficient_of, is_unilateral
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import NEGLIGIBLE
-from fenics_crack.motion.motions import Observed, Record
+from fenics_crack.motion.motions import ObservedMotion, Record
 from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.motion.search import SearchOptions
 from fenics_crack.numerics.fourier import evaluate, resize_harmonics, sample_period
@@ -80,7 +80,7 @@ class Stability(Described):
 
 
 @dataclass(frozen=True, repr=False)
-class PeriodicSolution(Wave, Observed, Described):
+class PeriodicSolution(Wave, ObservedMotion, Described):
     """Steady vibration u(t) = a0 + sum_k a_k cos(k w t) + b_k sin(k w t), w = omega / subharmonic.
 
     Attributes

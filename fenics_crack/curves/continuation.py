@@ -51,7 +51,7 @@ from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.motion.flow import exact_flow, flow_of
-from fenics_crack.motion.orbit import FORMED, PeriodicOrbit, too_slow
+from fenics_crack.motion.orbit import MAX_MODES_FOR_MONODROMY, PeriodicOrbit, is_too_slow
 from fenics_crack.numerics.newton import PathPoint, Tangent, tangent_of
 from fenics_crack.numerics.path import (
     ARRIVAL_DISTANCE,
@@ -399,10 +399,10 @@ def has_orbits(problem: Problem, parameter: str, start: float, end: float) -> bo
     few modes that the monodromy matrix is formed, and the load is not too slow."""
     check_range(problem, parameter, start, end)
     flow = flow_of(problem.structure, problem.contact)
-    if flow is None or flow.count > FORMED:
+    if flow is None or flow.count > MAX_MODES_FOR_MONODROMY:
         return False
     ends = [WAVES[parameter].vary(problem, value).omega for value in (start, end)]
-    return not any(too_slow(flow, omega, problem.subharmonic) for omega in ends)
+    return not any(is_too_slow(flow, omega, problem.subharmonic) for omega in ends)
 
 
 def check_range(problem: Problem, parameter: str, start: float, end: float) -> None:

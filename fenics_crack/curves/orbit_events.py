@@ -36,7 +36,7 @@ import math
 
 import numpy as np
 
-from fenics_crack.motion.orbit import KNOWN
+from fenics_crack.motion.orbit import MULTIPLIER_TOLERANCE
 from fenics_crack.numerics.equations import MACHINE_EPSILON, ROOT_TOLERANCE, System
 from fenics_crack.numerics.newton import PathPoint
 from fenics_crack.numerics.path import Event, PathSegment, SegmentEnds, StepControl, find_zero
@@ -57,7 +57,7 @@ def leading_multipliers(values: np.ndarray) -> np.ndarray:
     size = np.abs(values)
     order = np.argsort(-size, axis=1, kind="stable")[:, :8]
     rows = np.arange(len(order))[:, None]
-    values, large = values[rows, order], size[rows, order] > 1.0 + KNOWN
+    values, large = values[rows, order], size[rows, order] > 1.0 + MULTIPLIER_TOLERANCE
     found = np.empty((len(order), order.shape[1] + 3), dtype=complex)
     found[:, :-3] = values
     real = values.imag == 0.0
@@ -85,13 +85,15 @@ def parting(monodromy: np.ndarray) -> np.ndarray:
     vectors += MACHINE_EPSILON * np.eye(values.shape[1])  # those of a double one may be the same
     after = np.linalg.solve(vectors, monodromy[1:] @ vectors)
     size, found = np.abs(values), np.zeros(len(after))
-    lasting = size > KNOWN  # where faces stick, the state before a period leaves nothing
+    lasting = (
+        size > MULTIPLIER_TOLERANCE
+    )  # where faces stick, the state before a period leaves nothing
     with np.errstate(divide="ignore", invalid="ignore"):
         damping = np.maximum(-np.log(size), 0.0)
         strength = np.abs(after * np.swapaxes(after, 1, 2)) / (size[:, :, None] * size[:, None])
     allowed = damping[:, :, None] * damping[:, None]
     # Few are coupled by more than an eighth of what lets one leave the circle.
-    parts = (strength > allowed / 64.0) & (allowed > 0.25 * KNOWN**2)
+    parts = (strength > allowed / 64.0) & (allowed > 0.25 * MULTIPLIER_TOLERANCE**2)
     parts &= lasting[:, :, None] & lasting[:, None]
     i, j, k = np.nonzero(np.triu(parts, 1))
     unit = np.sqrt(size[i, j] * size[i, k])
@@ -120,7 +122,7 @@ class MultiplierControl(StepControl):
         self._longest, self._floor = longest_step, LEAST * longest_step
 
     def too_long(self, points: PathSegment) -> np.ndarray:
-        logs = np.log(np.maximum(np.abs(points.observed[:, :-3]), KNOWN))
+        logs = np.log(np.maximum(np.abs(points.observed[:, :-3]), MULTIPLIER_TOLERANCE))
         change, lengths = np.diff(logs, axis=0), points.lengths[1:]
         allowed = np.maximum(0.5 * np.abs(logs[:-1]), LEAST)
         far = np.any(np.abs(change) > allowed, axis=1)
@@ -145,7 +147,7 @@ class PeriodDoubling(Event):
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
         found = find_zero(system, ends, lambda one: about_minus_one(multipliers(one)), rtol)[0]
-        return found if np.abs(1.0 + multipliers(found)).min() <= KNOWN else None
+        return found if np.abs(1.0 + multipliers(found)).min() <= MULTIPLIER_TOLERANCE else None
 
 
 class NeimarkSacker(Event):
@@ -161,14 +163,14 @@ class NeimarkSacker(Event):
         number = int(max(ends[0].observed[-1].real, ends[1].observed[-1].real)) - 1
         sides = [beyond_circle(multipliers(one), number) for one in ends]
         # What was within 1e-6 of the circle may have been beyond it all the time.
-        shift = 0.0 if sides[0] * sides[1] < 0.0 else KNOWN
+        shift = 0.0 if sides[0] * sides[1] < 0.0 else MULTIPLIER_TOLERANCE
 
         def value(point: PathPoint) -> float:
             found = beyond_circle(multipliers(point), number) - shift
             return found if abs(found) > ROOT_TOLERANCE else 0.0
 
         found, left = find_zero(system, ends, value, rtol)
-        return found if abs(left) <= KNOWN else None
+        return found if abs(left) <= MULTIPLIER_TOLERANCE else None
 
 
 def multipliers(point: PathPoint) -> np.ndarray:

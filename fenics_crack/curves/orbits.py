@@ -38,7 +38,7 @@ from fenics_crack.curves.orbit_events import (
     leading_multipliers,
 )
 from fenics_crack.curves.waves import WAVES, Waves
-from fenics_crack.motion.flow import ContactFlow, Motion, doubles, exact_flow
+from fenics_crack.motion.flow import ContactFlow, Motion, as_doubles, exact_flow
 from fenics_crack.motion.shooting import OrbitPoint, ShootingEquations
 from fenics_crack.numerics.equations import MACHINE_EPSILON, ROUNDING
 from fenics_crack.numerics.path import BranchPoint, Fold
@@ -169,7 +169,7 @@ class Orbits(CurveSystem):
             flow = self._flow_at(max(self.start, self.end) if damped else self.start)
             if damped:
                 rate, damping = last.modes.damping - first.modes.damping, first.modes.damping
-                along |= {"damping": doubles(damping), "damping_by": doubles(rate)}
+                along |= {"damping": as_doubles(damping), "damping_by": as_doubles(rate)}
                 along["rates"] = damping.size
             else:
                 along |= {"force": flow.force, "force_by": last.force - first.force}

@@ -12,14 +12,24 @@ import numpy as np
 from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.basics.progress import begin
 from fenics_crack.motion.flow import Budget, ContactFlow
-from fenics_crack.motion.orbit import INSTANTS, PIECES, PeriodicOrbit, find_orbit
-from fenics_crack.motion.search import LATER, SearchOptions, comes_back, followed
+from fenics_crack.motion.orbit import (
+    INSTANTS_PER_PERIOD,
+    MAX_SEARCH_PIECES,
+    PeriodicOrbit,
+    find_orbit,
+)
+from fenics_crack.motion.search import (
+    MAX_RETURN_PERIODS,
+    SearchOptions,
+    describe_closest_return,
+    follow_periods,
+)
 from fenics_crack.motion.shooting import FlowOrbits
 from fenics_crack.numerics.equations import LOCATION_TOLERANCE
 
-SETTLED = 1e-3
+MAX_SETTLED_CHANGE = 1e-3
 """Maximum relative change of a motion that has settled."""
-PERIODS = 35
+MAX_GROWTH_PERIODS = 35
 """Maximum periods over which the growth of a disturbance is measured."""
 IRREGULAR_GROWTH = 1e3
 """Growth of a disturbance over the last two thirds of them from which on a motion is irregular.
@@ -73,24 +83,24 @@ class Attractor:
         state, count = self.orbits.state(self.last), 100
         if self.orbit is not None:
             state, count = self.orbit.state, self.orbit.subharmonic // self.orbits.subharmonic
-        time = np.arange(count * INSTANTS) * period / INSTANTS
+        time = np.arange(count * INSTANTS_PER_PERIOD) * period / INSTANTS_PER_PERIOD
         found = flow.advance(state, omega, count * period, instants=time).samples.displacement
-        values = flow.structure.values_at(found, [dof]).reshape(count, INSTANTS)
+        values = flow.structure.values_at(found, [dof]).reshape(count, INSTANTS_PER_PERIOD)
         return np.asarray(np.ptp(values, axis=1) / 2.0)
 
 
-def in_the_long_run(orbits: FlowOrbits, start: np.ndarray, most: int | None = None) -> Attractor:
+def find_attractor(orbits: FlowOrbits, start: np.ndarray, most: int | None = None) -> Attractor:
     """Return the exact motion from a state x after many periods: it is integrated until it has
     settled, or for ``most``, by default a quarter of a search's budget, for any modes."""
-    most = max(LATER + 1, SearchOptions.evaluations // 4 if most is None else most)
+    most = max(MAX_RETURN_PERIODS + 1, SearchOptions.evaluations // 4 if most is None else most)
     begin(f"the exact motion over up to {most} periods")
-    passed, ahead = start[None], followed(orbits, start, most)
-    while more := list(islice(ahead, len(passed) - 1 + LATER)):
+    passed, ahead = start[None], follow_periods(orbits, start, most)
+    while more := list(islice(ahead, len(passed) - 1 + MAX_RETURN_PERIODS)):
         passed = np.concatenate([passed, more])
         last = passed[-1]
-        changes = np.linalg.norm(passed[-2 : -LATER - 2 : -1] - last, axis=1)
+        changes = np.linalg.norm(passed[-2 : -MAX_RETURN_PERIODS - 2 : -1] - last, axis=1)
         size = np.linalg.norm(last)
-        for several in np.flatnonzero(changes <= SETTLED * size):
+        for several in np.flatnonzero(changes <= MAX_SETTLED_CHANGE * size):
             turns = int(1 + several) * orbits.subharmonic
             orbit = find_orbit(orbits.flow, orbits.omega, orbits.state(last), subharmonic=turns)
             if orbit is None:
@@ -102,11 +112,11 @@ def in_the_long_run(orbits: FlowOrbits, start: np.ndarray, most: int | None = No
                 after = f"an orbit of {turns} periods of the load"
                 does = f"settles to {after if several else 'a periodic orbit'}"
                 return Attractor(orbit, does, (len(passed) - 1) * orbits.subharmonic, orbits, last)
-    does = f"does not settle: {comes_back(passed, orbits.subharmonic, 'it')}"
+    does = f"does not settle: {describe_closest_return(passed, orbits.subharmonic, 'it')}"
     return Attractor(None, does, (len(passed) - 1) * orbits.subharmonic, orbits, passed[-1])
 
 
-def irregular_motion(
+def find_irregular_motion(
     flow: ContactFlow, omega: float, state: np.ndarray, subharmonic: int = 1
 ) -> Attractor | None:
     """Follow a motion and a small disturbance of it, which grows if the motion is irregular.
@@ -132,9 +142,9 @@ def irregular_motion(
     begin("growth of a disturbance of the exact motion")
     period, weights = 2.0 * np.pi * subharmonic / omega, flow.weights(omega / subharmonic)
     change = np.random.default_rng(1).normal(size=flow.size) / weights
-    piece_budget, logs = PIECES, [0.0]
+    piece_budget, logs = MAX_SEARCH_PIECES, [0.0]
     with suppress(ConvergenceError):  # also at the end of its budget
-        for _ in range(PERIODS):
+        for _ in range(MAX_GROWTH_PERIODS):
             motion = flow.advance(state, omega, period, budget=Budget(pieces=piece_budget))
             change = motion.track @ (change / np.linalg.norm(weights * change))
             state, piece_budget = motion.state, piece_budget - motion.pieces

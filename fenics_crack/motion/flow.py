@@ -67,7 +67,7 @@ class BudgetError(ConvergenceError):
 def flow_of(structure: Structure, contact: ContactLaw) -> ContactFlow | None:
     """The exact flow of a structure and a law; None where there is none: for a smooth law, a large
     structure, and rigid contact where the residual flexibility is singular."""
-    return ContactFlow(structure, contact) if _refused(structure, contact) is None else None
+    return ContactFlow(structure, contact) if _refusal(structure, contact) is None else None
 
 
 def exact_flow(structure: Structure, contact: ContactLaw) -> ContactFlow:
@@ -84,11 +84,11 @@ def exact_flow(structure: Structure, contact: ContactLaw) -> ContactFlow:
 
 def check_exact(structure: Structure, contact: ContactLaw) -> None:
     """Raise InputError where a structure and a law have no flow."""
-    if refused := _refused(structure, contact):
+    if refused := _refusal(structure, contact):
         raise refused
 
 
-def _refused(structure: Structure, contact: ContactLaw) -> InputError | None:
+def _refusal(structure: Structure, contact: ContactLaw) -> InputError | None:
     """Why a structure and a law have no flow; None where they have one."""
     check_law(structure, contact, rigid=True)
     if not is_unilateral(contact):
@@ -205,16 +205,17 @@ class ContactFlow(Flow):
         modes, pairs = self.modes, structure.n_pairs
         closed = np.linalg.solve(self.compliance, modes.pairs.T)
         stiffness = np.diag(modes.squares) + modes.pairs @ closed
-        self.fastest = _fastest(float(np.linalg.eigvalsh(stiffness)[-1]), modes.damping)
+        self.fastest = _bound_rates(float(np.linalg.eigvalsh(stiffness)[-1]), modes.damping)
         """Bound of the rates at which any set of closed pairs turns or decays [1/s]."""
         coefficient = None
         if self.friction:
             coefficient = np.broadcast_to(self.friction.coefficient, pairs).astype(float)
         parts = Struct(
             "flow_parts", modes=self.count, pairs=pairs, friction=coefficient,
-            coupled=modes.damping.ndim == 2, squares=doubles(modes.squares),
-            damping=doubles(modes.damping),
-            rows=doubles(modes.pairs.T), compliance=doubles(self.compliance), force=self.force,
+            coupled=modes.damping.ndim == 2, squares=as_doubles(modes.squares),
+            damping=as_doubles(modes.damping),
+            rows=as_doubles(modes.pairs.T), compliance=as_doubles(self.compliance),
+            force=self.force,
             harmonics=len(self.force) // 2,
             gap=self.gap, fastest=self.fastest, most=int(KEPT * machine_memory()) // 8,
         )  # fmt: skip
@@ -305,7 +306,7 @@ class ContactFlow(Flow):
             It takes more than the budget allows, or is not finite.
         """
         end_state = np.array(state, dtype=float).reshape(self.size)
-        instants = np.zeros(0) if instants is None else doubles(instants)
+        instants = np.zeros(0) if instants is None else as_doubles(instants)
         count, rows, pairs = len(instants), len(self.softness), self.structure.n_pairs
         states = np.empty((count, 2 * self.count))
         answers = np.empty((count, 2 * rows if self.friction else rows))
@@ -314,7 +315,7 @@ class ContactFlow(Flow):
             budget, omega=omega, now=start, end=start + duration, state=end_state,
             count=count, instants=instants, states=states, answers=answers, closed=closed,
         )  # fmt: skip
-        _check(kernel.flow_advance(self.handle, given.at), given.at.events)
+        _check_outcome(kernel.flow_advance(self.handle, given.at), given.at.events)
         track = Track(self, omega, start, **record(given.at.passed))
         samples = Samples(self, omega, instants, states, answers, closed)
         return Motion(end_state, int(given.at.events), int(given.at.pieces), track, samples)
@@ -328,14 +329,14 @@ class ContactFlow(Flow):
 
         Raises as :meth:`advance`.
         """
-        states = doubles(states)
+        states = as_doubles(states)
         moved, ends = np.empty_like(states), np.empty(len(states), dtype=np.intc)
         given, record = self._motion(None, omega=omega)
         outcome = kernel.flow_wave(
             self.handle, given.at, len(states), period, pointer(states), pointer(moved),
             pointer(ends),
         )  # fmt: skip
-        _check(outcome, given.at.events)
+        _check_outcome(outcome, given.at.events)
         return moved, Track(self, omega, 0.0, **record(given.at.passed)), ends
 
     def _motion(
@@ -396,7 +397,7 @@ class Track:
         """dz(end) / dz(start): (2 n_modes, 2 n_modes)."""
         found = np.empty((self.flow.size, self.flow.size))
         outcome = kernel.flow_tangent(self.flow.handle, self._known.at, pointer(found))
-        _check(outcome, len(self.lengths) - 1)
+        _check_outcome(outcome, len(self.lengths) - 1)
         return found
 
     def by_structure(self, start: np.ndarray, softness: np.ndarray) -> np.ndarray:
@@ -404,10 +405,10 @@ class Track:
         derivative of the softness by it, (n_pairs,)."""
         found, rates = np.empty(self.flow.size), shaped(softness, *self.flow.softness.shape)
         outcome = kernel.flow_by_structure(
-            self.flow.handle, self._known.at, pointer(doubles(start)), NULL, pointer(rates),
+            self.flow.handle, self._known.at, pointer(as_doubles(start)), NULL, pointer(rates),
             pointer(found),
         )  # fmt: skip
-        _check(outcome, len(self.lengths) - 1)
+        _check_outcome(outcome, len(self.lengths) - 1)
         return found
 
     def __matmul__(self, change: np.ndarray) -> np.ndarray:
@@ -422,10 +423,10 @@ class Track:
         changes = np.empty((len(ends) + 1, self.flow.size))
         changes[0] = start
         outcome = kernel.flow_carry(
-            self.flow.handle, self._known.at, len(ends), pointer(ends), pointer(doubles(excess)),
+            self.flow.handle, self._known.at, len(ends), pointer(ends), pointer(as_doubles(excess)),
             pointer(changes),
         )  # fmt: skip
-        _check(outcome, len(self.lengths) - 1)
+        _check_outcome(outcome, len(self.lengths) - 1)
         return changes
 
 
@@ -517,7 +518,7 @@ class Motion(NamedTuple):
     samples: Samples
 
 
-def _fastest(square: float, damping: np.ndarray) -> float:
+def _bound_rates(square: float, damping: np.ndarray) -> float:
     """At least the size of each root s of s^2 + c s + k = 0 where k <= square and c is a Rayleigh
     quotient of the damping [1/s]."""
     drag = float(np.linalg.norm(damping, 2 if damping.ndim == 2 else np.inf))
@@ -526,7 +527,7 @@ def _fastest(square: float, damping: np.ndarray) -> float:
     return max(float(np.sqrt(max(square, 0.0))), drag)
 
 
-def _check(outcome: int, events: int) -> None:
+def _check_outcome(outcome: int, events: int) -> None:
     if outcome == kernel.FLOW_DONE:
         return
     if outcome == kernel.FLOW_MEMORY:
@@ -540,6 +541,6 @@ def _check(outcome: int, events: int) -> None:
     raise error(f"events: {words[outcome]} (after {events} events)")
 
 
-def doubles(array: np.ndarray) -> np.ndarray:
+def as_doubles(array: np.ndarray) -> np.ndarray:
     """An array as the kernel reads it."""
     return np.ascontiguousarray(array, dtype=float)

@@ -34,7 +34,7 @@ from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.extremes import RecordFunction, find_maxima
 
-SLIPPING = 1.0 - 1e-6
+SLIP_FORCE_RATIO = 1.0 - 1e-6
 """Friction force over its limit from which on a pair slips: orbits are known to 1e-6."""
 
 
@@ -267,14 +267,14 @@ class Faces:
         self.tops = record.tops[-4:]
         if record.friction is not None:
             force, drag = np.hsplit(last.force, 2)
-            self.slips = slipping(record.friction, force, drag)
+            self.slips = is_slipping(record.friction, force, drag)
             self.sticks = (force > 0.0) & ~self.slips
             self.losses = friction_losses(last.gap[:, count:], drag)
 
 
-def slipping(coefficient: Any, force: np.ndarray, drag: np.ndarray) -> np.ndarray:
+def is_slipping(coefficient: Any, force: np.ndarray, drag: np.ndarray) -> np.ndarray:
     """Where pairs slip, by their contact and friction forces (n, n_pairs): (n, n_pairs) bool."""
-    return np.asarray((force > 0.0) & (np.abs(drag) >= SLIPPING * coefficient * force))
+    return np.asarray((force > 0.0) & (np.abs(drag) >= SLIP_FORCE_RATIO * coefficient * force))
 
 
 def friction_losses(slide: np.ndarray, drag: np.ndarray) -> np.ndarray:
@@ -298,7 +298,7 @@ def rows_of(structure: Structure, dofs: Sequence[int | None]) -> np.ndarray:
 # --- what observes --------------------------------------------------------------------------------
 
 
-class Rows(NamedTuple):
+class ExtraRows(NamedTuple):
     """A place of rows of its own.
 
     Attributes
@@ -321,7 +321,7 @@ class Displacement(NamedTuple):
     waves: np.ndarray
 
 
-class Observed:
+class ObservedMotion:
     """A motion, or along a curve many: what follows from its records."""
 
     structure: Structure
@@ -354,7 +354,7 @@ class Observed:
         return {name: value for name, value in numbers.items() if not np.all(np.isnan(value))}
 
     def observe(
-        self, dofs: Sequence[int | None], places: Sequence[Rows] = ()
+        self, dofs: Sequence[int | None], places: Sequence[ExtraRows] = ()
     ) -> tuple[list[Displacement], dict[str, Any]]:
         """Return the displacements of some dofs, and the numbers at places of rows of their own;
         the motion is formed once for all that is new (collective)."""
@@ -368,7 +368,7 @@ class Observed:
         return [self._displacements[dof] for dof in wanted], numbers
 
     def walk(
-        self, rows: np.ndarray, places: Sequence[Rows] = ()
+        self, rows: np.ndarray, places: Sequence[ExtraRows] = ()
     ) -> tuple[list[Displacement], dict[str, Any]]:
         """Return the displacements that rows (m, n_local) give, and the numbers at places of rows
         of their own, from all records in one pass (collective)."""

@@ -43,7 +43,7 @@ from fenics_crack.basics.tables import Described, counted, hertz_of
 from fenics_crack.kernel import kernel
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import Budget, BudgetError, ContactFlow, Motion, Samples, Track
-from fenics_crack.motion.motions import Observed, Record
+from fenics_crack.motion.motions import ObservedMotion, Record
 from fenics_crack.numerics.equations import (
     LOCATION_TOLERANCE,
     ROOT_TOLERANCE,
@@ -53,23 +53,23 @@ from fenics_crack.numerics.equations import (
 from fenics_crack.numerics.fourier import fourier_basis_for, fourier_coefficients
 from fenics_crack.numerics.newton import FORCING_TERM, gmres, relative_to_motion
 
-FLOWS, MIN_NEWTON_STEP = 20, 1e-3
+MAX_SEARCH_PERIODS, MIN_NEWTON_STEP = 20, 1e-3
 """Search budget in periods integrated, and shortest damped Newton step."""
-PIECES = 20_000
+MAX_SEARCH_PIECES = 20_000
 """Search budget in Taylor pieces: a second, with many pairs; more where M is formed and a period of
 a slow load has many by itself."""
-FORMED = 120
+MAX_MODES_FOR_MONODROMY = 120
 """Maximum modes of a flow of which M is formed."""
-PRODUCTS, BLUNT = 60, 0.25
+MAX_GMRES_PRODUCTS, COMPARISON_TOLERANCE = 60, 0.25
 """Maximum products with M in a solution, and the relative residual of a step which is only
 compared."""
-KNOWN = 1e-6
+MULTIPLIER_TOLERANCE = 1e-6
 """Accuracy of multipliers; ||mu| - 1| below it is inconclusive."""
-INSTANTS_AT_A_TIME = 2048
+INSTANTS_PER_BLOCK = 2048
 """Instants whose sines and cosines are held at a time."""
-INSTANTS = 512
+INSTANTS_PER_PERIOD = 512
 """Instants at which the gaps of an orbit are kept."""
-HARMONICS = 40
+OBSERVED_HARMONICS = 40
 """Harmonics of its period in what is observed of an orbit. By 256 instants the one of order k is
 off by that of order 256 - k, of motions with kinks (k / 216)^2 of it."""
 
@@ -105,7 +105,7 @@ class Prediction(NamedTuple):
 
 
 @dataclass(frozen=True, repr=False)
-class PeriodicOrbit(Observed, Described):
+class PeriodicOrbit(ObservedMotion, Described):
     """A periodic orbit of the exact flow.
 
     Attributes
@@ -171,7 +171,7 @@ class PeriodicOrbit(Observed, Described):
     def inverse(self) -> Inverse:
         """(I - M)^-1; LinAlgError where it is singular."""
         weights = self.flow.weights(self.omega / self.subharmonic)
-        return _inverse(self.flow, self.motion.track, weights)
+        return _make_inverse(self.flow, self.motion.track, weights)
 
     def samples(self, time: np.ndarray) -> Samples:
         """The motion at ascending times of the period [s]."""
@@ -185,7 +185,7 @@ class PeriodicOrbit(Observed, Described):
     @cached_property
     def sampled(self) -> Samples:
         """The motion at 512 equally spaced times of the period."""
-        return self.samples(np.arange(INSTANTS) * self.period / INSTANTS)
+        return self.samples(np.arange(INSTANTS_PER_PERIOD) * self.period / INSTANTS_PER_PERIOD)
 
     @property
     def is_stable(self) -> bool:
@@ -242,7 +242,7 @@ class PeriodicOrbit(Observed, Described):
             share /= share.sum(axis=1, keepdims=True)
             return np.split((share[:, None] @ values[piece])[:, 0], splits, axis=1)
 
-        count, exact = instants or INSTANTS, {}
+        count, exact = instants or INSTANTS_PER_PERIOD, {}
         parts = np.arange(count) / count
         motion, gap, force = at(parts)
         if instants is None:
@@ -250,7 +250,7 @@ class PeriodicOrbit(Observed, Described):
             exact |= {"closed_share": track.share(track.sets > 0)} if gap.size else {}
         yield Record(
             self.omega, self.subharmonic, self.period * parts,
-            fourier_coefficients(motion, HARMONICS),
+            fourier_coefficients(motion, OBSERVED_HARMONICS),
             motion, gap, force,
             structure=self.structure,
             friction=getattr(self.flow.friction, "coefficient", None),
@@ -267,9 +267,9 @@ class PeriodicOrbit(Observed, Described):
         gaps, forces, count = samples.gaps, samples.forces, self.flow.count
         values = np.hstack([gaps, forces, samples.states[:, :count]])
         found = np.zeros((2 * harmonics + 1, values.shape[1]))
-        kept = np.empty((len(found), INSTANTS_AT_A_TIME))
-        for start in range(0, len(values), INSTANTS_AT_A_TIME):
-            some = slice(start, start + INSTANTS_AT_A_TIME)
+        kept = np.empty((len(found), INSTANTS_PER_BLOCK))
+        for start in range(0, len(values), INSTANTS_PER_BLOCK):
+            some = slice(start, start + INSTANTS_PER_BLOCK)
             first = np.exp(1j * base * samples.time[some])
             means, wave = kept[:, : len(first)], 2.0 * share[some] * first
             means[0] = share[some]
@@ -436,8 +436,11 @@ class MotionInArcs(PeriodicOrbit):
         return Samples(self.flow, self.omega, time, *map(np.concatenate, zip(*arrays, strict=True)))
 
 
-def affordable(
-    flow: ContactFlow, omega: float, subharmonic: int = 1, periods: int = FLOWS + PRODUCTS
+def is_affordable(
+    flow: ContactFlow,
+    omega: float,
+    subharmonic: int = 1,
+    periods: int = MAX_SEARCH_PERIODS + MAX_GMRES_PRODUCTS,
 ) -> bool:
     """Return True if a search does not take long at a frequency: M is formed, and the load not too
     slow.
@@ -446,19 +449,19 @@ def affordable(
     states of crack faces with mass, which bounce, are not tried: from their harmonic-balance
     solutions Newton's method leads to no orbit.
     """
-    if flow.count <= FORMED:
-        return not too_slow(flow, omega, subharmonic)
+    if flow.count <= MAX_MODES_FOR_MONODROMY:
+        return not is_too_slow(flow, omega, subharmonic)
     pieces = flow.pieces(2.0 * np.pi * subharmonic / omega)
-    return flow.structure.light_lips and periods * pieces <= PIECES
+    return flow.structure.light_lips and periods * pieces <= MAX_SEARCH_PIECES
 
 
-def too_slow(flow: ContactFlow, omega: float, subharmonic: int = 1) -> bool:
+def is_too_slow(flow: ContactFlow, omega: float, subharmonic: int = 1) -> bool:
     """Return True if two periods of a small state exceed the budget, without events."""
     pieces = flow.pieces(2.0 * np.pi * subharmonic / omega)
-    return flow.count <= FORMED and 2.0 * pieces > Budget.pieces
+    return flow.count <= MAX_MODES_FOR_MONODROMY and 2.0 * pieces > Budget.pieces
 
 
-def predicted(
+def predict_orbit(
     flow: ContactFlow, omega: float, states: np.ndarray, subharmonic: int = 1
 ) -> Prediction | None:
     """One step of Newton's method for a solution, of states at equal parts of its period (n,
@@ -468,7 +471,7 @@ def predicted(
         moved, track, ends = flow.steps(states, omega, 2.0 * np.pi * subharmonic / omega)
         excess = moved - np.concatenate([states[1:], states[:1]])
         change = track.carried(np.zeros(flow.size), excess, ends)[-1]
-        inverse = _inverse(flow, track, weights)
+        inverse = _make_inverse(flow, track, weights)
         changes = track.carried(inverse(change, FORCING_TERM), excess, ends)[:-1]
     except (ConvergenceError, np.linalg.LinAlgError, ValueError):
         return None
@@ -477,7 +480,7 @@ def predicted(
     return Prediction(relative_to_motion(moved, gap), states + changes, track, inverse)
 
 
-def predicted_motion(
+def predict_motion(
     flow: ContactFlow, omega: float, step: Prediction, subharmonic: int
 ) -> MotionInArcs | None:
     """Return the motion that a prediction leads to; None where it cannot be followed."""
@@ -490,10 +493,10 @@ def predicted_motion(
     return None
 
 
-def _inverse(flow: ContactFlow, track: Track, weights: np.ndarray) -> Inverse:
+def _make_inverse(flow: ContactFlow, track: Track, weights: np.ndarray) -> Inverse:
     """b to (I - M)^-1 b, exactly, or of large states to a relative residual in the norm of the
     energy."""
-    if flow.count <= FORMED:
+    if flow.count <= MAX_MODES_FOR_MONODROMY:
         factors = factorise(np.eye(flow.size) - track.tangent)
         if not (np.isfinite(factors[0]).all() and np.diag(factors[0]).all()):
             raise np.linalg.LinAlgError("I - M is singular")
@@ -502,7 +505,7 @@ def _inverse(flow: ContactFlow, track: Track, weights: np.ndarray) -> Inverse:
     def apply(change: np.ndarray) -> np.ndarray:
         return change - weights * (track @ (change / weights))
 
-    return lambda right, sharp: gmres(apply, weights * right, sharp, PRODUCTS) / weights
+    return lambda right, sharp: gmres(apply, weights * right, sharp, MAX_GMRES_PRODUCTS) / weights
 
 
 def find_orbit(
@@ -533,7 +536,7 @@ def find_orbit(
         return None
     found = PeriodicOrbit(flow, omega, subharmonic, search.motion, search.state, search.flows)
     # Where M is huge a step may be short and the motion does not close.
-    return found if found.residual <= KNOWN else None
+    return found if found.residual <= MULTIPLIER_TOLERANCE else None
 
 
 class _Search:
@@ -552,9 +555,9 @@ class _Search:
     ) -> None:
         self._flow, self._omega = flow, omega
         self._period = 2.0 * np.pi * subharmonic / omega
-        most = PIECES
-        if flow.count <= FORMED and not too_slow(flow, omega, subharmonic):
-            most = max(most, math.ceil(FLOWS * flow.pieces(self._period)))
+        most = MAX_SEARCH_PIECES
+        if flow.count <= MAX_MODES_FOR_MONODROMY and not is_too_slow(flow, omega, subharmonic):
+            most = max(most, math.ceil(MAX_SEARCH_PERIODS * flow.pieces(self._period)))
         self.budget = self._left = most
         self._weights = flow.weights(omega / subharmonic)
         self.state, self.flows = state, 0
@@ -566,28 +569,30 @@ class _Search:
 
     def leads_to_orbit(self, inverse: Inverse | None, located: float) -> bool:
         """Return True if the search ends with an orbit."""
-        formed = self._flow.count <= FORMED
+        formed = self._flow.count <= MAX_MODES_FOR_MONODROMY
         closed, shortest = (located, MIN_NEWTON_STEP) if formed else (ROOT_TOLERANCE, 0.1)
         self.motion = self._follow(self.state)
         share, own = 1.0, False  # whether the derivative is that of the motion here
         steps: list[np.ndarray] = []  # with one derivative
         if formed and inverse is not None:
             steps = [inverse(self.motion.state - self.state, FORCING_TERM)]
-        while self.flows < FLOWS:
+        while self.flows < MAX_SEARCH_PERIODS:
             if inverse is None or not steps:
-                inverse, own = _inverse(self._flow, self.motion.track, self._weights), True
+                inverse, own = _make_inverse(self._flow, self.motion.track, self._weights), True
                 steps = [inverse(self.motion.state - self.state, FORCING_TERM)]
             step = steps[-1]
             trial = self.state + share * step
             moved = self._follow(trial)
-            simplified = inverse(moved.state - trial, BLUNT)
+            simplified = inverse(moved.state - trial, COMPARISON_TOLERANCE)
             for one, behind in pairwise(steps):
                 simplified = simplified + self._part(simplified, one) * behind
             before, after = self.size(step), self.size(simplified)
             bent = self.size(simplified - (1.0 - share) * step) + sys.float_info.min
             goal = closed * self.size(trial)
             if not after <= (1.0 - 0.25 * share) * before:
-                if before <= KNOWN * self.size(trial):  # what is left of steps is rounding
+                if before <= MULTIPLIER_TOLERANCE * self.size(
+                    trial
+                ):  # what is left of steps is rounding
                     return True
                 if not own:
                     steps = []
@@ -627,9 +632,11 @@ def orbit_from(
     return PeriodicOrbit(flow, omega, subharmonic, motion, state, iterations + 1)
 
 
-def equal(one: PeriodicOrbit, other: PeriodicOrbit) -> bool:
+def is_same_orbit(one: PeriodicOrbit, other: PeriodicOrbit) -> bool:
     """Return True if two orbits of a flow are the same to 1e-6, in the norm of the energy."""
-    return one.energy_norm(one.state - other.state) <= KNOWN * one.energy_norm(one.state)
+    return one.energy_norm(one.state - other.state) <= MULTIPLIER_TOLERANCE * one.energy_norm(
+        one.state
+    )
 
 
 def eigenvalues(matrix: np.ndarray) -> np.ndarray:

@@ -28,7 +28,14 @@ from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.basics.progress import begin
 from fenics_crack.basics.tables import counted, percent
 from fenics_crack.motion.flow import Budget, ContactFlow
-from fenics_crack.motion.orbit import FLOWS, FORMED, PeriodicOrbit, equal, find_orbit, predicted
+from fenics_crack.motion.orbit import (
+    MAX_MODES_FOR_MONODROMY,
+    MAX_SEARCH_PERIODS,
+    PeriodicOrbit,
+    find_orbit,
+    is_same_orbit,
+    predict_orbit,
+)
 from fenics_crack.motion.shooting import FlowOrbits, OrbitPoint
 from fenics_crack.numerics.equations import LOCATION_TOLERANCE, DenseLinearisation
 from fenics_crack.numerics.fourier import differentiate, fourier_basis_over_period
@@ -37,9 +44,9 @@ from fenics_crack.numerics.path import HOMOTOPY_OPTIONS, Path, Target
 
 SEGMENTS = 32
 """Multiple-shooting segments per period."""
-PACE = 200
+PIECES_PER_PERIOD = 200
 """Taylor pieces in a period that counts as one; with fewer it counts as one, too."""
-LATER = 8
+MAX_RETURN_PERIODS = 8
 """Longest return period that is sought, in periods."""
 
 
@@ -65,11 +72,11 @@ class SearchOptions:
     def pieces(self, flow: ContactFlow) -> int:
         """Pieces of the Taylor series for them."""
         count = (0.75 if flow.friction else 1.0) * self.evaluations
-        return int(PACE * count * min(1.0, (24.0 / flow.size) ** 2))
+        return int(PIECES_PER_PERIOD * count * min(1.0, (24.0 / flow.size) ** 2))
 
     def periods(self, flow: ContactFlow) -> int:
         """Return the maximum number of periods that the motion is integrated for."""
-        return max(self.pieces(flow) // (4 * PACE), 60)
+        return max(self.pieces(flow) // (4 * PIECES_PER_PERIOD), 60)
 
 
 class OrbitSearch(NamedTuple):
@@ -117,25 +124,31 @@ def search_orbit(
     for states in guesses:
         tried.append(states)
         orbit = search(states[0])
-        if orbit is not None and not any(equal(orbit, other) for other in met):
+        if orbit is not None and not any(is_same_orbit(orbit, other) for other in met):
             met.append(orbit)
-        if orbit is not None and (not any_other or flow.count > FORMED or orbit.is_stable):
+        if orbit is not None and (
+            not any_other or flow.count > MAX_MODES_FOR_MONODROMY or orbit.is_stable
+        ):
             break
     if met:
-        if any_other and flow.count <= FORMED:
+        if any_other and flow.count <= MAX_MODES_FOR_MONODROMY:
             met.sort(key=lambda one: not one.is_stable)
         return OrbitSearch(met[0], tuple(met[1:]), "exact orbit by Newton's method")
     for states in tried:
-        step = predicted(flow, omega, states, subharmonic)
+        step = predict_orbit(flow, omega, states, subharmonic)
         orbit = None if step is None else search(step.states[0], inverse=step.inverse)
         if orbit is not None:
             return OrbitSearch(orbit, (), "exact orbit by a step of the whole motion")
     start = tried[-1][0] if tried else np.zeros(flow.size)
     options = options or SearchOptions()
     orbits = FlowOrbits(flow, omega, start, subharmonic)
-    if tried and flow.count <= FORMED and (orbit := by_homotopy(orbits, options)) is not None:
+    if (
+        tried
+        and flow.count <= MAX_MODES_FOR_MONODROMY
+        and (orbit := find_by_homotopy(orbits, options)) is not None
+    ):
         return OrbitSearch(orbit, (), "exact orbit along a path from the motion")
-    last = _by_recurrence(orbits, options)
+    last = _find_by_recurrence(orbits, options)
     return last if last.orbit else last._replace(reason="; ".join([*ended[-1:], last.reason]))
 
 
@@ -187,11 +200,11 @@ class Homotopy:
         if self.left <= 0:
             raise ConvergenceError("orbits: the homotopy takes too long")
         at = self._orbits.linearise(unknown, 1.0)
-        self.left -= max(at.pieces, PACE)
+        self.left -= max(at.pieces, PIECES_PER_PERIOD)
         return _HomotopyPoint(at, parameter, self._orbits.start)
 
 
-def by_homotopy(orbits: FlowOrbits, options: SearchOptions) -> PeriodicOrbit | None:
+def find_by_homotopy(orbits: FlowOrbits, options: SearchOptions) -> PeriodicOrbit | None:
     """The orbit to which the path from the start of some leads; None where that takes too long."""
     begin("an orbit along a path from the motion")
     system = Homotopy(orbits, options.pieces(orbits.flow) // 2)
@@ -215,12 +228,12 @@ def by_homotopy(orbits: FlowOrbits, options: SearchOptions) -> PeriodicOrbit | N
 # --- along the motion -----------------------------------------------------------------------------
 
 
-def _by_recurrence(orbits: FlowOrbits, options: SearchOptions) -> OrbitSearch:
+def _find_by_recurrence(orbits: FlowOrbits, options: SearchOptions) -> OrbitSearch:
     """An orbit that the motion from the start settles to, or passes on its way."""
     flow, omega, subharmonic = orbits.flow, orbits.omega, orbits.subharmonic
     periods, left = options.periods(flow), options.pieces(flow) // 4
     begin(f"the exact motion over up to {periods} periods, and orbits that it passes")
-    passed = np.array([orbits.start, *followed(orbits, orbits.start, periods)])
+    passed = np.array([orbits.start, *follow_periods(orbits, orbits.start, periods)])
     apart = np.linalg.norm(np.diff(passed, axis=0), axis=1)
     # From the last state, then from close returns, the closest first.
     for place in (-1, *np.argsort(apart, kind="stable").tolist()):
@@ -229,14 +242,16 @@ def _by_recurrence(orbits: FlowOrbits, options: SearchOptions) -> OrbitSearch:
         orbit = find_orbit(flow, omega, orbits.state(passed[place]), subharmonic=subharmonic)
         if orbit is not None:
             return OrbitSearch(orbit, (), "exact orbit, by following the motion")
-        left -= FLOWS // 2 * max(PACE, orbits.pieces)  # of a search that fails, about
-    return OrbitSearch(None, (), comes_back(passed, subharmonic))
+        left -= (
+            MAX_SEARCH_PERIODS // 2 * max(PIECES_PER_PERIOD, orbits.pieces)
+        )  # of a search that fails, about
+    return OrbitSearch(None, (), describe_closest_return(passed, subharmonic))
 
 
-def followed(orbits: FlowOrbits, state: np.ndarray, periods: int) -> Iterator[np.ndarray]:
+def follow_periods(orbits: FlowOrbits, state: np.ndarray, periods: int) -> Iterator[np.ndarray]:
     """States x a period apart of the motion from a state, after the first period and later ones; as
     far as it can be followed, and in no more than 200 pieces for each of so many periods."""
-    left = PACE * periods
+    left = PIECES_PER_PERIOD * periods
     with suppress(ConvergenceError):  # pairs that chatter without end
         for _ in range(periods):
             if left <= 0:
@@ -246,11 +261,13 @@ def followed(orbits: FlowOrbits, state: np.ndarray, periods: int) -> Iterator[np
             yield state
 
 
-def comes_back(passed: np.ndarray, subharmonic: int, motion: str = "the exact motion") -> str:
+def describe_closest_return(
+    passed: np.ndarray, subharmonic: int, motion: str = "the exact motion"
+) -> str:
     """Describe the closest return of a motion, of states so many periods of the load apart (n, 2
     n_modes)."""
     found = []
-    for later in range(1, min(LATER, len(passed) - 1) + 1):
+    for later in range(1, min(MAX_RETURN_PERIODS, len(passed) - 1) + 1):
         sizes = np.linalg.norm(passed[later:], axis=1)
         apart = np.linalg.norm(passed[later:] - passed[:-later], axis=1)
         found.append(float(np.min(apart / np.maximum(sizes, 1e-300))))

@@ -37,7 +37,7 @@ from fenics_crack.kernel import Struct, kernel, pointer, shaped
 from fenics_crack.model.contact import ActiveSets, ContactLaw, FrictionSets, coefficient_of
 from fenics_crack.model.modes import times
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.flow import Flow, check_exact, doubles, exact_flow
+from fenics_crack.motion.flow import Flow, as_doubles, check_exact, exact_flow
 from fenics_crack.numerics.fourier import differentiate, fourier_basis_for, from_complex, to_complex
 from fenics_crack.time.march import March, Scheme, TimeHistory, Window, march
 
@@ -227,8 +227,8 @@ class ExponentialFlow(Flow):
             own = {"friction": self._sets.handle, "held": self._held}
         self._known = Struct(
             "exponential", modes=count, pairs=pairs, instants=steps,
-            coupled=modes.damping.ndim == 2, moved=moved, rows=doubles(modes.pairs.T),
-            pushed=doubles(pushed.T), gaps=doubles(moved_gap), linear=self.linear_gap,
+            coupled=modes.damping.ndim == 2, moved=moved, rows=as_doubles(modes.pairs.T),
+            pushed=as_doubles(pushed.T), gaps=as_doubles(moved_gap), linear=self.linear_gap,
             steady=self.steady, room=np.empty(4 * count + 2 * pairs), **own,
         )  # fmt: skip
 

@@ -31,7 +31,7 @@ from fenics_crack.model.contact import ContactLaw, check_law, coefficient_of, fr
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.motions import Observed, Record
+from fenics_crack.motion.motions import ObservedMotion, Record
 from fenics_crack.numerics.fourier import (
     differentiate,
     evaluate,
@@ -178,7 +178,7 @@ class March:
 
 
 @dataclass(frozen=True, repr=False)
-class TimeHistory(Observed, Tabular):
+class TimeHistory(ObservedMotion, Tabular):
     """The last periods of a motion found by direct integration.
 
     Attributes

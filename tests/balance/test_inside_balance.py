@@ -53,7 +53,7 @@ from fenics_crack.balance.contact_integrals import (
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.model.modes import damped_modes, times
 from fenics_crack.model.nodes import Pairs
-from fenics_crack.motion.motions import Indicators, Observed, Record
+from fenics_crack.motion.motions import Indicators, ObservedMotion, Record
 from fenics_crack.numerics.fourier import (
     count_instants,
     evaluate,
@@ -1081,7 +1081,7 @@ def test_harmonics_out_of_reach(monkeypatch: pytest.MonkeyPatch) -> None:
 # --- indicators of known coefficients -------------------------------------------------------------
 
 
-class Given(Observed):
+class Given(ObservedMotion):
     """A motion by its record."""
 
     structure = oscillator()

@@ -16,9 +16,9 @@ import fenics_crack as fc
 from fenics_crack import PeriodicOrbit
 from fenics_crack.kernel import kernel, pointer
 from fenics_crack.motion import flow as flow_module
-from fenics_crack.motion.attractors import in_the_long_run
+from fenics_crack.motion.attractors import find_attractor
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, Track, flow_of
-from fenics_crack.motion.orbit import Prediction, find_orbit, predicted, predicted_motion
+from fenics_crack.motion.orbit import Prediction, find_orbit, predict_motion, predict_orbit
 from fenics_crack.motion.search import SearchOptions, search_orbit, wave_states
 from fenics_crack.motion.shooting import FlowOrbits
 from fenics_crack.numerics.fourier import evaluate, fourier_basis, fourier_coefficients
@@ -241,7 +241,7 @@ def test_motions_do_not_depend_on_earlier_ones(
         for seed in range(5 * busy):
             flow.advance(thrown(flow, seed), 0.3 + 0.1 * seed, 40.0)
         motion = flow.advance(thrown(flow, 7), 0.5, 60.0)
-        step = predicted(flow, 0.5, wave_states(flow, displacement, 0.5))
+        step = predict_orbit(flow, 0.5, wave_states(flow, displacement, 0.5))
         assert motion.events > 40 and step is not None
         return motion.state, motion.track.lengths, motion.track.tangent, step.states
 
@@ -411,11 +411,11 @@ def test_motion_in_arcs(light: bool) -> None:
     solution = fc.solve_harmonic_balance(structure, 0.5, contact, harmonics=10)
     step, orbit = next_to(solution)
     flow, time = orbit.flow, np.linspace(0.0, 0.999 * orbit.period, 300)
-    motion = predicted_motion(flow, 0.5, step, 1)
+    motion = predict_motion(flow, 0.5, step, 1)
     assert relative(motion.sampled.states[::16], step.states[:, : 2 * flow.count]) < 1e-9
-    closed = predicted(flow, 0.5, orbit.sampled.whole_states[::16])
+    closed = predict_orbit(flow, 0.5, orbit.sampled.whole_states[::16])
     assert closed is not None and closed.error < 1e-8
-    same = predicted_motion(flow, 0.5, closed, 1)
+    same = predict_motion(flow, 0.5, closed, 1)
     assert same is not None and relative(same.gap_at(time), orbit.gap_at(time)) < 1e-7
     assert same.faces["opening"] == pytest.approx(orbit.faces["opening"], rel=1e-7)
 
@@ -438,8 +438,8 @@ def test_by_products_as_by_factors(seed: int, monkeypatch: pytest.MonkeyPatch) -
     expected, orbit = next_to(solution)
     change = np.random.default_rng(seed).normal(size=orbit.flow.size)
     assert relative(orbit.motion.track @ change, orbit.monodromy @ change) < 1e-12
-    monkeypatch.setattr("fenics_crack.motion.orbit.FORMED", 0)
-    found = predicted(orbit.flow, orbit.omega, solution.assessment.states)
+    monkeypatch.setattr("fenics_crack.motion.orbit.MAX_MODES_FOR_MONODROMY", 0)
+    found = predict_orbit(orbit.flow, orbit.omega, solution.assessment.states)
     again = find_orbit(orbit.flow, orbit.omega, solution.assessment.states[0])
     assert found is not None and found.error == pytest.approx(expected.error, rel=0.05)
     assert relative(found.monodromy, expected.monodromy) < 1e-10
@@ -461,7 +461,7 @@ def test_the_least_periods_after_which_a_motion_is_where_it_was() -> None:
     """It nearly is after two times forty of the load, and is after four: to rounding."""
     flow = known(two_masses(), fc.UnilateralPenalty(100.0))
     orbits = FlowOrbits(flow, 0.614, np.zeros(flow.size), 40)
-    found = in_the_long_run(orbits, orbits.start)
+    found = find_attractor(orbits, orbits.start)
     assert found.description == "settles to an orbit of 160 periods of the load"
     assert found.orbit is not None and abs(found.orbit.multipliers[0]) < 0.01
 
