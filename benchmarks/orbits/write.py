@@ -50,7 +50,7 @@ def reduced(
         "structure": {
             "form": "modes", "squares": flow.modes.squares.tolist(),
             "damping": flow.modes.damping.tolist(),
-            "pairs": flow.modes.pairs.tolist(), "flexibility": flow.residual.tolist(),
+            "pairs": flow.modes.pairs.tolist(), "flexibility": flow.residual_flexibility.tolist(),
             "lift": (flow.gap + np.eye(len(flow.gap), 1) * flow.clearance).tolist(),
         },
         "load": {
@@ -120,7 +120,7 @@ def starts(
         found.append(wave_states(flow, solution.displacement_coefficients, omega)[0])
     except Exception as error:  # another start does
         print("  harmonic balance:", error)
-    state = np.array(flow.rest, float)
+    state = np.array(flow.rest_state, float)
     try:
         for number in range(20 if few else SETTLED):
             state = flow.advance(state, omega, period).state
@@ -147,7 +147,7 @@ def exact_orbits(case: dict[str, Any], structure: fc.Structure, law: Any) -> lis
     """All orbits found by the exact flow, the largest motion first."""
     flow, omega = exact_flow(structure, law), case["load"]["omega"]
     orbits, seen = [], []
-    count = flow.count
+    count = flow.n_modes
     for state in starts(flow, structure, law, omega, structure.n_pairs > 3):
         for periods in (1,) if structure.n_pairs > 3 else (1, 2, 3):
             orbit = find_orbit(flow, omega, state, subharmonic=periods, located=1e-13)
@@ -172,7 +172,7 @@ def exact_orbits(case: dict[str, Any], structure: fc.Structure, law: Any) -> lis
 
 def facts(case: dict[str, Any], flow: Any, orbit: Any) -> dict[str, Any]:
     """What is stored of an orbit of the exact flow."""
-    count, state = flow.count, orbit.state
+    count, state = flow.n_modes, orbit.state
     if case["structure"]["form"] == "matrices":
         shapes = flow.modes.shapes
         state = np.concatenate(

@@ -122,7 +122,7 @@ class Assessment:
         found = wave_states(flow, wave.displacement_coefficients, wave.base_omega)
         if flow.friction:
             time = wave.period / len(found) * np.arange(len(found))
-            found[:, 2 * flow.count :] = wave.sticking_places(time)
+            found[:, 2 * flow.n_modes :] = wave.sticking_places(time)
         return found
 
     @cached_property
@@ -218,7 +218,7 @@ class Assessment:
             found = UNKNOWN, UNKNOWN
         else:
             assert self.flow is not None
-            change = (step.states - self.states)[:, : self.flow.count] @ self.flow.modes.shapes.T
+            change = (step.states - self.states)[:, : self.flow.n_modes] @ self.flow.modes.shapes.T
             time = np.arange(len(change)) * wave.period / len(change)
             found = step.error, _at_load(wave, change, wave.coordinates(time))
             found = (stated_error(found[0]), stated_error(found[1])) if search else found
@@ -249,7 +249,7 @@ class Assessment:
             return ""
         if self.too_slow:
             assert self.flow is not None
-            turns = self.flow.fastest * self.wave.period / (2.0 * np.pi)
+            turns = self.flow.max_rate * self.wave.period / (2.0 * np.pi)
             many = f"{turns / 1e3:.0f} thousand cycles in a period"
             slow = f"the load is so slow that the highest modes have {many}"
             return f"{slow}, too many for exact time integration; keep fewer modes"

@@ -154,7 +154,7 @@ class BlockSystem(Snes):
         middle = sparse.csr_matrix((tangent.ravel(), self._ends), (count, count))
         return sparse.csr_matrix(self._into @ middle @ self._seen)
 
-    def _choose(self, solver: Any) -> None:
+    def _choose_solver(self, solver: Any) -> None:
         solver.getPC().setType("lu")
         if PETSc.Sys.hasExternalPackage("mumps"):
             solver.getPC().setFactorSolverType("mumps")

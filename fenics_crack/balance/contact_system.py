@@ -490,19 +490,19 @@ class CompiledEquations(Equations):
 
         Raises ConvergenceError where an instant has no forces.
         """
-        if self._last is not at:
+        if self._last_linearisation is not at:
             if not self.check(self.run(self.table.evaluate, pointer(at.unknown), at.parameter)):
                 raise ConvergenceError("contact: no forces were found at an instant of the period")
-            self._last = at
+            self._last_linearisation = at
         return self.table
 
-    def found(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
-        self._last = found = CompiledPoint(self, unknown, parameter)
+    def linearise_evaluated(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
+        self._last_linearisation = found = CompiledPoint(self, unknown, parameter)
         return found
 
     def largest_compliance(self, parameter: float) -> float:
         """Largest sum of abs(R_k - R_inf) over a row of it at a parameter [m/N]."""
-        self._last = None
+        self._last_linearisation = None
         compliance = float(kernel.largest_moving(self._point, parameter))
         if not math.isfinite(compliance):
             self.check(kernel.SINGULAR_STRUCTURE)

@@ -440,7 +440,7 @@ def _solved(solver: Solver, tolerance: float, initial: PeriodicSolution | None) 
     if found.orbit is not None:
         kept = solution_of_orbit(problem, found.orbit, tolerance, initial)
         way = f"{found.reason}, from H = {balanced[-1].harmonics}" if balanced else found.reason
-        return replace(kept, status=way + _told_of_others(found), others=found.others)
+        return replace(kept, status=way + _told_of_others(found), others=found.other_orbits)
     if balanced:
         initial = balanced[-1]
         problem = problem.with_harmonics(initial.harmonics)
@@ -485,7 +485,7 @@ def _sought(
                 yield near.assessment.states
 
     orbit = search_orbit(
-        flow, problem.omega, guesses(), problem.subharmonic, any_other=initial is None
+        flow, problem.omega, guesses(), problem.subharmonic, prefer_stable=initial is None
     )
     return balanced, orbit
 
@@ -498,7 +498,7 @@ def _begun(solver: Solver, problem: Problem) -> Solver:
 def _told_of_others(found: OrbitSearch) -> str:
     """Describe the other orbits that were found."""
     words = []
-    for other in found.others:
+    for other in found.other_orbits:
         size = quantity(other.amplitude(), "m")
         words.append(f"{'stable' if other.is_stable else 'unstable'}, amplitude {size}")
     return f"; other orbits at this frequency: {'; '.join(words)}" if words else ""

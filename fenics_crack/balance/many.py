@@ -204,7 +204,7 @@ def _ordered(many: ManyOrbits, flow: ContactFlow) -> Iterator[tuple[int, np.ndar
     x = np.nan_to_num(np.array(rows).T, nan=0.0, posinf=0.0, neginf=0.0)
     spread, middle = np.ptp(x, axis=0), np.median(x, axis=0)
     nearest = int(np.abs(flow.modes.squares - middle[0] ** 2).argmin())
-    width = middle[1] * flow.modes.damped(np.eye(flow.count))[nearest, nearest]
+    width = middle[1] * flow.modes.damped(np.eye(flow.n_modes))[nearest, nearest]
     spread[0] = min(spread[0], width) if width > 0.0 else spread[0]
     x = (x - middle) / np.where(spread > 0.0, spread, 1.0)
     order = np.argsort(np.linalg.norm(x, axis=1), kind="stable")

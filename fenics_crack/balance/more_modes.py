@@ -95,7 +95,7 @@ class MoreModes:
         """States of the nearest orbit at equal parts of its period, with what new modes have of its
         load and contact forces."""
         samples, flow = self.fewer.sampled, self.flow
-        count = self.fewer.flow.count
+        count = self.fewer.flow.n_modes
         shape, speed, places = np.split(samples.whole_states, [count, 2 * count], axis=1)
         if massless(self.wave.structure) is None:
             return self._expanded(shape, speed, places)[:: INSTANTS_PER_PERIOD // SEGMENTS]
@@ -171,7 +171,7 @@ class MoreModes:
 
 def is_still(samples: Samples) -> bool:
     """Return True if crack faces, which the load presses together, move by rounding only."""
-    slow = samples.states[:, : samples.flow.count] @ samples.flow.modes.pairs
+    slow = samples.states[:, : samples.flow.n_modes] @ samples.flow.modes.pairs
     moved = samples.gaps + samples.flow.clearance
     return bool(np.linalg.norm(moved) <= NEGLIGIBLE * np.linalg.norm(slow))
 

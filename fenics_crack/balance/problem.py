@@ -444,7 +444,7 @@ class Search:
         most, sharp = self._at_once, max(self.tolerance, tolerance)
         found = solve_at(system, guess, at, tolerance=sharp, iterations=most)
         self.iterations += most if found is None else found.iterations
-        return None if found is None else found.at
+        return None if found is None else found.linearisation
 
     @property
     def _at_once(self) -> int:
@@ -474,7 +474,7 @@ class Search:
         rest = [(f"continuation in the {quantity}", self._path(system))] * (not self._spent)
         if self.share == 1.0 and system.integrals.coupled and problem.harmonics <= self._many:
             flow = flow_of(problem.structure, problem.contact)
-            late = flow is not None and flow.count > MAX_MODES_FOR_MONODROMY
+            late = flow is not None and flow.n_modes > MAX_MODES_FOR_MONODROMY
             rest.insert(len(rest) * late, ("from an exact orbit", self._next_to_orbit(problem)))
         yield from rest
 
@@ -551,7 +551,7 @@ class Search:
                 resize_harmonics(at.force, problem.harmonics)
             )
             guesses.append(wave_states(flow, moved, problem.base_omega))
-        self.orbit = search_orbit(flow, omega, guesses, periods, any_other=False).orbit
+        self.orbit = search_orbit(flow, omega, guesses, periods, prefer_stable=False).orbit
         if self.orbit is not None:
             known = self.orbit.coefficients(problem.harmonics)
             self._most += self._at_once
@@ -572,17 +572,17 @@ class Search:
             return
         left = 1 + max(0, int(share * (self._most - self.iterations)))
         most = self.iterations + left
-        at_once = min(PathOptions.at_once, 1 + left // MAX_STALLED_STEPS)
+        at_once = min(PathOptions.points_per_call, 1 + left // MAX_STALLED_STEPS)
         options = replace(
-            HOMOTOPY_OPTIONS, rounding=self._rounding, max_steps=left, at_once=at_once
+            HOMOTOPY_OPTIONS, rounding=self._rounding, max_steps=left, points_per_call=at_once
         )
         path = Path(system, point_on_path(system, begun.unknown, 0.0), options, [Target(1.0)])
         for point in path.points():
             self.iterations += point.iterations
             if self.iterations >= most:
                 return
-        if path.ended is EndReason.MET:
-            yield path.last.unknown
+        if path.end_reason is EndReason.REACHED:
+            yield path.last_point.unknown
 
 
 def halved(harmonics: int, enough: int) -> list[int]:

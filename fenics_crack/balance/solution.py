@@ -192,7 +192,8 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
             self.omega, self.subharmonic, self.period * parts, waves, motion, gap, force,
             structure=self.structure,
             friction=friction,
-            at=at if friction is None else None,  # forces of friction follow from those before
+            # Forces of friction follow from those before.
+            evaluate=at if friction is None else None,
             exact={} if instants or self.orbit is None else self.orbit.sliding,
         )  # fmt: skip
 

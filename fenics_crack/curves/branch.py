@@ -46,13 +46,13 @@ class Joined(Event):
     """Junction of a branch of twice the period with the one that it left: that crosses, the
     parameter turns back, and the motion repeats itself after half its period."""
 
-    terminal, words = True, "joined the branch that it left"
+    is_terminal, description = True, "joined the branch that it left"
 
     def __init__(self, system: CurveSystem) -> None:
         self._system, self._signs = system, (Fold(), BranchPoint())
 
-    def between(self, points: PathSegment) -> np.ndarray:
-        return np.asarray(np.any([one.between(points) for one in self._signs], axis=0))
+    def detect(self, points: PathSegment) -> np.ndarray:
+        return np.asarray(np.any([one.detect(points) for one in self._signs], axis=0))
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
         for one in self._signs:

@@ -193,7 +193,7 @@ class GrowingCurve:
         """Yield the last point so far, at first the first one, and all that follow."""
         yield self.points[-1]
         for part in self._parts():
-            for one in part.singly():
+            for one in part.split_points():
                 yield self._record(one)
 
     def run(self) -> None:
@@ -219,21 +219,25 @@ class GrowingCurve:
             max_step=longest,
             min_step=max(ARRIVAL_DISTANCE, system.rounding(here.parameter)),
             max_steps=self.most_points + 1 - len(self.points),
-            at_once=max(1, min(PathOptions.at_once, system.at_once)),
+            points_per_call=max(1, min(PathOptions.points_per_call, system.at_once)),
             span=(-self._steps.turning_back, np.inf),
         )
         path = Path(system, here, options, events, system.control(longest))
         yield from path
-        assert path.ended is not None
+        assert path.end_reason is not None
         self.complete = path.event is not None
-        self.status = path.event.words if path.event else path.ended.in_words(self.most_points)
-        self.returned = path.ended is EndReason.LEFT or isinstance(path.event, ClosedLoop)
+        self.status = (
+            path.event.description if path.event else path.end_reason.describe(self.most_points)
+        )
+        self.returned = path.end_reason is EndReason.RANGE_LEFT or isinstance(
+            path.event, ClosedLoop
+        )
 
     def _record(self, points: PathSegment) -> CurvePoint:
         """Take up points, and what lies before the last of them; return that one."""
         special = [
             (event.kind, self._point(at.parameter, at.unknown, at.iterations, at.observed))
-            for event, at in points.met
+            for event, at in points.located_events
             if event.kind
         ]
         self._special += special
@@ -399,7 +403,7 @@ def has_orbits(problem: Problem, parameter: str, start: float, end: float) -> bo
     few modes that the monodromy matrix is formed, and the load is not too slow."""
     check_range(problem, parameter, start, end)
     flow = flow_of(problem.structure, problem.contact)
-    if flow is None or flow.count > MAX_MODES_FOR_MONODROMY:
+    if flow is None or flow.n_modes > MAX_MODES_FOR_MONODROMY:
         return False
     ends = [WAVES[parameter].vary(problem, value).omega for value in (start, end)]
     return not any(is_too_slow(flow, omega, problem.subharmonic) for omega in ends)

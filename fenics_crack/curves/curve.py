@@ -459,9 +459,9 @@ class ResponseCurve(ObservedMotion, Tabular):
     def coefficients_at(self, dof: int | None = None) -> np.ndarray:
         """Coefficients of the displacement of a dof, or of the watched one, at every point:
         (n, 2H+1) [m]."""
-        return self.observe([dof])[0][0].waves
+        return self.observe([dof])[0][0].coefficients
 
-    def _along(self, values: list[Any]) -> np.ndarray:
+    def _gather(self, values: list[Any]) -> np.ndarray:
         return np.array(values)
 
     def top(self, dof: int | None = None) -> Top:

@@ -142,7 +142,7 @@ class PeriodDoubling(Event):
 
     kind = "period_doubling"
 
-    def between(self, points: PathSegment) -> np.ndarray:
+    def detect(self, points: PathSegment) -> np.ndarray:
         return np.asarray(changes(points.observed)[:, 1] != 0.0)
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
@@ -155,7 +155,7 @@ class NeimarkSacker(Event):
 
     kind = "neimark_sacker"
 
-    def between(self, points: PathSegment) -> np.ndarray:
+    def detect(self, points: PathSegment) -> np.ndarray:
         return np.asarray(changes(points.observed)[:, 2] != 0.0)
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:

@@ -106,7 +106,7 @@ class Orbits(CurveSystem):
     @cached_property
     def _rest(self) -> np.ndarray:
         """x_0 and x_1."""
-        first, last = (self._scaled(self.flow(v).rest, v) for v in (self.start, self.end))
+        first, last = (self._scaled(self.flow(v).rest_state, v) for v in (self.start, self.end))
         return np.array([first, last - first])
 
     def state(self, unknown: np.ndarray, value: float) -> np.ndarray:
@@ -131,7 +131,7 @@ class Orbits(CurveSystem):
     def _modes(self, value: float) -> np.ndarray:
         """States of the first flow to those where the speed has a value."""
         change = self.flow(value).modes.inverse @ self._first.modes.shapes
-        places = np.eye(self._first.size - 2 * self._first.count)
+        places = np.eye(self._first.size - 2 * self._first.n_modes)
         return scipy.linalg.block_diag(change, change, places)
 
     def _motion(self, unknown: np.ndarray, parameter: float, part: float = 1.0) -> Motion:

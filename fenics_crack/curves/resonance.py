@@ -46,7 +46,7 @@ from fenics_crack.numerics.equations import LOCATION_TOLERANCE
 from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_robustly
 from fenics_crack.numerics.path import ARRIVAL_DISTANCE, Crossing, EndReason, Path, PathOptions
 
-TO_PHASE = PathOptions(0.05, 0.3, max_steps=300, at_once=8, span=(-4.0, 1.8))
+TO_PHASE = PathOptions(0.05, 0.3, max_steps=300, points_per_call=8, span=(-4.0, 1.8))
 """Options of the response curve on which the first point is met. Its parameter is in halves of the
 frequency, so that steps are parts of the motion; up to three times the frequency, or down to a
 tenth."""
@@ -92,7 +92,7 @@ class ResonanceSystem(CurveSystem):
 class _InPhase(Crossing):
     """Zero of the part of the displacement that is in phase with the load, where a path ends."""
 
-    terminal, sought, words = True, True, EndReason.MET.value
+    is_terminal, must_be_located, description = True, True, EndReason.REACHED.value
 
 
 def first_resonance(problem: Problem, near: float) -> PhasePoint:
@@ -127,7 +127,7 @@ def first_resonance(problem: Problem, near: float) -> PhasePoint:
 
     here = point_on_path(waves, start, 0.0)
     if power.real > 0.0:  # upwards
-        here = replace(here, tangent=here.tangent.reversed())
+        here = replace(here, tangent=here.tangent.reverse())
     met = Path(waves, here, TO_PHASE, [_InPhase(in_phase)]).run()
     if met is None:
         raise ConvergenceError(f"resonance: not met by the response from {near:.6g} rad/s on")

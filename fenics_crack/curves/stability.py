@@ -202,10 +202,10 @@ def shoot(
         orbits = FlowOrbits(flow, solution.omega, known.states[0], periods)
         settled = orbits.start
         for _ in range(settle):
-            settled = orbits.moved(settled, 1.0)
+            settled = orbits.advance_period(settled, 1.0)
         start = orbits.state(settled)
         found = find_orbit(flow, solution.omega, start, subharmonic=periods)
-        if found is None and flow.count <= MAX_MODES_FOR_MONODROMY:
+        if found is None and flow.n_modes <= MAX_MODES_FOR_MONODROMY:
             found = find_by_homotopy(
                 FlowOrbits(flow, solution.omega, start, periods), SearchOptions()
             )
@@ -304,7 +304,7 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
     known = replace(solution, structure=structure).assessment
     if known.irregular_motion is not None:
         return (known.irregular_motion,)
-    followed = known.flow is not None and known.flow.count <= MAX_MODES_FOR_MONODROMY
+    followed = known.flow is not None and known.flow.n_modes <= MAX_MODES_FOR_MONODROMY
     verdict = stability_of(known).verdict if followed else "no exact flow"
     orbit = known.orbit if followed else None
     if verdict != "unstable" or orbit is None:
@@ -334,7 +334,7 @@ def from_rest(solution: PeriodicSolution) -> Attractor | None:
     None where there is no exact flow, or more than 120 modes.
     """
     flow = solution.assessment.flow
-    if flow is None or flow.count > MAX_MODES_FOR_MONODROMY:
+    if flow is None or flow.n_modes > MAX_MODES_FOR_MONODROMY:
         return None
     orbits = FlowOrbits(flow, solution.omega, solution.assessment.states[0])
     return find_attractor(orbits, np.zeros(flow.size), SearchOptions().periods(flow))
@@ -354,7 +354,7 @@ def stability_of(known: Assessment) -> Stability:
                 np.nan,
                 reason=f"no orbit was found, and the exact motion {motion.description}",
             )
-        if known.prediction is not None and known.flow.count <= MAX_MODES_FOR_MONODROMY:
+        if known.prediction is not None and known.flow.n_modes <= MAX_MODES_FOR_MONODROMY:
             values = eigenvalues(known.prediction.monodromy)
         return Stability(values, "undecided", np.nan, reason=known.reason)
     reason, largest = known.reason, abs(orbit.multipliers[0])

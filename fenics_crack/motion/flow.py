@@ -140,11 +140,11 @@ class Flow:
         seen = seen_by(contact, structure)
         self.clearance = seen.clearance
         self.modes = modes = all_modes(seen)
-        self.count = len(modes.squares)
-        self.size = 2 * self.count + (structure.n_pairs if self.friction else 0)
-        self.residual = modes.static_part()
+        self.n_modes = len(modes.squares)
+        self.size = 2 * self.n_modes + (structure.n_pairs if self.friction else 0)
+        self.residual_flexibility = modes.static_part()
         self.softness = springs_of(contact, structure.n_pairs)
-        self.compliance = self.residual + np.diag(self.softness)
+        self.compliance = self.residual_flexibility + np.diag(self.softness)
         self.force = np.ascontiguousarray(structure.force @ modes.shapes)
         self.gap = np.zeros((len(self.force), len(self.softness)))
         if modes.static_loads is not None:
@@ -173,11 +173,11 @@ class Flow:
     ) -> np.ndarray:
         """Displacement of the structure's own dofs, or of some, in states and under contact forces
         at phases of the load: (n, n_dofs) [m]."""
-        return self.displaced(
-            states[:, : self.count], force, fourier_basis_for(self.force, phase), dofs
+        return self.combine_displacement(
+            states[:, : self.n_modes], force, fourier_basis_for(self.force, phase), dofs
         )
 
-    def displaced(
+    def combine_displacement(
         self,
         modal: np.ndarray,
         force: np.ndarray,
@@ -205,19 +205,19 @@ class ContactFlow(Flow):
         modes, pairs = self.modes, structure.n_pairs
         closed = np.linalg.solve(self.compliance, modes.pairs.T)
         stiffness = np.diag(modes.squares) + modes.pairs @ closed
-        self.fastest = _bound_rates(float(np.linalg.eigvalsh(stiffness)[-1]), modes.damping)
+        self.max_rate = _bound_rates(float(np.linalg.eigvalsh(stiffness)[-1]), modes.damping)
         """Bound of the rates at which any set of closed pairs turns or decays [1/s]."""
         coefficient = None
         if self.friction:
             coefficient = np.broadcast_to(self.friction.coefficient, pairs).astype(float)
         parts = Struct(
-            "flow_parts", modes=self.count, pairs=pairs, friction=coefficient,
+            "flow_parts", modes=self.n_modes, pairs=pairs, friction=coefficient,
             coupled=modes.damping.ndim == 2, squares=as_doubles(modes.squares),
             damping=as_doubles(modes.damping),
             rows=as_doubles(modes.pairs.T), compliance=as_doubles(self.compliance),
             force=self.force,
             harmonics=len(self.force) // 2,
-            gap=self.gap, fastest=self.fastest, most=int(KEPT * machine_memory()) // 8,
+            gap=self.gap, fastest=self.max_rate, most=int(KEPT * machine_memory()) // 8,
         )  # fmt: skip
         self.handle = owned(kernel.new_flow(parts.at), kernel.free_flow)
         """The kernel's own object."""
@@ -245,7 +245,7 @@ class ContactFlow(Flow):
         return float(min(found))
 
     @cached_property
-    def rest(self) -> np.ndarray:
+    def rest_state(self) -> np.ndarray:
         """State of rest under the load's mean alone, without its rigid-body part and, with
         friction, tangential forces: (size,)."""
         modes, count = self.modes, self.structure.n_pairs
@@ -268,23 +268,23 @@ class ContactFlow(Flow):
 
     def pieces(self, duration: float) -> float:
         """Return the number of Taylor pieces of a motion so long [s] without events."""
-        return float(self.fastest * duration / kernel.FLOW_REACH)
+        return float(self.max_rate * duration / kernel.FLOW_REACH)
 
     def weights(self, base_omega: float) -> np.ndarray:
         """Return the weights that make the norm of a state that of its energy, (2 n_modes,); modes
         slower than a frequency [rad/s] count as if they had it."""
         found = np.ones(self.size)
-        np.sqrt(np.maximum(self.modes.squares, base_omega**2), out=found[: self.count])
+        np.sqrt(np.maximum(self.modes.squares, base_omega**2), out=found[: self.n_modes])
         if self.friction:  # of springs as stiff as a pair that sticks alone
             own = np.diag(self.compliance)[self.structure.n_pairs :]
-            found[2 * self.count :] = 1.0 / np.sqrt(own)
+            found[2 * self.n_modes :] = 1.0 / np.sqrt(own)
         return found
 
     def amplitude_weights(self, base_omega: float) -> np.ndarray:
         """Return the same weights over the modes' rates: 1 of displacements, (size,)."""
         weights = self.weights(base_omega)
-        rates = weights[: self.count]
-        places = np.full(self.size - 2 * self.count, rates[0])
+        rates = weights[: self.n_modes]
+        places = np.full(self.size - 2 * self.n_modes, rates[0])
         return weights / np.concatenate([rates, rates, places])
 
     def advance(
@@ -308,7 +308,7 @@ class ContactFlow(Flow):
         end_state = np.array(state, dtype=float).reshape(self.size)
         instants = np.zeros(0) if instants is None else as_doubles(instants)
         count, rows, pairs = len(instants), len(self.softness), self.structure.n_pairs
-        states = np.empty((count, 2 * self.count))
+        states = np.empty((count, 2 * self.n_modes))
         answers = np.empty((count, 2 * rows if self.friction else rows))
         closed = np.empty((count, pairs), dtype=np.int8)
         given, record = self._motion(
@@ -388,7 +388,7 @@ class Track:
         return float(self.lengths @ which.mean(axis=1) / self.lengths.sum())
 
     @cached_property
-    def _known(self) -> Struct:
+    def _struct(self) -> Struct:
         members = {name: value for name, value in vars(self).items() if name != "flow"}
         return Struct("flow_track", intervals=len(self.lengths), **members)
 
@@ -396,7 +396,7 @@ class Track:
     def tangent(self) -> np.ndarray:
         """dz(end) / dz(start): (2 n_modes, 2 n_modes)."""
         found = np.empty((self.flow.size, self.flow.size))
-        outcome = kernel.flow_tangent(self.flow.handle, self._known.at, pointer(found))
+        outcome = kernel.flow_tangent(self.flow.handle, self._struct.at, pointer(found))
         _check_outcome(outcome, len(self.lengths) - 1)
         return found
 
@@ -405,7 +405,7 @@ class Track:
         derivative of the softness by it, (n_pairs,)."""
         found, rates = np.empty(self.flow.size), shaped(softness, *self.flow.softness.shape)
         outcome = kernel.flow_by_structure(
-            self.flow.handle, self._known.at, pointer(as_doubles(start)), NULL, pointer(rates),
+            self.flow.handle, self._struct.at, pointer(as_doubles(start)), NULL, pointer(rates),
             pointer(found),
         )  # fmt: skip
         _check_outcome(outcome, len(self.lengths) - 1)
@@ -414,16 +414,17 @@ class Track:
     def __matmul__(self, change: np.ndarray) -> np.ndarray:
         """dz(end) of a change dz(start), without the matrix: (2 n_modes,)."""
         end = np.array([len(self.lengths)], dtype=np.intc)
-        return np.asarray(self.carried(change, np.zeros((1, self.flow.size)), end)[-1])
+        return np.asarray(self.carry_changes(change, np.zeros((1, self.flow.size)), end)[-1])
 
-    def carried(self, start: np.ndarray, excess: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    def carry_changes(self, start: np.ndarray, excess: np.ndarray, ends: np.ndarray) -> np.ndarray:
         """Changes d of the state at the starts of parts of the track and at its end, (n + 1,
         2 n_modes), d_{i+1} = M_i d_i + excess_i, from d_0; ``ends``: intervals passed at the ends
         of the parts."""
         changes = np.empty((len(ends) + 1, self.flow.size))
         changes[0] = start
         outcome = kernel.flow_carry(
-            self.flow.handle, self._known.at, len(ends), pointer(ends), pointer(as_doubles(excess)),
+            self.flow.handle, self._struct.at, len(ends), pointer(ends),
+            pointer(as_doubles(excess)),
             pointer(changes),
         )  # fmt: skip
         _check_outcome(outcome, len(self.lengths) - 1)
@@ -450,19 +451,19 @@ class Samples:
     answers: np.ndarray
     """(n, n_pairs): forces [N] of closed pairs, openings [m] of the others; with friction (n, 4
     n_pairs): the forces on all rows, and the gaps without those of springs."""
-    contact: np.ndarray
+    pair_states: np.ndarray
 
     @property
-    def closed(self) -> np.ndarray:
+    def is_closed(self) -> np.ndarray:
         """Closed pairs: (n, n_pairs) bool."""
-        return self.contact > 0
+        return self.pair_states > 0
 
     @cached_property
     def forces(self) -> np.ndarray:
         """Contact forces on all rows: (n, n_rows) [N]."""
         if self.flow.friction:
             return self.answers[:, : len(self.flow.softness)]
-        return np.where(self.closed, np.maximum(self.answers, 0.0), 0.0)
+        return np.where(self.is_closed, np.maximum(self.answers, 0.0), 0.0)
 
     @cached_property
     def gaps(self) -> np.ndarray:
@@ -470,7 +471,7 @@ class Samples:
         moved = self.forces * self.flow.softness
         if self.flow.friction:
             return self.answers[:, len(self.flow.softness) :] + moved
-        return np.where(self.closed, moved, -self.answers)
+        return np.where(self.is_closed, moved, -self.answers)
 
     @property
     def places(self) -> np.ndarray:

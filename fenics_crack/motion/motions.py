@@ -135,13 +135,13 @@ class Record:
     omega: float
     subharmonic: int
     time: np.ndarray
-    waves: np.ndarray
+    coefficients: np.ndarray
     motion: np.ndarray
     gap: np.ndarray
     force: np.ndarray
     structure: Structure
     friction: float | np.ndarray | None = None
-    at: RecordFunction | None = None
+    evaluate: RecordFunction | None = None
     steps: int = 0
     exact: Mapping[str, float] = field(default_factory=dict)
 
@@ -155,7 +155,7 @@ class Record:
         """Pairs of the crack faces; 0 where what they do is known."""
         return self.gap.shape[1] // (1 if self.friction is None else 2)
 
-    def last(self, periods: int) -> Record:
+    def last_periods(self, periods: int) -> Record:
         """The same over the last periods of the load, if it has several."""
         if not self.steps:
             return self
@@ -163,11 +163,13 @@ class Record:
         names = "time", "motion", "gap", "force"
         return replace(self, **{name: getattr(self, name)[kept] for name in names})
 
-    def part(self, rows: slice) -> Record:
+    def select_rows(self, rows: slice) -> Record:
         """The same of some of the rows."""
-        whole = self.at
+        whole = self.evaluate
         at = whole and (lambda parts: ((all_of := whole(parts))[0][:, rows], *all_of[1:]))
-        return replace(self, waves=self.waves[:, rows], motion=self.motion[:, rows], at=at)
+        return replace(
+            self, coefficients=self.coefficients[:, rows], motion=self.motion[:, rows], evaluate=at
+        )
 
     @cached_property
     def pairs_of_cracks(self) -> np.ndarray:
@@ -177,10 +179,10 @@ class Record:
         return crack_numbers[:, None] == np.unique(crack_numbers)
 
     @cached_property
-    def tops(self) -> np.ndarray:
+    def maxima(self) -> np.ndarray:
         """Largest values of all products and of their negatives (2 m,), and behind them at the
         crack faces of opening, penetration, contact force of a pair and of a crack (4,)."""
-        count, at, members = self.n_pairs, self.at, self.pairs_of_cracks
+        count, at, members = self.n_pairs, self.evaluate, self.pairs_of_cracks
 
         def columns(motion: np.ndarray, gap: np.ndarray, force: np.ndarray) -> np.ndarray:
             parts = [motion, -motion]
@@ -207,15 +209,15 @@ class Harmonics:
     """
 
     def __init__(self, waves: np.ndarray, subharmonic: int) -> None:
-        self.waves, self._periods = waves, subharmonic
+        self.coefficients, self._periods = waves, subharmonic
         self._levels = np.hypot(waves[1::2], waves[2::2])
         first = self.harmonic(1)
-        self.mean, self.first = float(waves[0]), first if first > 0.0 else math.nan
+        self.mean, self.fundamental = float(waves[0]), first if first > 0.0 else math.nan
         self.largest_order = self.ratio_largest = math.nan
         above = self._levels[2 * subharmonic - 1 :: subharmonic]
         if len(above):
             place = int(above.argmax())
-            self.ratio_largest = float(above[place]) / self.first
+            self.ratio_largest = float(above[place]) / self.fundamental
             if above[place] > NEGLIGIBLE * np.abs(waves).max():
                 self.largest_order = 2.0 + place
 
@@ -227,7 +229,7 @@ class Harmonics:
 
     def ratio(self, multiple: float) -> float:
         """U_j / U_1."""
-        return self.harmonic(multiple) / self.first
+        return self.harmonic(multiple) / self.fundamental
 
 
 class Point(Harmonics):
@@ -242,9 +244,9 @@ class Point(Harmonics):
     """
 
     def __init__(self, record: Record, row: int) -> None:
-        super().__init__(record.waves[:, row], record.subharmonic)
+        super().__init__(record.coefficients[:, row], record.subharmonic)
         self.motion, many = record.motion[:, row], record.motion.shape[1]
-        self.amplitude = 0.5 * float(record.tops[row] + record.tops[many + row])
+        self.amplitude = 0.5 * float(record.maxima[row] + record.maxima[many + row])
 
 
 class Faces:
@@ -262,9 +264,9 @@ class Faces:
     """
 
     def __init__(self, record: Record) -> None:
-        count, last = record.n_pairs, record.last(1)
+        count, last = record.n_pairs, record.last_periods(1)
         self.gap, self.force = record.gap[:, :count], record.force[:, :count]
-        self.tops = record.tops[-4:]
+        self.maxima = record.maxima[-4:]
         if record.friction is not None:
             force, drag = np.hsplit(last.force, 2)
             self.slips = is_slipping(record.friction, force, drag)
@@ -310,7 +312,7 @@ class ExtraRows(NamedTuple):
     """
 
     rows: np.ndarray
-    numbers: Callable[[Record], dict[str, float]]
+    read_numbers: Callable[[Record], dict[str, float]]
 
 
 class Displacement(NamedTuple):
@@ -318,7 +320,7 @@ class Displacement(NamedTuple):
     or along a curve (n, 2H+1)."""
 
     indicators: Indicators
-    waves: np.ndarray
+    coefficients: np.ndarray
 
 
 class ObservedMotion:
@@ -349,8 +351,8 @@ class ObservedMotion:
     def faces(self) -> dict[str, Any]:
         """Numbers of the crack faces, where there are some (collective)."""
         if not self._at_faces:
-            self.walk(np.zeros((0, self.structure.n_local)))
-        numbers = self._along_all(self._at_faces)
+            self.observe_rows(np.zeros((0, self.structure.n_local)))
+        numbers = self._gather_numbers(self._at_faces)
         return {name: value for name, value in numbers.items() if not np.all(np.isnan(value))}
 
     def observe(
@@ -363,11 +365,11 @@ class ObservedMotion:
         new = [dof for dof in dict.fromkeys(wanted) if dof not in self._displacements]
         numbers: dict[str, Any] = {}
         if new or places:
-            displacements, numbers = self.walk(rows_of(structure, new), places)
+            displacements, numbers = self.observe_rows(rows_of(structure, new), places)
             self._displacements.update(zip(new, displacements, strict=True))
         return [self._displacements[dof] for dof in wanted], numbers
 
-    def walk(
+    def observe_rows(
         self, rows: np.ndarray, places: Sequence[ExtraRows] = ()
     ) -> tuple[list[Displacement], dict[str, Any]]:
         """Return the displacements that rows (m, n_local) give, and the numbers at places of rows
@@ -375,8 +377,8 @@ class ObservedMotion:
         ends = np.cumsum([len(rows), *(len(place.rows) for place in places)]).tolist()
         points, waves, numbers = [], [], list[dict[str, float]]()
         for index, whole in enumerate(self.records(np.vstack([rows, *(p.rows for p in places)]))):
-            record = whole.last(RECORDED_PERIODS)
-            record = record.part(slice(len(rows))) if places else record
+            record = whole.last_periods(RECORDED_PERIODS)
+            record = record.select_rows(slice(len(rows))) if places else record
             if index < len(self._at_faces):
                 record = replace(record, gap=record.gap[:, :0])
             else:
@@ -384,19 +386,21 @@ class ObservedMotion:
             shared = {"omega": record.omega} | self._at_faces[index]
             at_rows = (read_at(Place.POINT, Point(record, row)) for row in range(len(rows)))
             points.append([shared | values for values in at_rows])
-            waves.append(record.waves.T)
+            waves.append(record.coefficients.T)
             numbers.append({})
             for place, ends_of in zip(places, pairwise(ends), strict=True):
-                numbers[-1] |= place.numbers(whole.part(slice(*ends_of)))
-        columns = (Indicators(**self._along_all(values)) for values in zip(*points, strict=True))
-        along = (self._along(list(rows)) for rows in zip(*waves, strict=True))
-        return list(map(Displacement, columns, along)), self._along_all(numbers)
+                numbers[-1] |= place.read_numbers(whole.select_rows(slice(*ends_of)))
+        columns = (
+            Indicators(**self._gather_numbers(values)) for values in zip(*points, strict=True)
+        )
+        along = (self._gather(list(rows)) for rows in zip(*waves, strict=True))
+        return list(map(Displacement, columns, along)), self._gather_numbers(numbers)
 
-    def _along_all(self, values: Sequence[Mapping[str, float]]) -> dict[str, Any]:
+    def _gather_numbers(self, values: Sequence[Mapping[str, float]]) -> dict[str, Any]:
         """The same by names."""
-        return {name: self._along([value[name] for value in values]) for name in values[0]}
+        return {name: self._gather([value[name] for value in values]) for name in values[0]}
 
-    def _along(self, values: list[Any]) -> Any:
+    def _gather(self, values: list[Any]) -> Any:
         """The value of a motion; of a curve those of its points, as an array."""
         [value] = values
         return value

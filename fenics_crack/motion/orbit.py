@@ -254,7 +254,7 @@ class PeriodicOrbit(ObservedMotion, Described):
             motion, gap, force,
             structure=self.structure,
             friction=getattr(self.flow.friction, "coefficient", None),
-            at=at,
+            evaluate=at,
             exact=exact,
         )  # fmt: skip
 
@@ -264,7 +264,7 @@ class PeriodicOrbit(ObservedMotion, Described):
         base = self.omega / self.subharmonic
         samples, length = self._at_nodes(harmonics * base)
         share = (0.5 * length[:, None] * gauss_nodes()[1]).ravel() / self.period
-        gaps, forces, count = samples.gaps, samples.forces, self.flow.count
+        gaps, forces, count = samples.gaps, samples.forces, self.flow.n_modes
         values = np.hstack([gaps, forces, samples.states[:, :count]])
         found = np.zeros((2 * harmonics + 1, values.shape[1]))
         kept = np.empty((len(found), INSTANTS_PER_BLOCK))
@@ -282,14 +282,14 @@ class PeriodicOrbit(ObservedMotion, Described):
         orders = np.arange(1, len(self.flow.force) + 1) // 2
         rows = np.arange(len(self.flow.force)) + 2 * orders * (self.subharmonic - 1)
         load = np.equal.outer(np.arange(len(found)), rows).astype(float)
-        return OrbitCoefficients(gap, force, self.flow.displaced(modal, force, load))
+        return OrbitCoefficients(gap, force, self.flow.combine_displacement(modal, force, load))
 
     def _at_nodes(self, omega: float) -> tuple[Samples, np.ndarray]:
         """The motion at Gauss's nodes on each part of the period in which no pair opens, closes,
         sticks or slips, and waves of up to a frequency [rad/s] turn little, and the parts' lengths
         [s]; the finest that was asked for is kept."""
         if not self._finest or self._finest[-1][0] < omega:
-            turn = self.motion.track.lengths * (self.flow.fastest + omega)
+            turn = self.motion.track.lengths * (self.flow.max_rate + omega)
             parts = np.maximum(np.ceil(turn / kernel.FLOW_REACH), 1).astype(int)
             length = np.repeat(self.motion.track.lengths / parts, parts)
             start = np.concatenate([[0.0], np.cumsum(length)[:-1]])
@@ -316,7 +316,7 @@ class PeriodicOrbit(ObservedMotion, Described):
             return np.asarray(np.einsum("k,pkc,pkc->c", weights, force, turn @ moved))
 
         load = fourier_basis_for(flow.force, self.omega * samples.time) @ flow.structure.force
-        rates = samples.states[:, flow.count :]
+        rates = samples.states[:, flow.n_modes :]
         share = (0.5 * length[:, None] * weights).ravel()
         damping = float(share @ np.sum(rates * flow.modes.damped(rates), axis=1))
         count = flow.structure.n_pairs
@@ -432,7 +432,7 @@ class MotionInArcs(PeriodicOrbit):
                 self.starts, places.tolist(), instants, strict=False
             )
         ]
-        arrays = ((part.states, part.answers, part.contact) for part in parts)
+        arrays = ((part.states, part.answers, part.pair_states) for part in parts)
         return Samples(self.flow, self.omega, time, *map(np.concatenate, zip(*arrays, strict=True)))
 
 
@@ -449,7 +449,7 @@ def is_affordable(
     states of crack faces with mass, which bounce, are not tried: from their harmonic-balance
     solutions Newton's method leads to no orbit.
     """
-    if flow.count <= MAX_MODES_FOR_MONODROMY:
+    if flow.n_modes <= MAX_MODES_FOR_MONODROMY:
         return not is_too_slow(flow, omega, subharmonic)
     pieces = flow.pieces(2.0 * np.pi * subharmonic / omega)
     return flow.structure.light_lips and periods * pieces <= MAX_SEARCH_PIECES
@@ -458,7 +458,7 @@ def is_affordable(
 def is_too_slow(flow: ContactFlow, omega: float, subharmonic: int = 1) -> bool:
     """Return True if two periods of a small state exceed the budget, without events."""
     pieces = flow.pieces(2.0 * np.pi * subharmonic / omega)
-    return flow.count <= MAX_MODES_FOR_MONODROMY and 2.0 * pieces > Budget.pieces
+    return flow.n_modes <= MAX_MODES_FOR_MONODROMY and 2.0 * pieces > Budget.pieces
 
 
 def predict_orbit(
@@ -470,12 +470,12 @@ def predict_orbit(
     try:
         moved, track, ends = flow.steps(states, omega, 2.0 * np.pi * subharmonic / omega)
         excess = moved - np.concatenate([states[1:], states[:1]])
-        change = track.carried(np.zeros(flow.size), excess, ends)[-1]
+        change = track.carry_changes(np.zeros(flow.size), excess, ends)[-1]
         inverse = _make_inverse(flow, track, weights)
-        changes = track.carried(inverse(change, FORCING_TERM), excess, ends)[:-1]
+        changes = track.carry_changes(inverse(change, FORCING_TERM), excess, ends)[:-1]
     except (ConvergenceError, np.linalg.LinAlgError, ValueError):
         return None
-    count = flow.count
+    count = flow.n_modes
     gap, moved = states[:, :count] @ flow.modes.pairs, changes[:, :count] @ flow.modes.pairs
     return Prediction(relative_to_motion(moved, gap), states + changes, track, inverse)
 
@@ -496,7 +496,7 @@ def predict_motion(
 def _make_inverse(flow: ContactFlow, track: Track, weights: np.ndarray) -> Inverse:
     """b to (I - M)^-1 b, exactly, or of large states to a relative residual in the norm of the
     energy."""
-    if flow.count <= MAX_MODES_FOR_MONODROMY:
+    if flow.n_modes <= MAX_MODES_FOR_MONODROMY:
         factors = factorise(np.eye(flow.size) - track.tangent)
         if not (np.isfinite(factors[0]).all() and np.diag(factors[0]).all()):
             raise np.linalg.LinAlgError("I - M is singular")
@@ -556,7 +556,7 @@ class _Search:
         self._flow, self._omega = flow, omega
         self._period = 2.0 * np.pi * subharmonic / omega
         most = MAX_SEARCH_PIECES
-        if flow.count <= MAX_MODES_FOR_MONODROMY and not is_too_slow(flow, omega, subharmonic):
+        if flow.n_modes <= MAX_MODES_FOR_MONODROMY and not is_too_slow(flow, omega, subharmonic):
             most = max(most, math.ceil(MAX_SEARCH_PERIODS * flow.pieces(self._period)))
         self.budget = self._left = most
         self._weights = flow.weights(omega / subharmonic)
@@ -569,7 +569,7 @@ class _Search:
 
     def leads_to_orbit(self, inverse: Inverse | None, located: float) -> bool:
         """Return True if the search ends with an orbit."""
-        formed = self._flow.count <= MAX_MODES_FOR_MONODROMY
+        formed = self._flow.n_modes <= MAX_MODES_FOR_MONODROMY
         closed, shortest = (located, MIN_NEWTON_STEP) if formed else (ROOT_TOLERANCE, 0.1)
         self.motion = self._follow(self.state)
         share, own = 1.0, False  # whether the derivative is that of the motion here

@@ -93,7 +93,7 @@ class OrbitSearch(NamedTuple):
     """
 
     orbit: PeriodicOrbit | None
-    others: tuple[PeriodicOrbit, ...]
+    other_orbits: tuple[PeriodicOrbit, ...]
     reason: str
 
 
@@ -104,7 +104,7 @@ def search_orbit(
     subharmonic: int = 1,
     options: SearchOptions | None = None,
     *,
-    any_other: bool = True,
+    prefer_stable: bool = True,
 ) -> OrbitSearch:
     """Search for an orbit of the flow from guesses, taken as they are needed.
 
@@ -127,11 +127,11 @@ def search_orbit(
         if orbit is not None and not any(is_same_orbit(orbit, other) for other in met):
             met.append(orbit)
         if orbit is not None and (
-            not any_other or flow.count > MAX_MODES_FOR_MONODROMY or orbit.is_stable
+            not prefer_stable or flow.n_modes > MAX_MODES_FOR_MONODROMY or orbit.is_stable
         ):
             break
     if met:
-        if any_other and flow.count <= MAX_MODES_FOR_MONODROMY:
+        if prefer_stable and flow.n_modes <= MAX_MODES_FOR_MONODROMY:
             met.sort(key=lambda one: not one.is_stable)
         return OrbitSearch(met[0], tuple(met[1:]), "exact orbit by Newton's method")
     for states in tried:
@@ -144,7 +144,7 @@ def search_orbit(
     orbits = FlowOrbits(flow, omega, start, subharmonic)
     if (
         tried
-        and flow.count <= MAX_MODES_FOR_MONODROMY
+        and flow.n_modes <= MAX_MODES_FOR_MONODROMY
         and (orbit := find_by_homotopy(orbits, options)) is not None
     ):
         return OrbitSearch(orbit, (), "exact orbit along a path from the motion")
@@ -192,15 +192,15 @@ class Homotopy:
     """
 
     def __init__(self, orbits: FlowOrbits, pieces: int) -> None:
-        self._orbits, self.shape, self.left = orbits, orbits.shape, pieces
+        self._orbits, self.shape, self.remaining_pieces = orbits, orbits.shape, pieces
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> _HomotopyPoint:
         """The equations at a point; raises as :meth:`FlowOrbits.linearise`, and where no pieces
         are left."""
-        if self.left <= 0:
+        if self.remaining_pieces <= 0:
             raise ConvergenceError("orbits: the homotopy takes too long")
         at = self._orbits.linearise(unknown, 1.0)
-        self.left -= max(at.pieces, PIECES_PER_PERIOD)
+        self.remaining_pieces -= max(at.pieces, PIECES_PER_PERIOD)
         return _HomotopyPoint(at, parameter, self._orbits.start)
 
 
@@ -256,7 +256,7 @@ def follow_periods(orbits: FlowOrbits, state: np.ndarray, periods: int) -> Itera
         for _ in range(periods):
             if left <= 0:
                 return
-            state = orbits.moved(state, 1.0)
+            state = orbits.advance_period(state, 1.0)
             left -= orbits.pieces
             yield state
 

@@ -92,7 +92,7 @@ class ShootingEquations(Equations):
         self.flow, self.scale, self.shape = flow, scale, scale.shape
         self.subharmonic = subharmonic
         self._given = Struct(
-            "shooting_equations", flow=flow.handle, modes=flow.count,
+            "shooting_equations", flow=flow.handle, modes=flow.n_modes,
             harmonics=len(flow.force) // 2,
             pairs=flow.structure.n_pairs, friction=flow.friction is not None,
             base=omega[0], rate=omega[1],
@@ -111,9 +111,9 @@ class ShootingEquations(Equations):
             The motion takes more than the budget allows, or is not finite.
         """
         self._evaluate(unknown, parameter)
-        return self.found(unknown, parameter)
+        return self.linearise_evaluated(unknown, parameter)
 
-    def moved(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
+    def advance_period(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
         """x after a period."""
         self._evaluate(unknown, parameter)
         return unknown + self._residual()
@@ -135,14 +135,14 @@ class ShootingEquations(Equations):
         self.table.residual(self.table, pointer(residual))
         return residual
 
-    def found(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
+    def linearise_evaluated(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
         residual = self._residual()
         events = int(kernel.switches_of(self._point))
 
         def return_there() -> None:
-            if self._last is None or self._last is not known():
+            if self._last_linearisation is None or self._last_linearisation is not known():
                 self._evaluate(unknown, parameter)
-                self._last = known()
+                self._last_linearisation = known()
 
         def monodromy() -> np.ndarray:
             found = np.empty(2 * self.shape)
@@ -158,7 +158,7 @@ class ShootingEquations(Equations):
 
         found = OrbitPoint(unknown, residual, monodromy, by_parameter, events, self.pieces)
         known = weakref.ref(found)
-        self._last = found
+        self._last_linearisation = found
         return found
 
 

@@ -150,8 +150,8 @@ class Equations(ABC):
 
     shape: tuple[int, ...]
     table: Any
-    many = True
-    _last: Linearisation | None = None
+    follows_many_points = True
+    _last_linearisation: Linearisation | None = None
     """Last point of evaluation."""
 
     @property
@@ -160,12 +160,12 @@ class Equations(ABC):
         return self
 
     @abstractmethod
-    def found(self, unknown: np.ndarray, parameter: float) -> Linearisation:
+    def linearise_evaluated(self, unknown: np.ndarray, parameter: float) -> Linearisation:
         """The system at a point that a loop has found, where it has just been evaluated."""
 
     def run(self, loop: Any, *given: Any) -> int:
         """Run a loop of the kernel and return its outcome."""
-        self._last = None
+        self._last_linearisation = None
         return int(loop(self.table, *given))
 
     def check(self, outcome: int) -> bool:
@@ -186,7 +186,7 @@ def equations_of(system: System, shape: tuple[int, ...]) -> Equations:
 class _Interpreted(Equations):
     """A system in Python."""
 
-    many = False
+    follows_many_points = False
 
     def __init__(self, system: System, shape: tuple[int, ...]) -> None:
         self.shape, self._state = shape, _State(system, shape)
@@ -204,7 +204,7 @@ class _Interpreted(Equations):
         )  # fmt: skip
         self.table = self._struct.at
 
-    def found(self, unknown: np.ndarray, parameter: float) -> Linearisation:
+    def linearise_evaluated(self, unknown: np.ndarray, parameter: float) -> Linearisation:
         return self._state.at
 
     def check(self, outcome: int) -> bool:

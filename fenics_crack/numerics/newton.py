@@ -122,14 +122,14 @@ class Snes(ABC):
         choose_search = not options.hasName("snes_linesearch_type")
         if choose_search:
             options["snes_linesearch_type"] = "basic"
-        self._choose(self._snes.getKSP())
+        self._choose_solver(self._snes.getKSP())
         self._snes.setFromOptions()
         if choose_search:
             options.delValue("snes_linesearch_type")
         self._snes.setConvergenceTest(self._converged)
 
     @abstractmethod
-    def _choose(self, solver: Any) -> None:
+    def _choose_solver(self, solver: Any) -> None:
         """Set the default solver of the linear systems, a KSP."""
 
     @abstractmethod
@@ -193,7 +193,7 @@ class Newton(Snes):
         matrix.setUp()
         super().__init__(matrix, history)
 
-    def _choose(self, solver: Any) -> None:
+    def _choose_solver(self, solver: Any) -> None:
         if self.system.matrix_free:
             solver.setType("gmres")
             solver.setGMRESRestart(GMRES_RESTART)
@@ -258,7 +258,7 @@ class Tangent:
     weight: float
     of_means: float = 1.0
 
-    def reversed(self) -> Tangent:
+    def reverse(self) -> Tangent:
         """The opposite direction."""
         return replace(self, x=-self.x, p=-self.p)
 
@@ -270,7 +270,7 @@ class Tangent:
         others = float(x[means:] @ y[means:])
         return self.weight * (others + self.of_means * float(x[:means] @ y[:means]))
 
-    def along(self, other: Tangent, system: System) -> float:
+    def cosine_to(self, other: Tangent, system: System) -> float:
         """Cosine of the angle to another tangent, in that one's norm."""
         product = other.product(system, self.x, other.x) + self.p * other.p
         length = other.product(system, self.x, self.x) + self.p**2
@@ -289,7 +289,7 @@ class PathPoint:
     """``tangent.p`` > 0 where the parameter grows along the path; the sign changes at folds."""
     crosses_branch: bool = False
     """True if another branch has been crossed since the point before."""
-    at: Linearisation | None = field(default=None, repr=False, compare=False)
+    linearisation: Linearisation | None = field(default=None, repr=False, compare=False)
     length: float = float("nan")
     """Length of the chord from the point before in that one's norm, where it is known."""
     record: np.ndarray | None = field(default=None, repr=False, compare=False)
@@ -346,8 +346,8 @@ def tangent_of(
     across = Tangent(slope, 1.0, *norm_at(system, unknown))
     length = float(np.sqrt(across.product(system, slope, slope) + 1.0))
     found = replace(across, x=slope / length, p=1.0 / length)
-    back = towards is not None and found.along(towards, system) < 0.0
-    return found.reversed() if back else found
+    back = towards is not None and found.cosine_to(towards, system) < 0.0
+    return found.reverse() if back else found
 
 
 def point_on_path(
@@ -394,7 +394,13 @@ def solve_in_plane(
     if not equations.check(outcome):
         return None
     parameter = float(place[0])
-    return PathPoint(found, parameter, int(taken[0]), flat, at=equations.found(found, parameter))
+    return PathPoint(
+        found,
+        parameter,
+        int(taken[0]),
+        flat,
+        linearisation=equations.linearise_evaluated(found, parameter),
+    )
 
 
 @lru_cache
@@ -431,9 +437,11 @@ def step_along(
 ) -> PathPoint | None:
     """The same with the tangent there, which keeps its direction."""
     found = predict_and_correct(system, start, step, tolerance)
-    if found is None or found.at is None:
+    if found is None or found.linearisation is None:
         return None
-    return replace(found, tangent=tangent_of(system, found.unknown, found.at, start.tangent))
+    return replace(
+        found, tangent=tangent_of(system, found.unknown, found.linearisation, start.tangent)
+    )
 
 
 def solve_at(

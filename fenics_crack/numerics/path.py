@@ -81,7 +81,7 @@ class PathOptions:
     """Minimum cosine of the angle between neighbouring tangents."""
     rounding: float = ROUNDING
     """Rounding error of |F| / |x|, for a system without ``rounding``."""
-    at_once: int = 64
+    points_per_call: int = 64
     """Maximum points of one call of the kernel."""
     span: tuple[float, float] = (-np.inf, np.inf)
     """Range of the parameter: the path ends where it is left."""
@@ -94,18 +94,18 @@ HOMOTOPY_OPTIONS = PathOptions(0.3, 0.3, min_cosine=0.5, span=(0.0, 2.0))
 class EndReason(Enum):
     """Reason for the end of a path."""
 
-    MET = "reached the end"
-    LOST = "no solution at the very end"
-    LEFT = "turned back past its start"
-    MANY = "{most} points were not enough"
-    SHORT = "the steps became too short"
+    REACHED = "reached the end"
+    END_LOST = "no solution at the very end"
+    RANGE_LEFT = "turned back past its start"
+    TOO_MANY_POINTS = "{most} points were not enough"
+    STEPS_TOO_SHORT = "the steps became too short"
 
-    def in_words(self, most: int) -> str:
+    def describe(self, most: int) -> str:
         """In words, where there were so many points at most."""
         return str(self.value).format(most=most)
 
 
-NOT_IN_KERNEL = "met", "observed"
+NOT_IN_KERNEL = "located_events", "observed"
 """Members that the kernel does not have of a stretch."""
 
 
@@ -138,11 +138,11 @@ class PathSegment(Sequence[PathPoint]):
         self.parameters, self.slopes, self.lengths = np.zeros((3, room))
         self.weights, self.of_means = np.zeros((2, room))
         self.iterations, self.crossings = np.zeros(room, np.intc), np.zeros(room, np.int8)
-        self.met: list[tuple[Event, PathPoint]] = []
+        self.located_events: list[tuple[Event, PathPoint]] = []
         for place, point in enumerate(known):
-            self.put(place, point)
+            self.set_point(place, point)
 
-    def put(self, place: int, point: PathPoint) -> None:
+    def set_point(self, place: int, point: PathPoint) -> None:
         """Set a point."""
         self.unknowns[place], self.tangents[place] = point.unknown, point.tangent.x
         self.parameters[place], self.slopes[place] = point.parameter, point.tangent.p
@@ -162,11 +162,11 @@ class PathSegment(Sequence[PathPoint]):
     def __len__(self) -> int:
         return len(self.parameters)
 
-    def singly(self) -> Iterator[PathSegment]:
+    def split_points(self) -> Iterator[PathSegment]:
         """Each point by itself."""
         for place in range(len(self)):
             part = self[place : place + 1]
-            part.met = self.met if place == len(self) - 1 else []
+            part.located_events = self.located_events if place == len(self) - 1 else []
             yield part
 
     @overload
@@ -176,8 +176,10 @@ class PathSegment(Sequence[PathPoint]):
     def __getitem__(self, place: int | slice) -> PathPoint | PathSegment:
         if isinstance(place, slice):
             part = object.__new__(PathSegment)
-            arrays = {name: array for name, array in vars(self).items() if name != "met"}
-            vars(part).update({name: array[place] for name, array in arrays.items()}, met=[])
+            arrays = {name: array for name, array in vars(self).items() if name != "located_events"}
+            vars(part).update(
+                {name: array[place] for name, array in arrays.items()}, located_events=[]
+            )
             return part
         norm = float(self.weights[place]), float(self.of_means[place])
         tangent = Tangent(self.tangents[place], float(self.slopes[place]), *norm)
@@ -211,10 +213,10 @@ class Event(ABC):
         Name if it is a special point.
     """
 
-    terminal, sought, words, kind = False, False, "", ""
+    is_terminal, must_be_located, description, kind = False, False, "", ""
 
     @abstractmethod
-    def between(self, points: PathSegment) -> np.ndarray:
+    def detect(self, points: PathSegment) -> np.ndarray:
         """Return True where it may lie behind a point, for each but the last: (n-1,) bool."""
 
     @abstractmethod
@@ -228,7 +230,7 @@ class BranchPoint(Event):
 
     kind = "branch_point"
 
-    def between(self, points: PathSegment) -> np.ndarray:
+    def detect(self, points: PathSegment) -> np.ndarray:
         return np.asarray(points.crossings[1:] > 0)
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
@@ -249,7 +251,7 @@ class BranchPoint(Event):
 
 def _orientation(system: System, point: PathPoint) -> float:
     """The sign of t_p det J."""
-    at = point.at or system.linearise(point.unknown, point.parameter)
+    at = point.linearisation or system.linearise(point.unknown, point.parameter)
     return float(at.sign * np.sign(point.tangent.p))
 
 
@@ -259,7 +261,7 @@ class Crossing(Event):
     def __init__(self, test: Callable[[PathPoint], float]) -> None:
         self._test = test
 
-    def between(self, points: PathSegment) -> np.ndarray:
+    def detect(self, points: PathSegment) -> np.ndarray:
         values = np.array([self._test(point) for point in points])
         return np.asarray(values[1:] * values[:-1] < 0.0)
 
@@ -295,10 +297,12 @@ def find_zero(
             crossing = solve_in_plane(
                 system, x, p, chord, tolerance=rtol, reach=MAX_PARAMETER_REACH * length
             )
-            if crossing is None or crossing.at is None:
+            if crossing is None or crossing.linearisation is None:
                 raise ConvergenceError("path: lost between two points")
-            tangent = tangent_of(system, crossing.unknown, crossing.at, chord)
-            point = replace(crossing, tangent=tangent, observed=observe_point(system, crossing.at))
+            tangent = tangent_of(system, crossing.unknown, crossing.linearisation, chord)
+            point = replace(
+                crossing, tangent=tangent, observed=observe_point(system, crossing.linearisation)
+            )
             met[share] = point, test(point)
         return met[share][1]
 
@@ -326,7 +330,7 @@ class Fold(Crossing):
     def __init__(self) -> None:
         super().__init__(lambda point: point.tangent.p)
 
-    def between(self, points: PathSegment) -> np.ndarray:
+    def detect(self, points: PathSegment) -> np.ndarray:
         return np.asarray(points.slopes[1:] * points.slopes[:-1] < 0.0)
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
@@ -334,8 +338,8 @@ class Fold(Crossing):
         if near is None and length > 4.0 * ARRIVAL_DISTANCE:  # by shorter steps
             closer = PathOptions(0.25 * length, 0.25 * length, max_steps=8)
             for stretch in Path(system, ends[0], closer, [Fold()]):
-                if stretch.met:
-                    return stretch.met[0][1]
+                if stretch.located_events:
+                    return stretch.located_events[0][1]
         return near or super().locate(system, ends, rtol)
 
 
@@ -344,9 +348,9 @@ class Target(Event):
     """Point where the parameter has a given value."""
 
     parameter: float
-    terminal, sought, words = True, True, EndReason.MET.value
+    is_terminal, must_be_located, description = True, True, EndReason.REACHED.value
 
-    def between(self, points: PathSegment) -> np.ndarray:
+    def detect(self, points: PathSegment) -> np.ndarray:
         off = points.parameters - self.parameter
         return np.asarray((off[:-1] != 0.0) & (off[1:] * off[:-1] <= 0.0))
 
@@ -364,9 +368,9 @@ class ClosedLoop(Event):
 
     origin: PathPoint
     system: System
-    terminal, words = True, "closed loop"
+    is_terminal, description = True, "closed loop"
 
-    def between(self, points: PathSegment) -> np.ndarray:
+    def detect(self, points: PathSegment) -> np.ndarray:
         lengths = points.lengths[1:]
         near = (
             np.abs(points.parameters[:-1] - self.origin.parameter) <= lengths / MIN_DIRECTION_COSINE
@@ -383,11 +387,11 @@ class ClosedLoop(Event):
         before, origin = ends[0], self.origin
         chord = chord_length(system, before, origin)
         back, rise = origin.unknown - before.unknown, origin.parameter - before.parameter
-        along = replace(before.tangent, x=back, p=rise).along(before.tangent, system)
+        along = replace(before.tangent, x=back, p=rise).cosine_to(before.tangent, system)
         if along < MIN_DIRECTION_COSINE:
             return None
         met = step_along(system, before, along * chord, rtol)
-        if met is None or met.tangent.along(origin.tangent, system) < MIN_DIRECTION_COSINE:
+        if met is None or met.tangent.cosine_to(origin.tangent, system) < MIN_DIRECTION_COSINE:
             return None
         off = met.unknown - origin.unknown
         return origin if origin.tangent.product(system, off, off) < 1e-10 else None
@@ -459,14 +463,16 @@ class Path:
     ) -> None:  # fmt: skip
         self._system, self._options, self._events = system, options, events
         self._equations, self._control = equations_of(system, start.unknown.shape), control
-        self._longest = options.max_step
-        self._at_once = (
-            options.at_once if control is None else min(POINTS_AFTER_HALVING, options.at_once)
+        self._max_step = options.max_step
+        self._points_per_call = (
+            options.points_per_call
+            if control is None
+            else min(POINTS_AFTER_HALVING, options.points_per_call)
         )
-        self.last = start = self._observed(start)
-        self.ended: EndReason | None = None
+        self.last_point = start = self._observed(start)
+        self.end_reason: EndReason | None = None
         self.event: Event | None = None
-        self._begin(start, options.initial_step)
+        self._restart(start, options.initial_step)
 
     def points(self) -> Iterator[PathPoint]:
         """One point after the other."""
@@ -477,42 +483,42 @@ class Path:
         """The terminal event's point, all of the path at once; None where it meets none."""
         for _ in self:
             pass
-        return self.last if self.ended is EndReason.MET else None
+        return self.last_point if self.end_reason is EndReason.REACHED else None
 
     def __iter__(self) -> Iterator[PathSegment]:
         left, shorter = self._options.max_steps, math.inf
-        while self.ended is None:
+        while self.end_reason is None:
             if not left:
-                self.ended = EndReason.MANY
+                self.end_reason = EndReason.TOO_MANY_POINTS
                 return
             stretch = self._follow(left)
             if stretch is None:
                 continue
             if len(stretch) == 1:
-                self.ended = EndReason.SHORT
+                self.end_reason = EndReason.STEPS_TOO_SHORT
                 return
-            for found, place in self._eventful(stretch):
+            for found, place in self._split_at_events(stretch):
                 left -= len(found)
                 if place is None:
-                    self._known[:] = [*self._known, *found[-2:]][-2:]
+                    self._start_points[:] = [*self._start_points, *found[-2:]][-2:]
                 else:
                     shorter = 0.25 * min(shorter, float(stretch.lengths[place + 1]))
                     if shorter < self._options.min_step:
-                        self.ended = EndReason.LOST
+                        self.end_reason = EndReason.END_LOST
                     else:
-                        self._begin(stretch[place], shorter)
+                        self._restart(stretch[place], shorter)
                 if len(found):
-                    self.last = found[-1]
+                    self.last_point = found[-1]
                     yield found
-                if place is not None or self.ended is not None:
+                if place is not None or self.end_reason is not None:
                     break
 
-    def _eventful(self, stretch: PathSegment) -> Iterator[tuple[PathSegment, int | None]]:
+    def _split_at_events(self, stretch: PathSegment) -> Iterator[tuple[PathSegment, int | None]]:
         """The points behind the first one in parts that end where something happens; with the place
         behind which what is sought was not found."""
         lowest, highest = self._options.span
         outside = (stretch.parameters[1:] < lowest) | (stretch.parameters[1:] > highest)
-        flags = np.array([event.between(stretch) for event in self._events], dtype=bool)
+        flags = np.array([event.detect(stretch) for event in self._events], dtype=bool)
         flags = flags.reshape(len(self._events), len(stretch) - 1)
         begin = 1
         for place in map(int, np.flatnonzero(flags.any(axis=0) | outside)):
@@ -523,23 +529,23 @@ class Path:
                 at = event.locate(self._system, ends, sharp) if near else None
                 if at is not None:
                     at = self._observed(at)
-                    found.met.append((event, at))
-                if at is not None and event.terminal:
+                    found.located_events.append((event, at))
+                if at is not None and event.is_terminal:
                     if at is ends[0]:
                         found = stretch[begin : place + 1]
                     else:
-                        found.put(-1, at)
-                    self.ended, self.event = EndReason.MET, event
+                        found.set_point(-1, at)
+                    self.end_reason, self.event = EndReason.REACHED, event
                     yield found, None
                     return
-                if near and at is None and event.sought:
+                if near and at is None and event.must_be_located:
                     yield stretch[begin : place + 1], place
                     return
             if outside[place]:
-                self.ended = EndReason.LEFT
+                self.end_reason = EndReason.RANGE_LEFT
                 yield stretch[begin : place + 1], None
                 return
-            if found.met:
+            if found.located_events:
                 yield found, None
                 begin = place + 2
         if begin < len(stretch):
@@ -551,7 +557,7 @@ class Path:
         """A point with what a step control sees of it."""
         if self._control is None or point.observed is not None:
             return point
-        at = point.at or self._system.linearise(point.unknown, point.parameter)
+        at = point.linearisation or self._system.linearise(point.unknown, point.parameter)
         return replace(point, record=at.record.ravel(), observed=observe_point(self._system, at))
 
     def _rounding(self, point: PathPoint) -> float:
@@ -559,45 +565,47 @@ class Path:
         of_system = getattr(self._system, "rounding", None)
         return self._options.rounding if of_system is None else float(of_system(point.parameter))
 
-    def _begin(self, point: PathPoint, step: float) -> None:
+    def _restart(self, point: PathPoint, step: float) -> None:
         """Go on from a point, with a step."""
-        self._known, self._step, self._orientation = [point], step, 0.0
+        self._start_points, self._step, self._orientation = [point], step, 0.0
 
     def _up_to_halved_step(self, found: PathSegment, known: int, step: float) -> PathSegment | None:
         """The last point that was known, and those behind it, of which the first was sought by a
         step, up to the first step that is halved; None if that is the first."""
         assert self._control is not None
         new = self._system.observe(found.records[known:])  # type: ignore[attr-defined]
-        found.observed = np.concatenate([[point.observed for point in self._known], new])
+        found.observed = np.concatenate([[point.observed for point in self._start_points], new])
         lengths = found.lengths[known:].copy()
         lengths[0] = min(lengths[0], step)  # where the path jumps its chord is no step
         long = lengths > 2.0 * self._options.min_step
         halved = np.flatnonzero(self._control.too_long(found)[known - 1 :] & long)
         if not len(halved):
-            self._longest = min(2.0 * self._longest, self._options.max_step)
-            if self._longest == self._options.max_step:
-                self._at_once = min(2 * self._at_once, self._options.at_once)
+            self._max_step = min(2.0 * self._max_step, self._options.max_step)
+            if self._max_step == self._options.max_step:
+                self._points_per_call = min(
+                    2 * self._points_per_call, self._options.points_per_call
+                )
             return found[known - 1 :]
         last = known - 1 + int(halved[0])
         if found.crossings[last + 1 :].sum() % 2:
             self._orientation = -self._orientation
-        self._step = self._longest = 0.5 * float(lengths[halved[0]])
-        self._at_once = min(POINTS_AFTER_HALVING, self._options.at_once)
+        self._step = self._max_step = 0.5 * float(lengths[halved[0]])
+        self._points_per_call = min(POINTS_AFTER_HALVING, self._options.points_per_call)
         return found[known - 1 : last + 1] if last >= known else None
 
     def _follow(self, left: int) -> PathSegment | None:
         """The last point that is known, and those behind it, if no step is too short, no more than
         are left; None where a step control halves the first step."""
-        options, known = self._options, self._known
+        options, known = self._options, self._start_points
         here, rounding = known[-1].parameter, self._rounding(known[-1])
         targets = [event.parameter for event in self._events if isinstance(event, Target)]
         bounds = [*options.span, *targets]
-        many = min(left, self._at_once if self._equations.many else 1)
+        many = min(left, self._points_per_call if self._equations.follows_many_points else 1)
         records = 0 if self._control is None else int(self._equations.table.records)
         found = PathSegment(known, len(known) + many, records)
         path = found.struct(len(known), step=self._step, orientation=self._orientation)
         how = Struct(
-            "stepping", longest=self._longest, shortest=options.min_step,
+            "stepping", longest=self._max_step, shortest=options.min_step,
             least_cosine=options.min_cosine, rounding=rounding,
             newton=correction_struct(max(options.rtol, rounding), MAX_PARAMETER_REACH),
             lowest=max(p for p in bounds if p <= here),

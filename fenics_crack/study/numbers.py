@@ -135,7 +135,7 @@ class _Exact(ObservedMotion):
 
     def records(self, rows: np.ndarray) -> Iterator[Record]:
         waves = self.orbit.coefficients(self.harmonics).displacement @ rows.T
-        return (replace(record, waves=waves) for record in self.orbit.records(rows))
+        return (replace(record, coefficients=waves) for record in self.orbit.records(rows))
 
 
 def of_orbit(

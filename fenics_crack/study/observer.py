@@ -102,7 +102,7 @@ def held(record: Record) -> Held:
     if record.steps:
         return Held(*clamp.of_record(record.time, record.motion, omega, drag))
     base = omega / record.subharmonic
-    parts = record.waves, base, record.subharmonic, drag, base * record.time
+    parts = record.coefficients, base, record.subharmonic, drag, base * record.time
     return Held(*clamp.of_waves(*parts))
 
 

@@ -129,7 +129,7 @@ class Run(Answer, Generic[Found]):
         if isinstance(found, TimeHistory):
             columns = list(found.displacement(dofs).T)
         elif isinstance(found, ObservedMotion):
-            columns = [seen.waves for seen in found.observe(dofs)[0]]
+            columns = [seen.coefficients for seen in found.observe(dofs)[0]]
         return dict(zip((watched.words for watched in self.watched), columns, strict=False))
 
     def save(self, path: str | Path) -> None:

@@ -151,7 +151,7 @@ def _load_sizes(asked: March) -> np.ndarray:
 
 def _ends(flow: Flow, motion: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, ...]:
     """Displacement and velocity, with friction also places, in a state of a flow."""
-    _, rate, places = np.split(state, [flow.count, 2 * flow.count])
+    _, rate, places = np.split(state, [flow.n_modes, 2 * flow.n_modes])
     known = motion.copy(), flow.modes.shapes @ rate
     return (*known, places.copy()) if flow.friction else known
 
@@ -244,7 +244,7 @@ class ExponentialFlow(Flow):
 
         Raises ConvergenceError where the contact forces of a step are not found.
         """
-        count, pairs, total = 2 * self.count, self.structure.n_pairs, periods * self.steps
+        count, pairs, total = 2 * self.n_modes, self.structure.n_pairs, periods * self.steps
         state, places = np.split(shaped(state, self.size), [count])
         states, forces = np.empty((total + 1, count)), np.empty((total + 1, len(self.softness)))
         closed = np.empty((total + 1, pairs), dtype=np.int8)
@@ -291,7 +291,9 @@ class Steps:
         flow = self.flow
         instants = np.arange(len(self.states)) % flow.steps
         moved = (self.states - flow.steady[instants]) @ flow.gap_rows.T
-        return np.asarray(moved + flow.linear_gap[instants] - self.forces @ flow.residual)
+        return np.asarray(
+            moved + flow.linear_gap[instants] - self.forces @ flow.residual_flexibility
+        )
 
     @property
     def lost(self) -> float:

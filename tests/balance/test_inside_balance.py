@@ -1088,7 +1088,12 @@ class Given(ObservedMotion):
 
     def __init__(self, waves: np.ndarray, **given: Any) -> None:
         nothing = np.zeros((2, 0))
-        values = {"omega": 7.0, "subharmonic": 1, "time": np.zeros(2), "waves": waves[:, None]}
+        values = {
+            "omega": 7.0,
+            "subharmonic": 1,
+            "time": np.zeros(2),
+            "coefficients": waves[:, None],
+        }
         values |= {"motion": np.array([[11.0], [-11.0]]), "gap": nothing, "force": nothing}
         self._record = Record(**values | {"structure": self.structure} | given)
 

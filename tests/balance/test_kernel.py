@@ -757,7 +757,7 @@ def test_path_of_many_unknowns() -> None:
         assert np.linalg.norm(along) < 1e-4 * size
         assert one.parameter == pytest.approx(other.parameter, abs=1e-6)
         assert np.allclose(one.unknown, other.unknown, rtol=0.0, atol=1e-5 * size)
-        assert tangent.along(other.tangent, family) > 1.0 - 1e-6
+        assert tangent.cosine_to(other.tangent, family) > 1.0 - 1e-6
         assert one.iterations <= other.iterations + 2
 
 
@@ -916,8 +916,8 @@ def test_many_unknowns(limit: int, monkeypatch: pytest.MonkeyPatch) -> None:
         for point in path.points():
             at = family.linearise(point.unknown, point.parameter)
             assert np.linalg.norm(at.residual) < 2e-8 * np.linalg.norm(point.unknown)
-        assert path.ended is EndReason.MET and path.last.parameter == 1.0
-        ends.append(path.last.unknown)
+        assert path.end_reason is EndReason.REACHED and path.last_point.parameter == 1.0
+        ends.append(path.last_point.unknown)
     assert relative(ends[0], ends[1]) < 1e-8
 
 

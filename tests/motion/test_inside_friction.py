@@ -87,13 +87,13 @@ def test_derivative_by_state_and_places(pairs: int, mu: float) -> None:
     stuck = motion.track.sets[0] == 1
     for _ in range(3):
         change = draw.normal(size=flow.size)
-        change[2 * flow.count :][~stuck] = 0.0  # where they are follows
+        change[2 * flow.n_modes :][~stuck] = 0.0  # where they are follows
         step = 1e-7
         ends = [flow.advance(start + s * change, omega, period).state for s in (step, -step)]
         expected = (ends[0] - ends[1]) / (2.0 * step)
         known = motion.track.tangent @ change
         moves = ~np.concatenate(
-            [np.zeros(2 * flow.count, dtype=bool), (motion.track.sets == 1).all(axis=0)]
+            [np.zeros(2 * flow.n_modes, dtype=bool), (motion.track.sets == 1).all(axis=0)]
         )
         size = np.abs(known).max()
         assert known[moves] == pytest.approx(expected[moves], abs=1e-6 * size)
@@ -118,7 +118,7 @@ def test_jenkins_oscillator() -> None:
     this amplitude, 4 F (A - F / k_t), and by the balance of energies."""
     limit, omega = 0.3, 0.9
     flow, period = jenkins(limit), 2.0 * np.pi / 0.9
-    start = flow.rest
+    start = flow.rest_state
     for _ in range(40):
         start = flow.advance(start, omega, period).state
     orbit = find_orbit(flow, omega, start)
