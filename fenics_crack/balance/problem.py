@@ -489,7 +489,7 @@ class Search:
         yield guess
         if self._spent:
             return
-        point = solve_robustly(system, guess, 1.0, tolerance=self.tolerance, full=False)
+        point = solve_robustly(system, guess, 1.0, tolerance=self.tolerance, try_full_steps=False)
         self.iterations += MAX_STALLED_STEPS if point is None else point.iterations
         if point is not None:
             yield point.unknown
