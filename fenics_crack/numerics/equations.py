@@ -37,10 +37,10 @@ SMALLEST_NORMAL = float(np.finfo(float).tiny)
 ROUNDING: float = kernel.ROUNDING
 """Rounding error of solutions, relative to the largest entry."""
 CENTRAL_DIFFERENCE_STEP = float(np.cbrt(MACHINE_EPSILON))
-"""Step of a parameter for central differences. Truncation and rounding error are then about equal.
+"""Parameter step for central differences. Truncation and rounding error are then about equal.
 """
 LOCATION_TOLERANCE = 1e-11
-"""Maximum |F| / |x| of a special point between two points of a path, and maximum relative Newton
+"""Maximum |F| / |x| at a special point of a path, and maximum relative Newton
 step to an exact orbit.
 """
 ROOT_TOLERANCE = math.sqrt(MACHINE_EPSILON)
@@ -108,7 +108,7 @@ class System(Protocol):
     - ``compiled``: equations in the kernel.
     - ``counts``: weight of each unknown in angles between tangents.
     - ``means``: number of leading unknowns that are means over time.
-    - ``records``: number of entries in the ``record`` of a linearisation.
+    - ``records``: number of entries in a linearisation's ``record``.
     - ``observe(records)``: values (n, ...) for a step control, from records (n, n_records).
     """
 

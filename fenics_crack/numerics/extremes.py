@@ -3,8 +3,8 @@
 Around each sample that may be the largest, a function is evaluated at nine positions. The
 polynomial through the nine values predicts position and value of the maximum, and the function is
 evaluated at the predicted position. If the prediction is wrong, as next to a kink, nine closer
-positions around the largest value follow, and so on. No derivative is used. The error of a smooth
-maximum is the square of the last distance.
+positions around the largest value follow, and so on. No derivative is used. For a smooth maximum
+the error is the last distance squared.
 
 Positions are parts of the period, from 0 to 1.
 """
@@ -24,7 +24,7 @@ rows.
 OFFSETS = np.linspace(-1.0, 1.0, 9)
 """Positions around a sample, relative to the spacing of the samples."""
 N_REFINEMENTS = 10
-"""Maximum number of refinements. Each divides the spacing by four: 256 samples end at 4e-9 of the
+"""Maximum refinements. Each divides the spacing by four: 256 samples end at 4e-9 of the
 period. Its square is rounding error, for up to 100 harmonics.
 """
 POWERS = np.arange(len(OFFSETS))
@@ -32,7 +32,7 @@ POWERS = np.arange(len(OFFSETS))
 POLYNOMIAL_FROM_VALUES = np.linalg.inv(OFFSETS[:, None] ** POWERS)
 """Matrix from nine values at ``OFFSETS`` to the coefficients of their polynomial."""
 MAX_POLYNOMIAL_ERROR = 1e-6
-"""Maximum error of the predicted maximum, relative to the range of the nine values."""
+"""Maximum error of a predicted maximum, relative to the nine values' range."""
 
 
 def find_maxima(samples: np.ndarray, functions: PeriodicFunctions | None = None) -> np.ndarray:

@@ -345,7 +345,7 @@ class Tangent:
 
 @dataclass(frozen=True)
 class PathPoint:
-    """A point of a path, and the number of iterations to it."""
+    """A path point, and the number of iterations to it."""
 
     unknown: np.ndarray
     parameter: float
@@ -356,8 +356,7 @@ class PathPoint:
     """True if another branch crosses between the previous point and this point."""
     linearisation: Linearisation | None = field(default=None, repr=False, compare=False)
     length: float = float("nan")
-    """Length of the chord from the previous point, in the norm of the previous point; nan if
-    unknown.
+    """Chord length from the previous point, in the previous point's norm; nan if unknown.
     """
     record: np.ndarray | None = field(default=None, repr=False, compare=False)
     observed: np.ndarray | None = field(default=None, repr=False, compare=False)
@@ -388,7 +387,7 @@ def motion_square(oscillation_square: float, mean_square: float) -> float:
 def motion_size(motion: np.ndarray) -> float:
     """Return the size of a motion (n_instants, k).
 
-    The size is the root of the sum of squares. The mean over time contributes at most as much as
+    The size is the root sum of squares. The mean over time contributes at most as much as
     the oscillation (:func:`motion_square`).
     """
     mean = motion.sum(axis=0) / len(motion)
@@ -411,8 +410,8 @@ def norm_at(system: System, unknown: np.ndarray) -> tuple[float, float]:
 
     Means over time contribute at most as much as all else to the size |x|. A clearance or a steady
     load may make the means large, but a resonance must be resolved by steps relative to the
-    oscillation. Changes of large means are measured relative to the means: the mean opening of a
-    crack grows with a rotor's speed by far more than the oscillation.
+    oscillation. Changes of large means are measured relative to the means: a crack's mean opening
+    grows with a rotor's speed by far more than the oscillation.
 
     Returns
     -------

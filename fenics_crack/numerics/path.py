@@ -66,7 +66,7 @@ from fenics_crack.numerics.newton import (
 MIN_DIRECTION_COSINE = 0.9
 """Minimum cosine of the angle between two directions that count as equal."""
 POINTS_AFTER_HALVING = 3
-"""Number of points in a call of the kernel after a step was halved."""
+"""Points per kernel call after a halved step."""
 ARRIVAL_DISTANCE = math.sqrt(MACHINE_EPSILON)
 """Distance to a point of a path below which the point counts as reached, and minimum step. At a
 fold the parameter is then accurate to the square of this distance.
@@ -75,7 +75,7 @@ fold the parameter is then accurate to the square of this distance.
 
 @dataclass(frozen=True)
 class PathOptions:
-    """Options of path following. Steps are measured in the norm of the tangent."""
+    """Options for path following. Steps are measured in the norm of the tangent."""
 
     initial_step: float
     max_step: float
@@ -89,13 +89,13 @@ class PathOptions:
     rounding: float = ROUNDING
     """Rounding error of |F| / |x|, for a system without ``rounding``."""
     points_per_call: int = 64
-    """Maximum number of points in a call of the kernel."""
+    """Maximum points per kernel call."""
     span: tuple[float, float] = (-np.inf, np.inf)
-    """Range of the parameter. Outside, the path ends."""
+    """Parameter range. Outside, the path ends."""
 
 
 HOMOTOPY_OPTIONS = PathOptions(0.3, 0.3, min_cosine=0.5, span=(0.0, 2.0))
-"""Options of paths whose parameter runs from 0 to 1. A path that leaves 0 to 2 ends."""
+"""Options for paths with a parameter from 0 to 1. A path that leaves 0 to 2 ends."""
 
 
 class EndReason(Enum):
@@ -120,7 +120,7 @@ NOT_IN_KERNEL = "located_events", "observed"
 
 
 class PathSegment(Sequence[PathPoint]):
-    """Consecutive points of a path, in arrays of the kernel.
+    """Consecutive points of a path, in the kernel's arrays.
 
     A :class:`PathPoint` is created on access.
 
@@ -275,7 +275,7 @@ def _orientation(system: System, point: PathPoint) -> float:
 
 
 class Crossing(Event):
-    """Zero of a function of points (:func:`find_zero`)."""
+    """Zero of a point function (:func:`find_zero`)."""
 
     def __init__(self, function: Callable[[PathPoint], float]) -> None:
         self._function = function
@@ -291,7 +291,7 @@ class Crossing(Event):
 def find_zero(
     system: System, ends: SegmentEnds, function: Callable[[PathPoint], float], rtol: float
 ) -> tuple[PathPoint, float]:
-    """Find the zero of a function between two points of a path.
+    """Find a function's zero between two points of a path.
 
     The Illinois method chooses the fraction s of the chord. With the chord (dx, dp) and the
     tangents t_0 and t_1 at both ends, the guess at s is Hermite's cubic
@@ -480,8 +480,7 @@ def observe_point(system: System, linearisation: Linearisation) -> np.ndarray | 
 class Path:
     """A path from a solution on, to be iterated over once.
 
-    Each :class:`PathSegment` ends at an event, or after as many points as one call of the kernel
-    yields.
+    Each :class:`PathSegment` ends at an event, or after as many points as one kernel call yields.
 
     Parameters
     ----------
@@ -675,7 +674,7 @@ class Path:
         return segment[n_known - 1 : last_index + 1] if last_index >= n_known else None
 
     def _follow(self, n_remaining: int) -> PathSegment | None:
-        """Follow the path in one call of the kernel.
+        """Follow the path in one kernel call.
 
         Parameters
         ----------
