@@ -45,14 +45,14 @@ def test_laws_at_every_instant(pairs: int, mu: float) -> None:
     normal, pulled = np.split(found.forces, 2, axis=1)
     gap, moved = np.split(found.gaps, 2, axis=1)
     large, long = np.abs(found.forces).max(), np.abs(found.gaps).max()
-    assert {0, 1, 2, 3} <= set(np.unique(found.contact))
+    assert {0, 1, 2, 3} <= set(np.unique(found.pair_states))
     assert normal.min() >= -1e-12 * large
     assert gap.max() <= 1e-12 * long
     assert np.abs(normal * gap).max() <= 1e-12 * large * long
     assert (np.abs(pulled) - mu * normal).max() <= 1e-12 * large
-    step, stays = np.diff(moved, axis=0), found.contact[1:] == found.contact[:-1]
+    step, stays = np.diff(moved, axis=0), found.pair_states[1:] == found.pair_states[:-1]
     for state, sign in ((2, 1.0), (3, -1.0)):
-        slips = stays & (found.contact[1:] == state)
+        slips = stays & (found.pair_states[1:] == state)
         assert (sign * step[slips]).min() >= -1e-4 * long  # or it has turned twice
         assert pulled[1:][slips] == pytest.approx(sign * mu * normal[1:][slips], abs=1e-12 * large)
 
@@ -71,7 +71,7 @@ def test_laws_from_any_state(pairs: int) -> None:
         assert normal.min() >= -1e-12 * large
         assert gap.max() <= 1e-12 * long
         assert (np.abs(pulled) - 0.3 * normal).max() <= 1e-12 * large
-        states |= set(found.contact.ravel().tolist())
+        states |= set(found.pair_states.ravel().tolist())
     assert states == {0, 1, 2, 3}
 
 
