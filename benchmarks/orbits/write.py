@@ -150,7 +150,7 @@ def exact_orbits(case: dict[str, Any], structure: fc.Structure, law: Any) -> lis
     count = flow.n_modes
     for state in starts(flow, structure, law, omega, structure.n_pairs > 3):
         for periods in (1,) if structure.n_pairs > 3 else (1, 2, 3):
-            orbit = find_orbit(flow, omega, state, subharmonic=periods, located=1e-13)
+            orbit = find_orbit(flow, omega, state, subharmonic=periods, step_tolerance=1e-13)
             if orbit is None or orbit.residual > 1e-9:
                 continue
             state_now, passed = orbit.state, []

@@ -172,7 +172,7 @@ class Assessment:
         if self.predicted_error <= MAX_ERROR:
             states.insert(0, self.prediction.states[0])
         periods, inverse = self.wave.subharmonic, self.prediction.inverse
-        search = partial(find_orbit, self.flow, self.wave.omega, ended=self._ended)
+        search = partial(find_orbit, self.flow, self.wave.omega, failure_reasons=self._ended)
         orbits = (search(state, subharmonic=periods, inverse=inverse) for state in states)
         return next(filter(None, orbits), None)
 

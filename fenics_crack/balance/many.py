@@ -230,7 +230,7 @@ def _sought(
         weights = 1.0 / np.maximum(np.linalg.norm(x, axis=1), SHORT)[:, None]
         rows = weights * np.column_stack([np.ones(len(x)), x])
         guesses.insert(0, np.linalg.lstsq(rows, weights * states, rcond=None)[0][0])
-    found = (find_orbit(flow, problem.omega, state, located=SHORT) for state in guesses)
+    found = (find_orbit(flow, problem.omega, state, step_tolerance=SHORT) for state in guesses)
     orbit, many.status[case] = next(filter(None, found), None), "neighbour"
     if (
         orbit is not None and abs(orbit.multipliers[0]) <= 1.0 + MULTIPLIER_TOLERANCE

@@ -128,7 +128,9 @@ class MoreModes:
         """
         flow, omega, periods = self.flow, self.wave.omega, self.wave.subharmonic
         states, start_inverse = self._states, self.inverse
-        search = partial(find_orbit, flow, omega, subharmonic=periods, located=ROOT_TOLERANCE)
+        search = partial(
+            find_orbit, flow, omega, subharmonic=periods, step_tolerance=ROOT_TOLERANCE
+        )
         orbit = search(states[0], inverse=start_inverse) or (
             search(states[0]) if start_inverse else None
         )
