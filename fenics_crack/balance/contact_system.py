@@ -479,7 +479,7 @@ class CompiledEquations(Equations):
             formed=formed, basis=None if basis is None else shaped(basis, pairs, gaps),
         )  # fmt: skip
         self._point = owned(kernel.new_contact_point(self._given.at), kernel.free_contact_point)
-        self.table = kernel.equations_of_contact(self._point)
+        self.function_table = kernel.equations_of_contact(self._point)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
         """The equations at a point."""
@@ -491,10 +491,12 @@ class CompiledEquations(Equations):
         Raises ConvergenceError where an instant has no forces.
         """
         if self._last_linearisation is not at:
-            if not self.check(self.run(self.table.evaluate, pointer(at.unknown), at.parameter)):
+            if not self.check_outcome(
+                self.run(self.function_table.evaluate, pointer(at.unknown), at.parameter)
+            ):
                 raise ConvergenceError("contact: no forces were found at an instant of the period")
             self._last_linearisation = at
-        return self.table
+        return self.function_table
 
     def linearise_evaluated(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
         self._last_linearisation = found = CompiledPoint(self, unknown, parameter)
@@ -505,7 +507,7 @@ class CompiledEquations(Equations):
         self._last_linearisation = None
         compliance = float(kernel.largest_moving(self._point, parameter))
         if not math.isfinite(compliance):
-            self.check(kernel.SINGULAR_STRUCTURE)
+            self.check_outcome(kernel.SINGULAR_STRUCTURE)
         return compliance
 
 

@@ -194,7 +194,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
             friction=friction,
             # Forces of friction follow from those before.
             evaluate=at if friction is None else None,
-            exact={} if instants or self.orbit is None else self.orbit.sliding,
+            exact_numbers={} if instants or self.orbit is None else self.orbit.sliding,
         )  # fmt: skip
 
     @property

@@ -210,7 +210,7 @@ class Orbits(CurveSystem):
                 return (self.moved(unknown, parameter + step) - unknown - residual) / step
             state = self.state(unknown, value)
             softness = -self.rate(value) / value * motion.track.flow.softness
-            change = self.scale * motion.track.by_structure(state, softness)
+            change = self.scale * motion.track.derivative_by_softness(state, softness)
             return np.asarray(change + monodromy() @ self._rest[1] - self._rest[1])
 
         events, pieces = motion.events, motion.pieces

@@ -44,7 +44,7 @@ from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import LOCATION_TOLERANCE
 from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_robustly
-from fenics_crack.numerics.path import ARRIVAL_DISTANCE, Crossing, EndReason, Path, PathOptions
+from fenics_crack.numerics.path import ARRIVAL_DISTANCE, EndReason, Path, PathOptions, ZeroCrossing
 
 TO_PHASE = PathOptions(0.05, 0.3, max_steps=300, points_per_call=8, span=(-4.0, 1.8))
 """Options of the response curve on which the first point is met. Its parameter is in halves of the
@@ -89,7 +89,7 @@ class ResonanceSystem(CurveSystem):
         return PhasePoint(self.problem, self.drive, at, omega, self._size, inverse, change)
 
 
-class _InPhase(Crossing):
+class _InPhase(ZeroCrossing):
     """Zero of the part of the displacement that is in phase with the load, where a path ends."""
 
     is_terminal, must_be_located, description = True, True, EndReason.REACHED.value

@@ -72,7 +72,9 @@ def flow_of(structure: Structure, contact: ContactLaw) -> ContactFlow | None:
     None for a smooth law, for a large structure, and for rigid contact with a singular residual
     flexibility.
     """
-    return ContactFlow(structure, contact) if _refusal(structure, contact) is None else None
+    return (
+        ContactFlow(structure, contact) if _exact_flow_error(structure, contact) is None else None
+    )
 
 
 def exact_flow(structure: Structure, contact: ContactLaw) -> ContactFlow:
@@ -89,11 +91,11 @@ def exact_flow(structure: Structure, contact: ContactLaw) -> ContactFlow:
 
 def check_exact(structure: Structure, contact: ContactLaw) -> None:
     """Raise InputError if a structure and a law lack an exact flow."""
-    if error := _refusal(structure, contact):
+    if error := _exact_flow_error(structure, contact):
         raise error
 
 
-def _refusal(structure: Structure, contact: ContactLaw) -> InputError | None:
+def _exact_flow_error(structure: Structure, contact: ContactLaw) -> InputError | None:
     """Return why a structure and a contact law have no exact flow.
 
     None if they have one.
@@ -491,7 +493,7 @@ class Track:
         _check_outcome(outcome, len(self.lengths) - 1)
         return matrix
 
-    def by_structure(self, start: np.ndarray, softness: np.ndarray) -> np.ndarray:
+    def derivative_by_softness(self, start: np.ndarray, softness_rate: np.ndarray) -> np.ndarray:
         """Return the derivative of z(end) by a structural parameter: (size,).
 
         The state at the start does not change with the parameter.
@@ -500,17 +502,14 @@ class Track:
         ----------
         start : (size,)
             State at the start.
-        softness : (n_rows,)
+        softness_rate : (n_rows,)
             Derivative of the softness by the parameter.
         """
-        derivative, softness_rates = (
-            np.empty(self.flow.size),
-            shaped(softness, *self.flow.softness.shape),
-        )
+        derivative = np.empty(self.flow.size)
+        rates = shaped(softness_rate, *self.flow.softness.shape)
         outcome = kernel.flow_by_structure(
             self.flow.handle, self._struct.at, pointer(as_doubles(start)), NULL,
-            pointer(softness_rates),
-            pointer(derivative),
+            pointer(rates), pointer(derivative),
         )  # fmt: skip
         _check_outcome(outcome, len(self.lengths) - 1)
         return derivative

@@ -139,7 +139,7 @@ class Record:
         Products, gaps and forces at any parts of the period. Extremes are then exact to rounding.
     steps : int
         Instants in a load period, for a record of several periods; 0 for a periodic motion.
-    exact : dict of str to float
+    exact_numbers : dict of str to float
         Numbers that are known more accurately than from the instants.
     """
 
@@ -154,7 +154,7 @@ class Record:
     friction: float | np.ndarray | None = None
     evaluate: RecordFunction | None = None
     steps: int = 0
-    exact: Mapping[str, float] = field(default_factory=dict)
+    exact_numbers: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def periods(self) -> float:
@@ -409,9 +409,9 @@ class ObservedMotion:
 
         Numbers that are nan everywhere are left out.
         """
-        if not self._at_faces:
+        if not self._face_numbers:
             self.observe_rows(np.zeros((0, self.structure.n_local)))
-        numbers = self._gather_numbers(self._at_faces)
+        numbers = self._gather_numbers(self._face_numbers)
         return {name: value for name, value in numbers.items() if not np.all(np.isnan(value))}
 
     def observe(
@@ -430,12 +430,14 @@ class ObservedMotion:
         """
         structure = self.structure
         wanted_dofs = [structure.watched_dof if dof is None else dof for dof in dofs]
-        new_dofs = [dof for dof in dict.fromkeys(wanted_dofs) if dof not in self._displacements]
+        new_dofs = [
+            dof for dof in dict.fromkeys(wanted_dofs) if dof not in self._observed_displacements
+        ]
         numbers: dict[str, Any] = {}
         if new_dofs or places:
             displacements, numbers = self.observe_rows(rows_of(structure, new_dofs), places)
-            self._displacements.update(zip(new_dofs, displacements, strict=True))
-        return [self._displacements[dof] for dof in wanted_dofs], numbers
+            self._observed_displacements.update(zip(new_dofs, displacements, strict=True))
+        return [self._observed_displacements[dof] for dof in wanted_dofs], numbers
 
     def observe_rows(
         self, rows: np.ndarray, places: Sequence[ExtraRows] = ()
@@ -461,11 +463,11 @@ class ObservedMotion:
         for index, full_record in enumerate(self.records(all_rows)):
             record = full_record.last_periods(RECORDED_PERIODS)
             record = record.select_rows(slice(len(rows))) if places else record
-            if index < len(self._at_faces):
+            if index < len(self._face_numbers):
                 record = replace(record, gap=record.gap[:, :0])
             else:
-                self._at_faces.append(_read_faces(record))
-            shared = {"omega": record.omega} | self._at_faces[index]
+                self._face_numbers.append(_read_faces(record))
+            shared = {"omega": record.omega} | self._face_numbers[index]
             points = (Point(record, row) for row in range(len(rows)))
             points_of_records.append([shared | read_at(Place.POINT, point) for point in points])
             coefficients.append(record.coefficients.T)
@@ -496,12 +498,12 @@ class ObservedMotion:
         return only_value
 
     @cached_property
-    def _displacements(self) -> dict[int, Displacement]:
+    def _observed_displacements(self) -> dict[int, Displacement]:
         """Return the displacements observed so far, by dof."""
         return {}
 
     @cached_property
-    def _at_faces(self) -> list[dict[str, float]]:
+    def _face_numbers(self) -> list[dict[str, float]]:
         """Return the numbers of the crack faces for each record, once observed."""
         return []
 
@@ -515,4 +517,4 @@ def _read_faces(record: Record) -> dict[str, float]:
     if record.n_pairs:
         requirements = FRICTION if record.friction is None else FILES
         numbers |= read_at(Place.FACES, Faces(record), requirements)
-    return numbers | dict(record.exact)
+    return numbers | dict(record.exact_numbers)

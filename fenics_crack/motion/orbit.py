@@ -275,7 +275,7 @@ class PeriodicOrbit(ObservedMotion, Described):
             structure=self.structure,
             friction=getattr(self.flow.friction, "coefficient", None),
             evaluate=evaluate,
-            exact=exact_numbers,
+            exact_numbers=exact_numbers,
         )  # fmt: skip
 
     def coefficients(self, harmonics: int) -> OrbitCoefficients:
@@ -663,7 +663,11 @@ class _Search:
         return math.sqrt(weighted @ weighted)
 
     def leads_to_orbit(self, inverse: Inverse | None, step_tolerance: float) -> bool:
-        """Return True if the search ends with an orbit."""
+        """Return True if the search ends with an orbit.
+
+        A step is accepted if |simplified step| <= (1 - damping / 4) |step|. The next damping factor
+        follows from the nonlinearity |simplified step - (1 - damping) step|.
+        """
         forms_monodromy = self._flow.n_modes <= MAX_MODES_FOR_MONODROMY
         min_damping = MIN_NEWTON_STEP
         if not forms_monodromy:

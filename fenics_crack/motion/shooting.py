@@ -36,7 +36,7 @@ class OrbitPoint(DenseLinearisation):
 
     Attributes
     ----------
-    make_monodromy, make_by_parameter : callable
+    make_monodromy, make_parameter_derivative : callable
         Return S M S^-1 and dF/dp.
     events, pieces : int
         Pairs that open or close in the period, and pieces of the Taylor series.
@@ -45,7 +45,7 @@ class OrbitPoint(DenseLinearisation):
     unknown: np.ndarray
     residual: np.ndarray
     make_monodromy: Callable[[], np.ndarray]
-    make_by_parameter: Callable[[], np.ndarray]
+    make_parameter_derivative: Callable[[], np.ndarray]
     events: int
     pieces: int
 
@@ -61,7 +61,7 @@ class OrbitPoint(DenseLinearisation):
 
     @cached_property
     def by_parameter(self) -> np.ndarray:
-        return self.make_by_parameter()
+        return self.make_parameter_derivative()
 
     @property
     def record(self) -> np.ndarray:
@@ -108,7 +108,7 @@ class ShootingEquations(Equations):
             intervals=Budget.intervals, **arrays,
         )  # fmt: skip
         self._point = owned(kernel.new_shooting_point(self._struct.at), kernel.free_shooting_point)
-        self.table = kernel.equations_of_shooting(self._point)
+        self.function_table = kernel.equations_of_shooting(self._point)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
         """Return the equations at a point.
@@ -135,13 +135,15 @@ class ShootingEquations(Equations):
         """Integrate the motion over a period."""
         assert unknown.shape == self.shape
         unknown_pointer = pointer(np.ascontiguousarray(unknown, dtype=float))
-        if not self.check(self.run(self.table.evaluate, unknown_pointer, parameter)):
+        if not self.check_outcome(
+            self.run(self.function_table.evaluate, unknown_pointer, parameter)
+        ):
             raise ConvergenceError("orbits: the motion over a period cannot be followed")
 
     def _residual(self) -> np.ndarray:
         """Return F at the last evaluated point."""
         residual = np.empty(self.shape)
-        self.table.residual(self.table, pointer(residual))
+        self.function_table.residual(self.function_table, pointer(residual))
         return residual
 
     def linearise_evaluated(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
@@ -165,7 +167,7 @@ class ShootingEquations(Equations):
         def by_parameter() -> np.ndarray:
             derivative = np.empty(self.shape)
             ensure_evaluated()
-            self.table.by_parameter(self.table, pointer(derivative))
+            self.function_table.by_parameter(self.function_table, pointer(derivative))
             return derivative
 
         point = OrbitPoint(unknown, residual, monodromy, by_parameter, events, self.pieces)

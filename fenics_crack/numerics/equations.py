@@ -183,13 +183,13 @@ class Equations(ABC):
     ----------
     shape : tuple of int
         Shape of the unknowns.
-    table : the kernel's ``equations``
+    function_table : the kernel's ``equations``
     follows_many_points : bool
         True if the kernel may follow many points of a path in one call.
     """
 
     shape: tuple[int, ...]
-    table: Any
+    function_table: Any
     follows_many_points = True
     _last_linearisation: Linearisation | None = None
     """Point at which the kernel evaluated the equations last; None if unknown."""
@@ -206,9 +206,9 @@ class Equations(ABC):
     def run(self, loop: Any, *arguments: Any) -> int:
         """Run a loop of the kernel and return its outcome."""
         self._last_linearisation = None
-        return int(loop(self.table, *arguments))
+        return int(loop(self.function_table, *arguments))
 
-    def check(self, outcome: int) -> bool:
+    def check_outcome(self, outcome: int) -> bool:
         """Return True if a loop found a solution, else False.
 
         Raises
@@ -251,16 +251,16 @@ class _PythonEquations(Equations):
             solve=kernel.python_solve, by_parameter=kernel.python_by_parameter,
             sign=kernel.python_sign,
         )  # fmt: skip
-        self.table = self._struct.at
+        self.function_table = self._struct.at
 
     def linearise_evaluated(self, unknown: np.ndarray, parameter: float) -> Linearisation:
         return self._state.linearisation
 
-    def check(self, outcome: int) -> bool:
+    def check_outcome(self, outcome: int) -> bool:
         failure, self._state.failure = self._state.failure, None
         if failure is not None:
             raise failure
-        return super().check(outcome)
+        return super().check_outcome(outcome)
 
 
 class _PythonState:
@@ -272,7 +272,7 @@ class _PythonState:
     def __init__(self, system: System, shape: tuple[int, ...]) -> None:
         self.system, self._shape, self._bytes = system, shape, 8 * int(np.prod(shape))
 
-    def array(self, buffer: Any) -> np.ndarray:
+    def as_array(self, buffer: Any) -> np.ndarray:
         """Return a kernel buffer as an array in the unknowns' shape."""
         return np.frombuffer(ffi.buffer(buffer, self._bytes)).reshape(self._shape)
 
@@ -302,24 +302,24 @@ def _python_callback(failure_value: Any) -> Callable[[Callable[..., Any]], Calla
 
 @_python_callback(kernel.FAILED)
 def _evaluate(state: _PythonState, unknown: Any, parameter: float) -> int:
-    state.linearisation = state.system.linearise(state.array(unknown).copy(), parameter)
+    state.linearisation = state.system.linearise(state.as_array(unknown).copy(), parameter)
     return int(kernel.FOUND)
 
 
 @_python_callback(None)
 def _residual(state: _PythonState, residual_out: Any) -> None:
-    state.array(residual_out)[...] = state.linearisation.residual
+    state.as_array(residual_out)[...] = state.linearisation.residual
 
 
 @_python_callback(None)
 def _solve(state: _PythonState, vector: Any) -> None:
-    solution = state.array(vector)
+    solution = state.as_array(vector)
     solution[...] = state.linearisation.solve(solution.copy())
 
 
 @_python_callback(None)
 def _by_parameter(state: _PythonState, derivative_out: Any) -> None:
-    state.array(derivative_out)[...] = state.linearisation.by_parameter
+    state.as_array(derivative_out)[...] = state.linearisation.by_parameter
 
 
 @_python_callback(None)

@@ -508,7 +508,7 @@ def solve_in_plane(
         kernel.solve_in_plane, border, options.at, pointer(shaped(solution, *equations.shape)),
         pointer(solution_parameter), pointer(n_iterations),
     )  # fmt: skip
-    if not equations.check(outcome):
+    if not equations.check_outcome(outcome):
         return None
     parameter = float(solution_parameter[0])
     linearisation = equations.linearise_evaluated(solution, parameter)

@@ -274,7 +274,7 @@ def _orientation(system: System, point: PathPoint) -> float:
     return float(linearisation.sign * np.sign(point.tangent.p))
 
 
-class Crossing(Event):
+class ZeroCrossing(Event):
     """Zero of a point function (:func:`find_zero`)."""
 
     def __init__(self, function: Callable[[PathPoint], float]) -> None:
@@ -358,7 +358,7 @@ def find_zero(
     return min(points_by_fraction.values(), key=lambda entry: abs(entry[1]))
 
 
-class Fold(Crossing):
+class Fold(ZeroCrossing):
     """Turning point of the parameter: t_p changes its sign."""
 
     kind = "fold"
@@ -454,7 +454,7 @@ def _find_between(
     target_pointer = NULL if target is None else pointer(np.array([target]))
     path_struct = segment.struct(2)
     outcome = equations.run(kernel.find_between, stepping.at, target_pointer, path_struct.at)
-    return segment[path_struct.at.known] if equations.check(outcome) else None
+    return segment[path_struct.at.known] if equations.check_outcome(outcome) else None
 
 
 # --- the path -------------------------------------------------------------------------------------
@@ -575,7 +575,7 @@ class Path:
         first_index = 1
         for index in map(int, np.flatnonzero(may_occur.any(axis=0) | is_outside)):
             ends = segment[index], segment[index + 1]
-            tolerance = max(LOCATION_TOLERANCE, self._rounding(ends[1]))
+            tolerance = max(LOCATION_TOLERANCE, self._rounding_at(ends[1]))
             part = segment[first_index : index + 2]
             for event, is_candidate in zip(self._events, may_occur[:, index], strict=True):
                 location = event.locate(self._system, ends, tolerance) if is_candidate else None
@@ -618,7 +618,7 @@ class Path:
             observed=observe_point(self._system, linearisation),
         )
 
-    def _rounding(self, point: PathPoint) -> float:
+    def _rounding_at(self, point: PathPoint) -> float:
         """Return the rounding error of |F| / |x| at a point."""
         system_rounding = getattr(self._system, "rounding", None)
         return (
@@ -687,12 +687,12 @@ class Path:
             The last known point and the new points; None if the step control halves the first step.
         """
         options, start_points = self._options, self._start_points
-        parameter, rounding = start_points[-1].parameter, self._rounding(start_points[-1])
+        parameter, rounding = start_points[-1].parameter, self._rounding_at(start_points[-1])
         targets = [event.parameter for event in self._events if isinstance(event, Target)]
         bounds = [*options.span, *targets]
         max_points = self._points_per_call if self._equations.follows_many_points else 1
         n_points = min(n_remaining, max_points)
-        n_records = 0 if self._control is None else int(self._equations.table.records)
+        n_records = 0 if self._control is None else int(self._equations.function_table.records)
         segment = PathSegment(start_points, len(start_points) + n_points, n_records)
         path_struct = segment.struct(
             len(start_points), step=self._step, orientation=self._orientation
@@ -708,7 +708,7 @@ class Path:
         outcome = self._equations.run(kernel.follow, stepping.at, path_struct.at)
         self._orientation, self._step = path_struct.at.orientation, path_struct.at.step
         if path_struct.at.known == len(start_points):
-            self._equations.check(outcome)
+            self._equations.check_outcome(outcome)
         if path_struct.at.known == len(start_points) or self._control is None:
             return segment[len(start_points) - 1 : path_struct.at.known]
         return self._cut_at_halved_step(segment[: path_struct.at.known], len(start_points), step)

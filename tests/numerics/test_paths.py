@@ -28,12 +28,12 @@ from fenics_crack.numerics.newton import (
 )
 from fenics_crack.numerics.path import (
     ClosedLoop,
-    Crossing,
     EndReason,
     Fold,
     Path,
     PathOptions,
     Target,
+    ZeroCrossing,
 )
 
 Function = Callable[[float, float], float]
@@ -154,7 +154,7 @@ def circle() -> tuple[Plane, PathPoint]:
 def test_once_round_a_circle() -> None:
     """Two folds, two zeros of x, and the path has closed where it began."""
     plane, start = circle()
-    events = Fold(), Crossing(lambda point: float(point.unknown[0])), ClosedLoop(start, plane)
+    events = Fold(), ZeroCrossing(lambda point: float(point.unknown[0])), ClosedLoop(start, plane)
     path = Path(plane, start, PathOptions(0.05, max_step=0.3), events)
     met = [one for stretch in path for one in stretch.located_events]
     places = [(float(at.unknown[0]), at.parameter) for event, at in met if event is events[0]]
