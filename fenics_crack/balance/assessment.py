@@ -1,7 +1,7 @@
 """Error and stability of a harmonic-balance solution with a given number of harmonics.
 
 One step of Newton's method for the whole solution on the exact flow predicts what the harmonics
-left out change (:func:`fenics_crack.motion.orbit.predicted`); Newton's method finds the nearest
+left out change (:func:`fenics_crack.motion.orbit.predict_orbit`); Newton's method finds the nearest
 orbit from where that leads, or from the solution's state. A solution that was found from an orbit
 has that one. The distance to the orbit is the error. It is the solution's
 own where it is at most 0.1 away, of crack faces without mass 0.5, and three times the prediction:

@@ -10,7 +10,7 @@ are irregular, so are the points between them, if all of these are open.
 With laws without an exact flow it is the linearised flow. Between two points lies
 a period doubling or a Neimark-Sacker point where the numbers of multipliers outside the unit circle
 say so (:mod:`orbit_events`); it is located on the path between them
-(:class:`fenics_crack.numerics.path.Crossing`).
+(:class:`fenics_crack.numerics.path.ZeroCrossing`).
 
 Source: Seydel, Practical Bifurcation and Stability Analysis, chapters 4 and 7.
 """
