@@ -8,9 +8,9 @@ the stiffness kappa of the contact pairs,
 
 While the set A of closed pairs stays, lambda_A = S s_A with S = ((R_inf + I/kappa)_AA)^-1, and the
 motion is linear. Its Taylor series gives the motion, closed pairs' forces and open pairs' openings.
-An event is an instant at which a force or an opening falls through zero. Behind it another set
-holds (``kernel/flow.c``). Nothing is truncated: the error is rounding error. Forces are continuous,
-so the flow's derivative is the product of all sets' exponentials.
+An event is an instant at which a force or an opening falls through zero. Behind an event another
+set holds (``kernel/flow.c``). Nothing is truncated: the error is rounding error. Forces are
+continuous, so the flow's derivative is the product of all sets' exponentials.
 
 References
 ----------

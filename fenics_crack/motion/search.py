@@ -67,14 +67,10 @@ class SearchOptions:
         Harmonics in the harmonic-balance solutions for guesses.
     evaluations : int
         Budget in periods of the flow after Newton's method failed from all guesses. Half of them
-        are
-        for the path, a quarter for the motion, and the rest for orbits near its close returns. A
-        period
-        has 200 Taylor pieces and 12 modes; other sizes count by their time, proportional to pieces
-        and
-        to the square of the modes. The default takes about a second. With friction three quarters
-        are
-        allowed, and take one to three seconds.
+        are for the path, a quarter for the motion, and the rest for orbits near its close returns.
+        A period has 200 Taylor pieces and 12 modes; other sizes count by their time, proportional
+        to pieces and to the square of the modes. The default takes about a second. With friction
+        three quarters are allowed, and take one to three seconds.
     """
 
     harmonics: tuple[int, ...] = (5, 10, 20, 40)

@@ -83,13 +83,13 @@ class ShootingEquations(Equations):
     subharmonic : int
         Load periods in the orbit's period.
     **arrays
-        Quantities that depend on p, for the kernel. They change a flow.
+        Quantities that depend on p, for the kernel. If load or damping do, the kernel modifies the
+        flow.
 
         - ``force``, ``gap``: load of the flow at p = 0, (2K+1, n_modes) and (2K+1, n_rows).
-        - ``force_by``, ``gap_by``: their derivatives by p.
-        - ``damping``, ``damping_by``: damping at p = 0 and its derivative, with ``rates`` entries
-          each.
-          The flow must be the flow with the largest damping.
+        - ``force_by``, ``gap_by``: derivatives of the load by p.
+        - ``damping``, ``damping_by``: damping at p = 0 and its derivative, ``rates`` entries each.
+          The flow must have the largest damping.
         - ``rest``: x_0 and x_1, (2, flow.size), by default 0.
     """
 
@@ -180,8 +180,7 @@ class FlowOrbits(ShootingEquations):
     """F(x, p) of an exact flow over p = w / w_0, the load frequency.
 
     The scale S measures states by amplitude: displacements have weight 1, velocities have the
-    weight 1 / frequency of the mode. S is divided by the size of a nearby state z_0, so that |S
-    z_0| = 1.
+    weight 1 / frequency of the mode. S is divided by the size of a nearby state z_0: |S z_0| = 1.
 
     Attributes
     ----------

@@ -1,6 +1,6 @@
 """Interface of equations F(x, p) = 0 for Newton's method and path following.
 
-A :class:`System` has unknowns x and a parameter p. Its :class:`Linearisation` at a point (x, p)
+A :class:`System` has unknowns x and a parameter p. At a point (x, p) its :class:`Linearisation`
 offers
 
     F(x, p)       residual

@@ -4,8 +4,7 @@ SNES
 ----
 Single solutions come from SNES, with GMRES if the Jacobian is not formed. PETSc options with the
 prefix ``crack_hb_`` reach SNES, and options with ``crack_krylov_`` reach GMRES. If the kernel has
-the
-equations and no SNES option is given, the kernel takes the same steps.
+the equations, and no SNES option is given, the kernel takes the same steps.
 
 Bordered by a plane
 -------------------

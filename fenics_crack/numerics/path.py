@@ -219,8 +219,7 @@ class Event(ABC):
         True if the path ends at the event.
     must_be_located : bool
         True if the path returns and takes a shorter step after a failure to locate the event. A
-        long
-        step may have jumped to another part of the path.
+        long step may have jumped to another part of the path.
     description : str
         Reason for the end, in words.
     kind : str
