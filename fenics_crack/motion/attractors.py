@@ -115,8 +115,7 @@ def find_attractor(
     max_periods : int, optional
         Default: a quarter of a search's ``evaluations``, for any number of modes.
     """
-    if max_periods is None:
-        max_periods = SearchOptions.evaluations // 4
+    max_periods = SearchOptions.evaluations // 4 if max_periods is None else max_periods
     max_periods = max(MAX_RETURN_PERIODS + 1, max_periods)
     begin(f"the exact motion over up to {max_periods} periods")
     states, next_states = start[None], follow_periods(orbits, start, max_periods)

@@ -240,12 +240,11 @@ class ContactFlow(Flow):
         stiffness = np.diag(modes.squares) + modes.pairs @ closed_forces
         self.max_rate = _bound_rates(float(np.linalg.eigvalsh(stiffness)[-1]), modes.damping)
         """Upper bound of oscillation and decay rates, for any set of closed pairs [1/s]."""
-        friction_coefficients = None
+        coefficients = None
         if self.friction:
-            friction_coefficients = np.broadcast_to(self.friction.coefficient, n_pairs)
-            friction_coefficients = friction_coefficients.astype(float)
+            coefficients = np.broadcast_to(self.friction.coefficient, n_pairs).astype(float)
         parts = Struct(
-            "flow_parts", modes=self.n_modes, pairs=n_pairs, friction=friction_coefficients,
+            "flow_parts", modes=self.n_modes, pairs=n_pairs, friction=coefficients,
             coupled=modes.damping.ndim == 2, squares=as_doubles(modes.squares),
             damping=as_doubles(modes.damping),
             rows=as_doubles(modes.pairs.T), compliance=as_doubles(self.compliance),
@@ -278,8 +277,9 @@ class ContactFlow(Flow):
             slip_signs = 1.0 * (states == kernel.SLIP_UP) - (states == kernel.SLIP_DOWN)
             tangent_columns = row_compliance[:, n_pairs + closed_pairs]
             friction_matrix[:, : len(closed_pairs)] = tangent_columns * slip_signs[closed_pairs]
-            relative_matrix = np.linalg.solve(row_compliance[:, rows], friction_matrix)
-            eigenvalues = np.linalg.eigvals(relative_matrix)
+            eigenvalues = np.linalg.eigvals(
+                np.linalg.solve(row_compliance[:, rows], friction_matrix)
+            )
             is_negative = (eigenvalues.imag == 0.0) & (eigenvalues.real < 0.0)
             critical_coefficients.extend(-1.0 / eigenvalues.real[is_negative])
         return float(min(critical_coefficients))
@@ -297,8 +297,7 @@ class ContactFlow(Flow):
         displacement_by_force = modal_flexibility[:, None] * normals
         # With all pairs open:
         displacement = modal_flexibility * self.force[0]
-        gap = displacement @ normals + self.gap[0, :n_pairs]
-        force = np.zeros(n_pairs)
+        gap, force = displacement @ normals + self.gap[0, :n_pairs], np.zeros(n_pairs)
         if np.any(gap > 0.0):
             from scipy.optimize import nnls  # slow to import
 

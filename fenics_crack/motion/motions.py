@@ -183,8 +183,12 @@ class Record:
         evaluate = evaluate_all and (
             lambda parts: ((arrays := evaluate_all(parts))[0][:, rows], *arrays[1:])
         )
-        coefficients, motion = self.coefficients[:, rows], self.motion[:, rows]
-        return replace(self, coefficients=coefficients, motion=motion, evaluate=evaluate)
+        return replace(
+            self,
+            coefficients=self.coefficients[:, rows],
+            motion=self.motion[:, rows],
+            evaluate=evaluate,
+        )
 
     @cached_property
     def pairs_of_cracks(self) -> np.ndarray:
@@ -302,8 +306,9 @@ def is_slipping(coefficient: Any, force: np.ndarray, friction_force: np.ndarray)
         Friction coefficient.
     force, friction_force : (n, n_pairs) [N]
     """
-    min_friction_force = SLIP_FORCE_RATIO * coefficient * force
-    return np.asarray((force > 0.0) & (np.abs(friction_force) >= min_friction_force))
+    return np.asarray(
+        (force > 0.0) & (np.abs(friction_force) >= SLIP_FORCE_RATIO * coefficient * force)
+    )
 
 
 def friction_losses(tangential_gap: np.ndarray, friction_force: np.ndarray) -> np.ndarray:
@@ -317,8 +322,9 @@ def friction_losses(tangential_gap: np.ndarray, friction_force: np.ndarray) -> n
         Values at equal parts of the period.
     """
     gap_change = np.roll(tangential_gap, -1, axis=0) - tangential_gap
-    force_sum = np.roll(friction_force, -1, axis=0) + friction_force
-    return np.asarray(0.5 * np.sum(force_sum * gap_change, axis=0))
+    return np.asarray(
+        0.5 * np.sum((np.roll(friction_force, -1, axis=0) + friction_force) * gap_change, axis=0)
+    )
 
 
 def rows_of(structure: Structure, dofs: Sequence[int | None]) -> np.ndarray:

@@ -253,14 +253,14 @@ class PeriodicOrbit(ObservedMotion, Described):
         def evaluate(parts: np.ndarray) -> Any:
             time = self.period * np.mod(parts, 1.0)
             piece_index = np.minimum(np.searchsorted(piece_ends, time), len(piece_ends) - 1)
-            time_from_end = time - piece_ends[piece_index]
-            position = 1.0 + 2.0 * time_from_end / piece_lengths[piece_index]
+            position = 1.0 + 2.0 * (time - piece_ends[piece_index]) / piece_lengths[piece_index]
             distances = position[:, None] - nodes
             distances = np.where(distances == 0.0, sys.float_info.min, distances)
             node_weights = barycentric_weights / distances
             node_weights /= node_weights.sum(axis=1, keepdims=True)
-            interpolation = (node_weights[:, None] @ node_values[piece_index])[:, 0]
-            return np.split(interpolation, splits, axis=1)
+            return np.split(
+                (node_weights[:, None] @ node_values[piece_index])[:, 0], splits, axis=1
+            )
 
         n_instants, exact_numbers = instants or INSTANTS_PER_PERIOD, {}
         parts = np.arange(n_instants) / n_instants
@@ -350,8 +350,7 @@ class PeriodicOrbit(ObservedMotion, Described):
             """Return int F x' dt of each column, by Gauss quadrature."""
             shape = len(piece_lengths), len(weights), -1
             rates = differentiation @ node_displacements.reshape(shape)
-            work = np.einsum("k,pkc,pkc->c", weights, node_forces.reshape(shape), rates)
-            return np.asarray(work)
+            return np.asarray(np.einsum("k,pkc,pkc->c", weights, node_forces.reshape(shape), rates))
 
         load = fourier_basis_for(flow.force, self.omega * samples.time) @ flow.structure.force
         velocities = samples.states[:, flow.n_modes :]
@@ -481,14 +480,14 @@ class MotionInArcs(PeriodicOrbit):
 
     def samples(self, time: np.ndarray) -> Samples:
         """Return the motion at ascending times of the period [s]."""
-        start_times = self.period / len(self.starts) * np.arange(len(self.starts) + 1)
+        duration = self.period / len(self.starts)
+        start_times = duration * np.arange(len(self.starts) + 1)
         times_by_part = np.split(time, np.searchsorted(time, start_times[1:-1]))
-        duration, parts = start_times[1], []
-        for state, start, instants in zip(
-            self.starts, start_times.tolist(), times_by_part, strict=False
-        ):
-            motion = self.flow.advance(state, self.omega, duration, start=start, instants=instants)
-            parts.append(motion.samples)
+        arcs = zip(self.starts, start_times.tolist(), times_by_part, strict=False)
+        parts = [
+            self.flow.advance(state, self.omega, duration, start=start, instants=instants).samples
+            for state, start, instants in arcs
+        ]
         arrays = ((part.states, part.answers, part.pair_states) for part in parts)
         return Samples(self.flow, self.omega, time, *map(np.concatenate, zip(*arrays, strict=True)))
 
@@ -563,8 +562,9 @@ def predict_motion(
         period = 2.0 * np.pi * subharmonic / omega
         end_states, track, _ = flow.steps(prediction.states, omega, period)
         motion = flow.advance(end_states[-1], omega, 0.0)._replace(track=track)
-        starts = prediction.states
-        return MotionInArcs(flow, omega, subharmonic, motion, starts[0], 1, starts)
+        return MotionInArcs(
+            flow, omega, subharmonic, motion, prediction.states[0], 1, prediction.states
+        )
     return None
 
 
@@ -669,9 +669,8 @@ class _Search:
         follows from the nonlinearity |simplified step - (1 - damping) step|.
         """
         forms_monodromy = self._flow.n_modes <= MAX_MODES_FOR_MONODROMY
-        min_damping = MIN_NEWTON_STEP
-        if not forms_monodromy:
-            step_tolerance, min_damping = ROOT_TOLERANCE, 0.1
+        min_damping = MIN_NEWTON_STEP if forms_monodromy else 0.1
+        step_tolerance = step_tolerance if forms_monodromy else ROOT_TOLERANCE
         self.motion = self._follow(self.state)
         damping, is_current = 1.0, False  # is_current: the inverse is that of self.motion
         steps: list[np.ndarray] = []  # with the same inverse
@@ -690,8 +689,7 @@ class _Search:
                 fraction = self._fraction_along(simplified_step, earlier_step)
                 simplified_step = simplified_step + fraction * later_step
             step_size, simplified_size = self.size(step), self.size(simplified_step)
-            nonlinearity = self.size(simplified_step - (1.0 - damping) * step)
-            nonlinearity += sys.float_info.min
+            nonlinearity = self.size(simplified_step - (1.0 - damping) * step) + sys.float_info.min
             state_size = self.size(trial_state)
             if not simplified_size <= (1.0 - 0.25 * damping) * step_size:
                 if step_size <= MULTIPLIER_TOLERANCE * state_size:  # steps are rounding errors

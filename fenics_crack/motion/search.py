@@ -126,8 +126,7 @@ def search_orbit(
     -------
     OrbitSearch
     """
-    known_orbits: list[PeriodicOrbit] = []
-    tried_states: list[np.ndarray] = []
+    known_orbits, tried_states = list[PeriodicOrbit](), list[np.ndarray]()
     failure_reasons: list[str] = []
     search = partial(
         find_orbit, flow, omega, subharmonic=subharmonic, failure_reasons=failure_reasons
@@ -145,13 +144,14 @@ def search_orbit(
     if known_orbits:
         if prefer_stable and forms_monodromy:
             known_orbits.sort(key=lambda orbit: not orbit.is_stable)
-        first_orbit, *other_orbits = known_orbits
-        return OrbitSearch(first_orbit, tuple(other_orbits), "exact orbit by Newton's method")
+        return OrbitSearch(
+            known_orbits[0], tuple(known_orbits[1:]), "exact orbit by Newton's method"
+        )
     for states in tried_states:
         prediction = predict_orbit(flow, omega, states, subharmonic)
-        if prediction is None:
-            continue
-        orbit = search(prediction.states[0], inverse=prediction.inverse)
+        orbit = (
+            None if prediction is None else search(prediction.states[0], inverse=prediction.inverse)
+        )
         if orbit is not None:
             return OrbitSearch(orbit, (), "exact orbit by a step of the whole motion")
     start = tried_states[-1][0] if tried_states else np.zeros(flow.size)
@@ -248,8 +248,9 @@ def find_by_homotopy(orbits: FlowOrbits, options: SearchOptions) -> PeriodicOrbi
         )
         if closed_point is not None:
             return orbits.orbit(closed_point)
-        start_point = point_on_path(system, orbits.start, 0.0)
-        end_point = Path(system, start_point, path_options, [Target(1.0)]).run()
+        end_point = Path(
+            system, point_on_path(system, orbits.start, 0.0), path_options, [Target(1.0)]
+        ).run()
     except (ConvergenceError, np.linalg.LinAlgError):
         return None
     if end_point is None:

@@ -510,10 +510,10 @@ def solve_in_plane(
     if not equations.check_outcome(outcome):
         return None
     parameter = float(solution_parameter[0])
-    linearisation = equations.linearise_evaluated(solution, parameter)
     return PathPoint(
-        solution, parameter, int(n_iterations[0]), tangent, linearisation=linearisation
-    )
+        solution, parameter, int(n_iterations[0]), tangent,
+        linearisation=equations.linearise_evaluated(solution, parameter),
+    )  # fmt: skip
 
 
 @lru_cache

@@ -328,15 +328,16 @@ def find_zero(
             x = x + tangent_weights[0] * start.tangent.x + tangent_weights[1] * end.tangent.x
             p = start.parameter + chord_weight * parameter_change
             p += tangent_weights[0] * start.tangent.p + tangent_weights[1] * end.tangent.p
-            corrected_point = solve_in_plane(
+            solution = solve_in_plane(
                 system, x, p, chord, tolerance=rtol, reach=MAX_PARAMETER_REACH * length
             )
-            if corrected_point is None or corrected_point.linearisation is None:
+            if solution is None or solution.linearisation is None:
                 raise ConvergenceError("path: lost between two points")
-            linearisation = corrected_point.linearisation
-            tangent = tangent_of(system, corrected_point.unknown, linearisation, chord)
-            control_values = observe_point(system, linearisation)
-            point = replace(corrected_point, tangent=tangent, observed=control_values)
+            linearisation = solution.linearisation
+            tangent = tangent_of(system, solution.unknown, linearisation, chord)
+            point = replace(
+                solution, tangent=tangent, observed=observe_point(system, linearisation)
+            )
             points_by_fraction[fraction] = point, function(point)
         return points_by_fraction[fraction][1]
 
@@ -508,9 +509,10 @@ class Path:
         self._system, self._options, self._events = system, options, events
         self._equations, self._control = equations_of(system, start.unknown.shape), control
         self._max_step = options.max_step
-        self._points_per_call = options.points_per_call
-        if control is not None:
-            self._points_per_call = min(POINTS_AFTER_HALVING, options.points_per_call)
+        max_points = options.points_per_call
+        self._points_per_call = (
+            max_points if control is None else min(POINTS_AFTER_HALVING, max_points)
+        )
         self.last_point = start = self._with_observation(start)
         self.end_reason: EndReason | None = None
         self.event: Event | None = None
@@ -689,8 +691,9 @@ class Path:
         parameter, rounding = start_points[-1].parameter, self._rounding_at(start_points[-1])
         targets = [event.parameter for event in self._events if isinstance(event, Target)]
         bounds = [*options.span, *targets]
-        max_points = self._points_per_call if self._equations.follows_many_points else 1
-        n_points = min(n_remaining, max_points)
+        n_points = min(
+            n_remaining, self._points_per_call if self._equations.follows_many_points else 1
+        )
         n_records = 0 if self._control is None else int(self._equations.function_table.records)
         segment = PathSegment(start_points, len(start_points) + n_points, n_records)
         path_struct = segment.struct(
