@@ -551,8 +551,8 @@ def track_order(
     probes = len(arrivals.probes)
     if not groups:
         raise InputError("revolutions", revolutions, f"at most {len(arrivals)}, what there is")
-    angle = order * arrivals.nominal_angle[:revolutions].ravel()
-    if np.isinf(condition(fourier_basis(angle, multiples))):
+    phase = order * arrivals.nominal_angle[:revolutions].ravel()
+    if np.isinf(condition(fourier_basis(phase, multiples))):
         refuse(arrivals, unknowns)
     shape = (groups, revolutions * probes)
     angle, nominal, values = (
