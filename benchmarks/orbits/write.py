@@ -51,11 +51,11 @@ def reduced(
             "form": "modes", "squares": flow.modes.squares.tolist(),
             "damping": flow.modes.damping.tolist(),
             "pairs": flow.modes.pairs.tolist(), "flexibility": flow.residual_flexibility.tolist(),
-            "lift": (flow.gap + np.eye(len(flow.gap), 1) * flow.clearance).tolist(),
+            "lift": (flow.load_gap + np.eye(len(flow.load_gap), 1) * flow.clearance).tolist(),
         },
         "load": {
-            "omega": omega, "mean": flow.force[0].tolist(), "cos": flow.force[1::2].tolist(),
-            "sin": flow.force[2::2].tolist(),
+            "omega": omega, "mean": flow.modal_load[0].tolist(),
+            "cos": flow.modal_load[1::2].tolist(), "sin": flow.modal_load[2::2].tolist(),
         },
         "law": {
             "kind": "rigid" if np.all(np.isinf(stiffness)) else "penalty",

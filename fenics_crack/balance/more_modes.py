@@ -100,7 +100,10 @@ class MoreModes:
         if massless(self.wave.structure) is None:
             return self._expanded(shape, speed, places)[:: INSTANTS_PER_PERIOD // SEGMENTS]
         kept = shape.shape[1]
-        loads = fourier_basis_for(flow.force, self.wave.omega * samples.time) @ flow.force[:, kept:]
+        loads = (
+            fourier_basis_for(flow.modal_load, self.wave.omega * samples.time)
+            @ flow.modal_load[:, kept:]
+        )
         loads = loads - samples.forces @ flow.modes.pairs[kept:].T
         static = loads / flow.modes.squares[kept:]
         rate = (np.roll(static, -1, axis=0) - np.roll(static, 1, axis=0)) / (2.0 * samples.time[1])

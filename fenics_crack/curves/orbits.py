@@ -172,8 +172,8 @@ class Orbits(CurveSystem):
                 along |= {"damping": as_doubles(damping), "damping_by": as_doubles(rate)}
                 along["rates"] = damping.size
             else:
-                along |= {"force": flow.force, "force_by": last.force - first.force}
-                along |= {"gap": flow.gap, "gap_by": last.gap - first.gap}
+                along |= {"force": flow.modal_load, "force_by": last.modal_load - first.modal_load}
+                along |= {"gap": flow.load_gap, "gap_by": last.load_gap - first.load_gap}
         return ShootingEquations(flow, self.scale, omega, self.subharmonic, **along)
 
     def rounding(self, parameter: float) -> float:

@@ -138,9 +138,9 @@ class Flow:
         1 / kappa; 0 for rigid contact.
     compliance : (n_rows, n_rows) [m/N]
         R_inf + I/kappa.
-    force : (2K+1, n_modes)
+    modal_load : (2K+1, n_modes)
         f: mean, then cosine and sine of each order.
-    gap : (2K+1, n_rows) [m]
+    load_gap : (2K+1, n_rows) [m]
         l, likewise.
     """
 
@@ -155,11 +155,11 @@ class Flow:
         self.residual_flexibility = modes.static_part()
         self.softness = springs_of(contact, structure.n_pairs)
         self.compliance = self.residual_flexibility + np.diag(self.softness)
-        self.force = np.ascontiguousarray(structure.force @ modes.shapes)
-        self.gap = np.zeros((len(self.force), len(self.softness)))
+        self.modal_load = np.ascontiguousarray(structure.force @ modes.shapes)
+        self.load_gap = np.zeros((len(self.modal_load), len(self.softness)))
         if modes.static_loads is not None:
-            self.gap += contact_structure.apply_bt(structure.force @ modes.static_loads)
-        self.gap[0] -= self.clearance
+            self.load_gap += contact_structure.apply_bt(structure.force @ modes.static_loads)
+        self.load_gap[0] -= self.clearance
 
     def state(
         self, displacement: np.ndarray, velocity: np.ndarray, places: np.ndarray | None = None
@@ -172,7 +172,7 @@ class Flow:
         parts = [displacement @ inverse, velocity @ inverse]
         if self.friction:
             if places is None:
-                places = parts[0] @ self.modes.pairs[:, n_pairs:] + self.gap[0, n_pairs:]
+                places = parts[0] @ self.modes.pairs[:, n_pairs:] + self.load_gap[0, n_pairs:]
             parts.append(places)
         return np.concatenate(parts, axis=-1)
 
@@ -196,7 +196,7 @@ class Flow:
             Default: all dofs of the structure.
         """
         return self.combine_displacement(
-            states[:, : self.n_modes], force, fourier_basis_for(self.force, phase), dofs
+            states[:, : self.n_modes], force, fourier_basis_for(self.modal_load, phase), dofs
         )
 
     def combine_displacement(
@@ -248,9 +248,9 @@ class ContactFlow(Flow):
             coupled=modes.damping.ndim == 2, squares=as_doubles(modes.squares),
             damping=as_doubles(modes.damping),
             rows=as_doubles(modes.pairs.T), compliance=as_doubles(self.compliance),
-            force=self.force,
-            harmonics=len(self.force) // 2,
-            gap=self.gap, fastest=self.max_rate, most=int(KEPT * machine_memory()) // 8,
+            force=self.modal_load,
+            harmonics=len(self.modal_load) // 2,
+            gap=self.load_gap, fastest=self.max_rate, most=int(KEPT * machine_memory()) // 8,
         )  # fmt: skip
         self.handle = owned(kernel.new_flow(parts.at), kernel.free_flow)
         """The kernel's flow."""
@@ -296,8 +296,8 @@ class ContactFlow(Flow):
         normals, compliance = modes.pairs[:, :n_pairs], self.compliance[:, :n_pairs]
         displacement_by_force = modal_flexibility[:, None] * normals
         # With all pairs open:
-        displacement = modal_flexibility * self.force[0]
-        gap, force = displacement @ normals + self.gap[0, :n_pairs], np.zeros(n_pairs)
+        displacement = modal_flexibility * self.modal_load[0]
+        gap, force = displacement @ normals + self.load_gap[0, :n_pairs], np.zeros(n_pairs)
         if np.any(gap > 0.0):
             from scipy.optimize import nnls  # slow to import
 
@@ -308,7 +308,9 @@ class ContactFlow(Flow):
             displacement = displacement - displacement_by_force @ force
         parts = [displacement, np.zeros_like(displacement)]
         if self.friction:
-            parts.append((displacement @ modes.pairs + self.gap[0] - compliance @ force)[n_pairs:])
+            parts.append(
+                (displacement @ modes.pairs + self.load_gap[0] - compliance @ force)[n_pairs:]
+            )
         return np.concatenate(parts)
 
     def pieces(self, duration: float) -> float:

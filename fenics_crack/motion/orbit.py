@@ -242,7 +242,7 @@ class PeriodicOrbit(ObservedMotion, Described):
         On each piece of the period the motion is the polynomial through Gauss nodes. With a given
         number of ``instants`` (default: 512) the record has no exact duty cycles and friction loss.
         """
-        samples, piece_lengths = self._at_nodes(len(self.flow.force) // 2 * self.omega)
+        samples, piece_lengths = self._at_nodes(len(self.flow.modal_load) // 2 * self.omega)
         nodes, weights, _ = gauss_nodes()
         columns = samples.displacement @ rows.T, samples.gaps, samples.forces
         node_values = np.hstack(columns).reshape(len(piece_lengths), len(nodes), -1)
@@ -303,8 +303,8 @@ class PeriodicOrbit(ObservedMotion, Described):
             coefficients += weighted_basis @ node_values[block]
         splits = np.cumsum([gaps.shape[1], forces.shape[1]])
         gap, force, modal_displacement = np.split(coefficients, splits, axis=1)
-        orders = np.arange(1, len(self.flow.force) + 1) // 2
-        load_rows = np.arange(len(self.flow.force)) + 2 * orders * (self.subharmonic - 1)
+        orders = np.arange(1, len(self.flow.modal_load) + 1) // 2
+        load_rows = np.arange(len(self.flow.modal_load)) + 2 * orders * (self.subharmonic - 1)
         load_basis = np.equal.outer(np.arange(len(coefficients)), load_rows).astype(float)
         displacement = self.flow.combine_displacement(modal_displacement, force, load_basis)
         return OrbitCoefficients(gap, force, displacement)
@@ -343,7 +343,7 @@ class PeriodicOrbit(ObservedMotion, Described):
         nodes.
         """
         flow = self.flow
-        samples, piece_lengths = self._at_nodes(len(flow.force) // 2 * self.omega)
+        samples, piece_lengths = self._at_nodes(len(flow.modal_load) // 2 * self.omega)
         _, weights, differentiation = gauss_nodes()
 
         def integrate_power(node_forces: np.ndarray, node_displacements: np.ndarray) -> np.ndarray:
@@ -352,7 +352,7 @@ class PeriodicOrbit(ObservedMotion, Described):
             rates = differentiation @ node_displacements.reshape(shape)
             return np.asarray(np.einsum("k,pkc,pkc->c", weights, node_forces.reshape(shape), rates))
 
-        load = fourier_basis_for(flow.force, self.omega * samples.time) @ flow.structure.force
+        load = fourier_basis_for(flow.modal_load, self.omega * samples.time) @ flow.structure.force
         velocities = samples.states[:, flow.n_modes :]
         time_weights = (0.5 * piece_lengths[:, None] * weights).ravel()
         damping_power = np.sum(velocities * flow.modes.damped(velocities), axis=1)

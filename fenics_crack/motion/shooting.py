@@ -101,7 +101,7 @@ class ShootingEquations(Equations):
         self.subharmonic = subharmonic
         self._struct = Struct(
             "shooting_equations", flow=flow.handle, modes=flow.n_modes,
-            harmonics=len(flow.force) // 2,
+            harmonics=len(flow.modal_load) // 2,
             pairs=flow.structure.n_pairs, friction=flow.friction is not None,
             base=omega[0], rate=omega[1],
             turns=2.0 * np.pi * subharmonic, scale=scale, pieces=Budget.pieces,

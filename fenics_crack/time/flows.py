@@ -222,12 +222,12 @@ class ExponentialFlow(Flow):
         half_response = 0.5 * response  # Gamma
         gap_response = modes.pairs.T @ half_response[:n_modes]
         self.gap_rows = np.hstack([modes.pairs.T, np.zeros((n_rows, n_modes))])
-        loads = enumerate(to_complex(self.force))
+        loads = enumerate(to_complex(self.modal_load))
         amplitudes = [modes.steady_response(order * omega, load) for order, load in loads]
         shape = from_complex(np.array(amplitudes))
-        instants = fourier_basis_for(self.force, 2.0 * np.pi * np.arange(steps) / steps)
+        instants = fourier_basis_for(self.modal_load, 2.0 * np.pi * np.arange(steps) / steps)
         self.steady = instants @ np.hstack([shape, differentiate(shape, omega)])
-        self.linear_gap = instants @ (shape @ modes.pairs + self.gap)
+        self.linear_gap = instants @ (shape @ modes.pairs + self.load_gap)
         compliance = self.compliance + gap_response
         set_members: dict[str, Any]
         if (mu := coefficient_of(contact)) is None:

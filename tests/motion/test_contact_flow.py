@@ -260,7 +260,7 @@ def test_answers_of_sets(pairs: int) -> None:
     samples = flow.advance(thrown(flow), omega, 30.0, instants=instants).samples
     gaps = (
         samples.states[:, : flow.size // 2] @ flow.modes.pairs
-        + fourier_basis(omega * instants) @ flow.gap
+        + fourier_basis(omega * instants) @ flow.load_gap
     )
     assert len(np.unique(samples.is_closed, axis=0)) > min(pairs, 10)
     for gap, closed, answers in zip(gaps, samples.is_closed, samples.answers, strict=True):
