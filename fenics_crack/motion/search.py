@@ -64,7 +64,7 @@ class SearchOptions:
     Attributes
     ----------
     harmonics : tuple of int
-        Harmonics in the harmonic-balance solutions for guesses.
+        Numbers of harmonics in the harmonic-balance solutions that are tried as guesses.
     evaluations : int
         Budget in periods of the flow after Newton's method failed from all guesses. Half of them
         are for the path, a quarter for the motion, and the rest for orbits near its close returns.

@@ -61,9 +61,9 @@ def fourier_basis(phase: np.ndarray, orders: ArrayLike = (1.0,)) -> np.ndarray:
 
 
 def fourier_basis_for(coefficients: np.ndarray, phase: np.ndarray) -> np.ndarray:
-    """Return the basis functions of all rows in coefficients, at phases (...) [rad]: (..., 2H+1).
+    """Return 1, cos theta, sin theta, ... for all rows of coefficients.
 
-    Only the number of rows, 2H+1, is used.
+    Only the number of rows, 2H+1, is used. At phases theta (...) [rad] the result is (..., 2H+1).
     """
     phase, n_harmonics = np.asarray(phase, dtype=float), len(coefficients) // 2
     powers = np.ones((n_harmonics + 1, *phase.shape), dtype=complex)

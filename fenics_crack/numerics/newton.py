@@ -55,8 +55,8 @@ GMRES_RESTART: int = kernel.KRYLOV_MOST
 """Number of vectors that GMRES keeps before a restart."""
 OPTIONS_PREFIX = "crack_hb_"
 FORCING_TERM = 1e-2
-"""Relative residual of GMRES in the first Newton steps. SNES chooses later ones (Eisenstat and
-Walker, SIAM Journal on Scientific Computing 17, 1996, 16).
+"""Relative residual of GMRES in shooting, and in the first Newton steps by SNES. SNES chooses later
+residuals (Eisenstat and Walker, SIAM Journal on Scientific Computing 17, 1996, 16).
 """
 
 
