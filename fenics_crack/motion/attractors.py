@@ -33,8 +33,7 @@ MAX_GROWTH_PERIODS = 35
 """Maximum periods over which the growth of a disturbance is measured."""
 IRREGULAR_GROWTH = 1e3
 """Minimum disturbance growth in an irregular motion, over the last two thirds of the periods. Next
-to a stable orbit the growth is at most the condition number of the multipliers' eigenvectors.
-"""
+to a stable orbit the growth is at most the condition number of the multipliers' eigenvectors."""
 
 
 @dataclass(frozen=True, repr=False)

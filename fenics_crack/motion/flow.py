@@ -96,10 +96,7 @@ def check_exact(structure: Structure, contact: ContactLaw) -> None:
 
 
 def _exact_flow_error(structure: Structure, contact: ContactLaw) -> InputError | None:
-    """Return why a structure and a contact law have no exact flow.
-
-    None if they have one.
-    """
+    """Return why a structure and a contact law have no exact flow. None if they have one."""
     check_law(structure, contact, rigid=True)
     if not is_unilateral(contact):
         return InputError("contact", contact, "UnilateralPenalty or UnilateralConstraint")
@@ -572,8 +569,7 @@ class Samples:
     states: np.ndarray
     answers: np.ndarray
     """(n, n_pairs): closed pairs' forces [N], open pairs' openings [m]. With friction (n, 4
-    n_pairs): forces on all rows, then gaps without the part of contact springs.
-    """
+    n_pairs): forces on all rows, then gaps without the part of contact springs."""
     pair_states: np.ndarray
 
     @property
@@ -598,10 +594,7 @@ class Samples:
 
     @property
     def places(self) -> np.ndarray:
-        """Return h, where pairs stick: (n, n_pairs) [m].
-
-        Without friction: (n, 0).
-        """
+        """Return h, where pairs stick: (n, n_pairs) [m]. Without friction: (n, 0)."""
         return self.answers[:, len(self.flow.softness) + self.flow.structure.n_pairs :]
 
     @property

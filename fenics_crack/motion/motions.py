@@ -38,8 +38,8 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.extremes import RecordFunction, find_maxima
 
 SLIP_FORCE_RATIO = 1.0 - 1e-6
-"""Minimum friction force of a slipping pair, over the friction limit. Orbits are accurate to 1e-6.
-"""
+"""Minimum friction force of a slipping pair, over the friction limit. Orbits are accurate to
+1e-6."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -389,10 +389,7 @@ class ObservedMotion:
         raise NotImplementedError
 
     def indicators(self, dof: int | None = None) -> Indicators:
-        """Return the crack indicators at a dof (collective).
-
-        Default: the watched dof.
-        """
+        """Return the crack indicators at a dof (collective). Default: the watched dof."""
         return self.measure([dof])[0]
 
     def amplitude(self, dof: int | None = None) -> Any:

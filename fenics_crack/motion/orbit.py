@@ -61,8 +61,7 @@ MIN_NEWTON_STEP = 1e-3
 """Minimum damping factor of a Newton step."""
 MAX_SEARCH_PIECES = 20_000
 """Maximum Taylor pieces of a search: about a second, with many pairs. If M is formed and a period
-of a slow load has many pieces, the maximum is larger.
-"""
+of a slow load has many pieces, the maximum is larger."""
 MAX_MODES_FOR_MONODROMY = 120
 """Maximum modes with a formed M."""
 MAX_GMRES_PRODUCTS = 60
@@ -78,8 +77,7 @@ INSTANTS_PER_PERIOD = 512
 OBSERVED_HARMONICS = 40
 """Number of harmonics in an orbit's record. From n instants, harmonic k has the error of harmonic
 (n - k). In motions with kinks the relative error is (k / (n - k))^2: for k = 40 at most 0.7 % with
-512 instants, 3.4 % with the 256 of a curve.
-"""
+512 instants, 3.4 % with the 256 of a curve."""
 
 
 Inverse = Callable[[np.ndarray, float], np.ndarray]
@@ -210,10 +208,7 @@ class PeriodicOrbit(ObservedMotion, Described):
         return self._evaluate_at(time, "gap")
 
     def tangential_gap_at(self, time: np.ndarray) -> np.ndarray:
-        """Return g_t at times [s]: (len(time), n_pairs) [m].
-
-        Without friction: (len(time), 0).
-        """
+        """Return g_t at times [s]: (len(time), n_pairs) [m]. Without friction: (len(time), 0)."""
         return self._evaluate_at(time, "gaps")[:, self.flow.structure.n_pairs :]
 
     def tangential_force_at(self, time: np.ndarray) -> np.ndarray:

@@ -51,8 +51,7 @@ SEGMENTS = 32
 """Multiple-shooting segments per period."""
 PIECES_PER_PERIOD = 200
 """Taylor pieces that a search's budget counts for one period. A period with fewer pieces counts as
-one.
-"""
+one."""
 MAX_RETURN_PERIODS = 8
 """Maximum number of periods after which a motion may return."""
 
@@ -64,7 +63,7 @@ class SearchOptions:
     Attributes
     ----------
     harmonics : tuple of int
-        Numbers of harmonics in the harmonic-balance solutions that are tried as guesses.
+        Numbers of harmonics in the harmonic-balance solutions for guesses.
     evaluations : int
         Budget in periods of the flow after Newton's method failed from all guesses. Half of them
         are for the path, a quarter for the motion, and the rest for orbits near its close returns.

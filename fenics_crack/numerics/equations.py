@@ -37,20 +37,16 @@ SMALLEST_NORMAL = float(np.finfo(float).tiny)
 ROUNDING: float = kernel.ROUNDING
 """Rounding error of solutions, relative to the largest entry."""
 CENTRAL_DIFFERENCE_STEP = float(np.cbrt(MACHINE_EPSILON))
-"""Parameter step for central differences. Truncation and rounding error are then about equal.
-"""
+"""Parameter step for central differences. Truncation and rounding error are then about equal."""
 LOCATION_TOLERANCE = 1e-11
 """Maximum |F| / |x| at a special point of a path, and maximum relative Newton
-step to an exact orbit.
-"""
+step to an exact orbit."""
 ROOT_TOLERANCE = math.sqrt(MACHINE_EPSILON)
 """Distance from zero, relative to 1, below which a function counts as zero. Also the maximum
-relative Newton step to an orbit whose monodromy matrix is not formed.
-"""
+relative Newton step to an orbit whose monodromy matrix is not formed."""
 COARSE_TOLERANCE = CENTRAL_DIFFERENCE_STEP
 """Maximum |F| / |x| of a solution from which another solution starts or is assessed. Equations
-whose rounding error is larger are refused.
-"""
+whose rounding error is larger are refused."""
 
 
 def residual_rounding(slope: float) -> float:
@@ -88,10 +84,7 @@ class Linearisation(ABC):
 
     @property
     def record(self) -> np.ndarray:
-        """Return the numbers that a path may keep at the point.
-
-        The array may have any shape.
-        """
+        """Return the numbers that a path may keep at the point. The array may have any shape."""
         raise NotImplementedError
 
     @property
@@ -126,10 +119,7 @@ class DenseLinearisation(Linearisation):
     @property
     @abstractmethod
     def jacobian(self) -> np.ndarray:
-        """Return J, (n, n).
-
-        Rows and columns follow the n entries of the residual.
-        """
+        """Return J, (n, n). Rows and columns follow the n entries of the residual."""
 
     def condense(self) -> np.ndarray:
         """Return the matrix to factorise: J, or a smaller matrix with the same determinant."""
@@ -166,10 +156,7 @@ def factorise(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def solve_factored(factors: tuple[np.ndarray, np.ndarray], right_side: np.ndarray) -> np.ndarray:
-    """Return A^-1 r from the LU factors of A^T.
-
-    The right-hand side r may have any shape.
-    """
+    """Return A^-1 r from the LU factors of A^T. The right-hand side r may have any shape."""
     return np.reshape(dgetrs(*factors, right_side.ravel(), trans=1)[0], right_side.shape)
 
 

@@ -19,14 +19,12 @@ PeriodicFunctions = Callable[[np.ndarray], np.ndarray]
 """Callable from positions (n,) in the period to the values (n, m) of m functions."""
 RecordFunction = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
 """Callable from positions in the period to a motion [m], gaps [m] and contact forces [N] of all
-rows.
-"""
+rows."""
 OFFSETS = np.linspace(-1.0, 1.0, 9)
 """Positions around a sample, relative to the spacing of the samples."""
 N_REFINEMENTS = 10
 """Maximum refinements. Each divides the spacing by four: 256 samples end at 4e-9 of the
-period. Its square is rounding error, for up to 100 harmonics.
-"""
+period. Its square is rounding error, for up to 100 harmonics."""
 POWERS = np.arange(len(OFFSETS))
 """Exponents of the polynomial through nine values."""
 POLYNOMIAL_FROM_VALUES = np.linalg.inv(OFFSETS[:, None] ** POWERS)

@@ -19,8 +19,7 @@ if TYPE_CHECKING:  # importing it takes a tenth of NumPy's own time
 MAX_MATRIX_SIZE = 45_000
 """Maximum entries of a Fourier basis (2H+1, n_instants) that is used as a matrix. Measured for 1 to
 100 columns and H = 20 to 100: up to this size a product takes about the time of an FFT, and SciPy's
-FFT need not be loaded.
-"""
+FFT need not be loaded."""
 
 
 def to_complex(coefficients: np.ndarray) -> np.ndarray:

@@ -56,8 +56,7 @@ GMRES_RESTART: int = kernel.KRYLOV_MOST
 OPTIONS_PREFIX = "crack_hb_"
 FORCING_TERM = 1e-2
 """Relative residual of GMRES in shooting, and in the first Newton steps by SNES. SNES chooses later
-residuals (Eisenstat and Walker, SIAM Journal on Scientific Computing 17, 1996, 16).
-"""
+residuals (Eisenstat and Walker, SIAM Journal on Scientific Computing 17, 1996, 16)."""
 
 
 def gmres(
@@ -355,8 +354,7 @@ class PathPoint:
     """True if another branch crosses between the previous point and this point."""
     linearisation: Linearisation | None = field(default=None, repr=False, compare=False)
     length: float = float("nan")
-    """Chord length from the previous point, in the previous point's norm; nan if unknown.
-    """
+    """Chord length from the previous point, in the previous point's norm; nan if unknown."""
     record: np.ndarray | None = field(default=None, repr=False, compare=False)
     observed: np.ndarray | None = field(default=None, repr=False, compare=False)
     """Values for a step control: they follow from ``record``."""
@@ -600,10 +598,7 @@ def solve_robustly(
 
 
 def chord_length(system: System, start: PathPoint, end: PathPoint) -> float:
-    """Return the distance between two points of a path.
-
-    The norm is that of the first point.
-    """
+    """Return the distance between two points of a path. The norm is that of the first point."""
     change = end.unknown - start.unknown
     length_squared = start.tangent.product(system, change, change)
     return float(np.sqrt(length_squared + (end.parameter - start.parameter) ** 2))

@@ -69,8 +69,7 @@ POINTS_AFTER_HALVING = 3
 """Points per kernel call after a halved step."""
 ARRIVAL_DISTANCE = math.sqrt(MACHINE_EPSILON)
 """Distance to a point of a path below which the point counts as reached, and minimum step. At a
-fold the parameter is then accurate to the square of this distance.
-"""
+fold the parameter is then accurate to the square of this distance."""
 
 
 @dataclass(frozen=True)
@@ -108,10 +107,7 @@ class EndReason(Enum):
     STEPS_TOO_SHORT = "the steps became too short"
 
     def describe(self, max_points: int) -> str:
-        """Return the reason in words.
-
-        ``max_points`` is the limit on the number of points.
-        """
+        """Return the reason in words. ``max_points`` is the limit on the number of points."""
         return str(self.value).format(max_points=max_points)
 
 
@@ -465,10 +461,7 @@ class StepControl(ABC):
 
     @abstractmethod
     def too_long(self, segment: PathSegment) -> np.ndarray:
-        """Return True for steps that are too long: (n-1,) bool.
-
-        The segment has n points.
-        """
+        """Return True for steps that are too long: (n-1,) bool. The segment has n points."""
 
 
 def observe_point(system: System, linearisation: Linearisation) -> np.ndarray | None:
