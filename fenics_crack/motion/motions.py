@@ -379,7 +379,7 @@ class ObservedMotion:
     structure: Structure
 
     def records(self, rows: np.ndarray) -> Iterator[Record]:
-        """Yield a record of the motion, or one for each curve point (collective).
+        """Yield the motion's record, or one for each curve point (collective).
 
         Parameters
         ----------
@@ -496,7 +496,7 @@ class ObservedMotion:
         }
 
     def _gather(self, values: list[Any]) -> Any:
-        """Return the only value for a motion, or an array for a curve."""
+        """Return a motion's only value, or an array for a curve."""
         [only_value] = values
         return only_value
 

@@ -177,7 +177,7 @@ class ShootingEquations(Equations):
 
 
 class FlowOrbits(ShootingEquations):
-    """F(x, p) of an exact flow over p = w / w_0, the load frequency.
+    """F(x, p) of an exact flow over the load frequency, p = w / w_0.
 
     The scale S measures states by amplitude: displacements have weight 1, velocities have the
     weight 1 / frequency of the mode. S is divided by the size of a nearby state z_0: |S z_0| = 1.

@@ -85,7 +85,7 @@ def evaluate(coefficients: np.ndarray, omega: float, time: np.ndarray) -> np.nda
 
 
 def differentiate(coefficients: np.ndarray, omega: float) -> np.ndarray:
-    """Return the coefficients of x'(t), (2H+1, n), from those of x(t)."""
+    """Return the coefficients of x'(t): (2H+1, n), as for x(t)."""
     frequencies = omega * np.arange(1, len(coefficients) // 2 + 1)[:, None]
     derivative = np.zeros_like(coefficients)
     derivative[1::2] = frequencies * coefficients[2::2]
