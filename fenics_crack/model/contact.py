@@ -52,7 +52,7 @@ from fenics_crack.basics.threads import machine_memory
 from fenics_crack.kernel import kernel, owned, pointer, shaped
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.equations import CENTRAL_STEP, EPSILON, ROUNDING
+from fenics_crack.numerics.equations import CENTRAL_DIFFERENCE_STEP, MACHINE_EPSILON, ROUNDING
 
 
 class ContactLaw(Protocol):
@@ -367,7 +367,10 @@ def check_law(structure: Structure, contact: Any, *, rigid: bool = False) -> Non
 
 def _check_law_outputs(law: ContactLaw, n_pairs: int) -> None:
     """Raise InputError unless a user's law returns valid values for gaps (n, n_pairs)."""
-    gap, law_name = np.outer([-EPSILON, 0.0, EPSILON], np.ones(n_pairs)), type(law).__name__
+    gap, law_name = (
+        np.outer([-MACHINE_EPSILON, 0.0, MACHINE_EPSILON], np.ones(n_pairs)),
+        type(law).__name__,
+    )
     for name in ("force", "tangent"):
         try:
             outputs = numbers(getattr(law, name)(gap))
@@ -376,7 +379,7 @@ def _check_law_outputs(law: ContactLaw, n_pairs: int) -> None:
         if outputs.shape != gap.shape or not np.all(np.isfinite(outputs)):
             requirement = f"a law with a finite {name}(gap) for each gap, (n, n_pairs)"
             raise InputError("contact", law_name, requirement)
-    if np.any(outputs < -EPSILON * np.abs(outputs).max(initial=0.0)):
+    if np.any(outputs < -MACHINE_EPSILON * np.abs(outputs).max(initial=0.0)):
         raise InputError("contact", law_name, "a law with tangent(gap) >= 0, a stiffness in N/m")
     try:
         half_law = law.scaled(0.5)
@@ -395,7 +398,7 @@ def check_slope(law: ContactLaw, gap: np.ndarray) -> None:
 
     The slope is compared along gaps (n, n_pairs). At a kink, any slope between both sides is right.
     """
-    step = CENTRAL_STEP * float(np.abs(gap).max(initial=0.0))
+    step = CENTRAL_DIFFERENCE_STEP * float(np.abs(gap).max(initial=0.0))
     forces = [np.asarray(law.force(gap + offset * step)) for offset in (-2.0, -1.0, 0.0, 1.0, 2.0)]
     increments, expected_increment = np.diff(forces, axis=0), step * law.tangent(gap)
     increment_size = np.maximum(np.abs(increments).max(axis=0), np.abs(expected_increment))
@@ -406,7 +409,7 @@ def check_slope(law: ContactLaw, gap: np.ndarray) -> None:
     # The outer increments differ from the inner ones by rounding, or if the slope bends within a
     # step. Differences leave some digits; half of these may be wrong.
     uncertainty = float(np.abs(increments[[0, 3]] - increments[[1, 2]]).max(initial=0.0))
-    if np.any(excess > np.sqrt(CENTRAL_STEP) * increment_size + uncertainty):
+    if np.any(excess > np.sqrt(CENTRAL_DIFFERENCE_STEP) * increment_size + uncertainty):
         requirement = "a law whose tangent(gap) is the slope of its force(gap)"
         raise InputError("contact", type(law).__name__, requirement)
 
@@ -770,7 +773,7 @@ def _minimise_along_steps(
     """
     gap_change = evaluate(force, gap)[0] - evaluate(force + step, gap)[0]  # D times the step
     fraction, half_width = np.full(len(force), 0.5), 0.5
-    while half_width > EPSILON:
+    while half_width > MACHINE_EPSILON:
         trial = force + fraction[:, None] * step
         slope = np.sum(gap_change * (trial - evaluate(trial, gap)[1]), axis=1)
         is_steep = np.abs(slope) > slope_tolerance

@@ -49,7 +49,7 @@ from fenics_crack.model.factor import (
     local_rows,
     weighted_sum,
 )
-from fenics_crack.numerics.fourier import resized
+from fenics_crack.numerics.fourier import resize_harmonics
 from fenics_crack.scene.fields import LARGEST
 
 DIRECTION_NUMBERS = {"UX": 1, "UY": 2, "UZ": 3, "ROTX": 4, "ROTY": 5, "ROTZ": 6}
@@ -817,7 +817,7 @@ def add_harmonics(
         raise InputError("harmonics", harmonics, "cosine and sine part by the order")
     for order in harmonics:
         check_count("order in harmonics", order, 1, MOST_HARMONICS)
-    new_force = resized(force, max([len(force) // 2, *harmonics]))
+    new_force = resize_harmonics(force, max([len(force) // 2, *harmonics]))
     for order, cosine_and_sine in harmonics.items():
         name = f"harmonics[{order}]"
         if not isinstance(cosine_and_sine, tuple | list) or len(cosine_and_sine) != 2:

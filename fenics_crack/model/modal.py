@@ -32,7 +32,7 @@ from fenics_crack.model.modes import (
 )
 from fenics_crack.model.reduced import MasslessInterface
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.equations import EPSILON
+from fenics_crack.numerics.equations import MACHINE_EPSILON
 
 MAX_DENSE_SIZE = 600
 """Maximum dofs for a decomposition into all modes, and maximum unknowns for better equations.
@@ -121,7 +121,7 @@ class AllModes:
             impedance = stiffness + (1j * factor * omega)[:, None] * self.damping
             size = np.abs(self.squares) + square
             if is_loaded is not None:
-                nudge = math.sqrt(EPSILON) * size
+                nudge = math.sqrt(MACHINE_EPSILON) * size
                 is_near_resonance = (np.abs(impedance) <= nudge) & ~is_loaded & (square > 0.0)
                 impedance = np.where(is_near_resonance, nudge, impedance)
             is_singular |= (np.abs(impedance) <= kernel.SINGULAR * size).any(axis=1)

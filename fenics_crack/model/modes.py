@@ -32,7 +32,7 @@ from fenics_crack.basics.tables import Tabular, counted, hertz_of, with_frequenc
 from fenics_crack.kernel import kernel
 from fenics_crack.model.factor import MATRIX_TOLERANCE, MAX_BLOCK_COLUMNS, Factor, factored_sum
 from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
-from fenics_crack.numerics.equations import EPSILON, ROUNDING
+from fenics_crack.numerics.equations import MACHINE_EPSILON, ROUNDING
 
 LIP_STATES = ("open", "tied")
 ROUNDING_ADVICE = (
@@ -188,7 +188,7 @@ def find_independent_ties(structure: Structure) -> sparse.csc_matrix:
         return gap  # orthogonal: no two pairs share a node
     upper_factor, order = scipy.linalg.qr(gram, mode="r", pivoting=True)
     pivot_sizes = np.abs(np.diag(upper_factor))
-    max_rounding = 10.0 * len(gram) * EPSILON * pivot_sizes.max(initial=0.0)
+    max_rounding = 10.0 * len(gram) * MACHINE_EPSILON * pivot_sizes.max(initial=0.0)
     return gap[:, np.sort(order[pivot_sizes > max_rounding])]
 
 
@@ -632,7 +632,7 @@ def damping_on_modes(structure: Structure, columns: np.ndarray, squares: np.ndar
     damping_matrix = projected_damping(structure, columns)
     rate = np.diag(damping_matrix).copy()
     coupling = np.abs(damping_matrix - np.diag(rate)).max(initial=0.0)
-    max_rounding = np.sqrt(EPSILON) * np.abs(rate).max(initial=0.0)
+    max_rounding = np.sqrt(MACHINE_EPSILON) * np.abs(rate).max(initial=0.0)
     return rate if coupling <= max_rounding else damping_matrix
 
 

@@ -32,7 +32,7 @@ from fenics_crack.model.factor import MAX_BLOCK_COLUMNS, Factor
 from fenics_crack.model.matrices import AbsentMatrix
 from fenics_crack.model.modes import multiply, solve_modes, solve_modes_with_factor
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.equations import EPSILON, ROUNDING
+from fenics_crack.numerics.equations import MACHINE_EPSILON, ROUNDING
 
 
 @dataclass(frozen=True, eq=False)
@@ -315,7 +315,7 @@ class ResidualFlexibility:
         self.sources = sparse.csr_matrix(sources)
         self.modal = structure.sum_over_ranks(self.sources.T @ shapes)
         # With a hinge that hardly resists, only rounding of the modal part would remain.
-        self._held = bool(np.all(squares > np.sqrt(EPSILON) * squares[-1:]))
+        self._held = bool(np.all(squares > np.sqrt(MACHINE_EPSILON) * squares[-1:]))
 
     def solve(self, factor: Factor, forces: np.ndarray) -> np.ndarray:
         """Return G f of forces (m, n_local), with the factor of K: the same shape (collective)."""
