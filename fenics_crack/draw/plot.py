@@ -232,7 +232,7 @@ def _over_cracks(structure: Structure, shown: Mapping[str, np.ndarray], where: W
     from scipy.spatial import cKDTree
 
     mesh, pairs = NodalMesh(structure.whole), structure.pairs
-    facets = mesh.lips
+    facets = mesh.crack_faces
     triangles = facets if facets.shape[1] == 3 else facets[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
     tree = cKDTree(pairs.points)
     of_pair = np.zeros(len(tree.data), dtype=int) if pairs.cracks is None else pairs.cracks

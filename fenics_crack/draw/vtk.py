@@ -390,7 +390,7 @@ class PeriodFields:
     @property
     def cracked(self) -> bool:
         """True if there are crack faces."""
-        return len(self.mesh.lips) > 0
+        return len(self.mesh.crack_faces) > 0
 
     @cached_property
     def moved(self) -> np.ndarray:

@@ -39,14 +39,14 @@ import numpy as np
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.gmsh_process import gmsh
 from fenics_crack.basics.threads import machine_memory
-from fenics_crack.fem.cracks import Lip, Lips, Names
+from fenics_crack.fem.cracks import CrackPath, Cracks, NamedParts
 from fenics_crack.kernel import Struct, kernel
 from fenics_crack.model.factor import factor_memory
 from fenics_crack.scene.scene import Scene
 
 SMALLEST_CELL = 1e-7
 """Minimum cell size relative to the plate: gmsh and the matrices allow no smaller one."""
-GROWTH = 1.0 / 3.0
+MAX_SIZE_PER_DISTANCE = 1.0 / 3.0
 """Maximum size of elements between two crack tips or two cracks over their distance from either."""
 
 
@@ -127,7 +127,9 @@ def _plate_blocks(scene: Scene) -> tuple[list[Interval], list[Interval], list[Sl
     return columns, rows, slits
 
 
-def check_cells(scene: Scene, key: str, cells: float, per_cell: int, shortest: str = "") -> None:
+def check_cell_count(
+    scene: Scene, key: str, cells: float, per_cell: int, shortest: str = ""
+) -> None:
     """Raise InputError where there are too many cells for gmsh, or their matrices, of so many
     degrees of freedom per cell, or the factor of one would not fit."""
     dofs, most = per_cell * cells, 5e6  # a mesh file may have any number of cells
@@ -148,7 +150,7 @@ def _length(scene: Scene) -> float:
     return scene.mesh.size or scene.geometry.sides[1] / scene.mesh.given("rows")
 
 
-def lip_pairs(scene: Scene) -> int:
+def count_plate_pairs(scene: Scene) -> int:
     """Upper bound of the pairs of a plate with cracks, whose first length may be unknown yet."""
     crack, order = scene.crack, scene.mesh.order
     if crack is not None and crack.length is None:  # the only one
@@ -173,12 +175,12 @@ def _nearest(places: np.ndarray, place: float) -> int:
 # --- the unit of length ---------------------------------------------------------------------------
 
 
-def in_unit(scene: Scene, unit: float = 0.0) -> tuple[Scene, float]:
+def scale_to_mesh_unit(scene: Scene, unit: float = 0.0) -> tuple[Scene, float]:
     """Return a scene of the same mesh in the unit of length in which gmsh meshes, and that [m]; by
     default the power of ten by which the longest side is from 0.0316 to 0.316."""
     unit = unit or 10.0 ** (round(math.log10(max(scene.geometry.sides))) + 1)
 
-    def in_unit(table: Any) -> Any:
+    def scale_table(table: Any) -> Any:
         lengths = {
             key.name: np.divide(value, unit).tolist()
             for key in fields(table)
@@ -188,8 +190,8 @@ def in_unit(scene: Scene, unit: float = 0.0) -> tuple[Scene, float]:
 
     unit_scene = copy(scene)  # a similar one: what has been checked holds
     for name in ("geometry", "mesh", "crack", "disk", "excitation"):
-        vars(unit_scene)[name] = getattr(scene, name) and in_unit(getattr(scene, name))
-    vars(unit_scene)["cracks"] = tuple(map(in_unit, scene.cracks))
+        vars(unit_scene)[name] = getattr(scene, name) and scale_table(getattr(scene, name))
+    vars(unit_scene)["cracks"] = tuple(map(scale_table, scene.cracks))
     return unit_scene, unit
 
 
@@ -250,7 +252,7 @@ def _side(
         if not (tip_sizes(start) and tip_sizes(stop)):
             return [_between(start, stop, first, last, over)]
         middle = 0.5 * (start + stop)
-        largest = max(first, last, GROWTH * 0.5 * (stop - start))
+        largest = max(first, last, MAX_SIZE_PER_DISTANCE * 0.5 * (stop - start))
         between = min(largest, length(middle, over))
         both = (start, middle, first, between), (middle, stop, between, last)
         return [_between(*half, over) for half in both]
@@ -290,10 +292,10 @@ def _graded(length: float, first: float, last: float) -> tuple[int, float]:
 # --- a plate --------------------------------------------------------------------------------------
 
 
-def draw_plate(scene: Scene) -> tuple[Names, Lips]:
+def draw_plate(scene: Scene) -> tuple[NamedParts, Cracks]:
     """Fill the current gmsh model with the mesh of a scene's plate; its named sides, and the faces
     of its cracks."""
-    unit_scene, unit = in_unit(scene)
+    unit_scene, unit = scale_to_mesh_unit(scene)
     groups = _draw_blocks(scene, unit_scene)
     if scene.has_element_lengths:
         rim = Rim(unit_scene)
@@ -308,13 +310,13 @@ def draw_plate(scene: Scene) -> tuple[Names, Lips]:
     return (groups, {}), _lips(scene)
 
 
-def _lips(scene: Scene) -> tuple[Lip, ...]:
+def _lips(scene: Scene) -> tuple[CrackPath, ...]:
     """The faces of the cracks of a plate that is made here, in the order of the scene."""
     width, found = scene.geometry.sides[0], []
     for crack in scene.all_cracks.values():
         left, right = ((x, crack.given("height")) for x in crack.span(width))
         ends = (right, left) if crack.edge == "right" else (left, right)
-        found.append(Lip(np.array(ends), crack.edge is not None))
+        found.append(CrackPath(np.array(ends), crack.edge is not None))
     return tuple(found)
 
 
@@ -326,7 +328,7 @@ def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
     if scene.disk is not None:
         cells += Rim(scene).area / _length(scene) ** 2
     key = "columns" if scene.mesh.layout == "grid" else "size"
-    check_cells(scene, key, cells, 2 * scene.mesh.order**2)
+    check_cell_count(scene, key, cells, 2 * scene.mesh.order**2)
 
     columns, rows, slits = _plate_blocks(unit_scene)
     rim = None if unit_scene.disk is None else Rim(unit_scene)
@@ -424,7 +426,7 @@ def _curve(start: int, end: int, division: Interval, center: int | None = None) 
 
 # --- the rim below a blade of a disk --------------------------------------------------------------
 
-AT_CORNER = 1.0 / 32.0
+CORNER_SIZE_RATIO = 1.0 / 32.0
 """Length of elements at the corners between blade and rim, relative to ``mesh.size``."""
 RIM_SIDES = ("rim_left", "rim_right")
 """Names of the sides of a sector made here: "left" and "right" are those of its blade."""
@@ -485,7 +487,7 @@ class Rim:
         infinite: the shorter, and the less growing, the smaller ``mesh.size`` is."""
         (width, _), size = self.scene.geometry.sides, self.scene.mesh.given("size")
         ends = np.array([0.0, width])
-        return [_Grading(ends, self.foot(0.0), AT_CORNER * size, size / width)]
+        return [_Grading(ends, self.foot(0.0), CORNER_SIZE_RATIO * size, size / width)]
 
     def name_of(self, middle: tuple[float, float, float]) -> str:
         """The name of a face of a solid's rim, by its center of mass."""
@@ -557,12 +559,12 @@ def _mesh_graded(scene: Scene, unit_scene: Scene, gradings: list[_Grading]) -> N
     try:
         gmsh.model.mesh.generate(2)
     except Exception as error:  # gmsh raises nothing else
-        raise not_meshed(scene, str(error)) from None
+        raise meshing_refusal(scene, str(error)) from None
     finally:
         gmsh.model.mesh.removeSizeCallback()
 
 
-def not_meshed(scene: Scene, reason: str) -> InputError:
+def meshing_refusal(scene: Scene, reason: str) -> InputError:
     """The refusal of what gmsh makes no sound mesh of: of its smallest crack, or else of the
     size of elements."""
     sizes = {
@@ -613,6 +615,6 @@ def _gradings(scene: Scene) -> list[_Grading]:
         growth = mesh.grading ** (1.0 / max(count - 1, 1))
         shortest = reach / float((growth ** np.arange(count)).sum())
         tips = np.array([end for end in (first, last) if 0.0 < end < width])
-        growth_by_distance = max(growth - 1.0, GROWTH)
+        growth_by_distance = max(growth - 1.0, MAX_SIZE_PER_DISTANCE)
         found.append(_Grading(tips, crack.given("height"), shortest, growth_by_distance))
     return found

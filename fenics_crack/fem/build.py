@@ -46,7 +46,13 @@ from fenics_crack.basics.progress import begin
 from fenics_crack.basics.ranks import collect_garbage, gather_rows, on_each, on_root
 from fenics_crack.fem import compat
 from fenics_crack.fem.compat import ufl
-from fenics_crack.fem.cracks import LIP_TAGS, SAME, Lips, along, shares_of_neighbours
+from fenics_crack.fem.cracks import (
+    LIP_TAGS,
+    POSITION_TOLERANCE,
+    Cracks,
+    distribute_front_pressures,
+    locate_on_cracks,
+)
 from fenics_crack.fem.elasticity import constants, rotation_of, stress, thickness
 from fenics_crack.fem.loads import assemble_loads, clamp_of
 from fenics_crack.fem.plate import Dofs, build_mesh
@@ -78,11 +84,11 @@ def pair_lips(
         The two faces have different nodes.
     """
     dimension, plate = dofs.dimension, dofs.plate
-    if not plate.cracked:
+    if not plate.has_cracks:
         none = np.zeros((0, dimension)), np.zeros(0), np.zeros(0, dtype=int), np.zeros(0)
-        return sparse.csr_matrix((len(dofs.free), 0)), None, Pairs(*none)
+        return sparse.csr_matrix((len(dofs.free_dofs), 0)), None, Pairs(*none)
     make = _of_nodes if dimension == 2 and patches is None else _of_patches
-    lips = plate.along(*LIP_TAGS)
+    lips = plate.measure_on(*LIP_TAGS)
     space, weights, columns = make(dofs, t, lips)
     first = space.dofmap.index_map.local_range[0]
     points = space.tabulate_dof_coordinates()[:, :dimension]
@@ -91,7 +97,7 @@ def pair_lips(
         local = dofs.nodes_on(name, space)
         rows = np.column_stack([local + first, weights[local], points[local]])
         sides.append(gather_rows(dofs.comm, rows))
-    lower, upper, cracks, positions, count = _matched(plate.lips, *sides)
+    lower, upper, cracks, positions, count = _matched(plate.cracks, *sides)
     numbers = lower[:, 0].astype(int)
     below = columns[:, numbers]
     gap = below + columns[:, upper[:, 0].astype(int)]
@@ -110,14 +116,14 @@ def pair_lips(
     if patches is None:
         kept = np.arange(count)
         if mouth:
-            kept = np.array([*_watched(plate.lips, cracks[:count], positions[:count]).values()])
+            kept = np.array([*_watched(plate.cracks, cracks[:count], positions[:count]).values()])
             solid = {"nodes": points, "shares": shares[:, kept]} if solid else {}
         chosen, gap, below = kept, gap[:, kept], below[:, kept]
     points, areas, cracks, positions = (x[chosen] for x in (points, areas, cracks, positions))
     if dimension == 3:
         solid["tangents"] = _free_rows(_along_faces(gap, below, dofs.comm), dofs)
     pairs = Pairs(
-        points, areas, cracks, positions, _watched(plate.lips, cracks, positions), **solid
+        points, areas, cracks, positions, _watched(plate.cracks, cracks, positions), **solid
     )
     tangential = _free_rows(_turned(gap), dofs) if dimension == 2 else None
     return _free_rows(gap, dofs), tangential, pairs
@@ -136,7 +142,7 @@ def _shares_at_fronts(
     rows = gather_rows(dofs.comm, np.column_stack([own.row + first, own.col, own.data]))
     size = space.dofmap.index_map.size_global
     every = sparse.csr_matrix((rows[:, 2], rows[:, :2].astype(int).T), (size, size))
-    return shares_of_neighbours(every[numbers[inside:]][:, numbers[:inside]])
+    return distribute_front_pressures(every[numbers[inside:]][:, numbers[:inside]])
 
 
 def _along_faces(gap: Any, below: Any, comm: MPI.Comm) -> sparse.csr_matrix:
@@ -146,10 +152,10 @@ def _along_faces(gap: Any, below: Any, comm: MPI.Comm) -> sparse.csr_matrix:
     normal /= np.linalg.norm(normal, axis=1)[:, None]
     one = np.cross(normal, np.eye(3)[np.abs(normal).argmin(axis=1)])
     one /= np.linalg.norm(one, axis=1)[:, None]
-    along = sum(gap[k::3] @ sparse.diags(normal[:, k]) for k in range(3))
+    normal_gap = sum(gap[k::3] @ sparse.diags(normal[:, k]) for k in range(3))
     return sparse.hstack([
         sum(
-            sparse.kron(along @ sparse.diags(part), unit[:, None])
+            sparse.kron(normal_gap @ sparse.diags(part), unit[:, None])
             for part, unit in zip(tangent.T, np.eye(3), strict=True)
         )
         for tangent in np.round([one, np.cross(normal, one)], 12)
@@ -195,7 +201,7 @@ def _turned(columns: Any) -> sparse.csr_matrix:
 
 
 def _free_rows(columns: Any, dofs: Dofs) -> sparse.csr_matrix:
-    found = sparse.csr_matrix(columns.tocsr()[dofs.free])
+    found = sparse.csr_matrix(columns.tocsr()[dofs.free_dofs])
     found.eliminate_zeros()
     return found
 
@@ -231,14 +237,14 @@ def _of_patches(dofs: Dofs, t: Any, lips: Any) -> tuple[Any, np.ndarray, sparse.
 
 
 def _matched(
-    lips: Lips, lower: np.ndarray, upper: np.ndarray
+    lips: Cracks, lower: np.ndarray, upper: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]:
     """Rows (number, weight, x, y, ...) of both faces, partner by partner in order along the cracks,
     at last those of the fronts, with half their weights, which are of both faces; the crack of
     each pair, and its position; and how many are not of the fronts."""
     size, shared = np.ptp(lower[:, 2:], axis=0).max(), np.isin(lower[:, 0], upper[:, 0])
     lower[shared, 1] *= 0.5
-    cracks, positions = along(lips, lower[:, 2:])
+    cracks, positions = locate_on_cracks(lips, lower[:, 2:])
     # Equal positions, along a front, in the order of their places.
     places = np.round(lower[:, 2:] / size, 7).T
     order = np.lexsort((*places, np.round(positions / size, 7), cracks, shared))
@@ -250,7 +256,9 @@ def _matched(
     if matching:
         apart = [np.linalg.norm(upper[:, 2:] - place, axis=1) for place in lower[:, 2:]]
         distance, partner = np.min(apart, axis=1), np.argmin(apart, axis=1)
-        matching = distance.max() <= SAME * size and len(np.unique(partner)) == len(partner)
+        matching = distance.max() <= POSITION_TOLERANCE * size and len(np.unique(partner)) == len(
+            partner
+        )
         place = ", ".join(f"{x:g}" for x in lower[int(np.argmax(distance)), 2:])
         reason = f"the upper node nearest to the lower one at ({place})"
         reason += f" is {distance.max():.2g} m away"
@@ -262,13 +270,13 @@ def _matched(
     return lower, upper[partner], cracks, positions, count
 
 
-def _watched(lips: Lips, cracks: np.ndarray, positions: np.ndarray) -> dict[str, int]:
+def _watched(lips: Cracks, cracks: np.ndarray, positions: np.ndarray) -> dict[str, int]:
     """The pair to watch of each crack by its name."""
     found: dict[str, int] = {}
     lip: Any
     for number, lip in enumerate(lips):
         own = np.flatnonzero(cracks == number)
-        name, place = lip.watched
+        name, place = lip.watched_place
         if len(lips) > 1:
             name += f" of crack {number + 1}"
         if len(own):
@@ -291,9 +299,9 @@ def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
         return read_structure(scene, rule, comm)
     coarser = scene.mesh.coarser
     if coarser is not None:  # which is read after all else
-        from fenics_crack.fem.msh_file import check_there
+        from fenics_crack.fem.msh_file import check_file_exists
 
-        on_root(comm, lambda: check_there("mesh.coarser", coarser))
+        on_root(comm, lambda: check_file_exists("mesh.coarser", coarser))
     if scene.disk is not None:  # every rank has the sector
         from fenics_crack.fem.sector import assemble_wheel
 
@@ -306,7 +314,7 @@ def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     return structure
 
 
-def in_another(scene: Scene, structure: Structure, *, loads: bool) -> Structure:
+def reuse_structure(scene: Scene, structure: Structure, *, loads: bool) -> Structure:
     """A structure of a mesh at rest with the clearance and the damping of another scene of the same
     mesh, and with its loads (collective)."""
     changes: dict[str, Any] = {
@@ -327,7 +335,7 @@ def _assembled(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
     begin("mesh")
     plate = build_mesh(scene, comm)
     begin("matrices")
-    if not plate.cracked and scene.mesh.layout == "file" and (scene.contact or scene.all_cracks):
+    if not plate.has_cracks and scene.mesh.layout == "file" and (scene.contact or scene.all_cracks):
         named = "curves" if scene.dimension == 2 else "surfaces"
         allowed = f"a mesh with {named} named 'crack', or 'lower_lip' and 'upper_lip'"
         allowed += ", as the scene has contact"

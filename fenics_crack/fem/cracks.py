@@ -28,10 +28,10 @@ from fenics_crack.basics.errors import InputError
 
 LIP_TAGS = ("lower_lip", "upper_lip")
 """Names of the two faces of all cracks of a mesh."""
-SAME = 1e-6
+POSITION_TOLERANCE = 1e-6
 """Distance within which two places are one, relative to the size of the mesh or the length of the
 crack: text files have six digits and more."""
-COINCIDENT = 1e-3
+COINCIDENCE_TOLERANCE = 1e-3
 """Distance of nodes in the same place, relative to the shortest edge."""
 FACETS = {
     4: np.array([[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]),
@@ -43,7 +43,7 @@ FACETS = {
 
 
 @dataclass(frozen=True)
-class Lip:
+class CrackPath:
     """A crack face of one crack.
 
     Attributes
@@ -70,7 +70,7 @@ class Lip:
         return np.concatenate([[0.0], np.cumsum(steps)])
 
     @property
-    def watched(self) -> tuple[str, float]:
+    def watched_place(self) -> tuple[str, float]:
         """Name of the watched pair, and its position: at the mouth, or in the middle of a crack
         inside."""
         return ("the mouth", 0.0) if self.has_mouth else ("the middle", 0.5 * self.position[-1])
@@ -78,19 +78,19 @@ class Lip:
     def locate(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Distance of points (n, 2) from the face, and of the nearest place from its beginning [m]:
         two arrays (n,)."""
-        to, share = to_edges(points, self.edges)
+        to, share = offsets_from_edges(points, self.edges)
         off, position = np.linalg.norm(to, axis=2), self.position
         places = position[:-1] + share * np.diff(position)
         edge, row = off.argmin(axis=1), np.arange(len(points))
         return off[row, edge], places[row, edge]
 
-    def beside(self, point: Sequence[float]) -> tuple[list[float], list[float]] | None:
+    def points_beside(self, point: Sequence[float]) -> tuple[list[float], list[float]] | None:
         """Points below and above one that lies on the crack, and not at its tip; else None."""
         (off,), (place,) = self.locate(np.array([point]))
         length = float(self.position[-1])
         from_tip = length - place if self.has_mouth else min(place, length - place)
         edge = np.searchsorted(self.position[1:-1], place)
-        return both_sides(point, off, from_tip, _normals(self.edges[[edge]])[0], length)
+        return points_on_both_sides(point, off, from_tip, _normals(self.edges[[edge]])[0], length)
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ class CrackSurface:
     has_mouth: bool
 
     @property
-    def watched(self) -> tuple[str, float]:
+    def watched_place(self) -> tuple[str, float]:
         """Name of the watched pair, and its position: the farthest from the front."""
         return "the mouth" if self.has_mouth else "the middle", np.inf
 
@@ -129,22 +129,26 @@ class CrackSurface:
         step = max(1, 2_000_000 // max(len(self.triangles), len(self.front)))
         for first in range(0, len(points), step):
             some = slice(first, first + step)
-            off[some] = np.linalg.norm(_to_triangles(points[some], self.triangles), axis=2).min(1)
+            off[some] = np.linalg.norm(
+                _offsets_from_triangles(points[some], self.triangles), axis=2
+            ).min(1)
             farther = 2.0 * self.size  # than any point of it from a front
-            to_front = np.linalg.norm(to_edges(points[some], self.front)[0], axis=2)
+            to_front = np.linalg.norm(offsets_from_edges(points[some], self.front)[0], axis=2)
             position[some] = to_front.min(axis=1, initial=farther)
         return off, position
 
-    def beside(self, point: Sequence[float]) -> tuple[list[float], list[float]] | None:
+    def points_beside(self, point: Sequence[float]) -> tuple[list[float], list[float]] | None:
         """Points below and above one that lies on the crack, and not at its front; else None."""
         at = np.asarray(point, dtype=float)
         (off,), (from_front,) = self.locate(at[None])
-        nearest = np.linalg.norm(_to_triangles(at[None], self.triangles)[0], axis=1).argmin()
+        nearest = np.linalg.norm(
+            _offsets_from_triangles(at[None], self.triangles)[0], axis=1
+        ).argmin()
         normal = _normals(self.triangles[[nearest]])[0]
-        return both_sides(point, off, from_front, normal, self.size)
+        return points_on_both_sides(point, off, from_front, normal, self.size)
 
 
-def _to_triangles(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+def _offsets_from_triangles(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Vectors to points (n, 3) from the nearest points of triangles (m, 3, 3): (n, m, 3)."""
     one, two = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
     to = points[:, None] - triangles[:, 0]
@@ -155,7 +159,7 @@ def _to_triangles(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     outside = (u < 0.0) | (v < 0.0) | (u + v > 1.0)
     size = np.where(outside, np.inf, np.linalg.norm(best, axis=2))
     for first, second in ((0, 1), (1, 2), (2, 0)):
-        away, _ = to_edges(points, triangles[:, [first, second]])
+        away, _ = offsets_from_edges(points, triangles[:, [first, second]])
         nearer = np.linalg.norm(away, axis=2) < size
         best[nearer], size[nearer] = away[nearer], np.linalg.norm(away, axis=2)[nearer]
     return best
@@ -169,14 +173,14 @@ def _normals(facets: np.ndarray) -> np.ndarray:
     return np.asarray(np.cross(spans[:, 0], spans[:, 1]))
 
 
-Lips = tuple[Lip, ...] | tuple[CrackSurface, ...]
+Cracks = tuple[CrackPath, ...] | tuple[CrackSurface, ...]
 """Crack faces of a plate, or of a solid."""
-Names = tuple[dict[str, tuple[int, ...]], dict[str, tuple[float, ...]]]
+NamedParts = tuple[dict[str, tuple[int, ...]], dict[str, tuple[float, ...]]]
 """Named parts of a mesh: tags of the facets of each curve or surface, and positions of the points
 [m]."""
 
 
-def to_edges(points: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def offsets_from_edges(points: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Vectors to points (n, d) from the nearest points of edges (m, 2, d): (n, m, d); and the parts
     of the edges at which these are: (n, m)."""
     span = edges[:, 1] - edges[:, 0]
@@ -185,40 +189,40 @@ def to_edges(points: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndar
     return to - share[..., None] * span, share
 
 
-def both_sides(
+def points_on_both_sides(
     point: Sequence[float], off: float, from_front: float, normal: np.ndarray, size: float
 ) -> tuple[list[float], list[float]] | None:
     """Points below and above one on a crack of some size, by the crack's normal there; None where
     it is off the crack, or at its front."""
-    if off > SAME * size or from_front <= SAME * size:
+    if off > POSITION_TOLERANCE * size or from_front <= POSITION_TOLERANCE * size:
         return None
-    across = 1e-3 * size * upwards(normal) * normal / np.linalg.norm(normal)
+    across = 1e-3 * size * upward_sign(normal) * normal / np.linalg.norm(normal)
     return np.round(point - across, 9).tolist(), np.round(point + across, 9).tolist()
 
 
-def shares_of_neighbours(neighbours: sparse.csr_matrix) -> sparse.csr_matrix:
+def distribute_front_pressures(neighbours: sparse.csr_matrix) -> sparse.csr_matrix:
     """S (inside + fronts, inside) of the pressures of a solid: those of a front's nodes go to their
     neighbours on the face, by how much their functions overlap, (fronts, inside)."""
     total = sparse.diags(1.0 / np.asarray(neighbours.sum(axis=1)).ravel())
     return sparse.vstack([sparse.eye(neighbours.shape[1]), total @ neighbours]).tocsr()
 
 
-def upwards(normal: np.ndarray) -> float:
+def upward_sign(normal: np.ndarray) -> float:
     """1 where a normal points up: along y, or else along x, or else along z; otherwise -1."""
     for axis in (1, 0, 2)[: len(normal)]:
-        if abs(normal[axis]) > COINCIDENT * np.abs(normal).max():
+        if abs(normal[axis]) > COINCIDENCE_TOLERANCE * np.abs(normal).max():
             return float(np.sign(normal[axis]))
     return 1.0
 
 
-def along(lips: Sequence[Any], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def locate_on_cracks(lips: Sequence[Any], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """On which crack points (n, dimension) lie, and their positions on it [m]: two arrays (n,)."""
     off, positions = np.array([lip.locate(points) for lip in lips]).transpose(1, 0, 2)
     crack = off.argmin(axis=0)
     return crack, positions[crack, np.arange(len(points))]
 
 
-def connected(rows: np.ndarray) -> np.ndarray:
+def label_parts(rows: np.ndarray) -> np.ndarray:
     """The part of each row of nodes, (n,) int: rows are of one where they share a node."""
     from scipy.sparse.csgraph import connected_components  # takes a while, for few meshes
 
@@ -228,7 +232,7 @@ def connected(rows: np.ndarray) -> np.ndarray:
     return np.unique(part, return_inverse=True)[1]
 
 
-def each_once(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def find_unique_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the first places of different rows of nodes, in any order, and their counts; and the
     index among them of each row (n,)."""
     _, first, which, uses = np.unique(
@@ -239,14 +243,16 @@ def each_once(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def rows_in(rows: np.ndarray, others: np.ndarray) -> np.ndarray:
     """Return True for each row of nodes, in any order, that is among others: (n,) bool."""
-    _, kinds, _ = each_once(np.concatenate([others, rows]))
+    _, kinds, _ = find_unique_rows(np.concatenate([others, rows]))
     return np.asarray(np.isin(kinds[len(others) :], kinds[: len(others)]))
 
 
 # --- finding them by their faces ------------------------------------------------------------------
 
 
-def find_lips(lower: np.ndarray, upper: np.ndarray, positions: np.ndarray) -> tuple[Lip, ...]:
+def find_crack_paths(
+    lower: np.ndarray, upper: np.ndarray, positions: np.ndarray
+) -> tuple[CrackPath, ...]:
     """The faces of all cracks, from bottom to top and from left to right by where they begin.
 
     Parameters
@@ -271,7 +277,7 @@ def find_lips(lower: np.ndarray, upper: np.ndarray, positions: np.ndarray) -> tu
         mouths = chain[0] not in shared, chain[-1] not in shared
         turned = last < first if mouths[0] == mouths[1] else mouths[1]
         points = positions[chain[::-1] if turned else chain]
-        lips.append(Lip(points, any(mouths)))
+        lips.append(CrackPath(points, any(mouths)))
     return tuple(sorted(lips, key=lambda lip: tuple(lip.points[0, ::-1])))
 
 
@@ -286,7 +292,7 @@ def _chains(edges: np.ndarray, tips: np.ndarray, positions: np.ndarray) -> Itera
             allowed = "cracks that neither branch nor cross, as one of them does here"
             raise InputError("lips", f"{count} edges of a crack face at {place}", allowed)
     apart = len(positions) + np.arange(edges.size).reshape(edges.shape)  # a tip of each crack
-    part = connected(np.where(np.isin(edges, tips), apart, edges))
+    part = label_parts(np.where(np.isin(edges, tips), apart, edges))
     for number in range(part.max() + 1):
         ends, which = np.unique(edges[part == number].ravel(), return_inverse=True)
         single = np.flatnonzero(np.bincount(which) == 1)
@@ -298,7 +304,7 @@ def _chains(edges: np.ndarray, tips: np.ndarray, positions: np.ndarray) -> Itera
         yield ends[breadth_first_order(graph.tocsr(), single[0], directed=False)[0]]
 
 
-def cracks_between(
+def find_crack_surfaces(
     lower: np.ndarray, upper: np.ndarray, places: np.ndarray
 ) -> tuple[CrackSurface, ...]:
     """The cracks of a solid that is split, from bottom to top, by the corners of the facets of both
@@ -306,7 +312,7 @@ def cracks_between(
     edges, uses = np.unique(_edges(lower), axis=0, return_counts=True)
     rim = edges[uses == 1]
     is_front = np.isin(rim, upper).all(axis=1)
-    part, found = connected(lower), []
+    part, found = label_parts(lower), []
     halves = [[0, 1, 2], [0, 2, 3]][: lower.shape[1] - 2]
     for number in range(part.max() + 1):
         facets = lower[part == number]
@@ -345,7 +351,7 @@ class Cells:
         return int(self.facets.max()) + 1
 
     @cached_property
-    def all_facets(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def sorted_facets(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Corners of the facets of all cells, sorted, so that equal ones follow each other; the
         cell of each, and the places of its corners in ``nodes``."""
         corners = self.nodes[:, self.facets].reshape(-1, self.facets.shape[1])
@@ -356,19 +362,19 @@ class Cells:
         return corners[order], order // len(self.facets), places[order]
 
     @cached_property
-    def shared(self) -> np.ndarray:
+    def is_shared(self) -> np.ndarray:
         """True for each of these facets but the last if it is the next one's cell's, too."""
-        facets = self.all_facets[0]
+        facets = self.sorted_facets[0]
         return np.asarray(np.all(facets[1:] == facets[:-1], axis=1))
 
     @cached_property
-    def alone(self) -> np.ndarray:
+    def is_boundary(self) -> np.ndarray:
         """True for each of these facets that belongs to one cell only."""
-        both = np.concatenate([[False], self.shared, [False]])
+        both = np.concatenate([[False], self.is_shared, [False]])
         return ~(both[1:] | both[:-1])
 
 
-def joined(surface: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def merge_crack_nodes(surface: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The nodes (n_kept,) of a mesh that are kept where those in one place along cracks become one,
     and which of them each node (n_nodes,) is.
 
@@ -380,7 +386,9 @@ def joined(surface: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndar
     lengths = np.linalg.norm(places[surface[:, 0]] - places[surface[:, 1]], axis=1)
     number = np.arange(len(places))
     around = places[np.unique(surface)]
-    for same in cKDTree(places).query_ball_point(around, COINCIDENT * float(lengths.min())):
+    for same in cKDTree(places).query_ball_point(
+        around, COINCIDENCE_TOLERANCE * float(lengths.min())
+    ):
         number[same] = min(same)
     return np.unique(number, return_inverse=True)
 
@@ -416,7 +424,7 @@ def split_cracks(
     width, part = cells.facets.shape[1], ("edges", "facets")[places.shape[1] - 2]
     corners, first = np.unique(np.sort(surface[:, :width], axis=1), axis=0, return_index=True)
     surface = surface[first]  # as the facets are
-    (facets, owner, at), same = cells.all_facets, cells.shared
+    (facets, owner, at), same = cells.sorted_facets, cells.is_shared
     on_crack = np.isin(np.arange(len(places)), corners)
     of_crack = on_crack[facets].all(axis=1)
     of_crack[of_crack] = rows_in(facets[of_crack], corners)
@@ -426,10 +434,10 @@ def split_cracks(
         f"{len(surface) - len(inside)} of the {len(surface)} {part} of cracks not between cells",
         f"inside the structure, with a cell on either side of {part}",
     )
-    outer = facets[cells.alone & on_crack[facets].any(axis=1)]
+    outer = facets[cells.is_boundary & on_crack[facets].any(axis=1)]
     is_split = on_crack.copy()
     is_split[_fronts(surface[:, :width], outer)] = False
-    piece = connected(corners)
+    piece = label_parts(corners)
     closed = np.setdiff1d(piece, piece[is_split[corners].any(axis=1)])
     require(not len(closed), "all nodes of a crack on its front", "meshed more finely")
 
@@ -439,7 +447,7 @@ def split_cracks(
     cell, fixed = owner[beside], ~is_split[facets[beside]]
     stars = label[cell[:, None], at[beside]]
     stars[fixed] = label.size + np.arange(fixed.sum())
-    chain = connected(stars)
+    chain = label_parts(stars)
     facing = np.unique(np.sort(np.split(chain, 2), axis=0), axis=1)  # two by two
     touching = is_split[cells.nodes[:, : cells.n_corners]]
     require(
@@ -455,7 +463,7 @@ def split_cracks(
     normals[(away * normals).sum(axis=1) > 0.0] *= -1.0  # out of the material
     outwards = np.zeros((facing.size, places.shape[1]))
     np.add.at(outwards, chain, normals)
-    first_is_lower = np.array([upwards(normal) > 0.0 for normal in outwards[facing[0]]])
+    first_is_lower = np.array([upward_sign(normal) > 0.0 for normal in outwards[facing[0]]])
     upper = np.where(first_is_lower, facing[1], facing[0])
     is_upper = touching & np.isin(label, stars[np.isin(chain, upper)])
     # A node between corners is doubled with any of them.
@@ -498,7 +506,7 @@ def _stars(cells: Cells, passable: np.ndarray, is_split: np.ndarray) -> np.ndarr
     corner of each cell (n_cells n_corners,)."""
     from scipy.sparse.csgraph import connected_components
 
-    facets, owner, at = cells.all_facets
+    facets, owner, at = cells.sorted_facets
     first = np.flatnonzero(passable & is_split[facets[:-1]].any(axis=1))
     wanted = is_split[facets[first]]
     one, other = (owner[i][:, None] * cells.n_corners + at[i] for i in (first, first + 1))

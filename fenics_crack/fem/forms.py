@@ -20,7 +20,7 @@ from fenics_crack.basics.ranks import collect_garbage, gather_rows, on_each
 from fenics_crack.fem import compat
 from fenics_crack.fem.build import pair_lips
 from fenics_crack.fem.compat import dolfinx
-from fenics_crack.fem.cracks import LIP_TAGS, cracks_between, find_lips
+from fenics_crack.fem.cracks import LIP_TAGS, find_crack_paths, find_crack_surfaces
 from fenics_crack.fem.elasticity import constants
 from fenics_crack.fem.plate import Dofs, PlateMesh
 
@@ -99,8 +99,8 @@ def _plate(mesh: Any, crack: Any, comm: MPI.Comm) -> PlateMesh:
     numbers, places = (np.concatenate(part) for part in zip(*faces, strict=True))
     _, first, which = np.unique(numbers, return_index=True, return_inverse=True)
     corners = np.split(which.reshape(numbers.shape), [len(faces[0][0])])
-    find: Any = find_lips if mesh.topology.dim == 2 else cracks_between
-    return replace(plate, lips=find(*corners, places.reshape(-1, places.shape[2])[first]))
+    find: Any = find_crack_paths if mesh.topology.dim == 2 else find_crack_surfaces
+    return replace(plate, cracks=find(*corners, places.reshape(-1, places.shape[2])[first]))
 
 
 def _face(plate: PlateMesh, name: str, comm: MPI.Comm) -> tuple[np.ndarray, np.ndarray]:

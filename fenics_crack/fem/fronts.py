@@ -44,7 +44,7 @@ from scipy.special import roots_jacobi
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.basics.tables import quantity
-from fenics_crack.fem.cracks import SAME, CrackSurface, upwards
+from fenics_crack.fem.cracks import POSITION_TOLERANCE, CrackSurface, upward_sign
 from fenics_crack.model.nodes import Nodes
 from fenics_crack.model.receptance import check_matrices
 from fenics_crack.model.structure import Structure
@@ -103,48 +103,52 @@ class Front:
     name: str
     crack: int
     nodes: np.ndarray
-    across: np.ndarray
-    at: np.ndarray
+    normals: np.ndarray
+    parameters: np.ndarray
     curve: Callable[[np.ndarray, int], np.ndarray]
-    closed: bool
+    is_closed: bool
     at_surface: tuple[bool, bool]
-    limit: float
+    max_radius: float
 
     @cached_property
-    def peaks(self) -> np.ndarray:
+    def peak_parameters(self) -> np.ndarray:
         """Parameters of the hats' peaks, that of a closed front's first one at the end, too. One is
         in the middle, where a half-ellipse is deepest."""
-        count = max(1, min(STATIONS * (1 + self.closed), (len(self.nodes) - 1) // WIDTH))
-        count -= count % 2 if count > 1 and not self.closed else 0
-        return np.linspace(self.at[0], self.at[-1], max(count, 3 if self.closed else 1) + 1)
+        count = max(1, min(STATIONS * (1 + self.is_closed), (len(self.nodes) - 1) // WIDTH))
+        count -= count % 2 if count > 1 and not self.is_closed else 0
+        return np.linspace(
+            self.parameters[0], self.parameters[-1], max(count, 3 if self.is_closed else 1) + 1
+        )
 
     @property
-    def places(self) -> np.ndarray:
+    def station_parameters(self) -> np.ndarray:
         """Parameters of the stations."""
-        return self.peaks[:-1] if self.closed else self.peaks
+        return self.peak_parameters[:-1] if self.is_closed else self.peak_parameters
 
     @property
-    def corners(self) -> list[int]:
+    def corner_stations(self) -> list[int]:
         """Stations at corners, where nothing is known."""
-        count = len(self.places)
+        count = len(self.station_parameters)
         ends = zip(self.at_surface, (0, count - 1), strict=True)
-        return [] if self.closed else [place for surface, place in ends if not surface]
+        return [] if self.is_closed else [place for surface, place in ends if not surface]
 
     def hats(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Hats and their derivatives by t: (..., n_stations) each."""
-        step = self.peaks[1] - self.peaks[0]
-        off = (t[..., None] - self.places) / step
-        if self.closed:
-            off -= len(self.places) * np.round(off / len(self.places))
+        step = self.peak_parameters[1] - self.peak_parameters[0]
+        off = (t[..., None] - self.station_parameters) / step
+        if self.is_closed:
+            off -= len(self.station_parameters) * np.round(off / len(self.station_parameters))
         hat = np.maximum(0.0, 1.0 - np.abs(off))
         return hat, np.where(hat > 0.0, -np.sign(off) / step, 0.0)
 
     def lengths(self) -> np.ndarray:
         """int h ds of each hat: (n_stations,) [m]."""
         x, w = np.polynomial.legendre.leggauss(8)
-        half = 0.5 * (self.peaks[1] - self.peaks[0])
-        t = (self.peaks[:-1, None] + half * (1.0 + x)).ravel()
-        speed = np.linalg.norm(self.curve(t, 1), axis=1) * np.tile(half * w, len(self.peaks) - 1)
+        half = 0.5 * (self.peak_parameters[1] - self.peak_parameters[0])
+        t = (self.peak_parameters[:-1, None] + half * (1.0 + x)).ravel()
+        speed = np.linalg.norm(self.curve(t, 1), axis=1) * np.tile(
+            half * w, len(self.peak_parameters) - 1
+        )
         return np.asarray(speed @ self.hats(t)[0])
 
     def frame(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -152,7 +156,7 @@ class Front:
         one, two, three = (self.curve(t, order) for order in (1, 2, 3))
         speed = np.linalg.norm(one, axis=-1)
         along = one / speed[..., None]
-        across = np.stack([np.interp(t, self.at, row) for row in self.across.T], axis=-1)
+        across = np.stack([np.interp(t, self.parameters, row) for row in self.normals.T], axis=-1)
         across -= (across * along).sum(-1, keepdims=True) * along
         across /= np.linalg.norm(across, axis=-1, keepdims=True)
         ahead = np.cross(across, along)
@@ -162,28 +166,32 @@ class Front:
         return np.stack([ahead, across, along], axis=-2), speed, bend, slope
 
     @cached_property
-    def widest(self) -> float:
+    def straight_radius(self) -> float:
         """R [m] where the front is straight."""
         longest = np.linalg.norm(np.diff(self.nodes, axis=0), axis=1).max()
-        return float(min(ELEMENTS * longest, self.limit))
+        return float(min(ELEMENTS * longest, self.max_radius))
 
-    def limited(self, bend: np.ndarray) -> np.ndarray:
+    def is_limited_by_curvature(self, bend: np.ndarray) -> np.ndarray:
         """True where R follows the curvature."""
-        return np.asarray(np.abs(bend) * self.widest > OVER_CURVATURE)
+        return np.asarray(np.abs(bend) * self.straight_radius > OVER_CURVATURE)
 
     def radius(self, bend: np.ndarray) -> np.ndarray:
         """R [m] by the curvature."""
-        limited = self.limited(bend)
-        return np.where(limited, OVER_CURVATURE / np.where(limited, np.abs(bend), 1.0), self.widest)
+        limited = self.is_limited_by_curvature(bend)
+        return np.where(
+            limited, OVER_CURVATURE / np.where(limited, np.abs(bend), 1.0), self.straight_radius
+        )
 
     @cached_property
     def _samples(self) -> tuple[np.ndarray, cKDTree]:
         t = np.interp(
-            np.linspace(0, len(self.at) - 1, 8 * len(self.at)), range(len(self.at)), self.at
+            np.linspace(0, len(self.parameters) - 1, 8 * len(self.parameters)),
+            range(len(self.parameters)),
+            self.parameters,
         )
         return t, cKDTree(self.curve(t, 0))
 
-    def nearest(self, points: np.ndarray) -> np.ndarray:
+    def project(self, points: np.ndarray) -> np.ndarray:
         """Parameters of the nearest points of the curve to some (..., 3)."""
         samples, tree = self._samples
         t = samples[tree.query(points)[1]]
@@ -191,10 +199,12 @@ class Front:
             place, one, two = (self.curve(t, order) for order in range(3))
             to = points - place
             t = t + (to * one).sum(-1) / ((one * one).sum(-1) - (to * two).sum(-1))
-            if not self.closed:
-                t = np.clip(t, self.at[0], self.at[-1])
-        if self.closed:
-            t = self.at[0] + np.mod(t - self.at[0], self.at[-1] - self.at[0])
+            if not self.is_closed:
+                t = np.clip(t, self.parameters[0], self.parameters[-1])
+        if self.is_closed:
+            t = self.parameters[0] + np.mod(
+                t - self.parameters[0], self.parameters[-1] - self.parameters[0]
+            )
         return np.asarray(t)
 
 
@@ -220,9 +230,9 @@ class Station:
     name: str
     crack: int
     point: np.ndarray
-    ahead: np.ndarray
+    growth_direction: np.ndarray
     position: float
-    touching: np.ndarray
+    touching_pairs: np.ndarray
 
 
 # --- where they are -------------------------------------------------------------------------------
@@ -238,7 +248,7 @@ def find_fronts(structure: Structure) -> list[Front]:
     """
     nodes = structure.nodes
     assert nodes is not None
-    lips: tuple[CrackSurface, ...] = nodes.numbered.plate.lips
+    lips: tuple[CrackSurface, ...] = nodes.numbered.plate.cracks
     held = gather_rows(structure.comm, nodes.points[np.all(nodes.dofs < 0, axis=1)])
     found = []
     for crack, lip in enumerate(lips):
@@ -257,7 +267,7 @@ def _chains(lip: CrackSurface) -> Iterator[tuple[np.ndarray, np.ndarray, bool, t
     """Yield the smooth parts of a crack's front: nodes, normals, whether it is closed, and which
     ends are at the surface."""
     corners = lip.triangles.reshape(-1, 3)
-    unit = SAME * lip.size
+    unit = POSITION_TOLERANCE * lip.size
     tree = cKDTree(corners)
     edges = np.sort(tree.query(lip.front.reshape(-1, 3))[1].reshape(-1, 2), axis=1)
     links: dict[int, list[int]] = {}
@@ -267,7 +277,7 @@ def _chains(lip: CrackSurface) -> Iterator[tuple[np.ndarray, np.ndarray, bool, t
         links.setdefault(int(b), []).append(int(a))
     spans = lip.triangles[:, 1:] - lip.triangles[:, :1]
     normal = np.cross(spans[:, 0], spans[:, 1])
-    turned = np.array([upwards(row) for row in normal])
+    turned = np.array([upward_sign(row) for row in normal])
     normal *= turned[:, None]
     middles = lip.triangles.mean(axis=1)
     while links:
@@ -306,11 +316,15 @@ def _curve(
     nodes: np.ndarray, closed: bool
 ) -> tuple[np.ndarray, Callable[[np.ndarray, int], np.ndarray]]:
     """Parameters of nodes (n, 3) in turn, and the curve through them: the ellipse on which they
-    lie, to SAME of its size, or else a spline."""
+    lie, to POSITION_TOLERANCE of its size, or else a spline."""
     middle = nodes.mean(axis=0)
     _, sizes, axes = np.linalg.svd(nodes - middle, full_matrices=False)
     x, y = ((nodes - middle) @ axes[:2].T / sizes[0]).T
-    if len(nodes) > 5 and sizes[1] > SAME * sizes[0] and sizes[2] <= SAME * sizes[0]:
+    if (
+        len(nodes) > 5
+        and sizes[1] > POSITION_TOLERANCE * sizes[0]
+        and sizes[2] <= POSITION_TOLERANCE * sizes[0]
+    ):
         conic = np.column_stack([x * x, 2.0 * x * y, y * y, -2.0 * x, -2.0 * y])
         a, b, c, d, e = np.linalg.lstsq(conic, np.ones(len(x)), rcond=None)[0]
         form = np.array([[a, b], [b, c]])
@@ -390,8 +404,12 @@ def front_functionals(
         forces = np.zeros((len(row), structure.n_pairs))
         if structure.pairs.nodes is not None:
             forces -= rule.scale[:, None] * structure.apply_bt(field)
-            forces[: len(front.places)] += _of_pressures(structure, front)
-        stated = [place for place in range(len(front.places)) if place not in front.corners]
+            forces[: len(front.station_parameters)] += _of_pressures(structure, front)
+        stated = [
+            place
+            for place in range(len(front.station_parameters))
+            if place not in front.corner_stations
+        ]
         for parts, values in ((rows, row), (pressed, forces)):
             parts.append(_by_station(front, values)[stated].reshape(3 * len(stated), -1))
         stations += [_stations(structure, front)[place] for place in stated]
@@ -409,15 +427,18 @@ def _own_part(nodes: Nodes, numbers: np.ndarray, values: np.ndarray) -> np.ndarr
 
 
 def _stations(structure: Structure, front: Front) -> list[Station]:
-    pairs, hats = structure.pairs, front.hats(front.at)[0] > 0.0
-    touching = [np.zeros(0, dtype=int)] * len(front.places)
+    pairs, hats = structure.pairs, front.hats(front.parameters)[0] > 0.0
+    touching = [np.zeros(0, dtype=int)] * len(front.station_parameters)
     if pairs.nodes is not None and pairs.shares is not None:
         on = cKDTree(pairs.nodes).query(front.nodes)[1]
         touching = [np.unique(pairs.shares[on[hat]].nonzero()[1]) for hat in hats.T]
-    fine = np.linspace(front.at[0], front.at[-1], 50 * len(front.peaks))
+    fine = np.linspace(front.parameters[0], front.parameters[-1], 50 * len(front.peak_parameters))
     along = np.append(0.0, np.linalg.norm(np.diff(front.curve(fine, 0), axis=0), axis=1).cumsum())
-    positions = np.interp(front.places, fine, along)
-    points, ahead = front.curve(front.places, 0), front.frame(front.places)[0][:, 0]
+    positions = np.interp(front.station_parameters, fine, along)
+    points, ahead = (
+        front.curve(front.station_parameters, 0),
+        front.frame(front.station_parameters)[0][:, 0],
+    )
     return [
         Station(f"{front.name} at {quantity(float(s), 'm')}", front.crack, x, e, float(s), own)
         for x, e, s, own in zip(points, ahead, positions, touching, strict=True)
@@ -427,7 +448,7 @@ def _stations(structure: Structure, front: Front) -> list[Station]:
 def _check_resolved(front: Front) -> None:
     """Raise InputError where the domain is smaller than an element by more than LONGEST."""
     lengths = np.linalg.norm(np.diff(front.nodes, axis=0), axis=1)
-    radius = front.radius(front.frame(0.5 * (front.at[1:] + front.at[:-1]))[2])
+    radius = front.radius(front.frame(0.5 * (front.parameters[1:] + front.parameters[:-1]))[2])
     worst = (lengths / radius).argmax()
     if lengths[worst] > LONGEST * radius[worst]:
         most = LONGEST * radius[worst]
@@ -439,8 +460,8 @@ def _check_resolved(front: Front) -> None:
 def _by_station(front: Front, rows: np.ndarray) -> np.ndarray:
     """Rows (3 n_stations, m) of hats by stations, (n_stations, 3, m): those at the ends of a front
     are on the line through the last two, which are of the places of their hats' middles."""
-    rows = rows.reshape(3, len(front.places), -1).swapaxes(0, 1)
-    if not front.closed and len(front.places) > 2:
+    rows = rows.reshape(3, len(front.station_parameters), -1).swapaxes(0, 1)
+    if not front.is_closed and len(front.station_parameters) > 2:
         first, last = (1.5 * rows[end] - 0.5 * rows[beside] for end, beside in ((0, 1), (-1, -2)))
         rows = np.concatenate([first[None], rows[1:-1], last[None]])
     return rows
@@ -485,18 +506,20 @@ class _Domain:
         self.mu = 0.5 * young / (1.0 + self.nu)
         self.lame = young * self.nu / (1.0 + self.nu) / (1.0 - 2.0 * self.nu)
         plane = 0.5 * young / (1.0 - self.nu**2)
-        of_mode = np.repeat([plane, plane, self.mu], len(front.places))
+        of_mode = np.repeat([plane, plane, self.mu], len(front.station_parameters))
         self.scale = of_mode / np.tile(front.lengths(), 3)
         away = front._samples[1].query(points)[0][cells]
         # Of others no more than rounded edges is inside, where q is 1e-5.
-        kept = away.min(axis=1) < front.widest
+        kept = away.min(axis=1) < front.straight_radius
         self.nodes, numbers = np.unique(cells[kept], return_inverse=True)
         self.points, self.cells = points[self.nodes], numbers.reshape(-1, cells.shape[1])
         corners = self.points[self.cells[:, :4]]
         # From the nearest to the front on; those as near by place: rounding and numbers differ on
         # other ranks, and the rule of an edge on the front takes its ends in turn.
         places = np.dstack([corners, away[kept, :4]]).transpose(2, 0, 1)
-        self.order = order = np.lexsort(np.round(places / (SAME * front.widest)), axis=-1)
+        self.order = order = np.lexsort(
+            np.round(places / (POSITION_TOLERANCE * front.straight_radius)), axis=-1
+        )
         self.corners = np.take_along_axis(corners, order[..., None], axis=1)
         number = np.take_along_axis(self.cells[:, :4], order, axis=1)
         facets = [np.sort(np.delete(number, k, axis=1), axis=1) for k in range(4)]
@@ -508,7 +531,7 @@ class _Domain:
         inverse = np.linalg.inv(spans).swapaxes(1, 2)  # rows: gradients of the coordinates 1 to 3
         self.gradients = np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
         middles = self.corners.mean(axis=1)
-        t = front.nearest(middles)
+        t = front.project(middles)
         self.side = np.sign(((middles - front.curve(t, 0)) * front.frame(t)[0][:, 1]).sum(-1))
 
     def _basis(self, some: np.ndarray) -> np.ndarray:
@@ -527,11 +550,14 @@ class _Domain:
     def rows(self, comm: MPI.Comm) -> tuple[np.ndarray, np.ndarray]:
         """The rows at nodes, of which each rank integrates a share, and w: (n, 3 n_stations, 3)
         (collective)."""
-        count = 3 * len(self.front.places)
+        count = 3 * len(self.front.station_parameters)
         found, fields = np.zeros((2, len(self.points), count, 3))
         for some in _chunks(np.arange(len(self.cells)), 10):
             fields[self.cells[some]] = self._nodal(some)
-        at_front = cKDTree(self.front.nodes).query(self.corners[:, 0])[0] < SAME * self.front.widest
+        at_front = (
+            cKDTree(self.front.nodes).query(self.corners[:, 0])[0]
+            < POSITION_TOLERANCE * self.front.straight_radius
+        )
         groups = (np.flatnonzero(at_front), GAUSS), (np.flatnonzero(~at_front), AWAY)
         for some, points in (
             (chunk, number)
@@ -570,7 +596,7 @@ class _Domain:
         """Frames, xi, y, r, hats and their derivatives by s, kappa, its derivative, R of places of
         cells: (n, m, ...)."""
         front = self.front
-        t = front.nearest(places)
+        t = front.project(places)
         frame, speed, bend, slope = front.frame(t)
         to = places - front.curve(t, 0)
         xi, y = ((to * frame[..., k, :]).sum(-1) for k in range(2))
@@ -635,7 +661,7 @@ class _Domain:
         fall /= radius
         g = 1.0 + bend * xi
         k = bend / g
-        limited = self.front.limited(bend)
+        limited = self.front.is_limited_by_curvature(bend)
         shrink = np.where(limited, -slope / np.where(limited, bend, 1.0), 0.0)
         ahead = np.stack([fall * xi / r, fall * y / r, -fall * r * shrink / g], axis=-1)
         spread = weights[..., None] * rule
@@ -695,12 +721,12 @@ def _of_pressures(structure: Structure, front: Front) -> np.ndarray:
     """Factors of the contact forces in K_I, (n_stations, n_pairs), by their pressures."""
     pairs = structure.pairs
     assert pairs.nodes is not None and pairs.shares is not None and pairs.areas is not None
-    lip: CrackSurface = structure.nodes.numbered.plate.lips[front.crack]  # type: ignore[union-attr]
+    lip: CrackSurface = structure.nodes.numbered.plate.cracks[front.crack]  # type: ignore[union-attr]
     tree, own = cKDTree(pairs.nodes), cKDTree(front.nodes)
     far, at = own.query(lip.triangles)
     reach = np.linalg.norm(lip.triangles - lip.triangles.mean(axis=1)[:, None], axis=2).max(axis=1)
-    near = far.min(axis=1) < front.widest + 2.0 * reach
-    found = np.zeros((len(front.places), len(pairs.nodes)))
+    near = far.min(axis=1) < front.straight_radius + 2.0 * reach
+    found = np.zeros((len(front.station_parameters), len(pairs.nodes)))
     rule, planar = _collapsed(2, GAUSS)
     x, w = np.polynomial.legendre.leggauss(2 * GAUSS)
     x, w = 0.5 * (1.0 + x), 0.5 * w
@@ -709,12 +735,14 @@ def _of_pressures(structure: Structure, front: Front) -> np.ndarray:
     mapped = np.column_stack([v, (1.0 - v) * (1.0 - tau), (1.0 - v) * tau])
     for corners, away, place in zip(lip.triangles[near], far[near], at[near], strict=True):
         order = away.argsort()
-        on = away < SAME * lip.size
+        on = away < POSITION_TOLERANCE * lip.size
         if on.sum() == 2:
             order = np.append(np.flatnonzero(~on), np.flatnonzero(on))
-            low, high = front.at[place[order[1:]]]
-            if front.closed and abs(high - low) > 0.5 * (front.at[-1] - front.at[0]):
-                turn = front.at[-1] - front.at[0]
+            low, high = front.parameters[place[order[1:]]]
+            if front.is_closed and abs(high - low) > 0.5 * (
+                front.parameters[-1] - front.parameters[0]
+            ):
+                turn = front.parameters[-1] - front.parameters[0]
                 low, high = low + turn * (low < high), high + turn * (high < low)
             t = low + tau * (high - low)
             to = corners[order[0]] - front.curve(t, 0)
@@ -725,7 +753,7 @@ def _of_pressures(structure: Structure, front: Front) -> np.ndarray:
             points, shapes = rule @ corners[order], rule
             spans = corners[1:] - corners[0]
             area = 0.5 * np.linalg.norm(np.cross(*spans)) * planar
-        t = front.nearest(points)
+        t = front.project(points)
         r = np.linalg.norm(points - front.curve(t, 0), axis=1)
         radius = front.radius(front.frame(t)[2])
         kernel = _weight(r / radius)[0] / np.sqrt(r) * area

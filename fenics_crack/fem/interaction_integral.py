@@ -30,7 +30,7 @@ from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.fem import compat
 from fenics_crack.fem.compat import dolfinx, ufl
-from fenics_crack.fem.cracks import LIP_TAGS, Lip
+from fenics_crack.fem.cracks import LIP_TAGS, CrackPath
 from fenics_crack.fem.elasticity import constants, stress
 from fenics_crack.fem.plate import Dofs
 from fenics_crack.model.receptance import check_matrices
@@ -68,7 +68,7 @@ class Tip:
     name: str
     crack: int
     point: np.ndarray
-    ahead: np.ndarray
+    growth_direction: np.ndarray
     position: float
     radius: float
 
@@ -76,10 +76,10 @@ class Tip:
 def find_tips(dofs: Dofs) -> list[Tip]:
     """All tips of the cracks of a plate (collective)."""
     found: list[Tip] = []
-    lips = dofs.plate.lips
+    lips = dofs.plate.cracks
     edge = gather_rows(dofs.comm, _outer_points(dofs))
     for crack, lip in enumerate(lips):
-        assert isinstance(lip, Lip)
+        assert isinstance(lip, CrackPath)
         several = f" of crack {crack + 1}" if len(lips) > 1 else ""
         whole = float(lip.position[-1])
         ends = [("crack tip" if lip.has_mouth else "right crack tip", lip.points, whole)]
@@ -165,7 +165,7 @@ def _sides(dofs: Dofs) -> np.ndarray:
     """Outward normals of the crack faces at this rank's nodes (n_nodes, 2), zero away from the
     crack faces."""
     normal, test = ufl.FacetNormal(dofs.plate.mesh), ufl.TestFunction(dofs.space)
-    work = ufl.inner(normal, test) * dofs.plate.along(*LIP_TAGS)
+    work = ufl.inner(normal, test) * dofs.plate.measure_on(*LIP_TAGS)
     return compat.assembled_vector(work).reshape(-1, 2)
 
 
@@ -202,16 +202,16 @@ def _nodal(
     to = points - tip.point
     r = np.linalg.norm(to, axis=1)
     near = (r < tip.radius) & (r > 1e-9 * tip.radius)
-    across = np.array([-tip.ahead[1], tip.ahead[0]])
+    across = np.array([-tip.growth_direction[1], tip.growth_direction[0]])
     found = np.zeros_like(points)
-    r, x, y = r[near], to[near] @ tip.ahead, to[near] @ across
+    r, x, y = r[near], to[near] @ tip.growth_direction, to[near] @ across
     out = normals[near] @ across
     side = np.where(out == 0.0, np.where(y >= 0.0, 1.0, -1.0), -np.sign(out))
     c, s = (np.sqrt(np.maximum(r + sign * x, 0.0) / (2.0 * r)) for sign in (1.0, -1.0))
     kappa, scale = _scale(scene)
     one, two = _singular(r, c, side * s, kappa, kind)
     q = scale * _weight(r, tip.radius)
-    found[near] = (q * one)[:, None] * tip.ahead + (q * two)[:, None] * across
+    found[near] = (q * one)[:, None] * tip.growth_direction + (q * two)[:, None] * across
     return found
 
 
@@ -244,7 +244,9 @@ def _form(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndarray], np.ndarr
     def row_of(tip: Tip, kind: int, field: np.ndarray) -> np.ndarray:
         moved.x.array[: field.size] = field.ravel()
         moved.x.scatter_forward()
-        for constant, value in zip(given, (*tip.point, *tip.ahead, tip.radius, kind), strict=False):
+        for constant, value in zip(
+            given, (*tip.point, *tip.growth_direction, tip.radius, kind), strict=False
+        ):
             constant.value = value
         return dofs.free_part(compat.assembled_vector(compiled))
 

@@ -30,7 +30,7 @@ from fenics_crack.fem import compat
 from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.elasticity import thickness
 from fenics_crack.fem.plate import Dofs
-from fenics_crack.fem.setting import parts_of
+from fenics_crack.fem.setting import force_parts
 from fenics_crack.model.nodes import FARTHEST, Clamp, nearest_node, nodes_at
 from fenics_crack.scene.fields import Vector
 from fenics_crack.scene.scene import Scene
@@ -54,7 +54,7 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
     excitation = scene.excitation
     point = excitation.point if excitation.point is not None else dofs.plate.points.get("load")
     if point is not None:
-        parts = parts_of(scene)
+        parts = force_parts(scene)
         own, along = _at_point(scene, dofs, "excitation", point, parts)
         force += own
         watched = along if scene.has_other_loads or scene.speed > 0.0 else None
@@ -96,7 +96,7 @@ def _unit(parts: Sequence[Vector]) -> Vector:
     return tuple(x / size for x in largest)
 
 
-def share_at(scene: Scene, dofs: Dofs, key: str, point: Vector) -> np.ndarray:
+def nodal_force_fractions(scene: Scene, dofs: Dofs, key: str, point: Vector) -> np.ndarray:
     """Return the fraction of a force at a point that each of this rank's nodes carries: (n_nodes,).
 
     A node takes all of what acts at it, also where rounding, or a curved boundary between flat
@@ -108,7 +108,9 @@ def share_at(scene: Scene, dofs: Dofs, key: str, point: Vector) -> np.ndarray:
     InputError
         The point is off the mesh, or on a crack, where there are two faces.
     """
-    if sides := [found for lip in dofs.plate.lips if (found := lip.beside(point)) is not None]:
+    if sides := [
+        found for lip in dofs.plate.cracks if (found := lip.points_beside(point)) is not None
+    ]:
         (low, high), *_ = sides
         allowed = "on one of the two crack faces there: {} on the lower one, {} on the upper one"
         raise InputError(key, tuple(point), allowed.format(low, high))
@@ -141,7 +143,7 @@ def _at_point(
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Forces at the point of a load as consistent nodal forces, (len(parts), n_dofs), and their
     direction there, of the free dofs (n_local,); None: no force."""
-    share = share_at(scene, dofs, f"{key}.point", point)
+    share = nodal_force_fractions(scene, dofs, f"{key}.point", point)
     force = np.array([_at_nodes(dofs, share, part) for part in parts])
     along = dofs.free_part(_at_nodes(dofs, share, _unit(parts))) if any(map(any, parts)) else None
     return _moving(dofs, f"{key}.point", tuple(point), force), along
@@ -149,7 +151,7 @@ def _at_point(
 
 def _moving(dofs: Dofs, key: str, place: object, force: np.ndarray) -> np.ndarray:
     """Forces (2K+1, n_dofs) of a load; InputError where all of them act on what is clamped."""
-    parts = force, force[:, dofs.free]
+    parts = force, force[:, dofs.free_dofs]
     loaded, moving = (np.any(gather_rows(dofs.comm, part.ravel())) for part in parts)
     if loaded and not moving:
         raise InputError(key, place, "where the plate is free to move")
@@ -168,7 +170,7 @@ def _edge_force(scene: Scene, dofs: Dofs, key: str, load: Load) -> np.ndarray:
     """Tractions and pressures on an edge as consistent nodal forces: (2K+1, n_dofs)."""
     name = load.given("edge")
     check_choice(f"{key}.edge", name, sorted(set(dofs.plate.groups) - {"clamp"}))
-    edge = dofs.plate.along(name)
+    edge = dofs.plate.measure_on(name)
     test, t = ufl.TestFunction(dofs.space), thickness(scene, dofs.space)
     x = ufl.as_vector(np.eye(dofs.dimension)[0].tolist())
     along_x = compat.assembled_vector(t * ufl.inner(x, test) * edge)

@@ -31,7 +31,12 @@ from scipy.linalg import eigh
 from fenics_crack.basics.atomic_files import replace_files
 from fenics_crack.basics.errors import InputError, reading
 from fenics_crack.basics.ranks import on_each, on_root
-from fenics_crack.fem.cracks import FACETS, SAME, each_once, shares_of_neighbours
+from fenics_crack.fem.cracks import (
+    FACETS,
+    POSITION_TOLERANCE,
+    distribute_front_pressures,
+    find_unique_rows,
+)
 from fenics_crack.fem.model_files import Model, read_model
 from fenics_crack.model.factor import distributed, local_rows
 from fenics_crack.model.matrices import (
@@ -52,11 +57,14 @@ MATRIX_LETTERS = {"mass": "M", "stiffness": "K", "damping": "B"}
 """Matrices, and the letter by which a file with several of them calls each."""
 ROW_FILES = ("gap", "tangential", *FORCES)
 """Keys of files with a row for each dof."""
-SCENE = "matrices.toml"
+SCENE_FILE = "matrices.toml"
 """Scene that reads what is written."""
-WRITTEN = (*(f"{n}.mtx" for n in (*MATRIX_LETTERS, *ROW_FILES, "clearance", "areas")), SCENE)
+OUTPUT_FILES = (
+    *(f"{n}.mtx" for n in (*MATRIX_LETTERS, *ROW_FILES, "clearance", "areas")),
+    SCENE_FILE,
+)
 """Files that are written, as far as a structure has them."""
-MOST_DENSE = 3000
+MAX_DENSE_DOFS = 3000
 """Maximum dofs of a matrix of modal damping, which is dense: 4.5 million numbers."""
 
 
@@ -218,7 +226,7 @@ def count_pairs(table: Table) -> int:
         with reading("structure.gap", path, "a file that can be read"):
             if table.gap is not None:
                 return matrix_market_shape(Path(table.gap))[1]
-            return len(coincident(read_model(Path(path)).points))
+            return len(find_coincident_nodes(read_model(Path(path)).points))
     except InputError:  # who reads it will say why
         return 0
 
@@ -276,14 +284,14 @@ def write_matrices(structure: Structure, folder: str | Path, scene: Scene | None
 
     def work() -> None:
         whole = {name: sparse.vstack(part) for name, part in parts.items()}
-        if isinstance(structure.damping, ModalDamping) and structure.n_dofs <= MOST_DENSE:
+        if isinstance(structure.damping, ModalDamping) and structure.n_dofs <= MAX_DENSE_DOFS:
             squares, shapes = eigh(whole["stiffness"].toarray(), whole["mass"].toarray())
             count = check_damped_modes(structure)
             rate = structure.damping.rate(squares[:count])
             damped = whole["mass"] @ shapes[:, :count] * np.sqrt(rate)
             whole["damping"] = sparse.csr_matrix(damped @ damped.T)
         texts = {f"{name}.mtx": matrix_market(matrix) for name, matrix in whole.items()}
-        replace_files(WRITTEN, Path(folder), texts | {SCENE: text})
+        replace_files(OUTPUT_FILES, Path(folder), texts | {SCENE_FILE: text})
 
     on_root(comm, work)
 
@@ -312,12 +320,12 @@ def _scene_of_files(structure: Structure, files: dict[str, str], scene: Scene | 
 
 # --- contact pairs of a model ---------------------------------------------------------------------
 
-SIDES = {
+FACETS_BY_SHAPE = {
     4: [FACETS[4]], 8: [FACETS[8]],
     6: [np.array([[0, 1, 2], [3, 4, 5]]), np.array([[0, 1, 4, 3], [1, 2, 5, 4], [2, 0, 3, 5]])],
 }  # fmt: skip
 """Facets of a cell by the number of its corners, triangles and quadrilaterals apart."""
-CORNERS = {10: 4, 24: 4, 13: 6, 26: 6, 12: 8, 25: 8}
+N_CORNERS = {10: 4, 24: 4, 13: 6, 26: 6, 12: 8, 25: 8}
 """Number of corners of a cell, by VTK's number of its kind."""
 EDGES = {
     4: [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)],
@@ -328,11 +336,11 @@ EDGES = {
 """Edges between the corners of a cell, in the order of the nodes in their middles (VTK's)."""
 
 
-def coincident(points: np.ndarray) -> np.ndarray:
+def find_coincident_nodes(points: np.ndarray) -> np.ndarray:
     """Nodes in the same place, two by two: (n, 2)."""
     from scipy.spatial import cKDTree  # takes a while, for models from elsewhere alone
 
-    near = SAME * float(np.ptp(points, axis=0).max())
+    near = POSITION_TOLERANCE * float(np.ptp(points, axis=0).max())
     found = cKDTree(points).query_pairs(near, output_type="ndarray")
     return np.asarray(found[np.lexsort(found.T[::-1])])
 
@@ -347,7 +355,7 @@ class _Lips:
     """
 
     def __init__(self, model: Model, dofs: np.ndarray, stiffness: sparse.csr_matrix) -> None:
-        n, pairs = len(dofs), coincident(model.points)
+        n, pairs = len(dofs), find_coincident_nodes(model.points)
         self.points, self.dofs, self.rows = model.points, dofs, stiffness.shape[0]
         node = np.full(self.rows, n)
         node[dofs[dofs >= 0]] = np.nonzero(dofs >= 0)[0]
@@ -448,9 +456,9 @@ def _lip_facets(model: Model, lips: _Lips) -> list[Facets]:
     facets = []
     for corners in (3, 4):
         parts = [
-            _facets(model.points, cells, CORNERS[kind], own)
+            _facets(model.points, cells, N_CORNERS[kind], own)
             for kind, cells in model.cells.items()
-            for own in SIDES[CORNERS[kind]]
+            for own in FACETS_BY_SHAPE[N_CORNERS[kind]]
             if own.shape[1] == corners
         ]
         if not parts:
@@ -482,7 +490,7 @@ def _facets(points: np.ndarray, cells: np.ndarray, corners: int, facets: np.ndar
 
 def _uses(rows: np.ndarray) -> np.ndarray:
     """Count each row, in any order, among all rows."""
-    _, which, uses = each_once(rows)
+    _, which, uses = find_unique_rows(rows)
     return np.asarray(uses[which])
 
 
@@ -545,7 +553,7 @@ def _of_patches(
     made = sparse.csr_matrix((values, (rows, columns)), (lips.rows, len(areas)))
     values, rows, columns = (np.concatenate(part) for part in zip(*overlaps, strict=True))
     every = sparse.csr_matrix((values, (rows, columns)), (len(areas), len(areas)))
-    shares = shares_of_neighbours(every[n_pairs:, :n_pairs])
+    shares = distribute_front_pressures(every[n_pairs:, :n_pairs])
     areas = shares.T @ areas
     chosen = np.flatnonzero(areas)
     made = (made @ shares)[:, chosen] @ sparse.diags(1.0 / areas[chosen])
@@ -571,13 +579,13 @@ def _of_nodes(lips: _Lips, tangents: int) -> tuple[sparse.csr_matrix, np.ndarray
         along = np.linalg.svd(spread, full_matrices=False)[2][:tangents]
         up = points[beside[1]].mean(axis=0) - points[beside[0]].mean(axis=0)
         up -= along.T @ (along @ up)
-        if np.linalg.norm(up) <= SAME * size:
+        if np.linalg.norm(up) <= POSITION_TOLERANCE * size:
             where = place_in_words(points[a], "g")
             allowed = "a crack with a side below and one above, or a model with its elements"
             raise InputError("model", f"two nodes at {where} that lie on the same side", allowed)
         up /= np.linalg.norm(up)
         for node, sign in ((a, 1.0), (b, -1.0)):
             for dof, value in zip(lips.dofs[node], sign * up, strict=True):
-                if dof >= 0 and abs(value) > SAME:
+                if dof >= 0 and abs(value) > POSITION_TOLERANCE:
                     gap[dof, column] = value
     return gap.tocsr(), np.unique(np.concatenate(fronts))

@@ -85,7 +85,7 @@ def read_model(path: Path) -> Model:
     return Model(labels, points, made)
 
 
-def read_with(path: Path) -> list[Path]:
+def list_included_files(path: Path) -> list[Path]:
     """The files that are read with one: the rows of CalculiX's matrices beside them, and what an
     input file of CalculiX or Abaqus includes."""
     if path.suffix.lower() in (".sti", ".mas"):

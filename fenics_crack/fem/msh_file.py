@@ -33,15 +33,15 @@ from fenics_crack.basics.untrusted_files import beginning_of, copied, run_reader
 from fenics_crack.fem.cracks import (
     FACETS,
     LIP_TAGS,
-    SAME,
+    POSITION_TOLERANCE,
     Cells,
-    Lips,
-    Names,
-    connected,
-    cracks_between,
-    each_once,
-    find_lips,
-    joined,
+    Cracks,
+    NamedParts,
+    find_crack_paths,
+    find_crack_surfaces,
+    find_unique_rows,
+    label_parts,
+    merge_crack_nodes,
     require,
     rows_in,
     split_cracks,
@@ -49,9 +49,9 @@ from fenics_crack.fem.cracks import (
 
 Group = tuple[int, int, str, int, np.ndarray]
 """Dimension, tag and name, and elements of one kind: gmsh's number of it and the nodes."""
-Given = tuple[np.ndarray, np.ndarray, list[Group]]
+RawMesh = tuple[np.ndarray, np.ndarray, list[Group]]
 """Numbers and positions of all nodes, and the groups."""
-CRACK = re.compile(r"crack([ _.-]?\d+)?$", re.IGNORECASE)
+CRACK_NAME = re.compile(r"crack([ _.-]?\d+)?$", re.IGNORECASE)
 """Names of curves and of surfaces that are cracks."""
 
 _BEGINNING = re.compile(rb"\$MeshFormat[ \t]*\r?\n[ \t]*(2|2\.[0-2]|4|4\.[01])[ \t]+[01][ \t]+8\s")
@@ -70,7 +70,7 @@ _GROUPS = {
 _FACET = {2: "an edge", 3: "a facet"}
 
 
-def read_file(path: Path, dimension: int) -> tuple[Names, Lips]:
+def read_mesh_file(path: Path, dimension: int) -> tuple[NamedParts, Cracks]:
     """Read the mesh file of a plate or of a solid into gmsh's current model, as :func:`put`.
 
     Raises
@@ -80,14 +80,14 @@ def read_file(path: Path, dimension: int) -> tuple[Names, Lips]:
         of a crack cannot be found.
     """
     try:
-        return put(_groups_of(path), dimension)
+        return load_mesh(_groups_of(path), dimension)
     except InputError as error:
         if error.key in ("mesh.file", "lips"):
             raise
         raise InputError("mesh.file", f"{path} ({error.value})", error.allowed) from None
 
 
-def put(given: Given, dimension: int) -> tuple[Names, Lips]:
+def load_mesh(given: RawMesh, dimension: int) -> tuple[NamedParts, Cracks]:
     """Put a mesh of a plate or of a solid into gmsh's current model; its named facets and points,
     and its crack faces from bottom to top.
 
@@ -99,12 +99,12 @@ def put(given: Given, dimension: int) -> tuple[Names, Lips]:
     kind, cells, positions, facets, points = _one_kind(given, dimension)
     places = positions[:, :dimension]
     check_cells(kind, cells, places)
-    cracks = [name for name in facets if CRACK.match(name)]
+    cracks = [name for name in facets if CRACK_NAME.match(name)]
     if dimension == 3:
         _check_inside(cells, facets, cracks)
     if cracks:
         surface = np.concatenate([facets.pop(name) for name in cracks])
-        kept, number = joined(surface, places)
+        kept, number = merge_crack_nodes(surface, places)
         whole = replace(cells, nodes=number[cells.nodes])
         nodes, twins, both = split_cracks(whole, number[surface], places[kept])
         facets = _moved(facets, cells, nodes, number)
@@ -116,12 +116,12 @@ def put(given: Given, dimension: int) -> tuple[Names, Lips]:
     sides = [facets[name][:, : cells.facets.shape[1]] for name in LIP_TAGS if name in facets]
     allowed = "one with both 'lower_lip' and 'upper_lip', or with 'crack', or none of them"
     require(len(sides) != 1, "one lip", allowed)
-    lips: Lips = ()
+    lips: Cracks = ()
     if sides and dimension == 2:
-        lips = find_lips(sides[0], sides[1], places)
+        lips = find_crack_paths(sides[0], sides[1], places)
         _check_tips(cells, places, sides)
     elif sides:
-        lips = cracks_between(sides[0], sides[1], places)
+        lips = find_crack_surfaces(sides[0], sides[1], places)
     check_parts(cells, places, facets["clamp"], sides)
     check_boundary(kind, cells, places, sides)
     tags, sets = _tags_of(facets)
@@ -135,7 +135,7 @@ def put(given: Given, dimension: int) -> tuple[Names, Lips]:
 # --- what a file holds ----------------------------------------------------------------------------
 
 
-def _groups_of(path: Path) -> Given:
+def _groups_of(path: Path) -> RawMesh:
     """Numbers and positions of a file's nodes, and its groups.
 
     Raises
@@ -143,7 +143,7 @@ def _groups_of(path: Path) -> Given:
     InputError
         There is no such file, gmsh cannot read it, or a node is nowhere.
     """
-    check_there("mesh.file", path)
+    check_file_exists("mesh.file", path)
     with reading("mesh.file", path, "readable by gmsh"), copied(path, "mesh.msh") as copy:
         if not _BEGINNING.match(beginning_of(copy, 100)):
             raise ValueError("it does not begin with $MeshFormat and version 2.2 or 4.1")
@@ -154,16 +154,16 @@ def _groups_of(path: Path) -> Given:
     if not np.all(np.abs(found["positions"]) < farthest):
         allowed = f"a mesh whose nodes are within {farthest:g} m of the origin"
         raise InputError("mesh.file", str(path), allowed)
-    return found["numbers"], found["positions"], named_groups(found)
+    return found["numbers"], found["positions"], unpack_groups(found)
 
 
-def check_there(key: str, path: Path | str) -> None:
+def check_file_exists(key: str, path: Path | str) -> None:
     """Raise InputError unless there is a file."""
     if not os.path.isfile(path):
         raise InputError(key, str(path), "an existing gmsh mesh file")
 
 
-def named_groups(found: dict[str, np.ndarray]) -> list[Group]:
+def unpack_groups(found: dict[str, np.ndarray]) -> list[Group]:
     """Groups as :mod:`fenics_crack.fem.msh_reader` returns them."""
     parts = np.split(found["nodes"], np.cumsum(found["heads"][:, 3])[:-1])
     rows = zip(found["heads"].tolist(), found["names"].tolist(), parts, strict=False)
@@ -171,7 +171,7 @@ def named_groups(found: dict[str, np.ndarray]) -> list[Group]:
 
 
 def _one_kind(
-    given: Given, dimension: int
+    given: RawMesh, dimension: int
 ) -> tuple[int, Cells, np.ndarray, dict[str, np.ndarray], list[Group]]:
     """The kind of the cells of a mesh; the cells, each once (it may be in several groups); the
     positions of their nodes; and by their places in these the named facets, a clamp among them,
@@ -193,7 +193,7 @@ def _one_kind(
     used, places = np.unique(raw, return_inverse=True)
     require(np.isin(used, numbers).all(), "cells with nodes that do not exist", "a whole file")
     nodes = places.reshape(-1, gmsh.model.mesh.getElementProperties(kind)[3])
-    nodes = nodes[np.sort(each_once(nodes)[0])]
+    nodes = nodes[np.sort(find_unique_rows(nodes)[0])]
     ordered = np.sort(nodes, axis=1)
     twice = np.any(ordered[:, 1:] == ordered[:, :-1])
     require(not twice, "a cell with a node twice", "one whose cells have different nodes")
@@ -242,7 +242,7 @@ def _moved(
 ) -> dict[str, np.ndarray]:
     """Facets with the ``nodes`` (n_cells, k) that their cells have once cracks are split, beside a
     crack those of their own side; elsewhere with the ``number`` (n_nodes,) of each node."""
-    facets, owner, _ = cells.all_facets
+    facets, owner, _ = cells.sorted_facets
     corners = min(facets.shape[1], 3)  # are enough
     weights = (int(cells.nodes.max()) + 1) ** np.arange(corners)[::-1]
     keys, width = facets[:, :corners] @ weights, facets.shape[1]
@@ -260,7 +260,7 @@ def _moved(
 
 def _check_tips(cells: Cells, places: np.ndarray, lips: Sequence[np.ndarray]) -> None:
     """Raise InputError if a tip lies on the edge of the plate: a mouth whose node exists once."""
-    edges = cells.all_facets[0][cells.alone]
+    edges = cells.sorted_facets[0][cells.is_boundary]
     edges = edges[~rows_in(edges, np.concatenate(lips))]
     closed = np.intersect1d(np.intersect1d(*lips), edges)
     if len(closed):
@@ -276,7 +276,7 @@ def _tags_of(
     """Tags of each curve; and tag, name and edges of each combination of curves."""
     edges = np.concatenate(list(curves.values()))
     owner = np.repeat(np.arange(len(curves)), [len(own) for own in curves.values()])
-    first, which, _ = each_once(edges)
+    first, which, _ = find_unique_rows(edges)
     member = np.zeros((len(first), len(curves)), dtype=bool)
     member[which, owner] = True
     kinds, of_kind = np.unique(member, axis=0, return_inverse=True)
@@ -303,7 +303,7 @@ def _fill_model(positions: np.ndarray, groups: list[Group]) -> None:
 
 # --- is it a mesh of a structure? -----------------------------------------------------------------
 
-DEGENERATE = 1e-9
+MIN_RELATIVE_DETERMINANT = 1e-9
 """Minimum determinant relative to its largest value or to the square of the cell's size."""
 
 
@@ -324,18 +324,18 @@ def check_cells(kind: int, cells: Cells, places: np.ndarray) -> None:
     size, largest = np.ptp(here, axis=1).max(axis=1) ** dimension, np.maximum(-least, most)
     extent = ("area", "volume")[dimension - 2]
     # In a plane a corner may have 180 degrees.
-    flat = (largest if dimension == 2 else smallest) <= DEGENERATE * size
-    folded = np.minimum(-least, most) > DEGENERATE * largest
+    flat = (largest if dimension == 2 else smallest) <= MIN_RELATIVE_DETERMINANT * size
+    folded = np.minimum(-least, most) > MIN_RELATIVE_DETERMINANT * largest
     for found, wrong in ((f"a cell without {extent}", flat), ("a folded cell", folded)):
         if np.any(wrong):
             allowed = f"one of cells that are convex and have {extent}"
             if cells.nodes.shape[1] > cells.n_corners:
                 allowed += "; gmsh: Mesh.HighOrderOptimize = 1, or cells of first order"
             raise _refusal(found, here[np.argmax(wrong)].mean(axis=0), allowed)
-    facets, owner, _ = cells.all_facets
+    facets, owner, _ = cells.sorted_facets
     corners, middles = places[facets], here[:, : cells.n_corners].mean(axis=1)
     spans = np.append(corners[:, 1:dimension], middles[owner, None], axis=1) - corners[:, :1]
-    side, shared = np.sign(np.linalg.det(spans)), cells.shared
+    side, shared = np.sign(np.linalg.det(spans)), cells.is_shared
     beside = f"one of cells beside each other: these lie on one side of {part} of both"
     for found, wrong, allowed in (
         (f"{part} of three cells", shared[1:] & shared[:-1], f"one of at most two cells at {part}"),
@@ -348,8 +348,8 @@ def check_cells(kind: int, cells: Cells, places: np.ndarray) -> None:
 def _check_inside(cells: Cells, surfaces: dict[str, np.ndarray], cracks: list[str]) -> None:
     """Raise InputError where a surface lies inside and is no crack by its name, nor the clamp:
     nothing would part there."""
-    facets, _, _ = cells.all_facets
-    shared, width = facets[1:][cells.shared], facets.shape[1]
+    facets, _, _ = cells.sorted_facets
+    shared, width = facets[1:][cells.is_shared], facets.shape[1]
     corners = {name: np.sort(rows[:, :width], axis=1) for name, rows in surfaces.items()}
     known = np.concatenate([facets[:0], *(corners[name] for name in cracks)])
     for name, rows in corners.items():
@@ -375,7 +375,7 @@ def check_parts(
     lips : sequence of (n, d) int
         Corners of the facets of crack faces.
     """
-    part = connected(cells.nodes)
+    part = label_parts(cells.nodes)
 
     def has(nodes: np.ndarray) -> np.ndarray:
         """True for cells of a part that has one of some nodes: (n_cells,)."""
@@ -408,7 +408,7 @@ def check_boundary(kind: int, cells: Cells, places: np.ndarray, lips: Sequence[n
     """
     from scipy.spatial import cKDTree
 
-    facets, owner, at = (rows[cells.alone] for rows in cells.all_facets)
+    facets, owner, at = (rows[cells.is_boundary] for rows in cells.sorted_facets)
     other = ~rows_in(facets, np.concatenate([*lips, facets[:0]]))
     owner, at = owner[other], at[other]
     corners = _places_in(kind)[at]
@@ -442,7 +442,7 @@ def _in_cells(kind: int, n_corners: int, cells: np.ndarray, points: np.ndarray) 
     low, high = cells.min(axis=1), cells.max(axis=1)
     size = (high - low).max(axis=1)
     # Lebesgue's constant of cells of order 2 is at most 1.63^2.
-    room = (SAME * size + 3.0 * np.abs(bent).max(axis=(1, 2)))[:, None]
+    room = (POSITION_TOLERANCE * size + 3.0 * np.abs(bent).max(axis=(1, 2)))[:, None]
     found = np.all((points > low - room) & (points < high + room), axis=1)
     if not np.any(found):
         return found
@@ -451,7 +451,7 @@ def _in_cells(kind: int, n_corners: int, cells: np.ndarray, points: np.ndarray) 
     going = np.arange(len(at))  # in straight cells the first step ends there
     for _ in range(8):
         off = points[going] - np.einsum("in,inx->ix", _functions(kind, at[going]), cells[going])
-        far = np.abs(off).max(axis=1) > DEGENERATE * size[going]
+        far = np.abs(off).max(axis=1) > MIN_RELATIVE_DETERMINANT * size[going]
         going, off = going[far], off[far]
         if not len(going):
             break
@@ -460,8 +460,8 @@ def _in_cells(kind: int, n_corners: int, cells: np.ndarray, points: np.ndarray) 
         at[going, :dimension] += np.einsum("irx,ix->ir", np.linalg.pinv(slopes), off)
         at[going] = np.clip(at[going], -2.0, 2.0)
     off = points - np.einsum("in,inx->ix", _functions(kind, at), cells)
-    within = _functions(_LINEAR[dimension, n_corners], at).min(axis=1) >= -SAME
-    found[found] = within & (np.abs(off).max(axis=1) <= SAME * size)
+    within = _functions(_LINEAR[dimension, n_corners], at).min(axis=1) >= -POSITION_TOLERANCE
+    found[found] = within & (np.abs(off).max(axis=1) <= POSITION_TOLERANCE * size)
     return found
 
 

@@ -18,10 +18,10 @@ def read(path: str, most: int) -> dict[str, np.ndarray]:
     gmsh.option.setNumber("General.ExpertMode", 1)  # it must not ask
     gmsh.merge(path)
     numbers, positions, _ = gmsh.model.mesh.getNodes()
-    return {"numbers": numbers, "positions": positions.reshape(-1, 3), **groups()}
+    return {"numbers": numbers, "positions": positions.reshape(-1, 3), **physical_groups()}
 
 
-def groups() -> dict[str, np.ndarray]:
+def physical_groups() -> dict[str, np.ndarray]:
     """Groups by kinds of elements: dimension, tag, kind and number of nodes of each; its name;
     and the nodes, one after the other."""
     heads, names, nodes = [], [], [np.zeros(0, dtype=np.uint64)]

@@ -8,7 +8,7 @@ import numpy as np
 
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import gather_rows
-from fenics_crack.fem.cracks import FACETS, each_once
+from fenics_crack.fem.cracks import FACETS, find_unique_rows
 from fenics_crack.model.structure import Structure
 
 _TRIANGLES = {
@@ -47,7 +47,7 @@ class NodalMesh:
         self.size = float(np.ptp(self.points, axis=0).max())
         self._dofs = gather_rows(comm, nodes.dofs)
         self._frames = None if nodes.frames is None else gather_rows(comm, nodes.frames)
-        self.clamped = np.all(self._dofs < 0, axis=1)
+        self.is_clamped = np.all(self._dofs < 0, axis=1)
         self.cells = np.concatenate([c for c in comm.allgather(nodes.cells) if len(c)])
         self.vtk_type = nodes.vtk_type
 
@@ -81,7 +81,7 @@ class NodalMesh:
         from scipy.spatial import cKDTree
 
         points, near, pairs = self.points, 1e-6 * self.size, self.structure.pairs
-        corners = np.unique(facets := self.lips)
+        corners = np.unique(facets := self.crack_faces)
         here = points[corners]
         distance, pair = cKDTree(self.structure.pair_points).query(here)
         twice = cKDTree(here).query_ball_point(here, near, return_length=True) > 1
@@ -111,7 +111,7 @@ class NodalMesh:
         if self.dimension == 3:
             turns = FACETS[4 if count in (4, 10) else 8]
         sides = self.cells[:, turns].reshape(-1, turns.shape[1])
-        first, _, uses = each_once(sides if self.dimension == 3 else sides[:, [0, -1]])
+        first, _, uses = find_unique_rows(sides if self.dimension == 3 else sides[:, [0, -1]])
         order = np.argsort(first)
         return sides[first[order]], uses[order], first[order] // len(turns)
 
@@ -135,7 +135,7 @@ class NodalMesh:
         return np.asarray(sides)
 
     @cached_property
-    def lips(self) -> np.ndarray:
+    def crack_faces(self) -> np.ndarray:
         """Those of the boundary that coincide with another one: the crack faces."""
         from scipy.spatial import cKDTree  # takes a while, for some pictures
 

@@ -27,7 +27,7 @@ from fenics_crack.basics.untrusted_files import content_of
 from fenics_crack.fem import compat
 from fenics_crack.fem.blocks import draw_plate
 from fenics_crack.fem.compat import dolfinx, ufl
-from fenics_crack.fem.cracks import Lips, Names
+from fenics_crack.fem.cracks import Cracks, NamedParts
 from fenics_crack.fem.solid import draw_solid
 from fenics_crack.model.nodes import Nodes
 from fenics_crack.scene.scene import Scene
@@ -47,7 +47,7 @@ class PlateMesh:
         names. A facet in several curves has a tag of its own.
     points : dict of str to tuple of float
         Positions of the named points of a mesh file [m].
-    lips : tuple of Lip or of CrackSurface
+    cracks : tuple of CrackPath or of CrackSurface
         One for each crack, in the order of the scene or, in a mesh file, from bottom to top.
     """
 
@@ -55,10 +55,10 @@ class PlateMesh:
     facet_tags: Any
     groups: dict[str, tuple[int, ...]]
     points: dict[str, tuple[float, ...]]
-    lips: Lips
+    cracks: Cracks
 
     @property
-    def cracked(self) -> bool:
+    def has_cracks(self) -> bool:
         """True if there are crack faces."""
         return "lower_lip" in self.groups
 
@@ -66,7 +66,7 @@ class PlateMesh:
         """This rank's facets of a named curve."""
         return np.sort(np.concatenate([self.facet_tags.find(tag) for tag in self.groups[group]]))
 
-    def along(self, *groups: str) -> Any:
+    def measure_on(self, *groups: str) -> Any:
         """The measure ds of integrals over named curves."""
         tags = tuple(tag for group in groups for tag in self.groups[group])
         return ufl.ds(domain=self.mesh, subdomain_data=self.facet_tags)(tags)
@@ -133,13 +133,13 @@ def _gmsh_on_root(comm: MPI.Comm) -> Iterator[None]:
                 gmsh.finalize()
 
 
-def _model(scene: Scene) -> tuple[Names, Lips]:
+def _model(scene: Scene) -> tuple[NamedParts, Cracks]:
     """Fill the current gmsh model with a mesh; return what is in it by its name, and the crack
     faces."""
     if scene.mesh.layout == "file":
-        from fenics_crack.fem.msh_file import read_file  # with what checks meshes of others
+        from fenics_crack.fem.msh_file import read_mesh_file  # with what checks meshes of others
 
-        found = read_file(Path(str(scene.mesh.file)), scene.dimension)
+        found = read_mesh_file(Path(str(scene.mesh.file)), scene.dimension)
     else:
         found = draw_plate(scene) if scene.dimension == 2 else draw_solid(scene)
     gmsh.model.mesh.renumberNodes()
@@ -173,12 +173,12 @@ class Dofs:
         if held is None:
             held = np.zeros((self.n_nodes, self.dimension), dtype=bool)
             held[self.nodes_on("clamp")] = True
-        self.free = np.flatnonzero(~held.ravel())
+        self.free_dofs = np.flatnonzero(~held.ravel())
         """Owned free dofs, local numbers of the function space."""
-        first = self.comm.exscan(len(self.free)) or 0
+        first = self.comm.exscan(len(self.free_dofs)) or 0
         self.numbers = np.full(held.size, -1)
         """Number in the structure of each owned dof of the space, -1 where clamped."""
-        self.numbers[self.free] = first + np.arange(len(self.free))
+        self.numbers[self.free_dofs] = first + np.arange(len(self.free_dofs))
 
     @property
     def points(self) -> np.ndarray:
@@ -201,12 +201,12 @@ class Dofs:
         self.frames[sides[1]] = turn
         each = np.arange(self.n_nodes + 1)
         whole = sparse.bsr_matrix((self.frames, each[:-1], each)).tocsr()
-        self._turn = whole[self.free][:, self.free]
+        self._turn = whole[self.free_dofs][:, self.free_dofs]
         self._turn.eliminate_zeros()
 
     def free_part(self, rows: np.ndarray) -> np.ndarray:
         """Forces (..., n_dofs) on the free dofs: (..., n_local)."""
-        free = rows[..., self.free]
+        free = rows[..., self.free_dofs]
         return free if self._turn is None else np.asarray(free @ self._turn)
 
     def free_block(self, matrix: Any) -> Any:
@@ -216,7 +216,7 @@ class Dofs:
         What is left belongs to the caller's communicator: PETSc keeps what Python has let go for
         each communicator, and nobody could free it on that of a mesh which is gone.
         """
-        free = (self.dimension * self.first_node + self.free).astype(PETSc.IntType)
+        free = (self.dimension * self.first_node + self.free_dofs).astype(PETSc.IntType)
         rows = PETSc.IS().createGeneral(free, comm=matrix.comm)
         block = matrix.createSubMatrix(rows, rows)
         rows_here = sparse.csr_matrix(block.getValuesCSR()[::-1], block.sizes[0])
@@ -234,7 +234,7 @@ class Dofs:
         (collective)."""
         found = dolfinx.fem.Function(self.space)
         turned = displacement if self._turn is None else self._turn @ displacement
-        found.x.array[self.free] = turned
+        found.x.array[self.free_dofs] = turned
         found.x.scatter_forward()
         return found
 

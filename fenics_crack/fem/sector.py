@@ -15,7 +15,7 @@ from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError
 from fenics_crack.fem.blocks import RIM_SIDES
-from fenics_crack.fem.cracks import LIP_TAGS, SAME
+from fenics_crack.fem.cracks import LIP_TAGS, POSITION_TOLERANCE
 from fenics_crack.fem.elasticity import rotation_of
 from fenics_crack.fem.plate import Dofs
 from fenics_crack.model.cyclic import Sector
@@ -49,7 +49,7 @@ def assemble_wheel(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Com
         turning = structure._changed(stiffness=stiffness, force=force)
         sector = replace(sector, structure=turning)
     return Wheel(
-        sector, cracked=[number - 1 for number in disk.cracked], mistuning=disk.deviations,
+        sector, cracked=[number - 1 for number in disk.has_cracks], mistuning=disk.deviations,
         order=scene.excitation.order or 0, families=disk.families, rotation=rotation, comm=comm,
     )  # fmt: skip
 
@@ -78,7 +78,7 @@ def turn_sides(scene: Scene, dofs: Dofs) -> None:
     matched = [_matched((space[left] - center) @ turn.T + center, space[right]) for turn in turns]
     nearer = min((0, 1), key=lambda way: matched[way][0])
     (distance, place, partner), turn = matched[nearer], turns[nearer]
-    if distance > SAME * size:
+    if distance > POSITION_TOLERANCE * size:
         where = place_in_words(points[left[place]])
         found = f"{len(left)} nodes of the left side and {len(right)} of the right one"
         allowed = f"sides that match: the left one, turned about the axis by 360/{disk.sectors}"
@@ -97,11 +97,11 @@ def _sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
     points, sides, frames = dofs.points, dofs.sides, dofs.frames
     assert sides is not None and frames is not None
     lips = np.zeros((2, 0), dtype=int)
-    if dofs.plate.cracked:  # faces without tips, which are bonded
+    if dofs.plate.has_cracks:  # faces without tips, which are bonded
         lower, upper = (dofs.nodes_on(name) for name in LIP_TAGS)
         lower, upper = np.setdiff1d(lower, upper), np.setdiff1d(upper, lower)
         distance, place, partner = _matched(points[lower], points[upper])
-        if distance > SAME * float(np.ptp(points, axis=0).max()):
+        if distance > POSITION_TOLERANCE * float(np.ptp(points, axis=0).max()):
             where = place_in_words(points[lower[place]])
             allowed = f"meshed identically, so that they can be bonded, but not at {where}"
             raise InputError("lips", f"{len(lower)} lower and {len(upper)} upper nodes", allowed)

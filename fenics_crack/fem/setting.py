@@ -44,7 +44,7 @@ def clearance_of(scene: Scene, pairs: Pairs) -> np.ndarray:
     return np.asarray(given[pairs.cracks % len(given)])
 
 
-def parts_of(scene: Scene) -> list[Vector]:
+def force_parts(scene: Scene) -> list[Vector]:
     """Mean, and cosine and sine part of each order, of the force of the excitation [N]; as many as
     the scene's loads have."""
     excitation, zero = scene.excitation, (0.0,) * scene.dimension
@@ -55,12 +55,12 @@ def parts_of(scene: Scene) -> list[Vector]:
         excitation.require(sized, "harmonics", f"of {scene.dimension} components each")
     add_harmonics(rows, excitation.harmonics)
     if excitation.wave is not None:
-        for row, part in enumerate(of_wave(excitation, scene.dimension)[0]):
+        for row, part in enumerate(expand_wave(excitation, scene.dimension)[0]):
             rows[row] = tuple(np.add(rows[row], part).tolist())
     return rows
 
 
-def of_wave(load: Excitation, dimension: int) -> tuple[np.ndarray, float]:
+def expand_wave(load: Excitation, dimension: int) -> tuple[np.ndarray, float]:
     """Mean and harmonics of a load's table of one period (2K+1, dimension), and what they leave out
     of it, relative."""
     return read_wave(load.name_of("wave"), load.given("wave"), load.wave_harmonics, dimension)

@@ -24,9 +24,15 @@ from fenics_crack.basics.gmsh_process import gmsh
 from fenics_crack.basics.tables import quantity
 from fenics_crack.basics.untrusted_files import beginning_of, run_reader
 from fenics_crack.fem import compat, solid_mesher
-from fenics_crack.fem.blocks import RIM_SIDES, Rim, check_cells, in_unit, not_meshed
+from fenics_crack.fem.blocks import (
+    RIM_SIDES,
+    Rim,
+    check_cell_count,
+    meshing_refusal,
+    scale_to_mesh_unit,
+)
 from fenics_crack.fem.compat import ufl
-from fenics_crack.fem.cracks import LIP_TAGS, Lips, Names
+from fenics_crack.fem.cracks import LIP_TAGS, Cracks, NamedParts
 from fenics_crack.fem.fronts import find_fronts
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.nodes import place_in_words
@@ -36,17 +42,17 @@ from fenics_crack.scene.tables import Crack
 
 MILLIMETRE = 1e-3
 """Unit of length in which parts are meshed [m]."""
-BEGINNINGS = {".brep": b"DBRep_DrawableShape"}
+FILE_MARKS = {".brep": b"DBRep_DrawableShape"}
 """Words near the beginning of a file; others are STEP's."""
-SECONDS = 600
+MESHING_SECONDS = 600
 """Processor time in which a part is meshed."""
-MEMORY = 2**33
+MESHING_MEMORY = 2**33
 """Address space for that [byte]."""
-MOST_CELLS = 2e6
+MAX_CELLS = 2e6
 """Cells of a part: gmsh makes some 1e4 in a second."""
 
 
-def draw_solid(scene: Scene) -> tuple[Names, Lips]:
+def draw_solid(scene: Scene) -> tuple[NamedParts, Cracks]:
     """Fill the current gmsh model with the mesh of a scene's solid; its named surfaces, and its
     cracks in the order of the scene.
 
@@ -56,15 +62,17 @@ def draw_solid(scene: Scene) -> tuple[Names, Lips]:
         The file of a part or a crack cannot be used, gmsh cannot mesh the solid, or a crack's
         surface cannot be split.
     """
-    from fenics_crack.fem.msh_file import named_groups, put  # with what takes surfaces apart
+    from fenics_crack.fem.msh_file import load_mesh, unpack_groups  # with what takes surfaces apart
 
     found, unit = _box(scene) if scene.geometry.file is None else _part(scene)
     gmsh.model.remove()
     gmsh.model.add("fenics_crack")
     try:
-        names, lips = put((found["numbers"], unit * found["positions"], named_groups(found)), 3)
+        names, lips = load_mesh(
+            (found["numbers"], unit * found["positions"], unpack_groups(found)), 3
+        )
     except InputError as error:
-        raise not_meshed(scene, f"{error.value}") from None
+        raise meshing_refusal(scene, f"{error.value}") from None
     places = np.array([lip.triangles.mean(axis=(0, 1)) for lip in lips])  # type: ignore[union-attr]
     middles = unit * found["middles"]
     order = [np.linalg.norm(places - middle, axis=1).argmin() for middle in middles]
@@ -83,14 +91,14 @@ def faces_of(scene_file: str, unit: str | None) -> dict[str, np.ndarray]:
     return found | {"triangles": MILLIMETRE * found["triangles"]}
 
 
-def described(structure: Structure) -> dict[str, str]:
+def describe_part(structure: Structure) -> dict[str, str]:
     """Return where the named faces of a part are, and how long its fronts and the shortest
     ligaments ahead of them (collective)."""
     assert structure.nodes is not None
     plate, comm, rows = structure.nodes.numbered.plate, structure.comm, {}  # type: ignore[union-attr]
     space = compat.function_space(plate.mesh, 1, vectors=False)
     for name in sorted(set(plate.groups) - {*LIP_TAGS}):
-        weights = compat.assembled_vector(ufl.TestFunction(space) * plate.along(name))
+        weights = compat.assembled_vector(ufl.TestFunction(space) * plate.measure_on(name))
         points = space.tabulate_dof_coordinates()[: len(weights)]
         area = comm.allreduce(weights.sum())
         middle = place_in_words(comm.allreduce(weights @ points) / area, ".4g")
@@ -99,7 +107,7 @@ def described(structure: Structure) -> dict[str, str]:
     surface = mesh.points[mesh.boundary]
     for front in find_fronts(structure):
         length = np.linalg.norm(np.diff(front.nodes, axis=0), axis=1).sum()
-        ahead = zip(front.nodes[1:-1], front.frame(front.at[1:-1])[0][:, 0], strict=True)
+        ahead = zip(front.nodes[1:-1], front.frame(front.parameters[1:-1])[0][:, 0], strict=True)
         ligament = min((ray_length(*ray, surface) for ray in ahead), default=np.nan)
         words = f"{quantity(float(length), 'm')} long, {quantity(ligament, 'm')} from the surface"
         rows[front.name] = f"{words} straight ahead at least"
@@ -123,13 +131,13 @@ def ray_length(point: np.ndarray, direction: np.ndarray, triangles: np.ndarray) 
 
 def _part(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
     """The mesh of a part and its unit [m]; raises InputError."""
-    unit_scene, unit = in_unit(scene, MILLIMETRE)
+    unit_scene, unit = scale_to_mesh_unit(scene, MILLIMETRE)
     geometry, mesh = scene.geometry, unit_scene.mesh
     points = [(face.key, point) for face in geometry.faces for point in face.values]
     asked = {
         "unit": geometry.unit or "mm", "size": mesh.size, "per_turn": mesh.per_turn,
         "faces": [(name, np.divide(point, unit).tolist()) for name, point in points],
-        "cracks": _cracks(unit_scene), "cells": MOST_CELLS,
+        "cracks": _cracks(unit_scene), "cells": MAX_CELLS,
     }  # fmt: skip
     return _read(str(geometry.file), asked, scene), unit
 
@@ -137,10 +145,12 @@ def _part(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
 def _read(path: str, asked: dict[str, Any], scene: Scene | None = None) -> dict[str, np.ndarray]:
     """What the mesher makes of a file in a process of its own."""
     with reading("geometry.file", path, "a part that gmsh reads and meshes"):
-        start = BEGINNINGS.get(Path(path).suffix.lower(), b"ISO-10303-21")
+        start = FILE_MARKS.get(Path(path).suffix.lower(), b"ISO-10303-21")
         if start not in beginning_of(path, 4096):
             raise ValueError("it does not begin as such a file")
-        found = run_reader(Path(solid_mesher.__file__), Path(path), SECONDS, MEMORY, given=asked)
+        found = run_reader(
+            Path(solid_mesher.__file__), Path(path), MESHING_SECONDS, MESHING_MEMORY, given=asked
+        )
         if isinstance(found, str):
             raise ValueError(found)
     if "refused" in found:
@@ -157,7 +167,7 @@ def _value(scene: Scene, key: str) -> object:
 
 
 def _cracks(scene: Scene) -> list[dict[str, Any]]:
-    """The cracks of a solid as :func:`fenics_crack.fem.solid_mesher.insert` takes them."""
+    """The cracks of a solid as :func:`fenics_crack.fem.solid_mesher.insert_cracks` takes them."""
     found = []
     for key, crack in scene.all_cracks.items():
         if crack.point is None:
@@ -193,20 +203,20 @@ def _of_box(crack: Crack, sides: Sequence[float]) -> dict[str, Any]:
 
 def _box(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
     """The mesh of a box, or of a sector of a disk, in a unit of its size, and that [m]."""
-    unit_scene, unit = in_unit(scene)
+    unit_scene, unit = scale_to_mesh_unit(scene)
     width, height, thickness = size = unit_scene.geometry.sides
     occ, rim = gmsh.model.occ, None if scene.disk is None else Rim(unit_scene)
     solid = [(3, occ.addBox(0.0, 0.0, 0.0, *size))] if rim is None else rim.with_box(*size)
     occ.synchronize()
     triangles = np.zeros((0, 3, 3))
     if any(crack.point is not None for crack in scene.all_cracks.values()):
-        triangles, _ = solid_mesher.coarse()
+        triangles, _ = solid_mesher.mesh_faces()
     try:
-        surfaces, fronts = solid_mesher.insert(solid, _cracks(unit_scene), triangles)
+        surfaces, fronts = solid_mesher.insert_cracks(solid, _cracks(unit_scene), triangles)
     except solid_mesher.Refusal as refusal:
         key, allowed = refusal.args
         if (value := _value(scene, key)) is None:
-            raise not_meshed(scene, allowed) from None
+            raise meshing_refusal(scene, allowed) from None
         raise InputError(key, value, allowed) from None
     _check_size(scene, unit, fronts)
     sides = [
@@ -225,17 +235,17 @@ def _box(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
     if rim is not None:
         rim.match(2, *(groups[name] for name in RIM_SIDES))
     try:
-        solid_mesher.generate(unit_scene.mesh.given("size"), fronts)
+        solid_mesher.generate_mesh(unit_scene.mesh.given("size"), fronts)
     except Exception as error:  # gmsh raises nothing else
-        raise not_meshed(scene, str(error)) from None
-    return solid_mesher.collected(surfaces, groups), unit
+        raise meshing_refusal(scene, str(error)) from None
+    return solid_mesher.collect_mesh(surfaces, groups), unit
 
 
 def _check_size(scene: Scene, unit: float, fronts: list[dict[str, Any]]) -> None:
     """Raise InputError where gmsh would make too many cells, before it does."""
-    bulk, around = solid_mesher.n_cells(scene.mesh.given("size") / unit, fronts)
+    bulk, around = solid_mesher.estimate_cells(scene.mesh.given("size") / unit, fronts)
     key, shortest = "size", ""
     if around > bulk:
         least = unit * min(front["shortest"] for front in fronts)
         key, shortest = "lip_elements", f", at a crack's front {least:.2g} m long"
-    check_cells(scene, key, bulk + around, scene.mesh.order**3 // 2, shortest)
+    check_cell_count(scene, key, bulk + around, scene.mesh.order**3 // 2, shortest)

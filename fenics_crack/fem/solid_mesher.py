@@ -24,21 +24,21 @@ Crack = dict[str, Any]
 Front = dict[str, Any]
 """As :func:`insert` has them."""
 
-UNITS = {"m": 1e3, "mm": 1.0, "inch": 25.4}
+UNIT_LENGTHS = {"m": 1e3, "mm": 1.0, "inch": 25.4}
 """Units of a file without one [mm]."""
-PER_VOLUME = 5.0
+CELLS_PER_VOLUME = 5.0
 """Tetrahedra that gmsh makes of a volume h^3 where they are to be h long, of a fine mesh."""
-COARSE = 25.0
+COARSE_TRIANGLES = 25.0
 """Triangles of the coarse mesh along the diagonal of a part."""
-STRAIGHT = 2.5
+STRAIGHT_RADIUS_RATIO = 2.5
 """Distance from a front up to which cells are straight, in elements there."""
-FOLDED = 0.2
+MIN_DETERMINANT_RATIO = 0.2
 """Smallest over largest Jacobian determinant below which a curved cell becomes straight."""
-SMALLEST = 0.1
+MIN_SIZE_RATIO = 0.1
 """Least length of elements by curvature over the size."""
-NEAR = 0.1
+NEAR_RATIO = 0.1
 """Ligament at a front over its elements, and distance of a face's point over the part's size."""
-SAMPLES = 40
+N_CURVE_SAMPLES = 40
 """Points of a curve from which its distances are measured, and triangles that name a face."""
 
 
@@ -65,27 +65,27 @@ def read(path: str, _most: int, given: dict[str, Any]) -> dict[str, Any]:
 
 def _meshed(path: str, given: dict[str, Any]) -> dict[str, Any]:
     solid = _imported(path, given["unit"])
-    triangles, owners = coarse()
+    triangles, owners = mesh_faces()
     if "size" not in given:
         return {"triangles": triangles, "owners": owners}
     named = _named(given["faces"], triangles, owners)
-    surfaces, fronts = insert(solid, given["cracks"], triangles)
+    surfaces, fronts = insert_cracks(solid, given["cracks"], triangles)
     size = given["size"]
-    bulk, around = n_cells(size, fronts)
+    bulk, around = estimate_cells(size, fronts)
     if bulk + around > given["cells"]:
         allowed = f"so that there are at most {given['cells']:.0e} cells: about"
         key = "mesh.size" if bulk > around else "mesh.lip_elements"
         raise Refusal(key, f"{allowed} {bulk + around:.2g} would be")
     try:
-        generate(size, fronts, given["per_turn"])
+        generate_mesh(size, fronts, given["per_turn"])
         gmsh.model.mesh.setOrder(2)
     except Exception as error:
         allowed = f"such that gmsh can mesh the part ({error})"
         raise Refusal("mesh.size", allowed) from None
     sides = _sides(surfaces, triangles, owners)
     groups = {name: [s for s, owner in sides.items() if owner in tags] for name, tags in named}
-    found = collected(surfaces, groups)
-    found["positions"], found["straight"] = straightened(found, fronts)
+    found = collect_mesh(surfaces, groups)
+    found["positions"], found["straight"] = straighten_edges(found, fronts)
     return found
 
 
@@ -103,16 +103,16 @@ def _imported(path: str, unit: str) -> Tags:
     if len(solid) != 1 or solid[0][0] != 3:
         count = sum(dimension == 3 for dimension, _ in solid)
         raise Refusal("geometry.file", f"a file with one solid: it has {count or 'none'}")
-    if (factor := UNITS[unit]) != 1.0:
+    if (factor := UNIT_LENGTHS[unit]) != 1.0:
         gmsh.model.occ.dilate(solid, 0.0, 0.0, 0.0, factor, factor, factor)
     gmsh.model.occ.synchronize()
     return solid
 
 
-def coarse() -> tuple[np.ndarray, np.ndarray]:
+def mesh_faces() -> tuple[np.ndarray, np.ndarray]:
     """Triangles (n, 3, 3) of a coarse mesh of the part's faces, and the faces (n,)."""
     low_high = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
-    largest = float(np.linalg.norm(np.ptp(low_high, axis=0))) / COARSE
+    largest = float(np.linalg.norm(np.ptp(low_high, axis=0))) / COARSE_TRIANGLES
     _set_sizes(Max=largest, FromCurvature=16, Min=0.05 * largest)
     try:
         gmsh.model.mesh.generate(2)
@@ -165,7 +165,7 @@ def _named(
     found: dict[str, set[int]] = {}
     for name, point in faces:
         away = distances(np.array([point]), triangles)[0]
-        if away.min() > NEAR * size:
+        if away.min() > NEAR_RATIO * size:
             raise Refusal("geometry.faces", f"points on faces: one of {name} is"
                           f" {away.min():.3g} mm away from the nearest one")  # fmt: skip
         found.setdefault(name, set()).add(owners[away.argmin()])
@@ -178,7 +178,7 @@ def _sides(surfaces: list[int], triangles: np.ndarray, owners: np.ndarray) -> di
     for _, tag in gmsh.model.getEntities(2):
         if tag not in surfaces:
             middles = _triangles(tag).mean(axis=1)
-            some = middles[:: max(1, len(middles) // SAMPLES)]
+            some = middles[:: max(1, len(middles) // N_CURVE_SAMPLES)]
             nearest = owners[distances(some, triangles).argmin(axis=1)]
             found[tag] = np.bincount(nearest).argmax() if len(nearest) else 0
     return found
@@ -187,7 +187,7 @@ def _sides(surfaces: list[int], triangles: np.ndarray, owners: np.ndarray) -> di
 # --- cracks ---------------------------------------------------------------------------------------
 
 
-def insert(
+def insert_cracks(
     solid: Tags, cracks: list[Crack], triangles: np.ndarray
 ) -> tuple[list[int], list[Front]]:
     """Cut cracks into a solid: the surface of each, and its front. Triangles (n, 3, 3) are those of
@@ -251,7 +251,7 @@ def _face(crack: Crack) -> Tags:
 def _points(curve: int) -> np.ndarray:
     """Points (n, 3) on a curve, its ends among them."""
     (low,), (high,) = gmsh.model.getParametrizationBounds(1, curve)
-    at = np.linspace(low, high, SAMPLES + 1)
+    at = np.linspace(low, high, N_CURVE_SAMPLES + 1)
     return np.reshape(gmsh.model.getValue(1, curve, at), (-1, 3))
 
 
@@ -287,19 +287,19 @@ def _check_place(crack: Crack, surface: int, front: Front, triangles: np.ndarray
     """Raise Refusal for a crack in a face, without a front, or with next to no ligament."""
     key, shortest = f"{crack['key']}.point", front["shortest"]
     middle = np.array([gmsh.model.occ.getCenterOfMass(2, surface)])
-    if not front["curves"] or distances(middle, triangles).min() < NEAR * shortest:
+    if not front["curves"] or distances(middle, triangles).min() < NEAR_RATIO * shortest:
         words = "lies in a face of it" if front["curves"] else "has no front in it"
         raise Refusal(key, f"such that the crack is inside the part: it {words}")
     points, ends = front["points"], front["ends"]
     away = np.linalg.norm(points[:, None] - ends, axis=2).min(axis=1, initial=np.inf)
     inside = points[away > 2.0 * shortest]
     ligament = distances(inside, triangles).min(initial=np.inf)
-    if ligament < NEAR * shortest:
+    if ligament < NEAR_RATIO * shortest:
         raise Refusal(key, "farther from the surface: of its front some is"
                       f" {ligament / shortest:.2g} of an element away")  # fmt: skip
 
 
-def n_cells(size: float, fronts: list[Front]) -> tuple[float, float]:
+def estimate_cells(size: float, fronts: list[Front]) -> tuple[float, float]:
     """Cells of the current model away from fronts, and in the tubes around them in which they are
     shorter than the size: the lengths times int 2 pi d / h^3 dd."""
     bulk = sum(gmsh.model.occ.getMass(3, tag) for _, tag in gmsh.model.getEntities(3)) / size**3
@@ -308,13 +308,13 @@ def n_cells(size: float, fronts: list[Front]) -> tuple[float, float]:
         least = min(front["shortest"], size)
         turns = 0.5 / least - 1.0 / size + 0.5 * least / size**2
         around += front["length"] * 2.0 * math.pi / front["growth"] ** 2 * turns
-    return PER_VOLUME * bulk, PER_VOLUME * around
+    return CELLS_PER_VOLUME * bulk, CELLS_PER_VOLUME * around
 
 
 # --- the mesh -------------------------------------------------------------------------------------
 
 
-def generate(size: float, fronts: list[Front], per_turn: int = 0) -> None:
+def generate_mesh(size: float, fronts: list[Front], per_turn: int = 0) -> None:
     """Mesh the current model, with so many elements on a full turn of a curved face."""
     fields = gmsh.model.mesh.field
     every = []
@@ -322,7 +322,9 @@ def generate(size: float, fronts: list[Front], per_turn: int = 0) -> None:
         if front["curves"]:
             away, graded = fields.add("Distance"), fields.add("Threshold")
             fields.setNumbers(away, "CurvesList", front["curves"])
-            count = min(2000, max(SAMPLES, math.ceil(2.0 * front["length"] / front["shortest"])))
+            count = min(
+                2000, max(N_CURVE_SAMPLES, math.ceil(2.0 * front["length"] / front["shortest"]))
+            )
             for name in ("NumPointsPerCurve", "Sampling"):  # until 4.8, and since
                 with suppress(Exception):
                     fields.setNumber(away, name, count)
@@ -338,7 +340,7 @@ def generate(size: float, fronts: list[Front], per_turn: int = 0) -> None:
         fields.setNumbers(least, "FieldsList", every)
         fields.setAsBackgroundMesh(least)
     # Small faces of a part are not resolved: else some meshes would not end.
-    smallest = min([SMALLEST * size, *(front["shortest"] for front in fronts)])
+    smallest = min([MIN_SIZE_RATIO * size, *(front["shortest"] for front in fronts)])
     _set_sizes(FromPoints=0, ExtendFromBoundary=0, FromCurvature=per_turn, Max=size, Min=smallest)
     try:
         gmsh.model.mesh.generate(3)
@@ -352,7 +354,7 @@ def _set_sizes(**values: float) -> None:
         gmsh.option.setNumber(f"Mesh.MeshSize{name}", value)
 
 
-def collected(surfaces: list[int], sides: dict[str, list[int]]) -> dict[str, Any]:
+def collect_mesh(surfaces: list[int], sides: dict[str, list[int]]) -> dict[str, Any]:
     """The mesh as msh_reader.py has it, of the surfaces of cracks and the entities of named faces;
     and the middles of the cracks, (n, 3)."""
     numbers, positions, _ = gmsh.model.mesh.getNodes()
@@ -378,7 +380,7 @@ EDGES = np.array([(0, 1), (1, 2), (0, 2), (0, 3), (2, 3), (1, 3)])
 """Edges of a tetrahedron in whose middle its nodes 4 to 9 are, in gmsh's order."""
 
 
-def straightened(found: dict[str, Any], fronts: list[Front]) -> tuple[np.ndarray, int]:
+def straighten_edges(found: dict[str, Any], fronts: list[Front]) -> tuple[np.ndarray, int]:
     """Return positions with straight edges in cells at fronts and where cells would fold, and the
     number of cells that change."""
     positions, numbers = found["positions"].copy(), found["numbers"]
@@ -392,14 +394,18 @@ def straightened(found: dict[str, Any], fronts: list[Front]) -> tuple[np.ndarray
 
     def folded() -> np.ndarray:
         determinants = np.linalg.det(np.einsum("cnx,pnr->cpxr", positions[cells], slopes))
-        return np.asarray(determinants.min(axis=1) < FOLDED * determinants.max(axis=1))
+        return np.asarray(
+            determinants.min(axis=1) < MIN_DETERMINANT_RATIO * determinants.max(axis=1)
+        )
 
     wanted, straight = folded(), np.zeros(len(cells), dtype=bool)
     for front in fronts:
         steps = front["points"]
         for point in steps:
             near = np.linalg.norm(positions[cells[:, :4]] - point, axis=2).min(axis=1)
-            wanted |= near < STRAIGHT * front["shortest"] + front["length"] / SAMPLES
+            wanted |= (
+                near < STRAIGHT_RADIUS_RATIO * front["shortest"] + front["length"] / N_CURVE_SAMPLES
+            )
     middles = positions[cells[:, EDGES]].mean(axis=2)
     bent = np.abs(positions[cells[:, 4:]] - middles).max(axis=(1, 2)) > 1e-9 * np.ptp(positions)
     while np.any(wanted & ~straight):

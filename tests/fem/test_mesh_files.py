@@ -17,7 +17,7 @@ from mpi4py import MPI
 from test_mesh import area, file_plate, pair_nodes
 
 from fenics_crack import InputError, build_structure, solve_modes
-from fenics_crack.fem.msh_file import cells_of, check_boundary, check_cells, check_parts, put
+from fenics_crack.fem.msh_file import cells_of, check_boundary, check_cells, check_parts, load_mesh
 from fenics_crack.fem.plate import build_mesh
 
 WIDTH, HEIGHT = 2.0, 1.0
@@ -134,7 +134,7 @@ def test_lips_of_the_plugin(
     structure = build_structure(scene)
     rough = 1e-3 if name == "arc" else 1e-9
     np.testing.assert_allclose(area(structure), WIDTH * HEIGHT, rtol=rough)
-    [lip] = build_mesh(scene, MPI.COMM_SELF).lips
+    [lip] = build_mesh(scene, MPI.COMM_SELF).cracks
     assert lip.has_mouth == _on_edge(*CURVES[name][0])
     elements = len(lip.points) - 1
     assert structure.n_pairs == elements * order - (not lip.has_mouth)
@@ -234,7 +234,7 @@ def put_lips(cells: np.ndarray, places: np.ndarray, clamp: Edges, **curves: Edge
         groups.append((1, tag, name, 1, np.ravel(own)))
     with gmsh_model():
         spatial = np.column_stack([places, np.zeros(len(places))])
-        return put((np.arange(len(places)), spatial, groups), 2)[1]
+        return load_mesh((np.arange(len(places)), spatial, groups), 2)[1]
 
 
 def test_text_of_the_documentation(tmp_path: Path) -> None:

@@ -29,9 +29,9 @@ from fenics_crack import InputError, Scene
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.fem import compat
 from fenics_crack.fem.compat import function_space
-from fenics_crack.fem.cracks import FACETS, Cells, cracks_between, split_cracks
+from fenics_crack.fem.cracks import FACETS, Cells, find_crack_surfaces, split_cracks
 from fenics_crack.fem.loads import assemble_loads
-from fenics_crack.fem.matrix_files import coincident
+from fenics_crack.fem.matrix_files import find_coincident_nodes
 from fenics_crack.fem.msh_file import cells_of
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.fem.plate import Dofs, build_mesh
@@ -110,7 +110,7 @@ def test_lips_are_those_of_the_crack(cracked: tuple[fc.Structure, float, dict[st
     pairs."""
     structure, area, crack = cracked
     mesh = NodalMesh(structure)
-    lips = mesh.points[mesh.lips]
+    lips = mesh.points[mesh.crack_faces]
     normals = np.cross(lips[:, 1] - lips[:, 0], lips[:, 2] - lips[:, 0])
     assert lips[..., 1] == pytest.approx(crack["height"], abs=1e-12)
     both = 0.5 * np.linalg.norm(normals, axis=1).sum()
@@ -143,7 +143,7 @@ def test_pairs_measure_the_gap(cracked: tuple[fc.Structure, float, dict[str, Any
     above[mesh.cells[middles[:, 1] > crack["height"]]] = True
     below = np.zeros(len(mesh.points), dtype=bool)
     below[mesh.cells[middles[:, 1] < crack["height"]]] = True
-    on_lips = np.unique(mesh.lips)
+    on_lips = np.unique(mesh.crack_faces)
     upper = np.isin(np.arange(len(above)), on_lips) & above & ~below
     # Nodes in the middle of edges between two corners of a lip belong to it, too.
     upper |= above & ~below & np.isclose(mesh.points[:, 1], crack["height"], atol=1e-12)
@@ -166,10 +166,10 @@ def test_a_surface_without_a_front_parts_two_bodies() -> None:
     )
     cells = Cells(CUBES, FACETS[8], np.eye(8, dtype=bool))
     nodes, twins, lips = split_cracks(cells, np.array([[4, 5, 7, 6]]), places)
-    (crack,) = cracks_between(lips[:, 0], lips[:, 1], np.concatenate([places, places[twins]]))
+    (crack,) = find_crack_surfaces(lips[:, 0], lips[:, 1], np.concatenate([places, places[twins]]))
     assert twins.tolist() == [4, 5, 6, 7] and not np.intersect1d(*nodes).size
     assert np.sort(lips[0], axis=1).tolist() == [[4, 5, 6, 7], [12, 13, 14, 15]]
-    assert not len(crack.front) and crack.beside((0.5, 1.0, 0.5)) is not None
+    assert not len(crack.front) and crack.points_beside((0.5, 1.0, 0.5)) is not None
 
 
 def test_plates_cells_are_refused() -> None:
@@ -277,7 +277,7 @@ def test_cracks_are_split_as_by_gmsh(shape: str, order: int) -> None:
         gmsh.plugin.setNumber("Crack", "OpenBoundaryPhysicalGroup", mouth[0] if mouth else 0)
         gmsh.plugin.run("Crack")
         assert own == sharing(*cells_of_model())
-    (found,) = cracks_between(
+    (found,) = find_crack_surfaces(
         *lips[..., :3].swapaxes(0, 1), np.concatenate([places, places[twins]])
     )
     assert len(twins) > 5 and found.has_mouth == (shape != "inside")
@@ -542,7 +542,7 @@ def test_lips_tied_in_every_direction_are_no_crack(tmp_path: Path) -> None:
         write_box(tmp_path / f"{name}.msh", 2, crack=crack)
     cracked = fc.build_structure(of_file(tmp_path / "cracked.msh"))
     whole = fc.build_structure(of_file(tmp_path / "whole.msh").replace({"contact": None}))
-    dofs, twins = cracked.nodes.dofs, coincident(cracked.nodes.points)
+    dofs, twins = cracked.nodes.dofs, find_coincident_nodes(cracked.nodes.points)
     assert cracked.n_dofs == whole.n_dofs + 3 * len(twins)
     kept = np.arange(cracked.n_dofs)
     kept[dofs[twins[:, 1]]] = dofs[twins[:, 0]]

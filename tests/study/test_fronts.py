@@ -74,7 +74,7 @@ def test_lengths_of_a_circle() -> None:
     normals = np.tile([0.0, 1.0, 0.0], (65, 1))
     no_ends = False, False
     front = Front("front", 0, curve(angles), normals, angles, curve, True, no_ends, DEEP)
-    count = len(front.places)
+    count = len(front.station_parameters)
     assert front.lengths() == pytest.approx(2.0 * np.pi * DEEP / count * np.ones(count), rel=1e-12)
 
 
@@ -89,7 +89,7 @@ def test_patches_of_a_straight_front() -> None:
     stations, rows, of_forces = front_functionals(scene, structure)
     assert structure.nodes is not None and len(stations) == 3
     away, free = structure.nodes.points - [0.015, 0.03, 0.003], structure.nodes.numbered.free_part
-    ahead, size = stations[0].ahead, np.sqrt(1.5e-3)
+    ahead, size = stations[0].growth_direction, np.sqrt(1.5e-3)
     pressed = of_forces[::3] @ structure.pair_areas
     for axis in np.eye(3):
         turned = rows @ free(np.cross(axis, away).ravel())

@@ -17,7 +17,7 @@ from surroundings import main
 
 import fenics_crack as fc
 from fenics_crack.fem import interaction_integral
-from fenics_crack.fem.cracks import Lip
+from fenics_crack.fem.cracks import CrackPath
 
 SLOW = 30.0
 """[rad/s] The strip's first resonance is at 3200, so inertia adds 1e-4; an exact orbit takes as
@@ -417,9 +417,11 @@ def test_domains_at_the_tips_of_a_bent_crack(monkeypatch: pytest.MonkeyPatch) ->
     """They are .8 of the straight piece at the tip wide, and point along it."""
     corners = np.array([[0.0, 0.0], [0.03, 0.0], [0.04, 0.0], [0.07, 0.04], [0.1, 0.08]])
     monkeypatch.setattr(interaction_integral, "_outer_points", lambda _: np.full((1, 2), 1.0))
-    plate = SimpleNamespace(lips=[Lip(corners, has_mouth=False)])
+    plate = SimpleNamespace(cracks=[CrackPath(corners, has_mouth=False)])
     dofs: Any = SimpleNamespace(plate=plate, comm=MPI.COMM_SELF)
     right, left = interaction_integral.find_tips(dofs)
     assert (right.radius, left.radius) == pytest.approx((0.8 * 0.1, 0.8 * 0.04))
-    assert right.ahead == pytest.approx([0.6, 0.8]) and left.ahead == pytest.approx([-1.0, 0.0])
+    assert right.growth_direction == pytest.approx(
+        [0.6, 0.8]
+    ) and left.growth_direction == pytest.approx([-1.0, 0.0])
     assert (right.position, left.position) == pytest.approx((0.14, 0.0))
