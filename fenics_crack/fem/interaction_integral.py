@@ -81,7 +81,7 @@ def find_tips(dofs: Dofs) -> list[Tip]:
     for crack, lip in enumerate(lips):
         assert isinstance(lip, CrackPath)
         several = f" of crack {crack + 1}" if len(lips) > 1 else ""
-        whole = float(lip.position[-1])
+        whole = float(lip.corner_positions[-1])
         ends = [("crack tip" if lip.has_mouth else "right crack tip", lip.points, whole)]
         if not lip.has_mouth:
             ends.append(("left crack tip", lip.points[::-1], 0.0))
