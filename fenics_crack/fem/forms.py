@@ -18,7 +18,7 @@ from mpi4py import MPI
 from fenics_crack.basics.errors import InputError, check_number, reading
 from fenics_crack.basics.ranks import collect_garbage, gather_rows, on_each
 from fenics_crack.fem import compat
-from fenics_crack.fem.build import pair_lips
+from fenics_crack.fem.build import pair_crack_faces
 from fenics_crack.fem.compat import dolfinx
 from fenics_crack.fem.cracks import LIP_TAGS, find_crack_paths, find_crack_surfaces
 from fenics_crack.fem.elasticity import constants
@@ -48,7 +48,7 @@ def parts_of_forms(
     held = on_each(comm, lambda: compat.held_dofs(space, bcs))
     try:
         dofs = Dofs(_plate(space.mesh, crack, comm), space, comm, held)
-        gap, tangential, pairs = pair_lips(dofs, constants(space, thickness)[0])
+        gap, tangential, pairs = pair_crack_faces(dofs, constants(space, thickness)[0])
     except InputError as error:
         raise InputError("crack", error.value, error.allowed) from None
     parts: dict[str, Any] = {
