@@ -111,7 +111,7 @@ def _compiled(comm: MPI.Comm, form: Any, make: Callable[..., Any], *given: Any) 
     return load_form(comm, _CACHE / f"{key}.txt", lambda options: make(*given, **{_JIT: options}))
 
 
-def element(mesh: Any, order: int, *, vectors: bool = True) -> Any:
+def lagrange_element(mesh: Any, order: int, *, vectors: bool = True) -> Any:
     """Continuous piecewise polynomials of the given order: vectors, or numbers."""
     if _NEW:
         shape = (mesh.geometry.dim,) if vectors else None
@@ -122,13 +122,13 @@ def element(mesh: Any, order: int, *, vectors: bool = True) -> Any:
 
 def function_space(mesh: Any, order: int, *, vectors: bool = True) -> Any:
     """The space of :func:`element`."""
-    of_mesh = element(mesh, order, vectors=vectors)
+    of_mesh = lagrange_element(mesh, order, vectors=vectors)
     if _NEW:
         return dolfinx.fem.functionspace(mesh, of_mesh)
     return _compiled(mesh.comm, of_mesh, dolfinx.fem.FunctionSpace, mesh, of_mesh)
 
 
-def compiled(form: Any) -> Any:
+def compile_form(form: Any) -> Any:
     """Compile a form (collective), to be assembled several times with other values of its constants
     and functions; return one that is compiled as it is."""
     if not isinstance(form, ufl.Form):
@@ -138,7 +138,7 @@ def compiled(form: Any) -> Any:
 
 def assembled_matrix(form: ufl.Form) -> Any:
     """Assemble a bilinear form without boundary conditions into a PETSc matrix (collective)."""
-    matrix = dolfinx.fem.petsc.assemble_matrix(compiled(form))
+    matrix = dolfinx.fem.petsc.assemble_matrix(compile_form(form))
     matrix.assemble()
     return matrix
 
@@ -146,14 +146,14 @@ def assembled_matrix(form: ufl.Form) -> Any:
 def assembled_vector(form: Any) -> np.ndarray:
     """Assemble a linear form, compiled or not; return the entries of the dofs that this rank owns
     (collective)."""
-    vector = dolfinx.fem.petsc.assemble_vector(compiled(form))
+    vector = dolfinx.fem.petsc.assemble_vector(compile_form(form))
     vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
     owned = vector.array_r.copy()
     vector.destroy()
     return owned
 
 
-def basis_at(space: Any, order: int, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def evaluate_basis(space: Any, order: int, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Nodes of the cell of this rank that holds a point, and their basis functions' values there.
 
     Both are empty where no cell of this rank holds the point.
@@ -177,12 +177,12 @@ def basis_at(space: Any, order: int, point: np.ndarray) -> tuple[np.ndarray, np.
     reference = mesh.geometry.cmap.pull_back(where[None, :dimension], corners)
     kind, variant = mesh.topology.cell_type.name, basix.LagrangeVariant.gll_warped
     of_cell = getattr(basix.CellType, kind)
-    element = basix.create_element(basix.ElementFamily.P, of_cell, order, variant)
-    values = element.tabulate(0, reference)[0, 0].ravel()
+    reference_element = basix.create_element(basix.ElementFamily.P, of_cell, order, variant)
+    values = reference_element.tabulate(0, reference)[0, 0].ravel()
     return np.asarray(space.dofmap.cell_dofs(cell)), values
 
 
-def is_on(tags: Any, mesh: Any) -> bool:
+def are_facet_tags_of(tags: Any, mesh: Any) -> bool:
     """Return True if tags are those of facets of a mesh."""
     tagged, whole = (tags.topology, mesh.topology) if _NEW else (tags.mesh, mesh)
     return _in_cpp(tagged) is _in_cpp(whole) and tags.dim == mesh.topology.dim - 1
@@ -193,7 +193,7 @@ def _in_cpp(thing: Any) -> Any:
     return getattr(thing, "_cpp_object", getattr(thing, "_mesh", thing))
 
 
-def held_dofs(space: Any, conditions: Any) -> np.ndarray:
+def constrained_dofs(space: Any, conditions: Any) -> np.ndarray:
     """This rank's dofs of a space that Dirichlet conditions hold at zero: (n_dofs,) bool.
 
     Raises

@@ -45,7 +45,7 @@ def parts_of_forms(
     alike, lasting = (MPI.IDENT, MPI.CONGRUENT), (MPI.COMM_WORLD, MPI.COMM_SELF)
     comm = next((other for other in lasting if MPI.Comm.Compare(other, comm) in alike), comm)
     collect_garbage(comm)  # of structures made before
-    held = on_each(comm, lambda: compat.held_dofs(space, bcs))
+    held = on_each(comm, lambda: compat.constrained_dofs(space, bcs))
     try:
         dofs = Dofs(_plate(space.mesh, crack, comm), space, comm, held)
         gap, tangential, pairs = pair_crack_faces(dofs, constants(space, thickness)[0])
@@ -71,7 +71,7 @@ def _check_space(space: Any) -> None:
     with reading("space", type(space).__name__, f"{allowed}, whole"):
         mesh, element = space.mesh, space.ufl_element()
         fits = mesh.topology.cell_type.name in CELLS and mesh.geometry.dim == mesh.topology.dim
-        fits = fits and element in [compat.element(mesh, order) for order in (1, 2)]
+        fits = fits and element in [compat.lagrange_element(mesh, order) for order in (1, 2)]
         if not fits or len(space.component()):
             raise ValueError(str(element))
 
@@ -92,7 +92,7 @@ def _plate(mesh: Any, crack: Any, comm: MPI.Comm) -> PlateMesh:
     with reading("crack", type(crack).__name__, allowed):
         tags, *sides = crack
         lower, upper = map(index, sides)
-        if lower == upper or not compat.is_on(tags, mesh):
+        if lower == upper or not compat.are_facet_tags_of(tags, mesh):
             raise ValueError("of another mesh, of other entities, or one tag twice")
     plate = PlateMesh(mesh, tags, {LIP_TAGS[0]: (lower,), LIP_TAGS[1]: (upper,)}, {}, ())
     faces = [_face(plate, name, comm) for name in LIP_TAGS]

@@ -239,7 +239,7 @@ def _form(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndarray], np.ndarr
     betti -= ufl.inner(stress(scene, space, own), ufl.outer(test, falling))
     form = 0.5 * young * betti * ufl.dx(metadata={"quadrature_degree": QUADRATURE_DEGREE})
     form -= 0.5 * young * ufl.inner(stress(scene, space, at_nodes), strained) * ufl.dx
-    compiled = compat.compiled(form)
+    compiled = compat.compile_form(form)
 
     def row_of(tip: Tip, kind: int, field: np.ndarray) -> np.ndarray:
         moved.x.array[: field.size] = field.ravel()

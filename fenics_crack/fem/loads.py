@@ -117,7 +117,7 @@ def nodal_force_fractions(scene: Scene, dofs: Dofs, key: str, point: Vector) -> 
     places, own = gather_rows(dofs.comm, dofs.points), dofs.first_node + np.arange(dofs.n_nodes)
     if len(found := nodes_at(places, point)):
         return np.where(own == found[0], 1.0, 0.0)
-    nodes, values = compat.basis_at(dofs.space, scene.mesh.order, np.array(point))
+    nodes, values = compat.evaluate_basis(dofs.space, scene.mesh.order, np.array(point))
     values = np.where(np.abs(values) < 1e-12, 0.0, values)  # rounding
     hits = dofs.comm.allgather(len(nodes) > 0)
     if not any(hits):

@@ -160,7 +160,7 @@ class Dofs:
     """Nodes of the left side of a sector, and those of the right one in the same order: (2, m)."""
     frames: np.ndarray | None = None
     """Of each node the matrix that turns its displacements into those in space: (n_nodes, d, d)."""
-    _turn: sparse.csr_matrix | None = None
+    _rotation: sparse.csr_matrix | None = None
 
     def __init__(
         self, plate: PlateMesh, space: Any, comm: MPI.Comm, held: np.ndarray | None = None
@@ -195,19 +195,19 @@ class Dofs:
         nodes = np.sort(dolfinx.fem.locate_dofs_topological(space, dimension, facets))
         return nodes[nodes < space.dofmap.index_map.size_local]
 
-    def take_sides(self, sides: np.ndarray, turn: np.ndarray) -> None:
+    def set_sector_sides(self, sides: np.ndarray, turn: np.ndarray) -> None:
         """Turn what is assembled afterwards at the right side of a sector, on one rank."""
         self.sides, self.frames = sides, np.tile(np.eye(self.dimension), (self.n_nodes, 1, 1))
         self.frames[sides[1]] = turn
         each = np.arange(self.n_nodes + 1)
         whole = sparse.bsr_matrix((self.frames, each[:-1], each)).tocsr()
-        self._turn = whole[self.free_dofs][:, self.free_dofs]
-        self._turn.eliminate_zeros()
+        self._rotation = whole[self.free_dofs][:, self.free_dofs]
+        self._rotation.eliminate_zeros()
 
     def free_part(self, rows: np.ndarray) -> np.ndarray:
         """Forces (..., n_dofs) on the free dofs: (..., n_local)."""
         free = rows[..., self.free_dofs]
-        return free if self._turn is None else np.asarray(free @ self._turn)
+        return free if self._rotation is None else np.asarray(free @ self._rotation)
 
     def free_block(self, matrix: Any) -> Any:
         """Leave the clamped rows and columns out of a matrix, which is destroyed, and what is zero,
@@ -220,8 +220,8 @@ class Dofs:
         rows = PETSc.IS().createGeneral(free, comm=matrix.comm)
         block = matrix.createSubMatrix(rows, rows)
         rows_here = sparse.csr_matrix(block.getValuesCSR()[::-1], block.sizes[0])
-        if self._turn is not None:
-            rows_here = sparse.csr_matrix(self._turn.T @ rows_here @ self._turn)
+        if self._rotation is not None:
+            rows_here = sparse.csr_matrix(self._rotation.T @ rows_here @ self._rotation)
         rows_here.eliminate_zeros()
         csr = rows_here.indptr, rows_here.indices, rows_here.data
         found = PETSc.Mat().createAIJ(block.sizes, csr=csr, comm=self.comm)
@@ -233,7 +233,7 @@ class Dofs:
         """DOLFINx's Function of a displacement of the free dofs (n_local,), zero where clamped
         (collective)."""
         found = dolfinx.fem.Function(self.space)
-        turned = displacement if self._turn is None else self._turn @ displacement
+        turned = displacement if self._rotation is None else self._rotation @ displacement
         found.x.array[self.free_dofs] = turned
         found.x.scatter_forward()
         return found

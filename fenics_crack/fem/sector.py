@@ -90,7 +90,7 @@ def turn_sides(scene: Scene, dofs: Dofs) -> None:
         allowed = f"a disk with a hole: both sides have the node at {where}"
         raise InputError("mesh.file", "a sector that reaches the axis", allowed)
     d = points.shape[1]
-    dofs.take_sides(np.array([left, right[partner]]), turn[:d, :d])
+    dofs.set_sector_sides(np.array([left, right[partner]]), turn[:d, :d])
 
 
 def _sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
