@@ -55,7 +55,7 @@ def assemble_wheel(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Com
         rotating_structure = structure._changed(stiffness=stiffness, force=force)
         sector = replace(sector, structure=rotating_structure)
     return Wheel(
-        sector, cracked=[number - 1 for number in disk.has_cracks], mistuning=disk.deviations,
+        sector, cracked=[number - 1 for number in disk.cracked], mistuning=disk.deviations,
         order=scene.excitation.order or 0, families=disk.families, rotation=rotation, comm=comm,
     )  # fmt: skip
 
