@@ -206,7 +206,7 @@ def _box(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
     unit_scene, unit = scale_to_mesh_unit(scene)
     width, height, thickness = size = unit_scene.geometry.sides
     occ, rim = gmsh.model.occ, None if scene.disk is None else Rim(unit_scene)
-    solid = [(3, occ.addBox(0.0, 0.0, 0.0, *size))] if rim is None else rim.with_box(*size)
+    solid = [(3, occ.addBox(0.0, 0.0, 0.0, *size))] if rim is None else rim.draw_with_blade(*size)
     occ.synchronize()
     triangles = np.zeros((0, 3, 3))
     if any(crack.point is not None for crack in scene.all_cracks.values()):
@@ -233,7 +233,7 @@ def _box(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
         if tag not in surfaces:
             groups.setdefault(name, []).append(tag)
     if rim is not None:
-        rim.match(2, *(groups[name] for name in RIM_SIDES))
+        rim.set_periodic(2, *(groups[name] for name in RIM_SIDES))
     try:
         solid_mesher.generate_mesh(unit_scene.mesh.given("size"), fronts)
     except Exception as error:  # gmsh raises nothing else
