@@ -1,4 +1,4 @@
-"""Draw cracked plates, and the rims below blades of a disk, and mesh them with gmsh.
+"""Mesh cracked plates, and the rims below a disk's blades, with gmsh.
 
 Plates
 ------
@@ -163,7 +163,10 @@ def check_cell_count(
 
 
 def _element_length(scene: Scene) -> float:
-    """Return the element length away from cracks [m]; for a grid, along the plate."""
+    """Return the element length away from cracks [m].
+
+    For a grid it is the length along the plate.
+    """
     return scene.mesh.size or scene.geometry.sides[1] / scene.mesh.given("rows")
 
 
@@ -295,7 +298,7 @@ def _divide_side(
         return [tip_length for tip, tip_length in tips if abs(tip - position) <= tolerance]
 
     def element_length(position: float, faces_along: list[_GradedFace]) -> float:
-        """Return the element length at a position in an interval along some crack faces."""
+        """Return the element length at a position along crack faces."""
         return min(
             ([face.element_length(position) for face in faces_along] or [size])
             + lengths_at_tip(position)
@@ -398,7 +401,7 @@ def draw_plate(scene: Scene) -> tuple[NamedParts, Cracks]:
 
 
 def _crack_paths(scene: Scene) -> tuple[CrackPath, ...]:
-    """Return the crack paths of a plate, in the order of the scene."""
+    """Return a plate's crack paths, in the order of the scene."""
     width, paths = scene.geometry.sides[0], []
     for crack in scene.all_cracks.values():
         left_end, right_end = ((x, crack.given("height")) for x in crack.span(width))
@@ -408,7 +411,7 @@ def _crack_paths(scene: Scene) -> tuple[CrackPath, ...]:
 
 
 def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
-    """Draw the blocks of a plate, and set the division of curves and surfaces.
+    """Draw a plate's blocks, and divide their curves and surfaces.
 
     ``unit_scene`` is the scene in gmsh's unit. Returns the tags of the plate's sides.
     """
@@ -473,11 +476,9 @@ def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
             ]
             surfaces.append(gmsh.model.geo.addPlaneSurface([gmsh.model.geo.addCurveLoop(loop)]))
     foot_curves = [horizontal_curves[i, 0] for i in range(len(columns))]
-    named_curves: dict[str, tuple[int, list[int]]] = {"clamp": (1, foot_curves)}
+    sides: dict[str, tuple[int, list[int]]] = {"clamp": (1, foot_curves)}
     if rim is not None:
-        named_curves = rim.draw(
-            [points[i, 0] for i in range(len(xs))], foot_curves, columns, surfaces
-        )
+        sides = rim.draw([points[i, 0] for i in range(len(xs))], foot_curves, columns, surfaces)
     _set_cell_kind(scene, surfaces)
 
     left_curves, right_curves = (
@@ -488,7 +489,7 @@ def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
     loaded_points = [points[i, j] for i, j in single_points if (xs[i], ys[j]) == load_point]
     groups: dict[str, tuple[int, list[int]]] = {
         "plate": (2, surfaces),
-        **named_curves,
+        **sides,
         "lower_lip": (1, [horizontal_curves[block] for block in upper_curves]),
         "upper_lip": (1, list(upper_curves.values())),
         "load": (0, loaded_points),
@@ -544,7 +545,7 @@ RIM_SIDES = ("rim_left", "rim_right")
 
 
 class Rim:
-    """Part of a disk's rim that belongs to one blade, between two circles.
+    """Part of a disk's rim below one blade, between two circles.
 
     Attributes
     ----------
@@ -572,7 +573,7 @@ class Rim:
         return self.half_angle * (self.outer_radius**2 - self.inner_radius**2)
 
     def foot_height(self, position: float) -> float:
-        """Return where the blade meets the rim, at a position across the blade [m]."""
+        """Return the blade's foot on the rim, at a position across [m]."""
         return self.axis + math.sqrt(self.outer_radius**2 - (position - self.middle) ** 2)
 
     def point_at(self, radius: float, angle: float) -> tuple[float, float]:
@@ -628,7 +629,7 @@ class Rim:
         ]
 
     def name_of(self, center: tuple[float, float, float]) -> str:
-        """Return the name of a face of a solid's rim, by its center of mass."""
+        """Name a face of a solid's rim by its center of mass."""
         offset_across, offset_along = center[2] - self.middle, center[1] - self.axis
         radius = math.hypot(offset_across, offset_along)
         angle = math.atan2(offset_across, offset_along)
@@ -661,7 +662,10 @@ class Rim:
         columns: list[Interval],
         surfaces: list[int],
     ) -> dict[str, tuple[int, list[int]]]:
-        """Draw the rim in blocks below the foot of a plate, and return its named curves."""
+        """Draw the rim in blocks below a plate's foot.
+
+        Returns the named curves, and appends to ``surfaces``.
+        """
         size, geo = _element_length(self.scene), gmsh.model.geo
         side_angle = self.half_angle - math.asin(
             (columns[-1].stop - self.middle) / self.outer_radius
@@ -716,7 +720,7 @@ class Rim:
 
 
 def _mesh_with_gradings(scene: Scene, unit_scene: Scene, gradings: list[_Grading]) -> None:
-    """Mesh gmsh's current model with elements of ``mesh.size``, or shorter.
+    """Mesh gmsh's current model with elements of ``mesh.size``, or shorter ones.
 
     Each grading limits the element length.
 
@@ -728,7 +732,10 @@ def _mesh_with_gradings(scene: Scene, unit_scene: Scene, gradings: list[_Grading
     size, structs = unit_scene.mesh.given("size"), [grading.as_struct() for grading in gradings]
 
     def element_length(dimension: int, tag: int, x: float, y: float, *_: float) -> float:
-        """Return the element length at a point; gmsh asks 1e5 times for a mesh."""
+        """Return the element length at a point.
+
+        gmsh calls it 1e5 times for a mesh.
+        """
         return min([size, *(kernel.length_at(struct.at, x, y) for struct in structs)])
 
     for option in ("MeshSizeFromPoints", "MeshSizeExtendFromBoundary", "MeshSizeFromCurvature"):
@@ -764,7 +771,9 @@ def meshing_refusal(scene: Scene, reason: str) -> InputError:
 
 @dataclass(frozen=True)
 class _Grading:
-    """Element length h = shortest + growth d, with the distance d from the nearest point.
+    """Element length h = shortest + growth d around points.
+
+    The distance d is measured from the nearest point.
 
     Attributes
     ----------

@@ -386,9 +386,7 @@ def _match_faces(
         is_matching = distances.max() <= POSITION_TOLERANCE * size and len(
             np.unique(partners)
         ) == len(partners)
-        position_text = ", ".join(
-            f"{coordinate:g}" for coordinate in lower_rows[int(np.argmax(distances)), 2:]
-        )
+        position_text = ", ".join(f"{x:g}" for x in lower_rows[int(np.argmax(distances)), 2:])
         reason = f"the upper node nearest to the lower one at ({position_text})"
         reason += f" is {distances.max():.2g} m away"
     if not is_matching:
@@ -556,10 +554,11 @@ _LAST_LENGTH: list[tuple[str, float]] = []
 
 
 def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
-    """Find the crack length [m] at which the first natural frequency is ``crack.first_omega``.
+    """Find the crack length [m] for which the first natural frequency is given.
 
-    The frequency of the open crack, without rotation, falls with the length. Brent's method on
-    re-meshed plates finds the length to 1e-5 of the width. The result is kept for the same plate.
+    This is ``crack.first_omega``. The frequency of the open crack, without rotation, falls with the
+    length. Brent's method on re-meshed plates finds the length to 1e-5 of the width. The result is
+    kept for the same plate.
 
     Parameters
     ----------

@@ -149,7 +149,7 @@ def function_space(mesh: Any, order: int, *, vectors: bool = True) -> Any:
 
 
 def compile_form(form: Any) -> Any:
-    """Compile a form (collective); return a compiled form as it is.
+    """Compile a form, unless it is compiled already (collective).
 
     A compiled form can be assembled repeatedly, with other values of its constants and functions.
     """

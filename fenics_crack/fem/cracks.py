@@ -39,7 +39,7 @@ FACETS = {
         [[0, 1, 2, 3], [4, 5, 6, 7], [0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7]]
     ),
 }
-"""Corners of each facet of a solid's cell, in cyclic order, by the cell's number of corners."""
+"""Corners of the facets of a solid's cell, in cyclic order, by number of corners."""
 
 
 @dataclass(frozen=True)
@@ -75,11 +75,9 @@ class CrackPath:
 
         The position [m] is 0 at a mouth, and the middle for a crack inside.
         """
-        return (
-            ("the mouth", 0.0)
-            if self.has_mouth
-            else ("the middle", 0.5 * self.corner_positions[-1])
-        )
+        if self.has_mouth:
+            return "the mouth", 0.0
+        return "the middle", 0.5 * self.corner_positions[-1]
 
     def locate(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Project points (n, 2) onto the path.
@@ -131,7 +129,7 @@ class CrackSurface:
 
     @property
     def watched_place(self) -> tuple[str, float]:
-        """Return name and position of the watched pair: the farthest from the front."""
+        """Return name and position of the pair farthest from the front."""
         return "the mouth" if self.has_mouth else "the middle", np.inf
 
     @property
@@ -318,7 +316,7 @@ def label_parts(rows: np.ndarray) -> np.ndarray:
 
 
 def find_unique_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Find the different rows of nodes, whatever the order in a row.
+    """Find the different rows of nodes, in any order of nodes.
 
     Returns
     -------
@@ -327,7 +325,7 @@ def find_unique_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarr
     unique_index : (n,) int
         Kind of each row.
     counts : (n_unique,) int
-        Number of rows of each kind.
+        Rows of each kind.
     """
     _, first_rows, unique_index, counts = np.unique(
         np.sort(rows, axis=1), axis=0, return_index=True, return_inverse=True, return_counts=True
@@ -336,7 +334,7 @@ def find_unique_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarr
 
 
 def rows_in(rows: np.ndarray, reference_rows: np.ndarray) -> np.ndarray:
-    """Return True for each row of nodes that is among the reference rows: (n,) bool.
+    """Return True for rows of nodes among the reference rows: (n,) bool.
 
     The order of nodes in a row does not matter.
     """
@@ -506,7 +504,7 @@ class Cells:
 
     @cached_property
     def is_boundary(self) -> np.ndarray:
-        """Return True for each sorted facet that belongs to one cell only: (n,) bool."""
+        """Return True for sorted facets that belong to one cell: (n,) bool."""
         is_shared = np.concatenate([[False], self.is_shared, [False]])
         return ~(is_shared[1:] | is_shared[:-1])
 

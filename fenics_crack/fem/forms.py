@@ -1,8 +1,8 @@
-"""Make a structure from a user's UFL forms on a mesh of DOLFINx.
+"""Make a structure from UFL forms on a mesh of DOLFINx.
 
-The program assembles the forms and leaves out the dofs that Dirichlet conditions hold. It pairs the
-nodes of crack faces like those of its own meshes (:mod:`fenics_crack.fem.build`). Crack faces are
-two sets of exterior facets at the same positions. They share the nodes of tips and fronts, and no
+The program assembles the user's forms, and leaves out dofs held by Dirichlet conditions. It pairs
+the nodes of crack faces as on its own meshes (:mod:`fenics_crack.fem.build`). Crack faces are two
+sets of exterior facets at the same positions. They share the nodes at tips and fronts, and no
 others.
 """
 
@@ -41,7 +41,8 @@ def parts_of_forms(
     Returns
     -------
     parts : dict
-        Arguments of :meth:`Structure.from_matrices`, by name. The caller destroys the matrices.
+        Arguments for :meth:`Structure.from_matrices`, by name. The caller destroys the
+        matrices.
     nodes : Nodes
     pairs : Pairs
     """
@@ -99,7 +100,7 @@ def _check_space(space: Any) -> None:
 
 
 def _check_form(space: Any, key: str, form: Any, rank: int) -> None:
-    """Raise InputError unless a form of the given rank is on a space.
+    """Raise InputError unless a form is linear, or bilinear, on a space.
 
     A linear form has the rank 1, a bilinear form 2.
     """
@@ -112,7 +113,7 @@ def _check_form(space: Any, key: str, form: Any, rank: int) -> None:
 
 
 def _mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PlateMesh:
-    """Return a mesh with the faces of its cracks (collective)."""
+    """Return a mesh with its crack faces (collective)."""
     if crack is None:
         return PlateMesh(mesh, None, {}, {}, ())
     requirement = "(facet_tags, lower, upper): tags of facets of the space's mesh, and two of them"
@@ -134,14 +135,14 @@ def _mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PlateMesh:
 
 
 def _face_corners(plate: PlateMesh, name: str, comm: MPI.Comm) -> tuple[np.ndarray, np.ndarray]:
-    """Return the corners of a face's facets (collective).
+    """Return the corners of all facets on a face (collective).
 
     Returns
     -------
     numbers : (n, k) int
         Global node numbers.
     positions : (n, k, d) [m]
-        Positions of these nodes.
+        Node positions.
     """
     mesh, topology, facets = plate.mesh, plate.mesh.topology, plate.facets(name)
     facets = facets[facets < topology.index_map(topology.dim - 1).size_local]

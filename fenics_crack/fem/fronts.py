@@ -1,11 +1,11 @@
-"""Compute stress intensities along crack fronts in solids as linear functionals of the
-displacement.
+"""Compute stress intensities along crack fronts in solids.
 
-The front is a curve c(t): an ellipse if its nodes lie on one, otherwise a cubic spline over their
-distance along the front. At each point of the front, xi points ahead of the crack, y across the
-crack, and s along the front. Their unit vectors are e_1, e_2, e_3. The curvature kappa is positive
-if the crack is convex, and g = 1 + kappa xi. Let a = a_i(xi, y) e_i be the plane field of unit K_I,
-K_II (plane strain) or K_III, with the gradient
+They are linear functionals of the displacement. The front is a curve c(t), with derivatives c_1,
+c_2, c_3. It is an ellipse if its nodes lie on one; otherwise it is a cubic spline over their
+distance along the front. At each point, xi is ahead of the crack, y across it, and s along the
+front. Their unit vectors are e_1, e_2, e_3. The curvature kappa is positive if the crack is convex;
+g = 1 + kappa xi, and k = kappa / g. Let a = a_i(xi, y) e_i be the plane field with unit K_I, K_II
+(plane strain) or K_III, and the gradient
 
     a_i,1 = d_xi a_i,   a_i,2 = d_y a_i,   a_1,3 = -kappa a_3 / g,   a_3,3 = kappa a_1 / g,
 
@@ -150,7 +150,7 @@ class Front:
 
     @property
     def corner_stations(self) -> list[int]:
-        """Return indices of stations at corners, where K is undefined."""
+        """Return the stations at corners, where K is undefined."""
         n_stations = len(self.station_parameters)
         ends = zip(self.at_surface, (0, n_stations - 1), strict=True)
         return (
@@ -198,20 +198,18 @@ class Front:
         kappa, kappa_slope : (...,) [1/m], [1/m^2]
             Curvature, and its derivative with respect to s.
         """
-        first_derivative, second_derivative, third_derivative = (
-            self.curve(t, order) for order in (1, 2, 3)
-        )
-        speed = np.linalg.norm(first_derivative, axis=-1)
-        e_3 = first_derivative / speed[..., None]
+        c_1, c_2, c_3 = (self.curve(t, order) for order in (1, 2, 3))
+        speed = np.linalg.norm(c_1, axis=-1)
+        e_3 = c_1 / speed[..., None]
         e_2 = np.stack(
             [np.interp(t, self.parameters, components) for components in self.normals.T], axis=-1
         )
         e_2 -= (e_2 * e_3).sum(-1, keepdims=True) * e_3
         e_2 /= np.linalg.norm(e_2, axis=-1, keepdims=True)
         e_1 = np.cross(e_2, e_3)
-        kappa = -(second_derivative * e_1).sum(-1) / speed**2
-        kappa_slope = -(third_derivative * e_1).sum(-1) / speed**3
-        kappa_slope -= 3.0 * kappa * (first_derivative * second_derivative).sum(-1) / speed**3
+        kappa = -(c_2 * e_1).sum(-1) / speed**2
+        kappa_slope = -(c_3 * e_1).sum(-1) / speed**3
+        kappa_slope -= 3.0 * kappa * (c_1 * c_2).sum(-1) / speed**3
         return np.stack([e_1, e_2, e_3], axis=-2), speed, kappa, kappa_slope
 
     @cached_property
@@ -235,7 +233,10 @@ class Front:
 
     @cached_property
     def _curve_samples(self) -> tuple[np.ndarray, cKDTree]:
-        """Return parameters of eight points for each node, and a search tree of these points."""
+        """Return parameters and a search tree of points on the curve.
+
+        There are eight points for each node.
+        """
         t = np.interp(
             np.linspace(0, len(self.parameters) - 1, 8 * len(self.parameters)),
             range(len(self.parameters)),
@@ -248,14 +249,9 @@ class Front:
         samples, tree = self._curve_samples
         t = samples[tree.query(points)[1]]
         for _ in range(3):  # Newton's steps
-            curve_points, first_derivative, second_derivative = (
-                self.curve(t, order) for order in range(3)
-            )
-            offsets = points - curve_points
-            t = t + (offsets * first_derivative).sum(-1) / (
-                (first_derivative * first_derivative).sum(-1)
-                - (offsets * second_derivative).sum(-1)
-            )
+            c_0, c_1, c_2 = (self.curve(t, order) for order in range(3))
+            offsets = points - c_0
+            t = t + (offsets * c_1).sum(-1) / ((c_1 * c_1).sum(-1) - (offsets * c_2).sum(-1))
             if not self.is_closed:
                 t = np.clip(t, self.parameters[0], self.parameters[-1])
         if self.is_closed:
@@ -596,13 +592,13 @@ def _make_stations(structure: Structure, front: Front) -> list[Station]:
 
 
 def _check_resolved(front: Front) -> None:
-    """Raise InputError if elements along the front are too long for the domain."""
+    """Raise InputError if elements along a front exceed the domain."""
     edge_lengths = np.linalg.norm(np.diff(front.nodes, axis=0), axis=1)
     radii = front.radius(front.frame(0.5 * (front.parameters[1:] + front.parameters[:-1]))[2])
     worst_edge = (edge_lengths / radii).argmax()
     if edge_lengths[worst_edge] > MAX_ELEMENT_RATIO * radii[worst_edge]:
         max_length = MAX_ELEMENT_RATIO * radii[worst_edge]
-        position_text = ", ".join(f"{coordinate:.4g}" for coordinate in front.nodes[worst_edge])
+        position_text = ", ".join(f"{x:.4g}" for x in front.nodes[worst_edge])
         requirement = f"no longer than {max_length:.3g} m along the front in ({position_text}) m"
         raise InputError("mesh", f"elements of {edge_lengths[worst_edge]:.3g} m", requirement)
 
@@ -657,7 +653,7 @@ def _split_into_chunks(cells: np.ndarray, n_points: int) -> list[np.ndarray]:
 
 
 TETRAHEDRON_EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
-"""Ends of each edge of a tetrahedron, in VTK's order of the nodes on edges."""
+"""Ends of a tetrahedron's edges, in VTK's order of the nodes on edges."""
 
 
 class _Domain:
@@ -912,7 +908,7 @@ class _Domain:
         q, q_slope = _weight_function(r / radius)
         q_slope /= radius
         g = 1.0 + kappa * xi
-        kappa_over_g = kappa / g
+        k = kappa / g
         is_limited = self.front.is_limited_by_curvature(kappa)
         relative_radius_slope = np.where(
             is_limited, -kappa_slope / np.where(is_limited, kappa, 1.0), 0.0
@@ -926,7 +922,7 @@ class _Domain:
             a, a_1, a_2 = self._plane_field(mode, xi, y, r)
             gradient = np.zeros((*r.shape, 3, 3))
             gradient[..., 0], gradient[..., 1] = np.moveaxis(a_1, 0, -1), np.moveaxis(a_2, 0, -1)
-            gradient[..., 0, 2], gradient[..., 2, 2] = -kappa_over_g * a[2], kappa_over_g * a[0]
+            gradient[..., 0, 2], gradient[..., 2, 2] = -k * a[2], k * a[0]
             stress = self._stress(gradient)
             if normal is not None:
                 m = np.einsum("cpij,cj->cpi", frame, normal)
@@ -940,7 +936,7 @@ class _Domain:
                     a_2,
                     gradient,
                     stress,
-                    (q, q_gradient, g, kappa_over_g, kappa_slope, hat, hat_slope),
+                    (q, q_gradient, g, k, kappa_slope, hat, hat_slope),
                 )
             total: Any = 0.0
             for hat_values, tensor in hat_tensors:
@@ -955,15 +951,15 @@ class _Domain:
         self, a: np.ndarray, a_1: np.ndarray, a_2: np.ndarray, gradient: np.ndarray,
         stress: np.ndarray, coordinates: tuple[np.ndarray, ...],
     ) -> list[tuple[np.ndarray, np.ndarray]]:  # fmt: skip
-        """Return T of the volume as factors of the hats and of their slopes.
+        """Return T in the volume, as factors of hats and slopes.
 
         Returns
         -------
         list of (factor, tensor)
             Hats with the first tensor, then slopes with the second.
         """
-        q, q_gradient, g, kappa_over_g, kappa_slope, hat, hat_slope = coordinates
-        q_kappa = (q * kappa_over_g)[..., None]
+        q, q_gradient, g, k, kappa_slope, hat, hat_slope = coordinates
+        q_kappa = (q * k)[..., None]
         hat_tensor = gradient[..., :, :1] * q_gradient[..., None, :]
         hat_tensor[..., 2] += gradient[..., 2] * q_kappa
         hat_tensor = self._stress(hat_tensor) - (q_gradient[..., :1] + q_kappa)[..., None] * stress
@@ -972,14 +968,10 @@ class _Domain:
         gradient_by_kappa = np.zeros_like(gradient)
         gradient_by_kappa[..., 0, 2], gradient_by_kappa[..., 2, 2] = -a[2] / g**2, a[0] / g**2
         stress_divergence = (kappa_slope / g)[..., None] * self._stress(gradient_by_kappa)[..., 2]
-        stress_divergence[..., 0] += kappa_over_g * (stress[..., 0, 0] - stress[..., 2, 2])
-        stress_divergence[..., 0] += self.lame * kappa_over_g * (a_1[0] - kappa_over_g * a[0])
-        stress_divergence[..., 1] += (
-            kappa_over_g * stress[..., 1, 0] + self.lame * kappa_over_g * a_2[0]
-        )
-        stress_divergence[..., 2] += 2.0 * kappa_over_g * stress[
-            ..., 2, 0
-        ] - self.mu * kappa_over_g * (a_1[2] - kappa_over_g * a[2])
+        stress_divergence[..., 0] += k * (stress[..., 0, 0] - stress[..., 2, 2])
+        stress_divergence[..., 0] += self.lame * k * (a_1[0] - k * a[0])
+        stress_divergence[..., 1] += k * stress[..., 1, 0] + self.lame * k * a_2[0]
+        stress_divergence[..., 2] += 2.0 * k * stress[..., 2, 0] - self.mu * k * (a_1[2] - k * a[2])
         hat_tensor[..., 0] += q[..., None] * stress_divergence
         slope_tensor = np.zeros_like(gradient)
         slope_tensor[..., 2] = gradient[..., 0] * (q / g)[..., None]

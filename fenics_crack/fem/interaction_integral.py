@@ -1,9 +1,10 @@
-"""Compute stress intensities at crack tips in plates as linear functionals of the displacement.
+"""Compute stress intensities at crack tips in plates.
 
-At any instant a plate is at rest under its loads, its contact forces and its inertia: K u = r. Let
-e_1 point ahead of a straight crack. Let s be the x_1 derivative of the field with unit K_I or K_II
-around its tip. The field s is in equilibrium, leaves the crack faces free, and grows like r^-1/2.
-Let q be a weight function that is 1 at the tip and 0 beyond a radius. Betti's theorem gives
+They are linear functionals of the displacement. At any instant a plate is at rest under its loads,
+its contact forces and its inertia: K u = r. Let e_1 point ahead of a straight crack. Let s be the
+x_1 derivative of the field with unit K_I or K_II around its tip. The field s is in equilibrium,
+leaves the crack faces free, and grows like r^-1/2. Let q be a weight function that is 1 at the tip
+and 0 beyond a radius. Betti's theorem gives
 
     2 K / E = int [s . sigma(u) - u . sigma(s)] . grad q dx - 1 / t (r . q s).
 
@@ -123,7 +124,7 @@ def find_tips(dofs: Dofs) -> list[Tip]:
 
 
 def _outer_points(dofs: Dofs) -> np.ndarray:
-    """Return this rank's nodes on edges of the plate, without crack faces: (n, 2) [m]."""
+    """Return this rank's nodes on edges without crack faces: (n, 2) [m]."""
     plate = dofs.plate
     topology = plate.mesh.topology
     topology.create_connectivity(1, 2)
@@ -136,7 +137,7 @@ def _outer_points(dofs: Dofs) -> np.ndarray:
 
 
 def _check_resolved(scene: Scene, tips: list[Tip], face_points: np.ndarray) -> None:
-    """Raise InputError if an element at a tip is longer than the domain's radius.
+    """Raise InputError if an element at a tip exceeds the domain.
 
     Then q falls within one element, and the integral has nothing to do with K.
     """

@@ -1,4 +1,4 @@
-"""Assemble loads as nodal forces: at points, on edges, and by a shaken base.
+"""Assemble point loads, edge loads and base motion as nodal forces.
 
 A force F at x does the work F . sum_i N_i(x) u_i, so node i gets N_i(x) F. On an edge E of a plate
 with the thickness t, or on a face of a solid with t = 1, a traction T gives it
@@ -115,11 +115,12 @@ def _direction(parts: Sequence[Vector]) -> Vector:
 
 
 def nodal_force_fractions(scene: Scene, dofs: Dofs, key: str, point: Vector) -> np.ndarray:
-    """Return the fraction of a point force that each node of this rank carries (collective).
+    """Return the fraction of a point force on each node (collective).
 
-    The result has the shape (n_nodes,). A node takes the whole force if it is at the point. So it
-    does if rounding, or a curved boundary between flat sides, puts the node out of every cell. On a
-    part from a CAD file, a point close to the mesh but out of every cell loads the nearest node.
+    The result has the shape (n_nodes,), for this rank's nodes. A node takes the whole force if it
+    is at the point. So it does if rounding, or a curved boundary between flat sides, puts the node
+    out of every cell. On a part from a CAD file, a point close to the mesh but out of every cell
+    loads the nearest node.
 
     Raises
     ------
@@ -185,7 +186,7 @@ def _point_load(
 
 
 def _require_free_force(dofs: Dofs, key: str, place: object, force: np.ndarray) -> np.ndarray:
-    """Return forces, or raise InputError if all of them act on clamped dofs."""
+    """Return forces; raise InputError if all act on clamped dofs."""
     forces = force, force[:, dofs.free_dofs]
     has_force, has_free_force = (
         np.any(gather_rows(dofs.comm, values.ravel())) for values in forces
@@ -279,10 +280,10 @@ def _inertia(mass: Any, acceleration: np.ndarray) -> np.ndarray:
 def _watch_node(
     dofs: Dofs, nodes: np.ndarray, position: np.ndarray, order_index: int, direction: Vector
 ) -> np.ndarray:
-    """Return a vector that watches a node of all ranks in a direction: (n_local,).
+    """Return a vector that watches a node in a direction: (n_local,).
 
-    Nodes are sorted by distance from a position, and equal distances by coordinates. The index 0
-    selects the nearest node, -1 the farthest.
+    Nodes of all ranks are sorted by distance from a position, and equal distances by coordinates.
+    The index 0 selects the nearest node, -1 the farthest.
     """
     all_points = gather_rows(dofs.comm, dofs.points[nodes])
     distance = np.linalg.norm(all_points - position, axis=1)

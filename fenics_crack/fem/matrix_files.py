@@ -1,4 +1,4 @@
-"""Read a structure from matrix files of other programs, and write such files.
+"""Read structures from other programs' matrix files, and write such files.
 
 The model's input file gives positions of nodes, and a load acts at a node. If the scene has contact
 but no gap matrix, coincident nodes without connection in the stiffness become pairs.
@@ -256,7 +256,7 @@ def _own_nodes(model: Model, node_dofs: np.ndarray, start: int, stop: int, comm:
 
 
 def _per_pair(name: str, setting: float | str, n_pairs: int) -> Any:
-    """Return one number for all pairs, or read one for each from a file."""
+    """Return a number for all pairs, or a file's number for each."""
     if not isinstance(setting, str):
         return setting
     return whole_rows(name, Path(setting), n_pairs).toarray().ravel() if n_pairs else 0.0
@@ -283,13 +283,12 @@ def count_pairs(table: StructureTable) -> int:
 
 
 def write_matrices(structure: Structure, folder: str | Path, scene: Scene | None = None) -> None:
-    """Write a structure's matrices to Matrix Market files, with a scene that reads them
-    (collective).
+    """Write matrices as Matrix Market files, with a scene (collective).
 
-    Files are named like the keys of ``[structure]``: ``mass.mtx``. Without pairs, tangential gaps
-    or areas there is no such file. A rotating structure has the stiffness and mean load at its
-    speed. Up to 3,000 dofs, modal damping is also written as a matrix for other programs. The scene
-    has its ratios and the number of damped modes.
+    The scene reads the files. They are named like the keys of ``[structure]``: ``mass.mtx``.
+    Without pairs, tangential gaps or areas there is no such file. A rotating structure has the
+    stiffness and mean load at its speed. Up to 3,000 dofs, modal damping is also written as a
+    matrix for other programs. The scene has its ratios and the number of damped modes.
 
     Parameters
     ----------
@@ -400,7 +399,7 @@ def find_coincident_nodes(points: np.ndarray) -> np.ndarray:
     return np.asarray(node_pairs[np.lexsort(node_pairs.T[::-1])])
 
 
-class _DoubledNodes:
+class _TwinNodes:
     """Coincident nodes of a model that are not connected, and their surroundings.
 
     Attributes
@@ -419,7 +418,7 @@ class _DoubledNodes:
         Equal for coincident nodes.
     connectivity : (n_nodes, n_nodes) bool
         True if the stiffness connects two nodes.
-    has_constrained_twin : (n_nodes,) bool
+    has_held_twin : (n_nodes,) bool
         True for two coincident nodes if only one has dofs. The other is held, or tied by
         equations.
     """
@@ -439,10 +438,10 @@ class _DoubledNodes:
         )
         self.place_labels = np.arange(n_nodes)
         self.place_labels[node_pairs[:, 1]] = node_pairs[:, 0]
-        self.has_constrained_twin = np.zeros(n_nodes, dtype=bool)
-        self.has_constrained_twin[
-            node_pairs[is_free[node_pairs[:, 0]] != is_free[node_pairs[:, 1]]]
-        ] = True
+        self.has_held_twin = np.zeros(n_nodes, dtype=bool)
+        self.has_held_twin[node_pairs[is_free[node_pairs[:, 0]] != is_free[node_pairs[:, 1]]]] = (
+            True
+        )
         self.first_nodes, self.second_nodes = node_pairs[is_pair].T
         nodes, counts = np.unique(
             np.append(self.first_nodes, self.second_nodes), return_counts=True
@@ -471,7 +470,7 @@ class _DoubledNodes:
 def find_pairs(
     model: Model, dofs: np.ndarray, stiffness: sparse.csr_matrix, *, has_rotations: bool
 ) -> tuple[sparse.csr_matrix, Pairs]:
-    """Find the pairs of a model, crack by crack, from the front to the mouth.
+    """Find a model's pairs, crack by crack, from front to mouth.
 
     Parameters
     ----------
@@ -497,16 +496,16 @@ def find_pairs(
         There are no coincident nodes, three of them coincide, or a crack's sides cannot be told
         apart.
     """
-    doubled_nodes = _DoubledNodes(model, dofs, stiffness)
-    facets = _crack_face_facets(model, doubled_nodes)
+    twins = _TwinNodes(model, dofs, stiffness)
+    facets = _crack_face_facets(model, twins)
     if facets:
-        gap, areas, pair_index, front_nodes = _patch_gaps(doubled_nodes, facets)
+        gap, areas, pair_index, front_nodes = _patch_gaps(twins, facets)
     else:
         is_plane = not has_rotations and np.all(np.any(dofs >= 0, axis=0))
-        gap, front_nodes = _nodal_gaps(doubled_nodes, 2 if is_plane else 1)
-        areas, pair_index = None, np.arange(len(doubled_nodes.first_nodes))
-    points = model.points[doubled_nodes.first_nodes[pair_index]]
-    crack_index = _number_cracks(doubled_nodes, pair_index)
+        gap, front_nodes = _nodal_gaps(twins, 2 if is_plane else 1)
+        areas, pair_index = None, np.arange(len(twins.first_nodes))
+    points = model.points[twins.first_nodes[pair_index]]
+    crack_index = _number_cracks(twins, pair_index)
     positions = np.zeros(len(pair_index))
     if len(front_nodes):
         from scipy.spatial import cKDTree
@@ -526,7 +525,7 @@ def find_pairs(
     return gap[:, order], pairs
 
 
-def _number_cracks(doubled_nodes: _DoubledNodes, pair_index: np.ndarray) -> np.ndarray:
+def _number_cracks(twins: _TwinNodes, pair_index: np.ndarray) -> np.ndarray:
     """Return the crack of each pair, numbered from bottom to top: (n_pairs,) int.
 
     Pairs with connected nodes are on one crack.
@@ -534,18 +533,18 @@ def _number_cracks(doubled_nodes: _DoubledNodes, pair_index: np.ndarray) -> np.n
     from scipy.sparse.csgraph import connected_components
 
     first_nodes, second_nodes = (
-        doubled_nodes.first_nodes[pair_index],
-        doubled_nodes.second_nodes[pair_index],
+        twins.first_nodes[pair_index],
+        twins.second_nodes[pair_index],
     )  # a first node may be on either face
-    straight_links = doubled_nodes.connectivity[first_nodes][:, first_nodes].multiply(
-        doubled_nodes.connectivity[second_nodes][:, second_nodes]
+    straight_links = twins.connectivity[first_nodes][:, first_nodes].multiply(
+        twins.connectivity[second_nodes][:, second_nodes]
     )
-    links = straight_links + doubled_nodes.connectivity[first_nodes][:, second_nodes].multiply(
-        doubled_nodes.connectivity[second_nodes][:, first_nodes]
+    links = straight_links + twins.connectivity[first_nodes][:, second_nodes].multiply(
+        twins.connectivity[second_nodes][:, first_nodes]
     )
     n_cracks, crack_labels = connected_components(links)
     centres = [
-        doubled_nodes.points[first_nodes[crack_labels == crack]].mean(axis=0)[[1, 0, 2]]
+        twins.points[first_nodes[crack_labels == crack]].mean(axis=0)[[1, 0, 2]]
         for crack in range(n_cracks)
     ]
     rank = np.empty(n_cracks, dtype=int)
@@ -562,7 +561,7 @@ Nodes are (m, 2 k): corners, then middle nodes of edges, or -1. Centres are (m, 
 """
 
 
-def _crack_face_facets(model: Model, doubled_nodes: _DoubledNodes) -> list[Facets]:
+def _crack_face_facets(model: Model, twins: _TwinNodes) -> list[Facets]:
     """Return the facets on crack faces: triangles, then quadrilaterals.
 
     Such a facet belongs to one cell, and coincides with another facet.
@@ -581,10 +580,10 @@ def _crack_face_facets(model: Model, doubled_nodes: _DoubledNodes) -> list[Facet
         is_boundary = _count_rows(nodes[:, :n_corners]) == 1
         is_on_crack = is_boundary.copy()
         is_on_crack[is_boundary] = (
-            _count_rows(doubled_nodes.place_labels[nodes[is_boundary, :n_corners]]) == 2
+            _count_rows(twins.place_labels[nodes[is_boundary, :n_corners]]) == 2
         )
-        is_on_crack &= np.any(doubled_nodes.pair_index[nodes[:, :n_corners]] >= 0, axis=1)
-        is_on_crack &= ~np.any(doubled_nodes.has_constrained_twin[nodes] & (nodes >= 0), axis=1)
+        is_on_crack &= np.any(twins.pair_index[nodes[:, :n_corners]] >= 0, axis=1)
+        is_on_crack &= ~np.any(twins.has_held_twin[nodes] & (nodes >= 0), axis=1)
         if np.any(is_on_crack):
             facets.append((nodes[is_on_crack], cell_centres[is_on_crack]))
     return facets
@@ -612,7 +611,10 @@ def _cell_facets(
 
 
 def _count_rows(rows: np.ndarray) -> np.ndarray:
-    """Count each row among all rows, whatever the order in a row: (n,) int."""
+    """Count each row among all rows: (n,) int.
+
+    The order of nodes in a row does not matter.
+    """
     _, unique_index, counts = find_unique_rows(rows)
     return np.asarray(counts[unique_index])
 
@@ -648,7 +650,7 @@ def _facet_basis(n_corners: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _patch_gaps(
-    doubled_nodes: _DoubledNodes, facets: list[Facets]
+    twins: _TwinNodes, facets: list[Facets]
 ) -> tuple[sparse.csr_matrix, np.ndarray, np.ndarray, np.ndarray]:
     """Assemble the gaps of patches.
 
@@ -663,11 +665,11 @@ def _patch_gaps(
     front_nodes : (m,) int
         Nodes of the fronts.
     """
-    n_pairs = len(doubled_nodes.first_nodes)
+    n_pairs = len(twins.first_nodes)
     corner_nodes = [nodes[:, : nodes.shape[1] // 2] for nodes, _ in facets]
     face_nodes = np.unique(np.concatenate([nodes.ravel() for nodes in corner_nodes]))
-    front_nodes = face_nodes[doubled_nodes.pair_index[face_nodes] < 0]
-    patch_index = doubled_nodes.pair_index.copy()
+    front_nodes = face_nodes[twins.pair_index[face_nodes] < 0]
+    patch_index = twins.pair_index.copy()
     patch_index[front_nodes] = n_pairs + np.arange(
         len(front_nodes)
     )  # their patches go to neighbours
@@ -677,7 +679,7 @@ def _patch_gaps(
     for nodes, cell_centres in facets:
         k = nodes.shape[1] // 2
         (linear, edge_functions), psi, slopes = _facet_basis(k)
-        corner_points = doubled_nodes.points[nodes[:, :k]]
+        corner_points = twins.points[nodes[:, :k]]
         tangent_1, tangent_2 = np.einsum("akq,fkx->afqx", slopes, corner_points)
         normals = np.cross(tangent_1, tangent_2)
         is_inward = np.einsum("fqx,fx->f", normals, corner_points.mean(axis=1) - cell_centres) < 0.0
@@ -702,12 +704,12 @@ def _patch_gaps(
         integrals = np.concatenate(
             [corner_integrals, edge_integrals], axis=2
         )  # (facet, pressure, node, axis)
-        rows = np.broadcast_to(doubled_nodes.dofs[nodes][:, None], integrals.shape)
+        rows = np.broadcast_to(twins.dofs[nodes][:, None], integrals.shape)
         columns = np.broadcast_to(facet_patches[:, :, None, None], integrals.shape)
         is_kept = (rows >= 0) & (integrals != 0.0)
         entries.append((integrals[is_kept], rows[is_kept], columns[is_kept]))
     integrals, rows, columns = (np.concatenate(arrays) for arrays in zip(*entries, strict=True))
-    gap = sparse.csr_matrix((integrals, (rows, columns)), (doubled_nodes.n_dofs, len(areas)))
+    gap = sparse.csr_matrix((integrals, (rows, columns)), (twins.n_dofs, len(areas)))
     integrals, rows, columns = (np.concatenate(arrays) for arrays in zip(*overlaps, strict=True))
     overlap_matrix = sparse.csr_matrix((integrals, (rows, columns)), (len(areas), len(areas)))
     shares = distribute_front_pressures(overlap_matrix[n_pairs:, :n_pairs])
@@ -720,9 +722,7 @@ def _patch_gaps(
 # --- of nodes -------------------------------------------------------------------------------------
 
 
-def _nodal_gaps(
-    doubled_nodes: _DoubledNodes, n_tangents: int
-) -> tuple[sparse.csr_matrix, np.ndarray]:
+def _nodal_gaps(twins: _TwinNodes, n_tangents: int) -> tuple[sparse.csr_matrix, np.ndarray]:
     """Assemble the gaps of pairs of nodes.
 
     The crack faces have ``n_tangents`` directions.
@@ -734,21 +734,17 @@ def _nodal_gaps(
     front_nodes : (m,) int
         Nodes of the fronts.
     """
-    points = doubled_nodes.points
-    gap = sparse.lil_matrix((doubled_nodes.n_dofs, len(doubled_nodes.first_nodes)))
+    points = twins.points
+    gap = sparse.lil_matrix((twins.n_dofs, len(twins.first_nodes)))
     front_nodes: list[np.ndarray] = []
     size = float(np.ptp(points, axis=0).max())
-    for column, (a, b) in enumerate(
-        zip(doubled_nodes.first_nodes, doubled_nodes.second_nodes, strict=True)
-    ):
-        neighbours = [doubled_nodes.connectivity[node].indices for node in (a, b)]
+    for column, (a, b) in enumerate(zip(twins.first_nodes, twins.second_nodes, strict=True)):
+        neighbours = [twins.connectivity[node].indices for node in (a, b)]
         front_nodes.append(np.intersect1d(*neighbours))
         near_nodes = np.unique(np.concatenate(neighbours))
-        near_nodes = np.append(
-            near_nodes[doubled_nodes.pair_index[near_nodes] >= 0], front_nodes[-1]
-        )
-        if len(np.unique(doubled_nodes.place_labels[near_nodes])) <= n_tangents:
-            near_nodes = doubled_nodes.first_nodes
+        near_nodes = np.append(near_nodes[twins.pair_index[near_nodes] >= 0], front_nodes[-1])
+        if len(np.unique(twins.place_labels[near_nodes])) <= n_tangents:
+            near_nodes = twins.first_nodes
         offsets = points[near_nodes] - points[near_nodes].mean(axis=0)
         tangents = np.linalg.svd(offsets, full_matrices=False)[2][:n_tangents]
         normal = points[neighbours[1]].mean(axis=0) - points[neighbours[0]].mean(axis=0)
@@ -761,7 +757,7 @@ def _nodal_gaps(
             )
         normal /= np.linalg.norm(normal)
         for node, sign in ((a, 1.0), (b, -1.0)):
-            for dof, component in zip(doubled_nodes.dofs[node], sign * normal, strict=True):
+            for dof, component in zip(twins.dofs[node], sign * normal, strict=True):
                 if dof >= 0 and abs(component) > POSITION_TOLERANCE:
                     gap[dof, column] = component
     return gap.tocsr(), np.unique(np.concatenate(front_nodes))

@@ -1,7 +1,8 @@
-"""Read nodes and cells from input files of CalculiX, Abaqus, Nastran and Ansys, or from a table.
+"""Read nodes and cells from other programs' input files, or from a table.
 
-Only nodes and solid elements are read, with nodes in VTK's order. Keywords that make nodes without
-stating their coordinates are refused by name.
+The programs are CalculiX, Abaqus, Nastran and Ansys. Only nodes and solid elements are read, with
+nodes in VTK's order. Keywords that make nodes without stating their coordinates are refused by
+name.
 """
 
 from __future__ import annotations
@@ -57,8 +58,8 @@ class Model:
 def read_model(path: Path) -> Model:
     """Read nodes and cells from a file.
 
-    The ending tells the format: .inp of CalculiX or Abaqus; .bdf, .dat or .nas of Nastran; .cdb of
-    Ansys. Other files have rows with node, x, y, z between commas.
+    The ending tells the format: .inp (CalculiX, Abaqus), .bdf, .dat or .nas (Nastran), .cdb
+    (Ansys). Other files have rows with node, x, y, z between commas.
 
     Raises
     ------
@@ -116,8 +117,14 @@ Cells = dict[int, list[list[int]]]
 
 
 def _add_node(nodes: Nodes, line_number: int, label: int, position: tuple[float, ...]) -> None:
-    """Add a node; raise ValueError for an unusable or contradictory position."""
-    if not all(abs(coordinate) <= LARGEST for coordinate in position):
+    """Add a node.
+
+    Raises
+    ------
+    ValueError
+        A coordinate is too large or no number, or the node has another position already.
+    """
+    if not all(abs(x) <= LARGEST for x in position):
         raise ValueError(
             f"line {line_number}: a coordinate of node {label} is no number to {LARGEST:g}"
         )
@@ -251,7 +258,7 @@ def _read_cards(path: Path) -> Iterator[tuple[int, list[str]]]:
 
 
 def _read_ansys(path: Path, nodes: Nodes, cells: Cells) -> None:
-    """Read nodes and cells from the blocks NBLOCK and EBLOCK, written by CDWRITE.
+    """Read nodes and cells from CDWRITE's blocks NBLOCK and EBLOCK.
 
     The line below a block's name states number and width of the fields.
     """

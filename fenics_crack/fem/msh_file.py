@@ -1,4 +1,4 @@
-"""Read mesh files with gmsh in a separate process, and check them before use.
+"""Read mesh files with gmsh in a separate process, and check them.
 
 gmsh runs an unknown file as a script, chooses the format by the file's name, and runs ``NAME.opt``
 beside the file. So gmsh gets a copy with a fixed name, alone in a folder, and only if the file
@@ -71,7 +71,7 @@ _GROUP_WORDS = {
     2: ("surfaces hold one kind of cells, triangles or quadrilaterals", "curve"),
     3: ("volumes hold one kind of cells, tetrahedra or hexahedra", "surface"),
 }
-"""Required contents of groups of cells, and the word for a group of facets."""
+"""Required contents of groups with cells, and the word for a group of facets."""
 _FACET_WORDS = {2: "an edge", 3: "a facet"}
 """Word for a facet in messages, for each dimension."""
 
@@ -318,7 +318,7 @@ def cells_of(kind: int, nodes: np.ndarray) -> Cells:
 def _facets_after_split(
     named_facets: dict[str, np.ndarray], cells: Cells, nodes: np.ndarray, node_map: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Return named facets with the nodes that their cells have after a split.
+    """Return named facets with their nodes after a split.
 
     Parameters
     ----------
@@ -407,13 +407,13 @@ def _fill_model(positions: np.ndarray, groups: list[Group]) -> None:
 
 # --- checks of a mesh -----------------------------------------------------------------------------
 
-MIN_RELATIVE_DETERMINANT = 1e-9
+MIN_DETERMINANT = 1e-9
 """Minimum determinant, relative to the cell's maximum or to size^d."""
 
 
 def _mesh_error(problem: str, position: np.ndarray, requirement: str) -> InputError:
     """Return the error for a mesh with a problem at a position."""
-    coordinates = ", ".join(f"{coordinate:g}" for coordinate in position)
+    coordinates = ", ".join(f"{x:g}" for x in position)
     return InputError("mesh", f"{problem} at ({coordinates})", requirement)
 
 
@@ -447,12 +447,8 @@ def check_cells(kind: int, cells: Cells, positions: np.ndarray) -> None:
     max_moduli = np.maximum(-min_determinants, max_determinants)
     extent_word = ("area", "volume")[dimension - 2]
     # In a plane a corner may have 180 degrees.
-    is_flat = (
-        max_moduli if dimension == 2 else min_moduli
-    ) <= MIN_RELATIVE_DETERMINANT * cell_volumes
-    is_folded = (
-        np.minimum(-min_determinants, max_determinants) > MIN_RELATIVE_DETERMINANT * max_moduli
-    )
+    is_flat = (max_moduli if dimension == 2 else min_moduli) <= MIN_DETERMINANT * cell_volumes
+    is_folded = np.minimum(-min_determinants, max_determinants) > MIN_DETERMINANT * max_moduli
     for problem, is_wrong in (
         (f"a cell without {extent_word}", is_flat),
         ("a folded cell", is_folded),
@@ -490,7 +486,7 @@ def check_cells(kind: int, cells: Cells, positions: np.ndarray) -> None:
 def _check_inner_surfaces(
     cells: Cells, named_facets: dict[str, np.ndarray], crack_names: list[str]
 ) -> None:
-    """Raise InputError if a surface inside the solid is neither crack nor clamp.
+    """Raise InputError for surfaces inside that are neither crack nor clamp.
 
     Such a surface would not separate anything.
     """
@@ -640,9 +636,7 @@ def _are_in_cells(
             _basis_functions(kind, reference_points[active_points]),
             cell_positions[active_points],
         )
-        is_unconverged = (
-            np.abs(residuals).max(axis=1) > MIN_RELATIVE_DETERMINANT * cell_sizes[active_points]
-        )
+        is_unconverged = np.abs(residuals).max(axis=1) > MIN_DETERMINANT * cell_sizes[active_points]
         active_points, residuals = active_points[is_unconverged], residuals[is_unconverged]
         if not len(active_points):
             break

@@ -98,7 +98,7 @@ class NodalMesh:
         corners = np.unique(facets := self.crack_faces)
         corner_points = points[corners]
         distance, pair = cKDTree(self.structure.pair_points).query(corner_points)
-        is_doubled = (
+        has_twin = (
             cKDTree(corner_points).query_ball_point(corner_points, tolerance, return_length=True)
             > 1
         )
@@ -107,7 +107,7 @@ class NodalMesh:
         if pairs.nodes is not None and pairs.shares is not None:
             shares[corners] = pairs.shares[cKDTree(pairs.nodes).query(corner_points)[1]].toarray()
         else:
-            shares[corners[is_doubled], pair[is_doubled]] = 1.0
+            shares[corners[has_twin], pair[has_twin]] = 1.0
         edge_ends = np.stack([facets, np.roll(facets, -1, axis=1)], axis=2).reshape(-1, 2)
         edge_ends = (
             np.concatenate([edge_ends, facets[:, [0, 2]]]) if facets.shape[1] == 4 else edge_ends
@@ -120,7 +120,9 @@ class NodalMesh:
 
     @cached_property
     def _sides(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the sides of all cells: edges of a plate, or facets of a solid.
+        """Return the sides of all cells.
+
+        They are a plate's edges, or a solid's facets.
 
         Returns
         -------

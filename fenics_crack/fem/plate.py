@@ -119,7 +119,7 @@ def write_msh(scene: Scene, path: str | Path) -> None:
 
 @contextmanager
 def _gmsh_on_root(comm: MPI.Comm) -> Iterator[None]:
-    """Run gmsh with an empty model on rank 0; other ranks do nothing."""
+    """Run gmsh with an empty model on rank 0."""
     if comm.rank != 0:
         yield
         return
@@ -164,8 +164,8 @@ def _mesh_scene(scene: Scene) -> tuple[NamedParts, Cracks]:
 class Dofs:
     """Free dofs of a mesh, and their numbers in the structure.
 
-    On the right side of a sector, displacements are in the frame of the next sector, and equal
-    those of its left side.
+    On a sector's right side, displacements are in the next sector's frame, and equal to those on
+    its left side.
     """
 
     sides: np.ndarray | None = None
@@ -215,7 +215,7 @@ class Dofs:
         return nodes[nodes < space.dofmap.index_map.size_local]
 
     def set_sector_sides(self, sides: np.ndarray, rotation: np.ndarray) -> None:
-        """Set the sides of a sector; later matrices and forces are rotated there.
+        """Set the sides of a sector, and rotate later matrices and forces there.
 
         The rotation applies to the right side. Only one rank has the sector.
         """

@@ -61,7 +61,9 @@ def assemble_wheel(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Com
 
 
 def turn_sides(scene: Scene, dofs: Dofs) -> None:
-    """Find the sides of a sector, and rotate the right one into the next frame.
+    """Find a sector's sides, and rotate the right one.
+
+    Its displacements are then in the frame of the next sector.
 
     Raises
     ------

@@ -1,8 +1,9 @@
-"""Mesh solids with plane cracks: boxes, sectors of disks, and parts from CAD files.
+"""Mesh solids with plane cracks.
 
-Cracks are surfaces inside the solid, whose nodes exist once. They are split like the cracks of a
-mesh file (:mod:`fenics_crack.fem.msh_file`). Elements have the length ``mesh.size`` or, at a
-distance d from a crack front, the smaller length
+The solids are boxes, sectors of disks, and parts from CAD files. Cracks are surfaces inside the
+solid, whose nodes exist once. They are split like the cracks of a mesh file
+(:mod:`fenics_crack.fem.msh_file`). Elements have the length ``mesh.size`` or, at a distance d from
+a crack front, the smaller length
 
     h(d) = h_0 + max(r - 1, 1/3) d,    r = grading^(1 / (lip_elements - 1)).
 
@@ -133,10 +134,10 @@ def describe_part(structure: Structure) -> dict[str, str]:
 
 
 def ray_length(point: np.ndarray, direction: np.ndarray, triangles: np.ndarray) -> float:
-    """Return the distance from a point to the first triangle along a direction.
+    """Return the distance to the first triangle along a ray.
 
-    Triangles are (n, 3, 3), and the direction has the length 1. Without a hit, the result is the
-    triangles' extent.
+    The ray begins at a point, and its direction has the length 1. Triangles are (n, 3, 3). Without
+    a hit, the result is the triangles' extent.
     """
     side_1, side_2 = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
     normal = np.cross(direction, side_2)
@@ -152,7 +153,7 @@ def ray_length(point: np.ndarray, direction: np.ndarray, triangles: np.ndarray) 
 
 
 def _mesh_part(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
-    """Mesh a part; return the mesh and its unit [m]."""
+    """Mesh a part, and return the mesh with its unit [m]."""
     unit_scene, unit = scale_to_mesh_unit(scene, MILLIMETRE)
     geometry, mesh = scene.geometry, unit_scene.mesh
     face_points = [(face.key, face_point) for face in geometry.faces for face_point in face.values]
@@ -167,7 +168,7 @@ def _mesh_part(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
 def _run_mesher(
     path: str, request: dict[str, Any], scene: Scene | None = None
 ) -> dict[str, np.ndarray]:
-    """Run the mesher on a file in a separate process, and return its arrays."""
+    """Run the mesher on a file in a separate process."""
     with reading("geometry.file", path, "a part that gmsh reads and meshes"):
         file_mark = FILE_MARKS.get(Path(path).suffix.lower(), b"ISO-10303-21")
         if file_mark not in beginning_of(path, 4096):
@@ -188,7 +189,7 @@ def _run_mesher(
 
 
 def _scene_value(scene: Scene, key: str) -> object:
-    """Return the value of a key; for a part's faces, their names."""
+    """Return the value of a key, or the names of a part's faces."""
     table, _, field = key.rpartition(".")
     value = getattr(scene.all_cracks.get(table) or getattr(scene, table), field)
     return [face.key for face in value] if field == "faces" else value
@@ -214,9 +215,9 @@ def _mesher_cracks(scene: Scene) -> list[dict[str, Any]]:
 
 
 def _box_crack(crack: Crack, sides: Sequence[float]) -> dict[str, Any]:
-    """Return the crack of a box as an ellipse or rectangle in a plane y = height.
+    """Return a box's crack in a plane y = height.
 
-    It begins at the face z = thickness.
+    It is an ellipse or rectangle centred on the face z = thickness.
     """
     width, _, thickness = sides
     left_end, right_end = crack.span(width)
@@ -233,7 +234,7 @@ def _box_crack(crack: Crack, sides: Sequence[float]) -> dict[str, Any]:
 
 
 def _mesh_box(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
-    """Mesh a box, or a sector of a disk; return the mesh and its unit [m]."""
+    """Mesh a box or a disk's sector, and return the mesh with its unit [m]."""
     unit_scene, unit = scale_to_mesh_unit(scene)
     width, height, thickness = box_size = unit_scene.geometry.sides
     occ, rim = gmsh.model.occ, None if scene.disk is None else Rim(unit_scene)

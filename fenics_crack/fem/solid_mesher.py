@@ -52,10 +52,11 @@ class Refusal(Exception):
 
 
 def read(path: str, _max_bytes: int, request: dict[str, Any]) -> dict[str, Any]:
-    """Return the mesh of a part as msh_reader.py does, or its faces if ``request`` has no size.
+    """Return the mesh of a part, or its faces.
 
-    Lengths in ``request`` are in mm, the unit of the mesh. Its keys are: "faces", a list of [name,
-    point]; "cracks", see :func:`insert_cracks`; "size", "unit", "per_turn" and "cells".
+    The form is that of msh_reader.py. Without "size" in ``request``, only faces are returned.
+    Lengths are in mm, the unit of the mesh. Other keys are "faces", a list of [name, point];
+    "cracks", see :func:`insert_cracks`; "unit", "per_turn" and "cells".
     """
     with suppress(AttributeError, ValueError):  # as in basics/gmsh_process.py, for FLTK
         ctypes.c_ubyte.in_dll(gmsh.lib, "_ZN2Fl13options_read_E").value = 1
@@ -198,7 +199,7 @@ def _find_named_faces(
 def _match_surfaces(
     surfaces: list[int], triangles: np.ndarray, owners: np.ndarray
 ) -> dict[int, int]:
-    """Return the uncracked part's face for each surface of the mesh, without cracks."""
+    """Return the uncracked part's face for each surface except cracks."""
     face_of_surface = {}
     for _, tag in gmsh.model.getEntities(2):
         if tag not in surfaces:
@@ -215,7 +216,7 @@ def _match_surfaces(
 def insert_cracks(
     solid_tags: Tags, cracks: list[Crack], triangles: np.ndarray
 ) -> tuple[list[int], list[Front]]:
-    """Cut cracks into a solid; return their surfaces and fronts.
+    """Cut cracks into a solid, and return their surfaces and fronts.
 
     Parameters
     ----------
@@ -334,7 +335,10 @@ def _describe_front(crack: Crack, rim: set[int]) -> Front:
 
 
 def _check_crack_position(crack: Crack, surface: int, front: Front, triangles: np.ndarray) -> None:
-    """Raise Refusal if a crack lies in a face, has no front, or almost no ligament."""
+    """Raise Refusal if a crack is in a face, or almost without ligament.
+
+    A crack without a front inside the part is refused, too.
+    """
     key, shortest_length = f"{crack['key']}.point", front["shortest"]
     centre = np.array([gmsh.model.occ.getCenterOfMass(2, surface)])
     if (
