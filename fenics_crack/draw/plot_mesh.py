@@ -52,7 +52,7 @@ def draw_mesh(structure: Structure, **where: Unpack[Where]) -> Figure:
     >>> figure = fc.draw_mesh(structure, path="mesh.png")
     """
     mesh = NodalMesh(structure)
-    load = mesh.field(mesh.structure.force)
+    load = mesh.nodal_vectors(mesh.structure.force)
     if mesh.dimension == 3:
         picture = Picture(size=(5.5, 6.5), **where)
         _solid(picture, mesh, load)
@@ -150,7 +150,7 @@ def draw_modes(
     row = 0.4 + 2.4 * float(np.clip(up / across, 0.3, 1.0))
     size = (2.7 * columns, row * -(-len(numbers) // columns))
     picture = Picture(len(numbers), columns=columns, size=size, comm=mesh.structure.comm, **where)
-    shapes = mesh.field(modes.structure.expand(modes.shapes.T))
+    shapes = mesh.nodal_vectors(modes.structure.expand(modes.shapes.T))
     for panel, number in zip(picture, numbers, strict=True):
         shape = shapes[number - 1]
         draw_moved(panel, mesh, tenth(shape, mesh.size) * shape, np.linalg.norm(shape, axis=1))

@@ -385,7 +385,7 @@ def draw_plate(scene: Scene) -> tuple[NamedParts, Cracks]:
     unit_scene, unit = scale_to_mesh_unit(scene)
     groups = _draw_blocks(scene, unit_scene)
     if scene.has_element_lengths:
-        rim = Rim(unit_scene)
+        rim = DiskRim(unit_scene)
         entities_of_group = gmsh.model.getEntitiesForPhysicalGroup
         left_curves, right_curves = (
             entities_of_group(1, *groups[name]).tolist() for name in RIM_SIDES
@@ -420,12 +420,12 @@ def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
         sum(interval.n_elements for interval in side) for side in (columns, rows)
     )
     if scene.disk is not None:
-        n_cells += Rim(scene).area / _element_length(scene) ** 2
+        n_cells += DiskRim(scene).area / _element_length(scene) ** 2
     key = "columns" if scene.mesh.layout == "grid" else "size"
     check_cell_count(scene, key, n_cells, 2 * scene.mesh.order**2)
 
     columns, rows, slits = _plate_blocks(unit_scene)
-    rim = None if unit_scene.disk is None else Rim(unit_scene)
+    rim = None if unit_scene.disk is None else DiskRim(unit_scene)
     xs, ys = ([0.0, *(interval.stop for interval in side)] for side in (columns, rows))
     add_point = gmsh.model.geo.addPoint
     foot_heights = [0.0 if rim is None else rim.foot_height(x) for x in xs]
@@ -530,7 +530,7 @@ def _add_curve(start: int, end: int, interval: Interval, center: int | None = No
     geo = gmsh.model.geo
     points = (start, end) if center is None else (start, center, end)
     curve: int = (geo.addLine if center is None else geo.addCircleArc)(*points)
-    if interval.n_elements:  # else elements have lengths by :func:`_mesh_graded`
+    if interval.n_elements:  # else elements have lengths by :func:`_mesh_with_gradings`
         n_nodes, ratio = interval.n_elements + 1, interval.length_ratio
         gmsh.model.geo.mesh.setTransfiniteCurve(curve, n_nodes, "Progression", ratio)
     return curve
@@ -544,7 +544,7 @@ RIM_SIDES = ("rim_left", "rim_right")
 """Names for the sides of a sector made here: "left" and "right" are sides of its blade."""
 
 
-class Rim:
+class DiskRim:
     """Part of a disk's rim below one blade, between two circles.
 
     Attributes
@@ -803,7 +803,10 @@ def _crack_gradings(scene: Scene) -> list[_Grading]:
         left_end, right_end = crack.span(width)
         face_length = right_end - left_end
         if crack.edge is None:
-            n_elements, face_length = -(-n_elements // 2), 0.5 * face_length  # as of :class:`_Half`
+            n_elements, face_length = (
+                -(-n_elements // 2),
+                0.5 * face_length,
+            )  # as of :class:`_GradedFace`
         length_ratio = mesh.grading ** (1.0 / max(n_elements - 1, 1))
         tip_length = face_length / float((length_ratio ** np.arange(n_elements)).sum())
         tips = np.array([tip for tip in (left_end, right_end) if 0.0 < tip < width])

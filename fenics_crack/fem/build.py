@@ -130,7 +130,7 @@ def pair_crack_faces(
     solid_fields: dict[str, Any] = {}
     if max_patches is not None or dimension == 3:
         if max_patches is None:
-            shares = _front_shares(dofs, space, face_measure, lower_nodes, n_inside)
+            shares = _front_pressure_shares(dofs, space, face_measure, lower_nodes, n_inside)
         else:
             pair_nodes, shares = _patch_shares(
                 points, crack_index, positions, n_inside, max_patches
@@ -171,7 +171,7 @@ def pair_crack_faces(
     return _free_rows(gap, dofs), tangential, pairs
 
 
-def _front_shares(
+def _front_pressure_shares(
     dofs: Dofs, space: Any, face_measure: Any, node_numbers: np.ndarray, n_inside: int
 ) -> sparse.csr_matrix:
     """Return S, which assigns front pressures to neighbours: (n, n_inside).
@@ -459,7 +459,7 @@ def reuse_structure(scene: Scene, structure: Structure, *, loads: bool) -> Struc
         _, mass = _matrix_forms(scene, dofs.space)
         matrix = compat.assembled_matrix(mass)
         force, changes["watched"] = assemble_loads(scene, dofs, matrix)
-        changes |= {"force": dofs.free_part(force), "clamp": clamp_of(dofs, matrix, force)}
+        changes |= {"force": dofs.restrict_to_free(force), "clamp": clamp_of(dofs, matrix, force)}
         matrix.destroy()
     return structure._in(UNVARIED, **changes)
 
@@ -480,9 +480,9 @@ def _assemble_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
     space = compat.function_space(plate.mesh, scene.mesh.order)
     dofs = Dofs(plate, space, comm)
     if scene.disk is not None:
-        from fenics_crack.fem.sector import turn_sides
+        from fenics_crack.fem.sector import match_sides
 
-        turn_sides(scene, dofs)
+        match_sides(scene, dofs)
     stiffness, mass = map(compat.assembled_matrix, _matrix_forms(scene, space))
     mouth_only = scene.contact is not None and scene.contact.pairs == "mouth"
     t, patches = thickness(scene, space), scene.mesh.patches
@@ -490,9 +490,10 @@ def _assemble_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
     force, watched_vector = assemble_loads(scene, dofs, mass)
     clamp = clamp_of(dofs, mass, force)
     body = Body(
-        dofs.free_block(mass), dofs.free_block(stiffness), gap, dofs.free_part(force),
-        clearance_of(scene, pairs), damping=damping_of(scene.damping), tangential=tangential,
-        nodes=dofs.nodes(), pairs=pairs, watched=watched_vector, clamp=clamp,
+        dofs.restrict_matrix(mass), dofs.restrict_matrix(stiffness), gap,
+        dofs.restrict_to_free(force), clearance_of(scene, pairs),
+        damping=damping_of(scene.damping), tangential=tangential, nodes=dofs.nodes(),
+        pairs=pairs, watched=watched_vector, clamp=clamp,
     )  # fmt: skip
     return Structure(body), dofs
 
@@ -546,7 +547,7 @@ def with_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Scene:
     """Return the scene with the crack length for ``crack.first_omega``, if given."""
     if scene.crack is None or scene.crack.first_omega is None:
         return scene
-    return _replace_length(scene, find_crack_length(scene, comm))
+    return _set_crack_length(scene, find_crack_length(scene, comm))
 
 
 _LAST_LENGTH: list[tuple[str, float]] = []
@@ -594,7 +595,7 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     @cache
     def excess_frequency(length: float) -> float:
         """Return the first natural frequency less the target [rad/s]."""
-        plate = assemble(_replace_length(scene_at_rest, length), comm)
+        plate = assemble(_set_crack_length(scene_at_rest, length), comm)
         return float(solve_modes(plate, 1).omega[0]) - target_omega
 
     max_extent, extent_words = width, "width"
@@ -617,6 +618,6 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     return crack_length
 
 
-def _replace_length(scene: Scene, length: float) -> Scene:
+def _set_crack_length(scene: Scene, length: float) -> Scene:
     """Return the scene with a crack length instead of a frequency."""
     return scene.replace({"crack.length": length, "crack.first_omega": None})

@@ -30,7 +30,7 @@ from fenics_crack.basics.untrusted_files import away
 
 
 @contextmanager
-def _versions_by_metadata() -> Iterator[None]:
+def _replace_pkg_resources() -> Iterator[None]:
     """Replace setuptools' pkg_resources while UFL 2022.2 and FFCx 0.5 are imported.
 
     Both ask it only for their own version. Its import takes a tenth of the program's start.
@@ -46,7 +46,7 @@ def _versions_by_metadata() -> Iterator[None]:
 
 
 settle_caches()
-with _versions_by_metadata(), away(), loading():
+with _replace_pkg_resources(), away(), loading():
     import basix
     import dolfinx
     import dolfinx.fem.petsc

@@ -105,7 +105,7 @@ class CrackPath:
         tip_distance = length - position if self.has_mouth else min(position, length - position)
         edge_index = np.searchsorted(self.corner_positions[1:-1], position)
         return points_on_both_sides(
-            point, distance, tip_distance, _normals(self.edges[[edge_index]])[0], length
+            point, distance, tip_distance, _facet_normals(self.edges[[edge_index]])[0], length
         )
 
 
@@ -174,7 +174,7 @@ class CrackSurface:
         nearest_triangle = np.linalg.norm(
             _offsets_from_triangles(position[None], self.triangles)[0], axis=1
         ).argmin()
-        normal = _normals(self.triangles[[nearest_triangle]])[0]
+        normal = _facet_normals(self.triangles[[nearest_triangle]])[0]
         return points_on_both_sides(point, distance, front_distance, normal, self.size)
 
 
@@ -201,7 +201,7 @@ def _offsets_from_triangles(points: np.ndarray, triangles: np.ndarray) -> np.nda
     return offsets
 
 
-def _normals(facets: np.ndarray) -> np.ndarray:
+def _facet_normals(facets: np.ndarray) -> np.ndarray:
     """Return normals of edges (n, 2, 2) or triangles (n, 3, 3).
 
     An edge's normal has the edge's length, a triangle's normal twice its area.
@@ -302,7 +302,7 @@ def locate_on_cracks(cracks: Sequence[Any], points: np.ndarray) -> tuple[np.ndar
     return crack_index, positions[crack_index, np.arange(len(points))]
 
 
-def label_parts(rows: np.ndarray) -> np.ndarray:
+def label_connected_rows(rows: np.ndarray) -> np.ndarray:
     """Label connected rows of nodes: (n,) int.
 
     Rows have the same label if a chain of common nodes connects them.
@@ -401,7 +401,7 @@ def _ordered_chains(
             raise InputError("lips", f"{n_edges} edges of a crack face at {place}", requirement)
     # Cracks that share a tip are different: number the tips of each edge anew.
     unshared_tips = len(positions) + np.arange(edges.size).reshape(edges.shape)
-    edge_labels = label_parts(np.where(np.isin(edges, tips), unshared_tips, edges))
+    edge_labels = label_connected_rows(np.where(np.isin(edges, tips), unshared_tips, edges))
     for chain_index in range(edge_labels.max() + 1):
         chain_nodes, local_edges = np.unique(
             edges[edge_labels == chain_index].ravel(), return_inverse=True
@@ -434,7 +434,7 @@ def find_crack_surfaces(
     edges, edge_counts = np.unique(_edges_of_polygons(lower_facets), axis=0, return_counts=True)
     rim_edges = edges[edge_counts == 1]
     is_front = np.isin(rim_edges, upper_facets).all(axis=1)
-    facet_labels, surfaces = label_parts(lower_facets), []
+    facet_labels, surfaces = label_connected_rows(lower_facets), []
     triangle_corners = [[0, 1, 2], [0, 2, 3]][: lower_facets.shape[1] - 2]
     for crack_index in range(facet_labels.max() + 1):
         facets = lower_facets[facet_labels == crack_index]
@@ -461,13 +461,13 @@ class Cells:
         Nodes in gmsh's order: corners first.
     facets : (n_facets, n) int
         Corners of each facet of a cell, as columns of ``nodes``.
-    supports : (k, n_corners) bool
+    supporting_corners : (k, n_corners) bool
         Corners between which each node of a cell lies.
     """
 
     nodes: np.ndarray
     facets: np.ndarray
-    supports: np.ndarray
+    supporting_corners: np.ndarray
 
     @property
     def n_corners(self) -> int:
@@ -586,7 +586,7 @@ def split_cracks(
     outer_facets = facets[cells.is_boundary & on_crack[facets].any(axis=1)]
     is_split = on_crack.copy()
     is_split[_front_parts(crack_facets[:, :n_corners], outer_facets)] = False
-    facet_labels = label_parts(corners)
+    facet_labels = label_connected_rows(corners)
     closed_labels = np.setdiff1d(facet_labels, facet_labels[is_split[corners].any(axis=1)])
     require(not len(closed_labels), "all nodes of a crack on its front", "meshed more finely")
 
@@ -599,7 +599,7 @@ def split_cracks(
     cell, is_fixed = owner[side_facets], ~is_split[facets[side_facets]]
     corner_stars = star_labels[cell[:, None], local_corners[side_facets]]
     corner_stars[is_fixed] = star_labels.size + np.arange(is_fixed.sum())
-    side_labels = label_parts(corner_stars)
+    side_labels = label_connected_rows(corner_stars)
     opposite_sides = np.unique(np.sort(np.split(side_labels, 2), axis=0), axis=1)  # pairs of labels
     is_split_corner = is_split[cells.nodes[:, : cells.n_corners]]
     require(
@@ -610,7 +610,7 @@ def split_cracks(
         "cracks that neither branch nor cross, and end at their fronts or at the boundary",
     )
     facet_corners = np.tile(positions[crack_facets[:, :n_corners]], (2, 1, 1))
-    normals = _normals(facet_corners)
+    normals = _facet_normals(facet_corners)
     cell_offsets = positions[cells.nodes[cell, : cells.n_corners]].mean(
         axis=1
     ) - facet_corners.mean(axis=1)
@@ -626,7 +626,7 @@ def split_cracks(
     )
     # A node between corners is doubled if any of these corners is.
     on_crack[crack_facets] = True
-    is_above = on_crack[cells.nodes] & (is_upper @ cells.supports.T)
+    is_above = on_crack[cells.nodes] & (is_upper @ cells.supporting_corners.T)
     copied_nodes, new_numbers = np.unique(cells.nodes[is_above]), np.arange(len(positions))
     new_numbers[copied_nodes] = len(positions) + np.arange(len(copied_nodes))
     lower_facets = crack_facets[is_split[crack_facets[:, :n_corners]].any(axis=1)]

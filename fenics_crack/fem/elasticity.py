@@ -113,7 +113,7 @@ def rotation_of(
     u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
     r = P * (ufl.SpatialCoordinate(space.mesh) - c)
     centrifugal_load = compat.assembled_vector(t * rho * ufl.inner(r, v) * ufl.dx)
-    centrifugal_load = dofs.free_part(centrifugal_load)
+    centrifugal_load = dofs.restrict_to_free(centrifugal_load)
     if solve_static is not None:
         u_c = solve_static(centrifugal_load[:, None])[:, 0]
     else:
@@ -133,7 +133,7 @@ def rotation_of(
 
     # One form for each matrix: a sum would be integrated with the highest degree.
     K_g, M_s, K_2, K_3 = (
-        dofs.free_block(compat.assembled_matrix(form))
+        dofs.restrict_matrix(compat.assembled_matrix(form))
         for form in (
             t * ufl.inner(ufl.dot(ufl.grad(u), static_stress), ufl.grad(v)) * ufl.dx,
             t * rho * ufl.inner(P * u, v) * ufl.dx,

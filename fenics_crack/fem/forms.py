@@ -77,9 +77,9 @@ def parts_of_forms(
     for key, form in forms.items():
         with reading(key, "a form", "one that DOLFINx can assemble"):
             if key in bilinear:
-                parts[key] = dofs.free_block(compat.assembled_matrix(form))
+                parts[key] = dofs.restrict_matrix(compat.assembled_matrix(form))
             else:
-                load = dofs.free_part(compat.assembled_vector(form))
+                load = dofs.restrict_to_free(compat.assembled_vector(form))
                 parts[key.replace("loads.", "force_")] = gather_rows(comm, load)
     return parts, dofs.nodes(), pairs
 

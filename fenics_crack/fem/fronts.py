@@ -244,7 +244,7 @@ class Front:
         )
         return t, cKDTree(self.curve(t, 0))
 
-    def project(self, points: np.ndarray) -> np.ndarray:
+    def nearest_parameters(self, points: np.ndarray) -> np.ndarray:
         """Return parameters of the curve's nearest points to points (..., 3)."""
         samples, tree = self._curve_samples
         t = samples[tree.query(points)[1]]
@@ -448,7 +448,9 @@ def _fit_curve(
                     extents[0] * (eigenvectors / np.sqrt(eigenvalues)) @ np.diag([1.0, sign])
                 )
                 return sign * t, partial(
-                    _ellipse, centroid + extents[0] * center @ axes[:2], half_axes.T @ axes[:2]
+                    _evaluate_ellipse,
+                    centroid + extents[0] * center @ axes[:2],
+                    half_axes.T @ axes[:2],
                 )
     edge_lengths = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
     t = np.append(0.0, np.cumsum(edge_lengths))
@@ -464,7 +466,9 @@ def _fit_curve(
     return t, lambda t, order: np.asarray(spline(t, order))
 
 
-def _ellipse(center: np.ndarray, half_axes: np.ndarray, t: np.ndarray, order: int) -> np.ndarray:
+def _evaluate_ellipse(
+    center: np.ndarray, half_axes: np.ndarray, t: np.ndarray, order: int
+) -> np.ndarray:
     """Evaluate center + half_axes[0] cos t + half_axes[1] sin t, or a derivative: (..., 3)."""
     angle = np.asarray(t)[..., None] + 0.5 * np.pi * order
     derivative = np.cos(angle) * half_axes[0] + np.sin(angle) * half_axes[1]
@@ -512,11 +516,12 @@ def front_functionals(
         _check_resolved(front)
         domain = _Domain(scene, front, points, cells)
         displacement_functional, nodal_fields = (
-            _free_dofs_of_rank(nodes, domain.nodes, rows) for rows in domain.functional_rows(comm)
+            _free_dofs_of_rank(nodes, domain.nodes, rows)
+            for rows in domain.integrate_functionals(comm)
         )
         force_functional = np.zeros((len(displacement_functional), structure.n_pairs))
         if structure.pairs.nodes is not None:
-            force_functional -= domain.scale[:, None] * structure.apply_bt(nodal_fields)
+            force_functional -= domain.intensity_factors[:, None] * structure.apply_bt(nodal_fields)
             force_functional[: len(front.station_parameters)] += _pressure_factors(structure, front)
         stated_stations = [
             station
@@ -554,7 +559,7 @@ def _free_dofs_of_rank(
     is_owned = (local_nodes >= 0) & (local_nodes < nodes.numbered.n_nodes)
     local_values = np.zeros((node_values.shape[1], nodes.numbered.n_nodes, 3))
     local_values[:, local_nodes[is_owned]] = node_values[is_owned].swapaxes(0, 1)
-    return np.asarray(nodes.numbered.free_part(local_values.reshape(len(local_values), -1)))
+    return np.asarray(nodes.numbered.restrict_to_free(local_values.reshape(len(local_values), -1)))
 
 
 def _make_stations(structure: Structure, front: Front) -> list[Station]:
@@ -692,7 +697,7 @@ class _Domain:
         mode_moduli = np.repeat(
             [plane_modulus, plane_modulus, self.mu], len(front.station_parameters)
         )
-        self.scale = mode_moduli / np.tile(front.hat_lengths(), 3)
+        self.intensity_factors = mode_moduli / np.tile(front.hat_lengths(), 3)
         front_distances = front._curve_samples[1].query(points)[0][cells]
         # Cells with all corners outside R touch the domain only where q is below 1e-5.
         is_near = front_distances.min(axis=1) < front.straight_radius
@@ -718,7 +723,7 @@ class _Domain:
         inverse = np.linalg.inv(sides).swapaxes(1, 2)  # rows: gradients of lambda_1 to lambda_3
         self.gradients = np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
         centres = self.corners.mean(axis=1)
-        t = front.project(centres)
+        t = front.nearest_parameters(centres)
         self.side_signs = np.sign(((centres - front.curve(t, 0)) * front.frame(t)[0][:, 1]).sum(-1))
 
     def _basis_gradients(self, cell_index: np.ndarray) -> np.ndarray:
@@ -740,7 +745,7 @@ class _Domain:
             coefficients, self.corner_order[cell_index][:, None, :, None], axis=2
         )
 
-    def functional_rows(self, comm: MPI.Comm) -> tuple[np.ndarray, np.ndarray]:
+    def integrate_functionals(self, comm: MPI.Comm) -> tuple[np.ndarray, np.ndarray]:
         """Integrate the functionals at nodes, each rank over a share of cells (collective).
 
         Returns
@@ -770,7 +775,9 @@ class _Domain:
             (rule, weights), (facet_rule, facet_weights) = (
                 _collapsed_gauss_rule(dimension, n_gauss) for dimension in (3, 2)
             )
-            moments = self._moments(chunk, rule, self.volumes[chunk, None] * weights, None)
+            moments = self._integrate_tensors(
+                chunk, rule, self.volumes[chunk, None] * weights, None
+            )
             for k in range(4):
                 is_outer = self.is_outer_facet[chunk, k]
                 if np.any(is_outer):
@@ -784,7 +791,7 @@ class _Domain:
                     normals = (
                         -outward_gradients / np.linalg.norm(outward_gradients, axis=1)[:, None]
                     )
-                    moments[is_outer] += self._moments(
+                    moments[is_outer] += self._integrate_tensors(
                         chunk[is_outer], surface_rule, areas[:, None] * facet_weights, normals
                     )
             basis_gradients = self._basis_gradients(chunk).reshape(len(chunk), 10, 12)
@@ -797,7 +804,7 @@ class _Domain:
             moments = moments.swapaxes(2, 3).reshape(len(chunk), -1, 12)
             cell_rows = basis_gradients @ moments.swapaxes(1, 2)
             np.add.at(rows, self.cells[chunk], cell_rows.reshape(len(chunk), 10, n_rows, 3))
-        return self.scale[:, None] * comm.allreduce(rows), nodal_fields
+        return self.intensity_factors[:, None] * comm.allreduce(rows), nodal_fields
 
     def _stress(self, gradient: np.ndarray) -> np.ndarray:
         """Return the stress C sym(gradient) of gradients (..., 3, 3)."""
@@ -822,7 +829,7 @@ class _Domain:
         radius : (n, m) [m]
         """
         front = self.front
-        t = front.project(positions)
+        t = front.nearest_parameters(positions)
         frame, speed, kappa, kappa_slope = front.frame(t)
         offsets = positions - front.curve(t, 0)
         xi, y = ((offsets * frame[..., k, :]).sum(-1) for k in range(2))
@@ -887,7 +894,7 @@ class _Domain:
             scale / root_r * (0.5 * sine * angular_part + cosine * angular_slope),
         )
 
-    def _moments(
+    def _integrate_tensors(
         self,
         cell_index: np.ndarray,
         rule: np.ndarray,
@@ -1029,7 +1036,7 @@ def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
             points, shape_values = rule @ corners[order], rule
             sides = corners[1:] - corners[0]
             area_weights = 0.5 * np.linalg.norm(np.cross(*sides)) * facet_weights
-        t = front.project(points)
+        t = front.nearest_parameters(points)
         r = np.linalg.norm(points - front.curve(t, 0), axis=1)
         radius = front.radius(front.frame(t)[2])
         kernel = _weight_function(r / radius)[0] / np.sqrt(r) * area_weights

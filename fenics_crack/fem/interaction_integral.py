@@ -190,7 +190,7 @@ def tip_functionals(scene: Scene, structure: Structure) -> tuple[list[Tip], np.n
             field = _nodal_field(scene, tip, mode, points, face_normals)
             displacement_rows.append(assemble_row(tip, mode, field))
             force_rows.append(
-                _pressure_row(scene, structure, tip, mode, dofs.free_part(field.ravel()))
+                _pressure_row(scene, structure, tip, mode, dofs.restrict_to_free(field.ravel()))
             )
     return tips, np.array(displacement_rows), np.array(force_rows)
 
@@ -299,7 +299,7 @@ def _row_assembler(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndarray],
             tip_constants, (*tip.point, *tip.growth_direction, tip.radius, mode), strict=False
         ):
             constant.value = value
-        return dofs.free_part(compat.assembled_vector(compiled_form))
+        return dofs.restrict_to_free(compat.assembled_vector(compiled_form))
 
     return assemble_row
 

@@ -176,9 +176,9 @@ def _point_load(
         Direction of the load at its point. None if the load is zero.
     """
     fractions = nodal_force_fractions(scene, dofs, f"{key}.point", point)
-    force = np.array([_distribute(dofs, fractions, part) for part in parts])
+    force = np.array([_distribute_vector(dofs, fractions, part) for part in parts])
     direction_vector = (
-        dofs.free_part(_distribute(dofs, fractions, _direction(parts)))
+        dofs.restrict_to_free(_distribute_vector(dofs, fractions, _direction(parts)))
         if any(map(any, parts))
         else None
     )
@@ -196,7 +196,7 @@ def _require_free_force(dofs: Dofs, key: str, place: object, force: np.ndarray) 
     return force
 
 
-def _distribute(dofs: Dofs, fractions: np.ndarray, vector: Vector) -> np.ndarray:
+def _distribute_vector(dofs: Dofs, fractions: np.ndarray, vector: Vector) -> np.ndarray:
     """Distribute a vector over nodes by fractions (n_nodes,): (n_dofs,)."""
     return np.asarray(np.outer(fractions, vector or np.zeros(dofs.dimension)).ravel())
 
@@ -216,7 +216,7 @@ def _edge_force(scene: Scene, dofs: Dofs, key: str, load: Load) -> np.ndarray:
     if not length > 0.0:
         raise InputError(f"{key}.edge", load.edge, "an edge of the plate: it lies inside")
     weights = test_integrals.reshape(-1, dofs.dimension)[:, 0]
-    force = np.array([_distribute(dofs, weights, part) for part in load.parts("traction")])
+    force = np.array([_distribute_vector(dofs, weights, part) for part in load.parts("traction")])
     normal = ufl.FacetNormal(dofs.space.mesh)
     unit_pressure_force = -compat.assembled_vector(t * ufl.inner(normal, test) * edge_measure)
     force += np.array([sum(part) * unit_pressure_force for part in load.parts("pressure")])
@@ -249,7 +249,7 @@ def clamp_of(dofs: Dofs, mass: Any, force: np.ndarray) -> Clamp:
     clamped_points = gather_rows(dofs.comm, dofs.points[dofs.nodes_on("clamp")])
     center = np.round(0.5 * (clamped_points.min(axis=0) + clamped_points.max(axis=0)), 12) + 0.0
     motions = rigid_motions(dofs.points - center)
-    inertia_rows = dofs.free_part(np.array([_inertia(mass, motion) for motion in motions]))
+    inertia_rows = dofs.restrict_to_free(np.array([_inertia(mass, motion) for motion in motions]))
     return Clamp(center, inertia_rows, dofs.comm.allreduce(force @ motions.T))
 
 
@@ -291,4 +291,4 @@ def _watch_node(
     matching_nodes = nodes[np.all(dofs.points[nodes] == all_points[order[order_index]], axis=1)]
     displacement = np.zeros((dofs.n_nodes, dofs.dimension))
     displacement[matching_nodes[:1]] = direction
-    return dofs.free_part(displacement.ravel())
+    return dofs.restrict_to_free(displacement.ravel())

@@ -59,12 +59,12 @@ from fenics_crack.scene.tables import Structure as StructureTable
 
 MATRIX_LETTERS = {"mass": "M", "stiffness": "K", "damping": "B"}
 """Letter for each matrix in a file with several matrices."""
-ROW_FILES = ("gap", "tangential", *FORCES)
+ROW_FILE_KEYS = ("gap", "tangential", *FORCES)
 """Keys of files with a row for each dof."""
 SCENE_FILE = "matrices.toml"
 """Name of the scene that reads the written files."""
 OUTPUT_FILES = (
-    *(f"{n}.mtx" for n in (*MATRIX_LETTERS, *ROW_FILES, "clearance", "areas")),
+    *(f"{n}.mtx" for n in (*MATRIX_LETTERS, *ROW_FILE_KEYS, "clearance", "areas")),
     SCENE_FILE,
 )
 """Names of all files that may be written."""
@@ -123,9 +123,9 @@ def _make_structure(
         nodes = _own_nodes(model, node_dofs, start, stop, comm)
     parts |= {name: column[order] for name, column in columns.items()}
     n_pairs = 0 if parts["gap"] is None else parts["gap"].shape[1]
-    parts["clearance"] = _per_pair("clearance", table.clearance, n_pairs)
+    parts["clearance"] = _read_per_pair("clearance", table.clearance, n_pairs)
     if table.areas is not None:
-        pairs = replace(pairs, areas=_per_pair("areas", table.areas, n_pairs))
+        pairs = replace(pairs, areas=_read_per_pair("areas", table.areas, n_pairs))
     if scene.excitation.point is not None:
         assert nodes is not None
         _, point_dofs = nodes.nearest(comm, "excitation.point", scene.excitation.point)
@@ -176,7 +176,9 @@ def _read_files(
     if table.model is not None:
         with reading("model", table.model, "the input file of the matrices' program"):
             model = read_model(Path(table.model))
-    column_files = {name: path for name in ROW_FILES if (path := getattr(table, name)) is not None}
+    column_files = {
+        name: path for name in ROW_FILE_KEYS if (path := getattr(table, name)) is not None
+    }
     n_rows = stiffness.matrix.shape[0]
     return (
         matrices,
@@ -255,7 +257,7 @@ def _own_nodes(model: Model, node_dofs: np.ndarray, start: int, stop: int, comm:
     return Nodes(model.points[own_nodes], node_dofs[own_nodes], own_cells, vtk_type)
 
 
-def _per_pair(name: str, setting: float | str, n_pairs: int) -> Any:
+def _read_per_pair(name: str, setting: float | str, n_pairs: int) -> Any:
     """Return a number for all pairs, or a file's number for each."""
     if not isinstance(setting, str):
         return setting
@@ -327,7 +329,7 @@ def write_matrices(structure: Structure, folder: str | Path, scene: Scene | None
         rows["areas"] = None if areas is None else areas[rank_rows, None]
     matrices = {name: sparse.csr_matrix(part) for name, part in rows.items() if part is not None}
     gathered_parts = {name: comm.gather(part) for name, part in matrices.items()}
-    scene_text = _scene_of_files(structure, {name: f"{name}.mtx" for name in gathered_parts}, scene)
+    scene_text = _scene_text(structure, {name: f"{name}.mtx" for name in gathered_parts}, scene)
 
     def write_files() -> None:
         """Write the gathered matrices, on rank 0."""
@@ -346,7 +348,7 @@ def write_matrices(structure: Structure, folder: str | Path, scene: Scene | None
     on_root(comm, write_files)
 
 
-def _scene_of_files(structure: Structure, files: dict[str, str], scene: Scene | None) -> str:
+def _scene_text(structure: Structure, files: dict[str, str], scene: Scene | None) -> str:
     """Return the text of a scene that reads the files.
 
     The result is solved like ``scene``. Without a scene, [excitation] and [contact] are missing.

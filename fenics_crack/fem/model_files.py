@@ -69,7 +69,7 @@ def read_model(path: Path) -> Model:
     nodes: dict[int, tuple[float, ...]] = {}
     cells: dict[int, list[list[int]]] = {}
     try:
-        READERS.get(path.suffix.lower(), _read_table)(path, nodes, cells)
+        READERS_BY_ENDING.get(path.suffix.lower(), _read_table)(path, nodes, cells)
     except RecursionError:
         raise ValueError("its files include each other") from None
     if not nodes:
@@ -329,7 +329,7 @@ def _read_ansys(path: Path, nodes: Nodes, cells: Cells) -> None:
         raise ValueError(f"none of its elements, of types {type_list}, is a solid that is known")
 
 
-READERS: dict[str, Callable[[Path, Nodes, Cells], None]] = {
+READERS_BY_ENDING: dict[str, Callable[[Path, Nodes, Cells], None]] = {
     ".inp": _read_abaqus, ".bdf": _read_nastran, ".dat": _read_nastran, ".nas": _read_nastran,
     ".cdb": _read_ansys,
 }  # fmt: skip

@@ -43,7 +43,7 @@ from fenics_crack.fem.cracks import (
     find_crack_paths,
     find_crack_surfaces,
     find_unique_rows,
-    label_parts,
+    label_connected_rows,
     merge_crack_nodes,
     require,
     rows_in,
@@ -260,7 +260,7 @@ def _select_cells(
     requirement = f"one with a physical {facet_name} named 'clamp'"
     require("clamp" in facets, f"no clamp; {named_facets}", requirement)
     used_positions = positions[first_nodes][np.searchsorted(numbers, used_numbers)]
-    return kind, cells_of(kind, nodes), used_positions, facets, point_groups
+    return kind, cells_of_kind(kind, nodes), used_positions, facets, point_groups
 
 
 def _select_named_groups(
@@ -299,7 +299,7 @@ def _select_named_groups(
     ]
 
 
-def cells_of(kind: int, nodes: np.ndarray) -> Cells:
+def cells_of_kind(kind: int, nodes: np.ndarray) -> Cells:
     """Return cells with the corners between which each node lies.
 
     A node lies between the corners whose linear basis functions are not zero there.
@@ -526,7 +526,7 @@ def check_parts(
     face_facets : sequence of (n, d) int
         Corners of facets on crack faces.
     """
-    part_labels = label_parts(cells.nodes)
+    part_labels = label_connected_rows(cells.nodes)
 
     def is_in_part_with(nodes: np.ndarray) -> np.ndarray:
         """Return True for cells whose part has one of the nodes: (n_cells,)."""

@@ -53,7 +53,7 @@ class NodalMesh:
         )
         self.vtk_type = nodes.vtk_type
 
-    def field(self, rows: np.ndarray) -> np.ndarray:
+    def nodal_vectors(self, rows: np.ndarray) -> np.ndarray:
         """Return nodal vectors (m, n_nodes, d) for dof values (m, n_local).
 
         Clamped components are zero.
@@ -62,7 +62,7 @@ class NodalMesh:
         vectors = np.where(self._dofs >= 0, dof_values[:, np.maximum(self._dofs, 0)], 0.0)
         return vectors if self._frames is None else np.einsum("nij,mnj->mni", self._frames, vectors)
 
-    def in_frames(self, vectors: np.ndarray) -> np.ndarray:
+    def to_nodal_frames(self, vectors: np.ndarray) -> np.ndarray:
         """Rotate nodal vectors (m, n_nodes, d) into the frames of the nodes.
 
         The dofs are components in these frames.
@@ -81,7 +81,7 @@ class NodalMesh:
         return self.cells[:, _TRIANGLES[self.cells.shape[1]]].reshape(-1, 3)
 
     @cached_property
-    def patches(self) -> tuple[np.ndarray, np.ndarray]:
+    def patch_functions(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the patches of a solid's pairs as nodal functions.
 
         Returns

@@ -226,12 +226,12 @@ class Dofs:
         self._rotation = all_rotations[self.free_dofs][:, self.free_dofs]
         self._rotation.eliminate_zeros()
 
-    def free_part(self, rows: np.ndarray) -> np.ndarray:
+    def restrict_to_free(self, rows: np.ndarray) -> np.ndarray:
         """Restrict forces (..., n_dofs) to the free dofs: (..., n_local)."""
         free_forces = rows[..., self.free_dofs]
         return free_forces if self._rotation is None else np.asarray(free_forces @ self._rotation)
 
-    def free_block(self, matrix: Any) -> Any:
+    def restrict_matrix(self, matrix: Any) -> Any:
         """Return the free rows and columns of a matrix, which is destroyed.
 
         Stored zeros are removed, such as masses between directions. Products with M then take a

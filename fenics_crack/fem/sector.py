@@ -60,7 +60,7 @@ def assemble_wheel(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Com
     )  # fmt: skip
 
 
-def turn_sides(scene: Scene, dofs: Dofs) -> None:
+def match_sides(scene: Scene, dofs: Dofs) -> None:
     """Find a sector's sides, and rotate the right one.
 
     Its displacements are then in the frame of the next sector.

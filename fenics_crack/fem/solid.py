@@ -27,7 +27,7 @@ from fenics_crack.basics.untrusted_files import beginning_of, run_reader
 from fenics_crack.fem import compat, solid_mesher
 from fenics_crack.fem.blocks import (
     RIM_SIDES,
-    Rim,
+    DiskRim,
     check_cell_count,
     meshing_refusal,
     scale_to_mesh_unit,
@@ -89,7 +89,7 @@ def draw_solid(scene: Scene) -> tuple[NamedParts, Cracks]:
     return names, tuple(cracks[index] for index in order)  # type: ignore[return-value]
 
 
-def faces_of(part_file: str, unit: str | None) -> dict[str, np.ndarray]:
+def read_part_faces(part_file: str, unit: str | None) -> dict[str, np.ndarray]:
     """Return the triangulated faces of a part.
 
     Returns
@@ -237,7 +237,7 @@ def _mesh_box(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
     """Mesh a box or a disk's sector, and return the mesh with its unit [m]."""
     unit_scene, unit = scale_to_mesh_unit(scene)
     width, height, thickness = box_size = unit_scene.geometry.sides
-    occ, rim = gmsh.model.occ, None if scene.disk is None else Rim(unit_scene)
+    occ, rim = gmsh.model.occ, None if scene.disk is None else DiskRim(unit_scene)
     solid_tags = (
         [(3, occ.addBox(0.0, 0.0, 0.0, *box_size))]
         if rim is None

@@ -138,14 +138,14 @@ def mesh_faces() -> tuple[np.ndarray, np.ndarray]:
         raise Refusal("geometry.file", f"a part whose faces gmsh can mesh ({error})") from None
     triangles, owners = [], []
     for _, tag in gmsh.model.getEntities(2):
-        face_triangles = _triangles(tag)
+        face_triangles = _face_triangles(tag)
         triangles.append(face_triangles)
         owners += [tag] * len(face_triangles)
     gmsh.model.mesh.clear()
     return np.concatenate(triangles), np.array(owners)
 
 
-def _triangles(tag: int) -> np.ndarray:
+def _face_triangles(tag: int) -> np.ndarray:
     """Return corners of a face's triangles, of any order: (n, 3, 3)."""
     kinds, _, nodes = gmsh.model.mesh.getElements(2, tag)
     if not kinds:
@@ -203,7 +203,7 @@ def _match_surfaces(
     face_of_surface = {}
     for _, tag in gmsh.model.getEntities(2):
         if tag not in surfaces:
-            middles = _triangles(tag).mean(axis=1)
+            middles = _face_triangles(tag).mean(axis=1)
             samples = middles[:: max(1, len(middles) // N_CURVE_SAMPLES)]
             nearest_faces = owners[triangle_distances(samples, triangles).argmin(axis=1)]
             face_of_surface[tag] = np.bincount(nearest_faces).argmax() if len(nearest_faces) else 0

@@ -264,7 +264,7 @@ def test_stresses_for_paraview(
     structure = breathing.structure
     mesh = NodalMesh(structure)
     time = np.arange(6) * breathing.period / 6
-    displacement = mesh.field(breathing.displacement_field(time))
+    displacement = mesh.nodal_vectors(breathing.displacement_field(time))
     pressure = breathing.contact_force(time) / structure.pair_areas
     assert pressure.max() > 0.0
     for frame, (still, moved) in enumerate(zip(*frames.values(), strict=True)):

@@ -17,7 +17,13 @@ from mpi4py import MPI
 from test_mesh import area, file_plate, pair_nodes
 
 from fenics_crack import InputError, build_structure, solve_modes
-from fenics_crack.fem.msh_file import cells_of, check_boundary, check_cells, check_parts, load_mesh
+from fenics_crack.fem.msh_file import (
+    cells_of_kind,
+    check_boundary,
+    check_cells,
+    check_parts,
+    load_mesh,
+)
 from fenics_crack.fem.plate import build_mesh
 
 WIDTH, HEIGHT = 2.0, 1.0
@@ -311,7 +317,7 @@ def check(cells: Any, places: Any, kind: int = TRIANGLE, **curves: Any) -> None:
     """Check cells (n, k) and places (m, 2), with the edges of curves by their names."""
     lips = [edge for name in ("lower_lip", "upper_lip") for edge in curves.get(name, ())]
     with gmsh_model():
-        made = cells_of(kind, np.array(cells))
+        made = cells_of_kind(kind, np.array(cells))
         check_cells(kind, made, places)
         both = [np.reshape(lips, (-1, 2)).astype(int)]
         check_parts(made, places, np.unique(curves["clamp"]), both)

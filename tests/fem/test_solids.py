@@ -32,7 +32,7 @@ from fenics_crack.fem.compat import function_space
 from fenics_crack.fem.cracks import FACETS, Cells, find_crack_surfaces, split_cracks
 from fenics_crack.fem.loads import assemble_loads
 from fenics_crack.fem.matrix_files import find_coincident_nodes
-from fenics_crack.fem.msh_file import cells_of
+from fenics_crack.fem.msh_file import cells_of_kind
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.fem.plate import Dofs, build_mesh
 from fenics_crack.model.modes import times
@@ -269,7 +269,7 @@ def test_cracks_are_split_as_by_gmsh(shape: str, order: int) -> None:
             _, _, (nodes,) = gmsh.model.mesh.getElements(2, tag)
             facets.append(np.searchsorted(numbers, nodes).reshape(-1, 3 * order))
         kind = gmsh.model.mesh.getElements(3)[0][0]
-        solid_cells = cells_of(kind, cells)
+        solid_cells = cells_of_kind(kind, cells)
         nodes, twins, lips = split_cracks(solid_cells, np.concatenate(facets), places)
         own = sharing(nodes, np.concatenate([places, places[twins]]))
         for name, value in [("Dimension", 2), ("PhysicalGroup", crack)]:

@@ -48,7 +48,7 @@ def test_patches(elements: int, limit: float) -> None:
     stations, rows, of_forces = tip_rows(study)
     radius = DEEP / elements  # about the domain's
     away = structure.nodes.points - np.array([0.015, 0.03, 0.006])
-    free = structure.nodes.numbered.free_part
+    free = structure.nodes.numbered.restrict_to_free
     for axis in np.eye(3):
         turned = rows @ free(np.cross(axis, away).ravel())
         assert np.abs(turned).max() < 0.015 * YOUNG * np.sqrt(radius)
@@ -90,7 +90,10 @@ def test_patches_of_a_straight_front() -> None:
     structure = prepare(scene, MPI.COMM_SELF, whole=True).structure
     stations, rows, of_forces = front_functionals(scene, structure)
     assert structure.nodes is not None and len(stations) == 3
-    away, free = structure.nodes.points - [0.015, 0.03, 0.003], structure.nodes.numbered.free_part
+    away, free = (
+        structure.nodes.points - [0.015, 0.03, 0.003],
+        structure.nodes.numbered.restrict_to_free,
+    )
     ahead, size = stations[0].growth_direction, np.sqrt(1.5e-3)
     pressed = of_forces[::3] @ structure.pair_areas
     for axis in np.eye(3):
