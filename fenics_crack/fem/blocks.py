@@ -635,9 +635,8 @@ class DiskRim:
         angle = math.atan2(offset_across, offset_along)
         if abs(abs(angle) - self.half_angle) < 1e-6:
             return RIM_SIDES[int(angle > 0.0)]
-        arc_center_radius = (
-            self.inner_radius * math.sin(self.half_angle) / self.half_angle
-        )  # center of mass of an arc
+        # The center of mass of the inner arc.
+        arc_center_radius = self.inner_radius * math.sin(self.half_angle) / self.half_angle
         return "clamp" if abs(radius - arc_center_radius) < 1e-6 * self.outer_radius else "rim"
 
     def set_periodic(self, across_axis: int, left_tags: list[int], right_tags: list[int]) -> None:
@@ -803,10 +802,7 @@ def _crack_gradings(scene: Scene) -> list[_Grading]:
         left_end, right_end = crack.span(width)
         face_length = right_end - left_end
         if crack.edge is None:
-            n_elements, face_length = (
-                -(-n_elements // 2),
-                0.5 * face_length,
-            )  # as of :class:`_GradedFace`
+            n_elements, face_length = -(-n_elements // 2), 0.5 * face_length  # as in _GradedFace
         length_ratio = mesh.grading ** (1.0 / max(n_elements - 1, 1))
         tip_length = face_length / float((length_ratio ** np.arange(n_elements)).sum())
         tips = np.array([tip for tip in (left_end, right_end) if 0.0 < tip < width])

@@ -208,9 +208,8 @@ def _order_by_nodes(
     model_index = np.minimum(np.searchsorted(model.labels, labels[:, 0]), len(model.labels) - 1)
     is_known = model.labels[model_index] == labels[:, 0]
     is_translation = is_known & (labels[:, 1] >= 1) & (labels[:, 1] <= 3)
-    missing_nodes = labels[
-        ~is_known & (labels[:, 1] >= 1), 0
-    ]  # label 0 is no node, but a coordinate
+    # Label 0 is no node, but a coordinate.
+    missing_nodes = labels[~is_known & (labels[:, 1] >= 1), 0]
     if len(missing_nodes) or not np.any(is_translation):
         problem = f"no node {missing_nodes[0]}" if len(missing_nodes) else "no node that moves"
         requirement = f"the model of {table.stiffness}, with all the nodes of its rows"
@@ -534,10 +533,8 @@ def _number_cracks(twins: _TwinNodes, pair_index: np.ndarray) -> np.ndarray:
     """
     from scipy.sparse.csgraph import connected_components
 
-    first_nodes, second_nodes = (
-        twins.first_nodes[pair_index],
-        twins.second_nodes[pair_index],
-    )  # a first node may be on either face
+    # A first node may be on either face.
+    first_nodes, second_nodes = twins.first_nodes[pair_index], twins.second_nodes[pair_index]
     straight_links = twins.connectivity[first_nodes][:, first_nodes].multiply(
         twins.connectivity[second_nodes][:, second_nodes]
     )
@@ -672,9 +669,8 @@ def _patch_gaps(
     face_nodes = np.unique(np.concatenate([nodes.ravel() for nodes in corner_nodes]))
     front_nodes = face_nodes[twins.pair_index[face_nodes] < 0]
     patch_index = twins.pair_index.copy()
-    patch_index[front_nodes] = n_pairs + np.arange(
-        len(front_nodes)
-    )  # their patches go to neighbours
+    # Patches of front nodes go to their neighbours.
+    patch_index[front_nodes] = n_pairs + np.arange(len(front_nodes))
     entries: list[tuple[np.ndarray, ...]] = []
     overlaps: list[tuple[np.ndarray, ...]] = []
     areas = np.zeros(n_pairs + len(front_nodes))
@@ -703,9 +699,8 @@ def _patch_gaps(
         edge_integrals = (
             np.einsum("iq,jq,fqx->fijx", psi, edge_functions, normals) * is_quadratic[..., None]
         )
-        integrals = np.concatenate(
-            [corner_integrals, edge_integrals], axis=2
-        )  # (facet, pressure, node, axis)
+        # Axes: facet, pressure, node, direction.
+        integrals = np.concatenate([corner_integrals, edge_integrals], axis=2)
         rows = np.broadcast_to(twins.dofs[nodes][:, None], integrals.shape)
         columns = np.broadcast_to(facet_patches[:, :, None, None], integrals.shape)
         is_kept = (rows >= 0) & (integrals != 0.0)

@@ -627,9 +627,8 @@ def _are_in_cells(
     points = points[is_inside]
     cell_sizes = cell_sizes[is_inside]
     reference_points = np.tile(_reference_nodes(kind)[:n_corners].mean(axis=0), (len(points), 1))
-    active_points = np.arange(
-        len(reference_points)
-    )  # Newton's method: exact in one step for straight cells
+    # Newton's method: exact in one step for straight cells.
+    active_points = np.arange(len(reference_points))
     for _ in range(8):
         residuals = points[active_points] - np.einsum(
             "in,inx->ix",
