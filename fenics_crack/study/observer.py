@@ -36,6 +36,8 @@ if TYPE_CHECKING:
     from fenics_crack.fem.interaction_integral import Tip
 
 
+MIN_STATIONS = 3
+"""Stations of a front along which K may vary; that of two is its mean over the front."""
 EXPANDED = 20_000_000
 """Values of the whole structure that are expanded at once, 160 MB: each time it is factored."""
 
@@ -211,7 +213,7 @@ def errors_along_fronts(
     """What is computed for K_I of a solid's fronts while they are closed, an error of all requested
     numbers of them; and how far each number is away on a coarser mesh, where on the fronts it is
     the most: at one place it may be none by chance [Pa m^1/2]. Infinite for all numbers where the
-    coarser mesh has none (collective)."""
+    coarser mesh has none, or a front with so few stations that K is its mean (collective)."""
     asked = set(asked_quantities(study.scene))
     names = sorted(asked.intersection(names_of(Place.TIPS, Place.ELLIPSE)))
     if study.scene.dimension == 2 or not names:
@@ -219,6 +221,8 @@ def errors_along_fronts(
     if not asked.intersection(asked_quantities(coarse.scene)):
         return {}, dict.fromkeys(names, math.inf)
     fine, rough = _along_fronts(study, motion), _along_fronts(coarse, other)
+    if min(len(positions) for positions, *_ in rough.values()) < MIN_STATIONS:
+        return {}, dict.fromkeys(names, math.inf)
     apart = {}
     for name in names:
         kind = name.removesuffix("_deepest").removesuffix("_surface")

@@ -68,7 +68,7 @@ NAME, MORE_STEPS = "central differences", "take more steps per period"
 
 
 def stable_steps_per_period(structure: Structure, omega: float, contact: ContactLaw) -> int:
-    """Smallest number of steps per load period that is stable (collective).
+    """Return the smallest stable number of steps per load period (collective).
 
     dt <= 2 / omega_max with every pair closed by its spring; with a constraint, which lowers the
     largest frequency, with every pair open.
@@ -96,25 +96,30 @@ def stable_steps_per_period(structure: Structure, omega: float, contact: Contact
     check_omega(omega)
     check_law(structure, contact, rigid=True)
     springs = _springs(structure, contact)
-    seen = seen_by(contact, structure)
+    contact_structure = seen_by(contact, structure)
     if is_small(structure):
-        modes = all_modes(seen)
-        tied = np.diag(modes.squares) + (modes.pairs * springs) @ modes.pairs.T
-        highest = float(np.sqrt(np.linalg.eigvalsh(tied)[-1]))
+        modes = all_modes(contact_structure)
+        bonded_stiffness = np.diag(modes.squares) + (modes.pairs * springs) @ modes.pairs.T
+        largest_omega = float(np.sqrt(np.linalg.eigvalsh(bonded_stiffness)[-1]))
     else:
-        highest = largest_frequency(seen.tied(springs) if np.any(springs) else structure)
+        largest_omega = largest_frequency(
+            contact_structure.tied(springs) if np.any(springs) else structure
+        )
         collect_garbage(structure.comm)
-    return int(np.floor(np.pi * highest * (1.0 + 1e-6) / omega)) + 1
+    return int(np.floor(np.pi * largest_omega * (1.0 + 1e-6) / omega)) + 1
 
 
 def _springs(structure: Structure, contact: ContactLaw) -> np.ndarray:
-    """Stiffness of closed pairs, with friction behind it of those that stick: (n_rows,) [N/m]; zero
-    with a constraint. InputError with friction without springs."""
-    soft = springs_of(contact, structure.n_pairs)
-    if friction_of(contact) is not None and not np.all(soft):
+    """Return the stiffness of each gap row if its pair is closed: (n_rows,) [N/m].
+
+    With friction the stiffness of sticking pairs follows. It is zero under a constraint. Raises
+    InputError if there is friction without springs.
+    """
+    softness = springs_of(contact, structure.n_pairs)
+    if friction_of(contact) is not None and not np.all(softness):
         allowed = "a penalty with a tangential stiffness: crack faces have mass"
         raise InputError("contact", contact, allowed)
-    return np.divide(1.0, soft, out=np.zeros_like(soft), where=soft > 0.0)
+    return np.divide(1.0, softness, out=np.zeros_like(softness), where=softness > 0.0)
 
 
 def integrate_central_difference(
@@ -163,53 +168,59 @@ def integrate_central_difference(
     >>> history = fc.integrate_central_difference(
     ...     structure, 2000.0, contact, periods=2, steps_per_period=steps)
     """
-    given = structure, omega, contact, periods, steps_per_period
-    asked = March.of(integrate_central_difference, options, *given)
-    least = stable_steps_per_period(structure, omega, contact)
-    if steps_per_period < least:
-        allowed = f">= {least}, the stable limit of the scheme"
+    arguments = structure, omega, contact, periods, steps_per_period
+    request = March.from_call(integrate_central_difference, options, *arguments)
+    min_steps = stable_steps_per_period(structure, omega, contact)
+    if steps_per_period < min_steps:
+        allowed = f">= {min_steps}, the stable limit of the scheme"
         raise InputError("steps_per_period", steps_per_period, allowed)
-    compiled = is_small(structure) and (is_piecewise_linear(contact) or asked.rigid)
-    return march(asked, (_ModalDifferences if compiled else _CentralDifferences)(asked))
+    has_kernel = is_small(structure) and (is_piecewise_linear(contact) or request.rigid)
+    return march(request, (_ModalDifferences if has_kernel else _CentralDifferences)(request))
 
 
 class _ContactEnergy:
-    """Energy that contact creates by opening and closing between steps, and the energy put in.
+    """Sum the energy that contact creates between steps, and the energy put in.
 
-    Work over a step is force times half the displacement from the step before to the one after,
-    for which the scheme balances kinetic and elastic energy exactly.
+    Contact creates energy if a pair opens or closes between two steps. The work of a step is the
+    force times half the displacement from the previous step to the next one: with it the scheme
+    balances kinetic and elastic energy exactly.
     """
 
-    def __init__(self, asked: March, energy: float) -> None:
-        self._asked, self._created, self._put_in = asked, 0.0, energy
-        pairs, rows = asked.n_rows, len(asked.load_rows)
+    def __init__(self, request: March, energy: float) -> None:
+        self._request, self._created_energy, self._energy_input = request, 0.0, energy
+        pairs, rows = request.n_rows, len(request.load_rows)
         widths = rows, pairs, pairs, rows
         self._tail: list[np.ndarray] = [np.empty((0, width)) for width in widths]
 
-    def of(self, window: Window) -> tuple[float, float]:
-        """Energies created and put in with one more period [J]."""
-        period = self._asked.load, window.gap, window.force, window.load_motion
+    def add_period(self, window: Window) -> tuple[float, float]:
+        """Add one period; return the energy created and the energy put in so far [J]."""
+        period = self._request.load, window.gap, window.force, window.load_motion
         parts = [np.vstack(part) for part in zip(self._tail, period, strict=True)]
         self._tail = [part[-2:] for part in parts]
         load, gap, force, motion = parts
-        count = self._asked.structure.n_pairs  # springs and friction of tangents create none
-        gap, force = gap[:, :count], force[:, :count]
-        self._created -= 0.5 * float(np.sum(force[1:-1] * (gap[2:] - gap[:-2])))
-        if not self._asked.rigid:
-            before, after = (potential(self._asked.contact, ends) for ends in (gap[:2], gap[-2:]))
-            self._created += 0.5 * float(after.sum() - before.sum())
+        n_pairs = self._request.structure.n_pairs  # springs and friction of tangents create none
+        gap, force = gap[:, :n_pairs], force[:, :n_pairs]
+        self._created_energy -= 0.5 * float(np.sum(force[1:-1] * (gap[2:] - gap[:-2])))
+        if not self._request.rigid:
+            first_energy, last_energy = (
+                potential(self._request.contact, ends) for ends in (gap[:2], gap[-2:])
+            )
+            self._created_energy += 0.5 * float(last_energy.sum() - first_energy.sum())
         work = np.array([0.5 * np.sum(load[1:-1] * (motion[2:] - motion[:-2]))])
-        self._put_in += abs(float(self._asked.structure.sum_over_ranks(work)[0]))
-        return self._created, self._put_in
+        self._energy_input += abs(float(self._request.structure.sum_over_ranks(work)[0]))
+        return self._created_energy, self._energy_input
 
 
 def _last_velocity(
     step_size: float, increment: np.ndarray, acceleration: Callable[[np.ndarray], np.ndarray]
 ) -> np.ndarray:
-    """Velocity at the end of a time integration, whose last increment leads back by half a step."""
-    backwards = velocity = increment / step_size
+    """Return the velocity at the end of a time integration from its last increment.
+
+    The increment over the step size is the velocity half a step earlier.
+    """
+    mean_velocity = velocity = increment / step_size
     for _ in range(3):  # the acceleration depends on the velocity a little
-        velocity = backwards + 0.5 * step_size * acceleration(velocity)
+        velocity = mean_velocity + 0.5 * step_size * acceleration(velocity)
     return velocity
 
 
@@ -217,102 +228,129 @@ def _last_velocity(
 
 
 class _ModalDifferences(Scheme):
-    """State of a small structure in modal coordinates, integrated by the kernel.
+    """Integrate a small structure in modal coordinates by the kernel.
 
-    What acts on the modes is "by mode": an array (n,) where the damping leaves them uncoupled, and
-    a matrix (n, n) where it couples them.
+    Operators on the modes are arrays (n,) if damping leaves the modes uncoupled, and matrices
+    (n, n) if it couples them.
     """
 
     name, remedy = NAME, MORE_STEPS
 
-    def __init__(self, asked: March) -> None:
-        self._seen = seen_by(asked.contact, asked.structure)
-        self._asked, self._modes, dt = asked, all_modes(self._seen), asked.step_size
-        modes, (count, pairs) = self._modes, self._modes.pairs.shape
-        springs, own = None, dict[str, Any]()
-        if not asked.rigid:
-            springs = _springs(asked.structure, asked.contact)
-        if (mu := coefficient_of(asked.contact)) is not None:
+    def __init__(self, request: March) -> None:
+        self._contact_structure = seen_by(request.contact, request.structure)
+        self._request, self._modes, dt = (
+            request,
+            all_modes(self._contact_structure),
+            request.step_size,
+        )
+        modes, (n_modes, n_rows) = self._modes, self._modes.pairs.shape
+        springs, friction_members = None, dict[str, Any]()
+        if not request.rigid:
+            springs = _springs(request.structure, request.contact)
+        if (mu := coefficient_of(request.contact)) is not None:
             assert springs is not None
             self._sets = FrictionSets(np.diag(1.0 / springs), mu)
-            self._held, states = np.zeros(pairs // 2), np.zeros(pairs // 2, dtype=np.int8)
-            own = {"friction": self._sets.handle, "held": self._held, "states": states}
-        self._shape, velocity = (modes.inverse @ part for part in asked.start[:2])
+            self._sticking_places, states = (
+                np.zeros(n_rows // 2),
+                np.zeros(n_rows // 2, dtype=np.int8),
+            )
+            friction_members = {
+                "friction": self._sets.handle,
+                "held": self._sticking_places,
+                "states": states,
+            }
+        self._shape, velocity = (modes.inverse @ part for part in request.start[:2])
         gap = self._gap()
-        if own:
-            self._held[:] = asked.start[2] if asked.start[2:] else gap[pairs // 2 :]
-        if asked.rigid and np.any(gap > 0.0):  # by the least change in the norm of M
+        if friction_members:
+            self._sticking_places[:] = request.start[2] if request.start[2:] else gap[n_rows // 2 :]
+        if request.rigid and np.any(gap > 0.0):  # by the least change in the norm of M
             self._shape -= modes.pairs @ solve_complementarity(modes.pairs.T @ modes.pairs, gap)
         self._increment = dt * velocity - 0.5 * dt**2 * self._acceleration(velocity)
         energy = 0.5 * float(modes.squares @ self._shape**2 + velocity @ velocity)
-        self._energy = _ContactEnergy(asked, energy)
-        one = np.ones(count) if modes.damping.ndim == 1 else np.eye(count)
-        damped = one + 0.5 * dt * modes.damping
-        inverse = 1.0 / damped if damped.ndim == 1 else np.linalg.inv(damped)
-        moved = inverse[:, None] * modes.pairs if inverse.ndim == 1 else inverse @ modes.pairs
-        push = dt**2 * moved
-        rows = np.ascontiguousarray
+        self._energy = _ContactEnergy(request, energy)
+        identity = np.ones(n_modes) if modes.damping.ndim == 1 else np.eye(n_modes)
+        damping_operator = identity + 0.5 * dt * modes.damping
+        inverse = (
+            1.0 / damping_operator
+            if damping_operator.ndim == 1
+            else np.linalg.inv(damping_operator)
+        )
+        pair_response = (
+            inverse[:, None] * modes.pairs if inverse.ndim == 1 else inverse @ modes.pairs
+        )
+        force_step = dt**2 * pair_response
+        contiguous = np.ascontiguousarray
         body = Struct(
-            "vibration", modes=count, pairs=pairs, coupled=modes.damping.ndim == 2,
-            squares=rows(modes.squares), rows=rows(modes.pairs.T),
-            clearance=np.array(self._seen.clearance, dtype=float),
-            springs=springs, load=rows(asked.structure.force @ modes.shapes),
-            waves=rows(asked.waves), loads=len(asked.structure.force),
-            room=np.empty(2 * count + pairs), **own,
+            "vibration", modes=n_modes, pairs=n_rows, coupled=modes.damping.ndim == 2,
+            squares=contiguous(modes.squares), rows=contiguous(modes.pairs.T),
+            clearance=np.array(self._contact_structure.clearance, dtype=float),
+            springs=springs, load=contiguous(request.structure.force @ modes.shapes),
+            waves=contiguous(request.waves), loads=len(request.structure.force),
+            room=np.empty(2 * n_modes + n_rows), **friction_members,
         )  # fmt: skip
-        self._known = Struct(
+        self._kernel_data = Struct(
             "central_differences", body=body,
-            keep=2.0 * inverse - one, gain=dt**2 * inverse, push=rows(push.T),
-            contact=ActiveSets(modes.pairs.T @ push).handle if asked.rigid else None,
-            shape=self._shape, increment=self._increment, closed=np.zeros(pairs, bool),
+            keep=2.0 * inverse - identity, gain=dt**2 * inverse, push=contiguous(force_step.T),
+            contact=ActiveSets(modes.pairs.T @ force_step).handle if request.rigid else None,
+            shape=self._shape, increment=self._increment, closed=np.zeros(n_rows, bool),
         )  # fmt: skip
 
     def _gap(self) -> np.ndarray:
-        """Gap at the end of the integration."""
-        return np.asarray(self._shape @ self._modes.pairs - self._seen.clearance)
+        """Return the gaps at the end of the integration: (n_rows,) [m]."""
+        return np.asarray(self._shape @ self._modes.pairs - self._contact_structure.clearance)
 
     def _acceleration(self, velocity: np.ndarray) -> np.ndarray:
-        """f - w^2 q - P lambda - c v at phase zero of the load; forces of a constraint, which
-        belong to the next step, are left out."""
-        modes, force = self._modes, self._asked.structure.force
-        found = (force[0] + force[1::2].sum(axis=0)) @ modes.shapes - modes.squares * self._shape
-        if not self._asked.rigid:
-            found -= modes.pairs @ self._forces(self._gap())
-        return np.asarray(found - modes.damped(velocity))
+        """Return the modal acceleration f - w^2 q - P lambda - c v at phase zero of the load.
+
+        Forces of a constraint are left out: they belong to the next step.
+        """
+        modes, force = self._modes, self._request.structure.force
+        acceleration = (
+            force[0] + force[1::2].sum(axis=0)
+        ) @ modes.shapes - modes.squares * self._shape
+        if not self._request.rigid:
+            acceleration -= modes.pairs @ self._forces(self._gap())
+        return np.asarray(acceleration - modes.damped(velocity))
 
     def _forces(self, gap: np.ndarray) -> np.ndarray:
-        """Forces of gaps (n_rows,), without a constraint."""
-        if friction_of(self._asked.contact) is None:
-            return self._asked.contact.force(gap)
-        return self._sets.solve(gap[None], self._held)[0][0]
+        """Return the contact forces of gaps (n_rows,) under a penalty law [N]."""
+        if friction_of(self._request.contact) is None:
+            return self._request.contact.force(gap)
+        return self._sets.solve(gap[None], self._sticking_places)[0][0]
 
     def fill(self, window: Window, number: int) -> None:
-        modes, asked, count = self._modes, self._asked, len(window.gap)
-        some = max(1, CACHE_SIZE // len(modes.squares))
-        for first in range(0, count, some):
-            place = slice(first, min(first + some, count))
-            shape = np.empty((place.stop - first, len(modes.squares)))
-            made = kernel.march_central(
-                self._known.at, first, len(shape), pointer(window.gap[place]),
-                pointer(window.force[place]), pointer(shape),
+        modes, request, count = self._modes, self._request, len(window.gap)
+        n_in_cache = max(1, CACHE_SIZE // len(modes.squares))
+        for first_step in range(0, count, n_in_cache):
+            steps = slice(first_step, min(first_step + n_in_cache, count))
+            shape = np.empty((steps.stop - first_step, len(modes.squares)))
+            n_made = kernel.march_central(
+                self._kernel_data.at, first_step, len(shape), pointer(window.gap[steps]),
+                pointer(window.force[steps]), pointer(shape),
             )  # fmt: skip
-            if made < len(shape):
-                raise ConvergenceError(f"contact: no forces of step {first + made} were found")
-            window.motion[place] = shape @ modes.shapes[asked.recorded_dofs].T
-            window.load_motion[place] = shape @ modes.shapes[asked.load_rows].T
-        self.book(*self._energy.of(window))
+            if n_made < len(shape):
+                raise ConvergenceError(
+                    f"contact: no forces of step {first_step + n_made} were found"
+                )
+            window.motion[steps] = shape @ modes.shapes[request.recorded_dofs].T
+            window.load_motion[steps] = shape @ modes.shapes[request.load_rows].T
+        self.book(*self._energy.add_period(window))
 
     def state(self) -> tuple[np.ndarray, ...]:
-        velocity = _last_velocity(self._asked.step_size, self._increment, self._acceleration)
-        found = self._modes.shapes @ self._shape, self._modes.shapes @ velocity
-        return found if friction_of(self._asked.contact) is None else (*found, self._held.copy())
+        velocity = _last_velocity(self._request.step_size, self._increment, self._acceleration)
+        motion = self._modes.shapes @ self._shape, self._modes.shapes @ velocity
+        return (
+            motion
+            if friction_of(self._request.contact) is None
+            else (*motion, self._sticking_places.copy())
+        )
 
 
 # --- step by step ---------------------------------------------------------------------------------
 
 
 class _CentralDifferences(Scheme):
-    """State of a structure and one step of the scheme, with A = M + dt/2 C factored (collective).
+    """Integrate a large structure step by step with A = M + dt/2 C factored (collective).
 
     Modal damping C = M Phi diag(c) Phi^T M enters by its low rank: with d = 1 + dt/2 c,
 
@@ -321,20 +359,20 @@ class _CentralDifferences(Scheme):
 
     name, remedy = NAME, MORE_STEPS
 
-    def __init__(self, asked: March) -> None:
-        self.structure, dt = asked.structure, asked.step_size
+    def __init__(self, request: March) -> None:
+        self.structure, dt = request.structure, request.step_size
         structure = self.structure
-        self.contact, self.rigid, self.step_size = asked.contact, asked.rigid, dt
-        self.load, self.load_rows = asked.load, asked.load_rows
+        self.contact, self.rigid, self.step_size = request.contact, request.rigid, dt
+        self.load, self.load_rows = request.load, request.load_rows
         self.force = np.zeros(structure.n_pairs)
         # Only few rows of B are not zero.
-        seen = seen_by(asked.contact, structure)
-        self._gap_rows = np.flatnonzero(np.diff(seen.gap.indptr))
-        self._gap_block = seen.gap[self._gap_rows].toarray()
-        self._clearance = seen.clearance
-        if (mu := coefficient_of(asked.contact)) is not None:
-            self._sets = FrictionSets(np.diag(1.0 / _springs(structure, asked.contact)), mu)
-        self._columns = asked.recorded_dofs - structure.first_dof
+        contact_structure = seen_by(request.contact, structure)
+        self._gap_rows = np.flatnonzero(np.diff(contact_structure.gap.indptr))
+        self._gap_block = contact_structure.gap[self._gap_rows].toarray()
+        self._clearance = contact_structure.clearance
+        if (mu := coefficient_of(request.contact)) is not None:
+            self._sets = FrictionSets(np.diag(1.0 / _springs(structure, request.contact)), mu)
+        self._columns = request.recorded_dofs - structure.first_dof
         self._modes, self._damping = damped_modes(structure), structure.damping_matrix
         self._x, self._y = structure.mass.createVecs()
         matrix = structure.mass
@@ -343,55 +381,62 @@ class _CentralDifferences(Scheme):
         # A C that was given need not be symmetric.
         symmetric = self._damping is None or isinstance(structure.damping, RayleighDamping)
         self._inverse = Factor(matrix, symmetric=symmetric, definite=True)
-        own = () if self._damping is None else (matrix,)
-        self.owned = self._x, self._y, self._inverse, *own
+        damped_mass = () if self._damping is None else (matrix,)
+        self.petsc_objects = self._x, self._y, self._inverse, *damped_mass
         if self._modes is not None:
-            damped = 1.0 + 0.5 * dt * self._modes.rate
-            self._correction, self._decay = 1.0 / damped - 1.0, self._modes.rate / damped
+            mass_factors = 1.0 + 0.5 * dt * self._modes.rate
+            self._correction, self._decay = (
+                1.0 / mass_factors - 1.0,
+                self._modes.rate / mass_factors,
+            )
         if self.rigid:
-            self._push, still = dt**2 * structure.gap.toarray(), np.zeros(structure.n_local)
+            self._push, rest = dt**2 * structure.gap.toarray(), np.zeros(structure.n_local)
             for column in self._push.T:
-                column[:] = self._answer(column, still)
+                column[:] = self._solve(column, rest)
             self._compliance = structure.apply_bt(self._push.T).T
-        displacement, velocity = asked.start[:2]
+        displacement, velocity = request.start[:2]
         self.displacement = self._admissible(displacement)
         if friction_of(self.contact) is not None:
-            still = self._measured(displacement)[structure.n_pairs :]
-            self._held = asked.start[2] if asked.start[2:] else still
+            rest = self._gap_of(displacement)[structure.n_pairs :]
+            self._sticking_places = request.start[2] if request.start[2:] else rest
         # The step before from u_{-1} = u - dt v + dt^2 a / 2.
         self.increment = dt * velocity - 0.5 * dt**2 * self._acceleration(velocity)
-        self._energy = _ContactEnergy(asked, self._linear_energy(velocity))
+        self._energy = _ContactEnergy(request, self._linear_energy(velocity))
 
     def fill(self, window: Window, number: int) -> None:
         for step in range(len(window.gap)):
-            before = self.displacement
+            displacement = self.displacement
             self.advance(step)
             window.gap[step], window.force[step] = self.gap, self.force
-            window.load_motion[step] = before[self.load_rows]
-            window.motion[step] = before[self._columns]
-        self.book(*self._energy.of(window))
+            window.load_motion[step] = displacement[self.load_rows]
+            window.motion[step] = displacement[self._columns]
+        self.book(*self._energy.add_period(window))
 
     def state(self) -> tuple[np.ndarray, ...]:
         velocity = _last_velocity(self.step_size, self.increment, self._acceleration)
-        found = self.displacement.copy(), velocity
-        return found if friction_of(self.contact) is None else (*found, self._held.copy())
+        motion = self.displacement.copy(), velocity
+        return (
+            motion if friction_of(self.contact) is None else (*motion, self._sticking_places.copy())
+        )
 
     def advance(self, step: int) -> None:
-        """Integrate from an instant, ``step`` of the period, to the next."""
+        """Integrate one step, from instant ``step`` of the period."""
         dt = self.step_size
         pull = dt**2 * self._pull(step)
-        self.increment = self.increment + self._answer(pull, dt * self.increment)
+        self.increment = self.increment + self._solve(pull, dt * self.increment)
         if self.rigid:
-            reached = self.gap + self._closing(self.increment)
-            self.force = solve_complementarity(self._compliance, reached, self.force > 0.0)
+            next_gap = self.gap + self._gap_motion(self.increment)
+            self.force = solve_complementarity(self._compliance, next_gap, self.force > 0.0)
             self.increment -= self._push @ self.force
         self.displacement = self.displacement + self.increment
 
     def _pull(self, step: int) -> np.ndarray:
-        """f - K u - B lambda at an instant of the period; forces of a constraint, which belong to
-        the next step, are left out."""
-        self.gap = self._measured(self.displacement)
-        pull = -self._applied(self.structure.stiffness.mult, self.displacement)
+        """Return f - K u - B lambda at an instant of the period: (n_local,) [N].
+
+        Forces of a constraint are left out: they belong to the next step.
+        """
+        self.gap = self._gap_of(self.displacement)
+        pull = -self._apply(self.structure.stiffness.mult, self.displacement)
         pull[self.load_rows] += self.load[step]
         if not self.rigid:
             self.force = self._forces(self.gap)
@@ -399,64 +444,68 @@ class _CentralDifferences(Scheme):
         return pull
 
     def _forces(self, gap: np.ndarray) -> np.ndarray:
-        """Forces of gaps (n_rows,), without a constraint; with friction pairs stick from here on
-        where they are now."""
+        """Return the contact forces of gaps (n_rows,) under a penalty law [N].
+
+        With friction the sticking places are updated.
+        """
         if friction_of(self.contact) is None:
             return self.contact.force(gap)
-        forces, _, places, _ = self._sets.solve(gap[None], self._held)
-        self._held = places[0]
+        forces, _, places, _ = self._sets.solve(gap[None], self._sticking_places)
+        self._sticking_places = places[0]
         return forces[0]
 
-    def _closing(self, motion: np.ndarray) -> np.ndarray:
-        """B^T of a motion (n_local,)."""
+    def _gap_motion(self, motion: np.ndarray) -> np.ndarray:
+        """Return the change of the gaps, B^T u, under a displacement (n_local,)."""
         return self.structure.sum_over_ranks(motion[self._gap_rows] @ self._gap_block)
 
-    def _measured(self, displacement: np.ndarray) -> np.ndarray:
-        """Gap of a displacement (n_local,)."""
-        return self._closing(displacement) - self._clearance
+    def _gap_of(self, displacement: np.ndarray) -> np.ndarray:
+        """Return the gaps of a displacement (n_local,): (n_rows,) [m]."""
+        return self._gap_motion(displacement) - self._clearance
 
-    def _applied(self, operator: Callable[[Any, Any], None], rows: np.ndarray) -> np.ndarray:
-        """Apply an operator of PETSc's to a vector (n_local,)."""
+    def _apply(self, operator: Callable[[Any, Any], None], rows: np.ndarray) -> np.ndarray:
+        """Apply a PETSc operator to a vector (n_local,)."""
         self._x.array_w[:] = rows
         operator(self._x, self._y)
         return self._y.array_r.copy()
 
-    def _answer(self, right: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        """A^-1 (r - C v)."""
+    def _solve(self, force: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        """Return A^-1 (r - C v) for a force r and a velocity v (n_local,)."""
         modes = self._modes
         if modes is None:
-            return self._applied(self._inverse.apply, right - self._damped(velocity))
-        moved = self._applied(self.structure.mass.mult, velocity)
-        both = np.stack([right @ modes.shapes, moved @ modes.shapes])
-        pushed, speed = self.structure.sum_over_ranks(both)
-        found = self._applied(self._inverse.apply, right)
-        return found + modes.shapes @ (self._correction * pushed - self._decay * speed)
+            return self._apply(self._inverse.apply, force - self._damping_force(velocity))
+        momentum = self._apply(self.structure.mass.mult, velocity)
+        modal_parts = np.stack([force @ modes.shapes, momentum @ modes.shapes])
+        modal_force, modal_velocity = self.structure.sum_over_ranks(modal_parts)
+        acceleration = self._apply(self._inverse.apply, force)
+        return acceleration + modes.shapes @ (
+            self._correction * modal_force - self._decay * modal_velocity
+        )
 
-    def _damped(self, velocity: np.ndarray) -> np.ndarray:
-        """C v."""
+    def _damping_force(self, velocity: np.ndarray) -> np.ndarray:
+        """Return the damping force C v: (n_local,) [N]."""
         if self._damping is not None:
-            return self._applied(self._damping.mult, velocity)
+            return self._apply(self._damping.mult, velocity)
         if self._modes is None:
             return np.zeros_like(velocity)
         modal = self.structure.sum_over_ranks(velocity @ self._modes.mass_shapes)
         return self._modes.mass_shapes @ (self._modes.rate * modal)
 
     def _acceleration(self, velocity: np.ndarray) -> np.ndarray:
-        """M^-1 (f - K u - B lambda - C v) at phase zero of the load."""
-        right = self._pull(0) - self._damped(velocity)
+        """Return the acceleration M^-1 (f - K u - B lambda - C v) at phase zero of the load."""
+        force = self._pull(0) - self._damping_force(velocity)
         with Factor(self.structure.mass, definite=True) as factor:
-            return np.asarray(factor.solve(right[None])[0])
+            return np.asarray(factor.solve(force[None])[0])
 
     def _linear_energy(self, velocity: np.ndarray) -> float:
-        """(u^T K u + v^T M v) / 2: [J]."""
+        """Return the energy (u^T K u + v^T M v) / 2 [J]."""
         structure = self.structure
         parts = (structure.stiffness, self.displacement), (structure.mass, velocity)
         energy = 0.5 * sum(rows @ times(matrix, rows[:, None])[:, 0] for matrix, rows in parts)
         return float(structure.sum_over_ranks(np.array([energy]))[0])
 
     def _admissible(self, displacement: np.ndarray) -> np.ndarray:
-        """Displacement closest in the norm of M without penetration, with a constraint."""
-        gap = self._measured(displacement)
+        """Return the nearest displacement, in the norm of M, without penetration."""
+        gap = self._gap_of(displacement)
         if not self.rigid or not np.any(gap > 0.0):
             return displacement
         with Factor(self.structure.mass, definite=True) as factor:

@@ -1,26 +1,33 @@
 """Direct integration in time along the flows of small structures.
 
-Exact from one switching instant to the next (:mod:`fenics_crack.motion.flow`), or by exponential
-steps. Of the state z = (q, q') of that flow less the steady response to the load, which is known in
-closed form, z' = A z - [0, P]^T lambda(t). A step of length h is exact for a force that is held
-over it, here the mean of those at its ends,
+:func:`integrate_events` follows the exact flow from one switching instant to the next
+(:mod:`fenics_crack.motion.flow`). :func:`integrate_exponential` takes exponential steps of equal
+length. Its state z = (q, q') is that of the flow minus the steady response to the load, which has a
+closed form:
+
+    z' = A z - [0, P]^T lambda(t).
+
+A step of length h is exact for a force that is constant over the step, here the mean of the forces
+at both ends,
 
     z_{n+1} = E z_n - Gamma (lambda_n + lambda_{n+1}),        E = exp(A h),
 
-2 Gamma being the response to unit forces that are held. The gap at its end is linear in the forces
-there, with Q z the gap of a state,
+where 2 Gamma is the response to constant unit forces. With Q z the gap of a state, the gap at the
+end of the step is linear in the forces there,
 
     g_{n+1} = s_free - (R_inf + Q Gamma) lambda_{n+1},
 
-so that 0 <= lambda, (R_inf + I/kappa + Q Gamma) lambda - s_free >= 0, complementary. Where the set
-of closed pairs stays, this is one product with a matrix that is kept; modes that the damping leaves
-uncoupled move by themselves, so that a step costs little more than 2 n_modes n_pairs products
-(``kernel/march.c``). The scheme is of second order in h, and without contact exact. The work of a
-held force is known exactly, so that in a step between equal sets of closed pairs no energy is
-created, however long it is. A step in which a pair opens creates 1/2 lambda_n times its opening,
-one in which it closes loses as much: with hardly any R_inf, which softens contact, and long steps
-motions can grow, and the integration reports it. (With forces linear over the step energy would be
-created everywhere: with mass at the crack faces that is the method of linear acceleration.)
+so that 0 <= lambda and (R_inf + I/kappa + Q Gamma) lambda - s_free >= 0, complementary. As long as
+the set of closed pairs does not change, this is one product with a stored matrix. Modes that
+damping leaves uncoupled advance one by one, so a step costs little more than 2 n_modes n_pairs
+products (``kernel/march.c``). The scheme is of second order in h, and exact without contact.
+
+The work of a constant force is known exactly. So a step between equal sets of closed pairs creates
+no energy, however long it is. A step in which a pair opens creates 1/2 lambda_n times the opening,
+and a step in which a pair closes loses as much. R_inf softens contact; with hardly any R_inf and
+long steps a motion can grow, and the integration reports it. (Forces that are linear over a step
+would create energy in every step: for crack faces with mass this is the linear-acceleration
+method.)
 
 Source: Hochbruck and Ostermann, Acta Numerica 19 (2010) 209 (exponential integrators).
 """
@@ -81,9 +88,9 @@ def integrate_events(
     --------
     >>> history = fc.integrate_events(structure, 2000.0, contact, periods=2, initial=solution)
     """
-    given = structure, omega, contact, periods, steps_per_period
-    asked = March.of(integrate_events, options, *given)
-    return march(asked, _ByEvents(asked))
+    arguments = structure, omega, contact, periods, steps_per_period
+    request = March.from_call(integrate_events, options, *arguments)
+    return march(request, _ByEvents(request))
 
 
 def integrate_exponential(
@@ -133,63 +140,69 @@ def integrate_exponential(
     --------
     >>> history = fc.integrate_exponential(structure, 2000.0, contact, periods=2)
     """
-    given = structure, omega, contact, periods, steps_per_period
-    asked = March.of(integrate_exponential, options, *given)
-    return march(asked, _ByExponentials(asked))
+    arguments = structure, omega, contact, periods, steps_per_period
+    request = March.from_call(integrate_exponential, options, *arguments)
+    return march(request, _ByExponentials(request))
 
 
 # --- the schemes ----------------------------------------------------------------------------------
 
 
-def _load_sizes(asked: March) -> np.ndarray:
-    """Factors that make displacements of coordinates under the load: massless ones are none, and
-    are compared by the work of the load."""
-    if not asked.structure.light_lips:
-        return np.ones(len(asked.load_rows))
-    return np.asarray(np.linalg.norm(asked.structure.force[:, asked.load_rows], axis=0))
+def _load_sizes(request: March) -> np.ndarray:
+    """Return factors that make the loaded coordinates comparable: (n_loaded,).
+
+    Coordinates of massless crack faces are no displacements; the load's work on them counts.
+    """
+    if not request.structure.light_lips:
+        return np.ones(len(request.load_rows))
+    return np.asarray(np.linalg.norm(request.structure.force[:, request.load_rows], axis=0))
 
 
-def _ends(flow: Flow, motion: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Displacement and velocity, with friction also places, in a state of a flow."""
+def _displacement_and_velocity(
+    flow: Flow, motion: np.ndarray, state: np.ndarray
+) -> tuple[np.ndarray, ...]:
+    """Return displacement and velocity, with friction also sticking places, of a flow's state."""
     _, rate, places = np.split(state, [flow.count, 2 * flow.count])
-    known = motion.copy(), flow.modes.shapes @ rate
-    return (*known, places.copy()) if flow.friction else known
+    motion_parts = motion.copy(), flow.modes.shapes @ rate
+    return (*motion_parts, places.copy()) if flow.friction else motion_parts
 
 
 class _ByEvents(Scheme):
-    """The exact flow, period by period."""
+    """Integrate by the exact flow, one load period at a time."""
 
     name = "events"
 
-    def __init__(self, asked: March) -> None:
-        self._asked, self._flow = asked, exact_flow(asked.structure, asked.contact)
-        self._period = 2.0 * np.pi / asked.omega
-        parts = np.arange(asked.steps_per_period + 1) / asked.steps_per_period
-        self._instants = parts * self._period
-        self._state = self._flow.state(*asked.start)
+    def __init__(self, request: March) -> None:
+        self._request, self._flow = request, exact_flow(request.structure, request.contact)
+        self._period = 2.0 * np.pi / request.omega
+        fractions = np.arange(request.steps_per_period + 1) / request.steps_per_period
+        self._instants = fractions * self._period
+        self._state = self._flow.state(*request.start)
 
     def fill(self, window: Window, number: int) -> None:
-        asked = self._asked
-        motion = self._flow.advance(self._state, asked.omega, self._period, instants=self._instants)
+        request = self._request
+        motion = self._flow.advance(
+            self._state, request.omega, self._period, instants=self._instants
+        )
         self._state, samples = motion.state, motion.samples
-        moved = samples.displacement
-        self._motion = moved[-1]
+        displacement = samples.displacement
+        self._motion = displacement[-1]
         window.gap[:], window.force[:] = samples.gaps[:-1], samples.forces[:-1]
-        window.motion[:] = moved[:-1, asked.recorded_dofs]
-        window.load_motion[:] = moved[:-1, asked.load_rows] * _load_sizes(asked)
+        window.motion[:] = displacement[:-1, request.recorded_dofs]
+        window.load_motion[:] = displacement[:-1, request.load_rows] * _load_sizes(request)
 
     def state(self) -> tuple[np.ndarray, ...]:
-        return _ends(self._flow, self._motion, self._state)
+        return _displacement_and_velocity(self._flow, self._motion, self._state)
 
 
 class ExponentialFlow(Flow):
-    """The flow at one frequency of the load, in steps of a part of its period.
+    """Advance the flow by equal steps of the load period at one frequency.
 
     Attributes
     ----------
     omega : float [rad/s]
     steps : int
-        In one period of the load.
+        Number of steps in one load period.
     step_size : float [s]
         h.
     gap_rows : (n_rows, 2 n_modes)
@@ -204,70 +217,75 @@ class ExponentialFlow(Flow):
         check_exact(structure, contact)
         super().__init__(structure, contact)
         self.omega, self.steps, self.step_size = omega, steps, 2.0 * np.pi / omega / steps
-        modes, (count, pairs) = self.modes, self.modes.pairs.shape
-        moved, held = modes.transition(self.step_size)
-        pushed = 0.5 * held  # Gamma
-        moved_gap = modes.pairs.T @ pushed[:count]
-        self.gap_rows = np.hstack([modes.pairs.T, np.zeros((pairs, count))])
+        modes, (n_modes, n_rows) = self.modes, self.modes.pairs.shape
+        transition, response = modes.transition(self.step_size)
+        half_response = 0.5 * response  # Gamma
+        gap_response = modes.pairs.T @ half_response[:n_modes]
+        self.gap_rows = np.hstack([modes.pairs.T, np.zeros((n_rows, n_modes))])
         loads = enumerate(to_complex(self.force))
-        answers = [modes.steady_response(order * omega, load) for order, load in loads]
-        shape = from_complex(np.array(answers))
+        amplitudes = [modes.steady_response(order * omega, load) for order, load in loads]
+        shape = from_complex(np.array(amplitudes))
         instants = waves_of(self.force, 2.0 * np.pi * np.arange(steps) / steps)
         self.steady = instants @ np.hstack([shape, derivative(shape, omega)])
         self.linear_gap = instants @ (shape @ modes.pairs + self.gap)
-        seen = self.compliance + moved_gap
-        own: dict[str, Any]
+        compliance = self.compliance + gap_response
+        set_members: dict[str, Any]
         if (mu := coefficient_of(contact)) is None:
-            self._static = ActiveSets(self.compliance)
-            own = {"contact": ActiveSets(seen).handle}
+            self._initial_sets = ActiveSets(self.compliance)
+            set_members = {"contact": ActiveSets(compliance).handle}
         else:
-            self._rubbing = FrictionSets(self.compliance, mu)
-            self._held = np.empty(pairs // 2)
-            self._sets = FrictionSets(seen, mu)
-            own = {"friction": self._sets.handle, "held": self._held}
-        self._known = Struct(
-            "exponential", modes=count, pairs=pairs, instants=steps,
-            coupled=modes.damping.ndim == 2, moved=moved, rows=doubles(modes.pairs.T),
-            pushed=doubles(pushed.T), gaps=doubles(moved_gap), linear=self.linear_gap,
-            steady=self.steady, room=np.empty(4 * count + 2 * pairs), **own,
+            self._initial_friction = FrictionSets(self.compliance, mu)
+            self._sticking_places = np.empty(n_rows // 2)
+            self._sets = FrictionSets(compliance, mu)
+            set_members = {"friction": self._sets.handle, "held": self._sticking_places}
+        self._kernel_data = Struct(
+            "exponential", modes=n_modes, pairs=n_rows, instants=steps,
+            coupled=modes.damping.ndim == 2, moved=transition, rows=doubles(modes.pairs.T),
+            pushed=doubles(half_response.T), gaps=doubles(gap_response), linear=self.linear_gap,
+            steady=self.steady, room=np.empty(4 * n_modes + 2 * n_rows), **set_members,
         )  # fmt: skip
 
     def coordinates(
         self, states: np.ndarray, force: np.ndarray, dofs: np.ndarray | slice = slice(None)
     ) -> np.ndarray:
-        """:meth:`displacement` of states at instants from phase 0 on."""
+        """Return the :meth:`displacement` of states (n, 2 n_modes) at n instants from phase 0."""
         phase = 2.0 * np.pi * np.arange(len(states)) / self.steps
         return self.displacement(states, force, phase, dofs)
 
     def advance(self, state: np.ndarray, periods: int = 1) -> Steps:
-        """Integrate whole periods of the load from phase 0.
+        """Integrate whole load periods from phase 0.
 
-        Raises ConvergenceError where the contact forces of a step are not found.
+        Raises
+        ------
+        ConvergenceError
+            The contact forces of a step were not found.
         """
-        count, pairs, total = 2 * self.count, self.structure.n_pairs, periods * self.steps
-        state, places = np.split(shaped(state, self.size), [count])
-        states, forces = np.empty((total + 1, count)), np.empty((total + 1, len(self.softness)))
-        closed = np.empty((total + 1, pairs), dtype=np.int8)
+        n_state, pairs, total = 2 * self.count, self.structure.n_pairs, periods * self.steps
+        state, places = np.split(shaped(state, self.size), [n_state])
+        states, forces = np.empty((total + 1, n_state)), np.empty((total + 1, len(self.softness)))
+        is_closed = np.empty((total + 1, pairs), dtype=np.int8)
         states[0] = state
         gap = self.gap_rows @ (state - self.steady[0]) + self.linear_gap[0]
         if self.friction:
-            forces[:1], closed[:1], held, _ = self._rubbing.solve(gap[None], places)
-            self._held[:] = held[0]
-        else:
-            forces[:1], closed[:1] = self._static.solve(gap[None])
-        arrays = map(pointer, (states, forces, closed))
-        done = kernel.march_exponential(self._known.at, total, *arrays)
-        if done < total:
-            raise ConvergenceError(
-                f"exponential: the contact forces of step {done + 1} were not found"
+            forces[:1], is_closed[:1], sticking_places, _ = self._initial_friction.solve(
+                gap[None], places
             )
-        places = self._held.copy() if self.friction else places
-        return Steps(self, states, forces, closed > 0, np.append(states[-1], places))
+            self._sticking_places[:] = sticking_places[0]
+        else:
+            forces[:1], is_closed[:1] = self._initial_sets.solve(gap[None])
+        arrays = map(pointer, (states, forces, is_closed))
+        n_steps = kernel.march_exponential(self._kernel_data.at, total, *arrays)
+        if n_steps < total:
+            raise ConvergenceError(
+                f"exponential: the contact forces of step {n_steps + 1} were not found"
+            )
+        places = self._sticking_places.copy() if self.friction else places
+        return Steps(self, states, forces, is_closed > 0, np.append(states[-1], places))
 
 
 @dataclass(frozen=True)
 class Steps:
-    """Integrated periods of the load.
+    """Hold integrated load periods.
 
     Attributes
     ----------
@@ -282,20 +300,20 @@ class Steps:
     flow: ExponentialFlow
     states: np.ndarray
     forces: np.ndarray
-    closed: np.ndarray
+    is_closed: np.ndarray
     end: np.ndarray
 
     @property
     def gaps(self) -> np.ndarray:
-        """Gaps of all rows at all instants: (N + 1, n_rows) [m]."""
+        """Gaps at all instants: (N + 1, n_rows) [m]."""
         flow = self.flow
         instants = np.arange(len(self.states)) % flow.steps
-        moved = (self.states - flow.steady[instants]) @ flow.gap_rows.T
-        return np.asarray(moved + flow.linear_gap[instants] - self.forces @ flow.residual)
+        linear_gap = (self.states - flow.steady[instants]) @ flow.gap_rows.T
+        return np.asarray(linear_gap + flow.linear_gap[instants] - self.forces @ flow.residual)
 
     @property
-    def lost(self) -> float:
-        """Loss by friction over all steps [J], of the mean forces over each."""
+    def friction_loss(self) -> float:
+        """Energy that friction dissipates over all steps, by their mean forces [J]."""
         flow, count = self.flow, self.flow.structure.n_pairs
         if not flow.friction:
             return 0.0
@@ -305,48 +323,50 @@ class Steps:
 
 
 class _ByExponentials(Scheme):
-    """The integration, period by period."""
+    """Integrate by exponential steps, one load period at a time."""
 
     name = "exponential"
     remedy = "take more steps per period, or keep fewer modes: what they leave out softens contact"
 
-    def __init__(self, asked: March) -> None:
-        self._asked, steps = asked, asked.steps_per_period
-        self._flow = ExponentialFlow(asked.structure, asked.omega, asked.contact, steps)
-        self._state = self._flow.state(*asked.start)
+    def __init__(self, request: March) -> None:
+        self._request, steps = request, request.steps_per_period
+        self._flow = ExponentialFlow(request.structure, request.omega, request.contact, steps)
+        self._state = self._flow.state(*request.start)
         # The load does the work of its mean over a step, the trapezoidal rule.
-        self._means = 0.5 * (asked.load + np.roll(asked.load, -1, axis=0))
-        self._put_in = self._missing = 0.0
+        self._means = 0.5 * (request.load + np.roll(request.load, -1, axis=0))
+        self._energy_input = self._missing_energy = 0.0
 
     def fill(self, window: Window, number: int) -> None:
-        flow, asked = self._flow, self._asked
+        flow, request = self._flow, self._request
         steps = flow.advance(self._state)
         states, forces = steps.states, steps.forces
         window.gap[:], window.force[:] = steps.gaps[:-1], forces[:-1]
-        window.motion[:] = flow.coordinates(states[:-1], forces[:-1], asked.recorded_dofs)
-        load_motion = flow.coordinates(states, forces, asked.load_rows)
-        window.load_motion[:] = load_motion[:-1] * _load_sizes(asked)
+        window.motion[:] = flow.coordinates(states[:-1], forces[:-1], request.recorded_dofs)
+        load_motion = flow.coordinates(states, forces, request.load_rows)
+        window.load_motion[:] = load_motion[:-1] * _load_sizes(request)
         if number == 0:
-            self._put_in = self._energy(steps, 0)
-            self._missing = -self._put_in
+            self._energy_input = self._energy(steps, 0)
+            self._missing_energy = -self._energy_input
         rate = states[:, len(flow.modes.squares) :]
-        lost = np.einsum("nj,nj->n", flow.modes.damped(rate), rate)
+        damping_power = np.einsum("nj,nj->n", flow.modes.damped(rate), rate)
         work = float(np.sum(self._means * np.diff(load_motion, axis=0)))
-        self._put_in += abs(work)
-        self._missing += flow.step_size * float(np.sum(0.5 * (lost[1:] + lost[:-1])))
-        self._missing += steps.lost - work
-        self.book(self._energy(steps, -1) + self._missing, self._put_in)
+        self._energy_input += abs(work)
+        self._missing_energy += flow.step_size * float(
+            np.sum(0.5 * (damping_power[1:] + damping_power[:-1]))
+        )
+        self._missing_energy += steps.friction_loss - work
+        self.book(self._energy(steps, -1) + self._missing_energy, self._energy_input)
         self._state = steps.end
         self._motion = flow.coordinates(states[-1:], forces[-1:])[0]
 
-    def _energy(self, steps: Steps, place: int) -> float:
-        """Kinetic, elastic, and contact energy at an instant."""
+    def _energy(self, steps: Steps, instant: int) -> float:
+        """Return the sum of kinetic, elastic and contact energy at an instant [J]."""
         flow = self._flow
-        motion = flow.coordinates(steps.states[[place]], steps.forces[[place]])[0]
+        motion = flow.coordinates(steps.states[[instant]], steps.forces[[instant]])[0]
         elastic = motion @ times(flow.structure.stiffness, motion[:, None])[:, 0]
-        rate = steps.states[place, len(flow.modes.squares) :]
-        springs = np.sum(flow.softness * steps.forces[place] ** 2)
+        rate = steps.states[instant, len(flow.modes.squares) :]
+        springs = np.sum(flow.softness * steps.forces[instant] ** 2)
         return 0.5 * float(elastic + rate @ rate + springs)
 
     def state(self) -> tuple[np.ndarray, ...]:
-        return _ends(self._flow, self._motion, self._state)
+        return _displacement_and_velocity(self._flow, self._motion, self._state)

@@ -1,4 +1,4 @@
-"""Motion in time: the request for a time integration, the loop over its periods, and its record."""
+"""Time integration: its checked request, the loop over load periods, and the recorded history."""
 
 from __future__ import annotations
 
@@ -44,8 +44,7 @@ Initial: TypeAlias = PeriodicSolution | tuple[np.ndarray, ...] | None
 
 @dataclass(frozen=True)
 class March:
-    """Request for a time integration: of what, how far, from where, and what is kept; checked
-    (collective).
+    """Hold the checked request for a time integration (collective).
 
     Attributes
     ----------
@@ -99,71 +98,78 @@ class March:
         if self.record_periods is not None:
             check_count("record_periods", self.record_periods, 1)
         check_number("settle", self.settle, 0.0)
-        most = max(self.structure.comm.allgather(len(self.recorded_dofs)))
-        instants = self.kept * self.steps_per_period
-        if 8 * instants * (most + 2 * self.n_rows) > MEMORY_LIMIT:
-            what, room = f"{instants} instants of {most} dofs", f"{MEMORY_LIMIT // 2**30} GiB"
-            allowed = f"fewer, or fewer dofs: {what} do not fit in {room}"
+        max_dofs = max(self.structure.comm.allgather(len(self.recorded_dofs)))
+        instants = self.n_kept_periods * self.steps_per_period
+        if 8 * instants * (max_dofs + 2 * self.n_rows) > MEMORY_LIMIT:
+            contents, limit = (
+                f"{instants} instants of {max_dofs} dofs",
+                f"{MEMORY_LIMIT // 2**30} GiB",
+            )
+            allowed = f"fewer, or fewer dofs: {contents} do not fit in {limit}"
             raise InputError("record_periods", self.record_periods, allowed)
         _ = self.start
 
     @classmethod
-    def of(cls, function: Callable[..., Any], options: Mapping[str, Any], *given: Any) -> March:
-        """The request of a function, of what it is given and of options."""
-        named = signature(function).parameters.values()
-        known = [one.name for one in named if one.kind is one.KEYWORD_ONLY]
-        known += [one.name for one in fields(cls) if one.default is not MISSING]
-        check_options(function.__name__, options, known)
-        return cls(*given, **options)
+    def from_call(
+        cls, function: Callable[..., Any], options: Mapping[str, Any], *arguments: Any
+    ) -> March:
+        """Return the request that a call of a public function makes, its options checked."""
+        parameters = signature(function).parameters.values()
+        option_names = [
+            parameter.name for parameter in parameters if parameter.kind is parameter.KEYWORD_ONLY
+        ]
+        option_names += [field.name for field in fields(cls) if field.default is not MISSING]
+        check_options(function.__name__, options, option_names)
+        return cls(*arguments, **options)
 
     @property
-    def kept(self) -> int:
-        """Periods that are recorded."""
+    def n_kept_periods(self) -> int:
+        """Number of load periods that are recorded."""
         return min(self.record_periods or self.periods, self.periods)
 
     @property
     def step_size(self) -> float:
-        """From one instant to the next [s]."""
+        """Step size dt between two instants [s]."""
         return 2.0 * np.pi / self.omega / self.steps_per_period
 
     @cached_property
     def start(self) -> tuple[np.ndarray, ...]:
-        """Displacement and velocity (n_local,) at time 0; behind them with friction, where it is
-        stated, where pairs stick (n_pairs,) [m]."""
+        """Displacement and velocity (n_local,) at time 0, with friction also the sticking places
+        (n_pairs,) [m] if they are given."""
         return initial_state(self.structure, self.contact, self.initial)
 
     @cached_property
     def recorded_dofs(self) -> np.ndarray:
-        """Dofs that this rank records: all of a reduced structure, which carry those requested."""
-        first, last = self.structure.first_dof, self.structure.first_dof + self.structure.n_local
-        everything, whole = np.arange(first, last), self.structure.whole
+        """Dofs that this rank records; all dofs if the structure is reduced."""
+        first_dof = self.structure.first_dof
+        end_dof = first_dof + self.structure.n_local
+        own_dofs, whole_structure = np.arange(first_dof, end_dof), self.structure.whole
         if self.dofs is None:
-            return everything
-        wanted = whole.check_dofs(self.dofs)
-        if whole is not self.structure:
-            return everything
-        return wanted[(wanted >= first) & (wanted < last)]
+            return own_dofs
+        requested_dofs = whole_structure.check_dofs(self.dofs)
+        if whole_structure is not self.structure:
+            return own_dofs
+        return requested_dofs[(requested_dofs >= first_dof) & (requested_dofs < end_dof)]
 
     @cached_property
     def load_rows(self) -> np.ndarray:
-        """Rows of this rank where the load is not zero."""
+        """Local dofs of this rank under load: (n_loaded,)."""
         return np.flatnonzero(np.any(self.structure.force, axis=0))
 
     @cached_property
     def waves(self) -> np.ndarray:
-        """1, cos and sin of the multiples of the load's phase at the instants of a period: (N,
-        2K+1)."""
+        """1, cos(j phi) and sin(j phi) of the load phase phi at N instants: (N, 2K+1)."""
         instants = np.arange(self.steps_per_period) / self.steps_per_period
         return waves_of(self.structure.force, 2.0 * np.pi * instants)
 
     @cached_property
     def load(self) -> np.ndarray:
-        """Load at these instants and rows: (N, rows) [N]."""
+        """Load on the loaded dofs at the N instants of a period: (N, n_loaded) [N]."""
         return np.asarray(self.waves @ self.structure.force[:, self.load_rows])
 
     @property
     def n_rows(self) -> int:
-        """Rows of contact: normals of all pairs, with friction behind them tangents."""
+        """Number of gap rows: the normal of each pair, with friction also the tangent."""
         return self.structure.n_pairs * (1 if friction_of(self.contact) is None else 2)
 
     @property
@@ -174,7 +180,7 @@ class March:
 
 @dataclass(frozen=True, repr=False)
 class TimeHistory(Observed, Tabular):
-    """The last periods of a motion found by direct integration.
+    """Hold the last periods of a motion from direct time integration.
 
     Attributes
     ----------
@@ -227,13 +233,16 @@ class TimeHistory(Observed, Tabular):
     KIND: ClassVar[str] = "time history"
 
     def to_dict(self) -> dict[str, Any]:
-        """Columns, a row for every instant: displacement of the watched dof, and of the crack faces
-        the opening and the contact force of the pair where each is largest."""
-        found = {"time": self.time, "displacement": self.displacement()[:, 0]}
+        """Return columns with a row for each instant.
+
+        They are the displacement of the watched dof, the largest opening of the crack faces and
+        their largest contact force.
+        """
+        columns = {"time": self.time, "displacement": self.displacement()[:, 0]}
         if self.gap.size:
-            found["opening"] = np.maximum(0.0, -self.gap.min(axis=1))
-            found["contact_force"] = self.contact_force.max(axis=1)
-        return {name: column.tolist() for name, column in found.items()}
+            columns["opening"] = np.maximum(0.0, -self.gap.min(axis=1))
+            columns["contact_force"] = self.contact_force.max(axis=1)
+        return {name: column.tolist() for name, column in columns.items()}
 
     def _title(self) -> str:
         periods = counted(self.periods, "period")
@@ -251,28 +260,36 @@ class TimeHistory(Observed, Tabular):
 
     @property
     def distance(self) -> float:
-        """Distance of the motion from the one that it settles to, relative as ``settled`` is, of
-        the gaps or of the displacement watched, if that is recorded, whichever is larger.
+        """Estimate the relative distance between the motion and its limit for long times.
+
+        The larger of two: the distance of the gaps, and of the watched displacement if it is
+        recorded, each relative to its moving part.
 
         The limit of a motion with two multipliers left follows from its last four periods
         (minimal polynomial extrapolation; Sidi, Vector Extrapolation Methods, chapter 2). nan
         with fewer than three periods kept (collective).
         """
-        kept = [one[-RECORDED_PERIODS:] for one in self._watched]
-        if len(kept[0]) < 3:
+        records = [record[-RECORDED_PERIODS:] for record in self._watched_periods]
+        n_periods = len(records[0])
+        if n_periods < 3:
             return math.nan
-        sizes = _sizes([one[-1] for one in kept])
-        rows = [one.reshape(len(one), -1) / size for one, size in zip(kept, sizes, strict=True)]
+        sizes = _sizes([record[-1] for record in records])
+        rows = [
+            record.reshape(n_periods, -1) / size
+            for record, size in zip(records, sizes, strict=True)
+        ]
         changes = np.diff(np.hstack(rows), axis=0)
         weights = np.append(np.linalg.lstsq(changes[:-1].T, -changes[-1], rcond=None)[0], 1.0)
-        left = (np.tensordot(weights, one[:-1] - one[-1], 1) for one in rows)
-        whole = abs(float(weights.sum()))
-        return max(float(np.linalg.norm(one)) for one in left) / whole if whole > 0.0 else math.inf
+        offsets = [np.tensordot(weights, part[:-1] - part[-1], 1) for part in rows]
+        distance = max(float(np.linalg.norm(offset)) for offset in offsets)
+        weight_sum = abs(float(weights.sum()))
+        return distance / weight_sum if weight_sum > 0.0 else math.inf
 
     def change(self, periods: int = 1) -> float:
-        """Relative change of the motion over the last so many periods, of the gaps or of the
-        displacement watched, if that is recorded, whichever is larger: what ``settled`` is of one
-        (collective).
+        """Return the relative change of the motion over the last ``periods`` (collective).
+
+        The larger of two: the change of the gaps, and of the watched displacement if it is
+        recorded. ``settled`` is the change over one period.
 
         Raises
         ------
@@ -280,21 +297,22 @@ class TimeHistory(Observed, Tabular):
             No more periods than these are recorded.
         """
         check_count("periods", periods, 1)
-        kept = self._watched
-        if periods >= len(kept[0]):
-            raise InputError("periods", periods, f"fewer than the {len(kept[0])} recorded")
-        return _change([one[-1] for one in kept], [one[-1 - periods] for one in kept])
+        records = self._watched_periods
+        if periods >= len(records[0]):
+            raise InputError("periods", periods, f"fewer than the {len(records[0])} recorded")
+        newest = [record[-1] for record in records]
+        return _change(newest, [record[-1 - periods] for record in records])
 
     @property
-    def _watched(self) -> list[np.ndarray]:
-        """B^T u and the displacement watched, if that is recorded, by period (collective)."""
-        parts = [self.gap + self.structure.clearance]
+    def _watched_periods(self) -> list[np.ndarray]:
+        """B^T u, and the watched displacement if it is recorded, by period (collective)."""
+        records = [self.gap + self.structure.clearance]
         with suppress(InputError):
-            parts.append(self.displacement())
-        return [self.by_period(one) for one in parts]
+            records.append(self.displacement())
+        return [self.by_period(record) for record in records]
 
     def displacement(self, dofs: Sequence[int | None] = (None,)) -> np.ndarray:
-        """Displacement of recorded dofs, or of the watched one: (n, len(dofs)) [m] (collective).
+        """Return displacements: (n, len(dofs)) [m]; None is the watched dof (collective).
 
         Raises
         ------
@@ -303,16 +321,19 @@ class TimeHistory(Observed, Tabular):
         """
         if self.structure.whole is not self.structure:
             return self.structure.values_at(self.recorded, dofs)
-        wanted = self.structure.check_dofs(dofs)
-        chosen = (self.recorded_dofs[:, None] == wanted).astype(float)
-        times = self.structure.sum_over_ranks(chosen.sum(axis=0))  # a dof may be recorded twice
-        if not times.all():
-            raise InputError("dofs", wanted[times == 0.0].tolist(), "among those recorded")
-        return self.structure.sum_over_ranks(self.recorded @ (chosen / times))
+        dof_numbers = self.structure.check_dofs(dofs)
+        selection = (self.recorded_dofs[:, None] == dof_numbers).astype(float)
+        n_records = self.structure.sum_over_ranks(
+            selection.sum(axis=0)
+        )  # a dof may be recorded twice
+        if not n_records.all():
+            raise InputError("dofs", dof_numbers[n_records == 0.0].tolist(), "among those recorded")
+        return self.structure.sum_over_ranks(self.recorded @ (selection / n_records))
 
     def records(self, rows: np.ndarray) -> Iterator[Record]:
-        """The motion, seen through rows (m, n_local): of the products with its displacement, their
-        harmonics, as many as the instants of a period allow, of the last period (collective).
+        """Yield the recorded products of the displacement with rows (m, n_local) (collective).
+
+        Their harmonics are those of the last period, as many as its instants allow.
 
         Raises
         ------
@@ -320,11 +341,15 @@ class TimeHistory(Observed, Tabular):
             A dof that they take was not recorded.
         """
         structure = self.structure
-        own, first = np.unique(self.recorded_dofs - structure.first_dof, return_index=True)
-        if any(structure.comm.allgather(bool(np.any(np.delete(rows, own, axis=1))))):
+        recorded_columns, first_records = np.unique(
+            self.recorded_dofs - structure.first_dof, return_index=True
+        )
+        if any(structure.comm.allgather(bool(np.any(np.delete(rows, recorded_columns, axis=1))))):
             allowed = "None, to record all displacements, of which these are made"
             raise InputError("dofs", "some", allowed)
-        motion = structure.sum_over_ranks(self.recorded[:, first] @ rows[:, own].T)
+        motion = structure.sum_over_ranks(
+            self.recorded[:, first_records] @ rows[:, recorded_columns].T
+        )
         steps, gap, force = self.steps_per_period, self.gap, self.contact_force
         if self.tangential_gap is not None and self.tangential_force is not None:
             gap = np.hstack([gap, self.tangential_gap])
@@ -339,7 +364,7 @@ class TimeHistory(Observed, Tabular):
 
 
 class Window(NamedTuple):
-    """Room for one period of a time integration, a row for each instant."""
+    """Hold the record of one load period, with a row for each instant."""
 
     gap: np.ndarray
     force: np.ndarray
@@ -350,103 +375,105 @@ class Window(NamedTuple):
 
 
 class Scheme(ABC):
-    """Scheme for :func:`march`, which starts at time 0."""
+    """Integrate one load period after another from time 0, for :func:`march`."""
 
     name: ClassVar[str]
     remedy: ClassVar[str]
-    """Remedy where contact creates energy."""
+    """What to do if contact creates energy."""
     created_share = 0.0
     """Energy created relative to the energy put in."""
-    owned: tuple[Any, ...] = ()
-    """PETSc's objects, to be freed after the integration."""
+    petsc_objects: tuple[Any, ...] = ()
+    """PETSc objects that are freed after the integration."""
 
     @abstractmethod
     def fill(self, window: Window, number: int) -> None:
-        """Integrate period ``number``, record it, and add up its energy."""
+        """Integrate a period, record it in the window, and sum up its energy."""
 
     @abstractmethod
     def state(self) -> tuple[np.ndarray, ...]:
-        """Displacement and velocity, with friction also places, after whole periods, from which a
-        time integration can go on."""
+        """Return displacement and velocity, with friction also sticking places, at the end of the
+        last period."""
 
     def book(self, created: float, put_in: float) -> None:
-        """State energies [J]; ConvergenceError where contact has created too much."""
+        """Note energies [J]; raise ConvergenceError if contact has created too much."""
         if put_in > 0.0:
             self.created_share = created / put_in
         if not np.isfinite(created) or created > 2.0 * put_in > 0.0:
-            creates = f"{self.created_share:.3g} times the energy put in; {self.remedy}"
-            long = f"{self.name}: the steps are too long for this contact, which creates"
-            raise ConvergenceError(f"{long} {creates}")
+            amount = f"{self.created_share:.3g} times the energy put in"
+            reason = f"{self.name}: the steps are too long for this contact, which creates"
+            raise ConvergenceError(f"{reason} {amount}; {self.remedy}")
 
 
-def march(asked: March, scheme: Scheme) -> TimeHistory:
-    """Integrate a scheme, period by period, until it settles, and free it (collective)."""
-    structure, kept, steps = asked.structure, asked.kept, asked.steps_per_period
-    widths = asked.n_rows, asked.n_rows, len(asked.recorded_dofs)
-    records: list[np.ndarray] = [np.empty((kept * steps, width)) for width in widths]
+def march(request: March, scheme: Scheme) -> TimeHistory:
+    """Integrate periods with a scheme until the motion settles, and free it (collective)."""
+    structure, n_kept, steps = request.structure, request.n_kept_periods, request.steps_per_period
+    widths = request.n_rows, request.n_rows, len(request.recorded_dofs)
+    records: list[np.ndarray] = [np.empty((n_kept * steps, width)) for width in widths]
     gap, force, motion = records
-    load_motion = np.empty((steps, len(asked.load_rows)))
-    done = 0
-    before: tuple[np.ndarray, np.ndarray] | None = None
-    hidden = not asked.progress or structure.comm.rank != 0
-    if not hidden:
+    load_motion = np.empty((steps, len(request.load_rows)))
+    n_periods = 0
+    previous: tuple[np.ndarray, np.ndarray] | None = None
+    is_hidden = not request.progress or structure.comm.rank != 0
+    if not is_hidden:
         begin("")
     from tqdm import tqdm
 
     started = clock.perf_counter()
-    with StopRequest() as stop, reaching(lambda: f"{done} of {asked.periods} periods"):
-        for number in tqdm(range(asked.periods), scheme.name, unit="period", disable=hidden):
-            place = slice(number % kept * steps, (number % kept + 1) * steps)
-            window = Window(gap[place], force[place], motion[place], load_motion)
+    with StopRequest() as stop, reaching(lambda: f"{n_periods} of {request.periods} periods"):
+        for number in tqdm(range(request.periods), scheme.name, unit="period", disable=is_hidden):
+            period_rows = slice(number % n_kept * steps, (number % n_kept + 1) * steps)
+            window = Window(gap[period_rows], force[period_rows], motion[period_rows], load_motion)
             scheme.fill(window, number)
-            done = number + 1
-            moved = np.concatenate(structure.comm.allgather(load_motion), axis=1)
-            closing = window.gap[:, : structure.n_pairs] + structure.clearance
-            now = closing, moved  # slow modes hardly move the gaps
-            settled, before = np.inf if before is None else _change(now, before), now
-            if settled < asked.settle or stop.asked(structure.comm):
+            n_periods = number + 1
+            load_records = np.concatenate(structure.comm.allgather(load_motion), axis=1)
+            gap_motion = window.gap[:, : structure.n_pairs] + structure.clearance
+            newest = gap_motion, load_records  # slow modes hardly move the gaps
+            change, previous = np.inf if previous is None else _change(newest, previous), newest
+            if change < request.settle or stop.asked(structure.comm):
                 break
     seconds = clock.perf_counter() - started
 
-    count = min(done, kept) * steps
-    newest = done % kept * steps if done > kept else 0
-    gap, force, motion = (np.roll(rows[:count], -newest, axis=0) for rows in records)
+    n_rows = min(n_periods, n_kept) * steps
+    first_row = n_periods % n_kept * steps if n_periods > n_kept else 0
+    gap, force, motion = (np.roll(rows[:n_rows], -first_row, axis=0) for rows in records)
     final_state = scheme.state()
-    for item in scheme.owned:
-        item.destroy()
-    pairs, coefficient = structure.n_pairs, coefficient_of(asked.contact)
-    known = coefficient is not None
+    for petsc_object in scheme.petsc_objects:
+        petsc_object.destroy()
+    pairs, coefficient = structure.n_pairs, coefficient_of(request.contact)
+    has_friction = coefficient is not None
     return TimeHistory(
-        time=np.arange(done * steps - count, done * steps) * asked.step_size,
+        time=np.arange(n_periods * steps - n_rows, n_periods * steps) * request.step_size,
         gap=gap[:, :pairs],
-        settled=settled,
+        settled=change,
         created_energy=scheme.created_share,
-        periods=done,
+        periods=n_periods,
         seconds=seconds,
         steps_per_period=steps,
         structure=structure,
         recorded=motion,
-        recorded_dofs=asked.recorded_dofs,
+        recorded_dofs=request.recorded_dofs,
         final_state=final_state,
         contact_force=force[:, :pairs],
-        tangential_gap=gap[:, pairs:] if known else None,
-        tangential_force=force[:, pairs:] if known else None,
+        tangential_gap=gap[:, pairs:] if has_friction else None,
+        tangential_force=force[:, pairs:] if has_friction else None,
         friction=coefficient,
     )
 
 
-def _change(now: Sequence[np.ndarray], before: Sequence[np.ndarray]) -> float:
-    """The largest relative change of parts of a motion, (N, m) each, from one period to another."""
-    parts = zip(now, before, _sizes(now), strict=True)
-    return max(float(np.linalg.norm(one - was)) / size for one, was, size in parts)
+def _change(newest: Sequence[np.ndarray], previous: Sequence[np.ndarray]) -> float:
+    """Return the largest relative change of a motion's parts (N, m) between two periods."""
+    parts = zip(newest, previous, _sizes(newest), strict=True)
+    return max(
+        float(np.linalg.norm(part - previous_part)) / size for part, previous_part, size in parts
+    )
 
 
 def _sizes(parts: Sequence[np.ndarray]) -> list[float]:
-    """Return the sizes of the moving parts of a motion, (N, m) each over a period: a clearance or a
-    steady load may make means as large as they like.
+    """Return the size of the moving part of each record (N, m) of a period.
 
-    Infinite, so that no change of it counts, where a part is rounding relative to the largest
-    one, as the gaps of rigid crack faces that stay closed.
+    Means do not count, because a clearance or a steady load makes them as large as it likes. The
+    size is infinite if a record is rounding beside the largest one, such as the gaps of rigid crack
+    faces that stay closed: then no change of it counts.
     """
     sizes = [moving_size(part) for part in parts]
     return [size if size > NEGLIGIBLE * max(sizes) else math.inf for size in sizes]
@@ -455,18 +482,26 @@ def _sizes(parts: Sequence[np.ndarray]) -> list[float]:
 def initial_state(
     structure: Structure, contact: ContactLaw, initial: Initial
 ) -> tuple[np.ndarray, ...]:
-    """Displacement and velocity (n_local,) at time 0, of a solution or of arrays, or rest; behind
-    them with friction, where it is stated, where pairs stick (n_pairs,) [m] (collective)."""
+    """Return displacement and velocity (n_local,) at time 0 (collective).
+
+    ``initial`` is a solution, a tuple of arrays, or None for rest. With friction the sticking
+    places (n_pairs,) [m] follow if they are known.
+
+    Raises
+    ------
+    InputError
+        The arrays do not fit the structure, or a number is not finite.
+    """
     if initial is None:
         return np.zeros(structure.n_local), np.zeros(structure.n_local)
     initial = getattr(initial, "result", initial)  # of a Run
-    rubs = friction_of(contact) is not None
+    has_friction = friction_of(contact) is not None
     state: tuple[np.ndarray, ...]
     if isinstance(initial, PeriodicSolution):
         coefficients, omega = initial.displacement_coefficients, initial.base_omega
-        both = coefficients, derivative(coefficients, omega)
-        state = tuple(evaluate(wave, omega, np.zeros(1))[0] for wave in both)
-        if rubs and friction_of(initial.contact) is not None:
+        waves = coefficients, derivative(coefficients, omega)
+        state = tuple(evaluate(wave, omega, np.zeros(1))[0] for wave in waves)
+        if has_friction and friction_of(initial.contact) is not None:
             state = *state, initial.sticking_places(np.zeros(1))[0]
     else:
         try:
@@ -474,13 +509,13 @@ def initial_state(
         except TypeError:
             state = ()
     shapes = (structure.n_local,), (structure.n_local,), (structure.n_pairs,)
-    fits = [part.shape == shape for part, shape in zip(state, shapes, strict=False)]
-    right = all(fits) and len(state) in ((2, 3) if rubs else (2,))
+    shape_matches = [part.shape == shape for part, shape in zip(state, shapes, strict=False)]
+    has_right_shapes = all(shape_matches) and len(state) in ((2, 3) if has_friction else (2,))
     allowed = (
         f"a solution of this structure, or finite displacement and velocity of shape {shapes[0]} "
         f"as two arrays, with friction a third of finite places, of shape {shapes[2]}"
     )
     error = InputError("initial", [part.shape for part in state], allowed)
-    finite = all(np.all(np.isfinite(part)) for part in state)
-    raise_together(structure.comm, None if right and finite else error)
+    is_finite = all(np.all(np.isfinite(part)) for part in state)
+    raise_together(structure.comm, None if has_right_shapes and is_finite else error)
     return state

@@ -127,7 +127,7 @@ def test_exponential_steps(dofs: int, pairs: int, damping: str, steps: int, seed
     states, forces = by_exponentials(flow, start, 2 * steps)
     assert np.abs(found.states - states).max() <= 1e-12 * scale_of(states) * steps
     assert np.abs(found.forces - forces).max(initial=0.0) <= 1e-11 * scale_of(forces)
-    assert np.array_equal(found.closed, forces > 0.0)
+    assert np.array_equal(found.is_closed, forces > 0.0)
 
 
 # --- the flow by exponential steps ----------------------------------------------------------------
@@ -185,7 +185,7 @@ def test_no_step_is_too_long(
             march = ExponentialFlow(held, 2000.0, law, steps).advance(
                 np.concatenate([rest + start[0], start[1]])
             )
-            assert np.all(march.closed == closed)
+            assert np.all(march.is_closed == closed)
             shape, rate = np.split(march.states, 2, axis=1)
             moved = shape - rest
             energy = (rate**2).sum(axis=1) + (moved * (squares * moved + moved @ stiff)).sum(axis=1)
@@ -204,9 +204,9 @@ def test_gap_is_that_of_the_coordinates() -> None:
     assert relative(structure.apply_bt(motion) - structure.clearance, steps.gaps[:-1]) < 1e-10
     size = np.abs(steps.gaps[:-1]).max()
     assert steps.gaps[:-1].max() < 1e-12 * size and steps.forces.min() >= 0.0
-    assert np.array_equal(steps.forces > 0.0, steps.closed)
-    assert np.abs(steps.gaps[:-1][steps.closed[:-1]]).max() < 1e-12 * size
-    assert 0.05 < steps.closed.mean() < 0.95
+    assert np.array_equal(steps.forces > 0.0, steps.is_closed)
+    assert np.abs(steps.gaps[:-1][steps.is_closed[:-1]]).max() < 1e-12 * size
+    assert 0.05 < steps.is_closed.mean() < 0.95
 
 
 # --- arguments ------------------------------------------------------------------------------------
