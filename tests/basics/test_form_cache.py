@@ -77,7 +77,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty cache, which is used in this process."""
     folder = tmp_path / "cache" / "fenics"
     folder.mkdir(mode=0o700, parents=True)
-    monkeypatch.setattr(compat, "_CACHE", folder)
+    monkeypatch.setattr(compat, "_CACHE_FOLDER", folder)
     return folder
 
 
@@ -138,7 +138,7 @@ def test_a_damaged_form(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assemble(MPI.COMM_SELF)
     assert {*cache.iterdir()} == whole
     copy = shutil.copytree(cache, cache.parent / "copy")  # this process has mapped the others
-    monkeypatch.setattr(compat, "_CACHE", copy)
+    monkeypatch.setattr(compat, "_CACHE_FOLDER", copy)
     first, *others = sorted(copy.glob("*/"))
     os.truncate(next(first.glob("*.so")), 8192)
     for other in others:

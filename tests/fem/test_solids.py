@@ -325,7 +325,7 @@ def test_in_its_plane_a_solid_is_a_plate() -> None:
             THROUGH, **{"material.poisson": 0.0, "mesh.size": size, "mesh.lip_elements": lips}
         )
         modes = fc.solve_modes(fc.build_structure(scene), 4)
-        shapes = NodalMesh(modes.structure).field(modes.shapes.T)
+        shapes = NodalMesh(modes.structure).nodal_vectors(modes.shapes.T)
         sizes = np.linalg.norm(shapes, axis=1)
         in_plane = np.flatnonzero(sizes[:, 0] > sizes[:, 2])[0]
         errors.append(modes.omega[in_plane] / (2.0 * math.pi) / exact - 1.0)
@@ -608,7 +608,7 @@ def test_two_bodies_touch() -> None:
     omega = fc.solve_modes(structure, 4).omega
     assert omega[::2] == pytest.approx(omega[1::2], rel=1e-3)
     modes = fc.solve_modes(structure, 2, lips="tied")
-    shapes = NodalMesh(structure).field(modes.shapes.T)[0]
+    shapes = NodalMesh(structure).nodal_vectors(modes.shapes.T)[0]
     assert np.abs(shapes[:, 1]).max() == pytest.approx(np.linalg.norm(shapes, axis=1).max(), 0.02)
 
 
@@ -1104,7 +1104,7 @@ def test_compiler_is_quiet(
 ) -> None:
     """Nothing is told of forms compiled for the first time; warnings and other loggers are heard,
     and logging is left as it was."""
-    monkeypatch.setattr(compat, "_CACHE", tmp_path)
+    monkeypatch.setattr(compat, "_CACHE_FOLDER", tmp_path)
     mesh = dolfinx.mesh.create_unit_square(MPI.COMM_SELF, 1, 1)
     before = logging.root.level, list(logging.root.filters), logging.root.manager.disable
     space = compat.function_space(mesh, 1)
