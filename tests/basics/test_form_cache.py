@@ -167,7 +167,7 @@ def test_what_others_leave(cache: Path) -> None:
 def on_both(cache: str, comm: MPI.Comm) -> float:
     """Each rank alone, then both together, in a cache that is empty before."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compat, "_CACHE", Path(cache))
+        patch.setattr(compat, "_CACHE_FOLDER", Path(cache))
         return assemble(MPI.COMM_SELF) * assemble(comm)
 
 
