@@ -415,15 +415,7 @@ def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
 
     ``unit_scene`` is the scene in gmsh's unit. Returns the tags of the plate's sides.
     """
-    columns, rows, _ = _plate_blocks(scene)
-    n_cells: float = math.prod(
-        sum(interval.n_elements for interval in side) for side in (columns, rows)
-    )
-    if scene.disk is not None:
-        n_cells += DiskRim(scene).area / _element_length(scene) ** 2
-    key = "columns" if scene.mesh.layout == "grid" else "size"
-    check_cell_count(scene, key, n_cells, 2 * scene.mesh.order**2)
-
+    _check_plate_cells(scene)
     columns, rows, slits = _plate_blocks(unit_scene)
     rim = None if unit_scene.disk is None else DiskRim(unit_scene)
     xs, ys = ([0.0, *(interval.stop for interval in side)] for side in (columns, rows))
@@ -434,15 +426,7 @@ def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
         for i, x in enumerate(xs)
         for j, y in enumerate(ys)
     }
-    last_column = len(columns)  # first and last column are at edges, where no tip is
-    doubled_points = [
-        (i, row)
-        for row, crack_columns in slits
-        for i in range(
-            crack_columns.start + (crack_columns.start > 0),
-            crack_columns.stop + (crack_columns.stop == last_column),
-        )
-    ]
+    doubled_points = _doubled_corners(slits, len(columns))
     upper_points = {(i, j): add_point(xs[i], ys[j], 0.0) for i, j in doubled_points}
     points_above = points | upper_points  # corners of blocks above a crack
 
@@ -464,17 +448,9 @@ def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
         (i, j): _add_curve(points_above[i, j], points_above[i + 1, j], interval)
         for (i, j), interval in face_columns.items()
     }
-    surfaces = []
-    for i in range(len(columns)):
-        for j in range(len(rows)):
-            lower_curve = upper_curves.get((i, j), horizontal_curves[i, j])
-            loop = [
-                lower_curve,
-                vertical_curves[i + 1, j],
-                -horizontal_curves[i, j + 1],
-                -vertical_curves[i, j],
-            ]
-            surfaces.append(gmsh.model.geo.addPlaneSurface([gmsh.model.geo.addCurveLoop(loop)]))
+    surfaces = _add_surfaces(
+        len(columns), len(rows), horizontal_curves, vertical_curves, upper_curves
+    )
     foot_curves = [horizontal_curves[i, 0] for i in range(len(columns))]
     sides: dict[str, tuple[int, list[int]]] = {"clamp": (1, foot_curves)}
     if rim is not None:
@@ -501,6 +477,53 @@ def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
     if rim is None:
         tags["bottom"] = tags["clamp"]
     return {name: (tag,) for name, tag in tags.items()}
+
+
+def _check_plate_cells(scene: Scene) -> None:
+    """Raise InputError if a plate would have too many cells."""
+    columns, rows, _ = _plate_blocks(scene)
+    n_cells: float = math.prod(
+        sum(interval.n_elements for interval in side) for side in (columns, rows)
+    )
+    if scene.disk is not None:
+        n_cells += DiskRim(scene).area / _element_length(scene) ** 2
+    key = "columns" if scene.mesh.layout == "grid" else "size"
+    check_cell_count(scene, key, n_cells, 2 * scene.mesh.order**2)
+
+
+def _doubled_corners(slits: list[Slit], n_columns: int) -> list[tuple[int, int]]:
+    """Return the block corners on cracks, without tips.
+
+    A crack that begins or ends at an edge of the plate has no tip there.
+    """
+    return [
+        (i, row)
+        for row, crack_columns in slits
+        for i in range(
+            crack_columns.start + (crack_columns.start > 0),
+            crack_columns.stop + (crack_columns.stop == n_columns),
+        )
+    ]
+
+
+Curves = dict[tuple[int, int], int]
+"""Tags of curves, by column and row of their blocks."""
+
+
+def _add_surfaces(
+    n_columns: int, n_rows: int, horizontal: Curves, vertical: Curves, upper_faces: Curves
+) -> list[int]:
+    """Add the surface of each block, column by column.
+
+    A block above a crack begins at the upper face, other blocks at a horizontal curve.
+    """
+    surfaces = []
+    for i in range(n_columns):
+        for j in range(n_rows):
+            lower_curve = upper_faces.get((i, j), horizontal[i, j])
+            loop = [lower_curve, vertical[i + 1, j], -horizontal[i, j + 1], -vertical[i, j]]
+            surfaces.append(gmsh.model.geo.addPlaneSurface([gmsh.model.geo.addCurveLoop(loop)]))
+    return surfaces
 
 
 def _name_groups(groups: dict[str, tuple[int, list[int]]]) -> dict[str, int]:
