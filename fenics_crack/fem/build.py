@@ -25,9 +25,9 @@ distributed to its neighbours on the face. Each share is proportional to the ove
 S_ij psi_i with sum_j S_ij = 1. So the areas sum to the crack's area, and a uniform pressure is
 exact. Also, the pressure acts up to the front, where closed faces would otherwise interpenetrate.
 
-With ``mesh.patches`` there are fewer pressures, each a sum of linear ones. Nodes of tips and fronts
-belong to the nearest patch. On a plate, psi_j is linear between selected nodes. On a solid, it is
-the sum for all nodes nearest to a selected node.
+With ``mesh.patches`` there are fewer pressures, each a weighted sum of linear ones. Nodes of tips
+and fronts belong to the nearest patch. On a plate, psi_j is linear between selected nodes. On a
+solid, it is the sum for all nodes nearest to a selected node.
 
 Tangential gaps of a solid have two directions t, at right angles to the pair's mean normal m = int
 psi n ds / |int psi n ds|:

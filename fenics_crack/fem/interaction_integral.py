@@ -43,7 +43,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 
 MAX_RADIUS_FRACTION = 0.8
-"""Radius of the domain, relative to the distance between the tip and the nearest boundary or other
+"""Radius of the domain, relative to the tip's distance from the nearest boundary, bend or other
 crack."""
 PLATEAU_FRACTION = 0.2
 """Fraction of the radius up to which q is 1."""

@@ -112,11 +112,15 @@ def _included_path(path: Path, line: str) -> Path:
     return path.parent / line.partition("=")[2].strip().strip('"')
 
 
-Nodes = dict[int, tuple[float, ...]]
-Cells = dict[int, list[list[int]]]
+NodePositions = dict[int, tuple[float, ...]]
+"""Position of each node, by its label."""
+CellLabels = dict[int, list[list[int]]]
+"""Node labels of the cells, by VTK's type."""
 
 
-def _add_node(nodes: Nodes, line_number: int, label: int, position: tuple[float, ...]) -> None:
+def _add_node(
+    nodes: NodePositions, line_number: int, label: int, position: tuple[float, ...]
+) -> None:
     """Add a node.
 
     Raises
@@ -132,7 +136,7 @@ def _add_node(nodes: Nodes, line_number: int, label: int, position: tuple[float,
         raise ValueError(f"line {line_number}: two places of node {label}")
 
 
-def _read_table(path: Path, nodes: Nodes, cells: Cells) -> None:
+def _read_table(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
     """Read nodes from a table."""
     for row_number, (label, *coordinates) in enumerate(rows_of(path, 4, "#", ",").tolist(), 1):
         if label % 1 != 0:
@@ -143,7 +147,7 @@ def _read_table(path: Path, nodes: Nodes, cells: Cells) -> None:
 # --- CalculiX and Abaqus --------------------------------------------------------------------------
 
 
-def _read_abaqus(path: Path, nodes: Nodes, cells: Cells) -> None:
+def _read_abaqus(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
     """Read nodes and cells from an input file of CalculiX or Abaqus."""
     keyword, n_nodes, cell_labels = "", 0, list[int]()
     for line_number, line in numbered_lines(path, "**"):
@@ -187,7 +191,7 @@ def _read_abaqus(path: Path, nodes: Nodes, cells: Cells) -> None:
 # --- Nastran --------------------------------------------------------------------------------------
 
 
-def _read_nastran(path: Path, nodes: Nodes, cells: Cells) -> None:
+def _read_nastran(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
     """Read nodes and cells from bulk data of Nastran."""
     for line_number, card in _read_cards(path):
         name, *fields = card
@@ -257,7 +261,7 @@ def _read_cards(path: Path) -> Iterator[tuple[int, list[str]]]:
 # --- Ansys ----------------------------------------------------------------------------------------
 
 
-def _read_ansys(path: Path, nodes: Nodes, cells: Cells) -> None:
+def _read_ansys(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
     """Read nodes and cells from CDWRITE's blocks NBLOCK and EBLOCK.
 
     The line below a block's name states number and width of the fields.
@@ -329,7 +333,7 @@ def _read_ansys(path: Path, nodes: Nodes, cells: Cells) -> None:
         raise ValueError(f"none of its elements, of types {type_list}, is a solid that is known")
 
 
-READERS_BY_ENDING: dict[str, Callable[[Path, Nodes, Cells], None]] = {
+READERS_BY_ENDING: dict[str, Callable[[Path, NodePositions, CellLabels], None]] = {
     ".inp": _read_abaqus, ".bdf": _read_nastran, ".dat": _read_nastran, ".nas": _read_nastran,
     ".cdb": _read_ansys,
 }  # fmt: skip

@@ -71,7 +71,7 @@ def draw_solid(scene: Scene) -> tuple[NamedParts, Cracks]:
     """
     from fenics_crack.fem.msh_file import load_mesh, unpack_groups  # it splits cracks
 
-    contents, unit = _mesh_box(scene) if scene.geometry.file is None else _mesh_part(scene)
+    contents, unit = _mesh_box(scene) if scene.geometry.file is None else _mesh_cad_part(scene)
     gmsh.model.remove()
     gmsh.model.add("fenics_crack")
     try:
@@ -152,7 +152,7 @@ def ray_length(point: np.ndarray, direction: np.ndarray, triangles: np.ndarray) 
     return float(distances[is_hit].min(initial=extent))
 
 
-def _mesh_part(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
+def _mesh_cad_part(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
     """Mesh a part, and return the mesh with its unit [m]."""
     unit_scene, unit = scale_to_mesh_unit(scene, MILLIMETRE)
     geometry, mesh = scene.geometry, unit_scene.mesh

@@ -23,8 +23,9 @@ import gmsh
 import numpy as np
 
 Tags = list[tuple[int, int]]
-Crack = dict[str, Any]
-Front = dict[str, Any]
+"""Dimensions and tags of gmsh's entities."""
+CrackData = dict[str, Any]
+FrontData = dict[str, Any]
 """Data of a crack and of a front, see :func:`insert_cracks`."""
 
 UNIT_LENGTHS = {"m": 1e3, "mm": 1.0, "inch": 25.4}
@@ -214,8 +215,8 @@ def _match_surfaces(
 
 
 def insert_cracks(
-    solid_tags: Tags, cracks: list[Crack], triangles: np.ndarray
-) -> tuple[list[int], list[Front]]:
+    solid_tags: Tags, cracks: list[CrackData], triangles: np.ndarray
+) -> tuple[list[int], list[FrontData]]:
     """Cut cracks into a solid, and return their surfaces and fronts.
 
     Parameters
@@ -270,7 +271,7 @@ def insert_cracks(
     return [surfaces[0][1] for surfaces in children[1:]], fronts
 
 
-def _draw_crack_face(crack: Crack) -> Tags:
+def _draw_crack_face(crack: CrackData) -> Tags:
     """Draw the ellipse or rectangle of a crack."""
     occ, (e_1, e_2, normal), (a, b) = gmsh.model.occ, np.array(crack["frame"]), crack["half"]
     if crack["is_round"] and a < b:
@@ -297,7 +298,7 @@ def _curve_points(curve: int) -> np.ndarray:
     return np.reshape(gmsh.model.getValue(1, curve, parameters), (-1, 3))
 
 
-def _describe_front(crack: Crack, rim: set[int]) -> Front:
+def _describe_front(crack: CrackData, rim: set[int]) -> FrontData:
     """Return the front of a crack.
 
     It consists of the rim's curves on the border of the ellipse or rectangle.
@@ -334,7 +335,9 @@ def _describe_front(crack: Crack, rim: set[int]) -> Front:
     }  # fmt: skip
 
 
-def _check_crack_position(crack: Crack, surface: int, front: Front, triangles: np.ndarray) -> None:
+def _check_crack_position(
+    crack: CrackData, surface: int, front: FrontData, triangles: np.ndarray
+) -> None:
     """Raise Refusal if a crack is in a face, or almost without ligament.
 
     A crack without a front inside the part is refused, too.
@@ -356,7 +359,7 @@ def _check_crack_position(crack: Crack, surface: int, front: Front, triangles: n
                       f" {ligament / shortest_length:.2g} of an element away")  # fmt: skip
 
 
-def estimate_cells(size: float, fronts: list[Front]) -> tuple[float, float]:
+def estimate_cells(size: float, fronts: list[FrontData]) -> tuple[float, float]:
     """Estimate the number of cells of the current model.
 
     Returns
@@ -381,7 +384,7 @@ def estimate_cells(size: float, fronts: list[Front]) -> tuple[float, float]:
 # --- the mesh -------------------------------------------------------------------------------------
 
 
-def generate_mesh(size: float, fronts: list[Front], per_turn: int = 0) -> None:
+def generate_mesh(size: float, fronts: list[FrontData], per_turn: int = 0) -> None:
     """Mesh the current model.
 
     ``per_turn`` is the number of elements on a full turn of a curved face.
@@ -462,7 +465,7 @@ TETRAHEDRON_EDGES = np.array([(0, 1), (1, 2), (0, 2), (0, 3), (2, 3), (1, 3)])
 """Ends of the edges with a tetrahedron's nodes 4 to 9, in gmsh's order."""
 
 
-def straighten_edges(contents: dict[str, Any], fronts: list[Front]) -> tuple[np.ndarray, int]:
+def straighten_edges(contents: dict[str, Any], fronts: list[FrontData]) -> tuple[np.ndarray, int]:
     """Straighten edges of cells at fronts, and of cells that would fold.
 
     Returns
