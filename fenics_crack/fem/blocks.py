@@ -341,15 +341,11 @@ def _graded_interval(
     Element lengths are about ``start_length`` at its start and ``stop_length`` at its end.
     """
     min_length, max_length = sorted((start_length, stop_length))
-    n_elements, growth = _count_graded_elements(stop - start, min_length, max_length)
-    n_required = max(
-        (math.ceil(face.count_elements(start, stop) - 0.01) for face in faces), default=0
-    )
-    if n_required > n_elements:
-        n_elements, growth = n_required, (max_length / min_length) ** (1.0 / max(n_required - 1, 1))
-    return Interval(
-        start, stop, n_elements, growth if start_length <= stop_length else 1.0 / growth
-    )
+    n_elements, ratio = _count_graded_elements(stop - start, min_length, max_length)
+    n_min = max((math.ceil(face.count_elements(start, stop) - 0.01) for face in faces), default=0)
+    if n_min > n_elements:
+        n_elements, ratio = n_min, (max_length / min_length) ** (1.0 / max(n_min - 1, 1))
+    return Interval(start, stop, n_elements, ratio if start_length <= stop_length else 1.0 / ratio)
 
 
 def _count_graded_elements(
@@ -693,12 +689,10 @@ class DiskRim:
             (columns[-1].stop - self.middle) / self.outer_radius
         )
         lengths = self.outer_radius * side_angle, self.outer_radius - self.inner_radius
-        element_counts = [
+        counts = [
             max(1, round(length / size)) if columns[0].n_elements else 0 for length in lengths
         ]
-        side_interval, radial_interval = (
-            Interval(0.0, 1.0, count, 1.0) for count in element_counts
-        )
+        side_interval, radial_interval = (Interval(0.0, 1.0, count, 1.0) for count in counts)
         center = geo.addPoint(self.middle, self.axis, 0.0)
         positions = [columns[0].start, *(column.stop for column in columns)]
         angles = [math.asin((position - self.middle) / self.outer_radius) for position in positions]

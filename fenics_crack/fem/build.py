@@ -113,21 +113,17 @@ def pair_crack_faces(
     space, weights, columns = assemble_columns(dofs, t, face_measure)
     first_node = space.dofmap.index_map.local_range[0]
     points = space.tabulate_dof_coordinates()[:, :dimension]
-    face_rows = []
+    faces = []
     for name in LIP_TAGS:
-        local_nodes = dofs.nodes_on(name, space)
-        rows = np.column_stack(
-            [local_nodes + first_node, weights[local_nodes], points[local_nodes]]
-        )
-        face_rows.append(gather_rows(dofs.comm, rows))
-    lower_rows, upper_rows, crack_index, positions, n_inside = _match_faces(
-        plate.cracks, *face_rows
-    )
+        nodes = dofs.nodes_on(name, space)
+        rows = np.column_stack([nodes + first_node, weights[nodes], points[nodes]])
+        faces.append(gather_rows(dofs.comm, rows))
+    lower_rows, upper_rows, crack_index, positions, n_inside = _match_faces(plate.cracks, *faces)
     lower_nodes = lower_rows[:, 0].astype(int)
     lower_gap = columns[:, lower_nodes]
     gap = lower_gap + columns[:, upper_rows[:, 0].astype(int)]
     points, areas, pair_nodes = lower_rows[:, 2:], lower_rows[:, 1], np.arange(n_inside)
-    solid_fields: dict[str, Any] = {}
+    fields: dict[str, Any] = {}
     if max_patches is not None or dimension == 3:
         if max_patches is None:
             shares = _front_pressure_shares(dofs, space, face_measure, lower_nodes, n_inside)
@@ -139,7 +135,7 @@ def pair_crack_faces(
         areas[pair_nodes] = shares.T @ areas
         nodal_force_shares.data /= np.repeat(areas[pair_nodes], np.diff(nodal_force_shares.indptr))
         gap, lower_gap = gap @ nodal_force_shares, lower_gap @ nodal_force_shares
-        solid_fields = {"nodes": points, "shares": shares} if dimension == 3 else {}
+        fields = {"nodes": points, "shares": shares} if dimension == 3 else {}
     if max_patches is None:
         kept_pairs = np.arange(n_inside)
         if mouth_only:
@@ -150,22 +146,20 @@ def pair_crack_faces(
                     ).values()
                 ]
             )
-            solid_fields = (
-                {"nodes": points, "shares": shares[:, kept_pairs]} if solid_fields else {}
-            )
+            fields = {"nodes": points, "shares": shares[:, kept_pairs]} if fields else {}
         pair_nodes, gap, lower_gap = kept_pairs, gap[:, kept_pairs], lower_gap[:, kept_pairs]
     points, areas, crack_index, positions = (
         rows[pair_nodes] for rows in (points, areas, crack_index, positions)
     )
     if dimension == 3:
-        solid_fields["tangents"] = _free_rows(_tangential_gaps(gap, lower_gap, dofs.comm), dofs)
+        fields["tangents"] = _free_rows(_tangential_gaps(gap, lower_gap, dofs.comm), dofs)
     pairs = Pairs(
         points,
         areas,
         crack_index,
         positions,
         _watched_pairs(plate.cracks, crack_index, positions),
-        **solid_fields,
+        **fields,
     )
     tangential = _free_rows(_rotate_by_right_angle(gap), dofs) if dimension == 2 else None
     return _free_rows(gap, dofs), tangential, pairs
@@ -404,15 +398,13 @@ def _watched_pairs(
     pair_by_name: dict[str, int] = {}
     crack: Any
     for index, crack in enumerate(cracks):
-        crack_pairs = np.flatnonzero(crack_index == index)
+        pairs = np.flatnonzero(crack_index == index)
         name, position = crack.watched_place
         if len(cracks) > 1:
             name += f" of crack {index + 1}"
-        if len(crack_pairs):
-            position = min(position, float(positions[crack_pairs].max()))
-            pair_by_name[name] = int(
-                crack_pairs[np.argmin(np.abs(positions[crack_pairs] - position))]
-            )
+        if len(pairs):
+            position = min(position, float(positions[pairs].max()))
+            pair_by_name[name] = int(pairs[np.argmin(np.abs(positions[pairs] - position))])
     return pair_by_name
 
 

@@ -338,10 +338,8 @@ def rows_in(rows: np.ndarray, reference_rows: np.ndarray) -> np.ndarray:
 
     The order of nodes in a row does not matter.
     """
-    _, unique_index, _ = find_unique_rows(np.concatenate([reference_rows, rows]))
-    return np.asarray(
-        np.isin(unique_index[len(reference_rows) :], unique_index[: len(reference_rows)])
-    )
+    _, kinds, _ = find_unique_rows(np.concatenate([reference_rows, rows]))
+    return np.asarray(np.isin(kinds[len(reference_rows) :], kinds[: len(reference_rows)]))
 
 
 # --- cracks of given faces ------------------------------------------------------------------------
@@ -375,12 +373,10 @@ def find_crack_paths(
     crack_paths = []
     for chain in _ordered_chains(lower_edges, common_nodes, positions):
         first_end, last_end = (tuple(positions[chain[end]]) for end in (0, -1))
-        end_is_mouth = chain[0] not in common_nodes, chain[-1] not in common_nodes
-        is_reversed = (
-            last_end < first_end if end_is_mouth[0] == end_is_mouth[1] else end_is_mouth[1]
-        )
+        is_mouth = chain[0] not in common_nodes, chain[-1] not in common_nodes
+        is_reversed = last_end < first_end if is_mouth[0] == is_mouth[1] else is_mouth[1]
         points = positions[chain[::-1] if is_reversed else chain]
-        crack_paths.append(CrackPath(points, any(end_is_mouth)))
+        crack_paths.append(CrackPath(points, any(is_mouth)))
     return tuple(sorted(crack_paths, key=lambda crack_path: tuple(crack_path.points[0, ::-1])))
 
 
@@ -652,17 +648,15 @@ def _front_parts(crack_facets: np.ndarray, boundary_facets: np.ndarray) -> np.nd
     They are parts of one crack facet only, and lie off the boundary.
     """
     n_corners = crack_facets.shape[1]
-    facet_parts = (
-        crack_facets.reshape(-1, 1) if n_corners == 2 else _edges_of_polygons(crack_facets)
-    )
-    facet_parts, part_counts = np.unique(facet_parts, axis=0, return_counts=True)
+    parts = crack_facets.reshape(-1, 1) if n_corners == 2 else _edges_of_polygons(crack_facets)
+    parts, part_counts = np.unique(parts, axis=0, return_counts=True)
     requirement = "cracks that neither branch nor cross"
     require(np.all(part_counts <= 2), "more than two sides of a crack meeting", requirement)
-    rim_parts = facet_parts[part_counts == 1]
+    rim_parts = parts[part_counts == 1]
     # The four sorted corners of a quadrilateral are not in cyclic order: take all pairs.
     boundary_parts = [
         boundary_facets[:, part_corners]
-        for part_corners in combinations(range(n_corners), facet_parts.shape[1])
+        for part_corners in combinations(range(n_corners), parts.shape[1])
     ]
     return np.asarray(rim_parts[~rows_in(rim_parts, np.concatenate(boundary_parts))])
 

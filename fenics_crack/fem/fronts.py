@@ -456,12 +456,10 @@ def _fit_curve(
     t = np.append(0.0, np.cumsum(edge_lengths))
     if len(nodes) == 2:
         nodes = np.array([nodes[0], nodes.mean(axis=0), nodes[1]])
-        spline_parameters = np.array([0, 0.5, 1]) * t[-1]
+        knots = np.array([0, 0.5, 1]) * t[-1]
     else:
-        spline_parameters = t
-    spline = CubicSpline(
-        spline_parameters, nodes, bc_type="periodic" if is_closed else "not-a-knot"
-    )
+        knots = t
+    spline = CubicSpline(knots, nodes, bc_type="periodic" if is_closed else "not-a-knot")
 
     return t, lambda t, order: np.asarray(spline(t, order))
 
@@ -782,15 +780,9 @@ class _Domain:
                 is_outer = self.is_outer_facet[chunk, k]
                 if np.any(is_outer):
                     surface_rule = np.insert(facet_rule, k, 0.0, axis=1)
-                    outward_gradients = self.gradients[chunk[is_outer], k]
-                    areas = (
-                        3.0
-                        * self.volumes[chunk[is_outer]]
-                        * np.linalg.norm(outward_gradients, axis=1)
-                    )
-                    normals = (
-                        -outward_gradients / np.linalg.norm(outward_gradients, axis=1)[:, None]
-                    )
+                    gradients = self.gradients[chunk[is_outer], k]
+                    areas = 3.0 * self.volumes[chunk[is_outer]] * np.linalg.norm(gradients, axis=1)
+                    normals = -gradients / np.linalg.norm(gradients, axis=1)[:, None]
                     moments[is_outer] += self._integrate_tensors(
                         chunk[is_outer], surface_rule, areas[:, None] * facet_weights, normals
                     )

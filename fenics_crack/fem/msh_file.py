@@ -194,12 +194,8 @@ def check_file_exists(key: str, path: Path | str) -> None:
 def unpack_groups(contents: dict[str, np.ndarray]) -> list[Group]:
     """Return the groups in arrays from :mod:`fenics_crack.fem.msh_reader`."""
     node_rows = np.split(contents["nodes"], np.cumsum(contents["heads"][:, 3])[:-1])
-    group_rows = zip(
-        contents["heads"].tolist(), contents["names"].tolist(), node_rows, strict=False
-    )
-    return [
-        (dimension, tag, name, kind, nodes) for (dimension, tag, kind, _), name, nodes in group_rows
-    ]
+    rows = zip(contents["heads"].tolist(), contents["names"].tolist(), node_rows, strict=False)
+    return [(dimension, tag, name, kind, nodes) for (dimension, tag, kind, _), name, nodes in rows]
 
 
 def _select_cells(
@@ -492,11 +488,9 @@ def _check_inner_surfaces(
     """
     facets, _, _ = cells.sorted_facets
     shared_facets, n_corners = facets[1:][cells.is_shared], facets.shape[1]
-    facet_corners = {
-        name: np.sort(rows[:, :n_corners], axis=1) for name, rows in named_facets.items()
-    }
-    crack_facets = np.concatenate([facets[:0], *(facet_corners[name] for name in crack_names)])
-    for name, rows in facet_corners.items():
+    corners = {name: np.sort(rows[:, :n_corners], axis=1) for name, rows in named_facets.items()}
+    crack_facets = np.concatenate([facets[:0], *(corners[name] for name in crack_names)])
+    for name, rows in corners.items():
         is_inside = rows_in(rows, shared_facets) & ~rows_in(rows, crack_facets)
         if name != "clamp" and np.any(is_inside):
             requirement = (

@@ -164,13 +164,9 @@ class NodalMesh:
         sides, cell_counts, cells = self._sides
         sides, cells = sides[cell_counts == 1], self.cells[cells[cell_counts == 1]]
         if self.dimension == 3:
-            side_points, n_corners = self.points[sides], 4 if sides.shape[1] == 3 else 8
-            outward_vectors = side_points.mean(axis=1) - self.points[cells[:, :n_corners]].mean(
-                axis=1
-            )
-            normals = np.cross(
-                side_points[:, 1] - side_points[:, 0], side_points[:, 2] - side_points[:, 0]
-            )
+            points, n_corners = self.points[sides], 4 if sides.shape[1] == 3 else 8
+            outward_vectors = points.mean(axis=1) - self.points[cells[:, :n_corners]].mean(axis=1)
+            normals = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
             is_inward = (normals * outward_vectors).sum(axis=1) < 0.0
             sides[is_inward] = sides[is_inward, ::-1]
         return np.asarray(sides)

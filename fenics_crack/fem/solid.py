@@ -281,11 +281,9 @@ def _mesh_box(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
 
 def _check_cell_number(scene: Scene, unit: float, fronts: list[dict[str, Any]]) -> None:
     """Raise InputError before gmsh makes too many cells."""
-    n_bulk_cells, n_front_cells = solid_mesher.estimate_cells(
-        scene.mesh.given("size") / unit, fronts
-    )
+    n_bulk, n_front = solid_mesher.estimate_cells(scene.mesh.given("size") / unit, fronts)
     key, size_note = "size", ""
-    if n_front_cells > n_bulk_cells:
+    if n_front > n_bulk:
         shortest_length = unit * min(front["shortest"] for front in fronts)
         key, size_note = "lip_elements", f", at a crack's front {shortest_length:.2g} m long"
-    check_cell_count(scene, key, n_bulk_cells + n_front_cells, scene.mesh.order**3 // 2, size_note)
+    check_cell_count(scene, key, n_bulk + n_front, scene.mesh.order**3 // 2, size_note)
