@@ -31,7 +31,7 @@ from matplotlib.figure import Figure
 
 import fenics_crack as fc
 from fenics_crack.balance.error_report import mean_square
-from fenics_crack.numerics.fourier import resized
+from fenics_crack.numerics.fourier import resize_harmonics
 
 DEMOS = Path(__file__).parents[1] / "demos"
 FOLDER = Path("output/benchmarks")
@@ -228,5 +228,5 @@ def plate(name: str, changes: Mapping[str, Any] | None = None) -> fc.Structure:
 def relative_difference(values: np.ndarray, reference: np.ndarray) -> float:
     """Relative L2 difference over the period of coefficients (rows a0, a1, b1, ...), any H."""
     harmonics = max(len(values), len(reference)) // 2
-    one, other = resized(values, harmonics), resized(reference, harmonics)
+    one, other = resize_harmonics(values, harmonics), resize_harmonics(reference, harmonics)
     return float(np.sqrt(mean_square(one - other) / mean_square(other)))

@@ -44,7 +44,7 @@ import numpy as np
 
 import fenics_crack as fc
 from fenics_crack.balance.assessment import MAX_DISTANCE, Assessment, distance, stated_error
-from fenics_crack.motion.attractors import irregular_motion
+from fenics_crack.motion.attractors import find_irregular_motion
 from fenics_crack.motion.flow import ContactFlow, exact_flow
 from fenics_crack.motion.orbit import PeriodicOrbit, find_orbit
 from fenics_crack.time.march import initial_state
@@ -288,7 +288,7 @@ def unconfirmed(arguments: common.Arguments) -> None:
             if orbit is None or (true_error := distance(assessment.wave, orbit)) < 1e-6:
                 continue
             assert assessment.flow is not None
-            motion = irregular_motion(assessment.flow, case.omega, assessment.states[0])
+            motion = find_irregular_motion(assessment.flow, case.omega, assessment.states[0])
             predicted_error = assessment.predicted_error
             (rows if true_error <= MAX_DISTANCE else distant_rows).append((
                 f"{case.family} {case.number}", harmonics, predicted_error,

@@ -50,12 +50,12 @@ def reduced(
         "structure": {
             "form": "modes", "squares": flow.modes.squares.tolist(),
             "damping": flow.modes.damping.tolist(),
-            "pairs": flow.modes.pairs.tolist(), "flexibility": flow.residual.tolist(),
-            "lift": (flow.gap + np.eye(len(flow.gap), 1) * flow.clearance).tolist(),
+            "pairs": flow.modes.pairs.tolist(), "flexibility": flow.residual_flexibility.tolist(),
+            "lift": (flow.load_gap + np.eye(len(flow.load_gap), 1) * flow.clearance).tolist(),
         },
         "load": {
-            "omega": omega, "mean": flow.force[0].tolist(), "cos": flow.force[1::2].tolist(),
-            "sin": flow.force[2::2].tolist(),
+            "omega": omega, "mean": flow.modal_load[0].tolist(),
+            "cos": flow.modal_load[1::2].tolist(), "sin": flow.modal_load[2::2].tolist(),
         },
         "law": {
             "kind": "rigid" if np.all(np.isinf(stiffness)) else "penalty",
@@ -120,7 +120,7 @@ def starts(
         found.append(wave_states(flow, solution.displacement_coefficients, omega)[0])
     except Exception as error:  # another start does
         print("  harmonic balance:", error)
-    state = np.array(flow.rest, float)
+    state = np.array(flow.rest_state, float)
     try:
         for number in range(20 if few else SETTLED):
             state = flow.advance(state, omega, period).state
@@ -147,10 +147,10 @@ def exact_orbits(case: dict[str, Any], structure: fc.Structure, law: Any) -> lis
     """All orbits found by the exact flow, the largest motion first."""
     flow, omega = exact_flow(structure, law), case["load"]["omega"]
     orbits, seen = [], []
-    count = flow.count
+    count = flow.n_modes
     for state in starts(flow, structure, law, omega, structure.n_pairs > 3):
         for periods in (1,) if structure.n_pairs > 3 else (1, 2, 3):
-            orbit = find_orbit(flow, omega, state, subharmonic=periods, located=1e-13)
+            orbit = find_orbit(flow, omega, state, subharmonic=periods, step_tolerance=1e-13)
             if orbit is None or orbit.residual > 1e-9:
                 continue
             state_now, passed = orbit.state, []
@@ -172,7 +172,7 @@ def exact_orbits(case: dict[str, Any], structure: fc.Structure, law: Any) -> lis
 
 def facts(case: dict[str, Any], flow: Any, orbit: Any) -> dict[str, Any]:
     """What is stored of an orbit of the exact flow."""
-    count, state = flow.count, orbit.state
+    count, state = flow.n_modes, orbit.state
     if case["structure"]["form"] == "matrices":
         shapes = flow.modes.shapes
         state = np.concatenate(

@@ -1,7 +1,7 @@
 """Error and stability of a harmonic-balance solution with a given number of harmonics.
 
 One step of Newton's method for the whole solution on the exact flow predicts what the harmonics
-left out change (:func:`fenics_crack.motion.orbit.predicted`); Newton's method finds the nearest
+left out change (:func:`fenics_crack.motion.orbit.predict_orbit`); Newton's method finds the nearest
 orbit from where that leads, or from the solution's state. A solution that was found from an orbit
 has that one. The distance to the orbit is the error. It is the solution's
 own where it is at most 0.1 away, of crack faces without mass 0.5, and three times the prediction:
@@ -11,7 +11,7 @@ the own orbit of the solution with twice or four times the harmonics, up to the 
 Without an orbit the error is stated from the prediction p as 3 p / (1 + 2 p): three times a small
 one, and never below p. Then the exact motion that begins with the solution is followed, and a small
 disturbance of it: where that grows the motion is irregular
-(:func:`fenics_crack.motion.attractors.irregular_motion`).
+(:func:`fenics_crack.motion.attractors.find_irregular_motion`).
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ from fenics_crack.balance.more_modes import UNKNOWN, MoreModes, is_still, loaded
 from fenics_crack.balance.problem import Problem, Search
 from fenics_crack.basics.tables import percent
 from fenics_crack.model.modal import is_small
-from fenics_crack.motion.attractors import Attractor, irregular_motion
+from fenics_crack.motion.attractors import Attractor, find_irregular_motion
 from fenics_crack.motion.flow import ContactFlow, flow_of
 from fenics_crack.motion.orbit import (
-    FLOWS,
+    MAX_SEARCH_PERIODS,
     PeriodicOrbit,
     Prediction,
-    affordable,
     find_orbit,
-    predicted,
-    too_slow,
+    is_affordable,
+    is_too_slow,
+    predict_orbit,
 )
 from fenics_crack.motion.search import wave_states
-from fenics_crack.numerics.equations import NEARLY_SOLVED
-from fenics_crack.numerics.fourier import resized
+from fenics_crack.numerics.equations import COARSE_TOLERANCE
+from fenics_crack.numerics.fourier import resize_harmonics
 from fenics_crack.numerics.newton import relative_to_motion
 
 MAX_ERROR = 0.1
@@ -106,13 +106,13 @@ class Assessment:
     def affordable(self) -> bool:
         """True if there is a flow on which a search for orbits does not take long."""
         flow, wave = self.flow, self.wave
-        return flow is not None and affordable(flow, wave.omega, wave.subharmonic)
+        return flow is not None and is_affordable(flow, wave.omega, wave.subharmonic)
 
     @property
     def too_slow(self) -> bool:
         """True if the load is too slow for the time integration of exact motions of few modes."""
         flow, wave = self.flow, self.wave
-        return flow is not None and too_slow(flow, wave.omega, wave.subharmonic)
+        return flow is not None and is_too_slow(flow, wave.omega, wave.subharmonic)
 
     @cached_property
     def states(self) -> np.ndarray:
@@ -122,7 +122,7 @@ class Assessment:
         found = wave_states(flow, wave.displacement_coefficients, wave.base_omega)
         if flow.friction:
             time = wave.period / len(found) * np.arange(len(found))
-            found[:, 2 * flow.count :] = wave.sticking_places(time)
+            found[:, 2 * flow.n_modes :] = wave.sticking_places(time)
         return found
 
     @cached_property
@@ -130,7 +130,9 @@ class Assessment:
         """One step of Newton's method of the whole solution; None where its motion cannot be
         followed."""
         flow, wave = self.flow, self.wave
-        return None if flow is None else predicted(flow, wave.omega, self.states, wave.subharmonic)
+        return (
+            None if flow is None else predict_orbit(flow, wave.omega, self.states, wave.subharmonic)
+        )
 
     @property
     def predicted_error(self) -> float:
@@ -158,7 +160,7 @@ class Assessment:
         if orbit is None and (refinement := self._refined_assessment()) and refinement.accepted:
             orbit = refinement.orbit
         elif self._source is None:  # predictions are within a factor of 3 of the distance
-            max_distance = min(max_distance, max(3.0 * self.predicted_error, NEARLY_SOLVED))
+            max_distance = min(max_distance, max(3.0 * self.predicted_error, COARSE_TOLERANCE))
         return orbit, orbit is not None and distance(self.wave, orbit) <= max_distance
 
     def _nearest_orbit(self) -> PeriodicOrbit | None:
@@ -170,7 +172,7 @@ class Assessment:
         if self.predicted_error <= MAX_ERROR:
             states.insert(0, self.prediction.states[0])
         periods, inverse = self.wave.subharmonic, self.prediction.inverse
-        search = partial(find_orbit, self.flow, self.wave.omega, ended=self._ended)
+        search = partial(find_orbit, self.flow, self.wave.omega, failure_reasons=self._ended)
         orbits = (search(state, subharmonic=periods, inverse=inverse) for state in states)
         return next(filter(None, orbits), None)
 
@@ -189,7 +191,9 @@ class Assessment:
         if self.orbit is not None or self.prediction is None or not self.affordable:
             return None
         assert self.flow is not None
-        return irregular_motion(self.flow, self.wave.omega, self.states[0], self.wave.subharmonic)
+        return find_irregular_motion(
+            self.flow, self.wave.omega, self.states[0], self.wave.subharmonic
+        )
 
     @cached_property
     def distance(self) -> float:
@@ -214,7 +218,7 @@ class Assessment:
             found = UNKNOWN, UNKNOWN
         else:
             assert self.flow is not None
-            change = (step.states - self.states)[:, : self.flow.count] @ self.flow.modes.shapes.T
+            change = (step.states - self.states)[:, : self.flow.n_modes] @ self.flow.modes.shapes.T
             time = np.arange(len(change)) * wave.period / len(change)
             found = step.error, _at_load(wave, change, wave.coordinates(time))
             found = (stated_error(found[0]), stated_error(found[1])) if search else found
@@ -231,7 +235,9 @@ class Assessment:
             return None
         assert wave.contact is not None
         flow = flow_of(reference, wave.contact)
-        known = flow is not None and affordable(flow, wave.omega, wave.subharmonic, FLOWS)
+        known = flow is not None and is_affordable(
+            flow, wave.omega, wave.subharmonic, MAX_SEARCH_PERIODS
+        )
         if flow is None or not known or self.orbit is None:
             return None
         return MoreModes(flow, wave, self.orbit)
@@ -243,7 +249,7 @@ class Assessment:
             return ""
         if self.too_slow:
             assert self.flow is not None
-            turns = self.flow.fastest * self.wave.period / (2.0 * np.pi)
+            turns = self.flow.max_rate * self.wave.period / (2.0 * np.pi)
             many = f"{turns / 1e3:.0f} thousand cycles in a period"
             slow = f"the load is so slow that the highest modes have {many}"
             return f"{slow}, too many for exact time integration; keep fewer modes"
@@ -275,8 +281,8 @@ def with_twice_the_harmonics(wave: Wave) -> Wave | None:
         subharmonic=wave.subharmonic, static_above=wave.static_above,
     )  # fmt: skip
     system = problem.system(problem.compliance())
-    search = Search(system, problem, NEARLY_SOLVED, 1.0)
-    point = search.solve(resized(wave.slow_gap_coefficients, problem.harmonics))
+    search = Search(system, problem, COARSE_TOLERANCE, 1.0)
+    point = search.solve(resize_harmonics(wave.slow_gap_coefficients, problem.harmonics))
     return problem.wave(system.linearise(point.unknown)) if search.converged else None
 
 

@@ -46,8 +46,8 @@ from fenics_crack.model.modal import all_modes
 from fenics_crack.model.modes import check_damped_modes, damped_modes
 from fenics_crack.model.structure import ModalDamping
 from fenics_crack.model.wheel import Wheel
-from fenics_crack.numerics.equations import NEARLY_SOLVED, least_residual
-from fenics_crack.numerics.fourier import resized, stretched
+from fenics_crack.numerics.equations import COARSE_TOLERANCE, residual_rounding
+from fenics_crack.numerics.fourier import resize_harmonics, stretch_period
 from fenics_crack.numerics.newton import MAX_ITERATIONS, Snes
 
 STIFFER, LEAST_STIFFER = 10.0, 1.1
@@ -111,7 +111,7 @@ class BlockSystem(Snes):
         matrix = distributed(sparse.coo_matrix((entries, at), part.shape), structure.comm)
         self._linear = matrix.duplicate(copy=True)
         self._seen_here = self._seen[:, slice(*matrix.getOwnershipRange())]
-        self.rounding = least_residual(10.0 * matrix.norm() / math.sqrt(part.shape[1]))
+        self.rounding = residual_rounding(10.0 * matrix.norm() / math.sqrt(part.shape[1]))
         """Smallest |F| / |x| that is asked for: rounding leaves about a tenth of it."""
         super().__init__(matrix, history)
         factors = self._snes.getKSP().getPC()
@@ -154,7 +154,7 @@ class BlockSystem(Snes):
         middle = sparse.csr_matrix((tangent.ravel(), self._ends), (count, count))
         return sparse.csr_matrix(self._into @ middle @ self._seen)
 
-    def _choose(self, solver: Any) -> None:
+    def _choose_solver(self, solver: Any) -> None:
         solver.getPC().setType("lu")
         if PETSc.Sys.hasExternalPackage("mumps"):
             solver.getPC().setFactorSolverType("mumps")
@@ -252,7 +252,9 @@ class BlockSolver(Solver):
         starts = [(linear, min(softest, 1.0))]
         if initial is not None:
             times = problem.subharmonic // initial.subharmonic
-            force = resized(stretched(initial.force_coefficients, times), problem.harmonics)
+            force = resize_harmonics(
+                stretch_period(initial.force_coefficients, times), problem.harmonics
+            )
             starts.insert(0, (compliance.displacement(force), 1.0))
         begin("block system")
         with BlockSystem(problem, linear, search.history) as block:
@@ -278,7 +280,7 @@ def _stiffened(
     """
     reached, ratio, slope = 0.0, STIFFER, np.zeros_like(here)
     while reached < 1.0 and ratio >= LEAST_STIFFER:
-        tolerance = search.tolerance if share == 1.0 else max(NEARLY_SOLVED, search.tolerance)
+        tolerance = search.tolerance if share == 1.0 else max(COARSE_TOLERANCE, search.tolerance)
         ahead = math.log(share / reached) if reached else 0.0
         there, converged, count = block.take_full_steps(here + ahead * slope, share, tolerance)
         search.iterations += count

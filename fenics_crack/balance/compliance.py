@@ -45,7 +45,7 @@ from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import damped_modes, projected_damping, solve_modes
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.fourier import from_complex, resized, stretched, to_complex
+from fenics_crack.numerics.fourier import from_complex, resize_harmonics, stretch_period, to_complex
 
 DEFLATION_BAND = 1e-2
 """A mode is dealt with by itself where |1 - (omega/omega_j)^2| is below this."""
@@ -156,7 +156,7 @@ def dynamic_compliance(
 
 def load_coefficients(structure: Structure, harmonics: int, subharmonic: int) -> np.ndarray:
     """c: coefficients of the load, (2H+1, n_local) [N]."""
-    return resized(stretched(structure.force, subharmonic), harmonics)
+    return resize_harmonics(stretch_period(structure.force, subharmonic), harmonics)
 
 
 class ModalCompliance:
@@ -406,7 +406,7 @@ def resized_compliance(compliance: Compliance, harmonics: int) -> Compliance:
     matrices = compliance.matrices[: harmonics + 1]
     if len(matrices) <= harmonics:
         matrices = np.concatenate([matrices, compliance.beyond(harmonics)])
-    other.matrices, other.linear_gap = matrices, resized(compliance.linear_gap, harmonics)
+    other.matrices, other.linear_gap = matrices, resize_harmonics(compliance.linear_gap, harmonics)
     other.shape = other.linear_gap.shape
     return other
 

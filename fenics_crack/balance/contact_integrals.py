@@ -43,7 +43,12 @@ from fenics_crack.model.contact import (
     is_unilateral,
     smooth_forces,
 )
-from fenics_crack.numerics.fourier import balanced, from_complex, instants, sampled
+from fenics_crack.numerics.fourier import (
+    count_instants,
+    fourier_coefficients,
+    from_complex,
+    sample_period,
+)
 
 
 class ContactForces(ABC):
@@ -173,14 +178,14 @@ class SampledIntegrals(ContactIntegrals):
         return self.law.force(gap)
 
     def linearise(self, gap: np.ndarray) -> PairForces:
-        values, law = sampled(gap, self.samples), self.law
+        values, law = sample_period(gap, self.samples), self.law
         if self.softness:
             law = law.scaled(1.0 / (1.0 + self.softness))
         # Means of exp(i m theta), m < 2 H + 1; at few instants those of high order are others'.
         order = np.arange(2 * self.harmonics + 1) % self.samples
         slopes = np.fft.fft(law.tangent(values), axis=0)[order] / self.samples
         tangent = [tangent_by_means(means[:, None, None])[:, 0] for means in from_complex(slopes).T]
-        force = balanced(law.force(values), self.harmonics)
+        force = fourier_coefficients(law.force(values), self.harmonics)
         return PairForces(force, np.array(tangent), -force / (1.0 + self.softness))
 
     def finer(self) -> ContactIntegrals:
@@ -459,21 +464,21 @@ class _SampledForces(CoupledForces):
     def __init__(self, integrals: CoupledIntegrals, gap: np.ndarray) -> None:
         self._integrals, self.harmonics = integrals, integrals.harmonics
         contact = integrals.contact
-        values = sampled(gap, integrals.samples or default_samples(integrals.harmonics))
+        values = sample_period(gap, integrals.samples or default_samples(integrals.harmonics))
         if integrals.piecewise:
             self._force, closed = contact.solve(values)
             self._slope = contact.stack(closed)
         else:
             self._force, self._slope = smooth_forces(integrals.law, contact.compliance, values)
-        self._waves = balanced(self._slope, 2 * self.harmonics)
-        self._cut_off = sampled(self._waves, instants(self.harmonics))
-        self.force = balanced(self._force, self.harmonics)
+        self._waves = fourier_coefficients(self._slope, 2 * self.harmonics)
+        self._cut_off = sample_period(self._waves, count_instants(self.harmonics))
+        self.force = fourier_coefficients(self._force, self.harmonics)
 
     def apply(self, change: np.ndarray) -> np.ndarray:
-        values = sampled(change, len(self._cut_off))
+        values = sample_period(change, len(self._cut_off))
         forces = np.empty_like(values)
         kernel.multiply_each(*values.shape, *map(pointer, (self._cut_off, values, forces)))
-        return balanced(forces, self.harmonics)
+        return fourier_coefficients(forces, self.harmonics)
 
     def tangent(self, basis: np.ndarray | None = None) -> np.ndarray:
         means = np.concatenate([self._waves[:1], 0.5 * self._waves[1:]])
@@ -481,7 +486,7 @@ class _SampledForces(CoupledForces):
 
     def _by_gap(self, change: np.ndarray) -> np.ndarray:
         """Return the change of the forces due to a change of the gaps, (samples, n_pairs)."""
-        return balanced(np.einsum("npq,nq->np", self._slope, change), self.harmonics)
+        return fourier_coefficients(np.einsum("npq,nq->np", self._slope, change), self.harmonics)
 
     def by_softness(self) -> np.ndarray:
         return self._by_gap(-self._integrals.unit * self._force)

@@ -59,7 +59,13 @@ from fenics_crack.numerics.equations import (
     Linearisation,
     solve_factored,
 )
-from fenics_crack.numerics.fourier import evaluate, resized, stretched, waves_of, waves_over
+from fenics_crack.numerics.fourier import (
+    evaluate,
+    fourier_basis_for,
+    fourier_basis_over_period,
+    resize_harmonics,
+    stretch_period,
+)
 from fenics_crack.numerics.newton import gmres
 
 MATRIX_FREE = 350
@@ -146,7 +152,8 @@ class ContactSystem:
         """s of the coefficients of a gap and of its force, with any harmonics, of whose periods one
         of these has so many: (2H+1, n_pairs)."""
         gap, force = (
-            resized(stretched(rows, factor), self.integrals.harmonics) for rows in (gap, force)
+            resize_harmonics(stretch_period(rows, factor), self.integrals.harmonics)
+            for rows in (gap, force)
         )
         return gap if self.residual is None else gap + force @ self.residual
 
@@ -348,12 +355,12 @@ class Wave:
     def at_phase(self, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """1, cos, sin, ... at phases (n,) of the response, (n, 2H+1), by which coefficients are
         multiplied; gaps [m] and contact forces [N] of all rows there: (n, n_rows) each."""
-        return self._with(waves_of(self.gap_coefficients, phase), phase)
+        return self._with(fourier_basis_for(self.gap_coefficients, phase), phase)
 
     def over_period(self, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The same at the instants i T / count."""
         phase = 2.0 * np.pi / count * np.arange(count)
-        return self._with(waves_over(self.harmonics, count), phase)
+        return self._with(fourier_basis_over_period(self.harmonics, count), phase)
 
     def _with(
         self, values: np.ndarray, phase: np.ndarray
@@ -472,7 +479,7 @@ class CompiledEquations(Equations):
             formed=formed, basis=None if basis is None else shaped(basis, pairs, gaps),
         )  # fmt: skip
         self._point = owned(kernel.new_contact_point(self._given.at), kernel.free_contact_point)
-        self.table = kernel.equations_of_contact(self._point)
+        self.function_table = kernel.equations_of_contact(self._point)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
         """The equations at a point."""
@@ -483,22 +490,24 @@ class CompiledEquations(Equations):
 
         Raises ConvergenceError where an instant has no forces.
         """
-        if self._last is not at:
-            if not self.check(self.run(self.table.evaluate, pointer(at.unknown), at.parameter)):
+        if self._last_linearisation is not at:
+            if not self.check_outcome(
+                self.run(self.function_table.evaluate, pointer(at.unknown), at.parameter)
+            ):
                 raise ConvergenceError("contact: no forces were found at an instant of the period")
-            self._last = at
-        return self.table
+            self._last_linearisation = at
+        return self.function_table
 
-    def found(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
-        self._last = found = CompiledPoint(self, unknown, parameter)
+    def linearise_evaluated(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
+        self._last_linearisation = found = CompiledPoint(self, unknown, parameter)
         return found
 
     def largest_compliance(self, parameter: float) -> float:
         """Largest sum of abs(R_k - R_inf) over a row of it at a parameter [m/N]."""
-        self._last = None
+        self._last_linearisation = None
         compliance = float(kernel.largest_moving(self._point, parameter))
         if not math.isfinite(compliance):
-            self.check(kernel.SINGULAR_STRUCTURE)
+            self.check_outcome(kernel.SINGULAR_STRUCTURE)
         return compliance
 
 

@@ -38,9 +38,9 @@ from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.search import SearchOptions
-from fenics_crack.numerics.equations import NEARLY_SOLVED, ROUNDING
-from fenics_crack.numerics.fourier import resized, sampled
-from fenics_crack.numerics.newton import moving_square, solve_near
+from fenics_crack.numerics.equations import COARSE_TOLERANCE, ROUNDING
+from fenics_crack.numerics.fourier import resize_harmonics, sample_period
+from fenics_crack.numerics.newton import motion_square, solve_robustly
 
 LARGE_ERROR = 0.05
 """Estimated relative error above which a solution has a warning."""
@@ -216,7 +216,7 @@ def _beyond_truncation(at: ContactPoint, wave: Wave) -> Errors:
     kept, pairs = at.system.integrals.harmonics, at.unknown.shape[1]
     harmonics = max(2 * kept, kept + 4, min(4 * kept, (SMALL // pairs - 1) // 2))
     wide = at.system.widened(harmonics)
-    return _change(at, wave, wide, resized(at.unknown, harmonics), wave.structure)
+    return _change(at, wave, wide, resize_harmonics(at.unknown, harmonics), wave.structure)
 
 
 def _change(
@@ -226,8 +226,8 @@ def _change(
     method from a start; :data:`UNKNOWN` where that does not arrive."""
     first = better.linearise(start)
     size = max(float(np.linalg.norm(start)), 1e-300)
-    sharp = max(NEARLY_SOLVED * float(np.linalg.norm(first.residual)) / size, ROUNDING)
-    near = solve_near(better, start, 1.0, tolerance=sharp)
+    sharp = max(COARSE_TOLERANCE * float(np.linalg.norm(first.residual)) / size, ROUNDING)
+    near = solve_robustly(better, start, 1.0, tolerance=sharp)
     if near is None:
         return UNKNOWN, UNKNOWN
     point, rows = better.linearise(near.unknown), len(at.force)
@@ -261,7 +261,7 @@ def _penetration(at: ContactPoint, problem: Problem) -> np.ndarray:
     if integrals.coupled:  # g has more harmonics than are kept
         inside = (at.force * integrals.springs)[:, : problem.structure.n_pairs]
         return np.sqrt(inside[:1] ** 2 + 0.5 * np.sum(inside[1:] ** 2, axis=0, keepdims=True))
-    inside = np.maximum(sampled(at.gap, count), 0.0)
+    inside = np.maximum(sample_period(at.gap, count), 0.0)
     return np.sqrt(np.mean(inside**2, axis=0, keepdims=True))
 
 
@@ -273,4 +273,4 @@ def mean_square(coefficients: np.ndarray) -> float:
 def moving_mean_square(coefficients: np.ndarray) -> float:
     """The same, to which means contribute no more than all else; never zero."""
     moving, means = 0.5 * np.sum(coefficients[1:] ** 2), np.sum(coefficients[0] ** 2)
-    return moving_square(float(moving), float(means))
+    return motion_square(float(moving), float(means))

@@ -24,7 +24,12 @@ import numpy as np
 from fenics_crack.balance.contact_integrals import ContactIntegrals, CoupledForces, CoupledIntegrals
 from fenics_crack.kernel import kernel, pointer
 from fenics_crack.model.contact import ContactLaw, FrictionSets, friction_of, springs_of
-from fenics_crack.numerics.fourier import balanced, evaluate, sampled, waves
+from fenics_crack.numerics.fourier import (
+    evaluate,
+    fourier_basis,
+    fourier_coefficients,
+    sample_period,
+)
 
 
 def coupled_integrals(
@@ -98,7 +103,7 @@ class FrictionIntegrals(ContactIntegrals):
         (2H+1, 2 n_pairs)."""
         count, turn = self.instants, 2.0 * np.pi
         every = np.concatenate([turn / count * np.arange(count), np.mod(phase, turn)])
-        values = np.concatenate([sampled(gap, count), evaluate(gap, 1.0, phase)])
+        values = np.concatenate([sample_period(gap, count), evaluate(gap, 1.0, phase)])
         _, first, place = np.unique(every, return_index=True, return_inverse=True)
         forces, _, places, _ = self.march(values[first])
         asked = place[count:]
@@ -119,26 +124,26 @@ class FrictionForces(CoupledForces):
 
     def __init__(self, integrals: FrictionIntegrals, gap: np.ndarray) -> None:
         self._integrals, self._rows = integrals, gap.shape
-        values = sampled(gap, integrals.instants)
+        values = sample_period(gap, integrals.instants)
         self._forces, self.states, self.places, self._origins = integrals.march(values)
-        self.force = balanced(self._forces, integrals.harmonics)
+        self.force = fourier_coefficients(self._forces, integrals.harmonics)
 
     def apply(self, change: np.ndarray) -> np.ndarray:
-        return self._of_values(sampled(change, self._integrals.instants))
+        return self._of_values(sample_period(change, self._integrals.instants))
 
     def _of_values(self, values: np.ndarray) -> np.ndarray:
         values, found = np.ascontiguousarray(values), np.empty_like(self._forces)
         arrays = map(pointer, (self.states, self._origins, values, found))
         if kernel.friction_changes(self._integrals.sets.handle, len(values), *arrays):
             raise MemoryError("friction")
-        return balanced(found, self._integrals.harmonics)
+        return fourier_coefficients(found, self._integrals.harmonics)
 
     def tangent(self, basis: np.ndarray | None = None) -> np.ndarray:
         rows, pairs = self._rows
         seen = np.eye(pairs) if basis is None else np.ascontiguousarray(basis)
         count, n = self._integrals.instants, seen.shape[1]
         phase = 2.0 * np.pi / count * np.arange(count)
-        values = waves(phase, np.arange(1, rows // 2 + 1))
+        values = fourier_basis(phase, np.arange(1, rows // 2 + 1))
         means = 2.0 / count * values
         means[:, 0] *= 0.5
         found = np.empty((rows, n, rows * n))
@@ -168,4 +173,6 @@ class FrictionForces(CoupledForces):
         found = np.zeros_like(self._forces)
         found[:, pairs:] = signs * friction.coefficient * self._forces[:, :pairs]
         compliance = integrals.compliance
-        return balanced(found, integrals.harmonics) + self._of_values(-found @ compliance)
+        return fourier_coefficients(found, integrals.harmonics) + self._of_values(
+            -found @ compliance
+        )

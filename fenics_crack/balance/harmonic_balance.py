@@ -58,8 +58,14 @@ from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.model.wheel import Wheel
 from fenics_crack.motion.flow import ContactFlow, exact_flow, flow_of
-from fenics_crack.motion.motions import Observed
-from fenics_crack.motion.orbit import FORMED, INSTANTS, OrbitCoefficients, PeriodicOrbit, affordable
+from fenics_crack.motion.motions import ObservedMotion
+from fenics_crack.motion.orbit import (
+    INSTANTS_PER_PERIOD,
+    MAX_MODES_FOR_MONODROMY,
+    OrbitCoefficients,
+    PeriodicOrbit,
+    is_affordable,
+)
 from fenics_crack.motion.search import SEGMENTS, OrbitSearch, SearchOptions, search_orbit
 from fenics_crack.numerics.fourier import from_complex, to_complex
 from fenics_crack.numerics.newton import relative_to_motion
@@ -304,7 +310,9 @@ MAX_HARMONICS = 500
 """Maximum harmonics solved for, or kept of an orbit, for each period of the load."""
 
 
-def modes_tried(structure: Structure, first: int = FIRST_MODES, most: int = FORMED) -> list[int]:
+def modes_tried(
+    structure: Structure, first: int = FIRST_MODES, most: int = MAX_MODES_FOR_MONODROMY
+) -> list[int]:
     """Numbers of modes of a large structure: few, and twice as many each time."""
     most = min(max(first, most), structure.n_dofs)
     doublings = max(0, math.ceil(math.log2(most / first)))
@@ -426,13 +434,13 @@ def _solved(solver: Solver, tolerance: float, initial: PeriodicSolution | None) 
     """The solution of a structure as it is."""
     problem = solver.problem
     flow = flow_of(problem.structure, problem.contact)
-    if flow is None or not affordable(flow, problem.omega, problem.subharmonic):
+    if flow is None or not is_affordable(flow, problem.omega, problem.subharmonic):
         return _by_harmonics(solver, tolerance, _begun(solver, problem).solve(initial))
     balanced, found = _sought(solver, flow, initial)
     if found.orbit is not None:
         kept = solution_of_orbit(problem, found.orbit, tolerance, initial)
         way = f"{found.reason}, from H = {balanced[-1].harmonics}" if balanced else found.reason
-        return replace(kept, status=way + _told_of_others(found), others=found.others)
+        return replace(kept, status=way + _told_of_others(found), others=found.other_orbits)
     if balanced:
         initial = balanced[-1]
         problem = problem.with_harmonics(initial.harmonics)
@@ -468,7 +476,7 @@ def _sought(
         if initial is not None and initial.orbit is not None:
             known = initial.orbit
             if initial.structure is problem.structure and known.subharmonic == problem.subharmonic:
-                yield known.sampled.whole_states[:: INSTANTS // SEGMENTS]
+                yield known.sampled.whole_states[:: INSTANTS_PER_PERIOD // SEGMENTS]
         for count in SearchOptions.harmonics:
             few = problem.with_harmonics(problem.few_harmonics(count))
             near = _begun(solver, few).attempt(initial, wholly=False)[1]
@@ -477,7 +485,7 @@ def _sought(
                 yield near.assessment.states
 
     orbit = search_orbit(
-        flow, problem.omega, guesses(), problem.subharmonic, any_other=initial is None
+        flow, problem.omega, guesses(), problem.subharmonic, prefer_stable=initial is None
     )
     return balanced, orbit
 
@@ -490,7 +498,7 @@ def _begun(solver: Solver, problem: Problem) -> Solver:
 def _told_of_others(found: OrbitSearch) -> str:
     """Describe the other orbits that were found."""
     words = []
-    for other in found.others:
+    for other in found.other_orbits:
         size = quantity(other.amplitude(), "m")
         words.append(f"{'stable' if other.is_stable else 'unstable'}, amplitude {size}")
     return f"; other orbits at this frequency: {'; '.join(words)}" if words else ""
@@ -647,7 +655,9 @@ def motion_without_friction(
     return known.orbit if known.accepted and known.orbit is not None else found
 
 
-def sliding_of(motion: Observed, direction: np.ndarray | None = None) -> tuple[np.ndarray, float]:
+def sliding_of(
+    motion: ObservedMotion, direction: np.ndarray | None = None
+) -> tuple[np.ndarray, float]:
     """Lines (n_pairs,) [rad] along which pairs slide in a motion of a structure with two tangential
     gaps a pair, or given ones, and the turning of sliding about them (collective)."""
     tangents = motion.structure.tangential

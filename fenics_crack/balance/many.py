@@ -31,8 +31,14 @@ from fenics_crack.model.matrices import numbers
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import ContactFlow, exact_flow
 from fenics_crack.motion.motions import rows_of
-from fenics_crack.motion.orbit import KNOWN, PeriodicOrbit, affordable, find_orbit, orbit_from
-from fenics_crack.numerics.fourier import balanced
+from fenics_crack.motion.orbit import (
+    MULTIPLIER_TOLERANCE,
+    PeriodicOrbit,
+    find_orbit,
+    is_affordable,
+    orbit_from,
+)
+from fenics_crack.numerics.fourier import fourier_coefficients
 from fenics_crack.numerics.newton import relative_to_motion
 
 NEAREST, BEFORE = 16, 8
@@ -198,7 +204,7 @@ def _ordered(many: ManyOrbits, flow: ContactFlow) -> Iterator[tuple[int, np.ndar
     x = np.nan_to_num(np.array(rows).T, nan=0.0, posinf=0.0, neginf=0.0)
     spread, middle = np.ptp(x, axis=0), np.median(x, axis=0)
     nearest = int(np.abs(flow.modes.squares - middle[0] ** 2).argmin())
-    width = middle[1] * flow.modes.damped(np.eye(flow.count))[nearest, nearest]
+    width = middle[1] * flow.modes.damped(np.eye(flow.n_modes))[nearest, nearest]
     spread[0] = min(spread[0], width) if width > 0.0 else spread[0]
     x = (x - middle) / np.where(spread > 0.0, spread, 1.0)
     order = np.argsort(np.linalg.norm(x, axis=1), kind="stable")
@@ -214,7 +220,7 @@ def _sought(
 ) -> PeriodicOrbit:
     """The orbit of a case."""
     flow = ContactFlow(problem.structure, problem.contact)
-    if not affordable(flow, problem.omega):
+    if not is_affordable(flow, problem.omega):
         raise ConvergenceError("a load too slow, or too many modes, for exact orbits")
     known = (many.verdict[before] != "") & (many.load[before] != 0.0)
     before, x = before[known][:BEFORE], x[known][:BEFORE]
@@ -224,9 +230,11 @@ def _sought(
         weights = 1.0 / np.maximum(np.linalg.norm(x, axis=1), SHORT)[:, None]
         rows = weights * np.column_stack([np.ones(len(x)), x])
         guesses.insert(0, np.linalg.lstsq(rows, weights * states, rcond=None)[0][0])
-    found = (find_orbit(flow, problem.omega, state, located=SHORT) for state in guesses)
+    found = (find_orbit(flow, problem.omega, state, step_tolerance=SHORT) for state in guesses)
     orbit, many.status[case] = next(filter(None, found), None), "neighbour"
-    if orbit is not None and abs(orbit.multipliers[0]) <= 1.0 + KNOWN:  # 1 without damping
+    if (
+        orbit is not None and abs(orbit.multipliers[0]) <= 1.0 + MULTIPLIER_TOLERANCE
+    ):  # 1 without damping
         return orbit
     search = initial_orbit(problem)
     if orbit is None or (search.orbit is not None and search.orbit.is_stable):
@@ -241,7 +249,7 @@ def _numbers(problem: Problem, orbit: PeriodicOrbit, watched: np.ndarray) -> dic
     count, track = max(SAMPLES, 4 * problem.harmonics + 4), orbit.motion.track
     samples = orbit.samples(np.arange(count) * orbit.period / count)
     motion = samples.displacement, samples.gaps, samples.forces
-    wave = problem.wave_of(*(balanced(one, problem.harmonics) for one in motion))
+    wave = problem.wave_of(*(fourier_coefficients(one, problem.harmonics) for one in motion))
     change, moved = motion[1] - wave.over_period(count)[1], motion[0] @ watched.T
     off = 0.0 if is_still(samples) else relative_to_motion(change, motion[1] + wave.seen.clearance)
     multiplier = abs(orbit.multipliers[0])
@@ -253,7 +261,7 @@ def _numbers(problem: Problem, orbit: PeriodicOrbit, watched: np.ndarray) -> dic
         "multiplier": multiplier,
         "truncation": off,
         "states": orbit.state,
-        "verdict": "undecided" if abs(multiplier - 1.0) <= KNOWN else verdict,
+        "verdict": "undecided" if abs(multiplier - 1.0) <= MULTIPLIER_TOLERANCE else verdict,
     }
 
 

@@ -27,18 +27,18 @@ from fenics_crack.model.reduced import ReducedStructure, massless
 from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.motion.flow import ContactFlow, Samples
 from fenics_crack.motion.orbit import (
-    INSTANTS,
-    KNOWN,
+    INSTANTS_PER_PERIOD,
+    MULTIPLIER_TOLERANCE,
     Inverse,
     MotionInArcs,
     PeriodicOrbit,
     find_orbit,
-    predicted,
-    predicted_motion,
+    predict_motion,
+    predict_orbit,
 )
 from fenics_crack.motion.search import SEGMENTS
-from fenics_crack.numerics.equations import CLOSE
-from fenics_crack.numerics.fourier import waves_of
+from fenics_crack.numerics.equations import ROOT_TOLERANCE
+from fenics_crack.numerics.fourier import fourier_basis_for
 from fenics_crack.numerics.newton import relative_to_motion
 
 UNKNOWN = 1.0
@@ -95,16 +95,19 @@ class MoreModes:
         """States of the nearest orbit at equal parts of its period, with what new modes have of its
         load and contact forces."""
         samples, flow = self.fewer.sampled, self.flow
-        count = self.fewer.flow.count
+        count = self.fewer.flow.n_modes
         shape, speed, places = np.split(samples.whole_states, [count, 2 * count], axis=1)
         if massless(self.wave.structure) is None:
-            return self._expanded(shape, speed, places)[:: INSTANTS // SEGMENTS]
+            return self._expanded(shape, speed, places)[:: INSTANTS_PER_PERIOD // SEGMENTS]
         kept = shape.shape[1]
-        loads = waves_of(flow.force, self.wave.omega * samples.time) @ flow.force[:, kept:]
+        loads = (
+            fourier_basis_for(flow.modal_load, self.wave.omega * samples.time)
+            @ flow.modal_load[:, kept:]
+        )
         loads = loads - samples.forces @ flow.modes.pairs[kept:].T
         static = loads / flow.modes.squares[kept:]
         rate = (np.roll(static, -1, axis=0) - np.roll(static, 1, axis=0)) / (2.0 * samples.time[1])
-        return np.hstack([shape, static, speed, rate, places])[:: INSTANTS // SEGMENTS]
+        return np.hstack([shape, static, speed, rate, places])[:: INSTANTS_PER_PERIOD // SEGMENTS]
 
     def _expanded(self, shape: np.ndarray, speed: np.ndarray, places: np.ndarray) -> np.ndarray:
         """States of the reference of modal ones of a structure with mass."""
@@ -128,13 +131,15 @@ class MoreModes:
         """
         flow, omega, periods = self.flow, self.wave.omega, self.wave.subharmonic
         states, start_inverse = self._states, self.inverse
-        search = partial(find_orbit, flow, omega, subharmonic=periods, located=CLOSE)
+        search = partial(
+            find_orbit, flow, omega, subharmonic=periods, step_tolerance=ROOT_TOLERANCE
+        )
         orbit = search(states[0], inverse=start_inverse) or (
             search(states[0]) if start_inverse else None
         )
-        if orbit is None and (step := predicted(flow, omega, states, periods)):
+        if orbit is None and (step := predict_orbit(flow, omega, states, periods)):
             orbit = search(step.states[0], inverse=step.inverse)
-            return orbit or predicted_motion(flow, omega, step, periods)
+            return orbit or predict_motion(flow, omega, step, periods)
         return orbit
 
     @property
@@ -163,7 +168,7 @@ class MoreModes:
             return ""
         size = float(abs(self.orbit.multipliers[0]))
         other = "stable" if size < 1.0 else "unstable"
-        if other == verdict or abs(size - 1.0) <= KNOWN:
+        if other == verdict or abs(size - 1.0) <= MULTIPLIER_TOLERANCE:
             return ""
         many = len(self.flow.modes.squares)
         return f"with {many} modes the orbit is {other} (largest multiplier {size:.6g})"
@@ -171,7 +176,7 @@ class MoreModes:
 
 def is_still(samples: Samples) -> bool:
     """Return True if crack faces, which the load presses together, move by rounding only."""
-    slow = samples.states[:, : samples.flow.count] @ samples.flow.modes.pairs
+    slow = samples.states[:, : samples.flow.n_modes] @ samples.flow.modes.pairs
     moved = samples.gaps + samples.flow.clearance
     return bool(np.linalg.norm(moved) <= NEGLIGIBLE * np.linalg.norm(slow))
 

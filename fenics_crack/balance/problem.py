@@ -70,26 +70,26 @@ from fenics_crack.model.contact import (
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import flow_of
-from fenics_crack.motion.orbit import FORMED, PeriodicOrbit, affordable
+from fenics_crack.motion.orbit import MAX_MODES_FOR_MONODROMY, PeriodicOrbit, is_affordable
 from fenics_crack.motion.search import SearchOptions, search_orbit, wave_states
 from fenics_crack.numerics.equations import (
-    EPSILON,
-    NEARLY_SOLVED,
+    COARSE_TOLERANCE,
+    MACHINE_EPSILON,
     ROUNDING,
     Linearisation,
-    least_residual,
+    residual_rounding,
 )
-from fenics_crack.numerics.fourier import resized
+from fenics_crack.numerics.fourier import resize_harmonics
 from fenics_crack.numerics.newton import (
-    FULL_STEPS,
-    STALL,
+    MAX_FULL_STEPS,
+    MAX_STALLED_STEPS,
     Newton,
-    kernel_solves,
+    can_solve_in_kernel,
     point_on_path,
     solve_at,
-    solve_near,
+    solve_robustly,
 )
-from fenics_crack.numerics.path import NARROW, Ended, Path, PathOptions, Target
+from fenics_crack.numerics.path import HOMOTOPY_OPTIONS, EndReason, Path, PathOptions, Target
 
 BEYOND = 2.0
 """Ratio to the highest harmonic above which modes are quasi-static."""
@@ -398,7 +398,7 @@ class Search:
         at: Linearisation | None = None
         with ExitStack() as held:
             snes = None
-            if not kernel_solves(system):
+            if not can_solve_in_kernel(system):
                 snes = held.enter_context(Newton(system, self.history))
             for name, guesses in self._starts(starts):
                 begin(name)
@@ -444,12 +444,12 @@ class Search:
         most, sharp = self._at_once, max(self.tolerance, tolerance)
         found = solve_at(system, guess, at, tolerance=sharp, iterations=most)
         self.iterations += most if found is None else found.iterations
-        return None if found is None else found.at
+        return None if found is None else found.linearisation
 
     @property
     def _at_once(self) -> int:
         """Iterations that a guess may take, which with many harmonics and friction are few."""
-        return min(FULL_STEPS, math.ceil(self.share * _iterations(self.system)))
+        return min(MAX_FULL_STEPS, math.ceil(self.share * _iterations(self.system)))
 
     @property
     def _spent(self) -> bool:
@@ -474,7 +474,7 @@ class Search:
         rest = [(f"continuation in the {quantity}", self._path(system))] * (not self._spent)
         if self.share == 1.0 and system.integrals.coupled and problem.harmonics <= self._many:
             flow = flow_of(problem.structure, problem.contact)
-            late = flow is not None and flow.count > FORMED
+            late = flow is not None and flow.n_modes > MAX_MODES_FOR_MONODROMY
             rest.insert(len(rest) * late, ("from an exact orbit", self._next_to_orbit(problem)))
         yield from rest
 
@@ -489,8 +489,8 @@ class Search:
         yield guess
         if self._spent:
             return
-        point = solve_near(system, guess, 1.0, tolerance=self.tolerance, full=False)
-        self.iterations += STALL if point is None else point.iterations
+        point = solve_robustly(system, guess, 1.0, tolerance=self.tolerance, try_full_steps=False)
+        self.iterations += MAX_STALLED_STEPS if point is None else point.iterations
         if point is not None:
             yield point.unknown
 
@@ -516,7 +516,7 @@ class Search:
 
     def _nearly(self, system: ContactSystem, guesses: Iterator[np.ndarray]) -> ContactPoint | None:
         """The first of some guesses from which full steps arrive, to the accuracy of a guess."""
-        found = (self._steps(system, guess, NEARLY_SOLVED) for guess in guesses)
+        found = (self._steps(system, guess, COARSE_TOLERANCE) for guess in guesses)
         return next((system.linearise(one.unknown) for one in found if one is not None), None)
 
     def _add_friction(self, problem: Problem) -> Iterator[np.ndarray]:
@@ -544,12 +544,14 @@ class Search:
         where it does not take long to find."""
         flow, at = flow_of(problem.structure, problem.contact), self._fewer
         omega, periods, guesses = problem.omega, problem.subharmonic, list[np.ndarray]()
-        if flow is None or not affordable(flow, omega, periods):
+        if flow is None or not is_affordable(flow, omega, periods):
             return
         if at is not None:
-            moved = self.system.compliance.displacement(resized(at.force, problem.harmonics))
+            moved = self.system.compliance.displacement(
+                resize_harmonics(at.force, problem.harmonics)
+            )
             guesses.append(wave_states(flow, moved, problem.base_omega))
-        self.orbit = search_orbit(flow, omega, guesses, periods, any_other=False).orbit
+        self.orbit = search_orbit(flow, omega, guesses, periods, prefer_stable=False).orbit
         if self.orbit is not None:
             known = self.orbit.coefficients(problem.harmonics)
             self._most += self._at_once
@@ -570,15 +572,17 @@ class Search:
             return
         left = 1 + max(0, int(share * (self._most - self.iterations)))
         most = self.iterations + left
-        at_once = min(PathOptions.at_once, 1 + left // STALL)
-        options = replace(NARROW, rounding=self._rounding, max_steps=left, at_once=at_once)
+        at_once = min(PathOptions.points_per_call, 1 + left // MAX_STALLED_STEPS)
+        options = replace(
+            HOMOTOPY_OPTIONS, rounding=self._rounding, max_steps=left, points_per_call=at_once
+        )
         path = Path(system, point_on_path(system, begun.unknown, 0.0), options, [Target(1.0)])
         for point in path.points():
             self.iterations += point.iterations
             if self.iterations >= most:
                 return
-        if path.ended is Ended.MET:
-            yield path.last.unknown
+        if path.end_reason is EndReason.REACHED:
+            yield path.last_point.unknown
 
 
 def halved(harmonics: int, enough: int) -> list[int]:
@@ -595,12 +599,12 @@ def rounding_left(compliance: Compliance, law: ContactLaw) -> float:
     Raises InputError where that is nothing of the contact force.
     """
     stiffest, seen = float(np.max(law.stiffness)), np.abs(compliance.matrices).sum(axis=2)
-    most = NEARLY_SOLVED / (EPSILON * float(seen[0].max(initial=1e-300)))
+    most = COARSE_TOLERANCE / (MACHINE_EPSILON * float(seen[0].max(initial=1e-300)))
     if not stiffest < most:
         allowed = f"at most {most:.2g} N/m on this structure, beyond which rounding leaves nothing"
         allowed += "; UnilateralConstraint is the limit"
         raise InputError("contact stiffness", stiffest, allowed)
-    return least_residual(stiffest * float(seen.max(initial=0.0)))
+    return residual_rounding(stiffest * float(seen.max(initial=0.0)))
 
 
 def _iterations(system: ContactSystem) -> float:

@@ -20,10 +20,10 @@ from fenics_crack.basics.tables import TURN, Described, counted, quantity, with_
 from fenics_crack.model.contact import check_slope, coefficient_of, is_unilateral
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import NEGLIGIBLE
-from fenics_crack.motion.motions import Observed, Record
+from fenics_crack.motion.motions import ObservedMotion, Record
 from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.motion.search import SearchOptions
-from fenics_crack.numerics.fourier import evaluate, resized, sampled
+from fenics_crack.numerics.fourier import evaluate, resize_harmonics, sample_period
 
 
 @dataclass(frozen=True, repr=False)
@@ -80,7 +80,7 @@ class Stability(Described):
 
 
 @dataclass(frozen=True, repr=False)
-class PeriodicSolution(Wave, Observed, Described):
+class PeriodicSolution(Wave, ObservedMotion, Described):
     """Steady vibration u(t) = a0 + sum_k a_k cos(k w t) + b_k sin(k w t), w = omega / subharmonic.
 
     Attributes
@@ -192,15 +192,16 @@ class PeriodicSolution(Wave, Observed, Described):
             self.omega, self.subharmonic, self.period * parts, waves, motion, gap, force,
             structure=self.structure,
             friction=friction,
-            at=at if friction is None else None,  # forces of friction follow from those before
-            exact={} if instants or self.orbit is None else self.orbit.sliding,
+            # Forces of friction follow from those before.
+            evaluate=at if friction is None else None,
+            exact_numbers={} if instants or self.orbit is None else self.orbit.sliding,
         )  # fmt: skip
 
     @property
     def _moving(self) -> np.ndarray:
         """Coefficients of the displacement without the rounding of what is still."""
         rows = self.displacement_coefficients
-        return resized(rows[:1], self.harmonics) if self.still else rows
+        return resize_harmonics(rows[:1], self.harmonics) if self.still else rows
 
     def coefficients_at(self, dofs: Sequence[int | None] = (None,)) -> np.ndarray:
         """Coefficients of the displacement of dofs: (2H+1, len(dofs)) [m] (collective)."""
@@ -326,7 +327,7 @@ class Solver:
         their coefficients (2H+1, n_pairs), and along those against them."""
         if is_unilateral(self.problem.contact):
             return
-        gap = sampled(last, 4 * len(last))
+        gap = sample_period(last, 4 * len(last))
         with np.errstate(all="ignore"):  # they may be far beyond what the law is meant for
             check_slope(self.problem.contact, np.concatenate([gap, -gap]))
 

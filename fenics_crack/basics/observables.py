@@ -120,13 +120,13 @@ class Observables:
     largest_order: Any = _point("order of the largest harmonic above the load's", "1",
         lambda at: at.largest_order, PRINTED)
     mean_shift: Any = _point("mean displacement over harmonic 1", "1",
-        lambda at: at.mean / at.first, SHOWN | DRAWN)
-    opening: Any = _face("largest opening", "m", lambda at: max(at.tops[0], 0.0), EVERYWHERE)
-    penetration: Any = _face("largest penetration", "m", lambda at: max(at.tops[1], 0.0), PRINTED)
-    contact_force: Any = _face("largest contact force of a pair", "N", lambda at: at.tops[2],
+        lambda at: at.mean / at.fundamental, SHOWN | DRAWN)
+    opening: Any = _face("largest opening", "m", lambda at: max(at.maxima[0], 0.0), EVERYWHERE)
+    penetration: Any = _face("largest penetration", "m", lambda at: max(at.maxima[1], 0.0), PRINTED)
+    contact_force: Any = _face("largest contact force of a pair", "N", lambda at: at.maxima[2],
         PRINTED)
     crack_force: Any = _face("largest contact force of a crack, all pairs", "N",
-        lambda at: at.tops[3], SHOWN)
+        lambda at: at.maxima[3], SHOWN)
     closed_share: Any = _face("contact duty cycle, mean over pairs", "1",
         lambda at: (at.force > 0.0).mean(), EVERYWHERE)
     friction_loss: Any = _face("friction loss of a period", "J", lambda at: at.losses.sum(),

@@ -22,16 +22,23 @@ from fenics_crack.curves.curve_system import CurveSystem
 from fenics_crack.curves.orbits import Orbits
 from fenics_crack.curves.waves import Waves
 from fenics_crack.numerics.equations import System
-from fenics_crack.numerics.newton import PathPoint, Tangent, correct, distance, norm_at, tangent_of
+from fenics_crack.numerics.newton import (
+    PathPoint,
+    Tangent,
+    chord_length,
+    norm_at,
+    predict_and_correct,
+    tangent_of,
+)
 from fenics_crack.numerics.path import (
-    ARRIVED,
-    STRAIGHT,
+    ARRIVAL_DISTANCE,
+    MIN_DIRECTION_COSINE,
     BranchPoint,
-    Ends,
     Event,
     Fold,
     PathOptions,
-    Stretch,
+    PathSegment,
+    SegmentEnds,
 )
 
 
@@ -39,20 +46,20 @@ class Joined(Event):
     """Junction of a branch of twice the period with the one that it left: that crosses, the
     parameter turns back, and the motion repeats itself after half its period."""
 
-    terminal, words = True, "joined the branch that it left"
+    is_terminal, description = True, "joined the branch that it left"
 
     def __init__(self, system: CurveSystem) -> None:
         self._system, self._signs = system, (Fold(), BranchPoint())
 
-    def between(self, points: Stretch) -> np.ndarray:
-        return np.asarray(np.any([one.between(points) for one in self._signs], axis=0))
+    def detect(self, points: PathSegment) -> np.ndarray:
+        return np.asarray(np.any([one.detect(points) for one in self._signs], axis=0))
 
-    def locate(self, system: System, ends: Ends, rtol: float) -> PathPoint | None:
+    def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
         for one in self._signs:
             found = one.locate(system, ends, rtol)
             if found is not None:
                 off = self._system.half_off(found.unknown, found.parameter)
-                if off <= math.sqrt(ARRIVED):
+                if off <= math.sqrt(ARRIVAL_DISTANCE):
                     return found
         return None
 
@@ -97,8 +104,8 @@ def branch_start(
     # Distances from the bifurcation, in longest steps, tried in turn.
     for step in (share * longest_step for share in (0.1, 0.03, 0.3, 0.01, 1.0)):
         with suppress(ConvergenceError):
-            found = correct(system, start, step, sharp, reach=longest_step)
-            if found is None or STRAIGHT * distance(system, start, found) > step:
+            found = predict_and_correct(system, start, step, sharp, reach=longest_step)
+            if found is None or MIN_DIRECTION_COSINE * chord_length(system, start, found) > step:
                 continue
             # Of the way by +1 and by -1 half a period changes twice the step.
             new = not doubled or system.half_off(found.unknown, found.parameter) > step

@@ -51,18 +51,18 @@ from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.motion.flow import exact_flow, flow_of
-from fenics_crack.motion.orbit import FORMED, PeriodicOrbit, too_slow
+from fenics_crack.motion.orbit import MAX_MODES_FOR_MONODROMY, PeriodicOrbit, is_too_slow
 from fenics_crack.numerics.newton import PathPoint, Tangent, tangent_of
 from fenics_crack.numerics.path import (
-    ARRIVED,
-    Closed,
-    Ended,
+    ARRIVAL_DISTANCE,
+    ClosedLoop,
+    EndReason,
     Event,
     Path,
     PathOptions,
-    Stretch,
+    PathSegment,
     Target,
-    observed,
+    observe_point,
 )
 
 
@@ -193,7 +193,7 @@ class GrowingCurve:
         """Yield the last point so far, at first the first one, and all that follow."""
         yield self.points[-1]
         for part in self._parts():
-            for one in part.singly():
+            for one in part.split_points():
                 yield self._record(one)
 
     def run(self) -> None:
@@ -202,14 +202,14 @@ class GrowingCurve:
         for part in self._parts():
             self._record(part)
 
-    def _parts(self) -> Iterator[Stretch]:
+    def _parts(self) -> Iterator[PathSegment]:
         """The path behind the last point, to where the curve ends."""
         if self.complete:
             return
         system, here, longest = self.system, self._here, self._steps.longest_step
         self.status = "under way"
         events: list[Event] = [kind() for kind in system.events]
-        events += [Target(1.0), Closed(self._origin, system)]
+        events += [Target(1.0), ClosedLoop(self._origin, system)]
         if self._branch:
             events.append(Target(0.0))
             if system.problem.subharmonic % 2 == 0:
@@ -217,23 +217,27 @@ class GrowingCurve:
         options = PathOptions(
             initial_step=0.2 * longest,
             max_step=longest,
-            min_step=max(ARRIVED, system.rounding(here.parameter)),
+            min_step=max(ARRIVAL_DISTANCE, system.rounding(here.parameter)),
             max_steps=self.most_points + 1 - len(self.points),
-            at_once=max(1, min(PathOptions.at_once, system.at_once)),
+            points_per_call=max(1, min(PathOptions.points_per_call, system.at_once)),
             span=(-self._steps.turning_back, np.inf),
         )
         path = Path(system, here, options, events, system.control(longest))
         yield from path
-        assert path.ended is not None
+        assert path.end_reason is not None
         self.complete = path.event is not None
-        self.status = path.event.words if path.event else path.ended.in_words(self.most_points)
-        self.returned = path.ended is Ended.LEFT or isinstance(path.event, Closed)
+        self.status = (
+            path.event.description if path.event else path.end_reason.describe(self.most_points)
+        )
+        self.returned = path.end_reason is EndReason.RANGE_LEFT or isinstance(
+            path.event, ClosedLoop
+        )
 
-    def _record(self, points: Stretch) -> CurvePoint:
+    def _record(self, points: PathSegment) -> CurvePoint:
         """Take up points, and what lies before the last of them; return that one."""
         special = [
             (event.kind, self._point(at.parameter, at.unknown, at.iterations, at.observed))
-            for event, at in points.met
+            for event, at in points.located_events
             if event.kind
         ]
         self._special += special
@@ -389,7 +393,7 @@ def first_point(
     """A solution as the first point of a curve, with its direction, towards growing p or roughly
     known, and what a step control uses."""
     at = system.linearise(unknown, parameter)
-    tangent, seen = tangent_of(system, unknown, at, towards), observed(system, at)
+    tangent, seen = tangent_of(system, unknown, at, towards), observe_point(system, at)
     record = None if seen is None else at.record.ravel()
     return PathPoint(unknown, parameter, iterations, tangent, record=record, observed=seen)
 
@@ -399,10 +403,10 @@ def has_orbits(problem: Problem, parameter: str, start: float, end: float) -> bo
     few modes that the monodromy matrix is formed, and the load is not too slow."""
     check_range(problem, parameter, start, end)
     flow = flow_of(problem.structure, problem.contact)
-    if flow is None or flow.count > FORMED:
+    if flow is None or flow.n_modes > MAX_MODES_FOR_MONODROMY:
         return False
     ends = [WAVES[parameter].vary(problem, value).omega for value in (start, end)]
-    return not any(too_slow(flow, omega, problem.subharmonic) for omega in ends)
+    return not any(is_too_slow(flow, omega, problem.subharmonic) for omega in ends)
 
 
 def check_range(problem: Problem, parameter: str, start: float, end: float) -> None:

@@ -36,8 +36,13 @@ from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import ContactFlow, flow_of
-from fenics_crack.motion.motions import Observed, Record
-from fenics_crack.motion.orbit import HARMONICS, KNOWN, PeriodicOrbit, orbit_from
+from fenics_crack.motion.motions import ObservedMotion, Record
+from fenics_crack.motion.orbit import (
+    MULTIPLIER_TOLERANCE,
+    OBSERVED_HARMONICS,
+    PeriodicOrbit,
+    orbit_from,
+)
 from fenics_crack.motion.search import SearchOptions
 
 PARAMETERS = {
@@ -164,7 +169,7 @@ class CurvePoint:
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
-class ResponseCurve(Observed, Tabular):
+class ResponseCurve(ObservedMotion, Tabular):
     """Solutions along a curve, in the order in which it was followed: of harmonic balance, or exact
     periodic orbits.
 
@@ -346,7 +351,7 @@ class ResponseCurve(Observed, Tabular):
         with 40 harmonics of their period."""
         count, places = self.structure.n_pairs, range(len(self))
         if self.exact:
-            found = [self.orbit(place).coefficients(HARMONICS).gap for place in places]
+            found = [self.orbit(place).coefficients(OBSERVED_HARMONICS).gap for place in places]
             return np.array(found)[..., :count]
         if self.static_above is None:
             return self.points[..., :count]
@@ -379,14 +384,14 @@ class ResponseCurve(Observed, Tabular):
                 "stability: unknown of a curve followed with stability = False; "
                 "fc.judge_curve(curve) returns the curve with it"
             )
-        return np.asarray(np.abs(self.multipliers) < 1.0 - KNOWN)
+        return np.asarray(np.abs(self.multipliers) < 1.0 - MULTIPLIER_TOLERANCE)
 
     @property
     def undecided(self) -> np.ndarray | None:
         """Points of undecided stability, for a :meth:`reason`: (n,) bool; None: not assessed."""
         if self.multipliers is None:
             return None
-        return np.asarray(~(np.abs(np.abs(self.multipliers) - 1.0) > KNOWN))
+        return np.asarray(~(np.abs(np.abs(self.multipliers) - 1.0) > MULTIPLIER_TOLERANCE))
 
     @property
     def verdicts(self) -> np.ndarray:
@@ -454,9 +459,9 @@ class ResponseCurve(Observed, Tabular):
     def coefficients_at(self, dof: int | None = None) -> np.ndarray:
         """Coefficients of the displacement of a dof, or of the watched one, at every point:
         (n, 2H+1) [m]."""
-        return self.observe([dof])[0][0].waves
+        return self.observe([dof])[0][0].coefficients
 
-    def _along(self, values: list[Any]) -> np.ndarray:
+    def _gather(self, values: list[Any]) -> np.ndarray:
         return np.array(values)
 
     def top(self, dof: int | None = None) -> Top:

@@ -7,7 +7,7 @@ Of the leading multipliers mu of each point,
 Between two points lies a fold where the parameter turns back, a period doubling where d changes, a
 Neimark-Sacker point where c does; two real multipliers outside the circle that meet and become a
 pair are none. Where multipliers cross the unit circle is located by the Illinois
-method (:func:`fenics_crack.numerics.path.zero_between`) on
+method (:func:`fenics_crack.numerics.path.find_zero`) on
 
     the product of all 1 + mu,    |mu_k| - 1 of the k-th pair.
 
@@ -36,10 +36,10 @@ import math
 
 import numpy as np
 
-from fenics_crack.motion.orbit import KNOWN
-from fenics_crack.numerics.equations import CLOSE, EPSILON, System
+from fenics_crack.motion.orbit import MULTIPLIER_TOLERANCE
+from fenics_crack.numerics.equations import MACHINE_EPSILON, ROOT_TOLERANCE, System
 from fenics_crack.numerics.newton import PathPoint
-from fenics_crack.numerics.path import Ends, Event, StepControl, Stretch, zero_between
+from fenics_crack.numerics.path import Event, PathSegment, SegmentEnds, StepControl, find_zero
 
 LEAST = 0.01
 """Change of ln |mu| that is always allowed, and shortest step to resolve it, relative to the
@@ -57,7 +57,7 @@ def leading_multipliers(values: np.ndarray) -> np.ndarray:
     size = np.abs(values)
     order = np.argsort(-size, axis=1, kind="stable")[:, :8]
     rows = np.arange(len(order))[:, None]
-    values, large = values[rows, order], size[rows, order] > 1.0 + KNOWN
+    values, large = values[rows, order], size[rows, order] > 1.0 + MULTIPLIER_TOLERANCE
     found = np.empty((len(order), order.shape[1] + 3), dtype=complex)
     found[:, :-3] = values
     real = values.imag == 0.0
@@ -82,16 +82,18 @@ def parting(monodromy: np.ndarray) -> np.ndarray:
     """How far two multipliers part where they meet between neighbours, relative to the distance at
     which one leaves the unit circle: (n-1,) of matrices (n, N, N)."""
     values, vectors = np.linalg.eig(monodromy[:-1])
-    vectors += EPSILON * np.eye(values.shape[1])  # those of a double one may be the same
+    vectors += MACHINE_EPSILON * np.eye(values.shape[1])  # those of a double one may be the same
     after = np.linalg.solve(vectors, monodromy[1:] @ vectors)
     size, found = np.abs(values), np.zeros(len(after))
-    lasting = size > KNOWN  # where faces stick, the state before a period leaves nothing
+    lasting = (
+        size > MULTIPLIER_TOLERANCE
+    )  # where faces stick, the state before a period leaves nothing
     with np.errstate(divide="ignore", invalid="ignore"):
         damping = np.maximum(-np.log(size), 0.0)
         strength = np.abs(after * np.swapaxes(after, 1, 2)) / (size[:, :, None] * size[:, None])
     allowed = damping[:, :, None] * damping[:, None]
     # Few are coupled by more than an eighth of what lets one leave the circle.
-    parts = (strength > allowed / 64.0) & (allowed > 0.25 * KNOWN**2)
+    parts = (strength > allowed / 64.0) & (allowed > 0.25 * MULTIPLIER_TOLERANCE**2)
     parts &= lasting[:, :, None] & lasting[:, None]
     i, j, k = np.nonzero(np.triu(parts, 1))
     unit = np.sqrt(size[i, j] * size[i, k])
@@ -119,8 +121,8 @@ class MultiplierControl(StepControl):
     def __init__(self, longest_step: float) -> None:
         self._longest, self._floor = longest_step, LEAST * longest_step
 
-    def too_long(self, points: Stretch) -> np.ndarray:
-        logs = np.log(np.maximum(np.abs(points.observed[:, :-3]), KNOWN))
+    def too_long(self, points: PathSegment) -> np.ndarray:
+        logs = np.log(np.maximum(np.abs(points.observed[:, :-3]), MULTIPLIER_TOLERANCE))
         change, lengths = np.diff(logs, axis=0), points.lengths[1:]
         allowed = np.maximum(0.5 * np.abs(logs[:-1]), LEAST)
         far = np.any(np.abs(change) > allowed, axis=1)
@@ -140,12 +142,12 @@ class PeriodDoubling(Event):
 
     kind = "period_doubling"
 
-    def between(self, points: Stretch) -> np.ndarray:
+    def detect(self, points: PathSegment) -> np.ndarray:
         return np.asarray(changes(points.observed)[:, 1] != 0.0)
 
-    def locate(self, system: System, ends: Ends, rtol: float) -> PathPoint | None:
-        found = zero_between(system, ends, lambda one: about_minus_one(multipliers(one)), rtol)[0]
-        return found if np.abs(1.0 + multipliers(found)).min() <= KNOWN else None
+    def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
+        found = find_zero(system, ends, lambda one: about_minus_one(multipliers(one)), rtol)[0]
+        return found if np.abs(1.0 + multipliers(found)).min() <= MULTIPLIER_TOLERANCE else None
 
 
 class NeimarkSacker(Event):
@@ -153,22 +155,22 @@ class NeimarkSacker(Event):
 
     kind = "neimark_sacker"
 
-    def between(self, points: Stretch) -> np.ndarray:
+    def detect(self, points: PathSegment) -> np.ndarray:
         return np.asarray(changes(points.observed)[:, 2] != 0.0)
 
-    def locate(self, system: System, ends: Ends, rtol: float) -> PathPoint | None:
+    def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
         assert ends[0].observed is not None and ends[1].observed is not None
         number = int(max(ends[0].observed[-1].real, ends[1].observed[-1].real)) - 1
         sides = [beyond_circle(multipliers(one), number) for one in ends]
         # What was within 1e-6 of the circle may have been beyond it all the time.
-        shift = 0.0 if sides[0] * sides[1] < 0.0 else KNOWN
+        shift = 0.0 if sides[0] * sides[1] < 0.0 else MULTIPLIER_TOLERANCE
 
         def value(point: PathPoint) -> float:
             found = beyond_circle(multipliers(point), number) - shift
-            return found if abs(found) > CLOSE else 0.0
+            return found if abs(found) > ROOT_TOLERANCE else 0.0
 
-        found, left = zero_between(system, ends, value, rtol)
-        return found if abs(left) <= KNOWN else None
+        found, left = find_zero(system, ends, value, rtol)
+        return found if abs(left) <= MULTIPLIER_TOLERANCE else None
 
 
 def multipliers(point: PathPoint) -> np.ndarray:
@@ -182,7 +184,7 @@ def about_minus_one(values: np.ndarray) -> float:
     1; 0 where it is small enough."""
     factors = np.where(values.imag == 0.0, 1.0 + values.real, np.abs(1.0 + values))
     found = float(np.prod(factors / np.maximum(1.0, np.abs(factors))))
-    return found if np.abs(factors).min() > CLOSE else 0.0
+    return found if np.abs(factors).min() > ROOT_TOLERANCE else 0.0
 
 
 def beyond_circle(values: np.ndarray, number: int) -> float:

@@ -38,12 +38,12 @@ from fenics_crack.curves.orbit_events import (
     leading_multipliers,
 )
 from fenics_crack.curves.waves import WAVES, Waves
-from fenics_crack.motion.flow import ContactFlow, Motion, doubles, exact_flow
+from fenics_crack.motion.flow import ContactFlow, Motion, as_doubles, exact_flow
 from fenics_crack.motion.shooting import OrbitPoint, ShootingEquations
-from fenics_crack.numerics.equations import EPSILON, ROUNDING
+from fenics_crack.numerics.equations import MACHINE_EPSILON, ROUNDING
 from fenics_crack.numerics.path import BranchPoint, Fold
 
-FORWARD_STEP = math.sqrt(EPSILON)
+FORWARD_STEP = math.sqrt(MACHINE_EPSILON)
 """Step of p for a forward difference: its truncation error is then as small as its rounding."""
 
 
@@ -106,7 +106,7 @@ class Orbits(CurveSystem):
     @cached_property
     def _rest(self) -> np.ndarray:
         """x_0 and x_1."""
-        first, last = (self._scaled(self.flow(v).rest, v) for v in (self.start, self.end))
+        first, last = (self._scaled(self.flow(v).rest_state, v) for v in (self.start, self.end))
         return np.array([first, last - first])
 
     def state(self, unknown: np.ndarray, value: float) -> np.ndarray:
@@ -131,7 +131,7 @@ class Orbits(CurveSystem):
     def _modes(self, value: float) -> np.ndarray:
         """States of the first flow to those where the speed has a value."""
         change = self.flow(value).modes.inverse @ self._first.modes.shapes
-        places = np.eye(self._first.size - 2 * self._first.count)
+        places = np.eye(self._first.size - 2 * self._first.n_modes)
         return scipy.linalg.block_diag(change, change, places)
 
     def _motion(self, unknown: np.ndarray, parameter: float, part: float = 1.0) -> Motion:
@@ -169,11 +169,11 @@ class Orbits(CurveSystem):
             flow = self._flow_at(max(self.start, self.end) if damped else self.start)
             if damped:
                 rate, damping = last.modes.damping - first.modes.damping, first.modes.damping
-                along |= {"damping": doubles(damping), "damping_by": doubles(rate)}
+                along |= {"damping": as_doubles(damping), "damping_by": as_doubles(rate)}
                 along["rates"] = damping.size
             else:
-                along |= {"force": flow.force, "force_by": last.force - first.force}
-                along |= {"gap": flow.gap, "gap_by": last.gap - first.gap}
+                along |= {"force": flow.modal_load, "force_by": last.modal_load - first.modal_load}
+                along |= {"gap": flow.load_gap, "gap_by": last.load_gap - first.load_gap}
         return ShootingEquations(flow, self.scale, omega, self.subharmonic, **along)
 
     def rounding(self, parameter: float) -> float:
@@ -210,7 +210,7 @@ class Orbits(CurveSystem):
                 return (self.moved(unknown, parameter + step) - unknown - residual) / step
             state = self.state(unknown, value)
             softness = -self.rate(value) / value * motion.track.flow.softness
-            change = self.scale * motion.track.by_structure(state, softness)
+            change = self.scale * motion.track.derivative_by_softness(state, softness)
             return np.asarray(change + monodromy() @ self._rest[1] - self._rest[1])
 
         events, pieces = motion.events, motion.pieces

@@ -42,11 +42,11 @@ from fenics_crack.model.contact import ContactLaw, is_unilateral
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.equations import LOCATED
-from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_near
-from fenics_crack.numerics.path import ARRIVED, Crossing, Ended, Path, PathOptions
+from fenics_crack.numerics.equations import LOCATION_TOLERANCE
+from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_robustly
+from fenics_crack.numerics.path import ARRIVAL_DISTANCE, EndReason, Path, PathOptions, ZeroCrossing
 
-TO_PHASE = PathOptions(0.05, 0.3, max_steps=300, at_once=8, span=(-4.0, 1.8))
+TO_PHASE = PathOptions(0.05, 0.3, max_steps=300, points_per_call=8, span=(-4.0, 1.8))
 """Options of the response curve on which the first point is met. Its parameter is in halves of the
 frequency, so that steps are parts of the motion; up to three times the frequency, or down to a
 tenth."""
@@ -89,10 +89,10 @@ class ResonanceSystem(CurveSystem):
         return PhasePoint(self.problem, self.drive, at, omega, self._size, inverse, change)
 
 
-class _InPhase(Crossing):
+class _InPhase(ZeroCrossing):
     """Zero of the part of the displacement that is in phase with the load, where a path ends."""
 
-    terminal, sought, words = True, True, Ended.MET.value
+    is_terminal, must_be_located, description = True, True, EndReason.REACHED.value
 
 
 def first_resonance(problem: Problem, near: float) -> PhasePoint:
@@ -111,14 +111,14 @@ def first_resonance(problem: Problem, near: float) -> PhasePoint:
     allowed = "one that moves a damped mode"
     if not all_modes(problem.structure).damping.any():
         raise InputError("load", "no damped mode answers to it", allowed)
-    begin = near * (1.0 - ARRIVED)  # the phase of what is linear is not 0 then
+    begin = near * (1.0 - ARRIVAL_DISTANCE)  # the phase of what is linear is not 0 then
     waves = FrequencyWaves(problem, begin, 0.5 * begin)
     start = Solver(waves.at(begin)).solve().slow_gap_coefficients
     first, count = waves.linearise(start, 0.0), len(problem.structure.force) // 2
     drives = [Drive.of(problem.structure, harmonic + 1) for harmonic in range(count)]
     drive = max(drives, key=lambda one: abs(one.power(first).imag))
     power = drive.power(first)
-    if not abs(power.imag) > LOCATED * abs(power):
+    if not abs(power.imag) > LOCATION_TOLERANCE * abs(power):
         raise InputError("load", "no damped mode answers to it", allowed)
 
     def in_phase(point: PathPoint) -> float:
@@ -127,7 +127,7 @@ def first_resonance(problem: Problem, near: float) -> PhasePoint:
 
     here = point_on_path(waves, start, 0.0)
     if power.real > 0.0:  # upwards
-        here = replace(here, tangent=here.tangent.reversed())
+        here = replace(here, tangent=here.tangent.reverse())
     met = Path(waves, here, TO_PHASE, [_InPhase(in_phase)]).run()
     if met is None:
         raise ConvergenceError(f"resonance: not met by the response from {near:.6g} rad/s on")
@@ -140,8 +140,8 @@ def _next_to(here: PhasePoint, **changes: Any) -> PhasePoint:
     """The resonance of a problem with some changes next to one, or else on its response curve."""
     problem = replace(here.problem, **{"omega": here.omega, "static_above": None} | changes)
     system = ResonanceSystem(problem, here.drive, here.at)
-    sharp = max(LOCATED, system.rounding(0.0))
-    found = solve_near(system, system.begin, 0.0, tolerance=sharp)
+    sharp = max(LOCATION_TOLERANCE, system.rounding(0.0))
+    found = solve_robustly(system, system.begin, 0.0, tolerance=sharp)
     if found is None:
         return first_resonance(problem, problem.omega)
     return system.linearise(found.unknown, 0.0)
@@ -177,7 +177,7 @@ def _meeting(point: PhasePoint, order: float | None) -> tuple[PhasePoint, float]
     speed, rate = rotor.speed, rotor.stiffening(omega * point.drive.harmonic)
     for _ in range(MEETINGS):
         ahead = (omega / order - rate * speed) / (1.0 - rate)
-        if abs(ahead - speed) <= ARRIVED * speed:
+        if abs(ahead - speed) <= ARRIVAL_DISTANCE * speed:
             return point, rate
         point = _next_to(point, structure=rotor.at_speed(ahead), omega=order * ahead)
         rate = (point.omega - omega) / order / (ahead - speed)

@@ -5,7 +5,7 @@ within the unit circle (:mod:`fenics_crack.motion.orbit`); :func:`shoot` finds t
 :mod:`fenics_crack.balance.assessment` decides whether it is accepted for the solution.
 
 Where no orbit is found, the exact motion that begins with the solution is followed: "irregular"
-if a small disturbance of it grows (:func:`fenics_crack.motion.attractors.irregular_motion`).
+if a small disturbance of it grows (:func:`fenics_crack.motion.attractors.find_irregular_motion`).
 
 Laws that are not linear in contact have no exact flow. Their multipliers are those of the linear
 flow along the solution, which decide if its error is small; they are as uncertain as they differ
@@ -47,13 +47,20 @@ from fenics_crack.model.contact import (
 )
 from fenics_crack.model.modal import CACHE_SIZE, AllModes, all_modes, is_small
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.attractors import Attractor, in_the_long_run
+from fenics_crack.motion.attractors import Attractor, find_attractor
 from fenics_crack.motion.flow import exact_flow
-from fenics_crack.motion.orbit import FORMED, KNOWN, PeriodicOrbit, eigenvalues, equal, find_orbit
-from fenics_crack.motion.search import SearchOptions, by_homotopy
+from fenics_crack.motion.orbit import (
+    MAX_MODES_FOR_MONODROMY,
+    MULTIPLIER_TOLERANCE,
+    PeriodicOrbit,
+    eigenvalues,
+    find_orbit,
+    is_same_orbit,
+)
+from fenics_crack.motion.search import SearchOptions, find_by_homotopy
 from fenics_crack.motion.shooting import FlowOrbits
-from fenics_crack.numerics.fourier import sampled
-from fenics_crack.numerics.newton import moving_size
+from fenics_crack.numerics.fourier import sample_period
+from fenics_crack.numerics.newton import motion_size
 
 
 def monodromy(
@@ -71,7 +78,7 @@ def monodromy(
     InputError where the law's tangent is not the slope of its force along the solution.
     """
     modes = all_modes(structure).below(static_above)
-    seen = sampled(gap, 4 * len(gap))
+    seen = sample_period(gap, 4 * len(gap))
     if modes.residual is not None:
         seen = seen - smooth_forces(contact, modes.residual, seen)[0] @ modes.residual
     check_slope(contact, seen)
@@ -79,7 +86,7 @@ def monodromy(
     count = 1 << (4 * len(gap)).bit_length()
     coarse = found = _product(modes, contact, gap, base_omega, count)
     change = whole = np.inf
-    while count < 2**13 and not change <= KNOWN * whole < np.inf:
+    while count < 2**13 and not change <= MULTIPLIER_TOLERANCE * whole < np.inf:
         count *= 2
         fine = _product(modes, contact, gap, base_omega, count)
         before, found, coarse = found, fine + (fine - coarse) / 3.0, fine
@@ -95,7 +102,7 @@ def _product(
 ) -> np.ndarray:
     """M of so many steps, a power of two: of stretches of the period at once, then of these one
     after the other."""
-    h, n, values = 2.0 * np.pi / base_omega / count, len(modes.squares), sampled(gap, count)
+    h, n, values = 2.0 * np.pi / base_omega / count, len(modes.squares), sample_period(gap, count)
     if modes.residual is None:
         kicks = h * contact.tangent(values)[:, :, None]
     else:
@@ -195,11 +202,13 @@ def shoot(
         orbits = FlowOrbits(flow, solution.omega, known.states[0], periods)
         settled = orbits.start
         for _ in range(settle):
-            settled = orbits.moved(settled, 1.0)
+            settled = orbits.advance_period(settled, 1.0)
         start = orbits.state(settled)
         found = find_orbit(flow, solution.omega, start, subharmonic=periods)
-        if found is None and flow.count <= FORMED:
-            found = by_homotopy(FlowOrbits(flow, solution.omega, start, periods), SearchOptions())
+        if found is None and flow.n_modes <= MAX_MODES_FOR_MONODROMY:
+            found = find_by_homotopy(
+                FlowOrbits(flow, solution.omega, start, periods), SearchOptions()
+            )
     if found is not None and found.residual > tolerance:  # its last step was short, but M is large
         again = find_orbit(found.flow, found.omega, found.state, subharmonic=found.subharmonic)
         found = again or found
@@ -295,23 +304,25 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
     known = replace(solution, structure=structure).assessment
     if known.irregular_motion is not None:
         return (known.irregular_motion,)
-    followed = known.flow is not None and known.flow.count <= FORMED
+    followed = known.flow is not None and known.flow.n_modes <= MAX_MODES_FOR_MONODROMY
     verdict = stability_of(known).verdict if followed else "no exact flow"
     orbit = known.orbit if followed else None
     if verdict != "unstable" or orbit is None:
-        allowed = f"an unstable one by its exact orbit, of at most {FORMED} modes"
+        allowed = f"an unstable one by its exact orbit, of at most {MAX_MODES_FOR_MONODROMY} modes"
         raise InputError("solution", verdict, allowed)
     orbits = FlowOrbits(orbit.flow, orbit.omega, orbit.state, orbit.subharmonic)
     values, vectors = np.linalg.eig(orbits.scale[:, None] * orbit.monodromy / orbits.scale)
     leading = int(np.abs(values).argmax())
     mu, change = values[leading], vectors[:, leading].real
     states = orbit.sampled.whole_states
-    moved = moving_size(orbits.scale * states) / np.sqrt(len(states))
+    moved = motion_size(orbits.scale * states) / np.sqrt(len(states))
     change *= 0.01 * moved / np.linalg.norm(change)
     found: list[Attractor] = []
     for start in (orbits.start + change, orbits.start - change)[: 2 if mu == abs(mu) else 1]:
-        one = in_the_long_run(orbits, start)
-        if not any(one.orbit and other.orbit and equal(one.orbit, other.orbit) for other in found):
+        one = find_attractor(orbits, start)
+        if not any(
+            one.orbit and other.orbit and is_same_orbit(one.orbit, other.orbit) for other in found
+        ):
             found.append(one)
     return tuple(found)
 
@@ -323,10 +334,10 @@ def from_rest(solution: PeriodicSolution) -> Attractor | None:
     None where there is no exact flow, or more than 120 modes.
     """
     flow = solution.assessment.flow
-    if flow is None or flow.count > FORMED:
+    if flow is None or flow.n_modes > MAX_MODES_FOR_MONODROMY:
         return None
     orbits = FlowOrbits(flow, solution.omega, solution.assessment.states[0])
-    return in_the_long_run(orbits, np.zeros(flow.size), SearchOptions().periods(flow))
+    return find_attractor(orbits, np.zeros(flow.size), SearchOptions().periods(flow))
 
 
 def stability_of(known: Assessment) -> Stability:
@@ -343,14 +354,14 @@ def stability_of(known: Assessment) -> Stability:
                 np.nan,
                 reason=f"no orbit was found, and the exact motion {motion.description}",
             )
-        if known.prediction is not None and known.flow.count <= FORMED:
+        if known.prediction is not None and known.flow.n_modes <= MAX_MODES_FOR_MONODROMY:
             values = eigenvalues(known.prediction.monodromy)
         return Stability(values, "undecided", np.nan, reason=known.reason)
     reason, largest = known.reason, abs(orbit.multipliers[0])
-    if not reason and abs(largest - 1.0) <= KNOWN:
+    if not reason and abs(largest - 1.0) <= MULTIPLIER_TOLERANCE:
         reason = "its largest multiplier is 1 to rounding: a bifurcation, or no damping"
     verdict = "undecided" if reason else "stable" if largest < 1.0 else "unstable"
-    return Stability(orbit.multipliers, verdict, KNOWN, True, known.distance, reason)
+    return Stability(orbit.multipliers, verdict, MULTIPLIER_TOLERANCE, True, known.distance, reason)
 
 
 def _by_waves(structure: Structure, solution: PeriodicSolution, contact: ContactLaw) -> Stability:
@@ -373,7 +384,7 @@ def _by_waves(structure: Structure, solution: PeriodicSolution, contact: Contact
         reason = "the error of the solution is unknown"
     elif left_out > LARGE_ERROR:
         reason = f"the truncated harmonics change it by {percent(left_out)}; use more"
-    elif abs(largest - 1.0) <= max(KNOWN, off):
+    elif abs(largest - 1.0) <= max(MULTIPLIER_TOLERANCE, off):
         reason = "its largest multiplier is 1 within its uncertainty"
     verdict = "undecided" if reason else "stable" if largest < 1.0 else "unstable"
     return Stability(values, verdict, off, reason=reason)

@@ -10,7 +10,7 @@ are irregular, so are the points between them, if all of these are open.
 With laws without an exact flow it is the linearised flow. Between two points lies
 a period doubling or a Neimark-Sacker point where the numbers of multipliers outside the unit circle
 say so (:mod:`orbit_events`); it is located on the path between them
-(:class:`fenics_crack.numerics.path.Crossing`).
+(:class:`fenics_crack.numerics.path.ZeroCrossing`).
 
 Source: Seydel, Practical Bifurcation and Stability Analysis, chapters 4 and 7.
 """
@@ -41,7 +41,7 @@ from fenics_crack.curves.waves import Waves
 from fenics_crack.model.contact import is_unilateral
 from fenics_crack.motion.orbit import eigenvalues
 from fenics_crack.numerics.newton import PathPoint, point_on_path
-from fenics_crack.numerics.path import Crossing
+from fenics_crack.numerics.path import ZeroCrossing
 
 MAX_FOLLOWED_POINTS = 8
 """Points of a curve whose exact motion is followed. Each takes 0.05 to 0.5 s."""
@@ -155,7 +155,7 @@ def _located(
         matrix = monodromy(problem.structure, problem.contact, at.unknown, omega, above)
         return test(eigenvalues(matrix))
 
-    found = Crossing(value).locate(system, (first, last), system.rounding(last.parameter))
+    found = ZeroCrossing(value).locate(system, (first, last), system.rounding(last.parameter))
     assert found is not None
     there = system.value(found.parameter)
     return there, system.omega(there, found.unknown), found.unknown

@@ -29,8 +29,8 @@ from fenics_crack.curves.curve_system import CurveSystem
 from fenics_crack.model.contact import friction_of
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.equations import CENTRAL_STEP, least_residual
-from fenics_crack.numerics.fourier import stretched
+from fenics_crack.numerics.equations import CENTRAL_DIFFERENCE_STEP, residual_rounding
+from fenics_crack.numerics.fourier import stretch_period
 
 
 class Waves(CurveSystem):
@@ -119,7 +119,7 @@ class Waves(CurveSystem):
 
     def unknown(self, state: np.ndarray, value: float) -> np.ndarray:
         """The unknowns of what a curve keeps, also one of a shorter period."""
-        return stretched(state, max(1, self.shape[0] // 2 // max(1, len(state) // 2)))
+        return stretch_period(state, max(1, self.shape[0] // 2 // max(1, len(state) // 2)))
 
     # --- what paths require -----------------------------------------------------------------------
 
@@ -154,7 +154,7 @@ class Waves(CurveSystem):
         else:
             moving = self.system(self.value(parameter)).moving
             largest = float(np.abs(moving).sum(axis=2).max())
-        return least_residual(4.0 * largest * self.steepest_force)
+        return residual_rounding(4.0 * largest * self.steepest_force)
 
     def half_off(self, unknown: np.ndarray, parameter: float) -> float:
         """Change of a motion over half its period, relative to its size: twice what its odd
@@ -325,7 +325,7 @@ class SpeedWaves(Waves):
         return ModalCompliance(problem.seen, problem.base_omega, problem.load)
 
     def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
-        step = CENTRAL_STEP * value
+        step = CENTRAL_DIFFERENCE_STEP * value
         ends = (self._make(v).linearise(at.unknown).residual for v in (value - step, value + step))
         below, above = ends
         return np.asarray((above - below) / (2.0 * step))

@@ -34,8 +34,8 @@ from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.contact import ContactLaw, coefficient_of, is_rigid
 from fenics_crack.model.nodes import AXES, Pairs
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.motions import friction_losses, slipping
-from fenics_crack.numerics.equations import CENTRAL_STEP
+from fenics_crack.motion.motions import friction_losses, is_slipping
+from fenics_crack.numerics.equations import CENTRAL_DIFFERENCE_STEP
 from fenics_crack.numerics.fourier import to_complex
 
 if TYPE_CHECKING:  # which loads DOLFINx
@@ -582,7 +582,7 @@ def _orbit(
     touching: str,
 ) -> None:
     """Draw the orbit of one displacement, thick where the crack is closed."""
-    step = CENTRAL_STEP * solution.period
+    step = CENTRAL_DIFFERENCE_STEP * solution.period
 
     def orbit_at(time: np.ndarray) -> np.ndarray:
         before, now, after = (np.ravel(motion(time + by)) for by in (-step, 0.0, step))
@@ -637,7 +637,7 @@ def draw_friction_loops(solution: PeriodicSolution, **where: Unpack[Where]) -> F
         raise InputError("solution", "no friction", "one with CoulombFriction")
     time = np.append(solution.instants(), solution.period)
     (_, slide), (normal, drag) = (np.hsplit(one, 2) for one in solution.gaps_and_forces(time))
-    slips = slipping(coefficient, normal, drag)
+    slips = is_slipping(coefficient, normal, drag)
     loss = friction_losses(slide, drag)
     [panel] = picture = Picture(size=(6.4, 4.6), comm=solution.structure.comm, **where)
     chosen = np.argsort(-loss, kind="stable")[: min(LOOPS, len(loss))]

@@ -43,7 +43,7 @@ from fenics_crack.basics.tables import (
 from fenics_crack.fatigue.ellipse import DRIVING, EllipsePath, EllipseTable, End, grown
 from fenics_crack.fem.build import with_crack_length
 from fenics_crack.files.saved import Saved
-from fenics_crack.numerics.equations import TINY
+from fenics_crack.numerics.equations import SMALLEST_NORMAL
 from fenics_crack.scene.scene import Scene, check_known, without_tips
 from fenics_crack.scene.tables import Growth as Law
 from fenics_crack.study.plausibility import remarks_on_scene
@@ -303,7 +303,7 @@ def grow(
     errors["vibration"] += _lost(path, law, length, cycles, vibration)
     seen = {name: path.at(name, length) for name in path.columns}
     for name in LOGARITHMIC_COLUMNS:
-        seen[name][seen[name] <= TINY] = 0.0
+        seen[name][seen[name] <= SMALLEST_NORMAL] = 0.0
     rate[-1] *= end != "arrested"
     time = _summed(TURN / seen["omega"], cycles)
     return Growth(
@@ -323,8 +323,8 @@ def _errors(
     law: Law, rate: np.ndarray, cycles: np.ndarray, vibration: float, missed: float
 ) -> dict[str, float]:
     """The errors of the cycles by those of the law, of the range and of the interpolation."""
-    strength = np.log(np.maximum(rate, TINY) / law.rate) / law.exponent
-    mean = float(_summed(strength, cycles)[-1]) / max(float(cycles[-1]), TINY)
+    strength = np.log(np.maximum(rate, SMALLEST_NORMAL) / law.rate) / law.exponent
+    mean = float(_summed(strength, cycles)[-1]) / max(float(cycles[-1]), SMALLEST_NORMAL)
     return {
         "rate": law.rate_deviation,
         "exponent": law.exponent_deviation * abs(mean),
@@ -591,7 +591,7 @@ def _remarks(
 
 def _turning(largest: np.ndarray, two: np.ndarray, length: np.ndarray) -> list[str]:
     """A remark where a crack would turn, by K_max and K_II_max at its lengths."""
-    one = np.maximum(largest, TINY)
+    one = np.maximum(largest, SMALLEST_NORMAL)
     turn = 2.0 * np.arctan(2.0 * two / (one + np.sqrt(one**2 + 8.0 * two**2)))
     if not np.any(turning := turn > math.radians(10.0)):
         return []
@@ -649,7 +649,7 @@ class LengthPath:
         values = self.columns[name]
         if name not in LOGARITHMIC_COLUMNS:
             return np.asarray(CubicSpline(self.lengths, values)(lengths))
-        floor = 1e-4 * max(float(values.max()), TINY)  # closed cracks
+        floor = 1e-4 * max(float(values.max()), SMALLEST_NORMAL)  # closed cracks
         spline = CubicSpline(self.lengths, np.log(np.maximum(values, floor)))
         return np.asarray(np.exp(spline(lengths)))
 
@@ -698,7 +698,7 @@ def _driving(
     effective, drive = rows["delta_K_effective"], rows["delta_K_equivalent"]
     found = {name: rows[name].max(axis=1) for name in ("K_max", "delta_K_effective")}
     limit = np.minimum(law.threshold, found["delta_K_effective"])[:, None]
-    largest = np.maximum(drive.max(axis=1, keepdims=True), TINY)
+    largest = np.maximum(drive.max(axis=1, keepdims=True), SMALLEST_NORMAL)
     grown = (effective >= limit) * (drive / largest) ** law.exponent
     shares = cycles / cycles.sum() * grown
     place = shares.argmax(axis=1)[:, None]
@@ -742,7 +742,7 @@ def _solve_lengths(
         own = _missed(before, path, own)
         length, passed, _ = _integrated(path, law)
         steps = np.diff(np.interp(path.lengths, length, passed))
-        shares = law.exponent * own * steps / max(float(steps.sum()), TINY)
+        shares = law.exponent * own * steps / max(float(steps.sum()), SMALLEST_NORMAL)
         missed = float(shares.sum())
         left = (shares > law.life_tolerance / len(shares)) & (missed > law.life_tolerance)
         wanted = (0.5 * (path.lengths[1:] + path.lengths[:-1]))[left | (own > ROUGH)]

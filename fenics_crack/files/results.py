@@ -31,7 +31,7 @@ from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import NEGLIGIBLE, Modes
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.fourier import resized
+from fenics_crack.numerics.fourier import resize_harmonics
 from fenics_crack.scene.fields import LARGEST
 from fenics_crack.scene.scene import Scene
 from fenics_crack.time.march import TimeHistory
@@ -362,7 +362,7 @@ def _unpack_curve(parts: Parts, structure: Structure, contact: Law) -> ResponseC
         shapes["unknowns"] = counts[""], unknowns.shape[1] | 1, seen.n_pairs
         shapes |= {name: (len(parts[name]) | 1, seen.n_pairs) for name in names}
         check_shapes(parts, shapes)
-        special = [resized(parts[name], unknowns.shape[1] // 2) for name in names]
+        special = [resize_harmonics(parts[name], unknowns.shape[1] // 2) for name in names]
         if "undecided" in parts:  # of earlier versions, whose multiplier decides nothing there
             parts["multipliers"] = np.where(parts["undecided"], np.nan, parts["multipliers"])
         curve = unpacked(ResponseCurve, parts, **given, points=unknowns, tolerance=None)

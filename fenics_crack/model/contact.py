@@ -52,7 +52,7 @@ from fenics_crack.basics.threads import machine_memory
 from fenics_crack.kernel import kernel, owned, pointer, shaped
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.equations import CENTRAL_STEP, EPSILON, ROUNDING
+from fenics_crack.numerics.equations import CENTRAL_DIFFERENCE_STEP, MACHINE_EPSILON, ROUNDING
 
 
 class ContactLaw(Protocol):
@@ -345,7 +345,10 @@ def check_law(structure: Structure, contact: Any, *, rigid: bool = False) -> Non
 
 def _check_returned(law: ContactLaw, pairs: int) -> None:
     """Raise InputError unless a user's law returns valid values for gaps (n, n_pairs)."""
-    gap, kind = np.outer([-EPSILON, 0.0, EPSILON], np.ones(pairs)), type(law).__name__
+    gap, kind = (
+        np.outer([-MACHINE_EPSILON, 0.0, MACHINE_EPSILON], np.ones(pairs)),
+        type(law).__name__,
+    )
     for name in ("force", "tangent"):
         try:
             found = numbers(getattr(law, name)(gap))
@@ -354,7 +357,7 @@ def _check_returned(law: ContactLaw, pairs: int) -> None:
         if found.shape != gap.shape or not np.all(np.isfinite(found)):
             allowed = f"a law with a finite {name}(gap) for each gap, (n, n_pairs)"
             raise InputError("contact", kind, allowed)
-    if np.any(found < -EPSILON * np.abs(found).max(initial=0.0)):
+    if np.any(found < -MACHINE_EPSILON * np.abs(found).max(initial=0.0)):
         raise InputError("contact", kind, "a law with tangent(gap) >= 0, a stiffness in N/m")
     try:
         softer = law.scaled(0.5)
@@ -371,7 +374,7 @@ def _check_returned(law: ContactLaw, pairs: int) -> None:
 def check_slope(law: ContactLaw, gap: np.ndarray) -> None:
     """Raise InputError unless the tangent of a law is the slope of its force along gaps (n,
     n_pairs), at kinks one between those on both sides."""
-    step = CENTRAL_STEP * float(np.abs(gap).max(initial=0.0))
+    step = CENTRAL_DIFFERENCE_STEP * float(np.abs(gap).max(initial=0.0))
     values = [np.asarray(law.force(gap + side * step)) for side in (-2.0, -1.0, 0.0, 1.0, 2.0)]
     rises, stated = np.diff(values, axis=0), step * law.tangent(gap)
     sizes = np.maximum(np.abs(rises).max(axis=0), np.abs(stated))
@@ -379,7 +382,7 @@ def check_slope(law: ContactLaw, gap: np.ndarray) -> None:
     # Rises beside these differ from them by rounding, and where the slope bends within a step. Half
     # of the digits that differences leave may be wrong.
     unsure = float(np.abs(rises[[0, 3]] - rises[[1, 2]]).max(initial=0.0))
-    if np.any(off > np.sqrt(CENTRAL_STEP) * sizes + unsure):
+    if np.any(off > np.sqrt(CENTRAL_DIFFERENCE_STEP) * sizes + unsure):
         allowed = "a law whose tangent(gap) is the slope of its force(gap)"
         raise InputError("contact", type(law).__name__, allowed)
 
@@ -606,7 +609,7 @@ def _lowest(
     of their slopes until these are flat (n,): (n,)."""
     moved = evaluate(force, gap)[0] - evaluate(force + step, gap)[0]  # D times the step
     share, size = np.full(len(force), 0.5), 0.5
-    while size > EPSILON:
+    while size > MACHINE_EPSILON:
         trial = force + share[:, None] * step
         slope = np.sum(moved * (trial - evaluate(trial, gap)[1]), axis=1)
         steep = np.abs(slope) > flat

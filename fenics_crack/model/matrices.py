@@ -46,7 +46,7 @@ from fenics_crack.model.factor import (
     local_rows,
     weighted_sum,
 )
-from fenics_crack.numerics.fourier import resized
+from fenics_crack.numerics.fourier import resize_harmonics
 from fenics_crack.scene.fields import LARGEST
 
 DIRECTIONS = {"UX": 1, "UY": 2, "UZ": 3, "ROTX": 4, "ROTY": 5, "ROTZ": 6}
@@ -680,7 +680,7 @@ def with_harmonics(
         raise InputError("harmonics", given, "cosine and sine part by the order")
     for order in given:
         check_count("order in harmonics", order, 1, MOST_HARMONICS)
-    found = resized(force, max([len(force) // 2, *given]))
+    found = resize_harmonics(force, max([len(force) // 2, *given]))
     for order, both in given.items():
         name = f"harmonics[{order}]"
         if not isinstance(both, tuple | list) or len(both) != 2:

@@ -15,7 +15,7 @@ from fenics_crack.model.factor import local_rows
 from fenics_crack.model.modes import AS_ZERO, NEGLIGIBLE, damped_modes, damping_in, solve_modes
 from fenics_crack.model.reduced import MasslessInterface
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.equations import EPSILON
+from fenics_crack.numerics.equations import MACHINE_EPSILON
 
 SMALL = 600
 """Maximum dofs of a structure that is decomposed into all of its modes, and maximum unknowns with
@@ -90,7 +90,7 @@ class AllModes:
             impedance = stiffness + (1j * factor * omega)[:, None] * self.damping
             size = np.abs(self.squares) + square
             if loaded is not None:
-                nudge = math.sqrt(EPSILON) * size
+                nudge = math.sqrt(MACHINE_EPSILON) * size
                 moved = (np.abs(impedance) <= nudge) & ~loaded & (square > 0.0)
                 impedance = np.where(moved, nudge, impedance)
             singular |= (np.abs(impedance) <= kernel.SINGULAR * size).any(axis=1)

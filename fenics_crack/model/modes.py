@@ -28,7 +28,7 @@ from fenics_crack.basics.tables import Tabular, counted, hertz_of, with_frequenc
 from fenics_crack.kernel import kernel
 from fenics_crack.model.factor import AT_A_TIME, TOLERATED, Factor, factored_sum
 from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
-from fenics_crack.numerics.equations import EPSILON, ROUNDING
+from fenics_crack.numerics.equations import MACHINE_EPSILON, ROUNDING
 
 LIP_STATES = ("open", "tied")
 LOST = (
@@ -159,7 +159,7 @@ def independent_ties(structure: Structure) -> sparse.csc_matrix:
         return gap  # orthogonal: no two pairs share a node
     factor, order = scipy.linalg.qr(gram, mode="r", pivoting=True)
     sizes = np.abs(np.diag(factor))
-    rounding = 10.0 * len(gram) * EPSILON * sizes.max(initial=0.0)
+    rounding = 10.0 * len(gram) * MACHINE_EPSILON * sizes.max(initial=0.0)
     return gap[:, np.sort(order[sizes > rounding])]
 
 
@@ -507,7 +507,7 @@ def damping_in(structure: Structure, columns: np.ndarray, squares: np.ndarray) -
     coupled = projected_damping(structure, columns)
     rate = np.diag(coupled).copy()
     coupling = np.abs(coupled - np.diag(rate)).max(initial=0.0)
-    rounding = np.sqrt(EPSILON) * np.abs(rate).max(initial=0.0)
+    rounding = np.sqrt(MACHINE_EPSILON) * np.abs(rate).max(initial=0.0)
     return rate if coupling <= rounding else coupled
 
 

@@ -28,7 +28,7 @@ from fenics_crack.model.factor import AT_A_TIME, Factor
 from fenics_crack.model.matrices import Absent
 from fenics_crack.model.modes import modes_by, solve_modes, times
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.equations import EPSILON, ROUNDING
+from fenics_crack.numerics.equations import MACHINE_EPSILON, ROUNDING
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,7 +265,7 @@ class ResidualFlexibility:
         self.sources = sparse.csr_matrix(sources)
         self.modal = structure.sum_over_ranks(self.sources.T @ shapes)
         # Of a hinge that hardly resists, rounding of the modal part would be all that is left.
-        self._held = bool(np.all(squares > np.sqrt(EPSILON) * squares[-1:]))
+        self._held = bool(np.all(squares > np.sqrt(MACHINE_EPSILON) * squares[-1:]))
 
     def solve(self, factor: Factor, forces: np.ndarray) -> np.ndarray:
         """G f of forces (m, n_local), with the factor of K: the same shape (collective)."""

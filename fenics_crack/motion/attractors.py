@@ -1,4 +1,4 @@
-"""Attractors: the motions of the exact flow in the long run."""
+"""Attractors: exact motions after many periods."""
 
 from __future__ import annotations
 
@@ -12,38 +12,49 @@ import numpy as np
 from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.basics.progress import begin
 from fenics_crack.motion.flow import Budget, ContactFlow
-from fenics_crack.motion.orbit import INSTANTS, PIECES, PeriodicOrbit, find_orbit
-from fenics_crack.motion.search import LATER, SearchOptions, comes_back, followed
+from fenics_crack.motion.orbit import (
+    INSTANTS_PER_PERIOD,
+    MAX_SEARCH_PIECES,
+    PeriodicOrbit,
+    find_orbit,
+)
+from fenics_crack.motion.search import (
+    MAX_RETURN_PERIODS,
+    SearchOptions,
+    describe_closest_return,
+    follow_periods,
+)
 from fenics_crack.motion.shooting import FlowOrbits
-from fenics_crack.numerics.equations import LOCATED
+from fenics_crack.numerics.equations import LOCATION_TOLERANCE
 
-SETTLED = 1e-3
-"""Maximum relative change of a motion that has settled."""
-PERIODS = 35
+MAX_SETTLED_CHANGE = 1e-3
+"""Maximum relative change of a settled motion, from one return to the next."""
+MAX_GROWTH_PERIODS = 35
 """Maximum periods over which the growth of a disturbance is measured."""
 IRREGULAR_GROWTH = 1e3
-"""Growth of a disturbance over the last two thirds of them from which on a motion is irregular.
-Next to a stable orbit it is at most the condition number of the multipliers' eigenvectors."""
+"""Minimum disturbance growth in an irregular motion, over the last two thirds of the periods. Next
+to a stable orbit the growth is at most the condition number of the multipliers' eigenvectors."""
 
 
 @dataclass(frozen=True, repr=False)
 class Attractor:
-    """Motion of the exact flow in the long run.
+    """Exact motion after many periods.
 
     Attributes
     ----------
     orbit : PeriodicOrbit or None
-        The stable orbit to which it settles, perhaps one of several periods; None where it has not.
+        Stable orbit to which the motion settles, perhaps with a longer period; None if it does not
+        settle.
     description : str
         Outcome in words.
     periods : int
-        Of the load, that it was followed for.
+        Number of load periods that were integrated.
     orbits : FlowOrbits
-        Of its flow and period.
-    last : (2 n_modes,)
-        The state x to which it was followed.
+        Flow and period.
+    last : (flow.size,)
+        Last state x.
     growth : float
-        Factor by which a small disturbance of an irregular motion grows in a period; else nan.
+        Growth of a small disturbance in one period of an irregular motion; else nan.
     """
 
     orbit: PeriodicOrbit | None
@@ -57,73 +68,102 @@ class Attractor:
         return f"{type(self).__name__}({self.description})"
 
     def amplitudes(self, dof: int | None = None) -> np.ndarray:
-        """Half the peak-to-peak displacement of a dof, or of the watched one, in each period of the
-        orbit, or in 100 more where the motion does not settle: (n,) [m] (collective). Of several
-        periods they are of 512 instants each.
+        """Return half the peak-to-peak displacement in each period: (n,) [m] (collective).
+
+        The n periods belong to the orbit. A motion that does not settle gets 100 further periods.
+        Several periods have 512 instants each.
+
+        Parameters
+        ----------
+        dof : int, optional
+            Default: the watched dof.
 
         Raises
         ------
         ConvergenceError
-            It cannot be followed that long.
+            The motion cannot be integrated for so long.
         """
         if self.orbit is not None and self.orbit.subharmonic == self.orbits.subharmonic:
             return np.array([self.orbit.amplitude(dof)])
         flow, omega = self.orbits.flow, self.orbits.omega
         period = 2.0 * np.pi * self.orbits.subharmonic / omega
-        state, count = self.orbits.state(self.last), 100
+        state, n_periods = self.orbits.state(self.last), 100
         if self.orbit is not None:
-            state, count = self.orbit.state, self.orbit.subharmonic // self.orbits.subharmonic
-        time = np.arange(count * INSTANTS) * period / INSTANTS
-        found = flow.advance(state, omega, count * period, instants=time).samples.displacement
-        values = flow.structure.values_at(found, [dof]).reshape(count, INSTANTS)
-        return np.asarray(np.ptp(values, axis=1) / 2.0)
+            state, n_periods = self.orbit.state, self.orbit.subharmonic // self.orbits.subharmonic
+        time = np.arange(n_periods * INSTANTS_PER_PERIOD) * period / INSTANTS_PER_PERIOD
+        displacement = flow.advance(
+            state, omega, n_periods * period, instants=time
+        ).samples.displacement
+        watched_displacement = flow.structure.values_at(displacement, [dof]).reshape(
+            n_periods, INSTANTS_PER_PERIOD
+        )
+        return np.asarray(np.ptp(watched_displacement, axis=1) / 2.0)
 
 
-def in_the_long_run(orbits: FlowOrbits, start: np.ndarray, most: int | None = None) -> Attractor:
-    """Return the exact motion from a state x after many periods: it is integrated until it has
-    settled, or for ``most``, by default a quarter of a search's budget, for any modes."""
-    most = max(LATER + 1, SearchOptions.evaluations // 4 if most is None else most)
-    begin(f"the exact motion over up to {most} periods")
-    passed, ahead = start[None], followed(orbits, start, most)
-    while more := list(islice(ahead, len(passed) - 1 + LATER)):
-        passed = np.concatenate([passed, more])
-        last = passed[-1]
-        changes = np.linalg.norm(passed[-2 : -LATER - 2 : -1] - last, axis=1)
-        size = np.linalg.norm(last)
-        for several in np.flatnonzero(changes <= SETTLED * size):
-            turns = int(1 + several) * orbits.subharmonic
-            orbit = find_orbit(orbits.flow, orbits.omega, orbits.state(last), subharmonic=turns)
-            if orbit is None:
-                continue
-            decays = 1.0 - abs(orbit.multipliers[0])
-            off = np.linalg.norm(orbits.unknown(orbit.state) - last)
-            # What decays by |mu| a period and is off by d changes by no less than (1 - |mu|) d.
-            if decays > 0.0 and decays * off <= 2.0 * changes[several] + LOCATED * size:
-                after = f"an orbit of {turns} periods of the load"
-                does = f"settles to {after if several else 'a periodic orbit'}"
-                return Attractor(orbit, does, (len(passed) - 1) * orbits.subharmonic, orbits, last)
-    does = f"does not settle: {comes_back(passed, orbits.subharmonic, 'it')}"
-    return Attractor(None, does, (len(passed) - 1) * orbits.subharmonic, orbits, passed[-1])
+def find_attractor(
+    orbits: FlowOrbits, start: np.ndarray, max_periods: int | None = None
+) -> Attractor:
+    """Return the exact motion after many periods from a start.
 
-
-def irregular_motion(
-    flow: ContactFlow, omega: float, state: np.ndarray, subharmonic: int = 1
-) -> Attractor | None:
-    """Follow a motion and a small disturbance of it, which grows if the motion is irregular.
-
-    With the derivatives M_i of the flow over the periods, v_{i+1} = M_i v_i is followed from a
-    random v_0. Its mean growth in a period is exp(lambda T), lambda the first Lyapunov exponent.
+    The motion is integrated until it settles.
 
     Parameters
     ----------
-    state : (2 n_modes,)
-        Of the motion at phase zero.
+    start : (flow.size,)
+        State x.
+    max_periods : int, optional
+        Default: a quarter of a search's ``evaluations``, for any number of modes.
+    """
+    max_periods = SearchOptions.evaluations // 4 if max_periods is None else max_periods
+    max_periods = max(MAX_RETURN_PERIODS + 1, max_periods)
+    begin(f"the exact motion over up to {max_periods} periods")
+    states, next_states = start[None], follow_periods(orbits, start, max_periods)
+    while new_states := list(islice(next_states, len(states) - 1 + MAX_RETURN_PERIODS)):
+        states = np.concatenate([states, new_states])
+        last_state = states[-1]
+        changes = np.linalg.norm(states[-2 : -MAX_RETURN_PERIODS - 2 : -1] - last_state, axis=1)
+        size = np.linalg.norm(last_state)
+        for lag_index in np.flatnonzero(changes <= MAX_SETTLED_CHANGE * size):
+            n_load_periods = int(1 + lag_index) * orbits.subharmonic
+            orbit = find_orbit(
+                orbits.flow, orbits.omega, orbits.state(last_state), subharmonic=n_load_periods
+            )
+            if orbit is None:
+                continue
+            decay = 1.0 - abs(orbit.multipliers[0])
+            distance = np.linalg.norm(orbits.unknown(orbit.state) - last_state)
+            # A state at the distance d from an orbit with the multiplier mu moves by at least
+            # (1 - |mu|) d in a period.
+            max_decay = 2.0 * changes[lag_index] + LOCATION_TOLERANCE * size
+            if decay > 0.0 and decay * distance <= max_decay:
+                orbit_words = f"an orbit of {n_load_periods} periods of the load"
+                description = f"settles to {orbit_words if lag_index else 'a periodic orbit'}"
+                return Attractor(
+                    orbit, description, (len(states) - 1) * orbits.subharmonic, orbits, last_state
+                )
+    description = f"does not settle: {describe_closest_return(states, orbits.subharmonic, 'it')}"
+    return Attractor(None, description, (len(states) - 1) * orbits.subharmonic, orbits, states[-1])
+
+
+def find_irregular_motion(
+    flow: ContactFlow, omega: float, state: np.ndarray, subharmonic: int = 1
+) -> Attractor | None:
+    """Follow a small disturbance of a motion; it grows if the motion is irregular.
+
+    With the derivatives M_i of the flow over the periods, v_{i+1} = M_i v_i is followed from a
+    random v_0. The mean growth in a period is exp(lambda T) with the first Lyapunov exponent
+    lambda.
+
+    Parameters
+    ----------
+    state : (flow.size,)
+        State of the motion at phase zero.
 
     Returns
     -------
     Attractor or None
-        With its growth; None where the disturbance does not grow a thousandfold, or the motion
-        cannot be followed.
+        With its growth. None if the disturbance grows less than a thousandfold, or if the motion
+        cannot be integrated.
 
     Notes
     -----
@@ -132,23 +172,23 @@ def irregular_motion(
     begin("growth of a disturbance of the exact motion")
     period, weights = 2.0 * np.pi * subharmonic / omega, flow.weights(omega / subharmonic)
     change = np.random.default_rng(1).normal(size=flow.size) / weights
-    piece_budget, logs = PIECES, [0.0]
+    piece_budget, log_growths = MAX_SEARCH_PIECES, [0.0]
     with suppress(ConvergenceError):  # also at the end of its budget
-        for _ in range(PERIODS):
+        for _ in range(MAX_GROWTH_PERIODS):
             motion = flow.advance(state, omega, period, budget=Budget(pieces=piece_budget))
             change = motion.track @ (change / np.linalg.norm(weights * change))
             state, piece_budget = motion.state, piece_budget - motion.pieces
-            logs.append(logs[-1] + math.log(np.linalg.norm(weights * change)))
-    start_index = len(logs) // 3
-    log_growth = logs[-1] - logs[start_index]
+            log_growths.append(log_growths[-1] + math.log(np.linalg.norm(weights * change)))
+    start_index = len(log_growths) // 3
+    log_growth = log_growths[-1] - log_growths[start_index]
     if not log_growth > math.log(IRREGULAR_GROWTH):  # nan neither
         return None
-    growth = math.exp(log_growth / (len(logs) - 1 - start_index))
+    growth = math.exp(log_growth / (len(log_growths) - 1 - start_index))
     orbits = FlowOrbits(flow, omega, state, subharmonic)
     return Attractor(
         None,
         f"is irregular: a small disturbance grows {float(f'{growth:.2g}'):,g}-fold in a period",
-        (len(logs) - 1) * subharmonic,
+        (len(log_growths) - 1) * subharmonic,
         orbits,
         orbits.start,
         growth,

@@ -1,20 +1,22 @@
 """The flow of a small structure with contact, exact from event to event.
 
-In modal coordinates, with R_inf the residual flexibility (:mod:`fenics_crack.model.contact`) and
-kappa the stiffness of the pairs,
+In modal coordinates q, with the residual flexibility R_inf (:mod:`fenics_crack.model.contact`) and
+the stiffness kappa of the contact pairs,
 
     q'' + C q' + Lambda q + P lambda = f(t),      s = P^T q + l(t),
     0 <= lambda,   (R_inf + I/kappa) lambda - s >= 0,   complementary.
 
-While the set A of closed pairs stays, lambda_A = S s_A, S = ((R_inf + I/kappa)_AA)^-1,
-and the motion is linear. Its Taylor series gives the motion, the forces of the closed pairs and the
-openings of the others, and where one of these falls through zero: an event, behind which another
-set holds (``kernel/flow.c``). Nothing is truncated: the error is that of rounding. The forces are
-continuous, so that the flow's derivative is the product of the exponentials of the sets passed.
+While the set A of closed pairs stays, lambda_A = S s_A with S = ((R_inf + I/kappa)_AA)^-1, and the
+motion is linear. Its Taylor series gives the motion, closed pairs' forces and open pairs' openings.
+An event is an instant at which a force or an opening falls through zero. Behind an event another
+set holds (``kernel/flow.c``). Nothing is truncated: the error is rounding error. Forces are
+continuous, so the flow's derivative is the product of all sets' exponentials.
 
-Sources: Barrio, Applied Mathematics and Computation 163 (2005) 525 (Taylor series as integrator);
-Khan and Barton, Systems & Control Letters 2015 (no end of events); Monjaraz-Tec, Gross and Krack,
-Computers & Structures 267 (2022) 106810.
+References
+----------
+Barrio, Applied Mathematics and Computation 163 (2005) 525 (Taylor series as integrator).
+Khan and Barton, Systems & Control Letters 2015 (no end of events).
+Monjaraz-Tec, Gross and Krack, Computers & Structures 267 (2022) 106810.
 """
 
 from __future__ import annotations
@@ -41,19 +43,19 @@ from fenics_crack.model.contact import (
 )
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.fourier import waves_of
+from fenics_crack.numerics.fourier import fourier_basis_for
 
 
 @dataclass(frozen=True)
 class Budget:
-    """Budget of the integration of one motion.
+    """Budget for integrating one motion.
 
     Attributes
     ----------
     pieces : int
-        Of the Taylor series.
+        Maximum Taylor pieces.
     intervals : int
-        Between events.
+        Maximum intervals between events.
     """
 
     pieces: int = 100_000
@@ -61,35 +63,40 @@ class Budget:
 
 
 class BudgetError(ConvergenceError):
-    """A motion has more pieces of the Taylor series than its budget."""
+    """A motion needs more Taylor pieces than its budget."""
 
 
 def flow_of(structure: Structure, contact: ContactLaw) -> ContactFlow | None:
-    """The exact flow of a structure and a law; None where there is none: for a smooth law, a large
-    structure, and rigid contact where the residual flexibility is singular."""
-    return ContactFlow(structure, contact) if _refused(structure, contact) is None else None
+    """Return the exact flow of a structure, if there is one.
+
+    None for a smooth law, for a large structure, and for rigid contact with a singular residual
+    flexibility.
+    """
+    return (
+        ContactFlow(structure, contact) if _exact_flow_error(structure, contact) is None else None
+    )
 
 
 def exact_flow(structure: Structure, contact: ContactLaw) -> ContactFlow:
-    """The exact flow, where it must be there.
+    """Return the exact flow of a structure and a contact law.
 
     Raises
     ------
     InputError
-        There is none.
+        There is no exact flow.
     """
     check_exact(structure, contact)
     return ContactFlow(structure, contact)
 
 
 def check_exact(structure: Structure, contact: ContactLaw) -> None:
-    """Raise InputError where a structure and a law have no flow."""
-    if refused := _refused(structure, contact):
-        raise refused
+    """Raise InputError if a structure and a law lack an exact flow."""
+    if error := _exact_flow_error(structure, contact):
+        raise error
 
 
-def _refused(structure: Structure, contact: ContactLaw) -> InputError | None:
-    """Why a structure and a law have no flow; None where they have one."""
+def _exact_flow_error(structure: Structure, contact: ContactLaw) -> InputError | None:
+    """Return why a structure and a contact law have no exact flow. None if they have one."""
     check_law(structure, contact, rigid=True)
     if not is_unilateral(contact):
         return InputError("contact", contact, "UnilateralPenalty or UnilateralConstraint")
@@ -98,8 +105,8 @@ def _refused(structure: Structure, contact: ContactLaw) -> InputError | None:
     softness = springs_of(contact, structure.n_pairs)
     if np.all(softness):
         return None
-    static = all_modes(seen_by(contact, structure)).static_part()
-    if not is_regular(static + np.diag(softness)):
+    static_flexibility = all_modes(seen_by(contact, structure)).static_part()
+    if not is_regular(static_flexibility + np.diag(softness)):
         allowed = "one whose faces have no mass: reduce_structure(structure, method='massless')"
         return InputError("structure", repr(structure), allowed)
     return None
@@ -108,59 +115,61 @@ def _refused(structure: Structure, contact: ContactLaw) -> InputError | None:
 class Flow:
     """The flow of a small structure under its own load.
 
-    States are (2 n_modes,) arrays (q, q') of modal coordinates, with friction (2 n_modes +
-    n_pairs,): behind them where the pairs stick, or are. Contact rows are the pairs' normals, with
-    friction behind them their tangents.
+    A state has ``size`` entries: q and q', with friction also the places h at which pairs stick. A
+    pair that does not stick has its tangential gap for h. Contact rows are the normals of the
+    pairs; with friction the tangents follow (n_rows = 2 n_pairs, else n_pairs).
 
     Attributes
     ----------
     structure : Structure
     contact : ContactLaw
     clearance : (n_rows,) [m]
-        g0 of the rows; of tangents zero.
+        g0 of the rows; 0 for tangents.
     modes : AllModes
-        Modes that move, and the rows as their pairs.
-    count, size : int
-        Number of modes, and numbers of a state.
-    residual : (n_pairs, n_pairs) [m/N]
+        Moving modes; their pairs are the contact rows.
+    n_modes, size : int
+        Number of modes, and of entries in a state.
+    residual_flexibility : (n_rows, n_rows) [m/N]
         R_inf.
-    softness : (n_pairs,) [m/N]
-        1 / kappa, zero where contact is rigid.
-    compliance : (n_pairs, n_pairs) [m/N]
+    softness : (n_rows,) [m/N]
+        1 / kappa; 0 for rigid contact.
+    compliance : (n_rows, n_rows) [m/N]
         R_inf + I/kappa.
-    force : (2K+1, n_modes)
-        f: mean, and cosine and sine of each order.
-    gap : (2K+1, n_pairs) [m]
+    modal_load : (2K+1, n_modes)
+        f: mean, then cosine and sine of each order.
+    load_gap : (2K+1, n_rows) [m]
         l, likewise.
     """
 
     def __init__(self, structure: Structure, contact: ContactLaw) -> None:
         self.structure, self.contact = structure, contact
         self.friction = friction_of(contact)
-        seen = seen_by(contact, structure)
-        self.clearance = seen.clearance
-        self.modes = modes = all_modes(seen)
-        self.count = len(modes.squares)
-        self.size = 2 * self.count + (structure.n_pairs if self.friction else 0)
-        self.residual = modes.static_part()
+        contact_structure = seen_by(contact, structure)
+        self.clearance = contact_structure.clearance
+        self.modes = modes = all_modes(contact_structure)
+        self.n_modes = len(modes.squares)
+        self.size = 2 * self.n_modes + (structure.n_pairs if self.friction else 0)
+        self.residual_flexibility = modes.static_part()
         self.softness = springs_of(contact, structure.n_pairs)
-        self.compliance = self.residual + np.diag(self.softness)
-        self.force = np.ascontiguousarray(structure.force @ modes.shapes)
-        self.gap = np.zeros((len(self.force), len(self.softness)))
+        self.compliance = self.residual_flexibility + np.diag(self.softness)
+        self.modal_load = np.ascontiguousarray(structure.force @ modes.shapes)
+        self.load_gap = np.zeros((len(self.modal_load), len(self.softness)))
         if modes.static_loads is not None:
-            self.gap += seen.apply_bt(structure.force @ modes.static_loads)
-        self.gap[0] -= self.clearance
+            self.load_gap += contact_structure.apply_bt(structure.force @ modes.static_loads)
+        self.load_gap[0] -= self.clearance
 
     def state(
         self, displacement: np.ndarray, velocity: np.ndarray, places: np.ndarray | None = None
     ) -> np.ndarray:
-        """State of a displacement and a velocity (..., n_dofs); with friction of pairs that stick
-        in places, by default where these leave them without contact forces."""
-        inverse, count = self.modes.inverse.T, self.structure.n_pairs
+        """Return the states (..., size) of displacements and velocities (..., n_dofs).
+
+        ``places`` (..., n_pairs) [m] is h. Default: the tangential gaps without contact forces.
+        """
+        inverse, n_pairs = self.modes.inverse.T, self.structure.n_pairs
         parts = [displacement @ inverse, velocity @ inverse]
         if self.friction:
             if places is None:
-                places = parts[0] @ self.modes.pairs[:, count:] + self.gap[0, count:]
+                places = parts[0] @ self.modes.pairs[:, n_pairs:] + self.load_gap[0, n_pairs:]
             parts.append(places)
         return np.concatenate(parts, axis=-1)
 
@@ -171,25 +180,48 @@ class Flow:
         phase: np.ndarray,
         dofs: np.ndarray | slice = slice(None),
     ) -> np.ndarray:
-        """Displacement of the structure's own dofs, or of some, in states and under contact forces
-        at phases of the load: (n, n_dofs) [m]."""
-        return self.displaced(states[:, : self.count], force, waves_of(self.force, phase), dofs)
+        """Return the displacement of the structure: (n, n_dofs) [m].
 
-    def displaced(
+        Parameters
+        ----------
+        states : (n, size)
+        force : (n, n_rows) [N]
+            Contact forces.
+        phase : (n,) [rad]
+            Phases of the load.
+        dofs : array or slice
+            Default: all dofs of the structure.
+        """
+        return self.combine_displacement(
+            states[:, : self.n_modes], force, fourier_basis_for(self.modal_load, phase), dofs
+        )
+
+    def combine_displacement(
         self,
-        modal: np.ndarray,
+        modal_displacement: np.ndarray,
         force: np.ndarray,
-        waves: np.ndarray,
+        load_basis: np.ndarray,
         dofs: np.ndarray | slice = slice(None),
     ) -> np.ndarray:
-        """The same of modal displacements, contact forces and the load's waves (n, 2K+1), or of
-        the coefficients of all three."""
+        """Combine modal and static parts of the displacement: (n, n_dofs) [m].
+
+        All parameters may be values at n instants, or n Fourier coefficients.
+
+        Parameters
+        ----------
+        modal_displacement : (n, n_modes)
+        force : (n, n_rows) [N]
+            Contact forces.
+        load_basis : (n, 2K+1)
+            Basis functions of the load: 1, cosine and sine of each order.
+        dofs : array or slice
+        """
         modes = self.modes
-        found: np.ndarray = modal @ modes.shapes[dofs].T
+        displacement: np.ndarray = modal_displacement @ modes.shapes[dofs].T
         if modes.static_loads is not None and modes.static_pairs is not None:
-            found += waves @ (self.structure.force @ modes.static_loads[:, dofs])
-            found -= force @ modes.static_pairs[dofs].T
-        return found
+            displacement += load_basis @ (self.structure.force @ modes.static_loads[:, dofs])
+            displacement -= force @ modes.static_pairs[dofs].T
+        return displacement
 
 
 # --- exact ----------------------------------------------------------------------------------------
@@ -200,89 +232,113 @@ class ContactFlow(Flow):
 
     def __init__(self, structure: Structure, contact: ContactLaw) -> None:
         super().__init__(structure, contact)
-        modes, pairs = self.modes, structure.n_pairs
-        closed = np.linalg.solve(self.compliance, modes.pairs.T)
-        stiffness = np.diag(modes.squares) + modes.pairs @ closed
-        self.fastest = _fastest(float(np.linalg.eigvalsh(stiffness)[-1]), modes.damping)
-        """Bound of the rates at which any set of closed pairs turns or decays [1/s]."""
-        coefficient = None
+        modes, n_pairs = self.modes, structure.n_pairs
+        closed_forces = np.linalg.solve(self.compliance, modes.pairs.T)
+        stiffness = np.diag(modes.squares) + modes.pairs @ closed_forces
+        self.max_rate = _bound_rates(float(np.linalg.eigvalsh(stiffness)[-1]), modes.damping)
+        """Upper bound of oscillation and decay rates, for any set of closed pairs [1/s]."""
+        coefficients = None
         if self.friction:
-            coefficient = np.broadcast_to(self.friction.coefficient, pairs).astype(float)
+            coefficients = np.broadcast_to(self.friction.coefficient, n_pairs).astype(float)
         parts = Struct(
-            "flow_parts", modes=self.count, pairs=pairs, friction=coefficient,
-            coupled=modes.damping.ndim == 2, squares=doubles(modes.squares),
-            damping=doubles(modes.damping),
-            rows=doubles(modes.pairs.T), compliance=doubles(self.compliance), force=self.force,
-            harmonics=len(self.force) // 2,
-            gap=self.gap, fastest=self.fastest, most=int(KEPT * machine_memory()) // 8,
+            "flow_parts", modes=self.n_modes, pairs=n_pairs, friction=coefficients,
+            coupled=modes.damping.ndim == 2, squares=as_doubles(modes.squares),
+            damping=as_doubles(modes.damping),
+            rows=as_doubles(modes.pairs.T), compliance=as_doubles(self.compliance),
+            force=self.modal_load,
+            harmonics=len(self.modal_load) // 2,
+            gap=self.load_gap, fastest=self.max_rate, most=int(KEPT * machine_memory()) // 8,
         )  # fmt: skip
         self.handle = owned(kernel.new_flow(parts.at), kernel.free_flow)
-        """The kernel's own object."""
-        self._intervals = 0
+        """The kernel's flow."""
+        self._max_intervals = 0
 
     @cached_property
     def critical_friction(self) -> float:
-        """Least coefficient of friction with which contact has not one answer, det A(mu) = 0, found
-        in 400 states of the pairs drawn at random; infinite without one.
+        """Return the smallest friction coefficient without unique contact forces.
 
-        Rows of A are those of closed pairs' normals and stuck pairs' tangents, A = D_rows (E_0 +
-        mu E_1): mu = -1 / a real negative eigenvalue of (D_rows E_0)^-1 D_rows E_1.
+        A root of det A(mu) = 0 is sought in 400 random pair states; without a root the result is
+        infinite. Rows of A belong to closed pairs' normals and stuck pairs' tangents:
+
+            A = D_rows (E_0 + mu E_1),
+
+        so mu = -1 / (a real negative eigenvalue of (D_rows E_0)^-1 D_rows E_1).
         """
-        count, found = self.structure.n_pairs, [np.inf]
-        for states in np.random.default_rng(1).integers(0, 4, (400, count)):
-            closed, stuck = np.flatnonzero(states), np.flatnonzero(states == kernel.STICK)
-            rows = np.concatenate([closed, count + stuck])
-            part = self.compliance[rows]
-            by_friction = np.zeros((len(rows), len(rows)))
-            signs = 1.0 * (states == kernel.SLIP_UP) - (states == kernel.SLIP_DOWN)
-            by_friction[:, : len(closed)] = part[:, count + closed] * signs[closed]
-            values = np.linalg.eigvals(np.linalg.solve(part[:, rows], by_friction))
-            real = values.real[(values.imag == 0.0) & (values.real < 0.0)]
-            found.extend(-1.0 / real)
-        return float(min(found))
+        n_pairs, critical_coefficients = self.structure.n_pairs, [np.inf]
+        for states in np.random.default_rng(1).integers(0, 4, (400, n_pairs)):
+            closed_pairs = np.flatnonzero(states)
+            stuck_pairs = np.flatnonzero(states == kernel.STICK)
+            rows = np.concatenate([closed_pairs, n_pairs + stuck_pairs])
+            row_compliance = self.compliance[rows]
+            friction_matrix = np.zeros((len(rows), len(rows)))
+            slip_signs = 1.0 * (states == kernel.SLIP_UP) - (states == kernel.SLIP_DOWN)
+            tangent_columns = row_compliance[:, n_pairs + closed_pairs]
+            friction_matrix[:, : len(closed_pairs)] = tangent_columns * slip_signs[closed_pairs]
+            eigenvalues = np.linalg.eigvals(
+                np.linalg.solve(row_compliance[:, rows], friction_matrix)
+            )
+            is_negative = (eigenvalues.imag == 0.0) & (eigenvalues.real < 0.0)
+            critical_coefficients.extend(-1.0 / eigenvalues.real[is_negative])
+        return float(min(critical_coefficients))
 
     @cached_property
-    def rest(self) -> np.ndarray:
-        """State of rest under the load's mean alone, without its rigid-body part and, with
-        friction, tangential forces: (size,)."""
-        modes, count = self.modes, self.structure.n_pairs
-        soft = np.zeros_like(modes.squares)
-        np.divide(1.0, modes.squares, out=soft, where=modes.squares > 0.0)
-        pairs, compliance = modes.pairs[:, :count], self.compliance[:, :count]
-        moved, held = soft[:, None] * pairs, soft * self.force[0]
-        gap, force = held @ pairs + self.gap[0, :count], np.zeros(count)  # while all are open
-        if np.any(gap > 0.0):
-            from scipy.optimize import nnls  # takes a while
+    def rest_state(self) -> np.ndarray:
+        """Return the state of rest under the mean load: (size,).
 
-            # D lambda - gap and lambda are >= 0, one of both 0: min |L^T lambda - L^-1 gap|.
-            root = np.linalg.cholesky(compliance[:count] + pairs.T @ moved)
+        Rigid-body motion is left out, with friction also tangential forces.
+        """
+        modes, n_pairs = self.modes, self.structure.n_pairs
+        modal_flexibility = np.zeros_like(modes.squares)
+        np.divide(1.0, modes.squares, out=modal_flexibility, where=modes.squares > 0.0)
+        normals, compliance = modes.pairs[:, :n_pairs], self.compliance[:, :n_pairs]
+        displacement_by_force = modal_flexibility[:, None] * normals
+        # With all pairs open:
+        displacement = modal_flexibility * self.modal_load[0]
+        gap, force = displacement @ normals + self.load_gap[0, :n_pairs], np.zeros(n_pairs)
+        if np.any(gap > 0.0):
+            from scipy.optimize import nnls  # slow to import
+
+            # D lambda - gap >= 0 and lambda >= 0, complementary, with D = L L^T: the minimum of
+            # |L^T lambda - L^-1 gap|.
+            root = np.linalg.cholesky(compliance[:n_pairs] + normals.T @ displacement_by_force)
             force = nnls(root.T, np.linalg.solve(root, gap))[0]
-            held = held - moved @ force
-        parts = [held, np.zeros_like(held)]
+            displacement = displacement - displacement_by_force @ force
+        parts = [displacement, np.zeros_like(displacement)]
         if self.friction:
-            parts.append((held @ modes.pairs + self.gap[0] - compliance @ force)[count:])
+            parts.append(
+                (displacement @ modes.pairs + self.load_gap[0] - compliance @ force)[n_pairs:]
+            )
         return np.concatenate(parts)
 
     def pieces(self, duration: float) -> float:
-        """Return the number of Taylor pieces of a motion so long [s] without events."""
-        return float(self.fastest * duration / kernel.FLOW_REACH)
+        """Return the number of Taylor pieces in a motion without events.
+
+        The motion lasts ``duration`` [s].
+        """
+        return float(self.max_rate * duration / kernel.FLOW_REACH)
 
     def weights(self, base_omega: float) -> np.ndarray:
-        """Return the weights that make the norm of a state that of its energy, (2 n_modes,); modes
-        slower than a frequency [rad/s] count as if they had it."""
-        found = np.ones(self.size)
-        np.sqrt(np.maximum(self.modes.squares, base_omega**2), out=found[: self.count])
-        if self.friction:  # of springs as stiff as a pair that sticks alone
-            own = np.diag(self.compliance)[self.structure.n_pairs :]
-            found[2 * self.count :] = 1.0 / np.sqrt(own)
-        return found
+        """Return the weights for the energy norm of a state: (size,).
+
+        Modes below a base frequency [rad/s] have the weight of that frequency.
+        """
+        weights = np.ones(self.size)
+        np.sqrt(np.maximum(self.modes.squares, base_omega**2), out=weights[: self.n_modes])
+        if self.friction:  # h deforms a spring as stiff as a single sticking pair
+            stick_compliance = np.diag(self.compliance)[self.structure.n_pairs :]
+            weights[2 * self.n_modes :] = 1.0 / np.sqrt(stick_compliance)
+        return weights
 
     def amplitude_weights(self, base_omega: float) -> np.ndarray:
-        """Return the same weights over the modes' rates: 1 of displacements, (size,)."""
+        """Return the weights for the amplitude norm of a state: (size,).
+
+        Displacements have weight 1. The weights are the energy weights over the modes' rates, for h
+        over the first mode's rate.
+        """
         weights = self.weights(base_omega)
-        rates = weights[: self.count]
-        places = np.full(self.size - 2 * self.count, rates[0])
-        return weights / np.concatenate([rates, rates, places])
+        rates = weights[: self.n_modes]
+        place_rates = np.full(self.size - 2 * self.n_modes, rates[0])
+        return weights / np.concatenate([rates, rates, place_rates])
 
     def advance(
         self,
@@ -294,80 +350,116 @@ class ContactFlow(Flow):
         instants: np.ndarray | None = None,
         budget: Budget | None = None,
     ) -> Motion:
-        """The motion from a state at the time ``start`` under the load of a frequency, sampled at
-        ``instants`` (ascending, within it).
+        """Integrate a motion from a state.
+
+        Parameters
+        ----------
+        state : (size,)
+        omega : float
+            Load frequency [rad/s].
+        duration, start : float [s]
+        instants : (n,) [s], optional
+            Ascending times of samples, between start and end.
+        budget : Budget, optional
 
         Raises
         ------
         ConvergenceError
-            It takes more than the budget allows, or is not finite.
+            The motion exceeds its budget, or is not finite.
         """
         end_state = np.array(state, dtype=float).reshape(self.size)
-        instants = np.zeros(0) if instants is None else doubles(instants)
-        count, rows, pairs = len(instants), len(self.softness), self.structure.n_pairs
-        states = np.empty((count, 2 * self.count))
-        answers = np.empty((count, 2 * rows if self.friction else rows))
-        closed = np.empty((count, pairs), dtype=np.int8)
-        given, record = self._motion(
+        instants = np.zeros(0) if instants is None else as_doubles(instants)
+        n_instants, n_rows, n_pairs = len(instants), len(self.softness), self.structure.n_pairs
+        states = np.empty((n_instants, 2 * self.n_modes))
+        answers = np.empty((n_instants, 2 * n_rows if self.friction else n_rows))
+        pair_states = np.empty((n_instants, n_pairs), dtype=np.int8)
+        motion_struct, copy_track = self._make_motion_struct(
             budget, omega=omega, now=start, end=start + duration, state=end_state,
-            count=count, instants=instants, states=states, answers=answers, closed=closed,
+            count=n_instants, instants=instants, states=states, answers=answers, closed=pair_states,
         )  # fmt: skip
-        _check(kernel.flow_advance(self.handle, given.at), given.at.events)
-        track = Track(self, omega, start, **record(given.at.passed))
-        samples = Samples(self, omega, instants, states, answers, closed)
-        return Motion(end_state, int(given.at.events), int(given.at.pieces), track, samples)
+        _check_outcome(kernel.flow_advance(self.handle, motion_struct.at), motion_struct.at.events)
+        track = Track(self, omega, start, **copy_track(motion_struct.at.passed))
+        samples = Samples(self, omega, instants, states, answers, pair_states)
+        n_events, n_pieces = int(motion_struct.at.events), int(motion_struct.at.pieces)
+        return Motion(end_state, n_events, n_pieces, track, samples)
 
     def steps(
         self, states: np.ndarray, omega: float, period: float
     ) -> tuple[np.ndarray, Track, np.ndarray]:
-        """The motion over equal parts of a period from time zero, from states (n, 2 n_modes) at
-        their starts: the states at their ends, the track of all parts, and how many of its
-        intervals have been passed at their ends, (n,).
+        """Integrate the motion over equal parts of a period from time zero.
 
-        Raises as :meth:`advance`.
+        Parameters
+        ----------
+        states : (n, size)
+            States at the starts of the parts.
+
+        Returns
+        -------
+        end_states : (n, size)
+            States at the ends of the parts.
+        track : Track
+            Track of all parts in sequence.
+        interval_counts : (n,) int
+            Number of intervals up to each part's end.
+
+        Raises
+        ------
+        ConvergenceError
+            The motion exceeds its budget, or is not finite.
         """
-        states = doubles(states)
-        moved, ends = np.empty_like(states), np.empty(len(states), dtype=np.intc)
-        given, record = self._motion(None, omega=omega)
+        states = as_doubles(states)
+        end_states, interval_counts = np.empty_like(states), np.empty(len(states), dtype=np.intc)
+        motion_struct, copy_track = self._make_motion_struct(None, omega=omega)
         outcome = kernel.flow_wave(
-            self.handle, given.at, len(states), period, pointer(states), pointer(moved),
-            pointer(ends),
+            self.handle, motion_struct.at, len(states), period, pointer(states),
+            pointer(end_states), pointer(interval_counts),
         )  # fmt: skip
-        _check(outcome, given.at.events)
-        return moved, Track(self, omega, 0.0, **record(given.at.passed)), ends
+        _check_outcome(outcome, motion_struct.at.events)
+        track = Track(self, omega, 0.0, **copy_track(motion_struct.at.passed))
+        return end_states, track, interval_counts
 
-    def _motion(
+    def _make_motion_struct(
         self, budget: Budget | None, **members: Any
     ) -> tuple[Struct, Callable[[int], dict[str, np.ndarray]]]:
-        """Return the kernel's motion, and what copies the arrays of its track."""
+        """Return the kernel's motion, and a function that copies its track.
+
+        The function takes an interval count, and returns the :class:`Track`'s arrays by name.
+        """
         budget = budget or Budget()
-        if self._intervals < budget.intervals:
-            self._intervals = most = budget.intervals
-            sets = np.empty((most, self.structure.n_pairs), np.int8)
-            self._record = {"sets": sets, "lengths": np.empty(most)}
+        if self._max_intervals < budget.intervals:
+            self._max_intervals = max_intervals = budget.intervals
+            sets = np.empty((max_intervals, self.structure.n_pairs), np.int8)
+            self._track_arrays = {"sets": sets, "lengths": np.empty(max_intervals)}
             if self.friction:
-                ends = {"causes": np.intc, "firsts": np.int8, "ratios": float}
-                self._record |= {name: np.empty(most, kind) for name, kind in ends.items()}
-            self._empty = Struct("flow_motion", **self._record)
-        arrays = self._record
-        given = self._empty.but(most_pieces=budget.pieces, most=budget.intervals, **members)
-        return given, lambda passed: {name: one[:passed].copy() for name, one in arrays.items()}
+                friction_kinds = {"causes": np.intc, "firsts": np.int8, "ratios": float}
+                self._track_arrays |= {
+                    name: np.empty(max_intervals, kind) for name, kind in friction_kinds.items()
+                }
+            self._base_struct = Struct("flow_motion", **self._track_arrays)
+        arrays = self._track_arrays
+        limits = {"most_pieces": budget.pieces, "most": budget.intervals}
+
+        def copy_track(n_intervals: int) -> dict[str, np.ndarray]:
+            return {name: array[:n_intervals].copy() for name, array in arrays.items()}
+
+        return self._base_struct.but(**limits, **members), copy_track
 
 
 @dataclass(frozen=True)
 class Track:
-    """Sets of closed pairs that a motion passed, and for how long.
+    """Sets of closed pairs along a motion, and their durations.
 
     Attributes
     ----------
     flow : ContactFlow
     omega, start : float
-        Of the load [rad/s]; when it begins [s].
+        Load frequency [rad/s] and start of the motion [s].
     sets : (n, n_pairs) int
-        States of the pairs: 0 open, 1 closed, with friction 1 stuck, 2 and 3 slipping.
+        States of the pairs: 0 open, 1 closed; with friction 1 sticking, 2 and 3 slipping.
     lengths : (n,) [s]
+        Durations.
     causes, firsts, ratios : (n,)
-        Of friction, how intervals end (``kernel/flow.h``).
+        With friction: how intervals end (``kernel/flow.h``).
     """
 
     flow: ContactFlow
@@ -379,51 +471,82 @@ class Track:
     firsts: np.ndarray | None = None
     ratios: np.ndarray | None = None
 
-    def share(self, which: np.ndarray) -> float:
-        """Part of the motion in which a pair is in some states, (n, n_pairs) bool; mean over the
-        pairs, of which there are some."""
-        return float(self.lengths @ which.mean(axis=1) / self.lengths.sum())
+    def share(self, is_selected: np.ndarray) -> float:
+        """Return the fraction of time in which pairs are in selected states.
+
+        ``is_selected`` is (n, n_pairs) bool. The result is the mean over the pairs.
+        """
+        return float(self.lengths @ is_selected.mean(axis=1) / self.lengths.sum())
 
     @cached_property
-    def _known(self) -> Struct:
-        members = {name: value for name, value in vars(self).items() if name != "flow"}
+    def _struct(self) -> Struct:
+        members = {name: member for name, member in vars(self).items() if name != "flow"}
         return Struct("flow_track", intervals=len(self.lengths), **members)
 
     @cached_property
     def tangent(self) -> np.ndarray:
-        """dz(end) / dz(start): (2 n_modes, 2 n_modes)."""
-        found = np.empty((self.flow.size, self.flow.size))
-        outcome = kernel.flow_tangent(self.flow.handle, self._known.at, pointer(found))
-        _check(outcome, len(self.lengths) - 1)
-        return found
+        """Return the derivative dz(end) / dz(start): (size, size)."""
+        matrix = np.empty((self.flow.size, self.flow.size))
+        outcome = kernel.flow_tangent(self.flow.handle, self._struct.at, pointer(matrix))
+        _check_outcome(outcome, len(self.lengths) - 1)
+        return matrix
 
-    def by_structure(self, start: np.ndarray, softness: np.ndarray) -> np.ndarray:
-        """dz(end) by a parameter, from dz(start) = 0, of the motion from a state, given the
-        derivative of the softness by it, (n_pairs,)."""
-        found, rates = np.empty(self.flow.size), shaped(softness, *self.flow.softness.shape)
+    def derivative_by_softness(self, start: np.ndarray, softness_rate: np.ndarray) -> np.ndarray:
+        """Return the derivative of z(end) by a structural parameter: (size,).
+
+        The state at the start does not change with the parameter.
+
+        Parameters
+        ----------
+        start : (size,)
+            State at the start.
+        softness_rate : (n_rows,)
+            Derivative of the softness by the parameter.
+        """
+        derivative = np.empty(self.flow.size)
+        rates = shaped(softness_rate, *self.flow.softness.shape)
         outcome = kernel.flow_by_structure(
-            self.flow.handle, self._known.at, pointer(doubles(start)), NULL, pointer(rates),
-            pointer(found),
+            self.flow.handle, self._struct.at, pointer(as_doubles(start)), NULL,
+            pointer(rates), pointer(derivative),
         )  # fmt: skip
-        _check(outcome, len(self.lengths) - 1)
-        return found
+        _check_outcome(outcome, len(self.lengths) - 1)
+        return derivative
 
     def __matmul__(self, change: np.ndarray) -> np.ndarray:
-        """dz(end) of a change dz(start), without the matrix: (2 n_modes,)."""
-        end = np.array([len(self.lengths)], dtype=np.intc)
-        return np.asarray(self.carried(change, np.zeros((1, self.flow.size)), end)[-1])
+        """Return dz(end) for a change dz(start), without the matrix: (size,)."""
+        interval_counts = np.array([len(self.lengths)], dtype=np.intc)
+        return np.asarray(
+            self.carry_changes(change, np.zeros((1, self.flow.size)), interval_counts)[-1]
+        )
 
-    def carried(self, start: np.ndarray, excess: np.ndarray, ends: np.ndarray) -> np.ndarray:
-        """Changes d of the state at the starts of parts of the track and at its end, (n + 1,
-        2 n_modes), d_{i+1} = M_i d_i + excess_i, from d_0; ``ends``: intervals passed at the ends
-        of the parts."""
-        changes = np.empty((len(ends) + 1, self.flow.size))
+    def carry_changes(
+        self, start: np.ndarray, excess: np.ndarray, interval_counts: np.ndarray
+    ) -> np.ndarray:
+        """Carry state changes d through consecutive parts of the track.
+
+            d_{i+1} = M_i d_i + excess_i
+
+        Parameters
+        ----------
+        start : (size,)
+            d_0.
+        excess : (n, size)
+        interval_counts : (n,) int
+            Number of intervals up to each part's end.
+
+        Returns
+        -------
+        (n + 1, size)
+            d at the start of each part, and at the end.
+        """
+        changes = np.empty((len(interval_counts) + 1, self.flow.size))
         changes[0] = start
         outcome = kernel.flow_carry(
-            self.flow.handle, self._known.at, len(ends), pointer(ends), pointer(doubles(excess)),
+            self.flow.handle, self._struct.at, len(interval_counts), pointer(interval_counts),
+            pointer(as_doubles(excess)),
             pointer(changes),
         )  # fmt: skip
-        _check(outcome, len(self.lengths) - 1)
+        _check_outcome(outcome, len(self.lengths) - 1)
         return changes
 
 
@@ -436,8 +559,8 @@ class Samples:
     time : (n,) [s]
     states : (n, 2 n_modes)
         q and q'.
-    contact : (n, n_pairs) int
-        States of the pairs, as in :class:`Track`.
+    pair_states : (n, n_pairs) int
+        States of the pairs as in :class:`Track`.
     """
 
     flow: ContactFlow
@@ -445,65 +568,65 @@ class Samples:
     time: np.ndarray
     states: np.ndarray
     answers: np.ndarray
-    """(n, n_pairs): forces [N] of closed pairs, openings [m] of the others; with friction (n, 4
-    n_pairs): the forces on all rows, and the gaps without those of springs."""
-    contact: np.ndarray
+    """(n, n_pairs): closed pairs' forces [N], open pairs' openings [m]. With friction (n, 4
+    n_pairs): forces on all rows, then gaps without the part of contact springs."""
+    pair_states: np.ndarray
 
     @property
-    def closed(self) -> np.ndarray:
-        """Closed pairs: (n, n_pairs) bool."""
-        return self.contact > 0
+    def is_closed(self) -> np.ndarray:
+        """Return True for closed pairs: (n, n_pairs) bool."""
+        return self.pair_states > 0
 
     @cached_property
     def forces(self) -> np.ndarray:
-        """Contact forces on all rows: (n, n_rows) [N]."""
+        """Return the contact forces on all rows: (n, n_rows) [N]."""
         if self.flow.friction:
             return self.answers[:, : len(self.flow.softness)]
-        return np.where(self.closed, np.maximum(self.answers, 0.0), 0.0)
+        return np.where(self.is_closed, np.maximum(self.answers, 0.0), 0.0)
 
     @cached_property
     def gaps(self) -> np.ndarray:
-        """Gaps of all rows: (n, n_rows) [m]."""
-        moved = self.forces * self.flow.softness
+        """Return the gaps of all rows: (n, n_rows) [m]."""
+        spring_gaps = self.forces * self.flow.softness
         if self.flow.friction:
-            return self.answers[:, len(self.flow.softness) :] + moved
-        return np.where(self.closed, moved, -self.answers)
+            return self.answers[:, len(self.flow.softness) :] + spring_gaps
+        return np.where(self.is_closed, spring_gaps, -self.answers)
 
     @property
     def places(self) -> np.ndarray:
-        """With friction h, where pairs stick or would: (n, n_pairs) [m]; else (n, 0)."""
+        """Return h, where pairs stick: (n, n_pairs) [m]. Without friction: (n, 0)."""
         return self.answers[:, len(self.flow.softness) + self.flow.structure.n_pairs :]
 
     @property
     def whole_states(self) -> np.ndarray:
-        """States of the flow: (n, size)."""
+        """Return the flow's states: (n, size)."""
         return np.hstack([self.states, self.places])
 
     @property
     def force(self) -> np.ndarray:
-        """Normal contact force: (n, n_pairs) [N]."""
+        """Return the normal contact forces: (n, n_pairs) [N]."""
         return self.forces[:, : self.flow.structure.n_pairs]
 
     @property
     def gap(self) -> np.ndarray:
-        """g, positive where a pair penetrates: (n, n_pairs) [m]."""
+        """Return g, positive for penetration: (n, n_pairs) [m]."""
         return self.gaps[:, : self.flow.structure.n_pairs]
 
     @property
     def displacement(self) -> np.ndarray:
-        """Displacement of the structure's own dofs: (n, n_dofs) [m]."""
+        """Return the displacement of the structure: (n, n_dofs) [m]."""
         return self.flow.displacement(self.states, self.forces, self.omega * self.time)
 
 
 class Motion(NamedTuple):
-    """A motion that has been followed.
+    """A motion that has been integrated.
 
     Attributes
     ----------
-    state : (2 n_modes,)
-        At its end.
+    state : (size,)
+        State at the end.
     events, pieces : int
-        Pairs that opened or closed; pieces of the Taylor series.
+        Number of pairs that opened or closed, and of Taylor pieces.
     track : Track
     samples : Samples
     """
@@ -515,29 +638,32 @@ class Motion(NamedTuple):
     samples: Samples
 
 
-def _fastest(square: float, damping: np.ndarray) -> float:
-    """At least the size of each root s of s^2 + c s + k = 0 where k <= square and c is a Rayleigh
-    quotient of the damping [1/s]."""
-    drag = float(np.linalg.norm(damping, 2 if damping.ndim == 2 else np.inf))
+def _bound_rates(max_square: float, damping: np.ndarray) -> float:
+    """Return an upper bound of |s| in s^2 + c s + k = 0 [1/s].
+
+    Here k <= ``max_square``, and c is a Rayleigh quotient of the damping.
+    """
+    max_damping = float(np.linalg.norm(damping, 2 if damping.ndim == 2 else np.inf))
     if damping.ndim == 2 and not np.allclose(damping, damping.T):  # c is complex
-        return 0.5 * (drag + float(np.sqrt(drag**2 + 4.0 * max(square, 0.0))))
-    return max(float(np.sqrt(max(square, 0.0))), drag)
+        return 0.5 * (max_damping + float(np.sqrt(max_damping**2 + 4.0 * max(max_square, 0.0))))
+    return max(float(np.sqrt(max(max_square, 0.0))), max_damping)
 
 
-def _check(outcome: int, events: int) -> None:
+def _check_outcome(outcome: int, events: int) -> None:
+    """Raise the error of a failed integration."""
     if outcome == kernel.FLOW_DONE:
         return
     if outcome == kernel.FLOW_MEMORY:
         raise MemoryError("exact flow")
-    words = {
+    reasons = {
         kernel.FLOW_PIECES: "the highest modes are too fast for that long",
         kernel.FLOW_INTERVALS: "the pairs open and close without end",
         kernel.FLOW_LOST: "the motion is not finite, or its contact forces have not one solution",
     }
     error = BudgetError if outcome == kernel.FLOW_PIECES else ConvergenceError
-    raise error(f"events: {words[outcome]} (after {events} events)")
+    raise error(f"events: {reasons[outcome]} (after {events} events)")
 
 
-def doubles(array: np.ndarray) -> np.ndarray:
-    """An array as the kernel reads it."""
+def as_doubles(array: np.ndarray) -> np.ndarray:
+    """Return an array as the kernel reads it: contiguous, of doubles."""
     return np.ascontiguousarray(array, dtype=float)

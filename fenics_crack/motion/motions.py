@@ -1,19 +1,22 @@
-"""Motions as they are observed: a kind of motion writes its :class:`Record`; its numbers follow.
+"""Observed motions: each kind of motion yields a :class:`Record`, and all numbers follow from it.
 
-Each kind, a solution of harmonic balance, an exact orbit, a time history or a curve of solutions,
-has one function, ``records``: the products of some rows with the displacement, and what happens at
-the crack faces, over a period. A curve has a record at each of its points.
+Motions are harmonic-balance solutions, exact orbits, time histories, and curves. Each has one
+method, ``records``. It multiplies the displacement by given rows, and adds the gaps and contact
+forces at the crack faces, over a period. A curve has a record for each point.
 
-Among the numbers are indicators of a breathing crack, which change with it. Of a watched
-displacement u(t) = a0 + sum_k a_k cos(k w t / m) + b_k sin(k w t / m), with the load at w and m
-times its period, the amplitude at j times the load's frequency is
+Crack indicators change with the crack. A watched displacement is
 
-    U_j = sqrt(a_k^2 + b_k^2),      k = j m,
+    u(t) = a0 + sum_k a_k cos(k w t / m) + b_k sin(k w t / m)
 
-and a linear structure has U_1 alone. Crack faces that open and close once in a period act as a
-stiffness that depends on the sign of the gap: they make even harmonics and a mean, U_2 / U_1 and a0
-/ U_1, and at a period doubling U_1/2; all of these are independent of the size of the load as long
-as there is no clearance (Dimarogonas, Engineering Fracture Mechanics 55, 1996, 831, reviews them).
+with the load frequency w and m load periods in the period. The amplitude at j times the load
+frequency is
+
+    U_j = sqrt(a_k^2 + b_k^2),      k = j m.
+
+A linear structure has U_1 alone. Crack faces that open and close once in a period act as a
+stiffness that depends on the sign of the gap. They cause even harmonics and a mean (U_2 / U_1 and
+a0 / U_1), and U_1/2 at a period doubling. Without clearance these ratios do not depend on the
+load's size (review: Dimarogonas, Engineering Fracture Mechanics 55, 1996, 831).
 """
 
 from __future__ import annotations
@@ -32,18 +35,19 @@ from fenics_crack.basics.observables import FILES, FRICTION, Observables, Place,
 from fenics_crack.basics.tables import Tabular, hertz_of
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.extremes import InPeriod, largest
+from fenics_crack.numerics.extremes import RecordFunction, find_maxima
 
-SLIPPING = 1.0 - 1e-6
-"""Friction force over its limit from which on a pair slips: orbits are known to 1e-6."""
+SLIP_FORCE_RATIO = 1.0 - 1e-6
+"""Minimum friction force of a slipping pair, over the friction limit. Orbits are accurate to
+1e-6."""
 
 
 @dataclass(frozen=True, repr=False)
 class Indicators(Observables, Tabular):
-    """Indicators of a breathing crack at a point and at the crack faces.
+    """Indicators of a breathing crack, at a point and crack faces.
 
-    Made by ``indicators`` of a solution, an orbit or a time history, where each attribute is a
-    number, or of a curve, where each is an array with a value for every point (n,).
+    The method ``indicators`` of a solution, an orbit or a time history returns them as numbers. For
+    a curve each attribute is an array (n,) over the points.
 
     Attributes
     ----------
@@ -52,40 +56,46 @@ class Indicators(Observables, Tabular):
     amplitude : [m]
         Half the peak-to-peak displacement, of all harmonics together.
     mean : [m]
-        a0, with the displacement by a mean load.
+        a0, including the displacement by a mean load.
     harmonic_1, harmonic_2, harmonic_3 : [m]
         U_1, U_2, U_3: amplitudes at once, twice and three times the load's frequency.
     ratio_2_1, ratio_3_1 : [-]
-        U_2 / U_1 and U_3 / U_1; nan where the solution has not so many harmonics, or no U_1.
+        U_2 / U_1 and U_3 / U_1; nan if the solution has fewer harmonics, or no U_1.
     ratio_half_1 : [-]
         U_1/2 / U_1, at half the load's frequency; nan unless the solution has an even multiple of
         the load's period.
     ratio_largest, largest_order : [-]
-        U_k / U_1 of the largest harmonic above the load's, and its order k; nan without one, the
-        order also where all are rounding of the whole motion.
+        U_k / U_1 and order k of the largest harmonic above the load's; nan without such a harmonic.
+        The order is also nan if all higher harmonics are rounding errors.
     mean_shift : [-]
         a0 / U_1, positive in the direction of the dof.
     opening, penetration : [m]
-        The largest of any pair at any time; nan without pairs, as are the next three.
+        Maximum over all pairs and times; nan without pairs.
     contact_force : [N]
-        The largest of any pair at any time: the finer the mesh, the smaller.
+        Maximum over all pairs and times; nan without pairs. A finer mesh has smaller forces.
     crack_force : [N]
-        The largest of a crack at any time, the sum over its pairs, which a finer mesh does not
-        change; of matrices that of all pairs.
+        Maximum over time of the sum over a crack's pairs, independent of the mesh; nan without
+        pairs. For given matrices the sum is over all pairs.
     closed_share : [-]
-        Part of the period in which a pair carries a contact force, mean over the pairs.
+        Fraction of the period in which a pair carries a contact force, mean over the pairs; nan
+        without pairs.
     friction_loss : [J]
-        Work of friction in a period of the response, of all pairs; nan without friction, as are
-        the next two.
+        Work of friction in a period of the response, sum over all pairs; nan without friction.
     stick_share, slip_share : [-]
-        Part of the period in which a closed pair sticks and slips, mean over the pairs.
+        Fraction of the period in which a closed pair sticks or slips, mean over all pairs; nan
+        without friction.
     """
 
     frequency = hertz_of()
 
     def to_dict(self) -> dict[str, Any]:
-        """Numbers by name, or along a curve columns; those of friction where there is some."""
-        columns = {one.name: np.asarray(getattr(self, one.name)) for one in fields(self)}
+        """Return numbers by name, or columns along a curve.
+
+        Friction indicators are included if any is known.
+        """
+        columns = {
+            indicator.name: np.asarray(getattr(self, indicator.name)) for indicator in fields(self)
+        }
         return {
             name: column.tolist()
             for name, column in columns.items()
@@ -98,99 +108,113 @@ class Indicators(Observables, Tabular):
         return f"amplitude = {self.amplitude:.4g} m, ratio_2_1 = {self.ratio_2_1:.3g}"
 
 
-# --- what is observed -----------------------------------------------------------------------------
+# --- observed quantities --------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Record:
-    """A motion over its period, or over some periods of the load: of some rows that its
-    displacement is multiplied by, and of the crack faces.
+    """A motion over its period, or over several load periods.
+
+    A record has products of rows with the displacement, and the crack faces' gaps and forces.
 
     Attributes
     ----------
     omega : float
         Frequency of the load [rad/s].
     subharmonic : int
-        Its periods in one of the motion.
+        Number of load periods in the motion's period.
     time : (n,) [s]
         Equally spaced.
-    waves : (2H+1, m)
-        Fourier coefficients of the products over the period, or the last one.
+    coefficients : (2H+1, m)
+        Fourier coefficients of the products over the period, or over the last period.
     motion : (n, m)
-        The products.
+        Products of the rows with the displacement.
     gap, force : (n, n_rows) [m], [N]
-        Of all pairs, with friction tangential ones behind the normal ones.
+        Gaps and contact forces of all pairs; with friction tangential rows follow the normal rows.
     structure : Structure
-        As a curve's parameter varies it.
+        Structure at the parameter of the curve.
     friction : float or (n_pairs,), optional
-        Its coefficient.
-    at : callable, optional
-        Products, gaps and forces at any parts of the period: extremes are then exact to rounding.
+        Friction coefficient.
+    evaluate : callable, optional
+        Products, gaps and forces at any parts of the period. Extremes are then exact to rounding.
     steps : int
-        Instants in a period of the load, of a record of several; 0: the motion repeats itself.
-    exact : dict of str to float
-        Numbers that are known better than by the instants.
+        Instants in a load period, for a record of several periods; 0 for a periodic motion.
+    exact_numbers : dict of str to float
+        Numbers that are known more accurately than from the instants.
     """
 
     omega: float
     subharmonic: int
     time: np.ndarray
-    waves: np.ndarray
+    coefficients: np.ndarray
     motion: np.ndarray
     gap: np.ndarray
     force: np.ndarray
     structure: Structure
     friction: float | np.ndarray | None = None
-    at: InPeriod | None = None
+    evaluate: RecordFunction | None = None
     steps: int = 0
-    exact: Mapping[str, float] = field(default_factory=dict)
+    exact_numbers: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def periods(self) -> float:
-        """Periods of the load that it lasts."""
+        """Return the number of load periods in the record."""
         return (len(self.time) - 1) / self.steps if self.steps else self.subharmonic
 
     @property
     def n_pairs(self) -> int:
-        """Pairs of the crack faces; 0 where what they do is known."""
+        """Return the number of contact pairs in the record.
+
+        It is 0 if the numbers of the crack faces are known already.
+        """
         return self.gap.shape[1] // (1 if self.friction is None else 2)
 
-    def last(self, periods: int) -> Record:
-        """The same over the last periods of the load, if it has several."""
+    def last_periods(self, periods: int) -> Record:
+        """Return the record of the last load periods, if it has several."""
         if not self.steps:
             return self
-        kept = slice(-periods * self.steps, None)
+        last_instants = slice(-periods * self.steps, None)
         names = "time", "motion", "gap", "force"
-        return replace(self, **{name: getattr(self, name)[kept] for name in names})
+        return replace(self, **{name: getattr(self, name)[last_instants] for name in names})
 
-    def part(self, rows: slice) -> Record:
-        """The same of some of the rows."""
-        whole = self.at
-        at = whole and (lambda parts: ((all_of := whole(parts))[0][:, rows], *all_of[1:]))
-        return replace(self, waves=self.waves[:, rows], motion=self.motion[:, rows], at=at)
+    def select_rows(self, rows: slice) -> Record:
+        """Return the record of some rows."""
+        evaluate_all = self.evaluate
+        evaluate = evaluate_all and (
+            lambda parts: ((arrays := evaluate_all(parts))[0][:, rows], *arrays[1:])
+        )
+        return replace(
+            self,
+            coefficients=self.coefficients[:, rows],
+            motion=self.motion[:, rows],
+            evaluate=evaluate,
+        )
 
     @cached_property
     def pairs_of_cracks(self) -> np.ndarray:
-        """True for the pairs of each crack: (n_pairs, n_cracks)."""
+        """Return True for the pairs of each crack: (n_pairs, n_cracks)."""
         cracks = self.structure.pairs.cracks
         crack_numbers = np.zeros(self.n_pairs, dtype=int) if cracks is None else cracks
         return crack_numbers[:, None] == np.unique(crack_numbers)
 
     @cached_property
-    def tops(self) -> np.ndarray:
-        """Largest values of all products and of their negatives (2 m,), and behind them at the
-        crack faces of opening, penetration, contact force of a pair and of a crack (4,)."""
-        count, at, members = self.n_pairs, self.at, self.pairs_of_cracks
+    def maxima(self) -> np.ndarray:
+        """Return the largest values in the record: (2 m,) or (2 m + 4,).
 
-        def columns(motion: np.ndarray, gap: np.ndarray, force: np.ndarray) -> np.ndarray:
+        All products come first, then all negative products. At crack faces four entries follow:
+        opening, penetration, a pair's contact force, and a crack's contact force.
+        """
+        n_pairs, evaluate, is_in_crack = self.n_pairs, self.evaluate, self.pairs_of_cracks
+
+        def stack_columns(motion: np.ndarray, gap: np.ndarray, force: np.ndarray) -> np.ndarray:
             parts = [motion, -motion]
-            if count:
-                gap, force = gap[:, :count], force[:, :count]
-                parts += [-gap.min(1), gap.max(1), force.max(1), (force @ members).max(1)]
+            if n_pairs:
+                gap, force = gap[:, :n_pairs], force[:, :n_pairs]
+                parts += [-gap.min(1), gap.max(1), force.max(1), (force @ is_in_crack).max(1)]
             return np.column_stack(parts)
 
-        samples = columns(self.motion, self.gap, self.force)
-        return largest(samples, at and (lambda parts: columns(*at(parts))))
+        samples = stack_columns(self.motion, self.gap, self.force)
+        return find_maxima(samples, evaluate and (lambda parts: stack_columns(*evaluate(parts))))
 
 
 class Harmonics:
@@ -198,53 +222,54 @@ class Harmonics:
 
     Attributes
     ----------
-    waves : (2H+1,) [m]
-        Its Fourier coefficients.
-    mean, first : float [m]
-        a0, and U_1, nan where that is 0.
+    coefficients : (2H+1,) [m]
+        Fourier coefficients of the displacement.
+    mean, fundamental : float [m]
+        a0 and U_1; nan if U_1 is 0.
     largest_order, ratio_largest : float
         Order k of the largest harmonic above the load's, and U_k / U_1.
     """
 
-    def __init__(self, waves: np.ndarray, subharmonic: int) -> None:
-        self.waves, self._periods = waves, subharmonic
-        self._levels = np.hypot(waves[1::2], waves[2::2])
-        first = self.harmonic(1)
-        self.mean, self.first = float(waves[0]), first if first > 0.0 else math.nan
+    def __init__(self, coefficients: np.ndarray, subharmonic: int) -> None:
+        self.coefficients, self._subharmonic = coefficients, subharmonic
+        self._amplitudes = np.hypot(coefficients[1::2], coefficients[2::2])
+        fundamental = self.harmonic(1)
+        self.mean = float(coefficients[0])
+        self.fundamental = fundamental if fundamental > 0.0 else math.nan
         self.largest_order = self.ratio_largest = math.nan
-        above = self._levels[2 * subharmonic - 1 :: subharmonic]
-        if len(above):
-            place = int(above.argmax())
-            self.ratio_largest = float(above[place]) / self.first
-            if above[place] > NEGLIGIBLE * np.abs(waves).max():
-                self.largest_order = 2.0 + place
+        higher_amplitudes = self._amplitudes[2 * subharmonic - 1 :: subharmonic]
+        if len(higher_amplitudes):
+            index = int(higher_amplitudes.argmax())
+            self.ratio_largest = float(higher_amplitudes[index]) / self.fundamental
+            if higher_amplitudes[index] > NEGLIGIBLE * np.abs(coefficients).max():
+                self.largest_order = 2.0 + index
 
     def harmonic(self, multiple: float) -> float:
-        """U_j [m]; nan where it is not among the harmonics."""
-        order = multiple * self._periods
-        known = order == int(order) and order <= len(self._levels)
-        return float(self._levels[int(order) - 1]) if known else math.nan
+        """Return U_j [m] for j = ``multiple``; nan without that harmonic."""
+        order = multiple * self._subharmonic
+        is_included = order == int(order) and order <= len(self._amplitudes)
+        return float(self._amplitudes[int(order) - 1]) if is_included else math.nan
 
     def ratio(self, multiple: float) -> float:
-        """U_j / U_1."""
-        return self.harmonic(multiple) / self.first
+        """Return U_j / U_1 for j = ``multiple``."""
+        return self.harmonic(multiple) / self.fundamental
 
 
 class Point(Harmonics):
-    """A displacement that is watched, a row of a record.
+    """A watched displacement: a row of a record.
 
     Attributes
     ----------
     motion : (n,) [m]
-        Its values.
+        Displacement at the instants.
     amplitude : float [m]
-        Half peak-to-peak.
+        Half the peak-to-peak displacement.
     """
 
     def __init__(self, record: Record, row: int) -> None:
-        super().__init__(record.waves[:, row], record.subharmonic)
-        self.motion, many = record.motion[:, row], record.motion.shape[1]
-        self.amplitude = 0.5 * float(record.tops[row] + record.tops[many + row])
+        super().__init__(record.coefficients[:, row], record.subharmonic)
+        self.motion, n_rows = record.motion[:, row], record.motion.shape[1]
+        self.amplitude = 0.5 * float(record.maxima[row] + record.maxima[n_rows + row])
 
 
 class Faces:
@@ -253,169 +278,246 @@ class Faces:
     Attributes
     ----------
     gap, force : (n, n_pairs) [m], [N]
-    tops : (4,)
-        Largest opening and penetration [m], contact force of a pair and of a crack [N].
+    maxima : (4,)
+        Largest opening and penetration [m], largest contact force of a pair and of a crack [N].
     slips, sticks : (n, n_pairs) bool
-        With friction where pairs slip and stick, in the last period of the load.
+        With friction: True if a pair slips or sticks, in the last load period.
     losses : (n_pairs,) [J]
-        Lost by it then.
+        With friction: loss in the last load period.
     """
 
     def __init__(self, record: Record) -> None:
-        count, last = record.n_pairs, record.last(1)
-        self.gap, self.force = record.gap[:, :count], record.force[:, :count]
-        self.tops = record.tops[-4:]
+        n_pairs, last_period = record.n_pairs, record.last_periods(1)
+        self.gap, self.force = record.gap[:, :n_pairs], record.force[:, :n_pairs]
+        self.maxima = record.maxima[-4:]
         if record.friction is not None:
-            force, drag = np.hsplit(last.force, 2)
-            self.slips = slipping(record.friction, force, drag)
+            force, friction_force = np.hsplit(last_period.force, 2)
+            self.slips = is_slipping(record.friction, force, friction_force)
             self.sticks = (force > 0.0) & ~self.slips
-            self.losses = friction_losses(last.gap[:, count:], drag)
+            self.losses = friction_losses(last_period.gap[:, n_pairs:], friction_force)
 
 
-def slipping(coefficient: Any, force: np.ndarray, drag: np.ndarray) -> np.ndarray:
-    """Where pairs slip, by their contact and friction forces (n, n_pairs): (n, n_pairs) bool."""
-    return np.asarray((force > 0.0) & (np.abs(drag) >= SLIPPING * coefficient * force))
+def is_slipping(coefficient: Any, force: np.ndarray, friction_force: np.ndarray) -> np.ndarray:
+    """Return True for slipping pairs: (n, n_pairs) bool.
+
+    Parameters
+    ----------
+    coefficient : float or (n_pairs,)
+        Friction coefficient.
+    force, friction_force : (n, n_pairs) [N]
+    """
+    return np.asarray(
+        (force > 0.0) & (np.abs(friction_force) >= SLIP_FORCE_RATIO * coefficient * force)
+    )
 
 
-def friction_losses(slide: np.ndarray, drag: np.ndarray) -> np.ndarray:
-    """Losses of pairs in a period, (n_pairs,) [J], int lambda_t g_t' dt by the trapezoidal rule:
-    of tangential gaps and friction forces at parts of it (n, n_pairs)."""
-    moved = np.roll(slide, -1, axis=0) - slide
-    return np.asarray(0.5 * np.sum((np.roll(drag, -1, axis=0) + drag) * moved, axis=0))
+def friction_losses(tangential_gap: np.ndarray, friction_force: np.ndarray) -> np.ndarray:
+    """Return the loss of each pair in a period: (n_pairs,) [J].
+
+    The trapezoidal rule integrates int lambda_t g_t' dt.
+
+    Parameters
+    ----------
+    tangential_gap, friction_force : (n, n_pairs) [m], [N]
+        Values at equal parts of the period.
+    """
+    gap_change = np.roll(tangential_gap, -1, axis=0) - tangential_gap
+    return np.asarray(
+        0.5 * np.sum((np.roll(friction_force, -1, axis=0) + friction_force) * gap_change, axis=0)
+    )
 
 
 def rows_of(structure: Structure, dofs: Sequence[int | None]) -> np.ndarray:
-    """Return the rows that give the displacements of dofs of the whole structure from its
-    coordinates: (m, n_local), to be summed over ranks (collective)."""
+    """Return the rows that select displacements of dofs: (m, n_local) (collective).
+
+    Rows multiply the coordinates of the structure, and products are summed over ranks. Dofs belong
+    to the whole structure.
+    """
     if not dofs:
         return np.zeros((0, structure.n_local))
     if structure.whole is not structure:
         return structure.values_at(np.eye(structure.n_dofs), dofs).T
-    wanted = structure.check_dofs(dofs) - structure.first_dof
-    return np.asarray(wanted[:, None] == np.arange(structure.n_local), dtype=float)
+    local_dofs = structure.check_dofs(dofs) - structure.first_dof
+    return np.asarray(local_dofs[:, None] == np.arange(structure.n_local), dtype=float)
 
 
 # --- what observes --------------------------------------------------------------------------------
 
 
-class Rows(NamedTuple):
-    """A place of rows of its own.
+class ExtraRows(NamedTuple):
+    """Further rows to observe, for numbers at a place.
 
     Attributes
     ----------
     rows : (m, n_local)
-        What the displacement is multiplied by there.
-    numbers : callable
-        Returns its numbers by their names from a record of these rows.
+        Factors of the displacement.
+    read_numbers : callable
+        Returns numbers by name from a record of the rows.
     """
 
     rows: np.ndarray
-    numbers: Callable[[Record], dict[str, float]]
+    read_numbers: Callable[[Record], dict[str, float]]
 
 
 class Displacement(NamedTuple):
-    """A displacement as it is observed: its indicators, and its Fourier coefficients, (2H+1,) [m]
-    or along a curve (n, 2H+1)."""
+    """An observed displacement.
+
+    Attributes
+    ----------
+    indicators : Indicators
+    coefficients : (2H+1,) [m], or (n, 2H+1) along a curve
+        Fourier coefficients.
+    """
 
     indicators: Indicators
-    waves: np.ndarray
+    coefficients: np.ndarray
 
 
-class Observed:
-    """A motion, or along a curve many: what follows from its records."""
+class ObservedMotion:
+    """A motion, or many along a curve, with numbers from its records."""
 
     structure: Structure
 
     def records(self, rows: np.ndarray) -> Iterator[Record]:
-        """The motion, or that of each point of a curve, seen through rows (m, n_local): of the
-        products with its displacement (collective)."""
+        """Yield the motion's record, or one for each curve point (collective).
+
+        Parameters
+        ----------
+        rows : (m, n_local)
+            Factors of the displacement.
+        """
         raise NotImplementedError
 
     def indicators(self, dof: int | None = None) -> Indicators:
-        """Return the crack indicators at a dof, or the watched one, and at the crack faces
-        (collective)."""
+        """Return the crack indicators at a dof (collective). Default: the watched dof."""
         return self.measure([dof])[0]
 
     def amplitude(self, dof: int | None = None) -> Any:
-        """Half the peak-to-peak displacement of a dof, or of the watched one [m] (collective)."""
+        """Return half the peak-to-peak displacement of a dof [m] (collective).
+
+        Default: the watched dof.
+        """
         return self.indicators(dof).amplitude
 
     def measure(self, dofs: Sequence[int | None]) -> list[Indicators]:
-        """:meth:`indicators` of some dofs; the motion is formed once for all that are new
-        (collective)."""
+        """Return :meth:`indicators` of several dofs (collective).
+
+        The motion is formed once for all new dofs.
+        """
         return [displacement.indicators for displacement in self.observe(dofs)[0]]
 
     @property
     def faces(self) -> dict[str, Any]:
-        """Numbers of the crack faces, where there are some (collective)."""
-        if not self._at_faces:
-            self.walk(np.zeros((0, self.structure.n_local)))
-        numbers = self._along_all(self._at_faces)
+        """Return the numbers of the crack faces by name (collective).
+
+        Numbers that are nan everywhere are left out.
+        """
+        if not self._face_numbers:
+            self.observe_rows(np.zeros((0, self.structure.n_local)))
+        numbers = self._gather_numbers(self._face_numbers)
         return {name: value for name, value in numbers.items() if not np.all(np.isnan(value))}
 
     def observe(
-        self, dofs: Sequence[int | None], places: Sequence[Rows] = ()
+        self, dofs: Sequence[int | None], places: Sequence[ExtraRows] = ()
     ) -> tuple[list[Displacement], dict[str, Any]]:
-        """Return the displacements of some dofs, and the numbers at places of rows of their own;
-        the motion is formed once for all that is new (collective)."""
-        structure = self.structure
-        wanted = [structure.watched_dof if dof is None else dof for dof in dofs]
-        new = [dof for dof in dict.fromkeys(wanted) if dof not in self._displacements]
-        numbers: dict[str, Any] = {}
-        if new or places:
-            displacements, numbers = self.walk(rows_of(structure, new), places)
-            self._displacements.update(zip(new, displacements, strict=True))
-        return [self._displacements[dof] for dof in wanted], numbers
+        """Observe displacements of dofs and numbers at places (collective).
 
-    def walk(
-        self, rows: np.ndarray, places: Sequence[Rows] = ()
+        The motion is formed once for everything new.
+
+        Returns
+        -------
+        displacements : list of Displacement
+            One for each dof.
+        numbers : dict
+            Numbers at all places by name.
+        """
+        structure = self.structure
+        wanted_dofs = [structure.watched_dof if dof is None else dof for dof in dofs]
+        new_dofs = [
+            dof for dof in dict.fromkeys(wanted_dofs) if dof not in self._observed_displacements
+        ]
+        numbers: dict[str, Any] = {}
+        if new_dofs or places:
+            displacements, numbers = self.observe_rows(rows_of(structure, new_dofs), places)
+            self._observed_displacements.update(zip(new_dofs, displacements, strict=True))
+        return [self._observed_displacements[dof] for dof in wanted_dofs], numbers
+
+    def observe_rows(
+        self, rows: np.ndarray, places: Sequence[ExtraRows] = ()
     ) -> tuple[list[Displacement], dict[str, Any]]:
-        """Return the displacements that rows (m, n_local) give, and the numbers at places of rows
-        of their own, from all records in one pass (collective)."""
-        ends = np.cumsum([len(rows), *(len(place.rows) for place in places)]).tolist()
-        points, waves, numbers = [], [], list[dict[str, float]]()
-        for index, whole in enumerate(self.records(np.vstack([rows, *(p.rows for p in places)]))):
-            record = whole.last(RECORDED_PERIODS)
-            record = record.part(slice(len(rows))) if places else record
-            if index < len(self._at_faces):
+        """Observe products of rows and numbers at places in one pass (collective).
+
+        Parameters
+        ----------
+        rows : (m, n_local)
+            Factors of the displacement.
+        places : sequence of ExtraRows
+
+        Returns
+        -------
+        displacements : list of Displacement
+            One for each row.
+        numbers : dict
+            Numbers at all places by name.
+        """
+        row_ends = np.cumsum([len(rows), *(len(place.rows) for place in places)]).tolist()
+        all_rows = np.vstack([rows, *(place.rows for place in places)])
+        points_of_records, coefficients, numbers = [], [], list[dict[str, float]]()
+        for index, full_record in enumerate(self.records(all_rows)):
+            record = full_record.last_periods(RECORDED_PERIODS)
+            record = record.select_rows(slice(len(rows))) if places else record
+            if index < len(self._face_numbers):
                 record = replace(record, gap=record.gap[:, :0])
             else:
-                self._at_faces.append(_read_faces(record))
-            shared = {"omega": record.omega} | self._at_faces[index]
-            at_rows = (read_at(Place.POINT, Point(record, row)) for row in range(len(rows)))
-            points.append([shared | values for values in at_rows])
-            waves.append(record.waves.T)
+                self._face_numbers.append(_read_faces(record))
+            shared = {"omega": record.omega} | self._face_numbers[index]
+            points = (Point(record, row) for row in range(len(rows)))
+            points_of_records.append([shared | read_at(Place.POINT, point) for point in points])
+            coefficients.append(record.coefficients.T)
             numbers.append({})
-            for place, ends_of in zip(places, pairwise(ends), strict=True):
-                numbers[-1] |= place.numbers(whole.part(slice(*ends_of)))
-        columns = (Indicators(**self._along_all(values)) for values in zip(*points, strict=True))
-        along = (self._along(list(rows)) for rows in zip(*waves, strict=True))
-        return list(map(Displacement, columns, along)), self._along_all(numbers)
+            for place, row_range in zip(places, pairwise(row_ends), strict=True):
+                numbers[-1] |= place.read_numbers(full_record.select_rows(slice(*row_range)))
+        displacements = [
+            Displacement(
+                Indicators(**self._gather_numbers(row_numbers)),
+                self._gather(list(row_coefficients)),
+            )
+            for row_numbers, row_coefficients in zip(
+                zip(*points_of_records, strict=True), zip(*coefficients, strict=True), strict=True
+            )
+        ]
+        return displacements, self._gather_numbers(numbers)
 
-    def _along_all(self, values: Sequence[Mapping[str, float]]) -> dict[str, Any]:
-        """The same by names."""
-        return {name: self._along([value[name] for value in values]) for name in values[0]}
+    def _gather_numbers(self, numbers: Sequence[Mapping[str, float]]) -> dict[str, Any]:
+        """Gather the numbers of all records by name."""
+        return {
+            name: self._gather([record_numbers[name] for record_numbers in numbers])
+            for name in numbers[0]
+        }
 
-    def _along(self, values: list[Any]) -> Any:
-        """The value of a motion; of a curve those of its points, as an array."""
-        [value] = values
-        return value
+    def _gather(self, values: list[Any]) -> Any:
+        """Return a motion's only value, or an array for a curve."""
+        [only_value] = values
+        return only_value
 
     @cached_property
-    def _displacements(self) -> dict[int, Displacement]:
-        """Displacements of dofs that have been observed."""
+    def _observed_displacements(self) -> dict[int, Displacement]:
+        """Return the displacements observed so far, by dof."""
         return {}
 
     @cached_property
-    def _at_faces(self) -> list[dict[str, float]]:
-        """Numbers of the crack faces, once they are observed: at each point of a curve."""
+    def _face_numbers(self) -> list[dict[str, float]]:
+        """Return the numbers of the crack faces for each record, once observed."""
         return []
 
 
 def _read_faces(record: Record) -> dict[str, float]:
-    """Numbers of the crack faces; nan without pairs, or without friction."""
+    """Return the numbers of the crack faces in a record by name.
+
+    Numbers without pairs, or without friction, are nan.
+    """
     numbers = dict.fromkeys(names_of(Place.FACES), math.nan)
     if record.n_pairs:
-        missing = FRICTION if record.friction is None else FILES
-        numbers |= read_at(Place.FACES, Faces(record), missing)
-    return numbers | dict(record.exact)
+        requirements = FRICTION if record.friction is None else FILES
+        numbers |= read_at(Place.FACES, Faces(record), requirements)
+    return numbers | dict(record.exact_numbers)

@@ -1,27 +1,29 @@
 """Periodic orbits of the exact flow, by shooting.
 
-With the state z at phase zero, the period T = 2 pi m / omega, m the load's periods in it, and the
-flow's derivative M over it, an orbit is where
+Let z be the state at phase zero, T = 2 pi m / omega the period with m load periods, and M the
+derivative of the flow over T. An orbit solves
 
-    F(z) = z(T) - z = 0,      dF/dz = M - I,
+    F(z) = z(T) - z = 0,      dF/dz = M - I.
 
-and the eigenvalues of M are its Floquet multipliers. A step of Newton's method is shortened until
-the *natural* test accepts it: the simplified step from there, with the same M, is shorter. It does
-not depend on how the state is measured.
+The eigenvalues of M are its Floquet multipliers. A Newton step is shortened until the *natural*
+test accepts it: the simplified step from the new state, with the same M, must be shorter. This test
+does not depend on the scaling of the state.
 
-The derivative of one step is kept for the next ones, updated by them (Broyden's "good"
-method), as long as they shrink the residual enough; a first one may be that of a motion nearby.
+M is kept over several steps and updated by Broyden's "good" method, for as long as the residual
+shrinks enough. The first M may come from a nearby motion.
 
-With many modes M is not formed: GMRES takes products with it, in the norm of the energy, each for
-the time of half a period followed. Damping leaves little of fast modes: some dozen are enough.
+With many modes M is not formed. GMRES takes products with M in the energy norm; a product costs
+half of a period's integration. Damping leaves little of fast modes, so some dozen products suffice.
 
-A neighbouring HB solution, with states Z_i at N equal parts of the period, is assessed by one such
-step of all of it, which needs no orbit. With F_i the state reached from Z_i less Z_{i+1}, M_i the
-derivatives,
+One Newton step for the whole motion assesses a nearby harmonic-balance solution, without an orbit.
+The solution has the states Z_i at N equal parts of the period. With M_i the derivative of the flow
+over part i, and F_i its end state less Z_{i+1},
 
     d_{i+1} = M_i d_i + F_i,   periodic;       predicted error = |P^T d| / |P^T Z|.
 
-Source: Deuflhard, Newton Methods for Nonlinear Problems, 2004, sections 2.1 and 3.3.
+References
+----------
+Deuflhard, Newton Methods for Nonlinear Problems, 2004, sections 2.1 and 3.3.
 """
 
 from __future__ import annotations
@@ -43,49 +45,58 @@ from fenics_crack.basics.tables import Described, counted, hertz_of
 from fenics_crack.kernel import kernel
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import Budget, BudgetError, ContactFlow, Motion, Samples, Track
-from fenics_crack.motion.motions import Observed, Record
-from fenics_crack.numerics.equations import CLOSE, LOCATED, factored, solve_factored
-from fenics_crack.numerics.fourier import balanced, waves_of
-from fenics_crack.numerics.newton import FORCING, gmres, relative_to_motion
+from fenics_crack.motion.motions import ObservedMotion, Record
+from fenics_crack.numerics.equations import (
+    LOCATION_TOLERANCE,
+    ROOT_TOLERANCE,
+    factorise,
+    solve_factored,
+)
+from fenics_crack.numerics.fourier import fourier_basis_for, fourier_coefficients
+from fenics_crack.numerics.newton import FORCING_TERM, gmres, relative_to_motion
 
-FLOWS, MIN_NEWTON_STEP = 20, 1e-3
-"""Search budget in periods integrated, and shortest damped Newton step."""
-PIECES = 20_000
-"""Search budget in Taylor pieces: a second, with many pairs; more where M is formed and a period of
-a slow load has many by itself."""
-FORMED = 120
-"""Maximum modes of a flow of which M is formed."""
-PRODUCTS, BLUNT = 60, 0.25
-"""Maximum products with M in a solution, and the relative residual of a step which is only
-compared."""
-KNOWN = 1e-6
-"""Accuracy of multipliers; ||mu| - 1| below it is inconclusive."""
-INSTANTS_AT_A_TIME = 2048
-"""Instants whose sines and cosines are held at a time."""
-INSTANTS = 512
-"""Instants at which the gaps of an orbit are kept."""
-HARMONICS = 40
-"""Harmonics of its period in what is observed of an orbit. By 256 instants the one of order k is
-off by that of order 256 - k, of motions with kinks (k / 216)^2 of it."""
+MAX_SEARCH_PERIODS = 20
+"""Maximum periods that a search integrates."""
+MIN_NEWTON_STEP = 1e-3
+"""Minimum damping factor of a Newton step."""
+MAX_SEARCH_PIECES = 20_000
+"""Maximum Taylor pieces of a search: about a second, with many pairs. If M is formed and a period
+of a slow load has many pieces, the maximum is larger."""
+MAX_MODES_FOR_MONODROMY = 120
+"""Maximum modes with a formed M."""
+MAX_GMRES_PRODUCTS = 60
+"""Maximum products with M in a solution by GMRES."""
+COMPARISON_TOLERANCE = 0.25
+"""Relative residual of GMRES for a step that is only compared with another step."""
+MULTIPLIER_TOLERANCE = 1e-6
+"""Accuracy of Floquet multipliers. A smaller ||mu| - 1| is inconclusive."""
+INSTANTS_PER_BLOCK = 2048
+"""Instants with sines and cosines in memory together."""
+INSTANTS_PER_PERIOD = 512
+"""Instants per period in the samples of an orbit."""
+OBSERVED_HARMONICS = 40
+"""Number of harmonics in an orbit's record. From n instants, harmonic k has the error of harmonic
+(n - k). In motions with kinks the relative error is (k / (n - k))^2: for k = 40 at most 0.7 % with
+512 instants, 3.4 % with the 256 of a curve."""
 
 
 Inverse = Callable[[np.ndarray, float], np.ndarray]
-"""b to (I - M)^-1 b, to a relative residual where M is not formed."""
+"""Callable from b and a relative residual to (I - M)^-1 b. If M is formed the solution is exact."""
 
 
 class Prediction(NamedTuple):
-    """Result of one step of Newton's method from a harmonic-balance solution.
+    """Result of one Newton step from a harmonic-balance solution.
 
     Attributes
     ----------
     error : float
-        ``|P^T d| / |P^T Z|``.
-    states : (n, 2 n_modes)
+        Predicted error |P^T d| / |P^T Z|.
+    states : (n, flow.size)
         Z + d.
     track : Track
-        Of all parts, one behind the other.
+        Track of all parts in sequence.
     inverse : Inverse
-        (I - M)^-1, M that of the track.
+        (I - M)^-1 with the M of the track.
     """
 
     error: float
@@ -95,27 +106,27 @@ class Prediction(NamedTuple):
 
     @property
     def monodromy(self) -> np.ndarray:
-        """M over the period along the solution: (2 n_modes, 2 n_modes)."""
+        """Return M over the period along the solution: (flow.size, flow.size)."""
         return self.track.tangent
 
 
 @dataclass(frozen=True, repr=False)
-class PeriodicOrbit(Observed, Described):
+class PeriodicOrbit(ObservedMotion, Described):
     """A periodic orbit of the exact flow.
 
     Attributes
     ----------
     flow : ContactFlow
     omega : float
-        Of the load [rad/s].
+        Frequency of the load [rad/s].
     subharmonic : int
-        Its periods in one of the orbit.
+        Number of load periods in the orbit's period.
     motion : Motion
-        Over the period.
-    state : (2 n_modes,)
-        q, q' at phase zero of the load.
+        Motion over the period.
+    state : (flow.size,)
+        State at phase zero of the load: q and q', with friction also h.
     flows : int
-        Periods that were followed to find it.
+        Number of periods integrated in the search.
     """
 
     flow: ContactFlow
@@ -129,200 +140,232 @@ class PeriodicOrbit(Observed, Described):
 
     @property
     def period(self) -> float:
-        """[s]."""
+        """Return the period [s]."""
         return 2.0 * np.pi * self.subharmonic / self.omega
 
     @property
     def iterations(self) -> int:
-        """Steps of Newton's method, tried ones with them."""
+        """Return the number of Newton steps, rejected steps included."""
         return self.flows - 1
 
     @property
     def events(self) -> int:
-        """Pairs that open or close in a period."""
+        """Return how often a pair opens or closes in a period."""
         return self.motion.events
 
     @property
     def monodromy(self) -> np.ndarray:
-        """M: (2 n_modes, 2 n_modes)."""
+        """Return M: (flow.size, flow.size)."""
         return self.motion.track.tangent
 
     @cached_property
     def multipliers(self) -> np.ndarray:
-        """Floquet multipliers, largest modulus first: (2 n_modes,) complex."""
+        """Return the Floquet multipliers in descending modulus: (flow.size,) complex."""
         return eigenvalues(self.monodromy)
 
     @cached_property
     def residual(self) -> float:
-        """``|z(T) - z(0)| / |z(0)|`` in the norm of the energy."""
+        """Return ``|z(T) - z(0)| / |z(0)|`` in the energy norm."""
         change = self.motion.state - self.state
         return self.energy_norm(change) / (self.energy_norm(self.state) or 1.0)
 
     def energy_norm(self, change: np.ndarray) -> float:
-        """Norm of a change of the state."""
+        """Return the energy norm of a state change."""
         return float(np.linalg.norm(self.flow.weights(self.omega / self.subharmonic) * change))
 
     @cached_property
     def inverse(self) -> Inverse:
-        """(I - M)^-1; LinAlgError where it is singular."""
+        """Return (I - M)^-1; raise LinAlgError if I - M is singular."""
         weights = self.flow.weights(self.omega / self.subharmonic)
-        return _inverse(self.flow, self.motion.track, weights)
+        return _make_inverse(self.flow, self.motion.track, weights)
 
     def samples(self, time: np.ndarray) -> Samples:
-        """The motion at ascending times of the period [s]."""
+        """Return the motion at ascending times of the period [s]."""
         return self.flow.advance(self.state, self.omega, self.period, instants=time).samples
 
-    def _at(self, time: np.ndarray, values: str) -> np.ndarray:
-        """One of the samples' arrays at any times."""
-        phase, place = np.unique(np.mod(time, self.period), return_inverse=True)
-        return np.asarray(getattr(self.samples(phase), values)[place.ravel()])
+    def _evaluate_at(self, time: np.ndarray, name: str) -> np.ndarray:
+        """Return an array of :class:`Samples`, by name, at any times [s]."""
+        times, indices = np.unique(np.mod(time, self.period), return_inverse=True)
+        return np.asarray(getattr(self.samples(times), name)[indices.ravel()])
 
     @cached_property
     def sampled(self) -> Samples:
-        """The motion at 512 equally spaced times of the period."""
-        return self.samples(np.arange(INSTANTS) * self.period / INSTANTS)
+        """Return the motion at 512 equally spaced times of the period."""
+        return self.samples(np.arange(INSTANTS_PER_PERIOD) * self.period / INSTANTS_PER_PERIOD)
 
     @property
     def is_stable(self) -> bool:
-        """True if all multipliers lie within the unit circle."""
+        """Return True if all multipliers lie inside the unit circle."""
         return bool(abs(self.multipliers[0]) < 1.0)
 
     @property
     def gap(self) -> np.ndarray:
-        """g there: (512, n_pairs) [m]."""
+        """Return g at 512 equally spaced times: (512, n_pairs) [m]."""
         return self.sampled.gap
 
     def gap_at(self, time: np.ndarray) -> np.ndarray:
-        """g at times [s]: (len(time), n_pairs) [m]."""
-        return self._at(time, "gap")
+        """Return g at times [s]: (len(time), n_pairs) [m]."""
+        return self._evaluate_at(time, "gap")
 
     def tangential_gap_at(self, time: np.ndarray) -> np.ndarray:
-        """g_t of contact with friction at times [s]: (len(time), n_pairs) [m]; else (len(time),
-        0)."""
-        return self._at(time, "gaps")[:, self.flow.structure.n_pairs :]
+        """Return g_t at times [s]: (len(time), n_pairs) [m]. Without friction: (len(time), 0)."""
+        return self._evaluate_at(time, "gaps")[:, self.flow.structure.n_pairs :]
 
     def tangential_force_at(self, time: np.ndarray) -> np.ndarray:
-        """Friction force at times [s]: likewise [N]."""
-        return self._at(time, "forces")[:, self.flow.structure.n_pairs :]
+        """Return the friction force at times [s]: (len(time), n_pairs) [N].
+
+        Without friction: (len(time), 0).
+        """
+        return self._evaluate_at(time, "forces")[:, self.flow.structure.n_pairs :]
 
     def force_at(self, time: np.ndarray) -> np.ndarray:
-        """Contact force at times [s]: (len(time), n_pairs) [N]."""
-        return self._at(time, "force")
+        """Return the contact force at times [s]: (len(time), n_pairs) [N]."""
+        return self._evaluate_at(time, "force")
 
     def displacement_at(self, time: np.ndarray) -> np.ndarray:
-        """Displacement of the structure's own dofs at times [s]: (len(time), n_dofs) [m]."""
-        return self._at(time, "displacement")
+        """Return the displacement of the structure at times [s]: (len(time), n_dofs) [m]."""
+        return self._evaluate_at(time, "displacement")
 
     @property
     def structure(self) -> Structure:  # type: ignore[override]
-        """The structure that vibrates."""
+        """Return the structure that vibrates."""
         return self.flow.structure
 
     def records(self, rows: np.ndarray, instants: int | None = None) -> Iterator[Record]:
-        """The motion, on each part of the period by the polynomials through Gauss's nodes; at as
-        many instants as are given all numbers are from these."""
-        samples, length = self._at_nodes(len(self.flow.force) // 2 * self.omega)
+        """Yield the record of the motion.
+
+        On each piece of the period the motion is the polynomial through Gauss nodes. With a given
+        number of ``instants`` (default: 512) the record has no exact duty cycles and friction loss.
+        """
+        samples, piece_lengths = self._at_nodes(len(self.flow.modal_load) // 2 * self.omega)
         nodes, weights, _ = gauss_nodes()
-        seen = samples.displacement @ rows.T, samples.gaps, samples.forces
-        values = np.hstack(seen).reshape(len(length), len(nodes), -1)
-        ends, signs = np.cumsum(length), (-1.0) ** np.arange(len(nodes))
-        barycentric = signs * np.sqrt((1.0 - nodes**2) * weights)
-        splits = np.cumsum([part.shape[1] for part in seen])[:2]
+        columns = samples.displacement @ rows.T, samples.gaps, samples.forces
+        node_values = np.hstack(columns).reshape(len(piece_lengths), len(nodes), -1)
+        piece_ends, signs = np.cumsum(piece_lengths), (-1.0) ** np.arange(len(nodes))
+        barycentric_weights = signs * np.sqrt((1.0 - nodes**2) * weights)
+        splits = np.cumsum([part.shape[1] for part in columns])[:2]
 
-        def at(parts: np.ndarray) -> Any:
+        def evaluate(parts: np.ndarray) -> Any:
             time = self.period * np.mod(parts, 1.0)
-            piece = np.minimum(np.searchsorted(ends, time), len(ends) - 1)
-            away = (1.0 + 2.0 * (time - ends[piece]) / length[piece])[:, None] - nodes
-            share = barycentric / np.where(away == 0.0, sys.float_info.min, away)
-            share /= share.sum(axis=1, keepdims=True)
-            return np.split((share[:, None] @ values[piece])[:, 0], splits, axis=1)
+            piece_index = np.minimum(np.searchsorted(piece_ends, time), len(piece_ends) - 1)
+            position = 1.0 + 2.0 * (time - piece_ends[piece_index]) / piece_lengths[piece_index]
+            distances = position[:, None] - nodes
+            distances = np.where(distances == 0.0, sys.float_info.min, distances)
+            node_weights = barycentric_weights / distances
+            node_weights /= node_weights.sum(axis=1, keepdims=True)
+            return np.split(
+                (node_weights[:, None] @ node_values[piece_index])[:, 0], splits, axis=1
+            )
 
-        count, exact = instants or INSTANTS, {}
-        parts = np.arange(count) / count
-        motion, gap, force = at(parts)
+        n_instants, exact_numbers = instants or INSTANTS_PER_PERIOD, {}
+        parts = np.arange(n_instants) / n_instants
+        motion, gap, force = evaluate(parts)
         if instants is None:
-            track, exact = self.motion.track, dict(self.sliding)
-            exact |= {"closed_share": track.share(track.sets > 0)} if gap.size else {}
+            track, exact_numbers = self.motion.track, dict(self.sliding)
+            exact_numbers |= {"closed_share": track.share(track.sets > 0)} if gap.size else {}
         yield Record(
-            self.omega, self.subharmonic, self.period * parts, balanced(motion, HARMONICS),
+            self.omega, self.subharmonic, self.period * parts,
+            fourier_coefficients(motion, OBSERVED_HARMONICS),
             motion, gap, force,
             structure=self.structure,
             friction=getattr(self.flow.friction, "coefficient", None),
-            at=at,
-            exact=exact,
+            evaluate=evaluate,
+            exact_numbers=exact_numbers,
         )  # fmt: skip
 
     def coefficients(self, harmonics: int) -> OrbitCoefficients:
-        """Fourier coefficients, by Gauss's rule on each part of the period in which no pair opens
-        or closes."""
-        base = self.omega / self.subharmonic
-        samples, length = self._at_nodes(harmonics * base)
-        share = (0.5 * length[:, None] * gauss_nodes()[1]).ravel() / self.period
-        gaps, forces, count = samples.gaps, samples.forces, self.flow.count
-        values = np.hstack([gaps, forces, samples.states[:, :count]])
-        found = np.zeros((2 * harmonics + 1, values.shape[1]))
-        kept = np.empty((len(found), INSTANTS_AT_A_TIME))
-        for start in range(0, len(values), INSTANTS_AT_A_TIME):
-            some = slice(start, start + INSTANTS_AT_A_TIME)
-            first = np.exp(1j * base * samples.time[some])
-            means, wave = kept[:, : len(first)], 2.0 * share[some] * first
-            means[0] = share[some]
-            for order in range(1, harmonics + 1):  # a tenth of the time of their sines and cosines
-                means[2 * order - 1], means[2 * order] = wave.real, wave.imag
-                wave *= first
-            found += means @ values[some]
+        """Return Fourier coefficients of the orbit.
+
+        Gauss quadrature integrates each piece of the period. Within a piece no pair changes state.
+        """
+        base_omega = self.omega / self.subharmonic
+        samples, piece_lengths = self._at_nodes(harmonics * base_omega)
+        time_weights = (0.5 * piece_lengths[:, None] * gauss_nodes()[1]).ravel() / self.period
+        gaps, forces, n_modes = samples.gaps, samples.forces, self.flow.n_modes
+        node_values = np.hstack([gaps, forces, samples.states[:, :n_modes]])
+        coefficients = np.zeros((2 * harmonics + 1, node_values.shape[1]))
+        basis_buffer = np.empty((len(coefficients), INSTANTS_PER_BLOCK))
+        for start in range(0, len(node_values), INSTANTS_PER_BLOCK):
+            block = slice(start, start + INSTANTS_PER_BLOCK)
+            base_phasor = np.exp(1j * base_omega * samples.time[block])
+            weighted_basis = basis_buffer[:, : len(base_phasor)]
+            phasor = 2.0 * time_weights[block] * base_phasor
+            weighted_basis[0] = time_weights[block]
+            # Products take a tenth of the time of sines and cosines.
+            for order in range(1, harmonics + 1):
+                weighted_basis[2 * order - 1], weighted_basis[2 * order] = phasor.real, phasor.imag
+                phasor *= base_phasor
+            coefficients += weighted_basis @ node_values[block]
         splits = np.cumsum([gaps.shape[1], forces.shape[1]])
-        gap, force, modal = np.split(found, splits, axis=1)
-        orders = np.arange(1, len(self.flow.force) + 1) // 2
-        rows = np.arange(len(self.flow.force)) + 2 * orders * (self.subharmonic - 1)
-        load = np.equal.outer(np.arange(len(found)), rows).astype(float)
-        return OrbitCoefficients(gap, force, self.flow.displaced(modal, force, load))
+        gap, force, modal_displacement = np.split(coefficients, splits, axis=1)
+        orders = np.arange(1, len(self.flow.modal_load) + 1) // 2
+        load_rows = np.arange(len(self.flow.modal_load)) + 2 * orders * (self.subharmonic - 1)
+        load_basis = np.equal.outer(np.arange(len(coefficients)), load_rows).astype(float)
+        displacement = self.flow.combine_displacement(modal_displacement, force, load_basis)
+        return OrbitCoefficients(gap, force, displacement)
 
     def _at_nodes(self, omega: float) -> tuple[Samples, np.ndarray]:
-        """The motion at Gauss's nodes on each part of the period in which no pair opens, closes,
-        sticks or slips, and waves of up to a frequency [rad/s] turn little, and the parts' lengths
-        [s]; the finest that was asked for is kept."""
-        if not self._finest or self._finest[-1][0] < omega:
-            turn = self.motion.track.lengths * (self.flow.fastest + omega)
-            parts = np.maximum(np.ceil(turn / kernel.FLOW_REACH), 1).astype(int)
-            length = np.repeat(self.motion.track.lengths / parts, parts)
-            start = np.concatenate([[0.0], np.cumsum(length)[:-1]])
-            time = start[:, None] + 0.5 * length[:, None] * (1.0 + gauss_nodes()[0])
-            self._finest[:] = [(omega, self.samples(time.ravel()), length)]
-        return self._finest[-1][1:]
+        """Return the motion at Gauss nodes in all pieces of the period.
+
+        Within a piece no pair opens, closes, sticks or slips, and waves up to ``omega`` [rad/s]
+        turn by a small angle. The samples for the highest ``omega`` so far are kept.
+
+        Returns
+        -------
+        samples : Samples
+            In order of time.
+        piece_lengths : (n_pieces,) [s]
+        """
+        if not self._node_samples or self._node_samples[-1][0] < omega:
+            angles = self.motion.track.lengths * (self.flow.max_rate + omega)
+            n_pieces = np.maximum(np.ceil(angles / kernel.FLOW_REACH), 1).astype(int)
+            piece_lengths = np.repeat(self.motion.track.lengths / n_pieces, n_pieces)
+            piece_starts = np.concatenate([[0.0], np.cumsum(piece_lengths)[:-1]])
+            time = piece_starts[:, None] + 0.5 * piece_lengths[:, None] * (1.0 + gauss_nodes()[0])
+            self._node_samples[:] = [(omega, self.samples(time.ravel()), piece_lengths)]
+        return self._node_samples[-1][1:]
 
     @cached_property
-    def _finest(self) -> list[tuple[float, Samples, np.ndarray]]:
-        """A highest frequency [rad/s], the motion at nodes for it, and the parts' lengths."""
+    def _node_samples(self) -> list[tuple[float, Samples, np.ndarray]]:
+        """Return the kept samples: at most one (omega [rad/s], samples, piece lengths [s])."""
         return []
 
     @cached_property
     def work(self) -> Work:
-        """Work of the load, the damping and friction in the period, exact: on each part of it by
-        Gauss's rule, with the derivatives of the polynomials through his nodes."""
+        """Return the work of load, damping and friction in the period.
+
+        It is exact: Gauss quadrature on each piece, with derivatives of the polynomials through the
+        nodes.
+        """
         flow = self.flow
-        samples, length = self._at_nodes(len(flow.force) // 2 * self.omega)
-        _, weights, turn = gauss_nodes()
+        samples, piece_lengths = self._at_nodes(len(flow.modal_load) // 2 * self.omega)
+        _, weights, differentiation = gauss_nodes()
 
-        def over(force: np.ndarray, moved: np.ndarray) -> np.ndarray:
-            """int F x' dt of columns at the nodes."""
-            force, moved = (one.reshape(len(length), len(weights), -1) for one in (force, moved))
-            return np.asarray(np.einsum("k,pkc,pkc->c", weights, force, turn @ moved))
+        def integrate_power(node_forces: np.ndarray, node_displacements: np.ndarray) -> np.ndarray:
+            """Return int F x' dt of each column, by Gauss quadrature."""
+            shape = len(piece_lengths), len(weights), -1
+            rates = differentiation @ node_displacements.reshape(shape)
+            return np.asarray(np.einsum("k,pkc,pkc->c", weights, node_forces.reshape(shape), rates))
 
-        load = waves_of(flow.force, self.omega * samples.time) @ flow.structure.force
-        rates = samples.states[:, flow.count :]
-        share = (0.5 * length[:, None] * weights).ravel()
-        damping = float(share @ np.sum(rates * flow.modes.damped(rates), axis=1))
-        count = flow.structure.n_pairs
-        friction = np.zeros(count)
+        load = fourier_basis_for(flow.modal_load, self.omega * samples.time) @ flow.structure.force
+        velocities = samples.states[:, flow.n_modes :]
+        time_weights = (0.5 * piece_lengths[:, None] * weights).ravel()
+        damping_power = np.sum(velocities * flow.modes.damped(velocities), axis=1)
+        damping_work = float(time_weights @ damping_power)
+        n_pairs = flow.structure.n_pairs
+        friction_work = np.zeros(n_pairs)
         if flow.friction:
-            friction = over(samples.forces[:, count:], samples.gaps[:, count:])
-        return Work(float(over(load, samples.displacement).sum()), damping, friction)
+            friction_work = integrate_power(samples.forces[:, n_pairs:], samples.gaps[:, n_pairs:])
+        load_work = float(integrate_power(load, samples.displacement).sum())
+        return Work(load_work, damping_work, friction_work)
 
     @cached_property
     def sliding(self) -> dict[str, float]:
-        """With friction the loss in the period [J], and the shares of it in which pairs stick and
-        slip, means over the pairs, by the names of :class:`Indicators`; else nothing."""
+        """Return friction loss [J], stick share and slip share of the period.
+
+        Keys are names of :class:`Indicators`. The shares are fractions of the period, as means over
+        the pairs. Without friction the dictionary is empty.
+        """
         if not self.flow.friction:
             return {}
         track = self.motion.track
@@ -334,16 +377,19 @@ class PeriodicOrbit(Observed, Described):
 
     @property
     def stuck(self) -> np.ndarray:
-        """Numbers (k,) of the pairs that stick all the time: their places are what their history
-        has left, and they take no part in the multipliers. None without friction."""
+        """Return the indices (k,) of pairs that always stick; none without friction.
+
+        Places of such pairs follow from earlier motion, not from the orbit, and have no part in the
+        multipliers.
+        """
         sets = self.motion.track.sets
-        every = self.flow.friction is not None and np.all(sets == kernel.STICK, axis=0)
-        return np.flatnonzero(every)
+        sticks_always = self.flow.friction is not None and np.all(sets == kernel.STICK, axis=0)
+        return np.flatnonzero(sticks_always)
 
     # --- shown ------------------------------------------------------------------------------------
 
     def to_dict(self) -> dict[str, Any]:
-        """Largest multiplier, extremes of the gap [m] of all pairs, and how it was found."""
+        """Return largest multiplier, extremes of the gap [m] and search figures."""
         faces = {"opening": 0.0, "penetration": 0.0} | self.faces
         return {
             "multiplier": float(abs(self.multipliers[0])),
@@ -355,8 +401,10 @@ class PeriodicOrbit(Observed, Described):
         }
 
     def _title(self) -> str:
-        largest = f"largest multiplier {abs(self.multipliers[0]):.6g} of {len(self.multipliers)}"
-        return f"{largest}, {counted(self.events, 'event')}, residual {self.residual:.2g}"
+        multiplier_words = (
+            f"largest multiplier {abs(self.multipliers[0]):.6g} of {len(self.multipliers)}"
+        )
+        return f"{multiplier_words}, {counted(self.events, 'event')}, residual {self.residual:.2g}"
 
 
 class Work(NamedTuple):
@@ -365,9 +413,10 @@ class Work(NamedTuple):
     Attributes
     ----------
     load, damping : float [J]
-        Done by the load, and lost by damping.
+        Work done by the load, and lost by damping.
     friction : (n_pairs,) [J]
-        Lost by the friction of each pair, int lambda_t g_t' dt; the load's is the sum of all.
+        Work lost by friction of each pair, int lambda_t g_t' dt. The load's work is the sum of all
+        losses.
     """
 
     load: float
@@ -377,22 +426,30 @@ class Work(NamedTuple):
 
 @lru_cache
 def gauss_nodes() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Nodes between -1 and 1 and weights of Gauss's rule on a part of a period, and the matrix that
-    makes derivatives there of values there."""
+    """Return the Gauss rule for a piece of the period.
+
+    Returns
+    -------
+    nodes : (n,)
+        From -1 to 1.
+    weights : (n,)
+    differentiation : (n, n)
+        Matrix from values at the nodes to derivatives at the nodes.
+    """
     nodes, weights = np.polynomial.legendre.leggauss(2 * kernel.FLOW_REACH)
     values = np.polynomial.legendre.legvander(nodes, len(nodes) - 1)
     slopes = np.polynomial.legendre.legder(np.eye(len(nodes)))
-    turned = np.polynomial.legendre.legval(nodes, slopes).T
-    return nodes, weights, np.linalg.solve(values.T, turned.T).T
+    slope_values = np.polynomial.legendre.legval(nodes, slopes).T
+    return nodes, weights, np.linalg.solve(values.T, slope_values.T).T
 
 
 class OrbitCoefficients(NamedTuple):
-    """Fourier coefficients of an orbit in the paper's order, rows a0, a1, b1, ....
+    """Fourier coefficients of an orbit: rows a0, a1, b1, ....
 
     Attributes
     ----------
     gap : (2H+1, n_rows) [m]
-        Of all rows: with friction tangential gaps, too.
+        Gaps of all rows; with friction tangential gaps follow the normal gaps.
     force : (2H+1, n_rows) [N]
     displacement : (2H+1, n_dofs) [m]
     """
@@ -404,11 +461,13 @@ class OrbitCoefficients(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class MotionInArcs(PeriodicOrbit):
-    """A motion in equal parts of its period that need not meet, observed like an orbit.
+    """A motion in equal parts of a period, observed like an orbit.
+
+    The motion may jump from part to part.
 
     Attributes
     ----------
-    starts : (n, 2 n_modes)
+    starts : (n, flow.size)
         States at the starts of the parts.
     """
 
@@ -416,87 +475,111 @@ class MotionInArcs(PeriodicOrbit):
 
     def samples(self, time: np.ndarray) -> Samples:
         """Return the motion at ascending times of the period [s]."""
-        places = self.period / len(self.starts) * np.arange(len(self.starts) + 1)
-        instants = np.split(time, np.searchsorted(time, places[1:-1]))
+        duration = self.period / len(self.starts)
+        start_times = duration * np.arange(len(self.starts) + 1)
+        times_by_part = np.split(time, np.searchsorted(time, start_times[1:-1]))
+        arcs = zip(self.starts, start_times.tolist(), times_by_part, strict=False)
         parts = [
-            self.flow.advance(
-                state, self.omega, places[1], start=start, instants=part_times
-            ).samples
-            for state, start, part_times in zip(
-                self.starts, places.tolist(), instants, strict=False
-            )
+            self.flow.advance(state, self.omega, duration, start=start, instants=instants).samples
+            for state, start, instants in arcs
         ]
-        arrays = ((part.states, part.answers, part.contact) for part in parts)
+        arrays = ((part.states, part.answers, part.pair_states) for part in parts)
         return Samples(self.flow, self.omega, time, *map(np.concatenate, zip(*arrays, strict=True)))
 
 
-def affordable(
-    flow: ContactFlow, omega: float, subharmonic: int = 1, periods: int = FLOWS + PRODUCTS
+def is_affordable(
+    flow: ContactFlow,
+    omega: float,
+    subharmonic: int = 1,
+    periods: int = MAX_SEARCH_PERIODS + MAX_GMRES_PRODUCTS,
 ) -> bool:
-    """Return True if a search does not take long at a frequency: M is formed, and the load not too
-    slow.
+    """Return True if a search for an orbit is fast.
 
-    The same where so many periods have no more pieces, but for events, than it may take. Large
-    states of crack faces with mass, which bounce, are not tried: from their harmonic-balance
-    solutions Newton's method leads to no orbit.
+    Two cases are affordable:
+
+    - M is formed, and the load is not too slow.
+    - M is not formed, crack faces have no mass, and ``periods`` periods without events fit into the
+      budget of Taylor pieces.
+
+    Large models are not tried if crack faces have mass, and bounce: Newton's method fails from
+    harmonic-balance solutions.
     """
-    if flow.count <= FORMED:
-        return not too_slow(flow, omega, subharmonic)
+    if flow.n_modes <= MAX_MODES_FOR_MONODROMY:
+        return not is_too_slow(flow, omega, subharmonic)
     pieces = flow.pieces(2.0 * np.pi * subharmonic / omega)
-    return flow.structure.light_lips and periods * pieces <= PIECES
+    return flow.structure.light_lips and periods * pieces <= MAX_SEARCH_PIECES
 
 
-def too_slow(flow: ContactFlow, omega: float, subharmonic: int = 1) -> bool:
-    """Return True if two periods of a small state exceed the budget, without events."""
+def is_too_slow(flow: ContactFlow, omega: float, subharmonic: int = 1) -> bool:
+    """Return True if two periods exceed the budget of a small model.
+
+    Events are not counted. For a large model the result is False.
+    """
     pieces = flow.pieces(2.0 * np.pi * subharmonic / omega)
-    return flow.count <= FORMED and 2.0 * pieces > Budget.pieces
+    return flow.n_modes <= MAX_MODES_FOR_MONODROMY and 2.0 * pieces > Budget.pieces
 
 
-def predicted(
+def predict_orbit(
     flow: ContactFlow, omega: float, states: np.ndarray, subharmonic: int = 1
 ) -> Prediction | None:
-    """One step of Newton's method for a solution, of states at equal parts of its period (n,
-    2 n_modes); None where the motion cannot be followed."""
+    """Take one Newton step for a whole motion.
+
+    Parameters
+    ----------
+    states : (n, flow.size)
+        States of a solution at equal parts of the period.
+
+    Returns
+    -------
+    Prediction or None
+        None if the motion cannot be integrated.
+    """
     weights = flow.weights(omega / subharmonic)
     try:
-        moved, track, ends = flow.steps(states, omega, 2.0 * np.pi * subharmonic / omega)
-        excess = moved - np.concatenate([states[1:], states[:1]])
-        change = track.carried(np.zeros(flow.size), excess, ends)[-1]
-        inverse = _inverse(flow, track, weights)
-        changes = track.carried(inverse(change, FORCING), excess, ends)[:-1]
+        period = 2.0 * np.pi * subharmonic / omega
+        end_states, track, interval_counts = flow.steps(states, omega, period)
+        excess = end_states - np.concatenate([states[1:], states[:1]])
+        change = track.carry_changes(np.zeros(flow.size), excess, interval_counts)[-1]
+        inverse = _make_inverse(flow, track, weights)
+        changes = track.carry_changes(inverse(change, FORCING_TERM), excess, interval_counts)[:-1]
     except (ConvergenceError, np.linalg.LinAlgError, ValueError):
         return None
-    count = flow.count
-    gap, moved = states[:, :count] @ flow.modes.pairs, changes[:, :count] @ flow.modes.pairs
-    return Prediction(relative_to_motion(moved, gap), states + changes, track, inverse)
+    gap = states[:, : flow.n_modes] @ flow.modes.pairs
+    gap_change = changes[:, : flow.n_modes] @ flow.modes.pairs
+    return Prediction(relative_to_motion(gap_change, gap), states + changes, track, inverse)
 
 
-def predicted_motion(
-    flow: ContactFlow, omega: float, step: Prediction, subharmonic: int
+def predict_motion(
+    flow: ContactFlow, omega: float, prediction: Prediction, subharmonic: int
 ) -> MotionInArcs | None:
-    """Return the motion that a prediction leads to; None where it cannot be followed."""
+    """Return the motion of a prediction; None if it cannot be integrated."""
     with suppress(ConvergenceError):
-        ends, track, _ = flow.steps(step.states, omega, 2.0 * np.pi * subharmonic / omega)
+        period = 2.0 * np.pi * subharmonic / omega
+        end_states, track, _ = flow.steps(prediction.states, omega, period)
+        motion = flow.advance(end_states[-1], omega, 0.0)._replace(track=track)
         return MotionInArcs(
-            flow, omega, subharmonic, flow.advance(ends[-1], omega, 0.0)._replace(track=track),
-            step.states[0], 1, step.states,
-        )  # fmt: skip
+            flow, omega, subharmonic, motion, prediction.states[0], 1, prediction.states
+        )
     return None
 
 
-def _inverse(flow: ContactFlow, track: Track, weights: np.ndarray) -> Inverse:
-    """b to (I - M)^-1 b, exactly, or of large states to a relative residual in the norm of the
-    energy."""
-    if flow.count <= FORMED:
-        factors = factored(np.eye(flow.size) - track.tangent)
+def _make_inverse(flow: ContactFlow, track: Track, weights: np.ndarray) -> Inverse:
+    """Return the function b to (I - M)^-1 b for a track.
+
+    For large models the relative residual is that of GMRES in the energy norm.
+    """
+    if flow.n_modes <= MAX_MODES_FOR_MONODROMY:
+        factors = factorise(np.eye(flow.size) - track.tangent)
         if not (np.isfinite(factors[0]).all() and np.diag(factors[0]).all()):
             raise np.linalg.LinAlgError("I - M is singular")
-        return lambda right, sharp: solve_factored(factors, right)
+        return lambda right_side, tolerance: solve_factored(factors, right_side)
 
     def apply(change: np.ndarray) -> np.ndarray:
         return change - weights * (track @ (change / weights))
 
-    return lambda right, sharp: gmres(apply, weights * right, sharp, PRODUCTS) / weights
+    return lambda right_side, tolerance: (
+        gmres(apply, weights * right_side, tolerance, MAX_GMRES_PRODUCTS) / weights
+    )
 
 
 def find_orbit(
@@ -506,39 +589,55 @@ def find_orbit(
     *,
     subharmonic: int = 1,
     inverse: Inverse | None = None,
-    located: float = LOCATED,
-    ended: list[str] | None = None,
+    step_tolerance: float = LOCATION_TOLERANCE,
+    failure_reasons: list[str] | None = None,
 ) -> PeriodicOrbit | None:
-    """The orbit that Newton's method leads to from a state at phase zero, closed to 1e-6: behind a
-    relative step of ``located``, of large states CLOSE.
+    """Search for an orbit from a state by Newton's method.
 
-    None where it leads to none, or takes more than the budget allows: pieces of all motions
-    together, and intervals of each. It may begin with the inverse of a motion nearby. ``ended``
-    gets the reason, in words, of a search that its budget of pieces ends.
+    The search fails if Newton's method does not converge, or if the motions exceed the budget:
+    Taylor pieces for all motions together, intervals for each. An orbit must close to 1e-6.
+
+    Parameters
+    ----------
+    state : (flow.size,)
+        Guess at phase zero.
+    inverse : Inverse, optional
+        (I - M)^-1 of a nearby motion.
+    step_tolerance : float
+        Maximum relative Newton step at the orbit. If M is not formed, it is ROOT_TOLERANCE.
+    failure_reasons : list of str, optional
+        Extended by the reason if the budget of pieces ends the search.
+
+    Returns
+    -------
+    PeriodicOrbit or None
+        None if the search fails.
     """
     search = _Search(flow, omega, subharmonic, state)
     try:
-        if not search.leads_to_orbit(inverse, located):
+        if not search.leads_to_orbit(inverse, step_tolerance):
             return None
     except (ConvergenceError, np.linalg.LinAlgError, ValueError) as error:
-        if ended is not None and isinstance(error, BudgetError):
-            words = f"the search for an exact orbit ended at its budget of {search.budget:,} pieces"
-            ended.append(f"{words}; use fewer pairs (mesh.patches) or modes")
+        if failure_reasons is not None and isinstance(error, BudgetError):
+            summary = (
+                f"the search for an exact orbit ended at its budget of {search.budget:,} pieces"
+            )
+            failure_reasons.append(f"{summary}; use fewer pairs (mesh.patches) or modes")
         return None
-    found = PeriodicOrbit(flow, omega, subharmonic, search.motion, search.state, search.flows)
-    # Where M is huge a step may be short and the motion does not close.
-    return found if found.residual <= KNOWN else None
+    orbit = PeriodicOrbit(flow, omega, subharmonic, search.motion, search.state, search.flows)
+    # If M is huge, a step may be short although the motion does not close.
+    return orbit if orbit.residual <= MULTIPLIER_TOLERANCE else None
 
 
 class _Search:
-    """Newton's method for z(T) = z(0): where it is, and the motion from there.
+    """Newton's method for z(T) = z(0): current state and motion.
 
     Attributes
     ----------
     flows : int
-        Periods followed.
+        Number of periods integrated so far.
     budget : int
-        Taylor pieces that they may have.
+        Maximum Taylor pieces of all periods.
     """
 
     def __init__(
@@ -546,93 +645,108 @@ class _Search:
     ) -> None:
         self._flow, self._omega = flow, omega
         self._period = 2.0 * np.pi * subharmonic / omega
-        most = PIECES
-        if flow.count <= FORMED and not too_slow(flow, omega, subharmonic):
-            most = max(most, math.ceil(FLOWS * flow.pieces(self._period)))
-        self.budget = self._left = most
+        max_pieces = MAX_SEARCH_PIECES
+        if flow.n_modes <= MAX_MODES_FOR_MONODROMY and not is_too_slow(flow, omega, subharmonic):
+            max_pieces = max(max_pieces, math.ceil(MAX_SEARCH_PERIODS * flow.pieces(self._period)))
+        self.budget = self._remaining_pieces = max_pieces
         self._weights = flow.weights(omega / subharmonic)
         self.state, self.flows = state, 0
 
     def size(self, change: np.ndarray) -> float:
-        """In the norm of the energy."""
+        """Return the energy norm of a state change."""
         weighted = self._weights * change
         return math.sqrt(weighted @ weighted)
 
-    def leads_to_orbit(self, inverse: Inverse | None, located: float) -> bool:
-        """Return True if the search ends with an orbit."""
-        formed = self._flow.count <= FORMED
-        closed, shortest = (located, MIN_NEWTON_STEP) if formed else (CLOSE, 0.1)
+    def leads_to_orbit(self, inverse: Inverse | None, step_tolerance: float) -> bool:
+        """Return True if the search ends with an orbit.
+
+        A step is accepted if |simplified step| <= (1 - damping / 4) |step|. The next damping factor
+        follows from the nonlinearity |simplified step - (1 - damping) step|.
+        """
+        forms_monodromy = self._flow.n_modes <= MAX_MODES_FOR_MONODROMY
+        min_damping = MIN_NEWTON_STEP if forms_monodromy else 0.1
+        step_tolerance = step_tolerance if forms_monodromy else ROOT_TOLERANCE
         self.motion = self._follow(self.state)
-        share, own = 1.0, False  # whether the derivative is that of the motion here
-        steps: list[np.ndarray] = []  # with one derivative
-        if formed and inverse is not None:
-            steps = [inverse(self.motion.state - self.state, FORCING)]
-        while self.flows < FLOWS:
+        damping, is_current = 1.0, False  # is_current: the inverse is that of self.motion
+        steps: list[np.ndarray] = []  # with the same inverse
+        if forms_monodromy and inverse is not None:
+            steps = [inverse(self.motion.state - self.state, FORCING_TERM)]
+        while self.flows < MAX_SEARCH_PERIODS:
             if inverse is None or not steps:
-                inverse, own = _inverse(self._flow, self.motion.track, self._weights), True
-                steps = [inverse(self.motion.state - self.state, FORCING)]
+                inverse = _make_inverse(self._flow, self.motion.track, self._weights)
+                is_current = True
+                steps = [inverse(self.motion.state - self.state, FORCING_TERM)]
             step = steps[-1]
-            trial = self.state + share * step
-            moved = self._follow(trial)
-            simplified = inverse(moved.state - trial, BLUNT)
-            for one, behind in pairwise(steps):
-                simplified = simplified + self._part(simplified, one) * behind
-            before, after = self.size(step), self.size(simplified)
-            bent = self.size(simplified - (1.0 - share) * step) + sys.float_info.min
-            goal = closed * self.size(trial)
-            if not after <= (1.0 - 0.25 * share) * before:
-                if before <= KNOWN * self.size(trial):  # what is left of steps is rounding
+            trial_state = self.state + damping * step
+            trial_motion = self._follow(trial_state)
+            simplified_step = inverse(trial_motion.state - trial_state, COMPARISON_TOLERANCE)
+            for earlier_step, later_step in pairwise(steps):
+                fraction = self._fraction_along(simplified_step, earlier_step)
+                simplified_step = simplified_step + fraction * later_step
+            step_size, simplified_size = self.size(step), self.size(simplified_step)
+            nonlinearity = self.size(simplified_step - (1.0 - damping) * step) + sys.float_info.min
+            state_size = self.size(trial_state)
+            if not simplified_size <= (1.0 - 0.25 * damping) * step_size:
+                if step_size <= MULTIPLIER_TOLERANCE * state_size:  # steps are rounding errors
                     return True
-                if not own:
+                if not is_current:
                     steps = []
                     continue
-                share = min(0.5 * share, 0.5 * share**2 * before / bent)
-                if share < shortest:
+                damping = min(0.5 * damping, 0.5 * damping**2 * step_size / nonlinearity)
+                if damping < min_damping:
                     return False
                 continue
-            self.state, self.motion, own = trial, moved, False
-            if after <= goal:
+            self.state, self.motion, is_current = trial_state, trial_motion, False
+            if simplified_size <= step_tolerance * state_size:
                 return True
-            if formed and share == 1.0 and after <= 0.1 * before:  # once more with this derivative
-                steps.append(simplified / (1.0 - self._part(simplified, step)))
+            # After a good step the inverse serves once more.
+            if forms_monodromy and damping == 1.0 and simplified_size <= 0.1 * step_size:
+                steps.append(simplified_step / (1.0 - self._fraction_along(simplified_step, step)))
                 continue
             steps = []
-            share = min(1.0, 0.5 * share**2 * before / bent)
+            damping = min(1.0, 0.5 * damping**2 * step_size / nonlinearity)
         return False
 
-    def _part(self, change: np.ndarray, step: np.ndarray) -> float:
-        """Return the fraction of a step in a change, by the energy."""
+    def _fraction_along(self, change: np.ndarray, step: np.ndarray) -> float:
+        """Return the fraction of a step that a change contains.
+
+        The inner product belongs to the energy norm.
+        """
         weighted = self._weights**2 * step
         return float(change @ weighted / (step @ weighted))
 
     def _follow(self, state: np.ndarray) -> Motion:
+        """Integrate a period from a state, on the remaining budget."""
         self.flows += 1
-        left = Budget(pieces=self._left)
-        found = self._flow.advance(state, self._omega, self._period, budget=left)
-        self._left -= found.pieces
-        return found
+        budget = Budget(pieces=self._remaining_pieces)
+        motion = self._flow.advance(state, self._omega, self._period, budget=budget)
+        self._remaining_pieces -= motion.pieces
+        return motion
 
 
 def orbit_from(
     flow: ContactFlow, omega: float, state: np.ndarray, subharmonic: int, iterations: int = 0
 ) -> PeriodicOrbit:
-    """The orbit of a state at phase zero (2 n_modes,), which is followed over its period."""
+    """Return the orbit of a state at phase zero."""
     motion = flow.advance(state, omega, 2.0 * np.pi * subharmonic / omega)
     return PeriodicOrbit(flow, omega, subharmonic, motion, state, iterations + 1)
 
 
-def equal(one: PeriodicOrbit, other: PeriodicOrbit) -> bool:
-    """Return True if two orbits of a flow are the same to 1e-6, in the norm of the energy."""
-    return one.energy_norm(one.state - other.state) <= KNOWN * one.energy_norm(one.state)
+def is_same_orbit(orbit: PeriodicOrbit, other_orbit: PeriodicOrbit) -> bool:
+    """Return True if two orbits agree to 1e-6 in the energy norm."""
+    distance = orbit.energy_norm(orbit.state - other_orbit.state)
+    return distance <= MULTIPLIER_TOLERANCE * orbit.energy_norm(orbit.state)
 
 
 def eigenvalues(matrix: np.ndarray) -> np.ndarray:
-    """All of a monodromy matrix, largest modulus first; straight from LAPACK, for small matrices a
-    tenth of NumPy's time."""
+    """Return the eigenvalues of a monodromy matrix in descending modulus.
+
+    LAPACK is called directly: for small matrices that takes a tenth of NumPy's time.
+    """
     if not np.isfinite(matrix).all():
         raise np.linalg.LinAlgError("the monodromy matrix is not finite")
-    real, imaginary, _, _, info = dgeev(matrix, compute_vl=0, compute_vr=0)
+    real_parts, imaginary_parts, _, _, info = dgeev(matrix, compute_vl=0, compute_vr=0)
     if info:
         raise np.linalg.LinAlgError("eigenvalues of the monodromy matrix do not converge")
-    found: np.ndarray = real + 1j * imaginary
-    return found[np.argsort(-np.abs(found), kind="stable")]
+    multipliers: np.ndarray = real_parts + 1j * imaginary_parts
+    return multipliers[np.argsort(-np.abs(multipliers), kind="stable")]

@@ -1,11 +1,15 @@
-"""Periodic orbits of a flow as a system of equations: z(T) = z(0).
+"""Periodic orbits of a flow as equations z(T) = z(0).
 
-In x = z / |z_0| and p = w / w_0, z_0 and w_0 those of a motion nearby, an orbit solves
+The unknowns x are the scaled state z at phase zero of the load, less an offset linear in p:
 
-    F(x, p) = z(T; x, p) / |z_0| - x = 0,        T = 2 pi m / w,
+    x = S z(0) - x_0 - p x_1,    S = diag(scale)
 
-z the state at phase zero, m the periods of the load in the response's; dF/dx = M - I with the
-monodromy matrix M.
+The load's frequency is w(p) = w_0 + p w_1, the period T = 2 pi m / w, and m is the number of load
+periods in the response's period. An orbit solves
+
+    F(x, p) = S (z(T) - z(0)) = 0,    dF/dx = S M S^-1 - I,
+
+with the monodromy matrix M = dz(T) / dz(0).
 """
 
 from __future__ import annotations
@@ -28,36 +32,36 @@ from fenics_crack.numerics.newton import PathPoint
 
 @dataclass(eq=False, repr=False)
 class OrbitPoint(DenseLinearisation):
-    """The equations of periodic orbits at a state and a frequency.
+    """Periodic-orbit equations at a state and a frequency.
 
     Attributes
     ----------
-    form, derive : callable
-        Return M, and dF/dp.
+    make_monodromy, make_parameter_derivative : callable
+        Return S M S^-1 and dF/dp.
     events, pieces : int
-        Switching instants in the period, and pieces of the Taylor series.
+        Pairs that open or close in the period, and pieces of the Taylor series.
     """
 
     unknown: np.ndarray
     residual: np.ndarray
-    form: Callable[[], np.ndarray]
-    derive: Callable[[], np.ndarray]
+    make_monodromy: Callable[[], np.ndarray]
+    make_parameter_derivative: Callable[[], np.ndarray]
     events: int
     pieces: int
 
     @cached_property
     def monodromy(self) -> np.ndarray:
-        """M = dz(T)/dz: (2n, 2n)."""
-        return self.form()
+        """Return the monodromy matrix in the unknowns x, S M S^-1: (n, n)."""
+        return self.make_monodromy()
 
     @cached_property
     def jacobian(self) -> np.ndarray:
-        """M - I."""
+        """Return S M S^-1 - I."""
         return self.monodromy - np.eye(len(self.monodromy))
 
     @cached_property
     def by_parameter(self) -> np.ndarray:
-        return self.derive()
+        return self.make_parameter_derivative()
 
     @property
     def record(self) -> np.ndarray:
@@ -65,119 +69,130 @@ class OrbitPoint(DenseLinearisation):
 
 
 class ShootingEquations(Equations):
-    """F(x, p) of an exact flow in the kernel (``kernel/shooting.h``), x = scale z - x_0 - p x_1;
-    dF/dx = M - I and dF/dp are exact.
+    """F(x, p) of an exact flow, in the kernel (``kernel/shooting.h``).
+
+    dF/dx and dF/dp are exact.
 
     Parameters
     ----------
     flow : ContactFlow
-    scale : (2 n_modes,)
-        dx/dz.
+    scale : (flow.size,)
+        Diagonal of S.
     omega : (float, float)
-        Of the load at p = 0, and its rate [rad/s].
+        Load frequency at p = 0, and its derivative by p [rad/s].
     subharmonic : int
-        The load's periods in one of the orbit.
-    **along
-        The kernel's arrays of what follows p: ``force``, ``gap`` and their rates ``force_by``,
-        ``gap_by`` where the load does, (2K+1, n_modes) and (2K+1, n_pairs), of the flow at p = 0;
-        ``damping`` at p = 0 and its rate ``damping_by``, of so many ``rates``, the flow being the
-        one with the largest; ``rest``: x_0 and x_1, (2, 2 n_modes), by default 0. A flow whose load
-        or damping follows p is changed.
+        Load periods in the orbit's period.
+    **arrays
+        Quantities that depend on p, for the kernel. If load or damping do, the kernel modifies the
+        flow.
+
+        - ``force``, ``gap``: load of the flow at p = 0, (2K+1, n_modes) and (2K+1, n_rows).
+        - ``force_by``, ``gap_by``: derivatives of the load by p.
+        - ``damping``, ``damping_by``: damping at p = 0 and its derivative, ``rates`` entries each.
+          The flow must have the largest damping.
+        - ``rest``: x_0 and x_1, (2, flow.size), by default 0.
     """
 
     def __init__(
         self, flow: ContactFlow, scale: np.ndarray, omega: tuple[float, float],
-        subharmonic: int, **along: Any,
+        subharmonic: int, **arrays: Any,
     ) -> None:  # fmt: skip
         self.flow, self.scale, self.shape = flow, scale, scale.shape
         self.subharmonic = subharmonic
-        self._given = Struct(
-            "shooting_equations", flow=flow.handle, modes=flow.count,
-            harmonics=len(flow.force) // 2,
+        self._struct = Struct(
+            "shooting_equations", flow=flow.handle, modes=flow.n_modes,
+            harmonics=len(flow.modal_load) // 2,
             pairs=flow.structure.n_pairs, friction=flow.friction is not None,
             base=omega[0], rate=omega[1],
             turns=2.0 * np.pi * subharmonic, scale=scale, pieces=Budget.pieces,
-            intervals=Budget.intervals, **along,
+            intervals=Budget.intervals, **arrays,
         )  # fmt: skip
-        self._point = owned(kernel.new_shooting_point(self._given.at), kernel.free_shooting_point)
-        self.table = kernel.equations_of_shooting(self._point)
+        self._point = owned(kernel.new_shooting_point(self._struct.at), kernel.free_shooting_point)
+        self.function_table = kernel.equations_of_shooting(self._point)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
-        """The equations at a point.
+        """Return the equations at a point.
 
         Raises
         ------
         ConvergenceError
-            The motion takes more than the budget allows, or is not finite.
+            The motion exceeds its budget, or is not finite.
         """
         self._evaluate(unknown, parameter)
-        return self.found(unknown, parameter)
+        return self.linearise_evaluated(unknown, parameter)
 
-    def moved(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
-        """x after a period."""
+    def advance_period(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
+        """Return x after one period."""
         self._evaluate(unknown, parameter)
         return unknown + self._residual()
 
     @property
     def pieces(self) -> int:
-        """Number of Taylor pieces of the motion last integrated."""
+        """Return the number of Taylor pieces in the last motion."""
         return int(kernel.pieces_of(self._point))
 
     def _evaluate(self, unknown: np.ndarray, parameter: float) -> None:
+        """Integrate the motion over a period."""
         assert unknown.shape == self.shape
-        given = pointer(np.ascontiguousarray(unknown, dtype=float))
-        if not self.check(self.run(self.table.evaluate, given, parameter)):
+        unknown_pointer = pointer(np.ascontiguousarray(unknown, dtype=float))
+        if not self.check_outcome(
+            self.run(self.function_table.evaluate, unknown_pointer, parameter)
+        ):
             raise ConvergenceError("orbits: the motion over a period cannot be followed")
 
     def _residual(self) -> np.ndarray:
-        """F where it was evaluated last."""
+        """Return F at the last evaluated point."""
         residual = np.empty(self.shape)
-        self.table.residual(self.table, pointer(residual))
+        self.function_table.residual(self.function_table, pointer(residual))
         return residual
 
-    def found(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
+    def linearise_evaluated(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
         residual = self._residual()
         events = int(kernel.switches_of(self._point))
 
-        def return_there() -> None:
-            if self._last is None or self._last is not known():
+        def ensure_evaluated() -> None:
+            if (
+                self._last_linearisation is None
+                or self._last_linearisation is not point_reference()
+            ):
                 self._evaluate(unknown, parameter)
-                self._last = known()
+                self._last_linearisation = point_reference()
 
         def monodromy() -> np.ndarray:
-            found = np.empty(2 * self.shape)
-            return_there()
-            kernel.tangent_of(self._point, pointer(found))
-            return found
+            matrix = np.empty(2 * self.shape)
+            ensure_evaluated()
+            kernel.tangent_of(self._point, pointer(matrix))
+            return matrix
 
         def by_parameter() -> np.ndarray:
-            slope = np.empty(self.shape)
-            return_there()
-            self.table.by_parameter(self.table, pointer(slope))
-            return slope
+            derivative = np.empty(self.shape)
+            ensure_evaluated()
+            self.function_table.by_parameter(self.function_table, pointer(derivative))
+            return derivative
 
-        found = OrbitPoint(unknown, residual, monodromy, by_parameter, events, self.pieces)
-        known = weakref.ref(found)
-        self._last = found
-        return found
+        point = OrbitPoint(unknown, residual, monodromy, by_parameter, events, self.pieces)
+        point_reference = weakref.ref(point)
+        self._last_linearisation = point
+        return point
 
 
 class FlowOrbits(ShootingEquations):
-    """F(x, p) of the exact flow, in the kernel, x = w z / |w z_0| with 1 / w the modes' frequencies
-    where z are velocities: by the amplitude. dF/dx = M - I and dF/dp are exact
-    (``kernel/shooting.h``).
+    """F(x, p) of an exact flow over the load frequency, p = w / w_0.
+
+    The scale S measures states by amplitude: displacements have weight 1, velocities have the
+    weight 1 / frequency of the mode. S is divided by the size of a nearby state z_0: |S z_0| = 1.
 
     Attributes
     ----------
     flow : ContactFlow
     omega : float
-        omega_0, of the load [rad/s].
+        w_0 of the load [rad/s].
     subharmonic : int
-        Its periods in one of the orbit.
-    scale : (2 n_modes,)
-        x / z.
-    start : (2 n_modes,)
-        x of the state nearby, at p = 1.
+        Load periods in the orbit's period.
+    scale : (flow.size,)
+        Diagonal of S.
+    start : (flow.size,)
+        x of the nearby state, at p = 1.
     """
 
     def __init__(
@@ -189,14 +204,14 @@ class FlowOrbits(ShootingEquations):
         self.omega, self.start = omega, scale * state
 
     def state(self, unknown: np.ndarray) -> np.ndarray:
-        """z of x: (2n,)."""
+        """Return z from x: (flow.size,)."""
         return np.asarray(unknown / self.scale)
 
     def unknown(self, state: np.ndarray) -> np.ndarray:
-        """x of z: (2n,)."""
+        """Return x from z: (flow.size,)."""
         return np.asarray(self.scale * state)
 
-    def orbit(self, found: PathPoint) -> PeriodicOrbit:
-        """The orbit of a solution of the equations."""
-        omega, state = found.parameter * self.omega, self.state(found.unknown)
-        return orbit_from(self.flow, omega, state, self.subharmonic, found.iterations)
+    def orbit(self, point: PathPoint) -> PeriodicOrbit:
+        """Return the orbit at a solved point."""
+        omega, state = point.parameter * self.omega, self.state(point.unknown)
+        return orbit_from(self.flow, omega, state, self.subharmonic, point.iterations)

@@ -1,12 +1,19 @@
-"""Interface of systems of equations F(x, p) = 0 for Newton's method and path following.
+"""Interface of equations F(x, p) = 0 for Newton's method and path following.
 
-A system is linearised at a point, and the answer is a value: residual, solutions with the Jacobian,
-derivative by the parameter and orientation belong to that point and to no other, in whatever order
-they are requested, and each is computed when it is first requested. What
-rounding leaves of a residual is known too.
+A :class:`System` has unknowns x and a parameter p. At a point (x, p) its :class:`Linearisation`
+offers
 
-The loops are the kernel's, which knows equations by a table of functions (``kernel/equations.h``).
-Compiled ones bring theirs; for a system in Python the table holds functions that call it back.
+    F(x, p)       residual
+    J^-1 r        solutions with the Jacobian J = dF/dx
+    dF/dp         derivative by the parameter
+    sign det J    orientation
+
+and computes each on first request. All four belong to the point, in whatever order a caller
+requests them.
+
+Newton's method and path following run in the compiled kernel. The kernel reaches equations
+through a table of functions (``kernel/equations.h``). Compiled equations bring a table; for a
+system in Python the functions in the table call back into Python.
 """
 
 from __future__ import annotations
@@ -23,25 +30,32 @@ from scipy.linalg.lapack import dgetrf, dgetrs
 from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.kernel import Struct, ffi, kernel
 
-EPSILON, TINY = float(np.finfo(float).eps), float(np.finfo(float).tiny)
-"""Relative rounding, and the smallest number that has it."""
+MACHINE_EPSILON = float(np.finfo(float).eps)
+"""Relative rounding error of floating-point numbers."""
+SMALLEST_NORMAL = float(np.finfo(float).tiny)
+"""Smallest positive number with full relative accuracy."""
 ROUNDING: float = kernel.ROUNDING
-"""Rounding of solutions, relative to the largest."""
-CENTRAL_STEP = float(np.cbrt(EPSILON))
-"""Step of a parameter, for a derivative by central differences: their truncation error is then as
-small as their rounding."""
-LOCATED, CLOSE = 1e-11, math.sqrt(EPSILON)
-"""Maximum |F| / |x| of a special point between two points of a path, and relative length of a step
-behind which an orbit is found; and of orbits that many are sought, or that are found by
-products."""
-NEARLY_SOLVED = CENTRAL_STEP
-"""Maximum |F| / |x| of a solution with which another one begins, or by which it is assessed; and
-the largest rounding: equations that require more are refused."""
+"""Rounding error of solutions, relative to the largest entry."""
+CENTRAL_DIFFERENCE_STEP = float(np.cbrt(MACHINE_EPSILON))
+"""Parameter step for central differences. Truncation and rounding error are then about equal."""
+LOCATION_TOLERANCE = 1e-11
+"""Maximum |F| / |x| at a special point of a path, and maximum relative Newton
+step to an exact orbit."""
+ROOT_TOLERANCE = math.sqrt(MACHINE_EPSILON)
+"""Distance from zero, relative to 1, below which a function counts as zero. Also the maximum
+relative Newton step to an orbit whose monodromy matrix is not formed."""
+COARSE_TOLERANCE = CENTRAL_DIFFERENCE_STEP
+"""Maximum |F| / |x| of a solution from which another solution starts or is assessed. Equations
+whose rounding error is larger are refused."""
 
 
-def least_residual(slope: float) -> float:
-    """Return the rounding error of |F| / |x| where F changes by at most so much times |x|."""
-    return max(ROUNDING, min(NEARLY_SOLVED, EPSILON * slope))
+def residual_rounding(slope: float) -> float:
+    """Return the rounding error of |F| / |x|.
+
+    ``slope`` is the largest |dF| / |dx|. The result lies between ``ROUNDING`` and
+    ``COARSE_TOLERANCE``.
+    """
+    return max(ROUNDING, min(COARSE_TOLERANCE, MACHINE_EPSILON * slope))
 
 
 class Linearisation(ABC):
@@ -50,126 +64,147 @@ class Linearisation(ABC):
     unknown: np.ndarray
     """x."""
     residual: np.ndarray
-    """F(x, p), of the shape and in the units of x."""
+    """F(x, p), in the shape and units of x."""
 
     @abstractmethod
-    def solve(self, right: np.ndarray) -> np.ndarray:
-        """J^-1 r, with J = dF/dx."""
+    def solve(self, right_side: np.ndarray) -> np.ndarray:
+        """Return J^-1 r for r in the shape of x."""
 
     def apply(self, change: np.ndarray) -> np.ndarray:
-        """J dx, for systems that SNES solves."""
+        """Return J dx for a change dx of the unknowns.
+
+        SNES needs it for systems without a formed Jacobian.
+        """
         raise NotImplementedError
 
     @property
     @abstractmethod
     def by_parameter(self) -> np.ndarray:
-        """dF/dp."""
+        """Return dF/dp."""
 
     @property
     def record(self) -> np.ndarray:
-        """Record of the point that paths may keep."""
+        """Return the numbers that a path may keep at the point. The array may have any shape."""
         raise NotImplementedError
 
     @property
     @abstractmethod
     def sign(self) -> float:
-        """Sign of det J, +1 or -1, which changes at the folds of a path."""
+        """Return the sign of det J, +1 or -1. It changes at the folds of a path."""
 
 
 class System(Protocol):
-    """F(x, p) = 0 for unknowns in arrays of one shape, the same on every rank.
+    """Equations F(x, p) = 0 with all unknowns in one array.
 
-    It may have more: ``compiled``, its kernel's equations; ``counts``, by how much each unknown
-    counts in turns; ``means``, how many of the unknowns, the first, are means over
-    time; and ``records``, how many numbers paths may keep of each point, the ``record`` of its
-    linearisation, with ``observe(records)``, what a step control sees of them: (n, ...) of
-    (n, records).
+    The unknowns are equal on every rank. A system may have further attributes:
+
+    - ``compiled``: equations in the kernel.
+    - ``counts``: weight of each unknown in angles between tangents.
+    - ``means``: number of leading unknowns that are means over time.
+    - ``records``: number of entries in a linearisation's ``record``.
+    - ``observe(records)``: values (n, ...) for a step control, from records (n, n_records).
     """
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> Linearisation:
-        """The system at a point."""
+        """Return the system at a point."""
 
 
 class DenseLinearisation(Linearisation):
-    """A point whose Jacobian is a dense matrix, factored by LAPACK when it is first needed.
+    """A point with a dense Jacobian, factorised by LAPACK on first use.
 
-    Derived classes make its parts; none holds a reference to itself, so that matrices are freed at
-    once.
+    Derived classes form the matrix. None may hold a reference to itself: its matrices are then
+    freed at once.
     """
 
     @property
     @abstractmethod
     def jacobian(self) -> np.ndarray:
-        """J, (n, n) for the n entries of the residual in their order."""
+        """Return J, (n, n). Rows and columns follow the n entries of the residual."""
 
     def condense(self) -> np.ndarray:
-        """Make the matrix that is factored: J, or a smaller one with the same determinant."""
+        """Return the matrix to factorise: J, or a smaller matrix with the same determinant."""
         return self.jacobian
 
     @cached_property
     def _factors(self) -> tuple[np.ndarray, np.ndarray]:
-        return factored(self.condense())
+        return factorise(self.condense())
 
-    def solve(self, right: np.ndarray) -> np.ndarray:
-        return solve_factored(self._factors, right)
+    def solve(self, right_side: np.ndarray) -> np.ndarray:
+        return solve_factored(self._factors, right_side)
 
     @property
     def sign(self) -> float:
-        matrix, pivots = self._factors
-        swaps = np.count_nonzero(pivots != np.arange(len(pivots)))
-        negative = np.count_nonzero(np.diag(matrix) < 0.0)
-        return -1.0 if (swaps + negative) % 2 else 1.0
+        factors, pivots = self._factors
+        n_swaps = np.count_nonzero(pivots != np.arange(len(pivots)))
+        n_negative = np.count_nonzero(np.diag(factors) < 0.0)
+        return -1.0 if (n_swaps + n_negative) % 2 else 1.0
 
 
-def factored(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """LU factors of A^T: the transpose is in Fortran's order, which LAPACK takes without a
-    transposing copy."""
+def factorise(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the LU factors of A^T.
+
+    The transpose is in Fortran order, so LAPACK needs no transposed copy.
+
+    Returns
+    -------
+    factors : (n, n)
+        L and U of A^T.
+    pivots : (n,) int
+    """
     factors, pivots, _ = dgetrf(matrix.T)
     return factors, pivots
 
 
-def solve_factored(factors: tuple[np.ndarray, np.ndarray], right: np.ndarray) -> np.ndarray:
-    """A^-1 r from the LU factors of A^T, for a right-hand side of any shape."""
-    return np.reshape(dgetrs(*factors, right.ravel(), trans=1)[0], right.shape)
+def solve_factored(factors: tuple[np.ndarray, np.ndarray], right_side: np.ndarray) -> np.ndarray:
+    """Return A^-1 r from the LU factors of A^T. The right-hand side r may have any shape."""
+    return np.reshape(dgetrs(*factors, right_side.ravel(), trans=1)[0], right_side.shape)
 
 
-# --- as the kernel takes them ---------------------------------------------------------------------
+# --- equations for the kernel --------------------------------------------------------------------
 
 
 class Equations(ABC):
-    """A system with its table.
+    """A system with its table of functions for the kernel.
 
     Attributes
     ----------
     shape : tuple of int
-        Of the unknowns.
-    table : the kernel's equations
-    many : bool
-        True if one call follows many points of a path.
+        Shape of the unknowns.
+    function_table : the kernel's ``equations``
+    follows_many_points : bool
+        True if the kernel may follow many points of a path in one call.
     """
 
     shape: tuple[int, ...]
-    table: Any
-    many = True
-    _last: Linearisation | None = None
-    """Last point of evaluation."""
+    function_table: Any
+    follows_many_points = True
+    _last_linearisation: Linearisation | None = None
+    """Point at which the kernel evaluated the equations last; None if unknown."""
 
     @property
     def compiled(self) -> Equations | None:
-        """Itself: the loops are the kernel's."""
+        """Return the equations themselves, which the kernel's loops can run."""
         return self
 
     @abstractmethod
-    def found(self, unknown: np.ndarray, parameter: float) -> Linearisation:
-        """The system at a point that a loop has found, where it has just been evaluated."""
+    def linearise_evaluated(self, unknown: np.ndarray, parameter: float) -> Linearisation:
+        """Return the linearisation at the point that the kernel has just evaluated."""
 
-    def run(self, loop: Any, *given: Any) -> int:
+    def run(self, loop: Any, *arguments: Any) -> int:
         """Run a loop of the kernel and return its outcome."""
-        self._last = None
-        return int(loop(self.table, *given))
+        self._last_linearisation = None
+        return int(loop(self.function_table, *arguments))
 
-    def check(self, outcome: int) -> bool:
-        """Return True if something was found; raise the error that an outcome means otherwise."""
+    def check_outcome(self, outcome: int) -> bool:
+        """Return True if a loop found a solution, else False.
+
+        Raises
+        ------
+        MemoryError
+            The kernel has no memory.
+        ConvergenceError
+            The structure is singular.
+        """
         if outcome == kernel.NO_MEMORY:
             raise MemoryError("equations of a path")
         if outcome == kernel.SINGULAR_STRUCTURE:
@@ -178,68 +213,73 @@ class Equations(ABC):
 
 
 def equations_of(system: System, shape: tuple[int, ...]) -> Equations:
-    """The kernel's equations of a system, its own ``compiled`` where it has them."""
-    found: Equations | None = getattr(system, "compiled", None)
-    return _Interpreted(system, shape) if found is None else found
+    """Return the compiled equations of a system, or a table for Python."""
+    compiled_equations: Equations | None = getattr(system, "compiled", None)
+    return _PythonEquations(system, shape) if compiled_equations is None else compiled_equations
 
 
-class _Interpreted(Equations):
-    """A system in Python."""
+class _PythonEquations(Equations):
+    """Equations whose table calls a system in Python."""
 
-    many = False
+    follows_many_points = False
 
     def __init__(self, system: System, shape: tuple[int, ...]) -> None:
-        self.shape, self._state = shape, _State(system, shape)
+        self.shape, self._state = shape, _PythonState(system, shape)
         self._handle = ffi.new_handle(self._state)
-        size = int(np.prod(shape))
+        n_unknowns = int(np.prod(shape))
         counts = getattr(system, "counts", None)
         if counts is not None:
             counts = np.ascontiguousarray(np.broadcast_to(counts, shape), dtype=float)
         self._struct = Struct(
-            "equations", unknowns=size, means=getattr(system, "means", 0), context=self._handle,
-            counts=counts, records=getattr(system, "records", 0), record=kernel.python_record,
+            "equations", unknowns=n_unknowns, means=getattr(system, "means", 0),
+            context=self._handle, counts=counts,
+            records=getattr(system, "records", 0), record=kernel.python_record,
             evaluate=kernel.python_evaluate, residual=kernel.python_residual,
             solve=kernel.python_solve, by_parameter=kernel.python_by_parameter,
             sign=kernel.python_sign,
         )  # fmt: skip
-        self.table = self._struct.at
+        self.function_table = self._struct.at
 
-    def found(self, unknown: np.ndarray, parameter: float) -> Linearisation:
-        return self._state.at
+    def linearise_evaluated(self, unknown: np.ndarray, parameter: float) -> Linearisation:
+        return self._state.linearisation
 
-    def check(self, outcome: int) -> bool:
+    def check_outcome(self, outcome: int) -> bool:
         failure, self._state.failure = self._state.failure, None
         if failure is not None:
             raise failure
-        return super().check(outcome)
+        return super().check_outcome(outcome)
 
 
-class _State:
-    """A system in Python where the kernel has evaluated it, and what it raised."""
+class _PythonState:
+    """Linearisation and error of a Python system during a kernel loop."""
 
-    at: Linearisation
+    linearisation: Linearisation
     failure: BaseException | None = None
 
     def __init__(self, system: System, shape: tuple[int, ...]) -> None:
         self.system, self._shape, self._bytes = system, shape, 8 * int(np.prod(shape))
 
-    def array(self, numbers: Any) -> np.ndarray:
-        """The kernel's numbers."""
-        return np.frombuffer(ffi.buffer(numbers, self._bytes)).reshape(self._shape)
+    def as_array(self, buffer: Any) -> np.ndarray:
+        """Return a kernel buffer as an array in the unknowns' shape."""
+        return np.frombuffer(ffi.buffer(buffer, self._bytes)).reshape(self._shape)
 
 
-def _called_back(failed: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """For functions of the table: what they raise is kept until the loop has ended."""
+def _python_callback(failure_value: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Return a decorator for the functions of the table.
+
+    An exception must not pass through C. It is kept until the loop has ended, and ``failure_value``
+    is returned instead.
+    """
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(function)
-        def call(table: Any, *given: Any) -> Any:
-            state: _State = ffi.from_handle(table.context)
+        def call(table: Any, *arguments: Any) -> Any:
+            state: _PythonState = ffi.from_handle(table.context)
             try:
-                return failed if state.failure else function(state, *given)
-            except BaseException as error:  # KeyboardInterrupt too: C passes none on
+                return failure_value if state.failure else function(state, *arguments)
+            except BaseException as error:  # KeyboardInterrupt, too: no exception passes through C
                 state.failure = error
-                return failed
+                return failure_value
 
         ffi.def_extern(name=f"python{function.__name__}")(call)
         return call
@@ -247,34 +287,34 @@ def _called_back(failed: Any) -> Callable[[Callable[..., Any]], Callable[..., An
     return decorate
 
 
-@_called_back(kernel.FAILED)
-def _evaluate(state: _State, unknown: Any, parameter: float) -> int:
-    state.at = state.system.linearise(state.array(unknown).copy(), parameter)
+@_python_callback(kernel.FAILED)
+def _evaluate(state: _PythonState, unknown: Any, parameter: float) -> int:
+    state.linearisation = state.system.linearise(state.as_array(unknown).copy(), parameter)
     return int(kernel.FOUND)
 
 
-@_called_back(None)
-def _residual(state: _State, found: Any) -> None:
-    state.array(found)[...] = state.at.residual
+@_python_callback(None)
+def _residual(state: _PythonState, residual_out: Any) -> None:
+    state.as_array(residual_out)[...] = state.linearisation.residual
 
 
-@_called_back(None)
-def _solve(state: _State, right: Any) -> None:
-    both = state.array(right)
-    both[...] = state.at.solve(both.copy())
+@_python_callback(None)
+def _solve(state: _PythonState, vector: Any) -> None:
+    solution = state.as_array(vector)
+    solution[...] = state.linearisation.solve(solution.copy())
 
 
-@_called_back(None)
-def _by_parameter(state: _State, found: Any) -> None:
-    state.array(found)[...] = state.at.by_parameter
+@_python_callback(None)
+def _by_parameter(state: _PythonState, derivative_out: Any) -> None:
+    state.as_array(derivative_out)[...] = state.linearisation.by_parameter
 
 
-@_called_back(None)
-def _record(state: _State, found: Any) -> None:
-    record = state.at.record.ravel()
-    np.frombuffer(ffi.buffer(found, record.nbytes))[:] = record
+@_python_callback(None)
+def _record(state: _PythonState, record_out: Any) -> None:
+    record = state.linearisation.record.ravel()
+    np.frombuffer(ffi.buffer(record_out, record.nbytes))[:] = record
 
 
-@_called_back(np.nan)
-def _sign(state: _State) -> float:
-    return state.at.sign
+@_python_callback(np.nan)
+def _sign(state: _PythonState) -> float:
+    return state.linearisation.sign

@@ -1,9 +1,12 @@
-"""Extremes of periodic functions, from samples at equal parts of the period to rounding.
+"""Maxima of periodic functions, to rounding error, from equally spaced samples.
 
-Next to each sample that may be the largest one the function is evaluated at places around it, and
-where the polynomial through these has its maximum. Where it is not that polynomial, as next to a
-kink, it is evaluated around the largest of them again, ever nearer: nothing is differentiated, and
-the error of a smooth maximum is the square of the last distance.
+Around each sample that may be the largest, a function is evaluated at nine positions. The
+polynomial through the nine values predicts position and value of the maximum, and the function is
+evaluated at the predicted position. If the prediction is wrong, as next to a kink, nine closer
+positions around the largest value follow, and so on. No derivative is used. For a smooth maximum
+the error is the last distance squared.
+
+Positions are parts of the period, from 0 to 1.
 """
 
 from __future__ import annotations
@@ -12,58 +15,92 @@ from collections.abc import Callable
 
 import numpy as np
 
-Motion = Callable[[np.ndarray], np.ndarray]
-"""Columns (n, m) of functions at parts (n,) of the period, 0 to 1 and beyond."""
-InPeriod = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
-"""Likewise columns of a motion [m], and gaps [m] and contact forces [N] of all rows."""
-AROUND, STEPS = np.linspace(-1.0, 1.0, 9), 10
-"""Places around the largest, a quarter as far apart at each step: 4e-9 of the period from 256
-samples on, whose square is rounding with 100 harmonics."""
-POWERS = np.arange(len(AROUND))
-POLYNOMIAL = np.linalg.inv(AROUND[:, None] ** POWERS)
-"""Coefficients of the polynomial through values there."""
-SMOOTH = 1e-6
-"""Maximum distance of a function from its polynomial, over the range of its values next to a
-maximum, of which that is then as small a part."""
+PeriodicFunctions = Callable[[np.ndarray], np.ndarray]
+"""Callable from positions (n,) in the period to the values (n, m) of m functions."""
+RecordFunction = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
+"""Callable from positions in the period to a motion [m], gaps [m] and contact forces [N] of all
+rows."""
+OFFSETS = np.linspace(-1.0, 1.0, 9)
+"""Positions around a sample, relative to the spacing of the samples."""
+N_REFINEMENTS = 10
+"""Maximum refinements. Each divides the spacing by four: 256 samples end at 4e-9 of the
+period. Its square is rounding error, for up to 100 harmonics."""
+POWERS = np.arange(len(OFFSETS))
+"""Exponents of the polynomial through nine values."""
+POLYNOMIAL_FROM_VALUES = np.linalg.inv(OFFSETS[:, None] ** POWERS)
+"""Matrix from nine values at ``OFFSETS`` to the coefficients of their polynomial."""
+MAX_POLYNOMIAL_ERROR = 1e-6
+"""Maximum error of a predicted maximum, relative to the nine values' range."""
 
 
-def largest(values: np.ndarray, at: Motion | None = None) -> np.ndarray:
-    """Largest values (m,) of functions by their samples at equal parts of the period (n, m), and
-    by the functions themselves where they are given."""
-    tops: np.ndarray = np.max(values, axis=0)
-    before, after = np.roll(values, 1, 0), np.roll(values, -1, 0)
-    # Next to a peak the function rises by less than it falls to its neighbours.
-    high = 2.0 * values - np.minimum(before, after) >= tops
-    rows, columns = np.nonzero((values > before) & (values >= after) & high)
-    places, distance = rows / len(values), 1.0 / len(values)
-    for step in range(STEPS):
-        if at is None or not len(places):
+def find_maxima(samples: np.ndarray, functions: PeriodicFunctions | None = None) -> np.ndarray:
+    """Return the largest value of each function, (m,).
+
+    Without the functions, return the largest samples.
+
+    Parameters
+    ----------
+    samples : (n, m)
+        Values at n equal parts of the period.
+    functions : callable, optional
+        The m functions.
+    """
+    maxima: np.ndarray = np.max(samples, axis=0)
+    previous_samples, next_samples = np.roll(samples, 1, 0), np.roll(samples, -1, 0)
+    # A function exceeds its sample by less than the sample exceeds the lower neighbour.
+    may_be_largest = 2.0 * samples - np.minimum(previous_samples, next_samples) >= maxima
+    sample_indices, columns = np.nonzero(
+        (samples > previous_samples) & (samples >= next_samples) & may_be_largest
+    )
+    positions, spacing = sample_indices / len(samples), 1.0 / len(samples)
+    for step in range(N_REFINEMENTS):
+        if functions is None or not len(positions):
             break
-        each, near = np.arange(len(places)), places[:, None] + distance * AROUND
-        seen = at(near.ravel()).reshape(*near.shape, -1)[each, :, columns]
-        best = seen.argmax(axis=1)
-        np.maximum.at(tops, columns, seen[each, best])
+        candidates = np.arange(len(positions))
+        nearby_positions = positions[:, None] + spacing * OFFSETS
+        nearby_values = functions(nearby_positions.ravel())
+        nearby_values = nearby_values.reshape(*nearby_positions.shape, -1)[candidates, :, columns]
+        largest_index = nearby_values.argmax(axis=1)
+        np.maximum.at(maxima, columns, nearby_values[candidates, largest_index])
         if step == 0:
-            there, expected = _top_of_polynomial(seen, AROUND[best])
-            top = at(places + distance * there)[each, columns]
-            np.maximum.at(tops, columns, top)
-            smooth = np.abs(top - expected) <= SMOOTH * np.ptp(seen, axis=1)
-            flat = (seen == seen[each, best][:, None]).sum(axis=1) > 2  # closed without penetration
-            each = np.flatnonzero(~(smooth | flat))
-        places, columns = near[each, best[each]], columns[each]
-        distance *= AROUND[1] - AROUND[0]
-    return tops
+            peak_offset, peak_estimate = _maximise_polynomial(nearby_values, OFFSETS[largest_index])
+            peak_value = functions(positions + spacing * peak_offset)[candidates, columns]
+            np.maximum.at(maxima, columns, peak_value)
+            max_error = MAX_POLYNOMIAL_ERROR * np.ptp(nearby_values, axis=1)
+            is_polynomial = np.abs(peak_value - peak_estimate) <= max_error
+            is_largest = nearby_values == nearby_values[candidates, largest_index][:, None]
+            is_plateau = is_largest.sum(axis=1) > 2  # a gap closed without penetration
+            candidates = np.flatnonzero(~(is_polynomial | is_plateau))
+        positions = nearby_positions[candidates, largest_index[candidates]]
+        columns = columns[candidates]
+        spacing *= OFFSETS[1] - OFFSETS[0]
+    return maxima
 
 
-def _top_of_polynomial(values: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Places (n,) from -1 to 1, and values, of the maxima of polynomials through values (n, 9), by
-    Newton's method from places nearby."""
-    known, place = values @ POLYNOMIAL.T, start
-    slopes = known[:, 1:] * POWERS[1:]
-    bends = slopes[:, 1:] * POWERS[1:-1]
+def _maximise_polynomial(values: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Maximise polynomials through nine values by three Newton steps.
+
+    Parameters
+    ----------
+    values : (n, 9)
+        Values at ``OFFSETS``.
+    start : (n,)
+        First guess of each position, from -1 to 1.
+
+    Returns
+    -------
+    position : (n,)
+        Positions of the maxima, from -1 to 1.
+    maximum : (n,)
+        Values of the polynomials there.
+    """
+    coefficients, position = values @ POLYNOMIAL_FROM_VALUES.T, start
+    slope_coefficients = coefficients[:, 1:] * POWERS[1:]
+    curvature_coefficients = slope_coefficients[:, 1:] * POWERS[1:-1]
     for _ in range(3):
-        powers = place[:, None] ** POWERS
-        slope, bend = (slopes * powers[:, :-1]).sum(1), (bends * powers[:, :-2]).sum(1)
-        place = place - slope / np.where(bend < 0.0, bend, -np.inf)
-        place = np.minimum(np.maximum(place, -1.0), 1.0)
-    return place, (known * place[:, None] ** POWERS).sum(1)
+        powers = position[:, None] ** POWERS
+        slope = (slope_coefficients * powers[:, :-1]).sum(1)
+        curvature = (curvature_coefficients * powers[:, :-2]).sum(1)
+        position = position - slope / np.where(curvature < 0.0, curvature, -np.inf)
+        position = np.minimum(np.maximum(position, -1.0), 1.0)
+    return position, (coefficients * position[:, None] ** POWERS).sum(1)

@@ -1,8 +1,9 @@
 """Fourier coefficients in the paper's order.
 
-    x(t) = a0 + sum_{k=1}^{H} a_k cos(k w t) + b_k sin(k w t),  rows a0, a1, b1, ..., aH, bH (eq. 9)
+    x(t) = a0 + sum_{k=1}^{H} a_k cos(k w t) + b_k sin(k w t)
 
-The complex form of the k-th harmonic is X_k = a_k - i b_k, so that x = Re sum_k X_k exp(i k w t).
+Rows of real coefficients are a0, a1, b1, ..., aH, bH (eq. 9). Complex harmonics are
+X_k = a_k - i b_k, so that x = Re sum_k X_k exp(i k w t).
 """
 
 from __future__ import annotations
@@ -12,16 +13,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:  # which takes a tenth of NumPy's own time
+if TYPE_CHECKING:  # importing it takes a tenth of NumPy's own time
     from numpy.typing import ArrayLike
 
-AS_MATRIX = 45_000
-"""Numbers in the values of all harmonics at all instants up to which a product with them is about
-the work of an FFT (measured with 1 to 100 columns, H = 20 to 100), whose library need not load."""
+MAX_MATRIX_SIZE = 45_000
+"""Maximum entries of a Fourier basis (2H+1, n_instants) that is used as a matrix. Measured for 1 to
+100 columns and H = 20 to 100: up to this size a product takes about the time of an FFT, and SciPy's
+FFT need not be loaded."""
 
 
 def to_complex(coefficients: np.ndarray) -> np.ndarray:
-    """Rows a0, a1, b1, ... (2H+1, ...) as complex harmonics X_0, ..., X_H (H+1, ...)."""
+    """Return complex harmonics X_0, ..., X_H, (H+1, ...), from real coefficients (2H+1, ...)."""
     harmonics = np.zeros((len(coefficients) // 2 + 1, *coefficients.shape[1:]), dtype=complex)
     harmonics.real[0], harmonics.real[1:] = coefficients[0], coefficients[1::2]
     # Not np.negative: NumPy 2.2 misreads strided input where the output is strided too.
@@ -30,7 +32,7 @@ def to_complex(coefficients: np.ndarray) -> np.ndarray:
 
 
 def from_complex(harmonics: np.ndarray) -> np.ndarray:
-    """Complex harmonics (H+1, ...) as rows a0, a1, b1, ... (2H+1, ...)."""
+    """Return real coefficients (2H+1, ...) from complex harmonics (H+1, ...)."""
     coefficients = np.empty((2 * len(harmonics) - 1, *harmonics.shape[1:]))
     coefficients[0] = harmonics[0].real
     coefficients[1::2] = harmonics[1:].real
@@ -38,59 +40,82 @@ def from_complex(harmonics: np.ndarray) -> np.ndarray:
     return coefficients
 
 
-def waves(phase: np.ndarray, orders: ArrayLike = (1.0,)) -> np.ndarray:
-    """1, cos k theta, sin k theta, ... of orders k (K,) at phases (...): (..., 2K+1)."""
-    angle = np.multiply.outer(phase, orders)
-    terms = np.ones((*angle.shape[:-1], 2 * angle.shape[-1] + 1))
-    terms[..., 1::2], terms[..., 2::2] = np.cos(angle), np.sin(angle)
-    return terms
+def fourier_basis(phase: np.ndarray, orders: ArrayLike = (1.0,)) -> np.ndarray:
+    """Return 1, cos k theta, sin k theta, ... at phases theta.
+
+    Parameters
+    ----------
+    phase : (...) [rad]
+    orders : (K,)
+        Orders k.
+
+    Returns
+    -------
+    (..., 2K+1)
+    """
+    angles = np.multiply.outer(phase, orders)
+    basis = np.ones((*angles.shape[:-1], 2 * angles.shape[-1] + 1))
+    basis[..., 1::2], basis[..., 2::2] = np.cos(angles), np.sin(angles)
+    return basis
 
 
-def waves_of(rows: np.ndarray, phase: np.ndarray) -> np.ndarray:
-    """1, cos theta, sin theta, cos 2 theta, ... of as many rows at phases (...): (..., rows)."""
-    phase, last = np.asarray(phase, dtype=float), len(rows) // 2
-    powers = np.ones((last + 1, *phase.shape), dtype=complex)
-    if last:
+def fourier_basis_for(coefficients: np.ndarray, phase: np.ndarray) -> np.ndarray:
+    """Return 1, cos theta, sin theta, ... for all rows of coefficients.
+
+    Only the number of rows, 2H+1, is used. At phases theta (...) [rad] the result is (..., 2H+1).
+    """
+    phase, n_harmonics = np.asarray(phase, dtype=float), len(coefficients) // 2
+    powers = np.ones((n_harmonics + 1, *phase.shape), dtype=complex)
+    if n_harmonics:
         powers[1] = np.exp(1j * phase)
-    done = 1
-    while done < last:  # exp(i k theta): a fifth of the time of sines and cosines
-        more = min(done, last - done)
-        powers[done + 1 : done + 1 + more] = powers[1 : 1 + more] * powers[done]
-        done += more
-    terms = np.empty((len(rows), *phase.shape))
-    terms[0], terms[1::2], terms[2::2] = 1.0, powers[1:].real, powers[1:].imag
-    return np.moveaxis(terms, 0, -1)
+    n_powers = 1
+    while n_powers < n_harmonics:  # exp(i k theta): a fifth of the time of sines and cosines
+        n_new = min(n_powers, n_harmonics - n_powers)
+        powers[n_powers + 1 : n_powers + 1 + n_new] = powers[1 : 1 + n_new] * powers[n_powers]
+        n_powers += n_new
+    basis = np.empty((len(coefficients), *phase.shape))
+    basis[0], basis[1::2], basis[2::2] = 1.0, powers[1:].real, powers[1:].imag
+    return np.moveaxis(basis, 0, -1)
 
 
 def evaluate(coefficients: np.ndarray, omega: float, time: np.ndarray) -> np.ndarray:
-    """x(t) at times (n,) [s] of coefficients (2H+1, ...): (n, ...)."""
+    """Return x(t) at times (n,) [s] from coefficients (2H+1, ...): (n, ...)."""
     phase = omega * np.atleast_1d(np.asarray(time, dtype=float))
-    return np.tensordot(waves_of(coefficients, phase), coefficients, 1)
+    return np.tensordot(fourier_basis_for(coefficients, phase), coefficients, 1)
 
 
-def derivative(coefficients: np.ndarray, omega: float) -> np.ndarray:
-    """Coefficients of x'(t) by those of x(t), rows a0, a1, b1, ...: (2H+1, n)."""
-    rate = omega * np.arange(1, len(coefficients) // 2 + 1)[:, None]
-    found = np.zeros_like(coefficients)
-    found[1::2], found[2::2] = rate * coefficients[2::2], -rate * coefficients[1::2]
-    return found
+def differentiate(coefficients: np.ndarray, omega: float) -> np.ndarray:
+    """Return the coefficients of x'(t): (2H+1, n), as for x(t)."""
+    frequencies = omega * np.arange(1, len(coefficients) // 2 + 1)[:, None]
+    derivative = np.zeros_like(coefficients)
+    derivative[1::2] = frequencies * coefficients[2::2]
+    derivative[2::2] = -frequencies * coefficients[1::2]
+    return derivative
 
 
-def sampled(coefficients: np.ndarray, count: int) -> np.ndarray:
-    """Values at the instants i T / count of coefficients (2H+1, ...), 2H < count: (count, ...)."""
-    if len(coefficients) * count <= AS_MATRIX:
-        return _product(waves_over(len(coefficients) // 2, count), coefficients)
-    import scipy.fft  # takes a while, and long series alone need it
+def sample_period(coefficients: np.ndarray, n_instants: int) -> np.ndarray:
+    """Return x at ``n_instants`` equal parts of the period: (n_instants, ...).
 
-    spectrum = 0.5 * count * to_complex(coefficients)
+    Needs more instants than 2H for coefficients (2H+1, ...).
+    """
+    if len(coefficients) * n_instants <= MAX_MATRIX_SIZE:
+        return _multiply_columns(
+            fourier_basis_over_period(len(coefficients) // 2, n_instants), coefficients
+        )
+    import scipy.fft  # slow to import, and needed for long series only
+
+    spectrum = 0.5 * n_instants * to_complex(coefficients)
     spectrum[0] *= 2.0
-    return np.asarray(scipy.fft.irfft(spectrum, n=count, axis=0))
+    return np.asarray(scipy.fft.irfft(spectrum, n=n_instants, axis=0))
 
 
-def balanced(values: np.ndarray, harmonics: int) -> np.ndarray:
-    """Coefficients (2H+1, ...) of values at equally spaced instants, more than 2H."""
-    if (2 * harmonics + 1) * len(values) <= AS_MATRIX:
-        return _product(_means(harmonics, len(values)), values)
+def fourier_coefficients(values: np.ndarray, harmonics: int) -> np.ndarray:
+    """Return the Fourier coefficients (2H+1, ...) of samples over a period.
+
+    The n > 2H samples (n, ...) are equally spaced.
+    """
+    if (2 * harmonics + 1) * len(values) <= MAX_MATRIX_SIZE:
+        return _multiply_columns(_analysis_matrix(harmonics, len(values)), values)
     import scipy.fft
 
     spectrum = scipy.fft.rfft(values, axis=0)[: harmonics + 1] * (2.0 / len(values))
@@ -98,52 +123,68 @@ def balanced(values: np.ndarray, harmonics: int) -> np.ndarray:
     return from_complex(spectrum)
 
 
-def instants(harmonics: int) -> int:
-    """As few equally spaced instants as products of waves of H and 2H harmonics need, or a few more
-    with which an FFT is fast."""
-    least = 4 * harmonics + 1
-    if (2 * harmonics + 1) * least <= AS_MATRIX:
-        return least
+def count_instants(harmonics: int) -> int:
+    """Return how many instants products of H and 2H harmonics need.
+
+    From 4H + 1 instants on, harmonics up to H of the product are exact. A slightly larger count may
+    suit the FFT.
+    """
+    min_instants = 4 * harmonics + 1
+    if (2 * harmonics + 1) * min_instants <= MAX_MATRIX_SIZE:
+        return min_instants
     import scipy.fft
 
-    return int(scipy.fft.next_fast_len(least, real=True))
+    return int(scipy.fft.next_fast_len(min_instants, real=True))
 
 
 @lru_cache(maxsize=16)
-def waves_over(harmonics: int, count: int) -> np.ndarray:
-    """Values of 1, cos k theta, sin k theta at the instants i T / count: (count, 2H+1)."""
-    instants, order = np.arange(count), np.arange(1, harmonics + 1)
-    turned = np.exp(2j * np.pi / count * instants)[np.outer(instants, order) % count]
-    found = np.ones((count, 2 * harmonics + 1))
-    found[:, 1::2], found[:, 2::2] = turned.real, turned.imag
-    found.flags.writeable = False  # all have the same
-    return found
+def fourier_basis_over_period(harmonics: int, n_instants: int) -> np.ndarray:
+    """Return 1, cos k theta, sin k theta, ... at ``n_instants`` equal parts of the period.
+
+    Returns
+    -------
+    (n_instants, 2H+1)
+        Read-only, since all callers share one array.
+    """
+    instants, orders = np.arange(n_instants), np.arange(1, harmonics + 1)
+    roots_of_unity = np.exp(2j * np.pi / n_instants * instants)
+    exponentials = roots_of_unity[np.outer(instants, orders) % n_instants]
+    basis = np.ones((n_instants, 2 * harmonics + 1))
+    basis[:, 1::2], basis[:, 2::2] = exponentials.real, exponentials.imag
+    basis.flags.writeable = False  # all callers share it
+    return basis
 
 
 @lru_cache(maxsize=16)
-def _means(harmonics: int, count: int) -> np.ndarray:
-    """What makes coefficients of values there: (2H+1, count)."""
-    means = 2.0 / count * waves_over(harmonics, count).T
-    means[0] *= 0.5
-    return means
+def _analysis_matrix(harmonics: int, n_instants: int) -> np.ndarray:
+    """Return the matrix from samples of a period to coefficients: (2H+1, n_instants)."""
+    matrix = 2.0 / n_instants * fourier_basis_over_period(harmonics, n_instants).T
+    matrix[0] *= 0.5
+    return matrix
 
 
-def _product(matrix: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    found: np.ndarray = matrix @ columns.reshape(len(columns), -1)
-    return found.reshape(len(matrix), *columns.shape[1:])
+def _multiply_columns(matrix: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Return matrix @ columns for columns of any shape (n, ...)."""
+    product: np.ndarray = matrix @ columns.reshape(len(columns), -1)
+    return product.reshape(len(matrix), *columns.shape[1:])
 
 
-def resized(coefficients: np.ndarray, harmonics: int) -> np.ndarray:
-    """Coefficients cut off or padded with zeros to a number of harmonics."""
-    padded = np.zeros((2 * harmonics + 1, *coefficients.shape[1:]))
-    rows = min(len(padded), len(coefficients))
-    padded[:rows] = coefficients[:rows]
-    return padded
+def resize_harmonics(coefficients: np.ndarray, harmonics: int) -> np.ndarray:
+    """Return coefficients with ``harmonics`` harmonics, cut off or padded with zeros."""
+    resized_coefficients = np.zeros((2 * harmonics + 1, *coefficients.shape[1:]))
+    n_rows = min(len(resized_coefficients), len(coefficients))
+    resized_coefficients[:n_rows] = coefficients[:n_rows]
+    return resized_coefficients
 
 
-def stretched(coefficients: np.ndarray, factor: int) -> np.ndarray:
-    """The same wave as one of ``factor`` times the period: harmonic k becomes harmonic factor k."""
+def stretch_period(coefficients: np.ndarray, factor: int) -> np.ndarray:
+    """Return the coefficients of a wave in a longer period.
+
+    In ``factor`` times the period, harmonic k becomes harmonic k * factor.
+    """
     harmonics = to_complex(coefficients)
-    longer = np.zeros((factor * (len(harmonics) - 1) + 1, *harmonics.shape[1:]), dtype=complex)
-    longer[::factor] = harmonics
-    return from_complex(longer)
+    stretched_harmonics = np.zeros(
+        (factor * (len(harmonics) - 1) + 1, *harmonics.shape[1:]), dtype=complex
+    )
+    stretched_harmonics[::factor] = harmonics
+    return from_complex(stretched_harmonics)

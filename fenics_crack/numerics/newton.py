@@ -1,32 +1,36 @@
 """Newton's method: by PETSc's SNES for single solutions, bordered by a plane along paths.
 
-**By SNES**, with GMRES of KSP where the matrix is not formed. Single solutions are found this way;
-PETSc options with the prefix ``crack_hb_`` reach it, and GMRES with ``crack_krylov_``. One object
-serves a system for all attempts at its solution. Where the kernel has the equations, and no such
-option is given, the same steps are taken there.
+SNES
+----
+Single solutions come from SNES, with GMRES if the Jacobian is not formed. PETSc options with the
+prefix ``crack_hb_`` reach SNES, and options with ``crack_krylov_`` reach GMRES. If the kernel has
+the equations, and no SNES option is given, the kernel takes the same steps.
 
-**Bordered by a plane.** A point of a path has a unit tangent (t_x, t_p) in the norm w |x|^2 + p^2,
-w = 1 / |x_0|^2 (:func:`norm_at`). In the plane orthogonal to a tangent Newton's method solves
+Bordered by a plane
+-------------------
+A point of a path has a unit tangent (t_x, t_p) in the norm w |x|^2 + p^2 with w = 1 / |x_0|^2
+(:func:`norm_at`). In the plane orthogonal to the tangent, Newton's method solves
 
     [ J    F_p ] [dx]     [F]
     [ t_x  t_p ] [dp] = - [0],     by two solutions with J:
 
-    dx = a + dp b,    J a = -F,    J b = -F_p,    dp = - w <t_x, a> / (w <t_x, b> + t_p),
+    dx = a + dp b,    J a = -F,    J b = -F_p,    dp = - w <t_x, a> / (w <t_x, b> + t_p)
 
-or by one with the bordered matrix where J is not formed (GMRES needs two iterations more for it).
-At a fixed parameter the plane is p = const. (t_x = 0, t_p = 1), one solution is enough, and the
-method is Newton's own. Where the residual would grow, as where crack faces begin to touch and the
-Jacobian changes like a square root, the step is shortened.
+If J is not formed, one solution with the bordered matrix replaces the two; GMRES then needs two
+more iterations. At a fixed parameter the plane is p = const. (t_x = 0, t_p = 1), one solution
+suffices, and the method is plain Newton. A step is shortened if the residual would grow. That
+happens next to first contact, as the Jacobian changes like a square root.
 
-All paths are followed with this loop: response curves, paths to a cold start, resonances, and
-branches of exact orbits. It is the kernel's
-(``kernel/bordered.c``), for compiled equations and for those in Python (:mod:`equations`). Single
-solutions go through it where the kernel has their equations, and through PETSc's SNES
-where it has not, or where PETSc's options request that. Curves never do: SNES knows
-no border, and at given parameters, where none is needed, an iteration by SNES takes ten times as
-long as one by the compiled loop (21 unknowns; docs/notebook/earlier_measurements.md).
+All paths use this loop: response curves, paths to a cold start, resonances, and branches of exact
+orbits. It runs in the kernel (``kernel/bordered.c``), for compiled and for Python equations
+(:mod:`equations`).
 
-Sources: those of :mod:`path`.
+Curves never use SNES. SNES has no border, and at a given parameter an SNES iteration takes ten
+times as long as a compiled one (21 unknowns; docs/notebook/earlier_measurements.md).
+
+References
+----------
+See :mod:`path`.
 """
 
 from __future__ import annotations
@@ -44,72 +48,90 @@ from petsc4py import PETSc
 
 from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.kernel import NULL, Struct, kernel, pointer, shaped
-from fenics_crack.numerics.equations import EPSILON, Linearisation, System, equations_of
+from fenics_crack.numerics.equations import MACHINE_EPSILON, Linearisation, System, equations_of
 
-SELF = PETSc.COMM_SELF
-RESTART: int = kernel.KRYLOV_MOST
-"""Vectors that GMRES keeps."""
+COMM_SELF = PETSc.COMM_SELF
+GMRES_RESTART: int = kernel.KRYLOV_MOST
+"""Number of vectors that GMRES keeps before a restart."""
 OPTIONS_PREFIX = "crack_hb_"
-FORCING = 1e-2
-"""Relative residual of GMRES in the first steps; later ones are solved as sharply as pays
-(Eisenstat and Walker, SIAM Journal on Scientific Computing 17, 1996, 16)."""
+FORCING_TERM = 1e-2
+"""Relative residual of GMRES in shooting, and in the first Newton steps by SNES. SNES chooses later
+residuals (Eisenstat and Walker, SIAM Journal on Scientific Computing 17, 1996, 16)."""
 
 
 def gmres(
     apply: Callable[[np.ndarray], np.ndarray],
-    right: np.ndarray,
+    right_side: np.ndarray,
     tolerance: float,
-    most: int = RESTART,
+    max_iterations: int = GMRES_RESTART,
 ) -> np.ndarray:
-    """x with A x = r to |A x - r| <= tolerance |r|, for arrays of one shape, the same on all ranks;
-    or the best that ``most`` iterations find."""
+    """Return x with |A x - r| <= tolerance |r| by GMRES.
+
+    If ``max_iterations`` do not suffice, return the best x so far.
+
+    Parameters
+    ----------
+    apply : callable
+        Returns A x in the shape of x.
+    right_side : (...)
+        r. Shape and values are equal on all ranks, as for x.
+    """
 
     def multiply(_: Any, source: Any, target: Any) -> None:
-        target.array_w[:] = apply(source.array_r.reshape(right.shape)).ravel()
+        target.array_w[:] = apply(source.array_r.reshape(right_side.shape)).ravel()
 
-    matrix = PETSc.Mat().createPython((right.size,) * 2, SimpleNamespace(mult=multiply), SELF)
+    matrix = PETSc.Mat().createPython(
+        (right_side.size,) * 2, SimpleNamespace(mult=multiply), COMM_SELF
+    )
     matrix.setUp()
-    solver = PETSc.KSP().create(SELF)
+    solver = PETSc.KSP().create(COMM_SELF)
     solver.setOptionsPrefix("crack_krylov_")
     solver.setOperators(matrix)
     solver.setType("gmres")
-    solver.setGMRESRestart(RESTART)
+    solver.setGMRESRestart(GMRES_RESTART)
     solver.getPC().setType("none")
-    solver.setTolerances(rtol=tolerance, atol=0.0, max_it=most)
+    solver.setTolerances(rtol=tolerance, atol=0.0, max_it=max_iterations)
     solver.setFromOptions()
     source, target = matrix.createVecs()
-    source.array_w[:] = right.ravel()
+    source.array_w[:] = right_side.ravel()
     solver.solve(source, target)
-    found: np.ndarray = target.array_r.reshape(right.shape).copy()
-    for item in (solver, matrix, source, target):
-        item.destroy()
-    return found
+    solution: np.ndarray = target.array_r.reshape(right_side.shape).copy()
+    for petsc_object in (solver, matrix, source, target):
+        petsc_object.destroy()
+    return solution
 
 
 class SingleSystem(System, Protocol):
-    """A system of which single solutions are sought; F in the units of x."""
+    """A system for single solutions, with F in the units of x."""
 
     shape: tuple[int, ...]
     """Shape of the unknowns."""
     matrix_free: bool
-    """True if the system only applies its Jacobian: GMRES solves with it then."""
+    """True if the system only applies its Jacobian. GMRES then solves with it."""
 
 
-def kernel_solves(system: SingleSystem) -> bool:
-    """Return True if the kernel has a system, and no option is for SNES."""
-    has = getattr(system, "compiled", None) is not None
-    return has and not PETSc.Options(OPTIONS_PREFIX).getAll()
+def can_solve_in_kernel(system: SingleSystem) -> bool:
+    """Return True if the kernel can replace SNES.
+
+    The kernel must have the equations, and no PETSc option may be given for SNES.
+    """
+    has_kernel_equations = getattr(system, "compiled", None) is not None
+    return has_kernel_equations and not PETSc.Options(OPTIONS_PREFIX).getAll()
 
 
 class Snes(ABC):
-    """PETSc's SNES for one system, for all solutions of it; a context manager, which frees it.
+    """PETSc's SNES for all solutions of one system.
 
-    Full steps, unless PETSc options say otherwise: line searches stall at the kinks of the merit
-    function where contact is sampled. Converged where |F| <= tolerance |x|.
+    A context manager frees the PETSc objects. Steps are full unless PETSc options differ: line
+    searches stall at kinks of the merit function when contact is sampled. Convergence means |F| <=
+    tolerance |x|.
     """
 
     def __init__(self, matrix: Any, history: list[float] | None = None) -> None:
-        """``matrix`` is the Jacobian's; ``history`` is where |F| of every iteration goes."""
+        """Create the solver.
+
+        ``matrix`` holds the Jacobian; ``history`` collects |F| of every iteration.
+        """
         self.matrix, self._history = matrix, [] if history is None else history
         self._tolerance = 0.0
         self._failure: ConvergenceError | None = None
@@ -119,49 +141,57 @@ class Snes(ABC):
         self._snes.setFunction(self._set_residual, self._target)
         self._snes.setJacobian(lambda snes, unknown, *matrices: self.linearise(unknown), matrix)
         options = PETSc.Options(OPTIONS_PREFIX)
-        choose_search = not options.hasName("snes_linesearch_type")
-        if choose_search:
+        sets_line_search = not options.hasName("snes_linesearch_type")
+        if sets_line_search:
             options["snes_linesearch_type"] = "basic"
-        self._choose(self._snes.getKSP())
+        self._choose_solver(self._snes.getKSP())
         self._snes.setFromOptions()
-        if choose_search:
+        if sets_line_search:
             options.delValue("snes_linesearch_type")
-        self._snes.setConvergenceTest(self._converged)
+        self._snes.setConvergenceTest(self._test_convergence)
 
     @abstractmethod
-    def _choose(self, solver: Any) -> None:
-        """Set the default solver of the linear systems, a KSP."""
+    def _choose_solver(self, solver: Any) -> None:
+        """Set the default linear solver, a KSP."""
 
     @abstractmethod
     def evaluate(self, unknown: Any, target: Any) -> None:
-        """Set a vector to F at another one."""
+        """Write F at the vector ``unknown`` into the vector ``target``."""
 
     @abstractmethod
     def linearise(self, unknown: Any) -> None:
-        """Make the matrix the Jacobian at a vector."""
+        """Update the matrix to the Jacobian at a vector."""
 
-    def run(self, start: np.ndarray, tolerance: float, most_iterations: int) -> tuple[bool, int]:
-        """Return True if steps from this rank's rows of a guess converged, and their number."""
+    def run(self, start: np.ndarray, tolerance: float, max_iterations: int) -> tuple[bool, int]:
+        """Solve from a guess, given by the rows on this rank.
+
+        Returns
+        -------
+        converged : bool
+        n_iterations : int
+        """
         self._tolerance, self._failure = tolerance, None
         self._unknown.array_w[:] = start.ravel()
-        self._snes.setTolerances(max_it=most_iterations)
+        self._snes.setTolerances(max_it=max_iterations)
         try:
             self._snes.solve(None, self._unknown)
         except PETSc.Error:
             if self._failure is None:
                 raise
-        if self._failure is not None:  # whatever PETSc has made of it
+        if self._failure is not None:  # PETSc may have hidden it
             raise self._failure
         return self._snes.getConvergedReason() > 0, self._snes.getIterationNumber()
 
-    def _converged(self, snes: Any, count: int, norms: tuple[float, float, float]) -> int:
-        """Measure the residual relative to the unknowns themselves."""
+    def _test_convergence(
+        self, snes: Any, n_iterations: int, norms: tuple[float, float, float]
+    ) -> int:
+        """Compare the residual with the unknowns themselves."""
         self._history.append(norms[2])
         if not np.isfinite(norms[2]):
             return int(PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN)
         if norms[2] <= self._tolerance * self._unknown.norm():
             return int(PETSc.SNES.ConvergedReason.CONVERGED_FNORM_RELATIVE)
-        if count >= snes.getTolerances()[3]:
+        if n_iterations >= snes.getTolerances()[3]:
             return int(PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT)
         return int(PETSc.SNES.ConvergedReason.ITERATING)
 
@@ -176,186 +206,254 @@ class Snes(ABC):
         return self
 
     def __exit__(self, *exception: object) -> None:
-        for item in (self._snes, self.matrix, self._unknown, self._target):
-            item.destroy()
+        for petsc_object in (self._snes, self.matrix, self._unknown, self._target):
+            petsc_object.destroy()
 
 
 class Newton(Snes):
-    """SNES for a system whose Jacobian solves by itself, or is applied by GMRES; the unknowns are
-    the same on every rank."""
+    """SNES for a system that solves with, or applies, its Jacobian.
+
+    The unknowns are equal on every rank.
+    """
 
     def __init__(self, system: SingleSystem, history: list[float] | None = None) -> None:
         self.system, self._parameter = system, 0.0
-        self._at: tuple[np.ndarray, Linearisation] | None = None
-        self._tangent: Linearisation
-        size = int(np.prod(system.shape))
-        matrix = PETSc.Mat().createPython((size, size), self, SELF)
+        self._last_evaluation: tuple[np.ndarray, Linearisation] | None = None
+        self._linearisation: Linearisation
+        n_unknowns = int(np.prod(system.shape))
+        matrix = PETSc.Mat().createPython((n_unknowns, n_unknowns), self, COMM_SELF)
         matrix.setUp()
         super().__init__(matrix, history)
 
-    def _choose(self, solver: Any) -> None:
+    def _choose_solver(self, solver: Any) -> None:
         if self.system.matrix_free:
             solver.setType("gmres")
-            solver.setGMRESRestart(RESTART)
-            solver.setTolerances(max_it=RESTART)
+            solver.setGMRESRestart(GMRES_RESTART)
+            solver.setTolerances(max_it=GMRES_RESTART)
             solver.getPC().setType("none")
-            self._snes.setUseEW(True, version=2, rtol_0=FORCING, rtol_max=FORCING)
-            self._snes.setMaxLinearSolveFailures(1000)  # an inexact step is better than none
+            self._snes.setUseEW(True, version=2, rtol_0=FORCING_TERM, rtol_max=FORCING_TERM)
+            self._snes.setMaxLinearSolveFailures(1000)  # better an inexact step than none
         else:
             solver.setType("preonly")
             solver.getPC().setType("python")
             solver.getPC().setPythonContext(self)
 
     def solve(
-        self, start: np.ndarray, parameter: float, tolerance: float, most_iterations: int
+        self, start: np.ndarray, parameter: float, tolerance: float, max_iterations: int
     ) -> tuple[Linearisation, bool, int]:
-        """The system at the last iterate, whether that converged, and the number of iterations."""
-        self._parameter, self._at = parameter, None
-        converged, count = self.run(start, tolerance, most_iterations)
-        return self._point(self._unknown), converged, count
+        """Solve at a parameter from a guess.
 
-    def _point(self, unknown: Any) -> Linearisation:
-        """The system at a vector; SNES requests residual and Jacobian at the same one."""
-        if self._at is None or not np.array_equal(unknown.array_r, self._at[0]):
-            place = unknown.array_r.copy()
-            at = self.system.linearise(place.reshape(self.system.shape), self._parameter)
-            self._at = place, at
-        return self._at[1]
+        Returns
+        -------
+        linearisation : Linearisation
+            System at the last iterate.
+        has_converged : bool
+        n_iterations : int
+        """
+        self._parameter, self._last_evaluation = parameter, None
+        has_converged, n_iterations = self.run(start, tolerance, max_iterations)
+        return self._linearisation_at(self._unknown), has_converged, n_iterations
+
+    def _linearisation_at(self, unknown: Any) -> Linearisation:
+        """Return the system at a vector; SNES asks for residual and Jacobian at the same vector."""
+        if self._last_evaluation is None or not np.array_equal(
+            unknown.array_r, self._last_evaluation[0]
+        ):
+            values = unknown.array_r.copy()
+            linearisation = self.system.linearise(
+                values.reshape(self.system.shape), self._parameter
+            )
+            self._last_evaluation = values, linearisation
+        return self._last_evaluation[1]
 
     def evaluate(self, unknown: Any, target: Any) -> None:
-        target.array_w[:] = self._point(unknown).residual.ravel()
+        target.array_w[:] = self._linearisation_at(unknown).residual.ravel()
 
     def linearise(self, unknown: Any) -> None:
-        self._tangent = self._point(unknown)
+        self._linearisation = self._linearisation_at(unknown)
 
     def mult(self, matrix: Any, source: Any, target: Any) -> None:
-        """Jacobian times a vector, called by PETSc."""
-        target.array_w[:] = self._tangent.apply(source.array_r.reshape(self.system.shape)).ravel()
+        """Multiply a vector by the Jacobian, for PETSc."""
+        target.array_w[:] = self._linearisation.apply(
+            source.array_r.reshape(self.system.shape)
+        ).ravel()
 
     def apply(self, preconditioner: Any, source: Any, target: Any) -> None:
-        """Inverse of the Jacobian times a vector, called by PETSc."""
-        target.array_w[:] = self._tangent.solve(source.array_r.reshape(self.system.shape)).ravel()
+        """Multiply a vector by the inverse Jacobian, for PETSc."""
+        target.array_w[:] = self._linearisation.solve(
+            source.array_r.reshape(self.system.shape)
+        ).ravel()
 
 
 MAX_ITERATIONS = 8
 """Maximum iterations of one correction."""
 MIN_DAMPING = 0.05
 """Minimum damping factor of a Newton step."""
-FULL_STEPS, STALL = 20, 8
-"""Budget of full steps from a guess at a given parameter: their number, and those that may together
-fail to halve the residual."""
-STRAY = 3.0
+MAX_FULL_STEPS = 20
+"""Maximum full steps from a guess at a given parameter."""
+MAX_STALLED_STEPS = 8
+"""Maximum consecutive steps that together fail to halve the residual."""
+MAX_PARAMETER_REACH = 3.0
 """Maximum distance of the parameter from its prediction, in steps."""
 
 
 @dataclass(frozen=True)
 class Tangent:
-    """Unit tangent (t_x, t_p) in the norm weight |x|^2 + p^2, where the squares of means count by
-    ``of_means``."""
+    """Unit tangent (t_x, t_p) in the norm w |x|^2 + p^2.
+
+    Attributes
+    ----------
+    x, p :
+        t_x and t_p.
+    weight : float
+        w.
+    of_means : float
+        Factor of the squares of means over time within |x|^2.
+    """
 
     x: np.ndarray
     p: float
     weight: float
     of_means: float = 1.0
 
-    def reversed(self) -> Tangent:
-        """The opposite direction."""
+    def reverse(self) -> Tangent:
+        """Return the opposite tangent."""
         return replace(self, x=-self.x, p=-self.p)
 
-    def product(self, system: System, first: np.ndarray, second: np.ndarray) -> float:
-        """<x, y> in its norm."""
+    def product(self, system: System, vector: np.ndarray, other_vector: np.ndarray) -> float:
+        """Return w <x, y> in the norm of the tangent."""
         if self.of_means == 1.0:
-            return self.weight * float(np.vdot(first, second))
-        x, y, means = first.ravel(), second.ravel(), means_of(system)
-        others = float(x[means:] @ y[means:])
-        return self.weight * (others + self.of_means * float(x[:means] @ y[:means]))
+            return self.weight * float(np.vdot(vector, other_vector))
+        x, y, n_means = vector.ravel(), other_vector.ravel(), means_of(system)
+        oscillation_product = float(x[n_means:] @ y[n_means:])
+        return self.weight * (
+            oscillation_product + self.of_means * float(x[:n_means] @ y[:n_means])
+        )
 
-    def along(self, other: Tangent, system: System) -> float:
-        """Cosine of the angle to another tangent, in that one's norm."""
-        product = other.product(system, self.x, other.x) + self.p * other.p
-        length = other.product(system, self.x, self.x) + self.p**2
-        # No direction where the Jacobian is singular to rounding: the slope has overflowed.
-        return product / float(np.sqrt(length)) if length > 0.0 else 0.0
+    def cosine_to(self, reference: Tangent, system: System) -> float:
+        """Return the cosine of the angle to a reference tangent.
+
+        The norm is that of the reference.
+        """
+        product = reference.product(system, self.x, reference.x) + self.p * reference.p
+        length_squared = reference.product(system, self.x, self.x) + self.p**2
+        # The slope overflows if the Jacobian is singular to rounding: there is no direction.
+        return product / float(np.sqrt(length_squared)) if length_squared > 0.0 else 0.0
 
 
 @dataclass(frozen=True)
 class PathPoint:
-    """A point of a path, and the iterations that it took."""
+    """A path point, and the number of iterations to it."""
 
     unknown: np.ndarray
     parameter: float
     iterations: int
     tangent: Tangent
-    """``tangent.p`` > 0 where the parameter grows along the path; the sign changes at folds."""
+    """``tangent.p`` > 0 if the parameter grows along the path; the sign changes at folds."""
     crosses_branch: bool = False
-    """True if another branch has been crossed since the point before."""
-    at: Linearisation | None = field(default=None, repr=False, compare=False)
+    """True if another branch crosses between the previous point and this point."""
+    linearisation: Linearisation | None = field(default=None, repr=False, compare=False)
     length: float = float("nan")
-    """Length of the chord from the point before in that one's norm, where it is known."""
+    """Chord length from the previous point, in the previous point's norm; nan if unknown."""
     record: np.ndarray | None = field(default=None, repr=False, compare=False)
     observed: np.ndarray | None = field(default=None, repr=False, compare=False)
-    """What a step control uses: the linearisation's record, and values that follow from it."""
+    """Values for a step control: they follow from ``record``."""
 
 
 def means_of(system: System) -> int:
-    """Return the number of a system's unknowns, the first ones, that are means over time."""
+    """Return the number of leading unknowns that are means over time."""
     return int(getattr(system, "means", 0))
 
 
-def moving_square(moving: float, means: float) -> float:
-    """The square of a size, given that of the means over time and that of all else: means
-    contribute no more than all else, unless that is rounding, as where nothing vibrates."""
-    whole = moving + means
-    return max(2.0 * moving if EPSILON**0.75 * means < moving < means else whole, 1e-300)
+def motion_square(oscillation_square: float, mean_square: float) -> float:
+    """Return the squared size of a motion.
+
+    The means contribute at most as much as the oscillation. If the oscillation is rounding error,
+    as without any vibration, the means count in full.
+
+    Parameters
+    ----------
+    oscillation_square, mean_square : float
+        Squared sizes of the oscillation and of the means over time.
+    """
+    has_large_means = MACHINE_EPSILON**0.75 * mean_square < oscillation_square < mean_square
+    square = 2.0 * oscillation_square if has_large_means else oscillation_square + mean_square
+    return max(square, 1e-300)
 
 
-def moving_size(motion: np.ndarray) -> float:
-    """The size of a motion in time (n, k), over all of that, likewise."""
+def motion_size(motion: np.ndarray) -> float:
+    """Return the size of a motion (n_instants, k).
+
+    The size is the root sum of squares. The mean over time contributes at most as much as
+    the oscillation (:func:`motion_square`).
+    """
     mean = motion.sum(axis=0) / len(motion)
-    moving = motion - mean
-    means = len(motion) * float(mean @ mean)
-    return math.sqrt(moving_square(float(np.vdot(moving, moving)), means))
+    oscillation = motion - mean
+    mean_square = len(motion) * float(mean @ mean)
+    return math.sqrt(motion_square(float(np.vdot(oscillation, oscillation)), mean_square))
 
 
-def relative_to_motion(change: np.ndarray, whole: np.ndarray) -> float:
-    """Size of a change of a motion in time (n, k) relative to that of the whole, to which its means
-    contribute no more than all else: a steady load does not make errors small."""
-    return float(np.linalg.norm(change)) / moving_size(whole) if whole.any() else 0.0
+def relative_to_motion(change: np.ndarray, motion: np.ndarray) -> float:
+    """Return the size of a change relative to a motion.
+
+    Both are (n_instants, k). The mean over time contributes at most as much as the oscillation: a
+    steady load does not make relative errors small. Relative to a zero motion the result is 0.
+    """
+    return float(np.linalg.norm(change)) / motion_size(motion) if motion.any() else 0.0
 
 
 def norm_at(system: System, unknown: np.ndarray) -> tuple[float, float]:
-    """Return the weights of the norm at a solution: 1 / |x|^2, and that of squares of means.
+    """Return the weights of the norm at a solution x.
 
-    To its size the means contribute no more than all else: a clearance or a steady load may make
-    them as large as they like, and steps by which a resonance is seen are parts of what moves.
-    Where they are larger, they change by parts of themselves: what holds a crack open grows with a
-    rotor's speed by many times what moves."""
-    mean = unknown.ravel()[: means_of(system)]
-    means = float(mean @ mean)
-    whole = float(np.vdot(unknown, unknown))
-    # Equations are solved to a part of this size, which rounding of the means must not be.
-    square = moving_square(max(whole - means, EPSILON**0.5 * whole), means)
-    return 1.0 / square, 0.5 * square / means if 2.0 * means > square else 1.0
+    Means over time contribute at most as much as all else to the size |x|. A clearance or a steady
+    load may make the means large, but a resonance must be resolved by steps relative to the
+    oscillation. Changes of large means are measured relative to the means: a crack's mean opening
+    grows with a rotor's speed by far more than the oscillation.
+
+    Returns
+    -------
+    weight : float
+        w = 1 / |x|^2.
+    of_means : float
+        Factor of the squares of means.
+    """
+    mean_unknowns = unknown.ravel()[: means_of(system)]
+    mean_square = float(mean_unknowns @ mean_unknowns)
+    total_square = float(np.vdot(unknown, unknown))
+    # Equations are solved to a fraction of this size: it must exceed the rounding of the means.
+    oscillation_square = max(total_square - mean_square, MACHINE_EPSILON**0.5 * total_square)
+    size_squared = motion_square(oscillation_square, mean_square)
+    of_means = 0.5 * size_squared / mean_square if 2.0 * mean_square > size_squared else 1.0
+    return 1.0 / size_squared, of_means
 
 
 def tangent_of(
-    system: System, unknown: np.ndarray, at: Linearisation, towards: Tangent | None = None
+    system: System,
+    unknown: np.ndarray,
+    linearisation: Linearisation,
+    direction: Tangent | None = None,
 ) -> Tangent:
-    """Tangent at a solution, towards growing p or in a direction that is known roughly."""
-    slope = -at.solve(at.by_parameter)
-    across = Tangent(slope, 1.0, *norm_at(system, unknown))
-    length = float(np.sqrt(across.product(system, slope, slope) + 1.0))
-    found = replace(across, x=slope / length, p=1.0 / length)
-    back = towards is not None and found.along(towards, system) < 0.0
-    return found.reversed() if back else found
+    """Return the unit tangent at a solution.
+
+    It points towards growing p, or along ``direction`` if given.
+    """
+    slope = -linearisation.solve(linearisation.by_parameter)
+    slope_tangent = Tangent(slope, 1.0, *norm_at(system, unknown))
+    length = float(np.sqrt(slope_tangent.product(system, slope, slope) + 1.0))
+    tangent = replace(slope_tangent, x=slope / length, p=1.0 / length)
+    points_back = direction is not None and tangent.cosine_to(direction, system) < 0.0
+    return tangent.reverse() if points_back else tangent
 
 
 def point_on_path(
-    system: System, unknown: np.ndarray, parameter: float, towards: Tangent | None = None
+    system: System, unknown: np.ndarray, parameter: float, direction: Tangent | None = None
 ) -> PathPoint:
-    """A solution with its tangent (:func:`tangent_of`)."""
-    at = system.linearise(unknown, parameter)
-    return PathPoint(unknown, parameter, 0, tangent_of(system, unknown, at, towards))
+    """Return a solution with its tangent as a point of a path.
+
+    The direction follows :func:`tangent_of`.
+    """
+    linearisation = system.linearise(unknown, parameter)
+    return PathPoint(unknown, parameter, 0, tangent_of(system, unknown, linearisation, direction))
 
 
 def solve_in_plane(
@@ -370,70 +468,97 @@ def solve_in_plane(
     least_damping: float | None = MIN_DAMPING,
     stall: int = 0,
 ) -> PathPoint | None:
-    """Newton's method in the plane across a tangent, or at a given parameter; None where it fails.
+    """Solve by Newton's method in a plane or at a given parameter.
 
-    ``tolerance`` is |F| / |x| of the solution, |x| that of the tangent's point; ``reach``: how far
-    from the guess the parameter may go; ``least_damping``: how much a step may be shortened where
-    the residual would grow, None for full steps whatever it does; ``stall``: steps, at most 30,
-    that may together fail to halve |F| / |x|, 0 for any number.
+    Parameters
+    ----------
+    unknown, parameter :
+        Guess.
+    plane : Tangent, optional
+        Tangent orthogonal to the plane. Default: p stays as given.
+    tolerance : float
+        |F| / |x| of the solution, with |x| at the point of the tangent.
+    reach : float
+        Maximum distance of the parameter from the guess.
+    least_damping : float or None
+        Minimum factor of a shortened step. Steps are shortened if the residual would grow; None:
+        never.
+    stall : int
+        Maximum steps, up to 30, that together fail to halve |F| / |x|; 0: no limit.
+
+    Returns
+    -------
+    PathPoint or None
+        None if the method fails.
     """
     equations = equations_of(system, unknown.shape)
-    flat = plane or Tangent(np.zeros_like(unknown), 1.0, 0.0)
-    found, place = np.array(unknown, float, order="C"), np.array([parameter], float)
-    taken, border = np.zeros(1, np.intc), NULL
+    tangent = plane or Tangent(np.zeros_like(unknown), 1.0, 0.0)
+    solution, solution_parameter = np.array(unknown, float, order="C"), np.array([parameter], float)
+    n_iterations, border = np.zeros(1, np.intc), NULL
     if plane is not None:
-        across = shaped(plane.x, *equations.shape)
-        size = Struct("norm", weight=plane.weight, of_means=plane.of_means)
-        border = Struct("plane", across=across, slope=plane.p, size=size).at
-    shortest = -1.0 if least_damping is None else least_damping
-    how = correction(tolerance, reach, iterations, shortest, stall)
+        normal = shaped(plane.x, *equations.shape)
+        norm = Struct("norm", weight=plane.weight, of_means=plane.of_means)
+        border = Struct("plane", across=normal, slope=plane.p, size=norm).at
+    min_damping = -1.0 if least_damping is None else least_damping
+    options = correction_struct(tolerance, reach, iterations, min_damping, stall)
     outcome = equations.run(
-        kernel.solve_in_plane, border, how.at, pointer(shaped(found, *equations.shape)),
-        pointer(place), pointer(taken),
+        kernel.solve_in_plane, border, options.at, pointer(shaped(solution, *equations.shape)),
+        pointer(solution_parameter), pointer(n_iterations),
     )  # fmt: skip
-    if not equations.check(outcome):
+    if not equations.check_outcome(outcome):
         return None
-    parameter = float(place[0])
-    return PathPoint(found, parameter, int(taken[0]), flat, at=equations.found(found, parameter))
+    parameter = float(solution_parameter[0])
+    return PathPoint(
+        solution, parameter, int(n_iterations[0]), tangent,
+        linearisation=equations.linearise_evaluated(solution, parameter),
+    )  # fmt: skip
 
 
 @lru_cache
-def correction(
+def correction_struct(
     tolerance: float,
     reach: float,
     iterations: int = MAX_ITERATIONS,
     least_damping: float = MIN_DAMPING,
     stall: int = 0,
 ) -> Struct:
-    """The kernel's own, as :func:`solve_in_plane` has it; ``reach`` along a path in steps."""
+    """Return the kernel's ``correction``: options of :func:`solve_in_plane`.
+
+    Along a path ``reach`` is measured in steps.
+    """
     return Struct(
         "correction", tolerance=tolerance, reach=reach, iterations=iterations,
         least_damping=least_damping, stall=stall,
     )  # fmt: skip
 
 
-def correct(
+def predict_and_correct(
     system: System, start: PathPoint, step: float, tolerance: float, *, reach: float | None = None
 ) -> PathPoint | None:
-    """The point of a path at a distance from another one; None where it is not found.
+    """Return the point at a distance ``step`` along a path; None without success.
 
-    The prediction goes along the tangent. The parameter may then change by ``reach``, by default 3
-    steps.
+    The prediction follows the tangent at the start. The returned point keeps that tangent.
+    ``reach`` limits the change of the parameter from its prediction; default: 3 steps.
     """
-    ahead = start.tangent
-    unknown, parameter = start.unknown + step * ahead.x, start.parameter + step * ahead.p
-    reach = reach or STRAY * step
-    return solve_in_plane(system, unknown, parameter, ahead, tolerance=tolerance, reach=reach)
+    tangent = start.tangent
+    unknown, parameter = start.unknown + step * tangent.x, start.parameter + step * tangent.p
+    reach = reach or MAX_PARAMETER_REACH * step
+    return solve_in_plane(system, unknown, parameter, tangent, tolerance=tolerance, reach=reach)
 
 
 def step_along(
     system: System, start: PathPoint, step: float, tolerance: float = 1e-8
 ) -> PathPoint | None:
-    """The same with the tangent there, which keeps its direction."""
-    found = correct(system, start, step, tolerance)
-    if found is None or found.at is None:
+    """Return the point at a distance ``step`` with its own tangent.
+
+    The tangent keeps the direction of the tangent at the start. None if the point is not found.
+    """
+    point = predict_and_correct(system, start, step, tolerance)
+    if point is None or point.linearisation is None:
         return None
-    return replace(found, tangent=tangent_of(system, found.unknown, found.at, start.tangent))
+    return replace(
+        point, tangent=tangent_of(system, point.unknown, point.linearisation, start.tangent)
+    )
 
 
 def solve_at(
@@ -442,28 +567,38 @@ def solve_at(
     parameter: float,
     *,
     tolerance: float,
-    iterations: int = FULL_STEPS,
+    iterations: int = MAX_FULL_STEPS,
     least_damping: float | None = None,
 ) -> PathPoint | None:
-    """Newton steps from a guess at a given parameter, full ones unless they may be shortened; None
-    where they do not converge."""
+    """Solve by Newton steps from a guess at a given parameter; None if they fail.
+
+    Steps are full unless ``least_damping`` is given.
+    """
     return solve_in_plane(
         system, unknown, parameter, None,
-        tolerance=tolerance, iterations=iterations, least_damping=least_damping, stall=STALL,
+        tolerance=tolerance, iterations=iterations, least_damping=least_damping,
+        stall=MAX_STALLED_STEPS,
     )  # fmt: skip
 
 
-def solve_near(
-    system: System, unknown: np.ndarray, parameter: float, *, tolerance: float, full: bool = True
+def solve_robustly(
+    system: System,
+    unknown: np.ndarray,
+    parameter: float,
+    *,
+    tolerance: float,
+    try_full_steps: bool = True,
 ) -> PathPoint | None:
-    """A solution at a parameter by full steps from a guess, or else by steps that are shortened
-    where the residual would grow; by these alone unless ``full``."""
-    found = solve_at(system, unknown, parameter, tolerance=tolerance) if full else None
-    return found or solve_at(system, unknown, parameter, tolerance=tolerance, least_damping=0.01)
+    """Solve at a parameter by full steps, else by damped steps; None if both fail.
+
+    Without ``try_full_steps``, only damped steps are tried.
+    """
+    point = solve_at(system, unknown, parameter, tolerance=tolerance) if try_full_steps else None
+    return point or solve_at(system, unknown, parameter, tolerance=tolerance, least_damping=0.01)
 
 
-def distance(system: System, before: PathPoint, after: PathPoint) -> float:
-    """Length of the chord between two points in the norm of the first one."""
-    change = after.unknown - before.unknown
-    square = before.tangent.product(system, change, change)
-    return float(np.sqrt(square + (after.parameter - before.parameter) ** 2))
+def chord_length(system: System, start: PathPoint, end: PathPoint) -> float:
+    """Return the distance between two points of a path. The norm is that of the first point."""
+    change = end.unknown - start.unknown
+    length_squared = start.tangent.product(system, change, change)
+    return float(np.sqrt(length_squared + (end.parameter - start.parameter) ** 2))

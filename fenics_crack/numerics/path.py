@@ -1,26 +1,32 @@
-"""Pseudo-arc-length continuation of solutions F(x, p) = 0 along a parameter p, through its folds.
+"""Pseudo-arc-length continuation of solutions F(x, p) = 0 along a parameter p, through folds.
 
 A step of length h
 
-1. predicts   (x, p) + h (t_x, t_p) + the cubic terms that follow from the point before and its
-   tangent,
-2. corrects by Newton's method in the plane orthogonal to the tangent (:mod:`newton`),
-3. is lengthened where few iterations were needed, and halved where they failed or where the path
-   was left, which a large angle between the new tangent and the old one shows. Of the two tangents
-   at a point the right one keeps the sign of t_p det J, which changes only where another branch
-   crosses. Where J is not formed its determinant is unknown: the tangent is taken that goes on at
-   the smaller angle, the chord must agree with both tangents, lest a step across a narrow turn
-   leads back, and branches that cross go unnoticed. There a system may judge angles by counting
-   some unknowns less (``counts``).
+1. predicts (x, p) + h (t_x, t_p), plus cubic terms from the previous point and its tangent.
+2. Newton's method corrects it in the plane orthogonal to the tangent (:mod:`newton`).
+3. The next step is longer after few iterations. If the iterations fail or leave the path, the step
+   is halved.
 
-The steps are the kernel's (``kernel/path.c``), many of them in one call where the equations are
-compiled (:mod:`equations`). What may happen between two points is an :class:`Event`: a fold, a
-value of the parameter that is sought, a path that closes, a branch that crosses, any function that
-vanishes. A path ends at those that are terminal. A :class:`StepControl` may require shorter steps,
-by what it observes of the points.
+A large angle between the new and the old tangent shows that the path was left. A point has two
+tangents, of opposite directions. The correct tangent keeps the sign of t_p det J, since that sign
+changes only at a crossing with another branch.
 
-Source: Keller, in Applications of Bifurcation Theory, 1977; Seydel, Practical Bifurcation and
-Stability Analysis, chapter 4.
+If J is not formed, det J is unknown. Then
+
+- The tangent with the smaller angle to the previous tangent is taken.
+- The chord must agree with both tangents, or a step across a narrow turn might lead back.
+- Crossings with other branches go unnoticed.
+- A system may give some unknowns less weight in these angles (``counts``).
+
+The steps run in the kernel (``kernel/path.c``), many of them in one call for compiled equations
+(:mod:`equations`). An :class:`Event` may lie between two points: a fold, a wanted parameter, a
+closed loop, a crossing with a branch, or a zero of any function. Terminal events end the path. A
+:class:`StepControl` may reject steps by the values observed at the points.
+
+References
+----------
+Keller, in Applications of Bifurcation Theory, 1977.
+Seydel, Practical Bifurcation and Stability Analysis, chapter 4.
 """
 
 from __future__ import annotations
@@ -38,411 +44,455 @@ import numpy as np
 from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.kernel import NULL, Struct, kernel, pointer
 from fenics_crack.numerics.equations import (
-    EPSILON,
-    LOCATED,
+    LOCATION_TOLERANCE,
+    MACHINE_EPSILON,
     ROUNDING,
     Linearisation,
     System,
     equations_of,
 )
 from fenics_crack.numerics.newton import (
-    STRAY,
+    MAX_PARAMETER_REACH,
     PathPoint,
     Tangent,
-    correction,
-    distance,
+    chord_length,
+    correction_struct,
     solve_at,
     solve_in_plane,
     step_along,
     tangent_of,
 )
 
-STRAIGHT = 0.9
-"""Minimum cosine of the angle between two directions that count as one."""
-FEW = 3
-"""Points that are computed at once where steps were halved."""
-ARRIVED = math.sqrt(EPSILON)
-"""Distance to a point of a path at which it counts as found, and the shortest step: where the
-parameter turns, it is then known to the square of that."""
+MIN_DIRECTION_COSINE = 0.9
+"""Minimum cosine of the angle between two directions that count as equal."""
+POINTS_AFTER_HALVING = 3
+"""Points per kernel call after a halved step."""
+ARRIVAL_DISTANCE = math.sqrt(MACHINE_EPSILON)
+"""Distance to a point of a path below which the point counts as reached, and minimum step. At a
+fold the parameter is then accurate to the square of this distance."""
 
 
 @dataclass(frozen=True)
 class PathOptions:
-    """Options of path following, with steps measured in the norm of the tangent."""
+    """Options for path following. Steps are measured in the norm of the tangent."""
 
     initial_step: float
     max_step: float
-    min_step: float = ARRIVED
-    """Minimum step; the path ends where steps would be shorter."""
+    min_step: float = ARRIVAL_DISTANCE
+    """Minimum step. If a step would be shorter, the path ends."""
     max_steps: int = 1000
     rtol: float = 1e-9
-    """Maximum |F| / |x| of the points; less where steps are short."""
+    """Maximum |F| / |x| of the points; smaller for short steps."""
     min_cosine: float = 0.85
     """Minimum cosine of the angle between neighbouring tangents."""
     rounding: float = ROUNDING
     """Rounding error of |F| / |x|, for a system without ``rounding``."""
-    at_once: int = 64
-    """Maximum points of one call of the kernel."""
+    points_per_call: int = 64
+    """Maximum points per kernel call."""
     span: tuple[float, float] = (-np.inf, np.inf)
-    """Range of the parameter: the path ends where it is left."""
+    """Parameter range. Outside, the path ends."""
 
 
-NARROW = PathOptions(0.3, 0.3, min_cosine=0.5, span=(0.0, 2.0))
-"""Options for paths whose parameter runs from 0 to 1; one that goes as far beyond is left."""
+HOMOTOPY_OPTIONS = PathOptions(0.3, 0.3, min_cosine=0.5, span=(0.0, 2.0))
+"""Options for paths with a parameter from 0 to 1. A path that leaves 0 to 2 ends."""
 
 
-class Ended(Enum):
+class EndReason(Enum):
     """Reason for the end of a path."""
 
-    MET = "reached the end"
-    LOST = "no solution at the very end"
-    LEFT = "turned back past its start"
-    MANY = "{most} points were not enough"
-    SHORT = "the steps became too short"
+    REACHED = "reached the end"
+    END_LOST = "no solution at the very end"
+    RANGE_LEFT = "turned back past its start"
+    TOO_MANY_POINTS = "{max_points} points were not enough"
+    STEPS_TOO_SHORT = "the steps became too short"
 
-    def in_words(self, most: int) -> str:
-        """In words, where there were so many points at most."""
-        return str(self.value).format(most=most)
-
-
-NOT_IN_KERNEL = "met", "observed"
-"""Members that the kernel does not have of a stretch."""
+    def describe(self, max_points: int) -> str:
+        """Return the reason in words. ``max_points`` is the limit on the number of points."""
+        return str(self.value).format(max_points=max_points)
 
 
-class Stretch(Sequence[PathPoint]):
-    """Points of a path in the kernel's arrays, one after the other; each is made where it is asked
-    for.
+NOT_IN_KERNEL = "located_events", "observed"
+"""Fields of a :class:`PathSegment` that the kernel's ``path`` lacks."""
+
+
+class PathSegment(Sequence[PathPoint]):
+    """Consecutive points of a path, in the kernel's arrays.
+
+    A :class:`PathPoint` is created on access.
 
     Attributes
     ----------
     unknowns, tangents : (n, *shape)
-        x, and its tangent's t_x.
+        x, and t_x of the tangent.
     parameters, slopes, weights, of_means, lengths : (n,)
-        p, its tangent's t_p and norm, and the chord from the point before.
+        p, t_p of the tangent, weights of the norm, and length of the chord from the previous point.
     iterations : (n,) int
     crossings : (n,) int
-        1 where another branch has been crossed since the point before.
-    met : list of (Event, PathPoint)
-        Events between its last point and the one before it, and their places.
-    records, observed : (n, records) and (n, ...), optional
-        What a step control uses: records of linearisations, and values that follow from them.
+        1 if another branch crosses between the previous point and this point.
+    located_events : list of (Event, PathPoint)
+        Events between the last two points, each with its place.
+    records, observed : (n, n_records) and (n, ...), optional
+        For a step control: records of linearisations, and values that follow from the records.
     """
 
     observed: np.ndarray
 
-    def __init__(self, known: Sequence[PathPoint], room: int, records: int = 0) -> None:
-        shape = known[0].unknown.shape
-        if records:
-            self.records = np.zeros((room, records))
-        self.unknowns, self.tangents = np.zeros((room, *shape)), np.zeros((room, *shape))
-        self.parameters, self.slopes, self.lengths = np.zeros((3, room))
-        self.weights, self.of_means = np.zeros((2, room))
-        self.iterations, self.crossings = np.zeros(room, np.intc), np.zeros(room, np.int8)
-        self.met: list[tuple[Event, PathPoint]] = []
-        for place, point in enumerate(known):
-            self.put(place, point)
+    def __init__(
+        self, start_points: Sequence[PathPoint], capacity: int, n_records: int = 0
+    ) -> None:
+        shape = start_points[0].unknown.shape
+        if n_records:
+            self.records = np.zeros((capacity, n_records))
+        self.unknowns, self.tangents = np.zeros((capacity, *shape)), np.zeros((capacity, *shape))
+        self.parameters, self.slopes, self.lengths = np.zeros((3, capacity))
+        self.weights, self.of_means = np.zeros((2, capacity))
+        self.iterations, self.crossings = np.zeros(capacity, np.intc), np.zeros(capacity, np.int8)
+        self.located_events: list[tuple[Event, PathPoint]] = []
+        for index, point in enumerate(start_points):
+            self.set_point(index, point)
 
-    def put(self, place: int, point: PathPoint) -> None:
-        """Set a point."""
-        self.unknowns[place], self.tangents[place] = point.unknown, point.tangent.x
-        self.parameters[place], self.slopes[place] = point.parameter, point.tangent.p
-        self.weights[place], self.of_means[place] = point.tangent.weight, point.tangent.of_means
-        self.lengths[place] = point.length
+    def set_point(self, index: int, point: PathPoint) -> None:
+        """Overwrite a point."""
+        self.unknowns[index], self.tangents[index] = point.unknown, point.tangent.x
+        self.parameters[index], self.slopes[index] = point.parameter, point.tangent.p
+        self.weights[index], self.of_means[index] = point.tangent.weight, point.tangent.of_means
+        self.lengths[index] = point.length
         if "records" in vars(self) and point.record is not None:
-            self.records[place] = point.record
+            self.records[index] = point.record
         if "observed" in vars(self):
-            self.observed[place] = point.observed
-        self.iterations[place], self.crossings[place] = point.iterations, point.crosses_branch
+            self.observed[index] = point.observed
+        self.iterations[index], self.crossings[index] = point.iterations, point.crosses_branch
 
-    def struct(self, known: int, **numbers: float) -> Struct:
-        """The kernel's path, of which so many points are known."""
+    def struct(self, n_known: int, **scalars: float) -> Struct:
+        """Return the kernel's ``path`` whose first ``n_known`` points are known."""
         arrays = {name: array for name, array in vars(self).items() if name not in NOT_IN_KERNEL}
-        return Struct("path", room=len(self), known=known, **arrays, **numbers)
+        return Struct("path", room=len(self), known=n_known, **arrays, **scalars)
 
     def __len__(self) -> int:
         return len(self.parameters)
 
-    def singly(self) -> Iterator[Stretch]:
-        """Each point by itself."""
-        for place in range(len(self)):
-            part = self[place : place + 1]
-            part.met = self.met if place == len(self) - 1 else []
-            yield part
+    def split_points(self) -> Iterator[PathSegment]:
+        """Yield each point as a segment of its own."""
+        for index in range(len(self)):
+            segment = self[index : index + 1]
+            segment.located_events = self.located_events if index == len(self) - 1 else []
+            yield segment
 
     @overload
-    def __getitem__(self, place: int) -> PathPoint: ...
+    def __getitem__(self, index: int) -> PathPoint: ...
     @overload
-    def __getitem__(self, place: slice) -> Stretch: ...
-    def __getitem__(self, place: int | slice) -> PathPoint | Stretch:
-        if isinstance(place, slice):
-            part = object.__new__(Stretch)
-            arrays = {name: array for name, array in vars(self).items() if name != "met"}
-            vars(part).update({name: array[place] for name, array in arrays.items()}, met=[])
-            return part
-        norm = float(self.weights[place]), float(self.of_means[place])
-        tangent = Tangent(self.tangents[place], float(self.slopes[place]), *norm)
+    def __getitem__(self, index: slice) -> PathSegment: ...
+    def __getitem__(self, index: int | slice) -> PathPoint | PathSegment:
+        if isinstance(index, slice):
+            segment = object.__new__(PathSegment)
+            arrays = {name: array for name, array in vars(self).items() if name != "located_events"}
+            vars(segment).update(
+                {name: array[index] for name, array in arrays.items()}, located_events=[]
+            )
+            return segment
+        norm_weights = float(self.weights[index]), float(self.of_means[index])
+        tangent = Tangent(self.tangents[index], float(self.slopes[index]), *norm_weights)
         return PathPoint(
-            self.unknowns[place], float(self.parameters[place]), int(self.iterations[place]),
-            tangent, bool(self.crossings[place]), length=float(self.lengths[place]),
-            record=self.records[place] if "records" in vars(self) else None,
-            observed=self.observed[place] if "observed" in vars(self) else None,
+            self.unknowns[index], float(self.parameters[index]), int(self.iterations[index]),
+            tangent, bool(self.crossings[index]), length=float(self.lengths[index]),
+            record=self.records[index] if "records" in vars(self) else None,
+            observed=self.observed[index] if "observed" in vars(self) else None,
         )  # fmt: skip
 
 
 # --- events ---------------------------------------------------------------------------------------
 
-Ends = tuple[PathPoint, PathPoint]
-"""Two neighbours on a path."""
+SegmentEnds = tuple[PathPoint, PathPoint]
+"""Two neighbouring points of a path."""
 
 
 class Event(ABC):
-    """Special point that may lie between two neighbours on a path.
+    """Special point between two neighbouring points of a path.
 
     Attributes
     ----------
-    terminal : bool
-        True if the path ends there,
-    words : str
-        and the reason in words.
-    sought : bool
-        True if the path goes back, and on by a shorter step, where it may be there and is not
-        found: a long step may have met another part.
+    is_terminal : bool
+        True if the path ends at the event.
+    must_be_located : bool
+        True if the path returns and takes a shorter step after a failure to locate the event. A
+        long step may have jumped to another part of the path.
+    description : str
+        Reason for the end, in words.
     kind : str
-        Name if it is a special point.
+        Name of a special point, else "".
     """
 
-    terminal, sought, words, kind = False, False, "", ""
+    is_terminal, must_be_located, description, kind = False, False, "", ""
 
     @abstractmethod
-    def between(self, points: Stretch) -> np.ndarray:
-        """Return True where it may lie behind a point, for each but the last: (n-1,) bool."""
+    def detect(self, segment: PathSegment) -> np.ndarray:
+        """Return True for steps in which the event may lie: (n-1,) bool.
+
+        The segment has n points.
+        """
 
     @abstractmethod
-    def locate(self, system: System, ends: Ends, rtol: float) -> PathPoint | None:
-        """Locate it; None where it is not there, or is not found."""
+    def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
+        """Return the point of the event; None if there is none, or if the search fails."""
 
 
 class BranchPoint(Event):
-    """Crossing of another branch: t_p det J changes its sign. The step is halved as long as the
-    path is found there."""
+    """Crossing of another branch: t_p det J changes its sign.
+
+    The step is bisected for as long as the path can be followed.
+    """
 
     kind = "branch_point"
 
-    def between(self, points: Stretch) -> np.ndarray:
-        return np.asarray(points.crossings[1:] > 0)
+    def detect(self, segment: PathSegment) -> np.ndarray:
+        return np.asarray(segment.crossings[1:] > 0)
 
-    def locate(self, system: System, ends: Ends, rtol: float) -> PathPoint | None:
-        before, behind = ends
-        near, far = 0.0, distance(system, before, behind)
-        side = _orientation(system, before)
-        while far - near > ARRIVED:
-            middle = 0.5 * (near + far)
-            point = step_along(system, before, middle, rtol)
+    def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
+        start, end = ends
+        lower_length, upper_length = 0.0, chord_length(system, start, end)
+        start_orientation = _orientation(system, start)
+        while upper_length - lower_length > ARRIVAL_DISTANCE:
+            middle_length = 0.5 * (lower_length + upper_length)
+            point = step_along(system, start, middle_length, rtol)
             if point is None:
                 break
-            if _orientation(system, point) == side:
-                near = middle
+            if _orientation(system, point) == start_orientation:
+                lower_length = middle_length
             else:
-                behind, far = point, middle
-        return behind
+                end, upper_length = point, middle_length
+        return end
 
 
 def _orientation(system: System, point: PathPoint) -> float:
-    """The sign of t_p det J."""
-    at = point.at or system.linearise(point.unknown, point.parameter)
-    return float(at.sign * np.sign(point.tangent.p))
+    """Return the sign of t_p det J at a point."""
+    linearisation = point.linearisation or system.linearise(point.unknown, point.parameter)
+    return float(linearisation.sign * np.sign(point.tangent.p))
 
 
-class Crossing(Event):
-    """Zero of a function of points (:func:`zero_between`)."""
+class ZeroCrossing(Event):
+    """Zero of a point function (:func:`find_zero`)."""
 
-    def __init__(self, test: Callable[[PathPoint], float]) -> None:
-        self._test = test
+    def __init__(self, function: Callable[[PathPoint], float]) -> None:
+        self._function = function
 
-    def between(self, points: Stretch) -> np.ndarray:
-        values = np.array([self._test(point) for point in points])
-        return np.asarray(values[1:] * values[:-1] < 0.0)
+    def detect(self, segment: PathSegment) -> np.ndarray:
+        function_values = np.array([self._function(point) for point in segment])
+        return np.asarray(function_values[1:] * function_values[:-1] < 0.0)
 
-    def locate(self, system: System, ends: Ends, rtol: float) -> PathPoint | None:
-        return zero_between(system, ends, self._test, rtol)[0]
+    def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
+        return find_zero(system, ends, self._function, rtol)[0]
 
 
-def zero_between(
-    system: System, ends: Ends, test: Callable[[PathPoint], float], rtol: float
+def find_zero(
+    system: System, ends: SegmentEnds, function: Callable[[PathPoint], float], rtol: float
 ) -> tuple[PathPoint, float]:
-    """The point between two neighbours where a function vanishes, by the Illinois method, and the
-    function there; where that fails the point at which it was smallest.
+    """Find a function's zero between two points of a path.
 
-    Points are found in the planes across the chord, from Hermite's cubic through both ends. (SciPy
-    has such methods, and takes longer to load than many curves to be followed.)
+    The Illinois method chooses the fraction s of the chord. With the chord (dx, dp) and the
+    tangents t_0 and t_1 at both ends, the guess at s is Hermite's cubic
 
-    Source: Dowell and Jarratt, BIT 11, 1971, 168.
+        x_0 + s^2 (3 - 2 s) dx + s (1 - s) l [(1 - s) t_0 - s t_1],    l = length of the chord,
+
+    likewise for p. Newton's method corrects the guess in the plane across the chord. (SciPy has
+    similar methods, but takes longer to load than many curves to follow.)
+
+    Returns
+    -------
+    point : PathPoint
+        The zero. If a correction fails, the point with the smallest absolute value.
+    residual : float
+        Value of the function at the point.
+
+    References
+    ----------
+    Dowell and Jarratt, BIT 11, 1971, 168.
     """
-    before, after = ends
-    change, rise = after.unknown - before.unknown, after.parameter - before.parameter
-    length = distance(system, before, after) or 1.0
-    chord = replace(before.tangent, x=change / length, p=rise / length)
-    met = {share: (point, test(point)) for share, point in zip((0.0, 1.0), ends, strict=True)}
+    start, end = ends
+    unknown_change, parameter_change = end.unknown - start.unknown, end.parameter - start.parameter
+    length = chord_length(system, start, end) or 1.0
+    chord = replace(start.tangent, x=unknown_change / length, p=parameter_change / length)
+    points_by_fraction = {
+        fraction: (point, function(point)) for fraction, point in zip((0.0, 1.0), ends, strict=True)
+    }
 
-    def value(share: float) -> float:
-        if share not in met:
-            lean = share * (1.0 - share) * length * np.array([1.0 - share, -share])
-            smooth = share * share * (3.0 - 2.0 * share)
-            x = before.unknown + smooth * change
-            x = x + lean[0] * before.tangent.x + lean[1] * after.tangent.x
-            p = before.parameter + smooth * rise
-            p += lean[0] * before.tangent.p + lean[1] * after.tangent.p
-            crossing = solve_in_plane(system, x, p, chord, tolerance=rtol, reach=STRAY * length)
-            if crossing is None or crossing.at is None:
+    def evaluate(fraction: float) -> float:
+        if fraction not in points_by_fraction:
+            scale = fraction * (1.0 - fraction) * length
+            tangent_weights = scale * np.array([1.0 - fraction, -fraction])
+            chord_weight = fraction * fraction * (3.0 - 2.0 * fraction)
+            x = start.unknown + chord_weight * unknown_change
+            x = x + tangent_weights[0] * start.tangent.x + tangent_weights[1] * end.tangent.x
+            p = start.parameter + chord_weight * parameter_change
+            p += tangent_weights[0] * start.tangent.p + tangent_weights[1] * end.tangent.p
+            solution = solve_in_plane(
+                system, x, p, chord, tolerance=rtol, reach=MAX_PARAMETER_REACH * length
+            )
+            if solution is None or solution.linearisation is None:
                 raise ConvergenceError("path: lost between two points")
-            tangent = tangent_of(system, crossing.unknown, crossing.at, chord)
-            point = replace(crossing, tangent=tangent, observed=observed(system, crossing.at))
-            met[share] = point, test(point)
-        return met[share][1]
+            linearisation = solution.linearisation
+            tangent = tangent_of(system, solution.unknown, linearisation, chord)
+            point = replace(
+                solution, tangent=tangent, observed=observe_point(system, linearisation)
+            )
+            points_by_fraction[fraction] = point, function(point)
+        return points_by_fraction[fraction][1]
 
-    kept, last = 0.0, 1.0
-    size, left = value(kept), value(last)
+    kept_fraction, last_fraction = 0.0, 1.0
+    kept_value, last_value = evaluate(kept_fraction), evaluate(last_fraction)
     with suppress(ConvergenceError):
-        while size * left < 0.0 and abs(last - kept) > 1e-12:
-            share = last - left * (last - kept) / (left - size)
-            if share in (kept, last):
+        while kept_value * last_value < 0.0 and abs(last_fraction - kept_fraction) > 1e-12:
+            width = last_fraction - kept_fraction
+            fraction = last_fraction - last_value * width / (last_value - kept_value)
+            if fraction in (kept_fraction, last_fraction):
                 break
-            there = value(share)
-            if there * left < 0.0:
-                kept, size = last, left
-            else:  # so that this end does not stay
-                size *= 0.5
-            last, left = share, there
-    return min(met.values(), key=lambda found: abs(found[1]))
+            new_value = evaluate(fraction)
+            if new_value * last_value < 0.0:
+                kept_fraction, kept_value = last_fraction, last_value
+            else:  # the Illinois method: halve the value at the end that stays
+                kept_value *= 0.5
+            last_fraction, last_value = fraction, new_value
+    return min(points_by_fraction.values(), key=lambda entry: abs(entry[1]))
 
 
-class Fold(Crossing):
-    """Turning point of the parameter."""
+class Fold(ZeroCrossing):
+    """Turning point of the parameter: t_p changes its sign."""
 
     kind = "fold"
 
     def __init__(self) -> None:
         super().__init__(lambda point: point.tangent.p)
 
-    def between(self, points: Stretch) -> np.ndarray:
-        return np.asarray(points.slopes[1:] * points.slopes[:-1] < 0.0)
+    def detect(self, segment: PathSegment) -> np.ndarray:
+        return np.asarray(segment.slopes[1:] * segment.slopes[:-1] < 0.0)
 
-    def locate(self, system: System, ends: Ends, rtol: float) -> PathPoint | None:
-        near, length = _between(system, ends, None, rtol), distance(system, *ends)
-        if near is None and length > 4.0 * ARRIVED:  # by shorter steps
-            closer = PathOptions(0.25 * length, 0.25 * length, max_steps=8)
-            for stretch in Path(system, ends[0], closer, [Fold()]):
-                if stretch.met:
-                    return stretch.met[0][1]
-        return near or super().locate(system, ends, rtol)
+    def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
+        point, length = _find_between(system, ends, None, rtol), chord_length(system, *ends)
+        if point is None and length > 4.0 * ARRIVAL_DISTANCE:  # try shorter steps
+            short_steps = PathOptions(0.25 * length, 0.25 * length, max_steps=8)
+            for segment in Path(system, ends[0], short_steps, [Fold()]):
+                if segment.located_events:
+                    return segment.located_events[0][1]
+        return point or super().locate(system, ends, rtol)
 
 
 @dataclass(frozen=True)
 class Target(Event):
-    """Point where the parameter has a given value."""
+    """Point with a given value of the parameter."""
 
     parameter: float
-    terminal, sought, words = True, True, Ended.MET.value
+    is_terminal, must_be_located, description = True, True, EndReason.REACHED.value
 
-    def between(self, points: Stretch) -> np.ndarray:
-        off = points.parameters - self.parameter
-        return np.asarray((off[:-1] != 0.0) & (off[1:] * off[:-1] <= 0.0))
+    def detect(self, segment: PathSegment) -> np.ndarray:
+        difference = segment.parameters - self.parameter
+        return np.asarray((difference[:-1] != 0.0) & (difference[1:] * difference[:-1] <= 0.0))
 
-    def locate(self, system: System, ends: Ends, rtol: float) -> PathPoint | None:
-        near = _between(system, ends, self.parameter, rtol)
-        if near is None:
+    def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
+        estimate = _find_between(system, ends, self.parameter, rtol)
+        if estimate is None:
             return None
-        at = solve_at(system, near.unknown, self.parameter, tolerance=rtol)
-        return at and replace(at, tangent=near.tangent)
+        point = solve_at(system, estimate.unknown, self.parameter, tolerance=rtol)
+        return point and replace(point, tangent=estimate.tangent)
 
 
 @dataclass(frozen=True)
-class Closed(Event):
-    """Return of a path to a point of it, by more than some steps."""
+class ClosedLoop(Event):
+    """Return of a path to its origin."""
 
     origin: PathPoint
     system: System
-    terminal, words = True, "closed loop"
+    is_terminal, description = True, "closed loop"
 
-    def between(self, points: Stretch) -> np.ndarray:
-        lengths = points.lengths[1:]
-        near = np.abs(points.parameters[:-1] - self.origin.parameter) <= lengths / STRAIGHT
-        for place in np.flatnonzero(near):
-            here = points[int(place)]
-            ahead, back = here.tangent, self.origin.unknown - here.unknown
-            way = ahead.product(self.system, back, ahead.x)
-            way += ahead.p * (self.origin.parameter - here.parameter)
-            near[place] = 0.0 < way <= lengths[place]
-        return np.asarray(near)
+    def detect(self, segment: PathSegment) -> np.ndarray:
+        lengths = segment.lengths[1:]
+        may_return = (
+            np.abs(segment.parameters[:-1] - self.origin.parameter)
+            <= lengths / MIN_DIRECTION_COSINE
+        )
+        for index in np.flatnonzero(may_return):
+            point = segment[int(index)]
+            tangent, to_origin = point.tangent, self.origin.unknown - point.unknown
+            distance_along = tangent.product(self.system, to_origin, tangent.x)
+            distance_along += tangent.p * (self.origin.parameter - point.parameter)
+            may_return[index] = 0.0 < distance_along <= lengths[index]
+        return np.asarray(may_return)
 
-    def locate(self, system: System, ends: Ends, rtol: float) -> PathPoint | None:
-        before, origin = ends[0], self.origin
-        chord = distance(system, before, origin)
-        back, rise = origin.unknown - before.unknown, origin.parameter - before.parameter
-        along = replace(before.tangent, x=back, p=rise).along(before.tangent, system)
-        if along < STRAIGHT:
+    def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
+        start, origin = ends[0], self.origin
+        length = chord_length(system, start, origin)
+        to_origin, parameter_change = (
+            origin.unknown - start.unknown,
+            origin.parameter - start.parameter,
+        )
+        cosine = replace(start.tangent, x=to_origin, p=parameter_change).cosine_to(
+            start.tangent, system
+        )
+        if cosine < MIN_DIRECTION_COSINE:
             return None
-        met = step_along(system, before, along * chord, rtol)
-        if met is None or met.tangent.along(origin.tangent, system) < STRAIGHT:
+        point = step_along(system, start, cosine * length, rtol)
+        if point is None or point.tangent.cosine_to(origin.tangent, system) < MIN_DIRECTION_COSINE:
             return None
-        off = met.unknown - origin.unknown
-        return origin if origin.tangent.product(system, off, off) < 1e-10 else None
+        difference = point.unknown - origin.unknown
+        return origin if origin.tangent.product(system, difference, difference) < 1e-10 else None
 
 
-def _between(system: System, ends: Ends, target: float | None, rtol: float) -> PathPoint | None:
-    """The point between two others of a path where the parameter turns back, or where it is a
-    ``target``; None where it is not found.
+def _find_between(
+    system: System, ends: SegmentEnds, target: float | None, rtol: float
+) -> PathPoint | None:
+    """Find the fold or a target parameter between two points; None without success.
 
-    Where the next point is looked for follows from Hermite's cubic polynomial p(s) through the two
-    points that enclose it, with s along the tangent of the first one.
+    Guesses come from Hermite's cubic p(s) through the two enclosing points, with s along the
+    tangent of the first point.
     """
-    equations, found = equations_of(system, ends[0].unknown.shape), Stretch(ends, 3)
-    how = Struct("stepping", shortest=ARRIVED, newton=correction(rtol, STRAY))
-    wanted = NULL if target is None else pointer(np.array([target]))
-    path = found.struct(2)
-    outcome = equations.run(kernel.find_between, how.at, wanted, path.at)
-    return found[path.at.known] if equations.check(outcome) else None
+    equations, segment = equations_of(system, ends[0].unknown.shape), PathSegment(ends, 3)
+    stepping = Struct(
+        "stepping", shortest=ARRIVAL_DISTANCE, newton=correction_struct(rtol, MAX_PARAMETER_REACH)
+    )
+    target_pointer = NULL if target is None else pointer(np.array([target]))
+    path_struct = segment.struct(2)
+    outcome = equations.run(kernel.find_between, stepping.at, target_pointer, path_struct.at)
+    return segment[path_struct.at.known] if equations.check_outcome(outcome) else None
 
 
 # --- the path -------------------------------------------------------------------------------------
 
 
 class StepControl(ABC):
-    """Control of the step length by more than the path itself."""
+    """Control of the step by values observed at the points."""
 
     @abstractmethod
-    def too_long(self, points: Stretch) -> np.ndarray:
-        """Return True where a step, behind each point but the last, is too long: (n-1,) bool."""
+    def too_long(self, segment: PathSegment) -> np.ndarray:
+        """Return True for steps that are too long: (n-1,) bool. The segment has n points."""
 
 
-def observed(system: System, at: Linearisation) -> np.ndarray | None:
-    """Return the values that a step control uses at a point, if the system has them."""
+def observe_point(system: System, linearisation: Linearisation) -> np.ndarray | None:
+    """Return the values for a step control at a point; None if the system has none."""
     observe = getattr(system, "observe", None)
-    return None if observe is None else np.asarray(observe(at.record[None])[0])
+    return None if observe is None else np.asarray(observe(linearisation.record[None])[0])
 
 
 class Path:
-    """The path from a solution on: iterate over it once, by stretches at whose ends something
-    happens, or by as many points as come together.
+    """A path from a solution on, to be iterated over once.
+
+    Each :class:`PathSegment` ends at an event, or after as many points as one kernel call yields.
 
     Parameters
     ----------
     system : System
     start : PathPoint
-        Its tangent gives the direction.
+        The tangent of this point sets the direction.
     options : PathOptions
     events : sequence of Event
     control : StepControl, optional
-        The system must have ``records`` and ``observe`` then.
+        Needs ``records`` and ``observe`` of the system.
 
     Attributes
     ----------
-    last : PathPoint
+    last_point : PathPoint
         The last point so far.
-    ended : Ended or None
-        Reason for the end, if it has ended.
+    end_reason : EndReason or None
+        None until the path has ended.
     event : Event or None
-        The terminal one that it has met.
+        Terminal event at the end.
     """
 
     def __init__(
@@ -451,153 +501,209 @@ class Path:
     ) -> None:  # fmt: skip
         self._system, self._options, self._events = system, options, events
         self._equations, self._control = equations_of(system, start.unknown.shape), control
-        self._longest = options.max_step
-        self._at_once = options.at_once if control is None else min(FEW, options.at_once)
-        self.last = start = self._observed(start)
-        self.ended: Ended | None = None
+        self._max_step = options.max_step
+        max_points = options.points_per_call
+        self._points_per_call = (
+            max_points if control is None else min(POINTS_AFTER_HALVING, max_points)
+        )
+        self.last_point = start = self._with_observation(start)
+        self.end_reason: EndReason | None = None
         self.event: Event | None = None
-        self._begin(start, options.initial_step)
+        self._restart(start, options.initial_step)
 
     def points(self) -> Iterator[PathPoint]:
-        """One point after the other."""
-        for stretch in self:
-            yield from stretch
+        """Yield the points singly."""
+        for segment in self:
+            yield from segment
 
     def run(self) -> PathPoint | None:
-        """The terminal event's point, all of the path at once; None where it meets none."""
+        """Follow the whole path; return the point of the terminal event, or None."""
         for _ in self:
             pass
-        return self.last if self.ended is Ended.MET else None
+        return self.last_point if self.end_reason is EndReason.REACHED else None
 
-    def __iter__(self) -> Iterator[Stretch]:
-        left, shorter = self._options.max_steps, math.inf
-        while self.ended is None:
-            if not left:
-                self.ended = Ended.MANY
+    def __iter__(self) -> Iterator[PathSegment]:
+        n_remaining, retry_step = self._options.max_steps, math.inf
+        while self.end_reason is None:
+            if not n_remaining:
+                self.end_reason = EndReason.TOO_MANY_POINTS
                 return
-            stretch = self._follow(left)
-            if stretch is None:
+            segment = self._follow(n_remaining)
+            if segment is None:
                 continue
-            if len(stretch) == 1:
-                self.ended = Ended.SHORT
+            if len(segment) == 1:
+                self.end_reason = EndReason.STEPS_TOO_SHORT
                 return
-            for found, place in self._eventful(stretch):
-                left -= len(found)
-                if place is None:
-                    self._known[:] = [*self._known, *found[-2:]][-2:]
+            for part, retry_index in self._split_at_events(segment):
+                n_remaining -= len(part)
+                if retry_index is None:
+                    self._start_points[:] = [*self._start_points, *part[-2:]][-2:]
                 else:
-                    shorter = 0.25 * min(shorter, float(stretch.lengths[place + 1]))
-                    if shorter < self._options.min_step:
-                        self.ended = Ended.LOST
+                    retry_step = 0.25 * min(retry_step, float(segment.lengths[retry_index + 1]))
+                    if retry_step < self._options.min_step:
+                        self.end_reason = EndReason.END_LOST
                     else:
-                        self._begin(stretch[place], shorter)
-                if len(found):
-                    self.last = found[-1]
-                    yield found
-                if place is not None or self.ended is not None:
+                        self._restart(segment[retry_index], retry_step)
+                if len(part):
+                    self.last_point = part[-1]
+                    yield part
+                if retry_index is not None or self.end_reason is not None:
                     break
 
-    def _eventful(self, stretch: Stretch) -> Iterator[tuple[Stretch, int | None]]:
-        """The points behind the first one in parts that end where something happens; with the place
-        behind which what is sought was not found."""
-        lowest, highest = self._options.span
-        outside = (stretch.parameters[1:] < lowest) | (stretch.parameters[1:] > highest)
-        flags = np.array([event.between(stretch) for event in self._events], dtype=bool)
-        flags = flags.reshape(len(self._events), len(stretch) - 1)
-        begin = 1
-        for place in map(int, np.flatnonzero(flags.any(axis=0) | outside)):
-            ends = stretch[place], stretch[place + 1]
-            sharp = max(LOCATED, self._rounding(ends[1]))
-            found = stretch[begin : place + 2]
-            for event, near in zip(self._events, flags[:, place], strict=True):
-                at = event.locate(self._system, ends, sharp) if near else None
-                if at is not None:
-                    at = self._observed(at)
-                    found.met.append((event, at))
-                if at is not None and event.terminal:
-                    if at is ends[0]:
-                        found = stretch[begin : place + 1]
+    def _split_at_events(self, segment: PathSegment) -> Iterator[tuple[PathSegment, int | None]]:
+        """Split a segment behind each point with an event.
+
+        Yields
+        ------
+        part : PathSegment
+            Points behind the first point, up to an event.
+        retry_index : int or None
+            Index of the point behind which a required event was not located, else None.
+        """
+        min_parameter, max_parameter = self._options.span
+        is_outside = (segment.parameters[1:] < min_parameter) | (
+            segment.parameters[1:] > max_parameter
+        )
+        may_occur = np.array([event.detect(segment) for event in self._events], dtype=bool)
+        may_occur = may_occur.reshape(len(self._events), len(segment) - 1)
+        first_index = 1
+        for index in map(int, np.flatnonzero(may_occur.any(axis=0) | is_outside)):
+            ends = segment[index], segment[index + 1]
+            tolerance = max(LOCATION_TOLERANCE, self._rounding_at(ends[1]))
+            part = segment[first_index : index + 2]
+            for event, is_candidate in zip(self._events, may_occur[:, index], strict=True):
+                location = event.locate(self._system, ends, tolerance) if is_candidate else None
+                if location is not None:
+                    location = self._with_observation(location)
+                    part.located_events.append((event, location))
+                if location is not None and event.is_terminal:
+                    if location is ends[0]:
+                        part = segment[first_index : index + 1]
                     else:
-                        found.put(-1, at)
-                    self.ended, self.event = Ended.MET, event
-                    yield found, None
+                        part.set_point(-1, location)
+                    self.end_reason, self.event = EndReason.REACHED, event
+                    yield part, None
                     return
-                if near and at is None and event.sought:
-                    yield stretch[begin : place + 1], place
+                if is_candidate and location is None and event.must_be_located:
+                    yield segment[first_index : index + 1], index
                     return
-            if outside[place]:
-                self.ended = Ended.LEFT
-                yield stretch[begin : place + 1], None
+            if is_outside[index]:
+                self.end_reason = EndReason.RANGE_LEFT
+                yield segment[first_index : index + 1], None
                 return
-            if found.met:
-                yield found, None
-                begin = place + 2
-        if begin < len(stretch):
-            yield stretch[begin:], None
+            if part.located_events:
+                yield part, None
+                first_index = index + 2
+        if first_index < len(segment):
+            yield segment[first_index:], None
 
     # --- its steps --------------------------------------------------------------------------------
 
-    def _observed(self, point: PathPoint) -> PathPoint:
-        """A point with what a step control sees of it."""
+    def _with_observation(self, point: PathPoint) -> PathPoint:
+        """Return a point with record and observed values, for the step control."""
         if self._control is None or point.observed is not None:
             return point
-        at = point.at or self._system.linearise(point.unknown, point.parameter)
-        return replace(point, record=at.record.ravel(), observed=observed(self._system, at))
+        linearisation = point.linearisation or self._system.linearise(
+            point.unknown, point.parameter
+        )
+        return replace(
+            point,
+            record=linearisation.record.ravel(),
+            observed=observe_point(self._system, linearisation),
+        )
 
-    def _rounding(self, point: PathPoint) -> float:
+    def _rounding_at(self, point: PathPoint) -> float:
         """Return the rounding error of |F| / |x| at a point."""
-        of_system = getattr(self._system, "rounding", None)
-        return self._options.rounding if of_system is None else float(of_system(point.parameter))
+        system_rounding = getattr(self._system, "rounding", None)
+        return (
+            self._options.rounding
+            if system_rounding is None
+            else float(system_rounding(point.parameter))
+        )
 
-    def _begin(self, point: PathPoint, step: float) -> None:
-        """Go on from a point, with a step."""
-        self._known, self._step, self._orientation = [point], step, 0.0
+    def _restart(self, point: PathPoint, step: float) -> None:
+        """Continue from a point with a given step."""
+        self._start_points, self._step, self._orientation = [point], step, 0.0
 
-    def _up_to_halved_step(self, found: Stretch, known: int, step: float) -> Stretch | None:
-        """The last point that was known, and those behind it, of which the first was sought by a
-        step, up to the first step that is halved; None if that is the first."""
+    def _cut_at_halved_step(
+        self, segment: PathSegment, n_known: int, step: float
+    ) -> PathSegment | None:
+        """Cut a segment at the first rejected step, and halve that step.
+
+        Parameters
+        ----------
+        n_known : int
+            Number of points from earlier calls, at the beginning.
+        step : float
+            Length of the first new step.
+
+        Returns
+        -------
+        PathSegment or None
+            The last known point and the accepted new points; None if no new point is accepted.
+        """
         assert self._control is not None
-        new = self._system.observe(found.records[known:])  # type: ignore[attr-defined]
-        found.observed = np.concatenate([[point.observed for point in self._known], new])
-        lengths = found.lengths[known:].copy()
-        lengths[0] = min(lengths[0], step)  # where the path jumps its chord is no step
-        long = lengths > 2.0 * self._options.min_step
-        halved = np.flatnonzero(self._control.too_long(found)[known - 1 :] & long)
-        if not len(halved):
-            self._longest = min(2.0 * self._longest, self._options.max_step)
-            if self._longest == self._options.max_step:
-                self._at_once = min(2 * self._at_once, self._options.at_once)
-            return found[known - 1 :]
-        last = known - 1 + int(halved[0])
-        if found.crossings[last + 1 :].sum() % 2:
+        new_observed = self._system.observe(segment.records[n_known:])  # type: ignore[attr-defined]
+        segment.observed = np.concatenate(
+            [[point.observed for point in self._start_points], new_observed]
+        )
+        lengths = segment.lengths[n_known:].copy()
+        lengths[0] = min(lengths[0], step)  # a chord across a jump is no step
+        can_be_halved = lengths > 2.0 * self._options.min_step
+        rejected_steps = np.flatnonzero(
+            self._control.too_long(segment)[n_known - 1 :] & can_be_halved
+        )
+        if not len(rejected_steps):
+            self._max_step = min(2.0 * self._max_step, self._options.max_step)
+            if self._max_step == self._options.max_step:
+                self._points_per_call = min(
+                    2 * self._points_per_call, self._options.points_per_call
+                )
+            return segment[n_known - 1 :]
+        last_index = n_known - 1 + int(rejected_steps[0])
+        if segment.crossings[last_index + 1 :].sum() % 2:
             self._orientation = -self._orientation
-        self._step = self._longest = 0.5 * float(lengths[halved[0]])
-        self._at_once = min(FEW, self._options.at_once)
-        return found[known - 1 : last + 1] if last >= known else None
+        self._step = self._max_step = 0.5 * float(lengths[rejected_steps[0]])
+        self._points_per_call = min(POINTS_AFTER_HALVING, self._options.points_per_call)
+        return segment[n_known - 1 : last_index + 1] if last_index >= n_known else None
 
-    def _follow(self, left: int) -> Stretch | None:
-        """The last point that is known, and those behind it, if no step is too short, no more than
-        are left; None where a step control halves the first step."""
-        options, known = self._options, self._known
-        here, rounding = known[-1].parameter, self._rounding(known[-1])
+    def _follow(self, n_remaining: int) -> PathSegment | None:
+        """Follow the path in one kernel call.
+
+        Parameters
+        ----------
+        n_remaining : int
+            Maximum number of new points.
+
+        Returns
+        -------
+        PathSegment or None
+            The last known point and the new points; None if the step control halves the first step.
+        """
+        options, start_points = self._options, self._start_points
+        parameter, rounding = start_points[-1].parameter, self._rounding_at(start_points[-1])
         targets = [event.parameter for event in self._events if isinstance(event, Target)]
         bounds = [*options.span, *targets]
-        many = min(left, self._at_once if self._equations.many else 1)
-        records = 0 if self._control is None else int(self._equations.table.records)
-        found = Stretch(known, len(known) + many, records)
-        path = found.struct(len(known), step=self._step, orientation=self._orientation)
-        how = Struct(
-            "stepping", longest=self._longest, shortest=options.min_step,
+        n_points = min(
+            n_remaining, self._points_per_call if self._equations.follows_many_points else 1
+        )
+        n_records = 0 if self._control is None else int(self._equations.function_table.records)
+        segment = PathSegment(start_points, len(start_points) + n_points, n_records)
+        path_struct = segment.struct(
+            len(start_points), step=self._step, orientation=self._orientation
+        )
+        stepping = Struct(
+            "stepping", longest=self._max_step, shortest=options.min_step,
             least_cosine=options.min_cosine, rounding=rounding,
-            newton=correction(max(options.rtol, rounding), STRAY),
-            lowest=max(p for p in bounds if p <= here),
-            highest=min(p for p in bounds if p >= here),
+            newton=correction_struct(max(options.rtol, rounding), MAX_PARAMETER_REACH),
+            lowest=max(p for p in bounds if p <= parameter),
+            highest=min(p for p in bounds if p >= parameter),
         )  # fmt: skip
         step = self._step
-        outcome = self._equations.run(kernel.follow, how.at, path.at)
-        self._orientation, self._step = path.at.orientation, path.at.step
-        if path.at.known == len(known):
-            self._equations.check(outcome)
-        if path.at.known == len(known) or self._control is None:
-            return found[len(known) - 1 : path.at.known]
-        return self._up_to_halved_step(found[: path.at.known], len(known), step)
+        outcome = self._equations.run(kernel.follow, stepping.at, path_struct.at)
+        self._orientation, self._step = path_struct.at.orientation, path_struct.at.step
+        if path_struct.at.known == len(start_points):
+            self._equations.check_outcome(outcome)
+        if path_struct.at.known == len(start_points) or self._control is None:
+            return segment[len(start_points) - 1 : path_struct.at.known]
+        return self._cut_at_halved_step(segment[: path_struct.at.known], len(start_points), step)

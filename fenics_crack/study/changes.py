@@ -23,7 +23,7 @@ import numpy as np
 
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.motion.motions import Faces, Record, rows_of
-from fenics_crack.motion.orbit import INSTANTS, PeriodicOrbit
+from fenics_crack.motion.orbit import INSTANTS_PER_PERIOD, PeriodicOrbit
 from fenics_crack.study.prepare import Study
 
 
@@ -44,7 +44,11 @@ def sizes_of_change(study: Study, *motions: PeriodicOrbit | PeriodicSolution) ->
     """
     dofs = [point.dof for point in study.watched]
     record, other_record = (
-        next(motion.records(rows_of(motion.structure, dofs), INSTANTS * motion.subharmonic))
+        next(
+            motion.records(
+                rows_of(motion.structure, dofs), INSTANTS_PER_PERIOD * motion.subharmonic
+            )
+        )
         for motion in motions
     )
     ratios = _ratios(record)

@@ -14,7 +14,7 @@ from fenics_crack.basics.observables import QUANTITIES, STATED, Place, names_of
 from fenics_crack.basics.tables import frequency_axis
 from fenics_crack.model.modes import KINDS, NEGLIGIBLE, bilinear_frequencies
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.motions import Harmonics, Observed, Record
+from fenics_crack.motion.motions import Harmonics, ObservedMotion, Record
 from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.observer import observe
@@ -119,7 +119,7 @@ def many_harmonics(found: PeriodicSolution) -> int:
 
 
 @dataclass(frozen=True)
-class _Exact(Observed):
+class _Exact(ObservedMotion):
     """An orbit, seen with some of its own Fourier coefficients."""
 
     orbit: PeriodicOrbit
@@ -135,7 +135,7 @@ class _Exact(Observed):
 
     def records(self, rows: np.ndarray) -> Iterator[Record]:
         waves = self.orbit.coefficients(self.harmonics).displacement @ rows.T
-        return (replace(record, waves=waves) for record in self.orbit.records(rows))
+        return (replace(record, coefficients=waves) for record in self.orbit.records(rows))
 
 
 def of_orbit(

@@ -26,7 +26,7 @@ from fenics_crack.basics.observables import (
 from fenics_crack.model.nodes import Clamp
 from fenics_crack.model.receptance import check_matrices
 from fenics_crack.model.structure import RayleighDamping, Structure
-from fenics_crack.motion.motions import Observed, Record, Rows
+from fenics_crack.motion.motions import ExtraRows, ObservedMotion, Record
 from fenics_crack.scene.scene import Scene, asked_quantities, check_known, without_tips
 from fenics_crack.scene.tables import Growth
 from fenics_crack.study.prepare import Study
@@ -42,7 +42,7 @@ EXPANDED = 20_000_000
 """Values of the whole structure that are expanded at once, 160 MB: each time it is factored."""
 
 
-def rows_requested(study: Study) -> list[Rows]:
+def rows_requested(study: Study) -> list[ExtraRows]:
     """Places of rows of their own whose quantities a study's scene requests; the rows are made once
     for its structure (collective)."""
     requested = {QUANTITIES[name].of for name in asked_quantities(study.scene)}
@@ -68,7 +68,7 @@ class Quantity(NamedTuple):
     name: str
 
 
-def observe(study: Study, motion: Observed) -> list[Quantity]:
+def observe(study: Study, motion: ObservedMotion) -> list[Quantity]:
     """The numbers of each watched displacement, of the crack faces, and at places of rows of their
     own those that a study's scene requests (collective)."""
     dofs = [watched.dof for watched in study.watched]
@@ -104,7 +104,7 @@ def held(record: Record) -> Held:
     if record.steps:
         return Held(*clamp.of_record(record.time, record.motion, omega, drag))
     base = omega / record.subharmonic
-    parts = record.waves, base, record.subharmonic, drag, base * record.time
+    parts = record.coefficients, base, record.subharmonic, drag, base * record.time
     return Held(*clamp.of_waves(*parts))
 
 
@@ -208,7 +208,7 @@ class AtEllipse(NamedTuple):
 
 
 def errors_along_fronts(
-    study: Study, motion: Observed, coarse: Study, other: Observed
+    study: Study, motion: ObservedMotion, coarse: Study, other: ObservedMotion
 ) -> tuple[dict[str, float], dict[str, float]]:
     """What is computed for K_I of a solid's fronts while they are closed, an error of all requested
     numbers of them; and how far each number is away on a coarser mesh, where on the fronts it is
@@ -235,7 +235,7 @@ def errors_along_fronts(
 
 
 def _along_fronts(
-    study: Study, motion: Observed
+    study: Study, motion: ObservedMotion
 ) -> dict[str, tuple[np.ndarray, dict[str, np.ndarray], float]]:
     """Of each front by its name the places, of its length, the numbers there, and the error while
     closed (collective)."""
@@ -335,7 +335,7 @@ def counted_cycles(values: np.ndarray) -> np.ndarray:
     return np.array(found).reshape(-1, 2)
 
 
-def _at_tips(study: Study) -> Rows:
+def _at_tips(study: Study) -> ExtraRows:
     """The rows of the crack tips, and the numbers of the leading one; the largest K_I of all
     stations of a solid, by which it breaks."""
     places, rows, of_forces = tip_rows(study)
@@ -347,10 +347,10 @@ def _at_tips(study: Study) -> Rows:
             found["K_max"] = max(float(tip.one.max()) for tip in tips)
         return found
 
-    return Rows(rows, numbers)
+    return ExtraRows(rows, numbers)
 
 
-def _at_ellipse(study: Study) -> Rows:
+def _at_ellipse(study: Study) -> ExtraRows:
     """The rows of the crack's front, and the numbers at its deepest place and its ends."""
     places, rows, of_forces = tip_rows(study)
     points, crack = np.array([place.point for place in places]), study.scene.given("crack")
@@ -365,15 +365,15 @@ def _at_ellipse(study: Study) -> Rows:
         one = AtEllipse(tips[int(heights.argmin())], [tips[end] for end in ends])
         return read_at(Place.ELLIPSE, one)
 
-    return Rows(rows, numbers)
+    return ExtraRows(rows, numbers)
 
 
-def _at_clamp(study: Study) -> Rows:
+def _at_clamp(study: Study) -> ExtraRows:
     rows = study.structure.once(inertia_rows)
-    return Rows(rows, lambda record: read_at(Place.CLAMP, held(record)))
+    return ExtraRows(rows, lambda record: read_at(Place.CLAMP, held(record)))
 
 
-_ROWS: dict[Place, Callable[[Study], Rows]] = {
+_ROWS: dict[Place, Callable[[Study], ExtraRows]] = {
     Place.TIPS: _at_tips, Place.ELLIPSE: _at_ellipse, Place.CLAMP: _at_clamp
 }  # fmt: skip
 """Places of rows of their own."""

@@ -37,8 +37,8 @@ from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.reduction import MODES
 from fenics_crack.model.rotation import run_up_structure
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.attractors import SETTLED
-from fenics_crack.motion.motions import Observed
+from fenics_crack.motion.attractors import MAX_SETTLED_CHANGE
+from fenics_crack.motion.motions import ObservedMotion
 from fenics_crack.scene.scene import Scene, check_known, without_clamp, without_tips
 from fenics_crack.scene.tables import Integration
 from fenics_crack.study.conclusion import Answer, said_of
@@ -128,8 +128,8 @@ class Run(Answer, Generic[Found]):
         columns: list[np.ndarray] = []
         if isinstance(found, TimeHistory):
             columns = list(found.displacement(dofs).T)
-        elif isinstance(found, Observed):
-            columns = [seen.waves for seen in found.observe(dofs)[0]]
+        elif isinstance(found, ObservedMotion):
+            columns = [seen.coefficients for seen in found.observe(dofs)[0]]
         return dict(zip((watched.words for watched in self.watched), columns, strict=False))
 
     def save(self, path: str | Path) -> None:
@@ -244,7 +244,7 @@ def _with_motion_from_rest(run: Run[PeriodicSolution]) -> Run[PeriodicSolution]:
     if motion.orbit is not None:
         outcome, amplitude = motion.description, motion.orbit.amplitude(dof)
         own = found.amplitude(dof)
-        if judged.verdict != "undecided" and abs(amplitude - own) <= SETTLED * own:
+        if judged.verdict != "undecided" and abs(amplitude - own) <= MAX_SETTLED_CHANGE * own:
             return run  # the same motion
     seen = replace(judged, from_rest=outcome, rest_amplitude=amplitude)
     return replace(run, result=replace(found, stability=seen))

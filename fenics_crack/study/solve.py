@@ -22,7 +22,7 @@ from fenics_crack.model.contact import is_piecewise_linear, is_rigid
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.receptance import held_receptance, receptance
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.orbit import FORMED
+from fenics_crack.motion.orbit import MAX_MODES_FOR_MONODROMY
 from fenics_crack.study.observer import rows_requested
 from fenics_crack.study.prepare import FEW_DOFS, Study, reduced, reduction_of
 
@@ -114,7 +114,7 @@ MOST_OF_MANY = 40
 times as long."""
 
 
-def modes_chosen(study: Study, most: int = FORMED) -> list[int]:
+def modes_chosen(study: Study, most: int = MAX_MODES_FOR_MONODROMY) -> list[int]:
     """Numbers of modes among which a study's tolerance chooses, from few on; none where the scene
     says how many, has no tolerance, or is not reduced (collective)."""
     scene, whole = study.scene, study.structure
@@ -138,7 +138,7 @@ def reduced_to(whole: Study, modes: int) -> Study:
     return reduced(replace(whole, scene=whole.scene.replace(keys)))
 
 
-def with_more_modes(whole: Study, most: int = FORMED) -> Iterator[Study]:
+def with_more_modes(whole: Study, most: int = MAX_MODES_FOR_MONODROMY) -> Iterator[Study]:
     """A study with the numbers of modes among which its tolerance chooses, each reduced when it is
     needed; else once, as its scene says (collective).
 

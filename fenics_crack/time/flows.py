@@ -44,8 +44,8 @@ from fenics_crack.kernel import Struct, kernel, pointer, shaped
 from fenics_crack.model.contact import ActiveSets, ContactLaw, FrictionSets, coefficient_of
 from fenics_crack.model.modes import times
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.flow import Flow, check_exact, doubles, exact_flow
-from fenics_crack.numerics.fourier import derivative, from_complex, to_complex, waves_of
+from fenics_crack.motion.flow import Flow, as_doubles, check_exact, exact_flow
+from fenics_crack.numerics.fourier import differentiate, fourier_basis_for, from_complex, to_complex
 from fenics_crack.time.march import March, Scheme, TimeHistory, Window, march
 
 
@@ -162,7 +162,7 @@ def _displacement_and_velocity(
     flow: Flow, motion: np.ndarray, state: np.ndarray
 ) -> tuple[np.ndarray, ...]:
     """Return displacement and velocity, with friction also sticking places, of a flow's state."""
-    _, rate, places = np.split(state, [flow.count, 2 * flow.count])
+    _, rate, places = np.split(state, [flow.n_modes, 2 * flow.n_modes])
     motion_parts = motion.copy(), flow.modes.shapes @ rate
     return (*motion_parts, places.copy()) if flow.friction else motion_parts
 
@@ -222,12 +222,12 @@ class ExponentialFlow(Flow):
         half_response = 0.5 * response  # Gamma
         gap_response = modes.pairs.T @ half_response[:n_modes]
         self.gap_rows = np.hstack([modes.pairs.T, np.zeros((n_rows, n_modes))])
-        loads = enumerate(to_complex(self.force))
+        loads = enumerate(to_complex(self.modal_load))
         amplitudes = [modes.steady_response(order * omega, load) for order, load in loads]
         shape = from_complex(np.array(amplitudes))
-        instants = waves_of(self.force, 2.0 * np.pi * np.arange(steps) / steps)
-        self.steady = instants @ np.hstack([shape, derivative(shape, omega)])
-        self.linear_gap = instants @ (shape @ modes.pairs + self.gap)
+        instants = fourier_basis_for(self.modal_load, 2.0 * np.pi * np.arange(steps) / steps)
+        self.steady = instants @ np.hstack([shape, differentiate(shape, omega)])
+        self.linear_gap = instants @ (shape @ modes.pairs + self.load_gap)
         compliance = self.compliance + gap_response
         set_members: dict[str, Any]
         if (mu := coefficient_of(contact)) is None:
@@ -240,9 +240,10 @@ class ExponentialFlow(Flow):
             set_members = {"friction": self._sets.handle, "held": self._sticking_places}
         self._kernel_data = Struct(
             "exponential", modes=n_modes, pairs=n_rows, instants=steps,
-            coupled=modes.damping.ndim == 2, moved=transition, rows=doubles(modes.pairs.T),
-            pushed=doubles(half_response.T), gaps=doubles(gap_response), linear=self.linear_gap,
-            steady=self.steady, room=np.empty(4 * n_modes + 2 * n_rows), **set_members,
+            coupled=modes.damping.ndim == 2, moved=transition, rows=as_doubles(modes.pairs.T),
+            pushed=as_doubles(half_response.T), gaps=as_doubles(gap_response),
+            linear=self.linear_gap, steady=self.steady, room=np.empty(4 * n_modes + 2 * n_rows),
+            **set_members,
         )  # fmt: skip
 
     def coordinates(
@@ -260,7 +261,7 @@ class ExponentialFlow(Flow):
         ConvergenceError
             The contact forces of a step were not found.
         """
-        n_state, pairs, total = 2 * self.count, self.structure.n_pairs, periods * self.steps
+        n_state, pairs, total = 2 * self.n_modes, self.structure.n_pairs, periods * self.steps
         state, places = np.split(shaped(state, self.size), [n_state])
         states, forces = np.empty((total + 1, n_state)), np.empty((total + 1, len(self.softness)))
         is_closed = np.empty((total + 1, pairs), dtype=np.int8)
@@ -309,7 +310,9 @@ class Steps:
         flow = self.flow
         instants = np.arange(len(self.states)) % flow.steps
         linear_gap = (self.states - flow.steady[instants]) @ flow.gap_rows.T
-        return np.asarray(linear_gap + flow.linear_gap[instants] - self.forces @ flow.residual)
+        return np.asarray(
+            linear_gap + flow.linear_gap[instants] - self.forces @ flow.residual_flexibility
+        )
 
     @property
     def friction_loss(self) -> float:

@@ -31,9 +31,14 @@ from fenics_crack.model.contact import ContactLaw, check_law, coefficient_of, fr
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.motions import Observed, Record
-from fenics_crack.numerics.fourier import balanced, derivative, evaluate, waves_of
-from fenics_crack.numerics.newton import moving_size
+from fenics_crack.motion.motions import ObservedMotion, Record
+from fenics_crack.numerics.fourier import (
+    differentiate,
+    evaluate,
+    fourier_basis_for,
+    fourier_coefficients,
+)
+from fenics_crack.numerics.newton import motion_size
 
 MEMORY_LIMIT = 2**31
 """Bytes of history on one rank beyond which recording is refused."""
@@ -160,7 +165,7 @@ class March:
     def waves(self) -> np.ndarray:
         """1, cos(j phi) and sin(j phi) of the load phase phi at N instants: (N, 2K+1)."""
         instants = np.arange(self.steps_per_period) / self.steps_per_period
-        return waves_of(self.structure.force, 2.0 * np.pi * instants)
+        return fourier_basis_for(self.structure.force, 2.0 * np.pi * instants)
 
     @cached_property
     def load(self) -> np.ndarray:
@@ -179,7 +184,7 @@ class March:
 
 
 @dataclass(frozen=True, repr=False)
-class TimeHistory(Observed, Tabular):
+class TimeHistory(ObservedMotion, Tabular):
     """Hold the last periods of a motion from direct time integration.
 
     Attributes
@@ -356,7 +361,7 @@ class TimeHistory(Observed, Tabular):
             force = np.hstack([force, self.tangential_force])
         yield Record(
             2.0 * np.pi * (len(self.time) - 1) / steps / np.ptp(self.time), 1, self.time,
-            balanced(motion[-steps:], min(10, (steps - 1) // 2)), motion, gap, force,
+            fourier_coefficients(motion[-steps:], min(10, (steps - 1) // 2)), motion, gap, force,
             structure=structure,
             friction=self.friction,
             steps=steps,
@@ -475,7 +480,7 @@ def _sizes(parts: Sequence[np.ndarray]) -> list[float]:
     size is infinite if a record is rounding beside the largest one, such as the gaps of rigid crack
     faces that stay closed: then no change of it counts.
     """
-    sizes = [moving_size(part) for part in parts]
+    sizes = [motion_size(part) for part in parts]
     return [size if size > NEGLIGIBLE * max(sizes) else math.inf for size in sizes]
 
 
@@ -499,7 +504,7 @@ def initial_state(
     state: tuple[np.ndarray, ...]
     if isinstance(initial, PeriodicSolution):
         coefficients, omega = initial.displacement_coefficients, initial.base_omega
-        waves = coefficients, derivative(coefficients, omega)
+        waves = coefficients, differentiate(coefficients, omega)
         state = tuple(evaluate(wave, omega, np.zeros(1))[0] for wave in waves)
         if has_friction and friction_of(initial.contact) is not None:
             state = *state, initial.sticking_places(np.zeros(1))[0]

@@ -53,14 +53,14 @@ from fenics_crack.balance.contact_integrals import (
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.model.modes import damped_modes, times
 from fenics_crack.model.nodes import Pairs
-from fenics_crack.motion.motions import Indicators, Observed, Record
+from fenics_crack.motion.motions import Indicators, ObservedMotion, Record
 from fenics_crack.numerics.fourier import (
-    balanced,
+    count_instants,
     evaluate,
+    fourier_coefficients,
     from_complex,
-    instants,
-    resized,
-    sampled,
+    resize_harmonics,
+    sample_period,
     to_complex,
 )
 
@@ -293,7 +293,7 @@ def test_stiffness_of_each_pair(law: Callable[..., ContactLaw], samples: int | N
 def test_widened_integrals_see_the_same_wave() -> None:
     """With more harmonics the lower rows stay; the samples suffice for the higher ones."""
     gap, law = random_gaps(4, 4), UnilateralPenalty(STIFFNESS)
-    padded = resized(gap, 16)
+    padded = resize_harmonics(gap, 16)
     exact = ExactIntegrals(law, 4)
     wide = exact.widened(16)
     force = wide.force(padded)
@@ -553,10 +553,10 @@ def test_complex_form_is_inverse_and_evaluates(coefficients: np.ndarray) -> None
 
 def test_sampling_and_balancing_are_inverse(coefficients: np.ndarray) -> None:
     """Samples are values at i T / N, and a band-limited wave comes back exactly."""
-    values = sampled(coefficients, 32)
+    values = sample_period(coefficients, 32)
     time = np.arange(32) * 2.0 * np.pi / 32
     assert np.allclose(values, evaluate(coefficients, 1.0, time), atol=1e-13)
-    assert np.allclose(balanced(values, HARMONICS), coefficients, atol=1e-13)
+    assert np.allclose(fourier_coefficients(values, HARMONICS), coefficients, atol=1e-13)
 
 
 @pytest.mark.parametrize("harmonics", [0, 1, 6, 70])
@@ -566,11 +566,17 @@ def test_products_are_ffts(harmonics: int, monkeypatch: pytest.MonkeyPatch) -> N
     wave, other = np.random.default_rng(3).normal(size=(2, 2 * harmonics + 1, 4))
     found = []
     for limit in (10**6, 0):
-        monkeypatch.setattr("fenics_crack.numerics.fourier.AS_MATRIX", limit)
-        count = instants(harmonics)
+        monkeypatch.setattr("fenics_crack.numerics.fourier.MAX_MATRIX_SIZE", limit)
+        count = count_instants(harmonics)
         assert count > 4 * harmonics
-        values = sampled(wave, 300), sampled(other, count) * sampled(wave, count)
-        found.append([values[0], balanced(values[0], harmonics), balanced(values[1], harmonics)])
+        values = sample_period(wave, 300), sample_period(other, count) * sample_period(wave, count)
+        found.append(
+            [
+                values[0],
+                fourier_coefficients(values[0], harmonics),
+                fourier_coefficients(values[1], harmonics),
+            ]
+        )
     for one, same in zip(*found, strict=True):
         np.testing.assert_allclose(one, same, atol=1e-12)
     np.testing.assert_allclose(found[0][1], wave, atol=1e-12)
@@ -580,11 +586,11 @@ def test_products_are_ffts(harmonics: int, monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_resized_cuts_and_pads(coefficients: np.ndarray) -> None:
     """Harmonics are cut off at the end, and padded with zeros."""
-    longer = resized(coefficients, HARMONICS + 2)
+    longer = resize_harmonics(coefficients, HARMONICS + 2)
     assert np.array_equal(longer[: len(coefficients)], coefficients)
     assert not np.any(longer[len(coefficients) :])
-    assert np.array_equal(resized(longer, HARMONICS), coefficients)
-    assert len(resized(coefficients, 2)) == 5
+    assert np.array_equal(resize_harmonics(longer, HARMONICS), coefficients)
+    assert len(resize_harmonics(coefficients, 2)) == 5
 
 
 # --- dynamic stiffness and compliance -------------------------------------------------------------
@@ -1075,14 +1081,19 @@ def test_harmonics_out_of_reach(monkeypatch: pytest.MonkeyPatch) -> None:
 # --- indicators of known coefficients -------------------------------------------------------------
 
 
-class Given(Observed):
+class Given(ObservedMotion):
     """A motion by its record."""
 
     structure = oscillator()
 
     def __init__(self, waves: np.ndarray, **given: Any) -> None:
         nothing = np.zeros((2, 0))
-        values = {"omega": 7.0, "subharmonic": 1, "time": np.zeros(2), "waves": waves[:, None]}
+        values = {
+            "omega": 7.0,
+            "subharmonic": 1,
+            "time": np.zeros(2),
+            "coefficients": waves[:, None],
+        }
         values |= {"motion": np.array([[11.0], [-11.0]]), "gap": nothing, "force": nothing}
         self._record = Record(**values | {"structure": self.structure} | given)
 
@@ -1164,7 +1175,7 @@ def test_wave_of_a_bilinear_oscillator(ratio: float) -> None:
     wave = bilinear_wave(ratio, 8192)
     gap = wave[:, None]
     found = indicators_of(
-        balanced(wave, 5), time=wave, motion=gap, gap=gap, force=np.maximum(gap, 0.0)
+        fourier_coefficients(wave, 5), time=wave, motion=gap, gap=gap, force=np.maximum(gap, 0.0)
     )
     mean = 2.0 * closed / (np.pi * ratio) - 2.0 * is_open / np.pi
     assert found.harmonic_1 == pytest.approx(part(1), rel=1e-6)

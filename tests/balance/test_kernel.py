@@ -46,7 +46,7 @@ from fenics_crack.curves.waves import WAVES, Waves
 from fenics_crack.kernel import Struct, kernel, owned, pointer, shaped
 from fenics_crack.model.contact import ActiveSets, solve_complementarity
 from fenics_crack.numerics.equations import ROUNDING, Linearisation, System
-from fenics_crack.numerics.fourier import evaluate, sampled, to_complex
+from fenics_crack.numerics.fourier import evaluate, sample_period, to_complex
 from fenics_crack.numerics.newton import (
     PathPoint,
     point_on_path,
@@ -55,7 +55,7 @@ from fenics_crack.numerics.newton import (
     step_along,
     tangent_of,
 )
-from fenics_crack.numerics.path import Ended, Fold, Path, PathOptions, Target
+from fenics_crack.numerics.path import EndReason, Fold, Path, PathOptions, Target
 
 OTHERS = [
     ROOT / "tests" / name
@@ -471,7 +471,7 @@ def integrals_by_scan(gap: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """T and b of one gap (2H+1,) with k = 1, between the zeros that a scan shows, by the integrals
     of products of waves; and the smallest slope at a zero."""
     harmonics, cells = len(gap) // 2, 4096
-    values = sampled(gap[:, None], cells)[:, 0]
+    values = sample_period(gap[:, None], cells)[:, 0]
     width = 2.0 * np.pi / cells
     changes = np.flatnonzero((values > 0.0) != (np.roll(values, -1) > 0.0))
 
@@ -757,7 +757,7 @@ def test_path_of_many_unknowns() -> None:
         assert np.linalg.norm(along) < 1e-4 * size
         assert one.parameter == pytest.approx(other.parameter, abs=1e-6)
         assert np.allclose(one.unknown, other.unknown, rtol=0.0, atol=1e-5 * size)
-        assert tangent.along(other.tangent, family) > 1.0 - 1e-6
+        assert tangent.cosine_to(other.tangent, family) > 1.0 - 1e-6
         assert one.iterations <= other.iterations + 2
 
 
@@ -916,8 +916,8 @@ def test_many_unknowns(limit: int, monkeypatch: pytest.MonkeyPatch) -> None:
         for point in path.points():
             at = family.linearise(point.unknown, point.parameter)
             assert np.linalg.norm(at.residual) < 2e-8 * np.linalg.norm(point.unknown)
-        assert path.ended is Ended.MET and path.last.parameter == 1.0
-        ends.append(path.last.unknown)
+        assert path.end_reason is EndReason.REACHED and path.last_point.parameter == 1.0
+        ends.append(path.last_point.unknown)
     assert relative(ends[0], ends[1]) < 1e-8
 
 

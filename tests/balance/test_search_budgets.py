@@ -47,7 +47,7 @@ def test_friction_ends_by_work(monkeypatch: pytest.MonkeyPatch) -> None:
     iterations as many as the budget has, besides one for each guess."""
     structure, law = rubbing_masses()
     monkeypatch.setattr("fenics_crack.balance.problem.RUBBING", 1.0)
-    monkeypatch.setattr("fenics_crack.balance.problem.affordable", lambda *given: False)
+    monkeypatch.setattr("fenics_crack.balance.problem.is_affordable", lambda *given: False)
     found = fc.solve_harmonic_balance(structure, 0.9, law, harmonics=10, throw=False)
     assert not found.converged and found.report.unknown
     assert "no solution in" in found.status and "try other harmonics" in found.status
@@ -69,7 +69,7 @@ def test_steps_that_are_too_long_are_work() -> None:
 def test_coefficients_in_blocks(plate: fc.Structure, monkeypatch: pytest.MonkeyPatch) -> None:
     """The sum of an orbit's coefficients, found from a few instants at a time, is its motion."""
     orbit = fc.solve_harmonic_balance(plate, 2000.0, RIGID, tolerance=0.5).orbit
-    monkeypatch.setattr("fenics_crack.motion.orbit.INSTANTS_AT_A_TIME", 64)
+    monkeypatch.setattr("fenics_crack.motion.orbit.INSTANTS_PER_BLOCK", 64)
     rows = orbit.coefficients(200).displacement
     time = np.linspace(0.0, orbit.period, 50)
     moved = orbit.displacement_at(time)
@@ -84,7 +84,7 @@ def test_orbits_that_lie_dense(paper_scene: fc.Scene, monkeypatch: pytest.Monkey
     scene = paper_scene.replace({"harmonic_balance.harmonics": 20})
     usual = []
     for flows in (20, 80):
-        monkeypatch.setattr("fenics_crack.motion.orbit.FLOWS", flows)
+        monkeypatch.setattr("fenics_crack.motion.orbit.MAX_SEARCH_PERIODS", flows)
         for omega in (2142.857, 2142.857143):
             solution = fc.solve(scene.replace({"excitation.omega": omega})).result
             if flows == 20:

@@ -14,7 +14,7 @@ import fenics_crack as fc
 from fenics_crack.balance.assessment import stated_error
 from fenics_crack.cli.command_line import main
 from fenics_crack.cli.studies import warnings_of
-from fenics_crack.motion.attractors import irregular_motion
+from fenics_crack.motion.attractors import find_irregular_motion
 from fenics_crack.motion.flow import exact_flow
 
 LAW = fc.UnilateralPenalty(1e11)
@@ -65,7 +65,7 @@ def test_stable_motion_is_not_irregular() -> None:
     assert fc.floquet(structure, solution).verdict == "stable"
     known = solution.assessment
     for factor in (1.0, 1.3):
-        assert irregular_motion(known.flow, 0.8, factor * known.states[0]) is None
+        assert find_irregular_motion(known.flow, 0.8, factor * known.states[0]) is None
 
 
 def test_curve(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,12 +16,12 @@ import fenics_crack as fc
 from fenics_crack import PeriodicOrbit
 from fenics_crack.kernel import kernel, pointer
 from fenics_crack.motion import flow as flow_module
-from fenics_crack.motion.attractors import in_the_long_run
+from fenics_crack.motion.attractors import find_attractor
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, Track, flow_of
-from fenics_crack.motion.orbit import Prediction, find_orbit, predicted, predicted_motion
+from fenics_crack.motion.orbit import Prediction, find_orbit, predict_motion, predict_orbit
 from fenics_crack.motion.search import SearchOptions, search_orbit, wave_states
 from fenics_crack.motion.shooting import FlowOrbits
-from fenics_crack.numerics.fourier import balanced, evaluate, waves
+from fenics_crack.numerics.fourier import evaluate, fourier_basis, fourier_coefficients
 
 RIGID = fc.UnilateralConstraint()
 
@@ -56,7 +56,7 @@ def energy(flow: ContactFlow, motion: Motion) -> np.ndarray:
     """Of modes, springs and static compliance at the samples."""
     samples = motion.samples
     shape, rate = np.split(samples.states, 2, axis=1)
-    slow = samples.gap + samples.force @ flow.residual
+    slow = samples.gap + samples.force @ flow.residual_flexibility
     return 0.5 * (shape**2 @ flow.modes.squares + (rate**2).sum(axis=1)) + 0.5 * (
         samples.force * slow
     ).sum(axis=1)
@@ -91,7 +91,7 @@ def test_against_the_reference(
     assert np.abs(motion.samples.gap - passage.gap).max() < 1e-12 * (1.0 + grown)
     assert relative(turn @ motion.track.tangent, tangent) < 1e-9 * (1.0 + grown)
     assert motion.events == len(passage.pieces) - 1
-    assert motion.samples.gap[motion.samples.closed].min(initial=0.0) >= 0.0
+    assert motion.samples.gap[motion.samples.is_closed].min(initial=0.0) >= 0.0
     assert motion.track.lengths.sum() == pytest.approx(duration, rel=1e-12)
 
 
@@ -128,7 +128,7 @@ def test_derivatives(light: bool) -> None:
         assert relative(track.tangent[:, place], slope) < 1e-7
     one, other = (flow.advance(state, omega + h, duration, start=0.4) for h in (step, -step))
     by_omega = np.empty(flow.size)
-    assert not kernel.flow_by_omega(flow.handle, track._known.at, pointer(by_omega))
+    assert not kernel.flow_by_omega(flow.handle, track._struct.at, pointer(by_omega))
     assert relative(by_omega, (one.state - other.state) / (2.0 * step)) < 1e-7
 
 
@@ -143,14 +143,14 @@ def test_parts_make_the_whole() -> None:
     assert relative(moved[-1], whole.state) < 1e-12
     assert relative(track.tangent, whole.track.tangent) < 1e-11
     start, excess = thrown(flow, 5), np.zeros_like(moved)
-    carried = track.carried(start, excess, ends)
+    carried = track.carry_changes(start, excess, ends)
     part = flow.advance(samples.states[4], omega, starts[1], start=starts[4]).track
     assert relative(carried[5], part.tangent @ carried[4]) < 1e-12
     assert relative(carried[-1], whole.track.tangent @ start) < 1e-11
     excess[-2:] = thrown(flow, 7), thrown(flow, 8)
     last = flow.advance(samples.states[-1], omega, starts[1], start=starts[-1]).track
     added = last.tangent @ excess[-2] + excess[-1]
-    assert relative(track.carried(start, excess, ends)[-1], carried[-1] + added) < 1e-11
+    assert relative(track.carry_changes(start, excess, ends)[-1], carried[-1] + added) < 1e-11
 
 
 @pytest.mark.parametrize("missed", [1e-3, 1e-6, 1e-9, 1e-12, 0.0, -1e-12, -1e-6])
@@ -241,7 +241,7 @@ def test_motions_do_not_depend_on_earlier_ones(
         for seed in range(5 * busy):
             flow.advance(thrown(flow, seed), 0.3 + 0.1 * seed, 40.0)
         motion = flow.advance(thrown(flow, 7), 0.5, 60.0)
-        step = predicted(flow, 0.5, wave_states(flow, displacement, 0.5))
+        step = predict_orbit(flow, 0.5, wave_states(flow, displacement, 0.5))
         assert motion.events > 40 and step is not None
         return motion.state, motion.track.lengths, motion.track.tangent, step.states
 
@@ -259,10 +259,11 @@ def test_answers_of_sets(pairs: int) -> None:
     instants = np.linspace(0.0, 30.0, 200)
     samples = flow.advance(thrown(flow), omega, 30.0, instants=instants).samples
     gaps = (
-        samples.states[:, : flow.size // 2] @ flow.modes.pairs + waves(omega * instants) @ flow.gap
+        samples.states[:, : flow.size // 2] @ flow.modes.pairs
+        + fourier_basis(omega * instants) @ flow.load_gap
     )
-    assert len(np.unique(samples.closed, axis=0)) > min(pairs, 10)
-    for gap, closed, answers in zip(gaps, samples.closed, samples.answers, strict=True):
+    assert len(np.unique(samples.is_closed, axis=0)) > min(pairs, 10)
+    for gap, closed, answers in zip(gaps, samples.is_closed, samples.answers, strict=True):
         force = np.zeros(pairs)
         force[closed] = np.linalg.solve(flow.compliance[np.ix_(closed, closed)], gap[closed])
         opening = flow.compliance @ force - gap
@@ -341,17 +342,17 @@ def test_derivative_along_short_sets(turn: float) -> None:
     assert flow.modes.damping.ndim == 1 and flow.structure.n_pairs == 5
     sizes, turns = (0, 1, 2, 3, 5, 2, 0, 4, 1), np.array([2, 1, 1, 1.3, 0.7, 60, 1, 1, 1])
     sets = (np.arange(5) < np.array(sizes)[:, None]).astype(np.int8)
-    lengths = turns * turn / flow.fastest
+    lengths = turns * turn / flow.max_rate
     expected, pairs = np.eye(flow.size), flow.modes.pairs
     for closed, length in zip(sets > 0, lengths, strict=True):
         rows = pairs[:, closed]
         pushed = np.linalg.solve(flow.compliance[np.ix_(closed, closed)], rows.T)
-        matrix = np.zeros((2, flow.count, 2, flow.count))
-        matrix[0, :, 1] = np.eye(flow.count)
+        matrix = np.zeros((2, flow.n_modes, 2, flow.n_modes))
+        matrix[0, :, 1] = np.eye(flow.n_modes)
         matrix[1, :, 0] = -np.diag(flow.modes.squares) - rows @ pushed
         matrix[1, :, 1] = -np.diag(flow.modes.damping)
         expected = scipy.linalg.expm(length * matrix.reshape(expected.shape)) @ expected
-    unit = np.repeat([flow.fastest, 1.0], flow.count)
+    unit = np.repeat([flow.max_rate, 1.0], flow.n_modes)
     tangent = unit[:, None] * Track(flow, 1.0, 0.0, sets, lengths).tangent / unit
     assert np.abs(tangent - unit[:, None] * expected / unit).max() < 1e-13
 
@@ -410,11 +411,11 @@ def test_motion_in_arcs(light: bool) -> None:
     solution = fc.solve_harmonic_balance(structure, 0.5, contact, harmonics=10)
     step, orbit = next_to(solution)
     flow, time = orbit.flow, np.linspace(0.0, 0.999 * orbit.period, 300)
-    motion = predicted_motion(flow, 0.5, step, 1)
-    assert relative(motion.sampled.states[::16], step.states[:, : 2 * flow.count]) < 1e-9
-    closed = predicted(flow, 0.5, orbit.sampled.whole_states[::16])
+    motion = predict_motion(flow, 0.5, step, 1)
+    assert relative(motion.sampled.states[::16], step.states[:, : 2 * flow.n_modes]) < 1e-9
+    closed = predict_orbit(flow, 0.5, orbit.sampled.whole_states[::16])
     assert closed is not None and closed.error < 1e-8
-    same = predicted_motion(flow, 0.5, closed, 1)
+    same = predict_motion(flow, 0.5, closed, 1)
     assert same is not None and relative(same.gap_at(time), orbit.gap_at(time)) < 1e-7
     assert same.faces["opening"] == pytest.approx(orbit.faces["opening"], rel=1e-7)
 
@@ -437,8 +438,8 @@ def test_by_products_as_by_factors(seed: int, monkeypatch: pytest.MonkeyPatch) -
     expected, orbit = next_to(solution)
     change = np.random.default_rng(seed).normal(size=orbit.flow.size)
     assert relative(orbit.motion.track @ change, orbit.monodromy @ change) < 1e-12
-    monkeypatch.setattr("fenics_crack.motion.orbit.FORMED", 0)
-    found = predicted(orbit.flow, orbit.omega, solution.assessment.states)
+    monkeypatch.setattr("fenics_crack.motion.orbit.MAX_MODES_FOR_MONODROMY", 0)
+    found = predict_orbit(orbit.flow, orbit.omega, solution.assessment.states)
     again = find_orbit(orbit.flow, orbit.omega, solution.assessment.states[0])
     assert found is not None and found.error == pytest.approx(expected.error, rel=0.05)
     assert relative(found.monodromy, expected.monodromy) < 1e-10
@@ -460,7 +461,7 @@ def test_the_least_periods_after_which_a_motion_is_where_it_was() -> None:
     """It nearly is after two times forty of the load, and is after four: to rounding."""
     flow = known(two_masses(), fc.UnilateralPenalty(100.0))
     orbits = FlowOrbits(flow, 0.614, np.zeros(flow.size), 40)
-    found = in_the_long_run(orbits, orbits.start)
+    found = find_attractor(orbits, orbits.start)
     assert found.description == "settles to an orbit of 160 periods of the load"
     assert found.orbit is not None and abs(found.orbit.multipliers[0]) < 0.01
 
@@ -474,9 +475,9 @@ def test_coefficients(light: bool) -> None:
     orbit = find_orbit(flow, 0.6, settled)
     assert orbit is not None and orbit.events > 0
     found, time = orbit.coefficients(6), np.arange(2**15) * orbit.period / 2**15
-    assert relative(found.gap, balanced(orbit.gap_at(time), 6)) < 1e-6
-    assert relative(found.force, balanced(orbit.force_at(time), 6)) < 1e-6
-    assert relative(found.displacement, balanced(orbit.displacement_at(time), 6)) < 1e-6
+    assert relative(found.gap, fourier_coefficients(orbit.gap_at(time), 6)) < 1e-6
+    assert relative(found.force, fourier_coefficients(orbit.force_at(time), 6)) < 1e-6
+    assert relative(found.displacement, fourier_coefficients(orbit.displacement_at(time), 6)) < 1e-6
     many = orbit.coefficients(400)
     assert relative(found.displacement, many.displacement[:13]) < 1e-12
     assert relative(orbit.gap_at(time[::64]), evaluate(many.gap, 0.6, time[::64])) < 1e-3

@@ -83,7 +83,7 @@ def test_orbits(
     the load is that of both losses."""
     found = solved(name, ratio, omega, mu)
     orbit, (structure, whole) = found.orbit, plate(name, ratio)
-    modal = orbit.sampled.states[:, : orbit.flow.count] @ structure.basis[whole.watched_dof]
+    modal = orbit.sampled.states[:, : orbit.flow.n_modes] @ structure.basis[whole.watched_dof]
     assert np.ptp(modal) / 2e-6 == pytest.approx(tip, rel=3e-4)
     work = orbit.work
     assert work.friction.sum() / work.damping == pytest.approx(share, abs=6e-4)

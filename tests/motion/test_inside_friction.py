@@ -10,7 +10,7 @@ from fenics_crack.balance.friction_integrals import FrictionIntegrals
 from fenics_crack.model.contact import CoulombFriction, FrictionSets
 from fenics_crack.motion.flow import ContactFlow
 from fenics_crack.motion.orbit import find_orbit
-from fenics_crack.numerics.fourier import sampled
+from fenics_crack.numerics.fourier import sample_period
 
 RIGID = fc.UnilateralConstraint()
 
@@ -45,14 +45,14 @@ def test_laws_at_every_instant(pairs: int, mu: float) -> None:
     normal, pulled = np.split(found.forces, 2, axis=1)
     gap, moved = np.split(found.gaps, 2, axis=1)
     large, long = np.abs(found.forces).max(), np.abs(found.gaps).max()
-    assert {0, 1, 2, 3} <= set(np.unique(found.contact))
+    assert {0, 1, 2, 3} <= set(np.unique(found.pair_states))
     assert normal.min() >= -1e-12 * large
     assert gap.max() <= 1e-12 * long
     assert np.abs(normal * gap).max() <= 1e-12 * large * long
     assert (np.abs(pulled) - mu * normal).max() <= 1e-12 * large
-    step, stays = np.diff(moved, axis=0), found.contact[1:] == found.contact[:-1]
+    step, stays = np.diff(moved, axis=0), found.pair_states[1:] == found.pair_states[:-1]
     for state, sign in ((2, 1.0), (3, -1.0)):
-        slips = stays & (found.contact[1:] == state)
+        slips = stays & (found.pair_states[1:] == state)
         assert (sign * step[slips]).min() >= -1e-4 * long  # or it has turned twice
         assert pulled[1:][slips] == pytest.approx(sign * mu * normal[1:][slips], abs=1e-12 * large)
 
@@ -71,7 +71,7 @@ def test_laws_from_any_state(pairs: int) -> None:
         assert normal.min() >= -1e-12 * large
         assert gap.max() <= 1e-12 * long
         assert (np.abs(pulled) - 0.3 * normal).max() <= 1e-12 * large
-        states |= set(found.contact.ravel().tolist())
+        states |= set(found.pair_states.ravel().tolist())
     assert states == {0, 1, 2, 3}
 
 
@@ -87,13 +87,13 @@ def test_derivative_by_state_and_places(pairs: int, mu: float) -> None:
     stuck = motion.track.sets[0] == 1
     for _ in range(3):
         change = draw.normal(size=flow.size)
-        change[2 * flow.count :][~stuck] = 0.0  # where they are follows
+        change[2 * flow.n_modes :][~stuck] = 0.0  # where they are follows
         step = 1e-7
         ends = [flow.advance(start + s * change, omega, period).state for s in (step, -step)]
         expected = (ends[0] - ends[1]) / (2.0 * step)
         known = motion.track.tangent @ change
         moves = ~np.concatenate(
-            [np.zeros(2 * flow.count, dtype=bool), (motion.track.sets == 1).all(axis=0)]
+            [np.zeros(2 * flow.n_modes, dtype=bool), (motion.track.sets == 1).all(axis=0)]
         )
         size = np.abs(known).max()
         assert known[moves] == pytest.approx(expected[moves], abs=1e-6 * size)
@@ -118,7 +118,7 @@ def test_jenkins_oscillator() -> None:
     this amplitude, 4 F (A - F / k_t), and by the balance of energies."""
     limit, omega = 0.3, 0.9
     flow, period = jenkins(limit), 2.0 * np.pi / 0.9
-    start = flow.rest
+    start = flow.rest_state
     for _ in range(40):
         start = flow.advance(start, omega, period).state
     orbit = find_orbit(flow, omega, start)
@@ -162,7 +162,7 @@ def test_derivative_where_a_pair_always_sticks(size: float, origin: int) -> None
     gap = np.zeros((5, 2))
     gap[0, 0], gap[1, 1] = 1.0, size
     at_wave = integrals.linearise(gap)
-    assert np.all(at_wave.states == 1) and integrals.march(sampled(gap, 64))[3][0] == origin
+    assert np.all(at_wave.states == 1) and integrals.march(sample_period(gap, 64))[3][0] == origin
     change, step = np.zeros((5, 2)), 1e-7
     change[:, 1] = np.random.default_rng(3).normal(size=5)
     ends = [integrals.force(gap + sign * step * change) for sign in (1.0, -1.0)]

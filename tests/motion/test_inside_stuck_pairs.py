@@ -24,12 +24,12 @@ def test_pairs_that_stick_all_the_time(share: float) -> None:
     period, tips, places = 2.0 * np.pi / omega, [], []
     draw = np.random.default_rng(4)
     for size in (0.0, 0.05, 0.2):
-        start = flow.rest + size * np.abs(flow.rest).max() * draw.normal(size=flow.size)
+        start = flow.rest_state + size * np.abs(flow.rest_state).max() * draw.normal(size=flow.size)
         for _ in range(200):
             start = flow.advance(start, omega, period).state
         orbit = find_orbit(flow, omega, start)
         assert orbit is not None and orbit.stuck.tolist() == list(range(16))
-        modal = orbit.sampled.states[:, : flow.count] @ structure.basis[whole.watched_dof]
+        modal = orbit.sampled.states[:, : flow.n_modes] @ structure.basis[whole.watched_dof]
         tips.append(float(np.ptp(modal)))
         places.append(orbit.sampled.places[0])
     assert tips == pytest.approx([tips[0]] * 3, rel=1e-9)

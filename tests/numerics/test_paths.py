@@ -26,7 +26,15 @@ from fenics_crack.numerics.newton import (
     solve_at,
     solve_in_plane,
 )
-from fenics_crack.numerics.path import Closed, Crossing, Ended, Fold, Path, PathOptions, Target
+from fenics_crack.numerics.path import (
+    ClosedLoop,
+    EndReason,
+    Fold,
+    Path,
+    PathOptions,
+    Target,
+    ZeroCrossing,
+)
 
 Function = Callable[[float, float], float]
 
@@ -130,7 +138,7 @@ def test_path_ends_where_there_is_no_more() -> None:
     start = point_on_path(plane, np.array([1.0, 2.0]), -1.0)
     path = Path(plane, start, PathOptions(0.05, 1.0, max_steps=500))
     points = list(path.points())
-    assert 3 < len(points) < 500 and path.ended is Ended.SHORT
+    assert 3 < len(points) < 500 and path.end_reason is EndReason.STEPS_TOO_SHORT
     assert -1e-3 < points[-1].parameter < 0.0
 
 
@@ -146,15 +154,15 @@ def circle() -> tuple[Plane, PathPoint]:
 def test_once_round_a_circle() -> None:
     """Two folds, two zeros of x, and the path has closed where it began."""
     plane, start = circle()
-    events = Fold(), Crossing(lambda point: float(point.unknown[0])), Closed(start, plane)
+    events = Fold(), ZeroCrossing(lambda point: float(point.unknown[0])), ClosedLoop(start, plane)
     path = Path(plane, start, PathOptions(0.05, max_step=0.3), events)
-    met = [one for stretch in path for one in stretch.met]
+    met = [one for stretch in path for one in stretch.located_events]
     places = [(float(at.unknown[0]), at.parameter) for event, at in met if event is events[0]]
     assert np.allclose(places, [(0.0, 1.0), (0.0, -1.0)], atol=1e-7)
     zeros = [at.parameter for event, at in met if event is events[1]]
     assert np.allclose(zeros, [1.0, -1.0], atol=1e-10)
-    assert path.ended is Ended.MET and path.event is events[2]
-    assert np.allclose(path.last.unknown, start.unknown) and path.run() is path.last
+    assert path.end_reason is EndReason.REACHED and path.event is events[2]
+    assert np.allclose(path.last_point.unknown, start.unknown) and path.run() is path.last_point
 
 
 @pytest.mark.parametrize("end", [0.7, -0.4])
@@ -163,7 +171,7 @@ def test_target(end: float) -> None:
     plane, start = circle()
     path = Path(plane, start, PathOptions(0.05, max_step=0.3), [Target(end)])
     points = list(path.points())
-    assert path.ended is Ended.MET and points[-1].parameter == end
+    assert path.end_reason is EndReason.REACHED and points[-1].parameter == end
     side = 1.0 if end > 0.0 else -1.0
     assert points[-1].unknown[0] == pytest.approx(side * np.sqrt(1.0 - end**2), abs=1e-10)
 
@@ -173,9 +181,9 @@ def test_path_ends_where_it_leaves_its_range_and_after_its_steps() -> None:
     plane, start = circle()
     path = Path(plane, start, PathOptions(0.05, max_step=0.3, span=(-0.5, 2.0)))
     assert min(point.parameter for point in path.points()) > -0.5
-    assert path.ended is Ended.LEFT and path.run() is None
+    assert path.end_reason is EndReason.RANGE_LEFT and path.run() is None
     path = Path(plane, start, PathOptions(0.05, 1.0, max_steps=7))
-    assert len(list(path.points())) == 7 and path.ended is Ended.MANY
+    assert len(list(path.points())) == 7 and path.end_reason is EndReason.TOO_MANY_POINTS
 
 
 def test_target_is_sought_by_shorter_steps(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -199,7 +207,7 @@ def test_target_is_sought_by_shorter_steps(monkeypatch: pytest.MonkeyPatch) -> N
         if most == 2:
             assert found is not None and found.parameter == 0.7 and len(tried) == 3
         else:
-            assert path.ended is Ended.LOST and path.last.parameter < 0.7
+            assert path.end_reason is EndReason.END_LOST and path.last_point.parameter < 0.7
             assert tried[-1] < 1e-5 and len(tried) < 20
 
 
@@ -217,7 +225,7 @@ def test_what_equations_raise_ends_a_path() -> None:
     with pytest.raises(KeyboardInterrupt):
         for _ in path.points():
             met += 1
-    assert met > 1 and path.last.parameter <= 0.5
+    assert met > 1 and path.last_point.parameter <= 0.5
 
 
 # --- exact orbits ---------------------------------------------------------------------------------

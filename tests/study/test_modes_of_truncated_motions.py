@@ -72,8 +72,8 @@ def test_modes_without_any_orbit(
 ) -> None:
     """Their error is at least the one by harmonics, of the gap as of each number; that the search
     has ended by its budget is said."""
-    monkeypatch.setattr("fenics_crack.motion.orbit.PIECES", 10)
-    monkeypatch.setattr("fenics_crack.motion.orbit.FLOWS", 0.1)
+    monkeypatch.setattr("fenics_crack.motion.orbit.MAX_SEARCH_PIECES", 10)
+    monkeypatch.setattr("fenics_crack.motion.orbit.MAX_SEARCH_PERIODS", 0.1)
     found = solved(study, 10)
     assert found.assessment.orbit is None
     said = "an exact orbit ended at its budget of"

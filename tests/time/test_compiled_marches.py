@@ -97,7 +97,7 @@ def by_exponentials(flow: ExponentialFlow, start: np.ndarray, steps: int) -> tup
     whole[count : 2 * count, 2 * count :] = modes.pairs
     found = scipy.linalg.expm(flow.step_size * whole)
     moved, pushed = found[: 2 * count, : 2 * count], 0.5 * found[: 2 * count, 2 * count :]
-    rows, static = flow.gap_rows, flow.residual + np.diag(flow.softness)
+    rows, static = flow.gap_rows, flow.residual_flexibility + np.diag(flow.softness)
     compliance = static + rows @ pushed
 
     now = start - flow.steady[0]
@@ -172,7 +172,7 @@ def test_no_step_is_too_long(
         closed = np.arange(structure.n_pairs) < count
         flow = ExponentialFlow(structure, 2000.0, law, 4)
         squares, pairs = flow.modes.squares, flow.modes.pairs
-        soft = flow.residual + np.diag(flow.softness)
+        soft = flow.residual_flexibility + np.diag(flow.softness)
         rest = -(pairs @ closed) / squares  # under unit forces of the closed pairs
         pressed = rest @ pairs - soft @ closed + 1e9 * np.abs(rest @ pairs).max() * ~closed
         held = structure.varied(load=0.0, clearance=pressed - structure.clearance)

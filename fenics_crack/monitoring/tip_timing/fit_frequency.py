@@ -43,7 +43,7 @@ from fenics_crack.monitoring.tip_timing.robust import (
     reweighted,
     student,
 )
-from fenics_crack.numerics.fourier import waves
+from fenics_crack.numerics.fourier import fourier_basis
 
 MOST_FREQUENCIES = 10**8
 """Maximum number in a scan: a record of a million revolutions has as many for orders up to 24."""
@@ -205,7 +205,7 @@ class _Sought:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return coefficients a1, b1, ..., residuals (n,), and the columns (n, 2K+1), the last one
         by the frequency."""
-        raw, root = waves(omega * time, self._multiples)[:, 1:], np.sqrt(weights)[:, None]
+        raw, root = fourier_basis(omega * time, self._multiples)[:, 1:], np.sqrt(weights)[:, None]
         both = self._without(np.column_stack([raw, values]), weights)
         columns, left = both[:, :-1], both[:, -1]
         found = np.linalg.lstsq(root * columns, root[:, 0] * left, rcond=1e-10)[0]
@@ -301,7 +301,7 @@ class _Sought:
         hidden = np.array([self._held(columns) for _, _, columns in fits])
         equivalent, best = taken(sums, sizes, limit, ~hidden)
         # Arrivals that are not where they were expected distinguish aliases, but not reliably.
-        wave = waves(omegas[best] * self._expected, self._multiples)[:, 1:] @ fits[best][0]
+        wave = fourier_basis(omegas[best] * self._expected, self._multiples)[:, 1:] @ fits[best][0]
         lefts = [self._fitted(omega, weights, wave, self._expected)[1] for omega in omegas]
         equivalent |= np.array([weights @ left**2 for left in lefts]) < limit
         residuals = np.sqrt(sums / len(self._values))
@@ -319,7 +319,7 @@ class _Sought:
         covariance = np.zeros((count, count))
         covariance[1:, 1:] = spread[:-1, :-1]
         covariance[0, 0] = student(spare) * self.noise.variance / len(self._values)
-        wave = waves(self.omega * self._time, self._multiples)[:, 1:] @ self.found
+        wave = fourier_basis(self.omega * self._time, self._multiples)[:, 1:] @ self.found
         weights = self.noise.weights
         mean = float(weights @ (self._values - wave) / weights.sum())
         return TipFit(

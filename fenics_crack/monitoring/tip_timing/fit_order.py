@@ -43,7 +43,7 @@ from fenics_crack.monitoring.tip_timing.harmonics import (
     wanted,
 )
 from fenics_crack.monitoring.tip_timing.robust import DEPENDENT, LEVELS, reweighted, student, trend
-from fenics_crack.numerics.fourier import waves
+from fenics_crack.numerics.fourier import fourier_basis
 
 N_FOLDED = 3
 """Number of harmonics beyond those kept that may be folded onto them."""
@@ -130,7 +130,7 @@ def _compared(
     equivalent, best = taken(sums, sizes, LEVELS.equal * lowest)
     chosen = fits[best]
     # Arrivals that are not at the probes' angles distinguish aliases, but not reliably.
-    wave = waves(tried[best] * means.nominal, multiples) @ chosen.coefficients
+    wave = fourier_basis(tried[best] * means.nominal, multiples) @ chosen.coefficients
     left = np.array([means.unexplained(wave, one, multiples) for one in tried])
     equivalent |= left < LEVELS.equal * lowest
     known = lowest if np.isfinite(lowest) else np.nan
@@ -144,7 +144,7 @@ def _compared(
         known = max(known, 1.0)
     chosen = replace(chosen, covariance=known * student(freedom) * chosen.covariance)
     residuals = np.array([means.residual(order, multiples) for order in tried])
-    conditions = [condition(waves(order * means.nominal, multiples)) for order in tried]
+    conditions = [condition(fourier_basis(order * means.nominal, multiples)) for order in tried]
     return TipFit(
         order=float(tried[best]),
         order_error=0.0,
@@ -235,8 +235,8 @@ class _Seen:
     def fit(self, order: float, multiples: np.ndarray) -> _Fit | None:
         """Return least squares at an order; None where the probes cannot measure it, or the blade
         tip would move backwards."""
-        columns = waves(order * self.angle, multiples)
-        planned = waves(order * self.nominal, multiples)
+        columns = fourier_basis(order * self.angle, multiples)
+        planned = fourier_basis(order * self.nominal, multiples)
         if np.isinf(condition(planned)) or np.isinf(condition(columns)):
             return None
         slope = np.ones(len(columns))
@@ -312,7 +312,7 @@ class _Seen:
         covariances and sums of squares."""
         unknowns, multiples = len(fit.coefficients), fit.multiples
         others = multiples[-1] + multiples[0] * np.arange(1.0, N_FOLDED + 1.0)
-        columns = waves(fit.order * self.angle, np.append(multiples, others))
+        columns = fourier_basis(fit.order * self.angle, np.append(multiples, others))
         volume = np.linalg.slogdet(columns[:, :unknowns].T @ columns[:, :unknowns])[1]
         columns, values = self._whitened(columns, self.values, fit.slope)
         units = np.ones((len(sizes), columns.shape[1]))
@@ -420,14 +420,14 @@ class Means(_Seen):
 
     def unexplained(self, wave: np.ndarray, order: float, multiples: np.ndarray) -> float:
         """Return the residual of a wave at the nominal angles, fitted by an order, in variances."""
-        columns = waves(order * self.nominal, multiples)
+        columns = fourier_basis(order * self.nominal, multiples)
         columns, values = self._whitened(columns, wave, np.ones(len(wave)))
         left = values - columns @ np.linalg.lstsq(columns, values, rcond=1e-10)[0]
         return float(left @ left)
 
     def residual(self, order: float, multiples: np.ndarray) -> float:
         """Return the root mean square residual of an order [m]."""
-        columns = waves(order * self.angle, multiples)
+        columns = fourier_basis(order * self.angle, multiples)
         found = np.linalg.lstsq(columns, self.values, rcond=1e-10)[0]
         left = self._data - (columns @ found)[self._where]
         return float(np.sqrt(np.mean(left**2)))
@@ -551,7 +551,8 @@ def track_order(
     probes = len(arrivals.probes)
     if not groups:
         raise InputError("revolutions", revolutions, f"at most {len(arrivals)}, what there is")
-    if np.isinf(condition(waves(order * arrivals.nominal_angle[:revolutions].ravel(), multiples))):
+    phase = order * arrivals.nominal_angle[:revolutions].ravel()
+    if np.isinf(condition(fourier_basis(phase, multiples))):
         refuse(arrivals, unknowns)
     shape = (groups, revolutions * probes)
     angle, nominal, values = (
@@ -561,7 +562,7 @@ def track_order(
     seen = np.isfinite(values)
     count, values = seen.sum(axis=1), np.where(seen, values, 0.0)
     columns, planned = (
-        np.where(seen[..., None], waves(order * np.nan_to_num(part), multiples), 0.0)
+        np.where(seen[..., None], fourier_basis(order * np.nan_to_num(part), multiples), 0.0)
         for part in (angle, nominal)
     )
     enough = np.linalg.matrix_rank(planned, tol=1e-6) == unknowns

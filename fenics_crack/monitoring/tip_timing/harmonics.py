@@ -13,7 +13,7 @@ from fenics_crack.basics.errors import InputError, check_count, check_number
 from fenics_crack.basics.tables import Tabular, counted, hertz_of, quantity, with_frequency
 from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes
 from fenics_crack.monitoring.tip_timing.robust import LEVELS
-from fenics_crack.numerics.fourier import waves
+from fenics_crack.numerics.fourier import fourier_basis
 
 ORDERS = range(1, 25)
 """Engine orders that are tried where none are given."""
@@ -203,7 +203,7 @@ class TipFit(Fitted):
 
     def displacement(self, angle: np.ndarray) -> np.ndarray:
         """Return the fitted vibration at rotor angles: (n,) [m]."""
-        return waves(self.order * np.asarray(angle), self.multiples) @ self.coefficients
+        return fourier_basis(self.order * np.asarray(angle), self.multiples) @ self.coefficients
 
     def phases(self, arrivals: ArrivalTimes) -> np.ndarray:
         """Return the angles at which :meth:`displacement` has the vibration at arrivals: the

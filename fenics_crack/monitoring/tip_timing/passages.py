@@ -34,7 +34,7 @@ from fenics_crack.monitoring.tip_timing.transient import (
     Run,
     pole,
 )
-from fenics_crack.numerics.equations import TINY
+from fenics_crack.numerics.equations import SMALLEST_NORMAL
 
 REFINED = 4
 """Orders whose fits are refined; of each of two neighbours half as many."""
@@ -523,7 +523,7 @@ def _clearness(
         wave, weights = wave[:, None] * np.ones_like(run.values), run.seen.astype(float)
         for _ in range(turns):
             square, seen, parts, left = run.phased(wave, weights)
-            found = np.linalg.solve(square + TINY * np.eye(2), seen[..., None])[..., 0]
+            found = np.linalg.solve(square + SMALLEST_NORMAL * np.eye(2), seen[..., None])[..., 0]
             if turns == 1:
                 continue
             rest = (left - np.einsum("pa,arp->rp", found, parts))[run.seen] ** 2

@@ -31,7 +31,7 @@ from fenics_crack.monitoring.tip_timing.arrival_times import (
     ArrivalTimes,
     check_probes,
 )
-from fenics_crack.numerics.fourier import from_complex, sampled, to_complex
+from fenics_crack.numerics.fourier import from_complex, sample_period, to_complex
 
 JUMP = 1e-3
 """Maximum relative distance in frequency at which a motion may jump before a fold."""
@@ -275,7 +275,7 @@ class _TipMotion:
         rates = 1j * self.order * orders * self.harmonics.T
         count = max(1024, 64 * len(rates))
         between = (2.0 * np.pi / count) ** 2 / 8.0 * (orders**2 * np.abs(rates)).sum(axis=0)
-        return float((between - sampled(from_complex(rates), count).min(axis=0)).max())
+        return float((between - sample_period(from_complex(rates), count).min(axis=0)).max())
 
     def at(self, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return u [m] and du/dalpha [m] at rotor angles (n,) [rad]."""

@@ -42,7 +42,7 @@ from fenics_crack.monitoring.tip_timing.arrival_times import (
     between,
 )
 from fenics_crack.monitoring.tip_timing.robust import refined, reweighted
-from fenics_crack.numerics.equations import TINY
+from fenics_crack.numerics.equations import SMALLEST_NORMAL
 
 WIDTH = 0.035
 """Relative half width of the speeds about a resonance that are fitted."""
@@ -153,9 +153,9 @@ class Run:
         (R, P), and orthonormal: (2, R, P)."""
         drifts = np.stack([root, root * self.along[:, None]])
         first, second = drifts
-        first /= np.sqrt(np.maximum((first * first).sum(axis=0), TINY))
+        first /= np.sqrt(np.maximum((first * first).sum(axis=0), SMALLEST_NORMAL))
         second -= first * (first * second).sum(axis=0)
-        second /= np.sqrt(np.maximum((second * second).sum(axis=0), TINY))
+        second /= np.sqrt(np.maximum((second * second).sum(axis=0), SMALLEST_NORMAL))
         return drifts
 
     def without_drifts(self, waves: np.ndarray, weights: np.ndarray) -> np.ndarray:
