@@ -115,10 +115,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     whose tests share two ranks first, so that one of two processes starts these: the first half of
     all tests is one's."""
     mark_cases_not_drawn(items)
+    skipped = NOT_BY_WHEELS if find_spec("dolfinx_solver") else {}
     for item in items:
-        if find_spec("dolfinx_solver") and (
-            why := NOT_BY_WHEELS.get(function_of(item)[len("tests/") :])
-        ):
+        if why := skipped.get(function_of(item)[len("tests/") :]):
             item.add_marker(pytest.mark.skip(reason=why))
         if is_quick(item.path) and not {"nightly", "mpi"} & {m.name for m in item.iter_markers()}:
             item.add_marker("quick")
