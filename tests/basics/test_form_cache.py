@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 import ufl
 from mpi4py import MPI
-from ranks import LIMIT, command, environment, is_running
+from ranks import LIMIT, environment, is_running, launcher
 from surroundings import main
 
 from fenics_crack.basics.untrusted_files import sha256
@@ -102,7 +102,7 @@ def test_a_run_that_is_interrupted(tmp_path: Path, ranks: int, number: int) -> N
     assert main(["new", str(tmp_path / "plate.toml"), "--quiet"]) == 0
     words = ["-m", "fenics_crack", "modes", str(tmp_path / "plate.toml"), *SMALL]
     words += ["--output", str(tmp_path / "out"), "--quiet"]
-    words = [*command("", ranks)[: 3 * (ranks > 1)], sys.executable, *words]
+    words = [*(launcher(ranks) if ranks > 1 else []), sys.executable, *words]
     code, said = interrupt(compiling(words, tmp_path, number), tmp_path, number)
     if number == signal.SIGINT:
         assert code == 130 and "stopped" in said and "Traceback" not in said

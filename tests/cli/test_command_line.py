@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from helpers import MPI_ENVIRONMENT, ROOT
 from mpi4py import MPI
-from ranks import HELD, LIMIT, run_program
+from ranks import HELD, LIMIT, launcher, run_program
 from surroundings import RunCommand, main
 
 import fenics_crack as fc
@@ -35,7 +35,7 @@ PROGRAM = [sys.executable, "-m", "fenics_crack"]
 
 def run(folder: Path, *words: str, ranks: int = 1) -> subprocess.CompletedProcess[str]:
     """The program in a folder, on one rank or more."""
-    start = [] if ranks == 1 else ["mpirun", "-n", str(ranks)]
+    start = [] if ranks == 1 else launcher(ranks)
     return subprocess.run(
         [*start, *PROGRAM, *words], cwd=folder, env=ENVIRONMENT, capture_output=True, text=True,
         timeout=LIMIT,
@@ -333,7 +333,7 @@ def test_a_signal_to_mpirun_alone(tmp_path: Path, number: int) -> None:
     held = HELD.format(cases=1, go=str(tmp_path / "go"))
     source = f"{held}import sys\nfrom fenics_crack.cli.command_line import main\nsys.exit(main())"
     program = subprocess.Popen(
-        ["mpirun", "-n", "2", sys.executable, "-c", source, *words], env=ENVIRONMENT,
+        [*launcher(2), sys.executable, "-c", source, *words], env=ENVIRONMENT,
         stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
     path, done = tmp_path / "sweep.h5", 0
