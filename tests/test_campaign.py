@@ -178,6 +178,7 @@ CURVES = [
 ]
 
 
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize(("seed", "number", "family", "places", "expected", "kinds"), CURVES)
 def test_points_of_a_curve_have_the_verdict_of_their_own_orbits(
     seed: int, number: int, family: str | None, places: Callable[[fc.ResponseCurve], np.ndarray],
@@ -198,6 +199,7 @@ def test_points_of_a_curve_have_the_verdict_of_their_own_orbits(
         assert row.judgement != campaign.WRONG, row
 
 
+@pytest.mark.nightly
 def test_two_short_steps_next_to_grazing_are_not_enough() -> None:
     """Two steps, the second 0.007 and 0.03 of the first, estimated 1.2 and 1.6 %; Newton's method
     goes in circles there, and the nearest exact orbits are 24 and 2.5 % away: none confirms it."""
@@ -221,6 +223,7 @@ def test_point_next_to_a_fold_is_not_judged_by_an_orbit_at_another_frequency() -
     assert len(rows) > 2 and campaign.WRONG not in {row["judgement"] for row in rows}
 
 
+@pytest.mark.nightly
 def test_curve_from_between_its_ends() -> None:
     """The first solutions at the start and at the end lie on curves that turn back; one between
     them lies on a curve that reaches both."""
@@ -267,6 +270,7 @@ def test_motion_that_does_not_repeat_itself_says_so() -> None:
     assert "followed for 1000 periods of the load, the exact motion" in row["remark"]
 
 
+@pytest.mark.nightly
 def test_motion_that_settles_is_not_said_to_wander() -> None:
     """Of the same family."""
     settles = campaign.draw(901, 50, "tolerance", "mass")

@@ -352,6 +352,7 @@ def test_folds_over_the_load() -> None:
     assert [one.value for one in curve.bifurcations] == pytest.approx(true, rel=5e-4)
 
 
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize("seed", [74, 65])
 def test_bifurcations_do_not_depend_on_the_step(seed: int) -> None:
     """Chains with 0.1 to 1 % of damping lose and find their stability within a few points: all that

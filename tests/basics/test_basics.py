@@ -419,6 +419,7 @@ def test_full_disk_on_two_ranks(command: str, tmp_path: Path, on_ranks: Callable
     assert all((tmp_path / name).stat().st_size > 100 for name in COMMANDS[command])
 
 
+@pytest.mark.nightly
 @pytest.mark.skipif(os.geteuid() != 0 or not shutil.which("unshare"), reason="cannot mount")
 def test_full_tmpfs(chain_result: Path, tmp_path: Path) -> None:
     """A disk that is full, not a limit: the same line, and nothing of libhdf5."""

@@ -81,6 +81,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
+@pytest.mark.nightly
 def test_compilations_that_are_interrupted(tmp_path: Path, cache: Path) -> None:
     """Three at once, which do not wait for each other; then the form is compiled anew at once. A
     folder that a kill leaves has no record."""

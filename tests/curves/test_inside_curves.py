@@ -633,6 +633,7 @@ def test_period_doublings_of_a_smooth_law(doubling: fc.ResponseCurve) -> None:
     assert np.array_equal(doubling.verdicts == "unstable", unstable)
 
 
+@pytest.mark.nightly
 def test_branch_of_twice_the_period_of_a_smooth_law(doubling: fc.ResponseCurve) -> None:
     """It begins where the multiplier is -1, stable where the old one is not."""
     branch = fc.follow_branch(doubling, doubling.bifurcations[0], stability=True)

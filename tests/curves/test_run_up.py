@@ -55,6 +55,7 @@ def test_basis_of_all_speeds() -> None:
             assert np.abs(found - expected).max() < 1e-7 * np.abs(expected).max()
 
 
+@pytest.mark.nightly
 def test_stated_errors_of_a_run_up(run_up: Run[fc.ResponseCurve]) -> None:
     """Of the largest response those of the scene at its speed; the speed at which the resonance is
     met is off as on a mesh twice as fine, between a fifth of what is stated and 1.5 times it."""

@@ -252,6 +252,7 @@ def test_failure_names_the_closest_residual() -> None:
         fc.shoot(oscillator(), solution, tolerance=-1.0)
 
 
+@pytest.mark.nightly
 def test_path_leads_to_an_orbit(paper_structure: fc.Structure) -> None:
     """Little damping and stiff contact: Newton's method leads nowhere, a path to an orbit 0.60 %
     away."""

@@ -57,6 +57,7 @@ def test_three_families_are_the_whole_wheel(mistuned: Wheel) -> None:
         assert gap < 5e-4 and tip < 1e-3 and cracked < 5e-3
 
 
+@pytest.mark.nightly
 def test_error_falls_with_the_families_and_is_stated(mistuned: Wheel) -> None:
     """Against the whole wheel with more modes than any; of six families none is stated."""
     whole = reduce_structure(mistuned, modes=120, method="massless", reference=False)
@@ -73,6 +74,7 @@ def test_error_falls_with_the_families_and_is_stated(mistuned: Wheel) -> None:
     assert np.all(np.diff(np.array(found)[:, [0, 2]], axis=0) < 0.0)
 
 
+@pytest.mark.nightly
 def test_solid_wheel_is_the_whole_one() -> None:
     """Five blades in three dimensions, mistuned."""
     wheel = wheel_of(fc.Scene.from_mapping(SOLID))

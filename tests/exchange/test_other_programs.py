@@ -384,6 +384,7 @@ SECOND = {"edge": "right", "height": 0.06, "length": 0.01}
 """Crack of two."""
 
 
+@pytest.mark.drawn(2)
 @pytest.mark.parametrize("crack", CRACKS)
 def test_pairs_of_a_solid_are_its_own(crack: str) -> None:
     """Built by this program and found from its nodes, cells and stiffness: the same patches; pairs

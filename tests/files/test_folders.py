@@ -71,7 +71,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
     return checked(tmp_path_factory.mktemp("empty"), [PROGRAM])
 
 
-@pytest.mark.drawn(2)
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize("kind", [kind for kind in SETTINGS if kind != "Matplotlib"])
 def test_nothing_acts(tmp_path: Path, found: dict[str, object], kind: str) -> None:
     """No program is run, no file written, no number changed; without ``-P`` either."""

@@ -76,6 +76,7 @@ MORE: list[tuple[dict[str, object], int]] = [
 EVERY = CHANGES + [pytest.param(*one, marks=pytest.mark.nightly) for one in MORE]
 
 
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize(("changes", "made"), EVERY)
 def test_as_alone(
     changes: dict[str, object], made: int, scene: fc.Scene, meshes: list[fc.Scene]

@@ -288,6 +288,7 @@ def test_the_report_and_the_stated_error_are_by_the_same_orbits(run: fc.Run) -> 
     assert found.report.reduction == pytest.approx(np.linalg.norm(other - gaps) / size / share)
 
 
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize(
     ("frequency", "force", "ratio"), [(625.75, 0.0, 0.0005), (2860.0, 0.1, 0.005)]
 )

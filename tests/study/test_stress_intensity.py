@@ -186,6 +186,7 @@ def test_order_of_convergence(order: int) -> None:
 # --- statics, dynamics and contact ----------------------------------------------------------------
 
 
+@pytest.mark.drawn(3)
 @pytest.mark.parametrize("swing", [0.5, 1.5, 2.2, 10.0, 1e3])
 def test_load_that_hardly_vibrates(swing: float) -> None:
     """A millionth of the mean and more, of a crack that stays open: equations are solved to parts
@@ -197,7 +198,15 @@ def test_load_that_hardly_vibrates(swing: float) -> None:
     assert found.stability.verdict == "stable" and found.report.total < 1e-4
 
 
-@pytest.mark.parametrize("law", [{}, {"contact.law": "penalty", "contact.stiffness": 1e9}])
+@pytest.mark.parametrize(
+    "law",
+    [
+        {},
+        pytest.param(
+            {"contact.law": "penalty", "contact.stiffness": 1e9}, marks=pytest.mark.nightly
+        ),
+    ],
+)
 def test_slow_loading_is_statics(law: dict[str, Any]) -> None:
     """A preloaded strip that opens and closes, at all instants: within 0.5 % of the largest."""
     force = {"excitation": {"omega": SLOW, "point": [0.1, 0.4], "force_sin": [1e4, 0.0]}}

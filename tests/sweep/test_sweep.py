@@ -202,7 +202,7 @@ def test_a_case_leaves_the_solution_of_another_alone(paper_scene: fc.Scene, redu
         np.testing.assert_array_equal(solution.gap_coefficients, expected.gap_coefficients)
 
 
-@pytest.mark.parametrize("changes", [SOFT, MASSLESS])
+@pytest.mark.parametrize("changes", [pytest.param(SOFT, marks=pytest.mark.nightly), MASSLESS])
 def test_harmonics_follow_a_tolerance(paper_scene: fc.Scene, tmp_path: Path, changes: Over) -> None:
     """From case to case and from tolerance to tolerance; the table has each case's H and waves."""
     over = {

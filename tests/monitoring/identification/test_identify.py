@@ -615,6 +615,7 @@ def test_one_wrong_measurement(scene: fc.Scene, folder: Path) -> None:
     assert found.warnings[0].endswith(f"if a relative one is meant, it is {hertz}")
 
 
+@pytest.mark.nightly
 def test_two_cracks(scene: fc.Scene, folder: Path) -> None:
     """Are not one crack, of which these frequencies are so far off as chance has them in one of 200
     measurements."""
@@ -782,6 +783,7 @@ def test_beside_other_results(tmp_path: Path, run_command: RunCommand) -> None:
             assert "must be with posterior.png in its folder" in run_command(*command, code=2).err
 
 
+@pytest.mark.nightly
 def test_crack_from_frequency_responses(
     scene: fc.Scene, folder: Path, run_command: RunCommand
 ) -> None:
