@@ -223,17 +223,6 @@ def test_point_next_to_a_fold_is_not_judged_by_an_orbit_at_another_frequency() -
     assert len(rows) > 2 and campaign.WRONG not in {row["judgement"] for row in rows}
 
 
-@pytest.mark.nightly
-def test_curve_from_between_its_ends() -> None:
-    """The first solutions at the start and at the end lie on curves that turn back; one between
-    them lies on a curve that reaches both."""
-    case = campaign.draw(1, 566)
-    span = 0.9 * case.omega, 1.1 * case.omega
-    curve = fc.continue_frequency(case.structure, *span, case.law, harmonics=case.harmonics)
-    assert curve.complete and (curve.omega[0], curve.omega[-1]) == pytest.approx(span, rel=1e-12)
-    assert curve.status == "reached the end, not by the first solution found at its start"
-
-
 @pytest.mark.parametrize(("family", "pairs"), [("mass", (5, 10)), ("plate", (8, 61))])
 def test_case_follows_from_its_seed_and_number(family: str, pairs: tuple[int, int]) -> None:
     """Drawn twice it is the same, with as many pairs as its family has."""

@@ -156,35 +156,6 @@ def test_up_and_down_are_one_curve() -> None:
     assert np.abs(one / other - 1.0).max() < 0.02
 
 
-@pytest.mark.parametrize(
-    ("parameter", "start", "stop"),
-    [("load", 0.5, 2.0), ("stiffness", 1.0, 50.0), ("damping", 1.0, 3.0), ("clearance", 0.2, 0.5)],
-)
-def test_curve_over_another_parameter(parameter: str, start: float, stop: float) -> None:
-    """Its ends are the single solutions there."""
-    structure, omega = judged.oscillator(clearance=0.3), 1.2
-    curve = fc.continue_parameter(structure, omega, SOFT, parameter, start, stop, harmonics=15)
-    assert curve.complete and curve.values[[0, -1]] == pytest.approx([start, stop], rel=1e-12)
-    law = SOFT.scaled(stop) if parameter == "stiffness" else SOFT
-    if parameter != "stiffness":
-        structure = structure.varied(**{parameter: stop})
-    end = curve.solution(len(curve) - 1)
-    alone = fc.solve_harmonic_balance(structure, omega, law, harmonics=15, initial=end)
-    moved = np.linalg.norm(alone.gap_coefficients - end.gap_coefficients)
-    assert moved < 1e-8 * np.linalg.norm(end.gap_coefficients)
-
-
-def test_curve_that_is_stopped_goes_on() -> None:
-    """Point by point, stopped and taken up: what was found stays, and the end is reached."""
-    growing = fc.Continuation(fc.Problem(judged.oscillator(), 1.5, SOFT, 10), "omega", 1.5, 3.0)
-    points = [point.value for point, _ in zip(growing, range(5), strict=False)]
-    assert not growing.curve.complete
-    growing.run()
-    curve = growing.curve
-    assert curve.complete and curve.omega[-1] == pytest.approx(3.0)
-    assert curve.omega[:5] == pytest.approx(points, rel=1e-12)
-
-
 # --- exact bifurcations ---------------------------------------------------------------------------
 
 
@@ -399,6 +370,7 @@ def test_many_pairs_with_mass() -> None:
 # --- verdicts of harmonic balance -----------------------------------------------------------------
 
 
+@pytest.mark.nightly
 def test_stiff_stop_with_few_harmonics() -> None:
     """H = 10, against the branch of exact orbits: of the points whose nearest orbit is clear none
     has the verdict of another one; folds are its own."""

@@ -371,6 +371,7 @@ def chain_result(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "solution.h5"
 
 
+@pytest.mark.drawn(3)
 @pytest.mark.usefixtures("not_drawn")
 @pytest.mark.parametrize("command", COMMANDS)
 def test_full_disk(
@@ -437,6 +438,7 @@ def test_full_tmpfs(chain_result: Path, tmp_path: Path) -> None:
     assert done.returncode == 1 and "sweep.h5" in line and "No space left" in line
 
 
+@pytest.mark.drawn(3)
 @pytest.mark.usefixtures("not_drawn")
 @pytest.mark.parametrize("command", COMMANDS)
 def test_links_in_the_folder_lead_nowhere(command: str, chain_result: Path, tmp_path: Path) -> None:

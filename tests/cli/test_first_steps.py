@@ -99,6 +99,7 @@ def test_commands_run_on_the_solid_that_new_wrote(here: Path, run_command: RunCo
     assert {"modes.png", "solution_contact_map.png", "solution_breathing_crack.gif"} <= drawn
 
 
+@pytest.mark.drawn(2)
 @pytest.mark.parametrize(
     ("command", "gone"),
     [("timing", "tip_timing"), ("campbell", "rotation"), ("curve", "curve"), ("sweep", "sweep")],

@@ -188,6 +188,7 @@ def test_small_structure_with_fast_modes() -> None:
 # --- structures with many dofs, and what is refused -----------------------------------------------
 
 
+@pytest.mark.nightly
 def test_large_structures_lose_the_mass_of_their_lips(tmp_path: Path) -> None:
     """Reduced first; a solution of the whole structure is where the curve begins."""
     whole, law = steel("mouth"), fc.UnilateralPenalty(1e8)

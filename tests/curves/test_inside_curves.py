@@ -134,6 +134,7 @@ def test_derivatives(parameter: str, damping: str) -> None:
     assert at.jacobian @ way == pytest.approx(difference(way, 0.0), abs=1e-6)
 
 
+@pytest.mark.drawn(3)
 @pytest.mark.parametrize("parameter", RANGES)
 def test_end_is_the_orbit_found_there(parameter: str) -> None:
     """By the problem varied as a whole, and Newton's method on its own flow."""

@@ -180,6 +180,7 @@ def test_run_up_in_a_file(run_up: Run[fc.ResponseCurve], tmp_path: Path) -> None
     assert 2.0 * np.pi / np.diff(arrivals.marks)[[0, -1]] == pytest.approx([560, 640], rel=0.02)
 
 
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize("in_rpm", [True, False])
 def test_run_up_in_the_scenes_unit(
     run_up: Run[fc.ResponseCurve], in_rpm: bool, tmp_path: Path

@@ -612,6 +612,7 @@ def test_results_belong_to_all_their_files(folder: Path, scene: Scene) -> None:
         (folder / name).write_text(text)
 
 
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize("name", ["breathing_plate", "inclined_crack"])
 def test_pairs_of_a_plane_model_are_the_plates(name: str) -> None:
     """Of nodes: the plate's own B, whatever the direction of its crack."""

@@ -75,22 +75,6 @@ def plate(**growth: Any) -> fc.Scene:
 
 
 @pytest.mark.nightly
-def test_closed_integral_of_a_strip() -> None:
-    """Under constant amplitude without contact, by Walker's law with R = 1/2: cycles from one
-    length to another to 1 %. Paris' law: ``test_full_reversal_takes_the_open_half``."""
-    scene = fc.Scene.from_mapping(STRIP).replace({"growth.ratio_exponent": 0.5})
-    found = fc.grow(scene, comm=MPI.COMM_SELF)
-    weight = 2.0 * STRESS / 1e6 / 0.5**0.5
-    exact = quad(lambda a: 1.0 / (1e-11 * (weight * edge_crack(a)) ** 2), 0.02, 0.035)[0]
-    assert found.end == "reached" and found.length[-1] == 0.035
-    assert found.life == pytest.approx(exact, rel=0.01)
-    assert found.time[-1] == pytest.approx(found.life * 2.0 * np.pi / SLOW, rel=1e-9)
-    assert found.errors["interpolation"] < 0.01
-    assert 0.0 < found.errors["vibration"] < 0.1
-    assert not found.remarks
-
-
-@pytest.mark.nightly
 @pytest.mark.usefixtures("errors_left_out")
 def test_block_loading_of_a_strip() -> None:
     """Blocks at two slow frequencies, where K is the handbook's: the closed integral in cycles, in

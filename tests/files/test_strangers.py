@@ -378,6 +378,7 @@ def swept(paper_scene: fc.Scene, tmp_path_factory: pytest.TempPathFactory) -> Sw
     return run_sweep(scene, tmp_path_factory.mktemp("swept") / "sweep.h5", MPI.COMM_SELF)
 
 
+@pytest.mark.drawn(3)
 @pytest.mark.parametrize("name", ["response", "gap", "state", "checksum", "seconds"])
 def test_a_damaged_case_is_computed_again(swept: SweepResult, home: Path, name: str) -> None:
     """It is not read, and the others stay; the state alone is known from the checksum."""
@@ -411,6 +412,7 @@ FORGED: dict[str, Callable[[h5py.File], object]] = {
 }
 
 
+@pytest.mark.drawn(3)
 @pytest.mark.parametrize("change", FORGED)
 def test_made_sweeps(swept: SweepResult, home: Path, run_command: RunCommand, change: str) -> None:
     """Neither read nor continued; no command draws or reports it."""

@@ -120,6 +120,7 @@ def test_keys_of_the_mesh_are_refused(file: Path, key: str, value: object) -> No
     assert error.value.key == key
 
 
+@pytest.mark.drawn(4)
 @pytest.mark.parametrize(
     "call",
     [
@@ -229,6 +230,7 @@ def test_solids_are_refused_by_name() -> None:
         fc.save_prepared(fc.prepare(SOLID.replace(keys)), "solid.h5")
 
 
+@pytest.mark.drawn(9)
 @pytest.mark.parametrize("name", FORGERIES)
 def test_forged_files_are_refused(name: str, file: Path, tmp_path: Path) -> None:
     """In one line that names the file."""

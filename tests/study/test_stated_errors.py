@@ -433,6 +433,7 @@ def test_of_modes_and_of_a_curve(scene: fc.Scene, run: fc.Run) -> None:
         run.peak()
 
 
+@pytest.mark.drawn(2)
 @pytest.mark.parametrize(
     "change",
     [

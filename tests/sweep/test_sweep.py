@@ -262,22 +262,6 @@ def test_without_a_crack(paper_scene: fc.Scene, tmp_path: Path) -> None:
     assert result.solution(1).displacement_coefficients.shape[1] == plate.n_dofs
 
 
-@pytest.mark.parametrize("reduction", ["off", "free_interface"])
-def test_rayleigh_damping_is_swept(paper_scene: fc.Scene, tmp_path: Path, reduction: str) -> None:
-    """Over its coefficients, as solved by hand."""
-    changes = SOFT | {"damping.ratio": None, "damping.mass": 20.0, "reduction.method": reduction}
-    over = {"damping.mass": [20.0, 200.0], "damping.stiffness": [0.0, 1e-6]}
-    scene = swept(paper_scene, over, changes)
-    result = run_sweep(scene, tmp_path / "sweep.h5")
-    assert result.converged.all() and result.table().columns[1] == "damping.stiffness [s]"
-    for index in ((0, 1), (1, 0)):
-        values = values_at(result, index)
-        plate, solution = by_hand(scene, values)
-        assert plate.damping == fc.RayleighDamping(*values.values())
-        gap = solution.gap_coefficients
-        np.testing.assert_allclose(result.gap(index), gap, atol=1e-9 * np.abs(gap).max())
-
-
 def test_crack_length_found_and_pairs_of_several_geometries(
     paper_scene: fc.Scene, tmp_path: Path
 ) -> None:

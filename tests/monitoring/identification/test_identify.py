@@ -696,6 +696,7 @@ def test_other_units(scene: fc.Scene, folder: Path, factor: float, unit: str) ->
     assert not (folder / "nothing").exists()
 
 
+@pytest.mark.nightly
 def test_one_frequency(scene: fc.Scene, folder: Path) -> None:
     """With little information the estimate is within its own intervals, which are narrower of a
     smaller probability; the key of that and the priors are in the result."""

@@ -230,6 +230,7 @@ def test_a_record_of_some_revolutions(every: int) -> None:
     assert replace(fit, omega_errors=np.full(2, np.nan)).disagree
 
 
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize("one", [0, 2])
 def test_a_channel_that_sees_nothing(one: int) -> None:
     """Pulses of a channel that come where the mark says, whatever the blade does: the fit is that
