@@ -53,6 +53,7 @@ def test_is_right(number: int) -> None:
     assert case.kind == "solution" or row["true"] <= case.tolerance
 
 
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize("number", BY_EXACT_ORBITS)
 def test_tolerance_is_met_by_an_exact_orbit(number: int) -> None:
     """Where harmonic balance does not get there; what is left out is known well. Of 23 the judge
@@ -326,7 +327,11 @@ def test_large_error_is_stated_from_the_prediction() -> None:
 
 @pytest.mark.parametrize(
     ("family", "number"),
-    [("smooth", 1), pytest.param("whole", 2, marks=pytest.mark.nightly), ("rigid", 6)],
+    [
+        pytest.param("smooth", 1, marks=pytest.mark.nightly),
+        pytest.param("whole", 2, marks=pytest.mark.nightly),
+        ("rigid", 6),
+    ],
 )
 def test_answers_without_an_exact_flow(family: str, number: int) -> None:
     """A smoothed law against SciPy's integrator, its verdict with it; all dofs of a plate

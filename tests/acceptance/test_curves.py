@@ -357,39 +357,7 @@ def test_both_ways_find_the_same_folds() -> None:
     assert len(folds[0]) == 6 and folds[0] == pytest.approx(folds[1], rel=1e-7)
 
 
-def test_many_pairs_with_mass() -> None:
-    """Eight of them: every point has a verdict, that of its orbit by another flow."""
-    structure, law = judged.chain(8, 25, seed=2), fc.UnilateralPenalty(5.0)
-    curve = fc.continue_frequency(structure, 1.3, 1.32, law, tolerance=1e-2)
-    assert curve.complete and "undecided" not in curve.verdicts
-    for place in (1, len(curve) // 2):
-        orbit = judged.orbit_of(curve.solution(place))
-        assert abs(curve.multipliers[place]) == pytest.approx(abs(orbit.multipliers[0]), rel=1e-6)
-
-
 # --- verdicts of harmonic balance -----------------------------------------------------------------
-
-
-@pytest.mark.nightly
-def test_stiff_stop_with_few_harmonics() -> None:
-    """H = 10, against the branch of exact orbits: of the points whose nearest orbit is clear none
-    has the verdict of another one; folds are its own."""
-    structure, law, span = judged.oscillator(0.02, 0.1), fc.UnilateralPenalty(100.0), (2.0, 0.5)
-    curve = fc.continue_frequency(structure, *span, law, harmonics=10, stability=True)
-    exact = fc.continue_frequency(structure, *span, law, tolerance=1e-3)
-    rows = exact.gap_coefficients[:, :21, 0]
-    compared = 0
-    for place in np.flatnonzero(curve.verdicts != "undecided"):
-        own = curve.gap_coefficients[place, :, 0]
-        off = np.linalg.norm(rows - own, axis=1) / np.linalg.norm(own)
-        off = np.hypot(off, exact.omega / curve.omega[place] - 1.0)
-        near = {one: off[exact.verdicts == one].min() for one in ("stable", "unstable")}
-        best = min(near, key=lambda one: near[one])
-        if 3.0 * near[best] < max(near.values()):
-            compared += 1
-            is_irregular = best == "unstable" and curve.verdicts[place] == "irregular"
-            assert is_irregular or curve.verdicts[place] == best, curve.omega[place]
-    assert compared > 50 and set(kinds(curve)) == {"fold"}
 
 
 def test_undecided_points_have_their_reason() -> None:
@@ -414,20 +382,3 @@ def test_from_next_to_no_frequency() -> None:
     assert curve.verdicts[-1] == "stable"
     curve = fc.continue_frequency(structure, 1e-9, 0.7, SOFT, tolerance=1e-2)
     assert not curve.exact and curve.complete
-
-
-def test_plate_without_mass() -> None:
-    """Rigid, next to its first bilinear resonance: points are next to their orbits, and verdicts
-    are theirs."""
-    structure, law = judged.plate(), fc.UnilateralConstraint()
-    bilinear = float(fc.bilinear_frequencies(structure).omega_bilinear[0])
-    curve = fc.continue_frequency(
-        structure, 0.96 * bilinear, 0.97 * bilinear, law, harmonics=10, stability=True
-    )
-    assert curve.complete
-    for place in (0, len(curve) // 2, len(curve) - 1):
-        found = curve.solution(place)
-        orbit = judged.orbit_of(found)
-        assert judged.apart(found, orbit) < 3.0 * found.report.total
-        stable = np.abs(orbit.multipliers[0]) < 1.0
-        assert curve.verdicts[place] in ("undecided", "stable" if stable else "unstable")

@@ -249,17 +249,6 @@ def test_a_peak_between_two_speeds(tmp_path: Path) -> None:
     assert text.startswith("between 9000 and 12000 rpm, the sweep steps over a peak")
 
 
-def test_large_displacements_are_said(
-    scene: fc.Scene, tmp_path: Path, run_command: RunCommand
-) -> None:
-    """The equations are linear but for the contact, and the errors say nothing about that."""
-    coarse = scene.replace({"mesh.error": False})
-    for key, force, warns in (("sin", 10.0, False), ("sin", 1e6, True), ("mean", 1e6, True)):
-        change = [f"excitation.force_{key}=[{force}, 0.0]"]
-        said = run_command("solve", coarse, "--output", tmp_path / "out", sets=change).err
-        assert ("beyond small displacements" in said) == warns
-
-
 def test_large_is_what_rotates(scene: fc.Scene, tmp_path: Path, run_command: RunCommand) -> None:
     """A slender blade that moves by 2 % of its length, half its thickness, is linear to 0.04 %; by
     20 % it is not. So says ``check`` before."""
@@ -518,6 +507,7 @@ def test_ctrl_c_during_the_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert found.result.converged and found.stated is None
 
 
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize(
     ("command", "changes", "said"),
     [

@@ -51,6 +51,7 @@ def test_modes_are_those_of_the_whole_wheel(sectors: int, cells: str, tmp_path: 
     assert own == pytest.approx(fc.solve_modes(whole, 30).omega, rel=1e-10)
 
 
+@pytest.mark.nightly
 def test_rotating_modes_are_those_of_the_whole_wheel(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

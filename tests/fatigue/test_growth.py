@@ -493,6 +493,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert "growth is missing: must be given for this command" in told and "[growth]" in told
 
 
+@pytest.mark.nightly
 def test_a_blade_with_a_run_up_grows(tmp_path: Path) -> None:
     """The scene of ``new --blade``: its engine order and its curve over the speed are in the way of
     no error, and a length that is none is refused before anything is solved."""

@@ -153,6 +153,7 @@ def test_an_inclined_crack_of_a_box(parts: Path) -> None:
     assert first[0] == pytest.approx(first[1], rel=5e-4)
 
 
+@pytest.mark.nightly
 def test_cracks_in_the_order_of_the_scene(parts: Path) -> None:
     """The upper one first, with a clearance of its own; named faces take loads."""
     high = {

@@ -131,7 +131,7 @@ def test_elements_longer_than_a_solid_is_thick() -> None:
             assert 0.1 < seen / stated < 1.0, (lips, mode)
 
 
-@pytest.mark.drawn(1)
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("frequency", "amplitude", "opening"),
     [(1064.758, 1.921e-6, 2.477e-7), (1916.564, 4.624e-6, 7.159e-7)],

@@ -114,18 +114,6 @@ def test_claims_of_a_blade() -> None:
     assert off == pytest.approx(found.report.truncation, rel=1e-3)
 
 
-@pytest.mark.parametrize("modes", [10, 16])
-def test_reduction_is_what_twice_the_modes_change(new: fc.Scene, modes: int) -> None:
-    """Estimated without a tolerance, within a factor 3."""
-    given = {"harmonic_balance.tolerance": None, "harmonic_balance.harmonics": 40}
-    few = fc.solve(new.replace(given | {"reduction.modes": modes}), MPI.COMM_SELF).result
-    changes = {"harmonic_balance.tolerance": 1e-5, "reduction.modes": 2 * modes}
-    many = fc.solve(new.replace(changes), MPI.COMM_SELF).result
-    orbit = few.assessment.orbit
-    error = relative(many.gap(orbit.sampled.time), orbit.gap)
-    assert error / 3.0 < few.report.reduction < 3.0 * error
-
-
 def test_reduction_by_a_word(paper_scene: fc.Scene) -> None:
     """``reduction = "off"`` is the method, in a file and as a change; other words are refused."""
     scene = paper_scene.replace({"reduction": "off"})

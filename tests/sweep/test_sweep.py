@@ -137,6 +137,7 @@ LOADS = {"excitation.force_cos": [(0.0, 0.0), (30.0, 200.0)], "crack.clearance":
 RIGID = {"contact.law": "unilateral", "contact.stiffness": None}
 
 
+@pytest.mark.drawn(2)
 @pytest.mark.parametrize(
     ("changes", "close"),
     [

@@ -87,9 +87,8 @@ def test_pairs_with_mass() -> None:
         fc.integrate_central_difference(structure, omega, rigid, periods=1, steps_per_period=64)
 
 
-@pytest.mark.parametrize(
-    "how", [pytest.param({"tolerance": 0.05}, marks=pytest.mark.nightly), {"harmonics": 8}]
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize("how", [{"tolerance": 0.05}, {"harmonics": 8}])
 def test_curves(tmp_path: Path, how: dict[str, float]) -> None:
     """Over the frequency and the coefficient: points are solutions, also when read again."""
     structure, _ = plate("inclined_crack", 0.005)

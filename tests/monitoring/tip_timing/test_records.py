@@ -266,15 +266,6 @@ def test_what_is_left_is_told() -> None:
             assert f"{one.frequency:.6g} ± {stated:.2g} Hz" in words
 
 
-def test_what_is_left_of_every_second_revolution_is_told() -> None:
-    """The same, from arrivals of which no two revolutions follow each other."""
-    whole, _ = swept([(500.0, 0.003, 5, 1e-5), (502.0, 0.003, 5, 1e-5)])
-    time = np.full_like(whole.time, np.nan)
-    time[::2] = whole.time[::2]
-    fit = fc.fit_passage(replace(whole, time=time), 100.2, [4, 5, 6])
-    assert fit.in_doubt and abs(fit.omega - 500.0) > 4.0 * fit.omega_error
-
-
 def test_orders_that_contradict_each_other(tmp_path: Path, run_command: RunCommand) -> None:
     """A resonance of order 5 near which the speed turns, which is no transient of a mode (its size
     is that of a steady vibration): two other orders are found within its width, and name each
