@@ -260,19 +260,6 @@ def test_motion_that_does_not_repeat_itself_says_so() -> None:
     assert "followed for 1000 periods of the load, the exact motion" in row["remark"]
 
 
-@pytest.mark.nightly
-def test_motion_that_settles_is_not_said_to_wander() -> None:
-    """Of the same family."""
-    settles = campaign.draw(901, 50, "tolerance", "mass")
-    tolerance = settles.tolerance
-    answer = fc.solve_harmonic_balance(
-        settles.structure, settles.omega, settles.law, tolerance=tolerance
-    )
-    row = campaign.judge(settles, answer, "tolerance", "-", tolerance)
-    assert row.judgement == campaign.RIGHT
-    assert not campaign.wanders(settles, answer)
-
-
 def test_run_goes_on_and_is_added_up(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A case is a line; one that was not finished is asked again. Of a wrong answer, a tolerance
     that is met and a verdict far from its orbit the table says so."""

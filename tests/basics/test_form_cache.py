@@ -82,19 +82,6 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.nightly
-def test_compilations_that_are_interrupted(tmp_path: Path, cache: Path) -> None:
-    """Three at once, which do not wait for each other; then the form is compiled anew at once. A
-    folder that a kill leaves has no record."""
-    words = [sys.executable, "-c", FORMS]
-    programs = {number: compiling(words, tmp_path, number) for number in SIGNALS}
-    assert all(interrupt(programs[number], tmp_path, number)[0] != 0 for number in SIGNALS)
-    left = {*cache.iterdir()}
-    assert len(left) == 2 and not [*cache.glob("*.txt")]
-    assert assemble(MPI.COMM_SELF) == pytest.approx(1.0)
-    assert [*cache.glob("*.txt")] and left < {*cache.iterdir()}
-
-
-@pytest.mark.nightly
 @pytest.mark.mpi
 @pytest.mark.parametrize("ranks", [1, 2])
 @pytest.mark.parametrize("number", SIGNALS)

@@ -47,6 +47,16 @@ def test_blades(run: fc.Run[fc.PeriodicSolution]) -> None:
     assert steps == pytest.approx(120.0, abs=1.0)
 
 
+def test_blades_of_a_curve() -> None:
+    """Each where it moves most."""
+    keys = {"parameter": "frequency", "start": 1250.0, "stop": 1290.0, "stability": False}
+    scene = ring(**{f"curve__{key}": value for key, value in keys.items()})
+    curve = fc.curve(scene.replace(BRIEF))
+    found, dof = fc.blades(curve), curve.watched_dof
+    assert found.amplitude[0] == pytest.approx(curve.amplitude(dof).max(), rel=1e-3)
+    assert found.omega[0] == pytest.approx(curve.omega[int(np.argmax(curve.amplitude(dof)))])
+
+
 def test_results_come_back(run: fc.Run[fc.PeriodicSolution], tmp_path: Path) -> None:
     """Solutions and modes of a wheel from their files."""
     run.save(tmp_path / "solution.h5")

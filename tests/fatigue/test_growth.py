@@ -74,7 +74,6 @@ def plate(**growth: Any) -> fc.Scene:
     )
 
 
-@pytest.mark.nightly
 @pytest.mark.usefixtures("errors_left_out")
 def test_block_loading_of_a_strip() -> None:
     """Blocks at two slow frequencies, where K is the handbook's: the closed integral in cycles, in

@@ -23,7 +23,6 @@ def new_scene() -> fc.Scene:
     return fc.Scene.load(Path(fenics_crack.cli.__file__).with_name("new_scene.toml"))
 
 
-@pytest.mark.nightly
 def test_a_curve_has_the_modes_that_its_tolerance_takes() -> None:
     """Its largest response and opening are those with four times as many, within the tolerance."""
     scene = new_scene().replace(COARSE | {"curve.start": 825.0, "curve.stop": 840.0})
