@@ -201,23 +201,6 @@ def test_points_of_a_curve_have_the_verdict_of_their_own_orbits(
 
 
 @pytest.mark.nightly
-def test_two_short_steps_next_to_grazing_are_not_enough() -> None:
-    """Two steps, the second 0.007 and 0.03 of the first, estimated 1.2 and 1.6 %; Newton's method
-    goes in circles there, and the nearest exact orbits are 24 and 2.5 % away: none confirms it."""
-    case = campaign.draw(1, 375)
-    span = 0.9 * case.omega, 1.1 * case.omega
-    curve = fc.continue_frequency(
-        case.structure, *span, case.law, harmonics=case.harmonics, throw=False, longest_step=0.2
-    )
-    for omega in (2.35946641, 2.39862752):
-        found = curve.solution(int(np.argmin(np.abs(curve.omega - omega))))
-        assert found.omega == pytest.approx(omega, rel=1e-4)
-        orbit, off = campaign.exact_orbit(case, found)
-        assert orbit is not None and 0.02 < off < 6.0 * found.report.total
-        assert not found.report.confirmed
-
-
-@pytest.mark.nightly
 def test_point_next_to_a_fold_is_not_judged_by_an_orbit_at_another_frequency() -> None:
     """Of a branch: called unstable by the orbit on the other side of the fold, 0.01 % away."""
     rows = campaign.findings(3, campaign.draw(3, 284))

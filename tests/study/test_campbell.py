@@ -50,6 +50,19 @@ def test_between_speeds() -> None:
         assert stiffening == pytest.approx(2.0 * speed**2 / squares[0], rel=1e-12)
 
 
+def test_orders_meet_the_modes_where_a_scene_resonates() -> None:
+    """At a crossing the natural frequency of a structure built there is order times the speed; a
+    beam whose w^2 is linear in W^2 meets order n at w_0 / sqrt(n^2 - S)."""
+    found = fc.campbell(strip(1, 1.0), np.linspace(0.0, 4.0 * UNIT, 5), 2)
+    assert not found.cracked and "omega_tied" not in found.to_dict()
+    [[mode, speed]] = found.crossings(3)
+    assert mode == 1
+    [omega] = fc.solve_modes(fc.build_structure(strip(1, speed / UNIT)), 1).omega
+    assert omega == pytest.approx(3.0 * speed, rel=1e-3)
+    assert speed == pytest.approx(3.516 * UNIT / np.sqrt(9.0 - 2.764), rel=0.01)
+    assert not len(found.crossings(1))  # the first mode stays above W: S > 1
+
+
 @pytest.mark.drawn(2)
 @pytest.mark.parametrize(
     ("speed", "mean", "force", "does"),
