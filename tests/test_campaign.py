@@ -179,7 +179,6 @@ CURVES = [
 ]
 
 
-@pytest.mark.drawn(1)
 @pytest.mark.parametrize(("seed", "number", "family", "places", "expected", "kinds"), CURVES)
 def test_points_of_a_curve_have_the_verdict_of_their_own_orbits(
     seed: int, number: int, family: str | None, places: Callable[[fc.ResponseCurve], np.ndarray],

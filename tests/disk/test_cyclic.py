@@ -71,7 +71,7 @@ def test_rotating_modes_are_those_of_the_whole_wheel(
     assert np.all(own[:6] > 1.0005 * still[:6])
 
 
-@pytest.mark.parametrize("given", [RING, SOLID])
+@pytest.mark.parametrize("given", [RING, pytest.param(SOLID, marks=pytest.mark.nightly)])
 def test_coordinates_are_those_of_the_whole_matrices(given: dict[str, object]) -> None:
     """U^T M U and U^T K U of copies of the sector, with an open crack and mistuning; the modes are
     orthogonal, and stiffness does not couple them with the crack."""

@@ -73,7 +73,10 @@ def test_loss_of_a_slide() -> None:
             "breathing_plate", 0.01, 2000.0, 0.1, 1.17736, 0.204, 0.774081,
             marks=pytest.mark.nightly,
         ),
-        ("breathing_plate", 0.01, 2000.0, 0.5, 1.16578, 0.599, 0.842048),
+        pytest.param(
+            "breathing_plate", 0.01, 2000.0, 0.5, 1.16578, 0.599, 0.842048,
+            marks=pytest.mark.nightly,
+        ),
         pytest.param(
             "inclined_crack", 0.005, 3560 * HERTZ, 0.3, 37.19496, 0.814, 0.935906,
             marks=pytest.mark.nightly,

@@ -130,7 +130,6 @@ def test_where_it_is_silent() -> None:
     assert matrices is not None and "not estimated" in matrices.unknown["friction"]
 
 
-@pytest.mark.nightly
 def test_last_line(monkeypatch: pytest.MonkeyPatch) -> None:
     """It names friction above the tolerance only; a search that fails is said."""
     from fenics_crack.study.conclusion import said_of

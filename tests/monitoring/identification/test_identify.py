@@ -565,9 +565,7 @@ SHORT, LONG = ({"crack.length": length, "crack.height": 0.08} for length in (0.0
 @pytest.mark.parametrize(
     ("changes", "claimed", "conditional"),
     [
-        pytest.param(*DEEPER[0], marks=pytest.mark.nightly),
-        DEEPER[1],
-        pytest.param(*DEEPER[2], marks=pytest.mark.nightly),
+        *(pytest.param(*one, marks=pytest.mark.nightly) for one in DEEPER),
         (SHORT, True, True),
         pytest.param(LONG, True, False, marks=pytest.mark.nightly),
     ],
