@@ -174,7 +174,12 @@ def test_tables_to_paste_make_a_scene(here: Path, run_command: RunCommand) -> No
 @pytest.mark.parametrize(
     ("kind", "changes", "unit"),
     [
-        ([], ["geometry.height=0.2", "excitation.point=[0.1, 0.2]"], "frequency"),
+        pytest.param(
+            [],
+            ["geometry.height=0.2", "excitation.point=[0.1, 0.2]"],
+            "frequency",
+            marks=pytest.mark.nightly,
+        ),
         pytest.param(  # the second, or third
             [], ["excitation.omega=2.7e4", "sweep=none"], "omega", marks=pytest.mark.nightly
         ),

@@ -179,6 +179,7 @@ def test_expanded_displacement_is_that_of_the_blades(mistuned: Wheel) -> None:
     assert gap == pytest.approx(found.gap_coefficients, abs=1e-7 * size)
 
 
+@pytest.mark.nightly
 def test_matrices_are_written_and_read(mistuned: Wheel, tmp_path: Path) -> None:
     """Those of all sectors, whose structure knows of no sector: reduced in the same way it has the
     same solution."""

@@ -612,8 +612,9 @@ def test_results_belong_to_all_their_files(folder: Path, scene: Scene) -> None:
         (folder / name).write_text(text)
 
 
-@pytest.mark.drawn(1)
-@pytest.mark.parametrize("name", ["breathing_plate", "inclined_crack"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("breathing_plate", marks=pytest.mark.nightly), "inclined_crack"]
+)
 def test_pairs_of_a_plane_model_are_the_plates(name: str) -> None:
     """Of nodes: the plate's own B, whatever the direction of its crack."""
     own = fc.build_structure(Scene.load(DEMOS / f"{name}.toml"), MPI.COMM_SELF)

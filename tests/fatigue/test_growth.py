@@ -443,11 +443,8 @@ def test_resonance_needs_damping() -> None:
             fc.grow(scene, comm=MPI.COMM_SELF)
 
 
-@pytest.mark.parametrize(
-    "contact",
-    [pytest.param(SMOOTH, marks=pytest.mark.nightly), {"contact.friction": 0.3}],
-    ids=["smooth", "friction"],
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize("contact", [SMOOTH, {"contact.friction": 0.3}], ids=["smooth", "friction"])
 def test_a_sweep_at_the_top_of_its_curve(contact: dict[str, Any]) -> None:
     """Where a law has no phase resonance: the peak of the curve through it."""
     scene = plate().replace(contact | {"harmonic_balance.harmonics": 5})

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import DAMPINGS, ROOT, chain, dense_matrices, log_slope, relative, true_error, wrap
+from mpi4py import MPI
 from reference_flow import size_of_motion
 
 import fenics_crack as fc
@@ -313,6 +314,25 @@ def test_bad_method_is_named(soft_plate: fc.Structure) -> None:
 def test_numpy_counts_are_counts(soft_plate: fc.Structure) -> None:
     """A number of NumPy's kinds is accepted as a count."""
     assert fc.reduce_structure(soft_plate, modes=np.int64(4), method="massless").n_dofs == 7
+
+
+def reductions(scene: fc.Scene, comm: MPI.Comm) -> list[np.ndarray]:
+    """Frequencies and |R_k| of a basis (collective)."""
+    plate = fc.build_structure(scene, comm)
+    found = []
+    reduced = fc.reduce_structure(plate, modes=8)
+    found += [reduced.omega, np.abs(compliances(reduced, 1500.0, 4)[0])]
+    return found
+
+
+@pytest.mark.mpi
+def test_same_reduction_on_two_ranks(paper_scene: fc.Scene, on_ranks: Callable[..., Any]) -> None:
+    """Frequencies of a basis, and R_k, agree with one rank's to 1e-7."""
+    changes = {"mesh.columns": 6, "mesh.rows": 6, "damping.ratio": 0.01, "damping.modes": 8}
+    scene = paper_scene.replace(changes)
+    parallel = on_ranks(reductions, scene)
+    for two, one in zip(parallel, reductions(scene, MPI.COMM_SELF), strict=True):
+        assert relative(two, one) < 1e-7
 
 
 def test_all_modes_damped_whatever_the_mesh() -> None:

@@ -147,6 +147,7 @@ def test_start_on_the_orbit(method: Method) -> None:
     assert off[0] < 2e-3 and off[0] < 0.1 * off[1], off
 
 
+@pytest.mark.nightly
 def test_scene_that_goes_on(tmp_path: Path) -> None:
     """An integration or a solution in a file is gone on with where its pairs stick."""
     scene = fc.Scene.load("demos/inclined_crack.toml", {"contact.friction": 0.3}).replace(

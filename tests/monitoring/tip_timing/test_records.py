@@ -166,11 +166,6 @@ def test_frequency_that_follows_the_speed_as_the_scene_has_it(
     assert fit["order"] == 5 and fit["damping"] == pytest.approx(0.004, rel=5e-3)
 
 
-def test_a_line_is_no_resonance() -> None:
-    """A vibration of one frequency, which passes orders 2 and 3 on its way: no resonance."""
-    assert len(fc.find_passages(swept([], line=203.0)[0], range(1, 9))) == 0
-
-
 def test_marks_that_jitter_leave_no_doubt() -> None:
     """An error of a mark is in the arrivals of both revolutions that it ends and begins: residuals
     are as correlated as that makes them, and no vibration is in doubt."""
