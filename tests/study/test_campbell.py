@@ -273,6 +273,18 @@ def test_picture_reaches_as_far_as_the_orders() -> None:
         assert panel.get_ylim()[1] == pytest.approx(1.08 * highest)
 
 
+def test_how_a_frequency_follows_the_speed() -> None:
+    """Between speeds and beyond them, by its values at those beside it, of what the crack does."""
+    speeds = 600.0 * np.exp([-0.01, 0.0, 0.01])
+    scene = cracked(1.0).replace({"excitation.order": 12})
+    found, wide = (fc.campbell(scene, at, 2) for at in (speeds, [300.0, 590.0]))
+    assert found.kind[1].tolist() == ["bilinear", "open"]
+    for line in found.omega_real.T:
+        slope = float(np.log(line[2] / line[0]) / 0.02)
+        for diagram in (found, wide):
+            assert diagram.stiffening(600.0, 1.01 * line[1]) == pytest.approx(slope, rel=5e-3)
+
+
 def test_command(run_command: RunCommand, tmp_path: Path) -> None:
     """Table, files and picture; speeds in the scene's unit; each crossing of the scene's order."""
     scene = cracked(1.0).replace({"rotation.rpm": 6e3, "excitation.order": 12})

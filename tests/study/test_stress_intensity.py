@@ -352,23 +352,6 @@ def test_along_a_curve(tmp_path: Path) -> None:
         assert at == pytest.approx(leading(alone, name), rel=1e-2)
 
 
-@pytest.mark.nightly
-def test_along_a_run_up(tmp_path: Path) -> None:
-    """Columns of a curve over the rotor's speed are those of the blade at that speed, whose crack
-    the centrifugal load opens."""
-    names = ("K_max", "delta_K_effective")
-    scene = fc.Scene.load(DEMOS / "rotating_blade.toml").replace(
-        {"output": None, "output.quantities": names, "curve": None, **FEW}
-    )
-    span = {"parameter": "speed", "start": 0.97 * scene.speed, "stop": scene.speed}
-    keys = {f"curve.{key}": value for key, value in span.items()} | {"curve.stability": False}
-    along, alone = columns_of_curve(scene.replace(keys), tmp_path), fc.solve(scene, MPI.COMM_SELF)
-    for name in names:
-        value = leading(alone, name)
-        assert along[name][-1] == pytest.approx(value, rel=5e-3)
-        assert along[name][0] != pytest.approx(value, rel=5e-3)
-
-
 # --- refusals, ranks ------------------------------------------------------------------------------
 
 
