@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 import ufl
 from mpi4py import MPI
-from ranks import LIMIT, command, environment, is_running
+from ranks import LIMIT, environment, is_running, launcher
 from surroundings import main
 
 from fenics_crack.basics.untrusted_files import sha256
@@ -81,18 +81,6 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def test_compilations_that_are_interrupted(tmp_path: Path, cache: Path) -> None:
-    """Three at once, which do not wait for each other; then the form is compiled anew at once. A
-    folder that a kill leaves has no record."""
-    words = [sys.executable, "-c", FORMS]
-    programs = {number: compiling(words, tmp_path, number) for number in SIGNALS}
-    assert all(interrupt(programs[number], tmp_path, number)[0] != 0 for number in SIGNALS)
-    left = {*cache.iterdir()}
-    assert len(left) == 2 and not [*cache.glob("*.txt")]
-    assert assemble(MPI.COMM_SELF) == pytest.approx(1.0)
-    assert [*cache.glob("*.txt")] and left < {*cache.iterdir()}
-
-
 @pytest.mark.nightly
 @pytest.mark.mpi
 @pytest.mark.parametrize("ranks", [1, 2])
@@ -102,7 +90,7 @@ def test_a_run_that_is_interrupted(tmp_path: Path, ranks: int, number: int) -> N
     assert main(["new", str(tmp_path / "plate.toml"), "--quiet"]) == 0
     words = ["-m", "fenics_crack", "modes", str(tmp_path / "plate.toml"), *SMALL]
     words += ["--output", str(tmp_path / "out"), "--quiet"]
-    words = [*command("", ranks)[: 3 * (ranks > 1)], sys.executable, *words]
+    words = [*(launcher(ranks) if ranks > 1 else []), sys.executable, *words]
     code, said = interrupt(compiling(words, tmp_path, number), tmp_path, number)
     if number == signal.SIGINT:
         assert code == 130 and "stopped" in said and "Traceback" not in said

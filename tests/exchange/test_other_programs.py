@@ -384,6 +384,7 @@ SECOND = {"edge": "right", "height": 0.06, "length": 0.01}
 """Crack of two."""
 
 
+@pytest.mark.drawn(2)
 @pytest.mark.parametrize("crack", CRACKS)
 def test_pairs_of_a_solid_are_its_own(crack: str) -> None:
     """Built by this program and found from its nodes, cells and stiffness: the same patches; pairs
@@ -611,7 +612,9 @@ def test_results_belong_to_all_their_files(folder: Path, scene: Scene) -> None:
         (folder / name).write_text(text)
 
 
-@pytest.mark.parametrize("name", ["breathing_plate", "inclined_crack"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("breathing_plate", marks=pytest.mark.nightly), "inclined_crack"]
+)
 def test_pairs_of_a_plane_model_are_the_plates(name: str) -> None:
     """Of nodes: the plate's own B, whatever the direction of its crack."""
     own = fc.build_structure(Scene.load(DEMOS / f"{name}.toml"), MPI.COMM_SELF)

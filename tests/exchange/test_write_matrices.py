@@ -103,7 +103,7 @@ def check_way_back(scene: Scene, folder: Path) -> None:
         assert np.abs(other - one).max() <= 1e-12 * np.abs(one).max()
 
 
-@pytest.mark.drawn(6)
+@pytest.mark.drawn(3)
 @pytest.mark.parametrize("name", PLATES)
 def test_plate(name: str, paper_scene: Scene, tmp_path: Path) -> None:
     """Whatever a plate may have."""

@@ -125,6 +125,7 @@ def _around(place: tuple[float, float]) -> float:
     return WIDTH + HEIGHT + (WIDTH - x if y == HEIGHT else WIDTH + HEIGHT - y)
 
 
+@pytest.mark.drawn(5)
 @pytest.mark.parametrize(
     ("name", "order", "quadrilaterals"),
     [(name, 1, False) for name in CURVES]
@@ -188,6 +189,7 @@ def test_several_cracks_of_the_plugin(plugin: Callable[..., Path]) -> None:
         build_structure(scene.replace({"cracks.2.clearance": 0.0}))
 
 
+@pytest.mark.drawn(3)
 @pytest.mark.parametrize("how", [{"run": False}, {"mouth": False}], ids=str)
 @pytest.mark.parametrize(("name", "order"), [("edge", 1), ("inside", 1), ("arc", 2)])
 def test_nodes_that_exist_once(

@@ -255,6 +255,7 @@ def sharing(cells: np.ndarray, places: np.ndarray) -> set[tuple[tuple[float, ...
     }
 
 
+@pytest.mark.drawn(4)
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("shape", ["plane", "bent", "curved", "inside"])
 def test_cracks_are_split_as_by_gmsh(shape: str, order: int) -> None:
@@ -587,6 +588,7 @@ def write_hexahedra(path: Path, *, incomplete: bool = False) -> None:
         gmsh.write(str(path))
 
 
+@pytest.mark.nightly
 def test_hexahedra(tmp_path: Path, fine: np.ndarray) -> None:
     """They give the frequencies of tetrahedra; those with 20 nodes are refused, with the reason."""
     write_hexahedra(tmp_path / "box.msh")
@@ -657,6 +659,7 @@ def write_bodies(path: Path, draw: Callable[[Any], list[int]], size: float = 0.0
         gmsh.write(str(path))
 
 
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize("at", [0.015, 0.008, 0.016])
 def test_bodies_that_touch_share_their_nodes(tmp_path: Path, at: float) -> None:
     """Else a slit parts them, without contact and without a word; or they overlap. Bodies that are
@@ -684,6 +687,7 @@ def test_bodies_that_touch_share_their_nodes(tmp_path: Path, at: float) -> None:
     assert at - 1e-6 <= float(place[0]) <= 0.015 + 1e-6
 
 
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize(("gap", "sound"), [(0.0, False), (1e-4, True)])
 def test_curved_bodies_touch(tmp_path: Path, gap: float, sound: bool) -> None:
     """A pin in a hole, whose cells differ; a gap of a hundredth of its radius is one."""
@@ -750,6 +754,7 @@ IN_MM = (
 """Lengths of a solid with a half ellipse."""
 
 
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize("kind", ["solid", "plate"])
 def test_metres_and_millimetres_have_one_mesh(kind: str) -> None:
     """In mm, N and t they have the same frequencies, too."""

@@ -150,6 +150,7 @@ def test_a_coarser_mesh_without_stress_intensity(changes: dict[str, object]) -> 
     assert "too coarse" in errors.doubt("delta_K_effective")
 
 
+@pytest.mark.nightly
 def test_a_front_that_is_held_open() -> None:
     """By a pull, and bent so that it is most so at the deepest place, where the load changes it the
     least: K_max is that of the front, and the error of the range is not that of the mean."""
