@@ -22,7 +22,7 @@ import subprocess
 import zlib
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
-from functools import partial
+from functools import cache, partial
 from importlib.util import find_spec
 from pathlib import Path
 from random import Random
@@ -115,10 +115,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     whose tests share two ranks first, so that one of two processes starts these: the first half of
     all tests is one's."""
     mark_cases_not_drawn(items)
+    skipped = NOT_BY_WHEELS if find_spec("dolfinx_solver") else {}
     for item in items:
-        if find_spec("dolfinx_solver") and (
-            why := NOT_BY_WHEELS.get(function_of(item)[len("tests/") :])
-        ):
+        if why := skipped.get(function_of(item)[len("tests/") :]):
             item.add_marker(pytest.mark.skip(reason=why))
         if is_quick(item.path) and not {"nightly", "mpi"} & {m.name for m in item.iter_markers()}:
             item.add_marker("quick")
@@ -161,10 +160,15 @@ def pytest_collection_finish() -> None:
     gc.enable()
 
 
-@pytest.fixture(autouse=True)
-def no_signs_of_life(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What a program says every few seconds depends on the machine's load, which no test is of."""
-    monkeypatch.setattr("fenics_crack.basics.progress.BEAT", 3600.0)
+@pytest.fixture(scope="session", autouse=True)
+def prepared() -> Iterator[None]:
+    """What a program says every few seconds depends on the machine's load, which no test is of.
+    Its arguments are described once, which takes 5 ms."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("fenics_crack.basics.progress.BEAT", 3600.0)
+        described = importlib.import_module("fenics_crack.cli.command_line").parser
+        patch.setattr("fenics_crack.cli.command_line.parser", cache(described))
+        yield
 
 
 @pytest.fixture

@@ -133,6 +133,7 @@ def test_changed_scene_bytes(tmp_path_factory: pytest.TempPathFactory, seed: int
         check_error(error)
 
 
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize("where", ["", "structure.", "sweep.over."])
 def test_a_key_of_many_parts(where: str, tmp_path: Path) -> None:
     """A nest that can be neither shown nor sent to other ranks is refused in one line."""

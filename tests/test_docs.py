@@ -87,7 +87,7 @@ TABLES: dict[str, Any] = {
 """Classes of a scene's tables."""
 
 
-@pytest.mark.drawn(9)
+@pytest.mark.drawn(4)
 @pytest.mark.parametrize("code", BLOCKS)
 def test_python_block_runs(code: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each program of a page is whole, run in the project's folder; those of measured beams and of

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -24,19 +24,26 @@ def base(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="module")
+def trial(base: Path) -> Iterator[fuzzing.Trial]:
+    """A process that has imported the program."""
+    with fuzzing.Trial(base, base.parent / "case") as trial:
+        yield trial
+
+
 @pytest.mark.parametrize(
     ("part", "count"),
     [
-        ("inputs", 12), ("wheels", 20), ("structures", 20),
+        ("inputs", 12), ("wheels", 12), ("structures", 20),
         pytest.param("inputs", 400, marks=pytest.mark.nightly),
         pytest.param("wheels", 600, marks=pytest.mark.nightly),
         pytest.param("calls", 600, marks=pytest.mark.nightly),
         pytest.param("structures", 150, marks=pytest.mark.nightly),
     ],
 )  # fmt: skip
-def test_every_input_ends_well(part: str, count: int, base: Path, tmp_path: Path) -> None:
+def test_every_input_ends_well(part: str, count: int, trial: fuzzing.Trial) -> None:
     """With a result, a line about the input, or what did not converge."""
-    found = [*fuzzing.attempts(part, range(count), 1, base, tmp_path)]
+    found = [trial.attempt(part, case, 1) for case in range(count)]
     assert not [one for one in found if one.wrong]
     counts = Counter(one.outcome for one in found)
     assert len(found) == count and min(counts["done"], counts["refused"]) > 2
@@ -100,7 +107,7 @@ def test_what_the_process_does_is_seen(
     """It dies, or does not end; another one takes the next case."""
     monkeypatch.setattr(fuzzing, "work", ends.work)
     if end == "TOO LONG":  # a slow machine may take as long to start a process that dies
-        monkeypatch.setattr(fuzzing, "SECONDS", 0.5)
+        monkeypatch.setattr(fuzzing, "SECONDS", 0.1)
     found = [*fuzzing.attempts(end, range(2), 1, tmp_path)]
     assert [(one.case, one.outcome, one.wrong) for one in found] == [(n, end, True) for n in (0, 1)]
 

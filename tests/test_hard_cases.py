@@ -9,7 +9,7 @@ GROUPS = (
 )  # fmt: skip
 
 
-@pytest.mark.drawn(2)
+@pytest.mark.nightly
 @pytest.mark.parametrize("group", GROUPS)
 def test_no_wrong_answer_claims_to_be_right(group: str) -> None:
     """Every case is right by an independent method, or says itself that it is not."""

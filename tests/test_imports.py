@@ -156,7 +156,7 @@ print(places == sorted(places), "pkg_resources" in sys.modules)
     assert fresh(program).splitlines()[-1] == "True False"
 
 
-@pytest.mark.drawn(2)
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize(
     "line",
     [

@@ -25,6 +25,7 @@ def test_all_are_what_was_written() -> None:
     assert {case["law"]["kind"] for case in cases} == set(check.LIMITS)
 
 
+@pytest.mark.drawn(2)
 @pytest.mark.parametrize("name", QUICK)
 def test_motion_of_the_second_reference(name: str) -> None:
     """Over one period, to the limit of the law."""

@@ -64,7 +64,7 @@ DEAR = {"amplification", "draw_amplification", "draw_wheel"}
 EXAMPLES = [pytest.param(name, marks=[pytest.mark.nightly] * (name in DEAR)) for name in FUNCTIONS]
 
 
-@pytest.mark.drawn(30)
+@pytest.mark.drawn(15)
 @pytest.mark.usefixtures("not_drawn")
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_examples_run(

@@ -28,6 +28,7 @@ def plate() -> fc.Study:
     )
 
 
+@pytest.mark.drawn(3)
 @pytest.mark.parametrize("damping", ["modal", "rayleigh", "matrix", "few modes", "none"])
 def test_motion_is_that_of_a_general_integrator(damping: str) -> None:
     """Three pairs of a random chain with mass: all dampings, a mean load, preload and clearance."""

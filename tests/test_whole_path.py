@@ -113,6 +113,7 @@ def coarse(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 @pytest.mark.usefixtures("coarse")
+@pytest.mark.drawn(5)
 @pytest.mark.parametrize("number", range(len(ANSWERS)))
 def test_an_answer(number: int, capsys: pytest.CaptureFixture[str]) -> None:
     """As it stands on the page; what prints nothing writes files or makes a table."""

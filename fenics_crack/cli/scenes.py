@@ -120,9 +120,9 @@ def _part(scene: Scene, whole: Structure) -> dict[str, str]:
     """Faces and crack fronts of a part from a CAD file."""
     if scene.geometry is None or scene.geometry.file is None:
         return {}
-    from fenics_crack.fem.solid import described  # DOLFINx
+    from fenics_crack.fem.solid import describe_part  # DOLFINx
 
-    return described(whole)
+    return describe_part(whole)
 
 
 def _frequencies(scene: Scene, figures: KeyFigures) -> dict[str, object]:

@@ -118,8 +118,8 @@ class _Plate:
         )  # fmt: skip
         self.lines = [self._line(boundary, "lips", 2)]
         if not solid:  # whose outline has the mouth
-            self.lines.append(self._line(mesh.lips, "lips", 5))
-        self._line(boundary[mesh.clamped[boundary].all(axis=1)], "rest", 9)
+            self.lines.append(self._line(mesh.crack_faces, "lips", 5))
+        self._line(boundary[mesh.is_clamped[boundary].all(axis=1)], "rest", 9)
         self.dots = vtk.pyvista().PolyData(np.zeros((len(fields.areas), 3)))
         if len(fields.areas):
             round_dots = {"point_size": 16, "render_points_as_spheres": True}
@@ -287,7 +287,7 @@ class _Page:
     def _legend(self, fields: PeriodFields) -> None:
         lines = (
             ("at rest", True, "rest", 1.5, None),
-            ("clamped", fields.mesh.clamped.any(), "rest", 6, None),
+            ("clamped", fields.mesh.is_clamped.any(), "rest", 6, None),
             ("load", fields.has_one_load, "load", 3, ">"),
             ("crack faces", fields.cracked and fields.mesh.dimension == 2, "lips", 3, None),
             ("in contact", len(fields.areas), "contact", 0, "o"),

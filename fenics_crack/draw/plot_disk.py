@@ -53,7 +53,9 @@ def draw_wheel(solution: PeriodicSolution, **where: Unpack[Where]) -> Figure:
     """
     wheel = wheel_of(solution.structure)
     mesh = NodalMesh(solution.structure)
-    moved = mesh.field(solution.displacement_field(solution.period / FRAMES * np.arange(FRAMES)))
+    moved = mesh.nodal_vectors(
+        solution.displacement_field(solution.period / FRAMES * np.arange(FRAMES))
+    )
     moved = moved - moved.mean(axis=0)
     sizes = np.linalg.norm(moved, axis=2)
     amplitude, largest = sizes.max(axis=0), moved[int(np.argmax(sizes.max(axis=1)))]

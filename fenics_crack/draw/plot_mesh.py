@@ -52,7 +52,7 @@ def draw_mesh(structure: Structure, **where: Unpack[Where]) -> Figure:
     >>> figure = fc.draw_mesh(structure, path="mesh.png")
     """
     mesh = NodalMesh(structure)
-    load = mesh.field(mesh.structure.force)
+    load = mesh.nodal_vectors(mesh.structure.force)
     if mesh.dimension == 3:
         picture = Picture(size=(5.5, 6.5), **where)
         _solid(picture, mesh, load)
@@ -60,12 +60,12 @@ def draw_mesh(structure: Structure, **where: Unpack[Where]) -> Figure:
     ratio = float(np.clip(np.divide(*np.maximum(np.ptp(mesh.points, axis=0), 1e-300)), 0.4, 2.5))
     size = (min(7.0, 3.6 + 2.0 * ratio), min(6.8, 1.6 + 3.6 / ratio))
     [panel] = picture = Picture(size=size, **where)
-    clamped = mesh.boundary[mesh.clamped[mesh.boundary].all(axis=1)]
+    clamped = mesh.boundary[mesh.is_clamped[mesh.boundary].all(axis=1)]
     for edges, colour, width, label in (
         (mesh.edges, "#9a9a9a", 0.4, ""),
         (mesh.boundary, "black", 1.2, ""),
         (clamped, COLOURS["green"], 5.0, "clamped"),
-        (mesh.lips, COLOURS["orange"], 2.2, "crack faces"),
+        (mesh.crack_faces, COLOURS["orange"], 2.2, "crack faces"),
     ):
         if len(edges):
             look = {"colors": colour, "linewidths": width, "label": label}
@@ -150,7 +150,7 @@ def draw_modes(
     row = 0.4 + 2.4 * float(np.clip(up / across, 0.3, 1.0))
     size = (2.7 * columns, row * -(-len(numbers) // columns))
     picture = Picture(len(numbers), columns=columns, size=size, comm=mesh.structure.comm, **where)
-    shapes = mesh.field(modes.structure.expand(modes.shapes.T))
+    shapes = mesh.nodal_vectors(modes.structure.expand(modes.shapes.T))
     for panel, number in zip(picture, numbers, strict=True):
         shape = shapes[number - 1]
         draw_moved(panel, mesh, tenth(shape, mesh.size) * shape, np.linalg.norm(shape, axis=1))
@@ -234,8 +234,8 @@ def _solid(picture: Picture, mesh: NodalMesh, load: np.ndarray) -> None:
 
     plotter = vtk.off_screen_plotter()
     points, facets = mesh.points, mesh.boundary
-    clamped = mesh.clamped[facets].all(axis=1)
-    is_lip = rows_in(facets, mesh.lips)
+    clamped = mesh.is_clamped[facets].all(axis=1)
+    is_lip = rows_in(facets, mesh.crack_faces)
     shown = vtk.surface(points, facets[~clamped & ~is_lip])
     plotter.add_mesh(shown, color="#d8d8d8", opacity=0.35, show_edges=True, edge_color="#9a9a9a")
     plotter.add_mesh(vtk.lines(points, vtk.outline(mesh)), color="black", line_width=3)

@@ -233,7 +233,7 @@ def stress_at(
     else:
         time = np.linspace(0.0, found.period, 128, endpoint=False)
         moved = found.displacement_field(time)
-    nodal = nodal_stress(mesh, mesh.field(moved), run.scene.material)
+    nodal = nodal_stress(mesh, mesh.nodal_vectors(moved), run.scene.material)
     grid, columns = grid_at_rest(mesh), np.moveaxis(nodal, -2, 0)
     grid["stress"] = columns.reshape(len(columns), -1)
     seen = pyvista().PolyData(in_space(places)).sample(grid)
@@ -270,7 +270,7 @@ def write_modes(modes: Modes, path: str | Path) -> None:
     >>> fc.write_modes(fc.solve_modes(structure, 2), "modes.vtu")
     """
     mesh = NodalMesh(modes.structure)
-    shapes = mesh.field(modes.structure.expand(modes.shapes.T))
+    shapes = mesh.nodal_vectors(modes.structure.expand(modes.shapes.T))
 
     def write() -> None:
         grid = grid_at_rest(mesh)
@@ -370,16 +370,16 @@ class PeriodFields:
         self.mesh, self.material = NodalMesh(structure), material
         assert structure.pair_areas is not None
         self.time = np.arange(frames) * solution.period / frames
-        self.displacement = self.mesh.field(solution.displacement_field(self.time))
+        self.displacement = self.mesh.nodal_vectors(solution.displacement_field(self.time))
         self.magnification = float(magnification or tenth(self.displacement, self.mesh.size))
         self.force, self.areas = solution.contact_force(self.time), structure.pair_areas
-        parts = self.mesh.field(structure.force).reshape(len(structure.force), -1)
+        parts = self.mesh.nodal_vectors(structure.force).reshape(len(structure.force), -1)
         self.load = evaluate(parts, solution.omega, self.time).reshape(self.displacement.shape)
         one_frame = structure.nodes is None or structure.nodes.frames is None
         self.has_one_load = bool(np.any(self.load)) and one_frame
         self.colour = ("von Mises stress", "Pa") if material else ("displacement", "m")
         if self.mesh.dimension == 3 and structure.n_pairs:
-            self.pair_nodes, self.shares = self.mesh.patches
+            self.pair_nodes, self.shares = self.mesh.patch_functions
         else:
             self.pair_nodes = _nodes_of_pairs(structure)
             self.shares = self.pair_nodes * self.areas
@@ -390,7 +390,7 @@ class PeriodFields:
     @property
     def cracked(self) -> bool:
         """True if there are crack faces."""
-        return len(self.mesh.lips) > 0
+        return len(self.mesh.crack_faces) > 0
 
     @cached_property
     def moved(self) -> np.ndarray:

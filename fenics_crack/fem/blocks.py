@@ -1,6 +1,8 @@
-"""Plates with cracks, and the rims below blades of a disk, which are meshed here by gmsh.
+"""Mesh cracked plates, and the rims below a disk's blades, with gmsh.
 
-**A plate** is cut into blocks at all tips and along all cracks; for one edge crack into four,
+Plates
+------
+A plate is cut into blocks at all tips and along all cracks. One edge crack gives four blocks:
 
     mouth side  +-----------+---------------+
                 |           |               |      upper blocks
@@ -10,20 +12,24 @@
                 +-----------+---------------+
                     clamped (y = 0)
 
-which gives the crack faces identical nodes, lets quadrilaterals be graded towards the tip block by
-block and makes the uniform grid of the paper a special case. Blocks are a tensor product: columns
-of them between neighbouring tips, rows between neighbouring cracks. Elements grow geometrically
-away from tips and from cracks, so the size is linear in the distance. Between two tips, or two
-cracks, they grow from both to the middle, where the block is cut once more. A crack inside the
-plate is two halves that meet in its middle, each like an edge crack whose mouth is there.
+So both crack faces have identical nodes, and quadrilaterals can be graded towards the tip block by
+block. The uniform grid of the paper is a special case. Blocks are a tensor product: columns between
+neighbouring tips, rows between neighbouring cracks. Elements grow geometrically away from tips and
+cracks, so their size is linear in the distance. Between two tips, or two cracks, they grow from
+both to the middle, where the block is cut once more. A crack inside the plate consists of two
+halves that meet in its middle. Each half is like an edge crack with its mouth there.
 
-**The graded sector of a plane disk** has triangles around the tips as long as tetrahedra around
-the fronts of solids (:mod:`fenics_crack.fem.solid`) and, with h_0 = ``mesh.size`` / 32 and a slope
-of ``mesh.size`` over the blade's width, around the corners between blade and rim: all of it scales
+Sectors of a disk
+-----------------
+A graded sector of a plane disk has triangles. Around the tips they are as long as tetrahedra around
+the fronts of solids (:mod:`fenics_crack.fem.solid`). Around the corners between blade and rim, h_0
+= ``mesh.size`` / 32, and the slope is ``mesh.size`` over the blade's width. So all lengths scale
 with ``mesh.size``.
 
-gmsh's tolerances are lengths. So all is drawn in a unit by which a scene in mm has the mesh of one
-in m (:func:`in_unit`), and then its nodes are scaled.
+Unit of length
+--------------
+gmsh's tolerances are lengths. So everything is drawn in a unit in which a scene in mm has the same
+mesh as one in m (:func:`scale_to_mesh_unit`). The nodes are scaled afterwards.
 """
 
 from __future__ import annotations
@@ -39,70 +45,76 @@ import numpy as np
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.gmsh_process import gmsh
 from fenics_crack.basics.threads import machine_memory
-from fenics_crack.fem.cracks import Lip, Lips, Names
+from fenics_crack.fem.cracks import CrackPath, Cracks, NamedParts
 from fenics_crack.kernel import Struct, kernel
 from fenics_crack.model.factor import factor_memory
 from fenics_crack.scene.scene import Scene
 
-SMALLEST_CELL = 1e-7
-"""Minimum cell size relative to the plate: gmsh and the matrices allow no smaller one."""
-GROWTH = 1.0 / 3.0
-"""Maximum size of elements between two crack tips or two cracks over their distance from either."""
+MIN_RELATIVE_CELL_SIZE = 1e-7
+"""Minimum cell size relative to the plate: gmsh and the matrices allow none smaller."""
+MAX_SIZE_PER_DISTANCE = 1.0 / 3.0
+"""Maximum element size between two tips or cracks, over the distance from either."""
 
 
 @dataclass(frozen=True)
 class Interval:
-    """Part of a side: from, to, and its division into elements.
+    """Part of a side, divided into elements.
 
-    ``progression`` is the ratio of the lengths of neighbouring elements.
+    ``length_ratio`` is the ratio of neighbouring element lengths.
     """
 
     start: float
     stop: float
-    count: int
-    progression: float
+    n_elements: int
+    length_ratio: float
 
 
 Slit = tuple[int, range]
-"""A crack in the blocks: its row, and the columns along it. Its ends inside the plate are tips."""
+"""Crack among the blocks: its row, and its columns. Its ends inside the plate are tips."""
 
 
-class _Half:
-    """A crack face from its coarse end to a tip: ``lip_elements`` from a mouth, or half of them
-    from the middle of a crack inside, and ``ratio`` of neighbouring ones, towards the tip."""
+class _GradedFace:
+    """Crack face graded from its coarse end to a tip.
 
-    def __init__(self, scene: Scene, coarse: float, tip: float) -> None:
+    The coarse end is a mouth, with ``lip_elements`` elements up to the tip. For a crack inside it
+    is the middle, with half as many. ``length_ratio`` is the ratio of neighbouring lengths towards
+    the tip.
+    """
+
+    def __init__(self, scene: Scene, coarse_end: float, tip: float) -> None:
         mesh, (width, height) = scene.mesh, scene.geometry.sides
-        self.coarse, self.tip, self.count = coarse, tip, mesh.given("lip_elements")
-        if coarse not in (0.0, width):
-            self.count = -(-self.count // 2)
-        self.ratio = mesh.grading ** (-1.0 / max(self.count - 1, 1))
-        shares = self.ratio ** np.arange(self.count)
-        self.tip_size = float(abs(tip - coarse) * shares[-1] / shares.sum())
-        if self.tip_size < SMALLEST_CELL * max(width, height):
-            allowed = "smaller, for this crack: the element at its tip is only "
-            raise InputError("mesh.grading", mesh.grading, f"{allowed}{self.tip_size:.1g} m")
+        self.coarse_end, self.tip, self.n_elements = coarse_end, tip, mesh.given("lip_elements")
+        if coarse_end not in (0.0, width):
+            self.n_elements = -(-self.n_elements // 2)
+        self.length_ratio = mesh.grading ** (-1.0 / max(self.n_elements - 1, 1))
+        relative_lengths = self.length_ratio ** np.arange(self.n_elements)
+        self.tip_size = float(abs(tip - coarse_end) * relative_lengths[-1] / relative_lengths.sum())
+        if self.tip_size < MIN_RELATIVE_CELL_SIZE * max(width, height):
+            requirement = "smaller, for this crack: the element at its tip is only "
+            raise InputError("mesh.grading", mesh.grading, f"{requirement}{self.tip_size:.1g} m")
 
     def covers(self, start: float, stop: float) -> bool:
-        """Return True if the face goes along an interval."""
-        return min(self.coarse, self.tip) < 0.5 * (start + stop) < max(self.coarse, self.tip)
+        """Return True if the face extends along an interval."""
+        return (
+            min(self.coarse_end, self.tip) < 0.5 * (start + stop) < max(self.coarse_end, self.tip)
+        )
 
-    def size(self, place: float) -> float:
-        """Length of an element at a place on the face."""
-        first = self.tip_size / self.ratio ** (self.count - 1)
-        share = (place - self.tip) / (self.coarse - self.tip)
-        return self.tip_size + share * (first - self.tip_size)
+    def element_length(self, position: float) -> float:
+        """Return the element length at a position on the face."""
+        coarse_length = self.tip_size / self.length_ratio ** (self.n_elements - 1)
+        fraction = (position - self.tip) / (self.coarse_end - self.tip)
+        return self.tip_size + fraction * (coarse_length - self.tip_size)
 
-    def elements(self, start: float, stop: float) -> float:
-        """The integral of 1 / size over an interval: its elements."""
-        one, other = self.size(start), self.size(stop)
-        if abs(one - other) < 1e-9 * one:
-            return (stop - start) / one
-        return (stop - start) * math.log(one / other) / (one - other)
+    def count_elements(self, start: float, stop: float) -> float:
+        """Return the integral of 1 / length over an interval: the number of elements."""
+        start_length, stop_length = self.element_length(start), self.element_length(stop)
+        if abs(start_length - stop_length) < 1e-9 * start_length:
+            return (stop - start) / start_length
+        return (stop - start) * math.log(start_length / stop_length) / (start_length - stop_length)
 
 
 def _plate_blocks(scene: Scene) -> tuple[list[Interval], list[Interval], list[Slit]]:
-    """Columns and rows of blocks, and the cracks in them.
+    """Return columns and rows of blocks, and the cracks among them.
 
     Raises
     ------
@@ -114,91 +126,120 @@ def _plate_blocks(scene: Scene) -> tuple[list[Interval], list[Interval], list[Sl
     spans = [crack.span(width) for crack in cracks]
     levels = [crack.height or 0.0 for crack in cracks]
     if scene.mesh.layout == "grid":
-        ends = [end for span in spans for end in span]
-        columns = _equal(width, scene.mesh.given("columns"), ends)
-        rows = _equal(height, scene.mesh.given("rows"), levels)
+        end_positions = [end for span in spans for end in span]
+        columns = _divide_equally(width, scene.mesh.given("columns"), end_positions)
+        rows = _divide_equally(height, scene.mesh.given("rows"), levels)
     else:
         columns, rows = _graded_plate(scene, spans, levels)
-    xs, ys = (np.array([side[0].start, *(i.stop for i in side)]) for side in (columns, rows))
+    xs, ys = (
+        np.array([side[0].start, *(interval.stop for interval in side)]) for side in (columns, rows)
+    )
     slits = [
-        (_nearest(ys, level), range(*(_nearest(xs, end) for end in span)))
+        (_nearest_index(ys, level), range(*(_nearest_index(xs, end) for end in span)))
         for span, level in zip(spans, levels, strict=True)
     ]
     return columns, rows, slits
 
 
-def check_cells(scene: Scene, key: str, cells: float, per_cell: int, shortest: str = "") -> None:
-    """Raise InputError where there are too many cells for gmsh, or their matrices, of so many
-    degrees of freedom per cell, or the factor of one would not fit."""
-    dofs, most = per_cell * cells, 5e6  # a mesh file may have any number of cells
-    factor = factor_memory(dofs, solid=scene.dimension == 3)
-    assembled = 1500.0 * dofs  # bytes of mesh and matrices
-    needed, machine = max(assembled, factor), machine_memory()
-    reason = f"{cells:.2g} are more than {most:.0e}"
-    if cells <= most:
-        sizes = f"{needed / 2**30:.0f} GiB of this machine's {machine / 2**30:.3g}"
-        reason = f"to solve {cells:.2g} takes about {sizes}"
-    if cells > most or needed > machine:
-        allowed = f"so that there are fewer cells{shortest}: {reason}"
-        raise InputError(f"mesh.{key}", getattr(scene.mesh, key), allowed)
+def check_cell_count(
+    scene: Scene, key: str, n_cells: float, dofs_per_cell: int, size_note: str = ""
+) -> None:
+    """Raise InputError if gmsh or the matrices cannot have that many cells.
+
+    The matrices, or the factor of a matrix, must fit into memory. ``size_note`` adds the shortest
+    element to the message.
+    """
+    n_dofs, max_cells = dofs_per_cell * n_cells, 5e6  # a mesh file may have any number of cells
+    factor_bytes = factor_memory(n_dofs, solid=scene.dimension == 3)
+    assembled_bytes = 1500.0 * n_dofs  # bytes of mesh and matrices
+    needed_bytes, machine_bytes = max(assembled_bytes, factor_bytes), machine_memory()
+    reason = f"{n_cells:.2g} are more than {max_cells:.0e}"
+    if n_cells <= max_cells:
+        size_text = f"{needed_bytes / 2**30:.0f} GiB of this machine's {machine_bytes / 2**30:.3g}"
+        reason = f"to solve {n_cells:.2g} takes about {size_text}"
+    if n_cells > max_cells or needed_bytes > machine_bytes:
+        requirement = f"so that there are fewer cells{size_note}: {reason}"
+        raise InputError(f"mesh.{key}", getattr(scene.mesh, key), requirement)
 
 
-def _length(scene: Scene) -> float:
-    """Length of elements away from cracks [m]; of a grid that along the plate."""
+def _element_length(scene: Scene) -> float:
+    """Return the element length away from cracks [m].
+
+    For a grid it is the length along the plate.
+    """
     return scene.mesh.size or scene.geometry.sides[1] / scene.mesh.given("rows")
 
 
-def lip_pairs(scene: Scene) -> int:
-    """Upper bound of the pairs of a plate with cracks, whose first length may be unknown yet."""
+def count_plate_pairs(scene: Scene) -> int:
+    """Return an upper bound for the number of a plate's pairs.
+
+    The first crack's length may be unknown.
+    """
     crack, order = scene.crack, scene.mesh.order
-    if crack is not None and crack.length is None:  # the only one
+    if crack is not None and crack.length is None:  # then it is the only crack
         return ((scene.mesh.lip_elements or 0) + 1) * order
     columns, _, slits = _plate_blocks(scene)
-    return sum(columns[place].count * order for _, along in slits for place in along)
+    return sum(
+        columns[column].n_elements * order for _, crack_columns in slits for column in crack_columns
+    )
 
 
-def _equal(extent: float, count: int, cuts: list[float]) -> list[Interval]:
-    """A side of equal elements, cut at places on its grid lines."""
-    places = {round(cut / extent * count): cut for cut in cuts} | {0: 0.0, count: extent}
+def _divide_equally(extent: float, n_elements: int, cuts: list[float]) -> list[Interval]:
+    """Divide a side into equal elements, cut at positions on grid lines."""
+    grid_positions = {
+        round(cut_position / extent * n_elements): cut_position for cut_position in cuts
+    } | {0: 0.0, n_elements: extent}
     return [
-        Interval(places[first], places[last], last - first, 1.0)
-        for first, last in pairwise(sorted(places))
+        Interval(grid_positions[first_line], grid_positions[last_line], last_line - first_line, 1.0)
+        for first_line, last_line in pairwise(sorted(grid_positions))
     ]
 
 
-def _nearest(places: np.ndarray, place: float) -> int:
-    return int(np.argmin(np.abs(places - place)))
+def _nearest_index(positions: np.ndarray, position: float) -> int:
+    """Return the index of the position nearest to another one."""
+    return int(np.argmin(np.abs(positions - position)))
 
 
 # --- the unit of length ---------------------------------------------------------------------------
 
 
-def in_unit(scene: Scene, unit: float = 0.0) -> tuple[Scene, float]:
-    """Return a scene of the same mesh in the unit of length in which gmsh meshes, and that [m]; by
-    default the power of ten by which the longest side is from 0.0316 to 0.316."""
+def scale_to_mesh_unit(scene: Scene, unit: float = 0.0) -> tuple[Scene, float]:
+    """Convert a scene into the unit of length in which gmsh meshes.
+
+    By default the unit is the power of ten for which the longest side is from 0.0316 to 0.316.
+
+    Returns
+    -------
+    Scene
+        Scene with the same mesh, in this unit.
+    float
+        Unit [m].
+    """
     unit = unit or 10.0 ** (round(math.log10(max(scene.geometry.sides))) + 1)
 
-    def in_unit(table: Any) -> Any:
+    def scale_table(table: Any) -> Any:
+        """Return a table with its lengths in the unit."""
         lengths = {
-            key.name: np.divide(value, unit).tolist()
-            for key in fields(table)
-            if key.metadata.get("unit") == "m" and (value := getattr(table, key.name)) is not None
+            field.name: np.divide(value, unit).tolist()
+            for field in fields(table)
+            if field.metadata.get("unit") == "m"
+            and (value := getattr(table, field.name)) is not None
         }
         return replace(table, **lengths)
 
-    unit_scene = copy(scene)  # a similar one: what has been checked holds
+    unit_scene = copy(scene)  # similar to the scene, so its checks hold
     for name in ("geometry", "mesh", "crack", "disk", "excitation"):
-        vars(unit_scene)[name] = getattr(scene, name) and in_unit(getattr(scene, name))
-    vars(unit_scene)["cracks"] = tuple(map(in_unit, scene.cracks))
+        vars(unit_scene)[name] = getattr(scene, name) and scale_table(getattr(scene, name))
+    vars(unit_scene)["cracks"] = tuple(map(scale_table, scene.cracks))
     return unit_scene, unit
 
 
 def _scale_nodes(unit: float) -> None:
-    """Give the nodes of the current gmsh model in metres."""
+    """Scale the nodes of gmsh's current model to metres."""
     if unit != 1.0:
         numbers, positions, _ = gmsh.model.mesh.getNodes()
-        for number, place in zip(numbers, unit * positions.reshape(-1, 3), strict=True):
-            gmsh.model.mesh.setNode(number, place, [])
+        for number, position in zip(numbers, unit * positions.reshape(-1, 3), strict=True):
+            gmsh.model.mesh.setNode(number, position, [])
 
 
 # --- graded sides ---------------------------------------------------------------------------------
@@ -207,200 +248,292 @@ def _scale_nodes(unit: float) -> None:
 def _graded_plate(
     scene: Scene, spans: list[tuple[float, float]], levels: list[float]
 ) -> tuple[list[Interval], list[Interval]]:
-    """Columns and rows that are graded towards tips and cracks."""
+    """Return columns and rows graded towards tips and cracks."""
     (width, height), size = scene.geometry.sides, scene.mesh.given("size")
     if not spans:
-        cells = [max(1, round(side / size)) for side in (width, height)]
-        return [Interval(0.0, width, cells[0], 1.0)], [Interval(0.0, height, cells[1], 1.0)]
-    halves: list[_Half] = []
-    fine: list[tuple[float, float]] = []
-    for (left, right), level in zip(spans, levels, strict=True):
-        mouth = left if left == 0.0 else right if right == width else 0.5 * (left + right)
-        own = [_Half(scene, mouth, tip) for tip in (left, right) if tip != mouth]
-        fine.append((level, min(half.tip_size for half in own)))
-        halves += own
-    tips = [(half.tip, half.tip_size) for half in halves]
-    return _side(width, tips, halves, size), _side(height, fine, [], size)
+        n_cells = [max(1, round(side / size)) for side in (width, height)]
+        return [Interval(0.0, width, n_cells[0], 1.0)], [Interval(0.0, height, n_cells[1], 1.0)]
+    faces: list[_GradedFace] = []
+    crack_sizes: list[tuple[float, float]] = []
+    for (left_end, right_end), level in zip(spans, levels, strict=True):
+        coarse_end = (
+            left_end
+            if left_end == 0.0
+            else right_end
+            if right_end == width
+            else 0.5 * (left_end + right_end)
+        )
+        crack_faces = [
+            _GradedFace(scene, coarse_end, tip)
+            for tip in (left_end, right_end)
+            if tip != coarse_end
+        ]
+        crack_sizes.append((level, min(face.tip_size for face in crack_faces)))
+        faces += crack_faces
+    tip_sizes = [(face.tip, face.tip_size) for face in faces]
+    return _divide_side(width, tip_sizes, faces, size), _divide_side(height, crack_sizes, [], size)
 
 
-def _side(
-    extent: float, tips: list[tuple[float, float]], halves: list[_Half], size: float
+def _divide_side(
+    extent: float, tips: list[tuple[float, float]], faces: list[_GradedFace], size: float
 ) -> list[Interval]:
-    """A side with elements of given lengths at its tips (or cracks), (place, length) each, along
-    its crack faces, and elsewhere."""
-    # Places no farther apart are one; cracks and tips are farther from the plate's edges.
-    nearest = SMALLEST_CELL * extent
+    """Divide a side into intervals with given element lengths.
 
-    def tip_sizes(place: float) -> list[float]:
-        return [length for tip, length in tips if abs(tip - place) <= nearest]
+    Parameters
+    ----------
+    extent : float [m]
+        Length of the side.
+    tips : list of (position, length)
+        Element length at each tip, or at each crack.
+    faces : list of _GradedFace
+        Crack faces along the side.
+    size : float [m]
+        Element length elsewhere.
+    """
+    # Closer positions are equal; cracks and tips are farther from the plate's edges.
+    tolerance = MIN_RELATIVE_CELL_SIZE * extent
 
-    def length(place: float, over: list[_Half]) -> float:
-        """Length of elements at a place of an interval along which some crack faces go."""
-        return min(([half.size(place) for half in over] or [size]) + tip_sizes(place))
+    def lengths_at_tip(position: float) -> list[float]:
+        """Return the element lengths given for a position."""
+        return [tip_length for tip, tip_length in tips if abs(tip - position) <= tolerance]
 
-    def parts(start: float, stop: float) -> list[Interval]:
-        """Intervals between two neighbouring places: one, or two that meet half-way."""
-        over = [half for half in halves if half.covers(start, stop)]
-        for half in over if len(over) == 1 else ():
-            ends = sorted((half.coarse, half.tip))
-            if max(abs(ends[0] - start), abs(ends[1] - stop)) <= nearest:
-                ratio = half.ratio if half.tip > half.coarse else 1.0 / half.ratio
-                return [Interval(start, stop, half.count, ratio)]
-        first, last = length(start, over), length(stop, over)
-        if not (tip_sizes(start) and tip_sizes(stop)):
-            return [_between(start, stop, first, last, over)]
+    def element_length(position: float, faces_along: list[_GradedFace]) -> float:
+        """Return the element length at a position along crack faces."""
+        return min(
+            ([face.element_length(position) for face in faces_along] or [size])
+            + lengths_at_tip(position)
+        )
+
+    def make_intervals(start: float, stop: float) -> list[Interval]:
+        """Return the interval between two positions, or two that meet half-way."""
+        faces_along = [face for face in faces if face.covers(start, stop)]
+        for face in faces_along if len(faces_along) == 1 else ():
+            ends = sorted((face.coarse_end, face.tip))
+            if max(abs(ends[0] - start), abs(ends[1] - stop)) <= tolerance:
+                ratio = face.length_ratio if face.tip > face.coarse_end else 1.0 / face.length_ratio
+                return [Interval(start, stop, face.n_elements, ratio)]
+        start_length = element_length(start, faces_along)
+        stop_length = element_length(stop, faces_along)
+        if not (lengths_at_tip(start) and lengths_at_tip(stop)):
+            return [_graded_interval(start, stop, start_length, stop_length, faces_along)]
         middle = 0.5 * (start + stop)
-        largest = max(first, last, GROWTH * 0.5 * (stop - start))
-        between = min(largest, length(middle, over))
-        both = (start, middle, first, between), (middle, stop, between, last)
-        return [_between(*half, over) for half in both]
+        max_length = max(start_length, stop_length, MAX_SIZE_PER_DISTANCE * 0.5 * (stop - start))
+        middle_length = min(max_length, element_length(middle, faces_along))
+        segments = (
+            (start, middle, start_length, middle_length),
+            (middle, stop, middle_length, stop_length),
+        )
+        return [_graded_interval(*segment, faces_along) for segment in segments]
 
-    places = [0.0]
-    cuts = [place for place, _ in tips] + [half.coarse for half in halves]
-    for place in sorted([*cuts, extent]):
-        if place - places[-1] > nearest:
-            places.append(place)
-    return [part for ends in pairwise(places) for part in parts(*ends)]
-
-
-def _between(start: float, stop: float, first: float, last: float, over: list[_Half]) -> Interval:
-    """An interval with elements from about ``first`` to about ``last``, enough for all crack
-    faces."""
-    small, large = sorted((first, last))
-    count, growth = _graded(stop - start, small, large)
-    enough = max((math.ceil(half.elements(start, stop) - 0.01) for half in over), default=0)
-    if enough > count:
-        count, growth = enough, (large / small) ** (1.0 / max(enough - 1, 1))
-    return Interval(start, stop, count, growth if first <= last else 1.0 / growth)
+    positions = [0.0]
+    cuts = [position for position, _ in tips] + [face.coarse_end for face in faces]
+    for position in sorted([*cuts, extent]):
+        if position - positions[-1] > tolerance:
+            positions.append(position)
+    return [interval for ends in pairwise(positions) for interval in make_intervals(*ends)]
 
 
-def _graded(length: float, first: float, last: float) -> tuple[int, float]:
-    """Elements growing geometrically from about ``first`` to about ``last``, or to half of a short
-    ``length``, along it."""
-    if first >= last:
-        return math.ceil(length / last), 1.0
-    last = min(last, 0.5 * length)
-    if first >= last:
-        return (1 if length <= first else 2), 1.0
-    growth = (length - first) / (length - last)
-    count = max(1, round(1.0 + math.log(last / first) / math.log(growth)))
-    return count, (last / first) ** (1.0 / max(count - 1, 1))
+def _graded_interval(
+    start: float, stop: float, start_length: float, stop_length: float, faces: list[_GradedFace]
+) -> Interval:
+    """Return an interval with enough elements for all crack faces.
+
+    Element lengths are about ``start_length`` at its start and ``stop_length`` at its end.
+    """
+    min_length, max_length = sorted((start_length, stop_length))
+    n_elements, ratio = _count_graded_elements(stop - start, min_length, max_length)
+    n_min = max((math.ceil(face.count_elements(start, stop) - 0.01) for face in faces), default=0)
+    if n_min > n_elements:
+        n_elements, ratio = n_min, (max_length / min_length) ** (1.0 / max(n_min - 1, 1))
+    return Interval(start, stop, n_elements, ratio if start_length <= stop_length else 1.0 / ratio)
+
+
+def _count_graded_elements(
+    length: float, min_length: float, max_length: float
+) -> tuple[int, float]:
+    """Return number and length ratio of elements that grow geometrically.
+
+    They grow from about ``min_length`` to about ``max_length``, or to half of a short ``length``.
+    """
+    if min_length >= max_length:
+        return math.ceil(length / max_length), 1.0
+    max_length = min(max_length, 0.5 * length)
+    if min_length >= max_length:
+        return (1 if length <= min_length else 2), 1.0
+    growth = (length - min_length) / (length - max_length)
+    n_elements = max(1, round(1.0 + math.log(max_length / min_length) / math.log(growth)))
+    return n_elements, (max_length / min_length) ** (1.0 / max(n_elements - 1, 1))
 
 
 # --- a plate --------------------------------------------------------------------------------------
 
 
-def draw_plate(scene: Scene) -> tuple[Names, Lips]:
-    """Fill the current gmsh model with the mesh of a scene's plate; its named sides, and the faces
-    of its cracks."""
-    unit_scene, unit = in_unit(scene)
+def draw_plate(scene: Scene) -> tuple[NamedParts, Cracks]:
+    """Fill gmsh's current model with the mesh of a scene's plate.
+
+    Returns
+    -------
+    NamedParts
+        Named sides.
+    Cracks
+        Cracks in the order of the scene.
+    """
+    unit_scene, unit = scale_to_mesh_unit(scene)
     groups = _draw_blocks(scene, unit_scene)
     if scene.has_element_lengths:
-        rim = Rim(unit_scene)
-        of_group = gmsh.model.getEntitiesForPhysicalGroup
-        left, right = (of_group(1, *groups[name]).tolist() for name in RIM_SIDES)
-        rim.match(0, left, right)
-        _mesh_graded(scene, unit_scene, [*_gradings(unit_scene), *rim.gradings()])
-        gmsh.model.mesh.setPeriodic(1, right, right, np.eye(4).ravel().tolist())  # no more
+        rim = DiskRim(unit_scene)
+        entities_of_group = gmsh.model.getEntitiesForPhysicalGroup
+        left_curves, right_curves = (
+            entities_of_group(1, *groups[name]).tolist() for name in RIM_SIDES
+        )
+        rim.set_periodic(0, left_curves, right_curves)
+        _mesh_with_gradings(scene, unit_scene, [*_crack_gradings(unit_scene), *rim.gradings()])
+        # The mesh is made: end the periodicity.
+        gmsh.model.mesh.setPeriodic(1, right_curves, right_curves, np.eye(4).ravel().tolist())
     else:
         gmsh.model.mesh.generate(2)
     _scale_nodes(unit)
-    return (groups, {}), _lips(scene)
+    return (groups, {}), _crack_paths(scene)
 
 
-def _lips(scene: Scene) -> tuple[Lip, ...]:
-    """The faces of the cracks of a plate that is made here, in the order of the scene."""
-    width, found = scene.geometry.sides[0], []
+def _crack_paths(scene: Scene) -> tuple[CrackPath, ...]:
+    """Return a plate's crack paths, in the order of the scene."""
+    width, paths = scene.geometry.sides[0], []
     for crack in scene.all_cracks.values():
-        left, right = ((x, crack.given("height")) for x in crack.span(width))
-        ends = (right, left) if crack.edge == "right" else (left, right)
-        found.append(Lip(np.array(ends), crack.edge is not None))
-    return tuple(found)
+        left_end, right_end = ((x, crack.given("height")) for x in crack.span(width))
+        ends = (right_end, left_end) if crack.edge == "right" else (left_end, right_end)
+        paths.append(CrackPath(np.array(ends), crack.edge is not None))
+    return tuple(paths)
 
 
 def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
-    """Draw the plate of a scene, which is in a unit of its size, set how curves and surfaces are
-    divided; return the tags of its sides."""
-    columns, rows, _ = _plate_blocks(scene)
-    cells: float = math.prod(sum(interval.count for interval in side) for side in (columns, rows))
-    if scene.disk is not None:
-        cells += Rim(scene).area / _length(scene) ** 2
-    key = "columns" if scene.mesh.layout == "grid" else "size"
-    check_cells(scene, key, cells, 2 * scene.mesh.order**2)
+    """Draw a plate's blocks, and divide their curves and surfaces.
 
+    ``unit_scene`` is the scene in gmsh's unit. Returns the tags of the plate's sides.
+    """
+    _check_plate_cells(scene)
     columns, rows, slits = _plate_blocks(unit_scene)
-    rim = None if unit_scene.disk is None else Rim(unit_scene)
+    rim = None if unit_scene.disk is None else DiskRim(unit_scene)
     xs, ys = ([0.0, *(interval.stop for interval in side)] for side in (columns, rows))
     add_point = gmsh.model.geo.addPoint
-    feet = [0.0 if rim is None else rim.foot(x) for x in xs]
+    foot_heights = [0.0 if rim is None else rim.foot_height(x) for x in xs]
     points = {
-        (i, j): add_point(x, y if j else feet[i], 0.0)
+        (i, j): add_point(x, y if j else foot_heights[i], 0.0)
         for i, x in enumerate(xs)
         for j, y in enumerate(ys)
     }
-    last = len(columns)  # and the first one are at edges, where no tip is
-    doubled = [
-        (i, row)
-        for row, along in slits
-        for i in range(along.start + (along.start > 0), along.stop + (along.stop == last))
-    ]
-    over = {(i, j): add_point(xs[i], ys[j], 0.0) for i, j in doubled}
-    above = points | over  # of the blocks over a crack
+    doubled_points = _doubled_corners(slits, len(columns))
+    upper_points = {(i, j): add_point(xs[i], ys[j], 0.0) for i, j in doubled_points}
+    points_above = points | upper_points  # corners of blocks above a crack
 
-    horizontal, vertical = {}, {}
-    faces = {(i, row): columns[i] for row, along in slits for i in along}
-    if scene.has_element_lengths:  # on the faces of cracks alone they are counted
-        columns, rows = ([replace(part, count=0) for part in side] for side in (columns, rows))
+    horizontal_curves, vertical_curves = {}, {}
+    face_columns = {(i, row): columns[i] for row, crack_columns in slits for i in crack_columns}
+    if scene.has_element_lengths:  # only crack faces have a number of elements
+        columns, rows = (
+            [replace(interval, n_elements=0) for interval in side] for side in (columns, rows)
+        )
     for i, column in enumerate(columns):
         for j in range(len(ys)):
-            horizontal[i, j] = _curve(points[i, j], points[i + 1, j], faces.get((i, j), column))
+            horizontal_curves[i, j] = _add_curve(
+                points[i, j], points[i + 1, j], face_columns.get((i, j), column)
+            )
     for j, row in enumerate(rows):
         for i in range(len(xs)):
-            vertical[i, j] = _curve(above[i, j], points[i, j + 1], row)
-    upper = {(i, j): _curve(above[i, j], above[i + 1, j], part) for (i, j), part in faces.items()}
-    surfaces = []
-    for i in range(len(columns)):
-        for j in range(len(rows)):
-            below = upper.get((i, j), horizontal[i, j])
-            loop = [below, vertical[i + 1, j], -horizontal[i, j + 1], -vertical[i, j]]
-            surfaces.append(gmsh.model.geo.addPlaneSurface([gmsh.model.geo.addCurveLoop(loop)]))
-    foot = [horizontal[i, 0] for i in range(len(columns))]
-    sides: dict[str, tuple[int, list[int]]] = {"clamp": (1, foot)}
+            vertical_curves[i, j] = _add_curve(points_above[i, j], points[i, j + 1], row)
+    upper_curves = {
+        (i, j): _add_curve(points_above[i, j], points_above[i + 1, j], interval)
+        for (i, j), interval in face_columns.items()
+    }
+    surfaces = _add_surfaces(
+        len(columns), len(rows), horizontal_curves, vertical_curves, upper_curves
+    )
+    foot_curves = [horizontal_curves[i, 0] for i in range(len(columns))]
+    sides: dict[str, tuple[int, list[int]]] = {"clamp": (1, foot_curves)}
     if rim is not None:
-        sides = rim.draw([points[i, 0] for i in range(len(xs))], foot, columns, surfaces)
-    _divide(scene, surfaces)
+        sides = rim.draw([points[i, 0] for i in range(len(xs))], foot_curves, columns, surfaces)
+    _set_cell_kind(scene, surfaces)
 
-    left, right = ([vertical[i, j] for j in range(len(rows))] for i in (0, len(columns)))
-    single, point = [at for at in points if at not in doubled], unit_scene.excitation.point
-    loaded = [points[i, j] for i, j in single if (xs[i], ys[j]) == point]
+    left_curves, right_curves = (
+        [vertical_curves[i, j] for j in range(len(rows))] for i in (0, len(columns))
+    )
+    single_points = [block_corner for block_corner in points if block_corner not in doubled_points]
+    load_point = unit_scene.excitation.point
+    loaded_points = [points[i, j] for i, j in single_points if (xs[i], ys[j]) == load_point]
     groups: dict[str, tuple[int, list[int]]] = {
         "plate": (2, surfaces),
         **sides,
-        "lower_lip": (1, [horizontal[place] for place in upper]),
-        "upper_lip": (1, list(upper.values())),
-        "load": (0, loaded),
-        "left": (1, left),
-        "right": (1, right),
-        "top": (1, [horizontal[i, len(rows)] for i in range(len(columns))]),
+        "lower_lip": (1, [horizontal_curves[block] for block in upper_curves]),
+        "upper_lip": (1, list(upper_curves.values())),
+        "load": (0, loaded_points),
+        "left": (1, left_curves),
+        "right": (1, right_curves),
+        "top": (1, [horizontal_curves[i, len(rows)] for i in range(len(columns))]),
     }
-    curves = {name: tag for name, tag in _name(groups).items() if groups[name][0] == 1}
+    tags = {name: tag for name, tag in _name_groups(groups).items() if groups[name][0] == 1}
     if rim is None:
-        curves["bottom"] = curves["clamp"]
-    return {name: (tag,) for name, tag in curves.items()}
+        tags["bottom"] = tags["clamp"]
+    return {name: (tag,) for name, tag in tags.items()}
 
 
-def _name(groups: dict[str, tuple[int, list[int]]]) -> dict[str, int]:
-    """Make named groups of entities of a dimension, where there are some; the tag of each."""
-    found = {name: tag for tag, (name, (_, own)) in enumerate(groups.items(), 1) if own}
-    for name, tag in found.items():
-        dimension, own = groups[name]
-        gmsh.model.addPhysicalGroup(dimension, own, tag)
+def _check_plate_cells(scene: Scene) -> None:
+    """Raise InputError if a plate would have too many cells."""
+    columns, rows, _ = _plate_blocks(scene)
+    n_cells: float = math.prod(
+        sum(interval.n_elements for interval in side) for side in (columns, rows)
+    )
+    if scene.disk is not None:
+        n_cells += DiskRim(scene).area / _element_length(scene) ** 2
+    key = "columns" if scene.mesh.layout == "grid" else "size"
+    check_cell_count(scene, key, n_cells, 2 * scene.mesh.order**2)
+
+
+def _doubled_corners(slits: list[Slit], n_columns: int) -> list[tuple[int, int]]:
+    """Return the block corners on cracks, without tips.
+
+    A crack that begins or ends at an edge of the plate has no tip there.
+    """
+    return [
+        (i, row)
+        for row, crack_columns in slits
+        for i in range(
+            crack_columns.start + (crack_columns.start > 0),
+            crack_columns.stop + (crack_columns.stop == n_columns),
+        )
+    ]
+
+
+Curves = dict[tuple[int, int], int]
+"""Tags of curves, by column and row of their blocks."""
+
+
+def _add_surfaces(
+    n_columns: int, n_rows: int, horizontal: Curves, vertical: Curves, upper_faces: Curves
+) -> list[int]:
+    """Add the surface of each block, column by column.
+
+    A block above a crack begins at the upper face, other blocks at a horizontal curve.
+    """
+    surfaces = []
+    for i in range(n_columns):
+        for j in range(n_rows):
+            lower_curve = upper_faces.get((i, j), horizontal[i, j])
+            loop = [lower_curve, vertical[i + 1, j], -horizontal[i, j + 1], -vertical[i, j]]
+            surfaces.append(gmsh.model.geo.addPlaneSurface([gmsh.model.geo.addCurveLoop(loop)]))
+    return surfaces
+
+
+def _name_groups(groups: dict[str, tuple[int, list[int]]]) -> dict[str, int]:
+    """Name the groups that have entities, and return the tag of each."""
+    tags = {name: tag for tag, (name, (_, entities)) in enumerate(groups.items(), 1) if entities}
+    for name, tag in tags.items():
+        dimension, entities = groups[name]
+        gmsh.model.addPhysicalGroup(dimension, entities, tag)
         gmsh.model.setPhysicalName(dimension, tag, name)
-    return found
+    return tags
 
 
-def _divide(scene: Scene, surfaces: list[int]) -> None:
-    """Set how the surfaces are filled with cells."""
+def _set_cell_kind(scene: Scene, surfaces: list[int]) -> None:
+    """Set the cells that fill the surfaces."""
     if scene.has_element_lengths or (scene.mesh.layout, scene.mesh.cells) == ("graded", "triangle"):
         gmsh.option.setNumber("Mesh.Algorithm", 6)  # frontal Delaunay
         surfaces = []
@@ -411,184 +544,261 @@ def _divide(scene: Scene, surfaces: list[int]) -> None:
     gmsh.model.geo.synchronize()
 
 
-def _curve(start: int, end: int, division: Interval, center: int | None = None) -> int:
-    """A line, or an arc around a center, divided into elements."""
+def _add_curve(start: int, end: int, interval: Interval, center: int | None = None) -> int:
+    """Add a line, or an arc around a center, divided into elements."""
     geo = gmsh.model.geo
     points = (start, end) if center is None else (start, center, end)
     curve: int = (geo.addLine if center is None else geo.addCircleArc)(*points)
-    if division.count:  # else elements have lengths by :func:`_mesh_graded`
-        nodes, ratio = division.count + 1, division.progression
-        gmsh.model.geo.mesh.setTransfiniteCurve(curve, nodes, "Progression", ratio)
+    if interval.n_elements:  # else elements have lengths by :func:`_mesh_with_gradings`
+        n_nodes, ratio = interval.n_elements + 1, interval.length_ratio
+        gmsh.model.geo.mesh.setTransfiniteCurve(curve, n_nodes, "Progression", ratio)
     return curve
 
 
 # --- the rim below a blade of a disk --------------------------------------------------------------
 
-AT_CORNER = 1.0 / 32.0
-"""Length of elements at the corners between blade and rim, relative to ``mesh.size``."""
+CORNER_SIZE_RATIO = 1.0 / 32.0
+"""Element length at the corners between blade and rim, relative to ``mesh.size``."""
 RIM_SIDES = ("rim_left", "rim_right")
-"""Names of the sides of a sector made here: "left" and "right" are those of its blade."""
+"""Names for the sides of a sector made here: "left" and "right" are sides of its blade."""
 
 
-class Rim:
-    """The part of a disk's rim that belongs to one blade, between two circles around the axis.
+class DiskRim:
+    """Part of a disk's rim below one blade, between two circles.
 
     Attributes
     ----------
     middle, axis : float [m]
-        Place of the blade's middle across, and of the axis along the blade.
-    inner, outer : float [m]
-        Radii.
-    half : float [rad]
-        Half of the angle of a sector.
+        Position of the blade's middle across the blade, and of the axis along it.
+    inner_radius, outer_radius : float [m]
+        Radii of the circles.
+    half_angle : float [rad]
+        Half of a sector's angle.
     """
 
     def __init__(self, scene: Scene) -> None:
         """Take a scene whose sector is made here."""
         self.scene, disk, place = scene, scene.given("disk"), scene.axis[0]
         self.middle, self.axis = float(place[0 if scene.dimension == 2 else 2]), float(place[1])
-        self.inner, self.outer = disk.given("inner_radius"), disk.given("outer_radius")
-        self.half = math.pi / disk.sectors
+        self.inner_radius, self.outer_radius = (
+            disk.given("inner_radius"),
+            disk.given("outer_radius"),
+        )
+        self.half_angle = math.pi / disk.sectors
 
     @property
     def area(self) -> float:
-        """Of the rim's part [m^2]."""
-        return self.half * (self.outer**2 - self.inner**2)
+        """Return the area of the rim's part [m^2]."""
+        return self.half_angle * (self.outer_radius**2 - self.inner_radius**2)
 
-    def foot(self, place: float) -> float:
-        """Where the blade meets the rim, at a place across."""
-        return self.axis + math.sqrt(self.outer**2 - (place - self.middle) ** 2)
+    def foot_height(self, position: float) -> float:
+        """Return the blade's foot on the rim, at a position across [m]."""
+        return self.axis + math.sqrt(self.outer_radius**2 - (position - self.middle) ** 2)
 
-    def at(self, radius: float, angle: float) -> tuple[float, float]:
-        """A point, by its angle from the middle of the blade to the right."""
+    def point_at(self, radius: float, angle: float) -> tuple[float, float]:
+        """Return a point at a radius and an angle.
+
+        The angle is measured from the middle of the blade to the right.
+        """
         return self.middle + radius * math.sin(angle), self.axis + radius * math.cos(angle)
 
-    def with_box(self, width: float, height: float, thickness: float) -> list[tuple[int, int]]:
-        """The volume of a solid's sector: the rim, as thick as the blade is wide, and the blade."""
+    def draw_with_blade(
+        self, width: float, height: float, thickness: float
+    ) -> list[tuple[int, int]]:
+        """Draw the volume of a solid's sector: rim and blade.
+
+        The rim is as thick as the blade is wide.
+        """
         occ = gmsh.model.occ
-        corners = [(r, a) for r in (self.inner, self.outer) for a in (-self.half, self.half)]
-        places = [self.at(*corner) for corner in corners]
-        low, low_end, top, top_end = (occ.addPoint(0.0, along, z) for z, along in places)
+        corners = [
+            (r, a)
+            for r in (self.inner_radius, self.outer_radius)
+            for a in (-self.half_angle, self.half_angle)
+        ]
+        corner_positions = [self.point_at(*corner) for corner in corners]
+        left_foot, right_foot, left_corner, right_corner = (
+            occ.addPoint(0.0, y, z) for z, y in corner_positions
+        )
         center = occ.addPoint(0.0, self.axis, self.middle)
         curves = [
-            occ.addCircleArc(low, center, low_end), occ.addLine(low_end, top_end),
-            occ.addCircleArc(top_end, center, top), occ.addLine(top, low),
+            occ.addCircleArc(left_foot, center, right_foot), occ.addLine(right_foot, right_corner),
+            occ.addCircleArc(right_corner, center, left_corner),
+            occ.addLine(left_corner, left_foot),
         ]  # fmt: skip
         face = occ.addPlaneSurface([occ.addCurveLoop(curves)])
-        rim = [one for one in occ.extrude([(2, face)], width, 0.0, 0.0) if one[0] == 3]
-        depth = 0.5 * (-self.foot(0.0) + self.outer - self.inner)
-        blade = [(3, occ.addBox(0.0, -depth, 0.0, width, height + depth, thickness))]
-        return list(occ.fuse(rim, blade)[0])
+        rim_volumes = [
+            entity for entity in occ.extrude([(2, face)], width, 0.0, 0.0) if entity[0] == 3
+        ]
+        blade_depth = 0.5 * (-self.foot_height(0.0) + self.outer_radius - self.inner_radius)
+        blade = [(3, occ.addBox(0.0, -blade_depth, 0.0, width, height + blade_depth, thickness))]
+        return list(occ.fuse(rim_volumes, blade)[0])
 
     def gradings(self) -> list[_Grading]:
-        """Lengths of elements around the corners between the blade and the rim, where stress is
-        infinite: the shorter, and the less growing, the smaller ``mesh.size`` is."""
+        """Return the element lengths around the corners between blade and rim.
+
+        The stress is infinite there. A smaller ``mesh.size`` gives shorter elements and slower
+        growth.
+        """
         (width, _), size = self.scene.geometry.sides, self.scene.mesh.given("size")
-        ends = np.array([0.0, width])
-        return [_Grading(ends, self.foot(0.0), AT_CORNER * size, size / width)]
+        corner_positions = np.array([0.0, width])
+        return [
+            _Grading(
+                corner_positions, self.foot_height(0.0), CORNER_SIZE_RATIO * size, size / width
+            )
+        ]
 
-    def name_of(self, middle: tuple[float, float, float]) -> str:
-        """The name of a face of a solid's rim, by its center of mass."""
-        across, along = middle[2] - self.middle, middle[1] - self.axis
-        radius, angle = math.hypot(across, along), math.atan2(across, along)
-        if abs(abs(angle) - self.half) < 1e-6:
+    def name_of(self, center: tuple[float, float, float]) -> str:
+        """Name a face of a solid's rim by its center of mass."""
+        offset_across, offset_along = center[2] - self.middle, center[1] - self.axis
+        radius = math.hypot(offset_across, offset_along)
+        angle = math.atan2(offset_across, offset_along)
+        if abs(abs(angle) - self.half_angle) < 1e-6:
             return RIM_SIDES[int(angle > 0.0)]
-        bent = self.inner * math.sin(self.half) / self.half  # of an arc
-        return "clamp" if abs(radius - bent) < 1e-6 * self.outer else "rim"
+        # The center of mass of the inner arc.
+        arc_center_radius = self.inner_radius * math.sin(self.half_angle) / self.half_angle
+        return "clamp" if abs(radius - arc_center_radius) < 1e-6 * self.outer_radius else "rim"
 
-    def match(self, across: int, left: list[int], right: list[int]) -> None:
-        """Let gmsh mesh the right side as its left one, turned in the plane of y and another axis:
-        the curves of a plate, or the surfaces of a solid."""
-        c, s = math.cos(2.0 * self.half), math.sin(2.0 * self.half)
-        turn, place, plane = np.eye(4), np.zeros(3), [1, across]
-        turn[np.ix_(plane, plane)] = [[c, -s], [s, c]]
-        place[plane] = self.axis, self.middle
-        turn[:3, 3] = place - turn[:3, :3] @ place
-        gmsh.model.mesh.setPeriodic(1 + across // 2, right, left, turn.ravel().tolist())
+    def set_periodic(self, across_axis: int, left_tags: list[int], right_tags: list[int]) -> None:
+        """Make gmsh mesh the right side like the left one, rotated.
+
+        The rotation is in the plane of y and another axis. Tags are those of a plate's curves, or
+        of a solid's surfaces.
+        """
+        c, s = math.cos(2.0 * self.half_angle), math.sin(2.0 * self.half_angle)
+        transformation, axis_point, plane_axes = np.eye(4), np.zeros(3), [1, across_axis]
+        transformation[np.ix_(plane_axes, plane_axes)] = [[c, -s], [s, c]]
+        axis_point[plane_axes] = self.axis, self.middle
+        transformation[:3, 3] = axis_point - transformation[:3, :3] @ axis_point
+        gmsh.model.mesh.setPeriodic(
+            1 + across_axis // 2, right_tags, left_tags, transformation.ravel().tolist()
+        )
 
     def draw(
-        self, feet: list[int], below: list[int], columns: list[Interval], surfaces: list[int]
+        self,
+        foot_points: list[int],
+        foot_curves: list[int],
+        columns: list[Interval],
+        surfaces: list[int],
     ) -> dict[str, tuple[int, list[int]]]:
-        """Draw it below the curves of a plate's lower edge, in blocks; its named curves."""
-        size, geo = _length(self.scene), gmsh.model.geo
-        around = self.half - math.asin((columns[-1].stop - self.middle) / self.outer)
-        lengths = self.outer * around, self.outer - self.inner
-        counts = [max(1, round(length / size)) if columns[0].count else 0 for length in lengths]
-        beside, deep = (Interval(0.0, 1.0, count, 1.0) for count in counts)
+        """Draw the rim in blocks below a plate's foot.
+
+        Returns the named curves, and appends to ``surfaces``.
+        """
+        size, geo = _element_length(self.scene), gmsh.model.geo
+        side_angle = self.half_angle - math.asin(
+            (columns[-1].stop - self.middle) / self.outer_radius
+        )
+        lengths = self.outer_radius * side_angle, self.outer_radius - self.inner_radius
+        counts = [
+            max(1, round(length / size)) if columns[0].n_elements else 0 for length in lengths
+        ]
+        side_interval, radial_interval = (Interval(0.0, 1.0, count, 1.0) for count in counts)
         center = geo.addPoint(self.middle, self.axis, 0.0)
-        places = [columns[0].start, *(column.stop for column in columns)]
-        angles = [math.asin((x - self.middle) / self.outer) for x in places]
-        angles = [-self.half, *angles, self.half]
-        left, right = (geo.addPoint(*self.at(self.outer, a), 0.0) for a in (-self.half, self.half))
-        top = [left, *feet, right]
-        low = [geo.addPoint(*self.at(self.inner, angle), 0.0) for angle in angles]
-        parts = [beside, *columns, beside]
-        radial = [_curve(one, other, deep) for one, other in zip(low, top, strict=True)]
-        arcs = zip(pairwise(low), parts, strict=True)
-        inside = [_curve(*ends, part, center) for ends, part in arcs]
-        outside = [_curve(a, b, beside, center) for a, b in (top[:2], top[-2:])]
-        outside[1:1] = below
-        for place in range(len(parts)):
-            loop = [inside[place], radial[place + 1], -outside[place], -radial[place]]
+        positions = [columns[0].start, *(column.stop for column in columns)]
+        angles = [math.asin((position - self.middle) / self.outer_radius) for position in positions]
+        angles = [-self.half_angle, *angles, self.half_angle]
+        left_corner, right_corner = (
+            geo.addPoint(*self.point_at(self.outer_radius, angle), 0.0)
+            for angle in (-self.half_angle, self.half_angle)
+        )
+        outer_points = [left_corner, *foot_points, right_corner]
+        inner_points = [
+            geo.addPoint(*self.point_at(self.inner_radius, angle), 0.0) for angle in angles
+        ]
+        intervals = [side_interval, *columns, side_interval]
+        radial_curves = [
+            _add_curve(inner_point, outer_point, radial_interval)
+            for inner_point, outer_point in zip(inner_points, outer_points, strict=True)
+        ]
+        arcs = zip(pairwise(inner_points), intervals, strict=True)
+        inner_curves = [_add_curve(*arc_ends, interval, center) for arc_ends, interval in arcs]
+        outer_curves = [
+            _add_curve(start, end, side_interval, center)
+            for start, end in (outer_points[:2], outer_points[-2:])
+        ]
+        outer_curves[1:1] = foot_curves
+        for column_index in range(len(intervals)):
+            loop = [
+                inner_curves[column_index],
+                radial_curves[column_index + 1],
+                -outer_curves[column_index],
+                -radial_curves[column_index],
+            ]
             surfaces.append(geo.addPlaneSurface([geo.addCurveLoop(loop)]))
-        return {"clamp": (1, inside), RIM_SIDES[0]: (1, radial[:1]), RIM_SIDES[1]: (1, radial[-1:])}
+        return {
+            "clamp": (1, inner_curves),
+            RIM_SIDES[0]: (1, radial_curves[:1]),
+            RIM_SIDES[1]: (1, radial_curves[-1:]),
+        }
 
 
 # --- graded sectors -----------------------------------------------------------------------------
 
 
-def _mesh_graded(scene: Scene, unit_scene: Scene, gradings: list[_Grading]) -> None:
-    """Fill what is drawn with elements ``mesh.size`` long, and shorter by some gradings.
+def _mesh_with_gradings(scene: Scene, unit_scene: Scene, gradings: list[_Grading]) -> None:
+    """Mesh gmsh's current model with elements of ``mesh.size``, or shorter ones.
+
+    Each grading limits the element length.
 
     Raises
     ------
     InputError
-        gmsh cannot.
+        gmsh fails.
     """
-    size, around = unit_scene.mesh.given("size"), [one.compiled() for one in gradings]
+    size, structs = unit_scene.mesh.given("size"), [grading.as_struct() for grading in gradings]
 
-    def length(dimension: int, tag: int, x: float, y: float, *_: float) -> float:
-        """Asked for a hundred thousand times a mesh."""
-        return min([size, *(kernel.length_at(one.at, x, y) for one in around)])
+    def element_length(dimension: int, tag: int, x: float, y: float, *_: float) -> float:
+        """Return the element length at a point.
+
+        gmsh calls it 1e5 times for a mesh.
+        """
+        return min([size, *(kernel.length_at(struct.at, x, y) for struct in structs)])
 
     for option in ("MeshSizeFromPoints", "MeshSizeExtendFromBoundary", "MeshSizeFromCurvature"):
         gmsh.option.setNumber(f"Mesh.{option}", 0)
-    gmsh.model.mesh.setSizeCallback(length)
+    gmsh.model.mesh.setSizeCallback(element_length)
     try:
         gmsh.model.mesh.generate(2)
     except Exception as error:  # gmsh raises nothing else
-        raise not_meshed(scene, str(error)) from None
+        raise meshing_refusal(scene, str(error)) from None
     finally:
         gmsh.model.mesh.removeSizeCallback()
 
 
-def not_meshed(scene: Scene, reason: str) -> InputError:
-    """The refusal of what gmsh makes no sound mesh of: of its smallest crack, or else of the
-    size of elements."""
-    sizes = {
+def meshing_refusal(scene: Scene, reason: str) -> InputError:
+    """Return the error for a geometry that gmsh cannot mesh.
+
+    It names the smallest crack or, without cracks, the size of elements.
+    """
+    crack_sizes = {
         f"{name}.{key}": value
         for name, crack in scene.all_cracks.items()
         for key in ("depth", "length", "radii")
         if (value := getattr(crack, key)) is not None
     }
-    key = min(sizes, key=lambda one: np.min(sizes[one]), default="mesh.size")
-    kind = scene.geometry.kind
-    allowed = f"such that gmsh can mesh the {kind} ({reason}): not as small beside its other sizes"
-    return InputError(key, sizes.get(key, scene.mesh.size), allowed)
+    key = min(crack_sizes, key=lambda size_key: np.min(crack_sizes[size_key]), default="mesh.size")
+    geometry_kind = scene.geometry.kind
+    requirement = (
+        f"such that gmsh can mesh the {geometry_kind} ({reason}): not as small beside its other"
+        " sizes"
+    )
+    return InputError(key, crack_sizes.get(key, scene.mesh.size), requirement)
 
 
 @dataclass(frozen=True)
 class _Grading:
-    """Lengths of elements h = shortest + growth d around points, d from the nearest.
+    """Element length h = shortest + growth d around points.
+
+    The distance d is measured from the nearest point.
 
     Attributes
     ----------
     along, height : (n,), () [m]
         x and y of the points.
     shortest : float [m]
-        Of an element there.
+        Element length at a point.
     growth : float
-        With the distance.
+        Increase with the distance.
     """
 
     along: np.ndarray
@@ -596,23 +806,23 @@ class _Grading:
     shortest: float
     growth: float
 
-    def compiled(self) -> Struct:
-        """As the kernel takes it (``length_at``)."""
+    def as_struct(self) -> Struct:
+        """Return the structure for the kernel's ``length_at``."""
         return Struct("grading", count=len(self.along), **vars(self))
 
 
-def _gradings(scene: Scene) -> list[_Grading]:
-    """One for each crack of a plate, around its tips."""
-    (width, _), mesh, found = scene.geometry.sides, scene.mesh, []
+def _crack_gradings(scene: Scene) -> list[_Grading]:
+    """Return the grading around the tips of each crack in a plate."""
+    (width, _), mesh, gradings = scene.geometry.sides, scene.mesh, []
     for crack in scene.all_cracks.values():
-        count = mesh.given("lip_elements")
-        first, last = crack.span(width)
-        reach = last - first
+        n_elements = mesh.given("lip_elements")
+        left_end, right_end = crack.span(width)
+        face_length = right_end - left_end
         if crack.edge is None:
-            count, reach = -(-count // 2), 0.5 * reach  # as of :class:`_Half`
-        growth = mesh.grading ** (1.0 / max(count - 1, 1))
-        shortest = reach / float((growth ** np.arange(count)).sum())
-        tips = np.array([end for end in (first, last) if 0.0 < end < width])
-        growth_by_distance = max(growth - 1.0, GROWTH)
-        found.append(_Grading(tips, crack.given("height"), shortest, growth_by_distance))
-    return found
+            n_elements, face_length = -(-n_elements // 2), 0.5 * face_length  # as in _GradedFace
+        length_ratio = mesh.grading ** (1.0 / max(n_elements - 1, 1))
+        tip_length = face_length / float((length_ratio ** np.arange(n_elements)).sum())
+        tips = np.array([tip for tip in (left_end, right_end) if 0.0 < tip < width])
+        growth_by_distance = max(length_ratio - 1.0, MAX_SIZE_PER_DISTANCE)
+        gradings.append(_Grading(tips, crack.given("height"), tip_length, growth_by_distance))
+    return gradings

@@ -1,33 +1,36 @@
-"""The structure of a scene, whose crack may be given by its length or by a natural frequency.
+"""Build the structure of a scene: matrices, contact pairs and loads.
 
-DOLFINx assembles the matrices, with sigma and t of :mod:`fenics_crack.fem.elasticity`,
+DOLFINx assembles the matrices, with sigma and t of :mod:`fenics_crack.fem.elasticity`:
 
     u^T K v = t int sigma(u) : eps(v) dx,                     u^T M v = t rho int u . v dx.
 
-Clamped dofs are left out, so that no spurious mode stands for them.
+Clamped dofs are left out, so they cause no spurious modes.
 
-**Contact pairs** of the crack faces have gaps g = B^T u. A pair is two basis functions psi of a
-pressure, in the same place of both faces, and with either face's outward normal n
+Contact pairs
+-------------
+The crack faces have gaps g = B^T u. A pair consists of two basis functions psi of a pressure, at
+the same position on both faces. Let n be the outward normal of either face. Then the pair's gap g
+and area w are
 
-    g = b_lower . u + b_upper . u,        w = t int psi ds its area.
+    g = b_lower . u + b_upper . u,        w = t int psi ds.
 
-Of a plate psi_i is the basis function N_i of a node, and b_i that node's displacement along
-int N_i n ds. Of a solid the integral of a quadratic N_i over a triangle vanishes at corners; so
-pressures are linear there, and b the mean over the patch of one,
+On a plate, psi_i is the basis function N_i of a node, and b_i gives the node's displacement along
+int N_i n ds. On a solid, a quadratic N_i cannot be used: its integral over a triangle vanishes at
+corners. So pressures are linear, and b_i gives the mean over a patch:
 
     b_i . u = 1 / w_i int psi_i n . u ds.
 
-Nodes of tips and fronts have no pair. On a solid the basis function of a front's node goes to its
-neighbours on the face, as much to each as they overlap: psi_j = sum_i S_ij psi_i with sum_j S_ij =
-1. So the areas add up to the crack's, a uniform pressure is exact, and no strip along the front,
-where closed faces would interpenetrate, is without pressure.
+Nodes of tips and fronts have no pair. On a solid, the basis function of a front's node is
+distributed to its neighbours on the face. Each share is proportional to the overlap: psi_j = sum_i
+S_ij psi_i with sum_j S_ij = 1. So the areas sum to the crack's area, and a uniform pressure is
+exact. Also, the pressure acts up to the front, where closed faces would otherwise interpenetrate.
 
-With ``mesh.patches`` there are fewer pressures, likewise of the linear ones of a solid or of a
-plate. Those of tips and fronts go with the nearest. On a plate psi_j is linear from one to the next
-of some nodes, on a solid it has all that are nearest to one of some.
+With ``mesh.patches`` there are fewer pressures, each a weighted sum of linear ones. Nodes of tips
+and fronts belong to the nearest patch. On a plate, psi_j is linear between selected nodes. On a
+solid, it is the sum for all nodes nearest to a selected node.
 
-Tangential gaps of a solid are those along two directions t at right angles to a pair's mean normal
-m = int psi n ds / |int psi n ds|,
+Tangential gaps of a solid have two directions t, at right angles to the pair's mean normal m = int
+psi n ds / |int psi n ds|:
 
     b_i . u = 1 / w_i int psi_i (m . n) t . u ds.
 """
@@ -46,7 +49,13 @@ from fenics_crack.basics.progress import begin
 from fenics_crack.basics.ranks import collect_garbage, gather_rows, on_each, on_root
 from fenics_crack.fem import compat
 from fenics_crack.fem.compat import ufl
-from fenics_crack.fem.cracks import LIP_TAGS, SAME, Lips, along, shares_of_neighbours
+from fenics_crack.fem.cracks import (
+    LIP_TAGS,
+    POSITION_TOLERANCE,
+    Cracks,
+    distribute_front_pressures,
+    locate_on_cracks,
+)
 from fenics_crack.fem.elasticity import constants, rotation_of, stress, thickness
 from fenics_crack.fem.loads import assemble_loads, clamp_of
 from fenics_crack.fem.plate import Dofs, build_mesh
@@ -59,18 +68,34 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 
 
-def pair_lips(
-    dofs: Dofs, t: Any, *, mouth: bool = False, patches: int | None = None
+def pair_crack_faces(
+    dofs: Dofs, t: Any, *, mouth_only: bool = False, max_patches: int | None = None
 ) -> tuple[sparse.csr_matrix, sparse.csr_matrix | None, Pairs]:
-    """Pair what is in the same place of both faces, crack by crack: the rows of B and of B_t of
-    this rank's free dofs, and where the pairs are; with ``mouth`` those alone that are watched,
-    with ``patches`` at most so many of each crack (collective).
+    """Pair both crack faces at equal positions (collective).
 
-    B_t is B with each node's normal turned by a right angle; of a solid None, whose pairs have two
-    directions.
+    Pairs are ordered crack by crack. On a plate they run from the mouth to the tip, or from the
+    left tip to the right one. On a solid they run from the front to the mouth.
 
-    The pairs of a crack are ordered from its mouth to its tip, or from the left to the right tip;
-    of a solid from the front to the mouth.
+    Parameters
+    ----------
+    dofs : Dofs
+        Free dofs of the mesh.
+    t : ufl expression [m]
+        Thickness of a plate, 1 for a solid.
+    mouth_only : bool
+        True if only the watched pairs are kept.
+    max_patches : int, optional
+        Maximum number of pairs for each crack.
+
+    Returns
+    -------
+    gap : (n_local, n_pairs)
+        B, the rows of this rank's free dofs.
+    tangential : (n_local, n_pairs), or None for a solid
+        B with each node's normal turned by a right angle. The two tangential directions of a
+        solid's pair are in ``pairs``.
+    pairs : Pairs
+        Positions, areas and cracks of the pairs.
 
     Raises
     ------
@@ -78,276 +103,389 @@ def pair_lips(
         The two faces have different nodes.
     """
     dimension, plate = dofs.dimension, dofs.plate
-    if not plate.cracked:
-        none = np.zeros((0, dimension)), np.zeros(0), np.zeros(0, dtype=int), np.zeros(0)
-        return sparse.csr_matrix((len(dofs.free), 0)), None, Pairs(*none)
-    make = _of_nodes if dimension == 2 and patches is None else _of_patches
-    lips = plate.along(*LIP_TAGS)
-    space, weights, columns = make(dofs, t, lips)
-    first = space.dofmap.index_map.local_range[0]
-    points = space.tabulate_dof_coordinates()[:, :dimension]
-    sides = []
-    for name in LIP_TAGS:
-        local = dofs.nodes_on(name, space)
-        rows = np.column_stack([local + first, weights[local], points[local]])
-        sides.append(gather_rows(dofs.comm, rows))
-    lower, upper, cracks, positions, count = _matched(plate.lips, *sides)
-    numbers = lower[:, 0].astype(int)
-    below = columns[:, numbers]
-    gap = below + columns[:, upper[:, 0].astype(int)]
-    points, areas, chosen = lower[:, 2:], lower[:, 1], np.arange(count)
-    solid: dict[str, Any] = {}
-    if patches is not None or dimension == 3:
-        if patches is None:
-            shares = _shares_at_fronts(dofs, space, lips, numbers, count)
-        else:
-            chosen, shares = _shares(points, cracks, positions, count, patches)
-        forces = sparse.csc_matrix(shares.multiply(areas[:, None]))
-        areas[chosen] = shares.T @ areas
-        forces.data /= np.repeat(areas[chosen], np.diff(forces.indptr))
-        gap, below = gap @ forces, below @ forces
-        solid = {"nodes": points, "shares": shares} if dimension == 3 else {}
-    if patches is None:
-        kept = np.arange(count)
-        if mouth:
-            kept = np.array([*_watched(plate.lips, cracks[:count], positions[:count]).values()])
-            solid = {"nodes": points, "shares": shares[:, kept]} if solid else {}
-        chosen, gap, below = kept, gap[:, kept], below[:, kept]
-    points, areas, cracks, positions = (x[chosen] for x in (points, areas, cracks, positions))
-    if dimension == 3:
-        solid["tangents"] = _free_rows(_along_faces(gap, below, dofs.comm), dofs)
-    pairs = Pairs(
-        points, areas, cracks, positions, _watched(plate.lips, cracks, positions), **solid
+    if not plate.has_cracks:
+        no_pairs = np.zeros((0, dimension)), np.zeros(0), np.zeros(0, dtype=int), np.zeros(0)
+        return sparse.csr_matrix((len(dofs.free_dofs), 0)), None, Pairs(*no_pairs)
+    assemble_columns = (
+        _columns_of_nodes if dimension == 2 and max_patches is None else _columns_of_pressures
     )
-    tangential = _free_rows(_turned(gap), dofs) if dimension == 2 else None
+    face_measure = plate.measure_on(*LIP_TAGS)
+    space, weights, columns = assemble_columns(dofs, t, face_measure)
+    first_node = space.dofmap.index_map.local_range[0]
+    points = space.tabulate_dof_coordinates()[:, :dimension]
+    faces = []
+    for name in LIP_TAGS:
+        nodes = dofs.nodes_on(name, space)
+        rows = np.column_stack([nodes + first_node, weights[nodes], points[nodes]])
+        faces.append(gather_rows(dofs.comm, rows))
+    lower_rows, upper_rows, crack_index, positions, n_inside = _match_faces(plate.cracks, *faces)
+    lower_nodes = lower_rows[:, 0].astype(int)
+    lower_gap = columns[:, lower_nodes]
+    gap = lower_gap + columns[:, upper_rows[:, 0].astype(int)]
+    points, areas, pair_nodes = lower_rows[:, 2:], lower_rows[:, 1], np.arange(n_inside)
+    fields: dict[str, Any] = {}
+    if max_patches is not None or dimension == 3:
+        if max_patches is None:
+            shares = _front_pressure_shares(dofs, space, face_measure, lower_nodes, n_inside)
+        else:
+            pair_nodes, shares = _patch_shares(
+                points, crack_index, positions, n_inside, max_patches
+            )
+        nodal_force_shares = sparse.csc_matrix(shares.multiply(areas[:, None]))
+        areas[pair_nodes] = shares.T @ areas
+        nodal_force_shares.data /= np.repeat(areas[pair_nodes], np.diff(nodal_force_shares.indptr))
+        gap, lower_gap = gap @ nodal_force_shares, lower_gap @ nodal_force_shares
+        fields = {"nodes": points, "shares": shares} if dimension == 3 else {}
+    if max_patches is None:
+        kept_pairs = np.arange(n_inside)
+        if mouth_only:
+            kept_pairs = np.array(
+                [
+                    *_watched_pairs(
+                        plate.cracks, crack_index[:n_inside], positions[:n_inside]
+                    ).values()
+                ]
+            )
+            fields = {"nodes": points, "shares": shares[:, kept_pairs]} if fields else {}
+        pair_nodes, gap, lower_gap = kept_pairs, gap[:, kept_pairs], lower_gap[:, kept_pairs]
+    points, areas, crack_index, positions = (
+        rows[pair_nodes] for rows in (points, areas, crack_index, positions)
+    )
+    if dimension == 3:
+        fields["tangents"] = _free_rows(_tangential_gaps(gap, lower_gap, dofs.comm), dofs)
+    pairs = Pairs(
+        points,
+        areas,
+        crack_index,
+        positions,
+        _watched_pairs(plate.cracks, crack_index, positions),
+        **fields,
+    )
+    tangential = _free_rows(_rotate_by_right_angle(gap), dofs) if dimension == 2 else None
     return _free_rows(gap, dofs), tangential, pairs
 
 
-def _shares_at_fronts(
-    dofs: Dofs, space: Any, lips: Any, numbers: np.ndarray, inside: int
+def _front_pressure_shares(
+    dofs: Dofs, space: Any, face_measure: Any, node_numbers: np.ndarray, n_inside: int
 ) -> sparse.csr_matrix:
-    """S of pressures of a space, by the numbers of their nodes, of which those behind the first
-    ones, inside, are of fronts: (n, inside)."""
-    overlap = ufl.inner(ufl.TrialFunction(space), ufl.TestFunction(space)) * lips
-    matrix = compat.assembled_matrix(overlap)
-    own = local_rows(matrix).tocoo()
+    """Return S, which assigns front pressures to neighbours: (n, n_inside).
+
+    The first ``n_inside`` nodes of ``node_numbers`` are off the fronts, all others on them.
+    """
+    overlap_form = ufl.inner(ufl.TrialFunction(space), ufl.TestFunction(space)) * face_measure
+    matrix = compat.assembled_matrix(overlap_form)
+    entries = local_rows(matrix).tocoo()
     matrix.destroy()
-    first = space.dofmap.index_map.local_range[0]
-    rows = gather_rows(dofs.comm, np.column_stack([own.row + first, own.col, own.data]))
-    size = space.dofmap.index_map.size_global
-    every = sparse.csr_matrix((rows[:, 2], rows[:, :2].astype(int).T), (size, size))
-    return shares_of_neighbours(every[numbers[inside:]][:, numbers[:inside]])
+    first_node = space.dofmap.index_map.local_range[0]
+    rows = gather_rows(
+        dofs.comm, np.column_stack([entries.row + first_node, entries.col, entries.data])
+    )
+    n_nodes = space.dofmap.index_map.size_global
+    overlaps = sparse.csr_matrix((rows[:, 2], rows[:, :2].astype(int).T), (n_nodes, n_nodes))
+    return distribute_front_pressures(overlaps[node_numbers[n_inside:]][:, node_numbers[:n_inside]])
 
 
-def _along_faces(gap: Any, below: Any, comm: MPI.Comm) -> sparse.csr_matrix:
-    """Tangential gaps of a solid's pairs, (n_nodes * 3, 2 m), from the normal ones, (n_nodes * 3,
-    m), and their parts of the lower face (collective)."""
-    normal = comm.allreduce(np.array([below[k::3].sum(axis=0) for k in range(3)])[:, 0].T)
-    normal /= np.linalg.norm(normal, axis=1)[:, None]
-    one = np.cross(normal, np.eye(3)[np.abs(normal).argmin(axis=1)])
-    one /= np.linalg.norm(one, axis=1)[:, None]
-    along = sum(gap[k::3] @ sparse.diags(normal[:, k]) for k in range(3))
+def _tangential_gaps(gap: Any, lower_gap: Any, comm: MPI.Comm) -> sparse.csr_matrix:
+    """Return tangential gaps of a solid's pairs: (3 n_nodes, 2 m) (collective).
+
+    Parameters
+    ----------
+    gap : (3 n_nodes, m)
+        Normal gaps.
+    lower_gap : (3 n_nodes, m)
+        Contribution of the lower face to the normal gaps.
+    comm : MPI.Comm
+        Ranks that share the mesh.
+    """
+    normals = comm.allreduce(np.array([lower_gap[k::3].sum(axis=0) for k in range(3)])[:, 0].T)
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    first_tangents = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
+    first_tangents /= np.linalg.norm(first_tangents, axis=1)[:, None]
+    normal_gap = sum(gap[k::3] @ sparse.diags(normals[:, k]) for k in range(3))
     return sparse.hstack([
         sum(
-            sparse.kron(along @ sparse.diags(part), unit[:, None])
-            for part, unit in zip(tangent.T, np.eye(3), strict=True)
+            sparse.kron(normal_gap @ sparse.diags(components), axis[:, None])
+            for components, axis in zip(tangents.T, np.eye(3), strict=True)
         )
-        for tangent in np.round([one, np.cross(normal, one)], 12)
+        for tangents in np.round([first_tangents, np.cross(normals, first_tangents)], 12)
     ]).tocsr()  # fmt: skip
 
 
-def _shares(
-    points: np.ndarray, cracks: np.ndarray, positions: np.ndarray, inside: int, most: int
+def _patch_shares(
+    points: np.ndarray,
+    crack_index: np.ndarray,
+    positions: np.ndarray,
+    n_inside: int,
+    max_patches: int,
 ) -> tuple[np.ndarray, sparse.csr_matrix]:
-    """Nodes that are the middles of patches, at most so many of each crack, and S, the values of
-    the patches' functions at all nodes, (n, m); the first ones, inside, are in order along cracks.
+    """Return the nodes at patch centres, and the functions of the patches.
+
+    Parameters
+    ----------
+    points : (n, d) [m]
+        Nodes of a face. The first ``n_inside`` are off tips and fronts, in order along each
+        crack.
+    crack_index : (n,) int
+        Crack of each node.
+    positions : (n,) [m]
+        Position of each node on its crack.
+    n_inside : int
+        Number of nodes off tips and fronts.
+    max_patches : int
+        Maximum number of patches for each crack.
+
+    Returns
+    -------
+    patch_nodes : (m,) int
+        Node at the centre of each patch.
+    shares : (n, m)
+        S, the values of the patches' functions at all nodes.
     """
-    middles, values = np.zeros(0, dtype=int), np.zeros((len(points), 0))
-    for crack in np.unique(cracks):
-        its = np.flatnonzero(cracks[:inside] == crack)
-        few = min(most, len(its))
+    patch_nodes, shares = np.zeros(0, dtype=int), np.zeros((len(points), 0))
+    for crack in np.unique(crack_index):
+        crack_nodes = np.flatnonzero(crack_index[:n_inside] == crack)
+        n_patches = min(max_patches, len(crack_nodes))
         if points.shape[1] == 2:
-            its = its[np.arange(few) * (len(its) - 1) // max(few - 1, 1)]
-            functions = [np.interp(positions, positions[its], unit) for unit in np.eye(few)]
+            crack_nodes = crack_nodes[
+                np.arange(n_patches) * (len(crack_nodes) - 1) // max(n_patches - 1, 1)
+            ]
+            patch_functions = [
+                np.interp(positions, positions[crack_nodes], unit_vector)
+                for unit_vector in np.eye(n_patches)
+            ]
         else:
-            its = its[_spread(points[its], few)]
-            away = np.linalg.norm(points[:, None] - points[its], axis=2)
-            functions = [away.argmin(axis=1) == number for number in range(few)]
-        middles = np.append(middles, its)
-        values = np.column_stack([values, *(row * (cracks == crack) for row in functions)])
-    return middles, sparse.csr_matrix(values)
+            crack_nodes = crack_nodes[_farthest_points(points[crack_nodes], n_patches)]
+            distances = np.linalg.norm(points[:, None] - points[crack_nodes], axis=2)
+            patch_functions = [distances.argmin(axis=1) == patch for patch in range(n_patches)]
+        patch_nodes = np.append(patch_nodes, crack_nodes)
+        shares = np.column_stack(
+            [shares, *(function * (crack_index == crack) for function in patch_functions)]
+        )
+    return patch_nodes, sparse.csr_matrix(shares)
 
 
-def _spread(points: np.ndarray, count: int) -> np.ndarray:
-    """Which of some points are far from each other: the last one, and always the one farthest from
-    those before; in their order."""
-    chosen, away = [len(points) - 1], np.full(len(points), np.inf)
-    while len(chosen) < count:
-        away = np.minimum(away, np.linalg.norm(points - points[chosen[-1]], axis=1))
-        chosen.append(int(away.argmax()))
-    return np.sort(chosen)
+def _farthest_points(points: np.ndarray, n_points: int) -> np.ndarray:
+    """Select points far apart: (n_points,) int, in ascending order.
+
+    The last point is first. Then follows, each time, the point farthest from all selected ones.
+    """
+    indices, distances = [len(points) - 1], np.full(len(points), np.inf)
+    while len(indices) < n_points:
+        distances = np.minimum(distances, np.linalg.norm(points - points[indices[-1]], axis=1))
+        indices.append(int(distances.argmax()))
+    return np.sort(indices)
 
 
-def _turned(columns: Any) -> sparse.csr_matrix:
-    """Columns of nodes' vectors in a plane, (n_nodes * 2, m), turned by a right angle."""
-    turn = sparse.kron(sparse.eye(columns.shape[0] // 2), [[0.0, -1.0], [1.0, 0.0]])
-    return turn.tocsr() @ columns
+def _rotate_by_right_angle(columns: Any) -> sparse.csr_matrix:
+    """Rotate nodal vectors in a plane by a right angle: (2 n_nodes, m)."""
+    rotation = sparse.kron(sparse.eye(columns.shape[0] // 2), [[0.0, -1.0], [1.0, 0.0]])
+    return rotation.tocsr() @ columns
 
 
 def _free_rows(columns: Any, dofs: Dofs) -> sparse.csr_matrix:
-    found = sparse.csr_matrix(columns.tocsr()[dofs.free])
-    found.eliminate_zeros()
-    return found
+    """Return the rows of this rank's free dofs, without stored zeros."""
+    free_rows = sparse.csr_matrix(columns.tocsr()[dofs.free_dofs])
+    free_rows.eliminate_zeros()
+    return free_rows
 
 
-def _of_nodes(dofs: Dofs, t: Any, lips: Any) -> tuple[Any, np.ndarray, sparse.csc_matrix]:
-    """The space of the pressures, t int psi ds of those that this rank owns, and b of all of them,
-    the rows of this rank's dofs."""
-    space, size = dofs.space, dofs.dimension
+def _columns_of_nodes(
+    dofs: Dofs, t: Any, face_measure: Any
+) -> tuple[Any, np.ndarray, sparse.csc_matrix]:
+    """Assemble b for pressures that are basis functions of the displacement's nodes.
+
+    Returns
+    -------
+    space : dolfinx function space
+        Space of the pressures.
+    weights : (n_owned,) [m^2]
+        t int psi ds for each owned pressure.
+    columns : (n_owned_dofs, n_pressures)
+        b of every pressure, the rows of this rank's dofs.
+    """
+    space, dimension = dofs.space, dofs.dimension
     normal = ufl.FacetNormal(space.mesh)
-    along_normal = compat.assembled_vector(t * ufl.inner(normal, ufl.TestFunction(space)) * lips)
-    along_normal = along_normal.reshape(-1, size)
-    weights = np.linalg.norm(along_normal, axis=1)
-    on_lips = np.flatnonzero(weights)
-    normals = along_normal[on_lips] / weights[on_lips, None]
-    rows = size * on_lips[:, None] + np.arange(size)
-    columns = np.repeat(dofs.first_node + on_lips, size)
+    normal_integrals = compat.assembled_vector(
+        t * ufl.inner(normal, ufl.TestFunction(space)) * face_measure
+    )
+    normal_integrals = normal_integrals.reshape(-1, dimension)
+    weights = np.linalg.norm(normal_integrals, axis=1)
+    face_nodes = np.flatnonzero(weights)
+    normals = normal_integrals[face_nodes] / weights[face_nodes, None]
+    rows = dimension * face_nodes[:, None] + np.arange(dimension)
+    columns = np.repeat(dofs.first_node + face_nodes, dimension)
     shape = len(dofs.numbers), space.dofmap.index_map.size_global
     return space, weights, sparse.csc_matrix((normals.ravel(), (rows.ravel(), columns)), shape)
 
 
-def _of_patches(dofs: Dofs, t: Any, lips: Any) -> tuple[Any, np.ndarray, sparse.csc_matrix]:
-    """Likewise."""
+def _columns_of_pressures(
+    dofs: Dofs, t: Any, face_measure: Any
+) -> tuple[Any, np.ndarray, sparse.csc_matrix]:
+    """Assemble b for linear pressures, as :func:`_columns_of_nodes` does."""
     space = compat.function_space(dofs.space.mesh, 1, vectors=False)
     normal, pressure = ufl.FacetNormal(space.mesh), ufl.TrialFunction(space)
-    work = ufl.inner(t * pressure * normal, ufl.TestFunction(dofs.space)) * lips
-    matrix = compat.assembled_matrix(work)
-    moved = local_rows(matrix).tocsc()
+    work_form = ufl.inner(t * pressure * normal, ufl.TestFunction(dofs.space)) * face_measure
+    matrix = compat.assembled_matrix(work_form)
+    columns = local_rows(matrix).tocsc()
     matrix.destroy()
-    weights = compat.assembled_vector(t * ufl.TestFunction(space) * lips)
-    every = gather_rows(dofs.comm, weights)
-    inverse = np.divide(1.0, every, out=np.zeros_like(every), where=every > 0.0)
-    return space, weights, sparse.csc_matrix(moved @ sparse.diags(inverse))
+    weights = compat.assembled_vector(t * ufl.TestFunction(space) * face_measure)
+    all_weights = gather_rows(dofs.comm, weights)
+    inverse_weights = np.divide(
+        1.0, all_weights, out=np.zeros_like(all_weights), where=all_weights > 0.0
+    )
+    return space, weights, sparse.csc_matrix(columns @ sparse.diags(inverse_weights))
 
 
-def _matched(
-    lips: Lips, lower: np.ndarray, upper: np.ndarray
+def _match_faces(
+    cracks: Cracks, lower_rows: np.ndarray, upper_rows: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]:
-    """Rows (number, weight, x, y, ...) of both faces, partner by partner in order along the cracks,
-    at last those of the fronts, with half their weights, which are of both faces; the crack of
-    each pair, and its position; and how many are not of the fronts."""
-    size, shared = np.ptp(lower[:, 2:], axis=0).max(), np.isin(lower[:, 0], upper[:, 0])
-    lower[shared, 1] *= 0.5
-    cracks, positions = along(lips, lower[:, 2:])
-    # Equal positions, along a front, in the order of their places.
-    places = np.round(lower[:, 2:] / size, 7).T
-    order = np.lexsort((*places, np.round(positions / size, 7), cracks, shared))
-    lower, cracks, positions = lower[order], cracks[order], positions[order]
-    fronts = int(shared.sum())
-    count = len(lower) - fronts
-    matching = len(lower) == len(upper) and count > 0
+    """Match the nodes of both crack faces one to one.
+
+    Parameters
+    ----------
+    cracks : Cracks
+        Cracks of the mesh.
+    lower_rows, upper_rows : (n, 2 + d)
+        Node number, weight and position on each face.
+
+    Returns
+    -------
+    lower_rows, upper_rows : (n, 2 + d)
+        Partners in order along the cracks; nodes of tips and fronts come last. As both faces
+        share these, their weights are halved.
+    crack_index : (n,) int
+        Crack of each pair.
+    positions : (n,) [m]
+        Position on the crack.
+    n_inside : int
+        Number of pairs off tips and fronts.
+    """
+    size = np.ptp(lower_rows[:, 2:], axis=0).max()
+    is_front = np.isin(lower_rows[:, 0], upper_rows[:, 0])
+    lower_rows[is_front, 1] *= 0.5
+    crack_index, positions = locate_on_cracks(cracks, lower_rows[:, 2:])
+    # Equal positions, as along a front, are sorted by coordinates.
+    sort_positions = np.round(lower_rows[:, 2:] / size, 7).T
+    order = np.lexsort((*sort_positions, np.round(positions / size, 7), crack_index, is_front))
+    lower_rows, crack_index, positions = lower_rows[order], crack_index[order], positions[order]
+    n_front = int(is_front.sum())
+    n_inside = len(lower_rows) - n_front
+    is_matching = len(lower_rows) == len(upper_rows) and n_inside > 0
     reason = "one has more nodes than the other"
-    if matching:
-        apart = [np.linalg.norm(upper[:, 2:] - place, axis=1) for place in lower[:, 2:]]
-        distance, partner = np.min(apart, axis=1), np.argmin(apart, axis=1)
-        matching = distance.max() <= SAME * size and len(np.unique(partner)) == len(partner)
-        place = ", ".join(f"{x:g}" for x in lower[int(np.argmax(distance)), 2:])
-        reason = f"the upper node nearest to the lower one at ({place})"
-        reason += f" is {distance.max():.2g} m away"
-    if not matching:
-        found = f"{count} lower and {len(upper) - fronts} upper nodes"
-        how = "in a mesh file one curve or surface named 'crack' is split into two that do"
-        allowed = "meshed identically, so that nodes of the two faces pair one to one"
-        raise InputError("lips", found, f"{allowed}, but {reason}; {how}")
-    return lower, upper[partner], cracks, positions, count
+    if is_matching:
+        distance_rows = [
+            np.linalg.norm(upper_rows[:, 2:] - point, axis=1) for point in lower_rows[:, 2:]
+        ]
+        distances, partners = np.min(distance_rows, axis=1), np.argmin(distance_rows, axis=1)
+        is_matching = distances.max() <= POSITION_TOLERANCE * size and len(
+            np.unique(partners)
+        ) == len(partners)
+        position_text = ", ".join(f"{x:g}" for x in lower_rows[int(np.argmax(distances)), 2:])
+        reason = f"the upper node nearest to the lower one at ({position_text})"
+        reason += f" is {distances.max():.2g} m away"
+    if not is_matching:
+        problem = f"{n_inside} lower and {len(upper_rows) - n_front} upper nodes"
+        advice = "in a mesh file one curve or surface named 'crack' is split into two that do"
+        requirement = "meshed identically, so that nodes of the two faces pair one to one"
+        raise InputError("lips", problem, f"{requirement}, but {reason}; {advice}")
+    return lower_rows, upper_rows[partners], crack_index, positions, n_inside
 
 
-def _watched(lips: Lips, cracks: np.ndarray, positions: np.ndarray) -> dict[str, int]:
-    """The pair to watch of each crack by its name."""
-    found: dict[str, int] = {}
-    lip: Any
-    for number, lip in enumerate(lips):
-        own = np.flatnonzero(cracks == number)
-        name, place = lip.watched
-        if len(lips) > 1:
-            name += f" of crack {number + 1}"
-        if len(own):
-            place = min(place, float(positions[own].max()))
-            found[name] = int(own[np.argmin(np.abs(positions[own] - place))])
-    return found
+def _watched_pairs(
+    cracks: Cracks, crack_index: np.ndarray, positions: np.ndarray
+) -> dict[str, int]:
+    """Return the index of each crack's watched pair, by name."""
+    pair_by_name: dict[str, int] = {}
+    crack: Any
+    for index, crack in enumerate(cracks):
+        pairs = np.flatnonzero(crack_index == index)
+        name, position = crack.watched_place
+        if len(cracks) > 1:
+            name += f" of crack {index + 1}"
+        if len(pairs):
+            position = min(position, float(positions[pairs].max()))
+            pair_by_name[name] = int(pairs[np.argmin(np.abs(positions[pairs] - position))])
+    return pair_by_name
 
 
 def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
-    """Mesh a scene whose crack length is known, and assemble its structure, or read its matrices
-    (collective).
+    """Mesh a scene and assemble its structure, or read its matrices (collective).
 
-    Parameters and errors are those of :func:`fenics_crack.build_structure`.
+    The crack length must be known. Parameters and errors are those of
+    :func:`fenics_crack.build_structure`.
     """
-    collect_garbage(comm)  # of structures made before
+    collect_garbage(comm)  # free the matrices of earlier structures
     if scene.structure is not None:
         from fenics_crack.fem.matrix_files import read_structure
 
-        rule = None if scene.damping is None else damping_of(scene.damping)
-        return read_structure(scene, rule, comm)
-    coarser = scene.mesh.coarser
-    if coarser is not None:  # which is read after all else
-        from fenics_crack.fem.msh_file import check_there
+        damping_rule = None if scene.damping is None else damping_of(scene.damping)
+        return read_structure(scene, damping_rule, comm)
+    coarser_file = scene.mesh.coarser
+    if coarser_file is not None:  # read last, so check it now
+        from fenics_crack.fem.msh_file import check_file_exists
 
-        on_root(comm, lambda: check_there("mesh.coarser", coarser))
+        on_root(comm, lambda: check_file_exists("mesh.coarser", coarser_file))
     if scene.disk is not None:  # every rank has the sector
         from fenics_crack.fem.sector import assemble_wheel
 
-        structure, dofs = on_each(comm, lambda: _assembled(scene, MPI.COMM_SELF))
+        structure, dofs = on_each(comm, lambda: _assemble_at_rest(scene, MPI.COMM_SELF))
         return assemble_wheel(scene, dofs, structure, comm)
-    structure, dofs = _assembled(scene, comm)
+    structure, dofs = _assemble_at_rest(scene, comm)
     if scene.speed > 0.0:
         begin("rotation")
         structure = rotation_of(scene, dofs, structure).at(scene.speed)
     return structure
 
 
-def in_another(scene: Scene, structure: Structure, *, loads: bool) -> Structure:
-    """A structure of a mesh at rest with the clearance and the damping of another scene of the same
-    mesh, and with its loads (collective)."""
+def reuse_structure(scene: Scene, structure: Structure, *, loads: bool) -> Structure:
+    """Return a structure at rest with clearance and damping of another scene.
+
+    Both scenes have the same mesh. With ``loads`` the scene's loads are assembled, too
+    (collective).
+    """
     changes: dict[str, Any] = {
         "clearance": clearance_of(scene, structure.pairs), "damping": damping_of(scene.damping),
     }  # fmt: skip
     if loads:
         dofs: Dofs = structure.nodes.mesh_dofs  # type: ignore[union-attr]
-        _, mass = _forms(scene, dofs.space)
+        _, mass = _matrix_forms(scene, dofs.space)
         matrix = compat.assembled_matrix(mass)
         force, changes["watched"] = assemble_loads(scene, dofs, matrix)
-        changes |= {"force": dofs.free_part(force), "clamp": clamp_of(dofs, matrix, force)}
+        changes |= {"force": dofs.restrict_to_free(force), "clamp": clamp_of(dofs, matrix, force)}
         matrix.destroy()
     return structure._in_setting(DEFAULT_SETTING, **changes)
 
 
-def _assembled(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
-    """The structure of a mesh at rest, of a sector with free sides, and its dofs (collective)."""
+def _assemble_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
+    """Assemble the structure at rest, and its dofs (collective).
+
+    The sides of a sector are free.
+    """
     begin("mesh")
     plate = build_mesh(scene, comm)
     begin("matrices")
-    if not plate.cracked and scene.mesh.layout == "file" and (scene.contact or scene.all_cracks):
-        named = "curves" if scene.dimension == 2 else "surfaces"
-        allowed = f"a mesh with {named} named 'crack', or 'lower_lip' and 'upper_lip'"
-        allowed += ", as the scene has contact"
-        raise InputError("mesh.file", scene.mesh.file, allowed)
+    if not plate.has_cracks and scene.mesh.layout == "file" and (scene.contact or scene.all_cracks):
+        part_words = "curves" if scene.dimension == 2 else "surfaces"
+        requirement = f"a mesh with {part_words} named 'crack', or 'lower_lip' and 'upper_lip'"
+        requirement += ", as the scene has contact"
+        raise InputError("mesh.file", scene.mesh.file, requirement)
     space = compat.function_space(plate.mesh, scene.mesh.order)
     dofs = Dofs(plate, space, comm)
     if scene.disk is not None:
-        from fenics_crack.fem.sector import turn_sides
+        from fenics_crack.fem.sector import match_sides
 
-        turn_sides(scene, dofs)
-    stiffness, mass = map(compat.assembled_matrix, _forms(scene, space))
-    mouth = scene.contact is not None and scene.contact.pairs == "mouth"
+        match_sides(scene, dofs)
+    stiffness, mass = map(compat.assembled_matrix, _matrix_forms(scene, space))
+    mouth_only = scene.contact is not None and scene.contact.pairs == "mouth"
     t, patches = thickness(scene, space), scene.mesh.patches
-    gap, tangential, pairs = pair_lips(dofs, t, mouth=mouth, patches=patches)
-    force, watched = assemble_loads(scene, dofs, mass)
+    gap, tangential, pairs = pair_crack_faces(dofs, t, mouth_only=mouth_only, max_patches=patches)
+    force, watched_vector = assemble_loads(scene, dofs, mass)
     clamp = clamp_of(dofs, mass, force)
     body = Body(
-        dofs.free_block(mass), dofs.free_block(stiffness), gap, dofs.free_part(force),
-        clearance_of(scene, pairs), damping=damping_of(scene.damping), tangential=tangential,
-        nodes=dofs.nodes(), pairs=pairs, watched=watched, clamp=clamp,
+        dofs.restrict_matrix(mass), dofs.restrict_matrix(stiffness), gap,
+        dofs.restrict_to_free(force), clearance_of(scene, pairs),
+        damping=damping_of(scene.damping), tangential=tangential, nodes=dofs.nodes(),
+        pairs=pairs, watched=watched_vector, clamp=clamp,
     )  # fmt: skip
     return Structure(body), dofs
 
@@ -355,8 +493,8 @@ def _assembled(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
 # --- matrices -------------------------------------------------------------------------------------
 
 
-def _forms(scene: Scene, space: Any) -> tuple[Any, Any]:
-    """Forms of stiffness and mass."""
+def _matrix_forms(scene: Scene, space: Any) -> tuple[Any, Any]:
+    """Return the forms of stiffness and mass."""
     (density,), t = constants(space, scene.material.density), thickness(scene, space)
     u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
     strain = ufl.sym(ufl.grad(u))
@@ -370,7 +508,7 @@ def _forms(scene: Scene, space: Any) -> tuple[Any, Any]:
 def build_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     """Mesh a scene and assemble its structure, or read its matrices (collective).
 
-    A crack that is given by ``first_omega`` gets the length found by :func:`find_crack_length`.
+    If ``first_omega`` is given for the crack, :func:`find_crack_length` finds the crack's length.
 
     Parameters
     ----------
@@ -382,7 +520,7 @@ def build_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     Returns
     -------
     Structure
-        Whole; its rows are shared by the ranks.
+        Not reduced; its rows are shared by the ranks.
 
     Raises
     ------
@@ -398,21 +536,22 @@ def build_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
 
 
 def with_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Scene:
-    """Return the scene with the length found from ``crack.first_omega``, if that is given."""
+    """Return the scene with the crack length for ``crack.first_omega``, if given."""
     if scene.crack is None or scene.crack.first_omega is None:
         return scene
-    return _with_length(scene, find_crack_length(scene, comm))
+    return _set_crack_length(scene, find_crack_length(scene, comm))
 
 
-_LENGTH: list[tuple[str, float]] = []
-"""The length found last in this process, after all tables of a scene on which it depends."""
+_LAST_LENGTH: list[tuple[str, float]] = []
+"""Crack length found last in this process, after all tables of a scene that determine it."""
 
 
 def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
-    """Find the crack length [m] at which the first natural frequency is ``crack.first_omega``.
+    """Find the crack length [m] for which the first natural frequency is given.
 
-    The frequency of the open crack, without rotation, falls with its length; Brent's method over
-    re-meshed plates, to 1e-5 of the width; not again of the same plate.
+    This is ``crack.first_omega``. The frequency of the open crack, without rotation, falls with the
+    length. Brent's method on re-meshed plates finds the length to 1e-5 of the width. The result is
+    kept for the same plate.
 
     Parameters
     ----------
@@ -424,13 +563,13 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     Returns
     -------
     float
-        [m].
+        Length [m].
 
     Raises
     ------
     InputError
-        No length between 1 % and 95 % of the width gives that frequency; for a crack inside, of the
-        room around its center.
+        No length from 1 % to 95 % of the width gives that frequency. For a crack inside, the
+        space around its center takes the place of the width.
 
     Examples
     --------
@@ -441,30 +580,36 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     if crack is None or crack.first_omega is None or width is None:
         raise InputError("crack.first_omega", None, "given: a finite number > 0")
     tables = repr((scene.geometry, crack, scene.material, scene.mesh))
-    if (known := comm.bcast(dict(_LENGTH).get(tables))) is not None:
-        return float(known)
-    target, at_rest = crack.first_omega, scene.at_rest()
+    if (known_length := comm.bcast(dict(_LAST_LENGTH).get(tables))) is not None:
+        return float(known_length)
+    target_omega, scene_at_rest = crack.first_omega, scene.at_rest()
 
     @cache
-    def excess(length: float) -> float:
-        plate = assemble(_with_length(at_rest, length), comm)
-        return float(solve_modes(plate, 1).omega[0]) - target
+    def excess_frequency(length: float) -> float:
+        """Return the first natural frequency less the target [rad/s]."""
+        plate = assemble(_set_crack_length(scene_at_rest, length), comm)
+        return float(solve_modes(plate, 1).omega[0]) - target_omega
 
-    room, words = width, "width"
+    max_extent, extent_words = width, "width"
     if crack.center is not None:
-        room, words = 2.0 * min(crack.center, width - crack.center), "room around its center"
-    shortest, longest = 0.01 * room, 0.95 * room
-    highest, lowest = target + excess(shortest), target + excess(longest)
-    if not lowest <= target <= highest:
-        span = f"between {lowest:.1f} and {highest:.1f} rad/s"
-        allowed = f"{span}: cracks of 95 % and 1 % of the {words}"
-        raise InputError("crack.first_omega", target, allowed)
-    import scipy.optimize  # takes a while, and most scenes give a length
+        max_extent = 2.0 * min(crack.center, width - crack.center)
+        extent_words = "room around its center"
+    min_length, max_length = 0.01 * max_extent, 0.95 * max_extent
+    max_omega = target_omega + excess_frequency(min_length)
+    min_omega = target_omega + excess_frequency(max_length)
+    if not min_omega <= target_omega <= max_omega:
+        range_text = f"between {min_omega:.1f} and {max_omega:.1f} rad/s"
+        requirement = f"{range_text}: cracks of 95 % and 1 % of the {extent_words}"
+        raise InputError("crack.first_omega", target_omega, requirement)
+    import scipy.optimize  # slow to import, and most scenes give a length
 
-    found = float(scipy.optimize.brentq(excess, shortest, longest, xtol=1e-5 * width))
-    _LENGTH[:] = [(tables, found)]
-    return found
+    crack_length = float(
+        scipy.optimize.brentq(excess_frequency, min_length, max_length, xtol=1e-5 * width)
+    )
+    _LAST_LENGTH[:] = [(tables, crack_length)]
+    return crack_length
 
 
-def _with_length(scene: Scene, length: float) -> Scene:
+def _set_crack_length(scene: Scene, length: float) -> Scene:
+    """Return the scene with a crack length instead of a frequency."""
     return scene.replace({"crack.length": length, "crack.first_omega": None})

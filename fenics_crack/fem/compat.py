@@ -1,6 +1,6 @@
-"""Everything that differs between the versions of DOLFINx and gmsh in use.
+"""Hide the differences between versions of DOLFINx and gmsh.
 
-DOLFINx 0.5 and gmsh 4.8 are Debian 12's, 0.9 and 4.13 Debian 13's, 0.11 and 4.15 those of wheels;
+Debian 12 has DOLFINx 0.5 and gmsh 4.8, Debian 13 has 0.9 and 4.13, and wheels have 0.11 and 4.15.
 DOLFINx 0.10 is provided for.
 
 No other module looks at a version.
@@ -30,21 +30,23 @@ from fenics_crack.basics.untrusted_files import away
 
 
 @contextmanager
-def _versions_by_metadata() -> Iterator[None]:
-    """Spare UFL 2022.2 and FFCx 0.5 setuptools' pkg_resources, a tenth of a start: they ask it for
-    their own version and nothing else."""
-    asked = ModuleType("pkg_resources")
-    vars(asked)["get_distribution"] = importlib.metadata.distribution
-    before = sys.modules.setdefault("pkg_resources", asked)
+def _replace_pkg_resources() -> Iterator[None]:
+    """Replace setuptools' pkg_resources while UFL 2022.2 and FFCx 0.5 are imported.
+
+    Both ask it only for their own version. Its import takes a tenth of the program's start.
+    """
+    substitute = ModuleType("pkg_resources")
+    vars(substitute)["get_distribution"] = importlib.metadata.distribution
+    current_module = sys.modules.setdefault("pkg_resources", substitute)
     try:
         yield
     finally:
-        if before is asked:
+        if current_module is substitute:
             del sys.modules["pkg_resources"]
 
 
 settle_caches()
-with _versions_by_metadata(), away(), loading():
+with _replace_pkg_resources(), away(), loading():
     import basix
     import dolfinx
     import dolfinx.fem.petsc
@@ -54,184 +56,221 @@ with _versions_by_metadata(), away(), loading():
     import ffcx
     import ufl
 
-    # They keep the settings that they read first: the user's own in ~/.config, none from here.
-    _READ = [(getattr(m, "get_options", None) or m.get_parameters)() for m in (dolfinx.jit, ffcx)]
+    # DOLFINx and FFCx keep the options that they read first: those of the user in ~/.config, and
+    # none from the working folder.
+    _OPTIONS = [
+        (getattr(module, "get_options", None) or module.get_parameters)()
+        for module in (dolfinx.jit, ffcx)
+    ]
 
-_NEW = hasattr(dolfinx.fem, "functionspace")
-_JIT = "jit_options" if _NEW else "jit_params"
-_CACHE = _READ[0].pop("cache_dir")
+_HAS_FUNCTIONSPACE = hasattr(dolfinx.fem, "functionspace")
+_JIT_KEYWORD = "jit_options" if _HAS_FUNCTIONSPACE else "jit_params"
+_CACHE_FOLDER = _OPTIONS[0].pop("cache_dir")
 
 
 def gmsh_is_running() -> bool:
-    """Return True if gmsh is initialised; gmsh 4.8 does not report it, which is taken as False."""
+    """Return True if gmsh is initialised.
+
+    gmsh 4.8 does not report this; the result is then False.
+    """
     return bool(getattr(gmsh, "isInitialized", lambda: False)())
 
 
 def model_to_mesh(model: Any, comm: MPI.Comm, dimension: int) -> tuple[Any, Any, Any]:
-    """Distribute the gmsh model of rank 0 as a mesh in a plane or in space: (mesh, cell tags, facet
-    tags)."""
+    """Distribute rank 0's gmsh model as a mesh with ``dimension`` coordinates.
+
+    Returns
+    -------
+    mesh, cell_tags, facet_tags
+        DOLFINx's objects.
+    """
     try:
         from dolfinx.io import gmshio
     except ImportError:  # 0.10
         from dolfinx.io import gmsh as gmshio
-    # A thread of SCOTCH takes 8 MiB of stack, 128 MiB of heap and some more: without them it ends
-    # with words of its own, or DOLFINx loops for ever.
+    # A thread of SCOTCH takes 8 MiB of stack, 128 MiB of heap and some more. Without this memory
+    # SCOTCH aborts the program, or DOLFINx loops for ever.
     if comm.allreduce(addresses_left() < 150 * 2**20, MPI.LOR):
         raise MemoryError("no room for a thread")
-    # DOLFINx 0.5 tries a call whose error, seen by nobody, shows all arrays.
+    # DOLFINx 0.5 tries a call that fails, and formats all arrays for an error that is discarded.
     with np.printoptions(threshold=0, edgeitems=1):
-        data = gmshio.model_to_mesh(model, comm, 0, gdim=dimension)
-    if isinstance(data, tuple) and len(data) == 3:
-        return data
-    return data.mesh, data.cell_tags, data.facet_tags
+        mesh_data = gmshio.model_to_mesh(model, comm, 0, gdim=dimension)
+    if isinstance(mesh_data, tuple) and len(mesh_data) == 3:
+        return mesh_data
+    return mesh_data.mesh, mesh_data.cell_tags, mesh_data.facet_tags
 
 
 @contextmanager
 def _quiet_compiler() -> Iterator[None]:
-    """Hold back what distutils logs of each form that is compiled, on the root logger itself.
+    """Suppress distutils' messages on the root logger while a form is compiled.
 
-    FFCx gives that logger a handler, and cffi sets its level to INFO meanwhile. What other loggers
-    tell is heard, and so are warnings.
+    FFCx gives this logger a handler, and cffi sets its level to INFO. Warnings and messages of
+    other loggers still appear.
     """
 
-    def important(record: logging.LogRecord) -> bool:
+    def is_important(record: logging.LogRecord) -> bool:
         return record.levelno > logging.INFO
 
-    logging.root.addFilter(important)
+    logging.root.addFilter(is_important)
     try:
         yield
     finally:
-        logging.root.removeFilter(important)
+        logging.root.removeFilter(is_important)
 
 
 @_quiet_compiler()
-def _compiled(comm: MPI.Comm, form: Any, make: Callable[..., Any], *given: Any) -> Any:
-    """Make what a form, or an element, is compiled for (collective)."""
-    key = ffcx.naming.compute_signature([form], str((_READ, PETSc.ScalarType, sys.implementation)))
-    return load_form(comm, _CACHE / f"{key}.txt", lambda options: make(*given, **{_JIT: options}))
+def _compile(comm: MPI.Comm, form: Any, make_object: Callable[..., Any], *arguments: Any) -> Any:
+    """Make the object that a form or an element is compiled for (collective)."""
+    key = ffcx.naming.compute_signature(
+        [form], str((_OPTIONS, PETSc.ScalarType, sys.implementation))
+    )
+    return load_form(
+        comm,
+        _CACHE_FOLDER / f"{key}.txt",
+        lambda options: make_object(*arguments, **{_JIT_KEYWORD: options}),
+    )
 
 
-def element(mesh: Any, order: int, *, vectors: bool = True) -> Any:
-    """Continuous piecewise polynomials of the given order: vectors, or numbers."""
-    if _NEW:
+def lagrange_element(mesh: Any, order: int, *, vectors: bool = True) -> Any:
+    """Return the continuous Lagrange element of an order, for vectors or scalars."""
+    if _HAS_FUNCTIONSPACE:
         shape = (mesh.geometry.dim,) if vectors else None
         return basix.ufl.element("Lagrange", mesh.topology.cell_type.name, order, shape=shape)
-    make = ufl.VectorElement if vectors else ufl.FiniteElement
-    return make("Lagrange", mesh.ufl_cell(), order)
+    make_element = ufl.VectorElement if vectors else ufl.FiniteElement
+    return make_element("Lagrange", mesh.ufl_cell(), order)
 
 
 def function_space(mesh: Any, order: int, *, vectors: bool = True) -> Any:
-    """The space of :func:`element`."""
-    of_mesh = element(mesh, order, vectors=vectors)
-    if _NEW:
-        return dolfinx.fem.functionspace(mesh, of_mesh)
-    return _compiled(mesh.comm, of_mesh, dolfinx.fem.FunctionSpace, mesh, of_mesh)
+    """Return the function space of :func:`lagrange_element` on a mesh."""
+    element = lagrange_element(mesh, order, vectors=vectors)
+    if _HAS_FUNCTIONSPACE:
+        return dolfinx.fem.functionspace(mesh, element)
+    return _compile(mesh.comm, element, dolfinx.fem.FunctionSpace, mesh, element)
 
 
-def compiled(form: Any) -> Any:
-    """Compile a form (collective), to be assembled several times with other values of its constants
-    and functions; return one that is compiled as it is."""
+def compile_form(form: Any) -> Any:
+    """Compile a form, unless it is compiled already (collective).
+
+    A compiled form can be assembled repeatedly, with other values of its constants and functions.
+    """
     if not isinstance(form, ufl.Form):
         return form
-    return _compiled(form.ufl_domain().ufl_cargo().comm, form, dolfinx.fem.form, form)
+    return _compile(form.ufl_domain().ufl_cargo().comm, form, dolfinx.fem.form, form)
 
 
 def assembled_matrix(form: ufl.Form) -> Any:
-    """Assemble a bilinear form without boundary conditions into a PETSc matrix (collective)."""
-    matrix = dolfinx.fem.petsc.assemble_matrix(compiled(form))
+    """Assemble a bilinear form into a PETSc matrix (collective).
+
+    No boundary conditions are applied.
+    """
+    matrix = dolfinx.fem.petsc.assemble_matrix(compile_form(form))
     matrix.assemble()
     return matrix
 
 
 def assembled_vector(form: Any) -> np.ndarray:
-    """Assemble a linear form, compiled or not; return the entries of the dofs that this rank owns
-    (collective)."""
-    vector = dolfinx.fem.petsc.assemble_vector(compiled(form))
+    """Assemble a linear form, compiled or not: (n_owned_dofs,) (collective)."""
+    vector = dolfinx.fem.petsc.assemble_vector(compile_form(form))
     vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-    owned = vector.array_r.copy()
+    owned_entries = vector.array_r.copy()
     vector.destroy()
-    return owned
+    return owned_entries
 
 
-def basis_at(space: Any, order: int, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes of the cell of this rank that holds a point, and their basis functions' values there.
+def evaluate_basis(space: Any, order: int, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Evaluate the basis functions at a point.
 
-    Both are empty where no cell of this rank holds the point.
+    Both results are empty if this rank owns no cell with the point.
+
+    Returns
+    -------
+    nodes : (k,) int
+        Local nodes of the cell with the point.
+    basis_values : (k,)
+        Values of their basis functions at the point.
     """
     mesh = space.mesh
     dimension = mesh.topology.dim
-    where = np.append(point, np.zeros(3 - dimension)).astype(float)
+    position = np.append(point, np.zeros(3 - dimension)).astype(float)
     if hasattr(dolfinx.geometry, "bb_tree"):
         tree = dolfinx.geometry.bb_tree(mesh, dimension, padding=1e-10)
-        near = dolfinx.geometry.compute_collisions_points(tree, where)
-        hits = dolfinx.geometry.compute_colliding_cells(mesh, near, where).array
+        candidates = dolfinx.geometry.compute_collisions_points(tree, position)
+        cells = dolfinx.geometry.compute_colliding_cells(mesh, candidates, position).array
     else:
         tree = dolfinx.geometry.BoundingBoxTree(mesh, dimension, padding=1e-10)
-        near = dolfinx.geometry.compute_collisions(tree, where)
-        hits = np.asarray(dolfinx.geometry.compute_colliding_cells(mesh, near, where))
-    hits = hits[hits < mesh.topology.index_map(dimension).size_local]
-    if not len(hits):
+        candidates = dolfinx.geometry.compute_collisions(tree, position)
+        cells = np.asarray(dolfinx.geometry.compute_colliding_cells(mesh, candidates, position))
+    cells = cells[cells < mesh.topology.index_map(dimension).size_local]
+    if not len(cells):
         return np.zeros(0, dtype=np.int32), np.zeros(0)
-    cell = int(hits[0])
+    cell = int(cells[0])
     corners = mesh.geometry.x[geometry_dofmap(mesh)[cell], :dimension]
-    reference = mesh.geometry.cmap.pull_back(where[None, :dimension], corners)
-    kind, variant = mesh.topology.cell_type.name, basix.LagrangeVariant.gll_warped
-    of_cell = getattr(basix.CellType, kind)
-    element = basix.create_element(basix.ElementFamily.P, of_cell, order, variant)
-    values = element.tabulate(0, reference)[0, 0].ravel()
-    return np.asarray(space.dofmap.cell_dofs(cell)), values
+    reference_point = mesh.geometry.cmap.pull_back(position[None, :dimension], corners)
+    cell_name, variant = mesh.topology.cell_type.name, basix.LagrangeVariant.gll_warped
+    cell_type = getattr(basix.CellType, cell_name)
+    reference_element = basix.create_element(basix.ElementFamily.P, cell_type, order, variant)
+    basis_values = reference_element.tabulate(0, reference_point)[0, 0].ravel()
+    return np.asarray(space.dofmap.cell_dofs(cell)), basis_values
 
 
-def is_on(tags: Any, mesh: Any) -> bool:
-    """Return True if tags are those of facets of a mesh."""
-    tagged, whole = (tags.topology, mesh.topology) if _NEW else (tags.mesh, mesh)
-    return _in_cpp(tagged) is _in_cpp(whole) and tags.dim == mesh.topology.dim - 1
+def are_facet_tags_of(tags: Any, mesh: Any) -> bool:
+    """Return True if tags are facet tags of a mesh."""
+    tagged_topology, mesh_topology = (
+        (tags.topology, mesh.topology) if _HAS_FUNCTIONSPACE else (tags.mesh, mesh)
+    )
+    return (
+        _cpp_object(tagged_topology) is _cpp_object(mesh_topology)
+        and tags.dim == mesh.topology.dim - 1
+    )
 
 
-def _in_cpp(thing: Any) -> Any:
-    """The object of C++ behind one of Python, in the words of any version."""
-    return getattr(thing, "_cpp_object", getattr(thing, "_mesh", thing))
+def _cpp_object(wrapper: Any) -> Any:
+    """Return the C++ object behind a Python object, in any version."""
+    return getattr(wrapper, "_cpp_object", getattr(wrapper, "_mesh", wrapper))
 
 
-def held_dofs(space: Any, conditions: Any) -> np.ndarray:
-    """This rank's dofs of a space that Dirichlet conditions hold at zero: (n_dofs,) bool.
+def constrained_dofs(space: Any, conditions: Any) -> np.ndarray:
+    """Return True for this rank's dofs that Dirichlet conditions hold at zero: (n_dofs,).
 
     Raises
     ------
     InputError
-        One is of another space, or has a value that is not zero; the key is "bcs".
+        A condition is on another space, or its value is not zero. The key is "bcs".
     """
-    whole, count = space._cpp_object, space.dofmap.index_map.size_local * space.mesh.geometry.dim
-    zeros, ones = values = np.array([[0.0], [1.0]]).repeat(count, axis=1)
+    cpp_space = space._cpp_object
+    n_dofs = space.dofmap.index_map.size_local * space.mesh.geometry.dim
+    zero_start, one_start = start_values = np.array([[0.0], [1.0]]).repeat(n_dofs, axis=1)
     with reading("bcs", type(conditions).__name__, "Dirichlet conditions of zero on the space"):
         conditions = list(conditions)
-        if not all(whole.contains(_in_cpp(condition.function_space)) for condition in conditions):
+        if not all(
+            cpp_space.contains(_cpp_object(condition.function_space)) for condition in conditions
+        ):
             raise ValueError("one is of another space")
-        for row in values:
-            vector = PETSc.Vec().createWithArray(row, comm=MPI.COMM_SELF)
+        for array in start_values:
+            vector = PETSc.Vec().createWithArray(array, comm=MPI.COMM_SELF)
             dolfinx.fem.petsc.set_bc(vector, conditions)
-        if np.any(zeros):
+        if np.any(zero_start):
             raise ValueError("one holds at another value than zero")
-    return np.asarray(ones == 0.0)
+    return np.asarray(one_start == 0.0)
 
 
 def facet_corners(mesh: Any, facets: np.ndarray) -> np.ndarray:
-    """Corners of facets of this rank, in turn, by their local numbers in the geometry: (n, k)."""
+    """Return local geometry nodes at the corners of facets, in cyclic order: (n, k)."""
     topology, d = mesh.topology, mesh.topology.dim
-    for pair in ((d - 1, 0), (d - 1, d), (d, d - 1)):
-        topology.create_connectivity(*pair)
-    in_turn = [0, 1, 3, 2] if topology.cell_type.name == "hexahedron" else [*range(d)]
-    if not len(facets):  # by whose number 0.9 divides
-        return np.zeros((0, len(in_turn)), dtype=np.int32)
-    if _NEW:
+    for dimensions in ((d - 1, 0), (d - 1, d), (d, d - 1)):
+        topology.create_connectivity(*dimensions)
+    corner_order = [0, 1, 3, 2] if topology.cell_type.name == "hexahedron" else [*range(d)]
+    if not len(facets):  # DOLFINx 0.9 divides by their number
+        return np.zeros((0, len(corner_order)), dtype=np.int32)
+    if _HAS_FUNCTIONSPACE:
         nodes = dolfinx.mesh.entities_to_geometry(mesh, d - 1, facets)
     else:
-        nodes = dolfinx.cpp.mesh.entities_to_geometry(_in_cpp(mesh), d - 1, facets, False)
-    return np.asarray(nodes)[:, in_turn]
+        nodes = dolfinx.cpp.mesh.entities_to_geometry(_cpp_object(mesh), d - 1, facets, False)
+    return np.asarray(nodes)[:, corner_order]
 
 
 def geometry_dofmap(mesh: Any) -> np.ndarray:
-    """Geometry nodes of each local cell: (n_cells, n_nodes)."""
+    """Return the geometry nodes of each local cell: (n_cells, n_nodes)."""
     dofmap = mesh.geometry.dofmap
     if isinstance(dofmap, np.ndarray):
         return dofmap
@@ -239,8 +278,16 @@ def geometry_dofmap(mesh: Any) -> np.ndarray:
 
 
 def vtk_cells(space: Any) -> tuple[np.ndarray, int]:
-    """Local nodes of each owned cell in VTK's order, (n_cells, n_nodes), and VTK's cell type."""
-    make = getattr(dolfinx.plot, "vtk_mesh", None) or dolfinx.plot.create_vtk_mesh
-    cells, kinds, _ = make(space)
-    nodes = int(cells[0]) if len(cells) else 1
-    return cells.reshape(-1, nodes + 1)[:, 1:], int(kinds[0]) if len(kinds) else 0
+    """Return the owned cells in VTK's form.
+
+    Returns
+    -------
+    cells : (n_cells, n_nodes) int
+        Local nodes, in VTK's order.
+    vtk_type : int
+        VTK's number of the cell type; 0 if there are no cells.
+    """
+    make_mesh = getattr(dolfinx.plot, "vtk_mesh", None) or dolfinx.plot.create_vtk_mesh
+    cells, cell_types, _ = make_mesh(space)
+    n_nodes = int(cells[0]) if len(cells) else 1
+    return cells.reshape(-1, n_nodes + 1)[:, 1:], int(cell_types[0]) if len(cell_types) else 0

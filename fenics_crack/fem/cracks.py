@@ -1,16 +1,16 @@
-"""Cracks of a mesh: where they run, and how the nodes along them are doubled.
+"""Find the cracks of a mesh, and double the nodes along them.
 
-A crack face of a plate is a chain of edges from a mouth to a tip, from tip to tip, or from mouth to
-mouth; that of a solid is a surface. A rim of a crack is a front, or a tip of a plate's, where it
-lies inside, else a mouth. A node of a front belongs to both faces.
+In a plate, a crack face is a chain of edges from a mouth to a tip, from tip to tip, or from mouth
+to mouth. In a solid it is a surface. The rim of this surface is a front inside the solid, and a
+mouth at its boundary. Nodes on a tip or front belong to both faces.
 
-Where cracks are curves or surfaces inside, all of their nodes that are not on a front are doubled;
-which of the two a cell has is found by walking from cell to cell around each of them, across facets
-that are not of the crack. A facet whose corners are all on fronts stays whole: its nodes exist
-once.
+If a mesh has a crack as curve or surface inside, all nodes of the crack are doubled except those of
+tips and fronts. Each cell then has one of the two nodes. A walk around the original node decides:
+it goes from cell to cell across facets outside the crack, and cells that it connects share a node.
+If all corners of a facet are on fronts, the facet stays whole and its nodes exist once.
 
-The material of a lower face lies below the crack: the normals that point out of it, summed along
-the face, point up; or to the right where they are level.
+The material of the lower face lies below the crack. Its outward normals, summed along the face,
+point up; if the sum is level, they point to the right.
 """
 
 from __future__ import annotations
@@ -27,32 +27,32 @@ import scipy.sparse as sparse
 from fenics_crack.basics.errors import InputError
 
 LIP_TAGS = ("lower_lip", "upper_lip")
-"""Names of the two faces of all cracks of a mesh."""
-SAME = 1e-6
-"""Distance within which two places are one, relative to the size of the mesh or the length of the
-crack: text files have six digits and more."""
-COINCIDENT = 1e-3
-"""Distance of nodes in the same place, relative to the shortest edge."""
+"""Names of the lower and upper faces of all cracks in a mesh."""
+POSITION_TOLERANCE = 1e-6
+"""Distance between equal positions, relative to the size of the mesh or crack. Text files keep six
+digits or more."""
+COINCIDENCE_TOLERANCE = 1e-3
+"""Distance between coincident nodes, relative to the shortest edge."""
 FACETS = {
     4: np.array([[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]),
     8: np.array(
         [[0, 1, 2, 3], [4, 5, 6, 7], [0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7]]
     ),
 }
-"""Facets of a cell of a solid by its number of corners, in turn."""
+"""Corners of the facets of a solid's cell, in cyclic order, by number of corners."""
 
 
 @dataclass(frozen=True)
-class Lip:
-    """A crack face of one crack.
+class CrackPath:
+    """Path of a crack in a plate.
 
     Attributes
     ----------
     points : (n, 2) [m]
-        Its corners, from the mouth to the tip; from the left to the right tip of a crack inside. Of
-        a straight one both ends are enough.
+        Corners from the mouth to the tip; for a crack inside, from the left tip to the right
+        one. A straight path needs only its two ends.
     has_mouth : bool
-        True if it begins at an edge of the plate.
+        True if the path begins at the edge of the plate.
     """
 
     points: np.ndarray
@@ -60,51 +60,67 @@ class Lip:
 
     @property
     def edges(self) -> np.ndarray:
-        """Ends of its edges: (n - 1, 2, 2) [m]."""
+        """Return the ends of all edges: (n - 1, 2, 2) [m]."""
         return np.stack([self.points[:-1], self.points[1:]], axis=1)
 
     @property
-    def position(self) -> np.ndarray:
-        """Distance of each corner from the beginning, along the face [m]."""
-        steps = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
-        return np.concatenate([[0.0], np.cumsum(steps)])
+    def corner_positions(self) -> np.ndarray:
+        """Return each corner's distance from the beginning, along the path: (n,) [m]."""
+        edge_lengths = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
+        return np.concatenate([[0.0], np.cumsum(edge_lengths)])
 
     @property
-    def watched(self) -> tuple[str, float]:
-        """Name of the watched pair, and its position: at the mouth, or in the middle of a crack
-        inside."""
-        return ("the mouth", 0.0) if self.has_mouth else ("the middle", 0.5 * self.position[-1])
+    def watched_place(self) -> tuple[str, float]:
+        """Return name and position of the watched pair.
+
+        The position [m] is 0 at a mouth, and the middle for a crack inside.
+        """
+        if self.has_mouth:
+            return "the mouth", 0.0
+        return "the middle", 0.5 * self.corner_positions[-1]
 
     def locate(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Distance of points (n, 2) from the face, and of the nearest place from its beginning [m]:
-        two arrays (n,)."""
-        to, share = to_edges(points, self.edges)
-        off, position = np.linalg.norm(to, axis=2), self.position
-        places = position[:-1] + share * np.diff(position)
-        edge, row = off.argmin(axis=1), np.arange(len(points))
-        return off[row, edge], places[row, edge]
+        """Project points (n, 2) onto the path.
 
-    def beside(self, point: Sequence[float]) -> tuple[list[float], list[float]] | None:
-        """Points below and above one that lies on the crack, and not at its tip; else None."""
-        (off,), (place,) = self.locate(np.array([point]))
-        length = float(self.position[-1])
-        from_tip = length - place if self.has_mouth else min(place, length - place)
-        edge = np.searchsorted(self.position[1:-1], place)
-        return both_sides(point, off, from_tip, _normals(self.edges[[edge]])[0], length)
+        Returns
+        -------
+        distances : (n,) [m]
+            Distance between each point and the path.
+        positions : (n,) [m]
+            Distance from the beginning to the nearest point on the path.
+        """
+        offsets, edge_fractions = offsets_from_edges(points, self.edges)
+        distances, corner_positions = np.linalg.norm(offsets, axis=2), self.corner_positions
+        nearest_positions = corner_positions[:-1] + edge_fractions * np.diff(corner_positions)
+        edge_index, rows = distances.argmin(axis=1), np.arange(len(points))
+        return distances[rows, edge_index], nearest_positions[rows, edge_index]
+
+    def points_beside(self, point: Sequence[float]) -> tuple[list[float], list[float]] | None:
+        """Return points below and above a point on the crack.
+
+        None if the point is off the crack, or at a tip.
+        """
+        (distance,), (position,) = self.locate(np.array([point]))
+        length = float(self.corner_positions[-1])
+        tip_distance = length - position if self.has_mouth else min(position, length - position)
+        edge_index = np.searchsorted(self.corner_positions[1:-1], position)
+        return points_on_both_sides(
+            point, distance, tip_distance, _facet_normals(self.edges[[edge_index]])[0], length
+        )
 
 
 @dataclass(frozen=True)
 class CrackSurface:
-    """One crack in a solid.
+    """Surface of a crack in a solid.
 
     Attributes
     ----------
     triangles : (n, 3, 3) [m]
-        Corners of its facets; of one with four corners of both halves.
+        Corners of the facets. Each quadrilateral is cut into two triangles.
     front : (m, 2, 3) [m]
-        Ends of the edges of its front; none where it parts two bodies.
+        Ends of the front's edges. Empty if the crack separates two bodies.
     has_mouth : bool
-        True if its rim reaches the surface of the solid.
+        True if the rim reaches the surface of the solid.
     """
 
     triangles: np.ndarray
@@ -112,396 +128,559 @@ class CrackSurface:
     has_mouth: bool
 
     @property
-    def watched(self) -> tuple[str, float]:
-        """Name of the watched pair, and its position: the farthest from the front."""
+    def watched_place(self) -> tuple[str, float]:
+        """Return name and position of the pair farthest from the front."""
         return "the mouth" if self.has_mouth else "the middle", np.inf
 
     @property
     def size(self) -> float:
-        """Largest extent [m]."""
+        """Return the largest extent along x, y or z [m]."""
         return float(np.ptp(self.triangles.reshape(-1, 3), axis=0).max())
 
     def locate(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Distance of points (n, 3) from the surface and from the front [m], equal for all without
-        a front: two arrays (n,)."""
-        off, position = np.empty(len(points)), np.empty(len(points))
-        # Two million distances at a time.
-        step = max(1, 2_000_000 // max(len(self.triangles), len(self.front)))
-        for first in range(0, len(points), step):
-            some = slice(first, first + step)
-            off[some] = np.linalg.norm(_to_triangles(points[some], self.triangles), axis=2).min(1)
-            farther = 2.0 * self.size  # than any point of it from a front
-            to_front = np.linalg.norm(to_edges(points[some], self.front)[0], axis=2)
-            position[some] = to_front.min(axis=1, initial=farther)
-        return off, position
+        """Return the distances of points (n, 3) from surface and front.
 
-    def beside(self, point: Sequence[float]) -> tuple[list[float], list[float]] | None:
-        """Points below and above one that lies on the crack, and not at its front; else None."""
-        at = np.asarray(point, dtype=float)
-        (off,), (from_front,) = self.locate(at[None])
-        nearest = np.linalg.norm(_to_triangles(at[None], self.triangles)[0], axis=1).argmin()
-        normal = _normals(self.triangles[[nearest]])[0]
-        return both_sides(point, off, from_front, normal, self.size)
+        Returns
+        -------
+        distances : (n,) [m]
+            Distance between each point and the surface.
+        front_distances : (n,) [m]
+            Distance between each point and the front, at most twice the crack's size. Without a
+            front all are equal.
+        """
+        distances, front_distances = np.empty(len(points)), np.empty(len(points))
+        # Limit the memory: two million distances at a time.
+        block_size = max(1, 2_000_000 // max(len(self.triangles), len(self.front)))
+        for block_start in range(0, len(points), block_size):
+            block = slice(block_start, block_start + block_size)
+            distances[block] = np.linalg.norm(
+                _offsets_from_triangles(points[block], self.triangles), axis=2
+            ).min(1)
+            # Larger than any distance between the surface and its front.
+            no_front_distance = 2.0 * self.size
+            edge_distances = np.linalg.norm(
+                offsets_from_edges(points[block], self.front)[0], axis=2
+            )
+            front_distances[block] = edge_distances.min(axis=1, initial=no_front_distance)
+        return distances, front_distances
+
+    def points_beside(self, point: Sequence[float]) -> tuple[list[float], list[float]] | None:
+        """Return points below and above a point on the crack.
+
+        None if the point is off the crack, or at a front.
+        """
+        position = np.asarray(point, dtype=float)
+        (distance,), (front_distance,) = self.locate(position[None])
+        nearest_triangle = np.linalg.norm(
+            _offsets_from_triangles(position[None], self.triangles)[0], axis=1
+        ).argmin()
+        normal = _facet_normals(self.triangles[[nearest_triangle]])[0]
+        return points_on_both_sides(point, distance, front_distance, normal, self.size)
 
 
-def _to_triangles(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Vectors to points (n, 3) from the nearest points of triangles (m, 3, 3): (n, m, 3)."""
-    one, two = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-    to = points[:, None] - triangles[:, 0]
-    a, b, c = (one**2).sum(1), (one * two).sum(1), (two**2).sum(1)
-    d, e = (to * one).sum(2), (to * two).sum(2)
+def _offsets_from_triangles(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Return vectors from triangles (m, 3, 3) to points (n, 3): (n, m, 3).
+
+    Each vector begins at the triangle's nearest point.
+    """
+    side_1, side_2 = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    corner_offsets = points[:, None] - triangles[:, 0]
+    a, b, c = (side_1**2).sum(1), (side_1 * side_2).sum(1), (side_2**2).sum(1)
+    d, e = (corner_offsets * side_1).sum(2), (corner_offsets * side_2).sum(2)
     u, v = (c * d - b * e) / (a * c - b**2), (a * e - b * d) / (a * c - b**2)
-    best = to - u[..., None] * one - v[..., None] * two
-    outside = (u < 0.0) | (v < 0.0) | (u + v > 1.0)
-    size = np.where(outside, np.inf, np.linalg.norm(best, axis=2))
-    for first, second in ((0, 1), (1, 2), (2, 0)):
-        away, _ = to_edges(points, triangles[:, [first, second]])
-        nearer = np.linalg.norm(away, axis=2) < size
-        best[nearer], size[nearer] = away[nearer], np.linalg.norm(away, axis=2)[nearer]
-    return best
+    offsets = corner_offsets - u[..., None] * side_1 - v[..., None] * side_2
+    is_outside = (u < 0.0) | (v < 0.0) | (u + v > 1.0)
+    distances = np.where(is_outside, np.inf, np.linalg.norm(offsets, axis=2))
+    for start, stop in ((0, 1), (1, 2), (2, 0)):
+        side_offsets, _ = offsets_from_edges(points, triangles[:, [start, stop]])
+        is_nearer = np.linalg.norm(side_offsets, axis=2) < distances
+        offsets[is_nearer], distances[is_nearer] = (
+            side_offsets[is_nearer],
+            np.linalg.norm(side_offsets, axis=2)[is_nearer],
+        )
+    return offsets
 
 
-def _normals(facets: np.ndarray) -> np.ndarray:
-    """Normals of edges (n, 2, 2) as long as these, or of triangles (n, 3, 3) twice their areas."""
-    spans = facets[:, 1:] - facets[:, :1]
+def _facet_normals(facets: np.ndarray) -> np.ndarray:
+    """Return normals of edges (n, 2, 2) or triangles (n, 3, 3).
+
+    An edge's normal has the edge's length, a triangle's normal twice its area.
+    """
+    sides = facets[:, 1:] - facets[:, :1]
     if facets.shape[2] == 2:
-        return np.asarray(spans[:, 0] @ [[0.0, -1.0], [1.0, 0.0]])
-    return np.asarray(np.cross(spans[:, 0], spans[:, 1]))
+        return np.asarray(sides[:, 0] @ [[0.0, -1.0], [1.0, 0.0]])
+    return np.asarray(np.cross(sides[:, 0], sides[:, 1]))
 
 
-Lips = tuple[Lip, ...] | tuple[CrackSurface, ...]
-"""Crack faces of a plate, or of a solid."""
-Names = tuple[dict[str, tuple[int, ...]], dict[str, tuple[float, ...]]]
-"""Named parts of a mesh: tags of the facets of each curve or surface, and positions of the points
-[m]."""
+Cracks = tuple[CrackPath, ...] | tuple[CrackSurface, ...]
+"""Crack paths of a plate, or crack surfaces of a solid."""
+NamedParts = tuple[dict[str, tuple[int, ...]], dict[str, tuple[float, ...]]]
+"""Facet tags of each named curve or surface, and positions of named points [m]."""
 
 
-def to_edges(points: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Vectors to points (n, d) from the nearest points of edges (m, 2, d): (n, m, d); and the parts
-    of the edges at which these are: (n, m)."""
-    span = edges[:, 1] - edges[:, 0]
-    to = points[:, None] - edges[:, 0]
-    share = np.clip((to * span).sum(axis=2) / (span**2).sum(axis=1), 0.0, 1.0)
-    return to - share[..., None] * span, share
+def offsets_from_edges(points: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return vectors from edges (m, 2, d) to points (n, d).
+
+    Returns
+    -------
+    offsets : (n, m, d)
+        Vector that begins at the edge's nearest point.
+    fractions : (n, m)
+        Position of the nearest point, from 0 at the start to 1 at the end.
+    """
+    edge_vectors = edges[:, 1] - edges[:, 0]
+    start_offsets = points[:, None] - edges[:, 0]
+    fractions = np.clip(
+        (start_offsets * edge_vectors).sum(axis=2) / (edge_vectors**2).sum(axis=1), 0.0, 1.0
+    )
+    return start_offsets - fractions[..., None] * edge_vectors, fractions
 
 
-def both_sides(
-    point: Sequence[float], off: float, from_front: float, normal: np.ndarray, size: float
+def points_on_both_sides(
+    point: Sequence[float],
+    distance: float,
+    front_distance: float,
+    normal: np.ndarray,
+    crack_size: float,
 ) -> tuple[list[float], list[float]] | None:
-    """Points below and above one on a crack of some size, by the crack's normal there; None where
-    it is off the crack, or at its front."""
-    if off > SAME * size or from_front <= SAME * size:
+    """Return points below and above a point on a crack.
+
+    Both lie on the crack's normal. None if the distance from the crack is too large, or that from
+    the front too small.
+    """
+    if (
+        distance > POSITION_TOLERANCE * crack_size
+        or front_distance <= POSITION_TOLERANCE * crack_size
+    ):
         return None
-    across = 1e-3 * size * upwards(normal) * normal / np.linalg.norm(normal)
-    return np.round(point - across, 9).tolist(), np.round(point + across, 9).tolist()
+    offset = 1e-3 * crack_size * upward_sign(normal) * normal / np.linalg.norm(normal)
+    return np.round(point - offset, 9).tolist(), np.round(point + offset, 9).tolist()
 
 
-def shares_of_neighbours(neighbours: sparse.csr_matrix) -> sparse.csr_matrix:
-    """S (inside + fronts, inside) of the pressures of a solid: those of a front's nodes go to their
-    neighbours on the face, by how much their functions overlap, (fronts, inside)."""
-    total = sparse.diags(1.0 / np.asarray(neighbours.sum(axis=1)).ravel())
-    return sparse.vstack([sparse.eye(neighbours.shape[1]), total @ neighbours]).tocsr()
+def distribute_front_pressures(overlaps: sparse.csr_matrix) -> sparse.csr_matrix:
+    """Return the matrix that assigns pressures at fronts to their neighbours.
+
+    The share of each neighbour is proportional to the overlap of basis functions.
+
+    Parameters
+    ----------
+    overlaps : (n_front, n_inside)
+        Integral of each product of basis functions, of a front's node and a node inside.
+
+    Returns
+    -------
+    (n_inside + n_front, n_inside)
+        Identity, then rows that sum to 1.
+    """
+    inverse_totals = sparse.diags(1.0 / np.asarray(overlaps.sum(axis=1)).ravel())
+    return sparse.vstack([sparse.eye(overlaps.shape[1]), inverse_totals @ overlaps]).tocsr()
 
 
-def upwards(normal: np.ndarray) -> float:
-    """1 where a normal points up: along y, or else along x, or else along z; otherwise -1."""
+def upward_sign(normal: np.ndarray) -> float:
+    """Return 1 if a normal points up, otherwise -1.
+
+    Up is along y; a level normal is judged along x, then along z.
+    """
     for axis in (1, 0, 2)[: len(normal)]:
-        if abs(normal[axis]) > COINCIDENT * np.abs(normal).max():
+        if abs(normal[axis]) > COINCIDENCE_TOLERANCE * np.abs(normal).max():
             return float(np.sign(normal[axis]))
     return 1.0
 
 
-def along(lips: Sequence[Any], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """On which crack points (n, dimension) lie, and their positions on it [m]: two arrays (n,)."""
-    off, positions = np.array([lip.locate(points) for lip in lips]).transpose(1, 0, 2)
-    crack = off.argmin(axis=0)
-    return crack, positions[crack, np.arange(len(points))]
+def locate_on_cracks(cracks: Sequence[Any], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Project points (n, d) onto the nearest crack.
+
+    Returns
+    -------
+    crack_index : (n,) int
+        The nearest crack.
+    positions : (n,) [m]
+        Position on it.
+    """
+    distances, positions = np.array([crack.locate(points) for crack in cracks]).transpose(1, 0, 2)
+    crack_index = distances.argmin(axis=0)
+    return crack_index, positions[crack_index, np.arange(len(points))]
 
 
-def connected(rows: np.ndarray) -> np.ndarray:
-    """The part of each row of nodes, (n,) int: rows are of one where they share a node."""
-    from scipy.sparse.csgraph import connected_components  # takes a while, for few meshes
+def label_connected_rows(rows: np.ndarray) -> np.ndarray:
+    """Label connected rows of nodes: (n,) int.
 
-    ends, count = (rows[:, :-1].ravel(), rows[:, 1:].ravel()), int(rows.max()) + 1
-    links = sparse.coo_matrix((np.ones(len(ends[0]), bool), ends), (count, count))
-    part = connected_components(links, directed=False)[1][rows[:, 0]]
-    return np.unique(part, return_inverse=True)[1]
+    Rows have the same label if a chain of common nodes connects them.
+    """
+    from scipy.sparse.csgraph import connected_components  # slow to import, and few meshes need it
+
+    link_ends, n_nodes = (rows[:, :-1].ravel(), rows[:, 1:].ravel()), int(rows.max()) + 1
+    graph = sparse.coo_matrix((np.ones(len(link_ends[0]), bool), link_ends), (n_nodes, n_nodes))
+    row_labels = connected_components(graph, directed=False)[1][rows[:, 0]]
+    return np.unique(row_labels, return_inverse=True)[1]
 
 
-def each_once(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the first places of different rows of nodes, in any order, and their counts; and the
-    index among them of each row (n,)."""
-    _, first, which, uses = np.unique(
+def find_unique_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Find the different rows of nodes, in any order of nodes.
+
+    Returns
+    -------
+    first_rows : (n_unique,) int
+        First row of each kind.
+    unique_index : (n,) int
+        Kind of each row.
+    counts : (n_unique,) int
+        Rows of each kind.
+    """
+    _, first_rows, unique_index, counts = np.unique(
         np.sort(rows, axis=1), axis=0, return_index=True, return_inverse=True, return_counts=True
     )
-    return first, which.ravel(), uses
+    return first_rows, unique_index.ravel(), counts
 
 
-def rows_in(rows: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Return True for each row of nodes, in any order, that is among others: (n,) bool."""
-    _, kinds, _ = each_once(np.concatenate([others, rows]))
-    return np.asarray(np.isin(kinds[len(others) :], kinds[: len(others)]))
+def rows_in(rows: np.ndarray, reference_rows: np.ndarray) -> np.ndarray:
+    """Return True for rows of nodes among the reference rows: (n,) bool.
+
+    The order of nodes in a row does not matter.
+    """
+    _, kinds, _ = find_unique_rows(np.concatenate([reference_rows, rows]))
+    return np.asarray(np.isin(kinds[len(reference_rows) :], kinds[: len(reference_rows)]))
 
 
-# --- finding them by their faces ------------------------------------------------------------------
+# --- cracks of given faces ------------------------------------------------------------------------
 
 
-def find_lips(lower: np.ndarray, upper: np.ndarray, positions: np.ndarray) -> tuple[Lip, ...]:
-    """The faces of all cracks, from bottom to top and from left to right by where they begin.
+def find_crack_paths(
+    lower_edges: np.ndarray, upper_edges: np.ndarray, positions: np.ndarray
+) -> tuple[CrackPath, ...]:
+    """Return the paths of all cracks in a plate.
+
+    They are sorted by their beginnings, from bottom to top, then from left to right.
 
     Parameters
     ----------
-    lower, upper : (n, 2) int
-        Edges of the lower and of the upper faces: their nodes.
+    lower_edges, upper_edges : (n, 2) int
+        Nodes of each edge on the lower and upper faces.
     positions : (n_nodes, 2) [m]
-        Of all nodes.
+        Positions of all nodes.
 
     Raises
     ------
     InputError
         The two faces are the same curve, or a crack branches or is closed.
     """
-    shared = np.intersect1d(lower, upper)
-    if len(shared) == len(np.unique(lower)):
-        allowed = "different nodes in the same places but for the tips; or one curve named 'crack'"
-        raise InputError("lips", "the same nodes for 'lower_lip' and 'upper_lip'", allowed)
-    lips = []
-    for chain in _chains(lower, shared, positions):
-        first, last = (tuple(positions[chain[end]]) for end in (0, -1))
-        mouths = chain[0] not in shared, chain[-1] not in shared
-        turned = last < first if mouths[0] == mouths[1] else mouths[1]
-        points = positions[chain[::-1] if turned else chain]
-        lips.append(Lip(points, any(mouths)))
-    return tuple(sorted(lips, key=lambda lip: tuple(lip.points[0, ::-1])))
+    common_nodes = np.intersect1d(lower_edges, upper_edges)
+    if len(common_nodes) == len(np.unique(lower_edges)):
+        requirement = (
+            "different nodes in the same places but for the tips; or one curve named 'crack'"
+        )
+        raise InputError("lips", "the same nodes for 'lower_lip' and 'upper_lip'", requirement)
+    crack_paths = []
+    for chain in _ordered_chains(lower_edges, common_nodes, positions):
+        first_end, last_end = (tuple(positions[chain[end]]) for end in (0, -1))
+        is_mouth = chain[0] not in common_nodes, chain[-1] not in common_nodes
+        is_reversed = last_end < first_end if is_mouth[0] == is_mouth[1] else is_mouth[1]
+        points = positions[chain[::-1] if is_reversed else chain]
+        crack_paths.append(CrackPath(points, any(is_mouth)))
+    return tuple(sorted(crack_paths, key=lambda crack_path: tuple(crack_path.points[0, ::-1])))
 
 
-def _chains(edges: np.ndarray, tips: np.ndarray, positions: np.ndarray) -> Iterator[np.ndarray]:
-    """Yield edges (n, 2) put together to chains of nodes, which end at tips and mouths."""
+def _ordered_chains(
+    edges: np.ndarray, tips: np.ndarray, positions: np.ndarray
+) -> Iterator[np.ndarray]:
+    """Yield chains of nodes, from end to end, into which edges (n, 2) connect.
+
+    A chain ends at tips or mouths.
+    """
     from scipy.sparse.csgraph import breadth_first_order
 
-    nodes, uses = np.unique(edges, return_counts=True)
-    for node, count in zip(nodes, uses, strict=True):
-        if count > 2 and node not in tips:
+    nodes, edge_counts = np.unique(edges, return_counts=True)
+    for node, n_edges in zip(nodes, edge_counts, strict=True):
+        if n_edges > 2 and node not in tips:
             place = "({:g}, {:g})".format(*positions[node])
-            allowed = "cracks that neither branch nor cross, as one of them does here"
-            raise InputError("lips", f"{count} edges of a crack face at {place}", allowed)
-    apart = len(positions) + np.arange(edges.size).reshape(edges.shape)  # a tip of each crack
-    part = connected(np.where(np.isin(edges, tips), apart, edges))
-    for number in range(part.max() + 1):
-        ends, which = np.unique(edges[part == number].ravel(), return_inverse=True)
-        single = np.flatnonzero(np.bincount(which) == 1)
-        if not len(single):
-            allowed = "cracks with two ends; a closed curve would cut a piece out of the structure"
-            raise InputError("lips", "a closed curve", allowed)
-        links = np.ones(len(which) // 2), tuple(which.reshape(-1, 2).T)
-        graph = sparse.coo_matrix(links, (len(ends),) * 2)
-        yield ends[breadth_first_order(graph.tocsr(), single[0], directed=False)[0]]
+            requirement = "cracks that neither branch nor cross, as one of them does here"
+            raise InputError("lips", f"{n_edges} edges of a crack face at {place}", requirement)
+    # Cracks that share a tip are different: number the tips of each edge anew.
+    unshared_tips = len(positions) + np.arange(edges.size).reshape(edges.shape)
+    edge_labels = label_connected_rows(np.where(np.isin(edges, tips), unshared_tips, edges))
+    for chain_index in range(edge_labels.max() + 1):
+        chain_nodes, local_edges = np.unique(
+            edges[edge_labels == chain_index].ravel(), return_inverse=True
+        )
+        end_nodes = np.flatnonzero(np.bincount(local_edges) == 1)
+        if not len(end_nodes):
+            requirement = (
+                "cracks with two ends; a closed curve would cut a piece out of the structure"
+            )
+            raise InputError("lips", "a closed curve", requirement)
+        graph_entries = np.ones(len(local_edges) // 2), tuple(local_edges.reshape(-1, 2).T)
+        graph = sparse.coo_matrix(graph_entries, (len(chain_nodes),) * 2)
+        yield chain_nodes[breadth_first_order(graph.tocsr(), end_nodes[0], directed=False)[0]]
 
 
-def cracks_between(
-    lower: np.ndarray, upper: np.ndarray, places: np.ndarray
+def find_crack_surfaces(
+    lower_facets: np.ndarray, upper_facets: np.ndarray, positions: np.ndarray
 ) -> tuple[CrackSurface, ...]:
-    """The cracks of a solid that is split, from bottom to top, by the corners of the facets of both
-    crack faces, (m, k) and (m', k) int: these share the nodes of the fronts."""
-    edges, uses = np.unique(_edges(lower), axis=0, return_counts=True)
-    rim = edges[uses == 1]
-    is_front = np.isin(rim, upper).all(axis=1)
-    part, found = connected(lower), []
-    halves = [[0, 1, 2], [0, 2, 3]][: lower.shape[1] - 2]
-    for number in range(part.max() + 1):
-        facets = lower[part == number]
-        own = np.isin(rim, facets).all(axis=1)
-        corners = places[np.concatenate([facets[:, half] for half in halves])]
-        front = places[rim[own & is_front]]
-        found.append(CrackSurface(corners, front, bool(np.any(own & ~is_front))))
-    found.sort(key=lambda crack: tuple(crack.triangles.mean(axis=(0, 1))[[1, 0, 2]]))
-    return tuple(found)
+    """Return the cracks in a solid whose faces have separate nodes.
+
+    They are sorted from bottom to top.
+
+    Parameters
+    ----------
+    lower_facets, upper_facets : (m, k), (m', k) int
+        Corners of each face's facets. Both faces share the nodes on fronts.
+    positions : (n_nodes, 3) [m]
+        Positions of all nodes.
+    """
+    edges, edge_counts = np.unique(_edges_of_polygons(lower_facets), axis=0, return_counts=True)
+    rim_edges = edges[edge_counts == 1]
+    is_front = np.isin(rim_edges, upper_facets).all(axis=1)
+    facet_labels, surfaces = label_connected_rows(lower_facets), []
+    triangle_corners = [[0, 1, 2], [0, 2, 3]][: lower_facets.shape[1] - 2]
+    for crack_index in range(facet_labels.max() + 1):
+        facets = lower_facets[facet_labels == crack_index]
+        is_on_crack = np.isin(rim_edges, facets).all(axis=1)
+        triangles = positions[
+            np.concatenate([facets[:, corner_index] for corner_index in triangle_corners])
+        ]
+        front = positions[rim_edges[is_on_crack & is_front]]
+        surfaces.append(CrackSurface(triangles, front, bool(np.any(is_on_crack & ~is_front))))
+    surfaces.sort(key=lambda crack: tuple(crack.triangles.mean(axis=(0, 1))[[1, 0, 2]]))
+    return tuple(surfaces)
 
 
-# --- doubling their nodes -------------------------------------------------------------------------
+# --- doubling nodes along cracks ------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Cells:
-    """Cells of one kind, of a plate or of a solid.
+    """Cells of one kind, in a plate or solid.
 
     Attributes
     ----------
     nodes : (n_cells, k) int
-        In gmsh's order: the corners first.
+        Nodes in gmsh's order: corners first.
     facets : (n_facets, n) int
-        Corners of the facets of a cell, by their places in a row of ``nodes``.
-    supports : (k, n_corners) bool
-        Of each node of a cell the corners between which it lies.
+        Corners of each facet of a cell, as columns of ``nodes``.
+    supporting_corners : (k, n_corners) bool
+        Corners between which each node of a cell lies.
     """
 
     nodes: np.ndarray
     facets: np.ndarray
-    supports: np.ndarray
+    supporting_corners: np.ndarray
 
     @property
     def n_corners(self) -> int:
-        """Number of corners of a cell."""
+        """Return the number of corners of a cell."""
         return int(self.facets.max()) + 1
 
     @cached_property
-    def all_facets(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Corners of the facets of all cells, sorted, so that equal ones follow each other; the
-        cell of each, and the places of its corners in ``nodes``."""
+    def sorted_facets(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the facets of all cells, equal ones in succession.
+
+        Returns
+        -------
+        facets : (n, m) int
+            Corners of each facet, in ascending order.
+        owner : (n,) int
+            Cell of each facet.
+        local_corners : (n, m) int
+            Columns of ``nodes`` that hold the corners.
+        """
         corners = self.nodes[:, self.facets].reshape(-1, self.facets.shape[1])
-        inside = np.argsort(corners, axis=1)
-        places = np.take_along_axis(np.tile(self.facets, (len(self.nodes), 1)), inside, axis=1)
-        corners = np.take_along_axis(corners, inside, axis=1)
+        corner_order = np.argsort(corners, axis=1)
+        local_corners = np.take_along_axis(
+            np.tile(self.facets, (len(self.nodes), 1)), corner_order, axis=1
+        )
+        corners = np.take_along_axis(corners, corner_order, axis=1)
         order = np.lexsort(corners.T[::-1])
-        return corners[order], order // len(self.facets), places[order]
+        return corners[order], order // len(self.facets), local_corners[order]
 
     @cached_property
-    def shared(self) -> np.ndarray:
-        """True for each of these facets but the last if it is the next one's cell's, too."""
-        facets = self.all_facets[0]
+    def is_shared(self) -> np.ndarray:
+        """Return True for each sorted facet that equals the next: (n - 1,) bool."""
+        facets = self.sorted_facets[0]
         return np.asarray(np.all(facets[1:] == facets[:-1], axis=1))
 
     @cached_property
-    def alone(self) -> np.ndarray:
-        """True for each of these facets that belongs to one cell only."""
-        both = np.concatenate([[False], self.shared, [False]])
-        return ~(both[1:] | both[:-1])
+    def is_boundary(self) -> np.ndarray:
+        """Return True for sorted facets that belong to one cell: (n,) bool."""
+        is_shared = np.concatenate([[False], self.is_shared, [False]])
+        return ~(is_shared[1:] | is_shared[:-1])
 
 
-def joined(surface: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The nodes (n_kept,) of a mesh that are kept where those in one place along cracks become one,
-    and which of them each node (n_nodes,) is.
+def merge_crack_nodes(
+    crack_facets: np.ndarray, positions: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Merge coincident nodes along cracks.
 
-    gmsh's plugin "Crack" doubles nodes as :func:`split_cracks` does; ``surface`` and ``places`` are
-    as there.
+    gmsh's plugin "Crack" doubles nodes as :func:`split_cracks` does. Parameters are those of that
+    function.
+
+    Returns
+    -------
+    kept_nodes : (n_kept,) int
+        Nodes that remain.
+    node_map : (n_nodes,) int
+        Index of each node among those that remain.
     """
-    from scipy.spatial import cKDTree  # takes a while, for mesh files alone
+    from scipy.spatial import cKDTree  # slow to import, and only mesh files need it
 
-    lengths = np.linalg.norm(places[surface[:, 0]] - places[surface[:, 1]], axis=1)
-    number = np.arange(len(places))
-    around = places[np.unique(surface)]
-    for same in cKDTree(places).query_ball_point(around, COINCIDENT * float(lengths.min())):
-        number[same] = min(same)
-    return np.unique(number, return_inverse=True)
+    edge_lengths = np.linalg.norm(
+        positions[crack_facets[:, 0]] - positions[crack_facets[:, 1]], axis=1
+    )
+    node_map = np.arange(len(positions))
+    crack_positions = positions[np.unique(crack_facets)]
+    for coincident_nodes in cKDTree(positions).query_ball_point(
+        crack_positions, COINCIDENCE_TOLERANCE * float(edge_lengths.min())
+    ):
+        node_map[coincident_nodes] = min(coincident_nodes)
+    return np.unique(node_map, return_inverse=True)
 
 
 def split_cracks(
-    cells: Cells, surface: np.ndarray, places: np.ndarray
+    cells: Cells, crack_facets: np.ndarray, positions: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Double the nodes along cracks.
 
     Parameters
     ----------
     cells : Cells
-        Their nodes are rows of ``places``.
-    surface : (m, k) int
-        Facets of all cracks: their nodes, the corners first.
-    places : (n_nodes, d) [m]
-        Of all nodes.
+        Their nodes are rows of ``positions``.
+    crack_facets : (m, k) int
+        Nodes of the facets of all cracks, corners first.
+    positions : (n_nodes, d) [m]
+        Positions of all nodes.
 
     Returns
     -------
     nodes : (n_cells, k) int
-        The cells, those above a crack with nodes of their own, from ``n_nodes`` on.
-    twins : (n_new,) int
-        The nodes of which the new ones are copies.
+        Nodes of the cells. Cells above a crack have new nodes, numbered from ``n_nodes``.
+    copied_nodes : (n_new,) int
+        Original of each new node.
     lips : (m', 2, k) int
-        Facets of the lower face, and those of the upper one in the same places.
+        Facets of the lower face, and the coincident facets of the upper face.
 
     Raises
     ------
     InputError
-        A facet is not between two cells, or cracks branch, cross or have not two sides.
+        A facet is not between two cells. A crack branches, crosses another, has not two sides,
+        or has all its nodes on its front.
     """
-    width, part = cells.facets.shape[1], ("edges", "facets")[places.shape[1] - 2]
-    corners, first = np.unique(np.sort(surface[:, :width], axis=1), axis=0, return_index=True)
-    surface = surface[first]  # as the facets are
-    (facets, owner, at), same = cells.all_facets, cells.shared
-    on_crack = np.isin(np.arange(len(places)), corners)
-    of_crack = on_crack[facets].all(axis=1)
-    of_crack[of_crack] = rows_in(facets[of_crack], corners)
-    inside = np.flatnonzero(same & of_crack[:-1])
-    require(
-        len(inside) == len(surface),
-        f"{len(surface) - len(inside)} of the {len(surface)} {part} of cracks not between cells",
-        f"inside the structure, with a cell on either side of {part}",
+    n_corners, facet_word = cells.facets.shape[1], ("edges", "facets")[positions.shape[1] - 2]
+    corners, first_facets = np.unique(
+        np.sort(crack_facets[:, :n_corners], axis=1), axis=0, return_index=True
     )
-    outer = facets[cells.alone & on_crack[facets].any(axis=1)]
-    is_split = on_crack.copy()
-    is_split[_fronts(surface[:, :width], outer)] = False
-    piece = connected(corners)
-    closed = np.setdiff1d(piece, piece[is_split[corners].any(axis=1)])
-    require(not len(closed), "all nodes of a crack on its front", "meshed more finely")
-
-    # Of each facet both sides: around which nodes' stars they are connected to others.
-    label = _stars(cells, same & ~of_crack[:-1], is_split).reshape(-1, cells.n_corners)
-    beside = np.concatenate([inside, inside + 1])
-    cell, fixed = owner[beside], ~is_split[facets[beside]]
-    stars = label[cell[:, None], at[beside]]
-    stars[fixed] = label.size + np.arange(fixed.sum())
-    chain = connected(stars)
-    facing = np.unique(np.sort(np.split(chain, 2), axis=0), axis=1)  # two by two
-    touching = is_split[cells.nodes[:, : cells.n_corners]]
+    crack_facets = crack_facets[first_facets]  # in the same order as the sorted facets
+    (facets, owner, local_corners), is_shared = cells.sorted_facets, cells.is_shared
+    on_crack = np.isin(np.arange(len(positions)), corners)
+    is_crack_facet = on_crack[facets].all(axis=1)
+    is_crack_facet[is_crack_facet] = rows_in(facets[is_crack_facet], corners)
+    inner_facets = np.flatnonzero(is_shared & is_crack_facet[:-1])
     require(
-        facing.size == chain.max() + 1
-        and np.all(facing[0] != facing[1])
-        and np.all(np.isin(label[touching], stars)),
+        len(inner_facets) == len(crack_facets),
+        f"{len(crack_facets) - len(inner_facets)} of the {len(crack_facets)} {facet_word}"
+        " of cracks not between cells",
+        f"inside the structure, with a cell on either side of {facet_word}",
+    )
+    outer_facets = facets[cells.is_boundary & on_crack[facets].any(axis=1)]
+    is_split = on_crack.copy()
+    is_split[_front_parts(crack_facets[:, :n_corners], outer_facets)] = False
+    facet_labels = label_connected_rows(corners)
+    closed_labels = np.setdiff1d(facet_labels, facet_labels[is_split[corners].any(axis=1)])
+    require(not len(closed_labels), "all nodes of a crack on its front", "meshed more finely")
+
+    # Each crack facet has two sides. Sides are connected if they share a star, the set of cells
+    # around a node that is not cut by the crack.
+    star_labels = _star_labels(cells, is_shared & ~is_crack_facet[:-1], is_split).reshape(
+        -1, cells.n_corners
+    )
+    side_facets = np.concatenate([inner_facets, inner_facets + 1])
+    cell, is_fixed = owner[side_facets], ~is_split[facets[side_facets]]
+    corner_stars = star_labels[cell[:, None], local_corners[side_facets]]
+    corner_stars[is_fixed] = star_labels.size + np.arange(is_fixed.sum())
+    side_labels = label_connected_rows(corner_stars)
+    opposite_sides = np.unique(np.sort(np.split(side_labels, 2), axis=0), axis=1)  # pairs of labels
+    is_split_corner = is_split[cells.nodes[:, : cells.n_corners]]
+    require(
+        opposite_sides.size == side_labels.max() + 1
+        and np.all(opposite_sides[0] != opposite_sides[1])
+        and np.all(np.isin(star_labels[is_split_corner], corner_stars)),
         "not two sides everywhere along a crack",
         "cracks that neither branch nor cross, and end at their fronts or at the boundary",
     )
-    ends = np.tile(places[surface[:, :width]], (2, 1, 1))
-    normals = _normals(ends)
-    away = places[cells.nodes[cell, : cells.n_corners]].mean(axis=1) - ends.mean(axis=1)
-    normals[(away * normals).sum(axis=1) > 0.0] *= -1.0  # out of the material
-    outwards = np.zeros((facing.size, places.shape[1]))
-    np.add.at(outwards, chain, normals)
-    first_is_lower = np.array([upwards(normal) > 0.0 for normal in outwards[facing[0]]])
-    upper = np.where(first_is_lower, facing[1], facing[0])
-    is_upper = touching & np.isin(label, stars[np.isin(chain, upper)])
-    # A node between corners is doubled with any of them.
-    on_crack[surface] = True
-    above = on_crack[cells.nodes] & (is_upper @ cells.supports.T)
-    twins, new = np.unique(cells.nodes[above]), np.arange(len(places))
-    new[twins] = len(places) + np.arange(len(twins))
-    lower = surface[is_split[surface[:, :width]].any(axis=1)]
-    nodes = np.where(above, new[cells.nodes], cells.nodes)
-    return nodes, twins, np.stack([lower, new[lower]], axis=1)
+    facet_corners = np.tile(positions[crack_facets[:, :n_corners]], (2, 1, 1))
+    normals = _facet_normals(facet_corners)
+    cell_offsets = positions[cells.nodes[cell, : cells.n_corners]].mean(
+        axis=1
+    ) - facet_corners.mean(axis=1)
+    normals[(cell_offsets * normals).sum(axis=1) > 0.0] *= -1.0  # outward from the material
+    side_normals = np.zeros((opposite_sides.size, positions.shape[1]))
+    np.add.at(side_normals, side_labels, normals)
+    is_first_lower = np.array(
+        [upward_sign(normal) > 0.0 for normal in side_normals[opposite_sides[0]]]
+    )
+    upper_sides = np.where(is_first_lower, opposite_sides[1], opposite_sides[0])
+    is_upper = is_split_corner & np.isin(
+        star_labels, corner_stars[np.isin(side_labels, upper_sides)]
+    )
+    # A node between corners is doubled if any of these corners is.
+    on_crack[crack_facets] = True
+    is_above = on_crack[cells.nodes] & (is_upper @ cells.supporting_corners.T)
+    copied_nodes, new_numbers = np.unique(cells.nodes[is_above]), np.arange(len(positions))
+    new_numbers[copied_nodes] = len(positions) + np.arange(len(copied_nodes))
+    lower_facets = crack_facets[is_split[crack_facets[:, :n_corners]].any(axis=1)]
+    nodes = np.where(is_above, new_numbers[cells.nodes], cells.nodes)
+    return nodes, copied_nodes, np.stack([lower_facets, new_numbers[lower_facets]], axis=1)
 
 
-def require(condition: object, found: str, allowed: str) -> None:
-    """Raise InputError of a mesh unless a condition holds."""
+def require(condition: object, problem: str, requirement: str) -> None:
+    """Raise InputError for the mesh unless a condition holds."""
     if not condition:
-        raise InputError("mesh", found, allowed)
+        raise InputError("mesh", problem, requirement)
 
 
-def _edges(polygons: np.ndarray) -> np.ndarray:
-    """Edges of polygons (n, k), their ends sorted: (n k, 2)."""
-    ends = np.stack([polygons, np.roll(polygons, -1, axis=1)], axis=2)
-    return np.sort(ends.reshape(-1, 2), axis=1)
+def _edges_of_polygons(polygons: np.ndarray) -> np.ndarray:
+    """Return the edges of polygons (n, k), nodes in ascending order: (n k, 2)."""
+    edges = np.stack([polygons, np.roll(polygons, -1, axis=1)], axis=2)
+    return np.sort(edges.reshape(-1, 2), axis=1)
 
 
-def _fronts(surface: np.ndarray, boundary: np.ndarray) -> np.ndarray:
-    """Edges of the fronts (n, 2), or nodes of the tips (n, 1)."""
-    width = surface.shape[1]
-    parts = surface.reshape(-1, 1) if width == 2 else _edges(surface)
-    parts, uses = np.unique(parts, axis=0, return_counts=True)
-    allowed = "cracks that neither branch nor cross"
-    require(np.all(uses <= 2), "more than two sides of a crack meeting", allowed)
-    rim = parts[uses == 1]
-    # Sorted corners of four are not in turn: take every two of them.
-    every = [boundary[:, own] for own in combinations(range(width), parts.shape[1])]
-    return np.asarray(rim[~rows_in(rim, np.concatenate(every))])
+def _front_parts(crack_facets: np.ndarray, boundary_facets: np.ndarray) -> np.ndarray:
+    """Return edges of the fronts (n, 2), or nodes of the tips (n, 1).
+
+    They are parts of one crack facet only, and lie off the boundary.
+    """
+    n_corners = crack_facets.shape[1]
+    parts = crack_facets.reshape(-1, 1) if n_corners == 2 else _edges_of_polygons(crack_facets)
+    parts, part_counts = np.unique(parts, axis=0, return_counts=True)
+    requirement = "cracks that neither branch nor cross"
+    require(np.all(part_counts <= 2), "more than two sides of a crack meeting", requirement)
+    rim_parts = parts[part_counts == 1]
+    # The four sorted corners of a quadrilateral are not in cyclic order: take all pairs.
+    boundary_parts = [
+        boundary_facets[:, part_corners]
+        for part_corners in combinations(range(n_corners), parts.shape[1])
+    ]
+    return np.asarray(rim_parts[~rows_in(rim_parts, np.concatenate(boundary_parts))])
 
 
-def _stars(cells: Cells, passable: np.ndarray, is_split: np.ndarray) -> np.ndarray:
-    """Corners of cells at one node that are connected across facets with it: a number for each
-    corner of each cell (n_cells n_corners,)."""
+def _star_labels(cells: Cells, is_passable: np.ndarray, is_split: np.ndarray) -> np.ndarray:
+    """Label corners of cells that meet at a node: (n_cells n_corners,) int.
+
+    Two corners at the same node have one label if passable facets with this node connect their
+    cells. A corner at any other node has its own label.
+    """
     from scipy.sparse.csgraph import connected_components
 
-    facets, owner, at = cells.all_facets
-    first = np.flatnonzero(passable & is_split[facets[:-1]].any(axis=1))
-    wanted = is_split[facets[first]]
-    one, other = (owner[i][:, None] * cells.n_corners + at[i] for i in (first, first + 1))
-    size = len(cells.nodes) * cells.n_corners
-    links = np.ones(int(wanted.sum()), dtype=np.int8), (one[wanted], other[wanted])
-    return np.asarray(connected_components(sparse.coo_matrix(links, (size, size)))[1])
+    facets, owner, local_corners = cells.sorted_facets
+    passable_facets = np.flatnonzero(is_passable & is_split[facets[:-1]].any(axis=1))
+    is_split_node = is_split[facets[passable_facets]]
+    corner_index, next_corner_index = (
+        owner[facet_index][:, None] * cells.n_corners + local_corners[facet_index]
+        for facet_index in (passable_facets, passable_facets + 1)
+    )
+    n_cell_corners = len(cells.nodes) * cells.n_corners
+    graph_entries = (
+        np.ones(int(is_split_node.sum()), dtype=np.int8),
+        (corner_index[is_split_node], next_corner_index[is_split_node]),
+    )
+    return np.asarray(
+        connected_components(sparse.coo_matrix(graph_entries, (n_cell_corners, n_cell_corners)))[1]
+    )

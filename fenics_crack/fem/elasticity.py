@@ -1,44 +1,50 @@
-"""Isotropic linear elasticity of plates in plane stress and of solids, at rest and rotating, as
-DOLFINx's forms.
+"""Define DOLFINx's forms of linear elasticity, at rest and rotating.
 
-    sigma = E / (1 + nu) (eps + nu / (1 - (d - 1) nu) tr(eps) I),
+Plates are in plane stress (d = 2); solids have d = 3. With the strain eps = sym(grad u), the stress
+is
 
-with eps = sym(grad u); of a plate d = 2, and of a solid d = 3. The measure is t dx, with the
-thickness t of a plate, or dx.
+    sigma = E / (1 + nu) (eps + nu / (1 - (d - 1) nu) tr(eps) I).
 
-A rotation adds centrifugal load, geometric stiffness and spin softening.
+The measure is t dx with the thickness t of a plate, and t = 1 for a solid.
 
-With a point c of the axis and its direction a, P = I - a a^T is the part of a vector normal to it
-and r = P (x - c) the place seen from it; of a plate a is along x and c at y = -R. The Coriolis
-force of velocities in a plate's plane is normal to that; of a solid it is left out. At W = 1 rad/s,
-t the thickness of a plate, 1 of a solid,
+Rotation
+--------
+Rotation adds centrifugal load, geometric stiffness and spin softening. Let c be a point on the axis
+and a the axis' direction. Then P = I - a a^T projects vectors onto the plane normal to the axis,
+and r = P (x - c) is the radius vector. For a plate, a is along x, and c lies at y = -R. The
+Coriolis force of velocities in a plate's plane is normal to this plane; for a solid it is
+neglected. At the speed W = 1 rad/s,
 
     f_c . v = t int rho r . v dx                              centrifugal load
     u . M_s v = t int rho P u . v dx                          spin softening: it grows with P u
     u . K_g v = t int sigma_ij u_k,i v_k,j dx                 geometric stiffness
 
-sigma is the stress that f_c makes at rest, K u_c + B lambda = f_c, with contact where f_c presses
-the crack faces together (clearances count as zero; most cracks are opened). Most of it grows with
-W^2, so that a few matrices serve every speed. The displacement u_s that rotation itself makes, and
-any motion v about it, are those of
+Here sigma is the stress that f_c causes at rest, K u_c + B lambda = f_c. Contact acts where f_c
+presses the crack faces together; clearances count as zero, and most cracks are opened. Most of this
+stress grows with W^2, so a few matrices serve every speed. The static displacement u_s due to
+rotation, and any motion v about it, satisfy
 
     (K + W^2 K_1) u_s = W^2 f_c,                                      K_1 = K_g - M_s,
     M v'' + C v' + (K + W^2 (K_1 + K_2) + W^4 K_3) v + B lambda = f.
 
-The first equation is one for the whole displacement, as that of a rotating beam, (EI w'')'' -
-(T w')' = p with T the tension (Wright, Smith, Thresher, Wang, Journal of Applied Mechanics 49,
-1982, 197); with K_2 and K_3 in it, it would count twice by how much a twisted blade resists being
-untwisted further. In the second one they are the stiffness that comes with the displaced shape
-(Bathe, Finite Element Procedures, 1996, 6.3): with e(v) = sym((grad u_c)^T grad v)
+The first equation determines the whole displacement, like the equation of a rotating beam, (EI
+w'')'' - (T w')' = p with the tension T. With K_2 and K_3 it would count twice how much a twisted
+blade resists further untwisting. In the second equation, K_2 and K_3 are the stiffness due to the
+displaced shape: with e(v) = sym((grad u_c)^T grad v),
 
     u . K_2 v = t int sigma(eps(u)) : e(v) + sigma(eps(v)) : e(u) dx,
     u . K_3 v = t int sigma(e(u)) : e(v) dx.
 
-They are nothing beside K_g in a straight blade, which is stretched alone, and as large where
-rotation turns cross-sections, as those of a twisted blade. A mean load f bends the rotating blade
-by the second equation, the first one's stress in sigma. What is left out is of the size of the
-strains, of the square of the rotations, and of (W / w_r)^2 with w_r the first natural frequency
-along the radius.
+In a straight blade, which is only stretched, they are negligible compared with K_g. They are as
+large as K_g if rotation turns cross-sections, as in a twisted blade. A mean load f bends the
+rotating blade by the second equation, with the first equation's stress in sigma. Three effects are
+neglected: those of relative size (strain), (rotation of the material)^2, and (W / w_r)^2 with the
+first natural frequency w_r along the radius.
+
+References
+----------
+Wright, Smith, Thresher and Wang, Journal of Applied Mechanics 49, 1982, 197: rotating beams.
+Bathe, Finite Element Procedures, 1996, section 6.3: stiffness due to the displaced shape.
 """
 
 from __future__ import annotations
@@ -59,68 +65,86 @@ from fenics_crack.scene.scene import Scene
 
 
 def constants(space: Any, *values: float | np.ndarray) -> list[Any]:
-    """Numbers, vectors and matrices that a form holds without being compiled anew."""
+    """Return numbers, vectors and matrices as constants of a form.
+
+    A form with other values is not compiled again.
+    """
     arrays = [np.array(value, PETSc.ScalarType, order="C") for value in values]
     return [dolfinx.fem.Constant(space.mesh, array) for array in arrays]
 
 
 def thickness(scene: Scene, space: Any) -> Any:
-    """t of a plate, 1 of a solid: what the volume is, over the mesh's own."""
+    """Return t [m]: the thickness of a plate, 1 for a solid."""
     return constants(space, (scene.geometry.thickness or 1.0) if scene.dimension == 2 else 1.0)[0]
 
 
 def stress(scene: Scene, space: Any, strain: Any) -> Any:
-    """sigma of a strain."""
+    """Return the stress sigma for a strain."""
     young, poisson = constants(space, scene.material.young, scene.material.poisson)
     d = scene.dimension
-    spread = poisson / (1.0 - (d - 1) * poisson) * ufl.tr(strain) * ufl.Identity(d)
-    return young / (1.0 + poisson) * (strain + spread)
+    volumetric_strain = poisson / (1.0 - (d - 1) * poisson) * ufl.tr(strain) * ufl.Identity(d)
+    return young / (1.0 + poisson) * (strain + volumetric_strain)
 
 
-Static = Callable[[np.ndarray], np.ndarray]
-"""Displacement (n_local, 1) under a constant load on each sector of a wheel."""
+StaticSolver = Callable[[np.ndarray], np.ndarray]
+"""Returns the displacement (n_local, 1) under the same load on each sector of a wheel."""
 
 
 def rotation_of(
-    scene: Scene, dofs: Dofs, at_rest: Structure, static: Static | None = None
+    scene: Scene, dofs: Dofs, structure_at_rest: Structure, solve_static: StaticSolver | None = None
 ) -> Rotation:
-    """Assemble what the rotation of a scene adds to its structure at rest, of a wheel with its
-    ``static`` displacement (collective)."""
-    space, size, (place, axis) = dofs.space, scene.dimension, scene.axis
-    across = (np.eye(3) - np.outer(axis, axis))[:size, :size]
-    density, center, normal = constants(space, scene.material.density, place[:size], across)
+    """Assemble what rotation adds to a structure at rest (collective).
+
+    Parameters
+    ----------
+    scene : Scene
+        With ``[rotation]``.
+    dofs : Dofs
+        Free dofs of the mesh.
+    structure_at_rest : Structure
+        Structure without rotation.
+    solve_static : callable, optional
+        Returns the static displacement of a wheel.
+    """
+    space, dimension, (axis_point, axis_direction) = dofs.space, scene.dimension, scene.axis
+    projection = (np.eye(3) - np.outer(axis_direction, axis_direction))[:dimension, :dimension]
+    rho, c, P = constants(space, scene.material.density, axis_point[:dimension], projection)
     t = thickness(scene, space)
     u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
-    radius = normal * (ufl.SpatialCoordinate(space.mesh) - center)
-    load = compat.assembled_vector(t * density * ufl.inner(radius, v) * ufl.dx)
-    load = dofs.free_part(load)
-    if static is not None:
-        moved = static(load[:, None])[:, 0]
+    r = P * (ufl.SpatialCoordinate(space.mesh) - c)
+    centrifugal_load = compat.assembled_vector(t * rho * ufl.inner(r, v) * ufl.dx)
+    centrifugal_load = dofs.restrict_to_free(centrifugal_load)
+    if solve_static is not None:
+        u_c = solve_static(centrifugal_load[:, None])[:, 0]
     else:
-        moved, _ = static_state(at_rest, load, np.zeros(at_rest.n_pairs))
-    turned = ufl.grad(dofs.function(moved))
-    tension = stress(scene, space, ufl.sym(turned))
+        u_c, _ = static_state(
+            structure_at_rest, centrifugal_load, np.zeros(structure_at_rest.n_pairs)
+        )
+    grad_u_c = ufl.grad(dofs.function(u_c))
+    static_stress = stress(scene, space, ufl.sym(grad_u_c))
 
-    def crossed(one: Any, other: Any) -> Any:
-        return ufl.inner(stress(scene, space, ufl.sym(ufl.grad(one))), turned.T * ufl.grad(other))
+    def gradient_strain(displacement: Any) -> Any:
+        """Return the strain e of a displacement."""
+        return ufl.sym(grad_u_c.T * ufl.grad(displacement))
 
-    def bent(displacement: Any) -> Any:
-        return ufl.sym(turned.T * ufl.grad(displacement))
+    def virtual_work(strain: Any, test_strain: Any) -> Any:
+        """Return the work of one strain's stress on another strain."""
+        return t * ufl.inner(stress(scene, space, strain), test_strain) * ufl.dx
 
-    def work(one: Any, other: Any) -> Any:
-        return t * ufl.inner(stress(scene, space, one), other) * ufl.dx
-
-    # One form each: together they would be integrated with the highest degree.
-    geometric, softening, second, third = (
-        dofs.free_block(compat.assembled_matrix(form))
+    # One form for each matrix: a sum would be integrated with the highest degree.
+    K_g, M_s, K_2, K_3 = (
+        dofs.restrict_matrix(compat.assembled_matrix(form))
         for form in (
-            t * ufl.inner(ufl.dot(ufl.grad(u), tension), ufl.grad(v)) * ufl.dx,
-            t * density * ufl.inner(normal * u, v) * ufl.dx,
-            work(ufl.sym(ufl.grad(u)), bent(v)) + work(bent(u), ufl.sym(ufl.grad(v))),
-            work(bent(u), bent(v)),
+            t * ufl.inner(ufl.dot(ufl.grad(u), static_stress), ufl.grad(v)) * ufl.dx,
+            t * rho * ufl.inner(P * u, v) * ufl.dx,
+            virtual_work(ufl.sym(ufl.grad(u)), gradient_strain(v))
+            + virtual_work(gradient_strain(u), ufl.sym(ufl.grad(v))),
+            virtual_work(gradient_strain(u), gradient_strain(v)),
         )
     )
-    first = weighted_sum(geometric, -1.0, softening)
-    geometric.destroy()
-    softening.destroy()
-    return Rotation(at_rest, first, (second, third), load, scene.given("rotation").speed)
+    K_1 = weighted_sum(K_g, -1.0, M_s)
+    K_g.destroy()
+    M_s.destroy()
+    return Rotation(
+        structure_at_rest, K_1, (K_2, K_3), centrifugal_load, scene.given("rotation").speed
+    )

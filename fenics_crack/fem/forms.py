@@ -1,8 +1,9 @@
-"""A structure from UFL forms of one's own on a mesh of DOLFINx.
+"""Make a structure from UFL forms on a mesh of DOLFINx.
 
-The program assembles them, leaves out the dofs that Dirichlet conditions hold, and pairs the nodes
-of crack faces as those of its own meshes (:mod:`fenics_crack.fem.build`). These faces are two sets
-of exterior facets in the same places, which share the nodes of tips and fronts and no other.
+The program assembles the user's forms, and leaves out dofs held by Dirichlet conditions. It pairs
+the nodes of crack faces as on its own meshes (:mod:`fenics_crack.fem.build`). Crack faces are two
+sets of exterior facets at the same positions. They share the nodes at tips and fronts, and no
+others.
 """
 
 from __future__ import annotations
@@ -18,37 +19,55 @@ from mpi4py import MPI
 from fenics_crack.basics.errors import InputError, check_number, reading
 from fenics_crack.basics.ranks import collect_garbage, gather_rows, on_each
 from fenics_crack.fem import compat
-from fenics_crack.fem.build import pair_lips
+from fenics_crack.fem.build import pair_crack_faces
 from fenics_crack.fem.compat import dolfinx
-from fenics_crack.fem.cracks import LIP_TAGS, cracks_between, find_lips
+from fenics_crack.fem.cracks import LIP_TAGS, find_crack_paths, find_crack_surfaces
 from fenics_crack.fem.elasticity import constants
 from fenics_crack.fem.plate import Dofs, PlateMesh
 
-CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
-LOADS = ("loads.mean", "loads.sin", "loads.cos")
-"""Parts of a load, in the order in which their forms are given."""
+CELL_TYPES = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
+"""Cells that a structure may have, by DOLFINx's names."""
+LOAD_KEYS = ("loads.mean", "loads.sin", "loads.cos")
+"""Parts of a load, in the order of their forms."""
 
 
 def parts_of_forms(
     space: Any, bilinear: dict[str, Any], bcs: Any, loads: Any, crack: Any, thickness: float
 ) -> tuple[Any, ...]:
-    """Return what :meth:`Structure.from_matrices` takes by its names, the matrices to be destroyed,
-    and the nodes and pairs, of what :meth:`Structure.from_forms` is given (collective)."""
+    """Assemble the parts of a structure from forms (collective).
+
+    Parameters are those of :meth:`Structure.from_forms`.
+
+    Returns
+    -------
+    parts : dict
+        Arguments for :meth:`Structure.from_matrices`, by name. The caller destroys the
+        matrices.
+    nodes : Nodes
+    pairs : Pairs
+    """
     _check_space(space)
     check_number("thickness", thickness, 0.0, above=True)
     with reading("loads", type(loads).__name__, "(mean, sin, cos), linear forms or None"):
-        linear = zip(LOADS, (None,) * 3 if loads is None else loads, strict=True)
-        forms = bilinear | {key: form for key, form in linear if form is not None}
+        load_forms = zip(LOAD_KEYS, (None,) * 3 if loads is None else loads, strict=True)
+        forms = bilinear | {key: form for key, form in load_forms if form is not None}
     for key, form in forms.items():
         _check_form(space, key, form, 2 if key in bilinear else 1)
-    comm = space.mesh.comm  # which goes with the mesh
-    alike, lasting = (MPI.IDENT, MPI.CONGRUENT), (MPI.COMM_WORLD, MPI.COMM_SELF)
-    comm = next((other for other in lasting if MPI.Comm.Compare(other, comm) in alike), comm)
-    collect_garbage(comm)  # of structures made before
-    held = on_each(comm, lambda: compat.held_dofs(space, bcs))
+    comm = space.mesh.comm  # it ends with the mesh, so use an equivalent one that lasts
+    equal_results, lasting_comms = (MPI.IDENT, MPI.CONGRUENT), (MPI.COMM_WORLD, MPI.COMM_SELF)
+    comm = next(
+        (
+            lasting_comm
+            for lasting_comm in lasting_comms
+            if MPI.Comm.Compare(lasting_comm, comm) in equal_results
+        ),
+        comm,
+    )
+    collect_garbage(comm)  # free the matrices of earlier structures
+    is_constrained = on_each(comm, lambda: compat.constrained_dofs(space, bcs))
     try:
-        dofs = Dofs(_plate(space.mesh, crack, comm), space, comm, held)
-        gap, tangential, pairs = pair_lips(dofs, constants(space, thickness)[0])
+        dofs = Dofs(_mesh_with_cracks(space.mesh, crack, comm), space, comm, is_constrained)
+        gap, tangential, pairs = pair_crack_faces(dofs, constants(space, thickness)[0])
     except InputError as error:
         raise InputError("crack", error.value, error.allowed) from None
     parts: dict[str, Any] = {
@@ -58,62 +77,83 @@ def parts_of_forms(
     for key, form in forms.items():
         with reading(key, "a form", "one that DOLFINx can assemble"):
             if key in bilinear:
-                parts[key] = dofs.free_block(compat.assembled_matrix(form))
+                parts[key] = dofs.restrict_matrix(compat.assembled_matrix(form))
             else:
-                part = dofs.free_part(compat.assembled_vector(form))
-                parts[key.replace("loads.", "force_")] = gather_rows(comm, part)
+                load = dofs.restrict_to_free(compat.assembled_vector(form))
+                parts[key.replace("loads.", "force_")] = gather_rows(comm, load)
     return parts, dofs.nodes(), pairs
 
 
 def _check_space(space: Any) -> None:
-    """Raise InputError unless a structure can have the displacements of a space."""
-    allowed = "vectors of the mesh's dimension (of a plate gdim = 2), Lagrange of order 1 or 2"
-    with reading("space", type(space).__name__, f"{allowed}, whole"):
+    """Raise InputError unless a structure can have displacements in a space."""
+    requirement = "vectors of the mesh's dimension (of a plate gdim = 2), Lagrange of order 1 or 2"
+    with reading("space", type(space).__name__, f"{requirement}, whole"):
         mesh, element = space.mesh, space.ufl_element()
-        fits = mesh.topology.cell_type.name in CELLS and mesh.geometry.dim == mesh.topology.dim
-        fits = fits and element in [compat.element(mesh, order) for order in (1, 2)]
-        if not fits or len(space.component()):
+        is_usable = (
+            mesh.topology.cell_type.name in CELL_TYPES and mesh.geometry.dim == mesh.topology.dim
+        )
+        is_usable = is_usable and element in [
+            compat.lagrange_element(mesh, order) for order in (1, 2)
+        ]
+        if not is_usable or len(space.component()):
             raise ValueError(str(element))
 
 
 def _check_form(space: Any, key: str, form: Any, rank: int) -> None:
-    """Raise InputError unless a form is linear, or bilinear, on a space."""
+    """Raise InputError unless a form is linear, or bilinear, on a space.
+
+    A linear form has the rank 1, a bilinear form 2.
+    """
     with reading(key, type(form).__name__, f"a {'bi' * (rank - 1)}linear form of UFL on the space"):
-        same = [argument.ufl_function_space() == space for argument in form.arguments()]
-        if len(same) != rank or not all(same):
-            raise ValueError(f"it has {len(same)} arguments, {sum(same)} of them on the space")
+        is_on_space = [argument.ufl_function_space() == space for argument in form.arguments()]
+        if len(is_on_space) != rank or not all(is_on_space):
+            raise ValueError(
+                f"it has {len(is_on_space)} arguments, {sum(is_on_space)} of them on the space"
+            )
 
 
-def _plate(mesh: Any, crack: Any, comm: MPI.Comm) -> PlateMesh:
-    """A mesh with the faces of its cracks (collective)."""
+def _mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PlateMesh:
+    """Return a mesh with its crack faces (collective)."""
     if crack is None:
         return PlateMesh(mesh, None, {}, {}, ())
-    allowed = "(facet_tags, lower, upper): tags of facets of the space's mesh, and two of them"
-    with reading("crack", type(crack).__name__, allowed):
-        tags, *sides = crack
-        lower, upper = map(index, sides)
-        if lower == upper or not compat.is_on(tags, mesh):
+    requirement = "(facet_tags, lower, upper): tags of facets of the space's mesh, and two of them"
+    with reading("crack", type(crack).__name__, requirement):
+        tags, *face_tags = crack
+        lower_tag, upper_tag = map(index, face_tags)
+        if lower_tag == upper_tag or not compat.are_facet_tags_of(tags, mesh):
             raise ValueError("of another mesh, of other entities, or one tag twice")
-    plate = PlateMesh(mesh, tags, {LIP_TAGS[0]: (lower,), LIP_TAGS[1]: (upper,)}, {}, ())
-    faces = [_face(plate, name, comm) for name in LIP_TAGS]
-    numbers, places = (np.concatenate(part) for part in zip(*faces, strict=True))
-    _, first, which = np.unique(numbers, return_index=True, return_inverse=True)
-    corners = np.split(which.reshape(numbers.shape), [len(faces[0][0])])
-    find: Any = find_lips if mesh.topology.dim == 2 else cracks_between
-    return replace(plate, lips=find(*corners, places.reshape(-1, places.shape[2])[first]))
+    plate = PlateMesh(mesh, tags, {LIP_TAGS[0]: (lower_tag,), LIP_TAGS[1]: (upper_tag,)}, {}, ())
+    faces = [_face_corners(plate, name, comm) for name in LIP_TAGS]
+    numbers, positions = (np.concatenate(arrays) for arrays in zip(*faces, strict=True))
+    _, first_positions, node_index = np.unique(numbers, return_index=True, return_inverse=True)
+    corners = np.split(node_index.reshape(numbers.shape), [len(faces[0][0])])
+    find_cracks: Any = find_crack_paths if mesh.topology.dim == 2 else find_crack_surfaces
+    return replace(
+        plate,
+        cracks=find_cracks(*corners, positions.reshape(-1, positions.shape[2])[first_positions]),
+    )
 
 
-def _face(plate: PlateMesh, name: str, comm: MPI.Comm) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers (n, k) of the corners of the facets of a face, and their positions (n, k, d) [m]
-    (collective)."""
+def _face_corners(plate: PlateMesh, name: str, comm: MPI.Comm) -> tuple[np.ndarray, np.ndarray]:
+    """Return the corners of all facets on a face (collective).
+
+    Returns
+    -------
+    numbers : (n, k) int
+        Global node numbers.
+    positions : (n, k, d) [m]
+        Node positions.
+    """
     mesh, topology, facets = plate.mesh, plate.mesh.topology, plate.facets(name)
     facets = facets[facets < topology.index_map(topology.dim - 1).size_local]
     corners = compat.facet_corners(mesh, facets)
-    inside = np.setdiff1d(facets, dolfinx.mesh.exterior_facet_indices(topology))
-    every, wrong = comm.allreduce(np.array([len(facets), len(inside)]))
-    if every == 0 or wrong:
-        shown = f"{every} facets of tag {plate.groups[name][0]}, {wrong} of them inside the mesh"
-        raise InputError("crack", shown, "two faces of exterior facets, with a cell on one side")
+    inner_facets = np.setdiff1d(facets, dolfinx.mesh.exterior_facet_indices(topology))
+    n_facets, n_inner = comm.allreduce(np.array([len(facets), len(inner_facets)]))
+    if n_facets == 0 or n_inner:
+        problem = (
+            f"{n_facets} facets of tag {plate.groups[name][0]}, {n_inner} of them inside the mesh"
+        )
+        raise InputError("crack", problem, "two faces of exterior facets, with a cell on one side")
     numbers = mesh.geometry.index_map().local_to_global(corners.ravel().astype(np.int32))
-    places = mesh.geometry.x[corners][..., : topology.dim]
-    return gather_rows(comm, np.reshape(numbers, corners.shape)), gather_rows(comm, places)
+    positions = mesh.geometry.x[corners][..., : topology.dim]
+    return gather_rows(comm, np.reshape(numbers, corners.shape)), gather_rows(comm, positions)

@@ -1,30 +1,38 @@
-"""Stress intensity along fronts of cracks in solids, as a linear functional of the displacement.
+"""Compute stress intensities along crack fronts in solids.
 
-The front is a curve c(t): an ellipse where its nodes lie on one, else a cubic spline over their
-distance along it. Seen from a point of it xi is ahead, y across the crack and s along the front, in
-a frame e_1, e_2, e_3, with kappa its curvature (positive where the crack is convex), g = 1 + kappa
-xi. With the plane fields a = a_i(xi, y) e_i of unit K_I, K_II (plane strain) or K_III, of gradient
+They are linear functionals of the displacement. The front is a curve c(t), with derivatives c_1,
+c_2, c_3. It is an ellipse if its nodes lie on one; otherwise it is a cubic spline over their
+distance along the front. At each point, xi is ahead of the crack, y across it, and s along the
+front. Their unit vectors are e_1, e_2, e_3. The curvature kappa is positive if the crack is convex;
+g = 1 + kappa xi, and k = kappa / g. Let a = a_i(xi, y) e_i be the plane field with unit K_I, K_II
+(plane strain) or K_III, and the gradient
 
     a_i,1 = d_xi a_i,   a_i,2 = d_y a_i,   a_1,3 = -kappa a_3 / g,   a_3,3 = kappa a_1 / g,
 
-their stress S = C sym grad a, and the extension Q = q(r / R) h(s) e_1 of the front, the interaction
-integral (Nakamura, Parks, International Journal of Solids and Structures 25, 1989, 1411; on curved
-fronts Gosz, Moran, Engineering Fracture Mechanics 69, 2002, 299) is
+and the stress S = C sym grad a. The front is extended virtually by Q = q(r / R) h(s) e_1, with r =
+(xi^2 + y^2)^1/2, the radius R of the domain and a hat function h. The interaction integral is
 
     I = int [sigma(u)_ij a_i,k Q_k,j + S_ij u_i,k Q_k,j - sigma(u) : grad a div Q] dV
         + int [(div S)_i u_i,1 + rho u''_i a_i,1] Q_1 dV
         - int [(S m)_i u_i,1 - S : grad u m_1] Q_1 dA
         + (2 / pi)^1/2 2 (1 - nu^2) / E int p Q_1 r^-1/2 dA,
 
-with the outward normal m of the surface and of the crack faces, on which the contact presses with
-p; and K_I = E / (2 (1 - nu^2)) I / int h ds, so K_II, and K_III = mu I / int h ds.
+with the outward normal m of the solid's surface and of the crack faces, and the contact pressure p
+on these faces. The stress intensities are
 
-Inertia and all other forces inside act as forces at nodes: with w the values of Q_1 a_,1 there,
-what they do is -w . (K u + B lambda), so that I is linear in the displacement and the contact
+    K_I, K_II = E / (2 (1 - nu^2)) I / int h ds,      K_III = mu I / int h ds.
+
+Inertia and other volume forces act as nodal forces. Let w hold the nodal values of Q_1 a_,1. Then
+these forces contribute -w . (K u + B lambda), and I is linear in the displacement and the contact
 forces.
 
-K_I at a front that is closed is zero: triangles at the front are mapped to the curve for that, and
-the pressure is the one of the contact's patches.
+At a closed front K_I is zero. Two measures ensure this: triangles at the front are mapped to the
+curve, and the pressure is the pressure of the contact patches.
+
+References
+----------
+Nakamura and Parks, International Journal of Solids and Structures 25, 1989, 1411.
+Gosz and Moran, Engineering Fracture Mechanics 69, 2002, 299: curved fronts.
 """
 
 from __future__ import annotations
@@ -44,335 +52,454 @@ from scipy.special import roots_jacobi
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.basics.tables import quantity
-from fenics_crack.fem.cracks import SAME, CrackSurface, upwards
+from fenics_crack.fem.cracks import POSITION_TOLERANCE, CrackSurface, upward_sign
 from fenics_crack.model.nodes import Nodes
 from fenics_crack.model.receptance import check_matrices
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 
-ELEMENTS = 2.0
-"""Radius of the domain, in elements of the front: less is noise, more has less of the place."""
-OVER_CURVATURE = 0.6
-"""Largest radius of the domain over the front's radius of curvature: at 1 normals meet."""
-ROOM = 0.8
-"""Largest radius over the distance to the clamp or another crack."""
-LONGEST = 1.25
-"""Largest length of an element over the radius: K is off by up to 20 % there, as that of the
-coarser mesh of a stated error may be."""
-INNER = 0.2
+RADIUS_IN_ELEMENTS = 2.0
+"""Radius of the domain, in elements along the front. A smaller radius gives noise, a larger one
+averages over more of the front."""
+MAX_RADIUS_BY_CURVATURE = 0.6
+"""Maximum radius of the domain, relative to the front's radius of curvature. At 1 the normals meet.
+"""
+MAX_RADIUS_BY_CLEARANCE = 0.8
+"""Maximum radius of the domain, relative to the distance from the clamp or another crack."""
+MAX_ELEMENT_RATIO = 1.25
+"""Maximum element length along the front, relative to the radius. K is then off by up to 20 %, as
+it may be on the coarser mesh of a stated error."""
+PLATEAU_FRACTION = 0.2
 """Fraction of the radius up to which q is 1."""
-GAUSS, AWAY = 6, 5
-"""Points along each direction of a cell at the front, where 4 are noise of 1 to 3 %, and of others,
-where 5 change K by 0.1 %, and 4 by 0.3 %."""
-WIDTH = 3
-"""Least edges of the front between two stations: a hat has four nodes or more."""
-STATIONS = 12
-"""Most intervals between stations of a front; twice as many of a closed one."""
-CORNER = np.pi / 4.0
-"""Angle between two edges of a front at which it is not smooth [rad]."""
-AT_ONCE = 100_000
-"""Points of a quadrature that are in memory at a time."""
+GAUSS_AT_FRONT, GAUSS_ELSEWHERE = 6, 5
+"""Gauss points in each direction of cells at the front, and of other cells. At the front, 4 points
+give 1 to 3 % of noise. Elsewhere, 5 points change K by 0.1 %, and 4 points by 0.3 %."""
+MIN_EDGES_PER_STATION = 3
+"""Minimum number of edges between two stations. So each hat has four nodes or more."""
+MAX_INTERVALS = 12
+"""Maximum number of intervals between stations on an open front; twice as many on a closed front.
+"""
+CORNER_ANGLE = np.pi / 4.0
+"""Minimum angle between neighbouring edges at a corner of the front [rad]."""
+MAX_POINTS_IN_MEMORY = 100_000
+"""Maximum number of quadrature points held in memory."""
 
 
 @dataclass(frozen=True)
 class Front:
-    """A smooth part of the front of a crack.
+    """Smooth part of a crack front.
 
     Attributes
     ----------
     name : str
-        "the crack front"; of several "the crack front 2".
+        "the crack front", or "the crack front 2" if there are several.
     crack : int
-        Number of the crack, from 0.
+        Index of the crack.
     nodes : (n, 3) [m]
-        Corners of elements on it, in turn; of a closed one the first is also the last.
-    across : (n, 3)
-        Normals of the crack there, from the lower to the upper face.
-    at : (n,)
-        Parameter t of the nodes: the angle of an ellipse [rad], or the distance along it [m].
+        Corners of elements along the front, in order. If the front is closed, the last node
+        equals the first.
+    normals : (n, 3)
+        Normals of the crack at the nodes, from the lower to the upper face.
+    parameters : (n,)
+        Parameter t of each node: the angle on an ellipse [rad], or the distance along the front
+        [m].
     curve : callable
-        c(t) and its derivatives of an order, (..., 3).
-    closed : bool
-        True if it has no ends.
+        Returns c(t) or its derivatives of a given order: (..., 3).
+    is_closed : bool
+        True if the front has no ends.
     at_surface : tuple of bool
-        True of an end at the surface of the solid: at others it has a corner.
-    limit : float [m]
-        Largest radius of the domain.
+        True for each end at the surface of the solid. Other ends are corners of the front.
+    max_radius : float [m]
+        Upper bound for the domain's radius.
     """
 
     name: str
     crack: int
     nodes: np.ndarray
-    across: np.ndarray
-    at: np.ndarray
+    normals: np.ndarray
+    parameters: np.ndarray
     curve: Callable[[np.ndarray, int], np.ndarray]
-    closed: bool
+    is_closed: bool
     at_surface: tuple[bool, bool]
-    limit: float
+    max_radius: float
 
     @cached_property
-    def peaks(self) -> np.ndarray:
-        """Parameters of the hats' peaks, that of a closed front's first one at the end, too. One is
-        in the middle, where a half-ellipse is deepest."""
-        count = max(1, min(STATIONS * (1 + self.closed), (len(self.nodes) - 1) // WIDTH))
-        count -= count % 2 if count > 1 and not self.closed else 0
-        return np.linspace(self.at[0], self.at[-1], max(count, 3 if self.closed else 1) + 1)
+    def peak_parameters(self) -> np.ndarray:
+        """Return the parameters at which the hats peak.
+
+        A closed front has the first peak also at its end. An open front has a peak in the middle,
+        where a half-ellipse is deepest.
+        """
+        n_intervals = max(
+            1,
+            min(
+                MAX_INTERVALS * (1 + self.is_closed), (len(self.nodes) - 1) // MIN_EDGES_PER_STATION
+            ),
+        )
+        n_intervals -= n_intervals % 2 if n_intervals > 1 and not self.is_closed else 0
+        return np.linspace(
+            self.parameters[0],
+            self.parameters[-1],
+            max(n_intervals, 3 if self.is_closed else 1) + 1,
+        )
 
     @property
-    def places(self) -> np.ndarray:
-        """Parameters of the stations."""
-        return self.peaks[:-1] if self.closed else self.peaks
+    def station_parameters(self) -> np.ndarray:
+        """Return the parameters of the stations: (n_stations,)."""
+        return self.peak_parameters[:-1] if self.is_closed else self.peak_parameters
 
     @property
-    def corners(self) -> list[int]:
-        """Stations at corners, where nothing is known."""
-        count = len(self.places)
-        ends = zip(self.at_surface, (0, count - 1), strict=True)
-        return [] if self.closed else [place for surface, place in ends if not surface]
+    def corner_stations(self) -> list[int]:
+        """Return the stations at corners, where K is undefined."""
+        n_stations = len(self.station_parameters)
+        ends = zip(self.at_surface, (0, n_stations - 1), strict=True)
+        return (
+            []
+            if self.is_closed
+            else [station for is_at_surface, station in ends if not is_at_surface]
+        )
 
     def hats(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Hats and their derivatives by t: (..., n_stations) each."""
-        step = self.peaks[1] - self.peaks[0]
-        off = (t[..., None] - self.places) / step
-        if self.closed:
-            off -= len(self.places) * np.round(off / len(self.places))
-        hat = np.maximum(0.0, 1.0 - np.abs(off))
-        return hat, np.where(hat > 0.0, -np.sign(off) / step, 0.0)
+        """Evaluate the hat functions.
 
-    def lengths(self) -> np.ndarray:
-        """int h ds of each hat: (n_stations,) [m]."""
+        Returns
+        -------
+        hat_values, hat_slopes : (..., n_stations)
+            Hats and their derivatives with respect to t.
+        """
+        spacing = self.peak_parameters[1] - self.peak_parameters[0]
+        distances = (t[..., None] - self.station_parameters) / spacing
+        if self.is_closed:
+            distances -= len(self.station_parameters) * np.round(
+                distances / len(self.station_parameters)
+            )
+        hat_values = np.maximum(0.0, 1.0 - np.abs(distances))
+        return hat_values, np.where(hat_values > 0.0, -np.sign(distances) / spacing, 0.0)
+
+    def hat_lengths(self) -> np.ndarray:
+        """Return int h ds for each hat: (n_stations,) [m]."""
         x, w = np.polynomial.legendre.leggauss(8)
-        half = 0.5 * (self.peaks[1] - self.peaks[0])
-        t = (self.peaks[:-1, None] + half * (1.0 + x)).ravel()
-        speed = np.linalg.norm(self.curve(t, 1), axis=1) * np.tile(half * w, len(self.peaks) - 1)
-        return np.asarray(speed @ self.hats(t)[0])
+        half_spacing = 0.5 * (self.peak_parameters[1] - self.peak_parameters[0])
+        t = (self.peak_parameters[:-1, None] + half_spacing * (1.0 + x)).ravel()
+        length_weights = np.linalg.norm(self.curve(t, 1), axis=1) * np.tile(
+            half_spacing * w, len(self.peak_parameters) - 1
+        )
+        return np.asarray(length_weights @ self.hats(t)[0])
 
     def frame(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """The frame (..., 3, 3), its rows e_1, e_2, e_3; ds/dt, kappa and d kappa / ds."""
-        one, two, three = (self.curve(t, order) for order in (1, 2, 3))
-        speed = np.linalg.norm(one, axis=-1)
-        along = one / speed[..., None]
-        across = np.stack([np.interp(t, self.at, row) for row in self.across.T], axis=-1)
-        across -= (across * along).sum(-1, keepdims=True) * along
-        across /= np.linalg.norm(across, axis=-1, keepdims=True)
-        ahead = np.cross(across, along)
-        bend = -(two * ahead).sum(-1) / speed**2
-        slope = -(three * ahead).sum(-1) / speed**3
-        slope -= 3.0 * bend * (one * two).sum(-1) / speed**3
-        return np.stack([ahead, across, along], axis=-2), speed, bend, slope
+        """Return the frame and curvature of the front.
+
+        Returns
+        -------
+        frame : (..., 3, 3)
+            Rows e_1, e_2, e_3.
+        speed : (...,)
+            ds/dt.
+        kappa, kappa_slope : (...,) [1/m], [1/m^2]
+            Curvature, and its derivative with respect to s.
+        """
+        c_1, c_2, c_3 = (self.curve(t, order) for order in (1, 2, 3))
+        speed = np.linalg.norm(c_1, axis=-1)
+        e_3 = c_1 / speed[..., None]
+        e_2 = np.stack(
+            [np.interp(t, self.parameters, components) for components in self.normals.T], axis=-1
+        )
+        e_2 -= (e_2 * e_3).sum(-1, keepdims=True) * e_3
+        e_2 /= np.linalg.norm(e_2, axis=-1, keepdims=True)
+        e_1 = np.cross(e_2, e_3)
+        kappa = -(c_2 * e_1).sum(-1) / speed**2
+        kappa_slope = -(c_3 * e_1).sum(-1) / speed**3
+        kappa_slope -= 3.0 * kappa * (c_1 * c_2).sum(-1) / speed**3
+        return np.stack([e_1, e_2, e_3], axis=-2), speed, kappa, kappa_slope
 
     @cached_property
-    def widest(self) -> float:
-        """R [m] where the front is straight."""
-        longest = np.linalg.norm(np.diff(self.nodes, axis=0), axis=1).max()
-        return float(min(ELEMENTS * longest, self.limit))
+    def straight_radius(self) -> float:
+        """Return the domain's radius R where the front is straight [m]."""
+        max_length = np.linalg.norm(np.diff(self.nodes, axis=0), axis=1).max()
+        return float(min(RADIUS_IN_ELEMENTS * max_length, self.max_radius))
 
-    def limited(self, bend: np.ndarray) -> np.ndarray:
-        """True where R follows the curvature."""
-        return np.asarray(np.abs(bend) * self.widest > OVER_CURVATURE)
+    def is_limited_by_curvature(self, kappa: np.ndarray) -> np.ndarray:
+        """Return True where the curvature determines R."""
+        return np.asarray(np.abs(kappa) * self.straight_radius > MAX_RADIUS_BY_CURVATURE)
 
-    def radius(self, bend: np.ndarray) -> np.ndarray:
-        """R [m] by the curvature."""
-        limited = self.limited(bend)
-        return np.where(limited, OVER_CURVATURE / np.where(limited, np.abs(bend), 1.0), self.widest)
+    def radius(self, kappa: np.ndarray) -> np.ndarray:
+        """Return R for a curvature [m]."""
+        is_limited = self.is_limited_by_curvature(kappa)
+        return np.where(
+            is_limited,
+            MAX_RADIUS_BY_CURVATURE / np.where(is_limited, np.abs(kappa), 1.0),
+            self.straight_radius,
+        )
 
     @cached_property
-    def _samples(self) -> tuple[np.ndarray, cKDTree]:
+    def _curve_samples(self) -> tuple[np.ndarray, cKDTree]:
+        """Return parameters and a search tree of points on the curve.
+
+        There are eight points for each node.
+        """
         t = np.interp(
-            np.linspace(0, len(self.at) - 1, 8 * len(self.at)), range(len(self.at)), self.at
+            np.linspace(0, len(self.parameters) - 1, 8 * len(self.parameters)),
+            range(len(self.parameters)),
+            self.parameters,
         )
         return t, cKDTree(self.curve(t, 0))
 
-    def nearest(self, points: np.ndarray) -> np.ndarray:
-        """Parameters of the nearest points of the curve to some (..., 3)."""
-        samples, tree = self._samples
+    def nearest_parameters(self, points: np.ndarray) -> np.ndarray:
+        """Return parameters of the curve's nearest points to points (..., 3)."""
+        samples, tree = self._curve_samples
         t = samples[tree.query(points)[1]]
-        for _ in range(3):  # of Newton's steps
-            place, one, two = (self.curve(t, order) for order in range(3))
-            to = points - place
-            t = t + (to * one).sum(-1) / ((one * one).sum(-1) - (to * two).sum(-1))
-            if not self.closed:
-                t = np.clip(t, self.at[0], self.at[-1])
-        if self.closed:
-            t = self.at[0] + np.mod(t - self.at[0], self.at[-1] - self.at[0])
+        for _ in range(3):  # Newton's steps
+            c_0, c_1, c_2 = (self.curve(t, order) for order in range(3))
+            offsets = points - c_0
+            t = t + (offsets * c_1).sum(-1) / ((c_1 * c_1).sum(-1) - (offsets * c_2).sum(-1))
+            if not self.is_closed:
+                t = np.clip(t, self.parameters[0], self.parameters[-1])
+        if self.is_closed:
+            t = self.parameters[0] + np.mod(
+                t - self.parameters[0], self.parameters[-1] - self.parameters[0]
+            )
         return np.asarray(t)
 
 
 @dataclass(frozen=True)
 class Station:
-    """A place on a crack front at which stress intensities are known.
+    """Point on a crack front with stress intensities.
 
     Attributes
     ----------
     name : str
         "the crack front at 3.2 mm".
     crack : int
-        Number of the crack, from 0.
-    point, ahead : (3,) [m], (3,)
-        Where it is, and the direction in which the crack would grow straight on.
+        Index of the crack.
+    point, growth_direction : (3,) [m], (3,)
+        Position, and direction of straight growth.
     position : float [m]
-        Its distance along the front.
-    touching : (k,) int
-        Contact pairs whose patches touch the front within its hat: while all of them are closed, so
-        is the crack there.
+        Distance along the front.
+    touching_pairs : (k,) int
+        Contact pairs whose patches touch the front within the station's hat. While all of them
+        are closed, the crack is closed there.
     """
 
     name: str
     crack: int
     point: np.ndarray
-    ahead: np.ndarray
+    growth_direction: np.ndarray
     position: float
-    touching: np.ndarray
+    touching_pairs: np.ndarray
 
 
-# --- where they are -------------------------------------------------------------------------------
+# --- finding fronts -------------------------------------------------------------------------------
 
 
 def find_fronts(structure: Structure) -> list[Front]:
-    """The fronts of all cracks of a solid (collective).
-
-    Raises
-    ------
-    InputError
-        A front is too short for its elements.
-    """
+    """Find the fronts of all cracks in a solid (collective)."""
     nodes = structure.nodes
     assert nodes is not None
-    lips: tuple[CrackSurface, ...] = nodes.mesh_dofs.plate.lips
-    held = gather_rows(structure.comm, nodes.points[np.all(nodes.dofs < 0, axis=1)])
-    found = []
-    for crack, lip in enumerate(lips):
-        others = [other.triangles.reshape(-1, 3) for other in lips if other is not lip]
-        away = cKDTree(np.concatenate([held, *others]))
-        for chain, normals, closed, ends in _chains(lip):
-            limit = ROOM * away.query(chain)[0].min()
-            found.append((crack, chain, normals, *_curve(chain, closed), closed, ends, limit))
+    cracks: tuple[CrackSurface, ...] = nodes.mesh_dofs.plate.cracks
+    clamped_points = gather_rows(structure.comm, nodes.points[np.all(nodes.dofs < 0, axis=1)])
+    front_fields = []
+    for crack_index, crack in enumerate(cracks):
+        other_corners = [
+            other_crack.triangles.reshape(-1, 3)
+            for other_crack in cracks
+            if other_crack is not crack
+        ]
+        obstacle_tree = cKDTree(np.concatenate([clamped_points, *other_corners]))
+        for chain_nodes, normals, is_closed, ends_at_surface in _front_chains(crack):
+            max_radius = MAX_RADIUS_BY_CLEARANCE * obstacle_tree.query(chain_nodes)[0].min()
+            front_fields.append(
+                (
+                    crack_index,
+                    chain_nodes,
+                    normals,
+                    *_fit_curve(chain_nodes, is_closed),
+                    is_closed,
+                    ends_at_surface,
+                    max_radius,
+                )
+            )
     return [
-        Front("the crack front" + (f" {number + 1}" if len(found) > 1 else ""), *one)
-        for number, one in enumerate(found)
+        Front("the crack front" + (f" {index + 1}" if len(front_fields) > 1 else ""), *fields)
+        for index, fields in enumerate(front_fields)
     ]
 
 
-def _chains(lip: CrackSurface) -> Iterator[tuple[np.ndarray, np.ndarray, bool, tuple[bool, bool]]]:
-    """Yield the smooth parts of a crack's front: nodes, normals, whether it is closed, and which
-    ends are at the surface."""
-    corners = lip.triangles.reshape(-1, 3)
-    unit = SAME * lip.size
+def _front_chains(
+    crack: CrackSurface,
+) -> Iterator[tuple[np.ndarray, np.ndarray, bool, tuple[bool, bool]]]:
+    """Yield the smooth parts of a crack's front.
+
+    Yields
+    ------
+    points : (n, 3) [m]
+        Nodes in order.
+    normals : (n, 3)
+        Normals of the crack.
+    is_closed : bool
+        True if the front has neither ends nor corners.
+    ends_at_surface : tuple of bool
+        True for each end at the surface of the solid.
+    """
+    corners = crack.triangles.reshape(-1, 3)
+    tolerance = POSITION_TOLERANCE * crack.size
     tree = cKDTree(corners)
-    edges = np.sort(tree.query(lip.front.reshape(-1, 3))[1].reshape(-1, 2), axis=1)
+    edges = np.sort(tree.query(crack.front.reshape(-1, 3))[1].reshape(-1, 2), axis=1)
     links: dict[int, list[int]] = {}
-    first_of = np.array([min(tree.query_ball_point(x, unit)) for x in corners[edges.ravel()]])
-    for a, b in first_of.reshape(-1, 2):
-        links.setdefault(int(a), []).append(int(b))
-        links.setdefault(int(b), []).append(int(a))
-    spans = lip.triangles[:, 1:] - lip.triangles[:, :1]
-    normal = np.cross(spans[:, 0], spans[:, 1])
-    turned = np.array([upwards(row) for row in normal])
-    normal *= turned[:, None]
-    middles = lip.triangles.mean(axis=1)
+    corner_nodes = np.array(
+        [min(tree.query_ball_point(corner, tolerance)) for corner in corners[edges.ravel()]]
+    )
+    for node, neighbour in corner_nodes.reshape(-1, 2):
+        links.setdefault(int(node), []).append(int(neighbour))
+        links.setdefault(int(neighbour), []).append(int(node))
+    sides = crack.triangles[:, 1:] - crack.triangles[:, :1]
+    normals = np.cross(sides[:, 0], sides[:, 1])
+    signs = np.array([upward_sign(facet_normal) for facet_normal in normals])
+    normals *= signs[:, None]
+    centres = crack.triangles.mean(axis=1)
     while links:
-        start = min((k for k, ends in links.items() if len(ends) == 1), default=min(links))
-        chain, closed = [start], len(links[start]) == 2
+        first_node = min(
+            (node for node, neighbours in links.items() if len(neighbours) == 1), default=min(links)
+        )
+        chain, is_closed = [first_node], len(links[first_node]) == 2
         while links.get(chain[-1]):
-            after = links[chain[-1]].pop()
-            links[after].remove(chain[-1])
-            chain.append(after)
+            next_node = links[chain[-1]].pop()
+            links[next_node].remove(chain[-1])
+            chain.append(next_node)
         for node in chain:
             links.pop(node, None)
-        at = corners[chain]
-        across, inward = np.empty_like(at), np.empty_like(at)
-        for row, place in enumerate(at):
-            touching = np.unique(np.array(tree.query_ball_point(place, unit)) // 3)
-            across[row] = normal[touching].sum(axis=0)
-            inward[row] = middles[touching].mean(axis=0) - place
-        across /= np.linalg.norm(across, axis=1)[:, None]
-        steps = np.diff(at, axis=0)
-        ahead = np.cross(across[:-1] + across[1:], steps)
-        if (ahead * (inward[:-1] + inward[1:])).sum() > 0.0:
-            at, across, steps = at[::-1], across[::-1], -steps[::-1]
-        steps /= np.linalg.norm(steps, axis=1)[:, None]
-        before = np.roll(steps, 1, axis=0)
-        sharp = np.flatnonzero((before * steps).sum(axis=1) < np.cos(CORNER)).tolist()
-        if closed and sharp:
-            turn = sharp[0]
-            at, across = (np.concatenate([x[turn:-1], x[: turn + 1]]) for x in (at, across))
-            sharp = [place - turn for place in sharp]
-        for a, b in pairwise(sorted({0, *sharp, len(steps)})):
-            ends = (a == 0 and not closed, b == len(steps) and not closed)
-            yield at[a : b + 1], across[a : b + 1], closed and not sharp, ends
+        points = corners[chain]
+        point_normals, inward_vectors = np.empty_like(points), np.empty_like(points)
+        for index, point in enumerate(points):
+            touching_facets = np.unique(np.array(tree.query_ball_point(point, tolerance)) // 3)
+            point_normals[index] = normals[touching_facets].sum(axis=0)
+            inward_vectors[index] = centres[touching_facets].mean(axis=0) - point
+        point_normals /= np.linalg.norm(point_normals, axis=1)[:, None]
+        edge_vectors = np.diff(points, axis=0)
+        growth_directions = np.cross(point_normals[:-1] + point_normals[1:], edge_vectors)
+        if (growth_directions * (inward_vectors[:-1] + inward_vectors[1:])).sum() > 0.0:
+            points = points[::-1]
+            point_normals = point_normals[::-1]
+            edge_vectors = -edge_vectors[::-1]
+        edge_vectors /= np.linalg.norm(edge_vectors, axis=1)[:, None]
+        previous_vectors = np.roll(edge_vectors, 1, axis=0)
+        corner_indices = np.flatnonzero(
+            (previous_vectors * edge_vectors).sum(axis=1) < np.cos(CORNER_ANGLE)
+        ).tolist()
+        if is_closed and corner_indices:
+            start_index = corner_indices[0]
+            points, point_normals = (
+                np.concatenate([rows[start_index:-1], rows[: start_index + 1]])
+                for rows in (points, point_normals)
+            )
+            corner_indices = [corner_index - start_index for corner_index in corner_indices]
+        for part_start, part_stop in pairwise(sorted({0, *corner_indices, len(edge_vectors)})):
+            ends_at_surface = (
+                part_start == 0 and not is_closed,
+                part_stop == len(edge_vectors) and not is_closed,
+            )
+            yield (
+                points[part_start : part_stop + 1],
+                point_normals[part_start : part_stop + 1],
+                is_closed and not corner_indices,
+                ends_at_surface,
+            )
 
 
-def _curve(
-    nodes: np.ndarray, closed: bool
+def _fit_curve(
+    nodes: np.ndarray, is_closed: bool
 ) -> tuple[np.ndarray, Callable[[np.ndarray, int], np.ndarray]]:
-    """Parameters of nodes (n, 3) in turn, and the curve through them: the ellipse on which they
-    lie, to SAME of its size, or else a spline."""
-    middle = nodes.mean(axis=0)
-    _, sizes, axes = np.linalg.svd(nodes - middle, full_matrices=False)
-    x, y = ((nodes - middle) @ axes[:2].T / sizes[0]).T
-    if len(nodes) > 5 and sizes[1] > SAME * sizes[0] and sizes[2] <= SAME * sizes[0]:
-        conic = np.column_stack([x * x, 2.0 * x * y, y * y, -2.0 * x, -2.0 * y])
-        a, b, c, d, e = np.linalg.lstsq(conic, np.ones(len(x)), rcond=None)[0]
-        form = np.array([[a, b], [b, c]])
-        if np.linalg.det(form) > 0.0:
-            center = np.linalg.solve(form, [d, e])
-            weights, turn = np.linalg.eigh(form / (1.0 + center @ form @ center))
-            at = (np.column_stack([x, y]) - center) @ turn * np.sqrt(np.abs(weights))
-            if np.all(weights > 0.0) and np.abs(np.linalg.norm(at, axis=1) - 1.0).max() < 1e-5:
-                t = np.unwrap(np.arctan2(at[:, 1], at[:, 0]))
+    """Fit a curve through nodes (n, 3).
+
+    The curve is an ellipse if all nodes lie on one; otherwise it is a spline.
+
+    Returns
+    -------
+    parameters : (n,)
+        Parameter t of each node.
+    curve : callable
+        Returns c(t) or its derivatives of a given order.
+    """
+    centroid = nodes.mean(axis=0)
+    _, extents, axes = np.linalg.svd(nodes - centroid, full_matrices=False)
+    x, y = ((nodes - centroid) @ axes[:2].T / extents[0]).T
+    if (
+        len(nodes) > 5
+        and extents[1] > POSITION_TOLERANCE * extents[0]
+        and extents[2] <= POSITION_TOLERANCE * extents[0]
+    ):
+        conic_terms = np.column_stack([x * x, 2.0 * x * y, y * y, -2.0 * x, -2.0 * y])
+        a, b, c, d, e = np.linalg.lstsq(conic_terms, np.ones(len(x)), rcond=None)[0]
+        quadratic_form = np.array([[a, b], [b, c]])
+        if np.linalg.det(quadratic_form) > 0.0:
+            center = np.linalg.solve(quadratic_form, [d, e])
+            eigenvalues, eigenvectors = np.linalg.eigh(
+                quadratic_form / (1.0 + center @ quadratic_form @ center)
+            )
+            unit_points = (
+                (np.column_stack([x, y]) - center) @ eigenvectors * np.sqrt(np.abs(eigenvalues))
+            )
+            if (
+                np.all(eigenvalues > 0.0)
+                and np.abs(np.linalg.norm(unit_points, axis=1) - 1.0).max() < 1e-5
+            ):
+                t = np.unwrap(np.arctan2(unit_points[:, 1], unit_points[:, 0]))
                 sign = np.sign(t[-1] - t[0])
-                half = sizes[0] * (turn / np.sqrt(weights)) @ np.diag([1.0, sign])
-                return sign * t, partial(
-                    _ellipse, middle + sizes[0] * center @ axes[:2], half.T @ axes[:2]
+                half_axes = (
+                    extents[0] * (eigenvectors / np.sqrt(eigenvalues)) @ np.diag([1.0, sign])
                 )
-    steps = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
-    t = np.append(0.0, np.cumsum(steps))
+                return sign * t, partial(
+                    _evaluate_ellipse,
+                    centroid + extents[0] * center @ axes[:2],
+                    half_axes.T @ axes[:2],
+                )
+    edge_lengths = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
+    t = np.append(0.0, np.cumsum(edge_lengths))
     if len(nodes) == 2:
-        nodes, t_of = (
-            np.array([nodes[0], nodes.mean(axis=0), nodes[1]]),
-            np.array([0, 0.5, 1]) * t[-1],
-        )
+        nodes = np.array([nodes[0], nodes.mean(axis=0), nodes[1]])
+        knots = np.array([0, 0.5, 1]) * t[-1]
     else:
-        t_of = t
-    spline = CubicSpline(t_of, nodes, bc_type="periodic" if closed else "not-a-knot")
+        knots = t
+    spline = CubicSpline(knots, nodes, bc_type="periodic" if is_closed else "not-a-knot")
 
     return t, lambda t, order: np.asarray(spline(t, order))
 
 
-def _ellipse(center: np.ndarray, halves: np.ndarray, t: np.ndarray, order: int) -> np.ndarray:
-    """Derivative of an order of center + halves[0] cos t + halves[1] sin t: (..., 3)."""
+def _evaluate_ellipse(
+    center: np.ndarray, half_axes: np.ndarray, t: np.ndarray, order: int
+) -> np.ndarray:
+    """Evaluate center + half_axes[0] cos t + half_axes[1] sin t, or a derivative: (..., 3)."""
     angle = np.asarray(t)[..., None] + 0.5 * np.pi * order
-    moved = np.cos(angle) * halves[0] + np.sin(angle) * halves[1]
-    return np.asarray(moved + center if order == 0 else moved)
+    derivative = np.cos(angle) * half_axes[0] + np.sin(angle) * half_axes[1]
+    return np.asarray(derivative + center if order == 0 else derivative)
 
 
-# --- rows -----------------------------------------------------------------------------------------
+# --- functionals ----------------------------------------------------------------------------------
 
 
 def front_functionals(
     scene: Scene, structure: Structure
 ) -> tuple[list[Station], np.ndarray, np.ndarray]:
-    """The stations of all fronts, and what a displacement and the contact forces are multiplied by
-    for K_I, K_II and K_III of one station after the other (collective).
+    """Return the stations of all fronts, and the functionals for K (collective).
 
     Parameters
     ----------
     scene : Scene
-        A solid with a crack.
+        Solid with a crack.
     structure : Structure
-        Made from it, whole.
+        Structure of the scene, not reduced.
 
     Returns
     -------
     stations : list of Station
     of_displacement : (3 n_stations, n_local) [Pa m^1/2 / m]
+        Factors of the displacement in K_I, K_II and K_III, station after station.
     of_forces : (3 n_stations, n_pairs) [Pa m^1/2 / N]
+        Factors of the contact forces.
 
     Raises
     ------
     InputError
-        Cells are no tetrahedra of second order; or the elements at a front are longer than what is
-        integrated over.
+        Cells are not tetrahedra of order 2, or elements at a front are too long for the domain.
     """
     check_matrices(structure, "stress intensities")
     nodes, comm = structure.nodes, structure.comm
@@ -381,355 +508,531 @@ def front_functionals(
         raise InputError("mesh", "other cells", "tetrahedra of order 2, for stress intensities")
     points, cells = gather_rows(comm, nodes.points), gather_rows(comm, nodes.cells)
     stations: list[Station] = []
-    rows: list[np.ndarray] = []
-    pressed: list[np.ndarray] = []
+    displacement_rows: list[np.ndarray] = []
+    force_rows: list[np.ndarray] = []
     for front in find_fronts(structure):
         _check_resolved(front)
-        rule = _Domain(scene, front, points, cells)
-        row, field = (_own_part(nodes, rule.nodes, x) for x in rule.rows(comm))
-        forces = np.zeros((len(row), structure.n_pairs))
+        domain = _Domain(scene, front, points, cells)
+        displacement_functional, nodal_fields = (
+            _free_dofs_of_rank(nodes, domain.nodes, rows)
+            for rows in domain.integrate_functionals(comm)
+        )
+        force_functional = np.zeros((len(displacement_functional), structure.n_pairs))
         if structure.pairs.nodes is not None:
-            forces -= rule.scale[:, None] * structure.apply_bt(field)
-            forces[: len(front.places)] += _of_pressures(structure, front)
-        stated = [place for place in range(len(front.places)) if place not in front.corners]
-        for parts, values in ((rows, row), (pressed, forces)):
-            parts.append(_by_station(front, values)[stated].reshape(3 * len(stated), -1))
-        stations += [_stations(structure, front)[place] for place in stated]
-    return stations, np.concatenate(rows), np.concatenate(pressed)
+            force_functional -= domain.intensity_factors[:, None] * structure.apply_bt(nodal_fields)
+            force_functional[: len(front.station_parameters)] += _pressure_factors(structure, front)
+        stated_stations = [
+            station
+            for station in range(len(front.station_parameters))
+            if station not in front.corner_stations
+        ]
+        for collected_rows, functional in (
+            (displacement_rows, displacement_functional),
+            (force_rows, force_functional),
+        ):
+            collected_rows.append(
+                _rows_by_station(front, functional)[stated_stations].reshape(
+                    3 * len(stated_stations), -1
+                )
+            )
+        stations += [_make_stations(structure, front)[station] for station in stated_stations]
+    return stations, np.concatenate(displacement_rows), np.concatenate(force_rows)
 
 
-def _own_part(nodes: Nodes, numbers: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """This rank's free dofs (n, n_local) of values (m, n, 3) at nodes by their numbers, 0 at
-    others."""
-    places = numbers - nodes.mesh_dofs.first_node
-    own = (places >= 0) & (places < nodes.mesh_dofs.n_nodes)
-    found = np.zeros((values.shape[1], nodes.mesh_dofs.n_nodes, 3))
-    found[:, places[own]] = values[own].swapaxes(0, 1)
-    return np.asarray(nodes.mesh_dofs.free_part(found.reshape(len(found), -1)))
+def _free_dofs_of_rank(
+    nodes: Nodes, node_numbers: np.ndarray, node_values: np.ndarray
+) -> np.ndarray:
+    """Return values at nodes as values of this rank's free dofs: (n, n_local).
+
+    Parameters
+    ----------
+    nodes : Nodes
+        Nodes of this rank.
+    node_numbers : (m,) int
+        Global numbers of nodes. Other nodes have the value 0.
+    node_values : (m, n, 3)
+        Values at these nodes.
+    """
+    local_nodes = node_numbers - nodes.mesh_dofs.first_node
+    is_owned = (local_nodes >= 0) & (local_nodes < nodes.mesh_dofs.n_nodes)
+    local_values = np.zeros((node_values.shape[1], nodes.mesh_dofs.n_nodes, 3))
+    local_values[:, local_nodes[is_owned]] = node_values[is_owned].swapaxes(0, 1)
+    return np.asarray(nodes.mesh_dofs.restrict_to_free(local_values.reshape(len(local_values), -1)))
 
 
-def _stations(structure: Structure, front: Front) -> list[Station]:
-    pairs, hats = structure.pairs, front.hats(front.at)[0] > 0.0
-    touching = [np.zeros(0, dtype=int)] * len(front.places)
+def _make_stations(structure: Structure, front: Front) -> list[Station]:
+    """Return the stations of a front."""
+    pairs, is_in_hats = structure.pairs, front.hats(front.parameters)[0] > 0.0
+    touching_pairs = [np.zeros(0, dtype=int)] * len(front.station_parameters)
     if pairs.nodes is not None and pairs.shares is not None:
-        on = cKDTree(pairs.nodes).query(front.nodes)[1]
-        touching = [np.unique(pairs.shares[on[hat]].nonzero()[1]) for hat in hats.T]
-    fine = np.linspace(front.at[0], front.at[-1], 50 * len(front.peaks))
-    along = np.append(0.0, np.linalg.norm(np.diff(front.curve(fine, 0), axis=0), axis=1).cumsum())
-    positions = np.interp(front.places, fine, along)
-    points, ahead = front.curve(front.places, 0), front.frame(front.places)[0][:, 0]
+        nearest_nodes = cKDTree(pairs.nodes).query(front.nodes)[1]
+        touching_pairs = [
+            np.unique(pairs.shares[nearest_nodes[is_in_hat]].nonzero()[1])
+            for is_in_hat in is_in_hats.T
+        ]
+    fine_parameters = np.linspace(
+        front.parameters[0], front.parameters[-1], 50 * len(front.peak_parameters)
+    )
+    arc_lengths = np.append(
+        0.0, np.linalg.norm(np.diff(front.curve(fine_parameters, 0), axis=0), axis=1).cumsum()
+    )
+    positions = np.interp(front.station_parameters, fine_parameters, arc_lengths)
+    points = front.curve(front.station_parameters, 0)
+    directions = front.frame(front.station_parameters)[0][:, 0]
     return [
-        Station(f"{front.name} at {quantity(float(s), 'm')}", front.crack, x, e, float(s), own)
-        for x, e, s, own in zip(points, ahead, positions, touching, strict=True)
+        Station(
+            f"{front.name} at {quantity(float(position), 'm')}",
+            front.crack,
+            point,
+            direction,
+            float(position),
+            station_pairs,
+        )
+        for point, direction, position, station_pairs in zip(
+            points, directions, positions, touching_pairs, strict=True
+        )
     ]
 
 
 def _check_resolved(front: Front) -> None:
-    """Raise InputError where the domain is smaller than an element by more than LONGEST."""
-    lengths = np.linalg.norm(np.diff(front.nodes, axis=0), axis=1)
-    radius = front.radius(front.frame(0.5 * (front.at[1:] + front.at[:-1]))[2])
-    worst = (lengths / radius).argmax()
-    if lengths[worst] > LONGEST * radius[worst]:
-        most = LONGEST * radius[worst]
-        place = ", ".join(f"{x:.4g}" for x in front.nodes[worst])
-        allowed = f"no longer than {most:.3g} m along the front in ({place}) m"
-        raise InputError("mesh", f"elements of {lengths[worst]:.3g} m", allowed)
+    """Raise InputError if elements along a front exceed the domain."""
+    edge_lengths = np.linalg.norm(np.diff(front.nodes, axis=0), axis=1)
+    radii = front.radius(front.frame(0.5 * (front.parameters[1:] + front.parameters[:-1]))[2])
+    worst_edge = (edge_lengths / radii).argmax()
+    if edge_lengths[worst_edge] > MAX_ELEMENT_RATIO * radii[worst_edge]:
+        max_length = MAX_ELEMENT_RATIO * radii[worst_edge]
+        position_text = ", ".join(f"{x:.4g}" for x in front.nodes[worst_edge])
+        requirement = f"no longer than {max_length:.3g} m along the front in ({position_text}) m"
+        raise InputError("mesh", f"elements of {edge_lengths[worst_edge]:.3g} m", requirement)
 
 
-def _by_station(front: Front, rows: np.ndarray) -> np.ndarray:
-    """Rows (3 n_stations, m) of hats by stations, (n_stations, 3, m): those at the ends of a front
-    are on the line through the last two, which are of the places of their hats' middles."""
-    rows = rows.reshape(3, len(front.places), -1).swapaxes(0, 1)
-    if not front.closed and len(front.places) > 2:
-        first, last = (1.5 * rows[end] - 0.5 * rows[beside] for end, beside in ((0, 1), (-1, -2)))
-        rows = np.concatenate([first[None], rows[1:-1], last[None]])
+def _rows_by_station(front: Front, rows: np.ndarray) -> np.ndarray:
+    """Arrange rows (3 n_stations, m) of hats by station: (n_stations, 3, m).
+
+    A hat at an end of an open front has its centroid elsewhere. So the row for the end is
+    extrapolated linearly from the last two hats.
+    """
+    rows = rows.reshape(3, len(front.station_parameters), -1).swapaxes(0, 1)
+    if not front.is_closed and len(front.station_parameters) > 2:
+        first_row, last_row = (
+            1.5 * rows[end] - 0.5 * rows[neighbour] for end, neighbour in ((0, 1), (-1, -2))
+        )
+        rows = np.concatenate([first_row[None], rows[1:-1], last_row[None]])
     return rows
 
 
-def _weight(share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """q and its derivative by r / R."""
-    x = np.clip((share - INNER) / (1.0 - INNER), 0.0, 1.0)
-    slope = -30.0 * x**2 * (1.0 - x) ** 2 / (1.0 - INNER)
+def _weight_function(radius_ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return q and its derivative with respect to r / R."""
+    x = np.clip((radius_ratio - PLATEAU_FRACTION) / (1.0 - PLATEAU_FRACTION), 0.0, 1.0)
+    slope = -30.0 * x**2 * (1.0 - x) ** 2 / (1.0 - PLATEAU_FRACTION)
     return 1.0 - x**3 * (10.0 - 15.0 * x + 6.0 * x**2), slope
 
 
-def _collapsed(dimension: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Barycentric coordinates (count^d, d + 1) and weights, of sum 1, of Gauss's points in a
-    simplex that is collapsed at its first corner."""
-    left, weights = np.ones(1), np.ones(1)
+def _collapsed_gauss_rule(dimension: int, n_points: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return Gauss points of a simplex collapsed at its first corner.
+
+    Returns
+    -------
+    coordinates : (n_points^d, d + 1)
+        Barycentric coordinates.
+    weights : (n_points^d,)
+        Weights that sum to 1.
+    """
+    remainder, weights = np.ones(1), np.ones(1)
     coordinates: list[np.ndarray] = []
     for power in range(dimension - 1, -1, -1):
-        x, w = roots_jacobi(count, power, 0)
+        x, w = roots_jacobi(n_points, power, 0)
         x, w = 0.5 * (1.0 + x), w / w.sum()
-        coordinates = [np.repeat(row, count) for row in coordinates]
-        coordinates.append((left[:, None] * x).ravel())
-        left, weights = (left[:, None] * (1.0 - x)).ravel(), (weights[:, None] * w).ravel()
-    return np.column_stack([*coordinates, left]), weights
+        coordinates = [np.repeat(coordinate, n_points) for coordinate in coordinates]
+        coordinates.append((remainder[:, None] * x).ravel())
+        remainder = (remainder[:, None] * (1.0 - x)).ravel()
+        weights = (weights[:, None] * w).ravel()
+    return np.column_stack([*coordinates, remainder]), weights
 
 
-def _chunks(cells: np.ndarray, points: int) -> list[np.ndarray]:
-    """Cells with so many points each, AT_ONCE or fewer at a time."""
-    return np.array_split(cells, 1 + len(cells) * points // AT_ONCE)
+def _split_into_chunks(cells: np.ndarray, n_points: int) -> list[np.ndarray]:
+    """Split cells, with n_points each, into chunks that fit into memory."""
+    return np.array_split(cells, 1 + len(cells) * n_points // MAX_POINTS_IN_MEMORY)
 
 
-EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
-"""Edges of a tetrahedron on which its other nodes are, in VTK's order."""
+TETRAHEDRON_EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
+"""Ends of a tetrahedron's edges, in VTK's order of the nodes on edges."""
 
 
 class _Domain:
-    """The integral around a front over the cells that are near."""
+    """Domain of integration around a front: the cells nearby.
+
+    Attributes
+    ----------
+    nodes : (n_nodes,) int
+        Global numbers of the cells' nodes.
+    scale : (3 n_stations,)
+        Factor from I to K.
+    points : (n_nodes, 3) [m]
+        Positions of the nodes.
+    cells : (n_cells, 10) int
+        Nodes of each cell, as rows of ``points``.
+    corner_order : (n_cells, 4) int
+        Corners of each cell, nearest to the front first.
+    corners : (n_cells, 4, 3) [m]
+        Positions of corners, in this order.
+    is_outer_facet : (n_cells, 4) bool
+        True for facets, opposite each corner, that belong to one cell only.
+    volumes : (n_cells,) [m^3]
+        Volume of each cell.
+    gradients : (n_cells, 4, 3) [1/m]
+        Gradients of the barycentric coordinates.
+    side_signs : (n_cells,)
+        1 above the crack, -1 below.
+    """
 
     def __init__(self, scene: Scene, front: Front, points: np.ndarray, cells: np.ndarray) -> None:
         self.front = front
         young, self.nu = scene.material.young, scene.material.poisson
         self.mu = 0.5 * young / (1.0 + self.nu)
         self.lame = young * self.nu / (1.0 + self.nu) / (1.0 - 2.0 * self.nu)
-        plane = 0.5 * young / (1.0 - self.nu**2)
-        of_mode = np.repeat([plane, plane, self.mu], len(front.places))
-        self.scale = of_mode / np.tile(front.lengths(), 3)
-        away = front._samples[1].query(points)[0][cells]
-        # Of others no more than rounded edges is inside, where q is 1e-5.
-        kept = away.min(axis=1) < front.widest
-        self.nodes, numbers = np.unique(cells[kept], return_inverse=True)
-        self.points, self.cells = points[self.nodes], numbers.reshape(-1, cells.shape[1])
+        plane_modulus = 0.5 * young / (1.0 - self.nu**2)
+        mode_moduli = np.repeat(
+            [plane_modulus, plane_modulus, self.mu], len(front.station_parameters)
+        )
+        self.intensity_factors = mode_moduli / np.tile(front.hat_lengths(), 3)
+        front_distances = front._curve_samples[1].query(points)[0][cells]
+        # Cells with all corners outside R touch the domain only where q is below 1e-5.
+        is_near = front_distances.min(axis=1) < front.straight_radius
+        self.nodes, local_nodes = np.unique(cells[is_near], return_inverse=True)
+        self.points, self.cells = points[self.nodes], local_nodes.reshape(-1, cells.shape[1])
         corners = self.points[self.cells[:, :4]]
-        # From the nearest to the front on; those as near by place: rounding and numbers differ on
-        # other ranks, and the rule of an edge on the front takes its ends in turn.
-        places = np.dstack([corners, away[kept, :4]]).transpose(2, 0, 1)
-        self.order = order = np.lexsort(np.round(places / (SAME * front.widest)), axis=-1)
-        self.corners = np.take_along_axis(corners, order[..., None], axis=1)
-        number = np.take_along_axis(self.cells[:, :4], order, axis=1)
-        facets = [np.sort(np.delete(number, k, axis=1), axis=1) for k in range(4)]
-        keys = np.ravel_multi_index(np.concatenate(facets).T, (len(self.points),) * 3)
-        _, first, uses = np.unique(keys, return_index=True, return_counts=True)
-        self.outside = np.isin(keys, keys[first[uses == 1]]).reshape(4, -1).T
-        spans = self.corners[:, 1:] - self.corners[:, :1]
-        self.volume = np.abs(np.linalg.det(spans)) / 6.0
-        inverse = np.linalg.inv(spans).swapaxes(1, 2)  # rows: gradients of the coordinates 1 to 3
+        # Nearest to the front first; equally near corners by position. So the order is the same
+        # on all ranks, and the rule for an edge on the front takes its ends in a fixed order.
+        sort_keys = np.dstack([corners, front_distances[is_near, :4]]).transpose(2, 0, 1)
+        self.corner_order = corner_order = np.lexsort(
+            np.round(sort_keys / (POSITION_TOLERANCE * front.straight_radius)), axis=-1
+        )
+        self.corners = np.take_along_axis(corners, corner_order[..., None], axis=1)
+        corner_nodes = np.take_along_axis(self.cells[:, :4], corner_order, axis=1)
+        facets = [np.sort(np.delete(corner_nodes, k, axis=1), axis=1) for k in range(4)]
+        facet_keys = np.ravel_multi_index(np.concatenate(facets).T, (len(self.points),) * 3)
+        _, first_facets, facet_counts = np.unique(facet_keys, return_index=True, return_counts=True)
+        self.is_outer_facet = (
+            np.isin(facet_keys, facet_keys[first_facets[facet_counts == 1]]).reshape(4, -1).T
+        )
+        sides = self.corners[:, 1:] - self.corners[:, :1]
+        self.volumes = np.abs(np.linalg.det(sides)) / 6.0
+        inverse = np.linalg.inv(sides).swapaxes(1, 2)  # rows: gradients of lambda_1 to lambda_3
         self.gradients = np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
-        middles = self.corners.mean(axis=1)
-        t = front.nearest(middles)
-        self.side = np.sign(((middles - front.curve(t, 0)) * front.frame(t)[0][:, 1]).sum(-1))
+        centres = self.corners.mean(axis=1)
+        t = front.nearest_parameters(centres)
+        self.side_signs = np.sign(((centres - front.curve(t, 0)) * front.frame(t)[0][:, 1]).sum(-1))
 
-    def _basis(self, some: np.ndarray) -> np.ndarray:
-        """D of grad N_a = sum_b D_ab lambda_b of cells: (n, 10, 4, 3), in the nodes' own order."""
-        back = self.order[some].argsort(axis=1)
-        slopes = np.take_along_axis(self.gradients[some], back[..., None], axis=1)
-        found = np.zeros((len(some), 10, 4, 3))
+    def _basis_gradients(self, cell_index: np.ndarray) -> np.ndarray:
+        """Return D with grad N_a = sum_b D_ab lambda_b: (n, 10, 4, 3).
+
+        N_a are quadratic basis functions in the order of the cell's nodes. Barycentric coordinates
+        lambda_b are in the order of ``corners``.
+        """
+        inverse_order = self.corner_order[cell_index].argsort(axis=1)
+        gradients = np.take_along_axis(self.gradients[cell_index], inverse_order[..., None], axis=1)
+        coefficients = np.zeros((len(cell_index), 10, 4, 3))
         for a in range(4):
-            found[:, a] = -slopes[:, a, None]
-            found[:, a, a] += 4.0 * slopes[:, a]
-        for number, (a, b) in enumerate(EDGES):
-            found[:, 4 + number, a] = 4.0 * slopes[:, b]
-            found[:, 4 + number, b] = 4.0 * slopes[:, a]
-        return np.take_along_axis(found, self.order[some][:, None, :, None], axis=2)
-
-    def rows(self, comm: MPI.Comm) -> tuple[np.ndarray, np.ndarray]:
-        """The rows at nodes, of which each rank integrates a share, and w: (n, 3 n_stations, 3)
-        (collective)."""
-        count = 3 * len(self.front.places)
-        found, fields = np.zeros((2, len(self.points), count, 3))
-        for some in _chunks(np.arange(len(self.cells)), 10):
-            fields[self.cells[some]] = self._nodal(some)
-        at_front = cKDTree(self.front.nodes).query(self.corners[:, 0])[0] < SAME * self.front.widest
-        groups = (np.flatnonzero(at_front), GAUSS), (np.flatnonzero(~at_front), AWAY)
-        for some, points in (
-            (chunk, number)
-            for its, number in groups
-            for chunk in _chunks(its[comm.rank :: comm.size], number**3)
-        ):
-            (rule, weights), (flat, planar) = (_collapsed(n, points) for n in (3, 2))
-            parts = self._moments(some, rule, self.volume[some, None] * weights, None)
-            for k in range(4):
-                out = self.outside[some, k]
-                if np.any(out):
-                    on = np.insert(flat, k, 0.0, axis=1)
-                    slope = self.gradients[some[out], k]
-                    area = 3.0 * self.volume[some[out]] * np.linalg.norm(slope, axis=1)
-                    normal = -slope / np.linalg.norm(slope, axis=1)[:, None]
-                    parts[out] += self._moments(some[out], on, area[:, None] * planar, normal)
-            basis = self._basis(some).reshape(len(some), 10, 12)
-            at = fields[self.cells[some]].reshape(len(some), 10, -1).swapaxes(1, 2)
-            moved = self._stress((at @ basis).reshape(len(some), -1, 3, 4, 3).swapaxes(2, 3))
-            mass = self.volume[some, None, None, None, None] / 20.0
-            parts -= mass * (moved + moved.sum(axis=2, keepdims=True))
-            parts = parts.swapaxes(2, 3).reshape(len(some), -1, 12)
-            each = basis @ parts.swapaxes(1, 2)
-            np.add.at(found, self.cells[some], each.reshape(len(some), 10, count, 3))
-        return self.scale[:, None] * comm.allreduce(found), fields
-
-    def _stress(self, gradient: np.ndarray) -> np.ndarray:
-        """C sym of gradients (..., 3, 3)."""
-        found = self.mu * (gradient + gradient.swapaxes(-1, -2))
-        spread = self.lame * np.trace(gradient, axis1=-2, axis2=-1)
-        for k in range(3):
-            found[..., k, k] += spread
-        return found
-
-    def _around(self, places: np.ndarray, some: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Frames, xi, y, r, hats and their derivatives by s, kappa, its derivative, R of places of
-        cells: (n, m, ...)."""
-        front = self.front
-        t = front.nearest(places)
-        frame, speed, bend, slope = front.frame(t)
-        to = places - front.curve(t, 0)
-        xi, y = ((to * frame[..., k, :]).sum(-1) for k in range(2))
-        radius = front.radius(bend)
-        r = np.hypot(xi, y)
-        y = np.where(np.abs(y) < 1e-6 * r, 1e-12 * r * self.side[some][:, None], y)
-        hat, by_t = front.hats(t)
-        return frame, xi, y, r, hat, by_t / speed[..., None], bend, slope, radius
-
-    def _nodal(self, some: np.ndarray) -> np.ndarray:
-        """Return w of cells, 0 on the front and on its edges, which lie behind the curve and have
-        no side: (n, 10, 3 n_stations, 3)."""
-        places = self.points[self.cells[some]]
-        frame, xi, y, r, hat, _, _, _, radius = self._around(places, some)
-        at_front = r < 1e-6 * radius
-        at_front[:, 4:] = at_front[:, np.array(EDGES)].all(axis=2)
-        r = np.where(at_front, radius, r)
-        q = np.where(at_front, 0.0, _weight(r / radius)[0])
-        fields = []
-        for mode in range(3):
-            _, ahead, _ = self._plane(mode, xi, y, r)
-            moved = np.einsum("icp,cpij->cpj", ahead, frame) * q[..., None]
-            fields.append(hat[..., None] * moved[..., None, :])
-        return np.concatenate(fields, axis=2)
-
-    def _plane(self, mode: int, xi: np.ndarray, y: np.ndarray, r: np.ndarray) -> Any:
-        """The field of unit K of a mode and its derivatives by xi and y: (3, ...) each."""
-        half = 0.5 * np.arctan2(y, xi)
-        c, s, cosine, sine = np.cos(half), np.sin(half), xi / r, y / r
-        kappa, none = 3.0 - 4.0 * self.nu, np.zeros_like(r)
-        if mode == 0:
-            f = np.array([c * (kappa - cosine), s * (kappa - cosine), none])
-            by = np.array([
-                -0.5 * s * (kappa - cosine) + c * sine, 0.5 * c * (kappa - cosine) + s * sine, none
-            ])  # fmt: skip
-        elif mode == 1:
-            f = np.array([s * (kappa + 2.0 + cosine), -c * (kappa - 2.0 + cosine), none])
-            by = np.array([
-                0.5 * c * (kappa + 2.0 + cosine) - s * sine,
-                0.5 * s * (kappa - 2.0 + cosine) + c * sine, none,
-            ])  # fmt: skip
-        else:
-            f, by = np.array([none, none, 4.0 * s]), np.array([none, none, 2.0 * c])
-        scale = 0.5 / self.mu / np.sqrt(2.0 * np.pi)
-        root = np.sqrt(r)
-        return (
-            scale * root * f,
-            scale / root * (0.5 * cosine * f - sine * by),
-            scale / root * (0.5 * sine * f + cosine * by),
+            coefficients[:, a] = -gradients[:, a, None]
+            coefficients[:, a, a] += 4.0 * gradients[:, a]
+        for edge, (a, b) in enumerate(TETRAHEDRON_EDGES):
+            coefficients[:, 4 + edge, a] = 4.0 * gradients[:, b]
+            coefficients[:, 4 + edge, b] = 4.0 * gradients[:, a]
+        return np.take_along_axis(
+            coefficients, self.corner_order[cell_index][:, None, :, None], axis=2
         )
 
-    def _moments(
-        self, some: np.ndarray, rule: np.ndarray, weights: np.ndarray, normal: np.ndarray | None
-    ) -> np.ndarray:
-        """Integrals of lambda_b T, T being what grad u is multiplied by in the domain, or on its
-        surface with an outward normal: (n, 3 n_stations, 4, 3, 3)."""
-        places = rule @ self.corners[some]
-        frame, xi, y, r, hat, by_s, bend, slope, radius = self._around(places, some)
-        if normal is not None:  # A chord of a concave front has crack faces ahead of the curve.
-            xi = np.where(np.abs(y) < 1e-9 * r, -r, xi)
-        q, fall = _weight(r / radius)
-        fall /= radius
-        g = 1.0 + bend * xi
-        k = bend / g
-        limited = self.front.limited(bend)
-        shrink = np.where(limited, -slope / np.where(limited, bend, 1.0), 0.0)
-        ahead = np.stack([fall * xi / r, fall * y / r, -fall * r * shrink / g], axis=-1)
-        spread = weights[..., None] * rule
-        found = []
+    def integrate_functionals(self, comm: MPI.Comm) -> tuple[np.ndarray, np.ndarray]:
+        """Integrate the functionals at nodes, each rank over a share of cells (collective).
+
+        Returns
+        -------
+        rows : (n_nodes, 3 n_stations, 3)
+            Factors of the displacement, scaled to K.
+        nodal_fields : (n_nodes, 3 n_stations, 3)
+            w, not scaled.
+        """
+        n_rows = 3 * len(self.front.station_parameters)
+        rows, nodal_fields = np.zeros((2, len(self.points), n_rows, 3))
+        for chunk in _split_into_chunks(np.arange(len(self.cells)), 10):
+            nodal_fields[self.cells[chunk]] = self._nodal_fields(chunk)
+        is_at_front = (
+            cKDTree(self.front.nodes).query(self.corners[:, 0])[0]
+            < POSITION_TOLERANCE * self.front.straight_radius
+        )
+        groups = (
+            (np.flatnonzero(is_at_front), GAUSS_AT_FRONT),
+            (np.flatnonzero(~is_at_front), GAUSS_ELSEWHERE),
+        )
+        for chunk, n_gauss in (
+            (cell_chunk, n_points)
+            for group_cells, n_points in groups
+            for cell_chunk in _split_into_chunks(group_cells[comm.rank :: comm.size], n_points**3)
+        ):
+            (rule, weights), (facet_rule, facet_weights) = (
+                _collapsed_gauss_rule(dimension, n_gauss) for dimension in (3, 2)
+            )
+            moments = self._integrate_tensors(
+                chunk, rule, self.volumes[chunk, None] * weights, None
+            )
+            for k in range(4):
+                is_outer = self.is_outer_facet[chunk, k]
+                if np.any(is_outer):
+                    surface_rule = np.insert(facet_rule, k, 0.0, axis=1)
+                    gradients = self.gradients[chunk[is_outer], k]
+                    areas = 3.0 * self.volumes[chunk[is_outer]] * np.linalg.norm(gradients, axis=1)
+                    normals = -gradients / np.linalg.norm(gradients, axis=1)[:, None]
+                    moments[is_outer] += self._integrate_tensors(
+                        chunk[is_outer], surface_rule, areas[:, None] * facet_weights, normals
+                    )
+            basis_gradients = self._basis_gradients(chunk).reshape(len(chunk), 10, 12)
+            cell_fields = nodal_fields[self.cells[chunk]].reshape(len(chunk), 10, -1).swapaxes(1, 2)
+            field_stress = self._stress(
+                (cell_fields @ basis_gradients).reshape(len(chunk), -1, 3, 4, 3).swapaxes(2, 3)
+            )
+            mass_factors = self.volumes[chunk, None, None, None, None] / 20.0
+            moments -= mass_factors * (field_stress + field_stress.sum(axis=2, keepdims=True))
+            moments = moments.swapaxes(2, 3).reshape(len(chunk), -1, 12)
+            cell_rows = basis_gradients @ moments.swapaxes(1, 2)
+            np.add.at(rows, self.cells[chunk], cell_rows.reshape(len(chunk), 10, n_rows, 3))
+        return self.intensity_factors[:, None] * comm.allreduce(rows), nodal_fields
+
+    def _stress(self, gradient: np.ndarray) -> np.ndarray:
+        """Return the stress C sym(gradient) of gradients (..., 3, 3)."""
+        stress = self.mu * (gradient + gradient.swapaxes(-1, -2))
+        mean_stress = self.lame * np.trace(gradient, axis1=-2, axis2=-1)
+        for k in range(3):
+            stress[..., k, k] += mean_stress
+        return stress
+
+    def _front_coordinates(
+        self, positions: np.ndarray, cell_index: np.ndarray
+    ) -> tuple[np.ndarray, ...]:
+        """Return coordinates relative to the front of points in cells.
+
+        Returns
+        -------
+        frame : (n, m, 3, 3)
+        xi, y, r : (n, m) [m]
+        hat, hat_slope : (n, m, n_stations)
+            Hats, and their derivatives with respect to s.
+        kappa, kappa_slope : (n, m)
+        radius : (n, m) [m]
+        """
+        front = self.front
+        t = front.nearest_parameters(positions)
+        frame, speed, kappa, kappa_slope = front.frame(t)
+        offsets = positions - front.curve(t, 0)
+        xi, y = ((offsets * frame[..., k, :]).sum(-1) for k in range(2))
+        radius = front.radius(kappa)
+        r = np.hypot(xi, y)
+        y = np.where(np.abs(y) < 1e-6 * r, 1e-12 * r * self.side_signs[cell_index][:, None], y)
+        hat, hat_slope_by_t = front.hats(t)
+        return frame, xi, y, r, hat, hat_slope_by_t / speed[..., None], kappa, kappa_slope, radius
+
+    def _nodal_fields(self, cell_index: np.ndarray) -> np.ndarray:
+        """Return w at the nodes of cells: (n, 10, 3 n_stations, 3).
+
+        On the front w is 0, and on the front's element edges, too. Such an edge is a chord of the
+        curve, and its middle is on neither side of the crack.
+        """
+        positions = self.points[self.cells[cell_index]]
+        frame, xi, y, r, hat, _, _, _, radius = self._front_coordinates(positions, cell_index)
+        is_at_front = r < 1e-6 * radius
+        is_at_front[:, 4:] = is_at_front[:, np.array(TETRAHEDRON_EDGES)].all(axis=2)
+        r = np.where(is_at_front, radius, r)
+        q = np.where(is_at_front, 0.0, _weight_function(r / radius)[0])
+        fields = []
         for mode in range(3):
-            a, one, two = self._plane(mode, xi, y, r)
+            _, a_1, _ = self._plane_field(mode, xi, y, r)
+            weighted_field = np.einsum("icp,cpij->cpj", a_1, frame) * q[..., None]
+            fields.append(hat[..., None] * weighted_field[..., None, :])
+        return np.concatenate(fields, axis=2)
+
+    def _plane_field(self, mode: int, xi: np.ndarray, y: np.ndarray, r: np.ndarray) -> Any:
+        """Return the field of unit K for a mode, and its derivatives.
+
+        Returns
+        -------
+        a, a_1, a_2 : (3, ...)
+            Field, and derivatives with respect to xi and y.
+        """
+        half_angle = 0.5 * np.arctan2(y, xi)
+        c, s, cosine, sine = np.cos(half_angle), np.sin(half_angle), xi / r, y / r
+        kolosov, zeros = 3.0 - 4.0 * self.nu, np.zeros_like(r)
+        if mode == 0:
+            angular_part = np.array([c * (kolosov - cosine), s * (kolosov - cosine), zeros])
+            angular_slope = np.array([
+                -0.5 * s * (kolosov - cosine) + c * sine,
+                0.5 * c * (kolosov - cosine) + s * sine, zeros,
+            ])  # fmt: skip
+        elif mode == 1:
+            angular_part = np.array(
+                [s * (kolosov + 2.0 + cosine), -c * (kolosov - 2.0 + cosine), zeros]
+            )
+            angular_slope = np.array([
+                0.5 * c * (kolosov + 2.0 + cosine) - s * sine,
+                0.5 * s * (kolosov - 2.0 + cosine) + c * sine, zeros,
+            ])  # fmt: skip
+        else:
+            angular_part = np.array([zeros, zeros, 4.0 * s])
+            angular_slope = np.array([zeros, zeros, 2.0 * c])
+        scale = 0.5 / self.mu / np.sqrt(2.0 * np.pi)
+        root_r = np.sqrt(r)
+        return (
+            scale * root_r * angular_part,
+            scale / root_r * (0.5 * cosine * angular_part - sine * angular_slope),
+            scale / root_r * (0.5 * sine * angular_part + cosine * angular_slope),
+        )
+
+    def _integrate_tensors(
+        self,
+        cell_index: np.ndarray,
+        rule: np.ndarray,
+        weights: np.ndarray,
+        normal: np.ndarray | None,
+    ) -> np.ndarray:
+        """Integrate lambda_b T over cells or facets: (n, 3 n_stations, 4, 3, 3).
+
+        T is the tensor that multiplies grad u in the volume or, with an outward normal, on the
+        surface.
+        """
+        positions = rule @ self.corners[cell_index]
+        frame, xi, y, r, hat, hat_slope, kappa, kappa_slope, radius = self._front_coordinates(
+            positions, cell_index
+        )
+        if normal is not None:  # At a concave front, crack faces reach ahead of the curve.
+            xi = np.where(np.abs(y) < 1e-9 * r, -r, xi)
+        q, q_slope = _weight_function(r / radius)
+        q_slope /= radius
+        g = 1.0 + kappa * xi
+        k = kappa / g
+        is_limited = self.front.is_limited_by_curvature(kappa)
+        relative_radius_slope = np.where(
+            is_limited, -kappa_slope / np.where(is_limited, kappa, 1.0), 0.0
+        )
+        q_gradient = np.stack(
+            [q_slope * xi / r, q_slope * y / r, -q_slope * r * relative_radius_slope / g], axis=-1
+        )
+        weighted_rule = weights[..., None] * rule
+        moments = []
+        for mode in range(3):
+            a, a_1, a_2 = self._plane_field(mode, xi, y, r)
             gradient = np.zeros((*r.shape, 3, 3))
-            gradient[..., 0], gradient[..., 1] = np.moveaxis(one, 0, -1), np.moveaxis(two, 0, -1)
+            gradient[..., 0], gradient[..., 1] = np.moveaxis(a_1, 0, -1), np.moveaxis(a_2, 0, -1)
             gradient[..., 0, 2], gradient[..., 2, 2] = -k * a[2], k * a[0]
             stress = self._stress(gradient)
             if normal is not None:
                 m = np.einsum("cpij,cj->cpi", frame, normal)
-                whole = q[..., None, None] * m[..., 0, None, None] * stress
-                whole[..., 0] -= q[..., None] * (stress @ m[..., None])[..., 0]
-                parts = [(hat, whole)]
+                surface_tensor = q[..., None, None] * m[..., 0, None, None] * stress
+                surface_tensor[..., 0] -= q[..., None] * (stress @ m[..., None])[..., 0]
+                hat_tensors = [(hat, surface_tensor)]
             else:
-                parts = self._inside(
-                    a, one, two, gradient, stress, (q, ahead, g, k, slope, hat, by_s)
+                hat_tensors = self._volume_tensors(
+                    a,
+                    a_1,
+                    a_2,
+                    gradient,
+                    stress,
+                    (q, q_gradient, g, k, kappa_slope, hat, hat_slope),
                 )
             total: Any = 0.0
-            for shape, tensor in parts:
-                turned = frame.swapaxes(-1, -2) @ tensor @ frame
-                values = spread[..., None] * turned.reshape(*r.shape, 1, 9)
-                values = values.reshape(*r.shape, 36)
-                total = total + shape.swapaxes(-1, -2) @ values
-            found.append(total.reshape(len(some), -1, 4, 3, 3))
-        return np.concatenate(found, axis=1)
+            for hat_values, tensor in hat_tensors:
+                rotated_tensor = frame.swapaxes(-1, -2) @ tensor @ frame
+                products = weighted_rule[..., None] * rotated_tensor.reshape(*r.shape, 1, 9)
+                products = products.reshape(*r.shape, 36)
+                total = total + hat_values.swapaxes(-1, -2) @ products
+            moments.append(total.reshape(len(cell_index), -1, 4, 3, 3))
+        return np.concatenate(moments, axis=1)
 
-    def _inside(
-        self, a: np.ndarray, one: np.ndarray, two: np.ndarray, gradient: np.ndarray,
-        stress: np.ndarray, around: tuple[np.ndarray, ...],
+    def _volume_tensors(
+        self, a: np.ndarray, a_1: np.ndarray, a_2: np.ndarray, gradient: np.ndarray,
+        stress: np.ndarray, coordinates: tuple[np.ndarray, ...],
     ) -> list[tuple[np.ndarray, np.ndarray]]:  # fmt: skip
-        """T of the volume as hats times one tensor, and their derivatives times another."""
-        q, ahead, g, k, slope, hat, by_s = around
-        qk = (q * k)[..., None]
-        whole = gradient[..., :, :1] * ahead[..., None, :]
-        whole[..., 2] += gradient[..., 2] * qk
-        whole = self._stress(whole) - (ahead[..., :1] + qk)[..., None] * stress
-        whole[..., 0] += (stress @ ahead[..., None])[..., 0]
-        whole[..., 2] += stress[..., 2] * qk
-        bent = np.zeros_like(gradient)
-        bent[..., 0, 2], bent[..., 2, 2] = -a[2] / g**2, a[0] / g**2
-        force = (slope / g)[..., None] * self._stress(bent)[..., 2]
-        force[..., 0] += k * (stress[..., 0, 0] - stress[..., 2, 2])
-        force[..., 0] += self.lame * k * (one[0] - k * a[0])
-        force[..., 1] += k * stress[..., 1, 0] + self.lame * k * two[0]
-        force[..., 2] += 2.0 * k * stress[..., 2, 0] - self.mu * k * (one[2] - k * a[2])
-        whole[..., 0] += q[..., None] * force
-        along = np.zeros_like(gradient)
-        along[..., 2] = gradient[..., 0] * (q / g)[..., None]
-        along = self._stress(along)
-        along[..., 0] += stress[..., 2] * (q / g)[..., None]
-        return [(hat, whole), (by_s, along)]
+        """Return T in the volume, as factors of hats and slopes.
+
+        Returns
+        -------
+        list of (factor, tensor)
+            Hats with the first tensor, then slopes with the second.
+        """
+        q, q_gradient, g, k, kappa_slope, hat, hat_slope = coordinates
+        q_kappa = (q * k)[..., None]
+        hat_tensor = gradient[..., :, :1] * q_gradient[..., None, :]
+        hat_tensor[..., 2] += gradient[..., 2] * q_kappa
+        hat_tensor = self._stress(hat_tensor) - (q_gradient[..., :1] + q_kappa)[..., None] * stress
+        hat_tensor[..., 0] += (stress @ q_gradient[..., None])[..., 0]
+        hat_tensor[..., 2] += stress[..., 2] * q_kappa
+        gradient_by_kappa = np.zeros_like(gradient)
+        gradient_by_kappa[..., 0, 2], gradient_by_kappa[..., 2, 2] = -a[2] / g**2, a[0] / g**2
+        stress_divergence = (kappa_slope / g)[..., None] * self._stress(gradient_by_kappa)[..., 2]
+        stress_divergence[..., 0] += k * (stress[..., 0, 0] - stress[..., 2, 2])
+        stress_divergence[..., 0] += self.lame * k * (a_1[0] - k * a[0])
+        stress_divergence[..., 1] += k * stress[..., 1, 0] + self.lame * k * a_2[0]
+        stress_divergence[..., 2] += 2.0 * k * stress[..., 2, 0] - self.mu * k * (a_1[2] - k * a[2])
+        hat_tensor[..., 0] += q[..., None] * stress_divergence
+        slope_tensor = np.zeros_like(gradient)
+        slope_tensor[..., 2] = gradient[..., 0] * (q / g)[..., None]
+        slope_tensor = self._stress(slope_tensor)
+        slope_tensor[..., 0] += stress[..., 2] * (q / g)[..., None]
+        return [(hat, hat_tensor), (hat_slope, slope_tensor)]
 
 
-def _of_pressures(structure: Structure, front: Front) -> np.ndarray:
-    """Factors of the contact forces in K_I, (n_stations, n_pairs), by their pressures."""
+def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
+    """Return factors of the contact forces in K_I: (n_stations, n_pairs).
+
+    They come from the last integral in I, with each pair's pressure.
+    """
     pairs = structure.pairs
     assert pairs.nodes is not None and pairs.shares is not None and pairs.areas is not None
-    lip: CrackSurface = structure.nodes.mesh_dofs.plate.lips[front.crack]  # type: ignore[union-attr]
-    tree, own = cKDTree(pairs.nodes), cKDTree(front.nodes)
-    far, at = own.query(lip.triangles)
-    reach = np.linalg.norm(lip.triangles - lip.triangles.mean(axis=1)[:, None], axis=2).max(axis=1)
-    near = far.min(axis=1) < front.widest + 2.0 * reach
-    found = np.zeros((len(front.places), len(pairs.nodes)))
-    rule, planar = _collapsed(2, GAUSS)
-    x, w = np.polynomial.legendre.leggauss(2 * GAUSS)
+    crack: CrackSurface = structure.nodes.mesh_dofs.plate.cracks[front.crack]  # type: ignore[union-attr]
+    node_tree, front_tree = cKDTree(pairs.nodes), cKDTree(front.nodes)
+    front_distances, nearest_nodes = front_tree.query(crack.triangles)
+    triangle_radii = np.linalg.norm(
+        crack.triangles - crack.triangles.mean(axis=1)[:, None], axis=2
+    ).max(axis=1)
+    is_near = front_distances.min(axis=1) < front.straight_radius + 2.0 * triangle_radii
+    factors = np.zeros((len(front.station_parameters), len(pairs.nodes)))
+    rule, facet_weights = _collapsed_gauss_rule(2, GAUSS_AT_FRONT)
+    x, w = np.polynomial.legendre.leggauss(2 * GAUSS_AT_FRONT)
     x, w = 0.5 * (1.0 + x), 0.5 * w
-    z, tau = (row.ravel() for row in np.meshgrid(x, x, indexing="ij"))
-    product, v = 2.0 * z * np.outer(w, w).ravel(), z**2
-    mapped = np.column_stack([v, (1.0 - v) * (1.0 - tau), (1.0 - v) * tau])
-    for corners, away, place in zip(lip.triangles[near], far[near], at[near], strict=True):
-        order = away.argsort()
-        on = away < SAME * lip.size
-        if on.sum() == 2:
-            order = np.append(np.flatnonzero(~on), np.flatnonzero(on))
-            low, high = front.at[place[order[1:]]]
-            if front.closed and abs(high - low) > 0.5 * (front.at[-1] - front.at[0]):
-                turn = front.at[-1] - front.at[0]
-                low, high = low + turn * (low < high), high + turn * (high < low)
-            t = low + tau * (high - low)
-            to = corners[order[0]] - front.curve(t, 0)
-            points = front.curve(t, 0) + v[:, None] * to
-            spin = np.cross(to, (1.0 - v)[:, None] * front.curve(t, 1) * (high - low))
-            area, shapes = product * np.linalg.norm(spin, axis=1), mapped
+    z, tau = (grid.ravel() for grid in np.meshgrid(x, x, indexing="ij"))
+    map_weights, v = 2.0 * z * np.outer(w, w).ravel(), z**2
+    mapped_shapes = np.column_stack([v, (1.0 - v) * (1.0 - tau), (1.0 - v) * tau])
+    for corners, corner_distances, corner_front_nodes in zip(
+        crack.triangles[is_near], front_distances[is_near], nearest_nodes[is_near], strict=True
+    ):
+        order = corner_distances.argsort()
+        is_on_front = corner_distances < POSITION_TOLERANCE * crack.size
+        if is_on_front.sum() == 2:
+            order = np.append(np.flatnonzero(~is_on_front), np.flatnonzero(is_on_front))
+            t_start, t_stop = front.parameters[corner_front_nodes[order[1:]]]
+            if front.is_closed and abs(t_stop - t_start) > 0.5 * (
+                front.parameters[-1] - front.parameters[0]
+            ):
+                period = front.parameters[-1] - front.parameters[0]
+                t_start, t_stop = (
+                    t_start + period * (t_start < t_stop),
+                    t_stop + period * (t_stop < t_start),
+                )
+            t = t_start + tau * (t_stop - t_start)
+            offsets = corners[order[0]] - front.curve(t, 0)
+            points = front.curve(t, 0) + v[:, None] * offsets
+            area_vectors = np.cross(
+                offsets, (1.0 - v)[:, None] * front.curve(t, 1) * (t_stop - t_start)
+            )
+            area_weights = map_weights * np.linalg.norm(area_vectors, axis=1)
+            shape_values = mapped_shapes
         else:
-            points, shapes = rule @ corners[order], rule
-            spans = corners[1:] - corners[0]
-            area = 0.5 * np.linalg.norm(np.cross(*spans)) * planar
-        t = front.nearest(points)
+            points, shape_values = rule @ corners[order], rule
+            sides = corners[1:] - corners[0]
+            area_weights = 0.5 * np.linalg.norm(np.cross(*sides)) * facet_weights
+        t = front.nearest_parameters(points)
         r = np.linalg.norm(points - front.curve(t, 0), axis=1)
         radius = front.radius(front.frame(t)[2])
-        kernel = _weight(r / radius)[0] / np.sqrt(r) * area
-        numbers = tree.query(corners[order])[1]
-        found[:, numbers] += front.hats(t)[0].T @ (kernel[:, None] * shapes)
-    found *= np.sqrt(2.0 / np.pi) / front.lengths()[:, None]
-    return np.asarray((pairs.shares.T @ found.T).T / pairs.areas)
+        kernel = _weight_function(r / radius)[0] / np.sqrt(r) * area_weights
+        node_numbers = node_tree.query(corners[order])[1]
+        factors[:, node_numbers] += front.hats(t)[0].T @ (kernel[:, None] * shape_values)
+    factors *= np.sqrt(2.0 / np.pi) / front.hat_lengths()[:, None]
+    return np.asarray((pairs.shares.T @ factors.T).T / pairs.areas)

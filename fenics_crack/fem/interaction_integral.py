@@ -1,21 +1,26 @@
-"""Stress intensity at the tips of a plate's cracks, as a linear functional of the displacement.
+"""Compute stress intensities at crack tips in plates.
 
-At any instant a plate is at rest under its loads, the contact forces on its crack faces and the
-inertia of its motion: K u = r. With e_1 ahead of a straight crack, s the derivative by x_1 of the
-field around a tip of unit K_I or K_II (it is in balance, leaves the crack faces free, and grows
-like r^-1/2), and a weight q that is 1 at the tip and 0 from a distance on, Betti's theorem gives
+They are linear functionals of the displacement. At any instant a plate is at rest under its loads,
+its contact forces and its inertia: K u = r. Let e_1 point ahead of a straight crack. Let s be the
+x_1 derivative of the field with unit K_I or K_II around its tip. The field s is in equilibrium,
+leaves the crack faces free, and grows like r^-1/2. Let q be a weight function that is 1 at the tip
+and 0 beyond a radius. Betti's theorem gives
 
-    2 K / E = int [s . sigma(u) - u . sigma(s)] . grad q dx - 1 / t (r . q s),
+    2 K / E = int [s . sigma(u) - u . sigma(s)] . grad q dx - 1 / t (r . q s).
 
-which is the interaction integral (Yau, Wang, Corten, Journal of Applied Mechanics 47, 1980, 335) in
-the form over a domain (Shih, Moran, Nakamura, International Journal of Fracture 30, 1986, 79) after
-one integration by parts: its integrand vanishes next to the tip, where elements resolve little. The
-last term is what inertia, body forces and contact inside the domain do. With w, that is q s at the
-nodes, it is w . K u: so the whole is one vector times the displacement, whatever acts.
+This is the interaction integral in domain form after one integration by parts. Its integrand
+vanishes next to the tip, where elements resolve little. The last term is the effect of inertia,
+body forces and contact inside the domain. With w, the values of q s at the nodes, the term is w . K
+u. So K is a vector times the displacement, whatever the loads are.
 
-At the crack faces s is too uneven for that: contact acts by the integral of its pressure, which is
-linear between the pairs, and constant from the last one to the tip, instead of by forces at nodes.
-So K_I of a crack that is closed is zero.
+At the crack faces, s is too uneven for nodal contact forces. So contact acts by the integral of its
+pressure. The pressure is linear between pairs, and constant from the last pair to the tip.
+Therefore K_I of a closed crack is zero.
+
+References
+----------
+Yau, Wang and Corten, Journal of Applied Mechanics 47, 1980, 335: interaction integral.
+Shih, Moran and Nakamura, International Journal of Fracture 30, 1986, 79: domain form.
 """
 
 from __future__ import annotations
@@ -30,254 +35,309 @@ from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.fem import compat
 from fenics_crack.fem.compat import dolfinx, ufl
-from fenics_crack.fem.cracks import LIP_TAGS, Lip
+from fenics_crack.fem.cracks import LIP_TAGS, CrackPath
 from fenics_crack.fem.elasticity import constants, stress
 from fenics_crack.fem.plate import Dofs
 from fenics_crack.model.receptance import check_matrices
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 
-DOMAIN = 0.8
-"""Radius of the domain over the distance from the crack tip to the nearest boundary or other
-tip."""
-INNER = 0.2
-"""Fraction of the radius up to which the weight is 1."""
+MAX_RADIUS_FRACTION = 0.8
+"""Radius of the domain, relative to the tip's distance from the nearest boundary, bend or other
+crack."""
+PLATEAU_FRACTION = 0.2
+"""Fraction of the radius up to which q is 1."""
 QUADRATURE_DEGREE = 8
-"""Degree of the quadrature: the singular field is no polynomial."""
+"""Degree of quadrature; the singular field is no polynomial."""
 
 
 @dataclass(frozen=True)
 class Tip:
-    """A tip of a crack.
+    """Tip of a crack.
 
     Attributes
     ----------
     name : str
-        "the crack tip"; of a crack inside "the left crack tip"; of several cracks
-        "the crack tip of crack 1".
+        "the crack tip"; for a crack inside "the left crack tip"; with several cracks "the crack
+        tip of crack 1".
     crack : int
-        Number of the crack, from 0.
-    point, ahead : (2,) [m], (2,)
-        Where it is, and the direction in which the crack would grow straight on.
+        Index of the crack.
+    point, growth_direction : (2,) [m], (2,)
+        Position, and direction of straight growth.
     position : float [m]
-        Its distance along the crack.
+        Distance along the crack.
     radius : float [m]
-        Of the domain.
+        Radius of the domain.
     """
 
     name: str
     crack: int
     point: np.ndarray
-    ahead: np.ndarray
+    growth_direction: np.ndarray
     position: float
     radius: float
 
 
 def find_tips(dofs: Dofs) -> list[Tip]:
-    """All tips of the cracks of a plate (collective)."""
-    found: list[Tip] = []
-    lips = dofs.plate.lips
-    edge = gather_rows(dofs.comm, _outer_points(dofs))
-    for crack, lip in enumerate(lips):
-        assert isinstance(lip, Lip)
-        several = f" of crack {crack + 1}" if len(lips) > 1 else ""
-        whole = float(lip.position[-1])
-        ends = [("crack tip" if lip.has_mouth else "right crack tip", lip.points, whole)]
-        if not lip.has_mouth:
-            ends.append(("left crack tip", lip.points[::-1], 0.0))
-        for name, points, position in ends:
-            tip = points[-1]
-            steps = tip - points[:-1]
-            ahead = steps[-1] / np.linalg.norm(steps[-1])
-            off = np.abs(steps @ [-ahead[1], ahead[0]]) > 1e-6 * np.linalg.norm(steps, axis=1)
-            straight = np.linalg.norm(steps[np.flatnonzero(off).max(initial=-1) + 1 :][0])
-            others = [other.locate(tip[None])[0][0] for other in lips if other is not lip]
-            room = min(straight, np.linalg.norm(edge - tip, axis=1).min(), *others)
-            found.append(Tip(f"the {name}{several}", crack, tip, ahead, position, DOMAIN * room))
-    return found
+    """Find all crack tips of a plate (collective)."""
+    tips: list[Tip] = []
+    cracks = dofs.plate.cracks
+    boundary_points = gather_rows(dofs.comm, _outer_points(dofs))
+    for crack_index, crack in enumerate(cracks):
+        assert isinstance(crack, CrackPath)
+        crack_note = f" of crack {crack_index + 1}" if len(cracks) > 1 else ""
+        length = float(crack.corner_positions[-1])
+        tip_ends = [("crack tip" if crack.has_mouth else "right crack tip", crack.points, length)]
+        if not crack.has_mouth:
+            tip_ends.append(("left crack tip", crack.points[::-1], 0.0))
+        for name, points, position in tip_ends:
+            tip_point = points[-1]
+            offsets = tip_point - points[:-1]
+            growth_direction = offsets[-1] / np.linalg.norm(offsets[-1])
+            is_off_line = np.abs(
+                offsets @ [-growth_direction[1], growth_direction[0]]
+            ) > 1e-6 * np.linalg.norm(offsets, axis=1)
+            straight_length = np.linalg.norm(
+                offsets[np.flatnonzero(is_off_line).max(initial=-1) + 1 :][0]
+            )
+            crack_distances = [
+                other_crack.locate(tip_point[None])[0][0]
+                for other_crack in cracks
+                if other_crack is not crack
+            ]
+            clearance = min(
+                straight_length,
+                np.linalg.norm(boundary_points - tip_point, axis=1).min(),
+                *crack_distances,
+            )
+            tips.append(
+                Tip(
+                    f"the {name}{crack_note}",
+                    crack_index,
+                    tip_point,
+                    growth_direction,
+                    position,
+                    MAX_RADIUS_FRACTION * clearance,
+                )
+            )
+    return tips
 
 
 def _outer_points(dofs: Dofs) -> np.ndarray:
-    """This rank's nodes on the edges of a plate that are no crack faces: (n, 2) [m]."""
+    """Return this rank's nodes on edges without crack faces: (n, 2) [m]."""
     plate = dofs.plate
     topology = plate.mesh.topology
     topology.create_connectivity(1, 2)
-    lips = np.concatenate([plate.facets(name) for name in LIP_TAGS])
-    outer = np.setdiff1d(dolfinx.mesh.exterior_facet_indices(topology), lips).astype(np.int32)
-    nodes = dolfinx.fem.locate_dofs_topological(dofs.space, 1, outer)
+    face_facets = np.concatenate([plate.facets(name) for name in LIP_TAGS])
+    outer_facets = np.setdiff1d(dolfinx.mesh.exterior_facet_indices(topology), face_facets).astype(
+        np.int32
+    )
+    nodes = dolfinx.fem.locate_dofs_topological(dofs.space, 1, outer_facets)
     return dofs.points[nodes[nodes < dofs.n_nodes]]
 
 
-def _check_resolved(scene: Scene, tips: list[Tip], lips: np.ndarray) -> None:
-    """Raise InputError where the element of the crack faces at a tip is longer than the domain's
-    radius: the weight then falls within one element, and what is integrated has nothing to do with
-    K."""
+def _check_resolved(scene: Scene, tips: list[Tip], face_points: np.ndarray) -> None:
+    """Raise InputError if an element at a tip exceeds the domain.
+
+    Then q falls within one element, and the integral has nothing to do with K.
+    """
     for tip in tips:
-        distance = np.linalg.norm(lips - tip.point, axis=1)
-        element = scene.mesh.order * distance[distance > 1e-9 * tip.radius].min()
-        if tip.radius >= element:
+        distances = np.linalg.norm(face_points - tip.point, axis=1)
+        element_length = scene.mesh.order * distances[distances > 1e-9 * tip.radius].min()
+        if tip.radius >= element_length:
             continue
-        value = f"{tip.name}, {tip.radius / DOMAIN:.3g} m from an edge, a bend or another crack"
-        allowed = f"further away than {element / DOMAIN:.3g} m where stress intensities are"
-        allowed += " requested, or with shorter elements along the crack"
-        raise InputError("crack", value, allowed)
+        clearance = tip.radius / MAX_RADIUS_FRACTION
+        problem = f"{tip.name}, {clearance:.3g} m from an edge, a bend or another crack"
+        min_clearance = element_length / MAX_RADIUS_FRACTION
+        requirement = f"further away than {min_clearance:.3g} m where stress intensities are"
+        requirement += " requested, or with shorter elements along the crack"
+        raise InputError("crack", problem, requirement)
 
 
 def tip_functionals(scene: Scene, structure: Structure) -> tuple[list[Tip], np.ndarray, np.ndarray]:
-    """The tips, and what a displacement and the contact forces are multiplied by for K_I and K_II
-    at each of them (collective).
+    """Return the tips, and the functionals for K_I and K_II (collective).
 
     Parameters
     ----------
     scene : Scene
-        A plate with its crack length known.
+        Plate with known crack lengths.
     structure : Structure
-        Made from it, whole.
+        Structure of the scene, not reduced.
 
     Returns
     -------
     tips : list of Tip
     of_displacement : (2 n_tips, n_local) [Pa m^1/2 / m]
+        Factors of the displacement in K_I and K_II, tip after tip.
     of_forces : (2 n_tips, n_pairs) [Pa m^1/2 / N]
+        Factors of the contact forces.
 
     Raises
     ------
     InputError
-        A tip is closer to an edge, a bend or another crack than the elements of its crack faces are
-        long.
+        A tip is closer to an edge, a bend or another crack than the elements of its crack faces
+        are long.
     """
     check_matrices(structure, "stress intensities")
     assert structure.nodes is not None
     dofs: Dofs = structure.nodes.mesh_dofs
-    tips, sides, points = find_tips(dofs), _sides(dofs), dofs.points
-    row_of, rows, pressed = _form(scene, dofs), [], []
-    on_lips = np.any(sides != 0.0, axis=1)[: dofs.n_nodes]
-    _check_resolved(scene, tips, gather_rows(dofs.comm, points[: dofs.n_nodes][on_lips]))
+    tips, face_normals, points = find_tips(dofs), _face_normals(dofs), dofs.points
+    assemble_row, displacement_rows, force_rows = _row_assembler(scene, dofs), [], []
+    is_on_face = np.any(face_normals != 0.0, axis=1)[: dofs.n_nodes]
+    _check_resolved(scene, tips, gather_rows(dofs.comm, points[: dofs.n_nodes][is_on_face]))
     for tip in tips:
-        for kind in range(2):
-            field = _nodal(scene, tip, kind, points, sides)
-            rows.append(row_of(tip, kind, field))
-            pressed.append(_of_forces(scene, structure, tip, kind, dofs.free_part(field.ravel())))
-    return tips, np.array(rows), np.array(pressed)
+        for mode in range(2):
+            field = _nodal_field(scene, tip, mode, points, face_normals)
+            displacement_rows.append(assemble_row(tip, mode, field))
+            force_rows.append(
+                _pressure_row(scene, structure, tip, mode, dofs.restrict_to_free(field.ravel()))
+            )
+    return tips, np.array(displacement_rows), np.array(force_rows)
 
 
-def _sides(dofs: Dofs) -> np.ndarray:
-    """Outward normals of the crack faces at this rank's nodes (n_nodes, 2), zero away from the
-    crack faces."""
+def _face_normals(dofs: Dofs) -> np.ndarray:
+    """Return outward normals of the crack faces at this rank's nodes: (n_nodes, 2).
+
+    They are zero away from the crack faces.
+    """
     normal, test = ufl.FacetNormal(dofs.plate.mesh), ufl.TestFunction(dofs.space)
-    work = ufl.inner(normal, test) * dofs.plate.along(*LIP_TAGS)
-    return compat.assembled_vector(work).reshape(-1, 2)
+    form = ufl.inner(normal, test) * dofs.plate.measure_on(*LIP_TAGS)
+    return compat.assembled_vector(form).reshape(-1, 2)
 
 
-def _singular(r: Any, c: Any, s: Any, kappa: float, kind: Any) -> tuple[Any, Any]:
-    """4 G (2 pi)^1/2 times the derivative by x_1 of the field of unit K_I (kind 0) or K_II (1),
-    at a distance r with c and s the cosine and sine of half the angle; for numbers and forms."""
+def _singular_field(r: Any, c: Any, s: Any, kappa: float, mode: Any) -> tuple[Any, Any]:
+    """Return the components of s, times 4 G (2 pi)^1/2, as numbers or forms.
+
+    The mode is 0 for K_I, 1 for K_II. At the distance r, c and s are the cosine and sine of half
+    the angle.
+    """
     cosine, sine = c * c - s * s, 2.0 * c * s
-    one = ((kappa - cosine - 2.0 * sine * sine) * c, -(kappa - cosine + 2.0 * sine * sine) * s)
-    two = (
+    mode_1 = ((kappa - cosine - 2.0 * sine * sine) * c, -(kappa - cosine + 2.0 * sine * sine) * s)
+    mode_2 = (
         -(kappa + 2.0 + cosine - 2.0 * sine * sine) * s,
         -(kappa - 2.0 + cosine + 2.0 * sine * sine) * c,
     )
-    x, y = ((1.0 - kind) * a + kind * b for a, b in zip(one, two, strict=True))
+    x, y = ((1.0 - mode) * a + mode * b for a, b in zip(mode_1, mode_2, strict=True))
     return x / r**0.5, y / r**0.5
 
 
-def _scale(scene: Scene) -> tuple[float, float]:
-    """kappa of plane stress, and 1 / (4 G (2 pi)^1/2)."""
+def _material_factors(scene: Scene) -> tuple[float, float]:
+    """Return kappa of plane stress, and 1 / (4 G (2 pi)^1/2)."""
     nu = scene.material.poisson
     shear = scene.material.young / (2.0 * (1.0 + nu))
     return (3.0 - nu) / (1.0 + nu), 1.0 / (4.0 * shear * np.sqrt(2.0 * np.pi))
 
 
-def _weight(r: np.ndarray, radius: float) -> np.ndarray:
-    """q."""
-    xi = np.clip((r / radius - INNER) / (1.0 - INNER), 0.0, 1.0)
+def _weight_function(r: np.ndarray, radius: float) -> np.ndarray:
+    """Return q at a distance r."""
+    xi = np.clip((r / radius - PLATEAU_FRACTION) / (1.0 - PLATEAU_FRACTION), 0.0, 1.0)
     return np.asarray(1.0 - xi**3 * (10.0 - 15.0 * xi + 6.0 * xi**2))
 
 
-def _nodal(
-    scene: Scene, tip: Tip, kind: int, points: np.ndarray, normals: np.ndarray
+def _nodal_field(
+    scene: Scene, tip: Tip, mode: int, points: np.ndarray, normals: np.ndarray
 ) -> np.ndarray:
-    """w = q s at nodes (n, 2), zero at the tip itself."""
-    to = points - tip.point
-    r = np.linalg.norm(to, axis=1)
-    near = (r < tip.radius) & (r > 1e-9 * tip.radius)
-    across = np.array([-tip.ahead[1], tip.ahead[0]])
-    found = np.zeros_like(points)
-    r, x, y = r[near], to[near] @ tip.ahead, to[near] @ across
-    out = normals[near] @ across
-    side = np.where(out == 0.0, np.where(y >= 0.0, 1.0, -1.0), -np.sign(out))
+    """Return w = q s at nodes: (n, 2).
+
+    It is zero at the tip. Nodes on crack faces are on the side opposite to their outward normal.
+    """
+    offsets = points - tip.point
+    r = np.linalg.norm(offsets, axis=1)
+    is_near = (r < tip.radius) & (r > 1e-9 * tip.radius)
+    e_2 = np.array([-tip.growth_direction[1], tip.growth_direction[0]])
+    field = np.zeros_like(points)
+    r, x, y = r[is_near], offsets[is_near] @ tip.growth_direction, offsets[is_near] @ e_2
+    outward_components = normals[is_near] @ e_2
+    side_signs = np.where(
+        outward_components == 0.0, np.where(y >= 0.0, 1.0, -1.0), -np.sign(outward_components)
+    )
     c, s = (np.sqrt(np.maximum(r + sign * x, 0.0) / (2.0 * r)) for sign in (1.0, -1.0))
-    kappa, scale = _scale(scene)
-    one, two = _singular(r, c, side * s, kappa, kind)
-    q = scale * _weight(r, tip.radius)
-    found[near] = (q * one)[:, None] * tip.ahead + (q * two)[:, None] * across
-    return found
+    kappa, scale = _material_factors(scene)
+    component_1, component_2 = _singular_field(r, c, side_signs * s, kappa, mode)
+    q = scale * _weight_function(r, tip.radius)
+    field[is_near] = (q * component_1)[:, None] * tip.growth_direction + (q * component_2)[
+        :, None
+    ] * e_2
+    return field
 
 
-def _form(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndarray], np.ndarray]:
-    """A function of a tip, a kind and a field: what the displacement of this rank's free dofs is
-    multiplied by, (n_local,). The form is the same for all of them but for its constants."""
+def _row_assembler(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndarray], np.ndarray]:
+    """Return a function that assembles the displacement's factors in K.
+
+    All tips and modes have the same form, with other constants.
+    """
     space = dofs.space
-    moved = dolfinx.fem.Function(space)
-    given = constants(space, *(0.0,) * 6, *_scale(scene), scene.material.young)
-    x0, y0, a, b, radius, which, kappa, scale, young = given
-    to = ufl.SpatialCoordinate(space.mesh) - ufl.as_vector([x0, y0])
-    ahead, across = ufl.as_vector([a, b]), ufl.as_vector([-b, a])
-    x, y = ufl.dot(to, ahead), ufl.dot(to, across)
+    nodal_function = dolfinx.fem.Function(space)
+    tip_constants = constants(space, *(0.0,) * 6, *_material_factors(scene), scene.material.young)
+    x0, y0, a, b, radius, mode_constant, kappa, scale, young = tip_constants
+    offset = ufl.SpatialCoordinate(space.mesh) - ufl.as_vector([x0, y0])
+    e_1, e_2 = ufl.as_vector([a, b]), ufl.as_vector([-b, a])
+    x, y = ufl.dot(offset, e_1), ufl.dot(offset, e_2)
     r = ufl.sqrt(x * x + y * y)
     c, s = ufl.sqrt((r + x) / (2.0 * r)), ufl.sign(y) * ufl.sqrt((r - x) / (2.0 * r))
-    one, two = _singular(r, c, s, kappa, which)
-    singular = scale * (one * ahead + two * across)
-    xi = (r / radius - INNER) / (1.0 - INNER)
-    slope = -30.0 * xi**2 * (1.0 - xi) ** 2 / (radius * (1.0 - INNER))
-    inside = ufl.And(ufl.gt(xi, 0.0), ufl.lt(xi, 1.0))
-    falling = ufl.conditional(inside, slope, 0.0) / r * to
+    component_1, component_2 = _singular_field(r, c, s, kappa, mode_constant)
+    singular_field = scale * (component_1 * e_1 + component_2 * e_2)
+    xi = (r / radius - PLATEAU_FRACTION) / (1.0 - PLATEAU_FRACTION)
+    q_slope = -30.0 * xi**2 * (1.0 - xi) ** 2 / (radius * (1.0 - PLATEAU_FRACTION))
+    is_on_ramp = ufl.And(ufl.gt(xi, 0.0), ufl.lt(xi, 1.0))
+    q_gradient = ufl.conditional(is_on_ramp, q_slope, 0.0) / r * offset
     test = ufl.TestFunction(space)
-    strained, own, at_nodes = (ufl.sym(ufl.grad(one)) for one in (test, singular, moved))
-    betti = ufl.inner(stress(scene, space, strained), ufl.outer(singular, falling))
-    betti -= ufl.inner(stress(scene, space, own), ufl.outer(test, falling))
+    test_strain, singular_strain, nodal_strain = (
+        ufl.sym(ufl.grad(field)) for field in (test, singular_field, nodal_function)
+    )
+    betti = ufl.inner(stress(scene, space, test_strain), ufl.outer(singular_field, q_gradient))
+    betti -= ufl.inner(stress(scene, space, singular_strain), ufl.outer(test, q_gradient))
     form = 0.5 * young * betti * ufl.dx(metadata={"quadrature_degree": QUADRATURE_DEGREE})
-    form -= 0.5 * young * ufl.inner(stress(scene, space, at_nodes), strained) * ufl.dx
-    compiled = compat.compiled(form)
+    form -= 0.5 * young * ufl.inner(stress(scene, space, nodal_strain), test_strain) * ufl.dx
+    compiled_form = compat.compile_form(form)
 
-    def row_of(tip: Tip, kind: int, field: np.ndarray) -> np.ndarray:
-        moved.x.array[: field.size] = field.ravel()
-        moved.x.scatter_forward()
-        for constant, value in zip(given, (*tip.point, *tip.ahead, tip.radius, kind), strict=False):
+    def assemble_row(tip: Tip, mode: int, field: np.ndarray) -> np.ndarray:
+        """Return factors (n_local,) for a tip, a mode and its nodal field w."""
+        nodal_function.x.array[: field.size] = field.ravel()
+        nodal_function.x.scatter_forward()
+        for constant, value in zip(
+            tip_constants, (*tip.point, *tip.growth_direction, tip.radius, mode), strict=False
+        ):
             constant.value = value
-        return dofs.free_part(compat.assembled_vector(compiled))
+        return dofs.restrict_to_free(compat.assembled_vector(compiled_form))
 
-    return row_of
+    return assemble_row
 
 
-def _of_forces(
-    scene: Scene, structure: Structure, tip: Tip, kind: int, field: np.ndarray
+def _pressure_row(
+    scene: Scene, structure: Structure, tip: Tip, mode: int, field: np.ndarray
 ) -> np.ndarray:
-    """Return the factors of the contact forces in K, (n_pairs,): from their pressure along the
-    crack faces instead of forces at nodes. It has no part in K_II, and forces at the mouth alone
-    stay at their nodes."""
+    """Return factors of the contact forces in K: (n_pairs,).
+
+    The pressure along the crack faces replaces forces at nodes. Pressure has no part in K_II. If
+    only the mouth has a pair, its force stays at the node.
+    """
     forces = np.zeros(structure.n_pairs)
-    if kind == 1 or scene.contact is None or scene.contact.pairs == "mouth":
+    if mode == 1 or scene.contact is None or scene.contact.pairs == "mouth":
         return forces
     pairs, thickness = structure.pairs, scene.geometry.thickness or 1.0
     assert pairs.cracks is not None and pairs.positions is not None and pairs.areas is not None
     forces -= structure.apply_bt(field[None])[0]
-    own = np.flatnonzero(pairs.cracks == tip.crack)
-    own = own[np.argsort(np.abs(tip.position - pairs.positions[own]))]
-    distance = np.abs(tip.position - pairs.positions[own])
-    places, weights = _rule(distance, tip.radius)
-    kappa, scale = _scale(scene)
-    acting = 2.0 * (kappa + 1.0) * scale * _weight(places, tip.radius) * weights
-    hats = np.array([np.interp(places, distance, row) for row in np.eye(len(own))])
-    forces[own] += thickness * hats @ acting / pairs.areas[own]
+    crack_pairs = np.flatnonzero(pairs.cracks == tip.crack)
+    crack_pairs = crack_pairs[np.argsort(np.abs(tip.position - pairs.positions[crack_pairs]))]
+    pair_distances = np.abs(tip.position - pairs.positions[crack_pairs])
+    points, weights = _singular_rule(pair_distances, tip.radius)
+    kappa, scale = _material_factors(scene)
+    point_weights = 2.0 * (kappa + 1.0) * scale * _weight_function(points, tip.radius) * weights
+    hat_values = np.array(
+        [np.interp(points, pair_distances, unit_vector) for unit_vector in np.eye(len(crack_pairs))]
+    )
+    forces[crack_pairs] += thickness * hat_values @ point_weights / pairs.areas[crack_pairs]
     return 0.5 * scene.material.young / thickness * forces
 
 
-def _rule(ends: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """Places r in (0, radius) and weights of integrals of r^-1/2, between ends, by xi^2 = r."""
+def _singular_rule(ends: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return points and weights for integrals of r^-1/2 up to the radius.
+
+    The intervals between ``ends`` are integrated with xi^2 = r.
+    """
     roots = np.sqrt(np.unique(np.clip([0.0, *ends, radius], 0.0, radius)))
-    nodes, weights = np.polynomial.legendre.leggauss(QUADRATURE_DEGREE)
-    half = 0.5 * np.diff(roots)[:, None]
-    xi = roots[:-1, None] + half * (1.0 + nodes)
-    return (xi**2).ravel(), (2.0 * half * weights).ravel()
+    gauss_points, weights = np.polynomial.legendre.leggauss(QUADRATURE_DEGREE)
+    half_widths = 0.5 * np.diff(roots)[:, None]
+    xi = roots[:-1, None] + half_widths * (1.0 + gauss_points)
+    return (xi**2).ravel(), (2.0 * half_widths * weights).ravel()

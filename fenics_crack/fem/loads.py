@@ -1,19 +1,19 @@
-"""Loads of a scene as nodal forces: at points, on edges, and the inertia of what is shaken; and
-what the clamp holds against them.
+"""Assemble point loads, edge loads and base motion as nodal forces.
 
 A force F at x does the work F . sum_i N_i(x) u_i, so node i gets N_i(x) F. On an edge E of a plate
-of thickness t, or a face of a solid with t = 1, with outward normal n, a traction T or a pressure
-p, T = -p n, give it
+with the thickness t, or on a face of a solid with t = 1, a traction T gives it
 
     f_i = t int_E N_i T ds.
 
-A clamp that moves by U(t), the same everywhere, carries the plate along: with displacements u
-relative to it
+A pressure p is T = -p n, with the outward normal n.
 
-    M u'' + C u' + K u + B lambda(g) = f - M R U'',
+A clamp that moves by U(t), the same everywhere, carries the structure along. With displacements u
+relative to the clamp,
 
-where R is the translation of all nodes, clamped ones among them, and M the mass matrix with their
-rows; it stretches nothing, K R = 0, and closes no gap, B^T R = 0. Damping acts on u.
+    M u'' + C u' + K u + B lambda(g) = f - M R U''.
+
+R is the translation of all nodes, including clamped ones, and M the mass matrix with their rows.
+The translation stretches nothing, K R = 0, and closes no gap, B^T R = 0. Damping acts on u.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from fenics_crack.fem import compat
 from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.elasticity import thickness
 from fenics_crack.fem.plate import Dofs
-from fenics_crack.fem.setting import parts_of
+from fenics_crack.fem.setting import force_parts
 from fenics_crack.model.nodes import (
     MAX_NODE_DISTANCE_RATIO,
     Clamp,
@@ -43,207 +43,259 @@ from fenics_crack.scene.tables import Load
 
 
 def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.ndarray | None]:
-    """Mean, and cosine and sine part of each order, of the load on all dofs that this rank owns,
-    clamped ones too, (2K+1, n_dofs) [N], and what is watched of the free ones (n_local,).
+    """Assemble the loads of a scene (collective).
 
-    The watched displacement is the product of u with that vector [m]; None: the dof that
-    carries most of the load. ``mass`` is the mass matrix with the clamped rows (collective).
+    Parameters
+    ----------
+    scene : Scene
+        Scene with loads.
+    dofs : Dofs
+        Dofs of the mesh.
+    mass : PETSc.Mat
+        Mass matrix with the clamped rows.
+
+    Returns
+    -------
+    force : (2K+1, n_dofs) [N]
+        Mean, then cosine and sine part of each order, on all owned dofs, clamped ones included.
+    watched_vector : (n_local,) or None
+        The watched displacement is its product with u [m]. None: the dof with most of the load
+        is watched.
 
     Raises
     ------
     InputError
-        A load is off the mesh, where the plate is clamped, or on a crack, where there are two
-        faces.
+        A load is off the mesh, where the structure is clamped, or on a crack, where there are
+        two faces.
     """
-    force, watched = np.zeros((2 * scene.highest_order + 1, len(dofs.numbers))), None
+    force, watched_vector = np.zeros((2 * scene.highest_order + 1, len(dofs.numbers))), None
     excitation = scene.excitation
     point = excitation.point if excitation.point is not None else dofs.plate.points.get("load")
     if point is not None:
-        parts = parts_of(scene)
-        own, along = _at_point(scene, dofs, "excitation", point, parts)
-        force += own
-        watched = along if scene.has_other_loads or scene.speed > 0.0 else None
-    elif (name := excitation.force_given) or not scene.has_other_loads:
-        by = f" with excitation.{name}" if name else ""
-        allowed = f"given{by}, or a physical point 'load' in the mesh file"
-        raise InputError("excitation.point", None, allowed)
-    for number, load in enumerate(scene.loads, 1):
-        key = f"loads.{number}"
+        force_vectors = force_parts(scene)
+        load_force, direction_vector = _point_load(scene, dofs, "excitation", point, force_vectors)
+        force += load_force
+        watched_vector = direction_vector if scene.has_other_loads or scene.speed > 0.0 else None
+    elif (force_key := excitation.force_given) or not scene.has_other_loads:
+        key_note = f" with excitation.{force_key}" if force_key else ""
+        requirement = f"given{key_note}, or a physical point 'load' in the mesh file"
+        raise InputError("excitation.point", None, requirement)
+    for load_number, load in enumerate(scene.loads, 1):
+        key = f"loads.{load_number}"
         if load.point is not None:
-            own, along = _at_point(scene, dofs, key, load.point, load.parts("force"))
-            watched = along if watched is None else watched
+            load_force, direction_vector = _point_load(
+                scene, dofs, key, load.point, load.parts("force")
+            )
+            watched_vector = direction_vector if watched_vector is None else watched_vector
         else:
-            own = _edge_force(scene, dofs, key, load)
-            if watched is None and np.any(gather_rows(dofs.comm, own.ravel())):
-                watched = _middle_of(dofs, str(load.edge), own)
-        force[: len(own)] += own
+            load_force = _edge_force(scene, dofs, key, load)
+            if watched_vector is None and np.any(gather_rows(dofs.comm, load_force.ravel())):
+                watched_vector = _watch_edge_middle(dofs, str(load.edge), load_force)
+        force[: len(load_force)] += load_force
     if scene.base is not None:
-        if watched is None:
-            middle = gather_rows(dofs.comm, dofs.points[dofs.nodes_on("clamp")]).mean(axis=0)
-            every = np.arange(dofs.n_nodes)  # the farthest from the clamp
-            watched = _one_of(dofs, every, middle, -1, scene.base.direction)
+        if watched_vector is None:
+            clamp_center = gather_rows(dofs.comm, dofs.points[dofs.nodes_on("clamp")]).mean(axis=0)
+            # Watch the node farthest from the clamp.
+            all_nodes = np.arange(dofs.n_nodes)
+            watched_vector = _watch_node(dofs, all_nodes, clamp_center, -1, scene.base.direction)
         for row, acceleration in enumerate(scene.base.accelerations, 1):
             force[row] -= _inertia(mass, np.tile(acceleration, dofs.n_nodes))
-    if watched is None and point is not None and not any(map(any, parts)):
-        along_x = [np.eye(dofs.dimension)[0].tolist()] * 2
-        _, watched = _at_point(scene, dofs, "excitation", point, along_x)
-    return force, watched
+    if watched_vector is None and point is not None and not any(map(any, force_vectors)):
+        unit_vectors = [np.eye(dofs.dimension)[0].tolist()] * 2
+        _, watched_vector = _point_load(scene, dofs, "excitation", point, unit_vectors)
+    return force, watched_vector
 
 
-def _unit(parts: Sequence[Vector]) -> Vector:
-    """The direction of a load: of the larger of its cosine and sine part, of its mean if there is
-    neither."""
-    mean, *moving = parts
-    largest = max(moving, key=lambda part: math.hypot(*part))
-    if not any(largest):
-        largest = mean
-    size = math.hypot(*largest)
-    return tuple(x / size for x in largest)
+def _direction(parts: Sequence[Vector]) -> Vector:
+    """Return the unit vector of a load.
+
+    It is the direction of its largest cosine or sine part, or of its mean if there is neither.
+    """
+    mean, *harmonic_parts = parts
+    largest_part = max(harmonic_parts, key=lambda part: math.hypot(*part))
+    if not any(largest_part):
+        largest_part = mean
+    size = math.hypot(*largest_part)
+    return tuple(component / size for component in largest_part)
 
 
-def share_at(scene: Scene, dofs: Dofs, key: str, point: Vector) -> np.ndarray:
-    """Return the fraction of a force at a point that each of this rank's nodes carries: (n_nodes,).
+def nodal_force_fractions(scene: Scene, dofs: Dofs, key: str, point: Vector) -> np.ndarray:
+    """Return the fraction of a point force on each node (collective).
 
-    A node takes all of what acts at it, also where rounding, or a curved boundary between flat
-    sides, puts it out of every cell; so does the node of a part nearest to a point that is out of
-    every cell, but near (collective).
+    The result has the shape (n_nodes,), for this rank's nodes. A node takes the whole force if it
+    is at the point. So it does if rounding, or a curved boundary between flat sides, puts the node
+    out of every cell. On a part from a CAD file, a point close to the mesh but out of every cell
+    loads the nearest node.
 
     Raises
     ------
     InputError
         The point is off the mesh, or on a crack, where there are two faces.
     """
-    if sides := [found for lip in dofs.plate.lips if (found := lip.beside(point)) is not None]:
-        (low, high), *_ = sides
-        allowed = "on one of the two crack faces there: {} on the lower one, {} on the upper one"
-        raise InputError(key, tuple(point), allowed.format(low, high))
-    places, own = gather_rows(dofs.comm, dofs.points), dofs.first_node + np.arange(dofs.n_nodes)
-    if len(found := find_nodes_at(places, point)):
-        return np.where(own == found[0], 1.0, 0.0)
-    nodes, values = compat.basis_at(dofs.space, scene.mesh.order, np.array(point))
-    values = np.where(np.abs(values) < 1e-12, 0.0, values)  # rounding
-    hits = dofs.comm.allgather(len(nodes) > 0)
-    if not any(hits):
-        away, extent = np.linalg.norm(places - point, axis=1), np.ptp(places, axis=0).max()
-        if scene.geometry.file is None or away.min() > MAX_NODE_DISTANCE_RATIO * extent:
+    if face_points := [
+        both_points
+        for crack in dofs.plate.cracks
+        if (both_points := crack.points_beside(point)) is not None
+    ]:
+        (lower_point, upper_point), *_ = face_points
+        requirement = (
+            "on one of the two crack faces there: {} on the lower one, {} on the upper one"
+        )
+        raise InputError(key, tuple(point), requirement.format(lower_point, upper_point))
+    positions = gather_rows(dofs.comm, dofs.points)
+    node_numbers = dofs.first_node + np.arange(dofs.n_nodes)
+    if len(exact_nodes := find_nodes_at(positions, point)):
+        return np.where(node_numbers == exact_nodes[0], 1.0, 0.0)
+    nodes, basis_values = compat.evaluate_basis(dofs.space, scene.mesh.order, np.array(point))
+    basis_values = np.where(np.abs(basis_values) < 1e-12, 0.0, basis_values)  # rounding
+    has_point = dofs.comm.allgather(len(nodes) > 0)
+    if not any(has_point):
+        distances = np.linalg.norm(positions - point, axis=1)
+        extent = np.ptp(positions, axis=0).max()
+        if scene.geometry.file is None or distances.min() > MAX_NODE_DISTANCE_RATIO * extent:
             raise InputError(
-                key, tuple(point), f"on the mesh ({describe_nearest_node(places, point)})"
+                key, tuple(point), f"on the mesh ({describe_nearest_node(positions, point)})"
             )
-        return np.where(own == int(away.argmin()), 1.0, 0.0)
-    if dofs.comm.rank != hits.index(True):
-        nodes, values = nodes[:0], values[:0]
+        return np.where(node_numbers == int(distances.argmin()), 1.0, 0.0)
+    if dofs.comm.rank != has_point.index(True):
+        nodes, basis_values = nodes[:0], basis_values[:0]
 
-    # The cell may touch nodes of other ranks: hand every node's share to its owner.
-    numbers = dofs.space.dofmap.index_map.local_to_global(nodes.astype(np.int32))
-    numbers = gather_rows(dofs.comm, np.asarray(numbers, dtype=np.int64))
-    shares = gather_rows(dofs.comm, values)
-    mine = (numbers >= dofs.first_node) & (numbers < dofs.first_node + dofs.n_nodes)
-    share = np.zeros(dofs.n_nodes)
-    np.add.at(share, numbers[mine] - dofs.first_node, shares[mine])
-    return share
+    # The cell may have nodes of other ranks: pass every fraction to the node's owner.
+    cell_nodes = dofs.space.dofmap.index_map.local_to_global(nodes.astype(np.int32))
+    cell_nodes = gather_rows(dofs.comm, np.asarray(cell_nodes, dtype=np.int64))
+    cell_fractions = gather_rows(dofs.comm, basis_values)
+    is_owned = (cell_nodes >= dofs.first_node) & (cell_nodes < dofs.first_node + dofs.n_nodes)
+    fractions = np.zeros(dofs.n_nodes)
+    np.add.at(fractions, cell_nodes[is_owned] - dofs.first_node, cell_fractions[is_owned])
+    return fractions
 
 
-def _at_point(
+def _point_load(
     scene: Scene, dofs: Dofs, key: str, point: Vector, parts: Sequence[Vector]
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Forces at the point of a load as consistent nodal forces, (len(parts), n_dofs), and their
-    direction there, of the free dofs (n_local,); None: no force."""
-    share = share_at(scene, dofs, f"{key}.point", point)
-    force = np.array([_at_nodes(dofs, share, part) for part in parts])
-    along = dofs.free_part(_at_nodes(dofs, share, _unit(parts))) if any(map(any, parts)) else None
-    return _moving(dofs, f"{key}.point", tuple(point), force), along
+    """Assemble the forces of a point load.
+
+    Returns
+    -------
+    force : (n_parts, n_dofs) [N]
+        Nodal forces.
+    direction_vector : (n_local,) or None
+        Direction of the load at its point. None if the load is zero.
+    """
+    fractions = nodal_force_fractions(scene, dofs, f"{key}.point", point)
+    force = np.array([_distribute_vector(dofs, fractions, part) for part in parts])
+    direction_vector = (
+        dofs.restrict_to_free(_distribute_vector(dofs, fractions, _direction(parts)))
+        if any(map(any, parts))
+        else None
+    )
+    return _require_free_force(dofs, f"{key}.point", tuple(point), force), direction_vector
 
 
-def _moving(dofs: Dofs, key: str, place: object, force: np.ndarray) -> np.ndarray:
-    """Forces (2K+1, n_dofs) of a load; InputError where all of them act on what is clamped."""
-    parts = force, force[:, dofs.free]
-    loaded, moving = (np.any(gather_rows(dofs.comm, part.ravel())) for part in parts)
-    if loaded and not moving:
+def _require_free_force(dofs: Dofs, key: str, place: object, force: np.ndarray) -> np.ndarray:
+    """Return forces; raise InputError if all act on clamped dofs."""
+    forces = force, force[:, dofs.free_dofs]
+    has_force, has_free_force = (
+        np.any(gather_rows(dofs.comm, values.ravel())) for values in forces
+    )
+    if has_force and not has_free_force:
         raise InputError(key, place, "where the plate is free to move")
     return force
 
 
-def _at_nodes(dofs: Dofs, share: np.ndarray, vector: Vector) -> np.ndarray:
-    """Shares (n_nodes,) of a vector: (n_dofs,)."""
-    return np.asarray(np.outer(share, vector or np.zeros(dofs.dimension)).ravel())
+def _distribute_vector(dofs: Dofs, fractions: np.ndarray, vector: Vector) -> np.ndarray:
+    """Distribute a vector over nodes by fractions (n_nodes,): (n_dofs,)."""
+    return np.asarray(np.outer(fractions, vector or np.zeros(dofs.dimension)).ravel())
 
 
 # --- loads on edges -------------------------------------------------------------------------------
 
 
 def _edge_force(scene: Scene, dofs: Dofs, key: str, load: Load) -> np.ndarray:
-    """Tractions and pressures on an edge as consistent nodal forces: (2K+1, n_dofs)."""
-    name = load.given("edge")
-    check_choice(f"{key}.edge", name, sorted(set(dofs.plate.groups) - {"clamp"}))
-    edge = dofs.plate.along(name)
+    """Assemble tractions and pressures on an edge: (2K+1, n_dofs) [N]."""
+    edge_name = load.given("edge")
+    check_choice(f"{key}.edge", edge_name, sorted(set(dofs.plate.groups) - {"clamp"}))
+    edge_measure = dofs.plate.measure_on(edge_name)
     test, t = ufl.TestFunction(dofs.space), thickness(scene, dofs.space)
-    x = ufl.as_vector(np.eye(dofs.dimension)[0].tolist())
-    along_x = compat.assembled_vector(t * ufl.inner(x, test) * edge)
-    length = gather_rows(dofs.comm, along_x).sum()
+    unit_vector = ufl.as_vector(np.eye(dofs.dimension)[0].tolist())
+    test_integrals = compat.assembled_vector(t * ufl.inner(unit_vector, test) * edge_measure)
+    length = gather_rows(dofs.comm, test_integrals).sum()
     if not length > 0.0:
         raise InputError(f"{key}.edge", load.edge, "an edge of the plate: it lies inside")
-    weights = along_x.reshape(-1, dofs.dimension)[:, 0]
-    force = np.array([_at_nodes(dofs, weights, part) for part in load.parts("traction")])
+    weights = test_integrals.reshape(-1, dofs.dimension)[:, 0]
+    force = np.array([_distribute_vector(dofs, weights, part) for part in load.parts("traction")])
     normal = ufl.FacetNormal(dofs.space.mesh)
-    pressed = -compat.assembled_vector(t * ufl.inner(normal, test) * edge)
-    force += np.array([sum(part) * pressed for part in load.parts("pressure")])
-    return _moving(dofs, f"{key}.edge", load.edge, force)
+    unit_pressure_force = -compat.assembled_vector(t * ufl.inner(normal, test) * edge_measure)
+    force += np.array([sum(part) * unit_pressure_force for part in load.parts("pressure")])
+    return _require_free_force(dofs, f"{key}.edge", load.edge, force)
 
 
-def _middle_of(dofs: Dofs, edge: str, force: np.ndarray) -> np.ndarray:
-    """1 at the dof, in the direction of most of the load, of the node of an edge that is nearest
-    to its middle: (n_local,)."""
-    by_node = np.where(dofs.numbers < 0, 0.0, force).reshape(len(force), -1, dofs.dimension)
-    sums = np.abs(dofs.comm.allgather(by_node.sum(axis=1))).sum(axis=(0, 1))
-    direction = tuple(np.eye(dofs.dimension)[int(np.argmax(sums))].tolist())
-    nodes = dofs.nodes_on(edge)
-    every = gather_rows(dofs.comm, dofs.points[nodes])
-    return _one_of(dofs, nodes, (every.min(axis=0) + every.max(axis=0)) / 2.0, 0, direction)
+def _watch_edge_middle(dofs: Dofs, edge: str, force: np.ndarray) -> np.ndarray:
+    """Return a vector that watches the middle of an edge: (n_local,).
+
+    It is 1 at the node nearest to the middle, in the direction of most of the load.
+    """
+    nodal_force = np.where(dofs.numbers < 0, 0.0, force).reshape(len(force), -1, dofs.dimension)
+    component_sums = np.abs(dofs.comm.allgather(nodal_force.sum(axis=1))).sum(axis=(0, 1))
+    direction = tuple(np.eye(dofs.dimension)[int(np.argmax(component_sums))].tolist())
+    edge_nodes = dofs.nodes_on(edge)
+    edge_points = gather_rows(dofs.comm, dofs.points[edge_nodes])
+    return _watch_node(
+        dofs, edge_nodes, (edge_points.min(axis=0) + edge_points.max(axis=0)) / 2.0, 0, direction
+    )
 
 
 # --- the clamp ------------------------------------------------------------------------------------
 
 
 def clamp_of(dofs: Dofs, mass: Any, force: np.ndarray) -> Clamp:
-    """The clamp of a mesh, from the mass matrix and the load (2K+1, n_dofs) with the clamped rows
-    (collective)."""
-    held = gather_rows(dofs.comm, dofs.points[dofs.nodes_on("clamp")])
-    center = np.round(0.5 * (held.min(axis=0) + held.max(axis=0)), 12) + 0.0
-    rigid = rigid_motions(dofs.points - center)
-    rows = dofs.free_part(np.array([_inertia(mass, motion) for motion in rigid]))
-    return Clamp(center, rows, dofs.comm.allreduce(force @ rigid.T))
+    """Return the clamp of a mesh (collective).
+
+    The mass matrix and the load (2K+1, n_dofs) include the clamped dofs.
+    """
+    clamped_points = gather_rows(dofs.comm, dofs.points[dofs.nodes_on("clamp")])
+    center = np.round(0.5 * (clamped_points.min(axis=0) + clamped_points.max(axis=0)), 12) + 0.0
+    motions = rigid_motions(dofs.points - center)
+    inertia_rows = dofs.restrict_to_free(np.array([_inertia(mass, motion) for motion in motions]))
+    return Clamp(center, inertia_rows, dofs.comm.allreduce(force @ motions.T))
 
 
 def rigid_motions(points: np.ndarray) -> np.ndarray:
-    """Translations, and rotations about the origin by e x r, of points (n, d): (n_rigid, n d)."""
+    """Return translations and rotations of points (n, d): (n_rigid, n d).
+
+    Rotations are about the origin, e x r.
+    """
     dimension = points.shape[1]
-    placed = np.pad(points, ((0, 0), (0, 3 - dimension)))
+    spatial_points = np.pad(points, ((0, 0), (0, 3 - dimension)))
     axes = np.eye(3)[2:] if dimension == 2 else np.eye(3)
-    moved = [np.tile(axis, (len(points), 1)) for axis in np.eye(dimension)]
-    moved += [np.cross(axis, placed)[:, :dimension] for axis in axes]
-    return np.array([motion.ravel() for motion in moved])
+    motions = [np.tile(axis, (len(points), 1)) for axis in np.eye(dimension)]
+    motions += [np.cross(axis, spatial_points)[:, :dimension] for axis in axes]
+    return np.array([motion.ravel() for motion in motions])
 
 
 def _inertia(mass: Any, acceleration: np.ndarray) -> np.ndarray:
-    """M a of all dofs that this rank owns: (n_dofs,) [N]."""
-    moved, made = mass.createVecs()
-    moved.array[:] = acceleration
-    mass.mult(moved, made)
-    found = np.array(made.array_r)
-    moved.destroy()
-    made.destroy()
-    return found
+    """Return M a for all owned dofs: (n_dofs,) [N]."""
+    acceleration_vector, force_vector = mass.createVecs()
+    acceleration_vector.array[:] = acceleration
+    mass.mult(acceleration_vector, force_vector)
+    inertia_force = np.array(force_vector.array_r)
+    acceleration_vector.destroy()
+    force_vector.destroy()
+    return inertia_force
 
 
-def _one_of(
-    dofs: Dofs, nodes: np.ndarray, place: np.ndarray, end: int, direction: Vector
+def _watch_node(
+    dofs: Dofs, nodes: np.ndarray, position: np.ndarray, order_index: int, direction: Vector
 ) -> np.ndarray:
-    """1 at the dof, in a direction, of the first (0) or the last (-1) of some nodes of all ranks by
-    their distance from a place; equal ones, to rounding, by position: (n_local,)."""
-    every = gather_rows(dofs.comm, dofs.points[nodes])
-    distance = np.linalg.norm(every - place, axis=1)
-    order = np.lexsort([*every.T, np.round(distance / max(distance.max(), 1e-300), 9)])
-    here = nodes[np.all(dofs.points[nodes] == every[order[end]], axis=1)]
-    found = np.zeros((dofs.n_nodes, dofs.dimension))
-    found[here[:1]] = direction
-    return dofs.free_part(found.ravel())
+    """Return a vector that watches a node in a direction: (n_local,).
+
+    Nodes of all ranks are sorted by distance from a position, and equal distances by coordinates.
+    The index 0 selects the nearest node, -1 the farthest.
+    """
+    all_points = gather_rows(dofs.comm, dofs.points[nodes])
+    distance = np.linalg.norm(all_points - position, axis=1)
+    order = np.lexsort([*all_points.T, np.round(distance / max(distance.max(), 1e-300), 9)])
+    matching_nodes = nodes[np.all(dofs.points[nodes] == all_points[order[order_index]], axis=1)]
+    displacement = np.zeros((dofs.n_nodes, dofs.dimension))
+    displacement[matching_nodes[:1]] = direction
+    return dofs.restrict_to_free(displacement.ravel())

@@ -1,20 +1,24 @@
-"""The structure of a scene whose matrices are in files of other programs; and such files of any
-structure, for other programs.
+"""Read structures from other programs' matrix files, and write such files.
 
-With the model that they are of, its nodes have places: a load acts at one of them, and where the
-scene has contact and no matrix of gaps, the pairs are found: nodes in the same place that nothing
-joins. Where the model has solid cells, the crack faces are those facets that belong to one cell and
-lie on another one with other nodes. Pairs are then those of :mod:`fenics_crack.fem.build`,
+The model's input file gives positions of nodes, and a load acts at a node. If the scene has contact
+but no gap matrix, coincident nodes without connection in the stiffness become pairs.
+
+Models with solid cells
+-----------------------
+A facet is on a crack face if it belongs to one cell only, and coincides with another such facet
+with other nodes. Pairs are those of :mod:`fenics_crack.fem.build`:
 
     g_i = 1 / w_i int psi_i (n . u_lower + n . u_upper) ds,      w_i = int psi_i ds,
 
-with psi_i linear, 1 at a corner that exists twice; facets are as flat as their corners, and either
-normal points out of its own cell, so it does not matter which face is the lower one.
+with psi_i linear, and 1 at a corner that exists twice. Facets are as flat as their corners. Each
+normal n points out of its own cell, so the lower face need not be known.
 
-Without cells pairs are nodes: g = n . (u_a - u_b) for two in the same place. What the stiffness
-joins to a node lies on its side of the crack; what it joins to either lies on the front. The
-normal n is that of the plane through the pairs around (of a line in a plane model or a shell), and
-points from the side of a to that of b.
+Models without cells
+--------------------
+Pairs are nodes: g = n . (u_a - u_b) for two coincident nodes. A node connected to u_a only, by the
+stiffness, lies on the side of a. A node connected to both lies on the front. The normal n belongs
+to the plane through the neighbouring pairs, or to a line in a plane model or shell. It points from
+the side of a to the side of b.
 """
 
 from __future__ import annotations
@@ -31,7 +35,12 @@ from scipy.linalg import eigh
 from fenics_crack.basics.atomic_files import replace_files
 from fenics_crack.basics.errors import InputError, reading
 from fenics_crack.basics.ranks import on_each, on_root
-from fenics_crack.fem.cracks import FACETS, SAME, each_once, shares_of_neighbours
+from fenics_crack.fem.cracks import (
+    FACETS,
+    POSITION_TOLERANCE,
+    distribute_front_pressures,
+    find_unique_rows,
+)
 from fenics_crack.fem.model_files import Model, read_model
 from fenics_crack.model.factor import distribute_rows, local_rows
 from fenics_crack.model.matrices import (
@@ -46,175 +55,221 @@ from fenics_crack.model.nodes import Nodes, Pairs, format_point
 from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCES, Damping, Excitation
-from fenics_crack.scene.tables import Structure as Table
+from fenics_crack.scene.tables import Structure as StructureTable
 
 MATRIX_LETTERS = {"mass": "M", "stiffness": "K", "damping": "B"}
-"""Matrices, and the letter by which a file with several of them calls each."""
-ROW_FILES = ("gap", "tangential", *FORCES)
+"""Letter for each matrix in a file with several matrices."""
+ROW_FILE_KEYS = ("gap", "tangential", *FORCES)
 """Keys of files with a row for each dof."""
-SCENE = "matrices.toml"
-"""Scene that reads what is written."""
-WRITTEN = (*(f"{n}.mtx" for n in (*MATRIX_LETTERS, *ROW_FILES, "clearance", "areas")), SCENE)
-"""Files that are written, as far as a structure has them."""
-MOST_DENSE = 3000
-"""Maximum dofs of a matrix of modal damping, which is dense: 4.5 million numbers."""
+SCENE_FILE = "matrices.toml"
+"""Name of the scene that reads the written files."""
+OUTPUT_FILES = (
+    *(f"{n}.mtx" for n in (*MATRIX_LETTERS, *ROW_FILE_KEYS, "clearance", "areas")),
+    SCENE_FILE,
+)
+"""Names of all files that may be written."""
+MAX_DENSE_DOFS = 3000
+"""Maximum dofs for a matrix of modal damping. It is dense: 4.5 million numbers."""
 
 
-def read_structure(scene: Scene, rule: DampingRule | None, comm: MPI.Comm) -> Structure:
-    """Make the structure of a scene's table ``[structure]`` (collective).
+def read_structure(scene: Scene, damping_rule: DampingRule | None, comm: MPI.Comm) -> Structure:
+    """Read the structure of a scene's table ``[structure]`` (collective).
 
-    Every rank reads the files and keeps its rows. ``rule``: the damping, unless it is a file.
+    Every rank reads the files and keeps its rows. ``damping_rule`` is the damping, unless a file
+    has it.
 
     Raises
     ------
     InputError
         A file cannot be read, a shape does not fit, an entry is not finite, a matrix is not
-        symmetric, or the mass is not positive definite; no pairs are found.
+        symmetric, or the mass is not positive definite. Or no pairs are found.
     """
     table = scene.given("structure")
     try:
-        return _made(scene, table, rule, comm)
+        return _make_structure(scene, table, damping_rule, comm)
     except InputError as error:
         if error.key not in table.keys():
             raise
-        path, found = getattr(table, error.key), error.value
-        value = path if found == path else f"{path} ({found})"
-        raise InputError(table.name_of(error.key), value, error.allowed) from None
+        path, problem = getattr(table, error.key), error.value
+        path_text = path if problem == path else f"{path} ({problem})"
+        raise InputError(table.name_of(error.key), path_text, error.allowed) from None
 
 
-def _made(scene: Scene, table: Table, rule: DampingRule | None, comm: MPI.Comm) -> Structure:
-    read, columns, model = on_each(comm, lambda: _read(table))
-    stiffness = read["stiffness"].matrix
-    parts: dict[str, Any] = {"gap": None, "damping": rule}
-    parts |= {name: one.matrix for name, one in read.items()}
-    rows, order = stiffness.shape[0], np.arange(stiffness.shape[0])
-    pairs, nodes, labels = Pairs(), None, read["stiffness"].labels
+def _make_structure(
+    scene: Scene, table: StructureTable, damping_rule: DampingRule | None, comm: MPI.Comm
+) -> Structure:
+    """Make the structure from its files."""
+    matrices, columns, model = on_each(comm, lambda: _read_files(table))
+    stiffness = matrices["stiffness"].matrix
+    parts: dict[str, Any] = {"gap": None, "damping": damping_rule}
+    parts |= {name: labelled_matrix.matrix for name, labelled_matrix in matrices.items()}
+    n_dofs, order = stiffness.shape[0], np.arange(stiffness.shape[0])
+    pairs, nodes, labels = Pairs(), None, matrices["stiffness"].labels
     if model is not None:
         if labels is None:
-            allowed = "given with structure.model: the file of each row's node and direction"
-            raise InputError("structure.dofs", None, allowed)
-        order, dofs, bounds = _by_nodes(model, labels, table)
-        for name in read:
+            requirement = "given with structure.model: the file of each row's node and direction"
+            raise InputError("structure.dofs", None, requirement)
+        order, node_dofs, node_starts = _order_by_nodes(model, labels, table)
+        for name in matrices:
             parts[name] = parts[name][order][:, order]
         if scene.contact is not None and table.gap is None:
-            turns = bool(np.any(labels[:, 1] > 3))
-            parts["gap"], pairs = find_pairs(model, dofs, parts["stiffness"], turns=turns)
-        start, stop = _own(bounds, comm)
-        for name in read:
+            has_rotations = bool(np.any(labels[:, 1] > 3))
+            parts["gap"], pairs = find_pairs(
+                model, node_dofs, parts["stiffness"], has_rotations=has_rotations
+            )
+        start, stop = _own_rows(node_starts, comm)
+        for name in matrices:
             parts[name] = distribute_rows(parts[name][start:stop], comm)
-        nodes = _nodes(model, dofs, start, stop, comm)
+        nodes = _own_nodes(model, node_dofs, start, stop, comm)
     parts |= {name: column[order] for name, column in columns.items()}
     n_pairs = 0 if parts["gap"] is None else parts["gap"].shape[1]
-    parts["clearance"] = _per_pair("clearance", table.clearance, n_pairs)
+    parts["clearance"] = _read_per_pair("clearance", table.clearance, n_pairs)
     if table.areas is not None:
-        pairs = replace(pairs, areas=_per_pair("areas", table.areas, n_pairs))
+        pairs = replace(pairs, areas=_read_per_pair("areas", table.areas, n_pairs))
     if scene.excitation.point is not None:
         assert nodes is not None
-        _, at = nodes.find_nearest(comm, "excitation.point", scene.excitation.point)
+        _, point_dofs = nodes.find_nearest(comm, "excitation.point", scene.excitation.point)
         for name in FORCES:
-            force = sparse.lil_matrix(parts.get(name, (rows, 1)))
-            for dof, value in zip(at, getattr(scene.excitation, name), strict=True):
+            force = sparse.lil_matrix(parts.get(name, (n_dofs, 1)))
+            for dof, component in zip(point_dofs, getattr(scene.excitation, name), strict=True):
                 if dof >= 0:
-                    force[dof, 0] += value
+                    force[dof, 0] += component
             parts[name] = force
     if scene.highest_order > 1:
         excitation = scene.excitation
-        allowed = "left out with [structure], whose files have a column for each order"
-        excitation.require(False, (excitation.wave and "wave") or "harmonics", allowed)
+        requirement = "left out with [structure], whose files have a column for each order"
+        excitation.require(False, (excitation.wave and "wave") or "harmonics", requirement)
     return Structure.from_matrices(**parts, comm=comm).with_places(nodes, pairs)
 
 
-def _read(table: Table) -> tuple[dict[str, LabelledMatrix], dict[str, Any], Model | None]:
-    """The matrices of a table, with the rows of its stiffness, the columns with a row for each dof,
-    and the model, if there is one."""
-    labels, found = None if table.dofs is None else Path(table.dofs), {}
-    rows, model = None, None
+def _read_files(
+    table: StructureTable,
+) -> tuple[dict[str, LabelledMatrix], dict[str, Any], Model | None]:
+    """Read the files of a table.
+
+    Returns
+    -------
+    matrices : dict of str to LabelledMatrix
+        Mass, stiffness and damping, with the rows of the stiffness.
+    columns : dict
+        Matrices with a row for each dof, by key.
+    model : Model or None
+        Nodes and cells.
+    """
+    label_file, matrices = None if table.dofs is None else Path(table.dofs), {}
+    n_rows, model = None, None
     for name, letter in MATRIX_LETTERS.items():
         if (path := getattr(table, name)) is not None:
             with reading(name, path, "a matrix of Matrix Market, CalculiX, Abaqus or Nastran"):
-                found[name] = read_matrix(Path(path), letter, labels, rows)
-            rows = found[name].matrix.shape[0]
-    stiffness = found["stiffness"]
-    for name, one in found.items() if stiffness.labels is not None else ():
+                matrices[name] = read_matrix(Path(path), letter, label_file, n_rows)
+            n_rows = matrices[name].matrix.shape[0]
+    stiffness = matrices["stiffness"]
+    for name, labelled_matrix in matrices.items() if stiffness.labels is not None else ():
         with reading(name, getattr(table, name), "one of the dofs of the stiffness"):
-            found[name] = LabelledMatrix(one.with_rows_of(stiffness), stiffness.labels)
-    if len(empty := np.flatnonzero(found["mass"].matrix.diagonal() <= 0.0)):
-        where = f"row {empty[0] + 1}"
-        if stiffness.labels is not None and empty[0] < len(stiffness.labels):
-            where = "node {}, direction {}".format(*stiffness.labels[empty[0]])
-        allowed = "positive definite: rows without mass have to be condensed beforehand"
-        raise InputError("mass", f"no mass at {where}", allowed)
+            matrices[name] = LabelledMatrix(
+                labelled_matrix.with_rows_of(stiffness), stiffness.labels
+            )
+    if len(massless_rows := np.flatnonzero(matrices["mass"].matrix.diagonal() <= 0.0)):
+        place_text = f"row {massless_rows[0] + 1}"
+        if stiffness.labels is not None and massless_rows[0] < len(stiffness.labels):
+            place_text = "node {}, direction {}".format(*stiffness.labels[massless_rows[0]])
+        requirement = "positive definite: rows without mass have to be condensed beforehand"
+        raise InputError("mass", f"no mass at {place_text}", requirement)
     if table.model is not None:
         with reading("model", table.model, "the input file of the matrices' program"):
             model = read_model(Path(table.model))
-    given = {name: path for name in ROW_FILES if (path := getattr(table, name)) is not None}
-    rows = stiffness.matrix.shape[0]
+    column_files = {
+        name: path for name in ROW_FILE_KEYS if (path := getattr(table, name)) is not None
+    }
+    n_rows = stiffness.matrix.shape[0]
     return (
-        found,
-        {name: read_whole_matrix(name, Path(path), rows) for name, path in given.items()},
+        matrices,
+        {name: read_whole_matrix(name, Path(path), n_rows) for name, path in column_files.items()},
         model,
     )
 
 
-def _by_nodes(
-    model: Model, labels: np.ndarray, table: Table
+def _order_by_nodes(
+    model: Model, labels: np.ndarray, table: StructureTable
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows in such an order that those of a node follow each other; then those of each node along
-    x, y and z, (n_nodes, 3); and where each node begins, and the last one ends."""
-    _, first, node = np.unique(labels[:, 0], return_index=True, return_inverse=True)
-    order = np.argsort(first[node], kind="stable")
+    """Order the rows by nodes.
+
+    Returns
+    -------
+    order : (n_dofs,) int
+        Rows, those of a node in succession.
+    node_dofs : (n_nodes, 3) int
+        New row of each node along x, y and z, or -1.
+    node_starts : (n + 1,) int
+        Start of each node's rows, and end of the last rows.
+    """
+    _, first_rows, node_index = np.unique(labels[:, 0], return_index=True, return_inverse=True)
+    order = np.argsort(first_rows[node_index], kind="stable")
     labels = labels[order]
-    dofs = np.full((len(model.labels), 3), -1)
-    at = np.minimum(np.searchsorted(model.labels, labels[:, 0]), len(model.labels) - 1)
-    known = model.labels[at] == labels[:, 0]
-    moves = known & (labels[:, 1] >= 1) & (labels[:, 1] <= 3)
-    missing = labels[~known & (labels[:, 1] >= 1), 0]  # 0: no node, but a coordinate
-    if len(missing) or not np.any(moves):
-        found = f"no node {missing[0]}" if len(missing) else "no node that moves"
-        allowed = f"the model of {table.stiffness}, with all the nodes of its rows"
-        raise InputError("model", found, allowed)
-    dofs[at[moves], labels[moves, 1] - 1] = np.flatnonzero(moves)
-    begins = np.flatnonzero(np.append(True, np.diff(labels[:, 0]) != 0))
-    return order, dofs, np.append(begins, len(labels))
+    node_dofs = np.full((len(model.labels), 3), -1)
+    model_index = np.minimum(np.searchsorted(model.labels, labels[:, 0]), len(model.labels) - 1)
+    is_known = model.labels[model_index] == labels[:, 0]
+    is_translation = is_known & (labels[:, 1] >= 1) & (labels[:, 1] <= 3)
+    # Label 0 is no node, but a coordinate.
+    missing_nodes = labels[~is_known & (labels[:, 1] >= 1), 0]
+    if len(missing_nodes) or not np.any(is_translation):
+        problem = f"no node {missing_nodes[0]}" if len(missing_nodes) else "no node that moves"
+        requirement = f"the model of {table.stiffness}, with all the nodes of its rows"
+        raise InputError("model", problem, requirement)
+    node_dofs[model_index[is_translation], labels[is_translation, 1] - 1] = np.flatnonzero(
+        is_translation
+    )
+    node_starts = np.flatnonzero(np.append(True, np.diff(labels[:, 0]) != 0))
+    return order, node_dofs, np.append(node_starts, len(labels))
 
 
-def _own(bounds: np.ndarray, comm: MPI.Comm) -> tuple[int, int]:
-    """First and last row of this rank: whole nodes, about as many rows on each."""
-    wanted = bounds[-1] * np.array([comm.rank, comm.rank + 1]) // comm.size
-    start, stop = bounds[np.searchsorted(bounds, wanted)]
+def _own_rows(node_starts: np.ndarray, comm: MPI.Comm) -> tuple[int, int]:
+    """Return start and stop of this rank's rows.
+
+    A rank has whole nodes, and about as many rows as others.
+    """
+    targets = node_starts[-1] * np.array([comm.rank, comm.rank + 1]) // comm.size
+    start, stop = node_starts[np.searchsorted(node_starts, targets)]
     return int(start), int(stop)
 
 
-def _nodes(model: Model, dofs: np.ndarray, start: int, stop: int, comm: MPI.Comm) -> Nodes:
-    """The nodes of this rank: those with its dofs, and on the first one those that are held; with
-    cells where these are of one kind that can be drawn, and nodes carry all dofs."""
-    every_dof = int(np.count_nonzero(dofs >= 0)) == comm.allreduce(stop - start)
-    kind = next(iter(model.cells)) if len(model.cells) == 1 and every_dof else 0
-    kind = 0 if kind in (13, 26) else kind  # VTK's wedges are not drawn
-    cells = model.cells[kind] if kind else np.zeros((0, 1), dtype=int)
-    highest = dofs.max(axis=1)
-    used = highest >= 0
-    used[cells] = True
-    owner = np.array(comm.allgather(stop)).searchsorted(highest, side="right")
-    every = np.lexsort((np.arange(len(dofs)), np.where(highest < 0, 0, owner)))
-    every = every[used[every]]
-    number = np.empty(len(dofs), dtype=int)
-    number[every] = np.arange(len(every))
-    own = every[np.where(highest[every] < 0, 0, owner[every]) == comm.rank]
-    mine = number[cells] if comm.rank == 0 else np.zeros((0, cells.shape[1]), dtype=int)
-    return Nodes(model.points[own], dofs[own], mine, kind)
+def _own_nodes(model: Model, node_dofs: np.ndarray, start: int, stop: int, comm: MPI.Comm) -> Nodes:
+    """Return the nodes of this rank.
+
+    A rank has the nodes of its dofs; rank 0 also has nodes without dofs. Cells are kept if all have
+    one drawable kind, and nodes carry all dofs.
+    """
+    has_all_dofs = int(np.count_nonzero(node_dofs >= 0)) == comm.allreduce(stop - start)
+    vtk_type = next(iter(model.cells)) if len(model.cells) == 1 and has_all_dofs else 0
+    vtk_type = 0 if vtk_type in (13, 26) else vtk_type  # VTK's wedges are not drawn
+    cells = model.cells[vtk_type] if vtk_type else np.zeros((0, 1), dtype=int)
+    highest_rows = node_dofs.max(axis=1)
+    is_used = highest_rows >= 0
+    is_used[cells] = True
+    owner = np.array(comm.allgather(stop)).searchsorted(highest_rows, side="right")
+    node_order = np.lexsort((np.arange(len(node_dofs)), np.where(highest_rows < 0, 0, owner)))
+    node_order = node_order[is_used[node_order]]
+    new_numbers = np.empty(len(node_dofs), dtype=int)
+    new_numbers[node_order] = np.arange(len(node_order))
+    own_nodes = node_order[
+        np.where(highest_rows[node_order] < 0, 0, owner[node_order]) == comm.rank
+    ]
+    own_cells = new_numbers[cells] if comm.rank == 0 else np.zeros((0, cells.shape[1]), dtype=int)
+    return Nodes(model.points[own_nodes], node_dofs[own_nodes], own_cells, vtk_type)
 
 
-def _per_pair(name: str, given: float | str, pairs: int) -> Any:
-    """Return one number for all pairs, or read from a file one for each."""
-    if not isinstance(given, str):
-        return given
-    return read_whole_matrix(name, Path(given), pairs).toarray().ravel() if pairs else 0.0
+def _read_per_pair(name: str, setting: float | str, n_pairs: int) -> Any:
+    """Return a number for all pairs, or a file's number for each."""
+    if not isinstance(setting, str):
+        return setting
+    return read_whole_matrix(name, Path(setting), n_pairs).toarray().ravel() if n_pairs else 0.0
 
 
-def count_pairs(table: Table) -> int:
-    """Number of contact pairs of a scene's table ``[structure]``, at most; 0 if its files are
-    unusable."""
+def count_pairs(table: StructureTable) -> int:
+    """Return the maximum number of pairs in a table ``[structure]``.
+
+    Unusable files give 0.
+    """
     path = table.gap or table.model
     if path is None:
         return 0
@@ -222,8 +277,8 @@ def count_pairs(table: Table) -> int:
         with reading("structure.gap", path, "a file that can be read"):
             if table.gap is not None:
                 return read_matrix_market_shape(Path(table.gap))[1]
-            return len(coincident(read_model(Path(path)).points))
-    except InputError:  # who reads it will say why
+            return len(find_coincident_nodes(read_model(Path(path)).points))
+    except InputError:  # the reader reports the reason
         return 0
 
 
@@ -231,13 +286,12 @@ def count_pairs(table: Table) -> int:
 
 
 def write_matrices(structure: Structure, folder: str | Path, scene: Scene | None = None) -> None:
-    """Write the matrices of a structure as Matrix Market files, with a scene that reads them
-    (collective).
+    """Write matrices as Matrix Market files, with a scene (collective).
 
-    Files are named as the keys of the table ``[structure]``: ``mass.mtx``. What a structure does
-    not have is no file: pairs, tangential gaps, areas. Of one that rotates the stiffness and the
-    mean load are those at its speed. Modal damping becomes a matrix for other programs up to
-    3,000 dofs; the scene has its ratios and the number of damped modes.
+    The scene reads the files. They are named like the keys of ``[structure]``: ``mass.mtx``.
+    Without pairs, tangential gaps or areas there is no such file. A rotating structure has the
+    stiffness and mean load at its speed. Up to 3,000 dofs, modal damping is also written as a
+    matrix for other programs. The scene has its ratios and the number of damped modes.
 
     Parameters
     ----------
@@ -246,8 +300,8 @@ def write_matrices(structure: Structure, folder: str | Path, scene: Scene | None
     folder : path
         Earlier files of these names are replaced, and kept in its folder ``before``.
     scene : Scene, optional
-        Its frequency, contact, harmonic balance and reduction complete ``matrices.toml``; without
-        it ``[excitation]`` and ``[contact]`` have to be added.
+        Its frequency, contact, harmonic balance and reduction complete ``matrices.toml``.
+        Without it, ``[excitation]`` and ``[contact]`` have to be added.
 
     Raises
     ------
@@ -259,8 +313,8 @@ def write_matrices(structure: Structure, folder: str | Path, scene: Scene | None
     >>> fc.write_matrices(structure, "matrices", scene)
     """
     if structure.whole is not structure:
-        allowed = "one that is not reduced: fc.build_structure(scene), or structure.whole"
-        raise InputError("structure", repr(structure), allowed)
+        requirement = "one that is not reduced: fc.build_structure(scene), or structure.whole"
+        raise InputError("structure", repr(structure), requirement)
     comm, force, damping = structure.comm, structure.force, structure.damping_matrix
     rows: dict[str, Any] = {
         "mass": local_rows(structure.mass),
@@ -269,38 +323,47 @@ def write_matrices(structure: Structure, folder: str | Path, scene: Scene | None
         **dict(zip(FORCES, (force[:1].T, force[1::2].T, force[2::2].T), strict=True)),
     }
     if structure.n_pairs:
-        own = slice(None if comm.rank == 0 else 0)  # every rank has all pairs
+        rank_rows = slice(None if comm.rank == 0 else 0)  # every rank has all pairs: write once
         rows |= {"gap": structure.gap, "tangential": structure.tangential}
-        rows["clearance"] = structure.clearance[own, None]
+        rows["clearance"] = structure.clearance[rank_rows, None]
         areas = structure.pair_areas
-        rows["areas"] = None if areas is None else areas[own, None]
-    given = {name: sparse.csr_matrix(part) for name, part in rows.items() if part is not None}
-    parts = {name: comm.gather(part) for name, part in given.items()}
-    text = _scene_of_files(structure, {name: f"{name}.mtx" for name in parts}, scene)
+        rows["areas"] = None if areas is None else areas[rank_rows, None]
+    matrices = {name: sparse.csr_matrix(part) for name, part in rows.items() if part is not None}
+    gathered_parts = {name: comm.gather(part) for name, part in matrices.items()}
+    scene_text = _scene_text(structure, {name: f"{name}.mtx" for name in gathered_parts}, scene)
 
-    def work() -> None:
-        whole = {name: sparse.vstack(part) for name, part in parts.items()}
-        if isinstance(structure.damping, ModalDamping) and structure.n_dofs <= MOST_DENSE:
-            squares, shapes = eigh(whole["stiffness"].toarray(), whole["mass"].toarray())
-            count = check_damped_modes(structure)
-            rate = structure.damping.rate(squares[:count])
-            damped = whole["mass"] @ shapes[:, :count] * np.sqrt(rate)
-            whole["damping"] = sparse.csr_matrix(damped @ damped.T)
-        texts = {f"{name}.mtx": format_matrix_market(matrix) for name, matrix in whole.items()}
-        replace_files(WRITTEN, Path(folder), texts | {SCENE: text})
+    def write_files() -> None:
+        """Write the gathered matrices, on rank 0."""
+        full_matrices = {name: sparse.vstack(part) for name, part in gathered_parts.items()}
+        if isinstance(structure.damping, ModalDamping) and structure.n_dofs <= MAX_DENSE_DOFS:
+            squares, shapes = eigh(
+                full_matrices["stiffness"].toarray(), full_matrices["mass"].toarray()
+            )
+            n_damped = check_damped_modes(structure)
+            rate = structure.damping.rate(squares[:n_damped])
+            damping_factors = full_matrices["mass"] @ shapes[:, :n_damped] * np.sqrt(rate)
+            full_matrices["damping"] = sparse.csr_matrix(damping_factors @ damping_factors.T)
+        texts = {
+            f"{name}.mtx": format_matrix_market(matrix) for name, matrix in full_matrices.items()
+        }
+        replace_files(OUTPUT_FILES, Path(folder), texts | {SCENE_FILE: scene_text})
 
-    on_root(comm, work)
+    on_root(comm, write_files)
 
 
-def _scene_of_files(structure: Structure, files: dict[str, str], scene: Scene | None) -> str:
-    """The text of a scene that reads files and is solved as another one; without one it lacks
-    [excitation] and [contact]."""
+def _scene_text(structure: Structure, files: dict[str, str], scene: Scene | None) -> str:
+    """Return the text of a scene that reads the files.
+
+    The result is solved like ``scene``. Without a scene, [excitation] and [contact] are missing.
+    """
     tables: dict[str, Any] = {}
-    rule = structure.damping or RayleighDamping()
-    if isinstance(rule, DampingRule):
-        tables["damping"] = Damping(**{k: v for k, v in vars(rule).items() if v is not None})
+    damping_rule = structure.damping or RayleighDamping()
+    if isinstance(damping_rule, DampingRule):
+        tables["damping"] = Damping(
+            **{field: value for field, value in vars(damping_rule).items() if value is not None}
+        )
         files = {name: file for name, file in files.items() if name != "damping"}
-    tables["structure"] = Table(**files)
+    tables["structure"] = StructureTable(**files)
     if scene is None:
         return "\n".join(table.as_toml() for table in tables.values())
     contact = scene.contact and replace(scene.contact, pairs="all")
@@ -309,279 +372,393 @@ def _scene_of_files(structure: Structure, files: dict[str, str], scene: Scene | 
         **tables,
         excitation=Excitation(**{key: getattr(scene.excitation, key)}),
         contact=contact if structure.n_pairs else None,
-        harmonic_balance=replace(scene.harmonic_balance),  # what is derived, too
+        harmonic_balance=replace(scene.harmonic_balance),  # with derived values
         reduction=scene.reduction,
     ).as_toml()
 
 
 # --- contact pairs of a model ---------------------------------------------------------------------
 
-SIDES = {
+FACETS_BY_SHAPE = {
     4: [FACETS[4]], 8: [FACETS[8]],
     6: [np.array([[0, 1, 2], [3, 4, 5]]), np.array([[0, 1, 4, 3], [1, 2, 5, 4], [2, 0, 3, 5]])],
 }  # fmt: skip
-"""Facets of a cell by the number of its corners, triangles and quadrilaterals apart."""
-CORNERS = {10: 4, 24: 4, 13: 6, 26: 6, 12: 8, 25: 8}
-"""Number of corners of a cell, by VTK's number of its kind."""
-EDGES = {
+"""Facets of a cell by its number of corners: triangles, then quadrilaterals."""
+N_CORNERS = {10: 4, 24: 4, 13: 6, 26: 6, 12: 8, 25: 8}
+"""Number of corners of a cell, by VTK's cell type."""
+CELL_EDGES = {
     4: [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)],
     6: [(0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3), (0, 3), (1, 4), (2, 5)],
     8: [*((i, (i + 1) % 4) for i in range(4)), *((4 + i, 4 + (i + 1) % 4) for i in range(4)),
         *((i, 4 + i) for i in range(4))],
 }  # fmt: skip
-"""Edges between the corners of a cell, in the order of the nodes in their middles (VTK's)."""
+"""Edges between a cell's corners, in VTK's order of middle nodes."""
 
 
-def coincident(points: np.ndarray) -> np.ndarray:
-    """Nodes in the same place, two by two: (n, 2)."""
-    from scipy.spatial import cKDTree  # takes a while, for models from elsewhere alone
+def find_coincident_nodes(points: np.ndarray) -> np.ndarray:
+    """Return pairs of coincident nodes: (n, 2) int."""
+    from scipy.spatial import cKDTree  # slow to import, and only foreign models need it
 
-    near = SAME * float(np.ptp(points, axis=0).max())
-    found = cKDTree(points).query_pairs(near, output_type="ndarray")
-    return np.asarray(found[np.lexsort(found.T[::-1])])
+    tolerance = POSITION_TOLERANCE * float(np.ptp(points, axis=0).max())
+    node_pairs = cKDTree(points).query_pairs(tolerance, output_type="ndarray")
+    return np.asarray(node_pairs[np.lexsort(node_pairs.T[::-1])])
 
 
-class _Lips:
-    """Nodes of a model that exist twice and are not joined, and what surrounds them.
+class _TwinNodes:
+    """Coincident nodes of a model that are not connected, and their surroundings.
 
-    ``points`` (n, 3) of all nodes, and their ``dofs`` (n, 3), of so many ``rows``; ``first`` and
-    ``second``: the two nodes of each pair; ``split``: the pair of each node, -1 where it has none;
-    ``place``: a number for each place; ``joined``: which nodes the stiffness joins; ``torn``: nodes
-    of a place where one of two has no dofs, held or tied by equations.
+    Attributes
+    ----------
+    points : (n_nodes, 3) [m]
+        Positions of all nodes.
+    dofs : (n_nodes, 3) int
+        Rows of the nodes.
+    n_dofs : int
+        Number of rows.
+    first_nodes, second_nodes : (n_pairs,) int
+        Both nodes of each pair.
+    pair_index : (n_nodes,) int
+        Pair of each node, or -1.
+    place_labels : (n_nodes,) int
+        Equal for coincident nodes.
+    connectivity : (n_nodes, n_nodes) bool
+        True if the stiffness connects two nodes.
+    has_held_twin : (n_nodes,) bool
+        True for two coincident nodes if only one has dofs. The other is held, or tied by
+        equations.
     """
 
     def __init__(self, model: Model, dofs: np.ndarray, stiffness: sparse.csr_matrix) -> None:
-        n, pairs = len(dofs), coincident(model.points)
-        self.points, self.dofs, self.rows = model.points, dofs, stiffness.shape[0]
-        node = np.full(self.rows, n)
-        node[dofs[dofs >= 0]] = np.nonzero(dofs >= 0)[0]
+        n_nodes, node_pairs = len(dofs), find_coincident_nodes(model.points)
+        self.points, self.dofs, self.n_dofs = model.points, dofs, stiffness.shape[0]
+        node_of_row = np.full(self.n_dofs, n_nodes)
+        node_of_row[dofs[dofs >= 0]] = np.nonzero(dofs >= 0)[0]
         entries = stiffness.tocoo()
-        at = node[entries.row].astype(np.int64), node[entries.col]
-        links = np.ones(len(entries.data), bool), at
-        self.joined = sparse.csr_matrix(links, (n + 1, n + 1))[:n, :n]
-        free = np.any(dofs >= 0, axis=1)
-        both = free[pairs].all(axis=1) & ~np.isin(n * pairs[:, 0] + pairs[:, 1], n * at[0] + at[1])
-        self.place = np.arange(n)
-        self.place[pairs[:, 1]] = pairs[:, 0]
-        self.torn = np.zeros(n, dtype=bool)
-        self.torn[pairs[free[pairs[:, 0]] != free[pairs[:, 1]]]] = True
-        self.first, self.second = pairs[both].T
-        nodes, uses = np.unique(np.append(self.first, self.second), return_counts=True)
-        if np.any(uses > 1):
-            most = nodes[np.argmax(uses)]
-            where = f"{format_point(model.points[most], 'g')}, one of them {model.labels[most]}"
-            allowed = "one with two nodes at each place of a crack: cracks neither branch nor cross"
-            raise InputError("model", f"more than two nodes at {where}", allowed)
-        if not len(self.first):
-            found = f"{len(pairs)} nodes in the same place as another, all of them joined or held"
-            raise InputError("model", found, "one with two nodes at each place of a crack's faces")
-        self.split = np.full(n, -1)
-        self.split[self.first] = self.split[self.second] = np.arange(len(self.first))
+        node_links = node_of_row[entries.row].astype(np.int64), node_of_row[entries.col]
+        graph = np.ones(len(entries.data), bool), node_links
+        self.connectivity = sparse.csr_matrix(graph, (n_nodes + 1, n_nodes + 1))[:n_nodes, :n_nodes]
+        is_free = np.any(dofs >= 0, axis=1)
+        is_pair = is_free[node_pairs].all(axis=1) & ~np.isin(
+            n_nodes * node_pairs[:, 0] + node_pairs[:, 1], n_nodes * node_links[0] + node_links[1]
+        )
+        self.place_labels = np.arange(n_nodes)
+        self.place_labels[node_pairs[:, 1]] = node_pairs[:, 0]
+        self.has_held_twin = np.zeros(n_nodes, dtype=bool)
+        self.has_held_twin[node_pairs[is_free[node_pairs[:, 0]] != is_free[node_pairs[:, 1]]]] = (
+            True
+        )
+        self.first_nodes, self.second_nodes = node_pairs[is_pair].T
+        nodes, counts = np.unique(
+            np.append(self.first_nodes, self.second_nodes), return_counts=True
+        )
+        if np.any(counts > 1):
+            worst_node = nodes[np.argmax(counts)]
+            place_text = format_point(model.points[worst_node], "g")
+            place_text += f", one of them {model.labels[worst_node]}"
+            requirement = (
+                "one with two nodes at each place of a crack: cracks neither branch nor cross"
+            )
+            raise InputError("model", f"more than two nodes at {place_text}", requirement)
+        if not len(self.first_nodes):
+            problem = (
+                f"{len(node_pairs)} nodes in the same place as another, all of them joined or held"
+            )
+            raise InputError(
+                "model", problem, "one with two nodes at each place of a crack's faces"
+            )
+        self.pair_index = np.full(n_nodes, -1)
+        self.pair_index[self.first_nodes] = self.pair_index[self.second_nodes] = np.arange(
+            len(self.first_nodes)
+        )
 
 
 def find_pairs(
-    model: Model, dofs: np.ndarray, stiffness: sparse.csr_matrix, *, turns: bool
+    model: Model, dofs: np.ndarray, stiffness: sparse.csr_matrix, *, has_rotations: bool
 ) -> tuple[sparse.csr_matrix, Pairs]:
-    """Pairs of a model, crack by crack, from the front to the mouth: B and where they are.
+    """Find a model's pairs, crack by crack, from front to mouth.
 
     Parameters
     ----------
     model : Model
         With (n,) nodes.
     dofs : (n, 3) int
-        Rows of the stiffness along x, y, z; -1 where there is none.
+        Rows of the stiffness along x, y, z, or -1.
     stiffness : (n_dofs, n_dofs)
-        Says which nodes are joined.
-    turns : bool
-        True if nodes turn, as those of shells, whose cracks are lines.
+        Shows connections between nodes.
+    has_rotations : bool
+        True if nodes have rotations, as in shells. Their cracks are lines.
+
+    Returns
+    -------
+    gap : (n_dofs, n_pairs)
+        B.
+    pairs : Pairs
+        Positions, areas and cracks of the pairs.
 
     Raises
     ------
     InputError
-        There are no two nodes in the same place, or three; or they do not tell a crack's sides.
+        There are no coincident nodes, three of them coincide, or a crack's sides cannot be told
+        apart.
     """
-    lips = _Lips(model, dofs, stiffness)
-    facets = _lip_facets(model, lips)
+    twins = _TwinNodes(model, dofs, stiffness)
+    facets = _crack_face_facets(model, twins)
     if facets:
-        gap, areas, chosen, fronts = _of_patches(lips, facets)
+        gap, areas, pair_index, front_nodes = _patch_gaps(twins, facets)
     else:
-        flat = not turns and np.all(np.any(dofs >= 0, axis=0))
-        gap, fronts = _of_nodes(lips, 2 if flat else 1)
-        areas, chosen = None, np.arange(len(lips.first))
-    points = model.points[lips.first[chosen]]
-    cracks = _cracks(lips, chosen)
-    positions = np.zeros(len(chosen))
-    if len(fronts):
+        is_plane = not has_rotations and np.all(np.any(dofs >= 0, axis=0))
+        gap, front_nodes = _nodal_gaps(twins, 2 if is_plane else 1)
+        areas, pair_index = None, np.arange(len(twins.first_nodes))
+    points = model.points[twins.first_nodes[pair_index]]
+    crack_index = _number_cracks(twins, pair_index)
+    positions = np.zeros(len(pair_index))
+    if len(front_nodes):
         from scipy.spatial import cKDTree
 
-        positions = cKDTree(model.points[fronts]).query(points)[0]
-    order = np.lexsort((positions, cracks))
-    cracks, positions = cracks[order], positions[order]
-    last = np.flatnonzero(np.append(np.diff(cracks), 1))
-    names = [f"the mouth of crack {n + 1}" if len(last) > 1 else "the mouth" for n in cracks[last]]
+        positions = cKDTree(model.points[front_nodes]).query(points)[0]
+    order = np.lexsort((positions, crack_index))
+    crack_index, positions = crack_index[order], positions[order]
+    mouth_pairs = np.flatnonzero(np.append(np.diff(crack_index), 1))
+    names = [
+        f"the mouth of crack {number + 1}" if len(mouth_pairs) > 1 else "the mouth"
+        for number in crack_index[mouth_pairs]
+    ]
     pairs = Pairs(
-        points[order], None if areas is None else areas[order], cracks, positions,
-        dict(zip(names, last.tolist(), strict=True)),
+        points[order], None if areas is None else areas[order], crack_index, positions,
+        dict(zip(names, mouth_pairs.tolist(), strict=True)),
     )  # fmt: skip
     return gap[:, order], pairs
 
 
-def _cracks(lips: _Lips, chosen: np.ndarray) -> np.ndarray:
-    """The crack of each pair, from bottom to top: pairs whose nodes are joined are of one."""
+def _number_cracks(twins: _TwinNodes, pair_index: np.ndarray) -> np.ndarray:
+    """Return the crack of each pair, numbered from bottom to top: (n_pairs,) int.
+
+    Pairs with connected nodes are on one crack.
+    """
     from scipy.sparse.csgraph import connected_components
 
-    one, other = lips.first[chosen], lips.second[chosen]  # either may be the lower one
-    straight = lips.joined[one][:, one].multiply(lips.joined[other][:, other])
-    links = straight + lips.joined[one][:, other].multiply(lips.joined[other][:, one])
-    count, found = connected_components(links)
-    centres = [lips.points[one[found == crack]].mean(axis=0)[[1, 0, 2]] for crack in range(count)]
-    rank = np.empty(count, dtype=int)
-    rank[sorted(range(count), key=lambda crack: tuple(centres[crack]))] = np.arange(count)
-    return np.asarray(rank[found])
+    # A first node may be on either face.
+    first_nodes, second_nodes = twins.first_nodes[pair_index], twins.second_nodes[pair_index]
+    straight_links = twins.connectivity[first_nodes][:, first_nodes].multiply(
+        twins.connectivity[second_nodes][:, second_nodes]
+    )
+    links = straight_links + twins.connectivity[first_nodes][:, second_nodes].multiply(
+        twins.connectivity[second_nodes][:, first_nodes]
+    )
+    n_cracks, crack_labels = connected_components(links)
+    centres = [
+        twins.points[first_nodes[crack_labels == crack]].mean(axis=0)[[1, 0, 2]]
+        for crack in range(n_cracks)
+    ]
+    rank = np.empty(n_cracks, dtype=int)
+    rank[sorted(range(n_cracks), key=lambda crack: tuple(centres[crack]))] = np.arange(n_cracks)
+    return np.asarray(rank[crack_labels])
 
 
 # --- of facets ------------------------------------------------------------------------------------
 
 Facets = tuple[np.ndarray, np.ndarray]
-"""Nodes of facets, corners and then those in the middle of edges (-1: none), (m, 2 k); and the
-middles of their cells, (m, 3)."""
+"""Nodes of facets and centres of their cells.
+
+Nodes are (m, 2 k): corners, then middle nodes of edges, or -1. Centres are (m, 3).
+"""
 
 
-def _lip_facets(model: Model, lips: _Lips) -> list[Facets]:
-    """Facets of one cell alone that lie on another one, triangles and quadrilaterals apart."""
+def _crack_face_facets(model: Model, twins: _TwinNodes) -> list[Facets]:
+    """Return the facets on crack faces: triangles, then quadrilaterals.
+
+    Such a facet belongs to one cell, and coincides with another facet.
+    """
     facets = []
-    for corners in (3, 4):
+    for n_corners in (3, 4):
         parts = [
-            _facets(model.points, cells, CORNERS[kind], own)
+            _cell_facets(model.points, cells, N_CORNERS[kind], local_facets)
             for kind, cells in model.cells.items()
-            for own in SIDES[CORNERS[kind]]
-            if own.shape[1] == corners
+            for local_facets in FACETS_BY_SHAPE[N_CORNERS[kind]]
+            if local_facets.shape[1] == n_corners
         ]
         if not parts:
             continue
-        nodes, middles = (np.concatenate(both) for both in zip(*parts, strict=True))
-        alone = _uses(nodes[:, :corners]) == 1
-        twice = alone.copy()
-        twice[alone] = _uses(lips.place[nodes[alone, :corners]]) == 2
-        twice &= np.any(lips.split[nodes[:, :corners]] >= 0, axis=1)
-        twice &= ~np.any(lips.torn[nodes] & (nodes >= 0), axis=1)
-        if np.any(twice):
-            facets.append((nodes[twice], middles[twice]))
+        nodes, cell_centres = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+        is_boundary = _count_rows(nodes[:, :n_corners]) == 1
+        is_on_crack = is_boundary.copy()
+        is_on_crack[is_boundary] = (
+            _count_rows(twins.place_labels[nodes[is_boundary, :n_corners]]) == 2
+        )
+        is_on_crack &= np.any(twins.pair_index[nodes[:, :n_corners]] >= 0, axis=1)
+        is_on_crack &= ~np.any(twins.has_held_twin[nodes] & (nodes >= 0), axis=1)
+        if np.any(is_on_crack):
+            facets.append((nodes[is_on_crack], cell_centres[is_on_crack]))
     return facets
 
 
-def _facets(points: np.ndarray, cells: np.ndarray, corners: int, facets: np.ndarray) -> Facets:
+def _cell_facets(
+    points: np.ndarray, cells: np.ndarray, n_corners: int, local_facets: np.ndarray
+) -> Facets:
     """Return the facets of all cells of a kind."""
-    k = facets.shape[1]
-    middle = {frozenset(edge): corners + i for i, edge in enumerate(EDGES[corners])}
-    ends = np.stack([facets, np.roll(facets, -1, axis=1)], axis=2)
-    own = np.array([[middle[frozenset(edge)] for edge in facet] for facet in ends.tolist()])
-    nodes = np.full((len(cells), len(facets), 2 * k), -1)
-    nodes[..., :k] = cells[:, facets]
-    if cells.shape[1] > corners:
-        nodes[..., k:] = cells[:, own]
-    centres = np.repeat(points[cells[:, :corners]].mean(axis=1), len(facets), axis=0)
+    k = local_facets.shape[1]
+    middle_columns = {
+        frozenset(edge): n_corners + edge_index
+        for edge_index, edge in enumerate(CELL_EDGES[n_corners])
+    }
+    edge_ends = np.stack([local_facets, np.roll(local_facets, -1, axis=1)], axis=2)
+    facet_middles = np.array(
+        [[middle_columns[frozenset(edge)] for edge in facet] for facet in edge_ends.tolist()]
+    )
+    nodes = np.full((len(cells), len(local_facets), 2 * k), -1)
+    nodes[..., :k] = cells[:, local_facets]
+    if cells.shape[1] > n_corners:
+        nodes[..., k:] = cells[:, facet_middles]
+    centres = np.repeat(points[cells[:, :n_corners]].mean(axis=1), len(local_facets), axis=0)
     return nodes.reshape(-1, 2 * k), centres
 
 
-def _uses(rows: np.ndarray) -> np.ndarray:
-    """Count each row, in any order, among all rows."""
-    _, which, uses = each_once(rows)
-    return np.asarray(uses[which])
+def _count_rows(rows: np.ndarray) -> np.ndarray:
+    """Count each row among all rows: (n,) int.
+
+    The order of nodes in a row does not matter.
+    """
+    _, unique_index, counts = find_unique_rows(rows)
+    return np.asarray(counts[unique_index])
 
 
-def _facet_basis(corners: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """At points of a facet, with their weights: the linear basis, that of the nodes in the middle
-    of its edges, and the derivatives of the former; by Gauss' rule, exact for degree 5."""
-    at, weights = (0.5 * x for x in np.polynomial.legendre.leggauss(3))
-    r, s = (x.ravel() for x in np.meshgrid(at + 0.5, at + 0.5))
-    share = np.outer(weights, weights).ravel()
-    if corners == 3:
-        s, share = s * (1.0 - r), share * (1.0 - r)
+def _facet_basis(n_corners: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Evaluate the basis functions of a facet at Gauss points.
+
+    The rule is exact for degree 5.
+
+    Returns
+    -------
+    weighted_functions : (2, k, n_points)
+        Linear basis, and the basis of edge middles, times the weights.
+    linear : (k, n_points)
+        Linear basis.
+    slopes : (2, k, n_points)
+        Derivatives of the linear basis.
+    """
+    points, weights = (0.5 * coordinates for coordinates in np.polynomial.legendre.leggauss(3))
+    r, s = (coordinates.ravel() for coordinates in np.meshgrid(points + 0.5, points + 0.5))
+    point_weights = np.outer(weights, weights).ravel()
+    if n_corners == 3:
+        s, point_weights = s * (1.0 - r), point_weights * (1.0 - r)
         linear = np.array([1.0 - r - s, r, s])
         slopes = np.broadcast_to([[[-1.0], [1.0], [0.0]], [[-1.0], [0.0], [1.0]]], (2, 3, len(r)))
-        between = 4.0 * linear * np.roll(linear, -1, axis=0)
+        edge_functions = 4.0 * linear * np.roll(linear, -1, axis=0)
     else:
         linear = np.array([(1 - r) * (1 - s), r * (1 - s), r * s, (1 - r) * s])
         slopes = np.array([[s - 1, 1 - s, s, -s], [r - 1, -r, r, 1 - r]])
         ends = linear, np.roll(linear, -1, axis=0)
-        between = 4.0 * ends[0] * ends[1] / (ends[0] + ends[1])
-    return share * np.stack([linear, between]), linear, slopes
+        edge_functions = 4.0 * ends[0] * ends[1] / (ends[0] + ends[1])
+    return point_weights * np.stack([linear, edge_functions]), linear, slopes
 
 
-def _of_patches(
-    lips: _Lips, facets: list[Facets]
+def _patch_gaps(
+    twins: _TwinNodes, facets: list[Facets]
 ) -> tuple[sparse.csr_matrix, np.ndarray, np.ndarray, np.ndarray]:
-    """B, the areas, the pairs of nodes at which patches are, and the nodes of the fronts."""
-    n_pairs, corners = len(lips.first), [nodes[:, : nodes.shape[1] // 2] for nodes, _ in facets]
-    there = np.unique(np.concatenate([nodes.ravel() for nodes in corners]))
-    fronts, split = there[lips.split[there] < 0], lips.split.copy()
-    split[fronts] = n_pairs + np.arange(len(fronts))  # whose patches go to their neighbours
+    """Assemble the gaps of patches.
+
+    Returns
+    -------
+    gap : (n_dofs, n)
+        B.
+    areas : (n,) [m^2]
+        Areas of the patches.
+    pair_index : (n,) int
+        Pair of nodes at each patch.
+    front_nodes : (m,) int
+        Nodes of the fronts.
+    """
+    n_pairs = len(twins.first_nodes)
+    corner_nodes = [nodes[:, : nodes.shape[1] // 2] for nodes, _ in facets]
+    face_nodes = np.unique(np.concatenate([nodes.ravel() for nodes in corner_nodes]))
+    front_nodes = face_nodes[twins.pair_index[face_nodes] < 0]
+    patch_index = twins.pair_index.copy()
+    # Patches of front nodes go to their neighbours.
+    patch_index[front_nodes] = n_pairs + np.arange(len(front_nodes))
     entries: list[tuple[np.ndarray, ...]] = []
     overlaps: list[tuple[np.ndarray, ...]] = []
-    areas = np.zeros(n_pairs + len(fronts))
-    for nodes, middles in facets:
+    areas = np.zeros(n_pairs + len(front_nodes))
+    for nodes, cell_centres in facets:
         k = nodes.shape[1] // 2
-        (linear, between), psi, slopes = _facet_basis(k)
-        here = lips.points[nodes[:, :k]]
-        one, two = np.einsum("akq,fkx->afqx", slopes, here)
-        normal = np.cross(one, two)
-        inwards = np.einsum("fqx,fx->f", normal, here.mean(axis=1) - middles) < 0.0
-        normal[inwards] *= -1.0
-        size = np.linalg.norm(normal, axis=2)
-        pair = split[nodes[:, :k]]
-        np.add.at(areas, pair, 0.5 * np.einsum("kq,fq->fk", linear, size))
-        values = np.einsum("iq,jq,fq->fij", psi, linear, size)
-        both = np.broadcast_arrays(pair[:, :, None], pair[:, None])
-        overlaps.append((values.ravel(), both[0].ravel(), both[1].ravel()))
-        # Quadratic: the linear function less half of those in the middle of its two edges.
-        halves = 0.5 * (between + np.roll(between, 1, axis=0))
-        quadratic = np.all(nodes[:, k:] >= 0, axis=1)[:, None, None]
-        moved = np.einsum("iq,jq,fqx->fijx", psi, linear, normal)
-        moved -= np.einsum("iq,jq,fqx->fijx", psi, halves, normal) * quadratic[..., None]
-        edges = np.einsum("iq,jq,fqx->fijx", psi, between, normal) * quadratic[..., None]
-        values = np.concatenate([moved, edges], axis=2)  # (facet, pressure, node, axis)
-        rows = np.broadcast_to(lips.dofs[nodes][:, None], values.shape)
-        columns = np.broadcast_to(pair[:, :, None, None], values.shape)
-        kept = (rows >= 0) & (values != 0.0)
-        entries.append((values[kept], rows[kept], columns[kept]))
-    values, rows, columns = (np.concatenate(part) for part in zip(*entries, strict=True))
-    made = sparse.csr_matrix((values, (rows, columns)), (lips.rows, len(areas)))
-    values, rows, columns = (np.concatenate(part) for part in zip(*overlaps, strict=True))
-    every = sparse.csr_matrix((values, (rows, columns)), (len(areas), len(areas)))
-    shares = shares_of_neighbours(every[n_pairs:, :n_pairs])
+        (linear, edge_functions), psi, slopes = _facet_basis(k)
+        corner_points = twins.points[nodes[:, :k]]
+        tangent_1, tangent_2 = np.einsum("akq,fkx->afqx", slopes, corner_points)
+        normals = np.cross(tangent_1, tangent_2)
+        is_inward = np.einsum("fqx,fx->f", normals, corner_points.mean(axis=1) - cell_centres) < 0.0
+        normals[is_inward] *= -1.0
+        area_densities = np.linalg.norm(normals, axis=2)
+        facet_patches = patch_index[nodes[:, :k]]
+        np.add.at(areas, facet_patches, 0.5 * np.einsum("kq,fq->fk", linear, area_densities))
+        integrals = np.einsum("iq,jq,fq->fij", psi, linear, area_densities)
+        entry_indices = np.broadcast_arrays(facet_patches[:, :, None], facet_patches[:, None])
+        overlaps.append((integrals.ravel(), entry_indices[0].ravel(), entry_indices[1].ravel()))
+        # A quadratic corner function is the linear one less half of its two edge functions.
+        half_edge_functions = 0.5 * (edge_functions + np.roll(edge_functions, 1, axis=0))
+        is_quadratic = np.all(nodes[:, k:] >= 0, axis=1)[:, None, None]
+        corner_integrals = np.einsum("iq,jq,fqx->fijx", psi, linear, normals)
+        corner_integrals -= (
+            np.einsum("iq,jq,fqx->fijx", psi, half_edge_functions, normals)
+            * is_quadratic[..., None]
+        )
+        edge_integrals = (
+            np.einsum("iq,jq,fqx->fijx", psi, edge_functions, normals) * is_quadratic[..., None]
+        )
+        # Axes: facet, pressure, node, direction.
+        integrals = np.concatenate([corner_integrals, edge_integrals], axis=2)
+        rows = np.broadcast_to(twins.dofs[nodes][:, None], integrals.shape)
+        columns = np.broadcast_to(facet_patches[:, :, None, None], integrals.shape)
+        is_kept = (rows >= 0) & (integrals != 0.0)
+        entries.append((integrals[is_kept], rows[is_kept], columns[is_kept]))
+    integrals, rows, columns = (np.concatenate(arrays) for arrays in zip(*entries, strict=True))
+    gap = sparse.csr_matrix((integrals, (rows, columns)), (twins.n_dofs, len(areas)))
+    integrals, rows, columns = (np.concatenate(arrays) for arrays in zip(*overlaps, strict=True))
+    overlap_matrix = sparse.csr_matrix((integrals, (rows, columns)), (len(areas), len(areas)))
+    shares = distribute_front_pressures(overlap_matrix[n_pairs:, :n_pairs])
     areas = shares.T @ areas
-    chosen = np.flatnonzero(areas)
-    made = (made @ shares)[:, chosen] @ sparse.diags(1.0 / areas[chosen])
-    return made.tocsr(), areas[chosen], chosen, fronts
+    pair_index = np.flatnonzero(areas)
+    gap = (gap @ shares)[:, pair_index] @ sparse.diags(1.0 / areas[pair_index])
+    return gap.tocsr(), areas[pair_index], pair_index, front_nodes
 
 
 # --- of nodes -------------------------------------------------------------------------------------
 
 
-def _of_nodes(lips: _Lips, tangents: int) -> tuple[sparse.csr_matrix, np.ndarray]:
-    """B, and the nodes of the fronts; the crack faces have so many directions along them."""
-    points, gap = lips.points, sparse.lil_matrix((lips.rows, len(lips.first)))
-    fronts: list[np.ndarray] = []
+def _nodal_gaps(twins: _TwinNodes, n_tangents: int) -> tuple[sparse.csr_matrix, np.ndarray]:
+    """Assemble the gaps of pairs of nodes.
+
+    The crack faces have ``n_tangents`` directions.
+
+    Returns
+    -------
+    gap : (n_dofs, n_pairs)
+        B.
+    front_nodes : (m,) int
+        Nodes of the fronts.
+    """
+    points = twins.points
+    gap = sparse.lil_matrix((twins.n_dofs, len(twins.first_nodes)))
+    front_nodes: list[np.ndarray] = []
     size = float(np.ptp(points, axis=0).max())
-    for column, (a, b) in enumerate(zip(lips.first, lips.second, strict=True)):
-        beside = [lips.joined[node].indices for node in (a, b)]
-        fronts.append(np.intersect1d(*beside))
-        around = np.unique(np.concatenate(beside))
-        around = np.append(around[lips.split[around] >= 0], fronts[-1])
-        if len(np.unique(lips.place[around])) <= tangents:
-            around = lips.first
-        spread = points[around] - points[around].mean(axis=0)
-        along = np.linalg.svd(spread, full_matrices=False)[2][:tangents]
-        up = points[beside[1]].mean(axis=0) - points[beside[0]].mean(axis=0)
-        up -= along.T @ (along @ up)
-        if np.linalg.norm(up) <= SAME * size:
-            where = format_point(points[a], "g")
-            allowed = "a crack with a side below and one above, or a model with its elements"
-            raise InputError("model", f"two nodes at {where} that lie on the same side", allowed)
-        up /= np.linalg.norm(up)
+    for column, (a, b) in enumerate(zip(twins.first_nodes, twins.second_nodes, strict=True)):
+        neighbours = [twins.connectivity[node].indices for node in (a, b)]
+        front_nodes.append(np.intersect1d(*neighbours))
+        near_nodes = np.unique(np.concatenate(neighbours))
+        near_nodes = np.append(near_nodes[twins.pair_index[near_nodes] >= 0], front_nodes[-1])
+        if len(np.unique(twins.place_labels[near_nodes])) <= n_tangents:
+            near_nodes = twins.first_nodes
+        offsets = points[near_nodes] - points[near_nodes].mean(axis=0)
+        tangents = np.linalg.svd(offsets, full_matrices=False)[2][:n_tangents]
+        normal = points[neighbours[1]].mean(axis=0) - points[neighbours[0]].mean(axis=0)
+        normal -= tangents.T @ (tangents @ normal)
+        if np.linalg.norm(normal) <= POSITION_TOLERANCE * size:
+            place_text = format_point(points[a], "g")
+            requirement = "a crack with a side below and one above, or a model with its elements"
+            raise InputError(
+                "model", f"two nodes at {place_text} that lie on the same side", requirement
+            )
+        normal /= np.linalg.norm(normal)
         for node, sign in ((a, 1.0), (b, -1.0)):
-            for dof, value in zip(lips.dofs[node], sign * up, strict=True):
-                if dof >= 0 and abs(value) > SAME:
-                    gap[dof, column] = value
-    return gap.tocsr(), np.unique(np.concatenate(fronts))
+            for dof, component in zip(twins.dofs[node], sign * normal, strict=True):
+                if dof >= 0 and abs(component) > POSITION_TOLERANCE:
+                    gap[dof, column] = component
+    return gap.tocsr(), np.unique(np.concatenate(front_nodes))

@@ -1,8 +1,8 @@
-"""Nodes and cells of the input files of other programs: CalculiX, Abaqus, Nastran and Ansys, or a
-table.
+"""Read nodes and cells from other programs' input files, or from a table.
 
-Only what has a place is read: nodes, and the solid elements between them, with nodes in VTK's
-order. What makes nodes in another way than by their coordinates is refused by its name.
+The programs are CalculiX, Abaqus, Nastran and Ansys. Only nodes and solid elements are read, with
+nodes in VTK's order. Keywords that make nodes without stating their coordinates are refused by
+name.
 """
 
 from __future__ import annotations
@@ -18,36 +18,36 @@ import numpy as np
 from fenics_crack.model.matrices import numbered_lines, read_number_rows
 from fenics_crack.scene.fields import LARGEST
 
-VTK = {4: 10, 6: 13, 8: 12, 10: 24, 15: 26, 20: 25}
-"""VTK's number of solid cells by their nodes: tetrahedra, wedges and hexahedra."""
-MAKERS = ("NGEN", "NFILL", "NCOPY", "ELGEN", "ELCOPY", "SYSTEM", "TRANSFORM", "NMAP")
-"""Keywords of CalculiX and Abaqus that make nodes and cells, or turn them."""
-INCLUDE = re.compile(r"\*\s*INCLUDE\b", re.IGNORECASE).match
-"""Include line of CalculiX and Abaqus."""
-SOLIDS = {
+VTK_TYPES = {4: 10, 6: 13, 8: 12, 10: 24, 15: 26, 20: 25}
+"""VTK's type of tetrahedra, wedges and hexahedra, by their number of nodes."""
+GENERATOR_KEYWORDS = ("NGEN", "NFILL", "NCOPY", "ELGEN", "ELCOPY", "SYSTEM", "TRANSFORM", "NMAP")
+"""Keywords of CalculiX and Abaqus that generate nodes and cells, or rotate them."""
+match_include = re.compile(r"\*\s*INCLUDE\b", re.IGNORECASE).match
+"""Match an include line of CalculiX or Abaqus."""
+SOLID_TYPES = {
     5, 45, 46, 62, 64, 65, 72, 73, 92, 95, 98, 185, 186, 187, 190, 191, 215, 216, 217, 220, 221,
     226, 227, 285,
 }  # fmt: skip
-"""Ansys' solid elements; surfaces, contact, shells and springs are in the same blocks."""
-TOPS_LAST = {
+"""Ansys' solid elements. The same blocks also hold surfaces, contact, shells and springs."""
+NASTRAN_NODE_ORDER = {
     15: [*range(9), 12, 13, 14, 9, 10, 11],
     20: [*range(12), 16, 17, 18, 19, 12, 13, 14, 15],
 }
-"""VTK's order of Nastran's nodes, whose upright edges come before those at the top."""
+"""Nastran's nodes in VTK's order. Nastran has vertical edges before the upper edges."""
 
 
 @dataclass(frozen=True)
 class Model:
-    """Nodes and cells.
+    """Nodes and cells of a model.
 
     Attributes
     ----------
     labels : (n,) int
-        Numbers of the nodes, in ascending order.
+        Node labels, in ascending order.
     points : (n, 3)
-        Their positions.
+        Node positions.
     cells : dict of int to (m, k) int
-        By VTK's number of their kind: places of their nodes in ``labels``, in VTK's order.
+        Rows of the cells' nodes in ``labels``, in VTK's order, by VTK's cell type.
     """
 
     labels: np.ndarray
@@ -56,222 +56,286 @@ class Model:
 
 
 def read_model(path: Path) -> Model:
-    """Read nodes and cells: .inp of CalculiX or Abaqus, .bdf, .dat or .nas of Nastran, .cdb of
-    Ansys; of another ending rows of node, x, y, z between commas.
+    """Read nodes and cells from a file.
+
+    The ending tells the format: .inp (CalculiX, Abaqus), .bdf, .dat or .nas (Nastran), .cdb
+    (Ansys). Other files have rows with node, x, y, z between commas.
 
     Raises
     ------
     OSError, ValueError
-        The file cannot be read, or contradicts itself: with its line.
+        The file cannot be read, or contradicts itself. The message names the line.
     """
     nodes: dict[int, tuple[float, ...]] = {}
     cells: dict[int, list[list[int]]] = {}
     try:
-        READERS.get(path.suffix.lower(), _table)(path, nodes, cells)
+        READERS_BY_ENDING.get(path.suffix.lower(), _read_table)(path, nodes, cells)
     except RecursionError:
         raise ValueError("its files include each other") from None
     if not nodes:
         raise ValueError("it has no nodes")
     labels = np.array(sorted(nodes), dtype=np.int64)
     points = np.array([nodes[label] for label in labels.tolist()])
-    made = {}
-    for kind, rows in cells.items():
-        wanted = np.array(rows, dtype=np.int64)
-        places = np.minimum(np.searchsorted(labels, wanted), len(labels) - 1)
-        if np.any(labels[places] != wanted):
-            missing = wanted[labels[places] != wanted][0]
-            raise ValueError(f"an element has node {missing}, which it does not have")
-        made[kind] = places
-    return Model(labels, points, made)
+    vtk_cells = {}
+    for vtk_type, rows in cells.items():
+        label_rows = np.array(rows, dtype=np.int64)
+        node_rows = np.minimum(np.searchsorted(labels, label_rows), len(labels) - 1)
+        if np.any(labels[node_rows] != label_rows):
+            missing_label = label_rows[labels[node_rows] != label_rows][0]
+            raise ValueError(f"an element has node {missing_label}, which it does not have")
+        vtk_cells[vtk_type] = node_rows
+    return Model(labels, points, vtk_cells)
 
 
-def read_with(path: Path) -> list[Path]:
-    """The files that are read with one: the rows of CalculiX's matrices beside them, and what an
-    input file of CalculiX or Abaqus includes."""
+def list_included_files(path: Path) -> list[Path]:
+    """Return the files that are read together with a file.
+
+    CalculiX's matrices have a file for their rows. Input files of CalculiX or Abaqus include
+    others.
+    """
     if path.suffix.lower() in (".sti", ".mas"):
         return [path.with_suffix(".dof")]
-    found = [path] if path.suffix.lower() == ".inp" else []
-    for file in found:  # grows
+    files = [path] if path.suffix.lower() == ".inp" else []
+    for file in files:  # the list grows
         with contextlib.suppress(OSError):
-            own = [_included(file, line) for _, line in numbered_lines(file, "**") if INCLUDE(line)]
-            found += [one for one in own if one not in found]
-    return found[1:]
+            included_files = [
+                _included_path(file, line)
+                for _, line in numbered_lines(file, "**")
+                if match_include(line)
+            ]
+            files += [path for path in included_files if path not in files]
+    return files[1:]
 
 
-def _included(path: Path, line: str) -> Path:
-    """Return the path that a line *INCLUDE, INPUT=... of an input file names."""
+def _included_path(path: Path, line: str) -> Path:
+    """Return the path in a line *INCLUDE, INPUT=... of an input file."""
     return path.parent / line.partition("=")[2].strip().strip('"')
 
 
-Nodes = dict[int, tuple[float, ...]]
-Cells = dict[int, list[list[int]]]
+NodePositions = dict[int, tuple[float, ...]]
+"""Position of each node, by its label."""
+CellLabels = dict[int, list[list[int]]]
+"""Node labels of the cells, by VTK's type."""
 
 
-def _put(nodes: Nodes, number: int, label: int, place: tuple[float, ...]) -> None:
-    if not all(abs(x) <= LARGEST for x in place):
-        raise ValueError(f"line {number}: a coordinate of node {label} is no number to {LARGEST:g}")
-    if nodes.setdefault(label, place) != place:
-        raise ValueError(f"line {number}: two places of node {label}")
+def _add_node(
+    nodes: NodePositions, line_number: int, label: int, position: tuple[float, ...]
+) -> None:
+    """Add a node.
+
+    Raises
+    ------
+    ValueError
+        A coordinate is too large or no number, or the node has another position already.
+    """
+    if not all(abs(x) <= LARGEST for x in position):
+        raise ValueError(
+            f"line {line_number}: a coordinate of node {label} is no number to {LARGEST:g}"
+        )
+    if nodes.setdefault(label, position) != position:
+        raise ValueError(f"line {line_number}: two places of node {label}")
 
 
-def _table(path: Path, nodes: Nodes, cells: Cells) -> None:
-    for number, (label, *place) in enumerate(read_number_rows(path, 4, "#", ",").tolist(), 1):
+def _read_table(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
+    """Read nodes from a table."""
+    for row_number, (label, *coordinates) in enumerate(
+        read_number_rows(path, 4, "#", ",").tolist(), 1
+    ):
         if label % 1 != 0:
-            raise ValueError(f"row {number}: {label:g} is no number of a node")
-        _put(nodes, number, int(label), tuple(place))
+            raise ValueError(f"row {row_number}: {label:g} is no number of a node")
+        _add_node(nodes, row_number, int(label), tuple(coordinates))
 
 
 # --- CalculiX and Abaqus --------------------------------------------------------------------------
 
 
-def _of_abaqus(path: Path, nodes: Nodes, cells: Cells) -> None:
-    keyword, count, row = "", 0, list[int]()
-    for number, line in numbered_lines(path, "**"):
+def _read_abaqus(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
+    """Read nodes and cells from an input file of CalculiX or Abaqus."""
+    keyword, n_nodes, cell_labels = "", 0, list[int]()
+    for line_number, line in numbered_lines(path, "**"):
         try:
             if line.startswith("*"):
                 keyword, *options = (word.strip().upper() for word in line[1:].split(","))
                 parts = (option.partition("=") for option in options)
-                given = {name.strip(): value.strip() for name, _, value in parts}
-                elsewhere = keyword in ("NODE", "ELEMENT") and "INPUT" in given
-                turned = keyword == "NODE" and given.get("SYSTEM", "R") != "R"
-                if keyword in MAKERS or elsewhere or turned:
+                parameters = {name.strip(): value.strip() for name, _, value in parts}
+                is_in_other_file = keyword in ("NODE", "ELEMENT") and "INPUT" in parameters
+                is_in_other_system = keyword == "NODE" and parameters.get("SYSTEM", "R") != "R"
+                if keyword in GENERATOR_KEYWORDS or is_in_other_file or is_in_other_system:
                     raise NotImplementedError
                 if keyword == "INCLUDE":
-                    _of_abaqus(_included(path, line), nodes, cells)
-                kind = given.get("TYPE", "").strip() if keyword == "ELEMENT" else ""
-                match, row = re.match(r"C3D(\d+)", kind), []
-                count = int(match[1]) if match is not None else 0
+                    _read_abaqus(_included_path(path, line), nodes, cells)
+                element_type = parameters.get("TYPE", "").strip() if keyword == "ELEMENT" else ""
+                match, cell_labels = re.match(r"C3D(\d+)", element_type), []
+                n_nodes = int(match[1]) if match is not None else 0
             elif keyword == "INSTANCE" and any(map(float, line.strip().rstrip(",").split(","))):
-                raise NotImplementedError  # moved or turned
+                raise NotImplementedError  # the instance is moved or rotated
             elif keyword == "NODE":
-                label, *place = line.strip().rstrip(",").split(",")
-                spatial = (*map(float, place), 0.0, 0.0)[:3]  # zeros may be left out
-                _put(nodes, number, int(label), spatial)
-            elif keyword == "ELEMENT" and count in VTK:
-                row += map(int, line.strip().rstrip(",").split(","))
-                if len(row) > count:
-                    cells.setdefault(VTK[count], []).append(row[1:])
-                    row = []
+                label, *coordinates = line.strip().rstrip(",").split(",")
+                position = (*map(float, coordinates), 0.0, 0.0)[:3]  # zeros may be left out
+                _add_node(nodes, line_number, int(label), position)
+            elif keyword == "ELEMENT" and n_nodes in VTK_TYPES:
+                cell_labels += map(int, line.strip().rstrip(",").split(","))
+                if len(cell_labels) > n_nodes:
+                    cells.setdefault(VTK_TYPES[n_nodes], []).append(cell_labels[1:])
+                    cell_labels = []
         except NotImplementedError:
-            allowed = "nodes and elements must be written out where they are, with their numbers"
-            raise ValueError(f"{path.name}, line {number}: *{keyword}: {allowed}") from None
+            requirement = (
+                "nodes and elements must be written out where they are, with their numbers"
+            )
+            raise ValueError(
+                f"{path.name}, line {line_number}: *{keyword}: {requirement}"
+            ) from None
         except ValueError as error:
             reason = str(error) if "line" in str(error) else f"{line[:80]!r} of *{keyword}"
-            raise ValueError(f"{path.name}, line {number}: {reason}") from None
+            raise ValueError(f"{path.name}, line {line_number}: {reason}") from None
 
 
 # --- Nastran --------------------------------------------------------------------------------------
 
 
-def _of_nastran(path: Path, nodes: Nodes, cells: Cells) -> None:
-    for number, card in _cards(path):
+def _read_nastran(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
+    """Read nodes and cells from bulk data of Nastran."""
+    for line_number, card in _read_cards(path):
         name, *fields = card
         try:
             if name == "GRID":
                 if fields[1] not in ("", "0") or (fields[5:6] or [""])[0] not in ("", "0"):
                     raise ValueError
-                place = tuple(_number(field) for field in (*fields[2:5], "", "")[:3])
-                _put(nodes, number, int(fields[0]), place)
+                position = tuple(_parse_real(field) for field in (*fields[2:5], "", "")[:3])
+                _add_node(nodes, line_number, int(fields[0]), position)
             elif name.startswith("INCLUDE") or (
                 name == "GRDSET" and any(field.strip("0") for field in fields[1:6:4])
             ):
                 raise NotImplementedError
             elif name in ("CTETRA", "CPENTA", "CHEXA"):
-                own = [int(field) for field in fields[2:] if field]
-                order = TOPS_LAST.get(len(own), range(len(own)))
-                cells.setdefault(VTK[len(own)], []).append([own[place] for place in order])
+                labels = [int(field) for field in fields[2:] if field]
+                order = NASTRAN_NODE_ORDER.get(len(labels), range(len(labels)))
+                cells.setdefault(VTK_TYPES[len(labels)], []).append(
+                    [labels[index] for index in order]
+                )
         except (ValueError, KeyError, IndexError):
-            allowed = "a GRID in the basic coordinate system" if name == "GRID" else "a solid"
-            raise ValueError(f"line {number}: {card} is not {allowed}") from None
+            requirement = "a GRID in the basic coordinate system" if name == "GRID" else "a solid"
+            raise ValueError(f"line {line_number}: {card} is not {requirement}") from None
         except NotImplementedError:
-            allowed = "nodes and elements must be in this file, in the basic coordinate system"
-            raise ValueError(f"line {number}: {name}: {allowed}") from None
+            requirement = "nodes and elements must be in this file, in the basic coordinate system"
+            raise ValueError(f"line {line_number}: {name}: {requirement}") from None
 
 
-def _number(field: str) -> float:
-    """A real, in which the E of the exponent may be left out: "1.5-3"."""
+def _parse_real(field: str) -> float:
+    """Parse a real number whose exponent may lack its E: "1.5-3"."""
     return float(re.sub(r"(?<=[\d.])([+-]\d+)$", r"E\1", field.upper().replace("D", "E")) or 0.0)
 
 
-def _cards(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Entries of bulk data with the number of their first line: names, and fields of 8 or 16
-    characters or between commas, those of continuations too."""
-    first, card = 0, list[str]()
-    for number, line in numbered_lines(path, "$"):
+def _read_cards(path: Path) -> Iterator[tuple[int, list[str]]]:
+    """Yield the entries of bulk data.
+
+    Fields have 8 or 16 characters, or stand between commas. Fields of continuation lines are
+    appended.
+
+    Yields
+    ------
+    int
+        Number of the first line.
+    list of str
+        Name and fields.
+    """
+    first_line, card = 0, list[str]()
+    for line_number, line in numbered_lines(path, "$"):
         line = line.expandtabs(8)
         if "," in line:
             name, *fields = line.split(",")
             fields = fields[:8]
         else:
             width = 16 if "*" in line[:8] else 8
-            name, body = line[:8], line[8:72].ljust(64)
-            fields = [body[at : at + width] for at in range(0, 64, width)]
-        own = [field.strip() for field in fields]
+            name, field_text = line[:8], line[8:72].ljust(64)
+            fields = [field_text[start : start + width] for start in range(0, 64, width)]
+        card_fields = [field.strip() for field in fields]
         if name.strip() and name.strip()[0] not in "+*":
             if card:
-                yield first, card
-            first, card = number, [name.strip(" *").upper()]
+                yield first_line, card
+            first_line, card = line_number, [name.strip(" *").upper()]
         if card:
-            card += own
+            card += card_fields
     if card:
-        yield first, card
+        yield first_line, card
 
 
 # --- Ansys ----------------------------------------------------------------------------------------
 
 
-def _of_ansys(path: Path, nodes: Nodes, cells: Cells) -> None:
-    """Blocks NBLOCK and EBLOCK, as CDWRITE writes them: rows of so many fields of so many
-    characters, as the line below their names says."""
-    block, count, row = "", 0, list[int]()
-    whole, real, n_whole = 0, 0, 0
-    types, solid, others = dict[int, int](), True, set[int]()
-    for number, line in numbered_lines(path, "!"):
-        word = line.strip().upper()
+def _read_ansys(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
+    """Read nodes and cells from CDWRITE's blocks NBLOCK and EBLOCK.
+
+    The line below a block's name states number and width of the fields.
+    """
+    block, n_nodes, cell_labels = "", 0, list[int]()
+    integer_width, real_width, n_integers = 0, 0, 0
+    element_types, is_solid, other_types = dict[int, int](), True, set[int]()
+    for line_number, line in numbered_lines(path, "!"):
+        keyword = line.strip().upper()
         try:
-            if word.startswith("ET,") and not block:
-                _, own_type, name = word.split(",")[:3]
-                types[int(own_type)] = int(name.strip().lstrip("ABCDEFGHIJKLMNOPQRSTUVWXYZ"))
-            if word.startswith(("NBLOCK", "EBLOCK")):
-                if word.startswith("EBLOCK") and "SOLID" not in word:
+            if keyword.startswith("ET,") and not block:
+                _, type_index, name = keyword.split(",")[:3]
+                element_types[int(type_index)] = int(
+                    name.strip().lstrip("ABCDEFGHIJKLMNOPQRSTUVWXYZ")
+                )
+            if keyword.startswith(("NBLOCK", "EBLOCK")):
+                if keyword.startswith("EBLOCK") and "SOLID" not in keyword:
                     raise ValueError
-                block, row = word[:6], []
+                block, cell_labels = keyword[:6], []
             elif block and line.lstrip().startswith("("):
-                sizes = [int(size) for size in re.findall(r"\d+", line)]
-                n_whole, whole, real = sizes[0], sizes[1], sizes[3] if len(sizes) > 3 else 0
-            elif word.startswith(("N,", "-1")):
-                if row:
-                    raise ValueError  # of a cell that goes on
+                widths = [int(size) for size in re.findall(r"\d+", line)]
+                n_integers = widths[0]
+                integer_width = widths[1]
+                real_width = widths[3] if len(widths) > 3 else 0
+            elif keyword.startswith(("N,", "-1")):
+                if cell_labels:
+                    raise ValueError  # the last cell is incomplete
                 block = ""
             elif block == "NBLOCK":
-                fields = [line[at : at + real] for at in range(n_whole * whole, len(line), real)]
-                place = [float(field) for field in fields if field.strip()]
-                if any(place[3:]):
-                    raise ValueError  # turned
-                _put(nodes, number, int(line[:whole]), (*place, 0.0, 0.0, 0.0)[:3])
+                fields = [
+                    line[start : start + real_width]
+                    for start in range(n_integers * integer_width, len(line), real_width)
+                ]
+                coordinates = [float(field) for field in fields if field.strip()]
+                if any(coordinates[3:]):
+                    raise ValueError  # the node has angles
+                _add_node(
+                    nodes, line_number, int(line[:integer_width]), (*coordinates, 0.0, 0.0, 0.0)[:3]
+                )
             elif block == "EBLOCK":
-                own = [int(line[at : at + whole]) for at in range(0, len(line), whole)]
-                if not row:
-                    solid = own[1] not in types or types[own[1]] in SOLIDS
-                    others |= set() if solid else {types[own[1]]}
-                    count, own = own[8], own[11:]
-                row += own
-                if len(row) >= count:
-                    if solid and len(set(row)) < count:
+                integers = [
+                    int(line[start : start + integer_width])
+                    for start in range(0, len(line), integer_width)
+                ]
+                if not cell_labels:
+                    is_solid = (
+                        integers[1] not in element_types
+                        or element_types[integers[1]] in SOLID_TYPES
+                    )
+                    other_types |= set() if is_solid else {element_types[integers[1]]}
+                    n_nodes, integers = integers[8], integers[11:]
+                cell_labels += integers
+                if len(cell_labels) >= n_nodes:
+                    if is_solid and len(set(cell_labels)) < n_nodes:
                         raise ValueError  # a brick with nodes in the same place
-                    if solid:
-                        cells.setdefault(VTK[count], []).append(row[:count])
-                    row = []
+                    if is_solid:
+                        cells.setdefault(VTK_TYPES[n_nodes], []).append(cell_labels[:n_nodes])
+                    cell_labels = []
         except (ValueError, KeyError, IndexError) as error:
-            allowed = "a node without angles, or a whole tetrahedron or brick, of CDWRITE's blocks"
-            reason = str(error) if "line" in str(error) else f"line {number}: not {allowed}"
+            requirement = (
+                "a node without angles, or a whole tetrahedron or brick, of CDWRITE's blocks"
+            )
+            reason = (
+                str(error) if "line" in str(error) else f"line {line_number}: not {requirement}"
+            )
             raise ValueError(reason) from None
-    if others and not cells:
-        kinds = ", ".join(map(str, sorted(others)))
-        raise ValueError(f"none of its elements, of types {kinds}, is a solid that is known")
+    if other_types and not cells:
+        type_list = ", ".join(map(str, sorted(other_types)))
+        raise ValueError(f"none of its elements, of types {type_list}, is a solid that is known")
 
 
-READERS: dict[str, Callable[[Path, Nodes, Cells], None]] = {
-    ".inp": _of_abaqus, ".bdf": _of_nastran, ".dat": _of_nastran, ".nas": _of_nastran,
-    ".cdb": _of_ansys,
+READERS_BY_ENDING: dict[str, Callable[[Path, NodePositions, CellLabels], None]] = {
+    ".inp": _read_abaqus, ".bdf": _read_nastran, ".dat": _read_nastran, ".nas": _read_nastran,
+    ".cdb": _read_ansys,
 }  # fmt: skip

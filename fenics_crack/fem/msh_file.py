@@ -1,20 +1,23 @@
-"""Mesh files: gmsh reads them in a process of its own, and they are checked before use.
+"""Read mesh files with gmsh in a separate process, and check them.
 
-gmsh runs what it does not know as a script, decides by the name of a file what it is, and runs
-``NAME.opt`` beside it. So it is given a copy under a name of its own, alone in a folder, and only
-if the file begins as a mesh does.
+gmsh runs an unknown file as a script, chooses the format by the file's name, and runs ``NAME.opt``
+beside the file. So gmsh gets a copy with a fixed name, alone in a folder, and only if the file
+begins as a mesh does.
 
-A mesh of a plate or of a solid comes as nodes, cells and named facets: curves, or surfaces. Nodes
-along a crack are doubled here (:mod:`fenics_crack.fem.cracks`), whether gmsh's plugin
-"Crack" has done it already or not. Every cell, facet and point is put into gmsh's current model
-once. Facets with several names are in a physical group for each combination of these.
+A mesh has nodes, cells and named facets: curves of a plate, or surfaces of a solid. Nodes along a
+crack are doubled by :mod:`fenics_crack.fem.cracks`, even if gmsh's plugin "Crack" has doubled them
+already. Every cell, facet and point is put into gmsh's current model once. Facets with several
+names get a physical group for each combination of names.
 
-A mesh that is certainly not one of a structure is refused, with its place. Cells may be numbered
-either way round, group by group. They must not be folded: the Jacobian determinant of a cell has
-one sign at all of its nodes, and two cells that share a facet lie on either side of it. No facet of
-the boundary but those of crack faces has its middle, or a point halfway to a corner, in or on
-another cell than its own: parts do not lie on one another, and where they touch they share their
-nodes, or nothing would hold them together.
+A mesh that cannot be a structure is refused, and the error names the position. Three conditions are
+checked:
+
+- Cells are not folded: all Jacobian determinants at the nodes of a cell have the same sign. Cells
+  may be numbered in either direction.
+- Two cells with a common facet lie on either side of it.
+- Parts do not overlap, and share their nodes where they touch. So no boundary facet, except those
+  of crack faces, has its centre in or on another cell. The same holds for the points halfway
+  between centre and corners.
 """
 
 from __future__ import annotations
@@ -33,267 +36,364 @@ from fenics_crack.basics.untrusted_files import beginning_of, copied, run_reader
 from fenics_crack.fem.cracks import (
     FACETS,
     LIP_TAGS,
-    SAME,
+    POSITION_TOLERANCE,
     Cells,
-    Lips,
-    Names,
-    connected,
-    cracks_between,
-    each_once,
-    find_lips,
-    joined,
+    Cracks,
+    NamedParts,
+    find_crack_paths,
+    find_crack_surfaces,
+    find_unique_rows,
+    label_connected_rows,
+    merge_crack_nodes,
     require,
     rows_in,
     split_cracks,
 )
 
 Group = tuple[int, int, str, int, np.ndarray]
-"""Dimension, tag and name, and elements of one kind: gmsh's number of it and the nodes."""
-Given = tuple[np.ndarray, np.ndarray, list[Group]]
+"""Dimension, tag, name, gmsh's kind of the elements, and their nodes."""
+RawMesh = tuple[np.ndarray, np.ndarray, list[Group]]
 """Numbers and positions of all nodes, and the groups."""
-CRACK = re.compile(r"crack([ _.-]?\d+)?$", re.IGNORECASE)
-"""Names of curves and of surfaces that are cracks."""
+CRACK_NAME = re.compile(r"crack([ _.-]?\d+)?$", re.IGNORECASE)
+"""Pattern for names of curves and surfaces that are cracks."""
 
-_BEGINNING = re.compile(rb"\$MeshFormat[ \t]*\r?\n[ \t]*(2|2\.[0-2]|4|4\.[01])[ \t]+[01][ \t]+8\s")
-"""First bytes of a mesh file in gmsh's format 2 or 4, as text or in binary."""
-_KINDS = {2: {2: 1, 3: 1, 9: 8, 10: 8, 21: 26, 36: 26}, 3: {4: 2, 11: 9, 5: 3, 12: 10}}
-"""gmsh's kinds of cells of a plate and of a solid that DOLFINx reads, and of their facets."""
-_POINT = 15
-"""gmsh's kind of points."""
-_LINEAR = {(2, 3): 2, (2, 4): 3, (3, 4): 4, (3, 8): 5}
-"""Kinds of first order, by dimension and corners."""
-_GROUPS = {
+_MESH_HEADER = re.compile(
+    rb"\$MeshFormat[ \t]*\r?\n[ \t]*(2|2\.[0-2]|4|4\.[01])[ \t]+[01][ \t]+8\s"
+)
+"""First bytes of a mesh file in gmsh's format 2 or 4, text or binary."""
+_FACET_KINDS = {2: {2: 1, 3: 1, 9: 8, 10: 8, 21: 26, 36: 26}, 3: {4: 2, 11: 9, 5: 3, 12: 10}}
+"""gmsh's kind of facets, for each dimension and each kind of cells that DOLFINx reads."""
+_POINT_KIND = 15
+"""gmsh's kind of a point element."""
+_LINEAR_KINDS = {(2, 3): 2, (2, 4): 3, (3, 4): 4, (3, 8): 5}
+"""gmsh's kind of first-order cells, for each dimension and number of corners."""
+_GROUP_WORDS = {
     2: ("surfaces hold one kind of cells, triangles or quadrilaterals", "curve"),
     3: ("volumes hold one kind of cells, tetrahedra or hexahedra", "surface"),
 }
-"""Contents of groups of cells, and the name of a group of facets."""
-_FACET = {2: "an edge", 3: "a facet"}
+"""Required contents of groups with cells, and the word for a group of facets."""
+_FACET_WORDS = {2: "an edge", 3: "a facet"}
+"""Word for a facet in messages, for each dimension."""
 
 
-def read_file(path: Path, dimension: int) -> tuple[Names, Lips]:
-    """Read the mesh file of a plate or of a solid into gmsh's current model, as :func:`put`.
+def read_mesh_file(path: Path, dimension: int) -> tuple[NamedParts, Cracks]:
+    """Read a mesh file into gmsh's current model, as :func:`load_mesh` does.
 
     Raises
     ------
     InputError
-        The file is not a mesh of one kind of cells, lacks a group, or is damaged; the crack faces
-        of a crack cannot be found.
+        The file is damaged, has several kinds of cells, or lacks a group. Or a crack's faces
+        cannot be found.
     """
     try:
-        return put(_groups_of(path), dimension)
+        return load_mesh(_read_raw_mesh(path), dimension)
     except InputError as error:
         if error.key in ("mesh.file", "lips"):
             raise
         raise InputError("mesh.file", f"{path} ({error.value})", error.allowed) from None
 
 
-def put(given: Given, dimension: int) -> tuple[Names, Lips]:
-    """Put a mesh of a plate or of a solid into gmsh's current model; its named facets and points,
-    and its crack faces from bottom to top.
+def load_mesh(raw_mesh: RawMesh, dimension: int) -> tuple[NamedParts, Cracks]:
+    """Load a mesh of a plate or solid into gmsh's current model.
+
+    Returns
+    -------
+    NamedParts
+        Named facets and points.
+    Cracks
+        Cracks from bottom to top.
 
     Raises
     ------
     InputError
-        As :func:`read_file`, but of the key "mesh".
+        As :func:`read_mesh_file`, with the key "mesh".
     """
-    kind, cells, positions, facets, points = _one_kind(given, dimension)
-    places = positions[:, :dimension]
-    check_cells(kind, cells, places)
-    cracks = [name for name in facets if CRACK.match(name)]
+    kind, cells, positions, facets, point_groups = _select_cells(raw_mesh, dimension)
+    mesh_positions = positions[:, :dimension]
+    check_cells(kind, cells, mesh_positions)
+    crack_names = [name for name in facets if CRACK_NAME.match(name)]
     if dimension == 3:
-        _check_inside(cells, facets, cracks)
-    if cracks:
-        surface = np.concatenate([facets.pop(name) for name in cracks])
-        kept, number = joined(surface, places)
-        whole = replace(cells, nodes=number[cells.nodes])
-        nodes, twins, both = split_cracks(whole, number[surface], places[kept])
-        facets = _moved(facets, cells, nodes, number)
-        for name, lip in zip(LIP_TAGS, both.swapaxes(0, 1), strict=True):
-            facets[name] = np.concatenate([facets.get(name, lip[:0]), lip])
-        points = [(*head, number[own]) for *head, own in points]
-        positions = positions[np.concatenate([kept, kept[twins]])]
-        cells, places = replace(cells, nodes=nodes), positions[:, :dimension]
-    sides = [facets[name][:, : cells.facets.shape[1]] for name in LIP_TAGS if name in facets]
-    allowed = "one with both 'lower_lip' and 'upper_lip', or with 'crack', or none of them"
-    require(len(sides) != 1, "one lip", allowed)
-    lips: Lips = ()
-    if sides and dimension == 2:
-        lips = find_lips(sides[0], sides[1], places)
-        _check_tips(cells, places, sides)
-    elif sides:
-        lips = cracks_between(sides[0], sides[1], places)
-    check_parts(cells, places, facets["clamp"], sides)
-    check_boundary(kind, cells, places, sides)
-    tags, sets = _tags_of(facets)
-    every = [(dimension, 1, ("plate", "solid")[dimension - 2], kind, cells.nodes)]
-    every += [(dimension - 1, tag, name, _KINDS[dimension][kind], own) for tag, name, own in sets]
-    _fill_model(positions, every + points)
-    single = {name: np.unique(places[own], axis=0) for _, _, name, _, own in points}
-    return (tags, {n: tuple(own[0].tolist()) for n, own in single.items() if len(own) == 1}), lips
+        _check_inner_surfaces(cells, facets, crack_names)
+    if crack_names:
+        crack_facets = np.concatenate([facets.pop(name) for name in crack_names])
+        kept_nodes, node_map = merge_crack_nodes(crack_facets, mesh_positions)
+        merged_cells = replace(cells, nodes=node_map[cells.nodes])
+        nodes, copied_nodes, face_facets = split_cracks(
+            merged_cells, node_map[crack_facets], mesh_positions[kept_nodes]
+        )
+        facets = _facets_after_split(facets, cells, nodes, node_map)
+        for name, face in zip(LIP_TAGS, face_facets.swapaxes(0, 1), strict=True):
+            facets[name] = np.concatenate([facets.get(name, face[:0]), face])
+        point_groups = [
+            (*group_head, node_map[group_nodes]) for *group_head, group_nodes in point_groups
+        ]
+        positions = positions[np.concatenate([kept_nodes, kept_nodes[copied_nodes]])]
+        cells, mesh_positions = replace(cells, nodes=nodes), positions[:, :dimension]
+    face_corners = [facets[name][:, : cells.facets.shape[1]] for name in LIP_TAGS if name in facets]
+    requirement = "one with both 'lower_lip' and 'upper_lip', or with 'crack', or none of them"
+    require(len(face_corners) != 1, "one lip", requirement)
+    cracks: Cracks = ()
+    if face_corners and dimension == 2:
+        cracks = find_crack_paths(face_corners[0], face_corners[1], mesh_positions)
+        _check_tips(cells, mesh_positions, face_corners)
+    elif face_corners:
+        cracks = find_crack_surfaces(face_corners[0], face_corners[1], mesh_positions)
+    check_parts(cells, mesh_positions, facets["clamp"], face_corners)
+    check_boundary(kind, cells, mesh_positions, face_corners)
+    tags, facet_groups = _tag_combinations(facets)
+    cell_and_facet_groups = [(dimension, 1, ("plate", "solid")[dimension - 2], kind, cells.nodes)]
+    cell_and_facet_groups += [
+        (dimension - 1, tag, name, _FACET_KINDS[dimension][kind], group_nodes)
+        for tag, name, group_nodes in facet_groups
+    ]
+    _fill_model(positions, cell_and_facet_groups + point_groups)
+    point_positions = {
+        name: np.unique(mesh_positions[group_nodes], axis=0)
+        for _, _, name, _, group_nodes in point_groups
+    }
+    points = {
+        name: tuple(positions[0].tolist())
+        for name, positions in point_positions.items()
+        if len(positions) == 1
+    }
+    return (tags, points), cracks
 
 
-# --- what a file holds ----------------------------------------------------------------------------
+# --- contents of a file ---------------------------------------------------------------------------
 
 
-def _groups_of(path: Path) -> Given:
-    """Numbers and positions of a file's nodes, and its groups.
+def _read_raw_mesh(path: Path) -> RawMesh:
+    """Read nodes and groups from a mesh file.
 
     Raises
     ------
     InputError
-        There is no such file, gmsh cannot read it, or a node is nowhere.
+        The file does not exist, gmsh cannot read it, or a node is more than 1e6 m from the
+        origin.
     """
-    check_there("mesh.file", path)
-    with reading("mesh.file", path, "readable by gmsh"), copied(path, "mesh.msh") as copy:
-        if not _BEGINNING.match(beginning_of(copy, 100)):
+    check_file_exists("mesh.file", path)
+    with reading("mesh.file", path, "readable by gmsh"), copied(path, "mesh.msh") as file_copy:
+        if not _MESH_HEADER.match(beginning_of(file_copy, 100)):
             raise ValueError("it does not begin with $MeshFormat and version 2.2 or 4.1")
-        found = run_reader(Path(__file__).with_name("msh_reader.py"), copy, 300)
-        if isinstance(found, str):
-            raise ValueError(found.replace(str(copy), str(path)))
-    farthest = 1e6  # [m]
-    if not np.all(np.abs(found["positions"]) < farthest):
-        allowed = f"a mesh whose nodes are within {farthest:g} m of the origin"
-        raise InputError("mesh.file", str(path), allowed)
-    return found["numbers"], found["positions"], named_groups(found)
+        contents = run_reader(Path(__file__).with_name("msh_reader.py"), file_copy, 300)
+        if isinstance(contents, str):
+            raise ValueError(contents.replace(str(file_copy), str(path)))
+    max_coordinate = 1e6  # [m]
+    if not np.all(np.abs(contents["positions"]) < max_coordinate):
+        requirement = f"a mesh whose nodes are within {max_coordinate:g} m of the origin"
+        raise InputError("mesh.file", str(path), requirement)
+    return contents["numbers"], contents["positions"], unpack_groups(contents)
 
 
-def check_there(key: str, path: Path | str) -> None:
-    """Raise InputError unless there is a file."""
+def check_file_exists(key: str, path: Path | str) -> None:
+    """Raise InputError unless a file exists."""
     if not os.path.isfile(path):
         raise InputError(key, str(path), "an existing gmsh mesh file")
 
 
-def named_groups(found: dict[str, np.ndarray]) -> list[Group]:
-    """Groups as :mod:`fenics_crack.fem.msh_reader` returns them."""
-    parts = np.split(found["nodes"], np.cumsum(found["heads"][:, 3])[:-1])
-    rows = zip(found["heads"].tolist(), found["names"].tolist(), parts, strict=False)
-    return [(dimension, tag, name, kind, own) for (dimension, tag, kind, _), name, own in rows]
+def unpack_groups(contents: dict[str, np.ndarray]) -> list[Group]:
+    """Return the groups in arrays from :mod:`fenics_crack.fem.msh_reader`."""
+    node_rows = np.split(contents["nodes"], np.cumsum(contents["heads"][:, 3])[:-1])
+    rows = zip(contents["heads"].tolist(), contents["names"].tolist(), node_rows, strict=False)
+    return [(dimension, tag, name, kind, nodes) for (dimension, tag, kind, _), name, nodes in rows]
 
 
-def _one_kind(
-    given: Given, dimension: int
+def _select_cells(
+    raw_mesh: RawMesh, dimension: int
 ) -> tuple[int, Cells, np.ndarray, dict[str, np.ndarray], list[Group]]:
-    """The kind of the cells of a mesh; the cells, each once (it may be in several groups); the
-    positions of their nodes; and by their places in these the named facets, a clamp among them,
-    and groups of points."""
-    numbers, positions, groups = given
-    held, side = _GROUPS[dimension]
+    """Select cells, named facets and points, and renumber their nodes.
+
+    A cell may be in several groups, and is kept once.
+
+    Returns
+    -------
+    kind : int
+        gmsh's kind of the cells.
+    cells : Cells
+        The cells.
+    positions : (n_nodes, 3) [m]
+        Positions of the nodes of cells.
+    facets : dict of str to (m, k) int
+        Nodes of named facets. A clamp is among them.
+    point_groups : list of Group
+        Groups of named points.
+    """
+    numbers, positions, groups = raw_mesh
+    cell_words, facet_name = _GROUP_WORDS[dimension]
     if dimension == 2:
-        flat = len(positions) > 0 and np.ptp(positions[:, 2]) == 0.0
-        require(flat, "no plane mesh", "a plane mesh, z the same at every node")
-    kinds = {kind for own, _, _, kind, _ in groups if own == dimension}
-    allowed = "one of tetrahedra, or of hexahedra with 27 nodes"
-    allowed += ": the load of a unit pressure is negative at corners of these"
-    require(kinds.isdisjoint((17, 29)), "hexahedra with 20 nodes", allowed)
-    known = len(kinds) == 1 and kinds <= _KINDS[dimension].keys()
-    require(known, f"{len(kinds)} kinds of cells", f"one whose physical {held}")
+        is_flat = len(positions) > 0 and np.ptp(positions[:, 2]) == 0.0
+        require(is_flat, "no plane mesh", "a plane mesh, z the same at every node")
+    kinds = {kind for group_dimension, _, _, kind, _ in groups if group_dimension == dimension}
+    requirement = "one of tetrahedra, or of hexahedra with 27 nodes"
+    requirement += ": the load of a unit pressure is negative at corners of these"
+    require(kinds.isdisjoint((17, 29)), "hexahedra with 20 nodes", requirement)
+    is_one_kind = len(kinds) == 1 and kinds <= _FACET_KINDS[dimension].keys()
+    require(is_one_kind, f"{len(kinds)} kinds of cells", f"one whose physical {cell_words}")
     kind = kinds.pop()
-    numbers, first = np.unique(numbers, return_index=True)
-    raw = np.concatenate([nodes for own, *_, nodes in groups if own == dimension])
-    used, places = np.unique(raw, return_inverse=True)
-    require(np.isin(used, numbers).all(), "cells with nodes that do not exist", "a whole file")
-    nodes = places.reshape(-1, gmsh.model.mesh.getElementProperties(kind)[3])
-    nodes = nodes[np.sort(each_once(nodes)[0])]
-    ordered = np.sort(nodes, axis=1)
-    twice = np.any(ordered[:, 1:] == ordered[:, :-1])
-    require(not twice, "a cell with a node twice", "one whose cells have different nodes")
-    facets, points = _named(groups, {0: _POINT, dimension - 1: _KINDS[dimension][kind]}, used)
-    there = f"{side}s named {', '.join(map(repr, facets))}" if facets else f"no {side} has a name"
-    allowed = f"one with a physical {side} named 'clamp'"
-    require("clamp" in facets, f"no clamp; {there}", allowed)
-    at = positions[first][np.searchsorted(numbers, used)]
-    return kind, cells_of(kind, nodes), at, facets, points
+    numbers, first_nodes = np.unique(numbers, return_index=True)
+    cell_nodes = np.concatenate(
+        [nodes for group_dimension, *_, nodes in groups if group_dimension == dimension]
+    )
+    used_numbers, node_index = np.unique(cell_nodes, return_inverse=True)
+    require(
+        np.isin(used_numbers, numbers).all(), "cells with nodes that do not exist", "a whole file"
+    )
+    nodes = node_index.reshape(-1, gmsh.model.mesh.getElementProperties(kind)[3])
+    nodes = nodes[np.sort(find_unique_rows(nodes)[0])]
+    sorted_nodes = np.sort(nodes, axis=1)
+    has_repeated_node = np.any(sorted_nodes[:, 1:] == sorted_nodes[:, :-1])
+    require(
+        not has_repeated_node, "a cell with a node twice", "one whose cells have different nodes"
+    )
+    facets, point_groups = _select_named_groups(
+        groups, {0: _POINT_KIND, dimension - 1: _FACET_KINDS[dimension][kind]}, used_numbers
+    )
+    named_facets = (
+        f"{facet_name}s named {', '.join(map(repr, facets))}"
+        if facets
+        else f"no {facet_name} has a name"
+    )
+    requirement = f"one with a physical {facet_name} named 'clamp'"
+    require("clamp" in facets, f"no clamp; {named_facets}", requirement)
+    used_positions = positions[first_nodes][np.searchsorted(numbers, used_numbers)]
+    return kind, cells_of_kind(kind, nodes), used_positions, facets, point_groups
 
 
-def _named(
-    groups: list[Group], kinds: dict[int, int], used: np.ndarray
+def _select_named_groups(
+    groups: list[Group], kinds: dict[int, int], used_numbers: np.ndarray
 ) -> tuple[dict[str, np.ndarray], list[Group]]:
-    """Named facets and groups of points, by the places of their nodes among those that are used,
-    and by the kinds that they have to be of."""
-    found: dict[tuple[int, str], list[np.ndarray]] = {}
+    """Select named facets and points, and renumber their nodes.
+
+    Parameters
+    ----------
+    groups : list of Group
+        All groups of the file.
+    kinds : dict of int to int
+        gmsh's kind of elements for each dimension of a named group.
+    used_numbers : (n_nodes,) int
+        Numbers of nodes of cells, in ascending order.
+    """
+    rows_by_group: dict[tuple[int, str], list[np.ndarray]] = {}
     for dimension, _, name, kind, nodes in groups:
         if name and dimension in kinds:
-            fits = kind == kinds[dimension] and np.isin(nodes, used).all()
-            allowed = "one whose named groups hold facets, and corners, of its cells"
-            require(fits, f"other elements in the group {name!r}", allowed)
-            size = gmsh.model.mesh.getElementProperties(kind)[3]
-            rows = np.searchsorted(used, nodes).reshape(-1, size)
-            found.setdefault((dimension, name), []).append(rows)
-    merged = {key: np.concatenate(rows) for key, rows in found.items()}
-    loads = len(merged.get((0, "load"), [0]))
-    require(loads == 1, f"{loads} points in the group 'load'", "one with one")
-    facets = {name: rows for (dimension, name), rows in merged.items() if dimension}
-    points = {name: rows[:, 0] for (dimension, name), rows in merged.items() if not dimension}
-    return facets, [(0, n, name, _POINT, own) for n, (name, own) in enumerate(points.items(), 1)]
+            is_right_kind = kind == kinds[dimension] and np.isin(nodes, used_numbers).all()
+            requirement = "one whose named groups hold facets, and corners, of its cells"
+            require(is_right_kind, f"other elements in the group {name!r}", requirement)
+            n_nodes = gmsh.model.mesh.getElementProperties(kind)[3]
+            rows = np.searchsorted(used_numbers, nodes).reshape(-1, n_nodes)
+            rows_by_group.setdefault((dimension, name), []).append(rows)
+    merged_rows = {key: np.concatenate(rows) for key, rows in rows_by_group.items()}
+    n_load_points = len(merged_rows.get((0, "load"), [0]))
+    require(n_load_points == 1, f"{n_load_points} points in the group 'load'", "one with one")
+    facets = {name: rows for (dimension, name), rows in merged_rows.items() if dimension}
+    point_nodes = {
+        name: rows[:, 0] for (dimension, name), rows in merged_rows.items() if not dimension
+    }
+    return facets, [
+        (0, tag, name, _POINT_KIND, nodes)
+        for tag, (name, nodes) in enumerate(point_nodes.items(), 1)
+    ]
 
 
-def cells_of(kind: int, nodes: np.ndarray) -> Cells:
-    """Cells with what gmsh says of their kind: a node lies between those corners whose linear
-    functions are not zero there."""
+def cells_of_kind(kind: int, nodes: np.ndarray) -> Cells:
+    """Return cells with the corners between which each node lies.
+
+    A node lies between the corners whose linear basis functions are not zero there.
+    """
     _, dimension, *_, corners = gmsh.model.mesh.getElementProperties(kind)
-    between = _functions(_LINEAR[dimension, corners], _places_in(kind)) > 1e-9
-    ring = np.arange(corners)
-    facets = FACETS[corners] if dimension == 3 else np.column_stack([ring, np.roll(ring, -1)])
-    return Cells(nodes, facets, between)
+    supports = _basis_functions(_LINEAR_KINDS[dimension, corners], _reference_nodes(kind)) > 1e-9
+    corner_index = np.arange(corners)
+    facets = (
+        FACETS[corners]
+        if dimension == 3
+        else np.column_stack([corner_index, np.roll(corner_index, -1)])
+    )
+    return Cells(nodes, facets, supports)
 
 
-def _moved(
-    surfaces: dict[str, np.ndarray], cells: Cells, nodes: np.ndarray, number: np.ndarray
+def _facets_after_split(
+    named_facets: dict[str, np.ndarray], cells: Cells, nodes: np.ndarray, node_map: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Facets with the ``nodes`` (n_cells, k) that their cells have once cracks are split, beside a
-    crack those of their own side; elsewhere with the ``number`` (n_nodes,) of each node."""
-    facets, owner, _ = cells.all_facets
-    corners = min(facets.shape[1], 3)  # are enough
-    weights = (int(cells.nodes.max()) + 1) ** np.arange(corners)[::-1]
-    keys, width = facets[:, :corners] @ weights, facets.shape[1]
-    moved = np.unique(cells.nodes[nodes != number[cells.nodes]])
-    found = {}
-    for name, rows in surfaces.items():
-        found[name] = number[rows]
-        beside = np.flatnonzero(np.isin(rows, moved).any(axis=1))
-        wanted = np.sort(rows[beside, :width], axis=1)[:, :corners] @ weights
-        cell = owner[np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)]
-        at = np.argmax(cells.nodes[cell][:, None, :] == rows[beside][:, :, None], axis=2)
-        found[name][beside] = np.take_along_axis(nodes[cell], at, axis=1)
-    return found
+    """Return named facets with their nodes after a split.
+
+    Parameters
+    ----------
+    named_facets : dict of str to (m, k) int
+        Facets with the nodes before the split.
+    cells : Cells
+        Cells before the split.
+    nodes : (n_cells, k) int
+        Nodes of the cells after the split. Facets at a crack take these from their own cell.
+    node_map : (n_nodes,) int
+        New number of each node. Facets elsewhere take this number.
+    """
+    facets, owner, _ = cells.sorted_facets
+    n_key_corners = min(facets.shape[1], 3)  # three corners identify a facet
+    key_weights = (int(cells.nodes.max()) + 1) ** np.arange(n_key_corners)[::-1]
+    facet_keys, n_corners = facets[:, :n_key_corners] @ key_weights, facets.shape[1]
+    split_nodes = np.unique(cells.nodes[nodes != node_map[cells.nodes]])
+    new_facets = {}
+    for name, rows in named_facets.items():
+        new_facets[name] = node_map[rows]
+        split_rows = np.flatnonzero(np.isin(rows, split_nodes).any(axis=1))
+        row_keys = np.sort(rows[split_rows, :n_corners], axis=1)[:, :n_key_corners] @ key_weights
+        cell = owner[np.minimum(np.searchsorted(facet_keys, row_keys), len(facet_keys) - 1)]
+        columns = np.argmax(cells.nodes[cell][:, None, :] == rows[split_rows][:, :, None], axis=2)
+        new_facets[name][split_rows] = np.take_along_axis(nodes[cell], columns, axis=1)
+    return new_facets
 
 
-def _check_tips(cells: Cells, places: np.ndarray, lips: Sequence[np.ndarray]) -> None:
-    """Raise InputError if a tip lies on the edge of the plate: a mouth whose node exists once."""
-    edges = cells.all_facets[0][cells.alone]
-    edges = edges[~rows_in(edges, np.concatenate(lips))]
-    closed = np.intersect1d(np.intersect1d(*lips), edges)
-    if len(closed):
-        place = "({:g}, {:g})".format(*places[closed[0]])
-        allowed = "open there, with a node of each face; or of one curve named 'crack'"
-        found = f"a mouth at {place} that is closed"
-        raise InputError("lips", found, f"{allowed}, which is split")
+def _check_tips(cells: Cells, positions: np.ndarray, face_edges: Sequence[np.ndarray]) -> None:
+    """Raise InputError if a tip lies on the edge of the plate.
+
+    There a crack has a mouth, which needs a node for each face.
+    """
+    boundary_edges = cells.sorted_facets[0][cells.is_boundary]
+    boundary_edges = boundary_edges[~rows_in(boundary_edges, np.concatenate(face_edges))]
+    closed_mouths = np.intersect1d(np.intersect1d(*face_edges), boundary_edges)
+    if len(closed_mouths):
+        position_text = "({:g}, {:g})".format(*positions[closed_mouths[0]])
+        requirement = "open there, with a node of each face; or of one curve named 'crack'"
+        problem = f"a mouth at {position_text} that is closed"
+        raise InputError("lips", problem, f"{requirement}, which is split")
 
 
-def _tags_of(
+def _tag_combinations(
     curves: dict[str, np.ndarray],
 ) -> tuple[dict[str, tuple[int, ...]], list[tuple[int, str, np.ndarray]]]:
-    """Tags of each curve; and tag, name and edges of each combination of curves."""
+    """Tag each combination of curves that has edges of its own.
+
+    Returns
+    -------
+    tags : dict of str to tuple of int
+        Tags of each curve.
+    edge_groups : list of (int, str, (m, k) int)
+        Tag, name and edges of each combination.
+    """
     edges = np.concatenate(list(curves.values()))
-    owner = np.repeat(np.arange(len(curves)), [len(own) for own in curves.values()])
-    first, which, _ = each_once(edges)
-    member = np.zeros((len(first), len(curves)), dtype=bool)
-    member[which, owner] = True
-    kinds, of_kind = np.unique(member, axis=0, return_inverse=True)
-    sets, names = [], np.array(list(curves))
-    for number, kind in enumerate(kinds):
-        own = edges[np.sort(first[of_kind.ravel() == number])]
-        sets.append((number + 1, " and ".join(names[kind]), own))
-    tags = [tuple((np.flatnonzero(column) + 1).tolist()) for column in kinds.T]
-    return dict(zip(curves, tags, strict=True)), sets
+    curve_index = np.repeat(
+        np.arange(len(curves)), [len(curve_edges) for curve_edges in curves.values()]
+    )
+    first_rows, unique_index, _ = find_unique_rows(edges)
+    is_on_curve = np.zeros((len(first_rows), len(curves)), dtype=bool)
+    is_on_curve[unique_index, curve_index] = True
+    combinations, combination_index = np.unique(is_on_curve, axis=0, return_inverse=True)
+    edge_groups, names = [], np.array(list(curves))
+    for index, combination in enumerate(combinations):
+        curve_edges = edges[np.sort(first_rows[combination_index.ravel() == index])]
+        edge_groups.append((index + 1, " and ".join(names[combination]), curve_edges))
+    tags = [tuple((np.flatnonzero(column) + 1).tolist()) for column in combinations.T]
+    return dict(zip(curves, tags, strict=True)), edge_groups
 
 
 def _fill_model(positions: np.ndarray, groups: list[Group]) -> None:
-    """Put nodes and the elements of physical groups, those of the cells first, by the places of
-    their nodes, into the current model."""
+    """Fill gmsh's current model with nodes and physical groups.
+
+    The groups of cells come first. Their nodes are rows of ``positions``.
+    """
     model, dimension = gmsh.model, groups[0][0]
-    holder = model.addDiscreteEntity(dimension)
-    model.mesh.addNodes(dimension, holder, 1 + np.arange(len(positions)), positions.ravel())
+    node_entity = model.addDiscreteEntity(dimension)
+    model.mesh.addNodes(dimension, node_entity, 1 + np.arange(len(positions)), positions.ravel())
     for dimension, tag, name, kind, nodes in groups:
         entity = model.addDiscreteEntity(dimension)
         model.mesh.addElementsByType(entity, kind, [], nodes.ravel() + 1)
@@ -301,179 +401,278 @@ def _fill_model(positions: np.ndarray, groups: list[Group]) -> None:
         model.setPhysicalName(dimension, tag, name)
 
 
-# --- is it a mesh of a structure? -----------------------------------------------------------------
+# --- checks of a mesh -----------------------------------------------------------------------------
 
-DEGENERATE = 1e-9
-"""Minimum determinant relative to its largest value or to the square of the cell's size."""
-
-
-def _refusal(found: str, place: np.ndarray, allowed: str) -> InputError:
-    return InputError("mesh", f"{found} at ({', '.join(f'{x:g}' for x in place)})", allowed)
+MIN_DETERMINANT = 1e-9
+"""Minimum determinant, relative to the cell's maximum or to size^d."""
 
 
-def check_cells(kind: int, cells: Cells, places: np.ndarray) -> None:
-    """Raise InputError where a cell, of gmsh's number of the kind, is folded or of no size, or two
-    lie on one side of the facet that they share; ``places`` (n_nodes, d) [m] are those of all
-    nodes."""
-    dimension, part = places.shape[1], _FACET[places.shape[1]]
-    here, at = places[cells.nodes], _places_in(kind)
-    gradients = _functions(kind, at, "GradLagrange").reshape(len(at), len(at), 3)[..., :dimension]
-    # Jacobian determinants at the nodes of each cell [m^d].
-    every = np.array([np.linalg.det(here.swapaxes(1, 2) @ gradient) for gradient in gradients])
-    least, most, smallest = every.min(axis=0), every.max(axis=0), np.abs(every).min(axis=0)
-    size, largest = np.ptp(here, axis=1).max(axis=1) ** dimension, np.maximum(-least, most)
-    extent = ("area", "volume")[dimension - 2]
-    # In a plane a corner may have 180 degrees.
-    flat = (largest if dimension == 2 else smallest) <= DEGENERATE * size
-    folded = np.minimum(-least, most) > DEGENERATE * largest
-    for found, wrong in ((f"a cell without {extent}", flat), ("a folded cell", folded)):
-        if np.any(wrong):
-            allowed = f"one of cells that are convex and have {extent}"
-            if cells.nodes.shape[1] > cells.n_corners:
-                allowed += "; gmsh: Mesh.HighOrderOptimize = 1, or cells of first order"
-            raise _refusal(found, here[np.argmax(wrong)].mean(axis=0), allowed)
-    facets, owner, _ = cells.all_facets
-    corners, middles = places[facets], here[:, : cells.n_corners].mean(axis=1)
-    spans = np.append(corners[:, 1:dimension], middles[owner, None], axis=1) - corners[:, :1]
-    side, shared = np.sign(np.linalg.det(spans)), cells.shared
-    beside = f"one of cells beside each other: these lie on one side of {part} of both"
-    for found, wrong, allowed in (
-        (f"{part} of three cells", shared[1:] & shared[:-1], f"one of at most two cells at {part}"),
-        ("cells that overlap", shared & (side[1:] == side[:-1]), beside),
-    ):
-        if np.any(wrong):
-            raise _refusal(found, corners[np.argmax(wrong)].mean(axis=0), allowed)
+def _mesh_error(problem: str, position: np.ndarray, requirement: str) -> InputError:
+    """Return the error for a mesh with a problem at a position."""
+    coordinates = ", ".join(f"{x:g}" for x in position)
+    return InputError("mesh", f"{problem} at ({coordinates})", requirement)
 
 
-def _check_inside(cells: Cells, surfaces: dict[str, np.ndarray], cracks: list[str]) -> None:
-    """Raise InputError where a surface lies inside and is no crack by its name, nor the clamp:
-    nothing would part there."""
-    facets, _, _ = cells.all_facets
-    shared, width = facets[1:][cells.shared], facets.shape[1]
-    corners = {name: np.sort(rows[:, :width], axis=1) for name, rows in surfaces.items()}
-    known = np.concatenate([facets[:0], *(corners[name] for name in cracks)])
-    for name, rows in corners.items():
-        inside = rows_in(rows, shared) & ~rows_in(rows, known)
-        if name != "clamp" and np.any(inside):
-            allowed = "one whose surfaces inside are cracks, named 'crack' or 'crack 1', 'crack 2'"
-            raise InputError("mesh", f"a surface {name!r} inside the solid", allowed)
+def check_cells(kind: int, cells: Cells, positions: np.ndarray) -> None:
+    """Raise InputError if cells are folded, without volume, or overlap.
 
-
-def check_parts(
-    cells: Cells, places: np.ndarray, clamp: np.ndarray, lips: Sequence[np.ndarray]
-) -> None:
-    """Raise InputError where a part, which shares no node with others, has no clamp.
-
-    Parameters
-    ----------
-    cells : Cells
-        With cracks split.
-    places : (n_nodes, d) [m]
-        Of all nodes.
-    clamp : (m,) or (m, k) int
-        Nodes that are clamped.
-    lips : sequence of (n, d) int
-        Corners of the facets of crack faces.
-    """
-    part = connected(cells.nodes)
-
-    def has(nodes: np.ndarray) -> np.ndarray:
-        """True for cells of a part that has one of some nodes: (n_cells,)."""
-        return np.isin(part, part[np.isin(cells.nodes, nodes).any(axis=1)])
-
-    loose = ~has(clamp)
-    if np.any(loose):
-        held = any(np.any(has(own) & loose) for own in lips)
-        found = "a part held by contact alone" if held else "a part without a clamp"
-        allowed = f"one whose parts each have {_FACET[places.shape[1]]} in 'clamp', or share nodes"
-        allowed += " with one that has: nothing else holds them"
-        raise _refusal(found, places[cells.nodes[loose]].mean(axis=(0, 1)), allowed)
-
-
-def check_boundary(kind: int, cells: Cells, places: np.ndarray, lips: Sequence[np.ndarray]) -> None:
-    """Raise InputError where the middle of a facet of the boundary, other than crack faces, or a
-    point halfway from there to a corner, lies in or on another cell than its own: parts overlap, or
-    touch and nothing joins them. Cells three times as long as wide may cross between these points.
+    At each facet at most two cells may meet, one on either side.
 
     Parameters
     ----------
     kind : int
-        gmsh's number of the kind of the cells.
+        gmsh's kind of the cells.
     cells : Cells
-        With cracks split.
-    places : (n_nodes, d) [m]
-        Of all nodes.
-    lips : sequence of (n, d) int
-        Corners of the facets of crack faces.
+        The cells.
+    positions : (n_nodes, d) [m]
+        Positions of all nodes.
+    """
+    dimension, facet_word = positions.shape[1], _FACET_WORDS[positions.shape[1]]
+    cell_positions, reference_nodes = positions[cells.nodes], _reference_nodes(kind)
+    gradients = _basis_functions(kind, reference_nodes, "GradLagrange").reshape(
+        len(reference_nodes), len(reference_nodes), 3
+    )[..., :dimension]
+    # Jacobian determinants at the nodes of each cell [m^d].
+    determinants = np.array(
+        [np.linalg.det(cell_positions.swapaxes(1, 2) @ gradient) for gradient in gradients]
+    )
+    min_determinants = determinants.min(axis=0)
+    max_determinants = determinants.max(axis=0)
+    min_moduli = np.abs(determinants).min(axis=0)
+    cell_volumes = np.ptp(cell_positions, axis=1).max(axis=1) ** dimension
+    max_moduli = np.maximum(-min_determinants, max_determinants)
+    extent_word = ("area", "volume")[dimension - 2]
+    # In a plane a corner may have 180 degrees.
+    is_flat = (max_moduli if dimension == 2 else min_moduli) <= MIN_DETERMINANT * cell_volumes
+    is_folded = np.minimum(-min_determinants, max_determinants) > MIN_DETERMINANT * max_moduli
+    for problem, is_wrong in (
+        (f"a cell without {extent_word}", is_flat),
+        ("a folded cell", is_folded),
+    ):
+        if np.any(is_wrong):
+            requirement = f"one of cells that are convex and have {extent_word}"
+            if cells.nodes.shape[1] > cells.n_corners:
+                requirement += "; gmsh: Mesh.HighOrderOptimize = 1, or cells of first order"
+            raise _mesh_error(
+                problem, cell_positions[np.argmax(is_wrong)].mean(axis=0), requirement
+            )
+    facets, owner, _ = cells.sorted_facets
+    facet_corners = positions[facets]
+    cell_centres = cell_positions[:, : cells.n_corners].mean(axis=1)
+    edge_vectors = (
+        np.append(facet_corners[:, 1:dimension], cell_centres[owner, None], axis=1)
+        - facet_corners[:, :1]
+    )
+    sides, is_shared = np.sign(np.linalg.det(edge_vectors)), cells.is_shared
+    side_requirement = (
+        f"one of cells beside each other: these lie on one side of {facet_word} of both"
+    )
+    for problem, is_wrong, requirement in (
+        (
+            f"{facet_word} of three cells",
+            is_shared[1:] & is_shared[:-1],
+            f"one of at most two cells at {facet_word}",
+        ),
+        ("cells that overlap", is_shared & (sides[1:] == sides[:-1]), side_requirement),
+    ):
+        if np.any(is_wrong):
+            raise _mesh_error(problem, facet_corners[np.argmax(is_wrong)].mean(axis=0), requirement)
+
+
+def _check_inner_surfaces(
+    cells: Cells, named_facets: dict[str, np.ndarray], crack_names: list[str]
+) -> None:
+    """Raise InputError for surfaces inside that are neither crack nor clamp.
+
+    Such a surface would not separate anything.
+    """
+    facets, _, _ = cells.sorted_facets
+    shared_facets, n_corners = facets[1:][cells.is_shared], facets.shape[1]
+    corners = {name: np.sort(rows[:, :n_corners], axis=1) for name, rows in named_facets.items()}
+    crack_facets = np.concatenate([facets[:0], *(corners[name] for name in crack_names)])
+    for name, rows in corners.items():
+        is_inside = rows_in(rows, shared_facets) & ~rows_in(rows, crack_facets)
+        if name != "clamp" and np.any(is_inside):
+            requirement = (
+                "one whose surfaces inside are cracks, named 'crack' or 'crack 1', 'crack 2'"
+            )
+            raise InputError("mesh", f"a surface {name!r} inside the solid", requirement)
+
+
+def check_parts(
+    cells: Cells,
+    positions: np.ndarray,
+    clamped_nodes: np.ndarray,
+    face_facets: Sequence[np.ndarray],
+) -> None:
+    """Raise InputError if a part has no clamp.
+
+    Parts share no nodes with each other.
+
+    Parameters
+    ----------
+    cells : Cells
+        Cells after the split at cracks.
+    positions : (n_nodes, d) [m]
+        Positions of all nodes.
+    clamped_nodes : (m,) or (m, k) int
+        Nodes in the clamp.
+    face_facets : sequence of (n, d) int
+        Corners of facets on crack faces.
+    """
+    part_labels = label_connected_rows(cells.nodes)
+
+    def is_in_part_with(nodes: np.ndarray) -> np.ndarray:
+        """Return True for cells whose part has one of the nodes: (n_cells,)."""
+        return np.isin(part_labels, part_labels[np.isin(cells.nodes, nodes).any(axis=1)])
+
+    is_loose = ~is_in_part_with(clamped_nodes)
+    if np.any(is_loose):
+        is_held_by_contact = any(np.any(is_in_part_with(face) & is_loose) for face in face_facets)
+        problem = "a part held by contact alone" if is_held_by_contact else "a part without a clamp"
+        requirement = (
+            f"one whose parts each have {_FACET_WORDS[positions.shape[1]]} in 'clamp', or share"
+            " nodes"
+        )
+        requirement += " with one that has: nothing else holds them"
+        raise _mesh_error(problem, positions[cells.nodes[is_loose]].mean(axis=(0, 1)), requirement)
+
+
+def check_boundary(
+    kind: int, cells: Cells, positions: np.ndarray, face_facets: Sequence[np.ndarray]
+) -> None:
+    """Raise InputError if parts overlap, or touch without common nodes.
+
+    The centre of each boundary facet, and the points halfway to its corners, must not lie in or on
+    another cell. Facets of crack faces are exempt. Cells three times as long as wide may cross
+    between these points undetected.
+
+    Parameters
+    ----------
+    kind : int
+        gmsh's kind of the cells.
+    cells : Cells
+        Cells after the split at cracks.
+    positions : (n_nodes, d) [m]
+        Positions of all nodes.
+    face_facets : sequence of (n, d) int
+        Corners of facets on crack faces.
     """
     from scipy.spatial import cKDTree
 
-    facets, owner, at = (rows[cells.alone] for rows in cells.all_facets)
-    other = ~rows_in(facets, np.concatenate([*lips, facets[:0]]))
-    owner, at = owner[other], at[other]
-    corners = _places_in(kind)[at]
-    middle = corners.mean(axis=1, keepdims=True)
-    within = np.concatenate([middle, 0.5 * (middle + corners)], axis=1)
-    owner = np.repeat(owner, within.shape[1])
-    shares = _functions(kind, within.reshape(-1, 3))
-    points = np.einsum("in,inx->ix", shares, places[cells.nodes[owner]])
+    facets, owner, local_corners = (rows[cells.is_boundary] for rows in cells.sorted_facets)
+    is_outer = ~rows_in(facets, np.concatenate([*face_facets, facets[:0]]))
+    owner, local_corners = owner[is_outer], local_corners[is_outer]
+    reference_corners = _reference_nodes(kind)[local_corners]
+    reference_centre = reference_corners.mean(axis=1, keepdims=True)
+    reference_points = np.concatenate(
+        [reference_centre, 0.5 * (reference_centre + reference_corners)], axis=1
+    )
+    owner = np.repeat(owner, reference_points.shape[1])
+    basis_values = _basis_functions(kind, reference_points.reshape(-1, 3))
+    points = np.einsum("in,inx->ix", basis_values, positions[cells.nodes[owner]])
 
-    here = places[cells.nodes]
-    centres = here.mean(axis=1)
-    reach = np.linalg.norm(here - centres[:, None], axis=2).max(axis=1)
-    near = cKDTree(points).query_ball_point(centres, reach)
-    cell = np.repeat(np.arange(len(near)), [len(own) for own in near])
-    point = np.concatenate(near).astype(int)
-    apart = owner[point] != cell
-    cell, point = cell[apart], point[apart]
-    if np.any(covered := _in_cells(kind, cells.n_corners, here[cell], points[point])):
-        allowed = "one whose cells share their nodes where they touch (gmsh: BooleanFragments, or"
-        allowed += " Coherence Mesh), but for the faces of named cracks"
-        allowed += " ('crack', or 'lower_lip' and 'upper_lip')"
-        found = "cells that overlap, or touch without a node of both,"
-        raise _refusal(found, points[point[covered][0]], allowed)
+    cell_positions = positions[cells.nodes]
+    centres = cell_positions.mean(axis=1)
+    cell_radii = np.linalg.norm(cell_positions - centres[:, None], axis=2).max(axis=1)
+    near_points = cKDTree(points).query_ball_point(centres, cell_radii)
+    cell_index = np.repeat(
+        np.arange(len(near_points)), [len(cell_points) for cell_points in near_points]
+    )
+    point_index = np.concatenate(near_points).astype(int)
+    is_other_cell = owner[point_index] != cell_index
+    cell_index, point_index = cell_index[is_other_cell], point_index[is_other_cell]
+    if np.any(
+        is_covered := _are_in_cells(
+            kind, cells.n_corners, cell_positions[cell_index], points[point_index]
+        )
+    ):
+        requirement = (
+            "one whose cells share their nodes where they touch (gmsh: BooleanFragments, or"
+        )
+        requirement += " Coherence Mesh), but for the faces of named cracks"
+        requirement += " ('crack', or 'lower_lip' and 'upper_lip')"
+        problem = "cells that overlap, or touch without a node of both,"
+        raise _mesh_error(problem, points[point_index[is_covered][0]], requirement)
 
 
-def _in_cells(kind: int, n_corners: int, cells: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return True for points (n, d) in or on cells, given by their nodes (n, n_nodes, d)."""
+def _are_in_cells(
+    kind: int, n_corners: int, cell_positions: np.ndarray, points: np.ndarray
+) -> np.ndarray:
+    """Return True for each point in or on its cell: (n,) bool.
+
+    Points are (n, d) [m], and nodes of the cells (n, n_nodes, d) [m].
+    """
     dimension = points.shape[1]
-    linear = _functions(_LINEAR[dimension, n_corners], _places_in(kind))
-    bent = cells - np.einsum("nc,icx->inx", linear, cells[:, :n_corners])
-    low, high = cells.min(axis=1), cells.max(axis=1)
-    size = (high - low).max(axis=1)
+    linear_values = _basis_functions(_LINEAR_KINDS[dimension, n_corners], _reference_nodes(kind))
+    curvature_offsets = cell_positions - np.einsum(
+        "nc,icx->inx", linear_values, cell_positions[:, :n_corners]
+    )
+    lower_bounds, upper_bounds = cell_positions.min(axis=1), cell_positions.max(axis=1)
+    cell_sizes = (upper_bounds - lower_bounds).max(axis=1)
     # Lebesgue's constant of cells of order 2 is at most 1.63^2.
-    room = (SAME * size + 3.0 * np.abs(bent).max(axis=(1, 2)))[:, None]
-    found = np.all((points > low - room) & (points < high + room), axis=1)
-    if not np.any(found):
-        return found
-    cells, points, size = cells[found], points[found], size[found]
-    at = np.tile(_places_in(kind)[:n_corners].mean(axis=0), (len(points), 1))
-    going = np.arange(len(at))  # in straight cells the first step ends there
+    margin = (POSITION_TOLERANCE * cell_sizes + 3.0 * np.abs(curvature_offsets).max(axis=(1, 2)))[
+        :, None
+    ]
+    is_inside = np.all((points > lower_bounds - margin) & (points < upper_bounds + margin), axis=1)
+    if not np.any(is_inside):
+        return is_inside
+    cell_positions = cell_positions[is_inside]
+    points = points[is_inside]
+    cell_sizes = cell_sizes[is_inside]
+    reference_points = np.tile(_reference_nodes(kind)[:n_corners].mean(axis=0), (len(points), 1))
+    # Newton's method: exact in one step for straight cells.
+    active_points = np.arange(len(reference_points))
     for _ in range(8):
-        off = points[going] - np.einsum("in,inx->ix", _functions(kind, at[going]), cells[going])
-        far = np.abs(off).max(axis=1) > DEGENERATE * size[going]
-        going, off = going[far], off[far]
-        if not len(going):
+        residuals = points[active_points] - np.einsum(
+            "in,inx->ix",
+            _basis_functions(kind, reference_points[active_points]),
+            cell_positions[active_points],
+        )
+        is_unconverged = np.abs(residuals).max(axis=1) > MIN_DETERMINANT * cell_sizes[active_points]
+        active_points, residuals = active_points[is_unconverged], residuals[is_unconverged]
+        if not len(active_points):
             break
-        gradients = _functions(kind, at[going], "GradLagrange").reshape(len(going), -1, 3)
-        slopes = np.einsum("inx,inr->ixr", cells[going], gradients[..., :dimension])
-        at[going, :dimension] += np.einsum("irx,ix->ir", np.linalg.pinv(slopes), off)
-        at[going] = np.clip(at[going], -2.0, 2.0)
-    off = points - np.einsum("in,inx->ix", _functions(kind, at), cells)
-    within = _functions(_LINEAR[dimension, n_corners], at).min(axis=1) >= -SAME
-    found[found] = within & (np.abs(off).max(axis=1) <= SAME * size)
-    return found
+        gradients = _basis_functions(kind, reference_points[active_points], "GradLagrange").reshape(
+            len(active_points), -1, 3
+        )
+        jacobians = np.einsum(
+            "inx,inr->ixr", cell_positions[active_points], gradients[..., :dimension]
+        )
+        reference_points[active_points, :dimension] += np.einsum(
+            "irx,ix->ir", np.linalg.pinv(jacobians), residuals
+        )
+        reference_points[active_points] = np.clip(reference_points[active_points], -2.0, 2.0)
+    residuals = points - np.einsum(
+        "in,inx->ix", _basis_functions(kind, reference_points), cell_positions
+    )
+    is_in_reference_cell = (
+        _basis_functions(_LINEAR_KINDS[dimension, n_corners], reference_points).min(axis=1)
+        >= -POSITION_TOLERANCE
+    )
+    is_inside[is_inside] = is_in_reference_cell & (
+        np.abs(residuals).max(axis=1) <= POSITION_TOLERANCE * cell_sizes
+    )
+    return is_inside
 
 
-def _places_in(kind: int) -> np.ndarray:
-    """Return the places of the nodes in a cell of gmsh's number of the kind: (n_nodes, 3)."""
-    _, dimension, _, count, local, _ = gmsh.model.mesh.getElementProperties(kind)
-    at = np.zeros((count, 3))
-    at[:, :dimension] = np.reshape(local, (count, dimension))
-    return at
+def _reference_nodes(kind: int) -> np.ndarray:
+    """Return the nodes of a reference cell, by gmsh's kind: (n_nodes, 3)."""
+    _, dimension, _, n_nodes, coordinates, _ = gmsh.model.mesh.getElementProperties(kind)
+    positions = np.zeros((n_nodes, 3))
+    positions[:, :dimension] = np.reshape(coordinates, (n_nodes, dimension))
+    return positions
 
 
-def _functions(kind: int, at: np.ndarray, name: str = "Lagrange") -> np.ndarray:
-    """Basis functions of cells, or their gradients, as gmsh names and numbers them, at places in
-    cells (n, 3): (n, n_functions)."""
-    return np.reshape(gmsh.model.mesh.getBasisFunctions(kind, at.ravel(), name)[1], (len(at), -1))
+def _basis_functions(
+    kind: int, reference_points: np.ndarray, function_name: str = "Lagrange"
+) -> np.ndarray:
+    """Evaluate basis functions of a kind of cells: (n, n_functions).
+
+    ``function_name`` is gmsh's name. Gradients "GradLagrange" have three columns for each function.
+    Reference points are (n, 3).
+    """
+    return np.reshape(
+        gmsh.model.mesh.getBasisFunctions(kind, reference_points.ravel(), function_name)[1],
+        (len(reference_points), -1),
+    )

@@ -1,4 +1,4 @@
-"""The whole mesh of a structure, gathered: for files and pictures."""
+"""Gather the whole mesh of a structure, for files and pictures."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import gather_rows
-from fenics_crack.fem.cracks import FACETS, each_once
+from fenics_crack.fem.cracks import FACETS, find_unique_rows
 from fenics_crack.model.structure import Structure
 
 _TRIANGLES = {
@@ -17,128 +17,165 @@ _TRIANGLES = {
     6: [(0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)],
     9: [(0, 4, 8), (4, 1, 8), (1, 5, 8), (5, 2, 8), (2, 6, 8), (6, 3, 8), (3, 7, 8), (7, 0, 8)],
 }
-"""Triangles into which a cell is cut to be coloured, by its number of nodes, in VTK's order."""
+"""Triangles that a cell is cut into for colouring, by its number of nodes, in VTK's order."""
 
 
 class NodalMesh:
-    """The whole mesh of a structure on every rank (collective to make).
+    """Whole mesh of a structure, on every rank (collective to make).
 
     Attributes
     ----------
     points : (n_nodes, d) [m]
-        Node positions: d = 2 of a plate, 3 of a solid.
+        Node positions: d = 2 for a plate, 3 for a solid.
     cells : (n_cells, k) int
-        Their nodes in VTK's order.
+        Nodes of the cells, in VTK's order.
     vtk_type : int
         VTK's number of the cell type.
     size : float [m]
-        Largest extent.
-    clamped : (n_nodes,) bool
-        Where neither component can move.
+        Largest extent along an axis.
+    is_clamped : (n_nodes,) bool
+        True where no component can move.
     """
 
     def __init__(self, structure: Structure) -> None:
         if structure.nodes is None or structure.drawable_nodes is None:
             raise InputError("structure", "made from matrices", "made from a mesh")
-        whole = structure.whole
-        nodes, comm = structure.nodes, whole.comm
-        self.structure = whole
+        whole_structure = structure.whole
+        nodes, comm = structure.nodes, whole_structure.comm
+        self.structure = whole_structure
         self.points = gather_rows(comm, nodes.points)
         self.size = float(np.ptp(self.points, axis=0).max())
         self._dofs = gather_rows(comm, nodes.dofs)
         self._frames = None if nodes.frames is None else gather_rows(comm, nodes.frames)
-        self.clamped = np.all(self._dofs < 0, axis=1)
-        self.cells = np.concatenate([c for c in comm.allgather(nodes.cells) if len(c)])
+        self.is_clamped = np.all(self._dofs < 0, axis=1)
+        self.cells = np.concatenate(
+            [rank_cells for rank_cells in comm.allgather(nodes.cells) if len(rank_cells)]
+        )
         self.vtk_type = nodes.vtk_type
 
-    def field(self, rows: np.ndarray) -> np.ndarray:
-        """Nodal vectors (m, n_nodes, d) of dof values (m, n_local); zero where clamped."""
-        whole = np.concatenate(self.structure.comm.allgather(rows), axis=1)
-        found = np.where(self._dofs >= 0, whole[:, np.maximum(self._dofs, 0)], 0.0)
-        return found if self._frames is None else np.einsum("nij,mnj->mni", self._frames, found)
+    def nodal_vectors(self, rows: np.ndarray) -> np.ndarray:
+        """Return nodal vectors (m, n_nodes, d) for dof values (m, n_local).
 
-    def in_frames(self, vectors: np.ndarray) -> np.ndarray:
-        """Nodal vectors (m, n_nodes, d) in the frames of the nodes, in which the dofs are."""
+        Clamped components are zero.
+        """
+        dof_values = np.concatenate(self.structure.comm.allgather(rows), axis=1)
+        vectors = np.where(self._dofs >= 0, dof_values[:, np.maximum(self._dofs, 0)], 0.0)
+        return vectors if self._frames is None else np.einsum("nij,mnj->mni", self._frames, vectors)
+
+    def to_nodal_frames(self, vectors: np.ndarray) -> np.ndarray:
+        """Rotate nodal vectors (m, n_nodes, d) into the frames of the nodes.
+
+        The dofs are components in these frames.
+        """
         frames = self._frames
         return vectors if frames is None else np.einsum("nji,mnj->mni", frames, vectors)
 
     @property
     def dimension(self) -> int:
-        """2 of a plate, 3 of a solid."""
+        """Return 2 for a plate, 3 for a solid."""
         return int(self.points.shape[1])
 
     @property
     def triangles(self) -> np.ndarray:
-        """Into which the cells of a plate are cut to be coloured: (n, 3) nodes."""
+        """Return nodes of the triangles that a plate's cells are cut into: (n, 3)."""
         return self.cells[:, _TRIANGLES[self.cells.shape[1]]].reshape(-1, 3)
 
     @cached_property
-    def patches(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of a solid's pairs: 1 at the two nodes in the middle of each patch; and the functions of
-        the pressures at all nodes of the crack faces, linear between corners of facets, which have
-        the shares of the pairs, or where these are not known each the nearest pair, and fronts
-        none: (n_nodes, n_pairs) each."""
+    def patch_functions(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the patches of a solid's pairs as nodal functions.
+
+        Returns
+        -------
+        patch_centres : (n_nodes, n_pairs)
+            1 at the two nodes in the centre of each patch.
+        shares : (n_nodes, n_pairs)
+            Pressure functions on the crack faces, linear between corners of facets. If the
+            pairs' shares are unknown, each corner has the nearest pair, and fronts have none.
+        """
         from scipy.spatial import cKDTree
 
-        points, near, pairs = self.points, 1e-6 * self.size, self.structure.pairs
-        corners = np.unique(facets := self.lips)
-        here = points[corners]
-        distance, pair = cKDTree(self.structure.pair_points).query(here)
-        twice = cKDTree(here).query_ball_point(here, near, return_length=True) > 1
-        middles, shares = np.zeros((2, len(points), self.structure.n_pairs))
-        middles[corners[distance <= near], pair[distance <= near]] = 1.0
+        points, tolerance, pairs = self.points, 1e-6 * self.size, self.structure.pairs
+        corners = np.unique(facets := self.crack_faces)
+        corner_points = points[corners]
+        distance, pair = cKDTree(self.structure.pair_points).query(corner_points)
+        has_twin = (
+            cKDTree(corner_points).query_ball_point(corner_points, tolerance, return_length=True)
+            > 1
+        )
+        patch_centres, shares = np.zeros((2, len(points), self.structure.n_pairs))
+        patch_centres[corners[distance <= tolerance], pair[distance <= tolerance]] = 1.0
         if pairs.nodes is not None and pairs.shares is not None:
-            shares[corners] = pairs.shares[cKDTree(pairs.nodes).query(here)[1]].toarray()
+            shares[corners] = pairs.shares[cKDTree(pairs.nodes).query(corner_points)[1]].toarray()
         else:
-            shares[corners[twice], pair[twice]] = 1.0
-        ends = np.stack([facets, np.roll(facets, -1, axis=1)], axis=2).reshape(-1, 2)
-        ends = np.concatenate([ends, facets[:, [0, 2]]]) if facets.shape[1] == 4 else ends
-        others = np.setdiff1d(np.arange(len(points)), corners)
-        distance, edge = cKDTree(points[ends].mean(axis=1)).query(points[others])
-        there = distance <= near
-        shares[others[there]] = shares[ends[edge[there]]].mean(axis=1)
-        return middles, shares
+            shares[corners[has_twin], pair[has_twin]] = 1.0
+        edge_ends = np.stack([facets, np.roll(facets, -1, axis=1)], axis=2).reshape(-1, 2)
+        edge_ends = (
+            np.concatenate([edge_ends, facets[:, [0, 2]]]) if facets.shape[1] == 4 else edge_ends
+        )
+        other_nodes = np.setdiff1d(np.arange(len(points)), corners)
+        distance, edge = cKDTree(points[edge_ends].mean(axis=1)).query(points[other_nodes])
+        is_on_edge = distance <= tolerance
+        shares[other_nodes[is_on_edge]] = shares[edge_ends[edge[is_on_edge]]].mean(axis=1)
+        return patch_centres, shares
 
     @cached_property
     def _sides(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Edges of the cells of a plate, or corners of the facets of a solid's, in turn; how many
-        cells have each of them, and one of these."""
-        count = self.cells.shape[1]
-        corners = 3 if count in (3, 6) else 4
-        steps = np.arange(corners)
-        turns = np.column_stack([steps, corners + steps, np.roll(steps, -1)])
-        turns = turns if count > corners else turns[:, ::2]
+        """Return the sides of all cells.
+
+        They are a plate's edges, or a solid's facets.
+
+        Returns
+        -------
+        sides : (n, k) int
+            Nodes of each side, in cyclic order. A facet has its corners only.
+        cell_counts : (n,) int
+            Number of cells with this side.
+        cells : (n,) int
+            One of these cells.
+        """
+        n_nodes = self.cells.shape[1]
+        n_corners = 3 if n_nodes in (3, 6) else 4
+        corner_index = np.arange(n_corners)
+        local_sides = np.column_stack(
+            [corner_index, n_corners + corner_index, np.roll(corner_index, -1)]
+        )
+        local_sides = local_sides if n_nodes > n_corners else local_sides[:, ::2]
         if self.dimension == 3:
-            turns = FACETS[4 if count in (4, 10) else 8]
-        sides = self.cells[:, turns].reshape(-1, turns.shape[1])
-        first, _, uses = each_once(sides if self.dimension == 3 else sides[:, [0, -1]])
-        order = np.argsort(first)
-        return sides[first[order]], uses[order], first[order] // len(turns)
+            local_sides = FACETS[4 if n_nodes in (4, 10) else 8]
+        sides = self.cells[:, local_sides].reshape(-1, local_sides.shape[1])
+        first_sides, _, cell_counts = find_unique_rows(
+            sides if self.dimension == 3 else sides[:, [0, -1]]
+        )
+        order = np.argsort(first_sides)
+        return sides[first_sides[order]], cell_counts[order], first_sides[order] // len(local_sides)
 
     @property
     def edges(self) -> np.ndarray:
-        """Edges of the cells of a plate: (n_edges, 2 or 3) nodes, a middle one in between."""
+        """Return nodes of a plate's edges: (n_edges, 2 or 3), a middle node in between."""
         return self._sides[0]
 
     @cached_property
     def boundary(self) -> np.ndarray:
-        """Edges that belong to one cell only, likewise; of a solid corners of such facets, (n, 3 or
-        4), in turn, anticlockwise as they are seen from outside."""
-        sides, uses, cells = self._sides
-        sides, cells = sides[uses == 1], self.cells[cells[uses == 1]]
+        """Return sides that belong to one cell only, as nodes (n, k).
+
+        A plate has edges, as in ``edges``. A solid has facets with 3 or 4 corners, anticlockwise
+        seen from outside.
+        """
+        sides, cell_counts, cells = self._sides
+        sides, cells = sides[cell_counts == 1], self.cells[cells[cell_counts == 1]]
         if self.dimension == 3:
-            here, corners = self.points[sides], 4 if sides.shape[1] == 3 else 8
-            outwards = here.mean(axis=1) - self.points[cells[:, :corners]].mean(axis=1)
-            normals = np.cross(here[:, 1] - here[:, 0], here[:, 2] - here[:, 0])
-            inwards = (normals * outwards).sum(axis=1) < 0.0
-            sides[inwards] = sides[inwards, ::-1]
+            points, n_corners = self.points[sides], 4 if sides.shape[1] == 3 else 8
+            outward_vectors = points.mean(axis=1) - self.points[cells[:, :n_corners]].mean(axis=1)
+            normals = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
+            is_inward = (normals * outward_vectors).sum(axis=1) < 0.0
+            sides[is_inward] = sides[is_inward, ::-1]
         return np.asarray(sides)
 
     @cached_property
-    def lips(self) -> np.ndarray:
-        """Those of the boundary that coincide with another one: the crack faces."""
-        from scipy.spatial import cKDTree  # takes a while, for some pictures
+    def crack_faces(self) -> np.ndarray:
+        """Return the boundary sides that coincide with another side."""
+        from scipy.spatial import cKDTree  # slow to import, and few pictures need it
 
-        middle = self.points[self.boundary].mean(axis=1)
-        pairs = cKDTree(middle).query_pairs(1e-6 * self.size, output_type="ndarray")
+        centres = self.points[self.boundary].mean(axis=1)
+        pairs = cKDTree(centres).query_pairs(1e-6 * self.size, output_type="ndarray")
         return np.asarray(self.boundary[np.unique(pairs)])

@@ -1,8 +1,9 @@
-"""Meshes of cracked plates and solids, made or read by gmsh and distributed by DOLFINx.
+"""Make or read meshes of cracked plates and solids, and distribute them.
 
-A crack is a slit: its two faces are different curves, or surfaces, in the same place that share
-only the tips, so that every node on a crack face but a tip exists twice. gmsh runs on rank 0 only.
-Nodes that are clamped have no dofs in the structure (:class:`Dofs`).
+gmsh makes or reads a mesh on rank 0, and DOLFINx distributes it. A crack is a slit: its faces are
+two curves, or surfaces, at the same position, and share only the tips or fronts. So every node on a
+crack face exists twice, except those of tips and fronts. Clamped nodes have no dofs in the
+structure (:class:`Dofs`).
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from fenics_crack.basics.untrusted_files import content_of
 from fenics_crack.fem import compat
 from fenics_crack.fem.blocks import draw_plate
 from fenics_crack.fem.compat import dolfinx, ufl
-from fenics_crack.fem.cracks import Lips, Names
+from fenics_crack.fem.cracks import Cracks, NamedParts
 from fenics_crack.fem.solid import draw_solid
 from fenics_crack.model.nodes import Nodes
 from fenics_crack.scene.scene import Scene
@@ -35,39 +36,39 @@ from fenics_crack.scene.scene import Scene
 
 @dataclass(frozen=True)
 class PlateMesh:
-    """A distributed mesh and where its named parts are.
+    """Distributed mesh of a plate or solid, and its named parts.
 
     Attributes
     ----------
     mesh, facet_tags : dolfinx.mesh.Mesh, dolfinx.mesh.MeshTags
-        The plate, and the tags of its facets.
+        Mesh, and tags of its facets.
     groups : dict of str to tuple of int
-        Facet tags of the named curves: ``clamp``, with a crack ``lower_lip`` and ``upper_lip``; of
-        a plate made here ``left``, ``right``, ``top`` and ``bottom``, of a mesh file all that it
-        names. A facet in several curves has a tag of its own.
+        Facet tags of each named curve or surface: ``clamp``, and with a crack ``lower_lip`` and
+        ``upper_lip``. A plate made here also has ``left``, ``right``, ``top`` and ``bottom``. A
+        mesh file may name others. A facet in several groups has a tag of its own.
     points : dict of str to tuple of float
-        Positions of the named points of a mesh file [m].
-    lips : tuple of Lip or of CrackSurface
-        One for each crack, in the order of the scene or, in a mesh file, from bottom to top.
+        Positions of the named points in a mesh file [m].
+    cracks : tuple of CrackPath or of CrackSurface
+        Cracks in the order of the scene or, for a mesh file, from bottom to top.
     """
 
     mesh: Any
     facet_tags: Any
     groups: dict[str, tuple[int, ...]]
     points: dict[str, tuple[float, ...]]
-    lips: Lips
+    cracks: Cracks
 
     @property
-    def cracked(self) -> bool:
-        """True if there are crack faces."""
+    def has_cracks(self) -> bool:
+        """Return True if there are crack faces."""
         return "lower_lip" in self.groups
 
     def facets(self, group: str) -> np.ndarray:
-        """This rank's facets of a named curve."""
+        """Return this rank's facets of a named curve or surface."""
         return np.sort(np.concatenate([self.facet_tags.find(tag) for tag in self.groups[group]]))
 
-    def along(self, *groups: str) -> Any:
-        """The measure ds of integrals over named curves."""
+    def measure_on(self, *groups: str) -> Any:
+        """Return the measure ds for integrals over named curves or surfaces."""
         tags = tuple(tag for group in groups for tag in self.groups[group])
         return ufl.ds(domain=self.mesh, subdomain_data=self.facet_tags)(tags)
 
@@ -78,10 +79,11 @@ def build_mesh(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> PlateMesh:
     Raises
     ------
     InputError
-        The mesh file cannot be read, is not a plane mesh of one kind of cells, or lacks a group.
+        The mesh file cannot be read, is not a plane mesh of one kind of cells, or lacks a
+        group.
     """
     with _gmsh_on_root(comm):
-        (groups, points), lips = on_root(comm, lambda: _model(scene))
+        (groups, points), lips = on_root(comm, lambda: _mesh_scene(scene))
         mesh, _, facet_tags = compat.model_to_mesh(gmsh.model, comm, scene.dimension)
     return PlateMesh(mesh, facet_tags, groups, points, lips)
 
@@ -106,21 +108,24 @@ def write_msh(scene: Scene, path: str | Path) -> None:
     >>> fc.write_msh(scene, "plate.msh")
     """
     with _gmsh_on_root(MPI.COMM_SELF):
-        _model(scene)
+        _mesh_scene(scene)
         with whole_file(path) as partial:
             gmsh.write(str(partial))
-            if not content_of(partial, None).endswith(b"$EndElements\n"):  # gmsh does not ask
+            if not content_of(partial, None).endswith(
+                b"$EndElements\n"
+            ):  # gmsh ignores a full disk
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 @contextmanager
 def _gmsh_on_root(comm: MPI.Comm) -> Iterator[None]:
+    """Run gmsh with an empty model on rank 0."""
     if comm.rank != 0:
         yield
         return
     with kept_interrupts():
-        started = not compat.gmsh_is_running()
-        if started:
+        is_first = not compat.gmsh_is_running()
+        if is_first:
             gmsh.initialize(readConfigFiles=False)
         gmsh.option.setNumber("General.Terminal", 0)
         gmsh.option.setNumber("General.ExpertMode", 1)  # it must not ask, nobody may be there
@@ -129,117 +134,139 @@ def _gmsh_on_root(comm: MPI.Comm) -> Iterator[None]:
             yield
         finally:
             gmsh.model.remove()
-            if started:
+            if is_first:
                 gmsh.finalize()
 
 
-def _model(scene: Scene) -> tuple[Names, Lips]:
-    """Fill the current gmsh model with a mesh; return what is in it by its name, and the crack
-    faces."""
+def _mesh_scene(scene: Scene) -> tuple[NamedParts, Cracks]:
+    """Fill gmsh's current model with the mesh of a scene.
+
+    Returns
+    -------
+    NamedParts
+        Named curves or surfaces, and points.
+    Cracks
+        Cracks of the mesh.
+    """
     if scene.mesh.layout == "file":
-        from fenics_crack.fem.msh_file import read_file  # with what checks meshes of others
+        from fenics_crack.fem.msh_file import read_mesh_file  # only mesh files need its checks
 
-        found = read_file(Path(str(scene.mesh.file)), scene.dimension)
+        parts_and_cracks = read_mesh_file(Path(str(scene.mesh.file)), scene.dimension)
     else:
-        found = draw_plate(scene) if scene.dimension == 2 else draw_solid(scene)
+        parts_and_cracks = draw_plate(scene) if scene.dimension == 2 else draw_solid(scene)
     gmsh.model.mesh.renumberNodes()
-    return found
+    return parts_and_cracks
 
 
-# --- its dofs -------------------------------------------------------------------------------------
+# --- dofs -----------------------------------------------------------------------------------------
 
 
 class Dofs:
-    """Free dofs of a mesh's function space, and their numbers in the structure.
+    """Free dofs of a mesh, and their numbers in the structure.
 
-    Of a sector the nodes of the right side have their displacements in the frame of the next one,
-    whose left side has the same.
+    On a sector's right side, displacements are in the next sector's frame, and equal to those on
+    its left side.
     """
 
     sides: np.ndarray | None = None
-    """Nodes of the left side of a sector, and those of the right one in the same order: (2, m)."""
+    """Nodes on the left side of a sector, and their partners on the right side: (2, m)."""
     frames: np.ndarray | None = None
-    """Of each node the matrix that turns its displacements into those in space: (n_nodes, d, d)."""
-    _turn: sparse.csr_matrix | None = None
+    """Matrix for each node that rotates its displacement into the spatial frame: (n_nodes, d, d).
+    """
+    _rotation: sparse.csr_matrix | None = None
 
     def __init__(
-        self, plate: PlateMesh, space: Any, comm: MPI.Comm, held: np.ndarray | None = None
+        self, plate: PlateMesh, space: Any, comm: MPI.Comm, is_constrained: np.ndarray | None = None
     ) -> None:
-        """Take which of this rank's dofs are held, (n_dofs,) bool; None: those at the clamp."""
+        """Number the free dofs.
+
+        ``is_constrained`` (n_dofs,) marks this rank's dofs that are held. By default these are the
+        dofs at the clamp.
+        """
         self.comm, self.plate, self.space = comm, plate, space
         self.dimension = space.mesh.geometry.dim
         self.n_nodes = space.dofmap.index_map.size_local
         self.first_node = space.dofmap.index_map.local_range[0]
-        if held is None:
-            held = np.zeros((self.n_nodes, self.dimension), dtype=bool)
-            held[self.nodes_on("clamp")] = True
-        self.free = np.flatnonzero(~held.ravel())
-        """Owned free dofs, local numbers of the function space."""
-        first = self.comm.exscan(len(self.free)) or 0
-        self.numbers = np.full(held.size, -1)
-        """Number in the structure of each owned dof of the space, -1 where clamped."""
-        self.numbers[self.free] = first + np.arange(len(self.free))
+        if is_constrained is None:
+            is_constrained = np.zeros((self.n_nodes, self.dimension), dtype=bool)
+            is_constrained[self.nodes_on("clamp")] = True
+        self.free_dofs = np.flatnonzero(~is_constrained.ravel())
+        """Owned free dofs, as local numbers of the function space."""
+        first_number = self.comm.exscan(len(self.free_dofs)) or 0
+        self.numbers = np.full(is_constrained.size, -1)
+        """Number in the structure of each owned dof; -1 if clamped."""
+        self.numbers[self.free_dofs] = first_number + np.arange(len(self.free_dofs))
 
     @property
     def points(self) -> np.ndarray:
-        """Positions of this rank's nodes: (n_nodes, d) [m]."""
+        """Return positions of this rank's nodes: (n_nodes, d) [m]."""
         return np.asarray(self.space.tabulate_dof_coordinates()[: self.n_nodes, : self.dimension])
 
     def nodes_on(self, group: str, space: Any = None) -> np.ndarray:
-        """Local numbers of the nodes of this rank in a facet group; of another space's, if one is
-        given."""
+        """Return this rank's local nodes in a facet group.
+
+        They are nodes of another function space if ``space`` is given.
+        """
         facets, topology = self.plate.facets(group), self.plate.mesh.topology
-        dimension = topology.dim - 1
-        topology.create_connectivity(dimension, dimension + 1)
+        facet_dimension = topology.dim - 1
+        topology.create_connectivity(facet_dimension, facet_dimension + 1)
         space = self.space if space is None else space
-        nodes = np.sort(dolfinx.fem.locate_dofs_topological(space, dimension, facets))
+        nodes = np.sort(dolfinx.fem.locate_dofs_topological(space, facet_dimension, facets))
         return nodes[nodes < space.dofmap.index_map.size_local]
 
-    def take_sides(self, sides: np.ndarray, turn: np.ndarray) -> None:
-        """Turn what is assembled afterwards at the right side of a sector, on one rank."""
-        self.sides, self.frames = sides, np.tile(np.eye(self.dimension), (self.n_nodes, 1, 1))
-        self.frames[sides[1]] = turn
-        each = np.arange(self.n_nodes + 1)
-        whole = sparse.bsr_matrix((self.frames, each[:-1], each)).tocsr()
-        self._turn = whole[self.free][:, self.free]
-        self._turn.eliminate_zeros()
+    def set_sector_sides(self, sides: np.ndarray, rotation: np.ndarray) -> None:
+        """Set the sides of a sector, and rotate later matrices and forces there.
 
-    def free_part(self, rows: np.ndarray) -> np.ndarray:
-        """Forces (..., n_dofs) on the free dofs: (..., n_local)."""
-        free = rows[..., self.free]
-        return free if self._turn is None else np.asarray(free @ self._turn)
-
-    def free_block(self, matrix: Any) -> Any:
-        """Leave the clamped rows and columns out of a matrix, which is destroyed, and what is zero,
-        as masses between directions are: products with M then take half the time, or a third.
-
-        What is left belongs to the caller's communicator: PETSc keeps what Python has let go for
-        each communicator, and nobody could free it on that of a mesh which is gone.
+        The rotation applies to the right side. Only one rank has the sector.
         """
-        free = (self.dimension * self.first_node + self.free).astype(PETSc.IntType)
-        rows = PETSc.IS().createGeneral(free, comm=matrix.comm)
-        block = matrix.createSubMatrix(rows, rows)
-        rows_here = sparse.csr_matrix(block.getValuesCSR()[::-1], block.sizes[0])
-        if self._turn is not None:
-            rows_here = sparse.csr_matrix(self._turn.T @ rows_here @ self._turn)
-        rows_here.eliminate_zeros()
-        csr = rows_here.indptr, rows_here.indices, rows_here.data
-        found = PETSc.Mat().createAIJ(block.sizes, csr=csr, comm=self.comm)
-        for used in (rows, block, matrix):
-            used.destroy()
-        return found
+        self.sides, self.frames = sides, np.tile(np.eye(self.dimension), (self.n_nodes, 1, 1))
+        self.frames[sides[1]] = rotation
+        row_bounds = np.arange(self.n_nodes + 1)
+        all_rotations = sparse.bsr_matrix((self.frames, row_bounds[:-1], row_bounds)).tocsr()
+        self._rotation = all_rotations[self.free_dofs][:, self.free_dofs]
+        self._rotation.eliminate_zeros()
+
+    def restrict_to_free(self, rows: np.ndarray) -> np.ndarray:
+        """Restrict forces (..., n_dofs) to the free dofs: (..., n_local)."""
+        free_forces = rows[..., self.free_dofs]
+        return free_forces if self._rotation is None else np.asarray(free_forces @ self._rotation)
+
+    def restrict_matrix(self, matrix: Any) -> Any:
+        """Return the free rows and columns of a matrix, which is destroyed.
+
+        Stored zeros are removed, such as masses between directions. Products with M then take a
+        half or a third of the time. The result has the caller's communicator. PETSc collects
+        discarded objects by communicator, and could not free them after the mesh's communicator is
+        gone.
+        """
+        free_dofs = (self.dimension * self.first_node + self.free_dofs).astype(PETSc.IntType)
+        index_set = PETSc.IS().createGeneral(free_dofs, comm=matrix.comm)
+        block = matrix.createSubMatrix(index_set, index_set)
+        local_rows = sparse.csr_matrix(block.getValuesCSR()[::-1], block.sizes[0])
+        if self._rotation is not None:
+            local_rows = sparse.csr_matrix(self._rotation.T @ local_rows @ self._rotation)
+        local_rows.eliminate_zeros()
+        csr = local_rows.indptr, local_rows.indices, local_rows.data
+        free_matrix = PETSc.Mat().createAIJ(block.sizes, csr=csr, comm=self.comm)
+        for petsc_object in (index_set, block, matrix):
+            petsc_object.destroy()
+        return free_matrix
 
     def function(self, displacement: np.ndarray) -> Any:
-        """DOLFINx's Function of a displacement of the free dofs (n_local,), zero where clamped
-        (collective)."""
-        found = dolfinx.fem.Function(self.space)
-        turned = displacement if self._turn is None else self._turn @ displacement
-        found.x.array[self.free] = turned
-        found.x.scatter_forward()
-        return found
+        """Return a displacement (n_local,) as a DOLFINx Function (collective).
+
+        It is zero where clamped.
+        """
+        function = dolfinx.fem.Function(self.space)
+        rotated_displacement = (
+            displacement if self._rotation is None else self._rotation @ displacement
+        )
+        function.x.array[self.free_dofs] = rotated_displacement
+        function.x.scatter_forward()
+        return function
 
     def nodes(self) -> Nodes:
-        """Positions, numbers and cells for look-ups and pictures."""
+        """Return positions, dofs and cells for searches and pictures."""
         cells, vtk_type = compat.vtk_cells(self.space)
         numbers = self.space.dofmap.index_map.local_to_global(cells.ravel().astype(np.int32))
         return Nodes(

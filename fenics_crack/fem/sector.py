@@ -1,8 +1,8 @@
-"""The sector of a bladed disk: its sides, whose nodes match, and the faces of its crack.
+"""Match the sides of a bladed disk's sector, and assemble the wheel.
 
-The left side turned about the axis by 2 pi / N, one way or the other, is the right side, node by
-node; there displacements are those in the frame of the next sector. What is bonded in sectors
-without a crack are the nodes of both faces in the same place.
+Turned about the axis by 2 pi / N, in one direction or the other, the left side is the right side,
+node by node. Displacements on the right side are in the frame of the next sector. In sectors
+without a crack, coincident nodes of both crack faces are bonded.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError
 from fenics_crack.fem.blocks import RIM_SIDES
-from fenics_crack.fem.cracks import LIP_TAGS, SAME
+from fenics_crack.fem.cracks import LIP_TAGS, POSITION_TOLERANCE
 from fenics_crack.fem.elasticity import rotation_of
 from fenics_crack.fem.plate import Dofs
 from fenics_crack.model.cyclic import Sector
@@ -27,99 +27,133 @@ from fenics_crack.scene.scene import Scene
 
 
 def assemble_wheel(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Comm) -> Wheel:
-    """The bladed disk of a scene from its sector, which every rank has (collective).
+    """Assemble the bladed disk from its sector (collective).
+
+    Every rank has the whole sector.
 
     Raises
     ------
     InputError
-        The crack reaches a side, or the rotor is so fast that the wheel is unstable.
+        The crack reaches a side, or the wheel is unstable at this speed.
     """
     disk = scene.given("disk")
-    sector, rotation = _sector(scene, dofs, structure), None
+    sector, rotation = _make_sector(scene, dofs, structure), None
     if scene.speed > 0.0:
-        with sector.factor_stiffness() as same:  # a load that is the same on all sectors
-            rotation = rotation_of(scene, dofs, structure, same.static_response)
-        still, stiffness = rotation.stiffnesses(scene.speed)
-        # K(W) u_s, with the stress and the displaced shape of bonded cracks, which the load opens.
-        force, load = structure.force.copy(), scene.speed**2 * rotation.force
-        stiffened = replace(sector, structure=structure._with_changes(stiffness=still))
-        with stiffened.factor_stiffness() as same:
-            moved = same.static_response(load[:, None])
-        force[0] += load + (multiply(stiffness, moved) - multiply(still, moved))[:, 0]
-        turning = structure._with_changes(stiffness=stiffness, force=force)
-        sector = replace(sector, structure=turning)
+        with sector.factor_stiffness() as solver:  # the load is the same on all sectors
+            rotation = rotation_of(scene, dofs, structure, solver.static_response)
+        static_stiffness, stiffness = rotation.stiffnesses(scene.speed)
+        # u_s and its stress are those of bonded cracks, which the load would open. The force is
+        # K(W) u_s, with the full stiffness of the displaced shape.
+        force, centrifugal_load = structure.force.copy(), scene.speed**2 * rotation.force
+        stiffened_sector = replace(
+            sector, structure=structure._with_changes(stiffness=static_stiffness)
+        )
+        with stiffened_sector.factor_stiffness() as solver:
+            displacement = solver.static_response(centrifugal_load[:, None])
+        force[0] += (
+            centrifugal_load
+            + (multiply(stiffness, displacement) - multiply(static_stiffness, displacement))[:, 0]
+        )
+        rotating_structure = structure._with_changes(stiffness=stiffness, force=force)
+        sector = replace(sector, structure=rotating_structure)
     return Wheel(
         sector, cracked=[number - 1 for number in disk.cracked], mistuning=disk.deviations,
         order=scene.excitation.order or 0, families=disk.families, rotation=rotation, comm=comm,
     )  # fmt: skip
 
 
-def turn_sides(scene: Scene, dofs: Dofs) -> None:
-    """Find the sides of a sector, and turn the right one into the frame of the next sector.
+def match_sides(scene: Scene, dofs: Dofs) -> None:
+    """Find a sector's sides, and rotate the right one.
+
+    Its displacements are then in the frame of the next sector.
 
     Raises
     ------
     InputError
         The mesh has no sides, or their nodes do not match.
     """
-    from scipy.spatial.transform import Rotation  # with what only meshes of sectors need
+    from scipy.spatial.transform import Rotation  # only meshes of sectors need it
 
     disk, (center, axis) = scene.given("disk"), scene.axis
     points, size = dofs.points, float(np.ptp(dofs.points, axis=0).max())
     names = RIM_SIDES if RIM_SIDES[0] in dofs.plate.groups else ("left", "right")
     for name in names:
         if name not in dofs.plate.groups:
-            allowed = "a mesh of one sector whose sides are named 'left' and 'right'"
-            raise InputError("mesh.file", f"without a side named {name!r}", allowed)
-    left, right = (dofs.nodes_on(name) for name in names)
-    space = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
+            requirement = "a mesh of one sector whose sides are named 'left' and 'right'"
+            raise InputError("mesh.file", f"without a side named {name!r}", requirement)
+    left_nodes, right_nodes = (dofs.nodes_on(name) for name in names)
+    spatial_points = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
     angles = (2.0 * math.pi / disk.sectors, -2.0 * math.pi / disk.sectors)
-    turns = [Rotation.from_rotvec(angle * axis).as_matrix() for angle in angles]
-    matched = [_matched((space[left] - center) @ turn.T + center, space[right]) for turn in turns]
-    nearer = min((0, 1), key=lambda way: matched[way][0])
-    (distance, place, partner), turn = matched[nearer], turns[nearer]
-    if distance > SAME * size:
-        where = format_point(points[left[place]])
-        found = f"{len(left)} nodes of the left side and {len(right)} of the right one"
-        allowed = f"sides that match: the left one, turned about the axis by 360/{disk.sectors}"
-        allowed += " degrees, is the right one node by node;"
-        allowed += f" that at {where} is {distance:.2g} m from the nearest"
-        raise InputError("mesh.file" if names[0] == "left" else "disk", found, allowed)
-    if len(shared := np.intersect1d(left, right)):
-        where = format_point(points[shared[0]])
-        allowed = f"a disk with a hole: both sides have the node at {where}"
-        raise InputError("mesh.file", "a sector that reaches the axis", allowed)
+    rotations = [Rotation.from_rotvec(angle * axis).as_matrix() for angle in angles]
+    matches = [
+        _match_points(
+            (spatial_points[left_nodes] - center) @ rotation.T + center, spatial_points[right_nodes]
+        )
+        for rotation in rotations
+    ]
+    best_index = min((0, 1), key=lambda index: matches[index][0])
+    (distance, worst_node, partner), rotation = matches[best_index], rotations[best_index]
+    if distance > POSITION_TOLERANCE * size:
+        place_text = format_point(points[left_nodes[worst_node]])
+        problem = (
+            f"{len(left_nodes)} nodes of the left side and {len(right_nodes)} of the right one"
+        )
+        requirement = f"sides that match: the left one, turned about the axis by 360/{disk.sectors}"
+        requirement += " degrees, is the right one node by node;"
+        requirement += f" that at {place_text} is {distance:.2g} m from the nearest"
+        raise InputError("mesh.file" if names[0] == "left" else "disk", problem, requirement)
+    if len(common_nodes := np.intersect1d(left_nodes, right_nodes)):
+        place_text = format_point(points[common_nodes[0]])
+        requirement = f"a disk with a hole: both sides have the node at {place_text}"
+        raise InputError("mesh.file", "a sector that reaches the axis", requirement)
     d = points.shape[1]
-    dofs.take_sides(np.array([left, right[partner]]), turn[:d, :d])
+    dofs.set_sector_sides(np.array([left_nodes, right_nodes[partner]]), rotation[:d, :d])
 
 
-def _sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
+def _make_sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
+    """Return the sector with the nodes of its sides and crack faces."""
     points, sides, frames = dofs.points, dofs.sides, dofs.frames
     assert sides is not None and frames is not None
-    lips = np.zeros((2, 0), dtype=int)
-    if dofs.plate.cracked:  # faces without tips, which are bonded
-        lower, upper = (dofs.nodes_on(name) for name in LIP_TAGS)
-        lower, upper = np.setdiff1d(lower, upper), np.setdiff1d(upper, lower)
-        distance, place, partner = _matched(points[lower], points[upper])
-        if distance > SAME * float(np.ptp(points, axis=0).max()):
-            where = format_point(points[lower[place]])
-            allowed = f"meshed identically, so that they can be bonded, but not at {where}"
-            raise InputError("lips", f"{len(lower)} lower and {len(upper)} upper nodes", allowed)
-        lips = np.array([lower, upper[partner]])
-    if len(shared := np.intersect1d(lips, sides)):
-        allowed = f"away from the sides of its sector, not at {format_point(points[shared[0]])}"
-        raise InputError("lips", "a crack", allowed)
-    center, turn = scene.axis[0][: points.shape[1]], frames[sides[1, 0]]
-    count = scene.given("disk").sectors
-    return Sector(structure, count, center, turn, sides, lips, structure.stiffness)
+    crack_nodes = np.zeros((2, 0), dtype=int)
+    if dofs.plate.has_cracks:  # tips belong to both faces and need no bond
+        lower_nodes, upper_nodes = (dofs.nodes_on(name) for name in LIP_TAGS)
+        lower_nodes, upper_nodes = (
+            np.setdiff1d(lower_nodes, upper_nodes),
+            np.setdiff1d(upper_nodes, lower_nodes),
+        )
+        distance, worst_node, partner = _match_points(points[lower_nodes], points[upper_nodes])
+        if distance > POSITION_TOLERANCE * float(np.ptp(points, axis=0).max()):
+            place_text = format_point(points[lower_nodes[worst_node]])
+            requirement = f"meshed identically, so that they can be bonded, but not at {place_text}"
+            raise InputError(
+                "lips", f"{len(lower_nodes)} lower and {len(upper_nodes)} upper nodes", requirement
+            )
+        crack_nodes = np.array([lower_nodes, upper_nodes[partner]])
+    if len(common_nodes := np.intersect1d(crack_nodes, sides)):
+        requirement = (
+            f"away from the sides of its sector, not at {format_point(points[common_nodes[0]])}"
+        )
+        raise InputError("lips", "a crack", requirement)
+    center, rotation = scene.axis[0][: points.shape[1]], frames[sides[1, 0]]
+    n_sectors = scene.given("disk").sectors
+    return Sector(structure, n_sectors, center, rotation, sides, crack_nodes, structure.stiffness)
 
 
-def _matched(moved: np.ndarray, places: np.ndarray) -> tuple[float, int, np.ndarray]:
-    """Largest distance of places from the nearest of others, of which one, and these; infinite
-    where they are not as many, or one is the nearest of two."""
+def _match_points(points: np.ndarray, candidates: np.ndarray) -> tuple[float, int, np.ndarray]:
+    """Match two point sets one to one.
+
+    Returns
+    -------
+    float
+        Largest distance [m]; infinite if the points do not match one to one.
+    int
+        Worst point.
+    (n,) int
+        Nearest candidate of each point.
+    """
     from scipy.spatial import cKDTree
 
-    distance, partner = cKDTree(places).query(moved)
-    worst = int(np.argmax(distance))
-    twice = len(places) != len(moved) or len(np.unique(partner)) != len(partner)
-    return (math.inf if twice else float(distance[worst])), worst, partner
+    distances, partners = cKDTree(candidates).query(points)
+    worst_point = int(np.argmax(distances))
+    is_ambiguous = len(candidates) != len(points) or len(np.unique(partners)) != len(partners)
+    return (math.inf if is_ambiguous else float(distances[worst_point])), worst_point, partners

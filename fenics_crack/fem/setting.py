@@ -1,4 +1,4 @@
-"""Damping, clearances and forces of a scene: what of its structure follows without a mesh."""
+"""Derive damping, clearances and forces from a scene, without a mesh."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fenics_crack.scene.tables import Damping, Excitation, add_harmonics
 
 
 def damping_of(table: Damping) -> DampingRule:
-    """The damping that a scene's table describes."""
+    """Return the damping that a table describes."""
     if table.ratio is not None:
         return ModalDamping(table.ratio, None if table.modes == "all" else int(table.modes))
     if table.ratios is not None and table.omegas is not None:
@@ -23,44 +23,56 @@ def damping_of(table: Damping) -> DampingRule:
 
 
 def clearance_of(scene: Scene, pairs: Pairs) -> np.ndarray:
-    """Clearance of every pair, by its crack: (n_pairs,) [m].
+    """Return the clearance of every pair: (n_pairs,) [m].
 
     Raises
     ------
     InputError
         There are several tables, but not one for each crack of a mesh file.
     """
-    given = np.array([crack.clearance for crack in scene.all_cracks.values()] or [0.0])
+    crack_clearances = np.array([crack.clearance for crack in scene.all_cracks.values()] or [0.0])
     assert pairs.cracks is not None
-    if len(given) == 1:
-        return np.full(len(pairs.cracks), given[0])
-    cracks = int(pairs.cracks.max(initial=-1)) + 1
-    if scene.disk is not None:  # those of each cracked blade
-        cracks //= max(len(scene.disk.cracked), 1)
-    if cracks and len(given) != cracks:
-        allowed = f"[crack] alone, for all, or one table for each of the {cracks} cracks of the"
-        allowed += " mesh file: [crack] and then [[cracks]], from bottom to top"
-        raise InputError("cracks", f"{len(given)} tables with [crack]", allowed)
-    return np.asarray(given[pairs.cracks % len(given)])
+    if len(crack_clearances) == 1:
+        return np.full(len(pairs.cracks), crack_clearances[0])
+    n_cracks = int(pairs.cracks.max(initial=-1)) + 1
+    if scene.disk is not None:  # every cracked blade has the same cracks
+        n_cracks //= max(len(scene.disk.cracked), 1)
+    if n_cracks and len(crack_clearances) != n_cracks:
+        requirement = (
+            f"[crack] alone, for all, or one table for each of the {n_cracks} cracks of the"
+        )
+        requirement += " mesh file: [crack] and then [[cracks]], from bottom to top"
+        raise InputError("cracks", f"{len(crack_clearances)} tables with [crack]", requirement)
+    return np.asarray(crack_clearances[pairs.cracks % len(crack_clearances)])
 
 
-def parts_of(scene: Scene) -> list[Vector]:
-    """Mean, and cosine and sine part of each order, of the force of the excitation [N]; as many as
-    the scene's loads have."""
+def force_parts(scene: Scene) -> list[Vector]:
+    """Return the excitation's force by harmonic part [N].
+
+    The first vector is the mean, followed by the cosine and sine parts of each order. The orders
+    are those of all loads in the scene.
+    """
     excitation, zero = scene.excitation, (0.0,) * scene.dimension
-    given = excitation.force_mean, excitation.force_cos, excitation.force_sin
-    rows = [part or zero for part in given] + [zero] * (2 * scene.highest_order - 2)
+    force_vectors = excitation.force_mean, excitation.force_cos, excitation.force_sin
+    rows = [part or zero for part in force_vectors] + [zero] * (2 * scene.highest_order - 2)
     for harmonic in excitation.harmonics:
-        sized = len(harmonic.cos) == scene.dimension
-        excitation.require(sized, "harmonics", f"of {scene.dimension} components each")
+        is_complete = len(harmonic.cos) == scene.dimension
+        excitation.require(is_complete, "harmonics", f"of {scene.dimension} components each")
     add_harmonics(rows, excitation.harmonics)
     if excitation.wave is not None:
-        for row, part in enumerate(of_wave(excitation, scene.dimension)[0]):
+        for row, part in enumerate(expand_wave(excitation, scene.dimension)[0]):
             rows[row] = tuple(np.add(rows[row], part).tolist())
     return rows
 
 
-def of_wave(load: Excitation, dimension: int) -> tuple[np.ndarray, float]:
-    """Mean and harmonics of a load's table of one period (2K+1, dimension), and what they leave out
-    of it, relative."""
+def expand_wave(load: Excitation, dimension: int) -> tuple[np.ndarray, float]:
+    """Return the Fourier coefficients of a load's table of one period.
+
+    Returns
+    -------
+    coefficients : (2K+1, dimension)
+        Mean, then cosine and sine parts of each order.
+    residual : float
+        Part of the table that these harmonics leave out, relative.
+    """
     return read_wave(load.name_of("wave"), load.given("wave"), load.wave_harmonics, dimension)

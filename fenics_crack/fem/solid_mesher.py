@@ -1,13 +1,16 @@
-"""Mesher of solids with plane cracks by gmsh: of a part from a CAD file in a program of its own
-(:mod:`fenics_crack.basics.untrusted_files`), of a box in this one.
+"""Mesh solids with plane cracks by gmsh.
 
-A crack is what is inside the solid of an ellipse or a rectangle with the half axes a and b in its
-own frame, rows e_1, e_2 and the normal. Elements are ``size`` long and, at a distance d from the
-front of a crack, ``shortest`` + ``growth`` d. The file of a part is uncracked: the cracks are cut
-into its volume, and its outer faces are found again by the triangles of a coarse mesh made before.
+A part from a CAD file is meshed in a separate program (:mod:`fenics_crack.basics.untrusted_files`),
+a box in the calling one.
 
-Nodes in the middle of curved edges go back to the straight middle near the fronts, where stress
-intensities are integrals over straight cells, and where cells would fold at small faces.
+A crack is an ellipse or a rectangle, as far as it is inside the solid. It has the half axes a and b
+in its own frame, with rows e_1, e_2 and the normal. Elements have the length ``size`` or, at a
+distance d from a crack front, ``shortest`` + ``growth`` d. A part's file is uncracked: the cracks
+are cut into its volume. Its outer faces are then identified by the triangles of an earlier coarse
+mesh.
+
+Nodes in the middle of curved edges are moved to the straight middle in two places. Near fronts,
+stress intensities are integrals over straight cells. At small faces, curved cells would fold.
 """
 
 import ctypes
@@ -20,37 +23,41 @@ import gmsh
 import numpy as np
 
 Tags = list[tuple[int, int]]
-Crack = dict[str, Any]
-Front = dict[str, Any]
-"""As :func:`insert` has them."""
+"""Dimensions and tags of gmsh's entities."""
+CrackData = dict[str, Any]
+FrontData = dict[str, Any]
+"""Data of a crack and of a front, see :func:`insert_cracks`."""
 
-UNITS = {"m": 1e3, "mm": 1.0, "inch": 25.4}
-"""Units of a file without one [mm]."""
-PER_VOLUME = 5.0
-"""Tetrahedra that gmsh makes of a volume h^3 where they are to be h long, of a fine mesh."""
-COARSE = 25.0
-"""Triangles of the coarse mesh along the diagonal of a part."""
-STRAIGHT = 2.5
-"""Distance from a front up to which cells are straight, in elements there."""
-FOLDED = 0.2
-"""Smallest over largest Jacobian determinant below which a curved cell becomes straight."""
-SMALLEST = 0.1
-"""Least length of elements by curvature over the size."""
-NEAR = 0.1
-"""Ligament at a front over its elements, and distance of a face's point over the part's size."""
-SAMPLES = 40
-"""Points of a curve from which its distances are measured, and triangles that name a face."""
+UNIT_LENGTHS = {"m": 1e3, "mm": 1.0, "inch": 25.4}
+"""Lengths of the units for files without one [mm]."""
+CELLS_PER_VOLUME = 5.0
+"""Number of tetrahedra of length h that gmsh makes in a volume h^3."""
+COARSE_TRIANGLES = 25.0
+"""Number of triangles along a part's diagonal in the coarse mesh."""
+STRAIGHT_RADIUS_RATIO = 2.5
+"""Distance from a front up to which cells are straight, in elements at the front."""
+MIN_DETERMINANT_RATIO = 0.2
+"""Minimum ratio of a cell's smallest to largest Jacobian determinant. Below it, a curved cell
+becomes straight."""
+MIN_SIZE_RATIO = 0.1
+"""Minimum element length due to curvature, relative to the size."""
+NEAR_RATIO = 0.1
+"""Minimum ligament at a front, relative to its elements. Also the maximum distance of a named point
+from a face, relative to the part's size."""
+N_CURVE_SAMPLES = 40
+"""Number of intervals on a curve between sample points, and of triangles that identify a face."""
 
 
 class Refusal(Exception):
-    """A key of a scene that cannot be used, and what is allowed."""
+    """Report an unusable key of a scene, and what is allowed."""
 
 
-def read(path: str, _most: int, given: dict[str, Any]) -> dict[str, Any]:
-    """Return the mesh of a part as msh_reader.py does, or its faces where none is asked for.
+def read(path: str, _max_bytes: int, request: dict[str, Any]) -> dict[str, Any]:
+    """Return the mesh of a part, or its faces.
 
-    ``given`` has lengths in mm, in which a part is meshed: faces, a list of [name, point]; cracks,
-    as :func:`insert` takes them; size, unit, per_turn, cells.
+    The form is that of msh_reader.py. Without "size" in ``request``, only faces are returned.
+    Lengths are in mm, the unit of the mesh. Other keys are "faces", a list of [name, point];
+    "cracks", see :func:`insert_cracks`; "unit", "per_turn" and "cells".
     """
     with suppress(AttributeError, ValueError):  # as in basics/gmsh_process.py, for FLTK
         ctypes.c_ubyte.in_dll(gmsh.lib, "_ZN2Fl13options_read_E").value = 1
@@ -58,352 +65,448 @@ def read(path: str, _most: int, given: dict[str, Any]) -> dict[str, Any]:
     gmsh.option.setNumber("General.Terminal", 0)
     gmsh.option.setNumber("General.ExpertMode", 1)  # it must not ask
     try:
-        return _meshed(path, given)
+        return _mesh_part(path, request)
     except Refusal as refusal:
         return {"refused": np.array(refusal.args)}
 
 
-def _meshed(path: str, given: dict[str, Any]) -> dict[str, Any]:
-    solid = _imported(path, given["unit"])
-    triangles, owners = coarse()
-    if "size" not in given:
+def _mesh_part(path: str, request: dict[str, Any]) -> dict[str, Any]:
+    """Mesh a part, or only its faces."""
+    solid_tags = _import_part(path, request["unit"])
+    triangles, owners = mesh_faces()
+    if "size" not in request:
         return {"triangles": triangles, "owners": owners}
-    named = _named(given["faces"], triangles, owners)
-    surfaces, fronts = insert(solid, given["cracks"], triangles)
-    size = given["size"]
-    bulk, around = n_cells(size, fronts)
-    if bulk + around > given["cells"]:
-        allowed = f"so that there are at most {given['cells']:.0e} cells: about"
-        key = "mesh.size" if bulk > around else "mesh.lip_elements"
-        raise Refusal(key, f"{allowed} {bulk + around:.2g} would be")
+    faces_by_name = _find_named_faces(request["faces"], triangles, owners)
+    surfaces, fronts = insert_cracks(solid_tags, request["cracks"], triangles)
+    size = request["size"]
+    n_bulk_cells, n_front_cells = estimate_cells(size, fronts)
+    if n_bulk_cells + n_front_cells > request["cells"]:
+        requirement = f"so that there are at most {request['cells']:.0e} cells: about"
+        key = "mesh.size" if n_bulk_cells > n_front_cells else "mesh.lip_elements"
+        raise Refusal(key, f"{requirement} {n_bulk_cells + n_front_cells:.2g} would be")
     try:
-        generate(size, fronts, given["per_turn"])
+        generate_mesh(size, fronts, request["per_turn"])
         gmsh.model.mesh.setOrder(2)
     except Exception as error:
-        allowed = f"such that gmsh can mesh the part ({error})"
-        raise Refusal("mesh.size", allowed) from None
-    sides = _sides(surfaces, triangles, owners)
-    groups = {name: [s for s, owner in sides.items() if owner in tags] for name, tags in named}
-    found = collected(surfaces, groups)
-    found["positions"], found["straight"] = straightened(found, fronts)
-    return found
+        requirement = f"such that gmsh can mesh the part ({error})"
+        raise Refusal("mesh.size", requirement) from None
+    face_of_surface = _match_surfaces(surfaces, triangles, owners)
+    groups = {
+        name: [surface for surface, face in face_of_surface.items() if face in faces]
+        for name, faces in faces_by_name
+    }
+    contents = collect_mesh(surfaces, groups)
+    contents["positions"], contents["straight"] = straighten_edges(contents, fronts)
+    return contents
 
 
 # --- the part -------------------------------------------------------------------------------------
 
 
-def _imported(path: str, unit: str) -> Tags:
-    """The one solid of a file; raises Refusal."""
+def _import_part(path: str, unit: str) -> Tags:
+    """Import the only solid in a file."""
     gmsh.model.add("part")
     gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
     try:
-        solid = gmsh.model.occ.importShapes(path, highestDimOnly=True)
+        solid_tags = gmsh.model.occ.importShapes(path, highestDimOnly=True)
     except Exception as error:
         raise Refusal("geometry.file", f"readable by gmsh ({error})") from None
-    if len(solid) != 1 or solid[0][0] != 3:
-        count = sum(dimension == 3 for dimension, _ in solid)
-        raise Refusal("geometry.file", f"a file with one solid: it has {count or 'none'}")
-    if (factor := UNITS[unit]) != 1.0:
-        gmsh.model.occ.dilate(solid, 0.0, 0.0, 0.0, factor, factor, factor)
+    if len(solid_tags) != 1 or solid_tags[0][0] != 3:
+        n_solids = sum(dimension == 3 for dimension, _ in solid_tags)
+        raise Refusal("geometry.file", f"a file with one solid: it has {n_solids or 'none'}")
+    if (factor := UNIT_LENGTHS[unit]) != 1.0:
+        gmsh.model.occ.dilate(solid_tags, 0.0, 0.0, 0.0, factor, factor, factor)
     gmsh.model.occ.synchronize()
-    return solid
+    return solid_tags
 
 
-def coarse() -> tuple[np.ndarray, np.ndarray]:
-    """Triangles (n, 3, 3) of a coarse mesh of the part's faces, and the faces (n,)."""
-    low_high = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
-    largest = float(np.linalg.norm(np.ptp(low_high, axis=0))) / COARSE
-    _set_sizes(Max=largest, FromCurvature=16, Min=0.05 * largest)
+def mesh_faces() -> tuple[np.ndarray, np.ndarray]:
+    """Mesh the part's faces coarsely.
+
+    Returns
+    -------
+    triangles : (n, 3, 3)
+        Corners of the triangles.
+    owners : (n,) int
+        Face of each triangle.
+    """
+    bounds = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
+    max_size = float(np.linalg.norm(np.ptp(bounds, axis=0))) / COARSE_TRIANGLES
+    _set_sizes(Max=max_size, FromCurvature=16, Min=0.05 * max_size)
     try:
         gmsh.model.mesh.generate(2)
     except Exception as error:
         raise Refusal("geometry.file", f"a part whose faces gmsh can mesh ({error})") from None
     triangles, owners = [], []
     for _, tag in gmsh.model.getEntities(2):
-        own = _triangles(tag)
-        triangles.append(own)
-        owners += [tag] * len(own)
+        face_triangles = _face_triangles(tag)
+        triangles.append(face_triangles)
+        owners += [tag] * len(face_triangles)
     gmsh.model.mesh.clear()
     return np.concatenate(triangles), np.array(owners)
 
 
-def _triangles(tag: int) -> np.ndarray:
-    """Corners of the triangles of a face, of any order: (n, 3, 3)."""
+def _face_triangles(tag: int) -> np.ndarray:
+    """Return corners of a face's triangles, of any order: (n, 3, 3)."""
     kinds, _, nodes = gmsh.model.mesh.getElements(2, tag)
     if not kinds:
         return np.zeros((0, 3, 3))
-    width = gmsh.model.mesh.getElementProperties(kinds[0])[3]
+    n_nodes = gmsh.model.mesh.getElementProperties(kinds[0])[3]
     numbers, positions, _ = gmsh.model.mesh.getNodes()
     order = np.argsort(numbers)
-    corners = nodes[0].reshape(-1, width)[:, :3]
-    places = order[np.searchsorted(numbers, corners, sorter=order)]
-    return positions.reshape(-1, 3)[places]
+    corner_numbers = nodes[0].reshape(-1, n_nodes)[:, :3]
+    node_index = order[np.searchsorted(numbers, corner_numbers, sorter=order)]
+    return positions.reshape(-1, 3)[node_index]
 
 
-def distances(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Distances of points (n, 3) from triangles (m, 3, 3): (n, m)."""
-    one, two = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-    to = points[:, None] - triangles[:, 0]
-    a, b, c = (one**2).sum(1), (one * two).sum(1), (two**2).sum(1)
-    d, e, area = (to * one).sum(2), (to * two).sum(2), np.maximum(a * c - b**2, 1e-300)
+def triangle_distances(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Return the distances between points (n, 3) and triangles (m, 3, 3): (n, m)."""
+    side_1, side_2 = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    offsets = points[:, None] - triangles[:, 0]
+    a, b, c = (side_1**2).sum(1), (side_1 * side_2).sum(1), (side_2**2).sum(1)
+    d = (offsets * side_1).sum(2)
+    e = (offsets * side_2).sum(2)
+    area = np.maximum(a * c - b**2, 1e-300)
     u, v = (c * d - b * e) / area, (a * e - b * d) / area
-    found = np.linalg.norm(to - u[..., None] * one - v[..., None] * two, axis=2)
-    found[(u < 0.0) | (v < 0.0) | (u + v > 1.0)] = np.inf
-    for first, second in ((0, 1), (1, 2), (2, 0)):
-        span = triangles[:, second] - triangles[:, first]
-        to = points[:, None] - triangles[:, first]
-        share = np.clip((to * span).sum(2) / np.maximum((span**2).sum(1), 1e-300), 0.0, 1.0)
-        found = np.minimum(found, np.linalg.norm(to - share[..., None] * span, axis=2))
-    return found
+    min_distances = np.linalg.norm(offsets - u[..., None] * side_1 - v[..., None] * side_2, axis=2)
+    min_distances[(u < 0.0) | (v < 0.0) | (u + v > 1.0)] = np.inf
+    for start, stop in ((0, 1), (1, 2), (2, 0)):
+        side = triangles[:, stop] - triangles[:, start]
+        offsets = points[:, None] - triangles[:, start]
+        fractions = np.clip(
+            (offsets * side).sum(2) / np.maximum((side**2).sum(1), 1e-300), 0.0, 1.0
+        )
+        min_distances = np.minimum(
+            min_distances, np.linalg.norm(offsets - fractions[..., None] * side, axis=2)
+        )
+    return min_distances
 
 
-def _named(
+def _find_named_faces(
     faces: Iterable[tuple[str, list[float]]], triangles: np.ndarray, owners: np.ndarray
 ) -> Iterable[tuple[str, set[int]]]:
-    """Names, and the faces of each: those nearest to its points."""
+    """Return names with the faces nearest to their points."""
     size = np.ptp(triangles.reshape(-1, 3), axis=0).max()
-    found: dict[str, set[int]] = {}
+    faces_by_name: dict[str, set[int]] = {}
     for name, point in faces:
-        away = distances(np.array([point]), triangles)[0]
-        if away.min() > NEAR * size:
+        point_distances = triangle_distances(np.array([point]), triangles)[0]
+        if point_distances.min() > NEAR_RATIO * size:
             raise Refusal("geometry.faces", f"points on faces: one of {name} is"
-                          f" {away.min():.3g} mm away from the nearest one")  # fmt: skip
-        found.setdefault(name, set()).add(owners[away.argmin()])
-    return found.items()
+                          f" {point_distances.min():.3g} mm away from the nearest one")  # fmt: skip
+        faces_by_name.setdefault(name, set()).add(owners[point_distances.argmin()])
+    return faces_by_name.items()
 
 
-def _sides(surfaces: list[int], triangles: np.ndarray, owners: np.ndarray) -> dict[int, int]:
-    """The face of the uncracked part of each surface of the mesh but the cracks."""
-    found = {}
+def _match_surfaces(
+    surfaces: list[int], triangles: np.ndarray, owners: np.ndarray
+) -> dict[int, int]:
+    """Return the uncracked part's face for each surface except cracks."""
+    face_of_surface = {}
     for _, tag in gmsh.model.getEntities(2):
         if tag not in surfaces:
-            middles = _triangles(tag).mean(axis=1)
-            some = middles[:: max(1, len(middles) // SAMPLES)]
-            nearest = owners[distances(some, triangles).argmin(axis=1)]
-            found[tag] = np.bincount(nearest).argmax() if len(nearest) else 0
-    return found
+            middles = _face_triangles(tag).mean(axis=1)
+            samples = middles[:: max(1, len(middles) // N_CURVE_SAMPLES)]
+            nearest_faces = owners[triangle_distances(samples, triangles).argmin(axis=1)]
+            face_of_surface[tag] = np.bincount(nearest_faces).argmax() if len(nearest_faces) else 0
+    return face_of_surface
 
 
 # --- cracks ---------------------------------------------------------------------------------------
 
 
-def insert(
-    solid: Tags, cracks: list[Crack], triangles: np.ndarray
-) -> tuple[list[int], list[Front]]:
-    """Cut cracks into a solid: the surface of each, and its front. Triangles (n, 3, 3) are those of
-    the solid's faces; none where the scene has checked the places.
+def insert_cracks(
+    solid_tags: Tags, cracks: list[CrackData], triangles: np.ndarray
+) -> tuple[list[int], list[FrontData]]:
+    """Cut cracks into a solid, and return their surfaces and fronts.
 
-    A crack has a key of the scene, middle (3,), frame (3, 3), half (2,), None of a half-plane that
-    ends at its middle; is_round; reach, its extent behind the front, or None; elements and grading
-    along it. A front has curves, points (n, 3) on them, ends (m, 3), shortest and growth.
+    Parameters
+    ----------
+    solid_tags : list of (int, int)
+        The solid.
+    cracks : list of dict
+        "key" of the scene; "middle" (3,); "frame" (3, 3); "half" (2,), or None for a half-plane
+        that ends at its middle; "is_round"; "reach", its extent behind the front, or None;
+        "elements" along this extent, and "grading".
+    triangles : (n, 3, 3)
+        Faces of the solid. Empty if the scene has checked the crack's position.
+
+    Returns
+    -------
+    surfaces : list of int
+        Surface of each crack.
+    fronts : list of dict
+        "curves"; "points" on them (n, 3); "ends" (m, 3); "shortest" element; "growth";
+        "length".
     """
     occ, faces = gmsh.model.occ, []
     for crack in cracks:
         if crack["half"] is None:
             crack["half"] = [2.0 * np.ptp(triangles.reshape(-1, 3), axis=0).max()] * 2
-        parts = occ.intersect(_face(crack), solid, removeObject=True, removeTool=False)[0]
-        parts = [part for part in parts if part[0] == 2]
-        if len(parts) != 1:
-            words = "misses the part" if not parts else f"is in {len(parts)} pieces"
+        inner_faces = occ.intersect(
+            _draw_crack_face(crack), solid_tags, removeObject=True, removeTool=False
+        )[0]
+        inner_faces = [inner_face for inner_face in inner_faces if inner_face[0] == 2]
+        if len(inner_faces) != 1:
+            problem = "misses the part" if not inner_faces else f"is in {len(inner_faces)} pieces"
             raise Refusal(f"{crack['key']}.point", f"such that the crack is one surface inside the"
-                          f" part: it {words}")  # fmt: skip
-        faces += parts
-    made, children = occ.fragment(solid, faces) if faces else (solid, [solid])
+                          f" part: it {problem}")  # fmt: skip
+        faces += inner_faces
+    fragments, children = occ.fragment(solid_tags, faces) if faces else (solid_tags, [solid_tags])
     occ.synchronize()
-    if sum(dimension == 3 for dimension, _ in made) != 1:
+    if sum(dimension == 3 for dimension, _ in fragments) != 1:
         raise Refusal(f"{cracks[-1]['key']}.point", "such that the crack does not cut the part in"
                       " two, and crosses no other crack")  # fmt: skip
     rims = [
-        {tag for _, tag in gmsh.model.getBoundary(own, combined=False, oriented=False)}
-        for own in children[1:]
+        {tag for _, tag in gmsh.model.getBoundary(surfaces, combined=False, oriented=False)}
+        for surfaces in children[1:]
     ]
-    fronts = [_front(crack, rim) for crack, rim in zip(cracks, rims, strict=True)]
-    each = [*zip(cracks, children[1:], rims, fronts, strict=True)]
-    for number, (crack, own, rim, front) in reversed([*enumerate(each)]):
-        if len(own) != 1 or any(rim & other for other in rims[:number]):
-            allowed = "such that the crack crosses and touches no other one"
-            raise Refusal(f"{crack['key']}.point", allowed)
+    fronts = [_describe_front(crack, rim) for crack, rim in zip(cracks, rims, strict=True)]
+    crack_data = [*zip(cracks, children[1:], rims, fronts, strict=True)]
+    for index, (crack, surfaces, rim, front) in reversed([*enumerate(crack_data)]):
+        if len(surfaces) != 1 or any(rim & other_rim for other_rim in rims[:index]):
+            requirement = "such that the crack crosses and touches no other one"
+            raise Refusal(f"{crack['key']}.point", requirement)
         if len(triangles):
-            _check_place(crack, own[0][1], front, triangles)
-    return [own[0][1] for own in children[1:]], fronts
+            _check_crack_position(crack, surfaces[0][1], front, triangles)
+    return [surfaces[0][1] for surfaces in children[1:]], fronts
 
 
-def _face(crack: Crack) -> Tags:
-    """The ellipse or the rectangle of which a crack is a part."""
+def _draw_crack_face(crack: CrackData) -> Tags:
+    """Draw the ellipse or rectangle of a crack."""
     occ, (e_1, e_2, normal), (a, b) = gmsh.model.occ, np.array(crack["frame"]), crack["half"]
     if crack["is_round"] and a < b:
         a, b, e_1 = b, a, e_2
     face = [(2, occ.addDisk(0.0, 0.0, 0.0, a, b) if crack["is_round"]
              else occ.addRectangle(-a, -b, 0.0, 2.0 * a, 2.0 * b))]  # fmt: skip
     e_2 = np.cross(normal, e_1)
-    level = math.hypot(normal[0], normal[1]) < 1e-12
-    turns = (
-        math.atan2(e_1[1], e_1[0] * normal[2]) if level else math.atan2(e_2[2], -e_1[2]),
+    is_horizontal = math.hypot(normal[0], normal[1]) < 1e-12
+    angles = (
+        math.atan2(e_1[1], e_1[0] * normal[2]) if is_horizontal else math.atan2(e_2[2], -e_1[2]),
         math.acos(np.clip(normal[2], -1.0, 1.0)),
-        0.0 if level else math.atan2(normal[1], normal[0]),
+        0.0 if is_horizontal else math.atan2(normal[1], normal[0]),
     )
-    for axis, turn in zip(((0, 0, 1), (0, 1, 0), (0, 0, 1)), turns, strict=True):
-        occ.rotate(face, 0.0, 0.0, 0.0, *axis, turn)
+    for axis, angle in zip(((0, 0, 1), (0, 1, 0), (0, 0, 1)), angles, strict=True):
+        occ.rotate(face, 0.0, 0.0, 0.0, *axis, angle)
     occ.translate(face, *(crack["middle"] - (crack["reach"] is None) * a * np.array(e_1)))
     return face
 
 
-def _points(curve: int) -> np.ndarray:
-    """Points (n, 3) on a curve, its ends among them."""
-    (low,), (high,) = gmsh.model.getParametrizationBounds(1, curve)
-    at = np.linspace(low, high, SAMPLES + 1)
-    return np.reshape(gmsh.model.getValue(1, curve, at), (-1, 3))
+def _curve_points(curve: int) -> np.ndarray:
+    """Return points on a curve, including its ends: (n, 3)."""
+    (start,), (stop,) = gmsh.model.getParametrizationBounds(1, curve)
+    parameters = np.linspace(start, stop, N_CURVE_SAMPLES + 1)
+    return np.reshape(gmsh.model.getValue(1, curve, parameters), (-1, 3))
 
 
-def _front(crack: Crack, rim: set[int]) -> Front:
-    """The front of a crack: of the curves around it those of the ellipse or the rectangle."""
-    half, frame, through = crack["half"], np.array(crack["frame"]), crack["reach"] is None
-    curves, points, reach = [], [np.zeros((0, 3))], 0.0
+def _describe_front(crack: CrackData, rim: set[int]) -> FrontData:
+    """Return the front of a crack.
+
+    It consists of the rim's curves on the border of the ellipse or rectangle.
+    """
+    half_axes, frame, is_straight = crack["half"], np.array(crack["frame"]), crack["reach"] is None
+    curves, point_arrays, extent = [], [np.zeros((0, 3))], 0.0
     for curve in rim:
-        at = _points(curve)
-        x, y, _ = ((at - crack["middle"]) @ frame.T).T
-        if through:
-            level, reach = 1.0 + x / half[0], max(reach, -float(x.min()))
+        points = _curve_points(curve)
+        x, y, _ = ((points - crack["middle"]) @ frame.T).T
+        if is_straight:
+            scaled_radius, extent = 1.0 + x / half_axes[0], max(extent, -float(x.min()))
         elif crack["is_round"]:
-            level = np.hypot(x / half[0], y / half[1])
+            scaled_radius = np.hypot(x / half_axes[0], y / half_axes[1])
         else:
-            level = np.maximum(np.abs(x) / half[0], np.abs(y) / half[1])
-        if np.abs(level - 1.0).max() < 1e-5:
+            scaled_radius = np.maximum(np.abs(x) / half_axes[0], np.abs(y) / half_axes[1])
+        if np.abs(scaled_radius - 1.0).max() < 1e-5:
             curves.append(curve)
-            points.append(at)
-    reach = reach if through else crack["reach"]
-    ratio = crack["grading"] ** (1.0 / max(crack["elements"] - 1, 1))
-    ends = np.array([own[k] for own in points[1:] for k in (0, -1)]).reshape(-1, 3)
-    near = np.linalg.norm(ends[:, None] - ends, axis=2) < 1e-5 * reach
+            point_arrays.append(points)
+    extent = extent if is_straight else crack["reach"]
+    length_ratio = crack["grading"] ** (1.0 / max(crack["elements"] - 1, 1))
+    ends = np.array(
+        [curve_points[k] for curve_points in point_arrays[1:] for k in (0, -1)]
+    ).reshape(-1, 3)
+    is_near = np.linalg.norm(ends[:, None] - ends, axis=2) < 1e-5 * extent
     return {
-        "curves": curves, "points": np.concatenate(points), "ends": ends[near.sum(axis=1) == 1],
-        "shortest": float(reach / (ratio ** np.arange(crack["elements"])).sum()),
-        "growth": max(ratio - 1.0, 1.0 / 3.0),
-        "length": sum(np.linalg.norm(np.diff(own, axis=0), axis=1).sum() for own in points),
+        "curves": curves, "points": np.concatenate(point_arrays),
+        "ends": ends[is_near.sum(axis=1) == 1],
+        "shortest": float(extent / (length_ratio ** np.arange(crack["elements"])).sum()),
+        "growth": max(length_ratio - 1.0, 1.0 / 3.0),
+        "length": sum(
+            np.linalg.norm(np.diff(curve_points, axis=0), axis=1).sum()
+            for curve_points in point_arrays
+        ),
     }  # fmt: skip
 
 
-def _check_place(crack: Crack, surface: int, front: Front, triangles: np.ndarray) -> None:
-    """Raise Refusal for a crack in a face, without a front, or with next to no ligament."""
-    key, shortest = f"{crack['key']}.point", front["shortest"]
-    middle = np.array([gmsh.model.occ.getCenterOfMass(2, surface)])
-    if not front["curves"] or distances(middle, triangles).min() < NEAR * shortest:
-        words = "lies in a face of it" if front["curves"] else "has no front in it"
-        raise Refusal(key, f"such that the crack is inside the part: it {words}")
+def _check_crack_position(
+    crack: CrackData, surface: int, front: FrontData, triangles: np.ndarray
+) -> None:
+    """Raise Refusal if a crack is in a face, or almost without ligament.
+
+    A crack without a front inside the part is refused, too.
+    """
+    key, shortest_length = f"{crack['key']}.point", front["shortest"]
+    centre = np.array([gmsh.model.occ.getCenterOfMass(2, surface)])
+    if (
+        not front["curves"]
+        or triangle_distances(centre, triangles).min() < NEAR_RATIO * shortest_length
+    ):
+        problem = "lies in a face of it" if front["curves"] else "has no front in it"
+        raise Refusal(key, f"such that the crack is inside the part: it {problem}")
     points, ends = front["points"], front["ends"]
-    away = np.linalg.norm(points[:, None] - ends, axis=2).min(axis=1, initial=np.inf)
-    inside = points[away > 2.0 * shortest]
-    ligament = distances(inside, triangles).min(initial=np.inf)
-    if ligament < NEAR * shortest:
+    end_distances = np.linalg.norm(points[:, None] - ends, axis=2).min(axis=1, initial=np.inf)
+    inner_points = points[end_distances > 2.0 * shortest_length]
+    ligament = triangle_distances(inner_points, triangles).min(initial=np.inf)
+    if ligament < NEAR_RATIO * shortest_length:
         raise Refusal(key, "farther from the surface: of its front some is"
-                      f" {ligament / shortest:.2g} of an element away")  # fmt: skip
+                      f" {ligament / shortest_length:.2g} of an element away")  # fmt: skip
 
 
-def n_cells(size: float, fronts: list[Front]) -> tuple[float, float]:
-    """Cells of the current model away from fronts, and in the tubes around them in which they are
-    shorter than the size: the lengths times int 2 pi d / h^3 dd."""
-    bulk = sum(gmsh.model.occ.getMass(3, tag) for _, tag in gmsh.model.getEntities(3)) / size**3
-    around = 0.0
+def estimate_cells(size: float, fronts: list[FrontData]) -> tuple[float, float]:
+    """Estimate the number of cells of the current model.
+
+    Returns
+    -------
+    float
+        Cells away from fronts.
+    float
+        Cells in tubes around fronts with shorter elements: the front's length times int 2 pi d
+        / h^3 dd.
+    """
+    bulk_volume = (
+        sum(gmsh.model.occ.getMass(3, tag) for _, tag in gmsh.model.getEntities(3)) / size**3
+    )
+    front_integral = 0.0
     for front in fronts:
-        least = min(front["shortest"], size)
-        turns = 0.5 / least - 1.0 / size + 0.5 * least / size**2
-        around += front["length"] * 2.0 * math.pi / front["growth"] ** 2 * turns
-    return PER_VOLUME * bulk, PER_VOLUME * around
+        shortest_length = min(front["shortest"], size)
+        factor = 0.5 / shortest_length - 1.0 / size + 0.5 * shortest_length / size**2
+        front_integral += front["length"] * 2.0 * math.pi / front["growth"] ** 2 * factor
+    return CELLS_PER_VOLUME * bulk_volume, CELLS_PER_VOLUME * front_integral
 
 
 # --- the mesh -------------------------------------------------------------------------------------
 
 
-def generate(size: float, fronts: list[Front], per_turn: int = 0) -> None:
-    """Mesh the current model, with so many elements on a full turn of a curved face."""
+def generate_mesh(size: float, fronts: list[FrontData], per_turn: int = 0) -> None:
+    """Mesh the current model.
+
+    ``per_turn`` is the number of elements on a full turn of a curved face.
+    """
     fields = gmsh.model.mesh.field
-    every = []
+    graded_fields = []
     for front in fronts:
         if front["curves"]:
-            away, graded = fields.add("Distance"), fields.add("Threshold")
-            fields.setNumbers(away, "CurvesList", front["curves"])
-            count = min(2000, max(SAMPLES, math.ceil(2.0 * front["length"] / front["shortest"])))
-            for name in ("NumPointsPerCurve", "Sampling"):  # until 4.8, and since
+            distance_field, threshold_field = fields.add("Distance"), fields.add("Threshold")
+            fields.setNumbers(distance_field, "CurvesList", front["curves"])
+            n_samples = min(
+                2000, max(N_CURVE_SAMPLES, math.ceil(2.0 * front["length"] / front["shortest"]))
+            )
+            for name in ("NumPointsPerCurve", "Sampling"):  # gmsh until 4.8, and later
                 with suppress(Exception):
-                    fields.setNumber(away, name, count)
-            shortest = min(front["shortest"], size)
-            reach = max((size - shortest) / front["growth"], 1e-9 * size)
-            values = {"InField": away, "SizeMin": shortest, "SizeMax": size, "DistMax": reach}
-            for name, value in values.items():
-                fields.setNumber(graded, name, value)
-            fields.setNumber(graded, "DistMin", 0.0)
-            every.append(graded)
-    if every:
-        least = fields.add("Min")
-        fields.setNumbers(least, "FieldsList", every)
-        fields.setAsBackgroundMesh(least)
-    # Small faces of a part are not resolved: else some meshes would not end.
-    smallest = min([SMALLEST * size, *(front["shortest"] for front in fronts)])
-    _set_sizes(FromPoints=0, ExtendFromBoundary=0, FromCurvature=per_turn, Max=size, Min=smallest)
+                    fields.setNumber(distance_field, name, n_samples)
+            shortest_length = min(front["shortest"], size)
+            graded_distance = max((size - shortest_length) / front["growth"], 1e-9 * size)
+            threshold_options = {
+                "InField": distance_field,
+                "SizeMin": shortest_length,
+                "SizeMax": size,
+                "DistMax": graded_distance,
+            }
+            for name, value in threshold_options.items():
+                fields.setNumber(threshold_field, name, value)
+            fields.setNumber(threshold_field, "DistMin", 0.0)
+            graded_fields.append(threshold_field)
+    if graded_fields:
+        minimum_field = fields.add("Min")
+        fields.setNumbers(minimum_field, "FieldsList", graded_fields)
+        fields.setAsBackgroundMesh(minimum_field)
+    # Small faces of a part are not resolved, as some meshes would not end.
+    min_size = min([MIN_SIZE_RATIO * size, *(front["shortest"] for front in fronts)])
+    _set_sizes(FromPoints=0, ExtendFromBoundary=0, FromCurvature=per_turn, Max=size, Min=min_size)
     try:
         gmsh.model.mesh.generate(3)
     finally:
-        _set_sizes(FromCurvature=0, Max=1e22, Min=0)  # for what is meshed next
+        _set_sizes(FromCurvature=0, Max=1e22, Min=0)  # defaults for the next mesh
 
 
-def _set_sizes(**values: float) -> None:
-    """Set gmsh's options of the sizes of elements."""
-    for name, value in values.items():
+def _set_sizes(**options: float) -> None:
+    """Set gmsh's options for element lengths."""
+    for name, value in options.items():
         gmsh.option.setNumber(f"Mesh.MeshSize{name}", value)
 
 
-def collected(surfaces: list[int], sides: dict[str, list[int]]) -> dict[str, Any]:
-    """The mesh as msh_reader.py has it, of the surfaces of cracks and the entities of named faces;
-    and the middles of the cracks, (n, 3)."""
+def collect_mesh(surfaces: list[int], surfaces_by_name: dict[str, list[int]]) -> dict[str, Any]:
+    """Collect the mesh in the form of msh_reader.py.
+
+    "middles" are the centres of the cracks, (n, 3).
+    """
     numbers, positions, _ = gmsh.model.mesh.getNodes()
-    heads, names, nodes = [], [], []
+    headers, names, nodes = [], [], []
     groups = [(3, "solid", [tag for _, tag in gmsh.model.getEntities(3)])]
-    groups += [(2, name, entities) for name, entities in sides.items()]
+    groups += [(2, name, entities) for name, entities in surfaces_by_name.items()]
     groups += [(2, f"crack {number}", [tag]) for number, tag in enumerate(surfaces, 1)]
     for tag, (dimension, name, entities) in enumerate(groups, 1):
         for entity in entities:
-            kinds, _, own = gmsh.model.mesh.getElements(dimension, entity)
-            heads += [(dimension, tag, k, len(o)) for k, o in zip(kinds, own, strict=True)]
+            kinds, _, element_nodes = gmsh.model.mesh.getElements(dimension, entity)
+            headers += [
+                (dimension, tag, kind, len(nodes_of_kind))
+                for kind, nodes_of_kind in zip(kinds, element_nodes, strict=True)
+            ]
             names += [name] * len(kinds)
-            nodes += own
+            nodes += element_nodes
     return {
         "numbers": numbers, "positions": positions.reshape(-1, 3),
-        "heads": np.array(heads, dtype=np.int64).reshape(-1, 4),
+        "heads": np.array(headers, dtype=np.int64).reshape(-1, 4),
         "names": np.array(names, dtype=str), "nodes": np.concatenate(nodes),
-        "middles": np.reshape([gmsh.model.occ.getCenterOfMass(2, s) for s in surfaces], (-1, 3)),
+        "middles": np.reshape(
+            [gmsh.model.occ.getCenterOfMass(2, tag) for tag in surfaces], (-1, 3)
+        ),
     }  # fmt: skip
 
 
-EDGES = np.array([(0, 1), (1, 2), (0, 2), (0, 3), (2, 3), (1, 3)])
-"""Edges of a tetrahedron in whose middle its nodes 4 to 9 are, in gmsh's order."""
+TETRAHEDRON_EDGES = np.array([(0, 1), (1, 2), (0, 2), (0, 3), (2, 3), (1, 3)])
+"""Ends of the edges with a tetrahedron's nodes 4 to 9, in gmsh's order."""
 
 
-def straightened(found: dict[str, Any], fronts: list[Front]) -> tuple[np.ndarray, int]:
-    """Return positions with straight edges in cells at fronts and where cells would fold, and the
-    number of cells that change."""
-    positions, numbers = found["positions"].copy(), found["numbers"]
+def straighten_edges(contents: dict[str, Any], fronts: list[FrontData]) -> tuple[np.ndarray, int]:
+    """Straighten edges of cells at fronts, and of cells that would fold.
+
+    Returns
+    -------
+    positions : (n_nodes, 3)
+        New positions.
+    int
+        Number of cells that change.
+    """
+    positions, numbers = contents["positions"].copy(), contents["numbers"]
     order = np.argsort(numbers)
-    first = found["nodes"][: found["heads"][found["heads"][:, 0] == 3, 3].sum()]
-    cells = order[np.searchsorted(numbers, first, sorter=order)].reshape(-1, 10)
+    cell_nodes = contents["nodes"][: contents["heads"][contents["heads"][:, 0] == 3, 3].sum()]
+    cells = order[np.searchsorted(numbers, cell_nodes, sorter=order)].reshape(-1, 10)
     kind = gmsh.model.mesh.getElementType("tetrahedron", 2)
-    local = gmsh.model.mesh.getElementProperties(kind)[4]
-    slopes = np.reshape(gmsh.model.mesh.getBasisFunctions(kind, local, "GradLagrange")[1],
-                        (10, 10, 3))  # fmt: skip
+    reference_points = gmsh.model.mesh.getElementProperties(kind)[4]
+    _, gradients, _ = gmsh.model.mesh.getBasisFunctions(kind, reference_points, "GradLagrange")
+    gradients = np.reshape(gradients, (10, 10, 3))
 
-    def folded() -> np.ndarray:
-        determinants = np.linalg.det(np.einsum("cnx,pnr->cpxr", positions[cells], slopes))
-        return np.asarray(determinants.min(axis=1) < FOLDED * determinants.max(axis=1))
+    def is_folded() -> np.ndarray:
+        """Return True for cells whose Jacobian determinants differ too much: (n_cells,)."""
+        determinants = np.linalg.det(np.einsum("cnx,pnr->cpxr", positions[cells], gradients))
+        return np.asarray(
+            determinants.min(axis=1) < MIN_DETERMINANT_RATIO * determinants.max(axis=1)
+        )
 
-    wanted, straight = folded(), np.zeros(len(cells), dtype=bool)
+    must_straighten, is_straight = is_folded(), np.zeros(len(cells), dtype=bool)
     for front in fronts:
-        steps = front["points"]
-        for point in steps:
-            near = np.linalg.norm(positions[cells[:, :4]] - point, axis=2).min(axis=1)
-            wanted |= near < STRAIGHT * front["shortest"] + front["length"] / SAMPLES
-    middles = positions[cells[:, EDGES]].mean(axis=2)
-    bent = np.abs(positions[cells[:, 4:]] - middles).max(axis=(1, 2)) > 1e-9 * np.ptp(positions)
-    while np.any(wanted & ~straight):
-        straight |= wanted
-        positions[cells[wanted, 4:]] = positions[cells[wanted][:, EDGES]].mean(axis=2)
-        wanted = folded()
-    return positions, int((straight & bent).sum())
+        for point in front["points"]:
+            corner_distances = np.linalg.norm(positions[cells[:, :4]] - point, axis=2).min(axis=1)
+            must_straighten |= (
+                corner_distances
+                < STRAIGHT_RADIUS_RATIO * front["shortest"] + front["length"] / N_CURVE_SAMPLES
+            )
+    edge_centres = positions[cells[:, TETRAHEDRON_EDGES]].mean(axis=2)
+    is_bent = np.abs(positions[cells[:, 4:]] - edge_centres).max(axis=(1, 2)) > 1e-9 * np.ptp(
+        positions
+    )
+    while np.any(must_straighten & ~is_straight):
+        is_straight |= must_straighten
+        positions[cells[must_straighten, 4:]] = positions[
+            cells[must_straighten][:, TETRAHEDRON_EDGES]
+        ].mean(axis=2)
+        must_straighten = is_folded()
+    return positions, int((is_straight & is_bent).sum())

@@ -158,7 +158,7 @@ def _pack_modes(modes: Modes) -> Parts:
         by_dof = gather_rows(whole.comm, modes.structure.expand(modes.shapes.T).T)
         return {"omega": modes.omega, "shapes": by_dof.T}
     mesh = NodalMesh(modes.structure)
-    shapes = mesh.field(modes.structure.expand(modes.shapes.T))
+    shapes = mesh.nodal_vectors(modes.structure.expand(modes.shapes.T))
     return {"omega": modes.omega, "nodes": _marks(mesh), "shapes": shapes}
 
 
@@ -189,7 +189,7 @@ def _unpack_modes(parts: Parts, structure: Structure, contact: Law = None) -> Mo
     if not same or distance.max() > 1e-6 * mesh.size:
         raise InputError("structure", f"{len(marks)} nodes", f"that of the file, {len(then)}")
     first = whole.comm.exscan(len(whole.nodes.points)) or 0
-    mine = mesh.in_frames(shapes[:, place])[:, first : first + len(whole.nodes.points)]
+    mine = mesh.to_nodal_frames(shapes[:, place])[:, first : first + len(whole.nodes.points)]
     free = whole.nodes.dofs >= 0
     rows = np.zeros((len(omega), whole.n_local))
     rows[:, whole.nodes.dofs[free] - whole.first_dof] = mine[:, free]

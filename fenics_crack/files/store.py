@@ -31,7 +31,7 @@ from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.tables import UNITS
 from fenics_crack.basics.untrusted_files import beginning_of, bytes_of, run_reader, sha256
-from fenics_crack.fem.model_files import read_with
+from fenics_crack.fem.model_files import list_included_files
 from fenics_crack.files.codec import WRONG, check_arrays
 from fenics_crack.scene.scene import Scene, files_of, with_files
 from fenics_crack.version import VERSION
@@ -368,7 +368,7 @@ def _files_of(scene: Scene) -> list[tuple[str, str]]:
     """The keys that name files of a scene, and these; then those that are read with them."""
     found = files_of(scene)
     named = any(key == "structure.dofs" for key, _ in found)  # takes the place of those beside
-    beside = [(key, str(more)) for key, path in found for more in read_with(Path(path))]
+    beside = [(key, str(more)) for key, path in found for more in list_included_files(Path(path))]
     return found + [one for one in beside if not (named and one[1].endswith(".dof"))]
 
 

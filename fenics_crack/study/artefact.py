@@ -23,7 +23,7 @@ from mpi4py import MPI
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.observables import QUANTITIES
 from fenics_crack.basics.ranks import gather_rows, on_root
-from fenics_crack.fem.setting import clearance_of, damping_of, parts_of
+from fenics_crack.fem.setting import clearance_of, damping_of, force_parts
 from fenics_crack.files.codec import Parts, packed, unpacked
 from fenics_crack.files.store import Stored, check_shapes, read, write
 from fenics_crack.model.body import Body
@@ -311,7 +311,7 @@ def _weights(known: Scene, scene: Scene) -> np.ndarray:
     the same place and in the same directions."""
     if loads_of(known) == loads_of(scene):  # a file with its wave may have gone
         return np.eye(1 + 2 * known.highest_order)
-    before, after = (np.array(parts_of(one), dtype=float) for one in (known, scene))
+    before, after = (np.array(force_parts(one), dtype=float) for one in (known, scene))
     weights = after @ np.linalg.pinv(before)
     missed = np.abs(weights @ before - after).max() > ROUNDING * np.abs(after).max()
     if missed or known.has_other_loads:

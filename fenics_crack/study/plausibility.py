@@ -28,8 +28,8 @@ import numpy as np
 
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.basics.tables import RPM, TURN, frequency_axis, in_unit
-from fenics_crack.fem.cracks import SAME
-from fenics_crack.fem.setting import of_wave
+from fenics_crack.fem.cracks import POSITION_TOLERANCE
+from fenics_crack.fem.setting import expand_wave
 from fenics_crack.model.contact import solve_complementarity
 from fenics_crack.model.factor import Factor
 from fenics_crack.model.modes import (
@@ -135,8 +135,9 @@ def find_key_figures(study: Study) -> KeyFigures:
     most = whole.n_dofs if known is None else len(known[0])
     count = min(N_MODES, most)
     with Factor(whole.stiffness, definite=True) as factor:
-        # Of the resonance, too.
-        many = solve_modes_with_factor(factor, whole, min(SOUGHT_MODES, most))
+        many = solve_modes_with_factor(
+            factor, whole, min(SOUGHT_MODES, most)
+        )  # of the resonance, too
         modes = Modes(many.omega[:count], many.shapes[:, :count], whole)
         slopes = _slopes(factor, many, count)
         static = _static(factor, modes, whole.force)
@@ -544,9 +545,9 @@ def _no_node(value: object, scene: Scene, structure: Structure) -> tuple[float, 
     if structure.nodes is None or (scene.structure is None and scene.geometry.file is None):
         return None
     if scene.structure is None:
-        from fenics_crack.fem.loads import share_at  # DOLFINx
+        from fenics_crack.fem.loads import nodal_force_fractions  # DOLFINx
 
-        shares = share_at(scene, structure.nodes.mesh_dofs, "excitation.point", value)  # type: ignore[arg-type]
+        shares = nodal_force_fractions(scene, structure.nodes.mesh_dofs, "excitation.point", value)  # type: ignore[arg-type]
         if structure.comm.allreduce(np.count_nonzero(shares)) > 1:  # of the nodes of its cell
             return None
     points = gather_rows(structure.comm, structure.nodes.points)
@@ -715,7 +716,7 @@ OF_SCENE = (
           "1.4e-10", units={"mm in a cycle": 1e-3}),
     Usual("excitation.wave", 0.0, 0.0, "{1} harmonics leave out {0:.2%} of what changes in it "
           "(root mean square)",
-          lambda _, scene: (of_wave(scene.excitation, scene.dimension)[1],
+          lambda _, scene: (expand_wave(scene.excitation, scene.dimension)[1],
                             scene.excitation.wave_harmonics)),
     Usual(LOADS, 1.0, 1.0, "no force at all: excitation.force_sin, force_cos and force_mean are "
           "zero", lambda _, scene: scene.has_other_loads or bool(scene.excitation.force_given)),
@@ -723,8 +724,8 @@ OF_SCENE = (
 OF_STRUCTURE = (
     Usual("structure.model mesh.file", 0.0, LARGEST_SIDE, "a structure of {1:.3g} m x {0:.3g} m; "
           "is the mesh in mm?", lambda _, __, structure: (max(e := extents(structure)), min(e))),
-    Usual("excitation.point", 0.0, SAME, "no node is there: the force acts on the nearest one, at "
-          "{1}", _no_node),
+    Usual("excitation.point", 0.0, POSITION_TOLERANCE, "no node is there: the force acts on the "
+          "nearest one, at {1}", _no_node),
     Usual("rotation.speed", 0.0, FASTEST, TOO_FAST, _tip_speed, {"rpm": RPM}),
     Usual("rotation.rpm", 0.0, FASTEST, TOO_FAST, _tip_speed),
     Usual("rotation.hub_radius", 0.0, 0.01, "counted from a clamp at y = 0; that of the mesh is at "

@@ -805,7 +805,7 @@ def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressInt
         tuple(tip.name for tip in tips),
         np.array([tip.position for tip in tips]),
         np.array([tip.point for tip in tips]),
-        np.array([tip.ahead for tip in tips]),
+        np.array([tip.growth_direction for tip in tips]),
         np.column_stack([one.one for one in seen]),
         np.column_stack([one.two for one in seen]),
         np.column_stack(three) if three else None,

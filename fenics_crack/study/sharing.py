@@ -64,9 +64,9 @@ def assembled(scene: Scene, comm: MPI.Comm, last: list[Made] = LAST) -> Structur
         last.clear()
         last.append(Made(assemble(scene, comm), comm, parts))
     elif known is not None and known.parts != parts:
-        from fenics_crack.fem.build import in_another
+        from fenics_crack.fem.build import reuse_structure
 
-        made = in_another(scene, known.structure, loads=known.parts[1] != parts[1])
+        made = reuse_structure(scene, known.structure, loads=known.parts[1] != parts[1])
         last[:] = [Made(made, comm, parts)]
     return last[0].structure
 

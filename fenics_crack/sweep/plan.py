@@ -14,7 +14,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.basics.errors import MOST_HARMONICS, InputError
-from fenics_crack.fem.blocks import lip_pairs
+from fenics_crack.fem.blocks import count_plate_pairs
 from fenics_crack.fem.matrix_files import count_pairs
 from fenics_crack.fem.plate import build_mesh
 from fenics_crack.scene.scene import Scene
@@ -126,13 +126,13 @@ def _most_pairs(scene: Scene) -> int:
             plate = build_mesh(scene, MPI.COMM_SELF)
         except InputError:
             return 0  # its cases will fail
-        if not plate.cracked:
+        if not plate.has_cracks:
             return 0
-        cracks = len(plate.lips)
+        cracks = len(plate.cracks)
         nodes = len(plate.facets("lower_lip")) * mesh.order + cracks
     else:
         cracks = len(scene.all_cracks)
-        nodes = lip_pairs(scene) if cracks else 0
+        nodes = count_plate_pairs(scene) if cracks else 0
     return int(min(each * cracks, nodes)) if cracks else 0
 
 

@@ -146,45 +146,6 @@ def test_verdict_changes_where_a_bifurcation_is() -> None:
     assert np.array_equal(stable, (curve.omega < at[0]) | (curve.omega > at[1]))
 
 
-def test_up_and_down_are_one_curve() -> None:
-    """The same motions in both directions, read off at a frequency between points."""
-    down = fc.continue_frequency(judged.oscillator(), 3.0, 1.5, SOFT, harmonics=20)
-    omega = np.linspace(1.6, 2.9, 40)
-    up = bilinear()
-    one = np.interp(omega, up.omega, state(up))
-    other = np.interp(omega, down.omega[::-1], state(down)[::-1])
-    assert np.abs(one / other - 1.0).max() < 0.02
-
-
-@pytest.mark.parametrize(
-    ("parameter", "start", "stop"),
-    [("load", 0.5, 2.0), ("stiffness", 1.0, 50.0), ("damping", 1.0, 3.0), ("clearance", 0.2, 0.5)],
-)
-def test_curve_over_another_parameter(parameter: str, start: float, stop: float) -> None:
-    """Its ends are the single solutions there."""
-    structure, omega = judged.oscillator(clearance=0.3), 1.2
-    curve = fc.continue_parameter(structure, omega, SOFT, parameter, start, stop, harmonics=15)
-    assert curve.complete and curve.values[[0, -1]] == pytest.approx([start, stop], rel=1e-12)
-    law = SOFT.scaled(stop) if parameter == "stiffness" else SOFT
-    if parameter != "stiffness":
-        structure = structure.varied(**{parameter: stop})
-    end = curve.solution(len(curve) - 1)
-    alone = fc.solve_harmonic_balance(structure, omega, law, harmonics=15, initial=end)
-    moved = np.linalg.norm(alone.gap_coefficients - end.gap_coefficients)
-    assert moved < 1e-8 * np.linalg.norm(end.gap_coefficients)
-
-
-def test_curve_that_is_stopped_goes_on() -> None:
-    """Point by point, stopped and taken up: what was found stays, and the end is reached."""
-    growing = fc.Continuation(fc.Problem(judged.oscillator(), 1.5, SOFT, 10), "omega", 1.5, 3.0)
-    points = [point.value for point, _ in zip(growing, range(5), strict=False)]
-    assert not growing.curve.complete
-    growing.run()
-    curve = growing.curve
-    assert curve.complete and curve.omega[-1] == pytest.approx(3.0)
-    assert curve.omega[:5] == pytest.approx(points, rel=1e-12)
-
-
 # --- exact bifurcations ---------------------------------------------------------------------------
 
 
@@ -352,6 +313,7 @@ def test_folds_over_the_load() -> None:
     assert [one.value for one in curve.bifurcations] == pytest.approx(true, rel=5e-4)
 
 
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize("seed", [74, 65])
 def test_bifurcations_do_not_depend_on_the_step(seed: int) -> None:
     """Chains with 0.1 to 1 % of damping lose and find their stability within a few points: all that
@@ -385,19 +347,10 @@ def test_both_ways_find_the_same_folds() -> None:
     assert len(folds[0]) == 6 and folds[0] == pytest.approx(folds[1], rel=1e-7)
 
 
-def test_many_pairs_with_mass() -> None:
-    """Eight of them: every point has a verdict, that of its orbit by another flow."""
-    structure, law = judged.chain(8, 25, seed=2), fc.UnilateralPenalty(5.0)
-    curve = fc.continue_frequency(structure, 1.3, 1.32, law, tolerance=1e-2)
-    assert curve.complete and "undecided" not in curve.verdicts
-    for place in (1, len(curve) // 2):
-        orbit = judged.orbit_of(curve.solution(place))
-        assert abs(curve.multipliers[place]) == pytest.approx(abs(orbit.multipliers[0]), rel=1e-6)
-
-
 # --- verdicts of harmonic balance -----------------------------------------------------------------
 
 
+@pytest.mark.nightly
 def test_stiff_stop_with_few_harmonics() -> None:
     """H = 10, against the branch of exact orbits: of the points whose nearest orbit is clear none
     has the verdict of another one; folds are its own."""
@@ -441,20 +394,3 @@ def test_from_next_to_no_frequency() -> None:
     assert curve.verdicts[-1] == "stable"
     curve = fc.continue_frequency(structure, 1e-9, 0.7, SOFT, tolerance=1e-2)
     assert not curve.exact and curve.complete
-
-
-def test_plate_without_mass() -> None:
-    """Rigid, next to its first bilinear resonance: points are next to their orbits, and verdicts
-    are theirs."""
-    structure, law = judged.plate(), fc.UnilateralConstraint()
-    bilinear = float(fc.bilinear_frequencies(structure).omega_bilinear[0])
-    curve = fc.continue_frequency(
-        structure, 0.96 * bilinear, 0.97 * bilinear, law, harmonics=10, stability=True
-    )
-    assert curve.complete
-    for place in (0, len(curve) // 2, len(curve) - 1):
-        found = curve.solution(place)
-        orbit = judged.orbit_of(found)
-        assert judged.apart(found, orbit) < 3.0 * found.report.total
-        stable = np.abs(orbit.multipliers[0]) < 1.0
-        assert curve.verdicts[place] in ("undecided", "stable" if stable else "unstable")

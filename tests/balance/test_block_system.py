@@ -188,6 +188,7 @@ def test_refusals(monkeypatch: pytest.MonkeyPatch) -> None:
         fc.solve_harmonic_balance(oscillator(), 0.7, law, form="block")
 
 
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize("method", ["massless", "free_interface"])
 def test_reduced_structures(method: str) -> None:
     """The equations of the condensed form, with its exact integrals: the same numbers to 1e-10 of a

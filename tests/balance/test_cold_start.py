@@ -9,6 +9,7 @@ import fenics_crack as fc
 FREQUENCIES = np.linspace(0.3, 2.0, 300)
 
 
+@pytest.mark.drawn(6)
 @pytest.mark.parametrize("harmonics", [5, 10, 20])
 @pytest.mark.parametrize("stiffness", [1.0, 10.0, 100.0, 1000.0])
 def test_bilinear_oscillator(stiffness: float, harmonics: int) -> None:
@@ -54,6 +55,7 @@ def test_many_pairs_climb_from_few_harmonics() -> None:
             assert found.converged and found.iterations < 60
 
 
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize(("stiffness", "omega"), [(1e12, 2500.0), (1e14, 1500.0)])
 def test_contact_stiffer_than_rounding_resolves(
     stiffness: float, omega: float, breathing_plate: fc.Structure

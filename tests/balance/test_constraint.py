@@ -125,6 +125,7 @@ def test_weights_agree_with_more_harmonics(
     assert differences[0] > 1e-2 and differences[-1] < 3e-3
 
 
+@pytest.mark.drawn(2)
 @pytest.mark.parametrize(("harmonics", "step"), [(5, 100.0), (10, 100.0), (20, 500.0), (40, 1e3)])
 def test_constraint_over_the_frequencies(
     paper_structure: fc.Structure, harmonics: int, step: float

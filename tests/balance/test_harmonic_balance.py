@@ -292,6 +292,7 @@ class Steep(Cubic):
         return Steep(factor * self.stiffness)
 
 
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize("throw", [True, False])
 def test_a_wrong_tangent_is_named_where_newton_fails(throw: bool) -> None:
     """Advice on harmonics and damping helps nobody then; it stays that of a law that is right."""

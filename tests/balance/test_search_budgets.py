@@ -55,6 +55,7 @@ def test_friction_ends_by_work(monkeypatch: pytest.MonkeyPatch) -> None:
     assert fc.solve_harmonic_balance(structure, 0.9, law, harmonics=10).converged
 
 
+@pytest.mark.nightly
 def test_steps_that_are_too_long_are_work() -> None:
     """Along a path without damping most steps are halved: of 12 masses at a stiff stop a search to
     a tolerance took 11 s, where iterations of steps along which the path went on were counted."""

@@ -65,27 +65,27 @@ def assert_certified(table: np.ndarray, found: Switching) -> None:
 
 
 def test_random_polynomials() -> None:
-    """1800 polynomials, H = 1 to 60: the scan finds no sign change that was missed."""
+    """600 polynomials, H = 1 to 60: the scan finds no sign change that was missed."""
     rng = np.random.default_rng(11)
     changes = 0
     for count in HARMONICS:
-        table = random_harmonics(count, 30, rng)
+        table = random_harmonics(count, 10, rng)
         found = switching_instants(table)
         assert_certified(table, found)
         changes += len(found.theta)
-    assert changes > 60 * 30 * 4
+    assert changes > 60 * 10 * 4
 
 
 def test_grazing_polynomials() -> None:
-    """1800 polynomials with an extremum 1e-2 to 1e-10 of the amplitude above or below zero.
+    """600 polynomials with an extremum 1e-2 to 1e-10 of the amplitude above or below zero.
 
     Its excursion is shorter than the scan's cells, so the state is checked at the extremum itself.
     """
     rng = np.random.default_rng(12)
     excursions = 0
     for count in HARMONICS:
-        table = random_harmonics(count, 30, rng)
-        every = np.arange(30)
+        table = random_harmonics(count, 10, rng)
+        every = np.arange(10)
         values = scan(table)
         extremal = (values - np.roll(values, 1, axis=0)) * (np.roll(values, -1, axis=0) - values)
         near = np.array([rng.choice(np.flatnonzero(extremal[:, pair] < 0.0)) for pair in every])
@@ -93,7 +93,7 @@ def test_grazing_polynomials() -> None:
         for _ in range(6):  # Newton's method for g' = 0; at an extremum g' and g'' say all
             slope, curvature = (values_at(table, every, theta, order) for order in (1, 2))
             theta = theta - slope / curvature
-        depth = 10.0 ** -rng.uniform(2.0, 10.0, 30) * rng.choice([-1.0, 1.0], 30)
+        depth = 10.0 ** -rng.uniform(2.0, 10.0, 10) * rng.choice([-1.0, 1.0], 10)
         amplitude = np.abs(values - table[0].real).max(axis=0)
         table[0] += depth * amplitude - values_at(table, every, theta)
         assert np.all(np.abs(values_at(table, every, theta, 1)) < 1e-9 * count**2 * amplitude)
@@ -110,7 +110,7 @@ def test_grazing_polynomials() -> None:
                     excursions += 1
                     assert distance[distance > 0.0].min() == pytest.approx(half, rel=0.05)
                     assert -distance[distance < 0.0].max() == pytest.approx(half, rel=0.05)
-    assert excursions > 450
+    assert excursions > 150
 
 
 def test_known_roots_of_one_harmonic() -> None:

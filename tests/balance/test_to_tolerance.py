@@ -50,6 +50,7 @@ def solved(name: str, tolerance: float) -> fc.PeriodicSolution:
     return fc.solve_harmonic_balance(structure, OMEGA[name], law, tolerance=tolerance)
 
 
+@pytest.mark.drawn(2)
 @pytest.mark.verification
 @pytest.mark.parametrize(
     ("name", "tolerance"),

@@ -371,6 +371,7 @@ def chain_result(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "solution.h5"
 
 
+@pytest.mark.drawn(3)
 @pytest.mark.usefixtures("not_drawn")
 @pytest.mark.parametrize("command", COMMANDS)
 def test_full_disk(
@@ -419,6 +420,7 @@ def test_full_disk_on_two_ranks(command: str, tmp_path: Path, on_ranks: Callable
     assert all((tmp_path / name).stat().st_size > 100 for name in COMMANDS[command])
 
 
+@pytest.mark.nightly
 @pytest.mark.skipif(os.geteuid() != 0 or not shutil.which("unshare"), reason="cannot mount")
 def test_full_tmpfs(chain_result: Path, tmp_path: Path) -> None:
     """A disk that is full, not a limit: the same line, and nothing of libhdf5."""
@@ -436,6 +438,7 @@ def test_full_tmpfs(chain_result: Path, tmp_path: Path) -> None:
     assert done.returncode == 1 and "sweep.h5" in line and "No space left" in line
 
 
+@pytest.mark.drawn(3)
 @pytest.mark.usefixtures("not_drawn")
 @pytest.mark.parametrize("command", COMMANDS)
 def test_links_in_the_folder_lead_nowhere(command: str, chain_result: Path, tmp_path: Path) -> None:

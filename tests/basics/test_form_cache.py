@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 import ufl
 from mpi4py import MPI
-from ranks import LIMIT, command, environment, is_running
+from ranks import LIMIT, environment, is_running, launcher
 from surroundings import main
 
 from fenics_crack.basics.untrusted_files import sha256
@@ -77,20 +77,8 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty cache, which is used in this process."""
     folder = tmp_path / "cache" / "fenics"
     folder.mkdir(mode=0o700, parents=True)
-    monkeypatch.setattr(compat, "_CACHE", folder)
+    monkeypatch.setattr(compat, "_CACHE_FOLDER", folder)
     return folder
-
-
-def test_compilations_that_are_interrupted(tmp_path: Path, cache: Path) -> None:
-    """Three at once, which do not wait for each other; then the form is compiled anew at once. A
-    folder that a kill leaves has no record."""
-    words = [sys.executable, "-c", FORMS]
-    programs = {number: compiling(words, tmp_path, number) for number in SIGNALS}
-    assert all(interrupt(programs[number], tmp_path, number)[0] != 0 for number in SIGNALS)
-    left = {*cache.iterdir()}
-    assert len(left) == 2 and not [*cache.glob("*.txt")]
-    assert assemble(MPI.COMM_SELF) == pytest.approx(1.0)
-    assert [*cache.glob("*.txt")] and left < {*cache.iterdir()}
 
 
 @pytest.mark.nightly
@@ -102,7 +90,7 @@ def test_a_run_that_is_interrupted(tmp_path: Path, ranks: int, number: int) -> N
     assert main(["new", str(tmp_path / "plate.toml"), "--quiet"]) == 0
     words = ["-m", "fenics_crack", "modes", str(tmp_path / "plate.toml"), *SMALL]
     words += ["--output", str(tmp_path / "out"), "--quiet"]
-    words = [*command("", ranks)[: 3 * (ranks > 1)], sys.executable, *words]
+    words = [*(launcher(ranks) if ranks > 1 else []), sys.executable, *words]
     code, said = interrupt(compiling(words, tmp_path, number), tmp_path, number)
     if number == signal.SIGINT:
         assert code == 130 and "stopped" in said and "Traceback" not in said
@@ -138,7 +126,7 @@ def test_a_damaged_form(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assemble(MPI.COMM_SELF)
     assert {*cache.iterdir()} == whole
     copy = shutil.copytree(cache, cache.parent / "copy")  # this process has mapped the others
-    monkeypatch.setattr(compat, "_CACHE", copy)
+    monkeypatch.setattr(compat, "_CACHE_FOLDER", copy)
     first, *others = sorted(copy.glob("*/"))
     os.truncate(next(first.glob("*.so")), 8192)
     for other in others:
@@ -167,7 +155,7 @@ def test_what_others_leave(cache: Path) -> None:
 def on_both(cache: str, comm: MPI.Comm) -> float:
     """Each rank alone, then both together, in a cache that is empty before."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compat, "_CACHE", Path(cache))
+        patch.setattr(compat, "_CACHE_FOLDER", Path(cache))
         return assemble(MPI.COMM_SELF) * assemble(comm)
 
 

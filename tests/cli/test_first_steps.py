@@ -99,6 +99,7 @@ def test_commands_run_on_the_solid_that_new_wrote(here: Path, run_command: RunCo
     assert {"modes.png", "solution_contact_map.png", "solution_breathing_crack.gif"} <= drawn
 
 
+@pytest.mark.drawn(2)
 @pytest.mark.parametrize(
     ("command", "gone"),
     [("timing", "tip_timing"), ("campbell", "rotation"), ("curve", "curve"), ("sweep", "sweep")],
@@ -173,8 +174,15 @@ def test_tables_to_paste_make_a_scene(here: Path, run_command: RunCommand) -> No
 @pytest.mark.parametrize(
     ("kind", "changes", "unit"),
     [
-        ([], ["geometry.height=0.2", "excitation.point=[0.1, 0.2]"], "frequency"),
-        ([], ["excitation.omega=2.7e4", "sweep=none"], "omega"),  # the second, or third
+        pytest.param(
+            [],
+            ["geometry.height=0.2", "excitation.point=[0.1, 0.2]"],
+            "frequency",
+            marks=pytest.mark.nightly,
+        ),
+        pytest.param(  # the second, or third
+            [], ["excitation.omega=2.7e4", "sweep=none"], "omega", marks=pytest.mark.nightly
+        ),
         pytest.param(
             ["--blade"],
             ["material.young=1.1e11", "material.density=4400.0"],

@@ -249,35 +249,6 @@ def test_a_peak_between_two_speeds(tmp_path: Path) -> None:
     assert text.startswith("between 9000 and 12000 rpm, the sweep steps over a peak")
 
 
-@pytest.mark.parametrize("frequency", [pytest.param(800.0, marks=pytest.mark.nightly), 832.3])
-def test_solution_and_curve_agree(scene: fc.Scene, frequency: float) -> None:
-    """At one point: the same harmonics, modes, response, error and verdict; also at resonance."""
-    ends = {"curve.start": frequency, "curve.stop": 1.0003 * frequency}
-    given = scene.replace(FIXED | ends | {"excitation.frequency": frequency})
-    one, many = fc.solve(given), fc.curve(given)
-    first = many.result.solution(0)
-    assert one.result.harmonics == first.harmonics
-    assert one.structure.n_dofs == many.structure.n_dofs
-    report, other = one.result.report, first.report
-    assert replace(report, residual=0.0).total == pytest.approx(
-        replace(other, residual=0.0).total, rel=1e-6
-    )
-    height = one.result.amplitude(one.watched_dof)
-    assert many.result.amplitude(many.watched_dof)[0] == pytest.approx(height, rel=1e-4)
-    assert one.result.stability.verdict == many.result.verdicts[0] == "stable"
-
-
-def test_large_displacements_are_said(
-    scene: fc.Scene, tmp_path: Path, run_command: RunCommand
-) -> None:
-    """The equations are linear but for the contact, and the errors say nothing about that."""
-    coarse = scene.replace({"mesh.error": False})
-    for key, force, warns in (("sin", 10.0, False), ("sin", 1e6, True), ("mean", 1e6, True)):
-        change = [f"excitation.force_{key}=[{force}, 0.0]"]
-        said = run_command("solve", coarse, "--output", tmp_path / "out", sets=change).err
-        assert ("beyond small displacements" in said) == warns
-
-
 def test_large_is_what_rotates(scene: fc.Scene, tmp_path: Path, run_command: RunCommand) -> None:
     """A slender blade that moves by 2 % of its length, half its thickness, is linear to 0.04 %; by
     20 % it is not. So says ``check`` before."""
@@ -324,6 +295,7 @@ def test_a_steady_load_moves_nothing(
         assert "nothing vibrates" in run_command("curve", held, "--output", folder, code=2).err
 
 
+@pytest.mark.nightly
 def test_a_motion_of_closed_lips_settles(
     scene: fc.Scene, tmp_path: Path, run_command: RunCommand
 ) -> None:
@@ -434,6 +406,7 @@ def test_a_larger_harmonic_that_is_left_out(
     assert apart > 50.0 and seen[0]["error [%]"] == pytest.approx(apart, rel=0.05)
 
 
+@pytest.mark.nightly
 def test_rounding_is_no_high_harmonic(
     scene: fc.Scene, tmp_path: Path, run_command: RunCommand
 ) -> None:
@@ -455,12 +428,15 @@ def test_rounding_is_no_high_harmonic(
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
-        ("", False),
+        pytest.param("", False, marks=pytest.mark.nightly),
         ("damping.modes=3", True),
-        ("damping.modes=3 reduction.modes=10 reduction.method=free_interface", True),
+        pytest.param(
+            "damping.modes=3 reduction.modes=10 reduction.method=free_interface", True,
+            marks=pytest.mark.nightly,
+        ),
         ("damping.modes=3 reduction.modes=10", False),  # without mass all that are kept are damped
     ],
-)
+)  # fmt: skip
 def test_hint_to_damp_more_modes(
     changes: str,
     expected: bool,
@@ -531,6 +507,7 @@ def test_ctrl_c_during_the_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert found.result.converged and found.stated is None
 
 
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize(
     ("command", "changes", "said"),
     [

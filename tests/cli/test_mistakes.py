@@ -32,6 +32,7 @@ def test_table_is_long_enough(plate: Path, run_command: RunCommand) -> None:
     assert run_command("check", plate, *COARSE).err == ""
 
 
+@pytest.mark.drawn(16)
 @pytest.mark.parametrize(("slip", "changes", "answer"), LINES, ids=[line[0] for line in LINES])
 def test_slip(
     slip: str, changes: str, answer: str, plate: Path, capsys: pytest.CaptureFixture

@@ -133,6 +133,7 @@ def test_picture_of_the_readme() -> None:
 # --- harmonics and orbits -------------------------------------------------------------------------
 
 
+@pytest.mark.nightly
 def test_spectrum_and_orbits(breathing: fc.PeriodicSolution, tmp_path: Path) -> None:
     """With one panel or two, of plates and of matrices, with twice the load's period or without."""
     dof = breathing.structure.find_dof((0.1, 0.1), "x")

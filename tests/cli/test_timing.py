@@ -272,6 +272,7 @@ def test_a_run_up_of_few_speeds(
     assert "must be those of a constant speed" in run_command(*words, code=2).err
 
 
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize(("parameter", "factor", "code"), [("omega", 1.0, 2), ("speed", 0.2, 0)])
 def test_a_curve_at_one_speed_is_no_run_up(
     tmp_path: Path, timing: RunCommand, parameter: str, factor: float, code: int

@@ -1,7 +1,6 @@
 """Response curves of pairs that are seen through a static compliance: the slow gap is followed."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -186,23 +185,6 @@ def test_small_structure_with_fast_modes() -> None:
 
 
 # --- structures with many dofs, and what is refused -----------------------------------------------
-
-
-def test_large_structures_lose_the_mass_of_their_lips(tmp_path: Path) -> None:
-    """Reduced first; a solution of the whole structure is where the curve begins."""
-    whole, law = steel("mouth"), fc.UnilateralPenalty(1e8)
-    assert whole.n_dofs > 600
-    initial = fc.solve_harmonic_balance(whole, 7000.0, law, harmonics=5)
-    curve = fc.continue_frequency(whole, 7000.0, 7100.0, law, harmonics=5, initial=initial)
-    assert isinstance(curve.structure, fc.ReducedStructure) and curve.static_above is not None
-    assert curve.complete and curve.structure.n_dofs < 60
-    difference = curve.gap_coefficients[0] - initial.gap_coefficients
-    assert np.abs(difference).max() < 0.05 * np.abs(initial.gap_coefficients).max()
-    fc.save(curve, tmp_path / "curve.h5")
-    loaded = fc.load(tmp_path / "curve.h5", whole, law)
-    assert isinstance(loaded, fc.ResponseCurve) and loaded.static_above == curve.static_above
-    assert np.array_equal(loaded.points, curve.points)
-    assert np.array_equal(loaded.gap_coefficients, curve.gap_coefficients)
 
 
 def test_what_is_refused(plate: fc.Structure) -> None:

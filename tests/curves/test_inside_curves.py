@@ -134,6 +134,7 @@ def test_derivatives(parameter: str, damping: str) -> None:
     assert at.jacobian @ way == pytest.approx(difference(way, 0.0), abs=1e-6)
 
 
+@pytest.mark.drawn(3)
 @pytest.mark.parametrize("parameter", RANGES)
 def test_end_is_the_orbit_found_there(parameter: str) -> None:
     """By the problem varied as a whole, and Newton's method on its own flow."""
@@ -598,7 +599,9 @@ def test_points_of_a_duffing_curve_are_judged_as_solutions_are() -> None:
     """Up, back and up again: the middle is unstable, and verdicts change at the folds alone, where
     a multiplier passes 1."""
     structure, law = oscillator(0.05, 1.0), Cubic(0.1)
-    curve = fc.continue_frequency(structure, 0.5, 3.0, law, harmonics=10, stability=True)
+    curve = fc.continue_frequency(
+        structure, 0.8, 2.6, law, harmonics=6, stability=True, longest_step=0.2
+    )
     assert [one.kind for one in curve.bifurcations] == ["fold", "fold"]
     high, low = (one.value for one in curve.bifurcations)
     turns = np.flatnonzero(np.diff(np.sign(np.diff(curve.omega)))) + 1
@@ -609,7 +612,7 @@ def test_points_of_a_duffing_curve_are_judged_as_solutions_are() -> None:
     for one in curve.bifurcations:
         values = fc.floquet(structure, one.solution).multipliers
         assert np.abs(values - 1.0).min() < 1e-3
-    for place in range(0, len(curve), 20):
+    for place in range(0, len(curve), 8):
         alone = fc.floquet(structure, curve.solution(place))
         assert curve.verdicts[place] == alone.verdict
         assert abs(curve.multipliers[place]) == pytest.approx(abs(alone.multipliers[0]), rel=1e-9)
@@ -633,6 +636,7 @@ def test_period_doublings_of_a_smooth_law(doubling: fc.ResponseCurve) -> None:
     assert np.array_equal(doubling.verdicts == "unstable", unstable)
 
 
+@pytest.mark.nightly
 def test_branch_of_twice_the_period_of_a_smooth_law(doubling: fc.ResponseCurve) -> None:
     """It begins where the multiplier is -1, stable where the old one is not."""
     branch = fc.follow_branch(doubling, doubling.bifurcations[0], stability=True)
@@ -649,7 +653,7 @@ def test_neimark_sacker_point_of_a_smooth_law() -> None:
         damping=0.03 * stiffness,
     )  # fmt: skip
     law = fc.SmoothedPenalty(20.0, 30.0)
-    curve = fc.continue_frequency(structure, 0.6, 0.9, law, harmonics=20, stability=True)
+    curve = fc.continue_frequency(structure, 0.58, 0.62, law, harmonics=20, stability=True)
     found = [one for one in curve.bifurcations if one.kind == "neimark_sacker"]
     assert found
     for one in found:

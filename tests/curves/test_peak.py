@@ -54,7 +54,7 @@ def test_a_linear_mode(masses: fc.ResponseCurve) -> None:
     assert str(masses.peak(0)) == str(peak) and masses.peak(1).amplitude < 1e-3 * peak.amplitude
 
 
-@pytest.mark.drawn(4)
+@pytest.mark.drawn(2)
 @pytest.mark.parametrize("ratio", [1.2, 10.0, 1000.0])
 @pytest.mark.parametrize("damping", [5e-3, 1e-3])
 @pytest.mark.parametrize("other", [False, True])

@@ -118,6 +118,7 @@ def test_stop_at_rest_is_where_contact_begins() -> None:
 # --- several modes --------------------------------------------------------------------------------
 
 
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize(("second", "several"), [(1.15, True), (2.5, False)])
 def test_several_modes(second: float, several: bool) -> None:
     """Two masses under one load: the point knows how far the top of the curve is, and says where

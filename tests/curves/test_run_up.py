@@ -55,6 +55,7 @@ def test_basis_of_all_speeds() -> None:
             assert np.abs(found - expected).max() < 1e-7 * np.abs(expected).max()
 
 
+@pytest.mark.nightly
 def test_stated_errors_of_a_run_up(run_up: Run[fc.ResponseCurve]) -> None:
     """Of the largest response those of the scene at its speed; the speed at which the resonance is
     met is off as on a mesh twice as fine, between a fifth of what is stated and 1.5 times it."""
@@ -179,6 +180,7 @@ def test_run_up_in_a_file(run_up: Run[fc.ResponseCurve], tmp_path: Path) -> None
     assert 2.0 * np.pi / np.diff(arrivals.marks)[[0, -1]] == pytest.approx([560, 640], rel=0.02)
 
 
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize("in_rpm", [True, False])
 def test_run_up_in_the_scenes_unit(
     run_up: Run[fc.ResponseCurve], in_rpm: bool, tmp_path: Path

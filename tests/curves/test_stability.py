@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import scipy.linalg
 from helpers import Cubic, chain_stiffness, mean_square, oscillator, random_stiffness, relative
-from reference_flow import size_of_motion
 from scipy.integrate import solve_ivp
 
 import fenics_crack as fc
@@ -250,19 +249,6 @@ def test_failure_names_the_closest_residual() -> None:
     solution = fc.solve_harmonic_balance(oscillator(), 1.0, law, harmonics=5)
     with pytest.raises(fc.ConvergenceError, match=r"closest (0\.0e\+00|\d\.\de-1[2-9])"):
         fc.shoot(oscillator(), solution, tolerance=-1.0)
-
-
-def test_path_leads_to_an_orbit(paper_structure: fc.Structure) -> None:
-    """Little damping and stiff contact: Newton's method leads nowhere, a path to an orbit 0.60 %
-    away."""
-    law = fc.UnilateralPenalty(1e10)
-    solution = fc.solve_harmonic_balance(paper_structure, 1300.0, law, harmonics=100, throw=False)
-    orbit = fc.shoot(paper_structure, solution)
-    assert orbit.residual < 1e-10
-    assert abs(orbit.multipliers[0]) == pytest.approx(1.560060, rel=1e-5)
-    gap = orbit.gap + paper_structure.clearance
-    off = np.linalg.norm(orbit.gap - solution.gap(orbit.sampled.time)) / size_of_motion(gap)
-    assert off == pytest.approx(5.96e-3, rel=1e-3)
 
 
 @pytest.mark.parametrize(

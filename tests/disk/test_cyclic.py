@@ -30,8 +30,14 @@ def of_wheel(found: CyclicModes) -> np.ndarray:
     return np.sort(np.concatenate([np.repeat(own, 1 if one else 2) for own, one in parts]))
 
 
-@pytest.mark.parametrize("cells", ["triangle", "quadrilateral"])
-@pytest.mark.parametrize("sectors", [5, 6])
+@pytest.mark.parametrize(
+    ("sectors", "cells"),
+    [
+        (5, "triangle"), (6, "quadrilateral"),
+        pytest.param(5, "quadrilateral", marks=pytest.mark.nightly),
+        pytest.param(6, "triangle", marks=pytest.mark.nightly),
+    ],
+)  # fmt: skip
 def test_modes_are_those_of_the_whole_wheel(sectors: int, cells: str, tmp_path: Path) -> None:
     """30 of them, of a mesh file of the whole wheel that knows nothing of sectors."""
     scene = ring(disk__sectors=sectors, crack=None, contact=None)
@@ -45,6 +51,7 @@ def test_modes_are_those_of_the_whole_wheel(sectors: int, cells: str, tmp_path: 
     assert own == pytest.approx(fc.solve_modes(whole, 30).omega, rel=1e-10)
 
 
+@pytest.mark.nightly
 def test_rotating_modes_are_those_of_the_whole_wheel(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -64,7 +71,7 @@ def test_rotating_modes_are_those_of_the_whole_wheel(
     assert np.all(own[:6] > 1.0005 * still[:6])
 
 
-@pytest.mark.parametrize("given", [RING, SOLID])
+@pytest.mark.parametrize("given", [RING, pytest.param(SOLID, marks=pytest.mark.nightly)])
 def test_coordinates_are_those_of_the_whole_matrices(given: dict[str, object]) -> None:
     """U^T M U and U^T K U of copies of the sector, with an open crack and mistuning; the modes are
     orthogonal, and stiffness does not couple them with the crack."""
@@ -118,13 +125,8 @@ def _response(reduced: fc.ReducedStructure, omega: float, dofs: list[int]) -> np
     return np.asarray(found[1] - 1j * found[2])
 
 
-@pytest.mark.parametrize(
-    "without",
-    [
-        {"disk__cracked": []},
-        pytest.param({"crack": None, "contact": None}, marks=pytest.mark.nightly),
-    ],
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize("without", [{"disk__cracked": []}, {"crack": None, "contact": None}])
 def test_bonded_wheel_is_one_sector(without: dict[str, Any]) -> None:
     """The response of every tip of a tuned wheel is that of one sector with its complex ties."""
     wheel = wheel_of(ring(**without, disk__families=6))

@@ -56,7 +56,8 @@ def test_true_errors_over_stated_ones(families: int, factor: float, mesh: dict[s
     assert 0.1 < off / run.result.report.total < 1.3
 
 
-@pytest.mark.parametrize("length", [0.004, pytest.param(0.006, marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("length", [0.004, 0.006])
 def test_rayleigh_damping(monkeypatch: pytest.MonkeyPatch, length: float) -> None:
     """What the modes leave out has the stiffness S, and by b K the damping b S: R / (1 + i b k w)
     in closed form. At the largest response the tip moves less then, by at most 1.5 times what is

@@ -12,6 +12,7 @@ import fenics_crack as fc
 RIGID = fc.UnilateralConstraint()
 
 
+@pytest.mark.nightly
 def test_one_family_and_twelve_modes_have_half_the_error_of_three_families() -> None:
     """24 modes beside 36: of the tip and of the gap, against 96 modes; the gap's is stated."""
     scene = fc.Scene.from_mapping(RING).replace(

@@ -87,7 +87,7 @@ DRAWN: dict[str, tuple[int, Callable[..., Figure]]] = {
 }
 
 
-@pytest.mark.drawn(8)
+@pytest.mark.drawn(5)
 @pytest.mark.parametrize("name", DRAWN)
 def test_on_axes_that_are_given(
     name: str, results: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -113,7 +113,7 @@ def test_on_axes_that_are_given(
             call()
 
 
-@pytest.mark.drawn(6)
+@pytest.mark.drawn(4)
 @pytest.mark.parametrize("name", DRAWN)
 def test_on_a_new_figure(
     name: str, results: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

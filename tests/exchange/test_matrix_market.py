@@ -84,6 +84,7 @@ def test_what_a_file_does_not_keep(tmp_path: Path, text: str, reason: str) -> No
     refused(path, reason)
 
 
+@pytest.mark.drawn(3)
 @pytest.mark.parametrize(
     ("packed", "kind"),
     [(gzip.compress, kind) for kind in ("lines", "one line", "comments", "announced")]

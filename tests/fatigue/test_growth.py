@@ -74,22 +74,6 @@ def plate(**growth: Any) -> fc.Scene:
     )
 
 
-@pytest.mark.nightly
-def test_closed_integral_of_a_strip() -> None:
-    """Under constant amplitude without contact, by Walker's law with R = 1/2: cycles from one
-    length to another to 1 %. Paris' law: ``test_full_reversal_takes_the_open_half``."""
-    scene = fc.Scene.from_mapping(STRIP).replace({"growth.ratio_exponent": 0.5})
-    found = fc.grow(scene, comm=MPI.COMM_SELF)
-    weight = 2.0 * STRESS / 1e6 / 0.5**0.5
-    exact = quad(lambda a: 1.0 / (1e-11 * (weight * edge_crack(a)) ** 2), 0.02, 0.035)[0]
-    assert found.end == "reached" and found.length[-1] == 0.035
-    assert found.life == pytest.approx(exact, rel=0.01)
-    assert found.time[-1] == pytest.approx(found.life * 2.0 * np.pi / SLOW, rel=1e-9)
-    assert found.errors["interpolation"] < 0.01
-    assert 0.0 < found.errors["vibration"] < 0.1
-    assert not found.remarks
-
-
 @pytest.mark.usefixtures("errors_left_out")
 def test_block_loading_of_a_strip() -> None:
     """Blocks at two slow frequencies, where K is the handbook's: the closed integral in cycles, in
@@ -241,7 +225,7 @@ def test_fixed_frequency_passes_a_maximum(driven: fc.Growth) -> None:
 
 def test_brute_force_agrees(driven: fc.Growth) -> None:
     """A fresh solution at each of many lengths, and Simpson's rule between: 1 %."""
-    lengths = np.linspace(0.035, 0.043, 9)
+    lengths = np.linspace(0.035, 0.043, 7)
     rates = []
     for length in lengths:
         scene = plate().replace({"crack.length": float(length)})
@@ -459,11 +443,8 @@ def test_resonance_needs_damping() -> None:
             fc.grow(scene, comm=MPI.COMM_SELF)
 
 
-@pytest.mark.parametrize(
-    "contact",
-    [pytest.param(SMOOTH, marks=pytest.mark.nightly), {"contact.friction": 0.3}],
-    ids=["smooth", "friction"],
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize("contact", [SMOOTH, {"contact.friction": 0.3}], ids=["smooth", "friction"])
 def test_a_sweep_at_the_top_of_its_curve(contact: dict[str, Any]) -> None:
     """Where a law has no phase resonance: the peak of the curve through it."""
     scene = plate().replace(contact | {"harmonic_balance.harmonics": 5})
@@ -508,6 +489,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert "growth is missing: must be given for this command" in told and "[growth]" in told
 
 
+@pytest.mark.nightly
 def test_a_blade_with_a_run_up_grows(tmp_path: Path) -> None:
     """The scene of ``new --blade``: its engine order and its curve over the speed are in the way of
     no error, and a length that is none is refused before anything is solved."""

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from helpers import gmsh_model
 from mpi4py import MPI
-from surroundings import MPI_ENVIRONMENT, ROOT
+from surroundings import MPI_ENVIRONMENT, ROOT, RunCommand
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
@@ -137,6 +137,7 @@ def test_a_file_without_a_unit(parts: Path) -> None:
     )
 
 
+@pytest.mark.nightly
 def test_an_inclined_crack_of_a_box(parts: Path) -> None:
     """That of a part and that of a box; its area is that of half of the ellipse."""
     tilt = {"crack.normal": [0.5, 1.0, 0.0], "crack.direction": [1.0, -0.5, 0.0]}
@@ -152,6 +153,7 @@ def test_an_inclined_crack_of_a_box(parts: Path) -> None:
     assert first[0] == pytest.approx(first[1], rel=5e-4)
 
 
+@pytest.mark.nightly
 def test_cracks_in_the_order_of_the_scene(parts: Path) -> None:
     """The upper one first, with a clearance of its own; named faces take loads."""
     high = {
@@ -246,24 +248,18 @@ def test_two_ranks(on_ranks: Callable[..., Any], parts: Path) -> None:
     np.testing.assert_allclose(on_ranks(on_these_ranks, part(parts)), alone, rtol=1e-8)
 
 
-def test_a_new_scene(parts: Path, tmp_path: Path) -> None:
+def test_a_new_scene(parts: Path, tmp_path: Path, run_command: RunCommand) -> None:
     """``new --cad`` proposes what ``check`` accepts, and draws the faces."""
     scene = tmp_path / "rod.toml"
-    command = [sys.executable, "-m", "fenics_crack"]
-    run = lambda *words: subprocess.run(  # noqa: E731
-        [*command, *words], cwd=tmp_path, capture_output=True, text=True, env=environment()
-    )
-    made = run("new", "rod.toml", "--cad", str(parts / "rod.step"))
-    assert made.returncode == 0, made.stderr
+    run_command("new", scene, "--cad", parts / "rod.step")
     assert (tmp_path / "rod_faces.png").stat().st_size > 1000
     text = scene.read_text()
     assert "# face_3 = " in text and "# face_4 = " not in text
-    checked = run("check", "rod.toml", "--set", "mesh.error=false", "--set", "mesh.lip_elements=2",
-                  "--set", "mesh.size=0.02")  # fmt: skip
-    assert checked.returncode == 0, checked.stderr
-    [clamp] = [line for line in checked.stdout.splitlines() if line.startswith("face clamp")]
+    coarse = ["mesh.error=false", "mesh.lip_elements=2", "mesh.size=0.02"]
+    checked = run_command("check", scene, sets=coarse).out
+    [clamp] = [line for line in checked.splitlines() if line.startswith("face clamp")]
     assert float(clamp.split()[2]) == pytest.approx(100.0 * math.pi, rel=0.01)
-    assert "the crack front" in checked.stdout and "from the surface" in checked.stdout
+    assert "the crack front" in checked and "from the surface" in checked
 
 
 def environment() -> dict[str, str]:
@@ -271,6 +267,7 @@ def environment() -> dict[str, str]:
     return dict(os.environ) | MPI_ENVIRONMENT | {"PYTHONPATH": str(ROOT)}
 
 
+@pytest.mark.nightly
 def test_killed_while_it_meshes(parts: Path) -> None:
     """No process and no file is left, and the next run succeeds."""
     script = "import fenics_crack as fc; fc.build_structure(fc.Scene.from_text({!r}))"

@@ -93,19 +93,6 @@ CRACKED = {
 }
 
 
-def test_sweep_of_a_shaken_plate(tmp_path: Path) -> None:
-    """Its response is the watched dof's, as of single solutions."""
-    moved = strip(base={"acceleration_cos": [4.0, 0.0]}, **CRACKED)
-    omegas = [200.0, 230.0]
-    swept = moved.replace({"sweep.over": {"excitation.omega": omegas}})
-    found = run_sweep(swept, tmp_path / "sweep.h5", MPI.COMM_SELF, verdicts=False, judged=False)
-    for place, omega in enumerate(omegas):
-        run = fc.solve(moved.replace({"excitation.omega": omega}), MPI.COMM_SELF)
-        assert found["response"][place] == pytest.approx(
-            run.result.amplitude(run.watched_dof), rel=1e-6
-        )
-
-
 @pytest.mark.parametrize(
     ("tables", "key"),
     [

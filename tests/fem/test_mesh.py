@@ -123,6 +123,7 @@ def nodes_of_side(structure: Structure, origin: Any, direction: Any) -> np.ndarr
 
 
 # --- plates made by the package -------------------------------------------------------------------
+@pytest.mark.drawn(4)
 @pytest.mark.parametrize(("layout", "cells", "order"), KINDS)
 def test_lips_pair_one_to_one(layout: str, cells: str, order: int) -> None:
     """Pairs are coincident nodes of the two lips, from the mouth to the tip, without the tip; the

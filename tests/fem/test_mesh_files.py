@@ -17,7 +17,13 @@ from mpi4py import MPI
 from test_mesh import area, file_plate, pair_nodes
 
 from fenics_crack import InputError, build_structure, solve_modes
-from fenics_crack.fem.msh_file import cells_of, check_boundary, check_cells, check_parts, put
+from fenics_crack.fem.msh_file import (
+    cells_of_kind,
+    check_boundary,
+    check_cells,
+    check_parts,
+    load_mesh,
+)
 from fenics_crack.fem.plate import build_mesh
 
 WIDTH, HEIGHT = 2.0, 1.0
@@ -119,6 +125,7 @@ def _around(place: tuple[float, float]) -> float:
     return WIDTH + HEIGHT + (WIDTH - x if y == HEIGHT else WIDTH + HEIGHT - y)
 
 
+@pytest.mark.drawn(5)
 @pytest.mark.parametrize(
     ("name", "order", "quadrilaterals"),
     [(name, 1, False) for name in CURVES]
@@ -134,7 +141,7 @@ def test_lips_of_the_plugin(
     structure = build_structure(scene)
     rough = 1e-3 if name == "arc" else 1e-9
     np.testing.assert_allclose(area(structure), WIDTH * HEIGHT, rtol=rough)
-    [lip] = build_mesh(scene, MPI.COMM_SELF).lips
+    [lip] = build_mesh(scene, MPI.COMM_SELF).cracks
     assert lip.has_mouth == _on_edge(*CURVES[name][0])
     elements = len(lip.points) - 1
     assert structure.n_pairs == elements * order - (not lip.has_mouth)
@@ -182,6 +189,7 @@ def test_several_cracks_of_the_plugin(plugin: Callable[..., Path]) -> None:
         build_structure(scene.replace({"cracks.2.clearance": 0.0}))
 
 
+@pytest.mark.drawn(3)
 @pytest.mark.parametrize("how", [{"run": False}, {"mouth": False}], ids=str)
 @pytest.mark.parametrize(("name", "order"), [("edge", 1), ("inside", 1), ("arc", 2)])
 def test_nodes_that_exist_once(
@@ -234,7 +242,7 @@ def put_lips(cells: np.ndarray, places: np.ndarray, clamp: Edges, **curves: Edge
         groups.append((1, tag, name, 1, np.ravel(own)))
     with gmsh_model():
         spatial = np.column_stack([places, np.zeros(len(places))])
-        return put((np.arange(len(places)), spatial, groups), 2)[1]
+        return load_mesh((np.arange(len(places)), spatial, groups), 2)[1]
 
 
 def test_text_of_the_documentation(tmp_path: Path) -> None:
@@ -311,7 +319,7 @@ def check(cells: Any, places: Any, kind: int = TRIANGLE, **curves: Any) -> None:
     """Check cells (n, k) and places (m, 2), with the edges of curves by their names."""
     lips = [edge for name in ("lower_lip", "upper_lip") for edge in curves.get(name, ())]
     with gmsh_model():
-        made = cells_of(kind, np.array(cells))
+        made = cells_of_kind(kind, np.array(cells))
         check_cells(kind, made, places)
         both = [np.reshape(lips, (-1, 2)).astype(int)]
         check_parts(made, places, np.unique(curves["clamp"]), both)

@@ -165,7 +165,7 @@ def solved() -> tuple[list[Any], fc.PeriodicSolution]:
     forms, options, plate = given(PLATE, MPI.COMM_SELF)
     space, stiffness, mass = forms
     x, _ = ufl.TestFunction(space)
-    top = plate.along("top")
+    top = plate.measure_on("top")
     loads = ufl.TestFunction(space)[1] * top, 2.0 * x * top, None
     options |= {"loads": loads, "damping": 20.0 * mass + 1e-6 * stiffness, "clearance": 1e-9}
     made = fc.Structure.from_forms(*forms, **options)

@@ -43,6 +43,7 @@ AXES = {
 ALONG = {"x": (1.0, 0.0, 0.0), "z": (0.0, 0.0, 1.0), "slanting": (0.5**0.5, 0.0, 0.5**0.5)}
 
 
+@pytest.mark.drawn(2)
 @pytest.mark.parametrize("name", AXES)
 def test_southwell_coefficients_and_stretch(name: str) -> None:
     """w^2 = w_0^2 + (1.193 + 1.571 R / L) W^2 of the vibration along the axis, one W^2 less of the
@@ -63,6 +64,7 @@ def test_southwell_coefficients_and_stretch(name: str) -> None:
     assert top == pytest.approx(stretch, rel=2e-3)
 
 
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize("axis", [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 def test_an_axis_below_the_middle_bends_no_blade(axis: list[float]) -> None:
     """At a distance e beside it the uniform load rho A W^2 e bends the bar by q L^4 / (8 E I), and

@@ -29,10 +29,10 @@ from fenics_crack import InputError, Scene
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.fem import compat
 from fenics_crack.fem.compat import function_space
-from fenics_crack.fem.cracks import FACETS, Cells, cracks_between, split_cracks
+from fenics_crack.fem.cracks import FACETS, Cells, find_crack_surfaces, split_cracks
 from fenics_crack.fem.loads import assemble_loads
-from fenics_crack.fem.matrix_files import coincident
-from fenics_crack.fem.msh_file import cells_of
+from fenics_crack.fem.matrix_files import find_coincident_nodes
+from fenics_crack.fem.msh_file import cells_of_kind
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.fem.plate import Dofs, build_mesh
 from fenics_crack.model.modes import multiply
@@ -110,7 +110,7 @@ def test_lips_are_those_of_the_crack(cracked: tuple[fc.Structure, float, dict[st
     pairs."""
     structure, area, crack = cracked
     mesh = NodalMesh(structure)
-    lips = mesh.points[mesh.lips]
+    lips = mesh.points[mesh.crack_faces]
     normals = np.cross(lips[:, 1] - lips[:, 0], lips[:, 2] - lips[:, 0])
     assert lips[..., 1] == pytest.approx(crack["height"], abs=1e-12)
     both = 0.5 * np.linalg.norm(normals, axis=1).sum()
@@ -143,7 +143,7 @@ def test_pairs_measure_the_gap(cracked: tuple[fc.Structure, float, dict[str, Any
     above[mesh.cells[middles[:, 1] > crack["height"]]] = True
     below = np.zeros(len(mesh.points), dtype=bool)
     below[mesh.cells[middles[:, 1] < crack["height"]]] = True
-    on_lips = np.unique(mesh.lips)
+    on_lips = np.unique(mesh.crack_faces)
     upper = np.isin(np.arange(len(above)), on_lips) & above & ~below
     # Nodes in the middle of edges between two corners of a lip belong to it, too.
     upper |= above & ~below & np.isclose(mesh.points[:, 1], crack["height"], atol=1e-12)
@@ -166,10 +166,10 @@ def test_a_surface_without_a_front_parts_two_bodies() -> None:
     )
     cells = Cells(CUBES, FACETS[8], np.eye(8, dtype=bool))
     nodes, twins, lips = split_cracks(cells, np.array([[4, 5, 7, 6]]), places)
-    (crack,) = cracks_between(lips[:, 0], lips[:, 1], np.concatenate([places, places[twins]]))
+    (crack,) = find_crack_surfaces(lips[:, 0], lips[:, 1], np.concatenate([places, places[twins]]))
     assert twins.tolist() == [4, 5, 6, 7] and not np.intersect1d(*nodes).size
     assert np.sort(lips[0], axis=1).tolist() == [[4, 5, 6, 7], [12, 13, 14, 15]]
-    assert not len(crack.front) and crack.beside((0.5, 1.0, 0.5)) is not None
+    assert not len(crack.front) and crack.points_beside((0.5, 1.0, 0.5)) is not None
 
 
 def test_plates_cells_are_refused() -> None:
@@ -255,6 +255,7 @@ def sharing(cells: np.ndarray, places: np.ndarray) -> set[tuple[tuple[float, ...
     }
 
 
+@pytest.mark.drawn(4)
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("shape", ["plane", "bent", "curved", "inside"])
 def test_cracks_are_split_as_by_gmsh(shape: str, order: int) -> None:
@@ -269,7 +270,7 @@ def test_cracks_are_split_as_by_gmsh(shape: str, order: int) -> None:
             _, _, (nodes,) = gmsh.model.mesh.getElements(2, tag)
             facets.append(np.searchsorted(numbers, nodes).reshape(-1, 3 * order))
         kind = gmsh.model.mesh.getElements(3)[0][0]
-        solid_cells = cells_of(kind, cells)
+        solid_cells = cells_of_kind(kind, cells)
         nodes, twins, lips = split_cracks(solid_cells, np.concatenate(facets), places)
         own = sharing(nodes, np.concatenate([places, places[twins]]))
         for name, value in [("Dimension", 2), ("PhysicalGroup", crack)]:
@@ -277,7 +278,7 @@ def test_cracks_are_split_as_by_gmsh(shape: str, order: int) -> None:
         gmsh.plugin.setNumber("Crack", "OpenBoundaryPhysicalGroup", mouth[0] if mouth else 0)
         gmsh.plugin.run("Crack")
         assert own == sharing(*cells_of_model())
-    (found,) = cracks_between(
+    (found,) = find_crack_surfaces(
         *lips[..., :3].swapaxes(0, 1), np.concatenate([places, places[twins]])
     )
     assert len(twins) > 5 and found.has_mouth == (shape != "inside")
@@ -325,7 +326,7 @@ def test_in_its_plane_a_solid_is_a_plate() -> None:
             THROUGH, **{"material.poisson": 0.0, "mesh.size": size, "mesh.lip_elements": lips}
         )
         modes = fc.solve_modes(fc.build_structure(scene), 4)
-        shapes = NodalMesh(modes.structure).field(modes.shapes.T)
+        shapes = NodalMesh(modes.structure).nodal_vectors(modes.shapes.T)
         sizes = np.linalg.norm(shapes, axis=1)
         in_plane = np.flatnonzero(sizes[:, 0] > sizes[:, 2])[0]
         errors.append(modes.omega[in_plane] / (2.0 * math.pi) / exact - 1.0)
@@ -542,7 +543,7 @@ def test_lips_tied_in_every_direction_are_no_crack(tmp_path: Path) -> None:
         write_box(tmp_path / f"{name}.msh", 2, crack=crack)
     cracked = fc.build_structure(of_file(tmp_path / "cracked.msh"))
     whole = fc.build_structure(of_file(tmp_path / "whole.msh").replace({"contact": None}))
-    dofs, twins = cracked.nodes.dofs, coincident(cracked.nodes.points)
+    dofs, twins = cracked.nodes.dofs, find_coincident_nodes(cracked.nodes.points)
     assert cracked.n_dofs == whole.n_dofs + 3 * len(twins)
     kept = np.arange(cracked.n_dofs)
     kept[dofs[twins[:, 1]]] = dofs[twins[:, 0]]
@@ -587,6 +588,7 @@ def write_hexahedra(path: Path, *, incomplete: bool = False) -> None:
         gmsh.write(str(path))
 
 
+@pytest.mark.nightly
 def test_hexahedra(tmp_path: Path, fine: np.ndarray) -> None:
     """They give the frequencies of tetrahedra; those with 20 nodes are refused, with the reason."""
     write_hexahedra(tmp_path / "box.msh")
@@ -608,7 +610,7 @@ def test_two_bodies_touch() -> None:
     omega = fc.solve_modes(structure, 4).omega
     assert omega[::2] == pytest.approx(omega[1::2], rel=1e-3)
     modes = fc.solve_modes(structure, 2, lips="tied")
-    shapes = NodalMesh(structure).field(modes.shapes.T)[0]
+    shapes = NodalMesh(structure).nodal_vectors(modes.shapes.T)[0]
     assert np.abs(shapes[:, 1]).max() == pytest.approx(np.linalg.norm(shapes, axis=1).max(), 0.02)
 
 
@@ -657,6 +659,7 @@ def write_bodies(path: Path, draw: Callable[[Any], list[int]], size: float = 0.0
         gmsh.write(str(path))
 
 
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize("at", [0.015, 0.008, 0.016])
 def test_bodies_that_touch_share_their_nodes(tmp_path: Path, at: float) -> None:
     """Else a slit parts them, without contact and without a word; or they overlap. Bodies that are
@@ -684,6 +687,7 @@ def test_bodies_that_touch_share_their_nodes(tmp_path: Path, at: float) -> None:
     assert at - 1e-6 <= float(place[0]) <= 0.015 + 1e-6
 
 
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize(("gap", "sound"), [(0.0, False), (1e-4, True)])
 def test_curved_bodies_touch(tmp_path: Path, gap: float, sound: bool) -> None:
     """A pin in a hole, whose cells differ; a gap of a hundredth of its radius is one."""
@@ -750,6 +754,7 @@ IN_MM = (
 """Lengths of a solid with a half ellipse."""
 
 
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize("kind", ["solid", "plate"])
 def test_metres_and_millimetres_have_one_mesh(kind: str) -> None:
     """In mm, N and t they have the same frequencies, too."""
@@ -1104,7 +1109,7 @@ def test_compiler_is_quiet(
 ) -> None:
     """Nothing is told of forms compiled for the first time; warnings and other loggers are heard,
     and logging is left as it was."""
-    monkeypatch.setattr(compat, "_CACHE", tmp_path)
+    monkeypatch.setattr(compat, "_CACHE_FOLDER", tmp_path)
     mesh = dolfinx.mesh.create_unit_square(MPI.COMM_SELF, 1, 1)
     before = logging.root.level, list(logging.root.filters), logging.root.manager.disable
     space = compat.function_space(mesh, 1)

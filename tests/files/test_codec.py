@@ -96,6 +96,7 @@ def is_ratio(item: h5py.Dataset) -> bool:
     return words or item.name.strip("/").rpartition(".")[2] in RATIOS
 
 
+@pytest.mark.drawn(3)
 @pytest.mark.parametrize(
     "name",
     [

@@ -11,7 +11,7 @@ from itertools import chain
 from pathlib import Path
 
 import pytest
-from ranks import LIMIT, command
+from ranks import LIMIT, launcher
 from surroundings import DEMOS, MPI_ENVIRONMENT
 
 SCENE = DEMOS / "paper_plate.toml"
@@ -71,7 +71,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
     return checked(tmp_path_factory.mktemp("empty"), [PROGRAM])
 
 
-@pytest.mark.drawn(2)
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize("kind", [kind for kind in SETTINGS if kind != "Matplotlib"])
 def test_nothing_acts(tmp_path: Path, found: dict[str, object], kind: str) -> None:
     """No program is run, no file written, no number changed; without ``-P`` either."""
@@ -84,8 +84,7 @@ def test_nothing_acts(tmp_path: Path, found: dict[str, object], kind: str) -> No
 def test_nothing_acts_on_ranks(tmp_path: Path, found: dict[str, object]) -> None:
     """All of it at once; PETSc starts with the package there. Of one rank, for the same numbers."""
     fill(tmp_path, SETTINGS)
-    launcher = command("", 1)[:3]
-    program = [*launcher, sys.executable, "-m", "fenics_crack"]
+    program = [*launcher(1), sys.executable, "-m", "fenics_crack"]
     assert checked(tmp_path, program, **MPI_ENVIRONMENT) == found
 
 

@@ -48,6 +48,7 @@ def scene_of(folder: Path, *options: str) -> Path:
     return folder / "scene.toml"
 
 
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize("change", ["crack.depth=1e-6", "mesh.lip_elements=2000"])
 def test_too_many_cells(change: str, tmp_path: Path) -> None:
     """Of a solid, before it is meshed."""
@@ -100,6 +101,7 @@ def test_what_never_ends_is_no_text(kind: str, tmp_path: Path, run_command: RunC
     assert place.is_file() and not place.is_symlink()
 
 
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize("kind", ["device", "pipe"])
 def test_a_load_that_never_ends(kind: str, tmp_path: Path) -> None:
     """The table of a load, which is refused unread."""

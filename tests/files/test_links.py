@@ -117,6 +117,7 @@ opened, sweeps that go on, and the table whose text is compared."""
 
 
 @pytest.mark.skipif(shutil.which("strace") is None, reason="no strace")
+@pytest.mark.nightly
 @pytest.mark.parametrize("kind", ["crack", *DEAR])
 def test_no_old_file_is_opened(kind: str, tmp_path: Path) -> None:
     """Of all commands, through a link below the output folder, for reading or writing; no port is

@@ -317,14 +317,14 @@ def test_flipped_bits(kind: str, home: Path, request: pytest.FixtureRequest) -> 
     made, rng = request.getfixturevalue(kind), random.Random(3)
     path = made if kind == "result" else Path(shutil.copy(made.path, home))
     whole, content, found = content_of(path), path.read_bytes(), 0
-    for _ in range(16):
+    for _ in range(8):
         path.write_bytes(flipped(content, rng))
         try:
             assert same(content_of(path), whole)
         except fc.InputError as error:
             assert "\n" not in str(error)
             found += 1
-    assert 1 <= found < 16
+    assert 1 <= found < 8
 
 
 def test_readers_know_no_rank_and_end(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -378,6 +378,7 @@ def swept(paper_scene: fc.Scene, tmp_path_factory: pytest.TempPathFactory) -> Sw
     return run_sweep(scene, tmp_path_factory.mktemp("swept") / "sweep.h5", MPI.COMM_SELF)
 
 
+@pytest.mark.drawn(3)
 @pytest.mark.parametrize("name", ["response", "gap", "state", "checksum", "seconds"])
 def test_a_damaged_case_is_computed_again(swept: SweepResult, home: Path, name: str) -> None:
     """It is not read, and the others stay; the state alone is known from the checksum."""
@@ -411,6 +412,7 @@ FORGED: dict[str, Callable[[h5py.File], object]] = {
 }
 
 
+@pytest.mark.drawn(3)
 @pytest.mark.parametrize("change", FORGED)
 def test_made_sweeps(swept: SweepResult, home: Path, run_command: RunCommand, change: str) -> None:
     """Neither read nor continued; no command draws or reports it."""

@@ -514,6 +514,7 @@ def test_high_harmonics_of_varied_copies(damping: str, eigensolutions: list[int]
         assert np.abs(found[1] - found[0]).max() > 1e-9
 
 
+@pytest.mark.drawn(3)
 @pytest.mark.parametrize("kind", ["modal", "matrix"])
 @pytest.mark.parametrize("parameter", ["damping", "load", "clearance"])
 def test_curves_solve_no_further_eigenproblem(

@@ -300,6 +300,7 @@ def test_what_is_held_does_not_grow_with_the_pairs(paper_scene: fc.Scene) -> Non
     assert shapes[1].shape == (plate.n_dofs, 14) and np.shares_memory(made.basis, shapes[1])
 
 
+@pytest.mark.drawn(4)
 @pytest.mark.parametrize("damping", DAMPINGS)
 @pytest.mark.parametrize("unconstrained", [False, True])
 def test_any_number_of_modes_from_those_of_another(damping: str, unconstrained: bool) -> None:

@@ -108,6 +108,7 @@ CASES: list[tuple[str, int, tuple[int, ...]]] = [
 ]
 
 
+@pytest.mark.drawn(4)
 @pytest.mark.parametrize(("structure", "harmonics", "counts"), CASES)
 def test_estimated_error_is_the_true_one(
     structure: str,

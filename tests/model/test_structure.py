@@ -125,19 +125,6 @@ def test_forces_of_every_form_are_the_same(tmp_path: Path) -> None:
         np.testing.assert_array_equal(structure.force[2], force)
 
 
-def test_defaults() -> None:
-    """Without the optional arguments there is no load, no clearance and no damping."""
-    arguments = good()
-    matrices = {name: arguments[name] for name in ("mass", "stiffness", "gap")}
-    structure = Structure.from_matrices(**matrices)
-    np.testing.assert_array_equal(structure.force, np.zeros((3, N)))
-    np.testing.assert_array_equal(structure.clearance, np.zeros(PAIRS))
-    assert structure.damping is None
-    assert Structure.from_matrices(**(matrices | {"gap": None})).n_pairs == 0
-    one = Structure.from_matrices(**(matrices | {"gap": arguments["gap"][:, 0]}))
-    np.testing.assert_array_equal(one.gap.toarray(), arguments["gap"][:, :1])
-
-
 def test_given_matrices_are_left_alone() -> None:
     """A PETSc matrix that was given neither changes nor changes the structure afterwards."""
     arguments = good()

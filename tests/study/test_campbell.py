@@ -131,7 +131,7 @@ def test_states_follow_each_other(top: float) -> None:
             assert fc.campbell(scene, [middle, top], 1).kind[0, 0] == kind
 
 
-@pytest.mark.drawn(2)
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize(
     ("mean", "does"), [(0.0, "open"), (-300.0, "changes"), (-600.0, "bilinear"), (-900.0, "tied")]
 )

@@ -44,6 +44,7 @@ def test_a_curve_has_no_more_modes_than_are_chosen() -> None:
     assert "was asked; what helps: reduction.modes 80" in stricter.status
 
 
+@pytest.mark.nightly
 def test_each_case_of_a_sweep_meets_the_tolerance(tmp_path: Path) -> None:
     """Modes are doubled where a case needs more; its solution has those with which it was found."""
     over = {"excitation.frequency": [600.0, 832.0]}

@@ -48,7 +48,7 @@ def test_patches(elements: int, limit: float) -> None:
     stations, rows, of_forces = tip_rows(study)
     radius = DEEP / elements  # about the domain's
     away = structure.nodes.points - np.array([0.015, 0.03, 0.006])
-    free = structure.nodes.mesh_dofs.free_part
+    free = structure.nodes.mesh_dofs.restrict_to_free
     for axis in np.eye(3):
         turned = rows @ free(np.cross(axis, away).ravel())
         assert np.abs(turned).max() < 0.015 * YOUNG * np.sqrt(radius)
@@ -74,8 +74,10 @@ def test_lengths_of_a_circle() -> None:
     normals = np.tile([0.0, 1.0, 0.0], (65, 1))
     no_ends = False, False
     front = Front("front", 0, curve(angles), normals, angles, curve, True, no_ends, DEEP)
-    count = len(front.places)
-    assert front.lengths() == pytest.approx(2.0 * np.pi * DEEP / count * np.ones(count), rel=1e-12)
+    count = len(front.station_parameters)
+    assert front.hat_lengths() == pytest.approx(
+        2.0 * np.pi * DEEP / count * np.ones(count), rel=1e-12
+    )
 
 
 def test_patches_of_a_straight_front() -> None:
@@ -88,8 +90,11 @@ def test_patches_of_a_straight_front() -> None:
     structure = prepare(scene, MPI.COMM_SELF, whole=True).structure
     stations, rows, of_forces = front_functionals(scene, structure)
     assert structure.nodes is not None and len(stations) == 3
-    away, free = structure.nodes.points - [0.015, 0.03, 0.003], structure.nodes.mesh_dofs.free_part
-    ahead, size = stations[0].ahead, np.sqrt(1.5e-3)
+    away, free = (
+        structure.nodes.points - [0.015, 0.03, 0.003],
+        structure.nodes.mesh_dofs.restrict_to_free,
+    )
+    ahead, size = stations[0].growth_direction, np.sqrt(1.5e-3)
     pressed = of_forces[::3] @ structure.pair_areas
     for axis in np.eye(3):
         turned = rows @ free(np.cross(axis, away).ravel())
@@ -145,6 +150,7 @@ def test_a_coarser_mesh_without_stress_intensity(changes: dict[str, object]) -> 
     assert "too coarse" in errors.doubt("delta_K_effective")
 
 
+@pytest.mark.nightly
 def test_a_front_that_is_held_open() -> None:
     """By a pull, and bent so that it is most so at the deepest place, where the load changes it the
     least: K_max is that of the front, and the error of the range is not that of the mean."""

@@ -103,6 +103,7 @@ def test_rigid_contact_of_masses_gets_a_remark(run_command: RunCommand) -> None:
         assert ("remark: contact.law = unilateral: rigid contact of pairs" in said) == remarked
 
 
+@pytest.mark.drawn(3)
 @pytest.mark.usefixtures("not_drawn")
 @pytest.mark.parametrize("commands", [["check"], ["modes"], ["solve"], ["integrate"], ["sweep"]])
 def test_the_example_runs_from_the_shell(

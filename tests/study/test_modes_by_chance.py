@@ -54,6 +54,7 @@ def true_changes(run: fc.Run[fc.PeriodicSolution]) -> dict[str, float]:
     return {name: abs(many[name] - value) for name, value in few.items() if name in many}
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("scene", "changes", "names"),
     [

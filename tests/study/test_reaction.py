@@ -113,6 +113,7 @@ def momentum(structure: fc.Structure, moved: np.ndarray, about: np.ndarray) -> n
     return found
 
 
+@pytest.mark.drawn(2)
 @pytest.mark.parametrize(
     "changes",
     [

@@ -131,7 +131,7 @@ def test_elements_longer_than_a_solid_is_thick() -> None:
             assert 0.1 < seen / stated < 1.0, (lips, mode)
 
 
-@pytest.mark.drawn(1)
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("frequency", "amplitude", "opening"),
     [(1064.758, 1.921e-6, 2.477e-7), (1916.564, 4.624e-6, 7.159e-7)],
@@ -288,6 +288,7 @@ def test_the_report_and_the_stated_error_are_by_the_same_orbits(run: fc.Run) -> 
     assert found.report.reduction == pytest.approx(np.linalg.norm(other - gaps) / size / share)
 
 
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize(
     ("frequency", "force", "ratio"), [(625.75, 0.0, 0.0005), (2860.0, 0.1, 0.005)]
 )
@@ -432,6 +433,7 @@ def test_of_modes_and_of_a_curve(scene: fc.Scene, run: fc.Run) -> None:
         run.peak()
 
 
+@pytest.mark.drawn(2)
 @pytest.mark.parametrize(
     "change",
     [

@@ -100,7 +100,7 @@ def breathing(plate: Study) -> float:
     return float(fc.bilinear_frequencies(plate.structure).omega_bilinear[0])
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", [pytest.param(1, marks=pytest.mark.nightly), 2])
 def test_orders_of_natural_frequencies(order: int) -> None:
     """Without a crack the clamp's ends are left, 1.52 by Williams (quadratic elements show it, of
     linear ones the smooth part is in between); with an open crack 1."""

@@ -137,6 +137,7 @@ LOADS = {"excitation.force_cos": [(0.0, 0.0), (30.0, 200.0)], "crack.clearance":
 RIGID = {"contact.law": "unilateral", "contact.stiffness": None}
 
 
+@pytest.mark.drawn(2)
 @pytest.mark.parametrize(
     ("changes", "close"),
     [
@@ -202,7 +203,7 @@ def test_a_case_leaves_the_solution_of_another_alone(paper_scene: fc.Scene, redu
         np.testing.assert_array_equal(solution.gap_coefficients, expected.gap_coefficients)
 
 
-@pytest.mark.parametrize("changes", [SOFT, MASSLESS])
+@pytest.mark.parametrize("changes", [pytest.param(SOFT, marks=pytest.mark.nightly), MASSLESS])
 def test_harmonics_follow_a_tolerance(paper_scene: fc.Scene, tmp_path: Path, changes: Over) -> None:
     """From case to case and from tolerance to tolerance; the table has each case's H and waves."""
     over = {
@@ -260,22 +261,6 @@ def test_without_a_crack(paper_scene: fc.Scene, tmp_path: Path) -> None:
     assert result["response"][1] == pytest.approx(np.hypot(*row[1:3, 0]), rel=1e-4)
     assert np.isnan(result["opening"]).all() and result.gap(0).shape[1] == 0
     assert result.solution(1).displacement_coefficients.shape[1] == plate.n_dofs
-
-
-@pytest.mark.parametrize("reduction", ["off", "free_interface"])
-def test_rayleigh_damping_is_swept(paper_scene: fc.Scene, tmp_path: Path, reduction: str) -> None:
-    """Over its coefficients, as solved by hand."""
-    changes = SOFT | {"damping.ratio": None, "damping.mass": 20.0, "reduction.method": reduction}
-    over = {"damping.mass": [20.0, 200.0], "damping.stiffness": [0.0, 1e-6]}
-    scene = swept(paper_scene, over, changes)
-    result = run_sweep(scene, tmp_path / "sweep.h5")
-    assert result.converged.all() and result.table().columns[1] == "damping.stiffness [s]"
-    for index in ((0, 1), (1, 0)):
-        values = values_at(result, index)
-        plate, solution = by_hand(scene, values)
-        assert plate.damping == fc.RayleighDamping(*values.values())
-        gap = solution.gap_coefficients
-        np.testing.assert_allclose(result.gap(index), gap, atol=1e-9 * np.abs(gap).max())
 
 
 def test_crack_length_found_and_pairs_of_several_geometries(

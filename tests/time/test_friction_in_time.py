@@ -20,7 +20,7 @@ def test_exponential_steps_are_of_second_order() -> None:
     found = solved("inclined_crack", 0.005, omega, 0.3)
     orbit, off = found.orbit, []
     size = np.ptp(orbit.gap)
-    for steps in (512, 1024, 2048):
+    for steps in (256, 512, 1024):
         history = fc.integrate_exponential(
             structure, omega, law, periods=150, steps_per_period=steps, initial=found,
             record_periods=1,
@@ -30,7 +30,7 @@ def test_exponential_steps_are_of_second_order() -> None:
         assert np.abs(slide).max() < 6e-2 * (512 / steps) ** 2 * size
         loss = history.indicators().friction_loss
         assert loss == pytest.approx(orbit.work.friction.sum(), rel=4e-3 * (1024 / steps) ** 2)
-    assert off[-1] < 8e-5 and all(3.0 < a / b < 5.0 for a, b in pairwise(off))
+    assert off[-1] < 3.2e-4 and all(3.0 < a / b < 5.0 for a, b in pairwise(off))
 
 
 def test_events_follow_the_orbit() -> None:
@@ -87,9 +87,8 @@ def test_pairs_with_mass() -> None:
         fc.integrate_central_difference(structure, omega, rigid, periods=1, steps_per_period=64)
 
 
-@pytest.mark.parametrize(
-    "how", [pytest.param({"tolerance": 0.05}, marks=pytest.mark.nightly), {"harmonics": 8}]
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize("how", [{"tolerance": 0.05}, {"harmonics": 8}])
 def test_curves(tmp_path: Path, how: dict[str, float]) -> None:
     """Over the frequency and the coefficient: points are solutions, also when read again."""
     structure, _ = plate("inclined_crack", 0.005)

@@ -170,7 +170,7 @@ def at_stations(elements: int) -> tuple[np.ndarray, ...]:
     on the line through the last two, as the program has it."""
     front = pulled("ellipse", elements)
     stations, rows, _ = front_functionals(solid(), front.structure)
-    free = front.structure.nodes.mesh_dofs.free_part(front.displacement().ravel())
+    free = front.structure.nodes.mesh_dofs.restrict_to_free(front.displacement().ravel())
     one, two, three = (rows @ free).reshape(-1, 3).T
     x, _, z = np.array([station.point for station in stations]).T
     angles = np.arctan2(np.abs(THICKNESS - z) / 0.003, (x - 0.015) / 0.008)

@@ -23,7 +23,7 @@ from study.test_fronts import STRESS, YOUNG, solid
 import fenics_crack as fc
 from fenics_crack.fatigue import growth
 from fenics_crack.fatigue.ellipse import EllipsePath, grown
-from fenics_crack.fem.fronts import EDGES, front_functionals
+from fenics_crack.fem.fronts import TETRAHEDRON_EDGES, front_functionals
 from fenics_crack.study.prepare import prepare
 
 PENNY, BLOCK = 0.01, 0.1
@@ -293,12 +293,12 @@ def torsion(element: float = 1.2e-4) -> tuple[np.ndarray, np.ndarray, int]:
             a, b, c = points[cell[list(corners)]]
             area = 0.5 * np.linalg.norm(np.cross(b - a, c - a))
             for edge in combinations(corners, 2):
-                node = cell[4 + EDGES.index(edge)]
+                node = cell[4 + TETRAHEDRON_EDGES.index(edge)]
                 load[node] += area / 3.0 * np.cross([0.0, 1.0, 0.0], points[node])
     torque = 4.0 * np.cross(points, load)[:, 1].sum()
     on = np.abs(points) < 1e-9
     held = np.column_stack([on[:, 2], on[:, 0] | on[:, 2], on[:, 0]])
-    moved = displaced(structure, structure.nodes.mesh_dofs.free_part(load.ravel()), held)
+    moved = displaced(structure, structure.nodes.mesh_dofs.restrict_to_free(load.ravel()), held)
     stations, rows, _ = front_functionals(scene, structure)
     found = (rows @ moved).reshape(-1, 3) / (torque * ring(RADIUS, LIGAMENT, HALF))
     x, _, z = np.array([station.point for station in stations]).T

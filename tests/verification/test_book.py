@@ -30,7 +30,7 @@ DEAR = (
 NAMES = [pytest.param(name, marks=[pytest.mark.nightly] * (name in DEAR)) for name in CASES]
 
 
-@pytest.mark.drawn(10)
+@pytest.mark.drawn(6)
 @pytest.mark.parametrize("name", NAMES)
 def test_book(name: str, request: pytest.FixtureRequest) -> None:
     """The rows hold, and the committed page shows them; --write-book writes it instead."""

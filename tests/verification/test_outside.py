@@ -14,6 +14,7 @@ DEAR = ("measured_cantilever", "ross_rod")
 NAMES = [pytest.param(name, marks=[pytest.mark.nightly] * (name in DEAR)) for name in outside.CASES]
 
 
+@pytest.mark.drawn(3)
 @pytest.mark.parametrize("name", NAMES)
 def test_prediction_is_what_the_program_says(name: str) -> None:
     """The numbers of the page, to a twentieth of the half-width of its intervals."""

@@ -15,7 +15,7 @@ from fenics_crack.basics.ranks import MPI, gather_rows
 from fenics_crack.basics.tables import TURN, speed_in_words
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.fem.build import with_crack_length
-from fenics_crack.fem.cracks import SAME
+from fenics_crack.fem.cracks import POSITION_TOLERANCE
 from fenics_crack.files.results import Result
 from fenics_crack.files.store import with_full_paths
 from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes, probes_of_blades
@@ -382,7 +382,7 @@ def _circumferential(scene: Scene, point: np.ndarray) -> np.ndarray:
     place, axis = scene.axis
     along = np.cross(axis, point - place)
     size = float(np.linalg.norm(along))
-    if size <= SAME * float(np.abs([point, place]).max()):
+    if size <= POSITION_TOLERANCE * float(np.abs([point, place]).max()):
         where = [float(x) for x in point]
         raise InputError("output.points", where, "a blade tip first, off the axis of the rotation")
     return np.where(np.abs(along) > ROUNDING * size, along / size, 0.0)

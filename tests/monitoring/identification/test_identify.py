@@ -565,9 +565,7 @@ SHORT, LONG = ({"crack.length": length, "crack.height": 0.08} for length in (0.0
 @pytest.mark.parametrize(
     ("changes", "claimed", "conditional"),
     [
-        pytest.param(*DEEPER[0], marks=pytest.mark.nightly),
-        DEEPER[1],
-        pytest.param(*DEEPER[2], marks=pytest.mark.nightly),
+        *(pytest.param(*one, marks=pytest.mark.nightly) for one in DEEPER),
         (SHORT, True, True),
         pytest.param(LONG, True, False, marks=pytest.mark.nightly),
     ],
@@ -615,6 +613,7 @@ def test_one_wrong_measurement(scene: fc.Scene, folder: Path) -> None:
     assert found.warnings[0].endswith(f"if a relative one is meant, it is {hertz}")
 
 
+@pytest.mark.nightly
 def test_two_cracks(scene: fc.Scene, folder: Path) -> None:
     """Are not one crack, of which these frequencies are so far off as chance has them in one of 200
     measurements."""
@@ -695,6 +694,7 @@ def test_other_units(scene: fc.Scene, folder: Path, factor: float, unit: str) ->
     assert not (folder / "nothing").exists()
 
 
+@pytest.mark.nightly
 def test_one_frequency(scene: fc.Scene, folder: Path) -> None:
     """With little information the estimate is within its own intervals, which are narrower of a
     smaller probability; the key of that and the priors are in the result."""
@@ -782,6 +782,7 @@ def test_beside_other_results(tmp_path: Path, run_command: RunCommand) -> None:
             assert "must be with posterior.png in its folder" in run_command(*command, code=2).err
 
 
+@pytest.mark.nightly
 def test_crack_from_frequency_responses(
     scene: fc.Scene, folder: Path, run_command: RunCommand
 ) -> None:

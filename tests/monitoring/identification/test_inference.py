@@ -703,6 +703,7 @@ def little(not_laid_out: None, tmp_path: Path) -> list[str]:
     return command_of_one_unknown(tmp_path)
 
 
+@pytest.mark.nightly
 def test_stops_at_ctrl_c(
     little: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run_command: RunCommand
 ) -> None:

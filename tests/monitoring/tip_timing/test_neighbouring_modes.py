@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import neighbouring_modes
 import numpy as np
+import pytest
 from helpers import DEMOS
 
 import fenics_crack as fc
 
 
+@pytest.mark.nightly
 def test_orders_of_two_modes() -> None:
     """Three probes, orders 8 and 4 at speeds 1.6 % apart: one by one four resonances of orders 3,
     6, 14 and 10 were found; together they are two, of their orders."""

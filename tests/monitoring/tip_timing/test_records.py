@@ -166,11 +166,6 @@ def test_frequency_that_follows_the_speed_as_the_scene_has_it(
     assert fit["order"] == 5 and fit["damping"] == pytest.approx(0.004, rel=5e-3)
 
 
-def test_a_line_is_no_resonance() -> None:
-    """A vibration of one frequency, which passes orders 2 and 3 on its way: no resonance."""
-    assert len(fc.find_passages(swept([], line=203.0)[0], range(1, 9))) == 0
-
-
 def test_marks_that_jitter_leave_no_doubt() -> None:
     """An error of a mark is in the arrivals of both revolutions that it ends and begins: residuals
     are as correlated as that makes them, and no vibration is in doubt."""
@@ -230,6 +225,7 @@ def test_a_record_of_some_revolutions(every: int) -> None:
     assert replace(fit, omega_errors=np.full(2, np.nan)).disagree
 
 
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize("one", [0, 2])
 def test_a_channel_that_sees_nothing(one: int) -> None:
     """Pulses of a channel that come where the mark says, whatever the blade does: the fit is that
@@ -263,15 +259,6 @@ def test_what_is_left_is_told() -> None:
         assert far / HERTZ < 1.5 * stated < 2.0
         for words in (repr(one), one.in_words):
             assert f"{one.frequency:.6g} ± {stated:.2g} Hz" in words
-
-
-def test_what_is_left_of_every_second_revolution_is_told() -> None:
-    """The same, from arrivals of which no two revolutions follow each other."""
-    whole, _ = swept([(500.0, 0.003, 5, 1e-5), (502.0, 0.003, 5, 1e-5)])
-    time = np.full_like(whole.time, np.nan)
-    time[::2] = whole.time[::2]
-    fit = fc.fit_passage(replace(whole, time=time), 100.2, [4, 5, 6])
-    assert fit.in_doubt and abs(fit.omega - 500.0) > 4.0 * fit.omega_error
 
 
 def test_orders_that_contradict_each_other(tmp_path: Path, run_command: RunCommand) -> None:

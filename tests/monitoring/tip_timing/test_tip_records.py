@@ -15,10 +15,10 @@ def test_orders_and_lines_of_generated_records(number: int) -> None:
     """Each order right or declared, each vibration of no order found, most intervals hold."""
     row, count = tip_records.ROWS[number], tip_records.Count()
     rng = np.random.default_rng([7, number])
-    for _ in range(6):
+    for _ in range(3):
         tip_records.judge(row, tip_records.draw(row, rng), count)
-    assert count.order + count.declared == 6 and count.found == 6
-    assert count.covered >= 5 and count.also >= 5 and count.unwarned <= 1
+    assert count.order + count.declared == 3 and count.found == 3
+    assert count.covered >= 2 and count.also >= 2 and count.unwarned <= 1
 
 
 def test_errors_of_probes_and_the_line_alone() -> None:
@@ -37,7 +37,8 @@ def test_errors_of_probes_and_the_line_alone() -> None:
     assert alone.omega == pytest.approx(record.asynchronous, rel=1e-4)
 
 
-@pytest.mark.parametrize("draws", [4, pytest.param(15, marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("draws", [4, 15])
 def test_no_order_is_excluded_by_a_harmonic_left_out(draws: int) -> None:
     """Five probes and a sine fitted to a wave of four harmonics: where the order is wrong, the
     right one is said to fit as well."""

@@ -126,6 +126,7 @@ def test_run_up_is_a_root_too(begin: float, end: float) -> None:
     assert np.abs(turned - arrivals.angle).max() < 1e-11
 
 
+@pytest.mark.nightly
 def test_run_up_jumps_where_the_curve_turns_back() -> None:
     """A stop that stiffens: the large motion up to one fold, the small one down to the other."""
     structure, found = blade(damping=30.0, clearance=0.01), []
