@@ -46,6 +46,8 @@ if TYPE_CHECKING:
 COMMENTED = "cli/new_scene.toml"
 RECORDS = (".csv", ".h5")
 """Endings of files of arrivals, and of results from which arrivals are computed."""
+PREPARED = "prepared.h5"
+"""Name of the file of a command's structure."""
 PERIOD = "solution_period"
 """Folder below that for results, of the frames of a period."""
 RESULT_ENDINGS = (".h5", ".csv", ".json", ".png", ".pdf", ".svg")
@@ -310,6 +312,24 @@ def make_writable(folder: Path, comm: MPI.Comm) -> None:
     from fenics_crack.basics.ranks import on_root  # PETSc
 
     on_root(comm, lambda: prepare_folder(folder, (BEFORE, PERIOD)))
+
+
+@contextmanager
+def structure_kept(given: Namespace, inputs: Inputs, console: Console) -> Iterator[None]:
+    """Let a command take its structure from the file of an earlier one, and keep it there."""
+    fresh = vars(given).get("fresh")
+    if fresh is None or inputs.prepared is not None:
+        yield
+        return
+    from fenics_crack.study.shelf import Shelf, has_place
+    from fenics_crack.study.sharing import SHELVES
+
+    if has_place(inputs.scene):
+        SHELVES.append(Shelf(inputs.folder / PREPARED, console.note, fresh=fresh))
+    try:
+        yield
+    finally:
+        SHELVES.clear()
 
 
 def keep_before(table: Path, text: str, comm: MPI.Comm, *others: str) -> str:

@@ -51,7 +51,7 @@ from fenics_crack.fem.elasticity import constants, rotation_of, stress, thicknes
 from fenics_crack.fem.loads import assemble_loads, clamp_of
 from fenics_crack.fem.plate import Dofs, build_mesh
 from fenics_crack.fem.setting import clearance_of, damping_of
-from fenics_crack.model.body import UNVARIED, Body
+from fenics_crack.model.body import Body
 from fenics_crack.model.factor import local_rows
 from fenics_crack.model.modes import solve_modes
 from fenics_crack.model.nodes import Pairs
@@ -306,20 +306,16 @@ def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     return structure
 
 
-def in_another(scene: Scene, structure: Structure, *, loads: bool) -> Structure:
-    """A structure of a mesh at rest with the clearance and the damping of another scene of the same
-    mesh, and with its loads (collective)."""
-    changes: dict[str, Any] = {
-        "clearance": clearance_of(scene, structure.pairs), "damping": damping_of(scene.damping),
-    }  # fmt: skip
-    if loads:
-        dofs: Dofs = structure.nodes.numbered  # type: ignore[union-attr]
-        _, mass = _forms(scene, dofs.space)
-        matrix = compat.assembled_matrix(mass)
-        force, changes["watched"] = assemble_loads(scene, dofs, matrix)
-        changes |= {"force": dofs.free_part(force), "clamp": clamp_of(dofs, matrix, force)}
-        matrix.destroy()
-    return structure._in(UNVARIED, **changes)
+def loads_on(scene: Scene, structure: Structure) -> dict[str, Any]:
+    """The attributes of a body at rest that the loads of another scene of its mesh change
+    (collective)."""
+    dofs: Dofs = structure.nodes.numbered  # type: ignore[union-attr]
+    _, mass = _forms(scene, dofs.space)
+    matrix = compat.assembled_matrix(mass)
+    force, watched = assemble_loads(scene, dofs, matrix)
+    clamp = clamp_of(dofs, matrix, force)
+    matrix.destroy()
+    return {"force": dofs.free_part(force), "watched": watched, "clamp": clamp}
 
 
 def _assembled(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
