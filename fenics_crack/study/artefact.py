@@ -1,10 +1,13 @@
-"""A prepared structure as a file that its user owns.
+"""A prepared structure as a file.
 
 It holds what a mesh gives: modes and statics seen at pairs, loads and watched points, of the
 scene's mesh and of a coarser one, with places and areas of the pairs. What follows from it, another
 frequency, amplitude of the load, damping, clearance, law or tolerance, needs no mesh and no
-matrices. :func:`load_prepared` makes a study of it, whose structure no scene shares: what needs
-matrices takes the scene itself.
+matrices.
+
+A file of ``reduce`` is its user's. :func:`load_prepared` makes a study of it, whose structure no
+scene shares: what needs matrices takes the scene itself. The file that a command keeps
+(:mod:`fenics_crack.study.shelf`) has the matrices, too.
 """
 
 from __future__ import annotations
@@ -16,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy.linalg
 import scipy.sparse as sparse
 from mpi4py import MPI
 
@@ -24,12 +26,20 @@ from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.observables import QUANTITIES
 from fenics_crack.basics.ranks import gather_rows, on_root
 from fenics_crack.fem.setting import clearance_of, damping_of, parts_of
-from fenics_crack.files.codec import Parts, packed, unpacked
+from fenics_crack.files.codec import packed, unpacked
 from fenics_crack.files.store import Stored, check_shapes, read, write
-from fenics_crack.model.body import Body
+from fenics_crack.model.body import UNVARIED, Body
+from fenics_crack.model.factor import local_rows, square_matrix
 from fenics_crack.model.matrices import Absent
-from fenics_crack.model.nodes import Nodes, Pairs
-from fenics_crack.model.receptance import Receptance, held_receptance, receptance, rows_at
+from fenics_crack.model.nodes import Clamp, Nodes, Pairs
+from fenics_crack.model.receptance import (
+    Receptance,
+    held_receptance,
+    last_receptance,
+    receptance,
+    rows_at,
+    sources_of,
+)
 from fenics_crack.model.structure import DampingRule, Structure
 from fenics_crack.numerics.equations import ROUNDING
 from fenics_crack.scene.scene import Scene
@@ -39,148 +49,197 @@ from fenics_crack.study.sharing import Made, kept, loads_of, parts_shared
 from fenics_crack.study.solve import MOST_OF_MANY, modes_chosen, reduced_to
 
 KIND = "prepared structure"
-COARSER = "coarser."
-"""Beginning of the names of datasets of the coarser mesh."""
 VARIED = (
     "a key that needs no mesh: the frequency, force_mean, force_cos and force_sin of the load, "
     "damping, clearances, the contact law and its friction, harmonics, the tolerance, [curve]; "
     "else the scene itself is solved"
 )
 """What a file can vary, in words."""
-MIN_LOAD_BYTES, LOAD_RATIO = 2**26, 16
-"""Size of the load on all dofs that any file may have [byte], and that relative to all arrays."""
+NODE_ARRAYS = ("points", "dofs", "cells")
 
 
 @dataclass(frozen=True)
-class _Prepared:
-    """Datasets of one structure; columns (row, column, value) of sparse matrices."""
+class Rows:
+    """A sparse matrix by its rows, those of all ranks."""
 
-    n_dofs: int
-    gap: np.ndarray
-    force: np.ndarray
-    clearance: np.ndarray
-    pairs: Pairs
-    squares: np.ndarray
-    modal: np.ndarray
-    compliance: np.ndarray
-    inertia: np.ndarray
-    dofs: np.ndarray
-    shapes: np.ndarray
-    static: np.ndarray
-    watched_dof: int
-    tangential: np.ndarray | None = None
-    points: np.ndarray | None = None
-    node_dofs: np.ndarray | None = None
-    cells: np.ndarray | None = None
+    data: np.ndarray
+    indices: np.ndarray
+    indptr: np.ndarray
 
     @classmethod
-    def of(cls, study: Study) -> _Prepared:
-        """Those of a reduced study (collective)."""
-        whole = study.structure.whole.original
-        reference = getattr(study.structure, "reference", None) or study.structure
-        count = max(study.structure.n_modes, reference.n_modes)
-        rows_at(whole, count, np.array([watched.dof for watched in study.watched]))
-        known, comm, nodes = receptance(whole, count), whole.comm, whole.nodes
-        shapes, static = (np.array(rows) for rows in zip(*known.rows.values(), strict=True))
-        places = () if nodes is None else (nodes.points, nodes.dofs, nodes.cells)
-        tangents = whole.tangential
+    def of(cls, rows: Any, comm: MPI.Comm) -> Rows | None:
+        """Gather the rows of all ranks; None of None (collective)."""
+        if rows is None:
+            return None
+        lengths = gather_rows(comm, np.diff(rows.indptr))
+        starts = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int32)
+        return cls(gather_rows(comm, rows.data), gather_rows(comm, rows.indices), starts)
+
+    def matrix(self, *shape: int) -> sparse.csr_matrix:
+        """Return the matrix; ValueError unless it is one of this shape."""
+        if "f" in self.indices.dtype.kind + self.indptr.dtype.kind:
+            raise ValueError("its indices do not fit")
+        rows = sparse.csr_matrix((self.data, self.indices, self.indptr), shape)
+        rows.check_format(full_check=True)
+        return rows
+
+
+@dataclass(frozen=True)
+class PreparedStructure:
+    """Datasets of a whole structure and of the receptances that it holds.
+
+    Attributes
+    ----------
+    gap, tangential, tangents, shares : Rows or None
+        As of :class:`Structure` and its pairs, which have none of their own here.
+    force, clearance, watched, nodes, pairs, clamp
+        As of :class:`Structure`; arrays of all ranks.
+    seen : tuple of Receptance
+        Of this load; with the tangents of a solid at last.
+    mass, stiffness : Rows or None
+        Its matrices, where they are kept.
+    key : str
+        Digest of what the structure follows from.
+    excitation : (2K+1, d) [N]
+        Force of the excitation.
+    """
+
+    gap: Rows
+    tangential: Rows | None
+    tangents: Rows | None
+    shares: Rows | None
+    force: np.ndarray
+    clearance: np.ndarray
+    watched: np.ndarray | None
+    nodes: Nodes | None
+    pairs: Pairs
+    clamp: Clamp | None
+    seen: tuple[Receptance, ...]
+    mass: Rows | None = None
+    stiffness: Rows | None = None
+    key: str = ""
+    excitation: np.ndarray | None = None
+
+    @classmethod
+    def of(cls, whole: Structure, **more: Any) -> PreparedStructure:
+        """Gather those of a structure, and its matrices if there is ``more`` (collective)."""
+        whole, comm = whole.original, whole.comm
+        nodes, pairs, clamp = whole.nodes, whole.pairs, whole.clamp
+        both = [whole, *([] if pairs.tangents is None else [whole.with_tangents()])]
+        if more:
+            matrices = (("mass", whole.mass), ("stiffness", whole.stiffness))
+            more |= {name: Rows.of(local_rows(matrix), comm) for name, matrix in matrices}
+        if nodes is not None:
+            arrays = {name: gather_rows(comm, getattr(nodes, name)) for name in NODE_ARRAYS}
+            kind = nodes.vtk_type if more else 0  # no displacements to be drawn
+            nodes = replace(nodes, numbered=None, vtk_type=kind, **arrays)
+        if clamp is not None:
+            clamp = replace(clamp, inertia=gather_rows(comm, clamp.inertia.T).T)
+        sparse_rows = whole.gap, whole.tangential, pairs.tangents
         return cls(
-            whole.n_dofs, _entries(whole, whole.gap), _entries(whole, whole.force.T),
-            whole.clearance, whole.pairs, known.squares, known.modal, known.compliance,
-            known.inertia, np.array([*known.rows]), shapes, static, whole.watched_dof,
-            None if tangents is None else _entries(whole, tangents),
-            *(gather_rows(comm, rows) for rows in places),
+            *(Rows.of(rows, comm) for rows in sparse_rows), Rows.of(pairs.shares, MPI.COMM_SELF),
+            gather_rows(comm, whole.force.T).T, whole.clearance,
+            None if whole.watched is None else gather_rows(comm, whole.watched),
+            nodes, replace(pairs, shares=None, tangents=None), clamp,
+            tuple(replace(seen, force=np.zeros(0)) for one in both for seen in one.once(held_receptance)),
+            **more,
         )  # fmt: skip
 
-    def _check(self, n_parts: int) -> None:
-        """Raise ValueError unless all sizes, indices and numbers fit a load of ``n_parts`` rows."""
-        n_dofs, n_pairs, n_watched = self.n_dofs, self.clearance.size, self.dofs.size
-        n_sources, n_modes = self.modal.shape
-        n_nodes, dimension = (0, 2) if self.points is None else self.points.shape
-        fields = vars(self) | {f"pairs.{name}": value for name, value in vars(self.pairs).items()}
-        arrays = {name: value for name, value in fields.items() if isinstance(value, np.ndarray)}
-        shapes = {
-            "squares": (n_modes,), "compliance": (n_sources, n_sources), "dofs": (n_watched,),
-            "shapes": (n_watched, n_modes), "static": (n_watched, n_sources), "cells": (-1, -1),
-            "clearance": (n_pairs,), "inertia": (n_pairs,), "node_dofs": (n_nodes, dimension),
-            "pairs.points": (n_pairs, dimension),
-        }  # fmt: skip
-        shapes |= dict.fromkeys(("gap", "force", "tangential"), (3, -1))
-        shapes |= dict.fromkeys(("pairs.areas", "pairs.cracks", "pairs.positions"), (n_pairs,))
-        check_shapes(arrays, shapes)
-        ranges = {
-            "dofs": (0, n_dofs), "watched_dof": (0, n_dofs), "node_dofs": (-1, n_dofs),
-            "cells": (0, n_nodes), "pairs.cracks": (0, n_pairs), "pairs.places": (0, n_pairs),
-        }  # fmt: skip
-        indices = fields | {"pairs.places": [*self.pairs.places.values()]}
-        ends = {"gap": n_pairs, "tangential": n_pairs, "force": n_parts}
-        for name in ends.keys() & arrays.keys():
-            indices |= {f"{name} rows": arrays[name][0], f"{name} columns": arrays[name][1]}
-            ranges |= {f"{name} rows": (0, n_dofs), f"{name} columns": (0, ends[name])}
-        bad_names = [name for name, value in arrays.items() if not np.all(np.isfinite(value))]
-        bad_names += [
-            name
-            for name, (start, end) in ranges.items()
-            if (values := indices[name]) is not None
-            and not np.all((np.round(values) == values) & np.less_equal(start, values)
-                           & np.less(values, end))
-        ]  # fmt: skip
-        n_free = n_dofs if self.node_dofs is None else np.count_nonzero(self.node_dofs >= 0)
-        n_bytes = sum(value.nbytes for value in arrays.values())
-        if n_free != n_dofs or 8 * n_parts * n_dofs > max(MIN_LOAD_BYTES, LOAD_RATIO * n_bytes):
-            bad_names.append("n_dofs")
-        n_contacts = n_pairs * (1 if self.tangential is None else 2)
-        if n_contacts + len(np.unique(self.force[1])) != n_sources:
-            bad_names.append("modal")
-        if np.any(self.squares < 0.0):
-            bad_names.append("squares")
-        if bad_names:
-            raise ValueError(f"its {bad_names[0]} does not fit")
-
     def structure(self, scene: Scene, weights: np.ndarray, comm: MPI.Comm) -> Structure:
-        """The structure in the setting of a scene, its load's rows weighted (collective)."""
-        self._check(weights.shape[1])
-        first, count = comm.rank == 0, len(self.clearance)
-        n_local = self.n_dofs if first else 0
+        """Return the structure in the setting of a scene, its load's rows weighted.
 
-        def rows(entries: np.ndarray, columns: int) -> sparse.csr_matrix:
-            places = entries[:2].astype(int)
-            shape = self.n_dofs, columns
-            made = sparse.csr_matrix((entries[2], (places[0], places[1])), shape)
-            return made[:n_local]
+        Rank 0 has all rows. An error of :data:`fenics_crack.files.codec.WRONG` where the datasets
+        are no structure (collective).
+        """
+        n_dofs, n_pairs = self._check(), len(self.clearance)
+        own = slice(None if comm.rank == 0 else 0)
 
-        force = (rows(self.force, weights.shape[1]) @ weights.T).T
-        nodes = None
-        if self.points is not None and self.node_dofs is not None and self.cells is not None:
-            own = slice(None) if first else slice(0)
-            nodes = Nodes(self.points[own], self.node_dofs[own], self.cells[own], 0)
-        clearance = self.clearance if self.pairs.cracks is None else clearance_of(scene, self.pairs)
-        sizes = Absent(self.n_dofs, comm.rank)
+        def rows(part: Rows | None, columns: int) -> Any:
+            return part and part.matrix(n_dofs, columns)[own]
+
+        matrices = rows(self.mass, n_dofs), rows(self.stiffness, n_dofs)
+        absent = Absent(n_dofs, comm.rank)
+        nodes, watched, clamp, pairs = self.nodes, self.watched, self.clamp, self.pairs
+        shares = self.shares and self.shares.matrix(len(np.atleast_1d(pairs.nodes)), n_pairs)
+        pairs = replace(pairs, shares=shares, tangents=rows(self.tangents, 2 * n_pairs))
         made = Structure(Body(
-            sizes, sizes, rows(self.gap, count), force, clearance,
-            damping_of(scene.given("damping")),
-            None if self.tangential is None else rows(self.tangential, count),
-            nodes, self.pairs, comm=comm,
-        )).watching(self.watched_dof)  # fmt: skip
-        loaded = np.unique(self.force[1].astype(int))  # parts that are not zero
-        of_loads = weights[np.any(weights[:, loaded] != 0.0, axis=1)][:, loaded].T
-        of_pairs = np.eye(len(self.modal) - len(loaded))
-        change = scipy.linalg.block_diag(of_pairs, of_loads)
-        held = dict(zip(map(int, self.dofs), zip(self.shapes, self.static @ change, strict=True),
-                        strict=True))  # fmt: skip
-        made.once(held_receptance).append(Receptance(
-            self.squares, change.T @ self.modal, change.T @ self.compliance @ change, held, force,
-            self.inertia,
+            *(absent if part is None else square_matrix(part, comm) for part in matrices),
+            rows(self.gap, n_pairs), self.force[:, own],
+            self.clearance if pairs.cracks is None else clearance_of(scene, pairs),
+            damping_of(scene.given("damping")), rows(self.tangential, n_pairs),
+            nodes and replace(nodes, **{name: getattr(nodes, name)[own] for name in NODE_ARRAYS}),
+            pairs, None if watched is None else watched[own],
+            clamp and replace(clamp, inertia=clamp.inertia[:, own]), comm=comm,
         ))  # fmt: skip
+        for seen in self.seen:
+            its = [one for one in (made, made.with_tangents()) if _n_sources(one) == len(seen.modal)]
+            held = replace(seen, force=its[0].force)
+            its[0].once(held_receptance)[:] = made.once(last_receptance, of_matrices=True)[:] = [held]
+        if not np.array_equal(weights, np.eye(len(made.force))):
+            force, of_load = weights @ made.force, made.clamp and made.clamp.varied(weights)
+            made = made._in(UNVARIED, force=force, clamp=of_load)
+        if self.mass is None:
+            receptance(made, 1)
         return made
 
+    def _check(self) -> int:
+        """Return the number of dofs; ValueError unless all sizes, indices and numbers fit."""
+        arrays = {name: array for name, array in packed(self).items() if np.ndim(array)}
+        n_dofs, n_pairs, n_parts = len(self.gap.indptr) - 1, len(self.clearance), len(self.force)
+        n_nodes, dimension = (0, 2) if self.nodes is None else self.nodes.points.shape
+        n_rigid = 0 if self.clamp is None else len(self.clamp.inertia)
+        shapes = {
+            "force": (n_parts, n_dofs), "watched": (n_dofs,), "excitation": (n_parts, dimension),
+            "nodes.dofs": (n_nodes, dimension), "nodes.cells": (-1, -1), "clearance": (n_pairs,),
+            "pairs.points": (n_pairs, dimension), "pairs.nodes": (-1, dimension),
+            "clamp.center": (dimension,), "clamp.inertia": (n_rigid, n_dofs),
+            "clamp.load": (n_parts, n_rigid),
+        }  # fmt: skip
+        shapes |= dict.fromkeys(("pairs.areas", "pairs.cracks", "pairs.positions"), (n_pairs,))
+        indices = {
+            "nodes.cells": (n_nodes, [] if self.nodes is None else self.nodes.cells),
+            "pairs.cracks": (n_pairs, [] if self.pairs.cracks is None else self.pairs.cracks),
+            "pairs": (n_pairs, [*self.pairs.places.values()]),
+        }
+        fits = {name: bool(np.all(np.isfinite(array))) for name, array in arrays.items()}
+        for place, seen in enumerate(self.seen):
+            name, (n_sources, n_modes) = f"seen.{place}", seen.modal.shape
+            of_rows = {f".rows.{dof}.{k}": seen.modal.shape[1 - k : 2 - k] for dof in seen.rows for k in (0, 1)}
+            sizes = {".squares": (n_modes,), ".compliance": (n_sources,) * 2, ".inertia": (n_pairs,)}
+            shapes |= {name + key: shape for key, shape in (sizes | of_rows).items()}
+            indices[name] = n_dofs, [*seen.rows]
+            fits[f"{name}.squares"] &= bool(np.all(seen.squares >= 0.0))
+        check_shapes(arrays, shapes)
+        if self.nodes is not None:
+            free = np.sort(self.nodes.dofs[self.nodes.dofs >= 0])
+            fits["nodes.dofs"] &= np.array_equal(free, np.arange(n_dofs))
+        for name, (end, numbers) in indices.items():
+            values = np.asarray(numbers)
+            fits[name] = fits.get(name, True) and bool(np.all((values >= 0) & (values < end) & (values == np.round(values))))
+        if bad_names := [name for name, fit in fits.items() if not fit]:
+            raise ValueError(f"its {bad_names[0]} does not fit")
+        return n_dofs
 
-def _entries(whole: Structure, rows: Any) -> np.ndarray:
-    """Entries of the rows of all ranks: (3, n), of row, column and value (collective)."""
-    found = sparse.coo_matrix(rows)
-    found.eliminate_zeros()
-    own = np.column_stack([found.row + whole.first_dof, found.col, found.data])
-    return gather_rows(whole.comm, own).T
+
+def _n_sources(structure: Structure) -> int:
+    return int(sources_of(structure).shape[1])
+
+
+@dataclass(frozen=True)
+class PreparedFile:
+    """Datasets of a file: a structure, and that of its coarser mesh if there is one."""
+
+    whole: PreparedStructure
+    coarse: PreparedStructure | None = None
+
+    def made(self, scene: Scene, weights: np.ndarray, comm: MPI.Comm) -> Made:
+        """Return the structure for a scene, with that of its coarser mesh (collective)."""
+        whole, coarse = self.whole.structure(scene, weights, comm), coarser_scene(scene)
+        if self.coarse is not None and isinstance(coarse, Scene):
+            alone = MPI.COMM_SELF  # as of the coarser twin of a reduced structure
+            twin = self.coarse.structure(coarse, weights, alone)
+            whole.once(kept, of_matrices=True).append(Made(twin, alone, parts_shared(coarse, alone)))
+        return Made(whole, comm, parts_shared(scene, comm))
 
 
 def save_prepared(prepared: Study, path: str | Path) -> None:
@@ -219,12 +278,18 @@ def save_prepared(prepared: Study, path: str | Path) -> None:
     if not structure.light_lips or not isinstance(structure.whole.damping, DampingRule):
         allowed = "reduced to crack faces without mass, and damped by [damping], for a file"
         raise InputError("structure", repr(structure), allowed)
-    parts, twin = packed(_Prepared.of(prepared)), coarser(prepared)
-    if not isinstance(twin, str):
-        coarse = packed(_Prepared.of(twin[0]))
-        parts |= {f"{COARSER}{name}": value for name, value in coarse.items()}
-        parts[f"{COARSER}pairs"] = coarse["pairs"].replace('"pairs.', f'"{COARSER}pairs.')
+    twin = coarser(prepared)
+    studies = prepared, *([] if isinstance(twin, str) else [twin[0]])
+    parts = packed(PreparedFile(*map(_of_study, studies)))
     write(parts, path, KIND, scene, structure.whole.comm)
+
+
+def _of_study(study: Study) -> PreparedStructure:
+    """Return the datasets of a reduced study, with all its modes (collective)."""
+    reference = getattr(study.structure, "reference", None) or study.structure
+    count = max(study.structure.n_modes, reference.n_modes)
+    rows_at(study.structure.whole, count, np.array([watched.dof for watched in study.watched]))
+    return PreparedStructure.of(study.structure.whole)
 
 
 def load_prepared(
@@ -311,10 +376,23 @@ def _weights(known: Scene, scene: Scene) -> np.ndarray:
     the same place and in the same directions."""
     if loads_of(known) == loads_of(scene):  # a file with its wave may have gone
         return np.eye(1 + 2 * known.highest_order)
-    before, after = (np.array(parts_of(one), dtype=float) for one in (known, scene))
+    return load_weights(np.array(parts_of(known), dtype=float), scene)
+
+
+def load_weights(before: np.ndarray, scene: Scene) -> np.ndarray:
+    """The same for an excitation (2K+1, d) before.
+
+    Raises
+    ------
+    InputError
+        The scene's is no sum of its rows.
+    """
+    after = np.array(parts_of(scene), dtype=float)
+    if np.array_equal(before, after):
+        return np.eye(len(after))
     weights = after @ np.linalg.pinv(before)
     missed = np.abs(weights @ before - after).max() > ROUNDING * np.abs(after).max()
-    if missed or known.has_other_loads:
+    if missed or scene.has_other_loads:
         allowed = f"in the directions of the file's, without other loads; or {VARIED}"
         raise InputError("excitation.force_sin", scene.excitation.force_sin, allowed)
     return weights
@@ -332,18 +410,5 @@ def _made(stored: Stored, scene: Scene, comm: MPI.Comm) -> Made:
     assert known is not None
     weights = _weights(known, scene)
     with stored.taken() as parts:
-        whole = _structure(parts, scene, weights, comm)
-        coarse = coarser_scene(scene)
-        if f"{COARSER}squares" in parts and isinstance(coarse, Scene):
-            cut = len(COARSER)
-            its = {name[cut:]: one for name, one in parts.items() if name.startswith(COARSER)}
-            its["pairs"] = its["pairs"].replace(f'"{COARSER}', '"')
-            alone = MPI.COMM_SELF  # as of the coarser twin of a reduced structure
-            twin = _structure(its, coarse, weights, alone)
-            made = Made(twin, alone, parts_shared(coarse, alone))
-            whole.once(kept, of_matrices=True).append(made)
-    return Made(whole, comm, parts_shared(scene, comm))
-
-
-def _structure(parts: Parts, scene: Scene, weights: np.ndarray, comm: MPI.Comm) -> Structure:
-    return unpacked(_Prepared, parts).structure(scene, weights, comm)
+        file: PreparedFile = unpacked(PreparedFile, parts)
+        return file.made(scene, weights, comm)
