@@ -275,18 +275,24 @@ def _command(
         command = partial(compute, command)
     if inputs is None or ("output" not in given and given.command != "check"):
         return command(given, inputs, console)
-    from fenics_crack.cli.given import make_writable, structure_kept
+    from fenics_crack.cli.given import PREPARED, make_writable
     from fenics_crack.study.plausibility import remarks_on_scene
+    from fenics_crack.study.sharing import SHELVES
 
     assert console is not None
     if given.command not in ("check", "clean"):
         make_writable(inputs.folder, console.comm)
+    if (fresh := vars(given).get("fresh")) is not None and inputs.prepared is None:
+        from fenics_crack.study.shelf import shelf_of
+
+        SHELVES += shelf_of(inputs.scene, inputs.folder / PREPARED, console.note, fresh=fresh)
     try:
-        with structure_kept(given, inputs, console):
-            return command(given, inputs, console)
+        return command(given, inputs, console)
     except (ConvergenceError, KeyboardInterrupt):  # what is unusual may be why
         console.remark(*remarks_on_scene(inputs.scene))
         raise
+    finally:
+        SHELVES.clear()
 
 
 # --- arguments ------------------------------------------------------------------------------------

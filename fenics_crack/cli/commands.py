@@ -19,7 +19,7 @@ from fenics_crack.cli.given import PREPARED, Console, Inputs, command, keep_befo
 from fenics_crack.cli.kinds import KINDS, Drawn, draw, report_of
 from fenics_crack.study.plausibility import remarks_on_scene
 from fenics_crack.study.run import Run
-from fenics_crack.study.shelf import keep_structures
+from fenics_crack.study.sharing import SHELVES
 
 if TYPE_CHECKING:
     from fenics_crack.monitoring.identification.measurements import Measurements
@@ -76,7 +76,8 @@ def tell(
     their kind is given, under a path without its ending; print what there is to say. Returns how
     that ended."""
     replaced = ""
-    keep_structures(console.comm.rank)
+    for shelf in SHELVES:
+        shelf.keep(console.comm)
     if result is not None:
         replaced = keep_before(Path(f"{path}.json"), report.table.formatted("json"), console.comm)
     with together() as files:

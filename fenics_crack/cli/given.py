@@ -314,24 +314,6 @@ def make_writable(folder: Path, comm: MPI.Comm) -> None:
     on_root(comm, lambda: prepare_folder(folder, (BEFORE, PERIOD)))
 
 
-@contextmanager
-def structure_kept(given: Namespace, inputs: Inputs, console: Console) -> Iterator[None]:
-    """Let a command take its structure from the file of an earlier one, and keep it there."""
-    fresh = vars(given).get("fresh")
-    if fresh is None or inputs.prepared is not None:
-        yield
-        return
-    from fenics_crack.study.shelf import Shelf, has_place
-    from fenics_crack.study.sharing import SHELVES
-
-    if has_place(inputs.scene):
-        SHELVES.append(Shelf(inputs.folder / PREPARED, console.note, fresh=fresh))
-    try:
-        yield
-    finally:
-        SHELVES.clear()
-
-
 def keep_before(table: Path, text: str, comm: MPI.Comm, *others: str) -> str:
     """Keep an earlier result in the folder :data:`BEFORE` beside it, too, one generation, where the
     text of its table is not that of the one that takes its place; return a line that says so, or

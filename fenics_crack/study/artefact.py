@@ -42,6 +42,7 @@ from fenics_crack.model.receptance import (
 )
 from fenics_crack.model.structure import DampingRule, Structure
 from fenics_crack.numerics.equations import ROUNDING
+from fenics_crack.scene.fields import LARGEST
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.meshes import coarser, coarser_scene
 from fenics_crack.study.prepare import Study, prepare, reduced
@@ -77,8 +78,6 @@ class Rows:
 
     def matrix(self, *shape: int) -> sparse.csr_matrix:
         """Return the matrix; ValueError unless it is one of this shape."""
-        if "f" in self.indices.dtype.kind + self.indptr.dtype.kind:
-            raise ValueError("its indices do not fit")
         rows = sparse.csr_matrix((self.data, self.indices, self.indptr), shape)
         rows.check_format(full_check=True)
         return rows
@@ -121,27 +120,22 @@ class PreparedStructure:
     excitation: np.ndarray | None = None
 
     @classmethod
-    def of(cls, whole: Structure, **more: Any) -> PreparedStructure:
-        """Gather those of a structure, and its matrices if there is ``more`` (collective)."""
+    def of(cls, whole: Structure, vtk_type: int = 0, **more: Any) -> PreparedStructure:
+        """Gather those of a structure, as of cells of another type, and ``more`` (collective)."""
         whole, comm = whole.original, whole.comm
-        nodes, pairs, clamp = whole.nodes, whole.pairs, whole.clamp
+        nodes, pairs, clamp, watched = whole.nodes, whole.pairs, whole.clamp, whole.watched
         both = [whole, *([] if pairs.tangents is None else [whole.with_tangents()])]
-        if more:
-            matrices = (("mass", whole.mass), ("stiffness", whole.stiffness))
-            more |= {name: Rows.of(local_rows(matrix), comm) for name, matrix in matrices}
-        if nodes is not None:
-            arrays = {name: gather_rows(comm, getattr(nodes, name)) for name in NODE_ARRAYS}
-            kind = nodes.vtk_type if more else 0  # no displacements to be drawn
-            nodes = replace(nodes, numbered=None, vtk_type=kind, **arrays)
-        if clamp is not None:
-            clamp = replace(clamp, inertia=gather_rows(comm, clamp.inertia.T).T)
+        arrays = {name: gather_rows(comm, getattr(nodes, name)) for name in nodes and NODE_ARRAYS or ()}
         sparse_rows = whole.gap, whole.tangential, pairs.tangents
         return cls(
             *(Rows.of(rows, comm) for rows in sparse_rows), Rows.of(pairs.shares, MPI.COMM_SELF),
             gather_rows(comm, whole.force.T).T, whole.clearance,
-            None if whole.watched is None else gather_rows(comm, whole.watched),
-            nodes, replace(pairs, shares=None, tangents=None), clamp,
-            tuple(replace(seen, force=np.zeros(0)) for one in both for seen in one.once(held_receptance)),
+            None if watched is None else gather_rows(comm, watched),
+            nodes and replace(nodes, numbered=None, vtk_type=vtk_type, **arrays),
+            replace(pairs, shares=None, tangents=None),
+            clamp and replace(clamp, inertia=gather_rows(comm, clamp.inertia.T).T),
+            tuple(replace(seen, force=np.zeros(0)) for one in both
+                  for seen in one.once(held_receptance)),
             **more,
         )  # fmt: skip
 
@@ -172,9 +166,10 @@ class PreparedStructure:
             clamp and replace(clamp, inertia=clamp.inertia[:, own]), comm=comm,
         ))  # fmt: skip
         for seen in self.seen:
-            its = [one for one in (made, made.with_tangents()) if _n_sources(one) == len(seen.modal)]
-            held = replace(seen, force=its[0].force)
-            its[0].once(held_receptance)[:] = made.once(last_receptance, of_matrices=True)[:] = [held]
+            both = made, made.with_tangents()
+            its = next(one for one in both if sources_of(one).shape[1] == len(seen.modal))
+            held = replace(seen, force=its.force)
+            its.once(held_receptance)[:] = made.once(last_receptance, of_matrices=True)[:] = [held]
         if not np.array_equal(weights, np.eye(len(made.force))):
             force, of_load = weights @ made.force, made.clamp and made.clamp.varied(weights)
             made = made._in(UNVARIED, force=force, clamp=of_load)
@@ -186,43 +181,35 @@ class PreparedStructure:
         """Return the number of dofs; ValueError unless all sizes, indices and numbers fit."""
         arrays = {name: array for name, array in packed(self).items() if np.ndim(array)}
         n_dofs, n_pairs, n_parts = len(self.gap.indptr) - 1, len(self.clearance), len(self.force)
-        n_nodes, dimension = (0, 2) if self.nodes is None else self.nodes.points.shape
-        n_rigid = 0 if self.clamp is None else len(self.clamp.inertia)
+        n_nodes, dimension = self.nodes.points.shape if self.nodes else (0, 2)
+        n_rigid = len(self.clamp.inertia) if self.clamp else 0
         shapes = {
             "force": (n_parts, n_dofs), "watched": (n_dofs,), "excitation": (n_parts, dimension),
             "nodes.dofs": (n_nodes, dimension), "nodes.cells": (-1, -1), "clearance": (n_pairs,),
             "pairs.points": (n_pairs, dimension), "pairs.nodes": (-1, dimension),
             "clamp.center": (dimension,), "clamp.inertia": (n_rigid, n_dofs),
-            "clamp.load": (n_parts, n_rigid),
+            "clamp.load": (n_parts, n_rigid), "free dofs": (n_dofs,),
         }  # fmt: skip
         shapes |= dict.fromkeys(("pairs.areas", "pairs.cracks", "pairs.positions"), (n_pairs,))
-        indices = {
-            "nodes.cells": (n_nodes, [] if self.nodes is None else self.nodes.cells),
-            "pairs.cracks": (n_pairs, [] if self.pairs.cracks is None else self.pairs.cracks),
-            "pairs": (n_pairs, [*self.pairs.places.values()]),
-        }
-        fits = {name: bool(np.all(np.isfinite(array))) for name, array in arrays.items()}
+        ranges = {"nodes.dofs": (-1, n_dofs), "nodes.cells": (0, n_nodes)}
+        ranges |= dict.fromkeys(("pairs.cracks", "pairs.places"), (0, n_pairs))
+        arrays["pairs.places"] = np.array([*self.pairs.places.values()])
+        if self.nodes:
+            arrays["free dofs"] = np.unique(self.nodes.dofs[self.nodes.dofs >= 0])
         for place, seen in enumerate(self.seen):
             name, (n_sources, n_modes) = f"seen.{place}", seen.modal.shape
-            of_rows = {f".rows.{dof}.{k}": seen.modal.shape[1 - k : 2 - k] for dof in seen.rows for k in (0, 1)}
-            sizes = {".squares": (n_modes,), ".compliance": (n_sources,) * 2, ".inertia": (n_pairs,)}
-            shapes |= {name + key: shape for key, shape in (sizes | of_rows).items()}
-            indices[name] = n_dofs, [*seen.rows]
-            fits[f"{name}.squares"] &= bool(np.all(seen.squares >= 0.0))
+            sizes = {"squares": (n_modes,), "compliance": (n_sources,) * 2, "inertia": (n_pairs,)}
+            for dof in seen.rows:
+                sizes |= {f"rows.{dof}.0": (n_modes,), f"rows.{dof}.1": (n_sources,)}
+            shapes |= {f"{name}.{key}": size for key, size in sizes.items()}
+            ranges |= {f"{name}.squares": (0, LARGEST), f"{name}.rows": (0, n_dofs)}
+            arrays[f"{name}.rows"] = np.array([*seen.rows])
         check_shapes(arrays, shapes)
-        if self.nodes is not None:
-            free = np.sort(self.nodes.dofs[self.nodes.dofs >= 0])
-            fits["nodes.dofs"] &= np.array_equal(free, np.arange(n_dofs))
-        for name, (end, numbers) in indices.items():
-            values = np.asarray(numbers)
-            fits[name] = fits.get(name, True) and bool(np.all((values >= 0) & (values < end) & (values == np.round(values))))
-        if bad_names := [name for name, fit in fits.items() if not fit]:
-            raise ValueError(f"its {bad_names[0]} does not fit")
+        for name, array in arrays.items():
+            start, end = ranges.get(name, (-LARGEST, LARGEST))
+            if not np.all((start <= array) & (array < end)):
+                raise ValueError(f"its {name} does not fit")
         return n_dofs
-
-
-def _n_sources(structure: Structure) -> int:
-    return int(sources_of(structure).shape[1])
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ of meshes at rest.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +22,16 @@ from fenics_crack.basics.ranks import on_root
 from fenics_crack.fem.setting import parts_of
 from fenics_crack.files.codec import WRONG, packed, unpacked
 from fenics_crack.files.store import fingerprint, read, write
-from fenics_crack.model.receptance import held_receptance
+from fenics_crack.model.factor import local_rows
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.artefact import PreparedFile, PreparedStructure, load_weights
+from fenics_crack.study.artefact import (
+    PreparedFile,
+    PreparedStructure,
+    Rows,
+    load_weights,
+)
 from fenics_crack.study.meshes import coarser_scene
-from fenics_crack.study.sharing import SHELVES, Made, kept, parts_shared
+from fenics_crack.study.sharing import Made, kept, parts_shared
 
 KIND = "structure of a command"
 MAX_BYTES = 500 * 10**6
@@ -56,10 +61,9 @@ class Shelf:
     """
 
     def __init__(self, path: Path, say: Callable[[str], None], *, fresh: bool) -> None:
-        self._path, self._say = path, say
+        self._path, self._say, self._n_bytes = path, say, 0
         self._files: list[PreparedFile | None] = [None] if fresh else []
         self._made: list[tuple[Made, Scene]] = []
-        self._size = 0
 
     def take(self, scene: Scene, comm: MPI.Comm) -> Made | None:
         """Return the structure of a scene if the file has it (collective)."""
@@ -74,7 +78,7 @@ class Shelf:
             self._files[:] = [None]
             self._say(f"{self._path}: not used, {error}")
             return None
-        self._made[:], self._size = [(made, scene)], _size(made)
+        self._made[:], self._n_bytes = [(made, scene)], _n_bytes(packed(file))
         self._say(f"{self._path}: the structure is taken from here; --fresh computes it anew")
         return made
 
@@ -92,47 +96,40 @@ class Shelf:
         if not self._made or self._made[0][0].parts[0] == made.parts[0]:
             self._made[:] = [(made, scene)]
 
-    def keep(self, rank: int) -> None:
+    def keep(self, comm: MPI.Comm) -> None:
         """Write the file if more is known than it has (collective)."""
         for made, scene in self._made:
-            if _size(made) > self._size and (made.comm.size > 1 or not rank):
-                self._size = _size(made)
-                self._write(made, scene)
-
-    def _write(self, made: Made, scene: Scene) -> None:
-        coarse, twins = coarser_scene(scene), made.structure.once(kept, of_matrices=True)
-        pairs = [(made, scene), *((twin, coarse) for twin in twins)]
-        structures = (
-            PreparedStructure.of(
-                one.structure, key=key_of(one.parts), excitation=np.array(parts_of(its), float)
-            )
-            for one, its in pairs
-        )
-        parts = packed(PreparedFile(*structures))
-        size = sum(np.asarray(part).nbytes for part in parts.values())
-        try:
-            if size > MAX_BYTES:
-                raise InputError("path", str(self._path), f"of at most {MAX_BYTES / 1e6:g} MB")
-            write(parts, self._path, KIND, scene, made.comm, compressed=False)
-        except InputError as error:
-            self._say(f"the structure is not kept: {error}")
+            if made.comm.size < comm.size and comm.rank:
+                return  # each rank has one for itself
+            twins = [(one, coarser_scene(scene)) for one in made.structure.once(kept, of_matrices=True)]
+            parts = packed(PreparedFile(*(_datasets(*one) for one in ((made, scene), *twins))))
+            if not self._n_bytes < (n_bytes := _n_bytes(parts)):
+                return
+            try:
+                if n_bytes > MAX_BYTES:
+                    raise InputError("path", str(self._path), f"of at most {MAX_BYTES / 1e6:g} MB")
+                write(parts, self._path, KIND, scene, made.comm, compressed=False)
+            except InputError as error:
+                self._say(f"the structure is not kept: {error}")
 
 
-def _size(made: Made) -> int:
-    """Return how much is known of a structure, in numbers of its receptances; at least 1."""
-    every = [made.structure, *(twin.structure for twin in made.structure.once(kept, of_matrices=True))]
-    both = {id(one): one for each in every for one in (each.original, each.original.with_tangents())}
-    seen = [held for one in both.values() for held in one.once(held_receptance)]
-    return len(every) + sum(one.n_modes * (len(one.modal) + len(one.rows)) for one in seen)
+def _datasets(made: Made, scene: Scene) -> PreparedStructure:
+    """Gather the datasets of a structure of a mesh (collective)."""
+    whole, excitation = made.structure, np.array(parts_of(scene), dtype=float)
+    mass, stiffness = (Rows.of(local_rows(one), made.comm) for one in (whole.mass, whole.stiffness))
+    return PreparedStructure.of(
+        whole, whole.nodes.vtk_type, mass=mass, stiffness=stiffness, key=key_of(made.parts),
+        excitation=excitation,
+    )  # fmt: skip
 
 
-def keep_structures(rank: int) -> None:
-    """Write the structure of the command (collective)."""
-    for shelf in SHELVES:
-        shelf.keep(rank)
+def _n_bytes(parts: Mapping[str, Any]) -> int:
+    """Return the size of all arrays among datasets [byte]."""
+    return sum(part.nbytes for part in parts.values() if isinstance(part, np.ndarray))
 
 
-def has_place(scene: Scene) -> bool:
-    """Return True if results of a scene need no mesh of DOLFINx beside its structure."""
+def shelf_of(scene: Scene, path: Path, say: Callable[[str], None], *, fresh: bool) -> list[Shelf]:
+    """Return a shelf; none where results of a scene need a mesh of DOLFINx."""
     asked = [QUANTITIES[name].of.on_request for name in scene.quantities or ()]
-    return not any(asked) and scene.geometry is not None and scene.geometry.file is None
+    needed = any(asked) or scene.geometry is None or scene.geometry.file is not None
+    return [] if needed else [Shelf(path, say, fresh=fresh)]
