@@ -225,9 +225,8 @@ def _run(given: argparse.Namespace) -> Exit:
     prepared = "scene" in given and given.scene.suffix.lower() == ".h5"
     inputs = None if launched or prepared else read_inputs(given)
     of_scene = launched or not ("scene" in given and inputs is None)
-    meshes = given.command not in ("new", "clean") and not prepared and of_scene
-    if inputs and not vars(given).get("fresh", True):  # else late, if that is of another scene
-        meshes = meshes and not (inputs.folder / PREPARED).exists()
+    kept = inputs and not vars(given).get("fresh", True) and (inputs.folder / PREPARED).exists()
+    meshes = given.command not in ("new", "clean") and not (prepared or kept) and of_scene
     if meshes and not (inputs and inputs.scene.structure):
         from fenics_crack.basics import gmsh_process as mesher  # noqa: F401  before MPI: see there
     with one_process_settings():
@@ -275,6 +274,7 @@ def _command(
         command = partial(compute, command)
     if inputs is None or ("output" not in given and given.command != "check"):
         return command(given, inputs, console)
+    from fenics_crack.basics.ranks import on_root
     from fenics_crack.cli.given import PREPARED, make_writable
     from fenics_crack.study.plausibility import remarks_on_scene
     from fenics_crack.study.sharing import SHELVES
@@ -283,9 +283,11 @@ def _command(
     if given.command not in ("check", "clean"):
         make_writable(inputs.folder, console.comm)
     if (fresh := vars(given).get("fresh")) is not None and inputs.prepared is None:
-        from fenics_crack.study.shelf import shelf_of
+        from fenics_crack.study.shelf import Shelf, has_place
 
-        SHELVES += shelf_of(inputs.scene, inputs.folder / PREPARED, console.note, fresh=fresh)
+        path = inputs.folder / PREPARED
+        is_read = on_root(console.comm, path.exists) and not fresh
+        SHELVES[:] = [Shelf(path, console.note, is_read=is_read)] if has_place(inputs.scene) else []
     try:
         return command(given, inputs, console)
     except (ConvergenceError, KeyboardInterrupt):  # what is unusual may be why

@@ -122,12 +122,8 @@ def sweep(_: Namespace, inputs: Inputs, console: Console) -> Exit:
 def clean(_: Namespace, inputs: Inputs, console: Console) -> None:
     """Remove the structure that earlier commands have kept."""
     path = inputs.folder / PREPARED
-
-    def work() -> None:
-        with reported(path, "--output"):
-            path.unlink(missing_ok=True)
-
-    on_root(console.comm, work)
+    with reported(path, "--output"):
+        on_root(console.comm, lambda: path.unlink(missing_ok=True))
 
 
 def reduce(given: Namespace, inputs: Inputs, console: Console) -> None:

@@ -29,7 +29,7 @@ from fenics_crack.fem.setting import clearance_of, damping_of, parts_of
 from fenics_crack.files.codec import packed, unpacked
 from fenics_crack.files.store import Stored, check_shapes, read, write
 from fenics_crack.model.body import UNVARIED, Body
-from fenics_crack.model.factor import local_rows, square_matrix
+from fenics_crack.model.factor import square_matrix
 from fenics_crack.model.matrices import Absent
 from fenics_crack.model.nodes import Clamp, Nodes, Pairs
 from fenics_crack.model.receptance import (
@@ -68,7 +68,7 @@ class Rows:
     indptr: np.ndarray
 
     @classmethod
-    def of(cls, rows: Any, comm: MPI.Comm) -> Rows | None:
+    def of(cls, rows: Any, comm: MPI.Comm) -> Any:
         """Gather the rows of all ranks; None of None (collective)."""
         if rows is None:
             return None
@@ -125,18 +125,18 @@ class PreparedStructure:
         whole, comm = whole.original, whole.comm
         nodes, pairs, clamp, watched = whole.nodes, whole.pairs, whole.clamp, whole.watched
         both = [whole, *([] if pairs.tangents is None else [whole.with_tangents()])]
-        arrays = {name: gather_rows(comm, getattr(nodes, name)) for name in nodes and NODE_ARRAYS or ()}
-        sparse_rows = whole.gap, whole.tangential, pairs.tangents
+        names = () if nodes is None else NODE_ARRAYS
+        arrays = {name: gather_rows(comm, getattr(nodes, name)) for name in names}
+        seen = [held for one in both for held in one.once(held_receptance)]
         return cls(
-            *(Rows.of(rows, comm) for rows in sparse_rows), Rows.of(pairs.shares, MPI.COMM_SELF),
-            gather_rows(comm, whole.force.T).T, whole.clearance,
-            None if watched is None else gather_rows(comm, watched),
-            nodes and replace(nodes, numbered=None, vtk_type=vtk_type, **arrays),
-            replace(pairs, shares=None, tangents=None),
-            clamp and replace(clamp, inertia=gather_rows(comm, clamp.inertia.T).T),
-            tuple(replace(seen, force=np.zeros(0)) for one in both
-                  for seen in one.once(held_receptance)),
-            **more,
+            gap=Rows.of(whole.gap, comm), tangential=Rows.of(whole.tangential, comm),
+            tangents=Rows.of(pairs.tangents, comm), shares=Rows.of(pairs.shares, MPI.COMM_SELF),
+            force=gather_rows(comm, whole.force.T).T, clearance=whole.clearance,
+            watched=None if watched is None else gather_rows(comm, watched),
+            nodes=nodes and replace(nodes, numbered=None, vtk_type=vtk_type, **arrays),
+            pairs=replace(pairs, shares=None, tangents=None),
+            clamp=clamp and replace(clamp, inertia=gather_rows(comm, clamp.inertia.T).T),
+            seen=tuple(replace(held, force=np.zeros(0)) for held in seen), **more,
         )  # fmt: skip
 
     def structure(self, scene: Scene, weights: np.ndarray, comm: MPI.Comm) -> Structure:
@@ -151,19 +151,23 @@ class PreparedStructure:
         def rows(part: Rows | None, columns: int) -> Any:
             return part and part.matrix(n_dofs, columns)[own]
 
-        matrices = rows(self.mass, n_dofs), rows(self.stiffness, n_dofs)
-        absent = Absent(n_dofs, comm.rank)
+        mass, stiffness = (
+            Absent(n_dofs, comm.rank) if part is None else square_matrix(rows(part, n_dofs), comm)
+            for part in (self.mass, self.stiffness)
+        )
         nodes, watched, clamp, pairs = self.nodes, self.watched, self.clamp, self.pairs
-        shares = self.shares and self.shares.matrix(len(np.atleast_1d(pairs.nodes)), n_pairs)
-        pairs = replace(pairs, shares=shares, tangents=rows(self.tangents, 2 * n_pairs))
+        pairs = replace(
+            pairs, tangents=rows(self.tangents, 2 * n_pairs),
+            shares=self.shares and self.shares.matrix(len(np.atleast_1d(pairs.nodes)), n_pairs),
+        )  # fmt: skip
+        arrays = {name: getattr(nodes, name)[own] for name in (NODE_ARRAYS if nodes else ())}
         made = Structure(Body(
-            *(absent if part is None else square_matrix(part, comm) for part in matrices),
-            rows(self.gap, n_pairs), self.force[:, own],
-            self.clearance if pairs.cracks is None else clearance_of(scene, pairs),
-            damping_of(scene.given("damping")), rows(self.tangential, n_pairs),
-            nodes and replace(nodes, **{name: getattr(nodes, name)[own] for name in NODE_ARRAYS}),
-            pairs, None if watched is None else watched[own],
-            clamp and replace(clamp, inertia=clamp.inertia[:, own]), comm=comm,
+            mass, stiffness, gap=rows(self.gap, n_pairs), force=self.force[:, own],
+            clearance=self.clearance if pairs.cracks is None else clearance_of(scene, pairs),
+            damping=damping_of(scene.given("damping")), tangential=rows(self.tangential, n_pairs),
+            nodes=nodes and replace(nodes, **arrays), pairs=pairs,
+            watched=None if watched is None else watched[own],
+            clamp=clamp and replace(clamp, inertia=clamp.inertia[:, own]), comm=comm,
         ))  # fmt: skip
         for seen in self.seen:
             both = made, made.with_tangents()
@@ -179,23 +183,26 @@ class PreparedStructure:
 
     def _check(self) -> int:
         """Return the number of dofs; ValueError unless all sizes, indices and numbers fit."""
+        nodes, places = self.nodes, np.array([*self.pairs.places.values()])
         arrays = {name: array for name, array in packed(self).items() if np.ndim(array)}
+        arrays |= {"pairs.places": places} | (
+            {"free dofs": np.unique(nodes.dofs[nodes.dofs >= 0])} if nodes else {}
+        )
         n_dofs, n_pairs, n_parts = len(self.gap.indptr) - 1, len(self.clearance), len(self.force)
-        n_nodes, dimension = self.nodes.points.shape if self.nodes else (0, 2)
+        n_nodes, dimension = nodes.points.shape if nodes else (0, 2)
         n_rigid = len(self.clamp.inertia) if self.clamp else 0
         shapes = {
             "force": (n_parts, n_dofs), "watched": (n_dofs,), "excitation": (n_parts, dimension),
             "nodes.dofs": (n_nodes, dimension), "nodes.cells": (-1, -1), "clearance": (n_pairs,),
             "pairs.points": (n_pairs, dimension), "pairs.nodes": (-1, dimension),
             "clamp.center": (dimension,), "clamp.inertia": (n_rigid, n_dofs),
-            "clamp.load": (n_parts, n_rigid), "free dofs": (n_dofs,),
+            "clamp.load": (n_parts, n_rigid), "free dofs": (n_dofs,), "pairs.areas": (n_pairs,),
+            "pairs.cracks": (n_pairs,), "pairs.positions": (n_pairs,),
         }  # fmt: skip
-        shapes |= dict.fromkeys(("pairs.areas", "pairs.cracks", "pairs.positions"), (n_pairs,))
-        ranges = {"nodes.dofs": (-1, n_dofs), "nodes.cells": (0, n_nodes)}
-        ranges |= dict.fromkeys(("pairs.cracks", "pairs.places"), (0, n_pairs))
-        arrays["pairs.places"] = np.array([*self.pairs.places.values()])
-        if self.nodes:
-            arrays["free dofs"] = np.unique(self.nodes.dofs[self.nodes.dofs >= 0])
+        ranges: dict[str, tuple[float, float]] = {
+            "nodes.dofs": (-1, n_dofs), "nodes.cells": (0, n_nodes), "pairs.cracks": (0, n_pairs),
+            "pairs.places": (0, n_pairs),
+        }  # fmt: skip
         for place, seen in enumerate(self.seen):
             name, (n_sources, n_modes) = f"seen.{place}", seen.modal.shape
             sizes = {"squares": (n_modes,), "compliance": (n_sources,) * 2, "inertia": (n_pairs,)}
@@ -225,7 +232,9 @@ class PreparedFile:
         if self.coarse is not None and isinstance(coarse, Scene):
             alone = MPI.COMM_SELF  # as of the coarser twin of a reduced structure
             twin = self.coarse.structure(coarse, weights, alone)
-            whole.once(kept, of_matrices=True).append(Made(twin, alone, parts_shared(coarse, alone)))
+            whole.once(kept, of_matrices=True).append(
+                Made(twin, alone, parts_shared(coarse, alone))
+            )
         return Made(whole, comm, parts_shared(scene, comm))
 
 
@@ -333,7 +342,7 @@ def _scene_of(stored: Stored, changes: Mapping[str, object]) -> Scene:
 
     def needs_mesh(changed: Scene) -> bool:
         after = parts_shared(changed, MPI.COMM_SELF)
-        moved = _without_amplitudes(after[1]) != _without_amplitudes(before[1])
+        moved = without_amplitudes(after[1]) != without_amplitudes(before[1])
         return after[0] != before[0] or moved or (bool(scene.structure) and after != before)
 
     if needs_mesh(scene):
@@ -350,7 +359,7 @@ def _scene_of(stored: Stored, changes: Mapping[str, object]) -> Scene:
     return scene
 
 
-def _without_amplitudes(loads: tuple[Any, ...]) -> tuple[Any, ...]:
+def without_amplitudes(loads: tuple[Any, ...]) -> tuple[Any, ...]:
     """Loads of a scene but for the amplitudes of the excitation."""
     excitation, *others = loads
     of_parts = ("force_mean", "force_cos", "force_sin", "harmonics")
@@ -375,11 +384,10 @@ def load_weights(before: np.ndarray, scene: Scene) -> np.ndarray:
         The scene's is no sum of its rows.
     """
     after = np.array(parts_of(scene), dtype=float)
-    if np.array_equal(before, after):
-        return np.eye(len(after))
-    weights = after @ np.linalg.pinv(before)
+    same = np.array_equal(before, after)
+    weights = np.eye(len(after)) if same else after @ np.linalg.pinv(before)
     missed = np.abs(weights @ before - after).max() > ROUNDING * np.abs(after).max()
-    if missed or scene.has_other_loads:
+    if missed or (scene.has_other_loads and not same):
         allowed = f"in the directions of the file's, without other loads; or {VARIED}"
         raise InputError("excitation.force_sin", scene.excitation.force_sin, allowed)
     return weights

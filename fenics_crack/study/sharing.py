@@ -76,12 +76,10 @@ def assembled(scene: Scene, comm: MPI.Comm, last: list[Made] = LAST) -> Structur
 def _fits(known: Made, parts: tuple[Any, Any, Any], comm: MPI.Comm, bound: bool) -> bool:
     """Return True if a structure is of the same mesh and ranks; of all the same if ``bound``, of
     the same loads if it has no mesh for others."""
-    if getattr(known.structure.nodes, "numbered", None) is not None:
-        same = known.comm == comm
-    else:
-        alike = MPI.Comm.Compare(known.comm, comm) in (MPI.IDENT, MPI.CONGRUENT)
-        same = alike and known.parts[1] == parts[1]
-    return same and (known.parts == parts if bound else known.parts[0] == parts[0])
+    meshed = getattr(known.structure.nodes, "numbered", None) is not None
+    alike = MPI.Comm.Compare(known.comm, comm) in (MPI.IDENT, MPI.CONGRUENT)
+    same = known.parts[0] == parts[0] and (meshed or known.parts[1] == parts[1])
+    return (known.comm == comm if meshed else alike) and (known.parts == parts if bound else same)
 
 
 def parts_shared(scene: Scene, comm: MPI.Comm) -> tuple[Any, Any, Any]:

@@ -18,7 +18,6 @@ from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.observables import QUANTITIES
-from fenics_crack.basics.ranks import on_root
 from fenics_crack.fem.setting import parts_of
 from fenics_crack.files.codec import WRONG, packed, unpacked
 from fenics_crack.files.store import fingerprint, read, write
@@ -29,6 +28,7 @@ from fenics_crack.study.artefact import (
     PreparedStructure,
     Rows,
     load_weights,
+    without_amplitudes,
 )
 from fenics_crack.study.meshes import coarser_scene
 from fenics_crack.study.sharing import Made, kept, parts_shared
@@ -36,15 +36,12 @@ from fenics_crack.study.sharing import Made, kept, parts_shared
 KIND = "structure of a command"
 MAX_BYTES = 500 * 10**6
 """Largest size of the numbers that are kept [byte]."""
-AMPLITUDES = ("force_mean", "force_cos", "force_sin", "harmonics")
-"""Keys of the excitation in which the load is linear."""
 
 
 def key_of(parts: tuple[Any, ...]) -> str:
     """Digest of what a structure follows from, but for amplitudes of the excitation."""
-    excitation, *loads = parts[1]
-    fixed = {name: value for name, value in excitation.items() if name not in AMPLITUDES}
-    return hashlib.sha256(repr((parts[0], fixed, loads, fingerprint())).encode()).hexdigest()
+    known = parts[0], without_amplitudes(parts[1]), fingerprint()
+    return hashlib.sha256(repr(known).encode()).hexdigest()
 
 
 class Shelf:
@@ -56,13 +53,13 @@ class Shelf:
         The file.
     say : callable
         Prints a line.
-    fresh : bool
-        Do not read the file.
+    is_read : bool
+        Look for the structure in the file.
     """
 
-    def __init__(self, path: Path, say: Callable[[str], None], *, fresh: bool) -> None:
+    def __init__(self, path: Path, say: Callable[[str], None], *, is_read: bool) -> None:
         self._path, self._say, self._n_bytes = path, say, 0
-        self._files: list[PreparedFile | None] = [None] if fresh else []
+        self._files: list[PreparedFile | None] = [] if is_read else [None]
         self._made: list[tuple[Made, Scene]] = []
 
     def take(self, scene: Scene, comm: MPI.Comm) -> Made | None:
@@ -82,10 +79,7 @@ class Shelf:
         self._say(f"{self._path}: the structure is taken from here; --fresh computes it anew")
         return made
 
-    def _read(self, comm: MPI.Comm) -> PreparedFile | None:
-        """Return what the file has; None if there is none."""
-        if not on_root(comm, self._path.exists):
-            return None
+    def _read(self, comm: MPI.Comm) -> PreparedFile:
         stored = read(self._path, comm)
         stored.fitting_argument(KIND)
         with stored.taken() as parts:
@@ -101,7 +95,9 @@ class Shelf:
         for made, scene in self._made:
             if made.comm.size < comm.size and comm.rank:
                 return  # each rank has one for itself
-            twins = [(one, coarser_scene(scene)) for one in made.structure.once(kept, of_matrices=True)]
+            twins = [
+                (one, coarser_scene(scene)) for one in made.structure.once(kept, of_matrices=True)
+            ]
             parts = packed(PreparedFile(*(_datasets(*one) for one in ((made, scene), *twins))))
             if not self._n_bytes < (n_bytes := _n_bytes(parts)):
                 return
@@ -109,12 +105,16 @@ class Shelf:
                 if n_bytes > MAX_BYTES:
                     raise InputError("path", str(self._path), f"of at most {MAX_BYTES / 1e6:g} MB")
                 write(parts, self._path, KIND, scene, made.comm, compressed=False)
+                self._say(
+                    f"{self._path}: the structure, for later commands ({n_bytes / 1e6:.3g} MB)"
+                )
             except InputError as error:
                 self._say(f"the structure is not kept: {error}")
 
 
-def _datasets(made: Made, scene: Scene) -> PreparedStructure:
+def _datasets(made: Made, scene: Any) -> PreparedStructure:
     """Gather the datasets of a structure of a mesh (collective)."""
+    whole: Any
     whole, excitation = made.structure, np.array(parts_of(scene), dtype=float)
     mass, stiffness = (Rows.of(local_rows(one), made.comm) for one in (whole.mass, whole.stiffness))
     return PreparedStructure.of(
@@ -128,8 +128,7 @@ def _n_bytes(parts: Mapping[str, Any]) -> int:
     return sum(part.nbytes for part in parts.values() if isinstance(part, np.ndarray))
 
 
-def shelf_of(scene: Scene, path: Path, say: Callable[[str], None], *, fresh: bool) -> list[Shelf]:
-    """Return a shelf; none where results of a scene need a mesh of DOLFINx."""
+def has_place(scene: Scene) -> bool:
+    """Return True if results of a scene need no mesh of DOLFINx beside its structure."""
     asked = [QUANTITIES[name].of.on_request for name in scene.quantities or ()]
-    needed = any(asked) or scene.geometry is None or scene.geometry.file is not None
-    return [] if needed else [Shelf(path, say, fresh=fresh)]
+    return not any(asked) and scene.geometry is not None and scene.geometry.file is None
