@@ -283,11 +283,11 @@ def _command(
     if given.command not in ("check", "clean"):
         make_writable(inputs.folder, console.comm)
     if (fresh := vars(given).get("fresh")) is not None and inputs.prepared is None:
-        from fenics_crack.study.shelf import Shelf, has_place
+        from fenics_crack.study.shelf import Shelf
 
         path = inputs.folder / PREPARED
         is_read = on_root(console.comm, path.exists) and not fresh
-        SHELVES[:] = [Shelf(path, console.note, is_read=is_read)] if has_place(inputs.scene) else []
+        SHELVES[:] = [Shelf(path, console.note, is_read=is_read)]
     try:
         return command(given, inputs, console)
     except (ConvergenceError, KeyboardInterrupt):  # what is unusual may be why

@@ -127,7 +127,8 @@ def _results_in(paths: Sequence[Path]) -> tuple[list[Stored], str]:
         files = sorted(path.glob("*.h5")) if path.is_dir() else [path]
         if not files:
             raise InputError("result", str(path), "a folder with results, .h5 files")
-        found += [stored for stored in map(read, files) if stored.kind != KEPT_KIND]
+        found += map(read, files)
+    found = [file for file in found if file.kind != KEPT_KIND] or found
     whole = [file for file in found if not is_part(file)]
     left = ", ".join(str(file.path) for file in found if is_part(file)) if whole else ""
     return whole or found, f"left out, as parts of other results: {left}" if left else ""

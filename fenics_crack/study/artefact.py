@@ -125,9 +125,8 @@ class PreparedStructure:
         whole, comm = whole.original, whole.comm
         nodes, pairs, clamp, watched = whole.nodes, whole.pairs, whole.clamp, whole.watched
         both = [whole, *([] if pairs.tangents is None else [whole.with_tangents()])]
-        names = () if nodes is None else NODE_ARRAYS
-        arrays = {name: gather_rows(comm, getattr(nodes, name)) for name in names}
-        seen = [held for one in both for held in one.once(held_receptance)]
+        places = NODE_ARRAYS if nodes else ()
+        arrays = {name: gather_rows(comm, getattr(nodes, name)) for name in places}
         return cls(
             gap=Rows.of(whole.gap, comm), tangential=Rows.of(whole.tangential, comm),
             tangents=Rows.of(pairs.tangents, comm), shares=Rows.of(pairs.shares, MPI.COMM_SELF),
@@ -136,7 +135,8 @@ class PreparedStructure:
             nodes=nodes and replace(nodes, numbered=None, vtk_type=vtk_type, **arrays),
             pairs=replace(pairs, shares=None, tangents=None),
             clamp=clamp and replace(clamp, inertia=gather_rows(comm, clamp.inertia.T).T),
-            seen=tuple(replace(held, force=np.zeros(0)) for held in seen), **more,
+            seen=tuple(replace(held, force=np.zeros(0)) for one in both
+                       for held in one.once(held_receptance)), **more,
         )  # fmt: skip
 
     def structure(self, scene: Scene, weights: np.ndarray, comm: MPI.Comm) -> Structure:
@@ -149,7 +149,8 @@ class PreparedStructure:
         own = slice(None if comm.rank == 0 else 0)
 
         def rows(part: Rows | None, columns: int) -> Any:
-            return part and part.matrix(n_dofs, columns)[own]
+            whole: Any = part and part.matrix(n_dofs, columns)
+            return whole if comm.rank == 0 or whole is None else whole[:0]
 
         mass, stiffness = (
             Absent(n_dofs, comm.rank) if part is None else square_matrix(rows(part, n_dofs), comm)
@@ -214,7 +215,7 @@ class PreparedStructure:
         check_shapes(arrays, shapes)
         for name, array in arrays.items():
             start, end = ranges.get(name, (-LARGEST, LARGEST))
-            if not np.all((start <= array) & (array < end)):
+            if array.size and not start <= array.min() <= array.max() < end:
                 raise ValueError(f"its {name} does not fit")
         return n_dofs
 
@@ -230,11 +231,10 @@ class PreparedFile:
         """Return the structure for a scene, with that of its coarser mesh (collective)."""
         whole, coarse = self.whole.structure(scene, weights, comm), coarser_scene(scene)
         if self.coarse is not None and isinstance(coarse, Scene):
-            alone = MPI.COMM_SELF  # as of the coarser twin of a reduced structure
-            twin = self.coarse.structure(coarse, weights, alone)
-            whole.once(kept, of_matrices=True).append(
-                Made(twin, alone, parts_shared(coarse, alone))
-            )
+            whole.once(kept, of_matrices=True).append(Made(  # as of a reduced structure
+                self.coarse.structure(coarse, weights, MPI.COMM_SELF), MPI.COMM_SELF,
+                parts_shared(coarse, MPI.COMM_SELF),
+            ))  # fmt: skip
         return Made(whole, comm, parts_shared(scene, comm))
 
 

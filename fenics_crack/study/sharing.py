@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 from mpi4py import MPI
 
+from fenics_crack.basics.observables import QUANTITIES
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.fem.setting import clearance_of, damping_of
 from fenics_crack.files.store import digests_of
@@ -52,7 +53,10 @@ def assembled(scene: Scene, comm: MPI.Comm, last: list[Made] = LAST) -> Structur
     """
     parts = parts_shared(scene, comm)
     bound = scene.speed > 0.0 or scene.disk is not None or scene.structure is not None
-    shelves = [] if bound or last is not LAST else SHELVES
+    shelves = [] if (  # what is integrated over a mesh of DOLFINx needs one
+        bound or last is not LAST or scene.geometry.file is not None
+        or any(QUANTITIES[name].of.on_request for name in scene.quantities or ())
+    ) else SHELVES  # fmt: skip
     if not comm.allreduce(bool(last) and _fits(last[0], parts, comm, bound), MPI.LAND):
         last.clear()
         last += [made for shelf in shelves if (made := shelf.take(scene, comm)) is not None]
@@ -75,10 +79,11 @@ def assembled(scene: Scene, comm: MPI.Comm, last: list[Made] = LAST) -> Structur
 
 def _fits(known: Made, parts: tuple[Any, Any, Any], comm: MPI.Comm, bound: bool) -> bool:
     """Return True if a structure is of the same mesh and ranks; of all the same if ``bound``, of
-    the same loads if it has no mesh for others."""
+    the same loads if it has no mesh for others. One of a shelf serves its command alone."""
     meshed = getattr(known.structure.nodes, "numbered", None) is not None
     alike = MPI.Comm.Compare(known.comm, comm) in (MPI.IDENT, MPI.CONGRUENT)
-    same = known.parts[0] == parts[0] and (meshed or known.parts[1] == parts[1])
+    there = bool(SHELVES) or not known.structure.has_matrices
+    same = known.parts[0] == parts[0] and (meshed or (there and known.parts[1] == parts[1]))
     return (known.comm == comm if meshed else alike) and (known.parts == parts if bound else same)
 
 

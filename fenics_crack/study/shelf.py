@@ -17,7 +17,6 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError
-from fenics_crack.basics.observables import QUANTITIES
 from fenics_crack.fem.setting import parts_of
 from fenics_crack.files.codec import WRONG, packed, unpacked
 from fenics_crack.files.store import fingerprint, read, write
@@ -114,21 +113,15 @@ class Shelf:
 
 def _datasets(made: Made, scene: Any) -> PreparedStructure:
     """Gather the datasets of a structure of a mesh (collective)."""
-    whole: Any
-    whole, excitation = made.structure, np.array(parts_of(scene), dtype=float)
-    mass, stiffness = (Rows.of(local_rows(one), made.comm) for one in (whole.mass, whole.stiffness))
+    whole, comm = made.structure, made.comm
     return PreparedStructure.of(
-        whole, whole.nodes.vtk_type, mass=mass, stiffness=stiffness, key=key_of(made.parts),
-        excitation=excitation,
+        whole, whole.nodes.vtk_type,  # type: ignore[union-attr]
+        mass=Rows.of(local_rows(whole.mass), comm), key=key_of(made.parts),
+        stiffness=Rows.of(local_rows(whole.stiffness), comm),
+        excitation=np.array(parts_of(scene), dtype=float),
     )  # fmt: skip
 
 
 def _n_bytes(parts: Mapping[str, Any]) -> int:
     """Return the size of all arrays among datasets [byte]."""
     return sum(part.nbytes for part in parts.values() if isinstance(part, np.ndarray))
-
-
-def has_place(scene: Scene) -> bool:
-    """Return True if results of a scene need no mesh of DOLFINx beside its structure."""
-    asked = [QUANTITIES[name].of.on_request for name in scene.quantities or ()]
-    return not any(asked) and scene.geometry is not None and scene.geometry.file is None

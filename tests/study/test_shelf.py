@@ -17,15 +17,18 @@ import pytest
 from helpers import SOLID_TEXT, TITANIUM, changed, wrap
 from mpi4py import MPI
 from surroundings import DEMOS, RunCommand, main, no_rank
-from test_artefact import PLATE
+from test_artefact import FORGERIES, PLATE, put_number, shortened
 
 import fenics_crack as fc
 from fenics_crack.scene.scene import known_keys
-from fenics_crack.study.sharing import LAST, parts_shared
-from fenics_crack.study.shelf import key_of
+from fenics_crack.study.sharing import LAST, SHELVES, parts_shared
+from fenics_crack.study.shelf import Shelf, key_of
 
 pytestmark = pytest.mark.usefixtures("not_drawn")
 
+SMALL = PLATE.replace("harmonics = 7", "harmonics = 3").replace("size = 0.03", "size = 0.06")
+SMALL = SMALL.replace("lip_elements = 4", "lip_elements = 2").replace("modes = 10", "modes = 5")
+"""A plate that takes little time."""
 PROGRAM = """
 import sys
 from fenics_crack.cli.command_line import main
@@ -57,7 +60,7 @@ def meshes(monkeypatch: pytest.MonkeyPatch) -> list[fc.Scene]:
 def plate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The scene of a plate in a folder of its own, in which the program runs."""
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "plate.toml").write_text(PLATE)
+    (tmp_path / "plate.toml").write_text(SMALL)
     return tmp_path / "plate.toml"
 
 
@@ -75,6 +78,11 @@ def leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
             yield from leaves(one, f"{name}.{key}")
     else:
         yield name, value
+
+
+def lines_of(said: str) -> list[str]:
+    """Lines about the file among those on standard error."""
+    return [line for line in said.splitlines() if "prepared.h5" in line]
 
 
 def same_answers(command: str, scene: Path, *words: str) -> None:
@@ -104,7 +112,14 @@ def test_second_commands_mesh_nothing(plate: Path, meshes: list[fc.Scene]) -> No
     assert run("solve", plate) in (0, 4) and len(meshes) == 2
     keys = ("excitation.frequency=790", "damping.ratio=0.01", "crack.clearance=1e-8")
     words = [word for key in keys for word in ("--set", key)]
-    band = ["--set", "curve.start=780.0", "--set", "curve.stop=790.0", "--set", "curve.stability=false"]
+    band = [
+        "--set",
+        "curve.start=780.0",
+        "--set",
+        "curve.stop=790.0",
+        "--set",
+        "curve.stability=false",
+    ]
     assert run("check", plate) == 0
     assert run("curve", plate, *band) in (0, 4)
     assert run("solve", plate, *words) in (0, 4) and len(meshes) == 2
@@ -191,8 +206,121 @@ def test_each_key_has_the_answer_of_a_fresh_structure(key: str, plate: Path) -> 
         "excitation.omega": ["excitation.frequency=none"],
         "harmonic_balance.tolerance": ["harmonic_balance.harmonics=none"],
     }
-    text = fc.Scene.from_text  # a value as TOML has it
-    assert text
-    value = json.dumps(CHANGES[key]).replace('": ', '" = ')
+    value = json.dumps(CHANGES[key]).replace('": ', '" = ')  # as TOML has it
     words = [f"{key}={value}", *others.get(key, [])]
     same_answers("solve", plate, *(word for one in words for word in ("--set", one)))
+
+
+def kept_file(plate: Path) -> Path:
+    """The file that a solution of the plate leaves."""
+    assert run("solve", plate) in (0, 4)
+    return plate.parent / "output" / "plate" / "prepared.h5"
+
+
+FORGED: dict[str, Callable[[Any], None]] = FORGERIES | {
+    "another stiffness": lambda file: put_number(file, "whole.stiffness.indices", 0, 10**6),
+    "fewer entries": lambda file: shortened(file, "whole.mass.data", slice(-1)),
+    "a load of another size": lambda file: shortened(file, "whole.excitation", slice(1)),
+    "a forged coarser mesh": lambda file: put_number(file, "coarse.mass.data", 0, np.nan),
+}
+
+
+def test_forged_files_are_not_used(plate: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """In one line, and the answer is that of the scene; a damaged one, too."""
+    path = kept_file(plate)
+    content, solution = path.read_bytes(), path.with_name("solution.json")
+    expected = solution.read_text()
+    scene = fc.Scene.load(plate)
+    for name, forge in FORGED.items():
+        if name in ("no scene", "dofs without nodes"):  # which is not read; of a plate
+            continue
+        path.write_bytes(content)
+        with changed(path) as file:
+            forge(file)
+        said: list[str] = []
+        assert Shelf(path, said.append, is_read=True).take(scene, MPI.COMM_SELF) is None, name
+        assert len(said) == 1 and "not used" in said[0] and "\n" not in said[0], name
+    path.write_bytes(content[:-1000])
+    LAST.clear()
+    capfd.readouterr()
+    assert main(["solve", str(plate)]) in (0, 4)
+    said = lines_of(capfd.readouterr().err)
+    assert len(said) == 2 and "not used" in said[0] and "for later commands" in said[1]
+    assert solution.read_text() == expected
+
+
+def test_what_cannot_be_kept_is_said(
+    plate: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In one line, of a large one and where no file can be written; the command goes on."""
+    folder = plate.parent / "output" / "plate"
+    (folder / "prepared.h5").mkdir(parents=True)
+    LAST.clear()
+    assert main(["check", str(plate)]) == 0
+    lines = lines_of(capfd.readouterr().err)
+    assert len(lines) == 2 and "not used" in lines[0] and "not kept" in lines[1]
+    (folder / "prepared.h5").rmdir()
+    monkeypatch.setattr("fenics_crack.study.shelf.MAX_BYTES", 1000)
+    LAST.clear()
+    assert main(["check", str(plate)]) == 0
+    [line] = lines_of(capfd.readouterr().err)
+    assert "not kept" in line and not (folder / "prepared.h5").exists()
+
+
+def test_clean_removes_the_file(plate: Path, run_command: RunCommand) -> None:
+    """Of the folder that is named; a folder is left out of reports and pictures of results."""
+    path = kept_file(plate)
+    run_command("report", str(path.parent))
+    run_command("report", str(path), code=2)
+    run_command("clean", str(plate), "--output", "elsewhere")
+    assert path.exists() and not (plate.parent / "elsewhere").exists()
+    run_command("clean", str(plate))
+    run_command("clean", str(plate))
+    assert not path.exists() and path.with_name("solution.h5").exists()
+
+
+def test_structure_of_a_file_serves_its_command_alone(plate: Path) -> None:
+    """A script in the same process has a mesh to integrate over."""
+    assert run("solve", plate) in (0, 4) and run("solve", plate) in (0, 4)
+    scene = fc.Scene.load(plate)
+    assert fc.prepare(scene, whole=True).structure.nodes.numbered is not None
+
+
+def amplitude_of(folder: str, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
+    """That of a structure which two ranks have taken, and kept, together (collective)."""
+    scene, path, said = fc.Scene.from_text(PLATE), Path(folder) / "prepared.h5", list[str]()
+    for is_read in (False, True):
+        LAST.clear()
+        SHELVES[:] = [Shelf(path, said.append, is_read=is_read)]
+        found = fc.solve(scene, comm)
+        assert found.errors is not None
+        SHELVES[0].keep(comm)
+        SHELVES.clear()
+    assert comm.rank or len(said) == 2, said
+    return float(found.amplitude(None))
+
+
+@pytest.mark.mpi
+def test_two_ranks_take_one_structure(tmp_path: Path, on_ranks: Callable[..., Any]) -> None:
+    """With the answer of one."""
+    alone = fc.solve(fc.Scene.from_text(PLATE), MPI.COMM_SELF).amplitude(None)
+    assert on_ranks(amplitude_of, str(tmp_path)) == pytest.approx(alone, rel=1e-8)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("command", ["solve", "check"])
+def test_solids_take_their_structure(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, meshes: list[fc.Scene]
+) -> None:
+    """With friction as a cause of errors, whose tangents they have only then."""
+    monkeypatch.chdir(tmp_path)
+    scene = tmp_path / "solid.toml"
+    text = SOLID_TEXT.replace('law = "penalty", stiffness = 1e8', 'law = "unilateral"')
+    scene.write_text(text.replace(", error = false", "") + "reduction = { modes = 10 }\n")
+    assert run("solve", scene, "--output", "kept") in (0, 4)
+    before = len(meshes)
+    if command == "check":
+        assert run("check", scene) == 0
+        return
+    assert run("solve", scene, "--output", "kept") in (0, 4) and len(meshes) == before
+    same_answers("solve", scene)
