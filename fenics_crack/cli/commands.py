@@ -9,7 +9,7 @@ from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fenics_crack.basics.atomic_files import reported, together
+from fenics_crack.basics.atomic_files import remove_file, together
 from fenics_crack.basics.errors import FEW_MODES, INTERRUPTED, Exit, InputError, StoppedError
 from fenics_crack.basics.ranks import on_root, uninterrupted
 from fenics_crack.basics.report import Report
@@ -121,9 +121,7 @@ def sweep(_: Namespace, inputs: Inputs, console: Console) -> Exit:
 
 def clean(_: Namespace, inputs: Inputs, console: Console) -> None:
     """Remove the structure that earlier commands have kept."""
-    path = inputs.folder / PREPARED
-    with reported(path, "--output"):
-        on_root(console.comm, lambda: path.unlink(missing_ok=True))
+    on_root(console.comm, lambda: remove_file(inputs.folder / PREPARED, "--output"))
 
 
 def reduce(given: Namespace, inputs: Inputs, console: Console) -> None:

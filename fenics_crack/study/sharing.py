@@ -81,10 +81,12 @@ def _fits(known: Made, parts: tuple[Any, Any, Any], comm: MPI.Comm, bound: bool)
     """Return True if a structure is of the same mesh and ranks; of all the same if ``bound``, of
     the same loads if it has no mesh for others. One of a shelf serves its command alone."""
     meshed = getattr(known.structure.nodes, "numbered", None) is not None
-    alike = MPI.Comm.Compare(known.comm, comm) in (MPI.IDENT, MPI.CONGRUENT)
-    there = bool(SHELVES) or not known.structure.has_matrices
-    same = known.parts[0] == parts[0] and (meshed or (there and known.parts[1] == parts[1]))
-    return (known.comm == comm if meshed else alike) and (known.parts == parts if bound else same)
+    same_ranks = MPI.Comm.Compare(known.comm, comm) in (MPI.IDENT, MPI.CONGRUENT)
+    is_served = meshed or bool(SHELVES) or not known.structure.has_matrices
+    same = known.parts[0] == parts[0] and (meshed or known.parts[1] == parts[1]) and is_served
+    return (known.comm == comm if meshed else same_ranks) and (
+        known.parts == parts if bound else same
+    )
 
 
 def parts_shared(scene: Scene, comm: MPI.Comm) -> tuple[Any, Any, Any]:

@@ -65,7 +65,10 @@ class Shelf:
         """Return the structure of a scene if the file has it (collective)."""
         try:
             if not self._files:
-                self._files.append(self._read(comm))
+                stored = read(self._path, comm)
+                stored.fitting_argument(KIND)
+                with stored.taken() as parts:
+                    self._files.append(unpacked(PreparedFile, parts))
             file = self._files[0]
             if file is None or file.whole.key != key_of(parts_shared(scene, comm)):
                 return None
@@ -78,12 +81,6 @@ class Shelf:
         self._say(f"{self._path}: the structure is taken from here; --fresh computes it anew")
         return made
 
-    def _read(self, comm: MPI.Comm) -> PreparedFile:
-        stored = read(self._path, comm)
-        stored.fitting_argument(KIND)
-        with stored.taken() as parts:
-            return unpacked(PreparedFile, parts)
-
     def note(self, made: Made, scene: Scene) -> None:
         """Note a structure that was made: the first is kept, or what takes its place."""
         if not self._made or self._made[0][0].parts[0] == made.parts[0]:
@@ -94,10 +91,9 @@ class Shelf:
         for made, scene in self._made:
             if made.comm.size < comm.size and comm.rank:
                 return  # each rank has one for itself
-            twins = [
-                (one, coarser_scene(scene)) for one in made.structure.once(kept, of_matrices=True)
-            ]
-            parts = packed(PreparedFile(*(_datasets(*one) for one in ((made, scene), *twins))))
+            twins = made.structure.once(kept, of_matrices=True)
+            structures = [(made, scene), *((twin, coarser_scene(scene)) for twin in twins)]
+            parts = packed(PreparedFile(*(_datasets(*one) for one in structures)))
             if not self._n_bytes < (n_bytes := _n_bytes(parts)):
                 return
             try:
@@ -113,11 +109,10 @@ class Shelf:
 
 def _datasets(made: Made, scene: Any) -> PreparedStructure:
     """Gather the datasets of a structure of a mesh (collective)."""
-    whole, comm = made.structure, made.comm
     return PreparedStructure.of(
-        whole, whole.nodes.vtk_type,  # type: ignore[union-attr]
-        mass=Rows.of(local_rows(whole.mass), comm), key=key_of(made.parts),
-        stiffness=Rows.of(local_rows(whole.stiffness), comm),
+        made.structure, made.structure.nodes.vtk_type,  # type: ignore[union-attr]
+        mass=Rows.of(local_rows(made.structure.mass), made.comm), key=key_of(made.parts),
+        stiffness=Rows.of(local_rows(made.structure.stiffness), made.comm),
         excitation=np.array(parts_of(scene), dtype=float),
     )  # fmt: skip
 
