@@ -29,7 +29,6 @@ from fenics_crack.study.artefact import (
     load_weights,
     without_amplitudes,
 )
-from fenics_crack.study.meshes import coarser_scene
 from fenics_crack.study.sharing import Made, kept, parts_shared
 
 KIND = "structure of a command"
@@ -78,7 +77,8 @@ class Shelf:
             self._say(f"{self._path}: not used, {error}")
             return None
         self._made[:], self._n_bytes = [(made, scene)], _n_bytes(packed(file))
-        self._say(f"{self._path}: the structure is taken from here; --fresh computes it anew")
+        words = f"the structure is taken from here ({self._n_bytes / 1e6:.3g} MB)"
+        self._say(f"{self._path}: {words}; --fresh computes it anew")
         return made
 
     def note(self, made: Made, scene: Scene) -> None:
@@ -92,22 +92,19 @@ class Shelf:
             if made.comm.size < comm.size and comm.rank:
                 return  # each rank has one for itself
             twins = made.structure.once(kept, of_matrices=True)
-            structures = [(made, scene), *((twin, coarser_scene(scene)) for twin in twins)]
-            parts = packed(PreparedFile(*(_datasets(*one) for one in structures)))
+            twins = [twin for twin in twins if twin.parts[1] == made.parts[1]]  # of this load
+            parts = packed(PreparedFile(*(_datasets(one, scene) for one in (made, *twins))))
             if not self._n_bytes < (n_bytes := _n_bytes(parts)):
                 return
             try:
                 if n_bytes > MAX_BYTES:
                     raise InputError("path", str(self._path), f"of at most {MAX_BYTES / 1e6:g} MB")
                 write(parts, self._path, KIND, scene, made.comm, compressed=False)
-                self._say(
-                    f"{self._path}: the structure, for later commands ({n_bytes / 1e6:.3g} MB)"
-                )
             except InputError as error:
                 self._say(f"the structure is not kept: {error}")
 
 
-def _datasets(made: Made, scene: Any) -> PreparedStructure:
+def _datasets(made: Made, scene: Scene) -> PreparedStructure:
     """Gather the datasets of a structure of a mesh (collective)."""
     return PreparedStructure.of(
         made.structure, made.structure.nodes.vtk_type,  # type: ignore[union-attr]

@@ -21,6 +21,7 @@ from surroundings import DEMOS, RunCommand, main, no_rank
 from test_artefact import FORGERIES, PLATE, put_number, shortened
 
 import fenics_crack as fc
+from fenics_crack.files.store import read
 from fenics_crack.scene.scene import known_keys
 from fenics_crack.study.sharing import LAST, SHELVES, parts_shared
 from fenics_crack.study.shelf import Shelf, key_of
@@ -257,7 +258,7 @@ def test_forged_files_are_not_used(
     capfd.readouterr()
     assert main(["solve", str(plate)]) in (0, 4)
     said = lines_of(capfd.readouterr().err)
-    assert len(said) == 2 and "not used" in said[0] and "for later commands" in said[1]
+    assert len(said) == 1 and "not used" in said[0]
     assert solution.read_text() == expected
 
 
@@ -336,3 +337,16 @@ def test_solids_take_their_structure(
         return
     assert run("solve", scene, "--output", "kept") in (0, 4) and len(meshes) == before
     same_answers("solve", scene)
+
+
+def test_coarser_mesh_of_another_load_is_not_kept(plate: Path, tmp_path: Path) -> None:
+    """One that an earlier scene of the process has left is no part of the file."""
+    scene, said = fc.Scene.load(plate), list[str]()
+    LAST.clear()
+    assert fc.solve(scene, MPI.COMM_SELF).errors is not None
+    twice = scene.replace({"excitation.force_sin": [20.0, 0.0], "mesh.error": False})
+    SHELVES[:] = [Shelf(tmp_path / "prepared.h5", said.append, is_read=False)]
+    fc.prepare(twice, MPI.COMM_SELF, whole=True)
+    SHELVES[0].keep(MPI.COMM_SELF)
+    SHELVES.clear()
+    assert "coarse" not in read(tmp_path / "prepared.h5").parts
