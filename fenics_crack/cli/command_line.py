@@ -286,8 +286,8 @@ def _command(
         from fenics_crack.study.shelf import Shelf
 
         path = inputs.folder / PREPARED
-        is_read = on_root(console.comm, path.exists) and not fresh
-        SHELVES[:] = [Shelf(path, console.note, is_read=is_read)]
+        is_read = on_root(console.comm, lambda: path.is_file() and not path.is_symlink())
+        SHELVES[:] = [Shelf(path, console.note, is_read=is_read and not fresh)]
     try:
         return command(given, inputs, console)
     except (ConvergenceError, KeyboardInterrupt):  # what is unusual may be why
