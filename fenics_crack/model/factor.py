@@ -55,12 +55,18 @@ def distributed(rows: Any, comm: MPI.Comm) -> Any:
     """Square PETSc matrix of the rows on this rank (n_local, n), with a diagonal, even zero: MUMPS
     finds no null pivot where there is no entry (collective)."""
     entries = sparse.coo_matrix(rows)
-    local, total = entries.shape
+    local = entries.shape[0]
     place = np.arange(local)
     at = np.append(entries.row, place), np.append(entries.col, (comm.exscan(local) or 0) + place)
-    whole = sparse.csr_matrix((np.append(entries.data, 0.0 * place), at), entries.shape)
+    every = sparse.csr_matrix((np.append(entries.data, 0.0 * place), at), entries.shape)
+    return square_matrix(every, comm)
+
+
+def square_matrix(rows: sparse.csr_matrix, comm: MPI.Comm) -> Any:
+    """PETSc matrix of the rows on this rank, (n_local, n) (collective)."""
+    local, total = rows.shape
     sizes = ((local, PETSc.DETERMINE), (local, total))
-    matrix = PETSc.Mat().createAIJ(sizes, csr=(whole.indptr, whole.indices, whole.data), comm=comm)
+    matrix = PETSc.Mat().createAIJ(sizes, csr=(rows.indptr, rows.indices, rows.data), comm=comm)
     matrix.assemble()
     return matrix
 
