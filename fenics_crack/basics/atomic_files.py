@@ -206,6 +206,12 @@ def passing_folder() -> Path:
     return Path(folder)
 
 
+def remove_file(path: Path, key: str) -> None:
+    """Remove a file if it is there; InputError as of :func:`reported`."""
+    with reported(path, key, "a file that can be removed"):
+        path.unlink(missing_ok=True)
+
+
 def put(file: int, content: bytes | memoryview, place: int) -> None:
     """Write all of some bytes at a place of an open file; OSError where the disk is full."""
     left = memoryview(content)

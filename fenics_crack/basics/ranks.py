@@ -152,7 +152,7 @@ def on_root(comm: MPI.Comm, function: Callable[[], Result]) -> Result:
     met = comm.bcast(error)
     if met is not None:
         raise error or met  # rank 0's own, with its cause
-    return comm.bcast(result)
+    return cast(Result, result if comm.size == 1 else comm.bcast(result))  # packs it
 
 
 def collect_garbage(comm: MPI.Comm, *, stopped: bool = False) -> None:

@@ -219,13 +219,14 @@ def _run(given: argparse.Namespace) -> Exit:
     if given.command == "doctor":  # which asks what is there
         return _command(given, None, None) or Exit.DONE
     threads.check_modules()
-    from fenics_crack.cli.given import Console, read_inputs, read_prepared
+    from fenics_crack.cli.given import PREPARED, Console, read_inputs, read_prepared
 
     launched = threads.launched()
     prepared = "scene" in given and given.scene.suffix.lower() == ".h5"
     inputs = None if launched or prepared else read_inputs(given)
     of_scene = launched or not ("scene" in given and inputs is None)
-    meshes = given.command != "new" and not prepared and of_scene
+    kept = inputs and not vars(given).get("fresh", True) and (inputs.folder / PREPARED).exists()
+    meshes = given.command not in ("new", "clean") and not (prepared or kept) and of_scene
     if meshes and not (inputs and inputs.scene.structure):
         from fenics_crack.basics import gmsh_process as mesher  # noqa: F401  before MPI: see there
     with one_process_settings():
@@ -271,18 +272,29 @@ def _command(
         from fenics_crack.cli.commands import compute
 
         command = partial(compute, command)
-    if inputs is None or "output" not in given:
+    if inputs is None or ("output" not in given and given.command != "check"):
         return command(given, inputs, console)
-    from fenics_crack.cli.given import make_writable
+    from fenics_crack.basics.ranks import on_root
+    from fenics_crack.cli.given import PREPARED, make_writable
     from fenics_crack.study.plausibility import remarks_on_scene
+    from fenics_crack.study.sharing import SHELVES
 
     assert console is not None
-    make_writable(inputs.folder, console.comm)
+    if given.command not in ("check", "clean"):
+        make_writable(inputs.folder, console.comm)
+    if (fresh := vars(given).get("fresh")) is not None and inputs.prepared is None:
+        from fenics_crack.study.shelf import Shelf
+
+        path = inputs.folder / PREPARED
+        is_read = on_root(console.comm, lambda: path.is_file() and not path.is_symlink())
+        SHELVES[:] = [Shelf(path, console.note, is_read=is_read and not fresh)]
     try:
         return command(given, inputs, console)
     except (ConvergenceError, KeyboardInterrupt):  # what is unusual may be why
         console.remark(*remarks_on_scene(inputs.scene))
         raise
+    finally:
+        SHELVES.clear()
 
 
 # --- arguments ------------------------------------------------------------------------------------
@@ -314,7 +326,10 @@ COMMANDS = {
         "write a commented scene to start from",
         "cli.given:new file --blade --timing --identify --solid --disk --cad",
     ),
-    "check": ("mesh and assemble a scene without solving it", "cli.scenes:check scene --set"),
+    "check": (
+        "mesh and assemble a scene without solving it",
+        "cli.scenes:check scene --set --fresh",
+    ),
     "modes": (
         "natural frequencies and mode shapes, crack open",
         f"study.run:modes {SOLVED} --count",
@@ -332,17 +347,17 @@ COMMANDS = {
         "write what a scene's mesh gives to a file with which solve and curve need no mesh",
         "cli.commands:reduce scene --set --output=FILE.h5",
     ),
-    "solve": ("steady vibration at excitation.omega", f"study.run:solve {SOLVED}"),
+    "solve": ("steady vibration at excitation.omega", f"study.run:solve {SOLVED} --fresh"),
     "verify": (
         "contributions of mesh, modes, harmonics and samples to the error of solve: observed "
         "orders, extrapolated values, grid-convergence indices, and a picture",
-        f"study.vary:verify {SOLVED} --pictures",
+        f"study.vary:verify {SOLVED} --fresh --pictures",
     ),
-    "curve": ("response curve of the table [curve]", f"study.run:curve {SOLVED}"),
+    "curve": ("response curve of the table [curve]", f"study.run:curve {SOLVED} --fresh"),
     "integrate": ("motion in time by the table [integration]", f"study.run:integrate {SOLVED}"),
     "sweep": (
         "all cases of the table [sweep.over]; goes on where it stopped",
-        f"cli.commands:sweep {SOLVED}",
+        f"cli.commands:sweep {SOLVED} --fresh",
     ),
     "grow": (
         "growth of the crack under the vibration by the table [growth]: length, life, frequencies; "
@@ -366,6 +381,10 @@ COMMANDS = {
     "report": (
         "one HTML page with all of some results, or of a folder, to be read anywhere",
         "cli.pictures:report results --output=FILE",
+    ),
+    "clean": (
+        "remove the structure that earlier commands have kept in the folder for the results",
+        f"cli.commands:clean {SOLVED}",
     ),
     "doctor": (
         "what this installation consists of, and whether it computes known numbers",
@@ -449,6 +468,10 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     "--output": (
         "for the results (default: output/NAME of the scene; for plot, the folder of the result)",
         {"type": path, "metavar": "FOLDER"},
+    ),
+    "--fresh": (
+        "compute the structure anew, and do not take that of an earlier command from the folder",
+        {"action": "store_true"},
     ),
     "--count": ("how many modes (default: 6, or all of fewer)", {"type": int}),
     "--speeds": (

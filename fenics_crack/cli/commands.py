@@ -9,16 +9,17 @@ from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fenics_crack.basics.atomic_files import together
+from fenics_crack.basics.atomic_files import remove_file, together
 from fenics_crack.basics.errors import FEW_MODES, INTERRUPTED, Exit, InputError, StoppedError
 from fenics_crack.basics.ranks import on_root, uninterrupted
 from fenics_crack.basics.report import Report
 from fenics_crack.basics.tables import speed_in_words
 from fenics_crack.cli.account import printed
-from fenics_crack.cli.given import Console, Inputs, command, keep_before
+from fenics_crack.cli.given import PREPARED, Console, Inputs, command, keep_before
 from fenics_crack.cli.kinds import KINDS, Drawn, draw, report_of
 from fenics_crack.study.plausibility import remarks_on_scene
 from fenics_crack.study.run import Run
+from fenics_crack.study.sharing import SHELVES
 
 if TYPE_CHECKING:
     from fenics_crack.monitoring.identification.measurements import Measurements
@@ -75,6 +76,8 @@ def tell(
     their kind is given, under a path without its ending; print what there is to say. Returns how
     that ended."""
     replaced = ""
+    for shelf in SHELVES:
+        shelf.keep(console.comm)
     if result is not None:
         replaced = keep_before(Path(f"{path}.json"), report.table.formatted("json"), console.comm)
     with together() as files:
@@ -114,6 +117,11 @@ def sweep(_: Namespace, inputs: Inputs, console: Console) -> Exit:
     with console.stage("sweep", bars=True):
         found = run_sweep(scene, f"{path}.h5", console.comm, progress=console.progress)
     return tell(report_of(found), path, console)
+
+
+def clean(_: Namespace, inputs: Inputs, console: Console) -> None:
+    """Remove the structure that earlier commands have kept."""
+    on_root(console.comm, lambda: remove_file(inputs.folder / PREPARED, "--output"))
 
 
 def reduce(given: Namespace, inputs: Inputs, console: Console) -> None:

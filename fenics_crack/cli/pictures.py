@@ -54,6 +54,7 @@ from fenics_crack.study.campbell import ORDERS, Campbell
 from fenics_crack.study.conclusion import frequency_in_words, known_to
 from fenics_crack.study.prepare import prepare
 from fenics_crack.study.run import Run, stress_intensity
+from fenics_crack.study.shelf import KIND as KEPT_KIND
 from fenics_crack.sweep.plan import FREQUENCIES
 from fenics_crack.sweep.result import SweepResult, is_part
 from fenics_crack.time.march import TimeHistory
@@ -126,7 +127,8 @@ def _results_in(paths: Sequence[Path]) -> tuple[list[Stored], str]:
         files = sorted(path.glob("*.h5")) if path.is_dir() else [path]
         if not files:
             raise InputError("result", str(path), "a folder with results, .h5 files")
-        found += [read(file) for file in files]
+        found += map(read, files)
+    found = [file for file in found if file.kind != KEPT_KIND] or found
     whole = [file for file in found if not is_part(file)]
     left = ", ".join(str(file.path) for file in found if is_part(file)) if whole else ""
     return whole or found, f"left out, as parts of other results: {left}" if left else ""

@@ -37,6 +37,7 @@ from fenics_crack.study.prepare import (
     reduction_of,
 )
 from fenics_crack.study.resonance import resonance_of
+from fenics_crack.study.sharing import SHELVES
 from fenics_crack.study.solve import modes_chosen
 from fenics_crack.study.vary import errors_of_natural
 from fenics_crack.study.verification import Verification
@@ -93,6 +94,8 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
         rows["invalid cases"] = on_root(console.comm, lambda: _impossible(scene))
     remark = _remark_on_whole(scene, whole, highest_omega(scene))
     remarks = remarks_on_scene(study.scene, whole, figures)
+    for shelf in SHELVES:
+        shelf.keep(console.comm)
     console.table(Table(("what", "value"), [*rows.items()]))
     console.note(remark)
     console.remark(*remarks)

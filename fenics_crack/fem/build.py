@@ -60,7 +60,7 @@ from fenics_crack.fem.elasticity import constants, rotation_of, stress, thicknes
 from fenics_crack.fem.loads import assemble_loads, clamp_of
 from fenics_crack.fem.plate import Dofs, build_mesh
 from fenics_crack.fem.setting import clearance_of, damping_of
-from fenics_crack.model.body import DEFAULT_SETTING, Body
+from fenics_crack.model.body import Body
 from fenics_crack.model.factor import local_rows
 from fenics_crack.model.modes import solve_modes
 from fenics_crack.model.nodes import Pairs
@@ -437,23 +437,18 @@ def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     return structure
 
 
-def reuse_structure(scene: Scene, structure: Structure, *, loads: bool) -> Structure:
-    """Return a structure at rest with clearance and damping of another scene.
+def assemble_loads_on(scene: Scene, structure: Structure) -> dict[str, Any]:
+    """Return the attributes of a body at rest that depend on its loads (collective).
 
-    Both scenes have the same mesh. With ``loads`` the scene's loads are assembled, too
-    (collective).
+    ``structure`` has the mesh of the scene, whose loads are assembled.
     """
-    changes: dict[str, Any] = {
-        "clearance": clearance_of(scene, structure.pairs), "damping": damping_of(scene.damping),
-    }  # fmt: skip
-    if loads:
-        dofs: Dofs = structure.nodes.mesh_dofs  # type: ignore[union-attr]
-        _, mass = _matrix_forms(scene, dofs.space)
-        matrix = compat.assembled_matrix(mass)
-        force, changes["watched"] = assemble_loads(scene, dofs, matrix)
-        changes |= {"force": dofs.restrict_to_free(force), "clamp": clamp_of(dofs, matrix, force)}
-        matrix.destroy()
-    return structure._in_setting(DEFAULT_SETTING, **changes)
+    dofs: Dofs = structure.nodes.mesh_dofs  # type: ignore[union-attr]
+    _, mass = _matrix_forms(scene, dofs.space)
+    matrix = compat.assembled_matrix(mass)
+    force, watched = assemble_loads(scene, dofs, matrix)
+    clamp = clamp_of(dofs, matrix, force)
+    matrix.destroy()
+    return {"force": dofs.restrict_to_free(force), "watched": watched, "clamp": clamp}
 
 
 def _assemble_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:

@@ -31,6 +31,7 @@ WRONG = (
 """Errors of a dataset that is not what its field is."""
 _ARRAYS = {
     **dict.fromkeys(("multipliers", "bifurcation_multipliers", "forces"), "bifuc"),
+    **dict.fromkeys(("indices", "indptr", "dofs", "cells", "cracks"), "iu"),
     **dict.fromkeys(("undecided", "irregular", "equivalent", "hidden"), "b"),
 }
 """Kinds of the types of arrays by their fields, where not every real one is valid."""

@@ -19,6 +19,7 @@ import os
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -54,6 +55,8 @@ def write(
     kind: str,
     scene: Scene | None = None,
     comm: MPI.Comm = MPI.COMM_SELF,
+    *,
+    compressed: bool = True,
 ) -> None:
     """Write a file, whole or not at all (collective; rank 0 writes).
 
@@ -67,6 +70,8 @@ def write(
         Kind of its contents, for example "response curve".
     scene : Scene, optional
         Its scene.
+    compressed : bool
+        Compress large arrays, which takes 30 times as long.
 
     Raises
     ------
@@ -83,7 +88,7 @@ def write(
             write_header(file, kind, scene)
             for name, value in parts.items():
                 if value is not None:
-                    packed = {"compression": "gzip"} if np.size(value) > 1000 else {}
+                    packed = {"compression": "gzip"} if compressed and np.size(value) > 1000 else {}
                     dataset = file.create_dataset(name, data=value, **packed)
                     dataset.attrs.update(about(name, parts))
             file.attrs["digest"] = digest(texts(file), parts)
@@ -108,6 +113,16 @@ def versions() -> str:
         if module in sys.modules:
             found[name] = sys.modules[module].__version__
     return ", ".join(f"{name} {version}" for name, version in found.items())
+
+
+@functools.cache
+def fingerprint() -> str:
+    """What this program is, and what is installed that meshes and assembles: sizes and times of its
+    sources, and of the files that load these."""
+    specs = map(find_spec, ("dolfinx", "ufl", "ffcx", "basix", "petsc4py", "slepc4py", "gmsh"))
+    files = [str(spec.origin) for spec in specs if spec is not None and spec.has_location]
+    files += sorted(map(str, Path(__file__).parents[1].rglob("*.py")))
+    return repr([(file, os.stat(file).st_size, os.stat(file).st_mtime_ns) for file in files])
 
 
 def scene_text(scene: Scene) -> str:

@@ -83,7 +83,7 @@ def distribute_rows(rows: Any, comm: MPI.Comm) -> Any:
         Rows of this rank, sparse or dense.
     """
     entries = sparse.coo_matrix(rows)
-    n_local, n_columns = entries.shape
+    n_local = entries.shape[0]
     diagonal = np.arange(n_local)
     positions = (
         np.append(entries.row, diagonal),
@@ -92,10 +92,14 @@ def distribute_rows(rows: Any, comm: MPI.Comm) -> Any:
     completed_rows = sparse.csr_matrix(
         (np.append(entries.data, 0.0 * diagonal), positions), entries.shape
     )
+    return square_matrix(completed_rows, comm)
+
+
+def square_matrix(rows: sparse.csr_matrix, comm: MPI.Comm) -> Any:
+    """Make a square PETSc matrix from CSR rows (n_local, n) as they are (collective)."""
+    n_local, n_columns = rows.shape
     sizes = ((n_local, PETSc.DETERMINE), (n_local, n_columns))
-    matrix = PETSc.Mat().createAIJ(
-        sizes, csr=(completed_rows.indptr, completed_rows.indices, completed_rows.data), comm=comm
-    )
+    matrix = PETSc.Mat().createAIJ(sizes, csr=(rows.indptr, rows.indices, rows.data), comm=comm)
     matrix.assemble()
     return matrix
 

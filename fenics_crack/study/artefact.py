@@ -1,10 +1,13 @@
-"""A prepared structure as a file that its user owns.
+"""A prepared structure as a file.
 
 It holds what a mesh gives: modes and statics seen at pairs, loads and watched points, of the
 scene's mesh and of a coarser one, with places and areas of the pairs. What follows from it, another
 frequency, amplitude of the load, damping, clearance, law or tolerance, needs no mesh and no
-matrices. :func:`load_prepared` makes a study of it, whose structure no scene shares: what needs
-matrices takes the scene itself.
+matrices.
+
+A file of ``reduce`` is its user's. :func:`load_prepared` makes a study of it, whose structure no
+scene shares: what needs matrices takes the scene itself. The file that a command keeps
+(:mod:`fenics_crack.study.shelf`) has the matrices, too.
 """
 
 from __future__ import annotations
@@ -16,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy.linalg
 import scipy.sparse as sparse
 from mpi4py import MPI
 
@@ -24,14 +26,23 @@ from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.observables import QUANTITIES
 from fenics_crack.basics.ranks import gather_rows, on_root
 from fenics_crack.fem.setting import clearance_of, damping_of, force_parts
-from fenics_crack.files.codec import Parts, packed, unpacked
+from fenics_crack.files.codec import packed, unpacked
 from fenics_crack.files.store import Stored, check_shapes, read, write
-from fenics_crack.model.body import Body
+from fenics_crack.model.body import DEFAULT_SETTING, Body
+from fenics_crack.model.factor import square_matrix
 from fenics_crack.model.matrices import AbsentMatrix
-from fenics_crack.model.nodes import Nodes, Pairs
-from fenics_crack.model.receptance import Receptance, held_receptance, receptance, rows_at
+from fenics_crack.model.nodes import Clamp, Nodes, Pairs
+from fenics_crack.model.receptance import (
+    Receptance,
+    held_receptance,
+    last_receptance,
+    receptance,
+    rows_at,
+    sources_of,
+)
 from fenics_crack.model.structure import DampingRule, Structure
 from fenics_crack.numerics.equations import ROUNDING
+from fenics_crack.scene.fields import LARGEST
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.meshes import coarser, coarser_scene
 from fenics_crack.study.prepare import Study, prepare, reduced
@@ -39,148 +50,195 @@ from fenics_crack.study.sharing import Made, kept, loads_of, parts_shared
 from fenics_crack.study.solve import MOST_OF_MANY, modes_chosen, reduced_to
 
 KIND = "prepared structure"
-COARSER = "coarser."
-"""Beginning of the names of datasets of the coarser mesh."""
 VARIED = (
     "a key that needs no mesh: the frequency, force_mean, force_cos and force_sin of the load, "
     "damping, clearances, the contact law and its friction, harmonics, the tolerance, [curve]; "
     "else the scene itself is solved"
 )
 """What a file can vary, in words."""
-MIN_LOAD_BYTES, LOAD_RATIO = 2**26, 16
-"""Size of the load on all dofs that any file may have [byte], and that relative to all arrays."""
+NODE_ARRAYS = ("points", "dofs", "cells")
 
 
 @dataclass(frozen=True)
-class _Prepared:
-    """Datasets of one structure; columns (row, column, value) of sparse matrices."""
+class Rows:
+    """A sparse matrix by its rows, those of all ranks."""
 
-    n_dofs: int
-    gap: np.ndarray
-    force: np.ndarray
-    clearance: np.ndarray
-    pairs: Pairs
-    squares: np.ndarray
-    modal: np.ndarray
-    compliance: np.ndarray
-    inertia: np.ndarray
-    dofs: np.ndarray
-    shapes: np.ndarray
-    static: np.ndarray
-    watched_dof: int
-    tangential: np.ndarray | None = None
-    points: np.ndarray | None = None
-    node_dofs: np.ndarray | None = None
-    cells: np.ndarray | None = None
+    data: np.ndarray
+    indices: np.ndarray
+    indptr: np.ndarray
 
     @classmethod
-    def of(cls, study: Study) -> _Prepared:
-        """Those of a reduced study (collective)."""
-        whole = study.structure.whole.original
-        reference = getattr(study.structure, "reference", None) or study.structure
-        count = max(study.structure.n_modes, reference.n_modes)
-        rows_at(whole, count, np.array([watched.dof for watched in study.watched]))
-        known, comm, nodes = receptance(whole, count), whole.comm, whole.nodes
-        shapes, static = (np.array(rows) for rows in zip(*known.rows.values(), strict=True))
-        places = () if nodes is None else (nodes.points, nodes.dofs, nodes.cells)
-        tangents = whole.tangential
+    def of(cls, rows: Any, comm: MPI.Comm) -> Any:
+        """Gather the rows of all ranks; None of None (collective)."""
+        if rows is None:
+            return None
+        lengths = gather_rows(comm, np.diff(rows.indptr))
+        starts = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int32)
+        return cls(gather_rows(comm, rows.data), gather_rows(comm, rows.indices), starts)
+
+    def matrix(self, *shape: int) -> sparse.csr_matrix:
+        """Return the matrix; ValueError unless it is one of this shape."""
+        rows = sparse.csr_matrix((self.data, self.indices, self.indptr), shape)
+        rows.check_format(full_check=True)
+        return rows
+
+
+@dataclass(frozen=True)
+class PreparedStructure:
+    """Datasets of a whole structure and of the receptances that it holds.
+
+    Attributes
+    ----------
+    gap, tangential, tangents, shares : Rows or None
+        As of :class:`Structure` and its pairs, which have none of their own here.
+    force, clearance, watched, nodes, pairs, clamp
+        As of :class:`Structure`; arrays of all ranks.
+    seen : tuple of Receptance
+        Of this load; with the tangents of a solid at last.
+    mass, stiffness : Rows or None
+        Its matrices, where they are kept.
+    key : str
+        Digest of what the structure follows from.
+    excitation : (2K+1, d) [N]
+        Force of the excitation.
+    """
+
+    gap: Rows
+    tangential: Rows | None
+    tangents: Rows | None
+    shares: Rows | None
+    force: np.ndarray
+    clearance: np.ndarray
+    watched: np.ndarray | None
+    nodes: Nodes | None
+    pairs: Pairs
+    clamp: Clamp | None
+    seen: tuple[Receptance, ...]
+    mass: Rows | None = None
+    stiffness: Rows | None = None
+    key: str = ""
+    excitation: np.ndarray | None = None
+
+    @classmethod
+    def of(cls, whole: Structure, vtk_type: int = 0, **more: Any) -> PreparedStructure:
+        """Gather those of a structure, as of cells of another type, and ``more`` (collective)."""
+        whole, comm = whole.original, whole.comm
+        nodes, pairs, clamp, watched = whole.nodes, whole.pairs, whole.clamp, whole.watched
+        both = [whole, *([] if pairs.tangents is None else [whole.with_tangents()])]
+        places = NODE_ARRAYS if nodes else ()
+        arrays = {name: gather_rows(comm, getattr(nodes, name)) for name in places}
         return cls(
-            whole.n_dofs, _entries(whole, whole.gap), _entries(whole, whole.force.T),
-            whole.clearance, whole.pairs, known.squares, known.modal, known.compliance,
-            known.inertia, np.array([*known.rows]), shapes, static, whole.watched_dof,
-            None if tangents is None else _entries(whole, tangents),
-            *(gather_rows(comm, rows) for rows in places),
+            gap=Rows.of(whole.gap, comm), tangential=Rows.of(whole.tangential, comm),
+            tangents=Rows.of(pairs.tangents, comm), shares=Rows.of(pairs.shares, MPI.COMM_SELF),
+            force=gather_rows(comm, whole.force.T).T, clearance=whole.clearance,
+            watched=None if watched is None else gather_rows(comm, watched),
+            nodes=nodes and replace(nodes, mesh_dofs=None, vtk_type=vtk_type, **arrays),
+            pairs=replace(pairs, shares=None, tangents=None),
+            clamp=clamp and replace(clamp, inertia=gather_rows(comm, clamp.inertia.T).T),
+            seen=tuple(replace(held, force=np.zeros(0)) for one in both
+                       for held in one.cached_result(held_receptance)), **more,
         )  # fmt: skip
 
-    def _check(self, n_parts: int) -> None:
-        """Raise ValueError unless all sizes, indices and numbers fit a load of ``n_parts`` rows."""
-        n_dofs, n_pairs, n_watched = self.n_dofs, self.clearance.size, self.dofs.size
-        n_sources, n_modes = self.modal.shape
-        n_nodes, dimension = (0, 2) if self.points is None else self.points.shape
-        fields = vars(self) | {f"pairs.{name}": value for name, value in vars(self.pairs).items()}
-        arrays = {name: value for name, value in fields.items() if isinstance(value, np.ndarray)}
-        shapes = {
-            "squares": (n_modes,), "compliance": (n_sources, n_sources), "dofs": (n_watched,),
-            "shapes": (n_watched, n_modes), "static": (n_watched, n_sources), "cells": (-1, -1),
-            "clearance": (n_pairs,), "inertia": (n_pairs,), "node_dofs": (n_nodes, dimension),
-            "pairs.points": (n_pairs, dimension),
-        }  # fmt: skip
-        shapes |= dict.fromkeys(("gap", "force", "tangential"), (3, -1))
-        shapes |= dict.fromkeys(("pairs.areas", "pairs.cracks", "pairs.positions"), (n_pairs,))
-        check_shapes(arrays, shapes)
-        ranges = {
-            "dofs": (0, n_dofs), "watched_dof": (0, n_dofs), "node_dofs": (-1, n_dofs),
-            "cells": (0, n_nodes), "pairs.cracks": (0, n_pairs), "pairs.places": (0, n_pairs),
-        }  # fmt: skip
-        indices = fields | {"pairs.places": [*self.pairs.places.values()]}
-        ends = {"gap": n_pairs, "tangential": n_pairs, "force": n_parts}
-        for name in ends.keys() & arrays.keys():
-            indices |= {f"{name} rows": arrays[name][0], f"{name} columns": arrays[name][1]}
-            ranges |= {f"{name} rows": (0, n_dofs), f"{name} columns": (0, ends[name])}
-        bad_names = [name for name, value in arrays.items() if not np.all(np.isfinite(value))]
-        bad_names += [
-            name
-            for name, (start, end) in ranges.items()
-            if (values := indices[name]) is not None
-            and not np.all((np.round(values) == values) & np.less_equal(start, values)
-                           & np.less(values, end))
-        ]  # fmt: skip
-        n_free = n_dofs if self.node_dofs is None else np.count_nonzero(self.node_dofs >= 0)
-        n_bytes = sum(value.nbytes for value in arrays.values())
-        if n_free != n_dofs or 8 * n_parts * n_dofs > max(MIN_LOAD_BYTES, LOAD_RATIO * n_bytes):
-            bad_names.append("n_dofs")
-        n_contacts = n_pairs * (1 if self.tangential is None else 2)
-        if n_contacts + len(np.unique(self.force[1])) != n_sources:
-            bad_names.append("modal")
-        if np.any(self.squares < 0.0):
-            bad_names.append("squares")
-        if bad_names:
-            raise ValueError(f"its {bad_names[0]} does not fit")
-
     def structure(self, scene: Scene, weights: np.ndarray, comm: MPI.Comm) -> Structure:
-        """The structure in the setting of a scene, its load's rows weighted (collective)."""
-        self._check(weights.shape[1])
-        first, count = comm.rank == 0, len(self.clearance)
-        n_local = self.n_dofs if first else 0
+        """Return the structure in the setting of a scene, its load's rows weighted.
 
-        def rows(entries: np.ndarray, columns: int) -> sparse.csr_matrix:
-            places = entries[:2].astype(int)
-            shape = self.n_dofs, columns
-            made = sparse.csr_matrix((entries[2], (places[0], places[1])), shape)
-            return made[:n_local]
+        Rank 0 has all rows. An error of :data:`fenics_crack.files.codec.WRONG` where the datasets
+        are no structure (collective).
+        """
+        n_dofs, n_pairs = self._check(), len(self.clearance)
+        own = slice(None if comm.rank == 0 else 0)
 
-        force = (rows(self.force, weights.shape[1]) @ weights.T).T
-        nodes = None
-        if self.points is not None and self.node_dofs is not None and self.cells is not None:
-            own = slice(None) if first else slice(0)
-            nodes = Nodes(self.points[own], self.node_dofs[own], self.cells[own], 0)
-        clearance = self.clearance if self.pairs.cracks is None else clearance_of(scene, self.pairs)
-        sizes = AbsentMatrix(self.n_dofs, comm.rank)
+        def rows(part: Rows | None, columns: int) -> Any:
+            whole: Any = part and part.matrix(n_dofs, columns)
+            return whole if comm.rank == 0 or whole is None else whole[:0]
+
+        mass, stiffness = (
+            AbsentMatrix(n_dofs, comm.rank)
+            if part is None
+            else square_matrix(rows(part, n_dofs), comm)
+            for part in (self.mass, self.stiffness)
+        )
+        nodes, watched, clamp, pairs = self.nodes, self.watched, self.clamp, self.pairs
+        pairs = replace(
+            pairs, tangents=rows(self.tangents, 2 * n_pairs),
+            shares=self.shares and self.shares.matrix(len(np.atleast_1d(pairs.nodes)), n_pairs),
+        )  # fmt: skip
+        arrays = {name: getattr(nodes, name)[own] for name in (NODE_ARRAYS if nodes else ())}
         made = Structure(Body(
-            sizes, sizes, rows(self.gap, count), force, clearance,
-            damping_of(scene.given("damping")),
-            None if self.tangential is None else rows(self.tangential, count),
-            nodes, self.pairs, comm=comm,
-        )).watching(self.watched_dof)  # fmt: skip
-        loaded = np.unique(self.force[1].astype(int))  # parts that are not zero
-        of_loads = weights[np.any(weights[:, loaded] != 0.0, axis=1)][:, loaded].T
-        of_pairs = np.eye(len(self.modal) - len(loaded))
-        change = scipy.linalg.block_diag(of_pairs, of_loads)
-        held = dict(zip(map(int, self.dofs), zip(self.shapes, self.static @ change, strict=True),
-                        strict=True))  # fmt: skip
-        made.cached_result(held_receptance).append(Receptance(
-            self.squares, change.T @ self.modal, change.T @ self.compliance @ change, held, force,
-            self.inertia,
+            mass, stiffness, gap=rows(self.gap, n_pairs), force=self.force[:, own],
+            clearance=self.clearance if pairs.cracks is None else clearance_of(scene, pairs),
+            damping=damping_of(scene.given("damping")), tangential=rows(self.tangential, n_pairs),
+            nodes=nodes and replace(nodes, **arrays), pairs=pairs,
+            watched=None if watched is None else watched[own],
+            clamp=clamp and replace(clamp, inertia=clamp.inertia[:, own]), comm=comm,
         ))  # fmt: skip
+        for seen in self.seen:
+            both = made, made.with_tangents()
+            its = next(one for one in both if sources_of(one).shape[1] == len(seen.modal))
+            held = replace(seen, force=its.force)
+            its.cached_result(held_receptance)[:] = [held]
+            made.cached_result(last_receptance, from_matrices=True)[:] = [held]
+        if not np.array_equal(weights, np.eye(len(made.force))):
+            force, of_load = weights @ made.force, made.clamp and made.clamp.with_weights(weights)
+            made = made._in_setting(DEFAULT_SETTING, force=force, clamp=of_load)
+        if self.mass is None:
+            receptance(made, 1)
         return made
 
+    def _check(self) -> int:
+        """Return the number of dofs; ValueError unless all sizes, indices and numbers fit."""
+        nodes, places = self.nodes, np.array([*self.pairs.places.values()])
+        arrays = {name: array for name, array in packed(self).items() if np.ndim(array)}
+        arrays |= {"pairs.places": places} | (
+            {"free dofs": np.unique(nodes.dofs[nodes.dofs >= 0])} if nodes else {}
+        )
+        n_dofs, n_pairs, n_parts = len(self.gap.indptr) - 1, len(self.clearance), len(self.force)
+        n_nodes, dimension = nodes.points.shape if nodes else (0, 2)
+        n_rigid = len(self.clamp.inertia) if self.clamp else 0
+        shapes = {
+            "force": (n_parts, n_dofs), "watched": (n_dofs,), "excitation": (n_parts, dimension),
+            "nodes.dofs": (n_nodes, dimension), "nodes.cells": (-1, -1), "clearance": (n_pairs,),
+            "pairs.points": (n_pairs, dimension), "pairs.nodes": (-1, dimension),
+            "clamp.center": (dimension,), "clamp.inertia": (n_rigid, n_dofs),
+            "clamp.load": (n_parts, n_rigid), "free dofs": (n_dofs,), "pairs.areas": (n_pairs,),
+            "pairs.cracks": (n_pairs,), "pairs.positions": (n_pairs,),
+        }  # fmt: skip
+        ranges: dict[str, tuple[float, float]] = {
+            "nodes.dofs": (-1, n_dofs), "nodes.cells": (0, n_nodes), "pairs.cracks": (0, n_pairs),
+            "pairs.places": (0, n_pairs),
+        }  # fmt: skip
+        for place, seen in enumerate(self.seen):
+            name, (n_sources, n_modes) = f"seen.{place}", seen.modal.shape
+            sizes = {"squares": (n_modes,), "compliance": (n_sources,) * 2, "inertia": (n_pairs,)}
+            for dof in seen.rows:
+                sizes |= {f"rows.{dof}.0": (n_modes,), f"rows.{dof}.1": (n_sources,)}
+            shapes |= {f"{name}.{key}": size for key, size in sizes.items()}
+            ranges |= {f"{name}.squares": (0, LARGEST), f"{name}.rows": (0, n_dofs)}
+            arrays[f"{name}.rows"] = np.array([*seen.rows])
+        check_shapes(arrays, shapes)
+        for name, array in arrays.items():
+            start, end = ranges.get(name, (-LARGEST, LARGEST))
+            if array.size and not start <= array.min() <= array.max() < end:
+                raise ValueError(f"its {name} does not fit")
+        return n_dofs
 
-def _entries(whole: Structure, rows: Any) -> np.ndarray:
-    """Entries of the rows of all ranks: (3, n), of row, column and value (collective)."""
-    found = sparse.coo_matrix(rows)
-    found.eliminate_zeros()
-    own = np.column_stack([found.row + whole.first_dof, found.col, found.data])
-    return gather_rows(whole.comm, own).T
+
+@dataclass(frozen=True)
+class PreparedFile:
+    """Datasets of a file: a structure, and that of its coarser mesh if there is one."""
+
+    whole: PreparedStructure
+    coarse: PreparedStructure | None = None
+
+    def made(self, scene: Scene, weights: np.ndarray, comm: MPI.Comm) -> Made:
+        """Return the structure for a scene, with that of its coarser mesh (collective)."""
+        whole, coarse = self.whole.structure(scene, weights, comm), coarser_scene(scene)
+        if self.coarse is not None and isinstance(coarse, Scene):
+            whole.cached_result(kept, from_matrices=True).append(Made(  # as of a reduced structure
+                self.coarse.structure(coarse, weights, MPI.COMM_SELF), MPI.COMM_SELF,
+                parts_shared(coarse, MPI.COMM_SELF),
+            ))  # fmt: skip
+        return Made(whole, comm, parts_shared(scene, comm))
 
 
 def save_prepared(prepared: Study, path: str | Path) -> None:
@@ -219,12 +277,18 @@ def save_prepared(prepared: Study, path: str | Path) -> None:
     if not structure.light_lips or not isinstance(structure.whole.damping, DampingRule):
         allowed = "reduced to crack faces without mass, and damped by [damping], for a file"
         raise InputError("structure", repr(structure), allowed)
-    parts, twin = packed(_Prepared.of(prepared)), coarser(prepared)
-    if not isinstance(twin, str):
-        coarse = packed(_Prepared.of(twin[0]))
-        parts |= {f"{COARSER}{name}": value for name, value in coarse.items()}
-        parts[f"{COARSER}pairs"] = coarse["pairs"].replace('"pairs.', f'"{COARSER}pairs.')
+    twin = coarser(prepared)
+    studies = prepared, *([] if isinstance(twin, str) else [twin[0]])
+    parts = packed(PreparedFile(*map(_of_study, studies)))
     write(parts, path, KIND, scene, structure.whole.comm)
+
+
+def _of_study(study: Study) -> PreparedStructure:
+    """Return the datasets of a reduced study, with all its modes (collective)."""
+    reference = getattr(study.structure, "reference", None) or study.structure
+    count = max(study.structure.n_modes, reference.n_modes)
+    rows_at(study.structure.whole, count, np.array([watched.dof for watched in study.watched]))
+    return PreparedStructure.of(study.structure.whole)
 
 
 def load_prepared(
@@ -281,7 +345,7 @@ def _scene_of(stored: Stored, changes: Mapping[str, object]) -> Scene:
 
     def needs_mesh(changed: Scene) -> bool:
         after = parts_shared(changed, MPI.COMM_SELF)
-        moved = _without_amplitudes(after[1]) != _without_amplitudes(before[1])
+        moved = without_amplitudes(after[1]) != without_amplitudes(before[1])
         return after[0] != before[0] or moved or (bool(scene.structure) and after != before)
 
     if needs_mesh(scene):
@@ -298,7 +362,7 @@ def _scene_of(stored: Stored, changes: Mapping[str, object]) -> Scene:
     return scene
 
 
-def _without_amplitudes(loads: tuple[Any, ...]) -> tuple[Any, ...]:
+def without_amplitudes(loads: tuple[Any, ...]) -> tuple[Any, ...]:
     """Loads of a scene but for the amplitudes of the excitation."""
     excitation, *others = loads
     of_parts = ("force_mean", "force_cos", "force_sin", "harmonics")
@@ -311,10 +375,22 @@ def _weights(known: Scene, scene: Scene) -> np.ndarray:
     the same place and in the same directions."""
     if loads_of(known) == loads_of(scene):  # a file with its wave may have gone
         return np.eye(1 + 2 * known.highest_order)
-    before, after = (np.array(force_parts(one), dtype=float) for one in (known, scene))
-    weights = after @ np.linalg.pinv(before)
+    return load_weights(np.array(force_parts(known), dtype=float), scene)
+
+
+def load_weights(before: np.ndarray, scene: Scene) -> np.ndarray:
+    """The same for an excitation (2K+1, d) before.
+
+    Raises
+    ------
+    InputError
+        The scene's is no sum of its rows.
+    """
+    after = np.array(force_parts(scene), dtype=float)
+    same = np.array_equal(before, after)
+    weights = np.eye(len(after)) if same else after @ np.linalg.pinv(before)
     missed = np.abs(weights @ before - after).max() > ROUNDING * np.abs(after).max()
-    if missed or known.has_other_loads:
+    if missed or (scene.has_other_loads and not same):
         allowed = f"in the directions of the file's, without other loads; or {VARIED}"
         raise InputError("excitation.force_sin", scene.excitation.force_sin, allowed)
     return weights
@@ -332,18 +408,5 @@ def _made(stored: Stored, scene: Scene, comm: MPI.Comm) -> Made:
     assert known is not None
     weights = _weights(known, scene)
     with stored.taken() as parts:
-        whole = _structure(parts, scene, weights, comm)
-        coarse = coarser_scene(scene)
-        if f"{COARSER}squares" in parts and isinstance(coarse, Scene):
-            cut = len(COARSER)
-            its = {name[cut:]: one for name, one in parts.items() if name.startswith(COARSER)}
-            its["pairs"] = its["pairs"].replace(f'"{COARSER}', '"')
-            alone = MPI.COMM_SELF  # as of the coarser twin of a reduced structure
-            twin = _structure(its, coarse, weights, alone)
-            made = Made(twin, alone, parts_shared(coarse, alone))
-            whole.cached_result(kept, from_matrices=True).append(made)
-    return Made(whole, comm, parts_shared(scene, comm))
-
-
-def _structure(parts: Parts, scene: Scene, weights: np.ndarray, comm: MPI.Comm) -> Structure:
-    return unpacked(_Prepared, parts).structure(scene, weights, comm)
+        file: PreparedFile = unpacked(PreparedFile, parts)
+        return file.made(scene, weights, comm)

@@ -14,8 +14,11 @@ from typing import Any, NamedTuple
 
 from mpi4py import MPI
 
+from fenics_crack.basics.observables import QUANTITIES
 from fenics_crack.basics.ranks import on_root
+from fenics_crack.fem.setting import clearance_of, damping_of
 from fenics_crack.files.store import digests_of
+from fenics_crack.model.body import DEFAULT_SETTING
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 
@@ -38,37 +41,52 @@ def kept(structure: Structure) -> list[Made]:
     return []
 
 
+SHELVES: list[Any] = []
+"""Where a command keeps its structure (:class:`fenics_crack.study.shelf.Shelf`), or nothing."""
+
+
 def assembled(scene: Scene, comm: MPI.Comm, last: list[Made] = LAST) -> Structure:
     """The structure of a scene whose crack length is known, shared with the last one where that is
-    of the same mesh, and in its place (collective).
+    of the same mesh, and in its place; else that of a file (collective).
 
     Parameters and errors are those of :func:`fenics_crack.build_structure`.
     """
     parts = parts_shared(scene, comm)
-    known = last[0] if last else None
     bound = scene.speed > 0.0 or scene.disk is not None or scene.structure is not None
-    same = False
-    if known is not None:
-        same = known.parts[0] == parts[0]
-        if not known.structure.has_matrices:  # without a mesh for loads
-            alike = MPI.Comm.Compare(known.comm, comm) in (MPI.IDENT, MPI.CONGRUENT)
-            same = same and alike and known.parts[1] == parts[1]
-        else:
-            same = same and known.comm == comm
-        if bound:
-            same = same and known.parts == parts
-    if not comm.allreduce(same, MPI.LAND):
+    shelves = [] if (  # what is integrated over a mesh of DOLFINx needs one
+        bound or last is not LAST or scene.geometry.file is not None
+        or any(QUANTITIES[name].of.on_request for name in scene.quantities or ())
+    ) else SHELVES  # fmt: skip
+    if not comm.allreduce(bool(last) and _fits(last[0], parts, comm, bound), MPI.LAND):
+        last.clear()
+        last += [made for shelf in shelves if (made := shelf.take(scene, comm)) is not None]
+    if not last:
         from fenics_crack.fem.build import assemble  # DOLFINx
 
-        known = None
-        last.clear()
         last.append(Made(assemble(scene, comm), comm, parts))
-    elif known is not None and known.parts != parts:
-        from fenics_crack.fem.build import reuse_structure
+    elif (known := last[0]).parts != parts:
+        pairs = known.structure.pairs
+        changes = {"clearance": clearance_of(scene, pairs), "damping": damping_of(scene.damping)}
+        if known.parts[1] != parts[1]:
+            from fenics_crack.fem.build import assemble_loads_on
 
-        made = reuse_structure(scene, known.structure, loads=known.parts[1] != parts[1])
-        last[:] = [Made(made, comm, parts)]
+            changes |= assemble_loads_on(scene, known.structure)
+        last[:] = [Made(known.structure._in_setting(DEFAULT_SETTING, **changes), comm, parts)]
+    for shelf in shelves:
+        shelf.note(last[0], scene)
     return last[0].structure
+
+
+def _fits(known: Made, parts: tuple[Any, Any, Any], comm: MPI.Comm, bound: bool) -> bool:
+    """Return True if a structure is of the same mesh and ranks; of all the same if ``bound``, of
+    the same loads if it has no mesh for others. One of a shelf serves its command alone."""
+    meshed = getattr(known.structure.nodes, "mesh_dofs", None) is not None
+    same_ranks = MPI.Comm.Compare(known.comm, comm) in (MPI.IDENT, MPI.CONGRUENT)
+    is_served = meshed or bool(SHELVES) or not known.structure.has_matrices
+    same = known.parts[0] == parts[0] and (meshed or known.parts[1] == parts[1]) and is_served
+    return (known.comm == comm if meshed else same_ranks) and (
+        known.parts == parts if bound else same
+    )
 
 
 def parts_shared(scene: Scene, comm: MPI.Comm) -> tuple[Any, Any, Any]:

@@ -40,7 +40,7 @@ def test_slip(
     """An error ends the command; a remark names the key that was changed, in one line."""
     given = re.findall(r"`([^`]+)`", changes)
     changed = (word for key in given for word in ("--set", key))
-    code = main(["check", str(plate), *COARSE, *changed])
+    code = main(["check", str(plate), "--fresh", *COARSE, *changed])
     said = capsys.readouterr().err.splitlines()
     is_error = answer.startswith("error: ")
     assert code == (2 if is_error else 0), slip

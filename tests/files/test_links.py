@@ -111,9 +111,9 @@ TRACE = "trace=open,openat,creat,truncate,rename,renameat2,link,linkat,bind"
 
 IN_PLACE = r"(sweep|(forward|uncracked|growth)_\w+)\.h5"
 """Sweeps, which go on where they stopped: links in their place are refused, not replaced."""
-NEW_OR_OWN = re.compile(rf'/\.[0-9a-f]{{8}}\.[^"]*"|/{IN_PLACE}"|\.json", O_RDONLY')
+NEW_OR_OWN = re.compile(rf'/\.[0-9a-f]{{8}}\.[^"]*"|/{IN_PLACE}"|(\.json|/prepared\.h5)", O_RDONLY')
 """Files below the output folder that are opened: hidden new ones, by which also the folder is
-opened, sweeps that go on, and the table whose text is compared."""
+opened, sweeps that go on, the table whose text is compared, and the structure that was kept."""
 
 
 @pytest.mark.skipif(shutil.which("strace") is None, reason="no strace")

@@ -182,27 +182,31 @@ def omega_of(path: Path) -> np.ndarray:
 
 
 FORGERIES: dict[str, Callable[[Any], None]] = {
-    "no modes": lambda file: file.pop("squares"),
-    "fewer modes": lambda file: replaced(file, "squares", file["squares"][:-1]),
-    "fewer sources": lambda file: replaced(file, "compliance", file["compliance"][1:]),
-    "pairs of another structure": lambda file: replaced(file, "clearance", [0.0]),
-    "dofs that are not there": lambda file: replaced(file, "n_dofs", 2),
-    "words": lambda file: replaced(file, "modal", "words"),
-    "more dofs than nodes": lambda file: replaced(file, "n_dofs", 10**9),
-    "dofs without nodes": lambda file: (
-        [file.pop(name) for name in ("points", "node_dofs", "cells")],
-        replaced(file, "n_dofs", 10**9),
+    "no modes": lambda file: file.pop("whole.seen.0.squares"),
+    "fewer modes": lambda file: shortened(file, "whole.seen.0.squares", slice(-1)),
+    "fewer sources": lambda file: shortened(file, "whole.seen.0.compliance", slice(1, None)),
+    "pairs of another structure": lambda file: replaced(file, "whole.clearance", [0.0]),
+    "dofs that are not there": lambda file: shortened(file, "whole.gap.indptr", slice(3)),
+    "words": lambda file: replaced(file, "whole.seen.0.modal", "words"),
+    "more dofs than nodes": lambda file: replaced(
+        file, "whole.gap.indptr", np.append(file["whole.gap.indptr"][()], 10**9)
     ),
-    "rows that are nan": lambda file: put_number(file, "gap", (0, 0), np.nan),
-    "rows between two": lambda file: put_number(file, "gap", (0, 0), 0.5),
-    "a node that is not there": lambda file: put_number(file, "cells", (0, 0), 10**6),
-    "a crack of another place": lambda file: put_number(file, "pairs.cracks", 0, 10**12),
+    "dofs without nodes": lambda file: put_number(file, "whole.nodes.dofs", (0, 0), 10**9),
+    "rows that are nan": lambda file: put_number(file, "whole.gap.data", 0, np.nan),
+    "columns between two": lambda file: replaced(
+        file, "whole.gap.indices", file["whole.gap.indices"][()] + 0.5
+    ),
+    "columns that are not there": lambda file: put_number(file, "whole.gap.indices", 0, 10**6),
+    "columns before the first": lambda file: put_number(file, "whole.gap.indices", 0, -1),
+    "rows that end too late": lambda file: put_number(file, "whole.gap.indptr", -1, 10**6),
+    "a node that is not there": lambda file: put_number(file, "whole.nodes.cells", (0, 0), 10**6),
+    "a crack of another place": lambda file: put_number(file, "whole.pairs.cracks", 0, 10**12),
     "a place that is not there": lambda file: replaced(
-        file, "pairs", file["pairs"].asstr()[()].replace('mouth": 0', 'mouth": 99')
+        file, "whole", file["whole"].asstr()[()].replace('mouth": 0', 'mouth": 99')
     ),
-    "fewer loads": lambda file: replaced(file, "force", file["force"][:, :0]),
-    "negative squares": lambda file: put_number(file, "squares", 0, -1.0),
-    "infinite": lambda file: replaced(file, "modal", np.inf * file["modal"][()]),
+    "fewer loads": lambda file: shortened(file, "whole.force", slice(0)),
+    "negative squares": lambda file: put_number(file, "whole.seen.0.squares", 0, -1.0),
+    "infinite": lambda file: put_number(file, "whole.seen.0.modal", (0, 0), np.inf),
     "another kind": lambda file: file.attrs.modify("kind", "solution"),
     "no scene": lambda file: file.attrs.pop("scene"),
     "no version": lambda file: file.attrs.pop("version"),
@@ -214,6 +218,11 @@ def replaced(file: Any, name: str, value: object) -> None:
     """Put another dataset in the place of one."""
     del file[name]
     file[name] = value
+
+
+def shortened(file: Any, name: str, kept: slice) -> None:
+    """Leave rows of a dataset out."""
+    replaced(file, name, file[name][kept])
 
 
 def put_number(file: Any, name: str, place: Any, number: float) -> None:
@@ -319,7 +328,7 @@ def test_forged_sizes_are_refused_on_both_ranks(
     forged = Path(shutil.copy(file, tmp_path / "forged.h5"))
     with changed(forged) as parts:
         FORGERIES["more dofs than nodes"](parts)
-    assert "n_dofs" in on_ranks(refused_by_all, str(forged))
+    assert "does not fit" in on_ranks(refused_by_all, str(forged))
 
 
 @pytest.mark.mpi

@@ -1,0 +1,119 @@
+"""The structure of a command in a file beside its results, for the commands after it.
+
+The file has the matrices, the modes that were needed so far, and the same of the coarser mesh. It
+serves scenes with all that these follow from (:func:`key_of`): another frequency, amplitude of the
+load, damping, clearance, law or tolerance finds it valid, another mesh does not. It has structures
+of meshes at rest.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from fenics_crack.basics.errors import InputError
+from fenics_crack.fem.setting import force_parts
+from fenics_crack.files.codec import WRONG, packed, unpacked
+from fenics_crack.files.store import fingerprint, read, write
+from fenics_crack.model.factor import local_rows
+from fenics_crack.scene.scene import Scene
+from fenics_crack.study.artefact import (
+    PreparedFile,
+    PreparedStructure,
+    Rows,
+    load_weights,
+    without_amplitudes,
+)
+from fenics_crack.study.sharing import Made, kept, parts_shared
+
+KIND = "structure of a command"
+MAX_BYTES = 500 * 10**6
+"""Largest size of the numbers that are kept [byte]."""
+
+
+def key_of(parts: tuple[Any, ...]) -> str:
+    """Digest of what a structure follows from, but for amplitudes of the excitation."""
+    known = parts[0], without_amplitudes(parts[1]), fingerprint()
+    return hashlib.sha256(repr(known).encode()).hexdigest()
+
+
+class Shelf:
+    """Where a command looks for its structure, and keeps it.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    say : callable
+        Prints a line.
+    is_read : bool
+        Look for the structure in the file.
+    """
+
+    def __init__(self, path: Path, say: Callable[[str], None], *, is_read: bool) -> None:
+        self._path, self._say, self._n_bytes = path, say, 0
+        self._files: list[PreparedFile | None] = [] if is_read else [None]
+        self._made: list[tuple[Made, Scene]] = []
+
+    def take(self, scene: Scene, comm: MPI.Comm) -> Made | None:
+        """Return the structure of a scene if the file has it (collective)."""
+        try:
+            if not self._files:
+                stored = read(self._path, comm)
+                stored.fitting_argument(KIND)
+                with stored.taken() as parts:
+                    self._files.append(unpacked(PreparedFile, parts))
+            file = self._files[0]
+            if file is None or file.whole.key != key_of(parts_shared(scene, comm)):
+                return None
+            made = file.made(scene, load_weights(file.whole.excitation, scene), comm)
+        except (InputError, *WRONG) as error:
+            self._files[:] = [None]
+            self._say(f"{self._path}: not used, {error}")
+            return None
+        self._made[:], self._n_bytes = [(made, scene)], _n_bytes(packed(file))
+        words = f"the structure is taken from here ({self._n_bytes / 1e6:.3g} MB)"
+        self._say(f"{self._path}: {words}; --fresh computes it anew")
+        return made
+
+    def note(self, made: Made, scene: Scene) -> None:
+        """Note a structure that was made: the first is kept, or what takes its place."""
+        if not self._made or self._made[0][0].parts[0] == made.parts[0]:
+            self._made[:] = [(made, scene)]
+
+    def keep(self, comm: MPI.Comm) -> None:
+        """Write the file if more is known than it has (collective)."""
+        for made, scene in self._made:
+            if made.comm.size < comm.size and comm.rank:
+                return  # each rank has one for itself
+            twins = made.structure.cached_result(kept, from_matrices=True)
+            twins = [twin for twin in twins if twin.parts[1] == made.parts[1]]  # of this load
+            parts = packed(PreparedFile(*(_datasets(one, scene) for one in (made, *twins))))
+            if not self._n_bytes < (n_bytes := _n_bytes(parts)):
+                return
+            try:
+                if n_bytes > MAX_BYTES:
+                    raise InputError("path", str(self._path), f"of at most {MAX_BYTES / 1e6:g} MB")
+                write(parts, self._path, KIND, scene, made.comm, compressed=False)
+            except InputError as error:
+                self._say(f"the structure is not kept: {error}")
+
+
+def _datasets(made: Made, scene: Scene) -> PreparedStructure:
+    """Gather the datasets of a structure of a mesh (collective)."""
+    return PreparedStructure.of(
+        made.structure, made.structure.nodes.vtk_type,  # type: ignore[union-attr]
+        mass=Rows.of(local_rows(made.structure.mass), made.comm), key=key_of(made.parts),
+        stiffness=Rows.of(local_rows(made.structure.stiffness), made.comm),
+        excitation=np.array(force_parts(scene), dtype=float),
+    )  # fmt: skip
+
+
+def _n_bytes(parts: Mapping[str, Any]) -> int:
+    """Return the size of all arrays among datasets [byte]."""
+    return sum(part.nbytes for part in parts.values() if isinstance(part, np.ndarray))
