@@ -181,14 +181,19 @@ class Flow:
         force: np.ndarray,
         waves: np.ndarray,
         dofs: np.ndarray | slice = slice(None),
+        rows: np.ndarray | None = None,
     ) -> np.ndarray:
         """The same of modal displacements, contact forces and the load's waves (n, 2K+1), or of
-        the coefficients of all three."""
+        the coefficients of all three; its products with rows (m, n_dofs), if they are given."""
         modes = self.modes
-        found: np.ndarray = modal @ modes.shapes[dofs].T
+
+        def seen(motions: np.ndarray) -> np.ndarray:
+            return motions[dofs] if rows is None else rows @ motions
+
+        found: np.ndarray = modal @ seen(modes.shapes).T
         if modes.static_loads is not None and modes.static_pairs is not None:
-            found += waves @ (self.structure.force @ modes.static_loads[:, dofs])
-            found -= force @ modes.static_pairs[dofs].T
+            found += waves @ seen((self.structure.force @ modes.static_loads).T).T
+            found -= force @ seen(modes.static_pairs).T
         return found
 
 
@@ -205,6 +210,8 @@ class ContactFlow(Flow):
         stiffness = np.diag(modes.squares) + modes.pairs @ closed
         self.fastest = _fastest(float(np.linalg.eigvalsh(stiffness)[-1]), modes.damping)
         """Bound of the rates at which any set of closed pairs turns or decays [1/s]."""
+        self.fastest_apart = _fastest(float(modes.squares.max()), modes.damping)
+        """The same of the set without any."""
         coefficient = None
         if self.friction:
             coefficient = np.broadcast_to(self.friction.coefficient, pairs).astype(float)
@@ -214,7 +221,8 @@ class ContactFlow(Flow):
             damping=doubles(modes.damping),
             rows=doubles(modes.pairs.T), compliance=doubles(self.compliance), force=self.force,
             harmonics=len(self.force) // 2,
-            gap=self.gap, fastest=self.fastest, most=int(KEPT * machine_memory()) // 8,
+            gap=self.gap, fastest=self.fastest, apart=self.fastest_apart,
+            most=int(KEPT * machine_memory()) // 8,
         )  # fmt: skip
         self.handle = owned(kernel.new_flow(parts.at), kernel.free_flow)
         """The kernel's own object."""
@@ -493,6 +501,12 @@ class Samples:
     def displacement(self) -> np.ndarray:
         """Displacement of the structure's own dofs: (n, n_dofs) [m]."""
         return self.flow.displacement(self.states, self.forces, self.omega * self.time)
+
+    def products(self, rows: np.ndarray) -> np.ndarray:
+        """Return products of rows (m, n_dofs) with the displacement: (n, m)."""
+        flow, modal = self.flow, self.states[:, : self.flow.count]
+        waves = waves_of(flow.force, self.omega * self.time)
+        return flow.displaced(modal, self.forces, waves, rows=rows)
 
 
 class Motion(NamedTuple):

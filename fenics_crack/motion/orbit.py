@@ -36,6 +36,7 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy.sparse as sparse
 from scipy.linalg.lapack import dgeev
 
 from fenics_crack.basics.errors import ConvergenceError
@@ -223,8 +224,8 @@ class PeriodicOrbit(Observed, Described):
         many instants as are given all numbers are from these."""
         samples, length = self._at_nodes(len(self.flow.force) // 2 * self.omega)
         nodes, weights, _ = gauss_nodes()
-        seen = samples.displacement @ rows.T, samples.gaps, samples.forces
-        values = np.hstack(seen).reshape(len(length), len(nodes), -1)
+        seen = samples.products(rows), samples.gaps, samples.forces
+        values, along = np.hstack(seen), np.arange(len(nodes))
         ends, signs = np.cumsum(length), (-1.0) ** np.arange(len(nodes))
         barycentric = signs * np.sqrt((1.0 - nodes**2) * weights)
         splits = np.cumsum([part.shape[1] for part in seen])[:2]
@@ -235,7 +236,14 @@ class PeriodicOrbit(Observed, Described):
             away = (1.0 + 2.0 * (time - ends[piece]) / length[piece])[:, None] - nodes
             share = barycentric / np.where(away == 0.0, sys.float_info.min, away)
             share /= share.sum(axis=1, keepdims=True)
-            return np.split((share[:, None] @ values[piece])[:, 0], splits, axis=1)
+            columns, starts = (
+                len(nodes) * piece[:, None] + along,
+                len(nodes) * np.arange(len(time) + 1),
+            )
+            shares = sparse.csr_matrix(
+                (share.ravel(), columns.ravel(), starts), (len(time), len(values))
+            )
+            return np.split(shares @ values, splits, axis=1)
 
         count, exact = instants or INSTANTS, {}
         parts = np.arange(count) / count
@@ -255,11 +263,26 @@ class PeriodicOrbit(Observed, Described):
     def coefficients(self, harmonics: int) -> OrbitCoefficients:
         """Fourier coefficients, by Gauss's rule on each part of the period in which no pair opens
         or closes."""
+        samples = self._at_nodes(harmonics * self.omega / self.subharmonic)[0]
+        gaps, forces, count = samples.gaps, samples.forces, self.flow.count
+        values = np.hstack([gaps, forces, samples.states[:, :count]])
+        splits = np.cumsum([gaps.shape[1], forces.shape[1]])
+        gap, force, modal = np.split(self._coefficients(values, harmonics), splits, axis=1)
+        orders = np.arange(1, len(self.flow.force) + 1) // 2
+        rows = np.arange(len(self.flow.force)) + 2 * orders * (self.subharmonic - 1)
+        load = np.equal.outer(np.arange(2 * harmonics + 1), rows).astype(float)
+        return OrbitCoefficients(gap, force, self.flow.displaced(modal, force, load))
+
+    def waves(self, rows: np.ndarray, harmonics: int) -> np.ndarray:
+        """Fourier coefficients of the displacement's products with rows (m, n_dofs): (2H+1, m)."""
+        samples = self._at_nodes(harmonics * self.omega / self.subharmonic)[0]
+        return self._coefficients(samples.products(rows), harmonics)
+
+    def _coefficients(self, values: np.ndarray, harmonics: int) -> np.ndarray:
+        """Fourier coefficients (2H+1, m) of values (n, m) at the nodes for so many harmonics."""
         base = self.omega / self.subharmonic
         samples, length = self._at_nodes(harmonics * base)
         share = (0.5 * length[:, None] * gauss_nodes()[1]).ravel() / self.period
-        gaps, forces, count = samples.gaps, samples.forces, self.flow.count
-        values = np.hstack([gaps, forces, samples.states[:, :count]])
         found = np.zeros((2 * harmonics + 1, values.shape[1]))
         kept = np.empty((len(found), INSTANTS_AT_A_TIME))
         for start in range(0, len(values), INSTANTS_AT_A_TIME):
@@ -271,21 +294,19 @@ class PeriodicOrbit(Observed, Described):
                 means[2 * order - 1], means[2 * order] = wave.real, wave.imag
                 wave *= first
             found += means @ values[some]
-        splits = np.cumsum([gaps.shape[1], forces.shape[1]])
-        gap, force, modal = np.split(found, splits, axis=1)
-        orders = np.arange(1, len(self.flow.force) + 1) // 2
-        rows = np.arange(len(self.flow.force)) + 2 * orders * (self.subharmonic - 1)
-        load = np.equal.outer(np.arange(len(found)), rows).astype(float)
-        return OrbitCoefficients(gap, force, self.flow.displaced(modal, force, load))
+        return found
 
     def _at_nodes(self, omega: float) -> tuple[Samples, np.ndarray]:
         """The motion at Gauss's nodes on each part of the period in which no pair opens, closes,
         sticks or slips, and waves of up to a frequency [rad/s] turn little, and the parts' lengths
         [s]; the finest that was asked for is kept."""
         if not self._finest or self._finest[-1][0] < omega:
-            turn = self.motion.track.lengths * (self.flow.fastest + omega)
+            track, flow = self.motion.track, self.flow
+            touching = track.sets.any(axis=1)
+            rates = np.where(touching, flow.fastest, flow.fastest_apart)
+            turn = track.lengths * (rates + omega)
             parts = np.maximum(np.ceil(turn / kernel.FLOW_REACH), 1).astype(int)
-            length = np.repeat(self.motion.track.lengths / parts, parts)
+            length = np.repeat(track.lengths / parts, parts)
             start = np.concatenate([[0.0], np.cumsum(length)[:-1]])
             time = start[:, None] + 0.5 * length[:, None] * (1.0 + gauss_nodes()[0])
             self._finest[:] = [(omega, self.samples(time.ravel()), length)]
@@ -309,7 +330,7 @@ class PeriodicOrbit(Observed, Described):
             force, moved = (one.reshape(len(length), len(weights), -1) for one in (force, moved))
             return np.asarray(np.einsum("k,pkc,pkc->c", weights, force, turn @ moved))
 
-        load = waves_of(flow.force, self.omega * samples.time) @ flow.structure.force
+        load = waves_of(flow.force, self.omega * samples.time)
         rates = samples.states[:, flow.count :]
         share = (0.5 * length[:, None] * weights).ravel()
         damping = float(share @ np.sum(rates * flow.modes.damped(rates), axis=1))
@@ -317,7 +338,9 @@ class PeriodicOrbit(Observed, Described):
         friction = np.zeros(count)
         if flow.friction:
             friction = over(samples.forces[:, count:], samples.gaps[:, count:])
-        return Work(float(over(load, samples.displacement).sum()), damping, friction)
+        return Work(
+            float(over(load, samples.products(flow.structure.force)).sum()), damping, friction
+        )
 
     @cached_property
     def sliding(self) -> dict[str, float]:

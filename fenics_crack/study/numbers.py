@@ -134,7 +134,7 @@ class _Exact(Observed):
         return self.orbit.omega
 
     def records(self, rows: np.ndarray) -> Iterator[Record]:
-        waves = self.orbit.coefficients(self.harmonics).displacement @ rows.T
+        waves = self.orbit.waves(rows, self.harmonics)
         return (replace(record, waves=waves) for record in self.orbit.records(rows))
 
 

@@ -78,6 +78,7 @@ from mpi4py import MPI
 from fenics_crack.balance.contact_integrals import default_samples
 from fenics_crack.balance.error_report import ENOUGH, LARGE_ERROR, ErrorReport
 from fenics_crack.balance.harmonic_balance import (
+    along_lines,
     motion_without_friction,
     slide_along_lines,
     sliding_of,
@@ -316,21 +317,23 @@ class _Case:
         self, count: int, whole: Structure, keys: Mapping[str, Any]
     ) -> tuple[list[PeriodicOrbit], list[dict[str, float]]]:
         """Return exact orbits of so many modes and their numbers, without friction and with it,
-        which keys of the scene describe; where none is found it is left out (collective)."""
+        which keys of the scene describe; up to the first that is not found (collective)."""
         study, found, periods = self.study, self.found, self.found.subharmonic
         count = min(count, whole.n_dofs // 2)
         reduced_structure = reduce_structure(whole, modes=count, method="massless", reference=False)
         orbits, numbers = list[PeriodicOrbit](), list[dict[str, float]]()
         for law in (study.contact, law_of(study.scene.replace(keys), reduced_structure)):
             assert law is not None
-            contact_law = slide_along_lines(reduced_structure, found.omega, law)
+            contact_law = along_lines(reduced_structure, law, lambda _: orbits[0])
             problem = Problem(
                 reduced_structure, found.omega, contact_law, SOUGHT * periods, subharmonic=periods
             )
-            if (orbit := Solver(problem).solve(found).assessment.orbit) is not None:
-                twin = replace(study, structure=reduced_structure, contact=contact_law)
-                orbits.append(orbit)
-                numbers.append(of_orbit(twin, found, orbit, self.own.mode))
+            orbit = Solver(problem).solve(found).assessment.orbit
+            if orbit is None:
+                break
+            twin = replace(study, structure=reduced_structure, contact=contact_law)
+            orbits.append(orbit)
+            numbers.append(of_orbit(twin, found, orbit, self.own.mode))
         return orbits, numbers
 
     def _turning(self, friction: CoulombFriction) -> Varied:
