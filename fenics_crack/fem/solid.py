@@ -27,7 +27,6 @@ from fenics_crack.fem import compat, solid_mesher
 from fenics_crack.fem.blocks import RIM_SIDES, Rim, check_cells, in_unit, not_meshed
 from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.cracks import LIP_TAGS, Lips, Names
-from fenics_crack.fem.fronts import find_fronts
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.nodes import place_in_words
 from fenics_crack.model.structure import Structure
@@ -86,6 +85,8 @@ def faces_of(scene_file: str, unit: str | None) -> dict[str, np.ndarray]:
 def described(structure: Structure) -> dict[str, str]:
     """Return where the named faces of a part are, and how long its fronts and the shortest
     ligaments ahead of them (collective)."""
+    from fenics_crack.fem.fronts import find_fronts  # takes a while, with SciPy's splines
+
     assert structure.nodes is not None
     plate, comm, rows = structure.nodes.numbered.plate, structure.comm, {}  # type: ignore[union-attr]
     space = compat.function_space(plate.mesh, 1, vectors=False)
