@@ -96,8 +96,8 @@ def test_against_the_reference(
 
 
 def test_a_stop_far_stiffer_than_the_modes() -> None:
-    """A mass that flies between two blows, half a circle each: in closed form, and in pieces as long
-    as the free motion takes, though the stop alone turns a thousand times as fast."""
+    """A mass that flies between blows, half a circle each: in closed form, and in pieces as long as
+    the free motion takes, though the stop alone turns a thousand times as fast."""
     stop = 1e6
     structure = fc.Structure.from_matrices([[1.0]], [[1.0]], gap=[1.0], force_cos=[0.0])
     flow = known(structure, fc.UnilateralPenalty(stop))
