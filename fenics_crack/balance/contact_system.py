@@ -37,6 +37,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
+from weakref import ref
 
 import numpy as np
 
@@ -483,14 +484,15 @@ class CompiledEquations(Equations):
 
         Raises ConvergenceError where an instant has no forces.
         """
-        if self._last is not at:
+        if self._last is None or self._last() is not at:
             if not self.check(self.run(self.table.evaluate, pointer(at.unknown), at.parameter)):
                 raise ConvergenceError("contact: no forces were found at an instant of the period")
-            self._last = at
+            self._last = ref(at)
         return self.table
 
     def found(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
-        self._last = found = CompiledPoint(self, unknown, parameter)
+        found = CompiledPoint(self, unknown, parameter)
+        self._last = ref(found)
         return found
 
     def largest_compliance(self, parameter: float) -> float:

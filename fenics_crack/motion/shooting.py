@@ -140,9 +140,9 @@ class ShootingEquations(Equations):
         events = int(kernel.switches_of(self._point))
 
         def return_there() -> None:
-            if self._last is None or self._last is not known():
+            if self._last is not known:  # there is one for a point
                 self._evaluate(unknown, parameter)
-                self._last = known()
+                self._last = known
 
         def monodromy() -> np.ndarray:
             found = np.empty(2 * self.shape)
@@ -157,8 +157,7 @@ class ShootingEquations(Equations):
             return slope
 
         found = OrbitPoint(unknown, residual, monodromy, by_parameter, events, self.pieces)
-        known = weakref.ref(found)
-        self._last = found
+        self._last = known = weakref.ref(found)
         return found
 
 

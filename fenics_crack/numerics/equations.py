@@ -16,6 +16,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import cached_property, wraps
 from typing import Any, Protocol
+from weakref import ReferenceType
 
 import numpy as np
 from scipy.linalg.lapack import dgetrf, dgetrs
@@ -151,8 +152,8 @@ class Equations(ABC):
     shape: tuple[int, ...]
     table: Any
     many = True
-    _last: Linearisation | None = None
-    """Last point of evaluation."""
+    _last: ReferenceType[Any] | None = None
+    """Last point of evaluation; a weak reference, so that both are freed at once."""
 
     @property
     def compiled(self) -> Equations | None:
