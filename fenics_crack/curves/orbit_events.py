@@ -102,7 +102,7 @@ class MultiplierControl(StepControl):
     def __init__(self, longest_step: float) -> None:
         self._longest, self._floor = longest_step, LEAST * longest_step
 
-    def too_long(self, points: Stretch) -> np.ndarray:
+    def too_long(self, points: Stretch, first: int = 0) -> np.ndarray:
         logs = np.log(np.maximum(np.abs(points.observed[:, :-3]), KNOWN))
         change, lengths = np.diff(logs, axis=0), points.lengths[1:]
         allowed = np.maximum(0.5 * np.abs(logs[:-1]), LEAST)
@@ -112,9 +112,10 @@ class MultiplierControl(StepControl):
             off = np.abs(change[1:] - ratio * change[:-1])
             far[1:] |= np.any(off > allowed[1:], axis=1)
         size = math.isqrt(points.records.shape[1])
-        apart = parting(points.records.reshape(-1, size, size)) > 0.5
+        apart = parting(points.records[first:].reshape(-1, size, size)) > 0.5
+        far, lengths = far[first:], lengths[first:]
         far = (far & (lengths > self._floor)) | (apart & (lengths > MEETING_STEP * self._longest))
-        several = np.abs(changes(points.observed)).sum(axis=1) > 1
+        several = np.abs(changes(points.observed[first:])).sum(axis=1) > 1
         return np.asarray(far | several)
 
 

@@ -411,8 +411,9 @@ class StepControl(ABC):
     """Control of the step length by more than the path itself."""
 
     @abstractmethod
-    def too_long(self, points: Stretch) -> np.ndarray:
-        """Return True where a step, behind each point but the last, is too long: (n-1,) bool."""
+    def too_long(self, points: Stretch, first: int = 0) -> np.ndarray:
+        """Return True where a step is too long, behind each point from one on but the last:
+        (n-1-first,) bool."""
 
 
 def observed(system: System, at: Linearisation) -> np.ndarray | None:
@@ -562,7 +563,7 @@ class Path:
         lengths = found.lengths[known:].copy()
         lengths[0] = min(lengths[0], step)  # where the path jumps its chord is no step
         long = lengths > 2.0 * self._options.min_step
-        halved = np.flatnonzero(self._control.too_long(found)[known - 1 :] & long)
+        halved = np.flatnonzero(self._control.too_long(found, known - 1) & long)
         if not len(halved):
             self._longest = min(2.0 * self._longest, self._options.max_step)
             if self._longest == self._options.max_step:
