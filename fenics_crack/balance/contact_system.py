@@ -37,6 +37,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
+from weakref import ref
 
 import numpy as np
 
@@ -496,16 +497,17 @@ class CompiledEquations(Equations):
 
         Raises ConvergenceError where an instant has no forces.
         """
-        if self._last_linearisation is not at:
+        if self._last_linearisation is None or self._last_linearisation() is not at:
             if not self.check_outcome(
                 self.run(self.function_table.evaluate, pointer(at.unknown), at.parameter)
             ):
                 raise ConvergenceError("contact: no forces were found at an instant of the period")
-            self._last_linearisation = at
+            self._last_linearisation = ref(at)
         return self.function_table
 
     def linearise_evaluated(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
-        self._last_linearisation = found = CompiledPoint(self, unknown, parameter)
+        found = CompiledPoint(self, unknown, parameter)
+        self._last_linearisation = ref(found)
         return found
 
     def largest_compliance(self, parameter: float) -> float:

@@ -567,7 +567,7 @@ def _lost(
     if more is None or more.orbit is None:
         many = problem.few_harmonics(SearchOptions.harmonics[-1])
         balance = Solver(problem.with_harmonics(many))
-        solution = balance.attempt(wave_with(many), wholly=False)[1]
+        solution = balance.attempt(wave_with(many), wholly=False, more=more)[1]
         if solution.converged:
             return solution.report.reduction, solution.report.displacement
     return (more and more.errors) or (UNKNOWN, UNKNOWN)
@@ -633,13 +633,20 @@ def slide_along_lines(structure: Structure, omega: float, contact: ContactLaw) -
     --------
     >>> rubbing = fc.slide_along_lines(structure, 2e3, fc.CoulombFriction(contact, 0.3))
     """
+    return along_lines(structure, contact, partial(motion_without_friction, structure, omega))
+
+
+def along_lines(
+    structure: Structure, contact: ContactLaw, without: Callable[[ContactLaw], ObservedMotion]
+) -> ContactLaw:
+    """Return a law with the lines of a solid's pairs, by the motion under its normal law
+    (collective)."""
     friction, tangents = friction_of(contact), structure.tangential
     if friction is None or friction.direction is not None or tangents is None:
         return contact
     if tangents.shape[1] == structure.n_pairs:
         return contact
-    free = motion_without_friction(structure, omega, friction.law)
-    direction, turning = sliding_of(free)
+    direction, turning = sliding_of(without(friction.law))
     return replace(friction, direction=direction, turning=turning)
 
 

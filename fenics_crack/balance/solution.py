@@ -14,6 +14,7 @@ from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.compliance import Compliance
 from fenics_crack.balance.contact_system import ContactPoint, Wave
 from fenics_crack.balance.error_report import ErrorReport, estimate_errors
+from fenics_crack.balance.more_modes import MoreModes
 from fenics_crack.balance.problem import Problem, Search
 from fenics_crack.basics.errors import ConvergenceError, check_number
 from fenics_crack.basics.tables import TURN, Described, counted, quantity, with_frequency
@@ -332,9 +333,14 @@ class Solver:
             check_slope(self.problem.contact, np.concatenate([gap, -gap]))
 
     def attempt(
-        self, initial: PeriodicSolution | None, *, wholly: bool = True
+        self,
+        initial: PeriodicSolution | None,
+        *,
+        wholly: bool = True,
+        more: MoreModes | None = None,
     ) -> tuple[Search, PeriodicSolution]:
-        """The same, whether or not it converged, and the record of the search."""
+        """The same, whether or not it converged, and the record of the search; next to an orbit
+        whose motion with ``more`` modes has been sought."""
         compliance = self.problem.compliance()
         share = 1.0 if wholly else 1.0 / len(SearchOptions.harmonics)
         try:
@@ -342,7 +348,7 @@ class Solver:
             search, at, wave = replace(self, problem=problem).find(compliance, initial, share)
             found = solution_of(
                 problem, at, status=search.status, converged=search.converged,
-                known=Assessment(wave, source=search.orbit),
+                known=Assessment(wave, source=more.fewer if more else search.orbit, more=more),
             )  # fmt: skip
         finally:
             compliance.destroy()

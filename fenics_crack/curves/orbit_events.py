@@ -24,7 +24,8 @@ s^2 c^2 with c^2 = 4 |B_jk B_kj|, all relative to |mu_j mu_k|: where B_jk B_kj /
     max over s of sqrt(s^2 c^2 - (s (g + b) - g)^2),    at s = g (g + b) / ((g + b)^2 - c^2).
 
 One leaves the unit circle where this is above 2 sqrt(d_j d_k). Others stay on the circle as they
-pass each other.
+pass each other, and those do not meet whose order along it is the same in both matrices: where the
+angle of mu_j / mu_k and that of B_jj / B_kk, by the shorter way from there, have one sign.
 
 Sources: Seydel, Practical Bifurcation and Stability Analysis, chapters 5 and 7; Yakubovich and
 Starzhinskii, Linear Differential Equations with Periodic Coefficients, 1975, chapter 3.
@@ -36,8 +37,9 @@ import math
 
 import numpy as np
 
+from fenics_crack.kernel import kernel, pointer
 from fenics_crack.motion.orbit import MULTIPLIER_TOLERANCE
-from fenics_crack.numerics.equations import MACHINE_EPSILON, ROOT_TOLERANCE, System
+from fenics_crack.numerics.equations import ROOT_TOLERANCE, System
 from fenics_crack.numerics.newton import PathPoint
 from fenics_crack.numerics.path import Event, PathSegment, SegmentEnds, StepControl, find_zero
 
@@ -72,6 +74,8 @@ def changes(observed: np.ndarray) -> np.ndarray:
     multipliers that become a pair, or a pair that becomes two."""
     found = np.diff(observed[:, -3:].real, axis=0)
     some = np.flatnonzero(found[:, 2])
+    if not len(some):
+        return found
     real, pairs = found[some, :2], found[some, 2]
     meet = (np.abs(real).max(axis=1) == 2.0) & (real.sum(axis=1) == -2.0 * pairs)
     found[some[meet]] = 0.0
@@ -81,33 +85,11 @@ def changes(observed: np.ndarray) -> np.ndarray:
 def parting(monodromy: np.ndarray) -> np.ndarray:
     """How far two multipliers part where they meet between neighbours, relative to the distance at
     which one leaves the unit circle: (n-1,) of matrices (n, N, N)."""
-    values, vectors = np.linalg.eig(monodromy[:-1])
-    vectors += MACHINE_EPSILON * np.eye(values.shape[1])  # those of a double one may be the same
-    after = np.linalg.solve(vectors, monodromy[1:] @ vectors)
-    size, found = np.abs(values), np.zeros(len(after))
-    lasting = (
-        size > MULTIPLIER_TOLERANCE
-    )  # where faces stick, the state before a period leaves nothing
-    with np.errstate(divide="ignore", invalid="ignore"):
-        damping = np.maximum(-np.log(size), 0.0)
-        strength = np.abs(after * np.swapaxes(after, 1, 2)) / (size[:, :, None] * size[:, None])
-    allowed = damping[:, :, None] * damping[:, None]
-    # Few are coupled by more than an eighth of what lets one leave the circle.
-    parts = (strength > allowed / 64.0) & (allowed > 0.25 * MULTIPLIER_TOLERANCE**2)
-    parts &= lasting[:, :, None] & lasting[:, None]
-    i, j, k = np.nonzero(np.triu(parts, 1))
-    unit = np.sqrt(size[i, j] * size[i, k])
-    gap, end = (values[i, j] - values[i, k]) / unit, (after[i, j, j] - after[i, k, k]) / unit
-    apart = (after[i, j, k] * after[i, k, j] * end.conj() ** 2).real < 0.0
-    # Two that are real have parted already.
-    apart &= (values.imag[i, j] != 0.0) | (values.imag[i, k] != 0.0)
-    coupled, gap, end = 4.0 * strength[i, j, k], np.abs(gap), np.abs(end)
-    way, share = gap + end, np.ones(len(i))
-    inside = coupled < way * end
-    share[inside] = (way * gap)[inside] / (way**2 - coupled)[inside]
-    square = (coupled * share**2 - (share * way - gap) ** 2) / (4.0 * allowed[i, j, k])
-    np.maximum.at(found, i, np.where(apart, square, 0.0))
-    return np.sqrt(np.nan_to_num(found))
+    n_points, size = monodromy.shape[:2]
+    severity = np.empty(n_points - 1)
+    matrices = np.ascontiguousarray(monodromy)
+    kernel.partings(n_points, size, pointer(matrices), MULTIPLIER_TOLERANCE, pointer(severity))
+    return severity
 
 
 class MultiplierControl(StepControl):
@@ -121,19 +103,20 @@ class MultiplierControl(StepControl):
     def __init__(self, longest_step: float) -> None:
         self._longest, self._floor = longest_step, LEAST * longest_step
 
-    def too_long(self, points: PathSegment) -> np.ndarray:
-        logs = np.log(np.maximum(np.abs(points.observed[:, :-3]), MULTIPLIER_TOLERANCE))
-        change, lengths = np.diff(logs, axis=0), points.lengths[1:]
+    def too_long(self, segment: PathSegment, first: int = 0) -> np.ndarray:
+        logs = np.log(np.maximum(np.abs(segment.observed[:, :-3]), MULTIPLIER_TOLERANCE))
+        change, lengths = np.diff(logs, axis=0), segment.lengths[1:]
         allowed = np.maximum(0.5 * np.abs(logs[:-1]), LEAST)
         far = np.any(np.abs(change) > allowed, axis=1)
         if len(change) > 1:
             ratio = (lengths[1:] / lengths[:-1])[:, None]
             off = np.abs(change[1:] - ratio * change[:-1])
             far[1:] |= np.any(off > allowed[1:], axis=1)
-        size = math.isqrt(points.records.shape[1])
-        apart = parting(points.records.reshape(-1, size, size)) > 0.5
+        size = math.isqrt(segment.records.shape[1])
+        apart = parting(segment.records[first:].reshape(-1, size, size)) > 0.5
+        far, lengths = far[first:], lengths[first:]
         far = (far & (lengths > self._floor)) | (apart & (lengths > MEETING_STEP * self._longest))
-        several = np.abs(changes(points.observed)).sum(axis=1) > 1
+        several = np.abs(changes(segment.observed[first:])).sum(axis=1) > 1
         return np.asarray(far | several)
 
 

@@ -34,7 +34,6 @@ from fenics_crack.fem.blocks import (
 )
 from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.cracks import LIP_TAGS, Cracks, NamedParts
-from fenics_crack.fem.fronts import find_fronts
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.nodes import format_point
 from fenics_crack.model.structure import Structure
@@ -111,6 +110,8 @@ def describe_part(structure: Structure) -> dict[str, str]:
 
     Faces have area and position, fronts their length and the shortest ligament ahead.
     """
+    from fenics_crack.fem.fronts import find_fronts  # takes a while, with SciPy's splines
+
     assert structure.nodes is not None
     plate, comm, rows = structure.nodes.mesh_dofs.plate, structure.comm, {}  # type: ignore[union-attr]
     space = compat.function_space(plate.mesh, 1, vectors=False)

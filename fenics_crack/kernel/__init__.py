@@ -41,7 +41,7 @@ def _bind() -> None:
     pointer_of.restype, pointer_of.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_char_p]
     known = {**cython_blas.__pyx_capi__, **cython_lapack.__pyx_capi__}
     table = ffi.new("void *[]", lib.LAPACK_FUNCTIONS)
-    for name in ("dgemv", "dgemm", "dgetrf", "dgetrs", "dpotrf", "dpotri"):
+    for name in ("dgemv", "dgemm", "dgetrf", "dgetrs", "dpotrf", "dpotri", "dgeev"):
         capsule = known[name]
         address = pointer_of(capsule, name_of(capsule))
         table[getattr(lib, name.upper())] = ffi.cast("void *", address)

@@ -45,10 +45,10 @@ static long numbers_of_state(const flow *f)
     return 2L * f->of.modes + (f->of.friction ? f->of.pairs : 0);
 }
 
-/* No set turns faster, nor does the load. */
-static double fastest(const flow *f, double omega)
+/* A set turns no faster, nor does the load: contact may be stiffer than all modes. */
+static double fastest(const flow *f, const closed_set *a, double omega)
 {
-    return fmax(fmax(f->of.fastest, f->of.harmonics * omega), 1e-300);
+    return fmax(fmax(a->size ? f->of.fastest : f->of.apart, f->of.harmonics * omega), 1e-300);
 }
 
 /* y = C x of a damping. */
@@ -401,20 +401,21 @@ static void place_at_end(const flow *f, double when, double *state)
 static int advance(flow *f, flow_motion *m, const signed char *guess)
 {
     const int p = f->of.pairs, friction = f->of.friction != NULL;
-    const double rate = fastest(f, m->omega), longest = FLOW_REACH / rate;
-    double stayed = 0.0, allowed = longest;
+    double stayed = 0.0, allowed = INFINITY;
     int at_once = 0; /* events at one instant */
     signed char *closed = f->closed;
     if (contact_at(f, m->omega, m->now, m->state, guess)) return FLOW_LOST;
     memset(f->zeros, 0, (size_t)f->rows);
     for (; m->now < m->end; m->pieces++) {
-        const double length = fmin(allowed, m->end - m->now);
-        const double left = (m->end - m->now) / length;
+        const closed_set *a = closed_set_of(f->known, closed);
+        if (!a) return friction ? FLOW_LOST : FLOW_MEMORY;
+        const double rate = fastest(f, a, m->omega), longest = FLOW_REACH / rate;
+        /* Those between which a crack closes are short, and a short series has few terms. */
+        const double reach = fmin(longest, fmax(1.0 / (GRID * rate), allowed));
+        const double length = fmin(reach, m->end - m->now), left = (m->end - m->now) / length;
         if (m->pieces + (m->end - m->now) / longest > m->most_pieces) return FLOW_PIECES;
         if (m->passed == m->most) return FLOW_INTERVALS;
         f->order = order_for(length * rate);
-        const closed_set *a = closed_set_of(f->known, closed);
-        if (!a) return friction ? FLOW_LOST : FLOW_MEMORY;
         wave(f, m->omega, m->now, length, 0);
         expand(f, a, f->of.force, f->of.gap, NULL, length, m->state);
         answer(f, a, f->of.gap);
@@ -431,7 +432,7 @@ static int advance(flow *f, flow_motion *m, const signed char *guess)
         passed(f, m, closed, when * length);
         m->now = last ? m->end : m->now + when * length;
         stayed += when * length;
-        allowed = longest;
+        allowed = INFINITY;
         if (friction && last) place_at_end(f, when, m->state);
         if (fallen < 0) memset(f->zeros, 0, (size_t)f->rows);
         at_once = fallen < 0 ? 0 : when > ROUNDING ? 1 : at_once + 1;
@@ -441,8 +442,7 @@ static int advance(flow *f, flow_motion *m, const signed char *guess)
             turn(f, m, fallen, when, at_once == 1);
             if (at_once > 6 * p) return FLOW_LOST;
         } else closed[fallen] = !closed[fallen];
-        /* Those between which a crack closes are short, and a short series has few terms. */
-        allowed = fmin(longest, fmax(1.0 / (GRID * rate), 2.0 * stayed));
+        allowed = 2.0 * stayed;
         stayed = 0.0;
         m->events++;
     }
@@ -451,15 +451,15 @@ static int advance(flow *f, flow_motion *m, const signed char *guess)
 
 int flow_advance(flow *f, flow_motion *m) { return advance(f, m, NULL); }
 
-/* The set of an interval of a track, and the length of its pieces, none longer than that; NULL without
- * memory. */
-static const closed_set *enter(flow *f, const flow_track *track, int interval, double longest,
-                               double *length)
+/* The set of an interval of a track, and the length of its pieces; NULL without memory. */
+static const closed_set *enter(flow *f, const flow_track *track, int interval, double *length)
 {
-    const double whole = track->lengths[interval];
-    *length = whole / ceil(whole / longest);
-    f->order = order_for(*length / longest * FLOW_REACH);
-    return closed_set_of(f->known, track->sets + (long)interval * f->of.pairs);
+    const closed_set *a = closed_set_of(f->known, track->sets + (long)interval * f->of.pairs);
+    if (!a) return NULL;
+    const double whole = track->lengths[interval], rate = fastest(f, a, track->omega);
+    *length = whole / ceil(whole * rate / FLOW_REACH);
+    f->order = order_for(*length * rate);
+    return a;
 }
 
 /* --- changes where pairs stick ---------------------------------------------------------------- */
@@ -562,11 +562,12 @@ static void transpose(int rows, int columns, const double *a, double *found)
 }
 
 /* Changes over a length. */
-static void change_along(flow *f, const closed_set *a, double length, double longest, changes *c)
+static void change_along(flow *f, const closed_set *a, double length, changes *c)
 {
     const int m = f->of.modes, p = f->of.pairs, stuck = a->size - a->closing, n = c->count;
     const long all = (long)m * n;
-    const int pieces = (int)ceil(length / longest);
+    const double rate = fastest(f, a, 0.0);
+    const int pieces = (int)ceil(length * rate / FLOW_REACH);
     double *before = c->terms, *now = before + all, *next = now + all;
     if (a->stiffness) transpose(m, m, a->stiffness, c->matrix);
     else {
@@ -580,7 +581,7 @@ static void change_along(flow *f, const closed_set *a, double length, double lon
             add_rows(1, n, c->held + (long)(a->members[a->closing + i] - p) * n,
                      a->pushed + (long)(a->closing + i) * m + j, c->push + (long)j * n);
     if (pieces) length /= pieces;
-    f->order = order_for(length / longest * FLOW_REACH);
+    f->order = order_for(length * rate);
     for (int piece = 0; piece < pieces; piece++) {
         memcpy(before, c->moved, bytes(all));
         for (long i = 0; i < all; i++) now[i] = length * c->rate[i];
@@ -621,7 +622,6 @@ static int tangent_with_friction(flow *f, const flow_track *track, double *tange
 {
     const closed_set *a = NULL;
     const long m = f->of.modes, p = f->of.pairs, r = f->rows, n = 2 * m + p;
-    const double longest = FLOW_REACH / fastest(f, 0.0);
     double *room = malloc(bytes(4 * m * n + m * m + 2 * n + r + m / 2 * n));
     if (!room) return FLOW_MEMORY;
     changes c = {.count = (int)n, .moved = tangent, .rate = tangent + m * n,
@@ -639,7 +639,7 @@ static int tangent_with_friction(flow *f, const flow_track *track, double *tange
             free(room);
             return FLOW_MEMORY;
         }
-        change_along(f, a, track->lengths[k], longest, &c);
+        change_along(f, a, track->lengths[k], &c);
         change_state(f, track, k, a, &c);
     }
     for (int i = 0; i < p && a; i++) {
@@ -685,12 +685,11 @@ static void change_places(flow *f, const flow_track *track, int interval, const 
 int flow_column(flow *f, const flow_track *track, const double *force, const double *gap,
                 int by_time, double *state)
 {
-    const double longest = FLOW_REACH / fastest(f, track->omega);
     double now = track->start, *places = state + 2 * f->of.modes;
     if (f->of.friction) memcpy(f->held, places, bytes(f->of.pairs));
     for (int k = 0; k < track->intervals; k++) {
         double length;
-        const closed_set *a = enter(f, track, k, longest, &length);
+        const closed_set *a = enter(f, track, k, &length);
         if (!a) return FLOW_MEMORY;
         for (double left = length > 0.0 ? track->lengths[k] / length : 0.0; left > 0.0;) {
             wave(f, track->omega, now, length, by_time);
@@ -752,7 +751,6 @@ static void drive(flow *f, const closed_set *a, const double *damping, const dou
 int flow_by_structure(flow *f, const flow_track *track, const double *start, const double *damping,
                       const double *compliance, double *state)
 {
-    const double longest = FLOW_REACH / fastest(f, track->omega);
     const int m = f->of.modes;
     double *still = f->turned, *here = f->motion + (long)TERMS * m, *series = f->series;
     double now = track->start;
@@ -762,7 +760,7 @@ int flow_by_structure(flow *f, const flow_track *track, const double *start, con
     memcpy(here, start, bytes(2 * m));
     for (int k = 0; k < track->intervals; k++) {
         double length;
-        const closed_set *a = enter(f, track, k, longest, &length);
+        const closed_set *a = enter(f, track, k, &length);
         if (!a) return FLOW_MEMORY;
         for (double left = length > 0.0 ? track->lengths[k] / length : 0.0; left > 0.0;) {
             wave(f, track->omega, now, length, 0);
@@ -816,7 +814,7 @@ int flow_rate(flow *f, double omega, double time, const signed char *closed, con
 int flow_tangent(flow *f, const flow_track *track, double *tangent)
 {
     const long size = 2L * f->of.modes, half = size * f->of.modes, p = f->of.pairs;
-    const double unit = fastest(f, 0.0);
+    const double unit = fmax(f->of.fastest, 1e-300);
     int apart = 1;
     if (f->of.friction) return tangent_with_friction(f, track, tangent);
     if (!f->exponential)

@@ -35,7 +35,8 @@ typedef struct {
     int harmonics;            /* K > 0 */
     const double *force;      /* (2 K + 1, m) f */
     const double *gap;        /* (2 K + 1, r) l */
-    double fastest;           /* of the squares of all sets' frequencies the largest one's root */
+    double fastest;           /* of the squares of all sets' frequencies the largest one's root, */
+    double apart;             /* and of those where all pairs are open */
     long most;                /* numbers of sets of closed pairs that are kept */
 } flow_parts;
 

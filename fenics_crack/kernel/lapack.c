@@ -1,6 +1,7 @@
 #include "lapack.h"
 
 #include <math.h>
+#include <stdlib.h>
 
 enum {
     FEW = 64,  /* products of numbers for which a call of BLAS takes longer (measured) */
@@ -20,6 +21,9 @@ typedef void getrs_t(const char *, const int *, const int *, const double *, con
                      const int *, double *, const int *, int *);
 
 typedef void potrf_t(const char *, const int *, double *, const int *, int *);
+typedef void geev_t(const char *, const char *, const int *, double *, const int *, double *,
+                    double *, double *, const int *, double *, const int *, double *, const int *,
+                    int *);
 
 void bind_lapack(void **functions)
 {
@@ -152,6 +156,19 @@ int invert_positive(int n, double *a)
     for (long i = 0; i < n; i++) /* in C's order the upper triangle is known */
         for (long j = 0; j < i; j++) a[i * n + j] = a[j * n + i];
     return info != 0;
+}
+
+int eigenvectors(int n, double *a, double *real, double *imaginary, double *vectors)
+{
+    geev_t *find = (geev_t *)bound[DGEEV];
+    double size, *work;
+    int room = -1, info; /* the first call says how much room it takes */
+    find("N", "V", &n, a, &n, real, imaginary, NULL, &n, vectors, &n, &size, &room, &info);
+    room = (int)size, work = malloc(room * sizeof(double));
+    if (!work) return 1;
+    find("N", "V", &n, a, &n, real, imaginary, NULL, &n, vectors, &n, work, &room, &info);
+    free(work);
+    return info;
 }
 
 void solve_factored(int n, int count, const double *a, const int *pivots, double *x)

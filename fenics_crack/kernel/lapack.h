@@ -3,7 +3,7 @@
 #define LAPACK_H
 
 /* Names in the order in which bind_lapack takes their addresses. */
-enum { DGEMV, DGEMM, DGETRF, DGETRS, DPOTRF, DPOTRI, LAPACK_FUNCTIONS };
+enum { DGEMV, DGEMM, DGETRF, DGETRS, DPOTRF, DPOTRI, DGEEV, LAPACK_FUNCTIONS };
 
 void bind_lapack(void **functions);
 
@@ -24,6 +24,9 @@ int factor(int n, double *a, int *pivots);
 /* A^-1 of a symmetric matrix (n, n), in place: 0, or 1, with nothing of use, where it is not positive
  * definite. */
 int invert_positive(int n, double *a);
+/* Eigenvalues (n) of a matrix (n, n) in Fortran's order, which is lost, and eigenvectors in rows; of
+ * complex pairs, the positive one first, their real and imaginary parts. 0, or else nothing of use. */
+int eigenvectors(int n, double *a, double *real, double *imaginary, double *vectors);
 /* x = A^-1 x from LU factors, for each of so many right-hand sides (count, n). */
 void solve_factored(int n, int count, const double *a, const int *pivots, double *x);
 /* Sign of det A from these. */

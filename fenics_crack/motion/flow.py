@@ -202,6 +202,7 @@ class Flow:
         force: np.ndarray,
         load_basis: np.ndarray,
         dofs: np.ndarray | slice = slice(None),
+        rows: np.ndarray | None = None,
     ) -> np.ndarray:
         """Combine modal and static parts of the displacement: (n, n_dofs) [m].
 
@@ -215,12 +216,19 @@ class Flow:
         load_basis : (n, 2K+1)
             Basis functions of the load: 1, cosine and sine of each order.
         dofs : array or slice
+        rows : (m, n_dofs), optional
+            Return products with these in place of the displacement: (n, m).
         """
         modes = self.modes
-        displacement: np.ndarray = modal_displacement @ modes.shapes[dofs].T
+
+        def select(motions: np.ndarray) -> np.ndarray:
+            """Return the requested rows of motions (n_dofs, k)."""
+            return motions[dofs] if rows is None else rows @ motions
+
+        displacement: np.ndarray = modal_displacement @ select(modes.shapes).T
         if modes.static_loads is not None and modes.static_pairs is not None:
-            displacement += load_basis @ (self.structure.force @ modes.static_loads[:, dofs])
-            displacement -= force @ modes.static_pairs[dofs].T
+            displacement += load_basis @ select((self.structure.force @ modes.static_loads).T).T
+            displacement -= force @ select(modes.static_pairs).T
         return displacement
 
 
@@ -237,6 +245,8 @@ class ContactFlow(Flow):
         stiffness = np.diag(modes.squares) + modes.pairs @ closed_forces
         self.max_rate = _bound_rates(float(np.linalg.eigvalsh(stiffness)[-1]), modes.damping)
         """Upper bound of oscillation and decay rates, for any set of closed pairs [1/s]."""
+        self.max_open_rate = _bound_rates(float(modes.squares.max()), modes.damping)
+        """Upper bound of these rates while all pairs are open [1/s]."""
         coefficients = None
         if self.friction:
             coefficients = np.broadcast_to(self.friction.coefficient, n_pairs).astype(float)
@@ -247,7 +257,7 @@ class ContactFlow(Flow):
             rows=as_doubles(modes.pairs.T), compliance=as_doubles(self.compliance),
             force=self.modal_load,
             harmonics=len(self.modal_load) // 2,
-            gap=self.load_gap, fastest=self.max_rate,
+            gap=self.load_gap, fastest=self.max_rate, apart=self.max_open_rate,
             most=int(SETS_MEMORY_FRACTION * machine_memory()) // 8,
         )  # fmt: skip
         self.handle = owned(kernel.new_flow(parts.at), kernel.free_flow)
@@ -617,6 +627,12 @@ class Samples:
     def displacement(self) -> np.ndarray:
         """Return the displacement of the structure: (n, n_dofs) [m]."""
         return self.flow.displacement(self.states, self.forces, self.omega * self.time)
+
+    def products(self, rows: np.ndarray) -> np.ndarray:
+        """Return products of rows (m, n_dofs) with the displacement: (n, m)."""
+        flow, modal_displacement = self.flow, self.states[:, : self.flow.n_modes]
+        load_basis = fourier_basis_for(flow.modal_load, self.omega * self.time)
+        return flow.combine_displacement(modal_displacement, self.forces, load_basis, rows=rows)
 
 
 class Motion(NamedTuple):

@@ -38,6 +38,7 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy.sparse as sparse
 from scipy.linalg.lapack import dgeev
 
 from fenics_crack.basics.errors import ConvergenceError
@@ -239,8 +240,8 @@ class PeriodicOrbit(ObservedMotion, Described):
         """
         samples, piece_lengths = self._at_nodes(len(self.flow.modal_load) // 2 * self.omega)
         nodes, weights, _ = gauss_nodes()
-        columns = samples.displacement @ rows.T, samples.gaps, samples.forces
-        node_values = np.hstack(columns).reshape(len(piece_lengths), len(nodes), -1)
+        columns = samples.products(rows), samples.gaps, samples.forces
+        node_values, node_numbers = np.hstack(columns), np.arange(len(nodes))
         piece_ends, signs = np.cumsum(piece_lengths), (-1.0) ** np.arange(len(nodes))
         barycentric_weights = signs * np.sqrt((1.0 - nodes**2) * weights)
         splits = np.cumsum([part.shape[1] for part in columns])[:2]
@@ -253,9 +254,13 @@ class PeriodicOrbit(ObservedMotion, Described):
             distances = np.where(distances == 0.0, sys.float_info.min, distances)
             node_weights = barycentric_weights / distances
             node_weights /= node_weights.sum(axis=1, keepdims=True)
-            return np.split(
-                (node_weights[:, None] @ node_values[piece_index])[:, 0], splits, axis=1
+            column_indices = len(nodes) * piece_index[:, None] + node_numbers
+            row_starts = len(nodes) * np.arange(len(time) + 1)
+            interpolation = sparse.csr_matrix(
+                (node_weights.ravel(), column_indices.ravel(), row_starts),
+                (len(time), len(node_values)),
             )
+            return np.split(interpolation @ node_values, splits, axis=1)
 
         n_instants, exact_numbers = instants or INSTANTS_PER_PERIOD, {}
         parts = np.arange(n_instants) / n_instants
@@ -278,11 +283,31 @@ class PeriodicOrbit(ObservedMotion, Described):
 
         Gauss quadrature integrates each piece of the period. Within a piece no pair changes state.
         """
+        samples = self._at_nodes(harmonics * self.omega / self.subharmonic)[0]
+        gaps, forces, n_modes = samples.gaps, samples.forces, self.flow.n_modes
+        node_values = np.hstack([gaps, forces, samples.states[:, :n_modes]])
+        splits = np.cumsum([gaps.shape[1], forces.shape[1]])
+        coefficients = self._integrate_coefficients(node_values, harmonics)
+        gap, force, modal_displacement = np.split(coefficients, splits, axis=1)
+        orders = np.arange(1, len(self.flow.modal_load) + 1) // 2
+        load_rows = np.arange(len(self.flow.modal_load)) + 2 * orders * (self.subharmonic - 1)
+        load_basis = np.equal.outer(np.arange(len(coefficients)), load_rows).astype(float)
+        displacement = self.flow.combine_displacement(modal_displacement, force, load_basis)
+        return OrbitCoefficients(gap, force, displacement)
+
+    def product_coefficients(self, rows: np.ndarray, harmonics: int) -> np.ndarray:
+        """Return Fourier coefficients of products with the displacement: (2H+1, m).
+
+        ``rows`` is (m, n_dofs).
+        """
+        samples = self._at_nodes(harmonics * self.omega / self.subharmonic)[0]
+        return self._integrate_coefficients(samples.products(rows), harmonics)
+
+    def _integrate_coefficients(self, node_values: np.ndarray, harmonics: int) -> np.ndarray:
+        """Return Fourier coefficients (2H+1, m) of values (n, m) at the Gauss nodes."""
         base_omega = self.omega / self.subharmonic
         samples, piece_lengths = self._at_nodes(harmonics * base_omega)
         time_weights = (0.5 * piece_lengths[:, None] * gauss_nodes()[1]).ravel() / self.period
-        gaps, forces, n_modes = samples.gaps, samples.forces, self.flow.n_modes
-        node_values = np.hstack([gaps, forces, samples.states[:, :n_modes]])
         coefficients = np.zeros((2 * harmonics + 1, node_values.shape[1]))
         basis_buffer = np.empty((len(coefficients), INSTANTS_PER_BLOCK))
         for start in range(0, len(node_values), INSTANTS_PER_BLOCK):
@@ -296,13 +321,7 @@ class PeriodicOrbit(ObservedMotion, Described):
                 weighted_basis[2 * order - 1], weighted_basis[2 * order] = phasor.real, phasor.imag
                 phasor *= base_phasor
             coefficients += weighted_basis @ node_values[block]
-        splits = np.cumsum([gaps.shape[1], forces.shape[1]])
-        gap, force, modal_displacement = np.split(coefficients, splits, axis=1)
-        orders = np.arange(1, len(self.flow.modal_load) + 1) // 2
-        load_rows = np.arange(len(self.flow.modal_load)) + 2 * orders * (self.subharmonic - 1)
-        load_basis = np.equal.outer(np.arange(len(coefficients)), load_rows).astype(float)
-        displacement = self.flow.combine_displacement(modal_displacement, force, load_basis)
-        return OrbitCoefficients(gap, force, displacement)
+        return coefficients
 
     def _at_nodes(self, omega: float) -> tuple[Samples, np.ndarray]:
         """Return the motion at Gauss nodes in all pieces of the period.
@@ -317,9 +336,12 @@ class PeriodicOrbit(ObservedMotion, Described):
         piece_lengths : (n_pieces,) [s]
         """
         if not self._node_samples or self._node_samples[-1][0] < omega:
-            angles = self.motion.track.lengths * (self.flow.max_rate + omega)
+            track, flow = self.motion.track, self.flow
+            has_contact = track.sets.any(axis=1)
+            rates = np.where(has_contact, flow.max_rate, flow.max_open_rate)
+            angles = track.lengths * (rates + omega)
             n_pieces = np.maximum(np.ceil(angles / kernel.FLOW_REACH), 1).astype(int)
-            piece_lengths = np.repeat(self.motion.track.lengths / n_pieces, n_pieces)
+            piece_lengths = np.repeat(track.lengths / n_pieces, n_pieces)
             piece_starts = np.concatenate([[0.0], np.cumsum(piece_lengths)[:-1]])
             time = piece_starts[:, None] + 0.5 * piece_lengths[:, None] * (1.0 + gauss_nodes()[0])
             self._node_samples[:] = [(omega, self.samples(time.ravel()), piece_lengths)]
@@ -347,7 +369,7 @@ class PeriodicOrbit(ObservedMotion, Described):
             rates = differentiation @ node_displacements.reshape(shape)
             return np.asarray(np.einsum("k,pkc,pkc->c", weights, node_forces.reshape(shape), rates))
 
-        load = fourier_basis_for(flow.modal_load, self.omega * samples.time) @ flow.structure.force
+        load = fourier_basis_for(flow.modal_load, self.omega * samples.time)
         velocities = samples.states[:, flow.n_modes :]
         time_weights = (0.5 * piece_lengths[:, None] * weights).ravel()
         damping_power = np.sum(velocities * flow.modes.damping_force(velocities), axis=1)
@@ -356,7 +378,7 @@ class PeriodicOrbit(ObservedMotion, Described):
         friction_work = np.zeros(n_pairs)
         if flow.friction:
             friction_work = integrate_power(samples.forces[:, n_pairs:], samples.gaps[:, n_pairs:])
-        load_work = float(integrate_power(load, samples.displacement).sum())
+        load_work = float(integrate_power(load, samples.products(flow.structure.force)).sum())
         return Work(load_work, damping_work, friction_work)
 
     @cached_property

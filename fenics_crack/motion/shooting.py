@@ -151,12 +151,9 @@ class ShootingEquations(Equations):
         events = int(kernel.switches_of(self._point))
 
         def ensure_evaluated() -> None:
-            if (
-                self._last_linearisation is None
-                or self._last_linearisation is not point_reference()
-            ):
+            if self._last_linearisation is not point_reference:  # there is one for a point
                 self._evaluate(unknown, parameter)
-                self._last_linearisation = point_reference()
+                self._last_linearisation = point_reference
 
         def monodromy() -> np.ndarray:
             matrix = np.empty(2 * self.shape)
@@ -171,8 +168,7 @@ class ShootingEquations(Equations):
             return derivative
 
         point = OrbitPoint(unknown, residual, monodromy, by_parameter, events, self.pieces)
-        point_reference = weakref.ref(point)
-        self._last_linearisation = point
+        self._last_linearisation = point_reference = weakref.ref(point)
         return point
 
 

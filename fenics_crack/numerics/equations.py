@@ -23,6 +23,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import cached_property, wraps
 from typing import Any, Protocol
+from weakref import ReferenceType
 
 import numpy as np
 from scipy.linalg.lapack import dgetrf, dgetrs
@@ -178,8 +179,8 @@ class Equations(ABC):
     shape: tuple[int, ...]
     function_table: Any
     follows_many_points = True
-    _last_linearisation: Linearisation | None = None
-    """Point at which the kernel evaluated the equations last; None if unknown."""
+    _last_linearisation: ReferenceType[Any] | None = None
+    """Point at which the kernel evaluated the equations last, a weak reference; None if unknown."""
 
     @property
     def compiled(self) -> Equations | None:

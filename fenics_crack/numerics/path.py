@@ -460,8 +460,11 @@ class StepControl(ABC):
     """Control of the step by values observed at the points."""
 
     @abstractmethod
-    def too_long(self, segment: PathSegment) -> np.ndarray:
-        """Return True for steps that are too long: (n-1,) bool. The segment has n points."""
+    def too_long(self, segment: PathSegment, first: int = 0) -> np.ndarray:
+        """Return True for steps that are too long: (n-1-first,) bool.
+
+        The segment has n points; steps before the point ``first`` are not judged.
+        """
 
 
 def observe_point(system: System, linearisation: Linearisation) -> np.ndarray | None:
@@ -651,7 +654,7 @@ class Path:
         lengths[0] = min(lengths[0], step)  # a chord across a jump is no step
         can_be_halved = lengths > 2.0 * self._options.min_step
         rejected_steps = np.flatnonzero(
-            self._control.too_long(segment)[n_known - 1 :] & can_be_halved
+            self._control.too_long(segment, n_known - 1) & can_be_halved
         )
         if not len(rejected_steps):
             self._max_step = min(2.0 * self._max_step, self._options.max_step)

@@ -109,7 +109,7 @@ class Scene:
             object.__setattr__(self, "excitation", self.excitation.at_speed(self.speed))
         balance = self.harmonic_balance.of_load(self.highest_order)
         object.__setattr__(self, "harmonic_balance", balance)
-        rubs = self.contact is not None and self.contact.friction > 0.0
+        rubs = self.contact is not None and bool(self.contact.friction)
         allowed = "'condensed' with contact.friction"
         balance.require(balance.form == "condensed" or not rubs, "form", allowed)
         if self.curve is not None and self.curve.followed[0] == "speed":
@@ -239,7 +239,7 @@ class Scene:
     @property
     def has_friction(self) -> bool:
         """True if there is friction between crack faces, in a case of the sweep at least."""
-        own = self.contact is not None and self.contact.friction > 0.0
+        own = self.contact is not None and bool(self.contact.friction)
         return own or any(self.swept.get("contact.friction", ()))
 
     @property

@@ -619,14 +619,14 @@ class Contact(Table):
     """"unilateral": no penetration."""
     sharpness: float | None = positive(None, unit="1/m")
     """s of the smoothed law."""
-    friction: float = not_negative(0.0)
+    friction: float | None = not_negative(None)
     """Coefficient of Coulomb friction between the faces of a plate's cracks, at rest and in
-    motion."""
+    motion. Left out: 0, and what friction would change is stated."""
     friction_error: float | bool = holds(
         "a finite number > 0, or false", lambda mu: mu is False or mu > 0, 0.3
     )
-    """Coefficient whose effect is stated among the errors of a scene without friction; false: it is
-    left out."""
+    """Coefficient whose effect is stated among the errors where contact.friction is left out;
+    false: it is not."""
     tangential_stiffness_per_area: float | None = positive(None, unit="N/m^3")
     """Stiffness of pairs that stick, per area of the crack face. Left out: infinite, of crack faces
     without mass."""

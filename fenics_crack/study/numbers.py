@@ -134,7 +134,7 @@ class _Exact(ObservedMotion):
         return self.orbit.omega
 
     def records(self, rows: np.ndarray) -> Iterator[Record]:
-        waves = self.orbit.coefficients(self.harmonics).displacement @ rows.T
+        waves = self.orbit.product_coefficients(rows, self.harmonics)
         return (replace(record, coefficients=waves) for record in self.orbit.records(rows))
 
 

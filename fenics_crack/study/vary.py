@@ -36,7 +36,7 @@ expected, not bounds: scenes beside a mesh four times finer are in docs/notebook
   move near half a resonance by as much as the mesh moves it. What is computed for K_I of a solid's
   front while it is closed is another part of those of K, whose difference between the meshes is
   taken where it is the largest on the front.
-- *friction*, without which crack faces slide freely: each number changes as between two exact
+- *friction*, where none was given and crack faces touch: each number changes as between two exact
   orbits, without friction and with it, of a structure of few modes whose crack faces have no mass.
   Extremes may agree by chance: as by modes, the part is at least the root mean square of the
   change of the motion. What the change differs from that with half the modes is added.
@@ -78,6 +78,7 @@ from mpi4py import MPI
 from fenics_crack.balance.contact_integrals import default_samples
 from fenics_crack.balance.error_report import ENOUGH, LARGE_ERROR, ErrorReport
 from fenics_crack.balance.harmonic_balance import (
+    along_lines,
     motion_without_friction,
     slide_along_lines,
     sliding_of,
@@ -274,14 +275,17 @@ class _Case:
 
     def friction(self) -> Varied:
         """Each number, changed as much as friction changes it between two exact orbits of few
-        modes; nothing where the answer has friction, or no contact (collective)."""
-        study, scene = self.study, self.study.scene
+        modes; nothing where the answer has friction, its scene says that there is none, or crack
+        faces do not touch (collective)."""
+        study, scene, found = self.study, self.study.scene, self.found
         law, structure = study.contact, study.structure
-        if law is None:
+        if law is None or not np.any(found.contact_force(found.instants()) > 0.0):
             return ""
         if (own_friction := friction_of(law)) is not None:
             return "" if own_friction.direction is None else self._turning(own_friction)
         table = scene.given("contact")
+        if table.friction is not None:
+            return ""
         if not (coefficient := table.friction_error):
             return "contact.friction_error = false"
         rubs = structure.whole.with_tangents()
@@ -316,21 +320,23 @@ class _Case:
         self, count: int, whole: Structure, keys: Mapping[str, Any]
     ) -> tuple[list[PeriodicOrbit], list[dict[str, float]]]:
         """Return exact orbits of so many modes and their numbers, without friction and with it,
-        which keys of the scene describe; where none is found it is left out (collective)."""
+        which keys of the scene describe; up to the first that is not found (collective)."""
         study, found, periods = self.study, self.found, self.found.subharmonic
         count = min(count, whole.n_dofs // 2)
         reduced_structure = reduce_structure(whole, modes=count, method="massless", reference=False)
         orbits, numbers = list[PeriodicOrbit](), list[dict[str, float]]()
         for law in (study.contact, law_of(study.scene.replace(keys), reduced_structure)):
             assert law is not None
-            contact_law = slide_along_lines(reduced_structure, found.omega, law)
+            contact_law = along_lines(reduced_structure, law, lambda _: orbits[0])
             problem = Problem(
                 reduced_structure, found.omega, contact_law, SOUGHT * periods, subharmonic=periods
             )
-            if (orbit := Solver(problem).solve(found).assessment.orbit) is not None:
-                twin = replace(study, structure=reduced_structure, contact=contact_law)
-                orbits.append(orbit)
-                numbers.append(of_orbit(twin, found, orbit, self.own.mode))
+            orbit = Solver(problem).solve(found).assessment.orbit
+            if orbit is None:
+                break
+            twin = replace(study, structure=reduced_structure, contact=contact_law)
+            orbits.append(orbit)
+            numbers.append(of_orbit(twin, found, orbit, self.own.mode))
         return orbits, numbers
 
     def _turning(self, friction: CoulombFriction) -> Varied:

@@ -16,6 +16,7 @@ import os
 import pathlib
 import subprocess
 import sys
+import weakref
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -919,6 +920,17 @@ def test_many_unknowns(limit: int, monkeypatch: pytest.MonkeyPatch) -> None:
         assert path.end_reason is EndReason.REACHED and path.last_point.parameter == 1.0
         ends.append(path.last_point.unknown)
     assert relative(ends[0], ends[1]) < 1e-8
+
+
+def test_equations_are_freed_with_their_points() -> None:
+    """At once, without a search for cycles: the kernel's arrays of many solutions would stay."""
+    family = coupled_family("omega", "rigid", "modal", 4, 3, 5, 2)
+    compiled = family.compiled
+    at = compiled.linearise(np.zeros(family.shape), 0.5)
+    assert at.residual.any()
+    left = [weakref.ref(compiled), weakref.ref(at)]
+    del family, compiled, at
+    assert [one() for one in left] == [None, None]
 
 
 def test_an_instant_without_forces_is_no_solution() -> None:

@@ -202,9 +202,9 @@ def test_paths_keep_what_the_kernel_records(stop: Continuation) -> None:
     seen: list[np.ndarray] = []
 
     class Watched(MultiplierControl):
-        def too_long(self, points: Any) -> np.ndarray:
+        def too_long(self, points: Any, first: int = 0) -> np.ndarray:
             seen.append(points.observed[-1])
-            return np.zeros(len(points) - 1, dtype=bool)
+            return np.zeros(len(points) - 1 - first, dtype=bool)
 
     path = Path(family, start, PathOptions(0.05, 0.05), [Target(0.3)], Watched(0.05))
     for stretch in path:
@@ -228,7 +228,7 @@ def test_a_halved_step_keeps_the_points_before_it(stop: Continuation) -> None:
     class ShortBehind(MultiplierControl):
         bound = longest_step
 
-        def too_long(self, points: Any) -> np.ndarray:
+        def too_long(self, points: Any, first: int = 0) -> np.ndarray:
             ends = points.parameters
             is_long = (np.diff(ends) > 0.003) & (ends[1:] > 0.05)
             kept = [*np.flatnonzero(is_long), len(is_long)][0] + 1
@@ -239,7 +239,7 @@ def test_a_halved_step_keeps_the_points_before_it(stop: Continuation) -> None:
                 self.bound = 0.5 * points.lengths[kept]
             kept_points.append(ends[:kept])
             kept_at_once.append(int(kept) if is_long.any() else 0)
-            return is_long
+            return is_long[first:]
 
     options = PathOptions(longest_step, longest_step, max_steps=12)
     path = Path(family, start, options, [], ShortBehind(longest_step))
@@ -265,12 +265,12 @@ def test_a_halved_step_beside_a_crossing(points_before: int) -> None:
     class OnceBesideCrossing(MultiplierControl):
         is_done = False
 
-        def too_long(self, points: Any) -> np.ndarray:
+        def too_long(self, points: Any, first: int = 0) -> np.ndarray:
             is_long = np.zeros(len(points) - 1, dtype=bool)
             places = np.flatnonzero(points.crossings[:-1])
             if len(places) and not self.is_done:
                 is_long[places[0] - points_before] = self.is_done = True
-            return is_long
+            return is_long[first:]
 
     for is_undisturbed in (True, False):
         control = OnceBesideCrossing(0.05)

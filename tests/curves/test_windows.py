@@ -145,6 +145,14 @@ def test_multipliers_of_a_pair_that_meet(coupling: float, sides: tuple[float, fl
     assert parting(matrices) == pytest.approx([coupling / damping], rel=0.05)
 
 
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_pair_that_comes_nearer_and_does_not_meet(side: float) -> None:
+    """Both matrices have it in the same order along the circle: it has not met in between."""
+    generators = [np.array([[0.0, 0.2 + a], [0.2 - a, 0.0]]) for a in (0.3 * side, 0.21 * side)]
+    matrices = -np.exp(-0.01) * np.array([scipy.linalg.expm(one) for one in generators])
+    assert parting(matrices).tolist() == [0.0]
+
+
 @pytest.mark.parametrize(("opposite", "expected"), [(True, 2.0), (False, 0.0)])
 def test_two_pairs_that_meet(opposite: bool, expected: float) -> None:
     """On the circle at e^(i); of one signature they pass, of opposite ones they part."""

@@ -95,6 +95,18 @@ def test_against_the_reference(
     assert motion.track.lengths.sum() == pytest.approx(duration, rel=1e-12)
 
 
+def test_a_stop_far_stiffer_than_the_modes() -> None:
+    """A mass that flies between blows, half a circle each: in closed form, and in pieces as long as
+    the free motion takes, though the stop alone turns a thousand times as fast."""
+    stop = 1e6
+    structure = fc.Structure.from_matrices([[1.0]], [[1.0]], gap=[1.0], force_cos=[0.0])
+    flow = known(structure, fc.UnilateralPenalty(stop))
+    inside, outside = np.pi / np.sqrt(1.0 + stop), np.pi
+    motion = flow.advance(np.array([0.0, -1.0]), 1.0, 5.0 * outside + 4.5 * inside)
+    assert motion.events == 9 and motion.pieces < 40
+    assert motion.state == pytest.approx([1.0 / np.sqrt(1.0 + stop), 0.0], abs=1e-12)
+
+
 @pytest.mark.parametrize("light", [False, True])
 def test_energy(light: bool) -> None:
     """Without damping and load it stays, over 20 periods."""

@@ -119,9 +119,11 @@ def test_with_stress_intensities() -> None:
 
 
 def test_where_it_is_silent() -> None:
-    """With friction, and by a key; solids and matrices say that it is not estimated."""
-    rubbing = fc.solve(FEW.replace({"contact.friction": 0.3}), MPI.COMM_SELF).errors
-    assert "friction" not in {*rubbing.parts, *rubbing.unknown, *rubbing.absent}
+    """With friction, also of a coefficient 0, where crack faces do not touch, and by a key; solids
+    and matrices say that it is not estimated."""
+    for keys in ({"contact.friction": 0.3}, {"contact.friction": 0.0}, {"crack.clearance": 1.0}):
+        errors = fc.solve(FEW.replace(keys), MPI.COMM_SELF).errors
+        assert "friction" not in {*errors.parts, *errors.unknown, *errors.absent}
     off = fc.solve(FEW.replace({"contact.friction_error": False}), MPI.COMM_SELF).errors
     assert off is not None and off.unknown["friction"] == "contact.friction_error = false"
     assert "the friction not included" in off.without
