@@ -258,16 +258,16 @@ def _all_modes(structure: Structure) -> AllModes:
 
 def _of_interface(structure: MasslessInterface) -> AllModes:
     gap, shapes, squares = structure.gap.toarray(), structure.shapes, structure.omega**2
-    at_once = structure.left @ gap
-    residual = gap.T @ at_once
+    root = structure.static_root
+    pairs = gap.T @ root  # what follows is exact even where root root^T is mostly rounding
     return AllModes(
         squares,
         shapes,
         structure.rate,
         shapes.T @ gap,
         bool(np.any(squares == 0.0)),
-        0.5 * (residual + residual.T),
-        at_once,
+        pairs @ pairs.T,
+        root @ pairs.T,
         structure.left,
         (structure.mass.getDiagonal().array_r[:, None] * shapes).T,
     )

@@ -151,13 +151,18 @@ class MasslessInterface(ReducedStructure):
     ----------
     shapes : (n_dofs, n_modes)
         Phi, mass-normalised.
-    left : (n_dofs, n_dofs) [m/N]
-        Displacement by forces beyond the modes, without inertia.
+    static_root : (n_dofs, r) [(m/N)^(1/2)]
+        Root of the flexibility beyond the modes: forces f move the coordinates by L L^T f at once.
     """
 
     light_lips = True
     shapes: np.ndarray
-    left: np.ndarray
+    static_root: np.ndarray
+
+    @property
+    def left(self) -> np.ndarray:
+        """Displacement by forces beyond the modes, without inertia: (n_dofs, n_dofs) [m/N]."""
+        return self.static_root @ self.static_root.T
 
     @property
     def n_modes(self) -> int:
@@ -185,7 +190,7 @@ class MasslessInterface(ReducedStructure):
 class MasslessBody(ReducedBody):
     """That of a structure with crack faces without mass."""
 
-    flexibility: np.ndarray
+    root: np.ndarray
 
 
 class MasslessStructure(MasslessInterface):
@@ -198,13 +203,12 @@ class MasslessStructure(MasslessInterface):
 
     Attributes
     ----------
-    flexibility : (n_dofs - n_modes,) * 2
-        Inverse of S, the stiffness of the coordinates without mass; its pseudoinverse where forces
-        depend on each other.
+    root : (n_dofs - n_modes, r)
+        Root W of the flexibility, with W^T S W = I.
     """
 
     body: MasslessBody
-    flexibility: np.ndarray = of_body("flexibility")
+    root: np.ndarray = of_body("root")
 
     def __init__(
         self,
@@ -226,8 +230,7 @@ class MasslessStructure(MasslessInterface):
         normal, tangents = np.split(seen, [whole.n_pairs], axis=1)
         known = None if whole.tangential is None else tangents
         parts = _coordinates(whole, squares, damping, normal, known, force, compliance)
-        root = _inverse_root(compliance)
-        parts |= {"flexibility": root @ root.T, "share": share}
+        parts |= {"root": _inverse_root(compliance), "share": share}
         Structure.__init__(self, MasslessBody(**parts, reference=reference))
 
     @property
@@ -241,9 +244,15 @@ class MasslessStructure(MasslessInterface):
         return np.eye(self.n_dofs, self.n_modes)
 
     @property
-    def left(self) -> np.ndarray:  # type: ignore[override]
-        """S^-1 on the other coordinates."""
-        return scipy.linalg.block_diag(np.zeros((self.n_modes,) * 2), self.flexibility)
+    def flexibility(self) -> np.ndarray:
+        """Inverse of S, the stiffness of the coordinates without mass: (n_dofs - n_modes,) * 2; its
+        pseudoinverse where forces depend on each other."""
+        return self.root @ self.root.T
+
+    @property
+    def static_root(self) -> np.ndarray:  # type: ignore[override]
+        """W on the other coordinates."""
+        return np.vstack([np.zeros((self.n_modes, self.root.shape[1])), self.root])
 
     def known_modes(self, *, tied: bool) -> tuple[np.ndarray, np.ndarray] | None:
         """omega, and the unit vectors of the modes' coordinates; with a bonded crack those of
@@ -277,9 +286,8 @@ class MasslessStructure(MasslessInterface):
     @property
     def residual(self) -> np.ndarray:
         """R_inf = B^T G B: (n_pairs, n_pairs) [m/N]."""
-        rows = self.gap[self.n_modes :].toarray()
-        found: np.ndarray = rows.T @ self.flexibility @ rows
-        return 0.5 * (found + found.T)
+        pairs = self.gap[self.n_modes :].T @ self.root
+        return np.asarray(pairs @ pairs.T)
 
     @property
     def _size_words(self) -> str:

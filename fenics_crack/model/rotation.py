@@ -296,7 +296,7 @@ class RunUpBody(ReducedBody):
 
     speed: float
     shapes: np.ndarray
-    left: np.ndarray
+    static_root: np.ndarray
     ritz: Ritz
     dense: np.ndarray
 
@@ -311,14 +311,14 @@ class RunUpStructure(MasslessInterface):
     ----------
     speed : float
         W [rad/s].
-    shapes, left : (n_dofs, n_modes), (n_dofs, n_dofs)
-        Phi, mass-normalised, and G = K^-1 - Phi Lambda^-1 Phi^T.
+    shapes, static_root : (n_dofs, n_modes), (n_dofs, n_dofs - n_modes)
+        Phi, mass-normalised, and a root L of K^-1 - Phi Lambda^-1 Phi^T = L L^T.
     """
 
     body: RunUpBody
     speed: float = of_body("speed")
     shapes: np.ndarray = of_body("shapes")
-    left: np.ndarray = of_body("left")
+    static_root: np.ndarray = of_body("static_root")
 
     def __init__(self, ritz: Ritz, speed: float) -> None:
         stiffness, force = ritz.matrices(speed)
@@ -328,16 +328,16 @@ class RunUpStructure(MasslessInterface):
             raise InputError("speed", speed, too_fast(ritz.whole, speed)) from None
         # The largest eigenvalues, 1 / omega^2, are those that rounding leaves alone.
         inverse, turned = np.linalg.eigh((factor * ritz.squares_inverse) @ factor.T)
-        inverse, turned = inverse[: -ritz.modes - 1 : -1], turned[:, : -ritz.modes - 1 : -1]
-        static = factor.T @ turned
+        inverse, static = inverse[: -ritz.modes - 1 : -1], factor.T @ turned[:, ::-1]
         damping = ritz.whole.damping
         omega = 1.0 / np.sqrt(inverse)
         body = RunUpBody(
             ritz.mass, None, ritz.gap, force, ritz.whole.clearance,
             damping=None if damping is None else damping.of_kept(len(force[0])),
             tangential=ritz.tangential, nodes=ritz.whole.nodes, pairs=ritz.whole.pairs,
-            basis=ritz.basis, omega=omega, whole=ritz.whole, speed=speed, shapes=static * omega,
-            left=factor.T @ factor - static @ static.T, ritz=ritz, dense=stiffness,
+            basis=ritz.basis, omega=omega, whole=ritz.whole, speed=speed, ritz=ritz,
+            shapes=static[:, : ritz.modes] * omega, static_root=static[:, ritz.modes :],
+            dense=stiffness,
         )  # fmt: skip
         Structure.__init__(self, body)
 
