@@ -156,8 +156,8 @@ make_venv() {
     "$python" -m venv --without-pip$site .venv &&
         .venv/bin/python -c '
 import ensurepip, pathlib, sysconfig, zipfile
-folders = pathlib.Path(ensurepip.__file__).parent / "_bundled", pathlib.Path("/usr/share/python-wheels")
-[wheel, *_] = [wheel for folder in folders for wheel in folder.glob("pip-*.whl")]
+bundled = pathlib.Path(ensurepip.__file__).parent / "_bundled"
+[wheel] = pathlib.Path(sysconfig.get_config_var("WHEEL_PKG_DIR") or bundled).glob("pip-*.whl")
 zipfile.ZipFile(wheel).extractall(sysconfig.get_path("purelib"))
 ' &&
         printf '#!/bin/sh\nexec "%s/.venv/bin/python" -m pip "$@"\n' "$here" >.venv/bin/pip &&
