@@ -130,13 +130,13 @@ find_python() {
 }
 
 if [ -z "$by_wheels" ]; then
-    python=/usr/bin/python3 venv='venv --system-site-packages' extra=
+    python=/usr/bin/python3 site=' --system-site-packages' extra=
 else
     echo "install.sh: $by_wheels:"
     python=$(find_python) || fail "DOLFINx comes from PyPI then, for Linux on x86-64 with glibc" \
         "2.34 or newer, and Python 3.12 or newer with its module venv: none is on PATH. Get one" \
         "by 'uv python install 3.13', pyenv or conda; other ways are in docs/install.md"
-    venv=venv extra=dolfinx
+    site= extra=dolfinx
     missing=$("$python" -B -c '
 from fenics_crack.basics.installation import InputError, c_compiler
 try:
@@ -150,25 +150,43 @@ fi
 
 # --- the virtual environment ------------------------------------------------------------
 
-# sound_venv: .venv was made in this place by exactly this command, and is whole.
+# make_venv: pip's own wheel is unpacked. By venv, pip would install itself and compile all its
+# modules, 3 s of processor time, of which few are used.
+make_venv() {
+    "$python" -m venv --without-pip$site .venv &&
+        .venv/bin/python -c '
+import ensurepip, pathlib, sysconfig, zipfile
+bundled = pathlib.Path(ensurepip.__file__).parent / "_bundled"
+[wheel] = pathlib.Path(sysconfig.get_config_var("WHEEL_PKG_DIR") or bundled).glob("pip-*.whl")
+zipfile.ZipFile(wheel).extractall(sysconfig.get_path("purelib"))
+' &&
+        printf '#!/bin/sh\nexec "%s/.venv/bin/python" -m pip "$@"\n' "$here" >.venv/bin/pip &&
+        chmod +x .venv/bin/pip
+}
+
+# sound_venv: .venv was made in this place by such a command, and is whole.
 sound_venv() {
-    grep -qxF "command = $python -m $venv $here/.venv" .venv/pyvenv.cfg 2>/dev/null &&
+    grep -qxF -e "command = $python -m venv --without-pip$site $here/.venv" \
+        -e "command = $python -m venv$site $here/.venv" .venv/pyvenv.cfg 2>/dev/null &&
         .venv/bin/python -m pip --version >/dev/null 2>&1
 }
 
-# What the program needs can be loaded.
+# libraries_load PYTHON [MODULE...]: the libraries, and these modules, can be loaded.
 libraries_load() {
-    (cd / && "$1" -c '
+    loading=$1
+    shift
+    (cd / && "$loading" -c '
 import sys
 from importlib.util import find_spec
 if find_spec("dolfinx_solver"):
     import dolfinx_solver
 import dolfinx.fem, gmsh, h5py, matplotlib, mpi4py.MPI, petsc4py.PETSc, scipy, slepc4py.SLEPc, tqdm
-')
+for name in sys.argv[1:]:
+    __import__(name)
+' "$@")
 }
 everything_imports() {
-    libraries_load "$here/.venv/bin/python" &&
-        (cd / && "$here/.venv/bin/python" -c 'import cffi, jinja2, pyvista')
+    libraries_load "$here/.venv/bin/python" cffi jinja2 pyvista
 }
 
 # These modules are found, and the program is that of this folder. Its code is not run: a mistake in
@@ -231,7 +249,7 @@ if ! { sound_venv && { [ -n "$by_wheels" ] || debian_is_first; } && everything_i
     [ -n "$by_wheels" ] || [ ! -e .venv ] ||
         step "checking that Debian's packages can be imported" libraries_load "$python"
     rm -rf .venv
-    step "making .venv" "$python" -m $venv .venv
+    step "making .venv" make_venv
 elif [ "$(cat "$stamp" 2>/dev/null)" = "$wanted" ] && everything_is_found >/dev/null 2>&1; then
     compile_program
     echo "install.sh: everything is in place"

@@ -60,10 +60,7 @@ QUICK = {
 
 
 NOT_BY_WHEELS = {
-    "files/test_links.py::test_no_old_file_is_opened": "FLTK of gmsh's wheel writes settings",
-    "model/test_reduced.py::test_any_number_of_modes_from_those_of_another": (
-        "behind test_modes.py a residual flexibility is 3e-5 off, for a reason not known yet"
-    ),
+    "files/test_links.py::test_no_old_file_is_opened": "FLTK of gmsh's wheel writes settings"
 }
 """Tests that do not hold in an environment of wheels, by file and function, and why."""
 

@@ -36,8 +36,8 @@ extern "Python" {
 }
 """
 """Functions of equations in Python (``numerics/equations.py``)."""
-FOR_WRAPPERS = '#pragma GCC optimize ("O1")'
-"""What cffi writes behind the headers hands arguments over; -O3 takes twice the time for it."""
+FOR_WRAPPERS = '#pragma GCC optimize ("O0")'
+"""What cffi writes behind the headers hands arguments over; -O3 would take four times as long."""
 SANITIZER = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g", "-O1"]
 
 

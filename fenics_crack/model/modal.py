@@ -340,16 +340,16 @@ def _compute_all_modes(structure: Structure) -> AllModes:
 def _massless_interface_modes(structure: MasslessInterface) -> AllModes:
     """Return the modes of a structure with massless crack faces."""
     gap, shapes, squares = structure.gap.toarray(), structure.shapes, structure.omega**2
-    static_pairs = structure.residual_flexibility @ gap
-    residual = gap.T @ static_pairs
+    root = structure.static_root
+    pairs = gap.T @ root  # exact even if root root^T is mostly rounding
     return AllModes(
         squares,
         shapes,
         structure.rate,
         shapes.T @ gap,
         bool(np.any(squares == 0.0)),
-        0.5 * (residual + residual.T),
-        static_pairs,
+        pairs @ pairs.T,
+        root @ pairs.T,
         structure.residual_flexibility,
         (structure.mass.getDiagonal().array_r[:, None] * shapes).T,
     )

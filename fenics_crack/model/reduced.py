@@ -177,13 +177,19 @@ class MasslessInterface(ReducedStructure):
     ----------
     shapes : (n_dofs, n_modes)
         Phi, mass-normalised.
-    residual_flexibility : (n_dofs, n_dofs) [m/N]
-        Displacement by forces beyond the modes, without inertia.
+    static_root : (n_dofs, r) [(m/N)^(1/2)]
+        Root L of the flexibility beyond the modes: forces f move the coordinates by L L^T f
+        without inertia.
     """
 
     light_lips = True
     shapes: np.ndarray
-    residual_flexibility: np.ndarray
+    static_root: np.ndarray
+
+    @property
+    def residual_flexibility(self) -> np.ndarray:
+        """Displacement by forces beyond the modes, without inertia: (n_dofs, n_dofs) [m/N]."""
+        return self.static_root @ self.static_root.T
 
     @property
     def n_modes(self) -> int:
@@ -213,7 +219,7 @@ class MasslessInterface(ReducedStructure):
 class MasslessBody(ReducedBody):
     """Body of a structure with massless crack faces."""
 
-    flexibility: np.ndarray
+    root: np.ndarray
 
 
 class MasslessStructure(MasslessInterface):
@@ -226,13 +232,12 @@ class MasslessStructure(MasslessInterface):
 
     Attributes
     ----------
-    flexibility : (n_dofs - n_modes,) * 2
-        Inverse of S, the stiffness of the massless coordinates; its pseudoinverse if the forces
-        depend on each other.
+    root : (n_dofs - n_modes, r)
+        Root W of the flexibility, with W^T S W = I.
     """
 
     body: MasslessBody
-    flexibility: np.ndarray = body_property("flexibility")
+    root: np.ndarray = body_property("root")
 
     def __init__(
         self,
@@ -269,8 +274,7 @@ class MasslessStructure(MasslessInterface):
         gap, tangents = np.split(pair_columns, [source.n_pairs], axis=1)
         tangential_gap = None if source.tangential is None else tangents
         fields = _make_body_fields(source, squares, damping, gap, tangential_gap, force, compliance)
-        inverse_root = _root_of_inverse(compliance)
-        fields |= {"flexibility": inverse_root @ inverse_root.T, "share": share}
+        fields |= {"root": _root_of_inverse(compliance), "share": share}
         Structure.__init__(self, MasslessBody(**fields, reference=reference))
 
     @property
@@ -284,9 +288,17 @@ class MasslessStructure(MasslessInterface):
         return np.eye(self.n_dofs, self.n_modes)
 
     @property
-    def residual_flexibility(self) -> np.ndarray:  # type: ignore[override]
-        """S^-1 on the massless coordinates, zero on the modes."""
-        return scipy.linalg.block_diag(np.zeros((self.n_modes,) * 2), self.flexibility)
+    def flexibility(self) -> np.ndarray:
+        """Inverse of S, the stiffness of the massless coordinates: (n_dofs - n_modes,) * 2.
+
+        The pseudoinverse if the forces depend on each other.
+        """
+        return self.root @ self.root.T
+
+    @property
+    def static_root(self) -> np.ndarray:  # type: ignore[override]
+        """W on the massless coordinates, zero on the modes."""
+        return np.vstack([np.zeros((self.n_modes, self.root.shape[1])), self.root])
 
     def known_modes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
         """Return omega and unit vectors; with a bonded crack other modes.
@@ -325,9 +337,8 @@ class MasslessStructure(MasslessInterface):
     @property
     def residual(self) -> np.ndarray:
         """R_inf = B^T G B: (n_pairs, n_pairs) [m/N]."""
-        rows = self.gap[self.n_modes :].toarray()
-        residual: np.ndarray = rows.T @ self.flexibility @ rows
-        return 0.5 * (residual + residual.T)
+        pairs = self.gap[self.n_modes :].T @ self.root
+        return np.asarray(pairs @ pairs.T)
 
     @property
     def _size_description(self) -> str:

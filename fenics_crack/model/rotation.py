@@ -352,7 +352,7 @@ class RunUpBody(ReducedBody):
 
     speed: float
     shapes: np.ndarray
-    residual_flexibility: np.ndarray
+    static_root: np.ndarray
     ritz: Ritz
     dense: np.ndarray
 
@@ -367,14 +367,14 @@ class RunUpStructure(MasslessInterface):
     ----------
     speed : float
         W [rad/s].
-    shapes, residual_flexibility : (n_dofs, n_modes), (n_dofs, n_dofs)
-        Phi, mass-normalised, and G = K^-1 - Phi Lambda^-1 Phi^T.
+    shapes, static_root : (n_dofs, n_modes), (n_dofs, n_dofs - n_modes)
+        Phi, mass-normalised, and a root L of K^-1 - Phi Lambda^-1 Phi^T = L L^T.
     """
 
     body: RunUpBody
     speed: float = body_property("speed")
     shapes: np.ndarray = body_property("shapes")
-    residual_flexibility: np.ndarray = body_property("residual_flexibility")
+    static_root: np.ndarray = body_property("static_root")
 
     def __init__(self, ritz: Ritz, speed: float) -> None:
         stiffness, force = ritz.matrices(speed)
@@ -388,10 +388,8 @@ class RunUpStructure(MasslessInterface):
         squares_inverse, eigenvectors = np.linalg.eigh(
             (inverse_factor * ritz.squares_inverse) @ inverse_factor.T
         )
-        largest_first = slice(None, -ritz.modes - 1, -1)
-        squares_inverse = squares_inverse[largest_first]
-        eigenvectors = eigenvectors[:, largest_first]
-        mode_columns = inverse_factor.T @ eigenvectors
+        squares_inverse = squares_inverse[: -ritz.modes - 1 : -1]
+        columns = inverse_factor.T @ eigenvectors[:, ::-1]
         damping = ritz.structure.damping
         omega = 1.0 / np.sqrt(squares_inverse)
         body = RunUpBody(
@@ -399,8 +397,8 @@ class RunUpStructure(MasslessInterface):
             damping=None if damping is None else damping.for_modes(len(force[0])),
             tangential=ritz.tangential, nodes=ritz.structure.nodes, pairs=ritz.structure.pairs,
             basis=ritz.basis, omega=omega, source=ritz.structure, speed=speed, ritz=ritz,
-            shapes=mode_columns * omega, dense=stiffness,
-            residual_flexibility=inverse_factor.T @ inverse_factor - mode_columns @ mode_columns.T,
+            shapes=columns[:, : ritz.modes] * omega, static_root=columns[:, ritz.modes :],
+            dense=stiffness,
         )  # fmt: skip
         Structure.__init__(self, body)
 

@@ -53,6 +53,19 @@ def test_residual_is_what_the_modes_leave_out(modes: int, unconstrained: bool) -
     assert np.array_equal(residual, residual.T) and np.linalg.eigvalsh(residual)[0] > 0.0
 
 
+def test_residual_beside_a_load_like_a_pair() -> None:
+    """A load that is a pair's force but for 1e-5 makes S nearly singular; R_inf stays exact."""
+    plain = chain("none", 24)
+    mass, _, stiffness = dense_matrices(plain)
+    gap = plain.gap.toarray()
+    load = gap[:, 0] + 1e-5 * np.cos(np.arange(24.0))
+    structure = fc.Structure.from_matrices(mass, stiffness, gap=gap, force_cos=load)
+    made = reduced(structure, 9)
+    expected = gap.T @ flexibility(structure, 9) @ gap
+    assert relative(made.residual, expected) < 1e-11
+    assert relative(fc.Problem(made, 1.0, fc.UnilateralConstraint(), 3).residual, expected) < 1e-11
+
+
 def test_no_penetration_takes_what_modes_leave_out() -> None:
     """Where that is nothing, the law is named as a scene does, and what to do."""
     problem = fc.Problem(reduced(chain("none", 20), 20), 1.0, fc.UnilateralConstraint(), 3)
