@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import re
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass
 from itertools import zip_longest
@@ -1140,15 +1141,16 @@ class Identify(Table):
                 if not (name in named or name.isidentifier()):
                     allowed = f"a word, or one of {', '.join(sorted(named))}"
                     raise InputError(key, name, allowed)
-        for axis in self.mesh_axes:
+        axes = self.mesh_axes
+        for axis in axes:
             if len(axis.values) < MIN_VALUES:
                 allowed = f"{MIN_VALUES} or more different ones"
                 raise InputError(f"identify.meshes, {axis.key}", axis.values, allowed)
-        there = [tuple(dict(mesh.values)[a.key] for a in self.mesh_axes) for mesh in self.meshes]
-        every = itertools.product(*(axis.values for axis in self.mesh_axes))
+        there = Counter(tuple(dict(mesh.values)[a.key] for a in axes) for mesh in self.meshes)
+        every = itertools.product(*(axis.values for axis in axes))
         for wanted in every if there else ():
-            if (count := there.count(wanted)) != 1:
-                pairs = zip(self.mesh_axes, wanted, strict=True)
+            if (count := there[wanted]) != 1:
+                pairs = zip(axes, wanted, strict=True)
                 of = ", ".join(f"{axis.key} = {value:g}" for axis, value in pairs)
                 allowed = "one mesh for every combination of its numbers"
                 raise InputError("identify.meshes", f"{count or 'no'} files of {of}", allowed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -199,3 +200,13 @@ uncracked = "0.msh"
     low, high = found.intervals["notch"]
     assert low < 10.0 < high < 16.0 and found.verdict == "crack"
     assert "notch = " in str(found)
+
+
+def test_thousands_of_meshes_are_checked_at_once() -> None:
+    """The time grows like their number: with its square it was 2.6 s, and is .02 s."""
+    meshes = {f"{number}.msh": {"place": float(number)} for number in range(4000)}
+    start = time.process_time()
+    changes = {"mesh.file": "0.msh", "identify.meshes": meshes}
+    table = fc.Scene.from_text(PLATE).replace(OF_FILES | changes)
+    assert time.process_time() - start < 1.5
+    assert table.identify is not None and len(table.identify.meshes) == 4000
