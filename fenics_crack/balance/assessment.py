@@ -297,5 +297,5 @@ def distance(wave: Wave, orbit: PeriodicOrbit) -> float:
     samples = orbit.sampled
     if is_still(samples):
         return 0.0
-    moved = samples.gaps + wave.seen.clearance
+    moved = samples.gaps + wave.row_structure.clearance
     return relative_to_motion(samples.gaps - wave.over_period(len(moved))[1], moved)

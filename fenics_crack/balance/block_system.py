@@ -226,7 +226,7 @@ class BlockSolver(Solver):
     def __post_init__(self) -> None:
         problem, structure = self.problem, self.problem.structure
         refused = {
-            "with UnilateralConstraint of crack faces with mass": problem.projected,
+            "with UnilateralConstraint of crack faces with mass": problem.is_projected,
             "with friction": problem.friction,
             "of a bladed disk that is not reduced": isinstance(structure, Wheel),
         }
@@ -260,11 +260,13 @@ class BlockSolver(Solver):
         with BlockSystem(problem, linear, search.history) as block:
             search.tolerance = max(search.tolerance, block.rounding)
             while starts and not search.converged:
-                before = search.iterations
+                iterations_before = search.iterations
                 displacement, reached = _stiffened(block, search, *starts.pop(0))
                 search.converged = reached == 1.0
                 end = f" up to {reached:.2g} of the contact stiffness, then {block.reason}"
-                search.tell(f"block system{'' if search.converged else end}", before)
+                search.record_attempt(
+                    f"block system{'' if search.converged else end}", iterations_before
+                )
             at = system.linearise(block.slow_gap(block.start(displacement)))
         return search, at, problem.wave_of(displacement, at.gap, at.force)
 

@@ -319,10 +319,10 @@ class Wave:
         normals and behind them of their tangents."""
         if self.static_above is None:
             return None
-        return all_modes(self.seen).static_part(self.static_above)
+        return all_modes(self.row_structure).static_part(self.static_above)
 
     @cached_property
-    def seen(self) -> Structure:
+    def row_structure(self) -> Structure:
         """The structure with its rows as pairs."""
         return seen_by(self.contact, self.structure)
 
@@ -340,7 +340,7 @@ class Wave:
     def _integrals(self) -> ContactIntegrals:
         """lambda(s) with a residual flexibility, or with friction."""
         assert self.contact is not None
-        found, rows = self.residual, self.seen.n_pairs
+        found, rows = self.residual, self.row_structure.n_pairs
         residual = np.zeros((rows, rows)) if found is None else found
         return coupled_integrals(self.contact, self.harmonics, residual)
 
@@ -425,7 +425,7 @@ class Wave:
         found = values @ self.displacement_coefficients
         if self.static_above is not None:
             # The quasi-static part follows the forces as they are, with their kinks.
-            moved = all_modes(self.seen).moved_at_once(self.static_above)
+            moved = all_modes(self.row_structure).moved_at_once(self.static_above)
             found -= (force - values @ self.force_rows) @ moved.T
         return found
 

@@ -134,10 +134,10 @@ def estimate_errors(
     says of it; with ``search`` its orbit is looked for (collective). Of equations that are not
     solved it has their residual, and that no error is known."""
     structure, wave = problem.structure, known.wave
-    expanded = problem.seen.gap_of(wave.displacement_coefficients)
+    expanded = problem.row_structure.gap_of(wave.displacement_coefficients)
 
     def relative(change: np.ndarray) -> float:
-        return relative_size(change, at, problem.seen.clearance)
+        return relative_size(change, at, problem.row_structure.clearance)
 
     residual, penetration = relative(at.residual), relative(_penetration(at, problem))
     if not converged:
@@ -151,7 +151,7 @@ def estimate_errors(
         error, at_load = _beyond_truncation(at, wave)
     truncation = UNKNOWN if error >= UNKNOWN else max(error - sampling, 0.0)
     exactly = known.affordable and search and structure.light_lips
-    more, few = known.more_modes if exactly else None, problem.few_harmonics(ENOUGH)
+    more, few = known.more_modes if exactly else None, problem.response_harmonics(ENOUGH)
     if exactly and truncation >= UNKNOWN and isinstance(structure, ReducedStructure):
         lost = UNKNOWN, UNKNOWN  # nor is it known what more modes make of a motion that is not
     elif more and (more.orbit or problem.harmonics < few):
@@ -231,7 +231,7 @@ def _change(
     if near is None:
         return UNKNOWN, UNKNOWN
     point, rows = better.linearise(near.unknown), len(at.force)
-    gap = relative_size(point.gap - first.gap, at, wave.seen.clearance)
+    gap = relative_size(point.gap - first.gap, at, wave.row_structure.clearance)
     force = at.force + (point.force - first.force)[:rows]
     at_load = _at_load(wave, structure, better.compliance.displacement(force))
     return min(gap, UNKNOWN), min(at_load, UNKNOWN)
@@ -246,7 +246,9 @@ def _lost_in_reduction(at: ContactPoint, wave: Wave, problem: Problem) -> Errors
     other, start = replace(problem, structure=reference, static_above=cutoff), at.gap
     if at.system.integrals.coupled:
         assert residual is not None
-        if is_rigid(problem.contact) and not is_regular(all_modes(other.seen).static_part(cutoff)):
+        if is_rigid(problem.contact) and not is_regular(
+            all_modes(other.row_structure).static_part(cutoff)
+        ):
             nearly = len(residual) / (REGULAR * np.trace(residual))  # a constraint to rounding
             other = replace(other, contact=as_penalty(problem.contact, float(nearly)))
     system = other.system(other.compliance())

@@ -478,7 +478,7 @@ def _sought(
             if initial.structure is problem.structure and known.subharmonic == problem.subharmonic:
                 yield known.sampled.whole_states[:: INSTANTS_PER_PERIOD // SEGMENTS]
         for count in SearchOptions.harmonics:
-            few = problem.with_harmonics(problem.few_harmonics(count))
+            few = problem.with_harmonics(problem.response_harmonics(count))
             near = _begun(solver, few).attempt(initial, wholly=False)[1]
             if near.converged:
                 balanced.append(near)
@@ -514,7 +514,7 @@ def solution_of_orbit(
     problem has; its errors are those of the coefficients left out, and of the modes. One nearby
     makes it faster."""
     most = MAX_HARMONICS * problem.subharmonic
-    known = orbit.coefficients(problem.few_harmonics(SearchOptions.harmonics[-1]))
+    known = orbit.coefficients(problem.response_harmonics(SearchOptions.harmonics[-1]))
     more: MoreModes | None = None
 
     def wave_with(harmonics: int) -> PeriodicSolution:
@@ -523,7 +523,7 @@ def solution_of_orbit(
             known = orbit.coefficients(harmonics)
         return wave_of(problem.with_harmonics(harmonics), orbit, known, more)
 
-    more = wave_with(problem.few_harmonics(SearchOptions.harmonics[0])).assessment.more_modes
+    more = wave_with(problem.response_harmonics(SearchOptions.harmonics[0])).assessment.more_modes
     if more and initial and initial.structure is problem.structure:
         other = initial.assessment.more_modes
         more = replace(more, inverse=other.hint if other else None)
@@ -565,7 +565,7 @@ def _lost(
     if not isinstance(structure, ReducedStructure) or structure.reference is None:
         return 0.0, 0.0
     if more is None or more.orbit is None:
-        many = problem.few_harmonics(SearchOptions.harmonics[-1])
+        many = problem.response_harmonics(SearchOptions.harmonics[-1])
         balance = Solver(problem.with_harmonics(many))
         solution = balance.attempt(wave_with(many), wholly=False)[1]
         if solution.converged:
@@ -649,7 +649,7 @@ def motion_without_friction(
     """The exact orbit without friction, or else the solution next to which none is found
     (collective)."""
     problem = Problem(structure, omega, law, subharmonic=subharmonic)
-    few = problem.with_harmonics(problem.few_harmonics(problem.harmonics))
+    few = problem.with_harmonics(problem.response_harmonics(problem.harmonics))
     found = Solver(few).solve()
     known = found.assessment
     return known.orbit if known.accepted and known.orbit is not None else found

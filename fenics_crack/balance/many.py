@@ -251,7 +251,11 @@ def _numbers(problem: Problem, orbit: PeriodicOrbit, watched: np.ndarray) -> dic
     motion = samples.displacement, samples.gaps, samples.forces
     wave = problem.wave_of(*(fourier_coefficients(one, problem.harmonics) for one in motion))
     change, moved = motion[1] - wave.over_period(count)[1], motion[0] @ watched.T
-    off = 0.0 if is_still(samples) else relative_to_motion(change, motion[1] + wave.seen.clearance)
+    off = (
+        0.0
+        if is_still(samples)
+        else relative_to_motion(change, motion[1] + wave.row_structure.clearance)
+    )
     multiplier = abs(orbit.multipliers[0])
     verdict = "stable" if multiplier < 1.0 else "unstable"
     return {

@@ -156,7 +156,9 @@ class MoreModes:
         if self.motion is None:
             return None
         few, many = self.fewer.sampled, self.motion.sampled
-        of_gap = relative_to_motion(many.gaps - few.gaps, few.gaps + self.wave.seen.clearance)
+        of_gap = relative_to_motion(
+            many.gaps - few.gaps, few.gaps + self.wave.row_structure.clearance
+        )
         moved, more = (loaded(one.flow.structure, one.displacement) for one in (few, many))
         at_load = relative_to_motion(more - moved, moved)
         return left_out(self.wave.structure, (0.0 if is_still(few) else of_gap, at_load))

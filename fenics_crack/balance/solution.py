@@ -171,7 +171,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         numbers are from these."""
         friction, moved = coefficient_of(self.contact), None
         if self.static_above is not None and not self.still:
-            moved = rows @ all_modes(self.seen).moved_at_once(self.static_above)
+            moved = rows @ all_modes(self.row_structure).moved_at_once(self.static_above)
         waves = self.structure.sum_over_ranks(self._moving @ rows.T)
 
         def at(parts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -338,7 +338,7 @@ class Solver:
         compliance = self.problem.compliance()
         share = 1.0 if wholly else 1.0 / len(SearchOptions.harmonics)
         try:
-            problem = self.problem.weighted(compliance)
+            problem = self.problem.with_weight(compliance)
             search, at, wave = replace(self, problem=problem).find(compliance, initial, share)
             found = solution_of(
                 problem, at, status=search.status, converged=search.converged,

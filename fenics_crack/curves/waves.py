@@ -43,12 +43,12 @@ class Waves(CurveSystem):
 
     def __init__(self, problem: Problem, start: float, end: float) -> None:
         if problem.static_above is None:
-            problem = problem.seen_alike(self._cutoff(problem, start, end))
-        if problem.projected:
+            problem = problem.with_common_cutoff(self._cutoff(problem, start, end))
+        if problem.is_projected:
             allowed = 'a penalty, or a structure of reduce_structure(method="massless")'
             raise InputError("contact", problem.contact, allowed)
         self.problem, self.start, self.end = problem, start, end
-        self._compliance = ModalCompliance(problem.seen, problem.base_omega, problem.load)
+        self._compliance = ModalCompliance(problem.row_structure, problem.base_omega, problem.load)
         self._last: tuple[float, ContactSystem] | None = None
         first = self.system(start)
         self.shape, self.matrix_free = first.shape, first.matrix_free
@@ -322,7 +322,7 @@ class SpeedWaves(Waves):
 
     def compliance(self, value: float) -> ModalCompliance:
         problem = self.at(value)
-        return ModalCompliance(problem.seen, problem.base_omega, problem.load)
+        return ModalCompliance(problem.row_structure, problem.base_omega, problem.load)
 
     def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
         step = CENTRAL_DIFFERENCE_STEP * value

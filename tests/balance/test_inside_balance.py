@@ -985,7 +985,7 @@ def test_lands_where_the_path_bends_at_its_end(
     harmonics: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Landing from the chord fails here, and the path does not come back: from its last point."""
-    prevent(monkeypatch, "_climb")
+    prevent(monkeypatch, "_guesses_by_harmonics")
     structure = oscillator(0.02, 0.1)
     omega = FREQUENCIES[82]
     law = fc.UnilateralPenalty(10.0)
@@ -1008,9 +1008,15 @@ def stopped_chain(pairs: int, damping: float) -> fc.Structure:
 @pytest.mark.parametrize(
     ("start", "name", "omega", "law", "harmonics"),
     [
-        ("_climb", "full Newton steps", 0.45, fc.SmoothedPenalty(1.0, 10.0), 5),
-        ("_climb", "from fewer harmonics", 0.45, fc.SmoothedPenalty(1.0, 10.0), 40),
-        ("_path", "continuation in the contact compliance", 0.9, fc.UnilateralPenalty(1e4), 5),
+        ("_guesses_by_harmonics", "full Newton steps", 0.45, fc.SmoothedPenalty(1.0, 10.0), 5),
+        ("_guesses_by_harmonics", "from fewer harmonics", 0.45, fc.SmoothedPenalty(1.0, 10.0), 40),
+        (
+            "_guesses_by_continuation",
+            "continuation in the contact compliance",
+            0.9,
+            fc.UnilateralPenalty(1e4),
+            5,
+        ),
     ],
 )
 def test_each_start_is_needed(
@@ -1033,7 +1039,7 @@ def test_each_start_is_needed(
 def test_a_search_ends_and_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     """294 unknowns, hardly damped, by a quarter of the iterations, besides those of five smaller
     numbers of harmonics: what was tried, what to do."""
-    monkeypatch.setattr("fenics_crack.balance.problem.COMPILED", 1250)
+    monkeypatch.setattr("fenics_crack.balance.problem.MAX_KERNEL_ITERATIONS", 1250)
     structure, law = stopped_chain(6, 2e-4), fc.UnilateralPenalty(1e3)
     solution = fc.solve_harmonic_balance(structure, 0.3, law, harmonics=24, throw=False)
     assert not solution.converged
