@@ -35,7 +35,7 @@ import scipy.sparse as sparse
 from petsc4py import PETSc
 
 from fenics_crack.balance.compliance import Compliance
-from fenics_crack.balance.contact_system import SOFT, ContactPoint, Wave
+from fenics_crack.balance.contact_system import MAX_COMPLIANCE_RATIO, ContactPoint, Wave
 from fenics_crack.balance.problem import Problem, Search
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import InputError
@@ -102,7 +102,7 @@ class BlockSystem(Snes):
             self._still_gap += self._load @ static_response
         place = np.arange(rows * pairs).reshape(rows, pairs).T
         self._ends = np.repeat(place, rows, axis=1).ravel(), np.tile(place, rows).ravel()
-        if self.integrals.coupled:  # every force depends on every gap
+        if self.integrals.has_coupled_pairs:  # every force depends on every gap
             self._ends = tuple(np.indices((rows * pairs,) * 2).reshape(2, -1))
         pattern = sparse.csr_matrix((np.ones(len(self._ends[0])), self._ends), (rows * pairs,) * 2)
         touched = (abs(self._into) @ pattern @ abs(self._seen)).tocoo()  # where nothing cancels
@@ -183,7 +183,7 @@ class BlockSystem(Snes):
 
     def linearise(self, unknown: Any) -> None:
         forces = self.integrals.linearise(self.slow_gap(unknown.array_r))
-        tangent = forces.tangent() if self.integrals.coupled else forces.tangent
+        tangent = forces.tangent() if self.integrals.has_coupled_pairs else forces.tangent
         added = self._contact(self.length / self.force * tangent)
         added.resize(self.matrix.local_size[0], added.shape[1])
         self._linear.copy(self.matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
@@ -248,7 +248,11 @@ class BlockSolver(Solver):
         search = Search(system, problem, self.residual_tolerance, share, remedy=REMEDY)
         linear = compliance.displacement(np.zeros(system.shape))
         # The softest contact moves the gaps by this share of what the load does at most.
-        softest = SOFT * system.integrals.unit / np.abs(system.moving).sum(axis=2).max()
+        softest = (
+            MAX_COMPLIANCE_RATIO
+            * system.integrals.unit
+            / np.abs(system.dynamic_part).sum(axis=2).max()
+        )
         starts = [(linear, min(softest, 1.0))]
         if initial is not None:
             times = problem.subharmonic // initial.subharmonic

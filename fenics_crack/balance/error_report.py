@@ -142,7 +142,7 @@ def estimate_errors(
     residual, penetration = relative(at.residual), relative(_penetration(at, problem))
     if not converged:
         return ErrorReport(residual, UNKNOWN, 0.0, 0.0, penetration, UNKNOWN)
-    finer, sampling = at.system.integrals.finer(), 0.0
+    finer, sampling = at.system.integrals.refine(), 0.0
     if finer is not None:
         sampling = relative(at.gap_by_force(finer.force(at.unknown) - at.force))
     if known.affordable:  # better equations differ by what harmonics and samples leave out
@@ -215,7 +215,7 @@ def _beyond_truncation(at: ContactPoint, wave: Wave) -> Errors:
     """
     kept, pairs = at.system.integrals.harmonics, at.unknown.shape[1]
     harmonics = max(2 * kept, kept + 4, min(4 * kept, (SMALL // pairs - 1) // 2))
-    wide = at.system.widened(harmonics)
+    wide = at.system.with_harmonics(harmonics)
     return _change(at, wave, wide, resize_harmonics(at.unknown, harmonics), wave.structure)
 
 
@@ -244,7 +244,7 @@ def _lost_in_reduction(at: ContactPoint, wave: Wave, problem: Problem) -> Errors
         return 0.0, 0.0
     cutoff = np.inf if residual is None else problem.cutoff
     other, start = replace(problem, structure=reference, static_above=cutoff), at.gap
-    if at.system.integrals.coupled:
+    if at.system.integrals.has_coupled_pairs:
         assert residual is not None
         if is_rigid(problem.contact) and not is_regular(
             all_modes(other.row_structure).static_part(cutoff)
@@ -260,7 +260,7 @@ def _lost_in_reduction(at: ContactPoint, wave: Wave, problem: Problem) -> Errors
 def _penetration(at: ContactPoint, problem: Problem) -> np.ndarray:
     """Coefficients whose mean square is that of max(g, 0)."""
     integrals, count = at.system.integrals, max(512, 8 * len(at.gap))
-    if integrals.coupled:  # g has more harmonics than are kept
+    if integrals.has_coupled_pairs:  # g has more harmonics than are kept
         inside = (at.force * integrals.springs)[:, : problem.structure.n_pairs]
         return np.sqrt(inside[:1] ** 2 + 0.5 * np.sum(inside[1:] ** 2, axis=0, keepdims=True))
     inside = np.maximum(sample_period(at.gap, count), 0.0)

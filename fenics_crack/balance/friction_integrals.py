@@ -62,7 +62,7 @@ class FrictionIntegrals(ContactIntegrals):
     samples: int | None = field(default=None, kw_only=True)
     share: float = field(default=1.0, kw_only=True)
     sets: FrictionSets = field(init=False, repr=False, compare=False)
-    coupled: ClassVar[bool] = True
+    has_coupled_pairs: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         friction = friction_of(self.law)
@@ -112,10 +112,10 @@ class FrictionIntegrals(ContactIntegrals):
     def linearise(self, gap: np.ndarray) -> FrictionForces:
         return FrictionForces(self, gap)
 
-    def finer(self) -> Self:
+    def refine(self) -> Self:
         return replace(self, samples=4 * self.instants)
 
-    def widened(self, harmonics: int) -> Self:
+    def with_harmonics(self, harmonics: int) -> Self:
         return replace(self, harmonics=harmonics, samples=None)
 
 

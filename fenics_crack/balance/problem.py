@@ -540,7 +540,7 @@ class Search:
         ] * (not self._is_spent)
         if (
             self.budget_fraction == 1.0
-            and system.integrals.coupled
+            and system.integrals.has_coupled_pairs
             and problem.harmonics <= self._min_harmonics_for_orbit_start
         ):
             flow = flow_of(problem.structure, problem.contact)
@@ -630,7 +630,7 @@ class Search:
             return
         force = np.zeros(system.shape)
         force[:, : point.unknown.shape[1]] = search.system.integrals.force(point.unknown)
-        self._simpler_point = system.linearise(system.linear - respond(system.moving, force))
+        self._simpler_point = system.linearise(system.linear - respond(system.dynamic_part, force))
         if problem.harmonics > self._min_harmonics_for_orbit_start:
             yield from self._guesses_from_orbit(problem)
         yield self._simpler_point.unknown
@@ -672,7 +672,7 @@ class Search:
         if self.problem.friction:
             system = system.along_friction()
         else:
-            system = system.softened()
+            system = system.along_softness()
             start_point = self._take_full_steps(system, system.linear, parameter=0.0)
         if start_point is None:
             return

@@ -136,7 +136,9 @@ class Waves(CurveSystem):
     def linearise(self, unknown: np.ndarray, parameter: float) -> ContactPoint:
         value = self.value(parameter)
         rate = self.rate(value)
-        return self.system(value).along(unknown, lambda at: rate * self._by_value(value, at))
+        return self.system(value).with_derivative(
+            unknown, lambda point: rate * self._by_value(value, point)
+        )
 
     @property
     def means(self) -> int:
@@ -152,8 +154,8 @@ class Waves(CurveSystem):
         if self.compiled is not None:
             largest = self.compiled.largest_compliance(parameter)
         else:
-            moving = self.system(self.value(parameter)).moving
-            largest = float(np.abs(moving).sum(axis=2).max())
+            dynamic_part = self.system(self.value(parameter)).dynamic_part
+            largest = float(np.abs(dynamic_part).sum(axis=2).max())
         return residual_rounding(4.0 * largest * self.steepest_force)
 
     def half_off(self, unknown: np.ndarray, parameter: float) -> float:
@@ -217,7 +219,7 @@ class _VariedWaves(Waves):
         """Compile the equations where g_lin alone depends on the parameter, and linearly."""
         by_value = self._compliance.derivative(self.name, np.zeros(first.shape))
         rate = -(self.end - self.start) * by_value
-        return first.compile(first.linear, first.moving, linear_rate=rate)
+        return first.compile(first.linear, first.dynamic_part, linear_rate=rate)
 
 
 class LoadWaves(_VariedWaves):
@@ -265,10 +267,10 @@ class StiffnessWaves(Waves):
         return replace(problem, contact=problem.contact.scaled(value))
 
     def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
-        return respond(at.system.moving, at.forces.by_stiffness()) / value
+        return respond(at.system.dynamic_part, at.forces.by_stiffness()) / value
 
     def _compile(self, first: ContactSystem) -> CompiledEquations:
-        return first.compile(first.linear, first.moving, growth=self.rate(1.0))
+        return first.compile(first.linear, first.dynamic_part, growth=self.rate(1.0))
 
 
 class FrictionWaves(Waves):

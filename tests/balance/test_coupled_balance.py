@@ -49,7 +49,7 @@ def system_of(structure: fc.Structure, law: Any, harmonics: int) -> Any:
     """The equations at 0.8 rad/s."""
     problem = fc.Problem(structure, 0.8, law, harmonics)
     found = problem.system(problem.compliance())
-    assert found.integrals.coupled
+    assert found.integrals.has_coupled_pairs
     return found
 
 

@@ -295,14 +295,14 @@ def test_widened_integrals_see_the_same_wave() -> None:
     gap, law = random_gaps(4, 4), UnilateralPenalty(STIFFNESS)
     padded = resize_harmonics(gap, 16)
     exact = ExactIntegrals(law, 4)
-    wide = exact.widened(16)
+    wide = exact.with_harmonics(16)
     force = wide.force(padded)
     assert wide.harmonics == 16 and force.shape == (33, 4)
     assert np.allclose(force[:9], exact.force(gap), rtol=0.0, atol=1e-12)
-    sampled = SampledIntegrals(law, 4, 4096).widened(16)
+    sampled = SampledIntegrals(law, 4, 4096).with_harmonics(16)
     assert sampled.samples == 4096
     assert np.allclose(sampled.force(padded), force, rtol=0.0, atol=1e-4)
-    few = SampledIntegrals(law, 4, 32).widened(100)
+    few = SampledIntegrals(law, 4, 32).with_harmonics(100)
     assert few.harmonics == 100 and few.samples > 400
 
 
@@ -375,13 +375,13 @@ def test_exact_force_by_gauss_between_events(law: str) -> None:
     harmonics, made = 4, integrals(law, 4)
     gap = random_gaps(harmonics, 3, 2)
     grid = np.linspace(0.0, 2.0 * np.pi, 4097)
-    _, closed = made.contact.solve(evaluate(gap, 1.0, grid))
+    _, closed = made.active_sets.solve(evaluate(gap, 1.0, grid))
     events = []
     for place in np.flatnonzero(np.any(closed[1:] != closed[:-1], axis=1)):
         low, high = grid[place], grid[place + 1]
         for _ in range(60):
             middle = 0.5 * (low + high)
-            same = made.contact.solve(evaluate(gap, 1.0, np.array([middle])))[1][0]
+            same = made.active_sets.solve(evaluate(gap, 1.0, np.array([middle])))[1][0]
             low, high = (middle, high) if np.array_equal(same, closed[place]) else (low, middle)
         events.append(low)
     assert len(events) >= 6
@@ -513,7 +513,7 @@ def test_widened_keeps_the_forces() -> None:
         wide = np.vstack([gap, np.zeros((8, 3))])
         made = integrals(kind, 4, softness=0.2)
         made = made if kind == "sampled" else replace(made, samples=None)
-        found = made.widened(8).linearise(wide).force[:9]
+        found = made.with_harmonics(8).linearise(wide).force[:9]
         assert relative(found, made.linearise(gap).force) < (1e-3 if kind == "sampled" else 1e-9)
 
 
