@@ -175,7 +175,7 @@ def linear_response(
                 gap = to_complex(at.linear_gap)
                 gap[1] = np.linalg.lstsq(at.matrices[1], gap[1], rcond=None)[0]
                 force[1:] = from_complex(gap)[1:]
-            found[place] = np.hypot(*at.seen_through(row, force)[1:, 0])
+            found[place] = np.hypot(*at.selected_displacement(row, force)[1:, 0])
     return found
 
 

@@ -74,12 +74,14 @@ class Drive:
 
     def power(self, at: ContactPoint, force: np.ndarray | None = None) -> complex:
         """P [N m] at a point, or of other contact forces there."""
-        found = compliance_of(at).seen_through(self.rows, at.force if force is None else force)
+        found = compliance_of(at).selected_displacement(
+            self.rows, at.force if force is None else force
+        )
         return self._of(found)
 
     def power_by_omega(self, at: ContactPoint) -> complex:
         """dP/dw for fixed contact forces."""
-        return self._of(compliance_of(at).seen_by_omega(self.rows, at.force))
+        return self._of(compliance_of(at).selected_displacement_by_omega(self.rows, at.force))
 
     def _of(self, waves: np.ndarray) -> complex:
         """P of the coefficients (2H+1, 2) of both rows' products with a displacement."""

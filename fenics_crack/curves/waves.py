@@ -169,7 +169,7 @@ class Waves(CurveSystem):
     ) -> CompiledEquations | None:
         """The kernel's equations along base frequencies, or factors of the damping."""
         modal = self._compliance.modal_part(omega, damping, self.problem.residual)
-        return None if modal is None else first.compile(self._compliance.still_gap, modal)
+        return None if modal is None else first.compile(self._compliance.gap_without_modes, modal)
 
 
 class FrequencyWaves(Waves):
@@ -186,7 +186,7 @@ class FrequencyWaves(Waves):
         return replace(problem, omega=value)
 
     def compliance(self, value: float) -> ModalCompliance:
-        return self._compliance.at(value / self.problem.subharmonic)
+        return self._compliance.with_parameters(value / self.problem.subharmonic)
 
     @classmethod
     def frequency(cls, problem: Problem, value: float) -> float:
@@ -213,7 +213,7 @@ class _VariedWaves(Waves):
         return replace(problem, structure=problem.structure.varied(**{cls.name: value}))
 
     def compliance(self, value: float) -> ModalCompliance:
-        return self._compliance.at(self.problem.base_omega, **{self.name: value})
+        return self._compliance.with_parameters(self.problem.base_omega, **{self.name: value})
 
     def _compile(self, first: ContactSystem) -> CompiledEquations | None:
         """Compile the equations where g_lin alone depends on the parameter, and linearly."""
