@@ -235,7 +235,7 @@ class FrictionPath(ContactSystem):
     def linearise(self, unknown: np.ndarray, parameter: float = 1.0) -> ContactPoint:
         """Return the equations at s with ``parameter`` times the friction coefficient."""
         assert isinstance(self.integrals, FrictionIntegrals)
-        integrals = replace(self.integrals, share=max(parameter, 0.0))
+        integrals = replace(self.integrals, friction_factor=max(parameter, 0.0))
         return ContactPoint(self, unknown, integrals, by_friction)
 
 
@@ -412,7 +412,7 @@ class Wave:
             return basis, slow_gap, np.zeros_like(slow_gap)
         if friction_of(contact) is not None:
             assert isinstance(self._integrals, FrictionIntegrals)
-            force = self._integrals.at(self.slow_gap_coefficients, phase)[0]
+            force = self._integrals.forces_at(self.slow_gap_coefficients, phase)[0]
         elif self.residual is not None:
             force = self._integrals.forces(slow_gap)
         elif not is_rigid(contact):
@@ -461,7 +461,7 @@ class Wave:
         """
         self._check_friction()
         assert isinstance(self._integrals, FrictionIntegrals)
-        return self._integrals.at(self.slow_gap_coefficients, self.base_omega * time)[1]
+        return self._integrals.forces_at(self.slow_gap_coefficients, self.base_omega * time)[1]
 
     def _check_friction(self) -> None:
         if friction_of(self.contact) is None:
@@ -618,4 +618,4 @@ class CompiledPoint(Linearisation):
 def by_friction(point: ContactPoint) -> np.ndarray:
     """Return the derivative of F by the friction coefficient's factor."""
     assert isinstance(point.forces, FrictionForces)
-    return respond(point.system.dynamic_part, point.forces.by_share())
+    return respond(point.system.dynamic_part, point.forces.by_friction_factor())
