@@ -22,7 +22,13 @@ from functools import cached_property, partial
 import numpy as np
 
 from fenics_crack.balance.contact_system import Wave
-from fenics_crack.balance.more_modes import UNKNOWN, MoreModes, is_still, loaded, reference_of
+from fenics_crack.balance.more_modes import (
+    UNKNOWN,
+    MoreModes,
+    is_still,
+    motion_at_load,
+    reference_of,
+)
 from fenics_crack.balance.problem import Problem, Search
 from fenics_crack.basics.tables import percent
 from fenics_crack.model.modal import is_small
@@ -288,7 +294,7 @@ def with_twice_the_harmonics(wave: Wave) -> Wave | None:
 
 def _at_load(wave: Wave, change: np.ndarray, motion: np.ndarray) -> float:
     """Return the size of a change of the displacement at the load relative to that of a motion."""
-    return relative_to_motion(*(loaded(wave.structure, one) for one in (change, motion)))
+    return relative_to_motion(*(motion_at_load(wave.structure, one) for one in (change, motion)))
 
 
 def distance(wave: Wave, orbit: PeriodicOrbit) -> float:

@@ -29,7 +29,13 @@ import numpy as np
 
 from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem, Wave
-from fenics_crack.balance.more_modes import UNKNOWN, Errors, left_out, loaded, reference_of
+from fenics_crack.balance.more_modes import (
+    UNKNOWN,
+    Errors,
+    modal_truncation_errors,
+    motion_at_load,
+    reference_of,
+)
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.tables import Described
 from fenics_crack.model.contact import REGULAR, as_penalty, is_regular, is_rigid
@@ -183,15 +189,15 @@ def beside(found: Wave, better: Wave) -> ErrorReport:
     size = mean_square(better.gap_coefficients - found.gap_coefficients)
     gap = math.sqrt(size / moving_mean_square(closing))
     at_load = _at_load(found, better.structure, better.displacement_coefficients)
-    reduction, displacement = left_out(found.structure, (gap, at_load))
+    reduction, displacement = modal_truncation_errors(found.structure, (gap, at_load))
     return ErrorReport(reduction=reduction, displacement=displacement)
 
 
 def _at_load(wave: Wave, structure: Structure, displacement: np.ndarray) -> float:
     """Change of the displacement at the load to that of a structure, relative to its root mean
     square, to which its mean contributes no more than all else (collective)."""
-    known = loaded(wave.structure, wave.displacement_coefficients)
-    change = mean_square(loaded(structure, displacement) - known)
+    known = motion_at_load(wave.structure, wave.displacement_coefficients)
+    change = mean_square(motion_at_load(structure, displacement) - known)
     return math.sqrt(change / moving_mean_square(known)) if known.any() else 0.0
 
 
@@ -254,7 +260,7 @@ def _lost_in_reduction(at: ContactPoint, wave: Wave, problem: Problem) -> Errors
     system = other.system(other.compliance())
     if system.residual is not None:
         start = start + at.force @ system.residual
-    return left_out(problem.structure, _change(at, wave, system, start, reference))
+    return modal_truncation_errors(problem.structure, _change(at, wave, system, start, reference))
 
 
 def _penetration(at: ContactPoint, problem: Problem) -> np.ndarray:

@@ -576,7 +576,9 @@ def solution_of_orbit(
     ).assessment.more_modes
     if more_modes and initial and initial.structure is problem.structure:
         initial_modes = initial.assessment.more_modes
-        more_modes = replace(more_modes, inverse=initial_modes.hint if initial_modes else None)
+        more_modes = replace(
+            more_modes, inverse=initial_modes.orbit_inverse if initial_modes else None
+        )
     reduction, load_error = _modal_truncation_errors(problem, wave_with, more_modes)
     goal = _error_goal(tolerance, reduction)
     too_few_harmonics, solution = 0, wave_with(problem.harmonics)

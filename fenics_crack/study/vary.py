@@ -539,10 +539,10 @@ class _Stated(_Case):
         larger = known.more_modes if known.affordable else None
         is_short = self.found.orbit is None and near.harmonics < ENOUGH * near.subharmonic
         if larger and (motion := larger.motion if is_short else larger.orbit):
-            few = self.exact or of_orbit(self.study, self.found, larger.fewer, self.own.mode)
+            few = self.exact or of_orbit(self.study, self.found, larger.nearest_orbit, self.own.mode)
             many = of_orbit(more, self.found, motion, self.own.mode)
             other = as_changed(self.own.values, few, many)
-            least = sizes_of_change(self.study, larger.fewer, motion)
+            least = sizes_of_change(self.study, larger.nearest_orbit, motion)
         else:
             exactly = known.affordable and structure.light_lips
             if exactly and near.harmonics < (count := ENOUGH * near.subharmonic):
