@@ -34,7 +34,7 @@ import numpy as np
 from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.block_system import FORMS
 from fenics_crack.balance.compliance import DynamicStiffness, ModalCompliance, load_coefficients
-from fenics_crack.balance.error_report import NOT_ESTIMATED, ErrorReport, beside
+from fenics_crack.balance.error_report import NOT_ESTIMATED, ErrorReport, error_against_reference
 from fenics_crack.balance.more_modes import UNKNOWN, MoreModes, reference_of
 from fenics_crack.balance.problem import Problem, check_memory, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, Solver
@@ -110,7 +110,9 @@ def solve_linear(
         reference = reference_of(solution)
         if reference is None:
             return ErrorReport()
-        return beside(solution, _solve_without_contact(reference, omega, harmonics))
+        return error_against_reference(
+            solution, _solve_without_contact(reference, omega, harmonics)
+        )
 
     return replace(solution, estimate=estimate)
 
@@ -616,7 +618,7 @@ def wave_of(
     wave = problem.wave_of(
         coefficients.displacement[rows], coefficients.gap[rows], coefficients.force[rows]
     )
-    return PeriodicSolution(**vars(wave), assessment=Assessment(wave, orbit, more=more_modes))
+    return PeriodicSolution(**vars(wave), assessment=Assessment(wave, orbit, more_modes=more_modes))
 
 
 def _modal_truncation_errors(
@@ -733,7 +735,7 @@ def motion_without_friction(
     start_problem = problem.with_harmonics(problem.response_harmonics(problem.harmonics))
     solution = Solver(start_problem).solve()
     assessment = solution.assessment
-    return assessment.orbit if assessment.accepted and assessment.orbit is not None else solution
+    return assessment.orbit if assessment.is_accepted and assessment.orbit is not None else solution
 
 
 def sliding_of(

@@ -209,7 +209,7 @@ def _order_cases(
 ) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
     """Yield cases from the middle outwards, each with its earlier neighbours.
 
-    The scaling ignores cases that cannot exist.
+    Cases that cannot exist may stand anywhere in this order.
 
     Yields
     ------

@@ -151,7 +151,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
     @property
     def orbit(self) -> PeriodicOrbit | None:
         """The exact orbit whose Fourier coefficients these are; None where they are balanced."""
-        return self.assessment.own
+        return self.assessment.exact_orbit
 
     def displacement(self, time: np.ndarray, dofs: Sequence[int | None] = (None,)) -> np.ndarray:
         """Displacement of dofs, or of the watched one, at times [s]: (len(time), len(dofs)) [m]
