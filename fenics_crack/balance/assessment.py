@@ -166,15 +166,15 @@ class Assessment:
 
         It is the orbit from which the solution was found, or the end of Newton's method.
         """
-        return self._search[0]
+        return self._orbit_and_acceptance[0]
 
     @property
     def is_accepted(self) -> bool:
         """True if the nearest orbit is accepted as the exact form of this solution."""
-        return self._search[1]
+        return self._orbit_and_acceptance[1]
 
     @cached_property
-    def _search(self) -> tuple[PeriodicOrbit | None, bool]:
+    def _orbit_and_acceptance(self) -> tuple[PeriodicOrbit | None, bool]:
         """Return the nearest orbit, and True if it is accepted."""
         if self.exact_orbit is not None:
             return self.exact_orbit, True

@@ -139,7 +139,7 @@ class ContactIntegrals(ABC):
         return float(np.mean(self.compliance_diagonal))
 
     @abstractmethod
-    def forces(self, gap: np.ndarray) -> np.ndarray:
+    def forces_in_time(self, gap: np.ndarray) -> np.ndarray:
         """Return lambda(s) for values of s at instants (n, n_pairs), in the same shape [N]."""
 
     @abstractmethod
@@ -193,7 +193,7 @@ class SampledIntegrals(ContactIntegrals):
     samples: int
     """N, AFT samples of the period."""
 
-    def forces(self, gap: np.ndarray) -> np.ndarray:
+    def forces_in_time(self, gap: np.ndarray) -> np.ndarray:
         return self.law.force(gap)
 
     def linearise(self, gap: np.ndarray) -> PairForces:
@@ -240,7 +240,7 @@ class ExactIntegrals(ContactIntegrals):
         """Return the slope of a closed pair's force: (n_pairs,), or one number [N/m]."""
         return np.asarray(1.0 / (self.compliance_diagonal + self.softness * self.unit))
 
-    def forces(self, gap: np.ndarray) -> np.ndarray:
+    def forces_in_time(self, gap: np.ndarray) -> np.ndarray:
         return np.asarray(self.stiffness * np.maximum(gap, 0.0))
 
     def linearise(self, gap: np.ndarray) -> PairForces:
@@ -406,7 +406,7 @@ class CoupledIntegrals(ContactIntegrals):
         samples = 4 * (self.samples or default_samples(self.harmonics))
         return replace(self, samples=None if self.is_piecewise else samples)
 
-    def forces(self, gap: np.ndarray) -> np.ndarray:
+    def forces_in_time(self, gap: np.ndarray) -> np.ndarray:
         if self.is_piecewise:
             return self.active_sets.solve(gap)[0]
         return smooth_forces(self.law, self.active_sets.compliance, gap)[0]

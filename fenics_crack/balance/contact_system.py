@@ -163,7 +163,7 @@ class ContactSystem:
         assert self.basis is not None
         return self.basis.T @ self.dynamic_part @ self.basis
 
-    def slow(self, gap: np.ndarray, force: np.ndarray, n_periods: int = 1) -> np.ndarray:
+    def slow_gap(self, gap: np.ndarray, force: np.ndarray, n_periods: int = 1) -> np.ndarray:
         """Return s = g + R_inf lambda with the harmonics of the system.
 
         Parameters
@@ -295,14 +295,14 @@ class ContactPoint(DenseLinearisation):
     def by_parameter(self) -> np.ndarray:
         return self._derivative(self)
 
-    def gap_of(self, change: np.ndarray) -> np.ndarray:
+    def gap_change(self, change: np.ndarray) -> np.ndarray:
         """Return the change of g for a change of s."""
         return self.system.gap(change, self.forces.apply(change))
 
-    def gap_by_force(self, change: np.ndarray) -> np.ndarray:
+    def gap_change_by_force(self, change: np.ndarray) -> np.ndarray:
         """Return the change of g for a change of the contact force's coefficients."""
         unknown_change = self.solve(-respond(self.system.dynamic_part, change))
-        return self.system.gap(self.gap_of(unknown_change), change)
+        return self.system.gap(self.gap_change(unknown_change), change)
 
 
 # --- the motion -----------------------------------------------------------------------------------
@@ -395,14 +395,16 @@ class Wave:
             1, cos, sin, ..., the factors of coefficients.
         gap, force : (n, n_rows) [m], [N]
         """
-        return self._at_instants(fourier_basis_for(self.gap_coefficients, phase), phase)
+        return self._gaps_and_forces_at(fourier_basis_for(self.gap_coefficients, phase), phase)
 
     def over_period(self, n_instants: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the same as :meth:`at_phase` at n instants i T / n."""
         phase = 2.0 * np.pi / n_instants * np.arange(n_instants)
-        return self._at_instants(fourier_basis_over_period(self.harmonics, n_instants), phase)
+        return self._gaps_and_forces_at(
+            fourier_basis_over_period(self.harmonics, n_instants), phase
+        )
 
-    def _at_instants(
+    def _gaps_and_forces_at(
         self, basis: np.ndarray, phase: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the basis (n, 2H+1), and gaps and forces (n, n_rows) at its instants."""
@@ -414,7 +416,7 @@ class Wave:
             assert isinstance(self._integrals, FrictionIntegrals)
             force = self._integrals.forces_at(self.slow_gap_coefficients, phase)[0]
         elif self.residual is not None:
-            force = self._integrals.forces(slow_gap)
+            force = self._integrals.forces_in_time(slow_gap)
         elif not is_rigid(contact):
             force = contact.force(slow_gap)
         else:

@@ -167,7 +167,9 @@ def estimate_errors(
         return ErrorReport(residual, UNKNOWN, 0.0, 0.0, penetration, UNKNOWN)
     finer_integrals, sampling = point.system.integrals.refine(), 0.0
     if finer_integrals is not None:
-        sampling = relative(point.gap_by_force(finer_integrals.force(point.unknown) - point.force))
+        sampling = relative(
+            point.gap_change_by_force(finer_integrals.force(point.unknown) - point.force)
+        )
     if assessment.affordable:  # better equations differ by what harmonics and samples leave out
         error, load_error = assessment.errors(search=search)
     else:

@@ -111,7 +111,7 @@ class FrictionIntegrals(ContactIntegrals):
         """
         return self.sets.solve(gap, gap[0, gap.shape[1] // 2 :], turns=MAX_PERIODS)
 
-    def forces(self, gap: np.ndarray) -> np.ndarray:
+    def forces_in_time(self, gap: np.ndarray) -> np.ndarray:
         return self.march(gap)[0]
 
     def forces_at(self, gap: np.ndarray, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

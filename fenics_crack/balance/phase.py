@@ -58,12 +58,12 @@ class Drive:
     ----------
     harmonic : int
         k.
-    rows : (2, n_dofs) [N]
+    load_rows : (2, n_dofs) [N]
         Cosine and sine parts of the load; on a wheel, those on the watched blade.
     """
 
     harmonic: int
-    rows: np.ndarray
+    load_rows: np.ndarray
 
     @classmethod
     def of_structure(cls, structure: Structure, harmonic: int) -> Drive:
@@ -81,14 +81,14 @@ class Drive:
     def power(self, point: ContactPoint, force: np.ndarray | None = None) -> complex:
         """Return P at a point, or with other contact forces there [N m]."""
         displacement = compliance_of(point).selected_displacement(
-            self.rows, point.force if force is None else force
+            self.load_rows, point.force if force is None else force
         )
         return self._power_of(displacement)
 
     def power_by_omega(self, point: ContactPoint) -> complex:
         """Return dP/dw for fixed contact forces."""
         return self._power_of(
-            compliance_of(point).selected_displacement_by_omega(self.rows, point.force)
+            compliance_of(point).selected_displacement_by_omega(self.load_rows, point.force)
         )
 
     def _power_of(self, coefficients: np.ndarray) -> complex:
@@ -117,9 +117,9 @@ class PhasePoint(Linearisation):
         F at s / v, for v = 1.
     omega : float [rad/s]
         w.
-    inverse, change : float
+    inverse_load, inverse_load_rate : float
         1 / v, and its derivative by the parameter.
-    by_frequency, power_by_frequency : (2H+1, n_pairs), complex
+    unknown_by_frequency, power_by_frequency : (2H+1, n_pairs), complex
         ds/dw and dP/dw over v, along the response curve through the point.
     """
 
@@ -128,8 +128,8 @@ class PhasePoint(Linearisation):
     contact_point: ContactPoint
     omega: float
     size: float
-    inverse: float = 1.0
-    change: float = 0.0
+    inverse_load: float = 1.0
+    inverse_load_rate: float = 0.0
 
     def __post_init__(self) -> None:
         self.unknown = np.append(
@@ -140,14 +140,14 @@ class PhasePoint(Linearisation):
     @cached_property
     def residual(self) -> np.ndarray:  # type: ignore[override]
         contact_residual = self.contact_point.residual.copy()
-        contact_residual[0] += (1.0 - self.inverse) * self.contact_point.system.linear[0]
+        contact_residual[0] += (1.0 - self.inverse_load) * self.contact_point.system.linear[0]
         return np.append(contact_residual / self.size, self.power.real / self.power.imag)
 
     @cached_property
     def by_parameter(self) -> np.ndarray:  # type: ignore[override]
         derivative = np.zeros_like(self.unknown)
         derivative[: len(self.contact_point.gap[0])] = (
-            -self.change * self.contact_point.system.linear[0] / self.size
+            -self.inverse_load_rate * self.contact_point.system.linear[0] / self.size
         )
         return derivative
 
@@ -167,14 +167,16 @@ class PhasePoint(Linearisation):
         )
 
     @cached_property
-    def by_frequency(self) -> np.ndarray:
+    def unknown_by_frequency(self) -> np.ndarray:
         return -self.contact_point.solve(
             compliance_of(self.contact_point).derivative("omega", self.contact_point.force)
         )
 
     @cached_property
     def power_by_frequency(self) -> complex:
-        return self.drive.power_by_omega(self.contact_point) + self._power_change(self.by_frequency)
+        return self.drive.power_by_omega(self.contact_point) + self._power_change(
+            self.unknown_by_frequency
+        )
 
     def solve(self, right_side: np.ndarray) -> np.ndarray:
         change = self.size * self.contact_point.solve(
@@ -182,7 +184,7 @@ class PhasePoint(Linearisation):
         )
         remainder = right_side[-1] - self._phase_change(self._power_change(change))
         omega_change = remainder / self._phase_change(self.power_by_frequency)
-        relative_change = (change + omega_change * self.by_frequency) / self.size
+        relative_change = (change + omega_change * self.unknown_by_frequency) / self.size
         return np.append(relative_change, omega_change / self.problem.omega)
 
     @property

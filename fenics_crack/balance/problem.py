@@ -590,7 +590,7 @@ class Search:
             guess = (
                 system.linear
                 if simpler_point is None
-                else system.slow(simpler_point.gap, simpler_point.force)
+                else system.slow_gap(simpler_point.gap, simpler_point.force)
             )
             if system is self.system:
                 yield from self._guesses_near(system, guess)
@@ -656,7 +656,7 @@ class Search:
             self._max_iterations += self._iterations_per_guess
             self.remedy = "a tolerance, which takes the exact orbit that was found"
             yield from self._guesses_near(
-                self.system, self.system.slow(coefficients.gap, coefficients.force)
+                self.system, self.system.slow_gap(coefficients.gap, coefficients.force)
             )
         self.orbit = None
 

@@ -399,7 +399,7 @@ class Solver:
             n_periods = problem.subharmonic // initial.subharmonic
             rows = initial.gap_rows, initial.force_rows
             if rows[0].shape[1] == system.shape[1]:  # False: the initial solution has no friction
-                starts.append(system.slow(*rows, n_periods))
+                starts.append(system.slow_gap(*rows, n_periods))
         search = Search(system, problem, self.residual_tolerance, share)
         point = search.solve(*starts)
         # The kernel's points do not know the forces.

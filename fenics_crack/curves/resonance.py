@@ -67,7 +67,7 @@ class ResonanceSystem(CurveSystem):
     ) -> None:
         self.start, self.end = span
         self._waves = waves = FrequencyWaves(problem, problem.omega, 0.5 * problem.omega)
-        slow = waves.system(problem.omega).slow(near.gap, near.force) / self.start
+        slow = waves.system(problem.omega).slow_gap(near.gap, near.force) / self.start
         self._size = float(np.linalg.norm(slow[1:]))
         self.begin = np.append(slow / self._size, 1.0)
         self.problem, self.drive, self.means = waves.problem, drive, waves.means

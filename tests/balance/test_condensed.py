@@ -207,7 +207,7 @@ def test_sensitivity_of_the_gap(kind: str) -> None:
     start = system.linear if kind != "constraint" else np.zeros(system.shape)
     solution = newton(system, start)
     change = np.random.default_rng(10).normal(size=system.shape)
-    predicted = solution.gap_of(solution.solve(change))
+    predicted = solution.gap_change(solution.solve(change))
     linear, gaps = system.linear, []
     for sign in (1.0, -1.0):
         system.linear = linear + sign * 1e-6 * change

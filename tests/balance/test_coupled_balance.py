@@ -73,7 +73,7 @@ def test_jacobian_against_finite_differences(
         slope = (after.residual - before.residual).ravel() / (2.0 * step)
         assert np.abs(matrix[:, column] - slope).max() < 1e-5 * np.abs(matrix).max()
         gap = (after.gap - before.gap) / (2.0 * step)
-        assert np.abs(point.gap_of(change / step) - gap).max() < 1e-5
+        assert np.abs(point.gap_change(change / step) - gap).max() < 1e-5
     after, before = (system.linearise(unknown, 0.4 + s * step).residual for s in (1.0, -1.0))
     slope = (after - before) / (2.0 * step)
     found = point.by_parameter

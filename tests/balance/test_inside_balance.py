@@ -390,7 +390,9 @@ def test_exact_force_by_gauss_between_events(law: str) -> None:
     expected = np.zeros_like(gap)
     for low, high in pairwise(ends):
         theta = 0.5 * (low + high) + 0.5 * (high - low) * nodes
-        force = made.forces(evaluate(gap, 1.0, theta)) * (0.5 * (high - low) * weights)[:, None]
+        force = (
+            made.forces_in_time(evaluate(gap, 1.0, theta)) * (0.5 * (high - low) * weights)[:, None]
+        )
         expected[0] += force.sum(axis=0) / (2.0 * np.pi)
         for k in range(1, harmonics + 1):
             expected[2 * k - 1] += np.cos(k * theta) @ force / np.pi
@@ -455,7 +457,7 @@ def test_smoothed_force_by_quadrature() -> None:
 
     def products(t: float) -> np.ndarray:
         waves = np.array([0.5, np.cos(t), np.sin(t), np.cos(2 * t), np.sin(2 * t)])
-        return waves * made.forces(evaluate(gap, 1.0, np.array([t])))[0, 0]
+        return waves * made.forces_in_time(evaluate(gap, 1.0, np.array([t])))[0, 0]
 
     integrals, _ = scipy.integrate.quad_vec(products, 0.0, 2.0 * np.pi, epsabs=1e-11, limit=200)
     assert found == pytest.approx(integrals / np.pi, abs=1e-9)
