@@ -117,9 +117,8 @@ class BlockSystem(Snes):
             (np.ones(len(self._gap_tangent_indices[0])), self._gap_tangent_indices),
             (n_rows * n_pairs,) * 2,
         )
-        contact_entries = (
-            abs(self._force_map) @ pattern @ abs(self._slow_gap_map)
-        ).tocoo()  # where nothing cancels
+        # Absolute values do not cancel: no entry is missed.
+        contact_entries = (abs(self._force_map) @ pattern @ abs(self._slow_gap_map)).tocoo()
         entries = np.append(linear_part.data, 0.0 * contact_entries.data)
         indices = (
             np.append(linear_part.row, contact_entries.row),
@@ -146,13 +145,10 @@ class BlockSystem(Snes):
             local_rows(operator) for operator in (structure.mass, structure.stiffness)
         )
         omega = base_omega * ((np.arange(n_rows) + 1) // 2)
-        time_derivative = np.zeros(
-            (n_rows, n_rows)
-        )  # of the derivative: from sine to cosine, and back
-        time_derivative[1::2, 2::2], time_derivative[2::2, 1::2] = (
-            np.diag(omega[1::2]),
-            -np.diag(omega[2::2]),
-        )
+        # The time derivative turns sines into cosines, and cosines into sines.
+        time_derivative = np.zeros((n_rows, n_rows))
+        time_derivative[1::2, 2::2] = np.diag(omega[1::2])
+        time_derivative[2::2, 1::2] = -np.diag(omega[2::2])
         matrix = sparse.kron(np.eye(n_rows), stiffness) - sparse.kron(np.diag(omega**2), mass)
         if structure.damping_matrix is not None:
             matrix += sparse.kron(time_derivative, local_rows(structure.damping_matrix))
@@ -287,10 +283,8 @@ class BlockSolver(Solver):
         }
         for condition in (condition for condition, is_refused in refusals.items() if is_refused):
             raise InputError("form", "block", f"'condensed' {condition}")
-        damping, n_unknowns = (
-            structure.original.damping,
-            structure.n_dofs * (2 * problem.harmonics + 1),
-        )
+        damping = structure.original.damping
+        n_unknowns = structure.n_dofs * (2 * problem.harmonics + 1)
         n_modes = check_damped_modes(structure) if isinstance(damping, ModalDamping) else 0
         is_solid = structure.nodes is not None and structure.nodes.points.shape[1] == 3
         # Of the factors and the matrix, and of rows and columns of the modes.
@@ -364,11 +358,9 @@ def _raise_stiffness(
         search.iterations += n_iterations
         if converged:
             slope = (next_displacement - displacement) / log_step if log_step else slope
-            displacement, reached_factor, ratio = (
-                next_displacement,
-                stiffness_factor,
-                min(ratio**2, MAX_STIFFNESS_RATIO),
-            )
+            displacement = next_displacement
+            reached_factor = stiffness_factor
+            ratio = min(ratio**2, MAX_STIFFNESS_RATIO)
         else:
             ratio = math.sqrt(ratio) if reached_factor else 0.0
         stiffness_factor = min(ratio * reached_factor, 1.0)

@@ -453,10 +453,8 @@ def resized_compliance(compliance: Compliance, harmonics: int) -> Compliance:
     matrices = compliance.matrices[: harmonics + 1]
     if len(matrices) <= harmonics:
         matrices = np.concatenate([matrices, compliance.compliance_above(harmonics)])
-    resized.matrices, resized.linear_gap = (
-        matrices,
-        resize_harmonics(compliance.linear_gap, harmonics),
-    )
+    resized.matrices = matrices
+    resized.linear_gap = resize_harmonics(compliance.linear_gap, harmonics)
     resized.shape = resized.linear_gap.shape
     return resized
 

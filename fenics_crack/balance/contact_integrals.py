@@ -395,9 +395,8 @@ class CoupledIntegrals(ContactIntegrals):
     def with_harmonics(self, harmonics: int) -> Self:
         samples = self.samples and max(self.samples, default_samples(harmonics))
         integrals = replace(self, harmonics=harmonics, samples=samples)
-        object.__setattr__(
-            integrals, "active_sets", self.active_sets
-        )  # keeps the inverses already computed
+        # Keep the inverses already computed.
+        object.__setattr__(integrals, "active_sets", self.active_sets)
         return integrals
 
     def refine(self) -> Self | None:
@@ -468,10 +467,8 @@ class _ExactForces(CoupledForces):
 
         Raises ConvergenceError if an instant has no forces.
         """
-        kernel_forces, active_sets = (
-            _kernel_forces_for(self.harmonics, self._gap.shape[1]),
-            self._integrals.active_sets,
-        )
+        kernel_forces = _kernel_forces_for(self.harmonics, self._gap.shape[1])
+        active_sets = self._integrals.active_sets
         if kernel_forces.evaluated_forces is not self:
             kernel_forces.evaluated_forces = None
             arrays = map(pointer, (active_sets.compliance, self._gap, self.force))

@@ -170,16 +170,14 @@ def estimate_errors(
         sampling = relative(
             point.gap_change_by_force(finer_integrals.force(point.unknown) - point.force)
         )
-    if assessment.affordable:  # better equations differ by what harmonics and samples leave out
+    if assessment.affordable:  # includes the sampling error
         error, load_error = assessment.errors(search=search)
     else:
         error, load_error = _truncation_errors(point, wave)
     truncation = UNKNOWN if error >= UNKNOWN else max(error - sampling, 0.0)
     can_use_orbits = assessment.affordable and search and structure.light_lips
-    more_modes, min_harmonics = (
-        assessment.more_modes if can_use_orbits else None,
-        problem.response_harmonics(ENOUGH_HARMONICS),
-    )
+    more_modes = assessment.more_modes if can_use_orbits else None
+    min_harmonics = problem.response_harmonics(ENOUGH_HARMONICS)
     if can_use_orbits and truncation >= UNKNOWN and isinstance(structure, ReducedStructure):
         modal_errors = UNKNOWN, UNKNOWN  # without an orbit the effect of more modes is unknown, too
     elif more_modes and (more_modes.orbit or problem.harmonics < min_harmonics):
@@ -302,9 +300,8 @@ def _reduction_errors(point: ContactPoint, wave: Wave, problem: Problem) -> Erro
         if is_rigid(problem.contact) and not is_regular(
             all_modes(reference_problem.row_structure).static_part(cutoff)
         ):
-            max_stiffness = len(residual) / (
-                REGULAR * np.trace(residual)
-            )  # numerically a constraint
+            # With this stiffness the penalty is numerically a constraint.
+            max_stiffness = len(residual) / (REGULAR * np.trace(residual))
             reference_problem = replace(
                 reference_problem, contact=as_penalty(problem.contact, float(max_stiffness))
             )

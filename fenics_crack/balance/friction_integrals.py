@@ -172,10 +172,8 @@ class FrictionForces(CoupledForces):
         -------
         (2H+1, 2 n_pairs) [N]
         """
-        gap_changes, force_changes = (
-            np.ascontiguousarray(gap_changes),
-            np.empty_like(self._force_samples),
-        )
+        gap_changes = np.ascontiguousarray(gap_changes)
+        force_changes = np.empty_like(self._force_samples)
         arrays = map(pointer, (self.states, self._origins, gap_changes, force_changes))
         if kernel.friction_changes(self._integrals.sets.handle, len(gap_changes), *arrays):
             raise MemoryError("friction")

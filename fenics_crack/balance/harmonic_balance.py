@@ -427,22 +427,18 @@ def _with_tolerance_status(
     report, structure = solution.report, solution.structure
     if not solution.converged:
         return solution
-    massless_reduction, kept_modes, modes_remedy, n_sectors = (
-        massless(structure),
-        "",
-        modes_key or "modes",
-        1,
-    )
+    massless_reduction = massless(structure)
+    kept_modes = ""
+    modes_remedy = modes_key or "modes"
+    n_sectors = 1
     if isinstance(structure, ReducedStructure):
         size = f"{structure.n_dofs} coordinates"
         kept_modes = f", {size}"
         if massless_reduction is not None:
             kept_modes = f", {massless_reduction.n_modes} modes ({size})"
             if isinstance(massless_reduction.whole, Wheel):
-                modes_remedy, n_sectors = (
-                    modes_key or "families",
-                    massless_reduction.whole.sector.count,
-                )
+                modes_remedy = modes_key or "families"
+                n_sectors = massless_reduction.whole.sector.count
             modes_remedy += (
                 f" {2 * massless_reduction.n_modes // n_sectors}, in about twice the time"
             )
@@ -585,16 +581,16 @@ def solution_of_orbit(
     goal = _error_goal(tolerance, reduction)
     too_few_harmonics, solution = 0, wave_with(problem.harmonics)
     while not solution.assessment.distance <= goal and solution.harmonics < max_harmonics:
-        too_few_harmonics, solution = (
-            solution.harmonics,
-            wave_with(min(2 * solution.harmonics, max_harmonics)),
-        )
+        too_few_harmonics = solution.harmonics
+        solution = wave_with(min(2 * solution.harmonics, max_harmonics))
     if too_few_harmonics:
-        counts, meets_goal = (
+        harmonics = bisect_left(
             range(solution.harmonics),
-            lambda n: wave_with(n).assessment.distance <= goal,
+            True,
+            too_few_harmonics + 1,
+            key=lambda count: wave_with(count).assessment.distance <= goal,
         )
-        solution = wave_with(bisect_left(counts, True, too_few_harmonics + 1, key=meets_goal))
+        solution = wave_with(harmonics)
     gap, errors = orbit.gap, solution.assessment.errors()
     gap_motion = gap + problem.structure.clearance
     report = ErrorReport(

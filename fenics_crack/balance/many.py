@@ -184,7 +184,7 @@ def solve_many(
             "omega, load, damping, clearance", shapes_in_words, "numbers and arrays (n,)"
         )
     cases = np.array(np.broadcast_arrays(*arguments), dtype=float)
-    Problem(structure, 1.0, contact, harmonics)  # raises what concerns all
+    Problem(structure, 1.0, contact, harmonics)  # raises the errors common to all cases
     n_cases, flow = cases.shape[1], exact_flow(structure, contact)
     columns: dict[str, Any] = dict(zip(CASE_PARAMETERS, cases, strict=True))
     columns |= {name: np.full(n_cases, "", dtype=object) for name in TEXT_COLUMNS}
@@ -258,9 +258,8 @@ def _find_orbit_of_case(
         find_orbit(flow, problem.omega, state, step_tolerance=STEP_TOLERANCE) for state in guesses
     )
     orbit, cases.status[case] = next(filter(None, orbits), None), "neighbour"
-    if (
-        orbit is not None and abs(orbit.multipliers[0]) <= 1.0 + MULTIPLIER_TOLERANCE
-    ):  # 1 without damping
+    # Without damping the largest modulus is 1.
+    if orbit is not None and abs(orbit.multipliers[0]) <= 1.0 + MULTIPLIER_TOLERANCE:
         return orbit
     search = initial_orbit(problem)
     if orbit is None or (search.orbit is not None and search.orbit.is_stable):
@@ -278,10 +277,8 @@ def _orbit_numbers(
     samples = orbit.samples(np.arange(n_instants) * orbit.period / n_instants)
     motion = samples.displacement, samples.gaps, samples.forces
     wave = problem.wave_of(*(fourier_coefficients(rows, problem.harmonics) for rows in motion))
-    gap_error, displacement = (
-        motion[1] - wave.over_period(n_instants)[1],
-        motion[0] @ watched_rows.T,
-    )
+    gap_error = motion[1] - wave.over_period(n_instants)[1]
+    displacement = motion[0] @ watched_rows.T
     truncation = (
         0.0
         if is_still(samples)

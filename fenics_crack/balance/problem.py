@@ -262,10 +262,8 @@ class Problem:
 
         Raises InputError if rows have no compliance in series.
         """
-        has_few_dofs, springs = (
-            is_small(self.structure),
-            springs_of(self.contact, self.structure.n_pairs),
-        )
+        has_few_dofs = is_small(self.structure)
+        springs = springs_of(self.contact, self.structure.n_pairs)
         residual = all_modes(self.row_structure).static_part(self.cutoff) if has_few_dofs else None
         series_compliance = np.diag(springs) if residual is None else residual + np.diag(springs)
         if not np.all(springs) and not is_regular(series_compliance):
@@ -364,8 +362,8 @@ def check_memory(structure: Structure, harmonics: int) -> None:
     n_pairs = structure.n_pairs
     n_unknowns, order = (2 * harmonics + 1) * n_pairs, 2
     n_numbers = N_MATRICES_IN_MEMORY * n_unknowns**2
-    if structure.light_lips:  # of an estimate too, with twice the harmonics
-        n_vectors = 2 * kernel.KRYLOV_MOST + 2  # those kept, and those of a solution
+    if structure.light_lips:  # an error estimate has twice the harmonics
+        n_vectors = 2 * kernel.KRYLOV_MOST + 2  # vectors kept, and those for a solution
         n_numbers, order = 2 * (2 * N_MATRICES_IN_MEMORY * n_pairs + n_vectors) * n_unknowns, 1
     memory = machine_memory()
     if 8 * n_numbers > 0.8 * memory:
@@ -457,7 +455,7 @@ class Search:
                 if self.converged:
                     break
         point = point or system.linearise(np.zeros(system.shape), 1.0)
-        if not self.converged and snes is None and self.budget_fraction == 1.0:  # for the record
+        if not self.converged and snes is None and self.budget_fraction == 1.0:  # for the history
             iterations_before = self.iterations
             with Newton(system, self.history) as snes:
                 point = self._take_newton_steps(snes, point.unknown)
@@ -579,11 +577,9 @@ class Search:
                 <= 2 * self._min_harmonics_for_orbit_start
             ):
                 yield from self._guesses_from_orbit(problem)
-            system, iterations_before, simpler_point = (
-                self.system,
-                self.iterations,
-                self._simpler_point,
-            )
+            system = self.system
+            iterations_before = self.iterations
+            simpler_point = self._simpler_point
             if count != counts[-1]:
                 resized = resized_compliance(system.compliance, count)
                 system = problem.with_harmonics(count).system(resized)
@@ -596,7 +592,8 @@ class Search:
                 yield from self._guesses_near(system, guess)
                 continue
             point = self._solve_coarsely(system, self._guesses_near(system, guess))
-            self._max_iterations += self.iterations - iterations_before  # these cost little
+            # Iterations with fewer harmonics cost little: they do not count.
+            self._max_iterations += self.iterations - iterations_before
             if point is None and not system.matrix_free:
                 point = self._solve_coarsely(system, self._guesses_by_continuation(system, 0.5))
             self._simpler_point = point or simpler_point
@@ -625,7 +622,7 @@ class Search:
         finally:
             compliance.destroy()
         self.iterations += search.iterations
-        self._max_iterations += search.iterations  # these cost little
+        self._max_iterations += search.iterations  # they cost little and do not count
         if not search.converged:
             return
         force = np.zeros(system.shape)
@@ -731,5 +728,5 @@ def _iteration_budget(system: ContactSystem) -> float:
     kernel_limit = MAX_KERNEL_ITERATIONS * (300.0 / max(MIN_COSTLY_UNKNOWNS, system.size)) ** 2
     if getattr(system, "compiled", None) is not None:
         return kernel_limit
-    python_limit = MAX_KERNEL_ITERATIONS / 5  # in Python, in the same time
+    python_limit = MAX_KERNEL_ITERATIONS / 5  # Python takes five times as long
     return python_limit if system.matrix_free else min(python_limit, kernel_limit)

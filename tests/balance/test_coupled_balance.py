@@ -108,7 +108,7 @@ def test_matrix_free_is_dense(short_chain: fc.Structure) -> None:
         points.append(system.linearise(unknown, 0.4))
     dense, free = points
     assert relative(dense.apply(other), (dense.jacobian @ other.ravel()).reshape(13, 3)) < 1e-12
-    for name in ("apply", "solve", "gap_of", "gap_by_force"):
+    for name in ("apply", "solve", "gap_change", "gap_change_by_force"):
         assert relative(getattr(free, name)(other), getattr(dense, name)(other)) < 1e-7
     assert np.isnan(free.sign) and abs(dense.sign) == 1.0
 
