@@ -79,7 +79,7 @@ class BlockSystem(Snes):
         structure = self.structure = problem.structure
         self.integrals: Any = problem.integrals()
         self._shape, self._load = linear.shape, problem.load
-        squares = np.array([np.sum(linear_part**2) for linear_part in (linear, self._load)])
+        squares = np.array([np.sum(coefficients**2) for coefficients in (linear, self._load)])
         length, load = np.sqrt(structure.sum_over_ranks(squares))
         self.length = float(length) or 1.0
         """Unit of the unknowns [m]."""
@@ -130,7 +130,7 @@ class BlockSystem(Snes):
         self._linear_matrix = matrix.duplicate(copy=True)
         self._local_slow_gap_map = self._slow_gap_map[:, slice(*matrix.getOwnershipRange())]
         self.rounding = residual_rounding(10.0 * matrix.norm() / math.sqrt(linear_part.shape[1]))
-        """Smallest |F| / |x| that is asked for: rounding leaves about a tenth of it."""
+        """Least tolerance for |F| / |x|; rounding alone leaves about a tenth."""
         super().__init__(matrix, history)
         factors = self._snes.getKSP().getPC()
         if factors.getType() == "lu" and factors.getFactorSolverType() == "mumps":

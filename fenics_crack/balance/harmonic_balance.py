@@ -164,13 +164,13 @@ def linear_response(
     >>> amplitude = fc.linear_response(structure, tip, np.linspace(1e3, 3e3, 50), lips="tied")
     """
     check_choice("lips", lips, LIP_STATES)
-    omega_array = numbers(omega)
-    if omega_array.ndim != 1 or not np.all(np.isfinite(omega_array) & (omega_array >= 0.0)):
+    frequencies = numbers(omega)
+    if frequencies.ndim != 1 or not np.all(np.isfinite(frequencies) & (frequencies >= 0.0)):
         raise InputError("omega", omega, "finite numbers >= 0, in an array (n,)")
     load = load_coefficients(structure, 1, 1)
     row = structure.values_at(np.eye(structure.n_dofs), [dof]).T
-    amplitudes = np.full(len(omega_array), np.inf)
-    for index, frequency in enumerate(omega_array):
+    amplitudes = np.full(len(frequencies), np.inf)
+    for index, frequency in enumerate(frequencies):
         with contextlib.suppress(ConvergenceError):
             compliance = ModalCompliance(structure, float(frequency), load)
             force = np.zeros_like(compliance.linear_gap)

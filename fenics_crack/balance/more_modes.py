@@ -143,9 +143,9 @@ class MoreModes:
         structure, reference = self.wave.structure, self.flow.structure
         assert isinstance(structure, ReducedStructure) and isinstance(reference, ReducedStructure)
         whole_structure = structure.whole
-        momentum = times(whole_structure.mass, structure.basis)
+        mass_times_basis = times(whole_structure.mass, structure.basis)
         basis_change = (
-            whole_structure.sum_over_ranks(reference.basis.T @ momentum)
+            whole_structure.sum_over_ranks(reference.basis.T @ mass_times_basis)
             @ self.nearest_orbit.flow.modes.shapes
         )
         return self.flow.state(coordinates @ basis_change.T, speed @ basis_change.T, places)

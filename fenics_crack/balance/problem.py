@@ -517,7 +517,7 @@ class Search:
         """True if the budget of iterations is spent."""
         return self.iterations >= self._max_iterations
 
-    # --- the starts -------------------------------------------------------------------------------
+    # --- the strategies ---------------------------------------------------------------------------
 
     def _strategies(self, guesses: Sequence[np.ndarray]) -> Iterator[Start]:
         """Yield strategies in their order."""
@@ -568,14 +568,11 @@ class Search:
         """Yield guesses for the last of ascending numbers of harmonics.
 
         Each solution starts the next one, and the linear solution starts the first. A number
-        without a solution is skipped.
+        without a solution is skipped. Many harmonics try an exact orbit first.
         """
+        orbit_harmonics = self._min_harmonics_for_orbit_start
         for count in counts:
-            if (
-                self._min_harmonics_for_orbit_start
-                < count
-                <= 2 * self._min_harmonics_for_orbit_start
-            ):
+            if orbit_harmonics < count <= 2 * orbit_harmonics:
                 yield from self._guesses_from_orbit(problem)
             system = self.system
             iterations_before = self.iterations
@@ -712,7 +709,7 @@ def rounding_left(compliance: Compliance, law: ContactLaw) -> float:
     stiffness_limit = COARSE_TOLERANCE / (MACHINE_EPSILON * float(row_sums[0].max(initial=1e-300)))
     if not max_stiffness < stiffness_limit:
         allowed = f"at most {stiffness_limit:.2g} N/m on this structure, beyond which rounding "
-        allowed += "leaves nothing;  UnilateralConstraint is the limit"
+        allowed += "leaves nothing; UnilateralConstraint is the limit"
         raise InputError("contact stiffness", max_stiffness, allowed)
     return residual_rounding(max_stiffness * float(row_sums.max(initial=0.0)))
 
