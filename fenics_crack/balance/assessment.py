@@ -242,14 +242,14 @@ class Assessment:
             assert self.orbit is not None
             samples = self.orbit.sampled
             change = samples.displacement - wave.coordinates(samples.time)
-            errors = self.distance, _relative_change_at_load(wave, change, samples.displacement)
+            errors = self.distance, _change_at_load(wave, change, samples.displacement)
         elif (step := self.prediction) is None:
             errors = UNKNOWN, UNKNOWN
         else:
             assert self.flow is not None
             change = (step.states - self.states)[:, : self.flow.n_modes] @ self.flow.modes.shapes.T
             time = np.arange(len(change)) * wave.period / len(change)
-            errors = step.error, _relative_change_at_load(wave, change, wave.coordinates(time))
+            errors = step.error, _change_at_load(wave, change, wave.coordinates(time))
             errors = (stated_error(errors[0]), stated_error(errors[1])) if search else errors
         return min(errors[0], UNKNOWN), min(errors[1], UNKNOWN)
 
@@ -320,7 +320,7 @@ def with_twice_the_harmonics(wave: Wave) -> Wave | None:
     return problem.wave(system.linearise(point.unknown)) if search.converged else None
 
 
-def _relative_change_at_load(wave: Wave, change: np.ndarray, motion: np.ndarray) -> float:
+def _change_at_load(wave: Wave, change: np.ndarray, motion: np.ndarray) -> float:
     """Return the change of the displacement at the load, relative to the motion's size."""
     return relative_to_motion(
         *(motion_at_load(wave.structure, displacement) for displacement in (change, motion))

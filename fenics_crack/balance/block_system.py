@@ -204,12 +204,8 @@ class BlockSystem(Snes):
     def vector_of(self, displacement: np.ndarray) -> np.ndarray:
         """Return this rank's rows of a displacement's vector (collective)."""
         relative_displacement, comm = displacement / self.length, self.structure.comm
-        modal_coordinates = self.structure.sum_over_ranks(
-            relative_displacement[1:] @ self._modes[0]
-        )
-        return np.append(
-            relative_displacement, modal_coordinates if comm.rank == comm.size - 1 else []
-        )
+        modal_part = self.structure.sum_over_ranks(relative_displacement[1:] @ self._modes[0])
+        return np.append(relative_displacement, modal_part if comm.rank == comm.size - 1 else [])
 
     def evaluate(self, unknown: Any, target: Any) -> None:
         force = self.integrals.force(self.slow_gap(unknown.array_r))
@@ -288,13 +284,9 @@ class BlockSolver(Solver):
         n_modes = check_damped_modes(structure) if isinstance(damping, ModalDamping) else 0
         is_solid = structure.nodes is not None and structure.nodes.points.shape[1] == 3
         # Of the factors and the matrix, and of rows and columns of the modes.
-        needed_bytes = (
-            4.0 * factor_memory(n_unknowns, solid=is_solid) + 200.0 * n_unknowns * n_modes
-        )
-        if needed_bytes > 0.8 * machine_memory():
-            allowed = (
-                f"fewer, or form = 'condensed': the block takes {needed_bytes / 2**30:.3g} GiB"
-            )
+        n_bytes = 4.0 * factor_memory(n_unknowns, solid=is_solid) + 200.0 * n_unknowns * n_modes
+        if n_bytes > 0.8 * machine_memory():
+            allowed = f"fewer, or form = 'condensed': the block takes {n_bytes / 2**30:.3g} GiB"
             raise InputError("harmonics", problem.harmonics, allowed)
 
     def find(

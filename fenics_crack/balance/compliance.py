@@ -315,11 +315,9 @@ class ModalCompliance:
         modes = self._modes
         if modes.damping.ndim == 2:
             return None
-        (n_modes, n_pairs), static_compliance = modes.pairs.shape, modes.residual
+        (n_modes, n_pairs), static_part = modes.pairs.shape, modes.residual
         if residual is not None:
-            static_compliance = (
-                -residual if static_compliance is None else static_compliance - residual
-            )
+            static_part = -residual if static_part is None else static_part - residual
         return {
             "modes": n_modes,
             "omega": omega[0],
@@ -330,9 +328,7 @@ class ModalCompliance:
             "rates": shaped(modes.damping, n_modes),
             "shapes": shaped(modes.pairs, n_modes, self.shape[1]),
             "load": shaped(self._load * self._unit_load, len(self._order), n_modes, kind=complex),
-            "at_once": None
-            if static_compliance is None
-            else shaped(static_compliance, n_pairs, n_pairs),
+            "at_once": None if static_part is None else shaped(static_part, n_pairs, n_pairs),
         }
 
     def derivative(self, name: str, force: np.ndarray) -> np.ndarray:

@@ -350,10 +350,8 @@ def tangent_from_means(means: np.ndarray) -> np.ndarray:
     means, n_rows = shaped(means, 4 * harmonics + 1, n_pairs, n_pairs), 2 * harmonics + 1
     tangent = np.empty((n_rows, n_pairs, n_rows * n_pairs))
     for k in range(harmonics + 1):
-        first_row = max(0, 2 * k - 1)
-        kernel.tangent_of_harmonic(
-            harmonics, n_pairs, k, pointer(means), pointer(tangent[first_row:])
-        )
+        row = max(0, 2 * k - 1)
+        kernel.tangent_of_harmonic(harmonics, n_pairs, k, pointer(means), pointer(tangent[row:]))
     return tangent
 
 

@@ -211,14 +211,14 @@ def error_against_reference(solution: Wave, reference_solution: Wave) -> ErrorRe
     gap_motion[0] += solution.structure.clearance
     change_square = mean_square(reference_solution.gap_coefficients - solution.gap_coefficients)
     gap_error = math.sqrt(change_square / moving_mean_square(gap_motion))
-    load_error = _relative_change_at_load(
+    load_error = _change_at_load(
         solution, reference_solution.structure, reference_solution.displacement_coefficients
     )
     reduction, displacement = modal_truncation_errors(solution.structure, (gap_error, load_error))
     return ErrorReport(reduction=reduction, displacement=displacement)
 
 
-def _relative_change_at_load(wave: Wave, structure: Structure, displacement: np.ndarray) -> float:
+def _change_at_load(wave: Wave, structure: Structure, displacement: np.ndarray) -> float:
     """Return the relative change of the displacement at the load (collective).
 
     The displacement with another structure is compared with that of the wave. The change is
@@ -282,9 +282,7 @@ def _change_by_better_system(
         better_point.gap - start_point.gap, base_point, wave.row_structure.clearance
     )
     force = base_point.force + (better_point.force - start_point.force)[:n_rows]
-    load_error = _relative_change_at_load(
-        wave, structure, better_system.compliance.displacement(force)
-    )
+    load_error = _change_at_load(wave, structure, better_system.compliance.displacement(force))
     return min(gap_error, UNKNOWN), min(load_error, UNKNOWN)
 
 

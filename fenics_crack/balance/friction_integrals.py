@@ -129,10 +129,8 @@ class FrictionIntegrals(ContactIntegrals):
         places : (n, n_pairs) [m]
             h.
         """
-        n_instants, full_turn = self.instants, 2.0 * np.pi
-        phases = np.concatenate(
-            [full_turn / n_instants * np.arange(n_instants), np.mod(phase, full_turn)]
-        )
+        n_instants, turn = self.instants, 2.0 * np.pi
+        phases = np.concatenate([turn / n_instants * np.arange(n_instants), np.mod(phase, turn)])
         gap_samples = np.concatenate([sample_period(gap, n_instants), evaluate(gap, 1.0, phase)])
         _, first_index, position = np.unique(phases, return_index=True, return_inverse=True)
         forces, _, places, _ = self.march(gap_samples[first_index])
@@ -212,11 +210,9 @@ class FrictionForces(CoupledForces):
         friction = friction_of(integrals.law)
         assert friction is not None
         signs = 1.0 * (self.states == kernel.SLIP_UP) - (self.states == kernel.SLIP_DOWN)
-        slip_force_rate = np.zeros_like(self._force_samples)
-        slip_force_rate[:, n_pairs:] = (
-            signs * friction.coefficient * self._force_samples[:, :n_pairs]
-        )
+        slip_force = np.zeros_like(self._force_samples)
+        slip_force[:, n_pairs:] = signs * friction.coefficient * self._force_samples[:, :n_pairs]
         compliance = integrals.compliance
-        return fourier_coefficients(slip_force_rate, integrals.harmonics) + self._force_change(
-            -slip_force_rate @ compliance
+        return fourier_coefficients(slip_force, integrals.harmonics) + self._force_change(
+            -slip_force @ compliance
         )

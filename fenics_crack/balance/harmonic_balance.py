@@ -103,21 +103,19 @@ def solve_linear(
     min_harmonics = least_harmonics(structure, 1)
     harmonics = max(Problem.harmonics, min_harmonics) if harmonics is None else harmonics
     check_count("harmonics", harmonics, min_harmonics)
-    solution = _solve_without_contact(structure, omega, harmonics)
+    solution = _linear_solution(structure, omega, harmonics)
 
     @cache
     def estimate() -> ErrorReport:
         reference = reference_of(solution)
         if reference is None:
             return ErrorReport()
-        return error_against_reference(
-            solution, _solve_without_contact(reference, omega, harmonics)
-        )
+        return error_against_reference(solution, _linear_solution(reference, omega, harmonics))
 
     return replace(solution, estimate=estimate)
 
 
-def _solve_without_contact(structure: Structure, omega: float, harmonics: int) -> PeriodicSolution:
+def _linear_solution(structure: Structure, omega: float, harmonics: int) -> PeriodicSolution:
     """Return the linear solution without its report (collective)."""
     load = to_complex(load_coefficients(structure, harmonics, 1))
     amplitude = np.zeros_like(load)
@@ -427,21 +425,19 @@ def _with_tolerance_status(
     report, structure = solution.report, solution.structure
     if not solution.converged:
         return solution
-    massless_reduction = massless(structure)
+    massless_part = massless(structure)
     kept_modes = ""
     modes_remedy = modes_key or "modes"
     n_sectors = 1
     if isinstance(structure, ReducedStructure):
         size = f"{structure.n_dofs} coordinates"
         kept_modes = f", {size}"
-        if massless_reduction is not None:
-            kept_modes = f", {massless_reduction.n_modes} modes ({size})"
-            if isinstance(massless_reduction.whole, Wheel):
+        if massless_part is not None:
+            kept_modes = f", {massless_part.n_modes} modes ({size})"
+            if isinstance(massless_part.whole, Wheel):
                 modes_remedy = modes_key or "families"
-                n_sectors = massless_reduction.whole.sector.count
-            modes_remedy += (
-                f" {2 * massless_reduction.n_modes // n_sectors}, in about twice the time"
-            )
+                n_sectors = massless_part.whole.sector.count
+            modes_remedy += f" {2 * massless_part.n_modes // n_sectors}, in about twice the time"
     if report.total <= tolerance:
         choice = f"chosen for an error of {tolerance:g}: H = {solution.harmonics}{kept_modes}"
         return replace(solution, status=f"{solution.status}; {choice}")
@@ -467,28 +463,24 @@ def _solve_structure(
     flow = flow_of(problem.structure, problem.contact)
     if flow is None or not is_affordable(flow, problem.omega, problem.subharmonic):
         return _raise_harmonics(solver, tolerance, _solver_for(solver, problem).solve(initial))
-    balanced_solutions, search = _search_orbit_from_solutions(solver, flow, initial)
+    solutions, search = _search_orbit_from_solutions(solver, flow, initial)
     if search.orbit is not None:
         orbit_solution = solution_of_orbit(problem, search.orbit, tolerance, initial)
         origin = (
-            f"{search.reason}, from H = {balanced_solutions[-1].harmonics}"
-            if balanced_solutions
-            else search.reason
+            f"{search.reason}, from H = {solutions[-1].harmonics}" if solutions else search.reason
         )
         return replace(
             orbit_solution,
             status=origin + _describe_other_orbits(search),
             others=search.other_orbits,
         )
-    if balanced_solutions:
-        initial = balanced_solutions[-1]
+    if solutions:
+        initial = solutions[-1]
         problem = problem.with_harmonics(initial.harmonics)
-    balanced_solution = _raise_harmonics(
-        solver, tolerance, _solver_for(solver, problem).solve(initial)
-    )
+    solution = _raise_harmonics(solver, tolerance, _solver_for(solver, problem).solve(initial))
     orders = ", ".join(str(count * problem.subharmonic) for count in SearchOptions.harmonics)
-    status = f"no exact orbit found from H = {orders}; {search.reason}; {balanced_solution.status}"
-    return replace(balanced_solution, status=status)
+    status = f"no exact orbit found from H = {orders}; {search.reason}; {solution.status}"
+    return replace(solution, status=status)
 
 
 # --- by an orbit ----------------------------------------------------------------------------------

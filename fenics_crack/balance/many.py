@@ -50,7 +50,7 @@ A coefficient of order 20 is then accurate to a hundredth.
 """
 STEP_TOLERANCE = 1e-10
 """Relative length of the last Newton step for an orbit."""
-CASE_PARAMETERS = "omega", "load", "damping", "clearance"
+PARAMETERS = "omega", "load", "damping", "clearance"
 TEXT_COLUMNS = "status", "reason", "verdict"
 NUMBER_COLUMNS = "amplitude", "opening", "closed_share", "multiplier", "truncation"
 
@@ -107,9 +107,7 @@ class ManyOrbits(Tabular):
 
         Raises InputError if the case cannot exist.
         """
-        omega, load, damping, clearance = (
-            float(getattr(self, name)[case]) for name in CASE_PARAMETERS
-        )
+        omega, load, damping, clearance = (float(getattr(self, name)[case]) for name in PARAMETERS)
         structure = self.structure.varied(load=load, damping=damping, clearance=clearance)
         return Problem(structure, omega, self.contact, self.harmonics)
 
@@ -186,7 +184,7 @@ def solve_many(
     cases = np.array(np.broadcast_arrays(*arguments), dtype=float)
     Problem(structure, 1.0, contact, harmonics)  # raises the errors common to all cases
     n_cases, flow = cases.shape[1], exact_flow(structure, contact)
-    columns: dict[str, Any] = dict(zip(CASE_PARAMETERS, cases, strict=True))
+    columns: dict[str, Any] = dict(zip(PARAMETERS, cases, strict=True))
     columns |= {name: np.full(n_cases, "", dtype=object) for name in TEXT_COLUMNS}
     columns |= {name: np.full(n_cases, np.nan) for name in NUMBER_COLUMNS}
     columns["states"] = np.full((n_cases, flow.size), np.nan)

@@ -70,23 +70,19 @@ def _neglected_dissipation(wave: Wave) -> float:
 
     It is 0 with another damping.
     """
-    massless_reduction = massless(wave.structure)
-    if massless_reduction is None or not isinstance(
-        massless_reduction.original.damping, RayleighDamping
-    ):
+    massless_part = massless(wave.structure)
+    if massless_part is None or not isinstance(massless_part.original.damping, RayleighDamping):
         return 0.0
     orders = np.repeat(np.arange(1.0, wave.harmonics + 1), 2)[:, None]
     modal_part, static_part = np.split(
-        orders * wave.displacement_coefficients[1:], [massless_reduction.n_modes], axis=1
+        orders * wave.displacement_coefficients[1:], [massless_part.n_modes], axis=1
     )
-    neglected_energy = massless_reduction.original.damping.stiffness * np.sum(
-        static_part @ massless_reduction.compliance * static_part
+    neglected_energy = massless_part.original.damping.stiffness * np.sum(
+        static_part @ massless_part.compliance * static_part
     )
     return float(
         neglected_energy
-        / max(
-            np.sum(modal_part**2 @ massless_reduction.rate), NEGLIGIBLE * neglected_energy, 1e-300
-        )
+        / max(np.sum(modal_part**2 @ massless_part.rate), NEGLIGIBLE * neglected_energy, 1e-300)
     )
 
 

@@ -72,9 +72,7 @@ class Stability(Described):
         leading = complex(self.multipliers[0])
         columns = {"verdict": self.verdict, "modulus": abs(leading)}
         columns |= {"real": leading.real, "imaginary": leading.imag}
-        return columns | {
-            attribute.name: getattr(self, attribute.name) for attribute in fields(self)[2:]
-        }
+        return columns | {entry.name: getattr(self, entry.name) for entry in fields(self)[2:]}
 
     def _title(self) -> str:
         reason = f" ({self.reason})" if self.reason else ""
@@ -139,9 +137,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
 
     def __post_init__(self) -> None:
         if self.assessment is None or not self.assessment.is_of(self):
-            wave = Wave(
-                **{attribute.name: getattr(self, attribute.name) for attribute in fields(Wave)}
-            )
+            wave = Wave(**{entry.name: getattr(self, entry.name) for entry in fields(Wave)})
             object.__setattr__(self, "assessment", Assessment(wave))
 
     @property
@@ -239,9 +235,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         """True if the load is steady and only rounding moves (collective)."""
         rows = self.displacement_coefficients
         coefficients = self.structure.force[1:], rows[1:], rows[:1]
-        sizes = self.structure.sum_over_ranks(
-            np.array([np.sum(array**2) for array in coefficients])
-        )
+        sizes = self.structure.sum_over_ranks(np.array([np.sum(part**2) for part in coefficients]))
         return bool(sizes[0] == 0.0 and sizes[1] <= NEGLIGIBLE**2 * sizes[2])
 
     def displacement_field(self, time: np.ndarray) -> np.ndarray:
